@@ -1,0 +1,47 @@
+//! Floor 0: how bad input is reported. Every such error names the file, the place in it, the value, and what was expected.
+
+use serde::de::DeserializeOwned;
+
+/// Something a person wrote or a file held that can't be used. The program ends with exit code 2.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{file}: {place}: got {value}, expected {expected}")]
+pub struct BadInput {
+    /// File, or the name of the command-line option.
+    pub file: String,
+    /// Key path (`job.identify.periods`) or line and column (`line 7, column tau3`).
+    pub place: String,
+    /// The value found.
+    pub value: String,
+    /// What would have been right.
+    pub expected: String,
+}
+
+impl BadInput {
+    /// All four parts at once.
+    pub fn new(
+        file: impl Into<String>,
+        place: impl Into<String>,
+        value: impl ToString,
+        expected: impl Into<String>,
+    ) -> BadInput {
+        BadInput { file: file.into(), place: place.into(), value: value.to_string(), expected: expected.into() }
+    }
+}
+
+/// Parses TOML text into a typed value; `file` is only named in the error.
+pub fn from_toml<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, BadInput> {
+    let syntax = |error: toml::de::Error| {
+        let line = error.span().map_or(0, |span| text[..span.start.min(text.len())].lines().count().max(1));
+        let found = error.span().and_then(|span| text.get(span)).unwrap_or("").lines().next().unwrap_or("").to_string();
+        BadInput::new(file, format!("line {line}"), format!("`{found}`"), error.message().to_string())
+    };
+    let deserializer = toml::Deserializer::parse(text).map_err(syntax)?;
+    serde_path_to_error::deserialize(deserializer).map_err(|error| {
+        let path = error.path().to_string();
+        let mut bad = syntax(error.into_inner());
+        if path != "." {
+            bad.place = format!("{}, key `{path}`", bad.place);
+        }
+        bad
+    })
+}

@@ -1,0 +1,141 @@
+//! Floor 0: the fixed-size values that every other part of plumbline exchanges.
+//!
+//! All of them are `Copy` and `repr(C)`, hold no pointer, and have room for [`MAX_JOINTS`] joints; entries past the robot's
+//! own joint count are zero. Angles are in rad (m for a prismatic joint), torques in Nm (N), times in s.
+
+/// Room for joints in every fixed-size message.
+pub const MAX_JOINTS: usize = 8;
+
+/// One number per joint; entries past the robot's joint count are zero.
+pub type JointVec = [f64; MAX_JOINTS];
+
+/// A torque that was commanded or computed by a model, as opposed to measured \[Nm\].
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Torque(pub JointVec);
+
+/// What the arm reported in one cycle.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct State {
+    /// The arm's own cycle counter: consecutive states differ by one, a larger step means lost states.
+    pub seq: u64,
+    /// The arm's own clock since it was connected \[s\].
+    pub time: f64,
+    /// Measured joint position \[rad\].
+    pub q: JointVec,
+    /// Measured joint velocity \[rad/s\].
+    pub dq: JointVec,
+    /// Measured joint torque, gravity included \[Nm\].
+    pub tau: JointVec,
+    /// The position that the arm last accepted as desired \[rad\].
+    pub q_d: JointVec,
+}
+
+/// One desired point of a motion.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Setpoint {
+    /// Desired joint position \[rad\].
+    pub q: JointVec,
+    /// Desired joint velocity \[rad/s\].
+    pub dq: JointVec,
+    /// Desired joint acceleration \[rad/s2\].
+    pub ddq: JointVec,
+}
+
+/// What is sent to the arm in answer to one state.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Command {
+    /// `seq` of the state that this command answers.
+    pub seq: u64,
+    /// Desired motion; a position interface uses `desired.q` alone.
+    pub desired: Setpoint,
+    /// Feed-forward torque of the served model at `desired`; zero while no model is served \[Nm\].
+    pub tau_ff: Torque,
+}
+
+/// What the loop was doing in a cycle.
+#[repr(u32)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Phase {
+    /// Holding the last desired position.
+    #[default]
+    Hold = 0,
+    /// Moving to the start of a motion.
+    Approach = 1,
+    /// Following a periodic motion.
+    Excite = 2,
+    /// Moving back to the rest pose.
+    Return = 3,
+    /// Braking after a guard's decision or a request; the arm ends at rest.
+    Stop = 4,
+    /// At rest after a stop; nothing moves before an operator says so.
+    Stopped = 5,
+}
+
+impl Phase {
+    /// The phase of a number that crossed shared memory; `None` when the number is none of them.
+    pub fn from_u32(code: u32) -> Option<Phase> {
+        [Phase::Hold, Phase::Approach, Phase::Excite, Phase::Return, Phase::Stop, Phase::Stopped]
+            .into_iter()
+            .find(|phase| *phase as u32 == code)
+    }
+}
+
+/// Everything about one cycle: what came in, what went out, and how long it took.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Record {
+    /// Number of this cycle since the loop started, without gaps.
+    pub cycle: u64,
+    /// The state read.
+    pub state: State,
+    /// The command written.
+    pub command: Command,
+    /// What the loop was doing.
+    pub phase: Phase,
+    /// The motion that the cycle belongs to: the number its order carried, 0 before the first.
+    pub motion: u32,
+    /// Sample of that motion, counted from 0.
+    pub tick: u64,
+    /// Identity of the served model, 0 while there is none.
+    pub model: u64,
+    /// `CLOCK_MONOTONIC` when the state had been read \[ns\].
+    pub stamp_ns: u64,
+    /// Wake-up latency: how late the state was read after its deadline, 0 where the arm has no deadline \[ns\].
+    pub wake_ns: u64,
+    /// Work of the previous cycle, from state read to command written \[ns\].
+    pub work_ns: u64,
+}
+
+/// Limits per joint. Every command is checked against them before it leaves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Lowest position \[rad\].
+    pub q_min: JointVec,
+    /// Highest position \[rad\].
+    pub q_max: JointVec,
+    /// Highest speed \[rad/s\].
+    pub dq: JointVec,
+    /// Highest acceleration \[rad/s2\].
+    pub ddq: JointVec,
+    /// Highest jerk \[rad/s3\].
+    pub jerk: JointVec,
+    /// Highest torque \[Nm\].
+    pub tau: JointVec,
+    /// Highest torque rate \[Nm/s\].
+    pub dtau: JointVec,
+}
+
+/// Where the end effector may be, in the base frame: paper eq. 14.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Workspace {
+    /// Lower corner of the box around the arm \[m\].
+    pub box_min: [f64; 3],
+    /// Upper corner of that box \[m\].
+    pub box_max: [f64; 3],
+    /// Radius of the sphere around the base frame's origin that the end effector stays out of \[m\].
+    pub base_radius: f64,
+}

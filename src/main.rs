@@ -1,0 +1,3 @@
+//! The `plumbline` program.
+
+fn main() {}

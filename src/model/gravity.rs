@@ -1,0 +1,44 @@
+//! Direction of gravity in the base frame.
+
+use nalgebra::Vector3;
+
+/// Standard gravity as the paper uses it \[m/s2\].
+pub const G: f64 = 9.81;
+
+/// How the base is mounted, as the direction of the gravitational acceleration in the base frame (paper eq. 3).
+///
+/// `rho = pi` upright on a table, `pi/2` on a wall, `0` hanging from a ceiling.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mounting {
+    /// Polar angle between the base z axis and the gravitational acceleration \[rad\].
+    pub rho: f64,
+    /// Azimuth of the gravitational acceleration about the base z axis \[rad\].
+    pub phi: f64,
+}
+
+impl Mounting {
+    /// Upright on a table.
+    pub const UPRIGHT: Mounting = Mounting { rho: std::f64::consts::PI, phi: 0.0 };
+    /// On a wall, base x axis pointing down.
+    pub const WALL: Mounting = Mounting { rho: std::f64::consts::FRAC_PI_2, phi: 0.0 };
+    /// Hanging from a ceiling.
+    pub const CEILING: Mounting = Mounting { rho: 0.0, phi: 0.0 };
+
+    /// Gravitational acceleration in the base frame, `a_g = g [sin rho cos phi, sin rho sin phi, cos rho]` (paper eq. 3) \[m/s2\].
+    pub fn gravity(&self) -> Vector3<f64> {
+        let (sin_rho, cos_rho) = self.rho.sin_cos();
+        let (sin_phi, cos_phi) = self.phi.sin_cos();
+        G * Vector3::new(sin_rho * cos_phi, sin_rho * sin_phi, cos_rho)
+    }
+
+    /// Whether gravity is parallel to axis 1 within `tolerance` \[rad\]: the mounting in which two parameters vanish.
+    pub fn is_along_axis_1(&self, tolerance: f64) -> bool {
+        self.rho.sin().abs() <= tolerance.sin()
+    }
+
+    /// Angle between the gravity directions of two mountings \[rad\].
+    pub fn angle_to(&self, other: &Mounting) -> f64 {
+        let (a, b) = (self.gravity(), other.gravity());
+        a.cross(&b).norm().atan2(a.dot(&b))
+    }
+}

@@ -1,0 +1,8 @@
+//! Floor 1: the arm's dynamics as pure functions. No I/O, no clock, no configuration.
+
+pub mod base;
+pub mod chain;
+pub mod gravity;
+pub mod regressor;
+pub mod rnea;
+pub mod term;

@@ -1,0 +1,89 @@
+//! Terms: the parts a torque model is a sum of.
+//!
+//! A term contributes named columns to the regressor and says in one sentence what it is physically. An effect that diagnosis
+//! finds is added by pushing one more term; a new kind of effect is one new file here.
+
+use super::chain::Chain;
+use crate::joint::JointVec;
+use nalgebra::{DMatrix, Vector3};
+
+/// One column of a regressor, that is, one parameter of the model.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Column {
+    /// Unique in the model, in ASCII: `Lxx2`, `fv3`, `offset1`.
+    pub name: String,
+    /// Symbol for people: `LxxR2`, `fv3`.
+    pub symbol: String,
+    /// Joint or link it belongs to, counted from 1.
+    pub joint: usize,
+    /// Unit of the parameter.
+    pub unit: &'static str,
+    /// What standard parameters it is made of, in the paper's convention: `Lzz1 + Lyy2`.
+    pub expression: String,
+}
+
+/// A motion on an even time grid, with everything a regressor may depend on.
+#[derive(Clone, Debug)]
+pub struct Motion {
+    /// Time between samples \[s\].
+    pub dt: f64,
+    /// Joint positions, N x n \[rad\].
+    pub q: DMatrix<f64>,
+    /// Joint velocities, N x n \[rad/s\].
+    pub dq: DMatrix<f64>,
+    /// Joint accelerations, N x n \[rad/s2\].
+    pub ddq: DMatrix<f64>,
+    /// Gravitational acceleration in the base frame \[m/s2\].
+    pub gravity: Vector3<f64>,
+    /// Whether the motion repeats, so that the sample before the first is the last one.
+    pub periodic: bool,
+}
+
+impl Motion {
+    /// Number of samples, N.
+    pub fn samples(&self) -> usize {
+        self.q.nrows()
+    }
+
+    /// Number of joints, n.
+    pub fn joints(&self) -> usize {
+        self.q.ncols()
+    }
+}
+
+/// One desired or measured point, the real-time side of a [`Motion`].
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Sample {
+    /// Position \[rad\].
+    pub q: JointVec,
+    /// Velocity \[rad/s\].
+    pub dq: JointVec,
+    /// Acceleration \[rad/s2\].
+    pub ddq: JointVec,
+}
+
+/// A part of the model that contributes named columns to the regressor.
+pub trait Term: Send + Sync {
+    /// Stable identity, as in the model file: `rigid-body`, `friction`, `torque-offset`.
+    fn id(&self) -> &'static str;
+
+    /// What it is physically, in one sentence.
+    fn physics(&self) -> &'static str;
+
+    /// Its columns, in order.
+    fn columns(&self) -> Vec<Column>;
+
+    /// Writes its columns for a whole motion into `y`, columns `first .. first + columns().len()`.
+    ///
+    /// `y` has n N rows, joint by joint: joint `j` (from 0), sample `k` is row `j N + k`. Its entries are zero on entry.
+    fn fill(&self, chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize);
+
+    /// The term with its parameters fixed, for the real-time loop.
+    fn fix(&self, chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm>;
+}
+
+/// A term with known parameters. `torque` neither allocates nor panics.
+pub trait FixedTerm: Send {
+    /// Adds the term's torque at `sample` to `tau` \[Nm\].
+    fn torque(&mut self, sample: &Sample, tau: &mut JointVec);
+}

@@ -1,0 +1,76 @@
+//! Floor 1: the real-time loop and the small traits it owns.
+//!
+//! Nothing that runs inside a cycle allocates, locks, logs, panics, or makes a system call beyond its clock and its backend.
+
+use crate::joint::{Command, JointVec, Record, Setpoint, State, Torque};
+
+/// The hardware seam. Connecting is the constructor's business.
+pub trait Backend: Send {
+    /// Number of joints of the connected arm.
+    fn joints(&self) -> usize;
+
+    /// Blocks until the next state (1 ms after the last), so that the hardware paces the loop.
+    fn read(&mut self) -> Result<State, Fault>;
+
+    /// Sends the command that answers the state read last.
+    fn write(&mut self, command: &Command) -> Result<(), Fault>;
+
+    /// Ends the motion as fast as is safe. Idempotent, callable in any state, and silent: there is no one left to tell.
+    fn stop(&mut self);
+}
+
+/// Where the loop puts its records; `false` says that there was no room and the record is lost.
+pub trait Sink: Send {
+    /// Takes one record without blocking.
+    fn put(&mut self, record: &Record) -> bool;
+}
+
+/// A motion that can be asked for any of its samples.
+pub trait Reference: Send {
+    /// Number of samples, the last of which is at rest.
+    fn ticks(&self) -> u64;
+
+    /// Sample `tick` at `tick` ms after the start.
+    fn at(&self, tick: u64) -> Setpoint;
+}
+
+/// A torque model that can be evaluated in the loop.
+pub trait FeedForward: Send {
+    /// Identity of the model, not 0.
+    fn id(&self) -> u64;
+
+    /// Torque the arm needs at `desired` \[Nm\].
+    fn torque(&mut self, desired: &Setpoint) -> Torque;
+}
+
+/// Forward kinematics for the guard.
+pub trait Kinematics: Send {
+    /// Position of the end effector in the base frame \[m\].
+    fn end_effector(&self, q: &JointVec) -> [f64; 3];
+}
+
+/// Why a backend could not go on. `Copy`, so that it can leave the loop through a ring.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Fault {
+    /// No state arrived in time.
+    #[error("no state from the arm for {waited_ms} ms")]
+    Silent {
+        /// How long the loop waited \[ms\].
+        waited_ms: u32,
+    },
+    /// The arm stopped by itself; the code is the backend's own.
+    #[error("the arm stopped by itself (code {code})")]
+    Reflex {
+        /// The backend's own reason code.
+        code: u32,
+    },
+    /// The arm refused a command; the code is the backend's own.
+    #[error("the arm refused a command (code {code})")]
+    Refused {
+        /// The backend's own reason code.
+        code: u32,
+    },
+    /// The connection is gone.
+    #[error("the connection to the arm is gone")]
+    Disconnected,
+}
