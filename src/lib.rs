@@ -6,9 +6,10 @@
 //! |---|---|---|
 //! | 0 | [`joint`], [`input`], [`atomic`] | fixed-size values with units; how bad input is reported; how files are written |
 //! | 1 | [`model`], [`rt`] | the arm's dynamics, pure; the real-time loop and its traits |
-//! | 3 | [`dataset`] | recorded motions as folders of CSV files |
+//! | 3 | [`config`], [`dataset`] | typed configuration; recorded motions as folders of CSV files |
 
 pub mod atomic;
+pub mod config;
 pub mod dataset;
 pub mod input;
 pub mod joint;
