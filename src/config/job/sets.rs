@@ -1,6 +1,6 @@
 //! Command-line overrides: `--set key.path=value` laid over the file before it is read as a typed job.
 
-use crate::input::{BadInput, from_toml};
+use crate::input::{BadInput, expectation, from_toml};
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
 
@@ -17,7 +17,7 @@ pub(super) fn typed<T: DeserializeOwned>(file: &str, text: &str, sets: &[String]
     serde_path_to_error::deserialize(whole.clone()).map_err(|error| {
         let path = error.path().to_string();
         let value = find(&whole, &path).map_or_else(|| "nothing".to_string(), |value| format!("`{value}`"));
-        let message = error.into_inner().message().to_string();
+        let message = expectation(error.into_inner().message());
         let ours = blame(BadInput::new(file, format!("key `{path}`"), value, message), file, sets);
         // What the command line didn't bring, the file did, and reading it alone knows the line.
         if ours.file == file { from_toml::<T>(file, text).err().unwrap_or(ours) } else { ours }
