@@ -76,7 +76,10 @@ fn a_gravity_direction_without_a_unit_is_refused_as_such() {
 #[test]
 fn every_bad_value_is_named() {
     let cases = [
-        ("[excitation]\nperods = 3\n", "line 7, key `excitation.perods`: got `perods`, expected a known key (unknown field"),
+        (
+            "[excitation]\nperods = 3\n",
+            "line 7, key `excitation.perods`: got `perods`, expected a known key (unknown field",
+        ),
         ("[exitation]\n", "line 6"),
         ("[excitation]\nperiods = 0\n", "key `excitation.periods`: got 0, expected 1 to 1000"),
         ("[excitation]\nperiods = -1\n", "line 7, key `excitation.periods`: got `-1`"),

@@ -113,16 +113,6 @@ fn named_mounting(name: &str) -> Option<Mounting> {
     }
 }
 
-/// What a mounting is called: a name where it has one, else both angles in degrees.
-pub fn mounting_name(mounting: &Mounting) -> String {
-    let name = ["upright", "wall", "ceiling"].into_iter().find(|name| named_mounting(name) == Some(*mounting));
-    let degrees = |angle: f64| (angle.to_degrees() * 1e6).round() / 1e6 + 0.0;
-    name.map_or_else(
-        || format!("rho = {} deg, phi = {} deg", degrees(mounting.rho), degrees(mounting.phi)),
-        str::to_string,
-    )
-}
-
 /// A mounting from a command line: a name, or `RHO,PHI` with units (`"60 deg,0 deg"`); `option` is named in the error.
 pub fn parse_mounting(option: &str, text: &str) -> Result<Mounting, BadInput> {
     let angles = || {
@@ -213,10 +203,10 @@ mod tests {
     #[test]
     fn mountings_read_back_from_their_names() {
         for name in ["upright", "wall", "ceiling"] {
-            assert_eq!(mounting_name(&parse_mounting("--mounting", name).unwrap()), name);
+            assert_eq!(parse_mounting("--mounting", name).unwrap().to_string(), name);
         }
         let tilted = parse_mounting("--mounting", "60 deg, -20 deg").unwrap();
-        assert_eq!(mounting_name(&tilted), "rho = 60 deg, phi = -20 deg");
+        assert_eq!((tilted.rho, tilted.phi), (60_f64.to_radians(), (-20_f64).to_radians()));
         for bad in ["60,20", "floor", "200 deg,0 deg", "60 deg", "NaN deg,0 deg"] {
             let said = parse_mounting("--mounting", bad).unwrap_err().to_string();
             assert!(said.starts_with("--mounting: value: got `") && said.contains("with units"), "{said}");
