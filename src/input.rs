@@ -31,9 +31,9 @@ impl BadInput {
 /// Parses TOML text into a typed value; `file` is only named in the error.
 pub fn from_toml<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, BadInput> {
     let syntax = |error: toml::de::Error| {
-        let line = error.span().map_or(0, |span| text[..span.start.min(text.len())].lines().count().max(1));
+        let line = error.span().map_or(0, |span| 1 + text[..span.start.min(text.len())].matches('\n').count());
         let found = error.span().and_then(|span| text.get(span)).unwrap_or("").lines().next().unwrap_or("").to_string();
-        BadInput::new(file, format!("line {line}"), format!("`{found}`"), error.message().to_string())
+        BadInput::new(file, format!("line {line}"), format!("`{found}`"), expectation(error.message()))
     };
     let deserializer = toml::Deserializer::parse(text).map_err(syntax)?;
     serde_path_to_error::deserialize(deserializer).map_err(|error| {
@@ -44,4 +44,15 @@ pub fn from_toml<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, BadIn
         }
         bad
     })
+}
+
+/// Turns serde's message about a value into what would have been right, for [`BadInput::expected`].
+pub fn expectation(message: &str) -> String {
+    if message.starts_with("unknown field") {
+        return format!("a known key ({message})");
+    }
+    if message.starts_with("missing field") {
+        return format!("all required keys ({message})");
+    }
+    message.split_once(", expected ").map_or(message, |(_, expected)| expected).to_string()
 }

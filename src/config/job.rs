@@ -1,0 +1,401 @@
+//! The job configuration: what `plumbline run`, `daemon` and `estimator` do.
+//!
+//! Every value has its default here; only `robot`, `mounting` and `[backend]` must be given. Angles, durations and frequencies carry
+//! their unit in the file (`"90 deg"`, `"10 s"`, `"5 Hz"`) and are in rad, s and Hz here.
+
+mod check;
+mod sets;
+
+use super::units;
+use crate::input::BadInput;
+use crate::model::gravity::Mounting;
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+
+/// A whole job.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Job {
+    /// The file that the job came from, as it was named.
+    #[serde(skip)]
+    pub file: PathBuf,
+    /// A shipped robot (`panda`), or the path of a robot description.
+    pub robot: String,
+    /// How the base is mounted during identification.
+    #[serde(deserialize_with = "units::mounting")]
+    pub mounting: Mounting,
+    /// The arm that is driven.
+    pub backend: Backend,
+    /// The motion that parameters are identified from.
+    #[serde(default)]
+    pub excitation: Excitation,
+    /// The motions that the model is judged by.
+    #[serde(default)]
+    pub validation: Validation,
+    /// How far the arm's limits are used.
+    #[serde(default)]
+    pub limits: Limits,
+    /// Where the end effector may be, in place of the robot's own setting.
+    #[serde(default)]
+    pub workspace: Option<Workspace>,
+    /// Signal processing before the least squares.
+    #[serde(default)]
+    pub estimator: Estimator,
+    /// What the loop's thread asks of the machine.
+    #[serde(default)]
+    pub realtime: Realtime,
+    /// When a motion is ended.
+    #[serde(default)]
+    pub safety: Safety,
+    /// The served feed-forward torque.
+    #[serde(default)]
+    pub serve: Serve,
+    /// What is left behind.
+    #[serde(default)]
+    pub output: Output,
+}
+
+/// The arm that is driven.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Backend {
+    /// Which backend.
+    pub kind: BackendKind,
+    /// The simulated arm's truth: a built-in name (`sim-panda`) or the path of a file.
+    pub arm: Resource,
+    /// Whether simulated time follows the clock.
+    #[serde(default)]
+    pub pace: Pace,
+    /// Seed of the simulated noise and losses.
+    #[serde(default = "one")]
+    pub seed: u64,
+}
+
+/// Backends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BackendKind {
+    /// The simulated arm.
+    Sim,
+}
+
+/// Pace of the simulated arm.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Pace {
+    /// As fast as the machine can, without losing a sample.
+    #[default]
+    Fast,
+    /// One cycle per millisecond of the clock.
+    WallClock,
+}
+
+/// Something that ships with the program under a name, or a file of the user's.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(from = "String")]
+pub enum Resource {
+    /// A name without `/` and `.toml`.
+    BuiltIn(String),
+    /// A file; relative paths are relative to the folder of the configuration that names it.
+    File(PathBuf),
+}
+
+impl From<String> for Resource {
+    fn from(text: String) -> Resource {
+        if text.contains('/') || text.ends_with(".toml") {
+            Resource::File(text.into())
+        } else {
+            Resource::BuiltIn(text)
+        }
+    }
+}
+
+impl Resource {
+    /// Name for errors and text of the resource; `built_in` holds the names and texts that the program carries.
+    ///
+    /// # Errors
+    /// An unknown name, with those that are known, or a file that can't be read.
+    pub fn read(&self, key: &str, built_in: &[(&str, &str)]) -> Result<(String, String), BadInput> {
+        match self {
+            Resource::File(path) => {
+                let file = path.display().to_string();
+                let text = std::fs::read_to_string(path)
+                    .map_err(|error| BadInput::new(&file, "file", error, format!("a readable file, for `{key}`")))?;
+                Ok((file, text))
+            }
+            Resource::BuiltIn(name) => {
+                let known: Vec<&str> = built_in.iter().map(|(known, _)| *known).collect();
+                let found = built_in.iter().find(|(known, _)| known == name).ok_or_else(|| {
+                    let expected = format!("the path of a .toml file or one of {}", known.join(", "));
+                    BadInput::new("configuration", format!("key `{key}`"), format!("`{name}`"), expected)
+                })?;
+                Ok((name.clone(), found.1.to_string()))
+            }
+        }
+    }
+}
+
+/// The excitation: a Fourier series per joint (paper eq. 12).
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Excitation {
+    /// A plan to drive instead of searching one; period, harmonics and seed then come from it.
+    pub plan: Option<PathBuf>,
+    /// Harmonics per joint, N.
+    pub harmonics: usize,
+    /// Period \[s\].
+    #[serde(deserialize_with = "units::duration")]
+    pub period: f64,
+    /// Periods that are averaged.
+    pub periods: usize,
+    /// Periods driven before those, while transients die out.
+    pub lead_in: usize,
+    /// Candidate motions that the search may try.
+    pub evaluations: usize,
+    /// Seed of the search.
+    pub seed: u64,
+    /// Centre of the motion, where it starts and ends; chosen by the search where absent \[rad\].
+    #[serde(deserialize_with = "units::optional_positions")]
+    pub q0: Option<Vec<f64>>,
+}
+
+impl Default for Excitation {
+    fn default() -> Excitation {
+        Excitation {
+            plan: None,
+            harmonics: 5,
+            period: 10.0,
+            periods: 10,
+            lead_in: 1,
+            evaluations: 4000,
+            seed: 1,
+            q0: None,
+        }
+    }
+}
+
+/// Random motions that the model did not see (paper, Tables IV and V).
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Validation {
+    /// Motions per mounting.
+    pub trajectories: usize,
+    /// Mountings to validate in.
+    #[serde(deserialize_with = "units::mountings")]
+    pub mountings: Vec<Mounting>,
+    /// Periods of each motion.
+    pub periods: usize,
+    /// Seed of the motions.
+    pub seed: u64,
+}
+
+impl Default for Validation {
+    fn default() -> Validation {
+        Validation { trajectories: 5, mountings: vec![Mounting::WALL, Mounting::UPRIGHT], periods: 1, seed: 1000 }
+    }
+}
+
+/// How far planned motions may use the robot's limits, and limits of one's own.
+///
+/// Shares hold for planned motions alone; the guard stops the arm at the limits themselves.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Limits {
+    /// Distance that planned motions keep from both ends of every joint \[rad\].
+    #[serde(deserialize_with = "units::angle")]
+    pub margin: f64,
+    /// Share of the speed limits.
+    pub speed: f64,
+    /// Share of the acceleration limits.
+    pub acceleration: f64,
+    /// Share of the jerk limits.
+    pub jerk: f64,
+    /// Share of the limits of torque and torque rate.
+    pub torque: f64,
+    /// Limits of one's own, for planning and guard; they can only be tighter than the robot's.
+    #[serde(rename = "override")]
+    pub own: OwnLimits,
+}
+
+impl Default for Limits {
+    fn default() -> Limits {
+        Limits { margin: 0.05, speed: 0.9, acceleration: 0.9, jerk: 0.9, torque: 0.9, own: OwnLimits::default() }
+    }
+}
+
+/// Limits in place of the robot's, one number per joint, named and in units as in robot descriptions.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct OwnLimits {
+    /// Lowest position \[rad\].
+    pub q_min: Option<Vec<f64>>,
+    /// Highest position \[rad\].
+    pub q_max: Option<Vec<f64>>,
+    /// Highest speed \[rad/s\].
+    pub dq: Option<Vec<f64>>,
+    /// Highest acceleration \[rad/s2\].
+    pub ddq: Option<Vec<f64>>,
+    /// Highest jerk \[rad/s3\].
+    pub jerk: Option<Vec<f64>>,
+    /// Highest torque \[Nm\].
+    pub tau: Option<Vec<f64>>,
+    /// Highest torque rate \[Nm/s\].
+    pub dtau: Option<Vec<f64>>,
+}
+
+/// Where the end effector may be, in the base frame (paper eq. 14).
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Workspace {
+    /// Lower corner of the box around the arm \[m\].
+    pub box_min: [f64; 3],
+    /// Upper corner of that box \[m\].
+    pub box_max: [f64; 3],
+    /// Radius of the sphere around the base that the end effector stays out of \[m\].
+    pub base_radius: f64,
+}
+
+/// Signal processing before the least squares; what is absent is left to the estimator's own defaults.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Estimator {
+    /// Cut-off of the filter that torque and every regressor column pass through \[Hz\].
+    #[serde(deserialize_with = "units::optional_frequency")]
+    pub torque_cutoff: Option<f64>,
+    /// Cut-off of the position filter before derivatives are taken \[Hz\].
+    #[serde(deserialize_with = "units::optional_frequency")]
+    pub position_cutoff: Option<f64>,
+    /// Order of both filters, even.
+    pub filter_order: Option<usize>,
+    /// How velocity and acceleration are computed.
+    pub derivatives: Option<Derivatives>,
+}
+
+/// How velocity and acceleration are computed from positions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Derivatives {
+    /// Central differences, as in the paper.
+    Central,
+    /// In the frequency domain, for periodic motions.
+    Spectral,
+}
+
+/// What the loop's thread asks of the machine; what is not permitted is reported and done without.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Realtime {
+    /// SCHED_FIFO priority from 1 to 99, or 0 for ordinary scheduling.
+    pub priority: u8,
+    /// Processor that the loop is pinned to.
+    pub cpu: Option<usize>,
+    /// Whether memory is locked.
+    pub lock_memory: bool,
+}
+
+impl Default for Realtime {
+    fn default() -> Realtime {
+        Realtime { priority: 80, cpu: None, lock_memory: true }
+    }
+}
+
+/// When a motion is ended.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Safety {
+    /// Largest distance of a joint from its desired position \[rad\].
+    #[serde(deserialize_with = "units::angle")]
+    pub tracking_error: f64,
+    /// Most states that may be lost in a row.
+    pub max_lost: u32,
+    /// What the arm does when the estimator is gone in mid-run.
+    pub on_estimator_loss: OnLoss,
+}
+
+impl Default for Safety {
+    fn default() -> Safety {
+        Safety { tracking_error: 0.1, max_lost: 20, on_estimator_loss: OnLoss::Finish }
+    }
+}
+
+/// What the arm does when the estimator is gone in mid-run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum OnLoss {
+    /// Drives the motion to its end; the samples are kept for the next estimator.
+    #[default]
+    Finish,
+    /// Brakes to a stop.
+    Stop,
+}
+
+/// The served feed-forward torque.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Serve {
+    /// Age from which a client calls a value stale \[s\].
+    #[serde(deserialize_with = "units::duration")]
+    pub stale_after: f64,
+}
+
+impl Default for Serve {
+    fn default() -> Serve {
+        Serve { stale_after: 0.005 }
+    }
+}
+
+/// What is left behind.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Output {
+    /// Folder of the results; a relative path is relative to the working directory.
+    pub dir: PathBuf,
+    /// Whether the recorded motions are kept as a dataset.
+    pub dataset: bool,
+}
+
+impl Default for Output {
+    fn default() -> Output {
+        Output { dir: PathBuf::from("results"), dataset: true }
+    }
+}
+
+fn one() -> u64 {
+    1
+}
+
+impl Job {
+    /// Reads a job from a file. Each of `sets` is a `key.path=value` of the command line's `--set` and wins over the file; a value that
+    /// isn't TOML is taken as a string (`backend.pace=wall-clock`).
+    ///
+    /// # Errors
+    /// An unreadable file, an unknown key, a value of the wrong kind or out of range, a quantity without a unit; each names the line
+    /// and key, or the `--set` that brought it.
+    pub fn load(path: &Path, sets: &[String]) -> Result<Job, BadInput> {
+        let file = path.display().to_string();
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| BadInput::new(&file, "file", error, "a readable configuration"))?;
+        Job::parse(path, &text, sets)
+    }
+
+    /// As [`Job::load`], from text; `path` is only named in errors and resolves relative paths.
+    pub fn parse(path: &Path, text: &str, sets: &[String]) -> Result<Job, BadInput> {
+        let file = path.display().to_string();
+        let mut job: Job = sets::typed(&file, text, sets)?;
+        job.file = path.to_path_buf();
+        check::check(&job).map_err(|bad| sets::blame(bad, &file, sets))?;
+        let dir = job.dir().to_path_buf();
+        if let Resource::File(arm) = &mut job.backend.arm {
+            *arm = dir.join(&*arm);
+        }
+        if let Some(plan) = &mut job.excitation.plan {
+            *plan = dir.join(&*plan);
+        }
+        Ok(job)
+    }
+
+    /// Folder of the configuration file: relative paths of files that it names start here.
+    pub fn dir(&self) -> &Path {
+        self.file.parent().unwrap_or(Path::new(""))
+    }
+}

@@ -1,0 +1,184 @@
+//! Ranges of a job's values, and the limits that come out of it for one robot.
+
+use super::{Job, Limits, OwnLimits, Workspace};
+use crate::input::BadInput;
+use crate::joint::{self, JointVec, MAX_JOINTS};
+
+/// Checks every range.
+pub(super) fn check(job: &Job) -> Result<(), BadInput> {
+    let file = job.file.display().to_string();
+    let bad = |key: &str, value: &dyn ToString, expected: &str| {
+        Err(BadInput::new(&file, format!("key `{key}`"), value.to_string(), expected))
+    };
+    let excitation = &job.excitation;
+    if job.robot.trim().is_empty() {
+        return bad("robot", &"``", "the name of a robot or the path of its description");
+    }
+    if !(1..=16).contains(&excitation.harmonics) {
+        return bad("excitation.harmonics", &excitation.harmonics, "1 to 16");
+    }
+    if !(1.0..=120.0).contains(&excitation.period) || (excitation.period * 1e3).fract().abs() > 1e-6 {
+        return bad("excitation.period", &excitation.period, "1 s to 120 s, in whole milliseconds");
+    }
+    if !(1..=1000).contains(&excitation.periods) {
+        return bad("excitation.periods", &excitation.periods, "1 to 1000");
+    }
+    if excitation.lead_in > 100 {
+        return bad("excitation.lead-in", &excitation.lead_in, "0 to 100");
+    }
+    if !(1..=10_000_000).contains(&excitation.evaluations) {
+        return bad("excitation.evaluations", &excitation.evaluations, "1 to 10000000");
+    }
+    if let Some(q0) = &excitation.q0
+        && !(1..=MAX_JOINTS).contains(&q0.len())
+    {
+        return bad("excitation.q0", &format!("{} values", q0.len()), "one position per joint");
+    }
+    let validation = &job.validation;
+    if validation.trajectories > 100 {
+        return bad("validation.trajectories", &validation.trajectories, "0 to 100");
+    }
+    if !(1..=1000).contains(&validation.periods) {
+        return bad("validation.periods", &validation.periods, "1 to 1000");
+    }
+    let limits = &job.limits;
+    if !(0.0..=1.0).contains(&limits.margin) {
+        return bad("limits.margin", &format!("{} rad", limits.margin), "0 rad to 1 rad");
+    }
+    let shares = [
+        ("speed", limits.speed),
+        ("acceleration", limits.acceleration),
+        ("jerk", limits.jerk),
+        ("torque", limits.torque),
+    ];
+    for (name, share) in shares {
+        if !(share > 0.0 && share <= 1.0) {
+            return bad(&format!("limits.{name}"), &share, "a share of the robot's limit, above 0 and at most 1");
+        }
+    }
+    if let Some(Workspace { box_min, box_max, base_radius }) = &job.workspace {
+        for axis in 0..3 {
+            if !(box_min[axis].is_finite() && box_max[axis].is_finite() && box_min[axis] < box_max[axis]) {
+                let found = format!("{} m to {} m", box_min[axis], box_max[axis]);
+                return bad(&format!("workspace.box-min[{axis}]"), &found, "less than box-max, both finite");
+            }
+        }
+        if !(base_radius.is_finite() && *base_radius >= 0.0) {
+            return bad("workspace.base-radius", base_radius, "0 m or more");
+        }
+    }
+    let estimator = &job.estimator;
+    for (name, cutoff) in [("torque-cutoff", estimator.torque_cutoff), ("position-cutoff", estimator.position_cutoff)] {
+        if let Some(cutoff) = cutoff
+            && !(0.1..=400.0).contains(&cutoff)
+        {
+            return bad(&format!("estimator.{name}"), &format!("{cutoff} Hz"), "0.1 Hz to 400 Hz");
+        }
+    }
+    if let Some(order) = estimator.filter_order
+        && !(order % 2 == 0 && (2..=40).contains(&order))
+    {
+        return bad("estimator.filter-order", &order, "an even number from 2 to 40");
+    }
+    if job.realtime.priority > 99 {
+        return bad("realtime.priority", &job.realtime.priority, "0 to 99");
+    }
+    if !(job.safety.tracking_error > 0.0 && job.safety.tracking_error <= 1.0) {
+        return bad("safety.tracking-error", &format!("{} rad", job.safety.tracking_error), "above 0, at most 1 rad");
+    }
+    if !(1..=1000).contains(&job.safety.max_lost) {
+        return bad("safety.max-lost", &job.safety.max_lost, "1 to 1000 states");
+    }
+    if !(0.001..=10.0).contains(&job.serve.stale_after) {
+        return bad("serve.stale-after", &format!("{} s", job.serve.stale_after), "1 ms to 10 s");
+    }
+    if job.output.dir.as_os_str().is_empty() {
+        return bad("output.dir", &"``", "the path of a folder");
+    }
+    Ok(())
+}
+
+impl Job {
+    /// The limits that the guard holds the arm to: the robot's, or tighter ones of the job.
+    ///
+    /// # Errors
+    /// A list of another length than the robot has joints (`n`), or a limit that is wider than the robot's.
+    pub fn guard_limits(&self, robot: &joint::Limits, n: usize) -> Result<joint::Limits, BadInput> {
+        let OwnLimits { q_min, q_max, dq, ddq, jerk, tau, dtau } = &self.limits.own;
+        let mut limits = *robot;
+        let below: fn(f64, f64) -> bool = |own, robots| own > 0.0 && own <= robots;
+        self.tighten("q-min", q_min, n, &mut limits.q_min, |own, robots| own >= robots)?;
+        self.tighten("q-max", q_max, n, &mut limits.q_max, |own, robots| own <= robots)?;
+        self.tighten("dq", dq, n, &mut limits.dq, below)?;
+        self.tighten("ddq", ddq, n, &mut limits.ddq, below)?;
+        self.tighten("jerk", jerk, n, &mut limits.jerk, below)?;
+        self.tighten("tau", tau, n, &mut limits.tau, below)?;
+        self.tighten("dtau", dtau, n, &mut limits.dtau, below)?;
+        match (0..n).find(|&j| limits.q_min[j] >= limits.q_max[j]) {
+            Some(j) => {
+                Err(self.bad_limit("q-min", j, limits.q_min[j], format!("less than q-max, {}", limits.q_max[j])))
+            }
+            None => Ok(limits),
+        }
+    }
+
+    /// The limits that motions are planned for: the share of the guard's that `[limits]` allows.
+    ///
+    /// # Errors
+    /// As [`Job::guard_limits`]; also a margin that leaves a joint no range.
+    pub fn planning_limits(&self, robot: &joint::Limits, n: usize) -> Result<joint::Limits, BadInput> {
+        let Limits { margin, speed, acceleration, jerk, torque, .. } = self.limits;
+        let mut limits = self.guard_limits(robot, n)?;
+        for j in 0..n {
+            let range = limits.q_max[j] - limits.q_min[j];
+            if range <= 2.0 * margin {
+                let expected = format!("less than half the range of joint {}, {range} rad", j + 1);
+                return Err(BadInput::new(self.file.display().to_string(), "key `limits.margin`", margin, expected));
+            }
+            limits.q_min[j] += margin;
+            limits.q_max[j] -= margin;
+            limits.dq[j] *= speed;
+            limits.ddq[j] *= acceleration;
+            limits.jerk[j] *= jerk;
+            limits.tau[j] *= torque;
+            limits.dtau[j] *= torque;
+        }
+        Ok(limits)
+    }
+
+    /// The workspace: the job's, else the robot's.
+    pub fn workspace(&self, robot: &joint::Workspace) -> joint::Workspace {
+        self.workspace.map_or(*robot, |own| joint::Workspace {
+            box_min: own.box_min,
+            box_max: own.box_max,
+            base_radius: own.base_radius,
+        })
+    }
+
+    fn tighten(
+        &self,
+        name: &str,
+        own: &Option<Vec<f64>>,
+        n: usize,
+        limits: &mut JointVec,
+        tighter: impl Fn(f64, f64) -> bool,
+    ) -> Result<(), BadInput> {
+        let Some(own) = own else { return Ok(()) };
+        if own.len() != n {
+            let (file, place) = (self.file.display().to_string(), format!("key `limits.override.{name}`"));
+            return Err(BadInput::new(file, place, format!("{} values", own.len()), format!("{n}, one per joint")));
+        }
+        for (j, (&own, limit)) in own.iter().zip(limits).enumerate() {
+            // Also refuses NaN, which compares with nothing.
+            if !tighter(own, *limit) {
+                return Err(self.bad_limit(name, j, own, format!("a limit not wider than the robot's {limit}")));
+            }
+            *limit = own;
+        }
+        Ok(())
+    }
+
+    fn bad_limit(&self, name: &str, j: usize, value: f64, expected: String) -> BadInput {
+        BadInput::new(self.file.display().to_string(), format!("key `limits.override.{name}[{j}]`"), value, expected)
+    }
+}

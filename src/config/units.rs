@@ -1,0 +1,215 @@
+//! Quantities that a person writes with their unit: `"90 deg"`, `"10 s"`, `"5 Hz"`. A bare number is refused.
+
+use crate::input::BadInput;
+use crate::model::gravity::Mounting;
+use serde::de::{Error, MapAccess, Visitor, value::MapAccessDeserializer};
+use serde::{Deserialize, Deserializer};
+use std::f64::consts::PI;
+use std::fmt;
+
+/// One kind of quantity: what it is called in errors, and its units as factors to the SI unit.
+pub struct Quantity {
+    what: &'static str,
+    units: &'static [(&'static str, f64)],
+}
+
+/// Angles, read in rad.
+pub const ANGLE: Quantity = Quantity {
+    what: "an angle with its unit, such as \"90 deg\" or \"1.5708 rad\"",
+    units: &[("rad", 1.0), ("deg", PI / 180.0)],
+};
+/// Joint positions, read in rad (revolute) or m (prismatic).
+pub const POSITION: Quantity = Quantity {
+    what: "a joint position with its unit, such as \"90 deg\", \"1.5708 rad\" or \"0.2 m\"",
+    units: &[("rad", 1.0), ("deg", PI / 180.0), ("m", 1.0), ("mm", 1e-3)],
+};
+/// Durations, read in s.
+pub const DURATION: Quantity = Quantity {
+    what: "a duration with its unit, such as \"10 s\" or \"5 ms\"",
+    units: &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("min", 60.0)],
+};
+/// Frequencies, read in Hz.
+pub const FREQUENCY: Quantity =
+    Quantity { what: "a frequency with its unit, such as \"5 Hz\"", units: &[("Hz", 1.0), ("kHz", 1e3)] };
+
+impl Quantity {
+    /// The value of `text` in the SI unit, or `None` when the number or the unit is missing, wrong, or not finite.
+    pub fn parse(&self, text: &str) -> Option<f64> {
+        let text = text.trim();
+        // The unit is what follows the last character a number can end with.
+        let split = text.rfind(|c: char| c.is_ascii_digit() || c == '.')? + 1;
+        let (number, unit) = text.split_at(split);
+        let factor = self.units.iter().find(|(name, _)| *name == unit.trim())?.1;
+        let value = number.parse::<f64>().ok()? * factor;
+        value.is_finite().then_some(value)
+    }
+}
+
+/// Reads a quantity from a string and says what was expected when it is anything else, a bare number above all.
+struct QuantityVisitor(&'static Quantity);
+
+impl Visitor<'_> for QuantityVisitor {
+    type Value = f64;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(self.0.what)
+    }
+
+    fn visit_str<E: Error>(self, text: &str) -> Result<f64, E> {
+        self.0.parse(text).ok_or_else(|| E::custom(self.0.what))
+    }
+
+    fn visit_f64<E: Error>(self, _: f64) -> Result<f64, E> {
+        Err(E::custom(format!("{} (a number without a unit says too little)", self.0.what)))
+    }
+
+    fn visit_i64<E: Error>(self, value: i64) -> Result<f64, E> {
+        self.visit_f64(value as f64)
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<f64, E> {
+        self.visit_f64(value as f64)
+    }
+}
+
+macro_rules! with_unit {
+    ($name:ident, $optional:ident, $quantity:ident, $doc:literal) => {
+        #[doc = concat!("`deserialize_with` for ", $doc, ".")]
+        pub fn $name<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+            deserializer.deserialize_any(QuantityVisitor(&$quantity))
+        }
+
+        #[doc = concat!("`deserialize_with` for ", $doc, " that may be absent.")]
+        pub fn $optional<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+            $name(deserializer).map(Some)
+        }
+    };
+}
+
+with_unit!(angle, optional_angle, ANGLE, "an angle in rad");
+with_unit!(duration, optional_duration, DURATION, "a duration in s");
+with_unit!(frequency, optional_frequency, FREQUENCY, "a frequency in Hz");
+
+/// `deserialize_with` for one joint position per joint, in rad or m, that may be absent.
+pub fn optional_positions<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<f64>>, D::Error> {
+    struct Position(f64);
+    impl<'de> Deserialize<'de> for Position {
+        fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Position, D::Error> {
+            deserializer.deserialize_any(QuantityVisitor(&POSITION)).map(Position)
+        }
+    }
+    let positions = Vec::<Position>::deserialize(deserializer)?;
+    Ok(Some(positions.into_iter().map(|position| position.0).collect()))
+}
+
+const MOUNTING: &str = "\"upright\", \"wall\", \"ceiling\" or { rho = \"90 deg\", phi = \"0 deg\" }";
+
+fn named_mounting(name: &str) -> Option<Mounting> {
+    match name {
+        "upright" => Some(Mounting::UPRIGHT),
+        "wall" => Some(Mounting::WALL),
+        "ceiling" => Some(Mounting::CEILING),
+        _ => None,
+    }
+}
+
+/// A mounting from a command line: a name, or `RHO,PHI` with units (`"60 deg,0 deg"`); `option` is named in the error.
+pub fn parse_mounting(option: &str, text: &str) -> Result<Mounting, BadInput> {
+    let angles = || {
+        let (rho, phi) = text.split_once(',')?;
+        Some(Mounting { rho: ANGLE.parse(rho)?, phi: ANGLE.parse(phi)? }).filter(in_range)
+    };
+    named_mounting(text.trim()).or_else(angles).ok_or_else(|| {
+        let expected = "upright, wall, ceiling or RHO,PHI with units, such as \"60 deg,0 deg\" (rho from 0 to 180 deg)";
+        BadInput::new(option, "value", format!("`{text}`"), expected)
+    })
+}
+
+fn in_range(mounting: &Mounting) -> bool {
+    (-1e-9..=PI + 1e-9).contains(&mounting.rho) && mounting.phi.abs() <= 2.0 * PI + 1e-9
+}
+
+/// A mounting as the configuration has it: a name, or both angles of paper eq. 3 with units.
+struct Setting(Mounting);
+
+impl<'de> Deserialize<'de> for Setting {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Setting, D::Error> {
+        #[derive(Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct Angles {
+            #[serde(deserialize_with = "angle")]
+            rho: f64,
+            #[serde(deserialize_with = "angle")]
+            phi: f64,
+        }
+        struct SettingVisitor;
+        impl<'de> Visitor<'de> for SettingVisitor {
+            type Value = Setting;
+
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str(MOUNTING)
+            }
+
+            fn visit_str<E: Error>(self, name: &str) -> Result<Setting, E> {
+                named_mounting(name).map(Setting).ok_or_else(|| E::custom(MOUNTING))
+            }
+
+            fn visit_map<M: MapAccess<'de>>(self, map: M) -> Result<Setting, M::Error> {
+                let Angles { rho, phi } = Angles::deserialize(MapAccessDeserializer::new(map))?;
+                let mounting = Mounting { rho, phi };
+                let range = "rho from 0 to 180 deg, phi at most one turn";
+                in_range(&mounting).then_some(Setting(mounting)).ok_or_else(|| M::Error::custom(range))
+            }
+
+            fn visit_f64<E: Error>(self, _: f64) -> Result<Setting, E> {
+                Err(E::custom(format!("{MOUNTING} (a number without a unit says too little)")))
+            }
+
+            fn visit_i64<E: Error>(self, value: i64) -> Result<Setting, E> {
+                self.visit_f64(value as f64)
+            }
+        }
+        deserializer.deserialize_any(SettingVisitor)
+    }
+}
+
+/// `deserialize_with` for a mounting.
+pub fn mounting<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Mounting, D::Error> {
+    Setting::deserialize(deserializer).map(|setting| setting.0)
+}
+
+/// `deserialize_with` for a list of mountings.
+pub fn mountings<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Mounting>, D::Error> {
+    Ok(Vec::<Setting>::deserialize(deserializer)?.into_iter().map(|setting| setting.0).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantities_need_a_number_and_a_unit() {
+        assert_eq!(ANGLE.parse("180 deg"), Some(PI));
+        assert_eq!(ANGLE.parse(" -1.5rad "), Some(-1.5));
+        assert_eq!(ANGLE.parse("1e-3 rad"), Some(1e-3));
+        assert_eq!(DURATION.parse("250 ms"), Some(0.25));
+        assert_eq!(DURATION.parse("2 min"), Some(120.0));
+        assert_eq!(FREQUENCY.parse("1 kHz"), Some(1000.0));
+        for bad in ["90", "deg", "", "90 degrees", "inf rad", "NaN deg", "1e999 rad", "1 2 rad", "10 s"] {
+            assert_eq!(ANGLE.parse(bad), None, "{bad}");
+        }
+    }
+
+    #[test]
+    fn mountings_read_back_from_their_names() {
+        for name in ["upright", "wall", "ceiling"] {
+            assert_eq!(parse_mounting("--mounting", name).unwrap().to_string(), name);
+        }
+        let tilted = parse_mounting("--mounting", "60 deg, -20 deg").unwrap();
+        assert_eq!((tilted.rho, tilted.phi), (60_f64.to_radians(), (-20_f64).to_radians()));
+        for bad in ["60,20", "floor", "200 deg,0 deg", "60 deg", "NaN deg,0 deg"] {
+            let said = parse_mounting("--mounting", bad).unwrap_err().to_string();
+            assert!(said.starts_with("--mounting: value: got `") && said.contains("with units"), "{said}");
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! One run's CSV file: columns are found by name, every cell is checked.
+
+use crate::input::BadInput;
+use crate::joint::MAX_JOINTS;
+use nalgebra::DMatrix;
+use std::path::Path;
+
+use super::Run;
+
+/// The columns of one file, torque still in the unit of the file.
+#[derive(Debug)]
+pub(super) struct Columns {
+    pub t: Vec<f64>,
+    pub q: DMatrix<f64>,
+    pub dq: Option<DMatrix<f64>>,
+    pub tau: DMatrix<f64>,
+    pub extra: Vec<(String, Vec<f64>)>,
+}
+
+pub(super) fn read(path: &Path) -> Result<Columns, BadInput> {
+    let file = path.display().to_string();
+    let bytes = std::fs::read(path).map_err(|error| BadInput::new(&file, "file", error, "a readable CSV file"))?;
+    parse(&file, &bytes)
+}
+
+/// Parses CSV text; `file` is only named in errors.
+pub(super) fn parse(file: &str, bytes: &[u8]) -> Result<Columns, BadInput> {
+    let mut reader = ::csv::ReaderBuilder::new().trim(::csv::Trim::All).flexible(true).from_reader(bytes);
+    let header: Vec<String> = match reader.headers() {
+        Ok(header) => header.iter().map(str::to_string).collect(),
+        Err(error) => return Err(BadInput::new(file, "line 1", error, "a header row of column names")),
+    };
+    let layout = Layout::of(file, &header)?;
+    let columns = cells(file, &header, &mut reader)?;
+    let samples = columns[layout.t].len();
+    if samples < Run::LEAST_SAMPLES {
+        let expected = format!("at least {} samples", Run::LEAST_SAMPLES);
+        return Err(BadInput::new(file, "after the header", format!("{samples} samples"), expected));
+    }
+    check_time(file, &columns[layout.t])?;
+    let matrix = |from: &[usize]| DMatrix::from_fn(samples, from.len(), |row, joint| columns[from[joint]][row]);
+    Ok(Columns {
+        q: matrix(&layout.q),
+        dq: (!layout.dq.is_empty()).then(|| matrix(&layout.dq)),
+        tau: matrix(&layout.tau),
+        extra: layout.extra.iter().map(|&column| (header[column].clone(), columns[column].clone())).collect(),
+        t: columns[layout.t].clone(),
+    })
+}
+
+/// Where in the header each quantity stands.
+struct Layout {
+    t: usize,
+    q: Vec<usize>,
+    dq: Vec<usize>,
+    tau: Vec<usize>,
+    extra: Vec<usize>,
+}
+
+impl Layout {
+    fn of(file: &str, header: &[String]) -> Result<Layout, BadInput> {
+        for (index, name) in header.iter().enumerate() {
+            if name.is_empty() || header[..index].contains(name) {
+                let place = format!("line 1, column {}", index + 1);
+                return Err(BadInput::new(file, place, format!("`{name}`"), "a column name that stands only once"));
+            }
+        }
+        let place = |name: &str| header.iter().position(|other| other == name);
+        let missing = |name: &str, why: &str| {
+            BadInput::new(file, "line 1", format!("no column `{name}`"), format!("a column `{name}` {why}"))
+        };
+        let t = place("t").ok_or_else(|| missing("t", "with the time in s"))?;
+        // The joints are those with a position; a gap in the numbering is a missing column, not a smaller robot.
+        let highest = |stem: &str| header.iter().filter_map(|name| joint_of(name, stem)).max().unwrap_or(0);
+        let n = highest("q").max(highest("dq")).max(highest("tau"));
+        if n > MAX_JOINTS {
+            let expected = format!("at most {MAX_JOINTS} joints");
+            return Err(BadInput::new(file, "line 1", format!("columns for joint {n}"), expected));
+        }
+        let all = |stem: &str, why: &str| -> Result<Vec<usize>, BadInput> {
+            (1..=n.max(1))
+                .map(|joint| format!("{stem}{joint}"))
+                .map(|name| place(&name).ok_or_else(|| missing(&name, why)))
+                .collect()
+        };
+        let q = all("q", "with a joint position in rad")?;
+        let tau = all("tau", "with a joint torque")?;
+        let dq = if highest("dq") > 0 { all("dq", "like those of the other joints")? } else { Vec::new() };
+        let extra = (0..header.len())
+            .filter(|&column| column != t && ![&q, &dq, &tau].iter().any(|known| known.contains(&column)))
+            .collect();
+        Ok(Layout { t, q, dq, tau, extra })
+    }
+}
+
+/// `3` for `tau3` and stem `tau`; `None` for `tau_cmd3`, `tau0` and `tau03`.
+fn joint_of(name: &str, stem: &str) -> Option<usize> {
+    let digits = name.strip_prefix(stem)?;
+    if digits.starts_with('0') || !digits.bytes().all(|byte| byte.is_ascii_digit()) {
+        return None;
+    }
+    digits.parse().ok()
+}
+
+/// All cells as numbers, column by column.
+fn cells(file: &str, header: &[String], reader: &mut ::csv::Reader<&[u8]>) -> Result<Vec<Vec<f64>>, BadInput> {
+    let mut columns = vec![Vec::new(); header.len()];
+    let mut row = ::csv::StringRecord::new();
+    loop {
+        match reader.read_record(&mut row) {
+            Ok(true) => {}
+            Ok(false) => return Ok(columns),
+            Err(error) => {
+                let line = error.position().map_or(0, |position| position.line());
+                return Err(BadInput::new(file, format!("line {line}"), error, "a row of numbers"));
+            }
+        }
+        let line = row.position().map_or(0, |position| position.line());
+        if row.len() != header.len() {
+            let expected = format!("{}, as in the header", header.len());
+            return Err(BadInput::new(file, format!("line {line}"), format!("{} cells", row.len()), expected));
+        }
+        for ((cell, name), column) in row.iter().zip(header).zip(&mut columns) {
+            match cell.parse::<f64>() {
+                Ok(value) if value.is_finite() => column.push(value),
+                _ => {
+                    let place = format!("line {line}, column {name}");
+                    return Err(BadInput::new(file, place, format!("`{cell}`"), "a finite number"));
+                }
+            }
+        }
+    }
+}
+
+/// Time may stand still (a repeated sample) but never runs backwards, and it must advance somewhere.
+fn check_time(file: &str, t: &[f64]) -> Result<(), BadInput> {
+    for (index, pair) in t.windows(2).enumerate() {
+        if pair[1] < pair[0] {
+            // The header is line 1, sample 0 is line 2.
+            let expected = format!("a time not before {} s, that of the sample before", pair[0]);
+            return Err(BadInput::new(file, format!("line {}, column t", index + 3), pair[1], expected));
+        }
+    }
+    if t[t.len() - 1] > t[0] {
+        return Ok(());
+    }
+    Err(BadInput::new(file, "column t", format!("{} s in every row", t[0]), "time that advances"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(header: &str, rows: usize) -> String {
+        let cells = header.split(',').count() - 1;
+        let row = |k: usize| format!("{}{}\n", k as f64 * 0.001, format!(",{}.5", k).repeat(cells));
+        format!("{header}\n{}", (0..rows).map(row).collect::<String>())
+    }
+
+    fn refusal(text: &str) -> String {
+        parse("run.csv", text.as_bytes()).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn columns_are_found_by_name_in_any_order() {
+        let text = file("t,temp1,tau2,tau1,q1,q2,tau_cmd1", 12).replace("0.003,3.5,3.5", "0.003,30,-7");
+        let columns = parse("run.csv", text.as_bytes()).unwrap();
+        assert_eq!((columns.q.shape(), columns.tau.shape()), ((12, 2), (12, 2)));
+        assert!(columns.dq.is_none());
+        assert_eq!(columns.tau[(3, 1)], -7.0);
+        assert_eq!(columns.tau[(3, 0)], 3.5);
+        assert_eq!(columns.extra.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["temp1", "tau_cmd1"]);
+        assert_eq!(columns.extra[0].1[3], 30.0);
+    }
+
+    #[test]
+    fn every_kind_of_bad_file_is_named_with_its_place() {
+        let good = file("t,q1,q2,tau1,tau2", 12);
+        let cases = [
+            (good.replace("0.004,4.5,4.5,4.5", "0.004,4.5,4.5,NaN"), "run.csv: line 6, column tau1: got `NaN`"),
+            (good.replace("0.004,4.5", "0.004,inf"), "line 6, column q1: got `inf`, expected a finite number"),
+            (good.replace("0.004,4.5", "0.004,"), "line 6, column q1: got ``"),
+            (good.replace("0.004,", "0.0015,"), "line 6, column t: got 0.0015, expected a time not before 0.003 s"),
+            (good.replace("0.004,4.5", "0.004"), "line 6: got 4 cells, expected 5"),
+            (file("t,q1,q3,tau1,tau2", 12), "no column `q2`"),
+            (file("t,q1,q2,tau1", 12), "no column `tau2`"),
+            (file("t,q1,q2,tau1,tau2,dq2", 12), "no column `dq1`"),
+            (file("time,q1,tau1", 12), "no column `t`"),
+            (file("t,q1,tau1,q1", 12), "line 1, column 4: got `q1`"),
+            (file("t,q1,q9,tau1", 12), "at most 8 joints"),
+            (file("t,q1,tau1", 9), "got 9 samples, expected at least 10 samples"),
+            (String::new(), "no column `t`"),
+        ];
+        for (text, expected) in cases {
+            let said = refusal(&text);
+            assert!(said.contains(expected), "`{said}` does not say `{expected}`");
+        }
+        let still = (0..12).map(|_| "1.0,2.0,3.0\n").collect::<String>();
+        assert!(refusal(&format!("t,q1,tau1\n{still}")).contains("time that advances"));
+    }
+
+    #[test]
+    fn a_repeated_time_is_no_error() {
+        let text = file("t,q1,tau1", 12).replace("0.004,", "0.003,");
+        assert_eq!(parse("run.csv", text.as_bytes()).unwrap().t[4], 0.003);
+    }
+}

@@ -1,0 +1,137 @@
+//! Floor 3: datasets, the folder form in which recorded motions are imported and exported.
+//!
+//! A dataset is a folder with `dataset.toml` and one CSV file per run. The CSV has a header row, then one row per sample: `t` \[s\],
+//! `q1..qn` \[rad\], optional `dq1..dqn` \[rad/s\], `tau1..taun` (\[Nm\], or \[A\] where `dataset.toml` gives a gain), and any further
+//! columns of numbers (`temp1`, `tau_cmd1`, ...), which are kept by name. Sampling may be uneven; samples may be missing or repeated.
+
+mod csv;
+mod hash;
+mod hygiene;
+mod manifest;
+mod write;
+
+pub use hygiene::Hygiene;
+pub use manifest::Role;
+
+use crate::input::BadInput;
+use crate::model::gravity::Mounting;
+use nalgebra::DMatrix;
+use std::path::Path;
+
+/// Recorded motions of one arm.
+#[derive(Clone, Debug)]
+pub struct Dataset {
+    /// Name, for people.
+    pub name: String,
+    /// The robot description that fits the arm: a shipped name or a path.
+    pub robot: String,
+    /// Mounting of every run that has none of its own.
+    pub mounting: Mounting,
+    /// Where the data came from, as it stands in `[source]`; empty where it says nothing.
+    pub source: toml::Table,
+    /// The runs, in the order of the file; at least one, all with the same number of joints.
+    pub runs: Vec<Run>,
+}
+
+/// One recorded motion: N samples of n joints.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// File name in the dataset's folder.
+    pub file: String,
+    /// What the run is for.
+    pub role: Role,
+    /// A remark, for people.
+    pub note: String,
+    /// Period where the motion is periodic \[s\].
+    pub period: Option<f64>,
+    /// Between sessions something about the arm may have changed; session 1 is the reference for the others.
+    pub session: u32,
+    /// Mounting in this run.
+    pub mounting: Mounting,
+    /// Time of every sample; never decreases, may repeat \[s\].
+    pub t: Vec<f64>,
+    /// Measured joint position, N x n \[rad\].
+    pub q: DMatrix<f64>,
+    /// Measured joint velocity, N x n \[rad/s\].
+    pub dq: Option<DMatrix<f64>>,
+    /// Measured joint torque after the gain, N x n \[Nm\].
+    pub tau: DMatrix<f64>,
+    /// Further columns by name, in the order of the file.
+    pub extra: Vec<(String, Vec<f64>)>,
+}
+
+impl Dataset {
+    /// Reads the dataset in folder `dir`.
+    ///
+    /// # Errors
+    /// Everything that doesn't fit the form, with file, line, column, value and what was expected: an unknown key, a missing column, a
+    /// cell that is no finite number, time that runs backwards, fewer than [`Run::LEAST_SAMPLES`] samples, currents without gains, runs
+    /// with different numbers of joints.
+    pub fn read(dir: &Path) -> Result<Dataset, BadInput> {
+        manifest::read(dir)
+    }
+
+    /// Writes the dataset as folder `dir`: aside first, then renamed, so that there is either the whole dataset or none.
+    ///
+    /// Torques are written in Nm; every number reads back as the same `f64`.
+    ///
+    /// # Errors
+    /// I/O errors with their path; also when `dir` is a folder with content that is no dataset, which is left alone.
+    pub fn write(&self, dir: &Path) -> std::io::Result<()> {
+        write::write(self, dir)
+    }
+
+    /// Number of joints, n.
+    pub fn joints(&self) -> usize {
+        self.runs.first().map_or(0, Run::joints)
+    }
+
+    /// Checks that the data has as many joints as the robot it names.
+    ///
+    /// # Errors
+    /// [`BadInput`] that names the dataset, its columns and the robot's number of joints.
+    pub fn expect_joints(&self, n: usize) -> Result<(), BadInput> {
+        if self.joints() == n {
+            return Ok(());
+        }
+        let found = format!("q1..q{}", self.joints());
+        let expected = format!("q1..q{n}, the joints of robot `{}`", self.robot);
+        Err(BadInput::new(format!("dataset {}", self.name), "header, columns q", found, expected))
+    }
+
+    /// SHA-256 over everything that an identification depends on, in hexadecimal: the same data under another name, note or number
+    /// format has the same hash.
+    pub fn content_hash(&self) -> String {
+        hash::content_hash(self)
+    }
+
+    /// Runs with the given role.
+    pub fn with_role(&self, role: Role) -> impl Iterator<Item = &Run> {
+        self.runs.iter().filter(move |run| run.role == role)
+    }
+}
+
+impl Run {
+    /// A run shorter than this says nothing about an arm.
+    pub const LEAST_SAMPLES: usize = 10;
+
+    /// Number of samples, N.
+    pub fn samples(&self) -> usize {
+        self.t.len()
+    }
+
+    /// Number of joints, n.
+    pub fn joints(&self) -> usize {
+        self.q.ncols()
+    }
+
+    /// Repeats, gaps and resolution of the recording.
+    pub fn hygiene(&self) -> Hygiene {
+        Hygiene::of(self)
+    }
+
+    /// The further column of this name.
+    pub fn extra(&self, name: &str) -> Option<&[f64]> {
+        self.extra.iter().find(|(other, _)| other == name).map(|(_, values)| values.as_slice())
+    }
+}

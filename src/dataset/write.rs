@@ -1,0 +1,75 @@
+//! Writing a dataset as a folder.
+
+use super::manifest::{FILE, GravityAngles, Manifest, RunEntry, TorqueUnit};
+use super::{Dataset, Run};
+use crate::atomic;
+use crate::model::gravity::Mounting;
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+
+pub(super) fn write(dataset: &Dataset, dir: &Path) -> io::Result<()> {
+    if let Ok(mut entries) = fs::read_dir(dir)
+        && entries.next().is_some()
+        && !dir.join(FILE).exists()
+    {
+        let text = format!("{}: is a folder with content that is no dataset; it stays as it is", dir.display());
+        return Err(io::Error::new(io::ErrorKind::AlreadyExists, text));
+    }
+    let manifest = toml::to_string(&describe(dataset)).map_err(io::Error::other)?;
+    atomic::write_folder(dir, |aside| {
+        fs::write(aside.join(FILE), manifest)?;
+        dataset.runs.iter().try_for_each(|run| write_run(run, &aside.join(&run.file)))
+    })
+}
+
+fn describe(dataset: &Dataset) -> Manifest {
+    let angles = |mounting: Mounting| GravityAngles { rho: mounting.rho, phi: mounting.phi };
+    let entry = |run: &Run| RunEntry {
+        file: run.file.clone(),
+        role: run.role,
+        note: run.note.clone(),
+        period: run.period,
+        session: run.session,
+        mounting: (run.mounting != dataset.mounting).then(|| angles(run.mounting)),
+    };
+    Manifest {
+        name: dataset.name.clone(),
+        robot: dataset.robot.clone(),
+        source: dataset.source.clone(),
+        mounting: angles(dataset.mounting),
+        torque: TorqueUnit::default(),
+        runs: dataset.runs.iter().map(entry).collect(),
+    }
+}
+
+/// One run: `t, q1..qn, dq1..dqn, tau1..taun`, then the further columns.
+fn write_run(run: &Run, path: &Path) -> io::Result<()> {
+    let n = run.joints();
+    let mut header = vec!["t".to_string()];
+    let mut columns: Vec<&[f64]> = vec![&run.t];
+    let mut blocks = vec![("q", &run.q)];
+    blocks.extend(run.dq.as_ref().map(|dq| ("dq", dq)));
+    blocks.push(("tau", &run.tau));
+    for (stem, block) in blocks {
+        header.extend((1..=n).map(|joint| format!("{stem}{joint}")));
+        columns.extend(block.as_slice().chunks_exact(run.samples()));
+    }
+    for (name, values) in &run.extra {
+        header.push(name.clone());
+        columns.push(values);
+    }
+    let mut file = BufWriter::with_capacity(1 << 16, File::create(path)?);
+    writeln!(file, "{}", header.join(","))?;
+    for row in 0..run.samples() {
+        for (index, column) in columns.iter().enumerate() {
+            if index > 0 {
+                file.write_all(b",")?;
+            }
+            // The shortest text that reads back as the same number, with an exponent where that is shorter.
+            write!(file, "{:?}", column[row])?;
+        }
+        file.write_all(b"\n")?;
+    }
+    file.flush()
+}

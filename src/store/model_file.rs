@@ -1,0 +1,240 @@
+//! `model.toml`: an identified model with everything needed to trust and to serve it.
+
+use super::model_text;
+use crate::atomic;
+use crate::input::{BadInput, from_toml};
+use crate::model::base::BaseKind;
+use crate::model::chain::Chain;
+use crate::model::gravity::Mounting;
+use crate::model::torque::TorqueModel;
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+use std::path::Path;
+
+/// A model with its proof and its origin.
+#[derive(Clone, Debug)]
+pub struct ModelFile {
+    /// The model.
+    pub model: TorqueModel,
+    /// Noise floor of the measured torque, per joint \[Nm\]; empty where unknown.
+    pub noise_floor: Vec<f64>,
+    /// Errors on motions that were not fitted.
+    pub validation: Vec<Validated>,
+    /// Where the numbers came from.
+    pub provenance: Provenance,
+}
+
+/// Error of the model on one unseen run.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Validated {
+    /// Name of the run.
+    pub run: String,
+    /// Polar angle of gravity in that run \[rad\].
+    pub rho: f64,
+    /// Azimuth of gravity in that run \[rad\].
+    pub phi: f64,
+    /// RMS of measured minus modelled torque, per joint \[Nm\].
+    pub rms: Vec<f64>,
+}
+
+/// Where a model's numbers came from.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Provenance {
+    /// SHA-256 of the dataset's content.
+    pub dataset: Option<String>,
+    /// Version of the program that identified it.
+    pub plumbline: Option<String>,
+    /// When it was identified, for people.
+    pub date: Option<String>,
+    /// Where the numbers stand, when they were not identified here.
+    pub source: Option<String>,
+}
+
+/// `model.toml` as it stands in the file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+struct Raw {
+    format: u32,
+    robot: String,
+    kind: Kind,
+    #[serde(default)]
+    noise_floor: Vec<f64>,
+    #[serde(rename = "mounting")]
+    mountings: Vec<Angles>,
+    #[serde(rename = "term")]
+    terms: Vec<RawTerm>,
+    #[serde(default)]
+    validation: Vec<Validated>,
+    #[serde(default)]
+    provenance: Provenance,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Angles {
+    rho: f64,
+    phi: f64,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+enum Kind {
+    #[serde(rename = "GBS")]
+    Gbs,
+    #[serde(rename = "VBS")]
+    Vbs,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawTerm {
+    id: String,
+    parameters: Vec<RawParameter>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawParameter {
+    name: String,
+    value: f64,
+    std: Option<f64>,
+    unit: String,
+    /// For people; the program derives them from the robot's geometry.
+    #[serde(rename = "symbol")]
+    _symbol: Option<String>,
+    #[serde(rename = "expression")]
+    _expression: Option<String>,
+}
+
+/// The format that this program writes and reads.
+pub(super) const FORMAT: u32 = 1;
+
+impl ModelFile {
+    /// The file's text; `parse` of it gives the same model bit by bit.
+    pub fn to_toml(&self) -> String {
+        model_text::write(self)
+    }
+
+    /// Reads a model from text; `file` is only named in errors. `chain_of` finds the arm of a robot's name.
+    ///
+    /// # Errors
+    /// An unknown key, another format version, a parameter that is missing, foreign, doubled, not finite or in another unit, a number
+    /// of values that doesn't fit the arm; whatever `chain_of` says about the robot.
+    pub fn parse(
+        file: &str,
+        text: &str,
+        chain_of: impl FnOnce(&str) -> Result<Chain, BadInput>,
+    ) -> Result<ModelFile, BadInput> {
+        // The version first: a file of another format shall not be called a bad file of this one.
+        let head: toml::Table = from_toml(file, text)?;
+        if let Some(format) = head.get("format")
+            && format.as_integer() != Some(i64::from(FORMAT))
+        {
+            return Err(BadInput::new(
+                file,
+                "key `format`",
+                format,
+                format!("{FORMAT}, the format this program knows"),
+            ));
+        }
+        let raw: Raw = from_toml(file, text)?;
+        debug_assert_eq!(raw.format, FORMAT);
+        let chain = chain_of(&raw.robot)?;
+        let n = chain.len();
+        check_numbers(file, &raw, n)?;
+        let kind = match raw.kind {
+            Kind::Gbs => BaseKind::Gbs,
+            Kind::Vbs => BaseKind::Vbs,
+        };
+        let mountings = raw.mountings.iter().map(|angles| Mounting { rho: angles.rho, phi: angles.phi }).collect();
+        let named = |term: &RawTerm| {
+            (term.id.clone(), term.parameters.iter().map(|own| (own.name.clone(), own.value, own.std)).collect())
+        };
+        let terms: Vec<(String, Vec<_>)> = raw.terms.iter().map(named).collect();
+        let model = TorqueModel::from_named(&raw.robot, chain, kind, mountings, &terms).map_err(|error| {
+            let expected = format!("the parameters of the {kind} of robot `{}`", raw.robot);
+            BadInput::new(file, "[[term]]", error, expected)
+        })?;
+        check_units(file, &raw, &model)?;
+        Ok(ModelFile { model, noise_floor: raw.noise_floor, validation: raw.validation, provenance: raw.provenance })
+    }
+
+    /// As [`ModelFile::parse`], from a file.
+    pub fn load(path: &Path, chain_of: impl FnOnce(&str) -> Result<Chain, BadInput>) -> Result<ModelFile, BadInput> {
+        let file = path.display().to_string();
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| BadInput::new(&file, "file", error, "a readable model file"))?;
+        ModelFile::parse(&file, &text, chain_of)
+    }
+
+    /// Writes the file aside, then renames it.
+    pub fn save(&self, path: &Path) -> std::io::Result<()> {
+        atomic::write_file(path, self.to_toml().as_bytes())
+    }
+}
+
+/// Identity of a model file's text, never 0: what the loop calls the model that it serves.
+pub fn model_identity(text: &str) -> u64 {
+    let hash = Sha256::digest(text.as_bytes());
+    let mut first = [0; 8];
+    first.copy_from_slice(&hash[..8]);
+    u64::from_be_bytes(first).max(1)
+}
+
+/// Every number is finite, standard deviations and errors are not negative, lists per joint have `n` entries.
+fn check_numbers(file: &str, raw: &Raw, n: usize) -> Result<(), BadInput> {
+    let bad =
+        |key: String, value: f64, expected: &str| Err(BadInput::new(file, format!("key `{key}`"), value, expected));
+    let per_joint = |key: String, values: &[f64]| {
+        if values.len() != n {
+            let found = format!("{} values", values.len());
+            return Err(BadInput::new(file, format!("key `{key}`"), found, format!("{n}, one per joint")));
+        }
+        match values.iter().position(|value| !(value.is_finite() && *value >= 0.0)) {
+            Some(j) => bad(format!("{key}[{j}]"), values[j], "a torque in Nm, 0 or more"),
+            None => Ok(()),
+        }
+    };
+    if !raw.noise_floor.is_empty() {
+        per_joint("noise-floor".into(), &raw.noise_floor)?;
+    }
+    let angle = |key: String, rho: f64, phi: f64| match [rho, phi].into_iter().find(|angle| !angle.is_finite()) {
+        Some(value) => bad(key, value, "angles in rad"),
+        None => Ok(()),
+    };
+    for (index, angles) in raw.mountings.iter().enumerate() {
+        angle(format!("mounting[{index}]"), angles.rho, angles.phi)?;
+    }
+    for (index, run) in raw.validation.iter().enumerate() {
+        per_joint(format!("validation[{index}].rms"), &run.rms)?;
+        angle(format!("validation[{index}]"), run.rho, run.phi)?;
+    }
+    for term in &raw.terms {
+        for parameter in &term.parameters {
+            if !parameter.value.is_finite() {
+                return bad(format!("value of {}", parameter.name), parameter.value, "a finite number");
+            }
+            if let Some(std) = parameter.std
+                && !(std.is_finite() && std >= 0.0)
+            {
+                return bad(format!("std of {}", parameter.name), std, "a standard deviation, 0 or more");
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A number in another unit is another number.
+fn check_units(file: &str, raw: &Raw, model: &TorqueModel) -> Result<(), BadInput> {
+    for written in raw.terms.iter().flat_map(|term| &term.parameters) {
+        let known = model.parameters().iter().find(|known| known.column.name == written.name);
+        if let Some(known) = known
+            && known.column.unit != written.unit
+        {
+            let found = format!("`{}`", written.unit);
+            return Err(BadInput::new(file, format!("key `unit of {}`", written.name), found, known.column.unit));
+        }
+    }
+    Ok(())
+}

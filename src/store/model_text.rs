@@ -1,0 +1,59 @@
+//! The text of `model.toml`: one line per parameter, for people who read and compare such files.
+
+use super::model_file::{FORMAT, ModelFile, Validated};
+use std::fmt::Write;
+
+/// Everything in the order in which a reader asks for it; numbers are the shortest text that reads back as the same `f64`.
+pub(super) fn write(file: &ModelFile) -> String {
+    let model = &file.model;
+    let mut text = String::new();
+    let mut line = |args: std::fmt::Arguments| {
+        // Writing to a String can't fail.
+        let _ = text.write_fmt(args);
+        text.push('\n');
+    };
+    line(format_args!("# Parameters of the joint torques, tau = Y beta. Angles in rad, torques in Nm."));
+    line(format_args!("format = {FORMAT}"));
+    line(format_args!("robot = {}", quoted(model.robot())));
+    line(format_args!("kind = \"{}\"", model.kind()));
+    if !file.noise_floor.is_empty() {
+        line(format_args!("noise-floor = {:?}", file.noise_floor));
+    }
+    for mounting in model.mountings() {
+        line(format_args!("\n[[mounting]] # {mounting}"));
+        line(format_args!("rho = {:?}\nphi = {:?}", mounting.rho, mounting.phi));
+    }
+    for (id, parameters) in model.terms() {
+        line(format_args!("\n[[term]]\nid = {}\nparameters = [", quoted(id)));
+        for parameter in parameters {
+            let column = &parameter.column;
+            let std = parameter.std.map_or(String::new(), |std| format!(", std = {std:?}"));
+            line(format_args!(
+                "  {{ name = {}, value = {:?}{std}, unit = {}, symbol = {}, expression = {} }},",
+                quoted(&column.name),
+                parameter.value,
+                quoted(column.unit),
+                quoted(&column.symbol),
+                quoted(&column.expression),
+            ));
+        }
+        line(format_args!("]"));
+    }
+    for Validated { run, rho, phi, rms } in &file.validation {
+        line(format_args!("\n[[validation]]\nrun = {}\nrho = {rho:?}\nphi = {phi:?}\nrms = {rms:?}", quoted(run)));
+    }
+    line(format_args!("\n[provenance]"));
+    let origin = &file.provenance;
+    let keys = ["dataset", "plumbline", "date", "source"];
+    for (key, value) in keys.into_iter().zip([&origin.dataset, &origin.plumbline, &origin.date, &origin.source]) {
+        if let Some(value) = value {
+            line(format_args!("{key} = {}", quoted(value)));
+        }
+    }
+    text
+}
+
+/// A TOML basic string.
+fn quoted(text: &str) -> String {
+    toml::Value::String(text.to_string()).to_string()
+}

@@ -1,0 +1,192 @@
+//! The job configuration: shipped files load, every bad value is refused by name, overrides win over the file.
+
+use plumbline::config::job::{Job, OnLoss, Pace, Resource};
+use plumbline::joint;
+use plumbline::model::gravity::Mounting;
+use std::path::Path;
+
+const LEAST: &str = "robot = \"panda\"\nmounting = \"wall\"\n[backend]\nkind = \"sim\"\narm = \"sim-panda\"\n";
+
+fn parse(text: &str, sets: &[&str]) -> Result<Job, String> {
+    let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
+    Job::parse(Path::new("conf/job.toml"), text, &sets).map_err(|bad| bad.to_string())
+}
+
+fn refusal(text: &str, sets: &[&str]) -> String {
+    parse(text, sets).expect_err("a refusal")
+}
+
+#[test]
+fn every_shipped_job_loads() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
+    let mut jobs = 0;
+    for entry in std::fs::read_dir(&folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|end| end == "toml") {
+            let job = Job::load(&path, &[]).unwrap_or_else(|bad| panic!("{bad}"));
+            let robot = folder.join("robots").join(format!("{}.toml", job.robot));
+            assert!(!folder.join("robots").exists() || robot.exists(), "{} is not shipped", job.robot);
+            if let Resource::File(arm) = &job.backend.arm {
+                assert!(!folder.join("arms").exists() || arm.exists(), "{} is not shipped", arm.display());
+            }
+            jobs += 1;
+        }
+    }
+    assert!(jobs >= 1);
+}
+
+#[test]
+fn the_least_job_has_every_default() {
+    let job = parse(LEAST, &[]).unwrap();
+    assert_eq!(job.mounting, Mounting::WALL);
+    assert_eq!((job.excitation.harmonics, job.excitation.period, job.excitation.periods), (5, 10.0, 10));
+    assert_eq!(job.validation.mountings, [Mounting::WALL, Mounting::UPRIGHT]);
+    assert_eq!(job.backend.arm, Resource::BuiltIn("sim-panda".into()));
+    assert_eq!((job.backend.pace, job.safety.on_estimator_loss), (Pace::Fast, OnLoss::Finish));
+    assert!(job.output.dataset && job.excitation.plan.is_none() && job.workspace.is_none());
+}
+
+#[test]
+fn quantities_are_read_in_their_units() {
+    let text = LEAST.replace("\"wall\"", "{ rho = \"60 deg\", phi = \"0.5 rad\" }")
+        + "[excitation]\nperiod = \"2500 ms\"\nq0 = [\"90 deg\", \"0.1 m\"]\n[serve]\nstale-after = \"20 ms\"\n\
+           [estimator]\ntorque-cutoff = \"5 Hz\"\n[safety]\ntracking-error = \"3 deg\"\n";
+    let job = parse(&text, &[]).unwrap();
+    assert_eq!(job.mounting, Mounting { rho: 60_f64.to_radians(), phi: 0.5 });
+    assert_eq!(job.excitation.period, 2.5);
+    assert_eq!(job.excitation.q0, Some(vec![90_f64.to_radians(), 0.1]));
+    assert_eq!(job.serve.stale_after, 0.02);
+    assert_eq!(job.estimator.torque_cutoff, Some(5.0));
+    assert!((job.safety.tracking_error - 3_f64.to_radians()).abs() < 1e-15);
+}
+
+#[test]
+fn a_gravity_direction_without_a_unit_is_refused_as_such() {
+    for rho in ["1.5708", "90", "\"90\""] {
+        let said = refusal(&LEAST.replace("\"wall\"", &format!("{{ rho = {rho}, phi = \"0 deg\" }}")), &[]);
+        assert!(said.starts_with("conf/job.toml: line 2, key `mounting.rho`: got `"), "{said}");
+        assert!(said.contains("an angle with its unit"), "{said}");
+    }
+    let said = refusal(&LEAST.replace("\"wall\"", "1.57"), &[]);
+    assert!(said.contains("key `mounting`: got `1.57`") && said.contains("without a unit"), "{said}");
+    let said = refusal(LEAST, &["mounting={ rho = 1.57, phi = \"0 deg\" }"]);
+    assert!(said.starts_with("--set mounting=") && said.contains("without a unit"), "{said}");
+}
+
+#[test]
+fn every_bad_value_is_named() {
+    let cases = [
+        (
+            "[excitation]\nperods = 3\n",
+            "line 7, key `excitation.perods`: got `perods`, expected a known key (unknown field",
+        ),
+        ("[exitation]\n", "line 6"),
+        ("[excitation]\nperiods = 0\n", "key `excitation.periods`: got 0, expected 1 to 1000"),
+        ("[excitation]\nperiods = -1\n", "line 7, key `excitation.periods`: got `-1`"),
+        ("[excitation]\nperiod = 10\n", "key `excitation.period`: got `10`, expected a duration with its unit"),
+        ("[excitation]\nperiod = \"10.0005 s\"\n", "whole milliseconds"),
+        ("[excitation]\nharmonics = 40\n", "key `excitation.harmonics`: got 40"),
+        ("[excitation]\nlead-in = 1000\n", "key `excitation.lead-in`"),
+        ("[excitation]\nevaluations = 0\n", "key `excitation.evaluations`"),
+        ("[excitation]\nq0 = [1.0]\n", "key `excitation.q0[0]`"),
+        ("[excitation]\nq0 = []\n", "key `excitation.q0`: got 0 values"),
+        ("[validation]\nmountings = [\"floor\"]\n", "key `validation.mountings[0]`: got `\"floor\"`"),
+        ("[validation]\ntrajectories = 101\n", "key `validation.trajectories`"),
+        ("[limits]\nspeed = 1.1\n", "key `limits.speed`: got 1.1, expected a share"),
+        ("[limits]\njerk = nan\n", "key `limits.jerk`: got NaN"),
+        ("[limits]\nmargin = \"90 deg\"\n", "key `limits.margin`"),
+        ("[workspace]\nbox-min = [0, 0, 0]\nbox-max = [1, 1, 0]\nbase-radius = 0.1\n", "key `workspace.box-min[2]`"),
+        ("[workspace]\nbox-min = [0, 0]\nbox-max = [1, 1, 0]\nbase-radius = 0.1\n", "key `workspace.box-min"),
+        ("[estimator]\ntorque-cutoff = \"5000 Hz\"\n", "key `estimator.torque-cutoff`: got 5000 Hz"),
+        ("[estimator]\nfilter-order = 3\n", "key `estimator.filter-order`: got 3"),
+        ("[realtime]\npriority = 100\n", "key `realtime.priority`: got 100"),
+        ("[safety]\ntracking-error = \"0 rad\"\n", "key `safety.tracking-error`"),
+        ("[safety]\nmax-lost = 0\n", "key `safety.max-lost`"),
+        ("[safety]\non-estimator-loss = \"pray\"\n", "key `safety.on-estimator-loss`"),
+        ("[serve]\nstale-after = \"1 min\"\n", "key `serve.stale-after`: got 60 s"),
+        ("[output]\ndir = \"\"\n", "key `output.dir`"),
+        ("pace = \"slow\"\n", "key `backend.pace`: got `\"slow\"`"),
+        ("pace = ", "line 6"),
+    ];
+    for (more, expected) in cases {
+        let said = refusal(&format!("{LEAST}{more}"), &[]);
+        assert!(said.starts_with("conf/job.toml: ") && said.contains(expected), "`{said}` does not say `{expected}`");
+    }
+    for missing in ["robot", "mounting", "arm", "kind"] {
+        let said = refusal(&LEAST.replace(&format!("{missing} = "), &format!("# {missing} = ")), &[]);
+        assert!(said.contains(&format!("missing field `{missing}`")), "{said}");
+    }
+    assert!(refusal(&LEAST.replace("\"sim\"", "\"real\""), &[]).contains("key `backend.kind`: got `\"real\"`"));
+}
+
+#[test]
+fn overrides_win_and_are_blamed_for_what_they_bring() {
+    let sets =
+        ["backend.pace=wall-clock", "excitation.period=12 s", "backend.seed=7", "validation.mountings=[\"wall\"]"];
+    let job = parse(LEAST, &sets).unwrap();
+    assert_eq!((job.backend.pace, job.backend.seed, job.excitation.period), (Pace::WallClock, 7, 12.0));
+    assert_eq!(job.validation.mountings, [Mounting::WALL]);
+    assert_eq!(parse(LEAST, &["backend.seed=7", "backend.seed=8"]).unwrap().backend.seed, 8);
+    let tilted = parse(LEAST, &["mounting.rho=30 deg", "mounting.phi=0 deg"]).unwrap();
+    assert_eq!(tilted.mounting.rho, 30_f64.to_radians());
+
+    let cases = [
+        ("excitation.periods=0", "--set excitation.periods=0: key `excitation.periods` (over conf/job.toml): got 0"),
+        ("excitation.perods=3", "--set excitation.perods=3: key `excitation.perods` (over conf/job.toml)"),
+        ("backend.pace=slow", "--set backend.pace=slow: key `backend.pace` (over conf/job.toml): got `\"slow\"`"),
+        ("excitation.period=10", "a duration with its unit"),
+        ("nonsense", "--set nonsense: option: got `nonsense`, expected key.path=value"),
+        ("a..b=1", "expected key.path=value"),
+        ("backend.seed.deep=1", "--set backend.seed.deep=1"),
+    ];
+    for (set, expected) in cases {
+        let said = refusal(LEAST, &[set]);
+        assert!(said.starts_with("--set ") && said.contains(expected), "`{said}` does not say `{expected}`");
+    }
+    // An override is not blamed for what the file got wrong.
+    let said = refusal(&format!("{LEAST}[limits]\nsped = 1\n"), &["backend.seed=7"]);
+    assert!(said.starts_with("conf/job.toml: line 7, key `limits.sped`"), "{said}");
+    let said = refusal(&format!("{LEAST}[limits]\nspeed = 2\n"), &["backend.seed=7"]);
+    assert!(said.starts_with("conf/job.toml: key `limits.speed`"), "{said}");
+}
+
+#[test]
+fn files_are_found_beside_the_configuration() {
+    let text = LEAST.replace("sim-panda", "arms/mine.toml") + "[excitation]\nplan = \"plan.toml\"\n";
+    let job = parse(&text, &[]).unwrap();
+    assert_eq!(job.backend.arm, Resource::File("conf/arms/mine.toml".into()));
+    assert_eq!(job.excitation.plan, Some("conf/plan.toml".into()));
+    let lost = job.backend.arm.read("backend.arm", &[]).unwrap_err().to_string();
+    assert!(lost.contains("conf/arms/mine.toml") && lost.contains("backend.arm"), "{lost}");
+    let unknown = Resource::BuiltIn("sim-pnda".into()).read("backend.arm", &[("sim-panda", "")]).unwrap_err();
+    assert!(unknown.to_string().contains("got `sim-pnda`, expected the path of a .toml file or one of sim-panda"));
+    assert!(Job::load(Path::new("no/such.toml"), &[]).unwrap_err().to_string().starts_with("no/such.toml: file: got "));
+}
+
+#[test]
+fn own_limits_only_tighten_and_shares_hold_for_planning_alone() {
+    let eight = |value: f64| [value; joint::MAX_JOINTS];
+    let robot = joint::Limits {
+        q_min: eight(-2.0),
+        q_max: eight(2.0),
+        dq: eight(2.0),
+        ddq: eight(10.0),
+        jerk: eight(5000.0),
+        tau: eight(87.0),
+        dtau: eight(1000.0),
+    };
+    let job =
+        parse(&format!("{LEAST}[limits]\nspeed = 0.5\nmargin = \"0.1 rad\"\noverride.dq = [1.0, 2.0]\n"), &[]).unwrap();
+    let (guard, plan) = (job.guard_limits(&robot, 2).unwrap(), job.planning_limits(&robot, 2).unwrap());
+    assert_eq!((guard.dq[0], guard.dq[1], guard.q_max[0]), (1.0, 2.0, 2.0));
+    assert_eq!((plan.dq[0], plan.dq[1], plan.q_max[0], plan.ddq[1]), (0.5, 1.0, 1.9, 9.0));
+    let refused = |list: &str| {
+        let job = parse(&format!("{LEAST}[limits]\noverride.{list}\n"), &[]).unwrap();
+        job.guard_limits(&robot, 2).unwrap_err().to_string()
+    };
+    assert!(refused("dq = [1.0]").contains("key `limits.override.dq`: got 1 values, expected 2"));
+    assert!(refused("dq = [1.0, 2.5]").contains("key `limits.override.dq[1]`: got 2.5"));
+    assert!(refused("q-min = [-3.0, 0.0]").contains("key `limits.override.q-min[0]`: got -3"));
+    assert!(refused("tau = [nan, 1.0]").contains("key `limits.override.tau[0]`: got NaN"));
+    assert!(refused("q-min = [0.0, 2.0]").contains("less than q-max"));
+}
