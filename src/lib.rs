@@ -6,7 +6,9 @@
 //! |---|---|---|
 //! | 0 | [`joint`], [`input`] | fixed-size values with units; how bad input is reported |
 //! | 1 | [`model`], [`rt`] | the arm's dynamics, pure; the real-time loop and its traits |
+//! | 3 | [`config`] | the files that a person writes, parsed once into checked values |
 
+pub mod config;
 pub mod input;
 pub mod joint;
 pub mod model;
