@@ -6,6 +6,7 @@
 //! |---|---|---|
 //! | 0 | [`joint`], [`input`], [`atomic`] | fixed-size values with units; how bad input is reported; how files are written |
 //! | 1 | [`model`], [`rt`] | the arm's dynamics, pure; the real-time loop and its traits |
+//! | 2 | [`excite`], [`estimate`] | motions that excite; parameters from samples |
 //! | 3 | [`config`], [`dataset`], [`store`] | typed configuration; recorded motions as folders of CSV files; model files |
 
 pub mod atomic;
