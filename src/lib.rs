@@ -6,7 +6,10 @@
 //! |---|---|---|
 //! | 0 | [`joint`], [`input`] | fixed-size values with units; how bad input is reported |
 //! | 1 | [`model`], [`rt`] | the arm's dynamics, pure; the real-time loop and its traits |
+//! | 2 | [`excite`], [`estimate`] | excitation motions and their limits; signals, least squares, uncertainty |
 
+pub mod estimate;
+pub mod excite;
 pub mod input;
 pub mod joint;
 pub mod model;
