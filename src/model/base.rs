@@ -1,7 +1,7 @@
 //! Base parameters: the independent combinations of standard parameters that the joint torques determine.
 
 use super::chain::{Chain, JointKind};
-use super::gravity::Mounting;
+use super::gravity::{Mounting, VERTICAL_TOLERANCE};
 use super::regressor::{LINK_COLUMNS, regressor};
 use nalgebra::{DMatrix, DVector, Vector3};
 use rand::{Rng, SeedableRng};
@@ -14,6 +14,16 @@ pub enum BaseKind {
     Gbs,
     /// Vertical base-axis set: gravity along axis 1, valid only there.
     Vbs,
+}
+
+/// `GBS` or `VBS`.
+impl std::fmt::Display for BaseKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            BaseKind::Gbs => "GBS",
+            BaseKind::Vbs => "VBS",
+        })
+    }
 }
 
 /// Linear map from standard to base parameters, `beta = regroup * delta`.
@@ -38,10 +48,21 @@ impl Reduction {
     }
 
     /// The set that can be identified in one mounting. It is the GBS when it spans as much as every mounting needs.
+    ///
+    /// Gravity within [`VERTICAL_TOLERANCE`] of axis 1 counts as parallel to it.
     pub fn in_mounting(chain: &Chain, mounting: &Mounting) -> Reduction {
         let generalized = Reduction::any_mounting(chain);
-        let here = reduce(chain, Some(mounting.gravity()));
+        let along = mounting.is_along_axis_1(VERTICAL_TOLERANCE);
+        let here = reduce(chain, Some(if along { Mounting::UPRIGHT.gravity() } else { mounting.gravity() }));
         if here.len() == generalized.len() { generalized } else { here }
+    }
+
+    /// The set of one kind. An arm whose torques hold the same parameters in every mounting has no VBS of its own: the GBS it is.
+    pub fn of_kind(chain: &Chain, kind: BaseKind) -> Reduction {
+        match kind {
+            BaseKind::Gbs => Reduction::any_mounting(chain),
+            BaseKind::Vbs => Reduction::in_mounting(chain, &Mounting::UPRIGHT),
+        }
     }
 
     /// GBS or VBS.
@@ -135,10 +156,9 @@ fn reduce(chain: &Chain, gravity: Option<Vector3<f64>>) -> Reduction {
     Reduction { kind: BaseKind::Vbs, independent, regroup }
 }
 
-/// Removes rounding noise: coefficients are sums of products of the arm's lengths and are known far better than this.
+/// Makes zeros and ones exact. Any other coefficient is a sum of products of the arm's lengths and keeps all its digits.
 fn tidy(value: f64) -> f64 {
-    let rounded = (value * 1e9).round() / 1e9;
-    if (value - value.round()).abs() < 1e-9 { value.round() } else { rounded }
+    if (value - value.round()).abs() < 1e-9 { value.round() } else { value }
 }
 
 fn random_regressor(chain: &Chain, gravity: Option<Vector3<f64>>) -> DMatrix<f64> {

@@ -4,6 +4,7 @@
 //! its z axis is joint `i`'s axis, and all inertial parameters of link `i` are expressed in frame `i`. A standard-DH arm is the
 //! same chain with its rows shifted: `a` and `alpha` of row `i` belong to frame `i + 1`, those of the last row to the flange.
 
+use crate::joint::MAX_JOINTS;
 use nalgebra::{Matrix3, Vector3};
 
 /// Kind of a joint.
@@ -91,11 +92,16 @@ pub struct Chain {
 
 impl Chain {
     /// A chain from modified-DH rows and the placement of the end effector in the last frame.
+    ///
+    /// Panics past [`MAX_JOINTS`] joints.
     pub fn modified(joints: Vec<Joint>, flange: Placement) -> Chain {
+        assert!(joints.len() <= MAX_JOINTS, "{} joints, room for {MAX_JOINTS}", joints.len());
         Chain { joints, flange }
     }
 
     /// A chain from standard-DH rows. Link frames are the equivalent modified-DH ones (module doc).
+    ///
+    /// Panics past [`MAX_JOINTS`] joints.
     pub fn standard(rows: &[StandardDh], tool: Placement) -> Chain {
         let mut joints = Vec::with_capacity(rows.len());
         let (mut a, mut alpha) = (0.0, 0.0);
@@ -104,7 +110,7 @@ impl Chain {
             (a, alpha) = (row.a, row.alpha);
         }
         let last = Joint { kind: JointKind::Revolute, a, alpha, d: 0.0, theta: 0.0 }.placement(0.0);
-        Chain { joints, flange: last.then(&tool) }
+        Chain::modified(joints, last.then(&tool))
     }
 
     /// Number of joints, `n`.

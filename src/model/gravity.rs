@@ -5,6 +5,10 @@ use nalgebra::Vector3;
 /// Standard gravity as the paper uses it \[m/s2\].
 pub const G: f64 = 9.81;
 
+/// Within this angle of axis 1 gravity counts as parallel to it, 1 degree \[rad\]: what is left of gravity across the axis
+/// (g sin 1 deg = 0.17 m/s2) is too little to identify the two parameters that only it excites.
+pub const VERTICAL_TOLERANCE: f64 = std::f64::consts::PI / 180.0;
+
 /// How the base is mounted, as the direction of the gravitational acceleration in the base frame (paper eq. 3).
 ///
 /// `rho = pi` upright on a table, `pi/2` on a wall, `0` hanging from a ceiling.
@@ -40,5 +44,16 @@ impl Mounting {
     pub fn angle_to(&self, other: &Mounting) -> f64 {
         let (a, b) = (self.gravity(), other.gravity());
         a.cross(&b).norm().atan2(a.dot(&b))
+    }
+}
+
+/// `upright`, `ceiling`, `wall` (base x axis down), or the two angles in rad.
+impl std::fmt::Display for Mounting {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let named = [(Mounting::UPRIGHT, "upright"), (Mounting::WALL, "wall"), (Mounting::CEILING, "ceiling")];
+        match named.iter().find(|(mounting, _)| mounting.angle_to(self) < 1e-6) {
+            Some((_, name)) => f.write_str(name),
+            None => write!(f, "rho = {:.4} rad, phi = {:.4} rad", self.rho, self.phi),
+        }
     }
 }

@@ -2,7 +2,10 @@
 
 pub mod base;
 pub mod chain;
+pub mod expression;
 pub mod gravity;
 pub mod regressor;
 pub mod rnea;
+pub mod structure;
 pub mod term;
+pub mod torque;

@@ -1,6 +1,7 @@
 //! The rigid-body regressor: joint torques as a linear map of the standard inertial parameters.
 
-use super::chain::{Chain, JointKind};
+use super::chain::{Chain, JointKind, Placement};
+use crate::joint::MAX_JOINTS;
 use nalgebra::{DMatrix, Matrix3, Matrix3x6, Vector3};
 
 /// Columns of one link in a standard regressor.
@@ -13,12 +14,14 @@ pub const LINK_COLUMNS: usize = 10;
 pub fn regressor(chain: &Chain, gravity: &Vector3<f64>, q: &[f64], dq: &[f64], ddq: &[f64], y: &mut DMatrix<f64>) {
     let n = chain.len();
     y.fill(0.0);
+    let mut placements = [Placement::identity(); MAX_JOINTS];
     let mut w = Vector3::zeros();
     let mut dw = Vector3::zeros();
     let mut a = -gravity;
     for i in 0..n {
         let joint = &chain.joints()[i];
         let placement = joint.placement(q[i]);
+        placements[i] = placement;
         let r_t = placement.rotation.transpose();
         a = r_t * (a + (skew(&dw) + skew(&w) * skew(&w)) * placement.origin);
         w = r_t * w;
@@ -47,7 +50,6 @@ pub fn regressor(chain: &Chain, gravity: &Vector3<f64>, q: &[f64], dq: &[f64], d
         force[9] = a;
 
         // Carry it inward; each joint takes the component along its axis.
-        let mut up = placement;
         for j in (0..=i).rev() {
             let kind = chain.joints()[j].kind;
             for c in 0..LINK_COLUMNS {
@@ -57,9 +59,7 @@ pub fn regressor(chain: &Chain, gravity: &Vector3<f64>, q: &[f64], dq: &[f64], d
                 };
             }
             if j > 0 {
-                if j < i {
-                    up = chain.joints()[j].placement(q[j]);
-                }
+                let up = &placements[j];
                 for c in 0..LINK_COLUMNS {
                     force[c] = up.rotation * force[c];
                     moment[c] = up.rotation * moment[c] + up.origin.cross(&force[c]);

@@ -3,9 +3,31 @@
 //! A term contributes named columns to the regressor and says in one sentence what it is physically. An effect that diagnosis
 //! finds is added by pushing one more term; a new kind of effect is one new file here.
 
-use super::chain::Chain;
+pub mod friction;
+pub mod rigid_body;
+pub mod rotor_inertia;
+pub mod subset;
+pub mod torque_offset;
+
+use super::base::Reduction;
+use super::chain::{Chain, JointKind};
 use crate::joint::JointVec;
 use nalgebra::{DMatrix, Vector3};
+use std::sync::Arc;
+
+/// Every term that a model file can name.
+pub const KNOWN: [&str; 4] = [rigid_body::ID, friction::ID, torque_offset::ID, rotor_inertia::ID];
+
+/// The term of that identity for an arm, with all of its columns; `None` when it is not one of [`KNOWN`].
+pub fn by_id(id: &str, chain: &Chain, reduction: &Reduction) -> Option<Arc<dyn Term>> {
+    match id {
+        rigid_body::ID => Some(Arc::new(rigid_body::RigidBody::new(reduction))),
+        friction::ID => Some(Arc::new(friction::Friction::new(chain))),
+        torque_offset::ID => Some(Arc::new(torque_offset::TorqueOffset::new(chain))),
+        rotor_inertia::ID => Some(Arc::new(rotor_inertia::RotorInertia::new(chain))),
+        _ => None,
+    }
+}
 
 /// One column of a regressor, that is, one parameter of the model.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -86,4 +108,25 @@ pub trait Term: Send + Sync {
 pub trait FixedTerm: Send {
     /// Adds the term's torque at `sample` to `tau` \[Nm\].
     fn torque(&mut self, sample: &Sample, tau: &mut JointVec);
+}
+
+/// One column per joint whose expression is its own name.
+fn per_joint(chain: &Chain, name: &str, symbol: &str, unit: impl Fn(JointKind) -> &'static str) -> Vec<Column> {
+    let column = |(j, joint): (usize, &super::chain::Joint)| Column {
+        name: format!("{name}{}", j + 1),
+        symbol: format!("{symbol}{}", j + 1),
+        joint: j + 1,
+        unit: unit(joint.kind),
+        expression: format!("{name}{}", j + 1),
+    };
+    chain.joints().iter().enumerate().map(column).collect()
+}
+
+/// `values` in the front of a vector with room for every joint.
+fn padded(values: &[f64]) -> JointVec {
+    let mut padded = JointVec::default();
+    for (slot, value) in padded.iter_mut().zip(values) {
+        *slot = *value;
+    }
+    padded
 }

@@ -1,0 +1,64 @@
+//! Inertia of the motors' rotors, seen through the gears.
+
+use super::{Column, FixedTerm, Motion, Sample, Term, padded, per_joint};
+use crate::joint::JointVec;
+use crate::model::chain::{Chain, JointKind};
+use nalgebra::{DMatrix, Vector3};
+
+/// Identity of [`RotorInertia`].
+pub const ID: &str = "rotor-inertia";
+
+/// `tau_j = ia_j ddq_j`, the rotor's inertia times the gear ratio squared, in the joint's own row. Columns `ia1 .. ian`.
+///
+/// Torques measured on the motor's side of the gear hold it; joint torque sensors on the link's side do not. The rigid body
+/// absorbs some of them (joints 1 and 2 of most arms): [`crate::model::structure::Structure::identifiable`] takes those out.
+/// Gyroscopic effects of the rotor on other joints are left out, as usual.
+pub struct RotorInertia {
+    columns: Vec<Column>,
+}
+
+impl RotorInertia {
+    /// A rotor in every joint.
+    pub fn new(chain: &Chain) -> RotorInertia {
+        let columns = per_joint(chain, "ia", "Ia", |kind| match kind {
+            JointKind::Revolute => "kg m2",
+            JointKind::Prismatic => "kg",
+        });
+        RotorInertia { columns }
+    }
+}
+
+impl Term for RotorInertia {
+    fn id(&self) -> &'static str {
+        ID
+    }
+
+    fn physics(&self) -> &'static str {
+        "The motor has to accelerate its own rotor, whose inertia the gear multiplies by the square of its ratio."
+    }
+
+    fn columns(&self) -> Vec<Column> {
+        self.columns.clone()
+    }
+
+    fn fill(&self, _chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
+        let samples = motion.samples();
+        for j in 0..motion.joints() {
+            y.view_mut((j * samples, first + j), (samples, 1)).copy_from(&motion.ddq.column(j));
+        }
+    }
+
+    fn fix(&self, _chain: &Chain, _gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {
+        Box::new(FixedRotors(padded(beta)))
+    }
+}
+
+struct FixedRotors(JointVec);
+
+impl FixedTerm for FixedRotors {
+    fn torque(&mut self, sample: &Sample, tau: &mut JointVec) {
+        for ((tau, ia), ddq) in tau.iter_mut().zip(&self.0).zip(&sample.ddq) {
+            *tau += ia * ddq;
+        }
+    }
+}

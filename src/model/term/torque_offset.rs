@@ -1,0 +1,60 @@
+//! A constant torque in every joint's measurement.
+
+use super::{Column, FixedTerm, Motion, Sample, Term, padded, per_joint};
+use crate::joint::JointVec;
+use crate::model::chain::{Chain, JointKind};
+use nalgebra::{DMatrix, Vector3};
+
+/// Identity of [`TorqueOffset`].
+pub const ID: &str = "torque-offset";
+
+/// `tau_j = offset_j`. Columns `offset1 .. offsetn`.
+pub struct TorqueOffset {
+    columns: Vec<Column>,
+}
+
+impl TorqueOffset {
+    /// An offset in every joint.
+    pub fn new(chain: &Chain) -> TorqueOffset {
+        let columns = per_joint(chain, "offset", "offset", |kind| match kind {
+            JointKind::Revolute => "Nm",
+            JointKind::Prismatic => "N",
+        });
+        TorqueOffset { columns }
+    }
+}
+
+impl Term for TorqueOffset {
+    fn id(&self) -> &'static str {
+        ID
+    }
+
+    fn physics(&self) -> &'static str {
+        "The torque sensor (or current sensor) reads a constant when the torque is zero."
+    }
+
+    fn columns(&self) -> Vec<Column> {
+        self.columns.clone()
+    }
+
+    fn fill(&self, _chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
+        let samples = motion.samples();
+        for j in 0..motion.joints() {
+            y.view_mut((j * samples, first + j), (samples, 1)).fill(1.0);
+        }
+    }
+
+    fn fix(&self, _chain: &Chain, _gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {
+        Box::new(FixedOffset(padded(beta)))
+    }
+}
+
+struct FixedOffset(JointVec);
+
+impl FixedTerm for FixedOffset {
+    fn torque(&mut self, _sample: &Sample, tau: &mut JointVec) {
+        for (tau, offset) in tau.iter_mut().zip(&self.0) {
+            *tau += offset;
+        }
+    }
+}

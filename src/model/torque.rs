@@ -1,0 +1,219 @@
+//! A torque model: a structure with numbers, and its evaluation at 1 kHz.
+
+use super::base::{BaseKind, Reduction};
+use super::chain::Chain;
+use super::gravity::{Mounting, VERTICAL_TOLERANCE};
+use super::structure::{ModelError, Structure};
+use super::term::{Column, FixedTerm, Motion, Sample, Term, rigid_body};
+use crate::joint::{JointVec, Torque};
+use nalgebra::{DMatrix, Vector3};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// One parameter of a model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameter {
+    /// What it is.
+    pub column: Column,
+    /// Its value, in the column's unit.
+    pub value: f64,
+    /// Its standard deviation where known, in the column's unit.
+    pub std: Option<f64>,
+}
+
+/// A VBS model was asked for torques in a mounting that it does not know.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "the {kind} model of {robot} is valid only with gravity along axis 1 (upright or hanging), not in the mounting {mounting}: \
+     it was identified {identified} and lacks {}", missing.join(" and ")
+)]
+pub struct MountingRefused {
+    /// Robot of the model.
+    pub robot: String,
+    /// Its kind, VBS.
+    pub kind: BaseKind,
+    /// Where it was identified.
+    pub identified: String,
+    /// The mounting asked for.
+    pub mounting: Mounting,
+    /// Symbols of the parameters that the mounting needs and the model lacks.
+    pub missing: Vec<String>,
+}
+
+/// An identified model of an arm's torques, `tau = Y beta`.
+#[derive(Clone, Debug)]
+pub struct TorqueModel {
+    robot: String,
+    structure: Structure,
+    mountings: Vec<Mounting>,
+    parameters: Vec<Parameter>,
+}
+
+impl TorqueModel {
+    /// A model from one value per column of `structure`, with its standard deviation where known.
+    ///
+    /// `mountings` are those it was identified in.
+    pub fn new(
+        robot: impl Into<String>,
+        structure: Structure,
+        mountings: Vec<Mounting>,
+        values: &[(f64, Option<f64>)],
+    ) -> Result<TorqueModel, ModelError> {
+        let expected = structure.columns().len();
+        if values.len() != expected {
+            return Err(ModelError::Count { found: values.len(), expected });
+        }
+        let mut parameters = Vec::with_capacity(expected);
+        for (column, &(value, std)) in structure.columns().iter().zip(values) {
+            for number in [Some(value), std].into_iter().flatten() {
+                if !number.is_finite() {
+                    return Err(ModelError::NotFinite { name: column.name.clone(), value: number });
+                }
+            }
+            parameters.push(Parameter { column: column.clone(), value, std });
+        }
+        Ok(TorqueModel { robot: robot.into(), structure, mountings, parameters })
+    }
+
+    /// A model from names, as a model file holds it: per term its identity and `(column, value, std)` in any order.
+    ///
+    /// The rigid body has to be complete; any other term may lack columns (they are zero) but can't have foreign ones.
+    pub fn from_named(
+        robot: impl Into<String>,
+        chain: Chain,
+        kind: BaseKind,
+        mountings: Vec<Mounting>,
+        terms: &[(String, Vec<(String, f64, Option<f64>)>)],
+    ) -> Result<TorqueModel, ModelError> {
+        let reduction = Reduction::of_kind(&chain, kind);
+        if reduction.kind() != kind {
+            return Err(ModelError::Kind { expected: kind, found: reduction.kind() });
+        }
+        let ids: Vec<&str> = terms.iter().map(|(id, _)| id.as_str()).collect();
+        let full = Structure::of(chain, reduction, &ids)?;
+        for column in &full.columns()[..full.reduction().len()] {
+            let named = |(id, named): &(String, Vec<_>)| id == rigid_body::ID && has(named, &column.name);
+            if !terms.iter().any(named) {
+                return Err(ModelError::MissingColumn { name: column.name.clone() });
+            }
+        }
+        for (id, named) in terms {
+            let term = full.terms().iter().find(|term| term.id() == id);
+            let columns = term.map_or(Vec::new(), |term| term.columns());
+            for (index, (name, _, _)) in named.iter().enumerate() {
+                if !columns.iter().any(|column| column.name == *name) {
+                    return Err(ModelError::UnknownColumn { term: id.clone(), name: name.clone() });
+                }
+                if has(&named[..index], name) {
+                    return Err(ModelError::DuplicateColumn { name: name.clone() });
+                }
+            }
+        }
+        let all: Vec<&(String, f64, Option<f64>)> = terms.iter().flat_map(|(_, named)| named).collect();
+        let structure = full.restricted(|column| all.iter().any(|(name, _, _)| *name == column.name));
+        let value = |column: &Column| all.iter().find(|named| named.0 == column.name).map(|named| (named.1, named.2));
+        let values: Vec<_> = structure.columns().iter().filter_map(value).collect();
+        TorqueModel::new(robot, structure, mountings, &values)
+    }
+
+    /// Name of the robot.
+    pub fn robot(&self) -> &str {
+        &self.robot
+    }
+
+    /// GBS or VBS.
+    pub fn kind(&self) -> BaseKind {
+        self.structure.kind()
+    }
+
+    /// Its structure.
+    pub fn structure(&self) -> &Structure {
+        &self.structure
+    }
+
+    /// The mountings it was identified in.
+    pub fn mountings(&self) -> &[Mounting] {
+        &self.mountings
+    }
+
+    /// All parameters, in the order of the structure's columns.
+    pub fn parameters(&self) -> &[Parameter] {
+        &self.parameters
+    }
+
+    /// Identity of each term with its parameters, the rigid body first.
+    pub fn terms(&self) -> Vec<(&'static str, &[Parameter])> {
+        let ranges = self.structure.ranges();
+        self.structure.terms().iter().zip(ranges).map(|(term, range)| (term.id(), &self.parameters[range])).collect()
+    }
+
+    /// `beta`.
+    pub fn beta(&self) -> Vec<f64> {
+        self.parameters.iter().map(|parameter| parameter.value).collect()
+    }
+
+    /// Whether the model knows everything that a mounting needs: a GBS always, a VBS only with gravity along axis 1.
+    pub fn valid_in(&self, mounting: &Mounting) -> Result<(), MountingRefused> {
+        if self.kind() == BaseKind::Gbs || mounting.is_along_axis_1(VERTICAL_TOLERANCE) {
+            return Ok(());
+        }
+        let own = self.structure.reduction().independent();
+        let generalized = Reduction::any_mounting(self.structure.chain());
+        let missing = generalized.independent().iter().filter(|slot| !own.contains(slot));
+        let identified: Vec<String> = self.mountings.iter().map(|mounting| mounting.to_string()).collect();
+        Err(MountingRefused {
+            robot: self.robot.clone(),
+            kind: self.kind(),
+            identified: if identified.is_empty() { "in no stated mounting".into() } else { identified.join(", ") },
+            mounting: *mounting,
+            missing: missing.map(|&slot| super::expression::symbol(slot)).collect(),
+        })
+    }
+
+    /// The model with its numbers put in place for one gravity vector in the base frame \[m/s2\]. Does not ask
+    /// [`TorqueModel::valid_in`].
+    pub fn evaluator(&self, gravity: &Vector3<f64>) -> Evaluator {
+        let beta = self.beta();
+        let fixed =
+            |(term, range): (&Arc<dyn Term>, Range<usize>)| term.fix(self.structure.chain(), gravity, &beta[range]);
+        Evaluator { terms: self.structure.terms().iter().zip(self.structure.ranges()).map(fixed).collect() }
+    }
+
+    /// Torques along a motion, N x n \[Nm\], sample after sample with [`Evaluator::torque`].
+    pub fn predict(&self, motion: &Motion) -> DMatrix<f64> {
+        let n = motion.joints();
+        let mut evaluator = self.evaluator(&motion.gravity);
+        let mut tau = DMatrix::zeros(motion.samples(), n);
+        let mut sample = Sample::default();
+        for k in 0..motion.samples() {
+            for j in 0..n {
+                (sample.q[j], sample.dq[j], sample.ddq[j]) = (motion.q[(k, j)], motion.dq[(k, j)], motion.ddq[(k, j)]);
+            }
+            let Torque(now) = evaluator.torque(&sample);
+            for j in 0..n {
+                tau[(k, j)] = now[j];
+            }
+        }
+        tau
+    }
+}
+
+/// A model ready for the loop: its torque neither allocates nor panics.
+pub struct Evaluator {
+    terms: Vec<Box<dyn FixedTerm>>,
+}
+
+impl Evaluator {
+    /// Torque that the arm needs at `sample`: RNEA with the regrouped parameters in their slots, plus the other terms \[Nm\].
+    pub fn torque(&mut self, sample: &Sample) -> Torque {
+        let mut tau = JointVec::default();
+        for term in &mut self.terms {
+            term.torque(sample, &mut tau);
+        }
+        Torque(tau)
+    }
+}
+
+fn has(named: &[(String, f64, Option<f64>)], name: &str) -> bool {
+    named.iter().any(|(own, _, _)| own == name)
+}
