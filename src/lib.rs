@@ -12,6 +12,8 @@
 pub mod atomic;
 pub mod config;
 pub mod dataset;
+pub mod estimate;
+pub mod excite;
 pub mod input;
 pub mod joint;
 pub mod model;
