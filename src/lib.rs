@@ -5,7 +5,7 @@
 //! | floor | modules | what |
 //! |---|---|---|
 //! | 0 | [`joint`], [`input`] | fixed-size values with units; how bad input is reported |
-//! | 1 | [`model`], [`rt`] | the arm's dynamics, pure; the real-time loop and its traits |
+//! | 1 | [`model`], [`rt`] | the arm's dynamics, pure; the real-time loop, its guard and its traits |
 
 pub mod input;
 pub mod joint;
