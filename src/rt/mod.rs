@@ -2,7 +2,21 @@
 //!
 //! Nothing that runs inside a cycle allocates, locks, logs, panics, or makes a system call beyond its clock and its backend.
 
+pub mod cycle;
+pub mod guard;
+pub mod motion;
+pub mod moves;
+pub mod order;
+pub mod os;
+pub mod recorder;
+pub mod stats;
+
 use crate::joint::{Command, JointVec, Record, Setpoint, State, Torque};
+
+/// Time between two states of the arm \[s\].
+pub const PERIOD: f64 = 1e-3;
+/// The same \[ns\].
+pub const PERIOD_NS: u64 = 1_000_000;
 
 /// The hardware seam. Connecting is the constructor's business.
 pub trait Backend: Send {
@@ -17,6 +31,11 @@ pub trait Backend: Send {
 
     /// Ends the motion as fast as is safe. Idempotent, callable in any state, and silent: there is no one left to tell.
     fn stop(&mut self);
+
+    /// Deadline of the state read last, `CLOCK_MONOTONIC` \[ns\]; `None` where the arm has none.
+    fn deadline_ns(&self) -> Option<u64> {
+        None
+    }
 }
 
 /// Where the loop puts its records; `false` says that there was no room and the record is lost.

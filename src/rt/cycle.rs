@@ -1,0 +1,500 @@
+//! The loop: read, reference, feed-forward, guard, write, record.
+//!
+//! It runs on a thread of its own and is paced by the arm's blocking `read`. One pass per state: at most one order and one model are taken
+//! in, one command leaves, one record is made. Any failure of the arm ends the motion; any failure of a command ends in a controlled
+//! stop, and the loop then holds until an operator says otherwise.
+//!
+//! - The feed-forward torque is the served model's at the desired setpoint, every cycle, at rest too. Models change between two cycles; the
+//!   step from one model's torque to another's is not held against the torque rate, so an arm that is driven by torque must
+//!   blend it. When the torque itself breaks a limit, that model is not asked again: the feed-forward is zero until the next model.
+//! - A lost state is a cycle of the arm without an answer. Motions keep the arm's time: the next sample is the one that is due by
+//!   the arm's counter, and the guard differences over the time that really passed.
+
+use super::guard::{Guard, GuardSettings, Violation};
+use super::motion::{Finished, Motion, seconds};
+use super::moves::{MoveFactors, Planner};
+use super::order::{Event, Handles, Inlets, Order, OrderKind, Retired, StopReason, rings};
+use super::os::{Granted, Rights, become_realtime, now_ns};
+use super::recorder::Flight;
+use super::stats::{NotForward, Summary, Tally};
+use super::{Backend, Fault, FeedForward, Kinematics, Reference, Sink};
+use crate::joint::{Command, JointVec, MAX_JOINTS, Record, Setpoint, State, Torque};
+use assert_no_alloc::{assert_no_alloc, reset_violation_count, violation_count};
+
+/// What the loop is built from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CycleSettings {
+    /// Limits of commands and states.
+    pub guard: GuardSettings,
+    /// Share of the limits that point-to-point motions and the stop use.
+    pub moves: MoveFactors,
+    /// Longest run of lost states that a motion goes on after.
+    pub max_consecutive_lost: u64,
+    /// Room for orders in the queue.
+    pub queue: usize,
+    /// Records kept for the outcome, whatever happens to the sink.
+    pub flight: usize,
+    /// What the loop's thread asks of the operating system.
+    pub rights: Rights,
+}
+
+impl CycleSettings {
+    /// The usual loop: 10 lost states in a row (half of what the FCI tolerates), 64 orders, 200 records kept, real-time rights.
+    pub fn new(guard: GuardSettings) -> CycleSettings {
+        CycleSettings {
+            guard,
+            moves: MoveFactors::default(),
+            max_consecutive_lost: 10,
+            queue: 64,
+            flight: 200,
+            rights: Rights::default(),
+        }
+    }
+}
+
+/// Settings that no loop can be built from.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum SetupError {
+    /// More joints than fixed-size messages hold, or none.
+    #[error("the arm has {joints} joints, expected 1 to {MAX_JOINTS}")]
+    Joints {
+        /// Joints of the arm.
+        joints: usize,
+    },
+    /// A limit is not a positive number, or the position limits are the wrong way round.
+    #[error("limit {name} of joint {} is {value}, expected a finite number{expected}", .joint + 1)]
+    Limit {
+        /// Which limit.
+        name: &'static str,
+        /// Joint, counted from 0.
+        joint: usize,
+        /// Its value.
+        value: f64,
+        /// What more is expected of it.
+        expected: &'static str,
+    },
+    /// A share of the limits is outside (0, 1].
+    #[error("the share {name} of the limits is {value}, expected more than 0 and at most 1")]
+    Factor {
+        /// Which share.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// There is a workspace and no kinematics to hold it with.
+    #[error("a workspace was given without kinematics")]
+    NoKinematics,
+}
+
+/// How the loop ended.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum End {
+    /// It was asked to, and the arm was at rest.
+    #[error("ended on request, at rest")]
+    Quit,
+    /// The arm could not go on.
+    #[error("{0}")]
+    Fault(Fault),
+    /// The controlled stop itself broke a limit; the arm was stopped by its own means.
+    #[error("while braking: {0}")]
+    Unsafe(Violation),
+    /// No controlled stop could be planned; the arm was stopped by its own means.
+    #[error("no controlled stop from the last setpoint")]
+    NoBrake,
+    /// The arm's cycle counter did not go forward.
+    #[error("the arm's cycle counter went from {last} to {seq}")]
+    Clock {
+        /// Counter of the state before.
+        last: u64,
+        /// Counter of the last state.
+        seq: u64,
+    },
+}
+
+/// What the loop leaves behind.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outcome {
+    /// How it ended.
+    pub end: End,
+    /// Controlled stops on the way.
+    pub stops: u32,
+    /// Reason of the last of them.
+    pub last_stop: Option<StopReason>,
+    /// Counts and percentiles.
+    pub summary: Summary,
+    /// What the operating system granted.
+    pub granted: Granted,
+    /// Allocations and deallocations inside the loop; `None` when the program's allocator does not watch
+    /// (`assert_no_alloc::AllocDisabler` is not its global allocator).
+    pub allocations: Option<u32>,
+    /// The last cycles, oldest first.
+    pub flight: Vec<Record>,
+}
+
+impl From<NotForward> for End {
+    fn from(NotForward { last, seq }: NotForward) -> End {
+        End::Clock { last, seq }
+    }
+}
+
+/// The loop and everything it needs, allocated before it starts.
+pub struct Cycle<B: Backend, S: Sink> {
+    backend: B,
+    sink: S,
+    joints: usize,
+    tracking: JointVec,
+    max_lost: u64,
+    rights: Rights,
+    inlets: Inlets,
+    /// Orders given under an older permission than this don't run.
+    permission: u32,
+    motion: Motion,
+    model: Option<Box<dyn FeedForward>>,
+    model_trusted: bool,
+    guard: Guard,
+    /// A reference that found the ring full; it goes before anything new comes in.
+    leaving: Option<Box<dyn Reference>>,
+    tally: Tally,
+    work_ns: u64,
+    flight: Flight,
+    stops: u32,
+    last_stop: Option<StopReason>,
+}
+
+/// Builds the loop and the outside end of its rings.
+pub fn new<B: Backend, S: Sink>(
+    backend: B,
+    sink: S,
+    kinematics: Option<Box<dyn Kinematics>>,
+    settings: CycleSettings,
+) -> Result<(Cycle<B, S>, Handles), SetupError> {
+    let joints = backend.joints();
+    check(joints, &settings, kinematics.is_some())?;
+    let (inlets, handles) = rings(settings.queue);
+    let planner = Planner::new(joints, settings.guard.limits, settings.moves);
+    let cycle = Cycle {
+        backend,
+        sink,
+        joints,
+        tracking: settings.guard.tracking,
+        max_lost: settings.max_consecutive_lost,
+        rights: settings.rights,
+        inlets,
+        permission: 0,
+        motion: Motion::new(joints, planner),
+        model: None,
+        model_trusted: false,
+        guard: Guard::new(joints, settings.guard, settings.moves.brake, kinematics),
+        leaving: None,
+        tally: Tally::new(),
+        work_ns: 0,
+        flight: Flight::new(settings.flight),
+        stops: 0,
+        last_stop: None,
+    };
+    Ok((cycle, handles))
+}
+
+impl<B: Backend, S: Sink> Cycle<B, S> {
+    /// Runs until something ends it; call it on the thread that is to be real-time.
+    pub fn run(&mut self) -> Outcome {
+        let granted = become_realtime(&self.rights);
+        let watched = allocations_are_watched();
+        let before = violation_count();
+        let end = assert_no_alloc(|| {
+            loop {
+                if let Err(end) = self.cycle() {
+                    self.backend.stop();
+                    break end;
+                }
+            }
+        });
+        Outcome {
+            end,
+            stops: self.stops,
+            last_stop: self.last_stop,
+            summary: self.tally.summary(),
+            granted,
+            allocations: watched.then(|| violation_count().wrapping_sub(before)),
+            flight: self.flight.in_order(),
+        }
+    }
+
+    /// One pass.
+    fn cycle(&mut self) -> Result<(), End> {
+        if self.inlets.controls.wants_quit() && (self.motion.is_holding() || self.motion.is_stopped()) {
+            return Err(End::Quit);
+        }
+        // Read: the arm paces the loop.
+        let state = self.backend.read().map_err(End::Fault)?;
+        let stamp_ns = now_ns();
+        let gap = self.arrived(&state, stamp_ns)?;
+        // Reference: where the motion is by the arm's clock, after hearing what the outside wants.
+        self.advance(gap);
+        self.listen(gap)?;
+        let mut desired = self.motion.sample();
+        // Feed-forward: the served model at the desired setpoint.
+        let mut tau_ff = self.torque(&desired);
+        // Guard: a command that breaks a limit is not sent; the first sample of the stop takes its place.
+        if self.motion.is_stopping() {
+            self.guard.check_brake(seconds(gap), &desired, &tau_ff, &state).map_err(End::Unsafe)?;
+        } else if let Err(violation) = self.guard.check(seconds(gap), &desired, &tau_ff, &state) {
+            self.brake(StopReason::Guard(violation), gap)?;
+            desired = self.motion.sample();
+            tau_ff = self.torque(&desired);
+            self.guard.check_brake(seconds(gap), &desired, &tau_ff, &state).map_err(End::Unsafe)?;
+        }
+        // Write and record.
+        let command = Command { seq: state.seq, desired, tau_ff };
+        let written = self.backend.write(&command);
+        self.motion.sent(&desired);
+        self.record(state, command, stamp_ns);
+        written.map_err(End::Fault)
+    }
+
+    /// Counts the state; the first one says where the arm holds.
+    fn arrived(&mut self, state: &State, stamp_ns: u64) -> Result<u64, End> {
+        let first = self.tally.summary.cycles == 0;
+        let gap = self.tally.arrived(state.seq, stamp_ns)?;
+        if let Some(deadline_ns) = self.backend.deadline_ns() {
+            self.tally.woke(stamp_ns.saturating_sub(deadline_ns));
+        }
+        if first {
+            // The arm's own desired position, unless it does not go with where the arm is.
+            let agrees = |j: usize| (state.q_d[j] - state.q[j]).abs() <= self.tracking[j];
+            self.motion.start(if (0..self.joints).all(agrees) { state.q_d } else { state.q });
+            self.guard.start(self.motion.sample().q);
+        }
+        Ok(gap)
+    }
+
+    fn advance(&mut self, gap: u64) {
+        match self.motion.advance(gap) {
+            None => {}
+            Some(Finished::Order { motion, reference }) => {
+                self.retire(reference);
+                self.tell(Event::Ended { motion });
+            }
+            Some(Finished::Brake) => {
+                self.inlets.controls.wait_for_permission();
+                self.tell(Event::Stopped);
+            }
+        }
+    }
+
+    /// Takes in what the outside wants: permission, stop, one model, one order.
+    fn listen(&mut self, gap: u64) -> Result<(), End> {
+        if let Some(reference) = self.leaving.take() {
+            self.retire(Some(reference));
+        }
+        let permission = self.inlets.controls.permission();
+        if self.motion.is_stopped() && permission != self.permission {
+            self.permission = permission;
+            self.motion.resume();
+            self.tell(Event::Resumed);
+        }
+        let lost = gap.saturating_sub(1);
+        if lost > self.max_lost {
+            self.brake(StopReason::LostStates { lost }, gap)?;
+        }
+        if self.inlets.controls.take_stop() {
+            self.brake(StopReason::Requested, gap)?;
+        }
+        if self.inlets.controls.wants_quit() {
+            return if self.motion.is_holding() { Ok(()) } else { self.brake(StopReason::Quit, gap) };
+        }
+        self.take_model();
+        self.take_order(gap)
+    }
+
+    /// Swaps the model between two cycles; the old one leaves over the ring, so nothing is freed here.
+    fn take_model(&mut self) {
+        if !self.can_retire() {
+            return;
+        }
+        if let Ok(model) = self.inlets.models.pop() {
+            let id = model.id();
+            if let Some(old) = self.model.replace(model) {
+                // There is room: it was asked for above, and this thread alone fills the ring.
+                let _ = self.inlets.retired.push(Retired::Model(old));
+            }
+            self.model_trusted = true;
+            self.guard.model_changed();
+            self.tell(Event::Serving { model: id });
+        }
+    }
+
+    /// Begins the next order when the present one has ended; discards one that was given before a stop was resumed.
+    fn take_order(&mut self, gap: u64) -> Result<(), End> {
+        let Ok(waiting) = self.inlets.orders.peek() else { return Ok(()) };
+        let outdated = waiting.permission != self.permission || self.motion.is_stopping();
+        // An order under a newer permission waits until the loop has seen that permission itself.
+        let early = waiting.permission.wrapping_sub(self.permission).cast_signed() > 0;
+        if early || !(outdated || self.motion.is_holding()) || !self.can_retire() {
+            return Ok(());
+        }
+        let Ok(permitted) = self.inlets.orders.pop() else { return Ok(()) };
+        if outdated {
+            self.discard(permitted.order);
+            return Ok(());
+        }
+        let motion = permitted.order.motion;
+        let aim = match &permitted.order.kind {
+            OrderKind::MoveTo { target, .. } => self.guard.check_target(target).map_err(StopReason::Guard),
+            OrderKind::Follow(_) | OrderKind::Dwell { .. } => Ok(()),
+        };
+        match aim.and(self.motion.begin(permitted.order)) {
+            Ok(()) => {
+                self.tell(Event::Started { motion });
+                Ok(())
+            }
+            Err(reason) => self.brake(reason, gap),
+        }
+    }
+
+    fn discard(&mut self, order: Order) {
+        self.tally.summary.discarded += 1;
+        self.tell(Event::Discarded { motion: order.motion });
+        if let OrderKind::Follow(reference) = order.kind {
+            self.retire(Some(reference));
+        }
+    }
+
+    /// Controlled stop from the setpoint sent last; nothing to do while one is under way.
+    fn brake(&mut self, reason: StopReason, gap: u64) -> Result<(), End> {
+        if self.motion.is_stopping() {
+            return Ok(());
+        }
+        self.stops = self.stops.saturating_add(1);
+        self.last_stop = Some(reason);
+        self.tell(Event::Stopping { motion: self.motion.number(), reason });
+        if let (StopReason::Guard(violation), Some(model)) = (reason, &self.model)
+            && violation.blames_model()
+        {
+            let model = model.id();
+            self.distrust(model);
+        }
+        let reference = self.motion.brake(gap).map_err(|_| End::NoBrake)?;
+        self.retire(reference);
+        Ok(())
+    }
+
+    /// The model is not asked again; the next one starts afresh.
+    fn distrust(&mut self, model: u64) {
+        self.model_trusted = false;
+        self.guard.model_changed();
+        self.tell(Event::Distrusted { model });
+    }
+
+    /// Torque of the served model; zero while there is none.
+    fn torque(&mut self, desired: &Setpoint) -> Torque {
+        let mut torque = match &mut self.model {
+            Some(model) if self.model_trusted => model.torque(desired),
+            _ => Torque::default(),
+        };
+        for j in self.joints..MAX_JOINTS {
+            torque.0[j] = 0.0;
+        }
+        torque
+    }
+
+    fn record(&mut self, state: State, command: Command, stamp_ns: u64) {
+        let record = Record {
+            cycle: self.tally.summary.cycles.saturating_sub(1),
+            state,
+            command,
+            phase: self.motion.phase(),
+            motion: self.motion.number(),
+            tick: self.motion.tick(),
+            model: self.model.as_ref().filter(|_| self.model_trusted).map_or(0, |model| model.id()),
+            stamp_ns,
+            wake_ns: self.backend.deadline_ns().map_or(0, |deadline_ns| stamp_ns.saturating_sub(deadline_ns)),
+            work_ns: self.work_ns,
+        };
+        self.work_ns = now_ns().saturating_sub(stamp_ns);
+        self.tally.worked(self.work_ns);
+        self.flight.keep(&record);
+        if !self.sink.put(&record) {
+            self.tally.summary.unrecorded += 1;
+        }
+        let Summary { cycles, lost, late, unrecorded, .. } = self.tally.summary;
+        self.inlets.controls.show(record.phase, cycles, lost, late, unrecorded);
+    }
+
+    fn can_retire(&self) -> bool {
+        self.leaving.is_none() && self.inlets.retired.slots() > 1
+    }
+
+    /// Hands a box out to be freed elsewhere; a full ring makes it wait, and nothing new comes in before it has left.
+    fn retire(&mut self, reference: Option<Box<dyn Reference>>) {
+        let Some(reference) = reference else { return };
+        if let Err(rtrb::PushError::Full(Retired::Reference(reference))) =
+            self.inlets.retired.push(Retired::Reference(reference))
+        {
+            self.leaving = Some(reference);
+        }
+    }
+
+    fn tell(&mut self, event: Event) {
+        if self.inlets.events.push(event).is_err() {
+            self.tally.summary.untold += 1;
+        }
+    }
+}
+
+/// Whatever ends the loop's thread, a panic in a model included, the arm does not go on.
+impl<B: Backend, S: Sink> Drop for Cycle<B, S> {
+    fn drop(&mut self) {
+        self.backend.stop();
+    }
+}
+
+/// Whether the program's allocator counts: allocates once under watch, and takes the count back.
+fn allocations_are_watched() -> bool {
+    let before = violation_count();
+    assert_no_alloc(|| {
+        drop(std::hint::black_box(Box::new(before)));
+        let watched = violation_count() != before;
+        // Taken back in here, because a count that has grown is reported on leaving.
+        reset_violation_count();
+        watched
+    })
+}
+
+fn check(joints: usize, settings: &CycleSettings, has_kinematics: bool) -> Result<(), SetupError> {
+    if joints == 0 || joints > MAX_JOINTS {
+        return Err(SetupError::Joints { joints });
+    }
+    let GuardSettings { limits, workspace, tracking } = &settings.guard;
+    for j in 0..joints {
+        let positive = [
+            ("dq", limits.dq[j]),
+            ("ddq", limits.ddq[j]),
+            ("jerk", limits.jerk[j]),
+            ("tau", limits.tau[j]),
+            ("dtau", limits.dtau[j]),
+            ("tracking", tracking[j]),
+        ];
+        for (name, value) in positive {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(SetupError::Limit { name, joint: j, value, expected: " above 0" });
+            }
+        }
+        for (name, value) in [("q_min", limits.q_min[j]), ("q_max", limits.q_max[j])] {
+            if !value.is_finite() {
+                return Err(SetupError::Limit { name, joint: j, value, expected: "" });
+            }
+        }
+        if limits.q_min[j] >= limits.q_max[j] {
+            let value = limits.q_max[j];
+            return Err(SetupError::Limit { name: "q_max", joint: j, value, expected: " above q_min" });
+        }
+    }
+    let MoveFactors { velocity, acceleration, jerk, brake } = settings.moves;
+    for (name, value) in [("velocity", velocity), ("acceleration", acceleration), ("jerk", jerk), ("brake", brake)] {
+        if !(value > 0.0 && value <= 1.0) {
+            return Err(SetupError::Factor { name, value });
+        }
+    }
+    if workspace.is_some() && !has_kinematics { Err(SetupError::NoKinematics) } else { Ok(()) }
+}

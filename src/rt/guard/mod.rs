@@ -1,0 +1,311 @@
+//! Checks every command before it leaves.
+//!
+//! A command passes when it is finite, inside every limit by its stated values and by differences of what was sent before, and when
+//! the arm can still be braked inside the limits from it. What the arm measured is checked beside it. A command that fails is not sent: the
+//! loop brakes, and the brake's own samples pass only the checks that keep their meaning then ([`Guard::check_brake`]).
+
+mod history;
+
+use super::moves::stop_distances;
+use super::{Kinematics, PERIOD};
+use crate::joint::{JointVec, Limits, MAX_JOINTS, Setpoint, State, Torque, Workspace};
+use history::History;
+use std::fmt;
+
+/// What a command or a state can break.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Limit {
+    /// A number of the command is NaN or infinite.
+    NotFinite,
+    /// The feed-forward torque is NaN or infinite.
+    TorqueNotFinite,
+    /// A number of the measured state is NaN or infinite.
+    MeasuredNotFinite,
+    /// Commanded position.
+    Position,
+    /// Position at which the arm would come to rest if it were braked from this command.
+    StoppingPosition,
+    /// Commanded velocity.
+    Velocity,
+    /// Velocity that the commanded acceleration leads to even if it is taken back from here on.
+    VelocityAhead,
+    /// Commanded acceleration.
+    Acceleration,
+    /// Commanded jerk.
+    Jerk,
+    /// The stated velocity is not the derivative of the positions.
+    StatedVelocity,
+    /// The stated acceleration is not the derivative of the positions.
+    StatedAcceleration,
+    /// Feed-forward torque.
+    Torque,
+    /// Rate of the feed-forward torque.
+    TorqueRate,
+    /// End effector outside its box; the joint is the axis, x first.
+    EndEffectorBox,
+    /// End effector inside the sphere around the base.
+    BaseSphere,
+    /// Measured position away from the position sent last.
+    Tracking,
+    /// Measured torque.
+    MeasuredTorque,
+}
+
+/// The first limit that a command or a state broke.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Violation {
+    /// Which limit.
+    pub limit: Limit,
+    /// Joint (axis of the base frame for the box), counted from 0.
+    pub joint: usize,
+    /// Value found, in the limit's unit.
+    pub value: f64,
+    /// What it was held against.
+    pub bound: f64,
+}
+
+impl Violation {
+    /// Whether the feed-forward torque, and so the model, is at fault.
+    pub fn blames_model(&self) -> bool {
+        matches!(self.limit, Limit::TorqueNotFinite | Limit::Torque | Limit::TorqueRate)
+    }
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Violation { value, bound, .. } = self;
+        let joint = self.joint + 1;
+        match self.limit {
+            Limit::NotFinite => write!(f, "joint {joint}: the command is not a finite number ({value})"),
+            Limit::TorqueNotFinite => {
+                write!(f, "joint {joint}: the feed-forward torque is not a finite number ({value})")
+            }
+            Limit::MeasuredNotFinite => write!(f, "joint {joint}: the measured state is not a finite number ({value})"),
+            Limit::Position => write!(f, "joint {joint}: commanded position {value:.6} rad, limit {bound:.6}"),
+            Limit::StoppingPosition => {
+                write!(f, "joint {joint}: would come to rest at {value:.6} rad at best, limit {bound:.6}")
+            }
+            Limit::Velocity => write!(f, "joint {joint}: commanded velocity {value:.6} rad/s, limit {bound:.6}"),
+            Limit::VelocityAhead => write!(f, "joint {joint}: would reach {value:.6} rad/s at best, limit {bound:.6}"),
+            Limit::Acceleration => {
+                write!(f, "joint {joint}: commanded acceleration {value:.6} rad/s2, limit {bound:.6}")
+            }
+            Limit::Jerk => write!(f, "joint {joint}: commanded jerk {value:.4} rad/s3, limit {bound:.4}"),
+            Limit::StatedVelocity => {
+                write!(f, "joint {joint}: stated velocity {value:.6} rad/s, by the positions {bound:.6}")
+            }
+            Limit::StatedAcceleration => {
+                write!(f, "joint {joint}: stated acceleration {value:.6} rad/s2, by the positions {bound:.6}")
+            }
+            Limit::Torque => write!(f, "joint {joint}: feed-forward torque {value:.4} Nm, limit {bound:.4}"),
+            Limit::TorqueRate => write!(f, "joint {joint}: feed-forward torque rate {value:.3} Nm/s, limit {bound:.3}"),
+            Limit::EndEffectorBox => {
+                let axis = ["x", "y", "z"].get(self.joint).unwrap_or(&"?");
+                write!(f, "end effector at {axis} = {value:.4} m, box edge {bound:.4}")
+            }
+            Limit::BaseSphere => write!(f, "end effector {value:.4} m from the base's origin, radius {bound:.4}"),
+            Limit::Tracking => write!(f, "joint {joint}: {value:.6} rad away from its command, tolerance {bound:.6}"),
+            Limit::MeasuredTorque => write!(f, "joint {joint}: measured torque {value:.4} Nm, limit {bound:.4}"),
+        }
+    }
+}
+
+/// What the guard holds commands and states against.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GuardSettings {
+    /// Joint limits.
+    pub limits: Limits,
+    /// Where the end effector may be. The braking distance is not part of it: choose it with room to stop.
+    pub workspace: Option<Workspace>,
+    /// Largest distance of the measured position from the position sent last \[rad\].
+    pub tracking: JointVec,
+}
+
+/// Rounding of positions and their differences must not look like a violation: this share of a limit is forgiven.
+const ROUNDING: f64 = 1e-6;
+
+/// The guard: limits, and the history of what was sent.
+pub struct Guard {
+    joints: usize,
+    settings: GuardSettings,
+    brake: f64,
+    kinematics: Option<Box<dyn Kinematics>>,
+    history: History,
+    tau_last: Option<JointVec>,
+}
+
+impl Guard {
+    /// A guard for an arm that rests at zero until [`start`](Guard::start) says where. `brake` is the share of the acceleration
+    /// and jerk limits that the controlled stop uses.
+    pub fn new(joints: usize, settings: GuardSettings, brake: f64, kinematics: Option<Box<dyn Kinematics>>) -> Guard {
+        Guard {
+            joints: joints.min(MAX_JOINTS),
+            settings,
+            brake,
+            kinematics,
+            history: History::at_rest(JointVec::default(), PERIOD),
+            tau_last: None,
+        }
+    }
+
+    /// The arm rests at `q` \[rad\].
+    pub fn start(&mut self, q: JointVec) {
+        self.history = History::at_rest(q, PERIOD);
+        self.tau_last = None;
+    }
+
+    /// Another model serves, or none: the step between two models is not a torque rate.
+    pub fn model_changed(&mut self) {
+        self.tau_last = None;
+    }
+
+    /// Checks the command that is to be sent `dt` \[s\] after the last one, and the state that it answers. A command that passes
+    /// becomes part of the history.
+    pub fn check(&mut self, dt: f64, desired: &Setpoint, tau_ff: &Torque, state: &State) -> Result<(), Violation> {
+        self.finite(desired, tau_ff, state)?;
+        self.measured(state)?;
+        for j in 0..self.joints {
+            self.position(j, desired.q[j])?;
+            self.derivatives(j, desired, dt)?;
+            self.can_stop(j, desired)?;
+        }
+        self.torque(tau_ff, Some(dt))?;
+        self.end_effector(&desired.q)?;
+        self.sent(dt, desired, tau_ff);
+        Ok(())
+    }
+
+    /// Checks a sample of the controlled stop, or of the rest after it: finite numbers, positions and torques. The other limits have just
+    /// been broken or are kept by the stop's own plan.
+    pub fn check_brake(
+        &mut self,
+        dt: f64,
+        desired: &Setpoint,
+        tau_ff: &Torque,
+        state: &State,
+    ) -> Result<(), Violation> {
+        self.finite(desired, tau_ff, state)?;
+        for j in 0..self.joints {
+            self.position(j, desired.q[j])?;
+        }
+        self.torque(tau_ff, None)?;
+        self.sent(dt, desired, tau_ff);
+        Ok(())
+    }
+
+    fn sent(&mut self, dt: f64, desired: &Setpoint, tau_ff: &Torque) {
+        self.history.push(desired.q, dt);
+        self.tau_last = Some(tau_ff.0);
+    }
+
+    fn finite(&self, desired: &Setpoint, tau_ff: &Torque, state: &State) -> Result<(), Violation> {
+        for j in 0..self.joints {
+            finite(Limit::NotFinite, j, [desired.q[j], desired.dq[j], desired.ddq[j]])?;
+            finite(Limit::TorqueNotFinite, j, [tau_ff.0[j]])?;
+            finite(Limit::MeasuredNotFinite, j, [state.q[j], state.dq[j], state.tau[j]])?;
+        }
+        Ok(())
+    }
+
+    fn measured(&self, state: &State) -> Result<(), Violation> {
+        for j in 0..self.joints {
+            within(Limit::MeasuredTorque, j, state.tau[j], self.settings.limits.tau[j])?;
+            within(Limit::Tracking, j, state.q[j] - self.history.last()[j], self.settings.tracking[j])?;
+        }
+        Ok(())
+    }
+
+    /// Whether a motion may be aimed at `target` \[rad\].
+    pub fn check_target(&self, target: &JointVec) -> Result<(), Violation> {
+        (0..self.joints).try_for_each(|j| self.position(j, target[j]))
+    }
+
+    fn position(&self, joint: usize, q: f64) -> Result<(), Violation> {
+        self.between(Limit::Position, joint, q, q)
+    }
+
+    /// `low` and `high` against the position limits; written so that a NaN fails.
+    fn between(&self, limit: Limit, joint: usize, low: f64, high: f64) -> Result<(), Violation> {
+        let (q_min, q_max) = (self.settings.limits.q_min[joint], self.settings.limits.q_max[joint]);
+        if !(low >= q_min - ROUNDING) {
+            Err(Violation { limit, joint, value: low, bound: q_min })
+        } else if !(high <= q_max + ROUNDING) {
+            Err(Violation { limit, joint, value: high, bound: q_max })
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Velocity, acceleration and jerk as the arm will see them, and as the setpoint states them.
+    fn derivatives(&self, j: usize, desired: &Setpoint, dt: f64) -> Result<(), Violation> {
+        let limits = &self.settings.limits;
+        let (dq, ddq) = (desired.dq[j], desired.ddq[j]);
+        let seen = self.history.differences(j, desired.q[j], dt);
+        within(Limit::Velocity, j, seen.dq, limits.dq[j])?;
+        within(Limit::Velocity, j, dq, limits.dq[j])?;
+        within(Limit::Acceleration, j, seen.ddq, limits.ddq[j])?;
+        within(Limit::Acceleration, j, ddq, limits.ddq[j])?;
+        within(Limit::Jerk, j, seen.jerk, limits.jerk[j])?;
+
+        // The stop starts from the stated derivatives, so they must be those of the positions: Taylor's remainder at bounded jerk.
+        let dq_seen = seen.dq + 0.5 * ddq * dt;
+        if (dq - dq_seen).abs() > 0.5 * limits.jerk[j] * dt * dt {
+            return Err(Violation { limit: Limit::StatedVelocity, joint: j, value: dq, bound: dq_seen });
+        }
+        if (ddq - seen.ddq).abs() > limits.jerk[j] * seen.span {
+            return Err(Violation { limit: Limit::StatedAcceleration, joint: j, value: ddq, bound: seen.ddq });
+        }
+        Ok(())
+    }
+
+    /// Whether a stop from here stays inside the limits: otherwise the brake itself would break them.
+    fn can_stop(&self, j: usize, desired: &Setpoint) -> Result<(), Violation> {
+        let limits = &self.settings.limits;
+        let (q, dq, ddq) = (desired.q[j], desired.dq[j], desired.ddq[j]);
+        let (ddq_brake, jerk_brake) = (self.brake * limits.ddq[j], self.brake * limits.jerk[j]);
+        within(Limit::VelocityAhead, j, dq + ddq * ddq.abs() / (2.0 * jerk_brake), limits.dq[j])?;
+        let (up, down) = stop_distances(dq, ddq, ddq_brake, jerk_brake);
+        self.between(Limit::StoppingPosition, j, q - down, q + up)
+    }
+
+    fn torque(&self, tau_ff: &Torque, dt: Option<f64>) -> Result<(), Violation> {
+        let limits = &self.settings.limits;
+        for j in 0..self.joints {
+            within(Limit::Torque, j, tau_ff.0[j], limits.tau[j])?;
+            if let (Some(last), Some(dt)) = (&self.tau_last, dt) {
+                within(Limit::TorqueRate, j, (tau_ff.0[j] - last[j]) / dt, limits.dtau[j])?;
+            }
+        }
+        Ok(())
+    }
+
+    fn end_effector(&self, q: &JointVec) -> Result<(), Violation> {
+        let (Some(space), Some(kinematics)) = (&self.settings.workspace, &self.kinematics) else { return Ok(()) };
+        let x = kinematics.end_effector(q);
+        for axis in 0..3 {
+            let (value, low, high) = (x[axis], space.box_min[axis], space.box_max[axis]);
+            // Written so that a NaN fails too.
+            if !(value >= low && value <= high) {
+                let bound = if value > high { high } else { low };
+                return Err(Violation { limit: Limit::EndEffectorBox, joint: axis, value, bound });
+            }
+        }
+        let distance = x.iter().map(|c| c * c).sum::<f64>().sqrt();
+        if distance < space.base_radius {
+            return Err(Violation { limit: Limit::BaseSphere, joint: 0, value: distance, bound: space.base_radius });
+        }
+        Ok(())
+    }
+}
+
+fn finite<const N: usize>(limit: Limit, joint: usize, values: [f64; N]) -> Result<(), Violation> {
+    match values.into_iter().find(|value| !value.is_finite()) {
+        None => Ok(()),
+        Some(value) => Err(Violation { limit, joint, value, bound: f64::MAX }),
+    }
+}
+
+/// `|value| <= bound` but for rounding; a NaN fails.
+fn within(limit: Limit, joint: usize, value: f64, bound: f64) -> Result<(), Violation> {
+    if value.abs() <= bound * (1.0 + ROUNDING) { Ok(()) } else { Err(Violation { limit, joint, value, bound }) }
+}

@@ -1,0 +1,189 @@
+//! What the loop is doing: every mode is a source of setpoints, so the loop itself knows no modes.
+
+use super::moves::{NoMotion, Planner};
+use super::order::{Order, OrderKind, StopReason};
+use super::{PERIOD, Reference};
+use crate::joint::{JointVec, MAX_JOINTS, Phase, Setpoint};
+
+/// A reference may start this far from where the arm rests \[rad\]; more would be a step that no arm can follow.
+const START_TOLERANCE: f64 = 1e-6;
+
+enum Doing {
+    Hold,
+    Move { phase: Phase },
+    Follow(Box<dyn Reference>),
+    Dwell { ticks: u64 },
+    Brake,
+    Stopped,
+}
+
+/// The end of a motion, noticed in the first cycle after its last sample.
+pub(super) enum Finished {
+    /// An order has run to its end; its reference, if it had one, is done with.
+    Order { motion: u32, reference: Option<Box<dyn Reference>> },
+    /// The brake has brought the arm to rest.
+    Brake,
+}
+
+/// The present motion and the place in it.
+pub(super) struct Motion {
+    joints: usize,
+    planner: Planner,
+    doing: Doing,
+    number: u32,
+    tick: u64,
+    /// The setpoint sent last.
+    last: Setpoint,
+}
+
+impl Motion {
+    /// Holds at zero until [`start`](Motion::start) says where.
+    pub fn new(joints: usize, planner: Planner) -> Motion {
+        let joints = joints.min(MAX_JOINTS);
+        Motion { joints, planner, doing: Doing::Hold, number: 0, tick: 0, last: Setpoint::default() }
+    }
+
+    /// Holds at `q`; entries past the arm's joints are dropped.
+    pub fn start(&mut self, q: JointVec) {
+        self.last = self.only_own_joints(Setpoint { q, ..Setpoint::default() });
+        self.doing = Doing::Hold;
+    }
+
+    /// Moves on by `gap` cycles of the arm. A motion whose last sample has been sent ends here.
+    pub fn advance(&mut self, gap: u64) -> Option<Finished> {
+        if self.is_moving() && self.tick >= self.last_tick() {
+            return Some(match std::mem::replace(&mut self.doing, Doing::Hold) {
+                Doing::Brake => {
+                    self.doing = Doing::Stopped;
+                    Finished::Brake
+                }
+                Doing::Follow(reference) => Finished::Order { motion: self.number, reference: Some(reference) },
+                _ => Finished::Order { motion: self.number, reference: None },
+            });
+        }
+        if self.is_moving() {
+            self.tick = self.tick.saturating_add(gap);
+        }
+        None
+    }
+
+    /// Begins an order from the present rest. On an error the order's reference is kept as the present motion, so that
+    /// [`brake`](Motion::brake) hands it back.
+    pub fn begin(&mut self, order: Order) -> Result<(), StopReason> {
+        let motion = order.motion;
+        (self.number, self.tick) = (motion, 0);
+        match order.kind {
+            OrderKind::MoveTo { target, phase } => {
+                self.planner.move_to(&self.last, &target).map_err(|NoMotion| StopReason::NoPath { motion })?;
+                self.doing = Doing::Move { phase };
+            }
+            OrderKind::Dwell { ticks } => self.doing = Doing::Dwell { ticks },
+            OrderKind::Follow(reference) => {
+                let first = reference.at(0).q;
+                self.doing = Doing::Follow(reference);
+                for joint in 0..self.joints {
+                    let distance = first[joint] - self.last.q[joint];
+                    // Written so that a NaN fails too.
+                    if !(distance.abs() <= START_TOLERANCE) {
+                        return Err(StopReason::NotAtStart { motion, joint, distance });
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Brakes from the setpoint sent last, `gap` cycles of the arm ago; the reference under way is done with.
+    pub fn brake(&mut self, gap: u64) -> Result<Option<Box<dyn Reference>>, NoMotion> {
+        let planned = self.planner.stop(&self.last);
+        self.tick = gap;
+        let reference = match std::mem::replace(&mut self.doing, Doing::Brake) {
+            Doing::Follow(reference) => Some(reference),
+            _ => None,
+        };
+        planned.map(|()| reference)
+    }
+
+    /// Allows orders again after a stop.
+    pub fn resume(&mut self) {
+        if matches!(self.doing, Doing::Stopped) {
+            self.doing = Doing::Hold;
+        }
+    }
+
+    /// The setpoint of this cycle.
+    pub fn sample(&mut self) -> Setpoint {
+        let sample = match &self.doing {
+            Doing::Hold | Doing::Dwell { .. } | Doing::Stopped => Setpoint { q: self.last.q, ..Setpoint::default() },
+            Doing::Move { .. } | Doing::Brake => self.planner.at(self.tick),
+            Doing::Follow(reference) => reference.at(self.tick.min(self.last_tick())),
+        };
+        self.only_own_joints(sample)
+    }
+
+    /// Notes what was sent.
+    pub fn sent(&mut self, desired: &Setpoint) {
+        self.last = *desired;
+    }
+
+    /// How records of this cycle are marked.
+    pub fn phase(&self) -> Phase {
+        match &self.doing {
+            Doing::Hold | Doing::Dwell { .. } => Phase::Hold,
+            Doing::Move { phase } => *phase,
+            Doing::Follow(_) => Phase::Excite,
+            Doing::Brake => Phase::Stop,
+            Doing::Stopped => Phase::Stopped,
+        }
+    }
+
+    /// Number of the present or last order, 0 before the first.
+    pub fn number(&self) -> u32 {
+        self.number
+    }
+
+    /// Sample of the present motion; in the rest after it, the last one.
+    pub fn tick(&self) -> u64 {
+        self.tick
+    }
+
+    /// Ready for the next order.
+    pub fn is_holding(&self) -> bool {
+        matches!(self.doing, Doing::Hold)
+    }
+
+    /// At rest after a stop, waiting for permission.
+    pub fn is_stopped(&self) -> bool {
+        matches!(self.doing, Doing::Stopped)
+    }
+
+    /// Braking, or at rest after it.
+    pub fn is_stopping(&self) -> bool {
+        matches!(self.doing, Doing::Brake | Doing::Stopped)
+    }
+
+    fn is_moving(&self) -> bool {
+        !matches!(self.doing, Doing::Hold | Doing::Stopped)
+    }
+
+    fn last_tick(&self) -> u64 {
+        match &self.doing {
+            Doing::Hold | Doing::Stopped => 0,
+            Doing::Move { .. } | Doing::Brake => self.planner.last_tick(),
+            Doing::Follow(reference) => reference.ticks().saturating_sub(1),
+            Doing::Dwell { ticks } => ticks.saturating_sub(1),
+        }
+    }
+
+    fn only_own_joints(&self, mut setpoint: Setpoint) -> Setpoint {
+        for j in self.joints..MAX_JOINTS {
+            (setpoint.q[j], setpoint.dq[j], setpoint.ddq[j]) = (0.0, 0.0, 0.0);
+        }
+        setpoint
+    }
+}
+
+/// Seconds in a number of the arm's cycles.
+pub(super) fn seconds(cycles: u64) -> f64 {
+    cycles as f64 * PERIOD
+}

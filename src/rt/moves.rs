@@ -1,0 +1,169 @@
+//! Point-to-point motions and the controlled stop, both time-optimal under velocity, acceleration and jerk limits (ruckig).
+//!
+//! Planning happens inside a cycle: it takes microseconds and allocates nothing as long as the input is sound, so the input is
+//! checked here first.
+
+use super::PERIOD;
+use crate::joint::{JointVec, Limits, MAX_JOINTS, Setpoint};
+use rsruckig::brake::stop_distance_third_order;
+use rsruckig::prelude::{
+    ControlInterface, DataArrayOrVec, InputParameter, Ruckig, RuckigResult, Synchronization, ThrowErrorHandler,
+    Trajectory,
+};
+
+/// Which part of the joint limits the loop's own motions use.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MoveFactors {
+    /// Share of the velocity limit in a point-to-point motion.
+    pub velocity: f64,
+    /// Share of the acceleration limit in a point-to-point motion.
+    pub acceleration: f64,
+    /// Share of the jerk limit in a point-to-point motion.
+    pub jerk: f64,
+    /// Share of the acceleration and jerk limits that the controlled stop uses. What is left over is the guard's margin.
+    pub brake: f64,
+}
+
+impl Default for MoveFactors {
+    /// A fifth of every limit for motions, 95 % for the stop.
+    fn default() -> MoveFactors {
+        MoveFactors { velocity: 0.2, acceleration: 0.2, jerk: 0.2, brake: 0.95 }
+    }
+}
+
+/// No motion from here to there, or a state that no stop can start from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("ruckig found no motion")]
+pub struct NoMotion;
+
+type Dof<T> = DataArrayOrVec<T, MAX_JOINTS>;
+
+/// Plans one motion at a time and gives its samples. Joints past the arm's own take no part and stay at zero.
+pub struct Planner {
+    joints: usize,
+    limits: Limits,
+    factors: MoveFactors,
+    otg: Ruckig<MAX_JOINTS, ThrowErrorHandler>,
+    input: InputParameter<MAX_JOINTS>,
+    trajectory: Trajectory<MAX_JOINTS>,
+    sample: [Dof<f64>; 3],
+    last_tick: u64,
+    end: JointVec,
+}
+
+impl Planner {
+    /// Allocates everything. `limits` hold finite positive numbers for the first `joints` joints.
+    pub fn new(joints: usize, limits: Limits, factors: MoveFactors) -> Planner {
+        let joints = joints.min(MAX_JOINTS);
+        let mut input = InputParameter::new(None);
+        for j in 0..MAX_JOINTS {
+            input.enabled[j] = j < joints;
+            // Harmless values for the joints that take no part; the others are set with every plan.
+            (input.max_velocity[j], input.max_acceleration[j], input.max_jerk[j]) = (1.0, 1.0, 1.0);
+        }
+        Planner {
+            joints,
+            limits,
+            factors,
+            otg: Ruckig::new(None, PERIOD),
+            input,
+            trajectory: Trajectory::new(None),
+            sample: std::array::from_fn(|_| Dof::new(None, 0.0)),
+            last_tick: 0,
+            end: JointVec::default(),
+        }
+    }
+
+    /// Plans the motion from the rest at `from.q` to the rest at `target` \[rad\]; all joints start and end together.
+    pub fn move_to(&mut self, from: &Setpoint, target: &JointVec) -> Result<(), NoMotion> {
+        let MoveFactors { velocity, acceleration, jerk, .. } = self.factors;
+        self.input.control_interface = ControlInterface::Position;
+        self.input.synchronization = Synchronization::Time;
+        for j in 0..self.joints {
+            self.input.target_position[j] = target[j];
+        }
+        self.plan(from, velocity, acceleration, jerk)?;
+        // Ruckig reaches the target to rounding; the last sample is the target itself.
+        self.end = *target;
+        self.mask_end();
+        Ok(())
+    }
+
+    /// Plans the stop from the moving setpoint `from`: every joint comes to rest by itself as fast as its own acceleration and jerk
+    /// limits allow, so that none travels further than it must.
+    pub fn stop(&mut self, from: &Setpoint) -> Result<(), NoMotion> {
+        let brake = self.factors.brake;
+        self.input.control_interface = ControlInterface::Velocity;
+        self.input.synchronization = Synchronization::None;
+        for j in 0..self.joints {
+            self.input.target_position[j] = 0.0;
+        }
+        self.plan(from, 1.0, brake, brake)?;
+        self.evaluate(self.trajectory.get_duration());
+        for j in 0..self.joints {
+            self.end[j] = self.sample[0][j];
+        }
+        self.mask_end();
+        Ok(())
+    }
+
+    /// Index of the last sample, at which the arm rests.
+    pub fn last_tick(&self) -> u64 {
+        self.last_tick
+    }
+
+    /// Sample `tick`, `tick` ms after the start; past the end the arm rests.
+    pub fn at(&mut self, tick: u64) -> Setpoint {
+        if tick >= self.last_tick {
+            return Setpoint { q: self.end, ..Setpoint::default() };
+        }
+        self.evaluate(tick as f64 * PERIOD);
+        let mut out = Setpoint::default();
+        for j in 0..self.joints {
+            (out.q[j], out.dq[j], out.ddq[j]) = (self.sample[0][j], self.sample[1][j], self.sample[2][j]);
+        }
+        out
+    }
+
+    fn plan(&mut self, from: &Setpoint, velocity: f64, acceleration: f64, jerk: f64) -> Result<(), NoMotion> {
+        for j in 0..self.joints {
+            self.input.current_position[j] = from.q[j];
+            self.input.current_velocity[j] = from.dq[j];
+            self.input.current_acceleration[j] = from.ddq[j];
+            self.input.max_velocity[j] = velocity * self.limits.dq[j];
+            self.input.max_acceleration[j] = acceleration * self.limits.ddq[j];
+            self.input.max_jerk[j] = jerk * self.limits.jerk[j];
+            // Ruckig formats text, which allocates, and may even panic on numbers that are none.
+            let numbers = [from.q[j], from.dq[j], from.ddq[j], self.input.target_position[j]];
+            if !numbers.iter().all(|x| x.is_finite()) {
+                return Err(NoMotion);
+            }
+        }
+        match self.otg.calculate(&self.input, &mut self.trajectory) {
+            Ok(RuckigResult::Working | RuckigResult::Finished) => {}
+            _ => return Err(NoMotion),
+        }
+        let duration = self.trajectory.get_duration();
+        if !duration.is_finite() {
+            return Err(NoMotion);
+        }
+        self.last_tick = (duration / PERIOD).ceil() as u64;
+        Ok(())
+    }
+
+    fn evaluate(&mut self, time: f64) {
+        let [q, dq, ddq] = &mut self.sample;
+        self.trajectory.at_time(time, &mut Some(q), &mut Some(dq), &mut Some(ddq), &mut None, &mut None);
+    }
+
+    fn mask_end(&mut self) {
+        for j in self.joints..MAX_JOINTS {
+            self.end[j] = 0.0;
+        }
+    }
+}
+
+/// How far a joint travels up and down from here when it stops with `ddq` and `jerk`, both without a sign \[rad\].
+pub fn stop_distances(dq_now: f64, ddq_now: f64, ddq: f64, jerk: f64) -> (f64, f64) {
+    (stop_distance_third_order(dq_now, ddq_now, ddq, jerk), stop_distance_third_order(-dq_now, -ddq_now, ddq, jerk))
+}
