@@ -6,7 +6,9 @@
 //! |---|---|---|
 //! | 0 | [`joint`], [`input`] | fixed-size values with units; how bad input is reported |
 //! | 1 | [`model`], [`rt`] | the arm's dynamics, pure; the real-time loop and its traits |
+//! | 2 | [`backend`] | the arms behind one trait: the simulated one, and the suite every arm passes |
 
+pub mod backend;
 pub mod input;
 pub mod joint;
 pub mod model;

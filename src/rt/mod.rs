@@ -17,6 +17,11 @@ pub trait Backend: Send {
 
     /// Ends the motion as fast as is safe. Idempotent, callable in any state, and silent: there is no one left to tell.
     fn stop(&mut self);
+
+    /// Deadline of the state read last, `CLOCK_MONOTONIC` \[ns\]; `None` where the arm has none.
+    fn deadline_ns(&self) -> Option<u64> {
+        None
+    }
 }
 
 /// Where the loop puts its records; `false` says that there was no room and the record is lost.
