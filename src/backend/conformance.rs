@@ -1,0 +1,1 @@
+//! The promises of [`Backend`], as tests that run against every implementation. Each panics with what was broken.

@@ -1,0 +1,33 @@
+//! The friction every joint has: `fv dq + fc tanh(100 dq)`, the law the paper identifies.
+
+use super::{At, Effect};
+use crate::backend::sim::truth::Truth;
+use crate::joint::{JointVec, MAX_JOINTS};
+
+/// Steepness of the Coulomb term's step \[s/rad\] (paper, section II-A).
+pub(in crate::backend::sim) const STEEPNESS: f64 = 100.0;
+
+pub(in crate::backend::sim) struct Friction {
+    fv: JointVec,
+    fc: JointVec,
+}
+
+impl Friction {
+    /// `replaced(joint)` says that another effect stands for that joint's Coulomb friction.
+    pub fn new(truth: &Truth, replaced: impl Fn(usize) -> bool) -> Friction {
+        let mut friction = Friction { fv: [0.0; MAX_JOINTS], fc: [0.0; MAX_JOINTS] };
+        for (j, joint) in truth.joints.iter().enumerate() {
+            friction.fv[j] = joint.fv;
+            friction.fc[j] = if replaced(j) { 0.0 } else { joint.fc };
+        }
+        friction
+    }
+}
+
+impl Effect for Friction {
+    fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
+        for j in 0..at.n {
+            tau[j] -= self.fv[j] * at.dq[j] + self.fc[j] * (STEEPNESS * at.dq[j]).tanh();
+        }
+    }
+}

@@ -1,0 +1,273 @@
+//! The simulated arm: articulated-body dynamics, an inner impedance controller behind a joint-position interface like the FCI's,
+//! friction, effects, noise, quantisation and lost states.
+//!
+//! | file | what |
+//! |---|---|
+//! | `truth` | the arm's masses, friction, controller, sensors and effects, from a file |
+//! | `spatial`, `aba` | its own rigid-body mechanics |
+//! | `effect` | what the estimator does not know |
+//! | `commands`, `plant` | the controller's smooth target; the integration of everything |
+//! | `sensors`, `gate` | noise and loss; back-pressure at full speed |
+//!
+//! The same truth, seed and commands give the same states bit by bit.
+
+mod aba;
+mod commands;
+pub mod effect;
+mod gate;
+mod plant;
+mod sensors;
+mod spatial;
+pub mod truth;
+
+pub use gate::Gate;
+pub use plant::Exact;
+pub use truth::Truth;
+
+use super::Clock;
+use crate::input::BadInput;
+use crate::joint::{Command, JointVec, State};
+use crate::model::chain::Chain;
+use crate::model::gravity::Mounting;
+use crate::rt::{Backend, Fault};
+use commands::{Commands, Objection, TICK};
+use effect::Effect;
+use plant::{MAX_STATES, Plant};
+use sensors::{Losses, Sensors};
+use std::sync::Arc;
+
+/// `Fault::Refused`: a commanded position was not a number.
+pub const REFUSED_NOT_FINITE: u32 = 1;
+/// `Fault::Refused`: the commanded position stepped by more than 10 rad/s, or its velocity by more than 0.5 rad/s, in one millisecond.
+pub const REFUSED_JUMP: u32 = 2;
+/// `Fault::Refused`: the arm was stopped, or its reflex stopped it.
+pub const REFUSED_STOPPED: u32 = 3;
+/// `Fault::Reflex`: 20 commands in a row did not come (`communication_constraints_violation` of the FCI).
+pub const REFLEX_COMMUNICATION: u32 = 25;
+
+/// Missing commands in a row that end a motion.
+const MISSING: u32 = 20;
+
+/// How a simulated arm keeps time.
+pub enum Pace {
+    /// One state per millisecond of this clock, on absolute deadlines. Whoever comes late finds the states that are due and gets them
+    /// at once, none lost.
+    WallClock(Box<dyn Clock>),
+    /// As fast as the gate lets states through.
+    Fast(Arc<Gate>),
+}
+
+/// Why a simulated arm could not be built.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SimError {
+    /// The truth describes another number of joints.
+    #[error("the simulated arm has {truth} links, the robot {chain} joints")]
+    Joints {
+        /// Links in the truth.
+        truth: usize,
+        /// Joints of the robot.
+        chain: usize,
+    },
+    /// The start pose or the mounting is not a number.
+    #[error("the simulated arm cannot start at {value} in {what}")]
+    NotFinite {
+        /// `joint 3`, `gravity`.
+        what: String,
+        /// The value given.
+        value: f64,
+    },
+    /// More effects than the arm has room for.
+    #[error("the effects have {states} continuous states, the simulated arm has room for {MAX_STATES}")]
+    TooManyStates {
+        /// States of all effects together.
+        states: usize,
+    },
+    /// The truth file is wrong.
+    #[error(transparent)]
+    Truth(#[from] BadInput),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Mode {
+    /// Nobody has commanded anything yet.
+    Idle,
+    Moving,
+    /// Braked by its own reflex; it says so until it is stopped.
+    Reflex,
+    Stopped,
+}
+
+/// A simulated arm.
+pub struct SimArm {
+    joints: usize,
+    plant: Plant,
+    commands: Commands,
+    sensors: Sensors,
+    losses: Losses,
+    pace: Pace,
+    mode: Mode,
+    pending: Option<JointVec>,
+    missing: u32,
+    seq: u64,
+    exact: Exact,
+    /// Deadline of state 0 on the wall clock; known from the first read on \[ns\].
+    origin_ns: Option<u64>,
+}
+
+impl SimArm {
+    /// An arm with the kinematics of `chain`, at rest at `start` \[rad\].
+    ///
+    /// `seed` decides its noise and losses.
+    ///
+    /// # Errors
+    /// [`SimError`] when truth and chain do not fit, or a number is none.
+    pub fn new(
+        chain: &Chain,
+        truth: &Truth,
+        mounting: Mounting,
+        start: JointVec,
+        seed: u64,
+        pace: Pace,
+    ) -> Result<SimArm, SimError> {
+        let effects = truth.effects.iter().map(|effect| effect.build(truth)).collect();
+        SimArm::with_effects(chain, truth, mounting, start, seed, pace, effects)
+    }
+
+    fn with_effects(
+        chain: &Chain,
+        truth: &Truth,
+        mounting: Mounting,
+        start: JointVec,
+        seed: u64,
+        pace: Pace,
+        effects: Vec<Box<dyn Effect>>,
+    ) -> Result<SimArm, SimError> {
+        let n = chain.len();
+        if truth.joints() != n {
+            return Err(SimError::Joints { truth: truth.joints(), chain: n });
+        }
+        let gravity = mounting.gravity();
+        if let Some(&value) = gravity.iter().find(|value| !value.is_finite()) {
+            return Err(SimError::NotFinite { what: "gravity".into(), value });
+        }
+        if let Some(j) = (0..n).find(|&j| !start[j].is_finite()) {
+            return Err(SimError::NotFinite { what: format!("joint {}", j + 1), value: start[j] });
+        }
+        let states = effects.iter().map(|effect| effect.states()).sum();
+        if states > MAX_STATES {
+            return Err(SimError::TooManyStates { states });
+        }
+        Ok(SimArm {
+            joints: n,
+            plant: Plant::new(chain, truth, gravity, &start, effects),
+            commands: Commands::at_rest(n, &start),
+            sensors: Sensors::new(truth, seed),
+            losses: Losses::new(truth, seed),
+            pace,
+            mode: Mode::Idle,
+            pending: None,
+            missing: 0,
+            seq: 0,
+            exact: Exact::default(),
+            origin_ns: None,
+        })
+    }
+
+    /// The arm's exact motion at the state read last, for comparisons; no real arm has this.
+    pub fn exact(&self) -> &Exact {
+        &self.exact
+    }
+
+    /// One millisecond of the arm's life.
+    fn tick(&mut self) -> State {
+        match (self.mode, self.pending.take()) {
+            (Mode::Moving, Some(q)) => {
+                self.missing = 0;
+                self.commands.push(&q);
+            }
+            (Mode::Moving, None) => {
+                self.missing += 1;
+                if self.missing < MISSING {
+                    self.commands.extrapolate();
+                } else {
+                    self.mode = Mode::Reflex;
+                    self.commands.brake();
+                }
+            }
+            (Mode::Idle | Mode::Reflex | Mode::Stopped, _) => self.commands.brake(),
+        }
+        self.plant.advance(&self.commands);
+        self.seq += 1;
+        let (mut reading, exact) = self.plant.sense(&self.commands);
+        self.sensors.distort(&mut reading);
+        self.exact = exact;
+        State {
+            seq: self.seq,
+            time: self.seq as f64 * TICK,
+            q: reading.q,
+            dq: reading.dq,
+            tau: reading.tau,
+            q_d: *self.commands.newest(),
+        }
+    }
+
+    /// Waits for the moment of the present state.
+    fn keep_pace(&mut self) {
+        if let Pace::WallClock(clock) = &self.pace {
+            let now = clock.now_ns();
+            let origin = *self.origin_ns.get_or_insert(now.saturating_sub((self.seq - 1) * 1_000_000));
+            clock.sleep_until(origin + self.seq * 1_000_000);
+        }
+    }
+}
+
+impl Backend for SimArm {
+    fn joints(&self) -> usize {
+        self.joints
+    }
+
+    fn read(&mut self) -> Result<State, Fault> {
+        if let Pace::Fast(gate) = &self.pace {
+            gate.pass().map_err(|_| Fault::Disconnected)?;
+        }
+        let mut state = self.tick();
+        while self.losses.next() {
+            state = self.tick();
+        }
+        self.keep_pace();
+        match self.mode {
+            Mode::Reflex => {
+                // No state goes out, so no record comes back for it.
+                if let Pace::Fast(gate) = &self.pace {
+                    gate.consumed(1);
+                }
+                Err(Fault::Reflex { code: REFLEX_COMMUNICATION })
+            }
+            Mode::Idle | Mode::Moving | Mode::Stopped => Ok(state),
+        }
+    }
+
+    fn write(&mut self, command: &Command) -> Result<(), Fault> {
+        if matches!(self.mode, Mode::Reflex | Mode::Stopped) {
+            return Err(Fault::Refused { code: REFUSED_STOPPED });
+        }
+        match self.commands.objection(&command.desired.q) {
+            Some(Objection::NotFinite) => Err(Fault::Refused { code: REFUSED_NOT_FINITE }),
+            Some(Objection::Jump) => Err(Fault::Refused { code: REFUSED_JUMP }),
+            None => {
+                self.mode = Mode::Moving;
+                self.pending = Some(command.desired.q);
+                Ok(())
+            }
+        }
+    }
+
+    fn stop(&mut self) {
+        self.mode = Mode::Stopped;
+        self.pending = None;
+    }
+
+    fn deadline_ns(&self) -> Option<u64> {
+        self.origin_ns.map(|origin| origin + self.seq * 1_000_000)
+    }
+}

@@ -1,0 +1,236 @@
+//! The arm itself: rigid bodies, effects and the inner controller, integrated together by Runge-Kutta 4.
+//!
+//! The controller is a joint impedance around the smoothed commands, evaluated continuously:
+//!
+//!   tau = K (q_d - q) + D (dq_d - dq) + M(q_d) ddq_d + C(q_d, dq_d) dq_d + g(q_d),
+//!
+//! with the arm's own nominal rigid model. `tau` is what the torque sensors measure, and what the identified model has to explain:
+//! rigid body, friction and effects.
+
+use super::aba::{aba, inverse};
+use super::commands::{Commands, TICK};
+use super::effect::{At, Effect, Friction, Reading};
+use super::spatial::{Force, Mechanism};
+use super::truth::Truth;
+use crate::joint::{JointVec, MAX_JOINTS, Setpoint};
+use crate::model::chain::{Chain, Placement};
+use nalgebra::Vector3;
+use std::ops::Range;
+
+/// An effect and where its states lie in the plant's state.
+struct Placed {
+    effect: Box<dyn Effect>,
+    states: Range<usize>,
+}
+
+/// Everything about the arm at an instant that only a simulation knows.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Exact {
+    /// Joint position \[rad\].
+    pub q: JointVec,
+    /// Joint velocity \[rad/s\].
+    pub dq: JointVec,
+    /// Joint acceleration \[rad/s2\].
+    pub ddq: JointVec,
+    /// Torque of the actuators \[Nm\].
+    pub tau: JointVec,
+}
+
+pub(super) struct Plant {
+    nominal: Mechanism,
+    actual: Mechanism,
+    /// As the arm was told; effects may bend it.
+    gravity: Vector3<f64>,
+    stiffness: JointVec,
+    damping: JointVec,
+    effects: Vec<Placed>,
+    substeps: u32,
+    ticks: u64,
+    /// `[q, dq, states of the effects]`.
+    y: Vec<f64>,
+    stage: Vec<f64>,
+    slopes: [Vec<f64>; 4],
+}
+
+/// The controller's side of an instant: what it tracks, and the feed-forward that takes.
+#[derive(Clone, Copy)]
+struct Target {
+    desired: Setpoint,
+    load: JointVec,
+}
+
+impl Plant {
+    /// At rest at `q`; `effects` act in their order, after friction.
+    pub fn new(
+        chain: &Chain,
+        truth: &Truth,
+        gravity: Vector3<f64>,
+        q: &JointVec,
+        effects: Vec<Box<dyn Effect>>,
+    ) -> Plant {
+        let n = chain.len();
+        let nominal = Mechanism::new(chain, &truth.inertias());
+        let mut actual = nominal.clone();
+        let friction = Friction::new(truth, |joint| effects.iter().any(|effect| effect.replaces_coulomb(joint)));
+        let mut placed: Vec<Placed> = Vec::new();
+        let mut end = 2 * n;
+        for effect in std::iter::once::<Box<dyn Effect>>(Box::new(friction)).chain(effects) {
+            for j in 0..n {
+                actual.armature[j] += effect.armature(j);
+            }
+            let states = end..end + effect.states();
+            end = states.end;
+            placed.push(Placed { effect, states });
+        }
+        let mut y = vec![0.0; end];
+        y[..n].copy_from_slice(&q[..n]);
+        let per_joint = |value: fn(&super::truth::JointTruth) -> f64| {
+            let mut vector = [0.0; MAX_JOINTS];
+            vector.iter_mut().zip(&truth.joints).for_each(|(slot, joint)| *slot = value(joint));
+            vector
+        };
+        Plant {
+            nominal,
+            actual,
+            gravity,
+            stiffness: per_joint(|joint| joint.stiffness),
+            damping: per_joint(|joint| joint.damping),
+            effects: placed,
+            substeps: truth.substeps,
+            ticks: 0,
+            stage: y.clone(),
+            slopes: std::array::from_fn(|_| y.clone()),
+            y,
+        }
+    }
+
+    /// One millisecond along `commands`. Allocates nothing.
+    pub fn advance(&mut self, commands: &Commands) {
+        self.pick_up(self.time());
+        let h = TICK / f64::from(self.substeps);
+        let mut from = self.target(&commands.at(0.0));
+        for k in 0..self.substeps {
+            let t = self.time() + f64::from(k) * h;
+            let share = |part: f64| (f64::from(k) + part) / f64::from(self.substeps);
+            let middle = self.target(&commands.at(share(0.5)));
+            let to = self.target(&commands.at(share(1.0)));
+            self.slope(0, None, t, &from);
+            self.slope(1, Some((0, 0.5 * h)), t + 0.5 * h, &middle);
+            self.slope(2, Some((1, 0.5 * h)), t + 0.5 * h, &middle);
+            self.slope(3, Some((2, h)), t + h, &to);
+            let [k1, k2, k3, k4] = &self.slopes;
+            for (i, value) in self.y.iter_mut().enumerate() {
+                *value += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
+            }
+            from = to;
+        }
+        self.ticks += 1;
+    }
+
+    /// What the sensors say now, before noise, and what is true. Once per millisecond: effects may remember.
+    pub fn sense(&mut self, commands: &Commands) -> (Reading, Exact) {
+        let (t, n) = (self.time(), self.actual.n);
+        let target = self.target(&commands.at(1.0));
+        self.stage.copy_from_slice(&self.y);
+        let at = at(t, n, &self.y, &target);
+        let (q, dq) = self.encoders(&at);
+        let tau = self.controller(&q, &dq, &at);
+        let ddq = self.acceleration(&at, &tau, &mut [0.0; MAX_STATES]);
+        let mut reading = Reading { q, dq, tau };
+        for placed in &mut self.effects {
+            placed.effect.sense(&at, &self.y[placed.states.clone()], &mut reading);
+        }
+        (reading, Exact { q: at.q, dq: at.dq, ddq, tau })
+    }
+
+    /// Time since the start \[s\].
+    fn time(&self) -> f64 {
+        self.ticks as f64 * TICK
+    }
+
+    /// Bodies that the links carry from now on.
+    fn pick_up(&mut self, t: f64) {
+        self.actual.links = self.nominal.links;
+        for (link, inertia) in self.effects.iter().filter_map(|placed| placed.effect.inertia(t)) {
+            self.actual.links[link] += inertia;
+        }
+    }
+
+    fn target(&self, desired: &Setpoint) -> Target {
+        let load = inverse(&self.nominal, &self.gravity, &desired.q, &desired.dq, &desired.ddq);
+        Target { desired: *desired, load }
+    }
+
+    /// Writes slope `which` at the state, moved by `(slope, step)`.
+    fn slope(&mut self, which: usize, from: Option<(usize, f64)>, t: f64, target: &Target) {
+        self.stage.copy_from_slice(&self.y);
+        if let Some((slope, step)) = from {
+            for (value, slope) in self.stage.iter_mut().zip(&self.slopes[slope]) {
+                *value += step * slope;
+            }
+        }
+        let n = self.actual.n;
+        let at = at(t, n, &self.stage, target);
+        let (q, dq) = self.encoders(&at);
+        let tau = self.controller(&q, &dq, &at);
+        let mut dx = [0.0; MAX_STATES];
+        let ddq = self.acceleration(&at, &tau, &mut dx);
+        let slope = &mut self.slopes[which];
+        slope[..n].copy_from_slice(&at.dq[..n]);
+        slope[n..2 * n].copy_from_slice(&ddq[..n]);
+        let own = slope.len() - 2 * n;
+        slope[2 * n..].copy_from_slice(&dx[..own]);
+    }
+
+    /// What the encoders see of the state in `stage`.
+    fn encoders(&self, at: &At) -> (JointVec, JointVec) {
+        let (mut q, mut dq) = (at.q, at.dq);
+        for placed in &self.effects {
+            placed.effect.encoder(at, &self.stage[placed.states.clone()], &mut q, &mut dq);
+        }
+        (q, dq)
+    }
+
+    fn controller(&self, q: &JointVec, dq: &JointVec, at: &At) -> JointVec {
+        let mut tau = at.load;
+        for j in 0..at.n {
+            tau[j] += self.stiffness[j] * (at.desired.q[j] - q[j]) + self.damping[j] * (at.desired.dq[j] - dq[j]);
+        }
+        tau
+    }
+
+    /// Joint accelerations of the state in `stage` under actuator torque `tau`; writes the derivatives of the effects' states.
+    fn acceleration(&self, at: &At, tau: &JointVec, dx: &mut [f64; MAX_STATES]) -> JointVec {
+        let n = self.actual.n;
+        let mut gravity = self.gravity;
+        let mut link_torque = *tau;
+        let mut external = [Force::ZERO; MAX_JOINTS];
+        for placed in &self.effects {
+            let x = &self.stage[placed.states.clone()];
+            let own = placed.states.start - 2 * n..placed.states.end - 2 * n;
+            placed.effect.gravity(at.t, &mut gravity);
+            placed.effect.torque(at, x, &mut dx[own], &mut link_torque);
+            if let Some(wrench) = placed.effect.wrench(at) {
+                let to_base = self.orientation(&at.q, wrench.link);
+                let f = to_base.rotation.tr_mul(&wrench.force);
+                let n = to_base.rotation.tr_mul(&wrench.moment) + wrench.point.cross(&f);
+                external[wrench.link] += Force { n, f };
+            }
+        }
+        aba(&self.actual, &gravity, &external, &at.q, &at.dq, &link_torque)
+    }
+
+    fn orientation(&self, q: &JointVec, link: usize) -> Placement {
+        (0..=link).fold(Placement::identity(), |base, i| base.then(&self.actual.frames[i].at(q[i])))
+    }
+}
+
+/// Room for the continuous states of all effects together.
+pub(super) const MAX_STATES: usize = 64;
+
+fn at(t: f64, n: usize, y: &[f64], target: &Target) -> At {
+    let mut at = At { t, n, desired: target.desired, load: target.load, ..At::default() };
+    at.q[..n].copy_from_slice(&y[..n]);
+    at.dq[..n].copy_from_slice(&y[n..2 * n]);
+    at
+}
