@@ -1,0 +1,228 @@
+//! Requests and responses on the command service: JSON in a byte slice of bounded length.
+//!
+//! JSON, because these are rare, made by people and scripts in any language, and must survive a newer or older peer: what
+//! can't be read is answered with [`Response::Refused`] and a reason.
+
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+use super::error::IpcError;
+use crate::joint::Phase;
+
+/// Longest request. A model file of 1 MiB fits in even when every second character needs an escape.
+pub const MAX_REQUEST_BYTES: usize = 2 << 20;
+/// Longest answer.
+pub(super) const MAX_RESPONSE_BYTES: usize = 64 << 10;
+
+/// What a client may ask of the daemon.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "request", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Request {
+    /// How is the daemon? Answered with [`Response::Status`].
+    Status {},
+    /// Brake now and stay at rest.
+    Stop {},
+    /// Go on after a stop.
+    Resume {},
+    /// Stop, then end the daemon.
+    Quit {},
+    /// Serve the model that this text describes from the next cycle on.
+    OfferModel {
+        /// A model file's text.
+        toml: String,
+    },
+}
+
+/// What the daemon answers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "response", rename_all = "kebab-case")]
+pub enum Response {
+    /// To [`Request::Status`].
+    Status(Box<Status>),
+    /// The request will be carried out.
+    Accepted {},
+    /// The model is served under this identity.
+    ModelAccepted {
+        /// Identity of the model as it appears in records and feed-forward values.
+        model: u64,
+    },
+    /// The request won't be carried out.
+    Refused {
+        /// Why not, in one sentence.
+        reason: String,
+    },
+}
+
+/// How the daemon is. Numbers are since its start.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub struct Status {
+    /// The robot served.
+    pub robot: String,
+    /// Number of joints.
+    pub joints: usize,
+    /// What the loop is doing.
+    #[serde(with = "phase_name")]
+    pub phase: Phase,
+    /// Number of the present motion.
+    pub motion: u32,
+    /// Cycles run.
+    pub cycles: u64,
+    /// States of the arm that were never seen.
+    pub lost: u64,
+    /// Cycles that started after their deadline.
+    pub late: u64,
+    /// Records that found no room between the loop and the bridge thread.
+    pub dropped: u64,
+    /// Identity of the served model, 0 while there is none.
+    pub model: u64,
+    /// Direction of gravity, as far as it is known.
+    pub mounting: Option<Mounting>,
+    /// What the job is at, for people to read.
+    pub job: String,
+    /// Counters of the shared-memory side; take them from [`Server::served`](super::Server::served).
+    pub served: Served,
+}
+
+/// Direction of the gravitational acceleration in the base frame, paper eq. 3.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Mounting {
+    /// Angle from the base frame's z axis; pi is upright on a table \[rad\].
+    pub rho: f64,
+    /// Angle about the z axis \[rad\].
+    pub phi: f64,
+    /// The acceleration itself \[m/s2\].
+    pub gravity: [f64; 3],
+}
+
+/// What the shared-memory side has done since the daemon's start.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub struct Served {
+    /// Identity of the daemon's start.
+    pub epoch: u64,
+    /// Records published.
+    pub published: u64,
+    /// Number of the oldest record still held; as many have been given up.
+    pub first_retained: u64,
+    /// Records given up that no follower had acknowledged before.
+    pub given_up_unacknowledged: u64,
+    /// The furthest acknowledgement of any follower: all records before it arrived.
+    pub acknowledged: u64,
+    /// Records sent again because a follower missed them.
+    pub replayed: u64,
+    /// Batches that shared memory had no room for; followers fetch their records by replay.
+    pub unsent_batches: u64,
+    /// Feed-forward values published.
+    pub feed_forward: u64,
+    /// Requests that could not be read.
+    pub garbled_requests: u64,
+    /// The last thing that shared memory refused to do, if any.
+    pub trouble: Option<String>,
+    /// Whoever follows the samples.
+    pub followers: Vec<Follower>,
+}
+
+/// One follower of the samples.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub struct Follower {
+    /// What it calls itself.
+    pub name: String,
+    /// Its process.
+    pub pid: u32,
+    /// All records before this number arrived there.
+    pub acknowledged: u64,
+    /// Time since it was last heard of \[ms\].
+    pub silent_ms: u64,
+}
+
+/// Writes `value` as JSON of at most `limit` bytes.
+pub(super) fn encode<T: Serialize>(what: &'static str, value: &T, limit: usize) -> Result<Vec<u8>, IpcError> {
+    let bytes = serde_json::to_vec(value).map_err(|error| IpcError::Garbled { what, reason: error.to_string() })?;
+    if bytes.len() > limit {
+        return Err(IpcError::TooLong { what, bytes: bytes.len(), limit });
+    }
+    Ok(bytes)
+}
+
+/// Reads JSON of at most `limit` bytes.
+pub(super) fn decode<T: DeserializeOwned>(what: &'static str, bytes: &[u8], limit: usize) -> Result<T, IpcError> {
+    if bytes.len() > limit {
+        return Err(IpcError::TooLong { what, bytes: bytes.len(), limit });
+    }
+    serde_json::from_slice(bytes).map_err(|error| IpcError::Garbled { what, reason: error.to_string() })
+}
+
+/// A phase by its name, as people read it.
+mod phase_name {
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    use crate::joint::Phase;
+
+    const NAMES: [(Phase, &str); 6] = [
+        (Phase::Hold, "hold"),
+        (Phase::Approach, "approach"),
+        (Phase::Excite, "excite"),
+        (Phase::Return, "return"),
+        (Phase::Stop, "stop"),
+        (Phase::Stopped, "stopped"),
+    ];
+
+    pub fn serialize<S: Serializer>(phase: &Phase, serializer: S) -> Result<S::Ok, S::Error> {
+        let name = NAMES.iter().find(|(known, _)| known == phase).map_or("unknown", |(_, name)| name);
+        serializer.serialize_str(name)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Phase, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        let known = NAMES.iter().find(|(_, name)| *name == text).map(|(phase, _)| *phase);
+        known.ok_or_else(|| D::Error::custom(format!("phase `{text}` does not exist")))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn requests_and_responses_come_back_as_they_were() {
+        let toml = "name = \"a\"\n# \u{3c1}\n".to_string();
+        for request in
+            [Request::Status {}, Request::Stop {}, Request::Resume {}, Request::Quit {}, Request::OfferModel { toml }]
+        {
+            let bytes = encode("request", &request, MAX_REQUEST_BYTES).unwrap();
+            assert_eq!(decode::<Request>("request", &bytes, MAX_REQUEST_BYTES).unwrap(), request);
+        }
+        for code in 0..6 {
+            let status = Status {
+                phase: Phase::from_u32(code).unwrap(),
+                mounting: Some(Mounting { rho: 1.0, phi: 0.25, gravity: [0.0, 0.0, -9.81] }),
+                served: Served { followers: vec![Follower::default()], ..Served::default() },
+                ..Status::default()
+            };
+            let response = Response::Status(Box::new(status));
+            let bytes = encode("answer", &response, MAX_RESPONSE_BYTES).unwrap();
+            assert_eq!(decode::<Response>("answer", &bytes, MAX_RESPONSE_BYTES).unwrap(), response);
+        }
+    }
+
+    #[test]
+    fn what_a_shell_would_write_is_understood() {
+        let read = |text: &str| decode::<Request>("request", text.as_bytes(), MAX_REQUEST_BYTES);
+        assert_eq!(read(r#"{"request":"stop"}"#).unwrap(), Request::Stop {});
+        assert_eq!(read(r#"{"request":"offer-model","toml":""}"#).unwrap(), Request::OfferModel { toml: "".into() });
+    }
+
+    #[test]
+    fn garbage_is_an_error() {
+        for text in ["", "{", "null", "[]", r#"{"request":"dance"}"#, r#"{"request":"stop","now":1}"#, "\u{0}\u{1}"] {
+            let error = decode::<Request>("request", text.as_bytes(), MAX_REQUEST_BYTES).unwrap_err();
+            assert!(matches!(error, IpcError::Garbled { .. }), "{text:?}: {error}");
+        }
+        let deep = "[".repeat(100_000);
+        assert!(decode::<Request>("request", deep.as_bytes(), MAX_REQUEST_BYTES).is_err());
+        let error = encode("request", &Request::OfferModel { toml: "x".repeat(99) }, 64).unwrap_err();
+        assert!(matches!(error, IpcError::TooLong { limit: 64, .. }), "{error}");
+        assert!(matches!(decode::<Request>("request", &[b' '; 65], 64), Err(IpcError::TooLong { bytes: 65, .. })));
+    }
+}

@@ -1,0 +1,41 @@
+//! Floor 2: everything that crosses the process boundary, over iceoryx2 shared memory. No other module knows iceoryx2.
+//!
+//! | service of robot R | pattern | what |
+//! |---|---|---|
+//! | `plumbline/R/samples` | publish-subscribe | every [`Record`](crate::joint::Record) as [`SampleMessage`], numbered without gaps |
+//! | `plumbline/R/replay` | request-response | a follower says how far it is and asks for what it missed |
+//! | `plumbline/R/feed-forward` | publish-subscribe, latest value | [`FeedForwardMessage`] for any number of clients |
+//! | `plumbline/R/command` | request-response, JSON | [`Request`] and [`Response`] |
+//!
+//! The daemon's bridge thread owns one [`Server`]; the real-time thread never comes here. Nothing that a client does, or
+//! does not do, blocks the server: what does not fit into a client's buffer is discarded, and a follower of the samples
+//! fetches it from the daemon's [`RetainedLog`] afterwards. So the stream is complete without waiting for anyone.
+//!
+//! The trust boundary is the operating system's user: iceoryx2 opens its shared memory to the daemon's own user only. What
+//! arrives from that user is still checked; no value of a message can make the daemon panic.
+
+mod client;
+mod command;
+mod error;
+mod feed_forward;
+mod followers;
+mod lock;
+mod messages;
+mod retain;
+mod robot;
+mod server;
+mod services;
+mod stream;
+
+pub use client::Client;
+pub use command::{Follower, MAX_REQUEST_BYTES, Mounting, Request, Response, Served, Status};
+pub use error::IpcError;
+pub use feed_forward::{Daemon, FeedForwardClient, FeedForwardSettings, Latest};
+pub use followers::News;
+pub use lock::{Lock, LockError};
+pub use messages::{FeedForwardMessage, FollowRequest, MessageError, ReplayHeader, SampleMessage};
+pub use retain::RetainedLog;
+pub use robot::RobotId;
+pub use server::{Server, ServerSettings};
+pub use services::now_ns;
+pub use stream::{Delivery, SampleStream, StreamCounters, StreamSettings};

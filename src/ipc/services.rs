@@ -1,0 +1,280 @@
+//! The iceoryx2 services: their names, sizes, and how they are opened by the daemon and by clients.
+
+use std::fmt::Display;
+use std::sync::Once;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use iceoryx2::identifiers::UniqueNodeId;
+use iceoryx2::prelude::*;
+use iceoryx2::service::builder::{publish_subscribe as pubsub, request_response as reqres};
+use iceoryx2::service::port_factory::{publish_subscribe, request_response};
+
+use super::error::IpcError;
+use super::messages::{FeedForwardMessage, FollowRequest, ReplayHeader, SampleMessage};
+use super::robot::RobotId;
+
+/// Records in one batch of the stream.
+pub(super) const BATCH: usize = 32;
+/// Records in one answer to a replay request: 304 KiB.
+pub(super) const REPLAY: usize = 512;
+/// Batches that fit into a follower's buffer.
+const STREAM_BUFFER: usize = 256;
+/// Followers of the samples.
+const MAX_FOLLOWERS: usize = 4;
+/// Clients that read the feed-forward.
+const MAX_FEED_FORWARD_CLIENTS: usize = 32;
+/// Clients of the command service.
+const MAX_COMMAND_CLIENTS: usize = 16;
+/// Nodes beyond the clients: the daemon, and room for dead ones that nobody has cleaned up yet.
+const SPARE_NODES: usize = 16;
+/// Pause between two attempts to open something.
+const RETRY: Duration = Duration::from_millis(10);
+
+pub(super) type ServiceNode = Node<ipc::Service>;
+pub(super) type Samples = publish_subscribe::PortFactory<ipc::Service, [SampleMessage], ()>;
+pub(super) type FeedForward = publish_subscribe::PortFactory<ipc::Service, FeedForwardMessage, ()>;
+pub(super) type Replay = request_response::PortFactory<ipc::Service, FollowRequest, (), [SampleMessage], ReplayHeader>;
+pub(super) type Commands = request_response::PortFactory<ipc::Service, [u8], (), [u8], ()>;
+
+/// `CLOCK_MONOTONIC` \[ns\], the clock of every time stamp in plumbline's messages.
+pub fn now_ns() -> u64 {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+    (now.tv_sec as u64).saturating_mul(1_000_000_000).saturating_add(now.tv_nsec as u64)
+}
+
+/// A node of this process; making it removes what killed processes left behind.
+pub(super) fn node() -> Result<ServiceNode, IpcError> {
+    // Errors only, on standard error: its warnings are about missing configuration files and dead peers, which are
+    // ordinary here and reported by plumbline itself. IOX2_LOG_LEVEL turns them on.
+    static QUIET: Once = Once::new();
+    QUIET.call_once(|| set_log_level_from_env_or(LogLevel::Error));
+    // Signals belong to the program, not to this library.
+    let builder = NodeBuilder::new().signal_handling_mode(SignalHandlingMode::Disabled);
+    builder.create().map_err(|error| transport("making a node for", "plumbline", error))
+}
+
+pub(super) fn samples_name(robot: &RobotId) -> String {
+    format!("plumbline/{robot}/samples")
+}
+
+pub(super) fn replay_name(robot: &RobotId) -> String {
+    format!("plumbline/{robot}/replay")
+}
+
+pub(super) fn feed_forward_name(robot: &RobotId) -> String {
+    format!("plumbline/{robot}/feed-forward")
+}
+
+pub(super) fn command_name(robot: &RobotId) -> String {
+    format!("plumbline/{robot}/command")
+}
+
+fn service_name(name: &str) -> Result<ServiceName, IpcError> {
+    name.try_into().map_err(|error| transport("naming", name, format!("{error:?}")))
+}
+
+fn samples(node: &ServiceNode, name: &str) -> Result<pubsub::Builder<[SampleMessage], (), ipc::Service>, IpcError> {
+    Ok(node.service_builder(&service_name(name)?).publish_subscribe::<[SampleMessage]>())
+}
+
+fn feed_forward(
+    node: &ServiceNode,
+    name: &str,
+) -> Result<pubsub::Builder<FeedForwardMessage, (), ipc::Service>, IpcError> {
+    Ok(node.service_builder(&service_name(name)?).publish_subscribe::<FeedForwardMessage>())
+}
+
+type ReplayBuilder = reqres::Builder<FollowRequest, (), [SampleMessage], ReplayHeader, ipc::Service>;
+
+fn replay(node: &ServiceNode, name: &str) -> Result<ReplayBuilder, IpcError> {
+    Ok(node
+        .service_builder(&service_name(name)?)
+        .request_response::<FollowRequest, [SampleMessage]>()
+        .response_user_header::<ReplayHeader>())
+}
+
+fn commands(node: &ServiceNode, name: &str) -> Result<reqres::Builder<[u8], (), [u8], (), ipc::Service>, IpcError> {
+    Ok(node.service_builder(&service_name(name)?).request_response::<[u8], [u8]>())
+}
+
+/// Opens or makes the sample stream; only the daemon decides on sizes.
+pub(super) fn serve_samples(node: &ServiceNode, robot: &RobotId) -> Result<Samples, IpcError> {
+    let name = samples_name(robot);
+    patiently(&name, SERVER_PATIENCE, || {
+        Ok(samples(node, &name)?
+            // A full buffer keeps its oldest, unbroken run; what comes after it is fetched by replay.
+            .enable_safe_overflow(false)
+            .subscriber_max_buffer_size(STREAM_BUFFER)
+            .subscriber_max_borrowed_samples(1)
+            .history_size(0)
+            .max_publishers(1)
+            .max_subscribers(MAX_FOLLOWERS)
+            .max_nodes(MAX_FOLLOWERS + SPARE_NODES)
+            .open_or_create())
+    })
+}
+
+/// Opens or makes the replay service.
+pub(super) fn serve_replay(node: &ServiceNode, robot: &RobotId) -> Result<Replay, IpcError> {
+    let name = replay_name(robot);
+    patiently(&name, SERVER_PATIENCE, || {
+        Ok(replay(node, &name)?
+            .enable_safe_overflow_for_requests(false)
+            .enable_safe_overflow_for_responses(false)
+            .enable_fire_and_forget_requests(true)
+            .max_active_requests_per_client(2)
+            .max_loaned_requests(1)
+            .max_response_buffer_size(1)
+            .max_borrowed_responses_per_pending_response(1)
+            .max_servers(1)
+            .max_clients(MAX_FOLLOWERS)
+            .max_nodes(MAX_FOLLOWERS + SPARE_NODES)
+            .open_or_create())
+    })
+}
+
+/// Opens or makes the feed-forward service: one value, the newest, always.
+pub(super) fn serve_feed_forward(node: &ServiceNode, robot: &RobotId) -> Result<FeedForward, IpcError> {
+    let name = feed_forward_name(robot);
+    patiently(&name, SERVER_PATIENCE, || {
+        Ok(feed_forward(node, &name)?
+            .enable_safe_overflow(true)
+            .subscriber_max_buffer_size(1)
+            .subscriber_max_borrowed_samples(1)
+            .history_size(1)
+            .max_publishers(1)
+            .max_subscribers(MAX_FEED_FORWARD_CLIENTS)
+            .max_nodes(MAX_FEED_FORWARD_CLIENTS + SPARE_NODES)
+            .open_or_create())
+    })
+}
+
+/// Opens or makes the command service.
+pub(super) fn serve_commands(node: &ServiceNode, robot: &RobotId) -> Result<Commands, IpcError> {
+    let name = command_name(robot);
+    patiently(&name, SERVER_PATIENCE, || {
+        Ok(commands(node, &name)?
+            .enable_safe_overflow_for_requests(false)
+            .enable_safe_overflow_for_responses(false)
+            .enable_fire_and_forget_requests(true)
+            .max_active_requests_per_client(2)
+            .max_loaned_requests(1)
+            .max_response_buffer_size(1)
+            .max_borrowed_responses_per_pending_response(1)
+            .max_servers(1)
+            .max_clients(MAX_COMMAND_CLIENTS)
+            .max_nodes(MAX_COMMAND_CLIENTS + SPARE_NODES)
+            .open_or_create())
+    })
+}
+
+/// Opens the sample stream of a daemon.
+pub(super) fn join_samples(node: &ServiceNode, robot: &RobotId, patience: Duration) -> Result<Samples, IpcError> {
+    let name = samples_name(robot);
+    joined(robot, patience, patiently(&name, patience, || Ok(samples(node, &name)?.open())))
+}
+
+/// Opens the replay service of a daemon.
+pub(super) fn join_replay(node: &ServiceNode, robot: &RobotId, patience: Duration) -> Result<Replay, IpcError> {
+    let name = replay_name(robot);
+    joined(robot, patience, patiently(&name, patience, || Ok(replay(node, &name)?.open())))
+}
+
+/// Opens the feed-forward of a daemon.
+pub(super) fn join_feed_forward(
+    node: &ServiceNode,
+    robot: &RobotId,
+    patience: Duration,
+) -> Result<FeedForward, IpcError> {
+    let name = feed_forward_name(robot);
+    joined(robot, patience, patiently(&name, patience, || Ok(feed_forward(node, &name)?.open())))
+}
+
+/// Opens the command service of a daemon.
+pub(super) fn join_commands(node: &ServiceNode, robot: &RobotId, patience: Duration) -> Result<Commands, IpcError> {
+    let name = command_name(robot);
+    joined(robot, patience, patiently(&name, patience, || Ok(commands(node, &name)?.open())))
+}
+
+/// How long the daemon tries: another process may be cleaning up after a killed one just now.
+pub(super) const SERVER_PATIENCE: Duration = Duration::from_secs(3);
+
+/// Attempts until it works, fails for good, or `patience` is over.
+pub(super) fn patiently<T, E: Display>(
+    service: &str,
+    patience: Duration,
+    mut attempt: impl FnMut() -> Result<Result<T, E>, IpcError>,
+) -> Result<T, IpcError> {
+    let start = Instant::now();
+    loop {
+        let error = match attempt()? {
+            Ok(opened) => return Ok(opened),
+            Err(error) => classify(service, &error.to_string()),
+        };
+        if matches!(error, IpcError::Incompatible { .. }) || start.elapsed() >= patience {
+            return Err(error);
+        }
+        thread::sleep(RETRY);
+    }
+}
+
+/// Turns iceoryx2's error into ours by its variant's name: each of its builders has an error enum of its own, whose
+/// variants are alike in name only.
+fn classify(service: &str, reason: &str) -> IpcError {
+    let service = service.to_string();
+    if ["Incompatible", "DoesNotSupport", "VersionMismatch"].iter().any(|word| reason.contains(word)) {
+        return IpcError::Incompatible { service, reason: reason.to_string() };
+    }
+    match reason.split("ExceedsMax").nth(1) {
+        Some(what) if what.contains("Publisher") => IpcError::Full { service, port: "publisher" },
+        Some(what) if what.contains("Subscriber") => IpcError::Full { service, port: "subscriber" },
+        Some(what) if what.contains("Server") => IpcError::Full { service, port: "server" },
+        Some(what) if what.contains("Client") => IpcError::Full { service, port: "client" },
+        Some(_) => IpcError::Full { service, port: "process" },
+        None => IpcError::Transport { doing: "opening", service, reason: reason.to_string() },
+    }
+}
+
+/// A service that does not exist means that there is no daemon.
+fn joined<T>(robot: &RobotId, patience: Duration, result: Result<T, IpcError>) -> Result<T, IpcError> {
+    result.map_err(|error| match error {
+        IpcError::Transport { reason, .. } if reason.contains("DoesNotExist") => no_daemon(robot, patience),
+        other => other,
+    })
+}
+
+/// Whether the process behind a node still runs. A node that is not there any more was cleaned up after its end.
+pub(super) fn runs(node: &ServiceNode, id: UniqueNodeId) -> bool {
+    !matches!(Node::<ipc::Service>::state_of(node.config(), id), Ok(None | Some(NodeState::Dead(_))))
+}
+
+/// The error for a robot that nobody serves.
+pub(super) fn no_daemon(robot: &RobotId, waited: Duration) -> IpcError {
+    IpcError::NoDaemon { robot: robot.to_string(), waited_ms: waited.as_millis() as u64 }
+}
+
+/// iceoryx2 failed while `doing` something with `service`.
+pub(super) fn transport(doing: &'static str, service: &str, error: impl Display) -> IpcError {
+    IpcError::Transport { doing, service: service.to_string(), reason: error.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_say_what_a_person_can_act_on() {
+        let class = |reason: &str| classify("s", reason);
+        assert!(matches!(class("PublishSubscribeOpenError::IncompatibleTypes"), IpcError::Incompatible { .. }));
+        let sizes = "RequestResponseOpenError::DoesNotSupportRequestedAmountOfClients";
+        assert!(matches!(class(sizes), IpcError::Incompatible { .. }));
+        let full = class("PublisherCreateError::ExceedsMaxSupportedPublishers");
+        assert_eq!(full, IpcError::Full { service: "s".into(), port: "publisher" });
+        assert!(matches!(class("PublishSubscribeOpenError::DoesNotExist"), IpcError::Transport { .. }));
+
+        let robot = RobotId::parse("test", "robot", "nobody").unwrap();
+        let absent = joined::<()>(&robot, Duration::ZERO, Err(class("PublishSubscribeOpenError::DoesNotExist")));
+        assert_eq!(absent, Err(IpcError::NoDaemon { robot: "nobody".into(), waited_ms: 0 }));
+    }
+}
