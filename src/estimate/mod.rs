@@ -1,0 +1,3 @@
+//! Floor 2: from measured samples to base parameters with honest standard deviations.
+
+pub mod signal;

@@ -1,0 +1,76 @@
+//! Signal processing without phase: filters, derivatives, even time grids.
+
+pub mod butterworth;
+pub mod difference;
+pub mod resample;
+pub mod spectral;
+
+/// Why a signal could not be processed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SignalError {
+    /// A Butterworth low-pass needs an even order, so that it is a product of second-order sections.
+    #[error("filter order {order}: expected an even number from 2 to 40")]
+    Order {
+        /// The order asked for.
+        order: usize,
+    },
+    /// The cut-off must lie between 0 and half the sampling rate.
+    #[error("cut-off {cutoff} Hz: expected more than 0 and less than {nyquist} Hz, half the sampling rate")]
+    Cutoff {
+        /// The cut-off asked for \[Hz\].
+        cutoff: f64,
+        /// Half the sampling rate \[Hz\].
+        nyquist: f64,
+    },
+    /// Too few samples to work with.
+    #[error("{samples} samples: expected at least {needed}")]
+    TooShort {
+        /// Samples there are.
+        samples: usize,
+        /// Samples needed.
+        needed: usize,
+    },
+    /// A sample is not a finite number.
+    #[error("row {row}, column {column}: {value} is not a finite number")]
+    NotFinite {
+        /// Row, counted from 1.
+        row: usize,
+        /// Column, counted from 1 (0 is the time stamp).
+        column: usize,
+        /// The value found.
+        value: f64,
+    },
+    /// Signals that belong together have different lengths.
+    #[error("{what}: {found} rows, expected {expected}")]
+    Shape {
+        /// The signal.
+        what: &'static str,
+        /// Its rows.
+        found: usize,
+        /// Rows of the time stamps.
+        expected: usize,
+    },
+    /// The time step is not a positive number.
+    #[error("time step {dt} s: expected a positive number")]
+    Step {
+        /// The step found \[s\].
+        dt: f64,
+    },
+}
+
+/// Samples to keep one of: `n_d = 2 pi 0.8 f_m / omega_fp` with `omega_fp = 2 pi f_fp` (paper eq. 16), at least 1.
+///
+/// `rate` is the measurement frequency `f_m` and `passband` the `f_fp` of the rule, twice the highest frequency of interest or
+/// more \[Hz\].
+pub fn decimation(rate: f64, passband: f64) -> usize {
+    ((0.8 * rate / passband).floor() as usize).max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn decimation_is_eq_16() {
+        assert_eq!(super::decimation(1000.0, 10.0), 80);
+        assert_eq!(super::decimation(100.0, 200.0), 1);
+    }
+}

@@ -1,0 +1,225 @@
+//! Brings uneven, missing and repeated samples onto an even time grid, and says what it did.
+
+use super::SignalError;
+use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
+
+/// What a record's time stamps were like.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub struct Sampling {
+    /// Rows of the record.
+    pub rows: usize,
+    /// Rows left out because their time stamp did not advance.
+    pub repeated_stamps: usize,
+    /// Rows left out because every value repeats the row before: the arm had not sent a new state.
+    pub repeated_rows: usize,
+    /// Samples of the even grid that fall into a gap of more than one and a half steps; they are interpolated.
+    pub missing: usize,
+    /// Longest time between two rows that were used \[s\].
+    pub largest_gap: f64,
+    /// Step of the even grid \[s\].
+    pub dt: f64,
+    /// Samples on the even grid.
+    pub samples: usize,
+}
+
+/// A record on an even grid.
+#[derive(Clone, Debug)]
+pub struct Even {
+    /// Time of the first sample \[s\].
+    pub start: f64,
+    /// Values, N x columns.
+    pub values: DMatrix<f64>,
+    /// Whether a sample fell into a gap and had to be interpolated across it.
+    pub filled: Vec<bool>,
+    /// What was done.
+    pub sampling: Sampling,
+}
+
+/// A row that repeats its predecessor within this many steps counts as a repeat; later, the arm may simply stand still.
+const STALE_STEPS: f64 = 12.0;
+
+/// Resamples `values` (rows at times `t` \[s\]) with step `dt` \[s\]; `None` takes the median time between rows that brought news.
+///
+/// Between rows the values follow the cubic through the four rows around them, across gaps the straight line. Errors: non-finite values, mismatched lengths, fewer than 16 usable rows.
+pub fn resample(t: &[f64], values: &DMatrix<f64>, dt: Option<f64>) -> Result<Even, SignalError> {
+    if values.nrows() != t.len() {
+        return Err(SignalError::Shape { what: "values", found: values.nrows(), expected: t.len() });
+    }
+    for (row, &time) in t.iter().enumerate() {
+        let bad = std::iter::once(time).chain(values.row(row).iter().copied()).enumerate().find(|(_, v)| !v.is_finite());
+        if let Some((column, value)) = bad {
+            return Err(SignalError::NotFinite { row: row + 1, column, value });
+        }
+    }
+    let mut sampling = Sampling { rows: t.len(), ..Sampling::default() };
+    let advancing = advancing_rows(t, &mut sampling);
+    let typical = median_step(t, &advancing)?;
+    let used = fresh_rows(t, values, advancing, typical, &mut sampling);
+    if used.len() < 16 {
+        return Err(SignalError::TooShort { samples: used.len(), needed: 16 });
+    }
+    let dt = match dt {
+        Some(dt) => dt,
+        None => tidy_step(median_step(t, &used)?),
+    };
+    if !(dt > 0.0 && dt.is_finite()) {
+        return Err(SignalError::Step { dt });
+    }
+    let (start, end) = (t[used[0]], t[used[used.len() - 1]]);
+    let samples = ((end - start) / dt + 1e-6).floor() as usize + 1;
+    sampling.dt = dt;
+    sampling.samples = samples;
+    sampling.largest_gap = used.windows(2).map(|w| t[w[1]] - t[w[0]]).fold(0.0, f64::max);
+
+    let mut even = DMatrix::zeros(samples, values.ncols());
+    let mut filled = vec![false; samples];
+    let mut i = 0;
+    for k in 0..samples {
+        let at = start + k as f64 * dt;
+        while i + 2 < used.len() && t[used[i + 1]] <= at {
+            i += 1;
+        }
+        let (left, right) = (t[used[i]], t[used[i + 1]]);
+        let gap = right - left > 1.5 * dt.max(typical);
+        let on_row = [i, i + 1].into_iter().find(|&r| (t[used[r]] - at).abs() < 1e-5 * dt);
+        if let Some(r) = on_row {
+            even.row_mut(k).copy_from(&values.row(used[r]));
+            continue;
+        }
+        if gap {
+            filled[k] = true;
+            sampling.missing += 1;
+        }
+        let around = if gap || i == 0 || i + 2 >= used.len() { i..i + 2 } else { i - 1..i + 3 };
+        for (r, weight) in lagrange(t, &used[around], at) {
+            for c in 0..values.ncols() {
+                even[(k, c)] += weight * values[(r, c)];
+            }
+        }
+    }
+    Ok(Even { start, values: even, filled, sampling })
+}
+
+/// Weights of the polynomial through the given rows at time `at`.
+fn lagrange<'a>(t: &'a [f64], rows: &'a [usize], at: f64) -> impl Iterator<Item = (usize, f64)> + 'a {
+    rows.iter().map(move |&r| {
+        let others = rows.iter().filter(move |&&o| o != r);
+        (r, others.map(|&o| (at - t[o]) / (t[r] - t[o])).product())
+    })
+}
+
+/// Rows whose time stamp is later than every one before.
+fn advancing_rows(t: &[f64], sampling: &mut Sampling) -> Vec<usize> {
+    let mut latest = f64::NEG_INFINITY;
+    let mut rows = Vec::with_capacity(t.len());
+    for (row, &time) in t.iter().enumerate() {
+        if time > latest {
+            latest = time;
+            rows.push(row);
+        } else {
+            sampling.repeated_stamps += 1;
+        }
+    }
+    rows
+}
+
+/// Leaves out rows that only repeat the values of the row used before them.
+fn fresh_rows(
+    t: &[f64],
+    values: &DMatrix<f64>,
+    rows: Vec<usize>,
+    typical: f64,
+    sampling: &mut Sampling,
+) -> Vec<usize> {
+    let mut used: Vec<usize> = Vec::with_capacity(rows.len());
+    for row in rows {
+        let repeats = used
+            .last()
+            .is_some_and(|&last| t[row] - t[last] < STALE_STEPS * typical && values.row(row) == values.row(last));
+        if repeats {
+            sampling.repeated_rows += 1;
+        } else {
+            used.push(row);
+        }
+    }
+    used
+}
+
+fn median_step(t: &[f64], rows: &[usize]) -> Result<f64, SignalError> {
+    let mut steps: Vec<f64> = rows.windows(2).map(|w| t[w[1]] - t[w[0]]).collect();
+    if steps.is_empty() {
+        return Err(SignalError::TooShort { samples: rows.len(), needed: 16 });
+    }
+    let middle = steps.len() / 2;
+    Ok(*steps.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// Time stamps are printed with few digits: a step of 0.000999999 s means 1 ms.
+fn tidy_step(dt: f64) -> f64 {
+    let rounded = (dt * 1e6).round() / 1e6;
+    if rounded > 0.0 && (dt - rounded).abs() < 2e-3 * dt { rounded } else { dt }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    fn signal(t: f64) -> [f64; 2] {
+        [(2.0 * t).sin(), 1.0 + 0.3 * (5.0 * t).cos()]
+    }
+
+    #[test]
+    fn an_even_record_comes_back_as_it_is() {
+        let t: Vec<f64> = (0..500).map(|k| 3.0 + k as f64 * 1e-3).collect();
+        let values = DMatrix::from_fn(500, 2, |k, c| signal(t[k])[c]);
+        let even = resample(&t, &values, None).unwrap();
+        assert_eq!(even.values, values);
+        assert_eq!(even.sampling.missing + even.sampling.repeated_rows + even.sampling.repeated_stamps, 0);
+        assert_eq!((even.sampling.dt, even.sampling.samples), (1e-3, 500));
+    }
+
+    #[test]
+    fn jitter_gaps_and_repeats_are_undone_and_counted() {
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let (mut t, mut rows) = (Vec::new(), Vec::new());
+        for k in 0..4000 {
+            if (1000..1006).contains(&k) {
+                continue;
+            }
+            let time = k as f64 * 0.002 + rng.random_range(-4e-4..4e-4);
+            t.push(time);
+            rows.push(signal(time));
+            if k % 400 == 7 {
+                t.push(time + 9e-4);
+                rows.push(signal(time));
+            }
+            if k % 800 == 3 {
+                t.push(time);
+                rows.push(signal(time));
+            }
+        }
+        let values = DMatrix::from_fn(t.len(), 2, |k, c| rows[k][c]);
+        let even = resample(&t, &values, Some(0.002)).unwrap();
+        assert_eq!(even.sampling.repeated_rows, 10);
+        assert_eq!(even.sampling.repeated_stamps, 5);
+        assert!((6..=7).contains(&even.sampling.missing), "{:?}", even.sampling);
+        assert!((even.sampling.largest_gap - 0.014).abs() < 1e-3);
+        for k in 0..even.values.nrows() {
+            let exact = signal(even.start + k as f64 * 0.002);
+            let tolerance = if even.filled[k] { 1e-3 } else { 2e-5 };
+            assert!((0..2).all(|c| (even.values[(k, c)] - exact[c]).abs() < tolerance), "sample {k}");
+        }
+    }
+
+    #[test]
+    fn a_value_that_is_not_a_number_is_named() {
+        let t: Vec<f64> = (0..20).map(|k| k as f64).collect();
+        let mut values = DMatrix::zeros(20, 2);
+        values[(4, 1)] = f64::NAN;
+        assert!(matches!(resample(&t, &values, None), Err(SignalError::NotFinite { row: 5, column: 2, .. })));
+    }
+}
