@@ -1,4 +1,5 @@
-//! Floor 3: typed configuration. Files are parsed and checked once, here; every algorithm gets only its own values.
+//! Floor 3: the files that a person writes, parsed once into checked values; every algorithm gets only its own.
 
 pub mod job;
+pub mod robot;
 pub mod units;

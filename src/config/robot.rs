@@ -1,0 +1,328 @@
+//! Robot descriptions: kinematics and limits of an arm. The usual ones are built in; a file of the same form describes another.
+
+use crate::input::{BadInput, from_toml};
+use crate::joint::{JointVec, Limits, MAX_JOINTS, Workspace};
+use crate::model::chain::{Chain, Joint, JointKind, Placement, StandardDh};
+use nalgebra::{Rotation3, Vector3};
+use serde::Deserialize;
+use std::f64::consts::FRAC_PI_2;
+use std::path::Path;
+
+/// The built-in robots, name and file.
+const BUILT_IN: [(&str, &str); 7] = [
+    ("panda", include_str!("../../config/robots/panda.toml")),
+    ("fr3", include_str!("../../config/robots/fr3.toml")),
+    ("ur10", include_str!("../../config/robots/ur10.toml")),
+    ("ur10e", include_str!("../../config/robots/ur10e.toml")),
+    ("kuka-lwr4p", include_str!("../../config/robots/kuka-lwr4p.toml")),
+    ("tx40", include_str!("../../config/robots/tx40.toml")),
+    ("paper-2dof", include_str!("../../config/robots/paper-2dof.toml")),
+];
+
+/// A twist this close to a multiple of a right angle without being one is a number with too few digits \[rad\].
+const RIGHT_ANGLE_SLIP: f64 = 1e-3;
+/// A twist this close is exact: the kinematics take it as such \[rad\].
+const RIGHT_ANGLE_EXACT: f64 = 1e-15;
+
+/// Which Denavit-Hartenberg convention the rows follow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Convention {
+    /// Craig: row i holds `a_{i-1}`, `alpha_{i-1}`, `d_i`, `theta_i`; the paper's.
+    ModifiedDh,
+    /// Row i holds `a_i`, `alpha_i`, `d_i`, `theta_i`.
+    StandardDh,
+}
+
+/// Where torques are measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TorqueSensing {
+    /// Sensors between gear and link.
+    Link,
+    /// Motor currents: the torque holds the rotor's inertia and all of the gear's friction.
+    Motor,
+}
+
+/// Kind of a joint as written in a file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// Turns; the default.
+    #[default]
+    Revolute,
+    /// Slides: wherever `rad` stands it is m, and N for Nm.
+    Prismatic,
+}
+
+/// One joint: its row of the DH table and its limits.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct JointRow {
+    /// `revolute` (default) or `prismatic`.
+    #[serde(default)]
+    pub kind: Kind,
+    /// Length along x \[m\].
+    pub a: f64,
+    /// Twist about x \[rad\], right angles with all digits (1.5707963267948966).
+    pub alpha: f64,
+    /// Length along z \[m\].
+    pub d: f64,
+    /// Angle offset about z \[rad\], default 0.
+    #[serde(default)]
+    pub theta: f64,
+    /// Lowest position \[rad\].
+    pub q_min: f64,
+    /// Highest position \[rad\].
+    pub q_max: f64,
+    /// Highest speed \[rad/s\].
+    pub dq: f64,
+    /// Highest acceleration \[rad/s2\].
+    pub ddq: f64,
+    /// Highest jerk \[rad/s3\].
+    pub jerk: f64,
+    /// Highest torque \[Nm\].
+    pub tau: f64,
+    /// Highest torque rate \[Nm/s\].
+    pub dtau: f64,
+}
+
+/// Placement of the flange in the last DH frame: translation, then fixed-axis rotations about x, y, z as in URDF.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case", default)]
+pub struct Flange {
+    /// Translation \[m\], default zero.
+    pub xyz: [f64; 3],
+    /// Roll, pitch, yaw \[rad\], default zero.
+    pub rpy: [f64; 3],
+}
+
+/// Where the end effector may be, in the base frame (paper eq. 14).
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct WorkspaceTable {
+    /// Lower corner of the box \[m\].
+    pub box_min: [f64; 3],
+    /// Upper corner of the box \[m\].
+    pub box_max: [f64; 3],
+    /// Radius of the sphere around the base that the end effector stays out of \[m\], default 0.
+    #[serde(default)]
+    pub base_radius: f64,
+}
+
+/// A robot description as written.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct RobotFile {
+    /// Short name, as configs and datasets write it.
+    pub name: String,
+    /// Name for people.
+    pub full_name: String,
+    /// Where the numbers come from.
+    pub source: String,
+    /// Convention of the rows.
+    pub convention: Convention,
+    /// Where torques are measured.
+    pub torque_sensing: TorqueSensing,
+    /// The joints, base first.
+    pub joint: Vec<JointRow>,
+    /// The flange, default the last DH frame.
+    #[serde(default)]
+    pub flange: Flange,
+    /// Where the end effector may be; without it a box that the arm can't leave and no sphere.
+    pub workspace: Option<WorkspaceTable>,
+}
+
+/// A robot, checked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Robot {
+    /// Short name.
+    pub name: String,
+    /// Name for people.
+    pub full_name: String,
+    /// Where the numbers come from.
+    pub source: String,
+    /// Kinematics.
+    pub chain: Chain,
+    /// Limits of the joints.
+    pub limits: Limits,
+    /// Where the end effector may be.
+    pub workspace: Workspace,
+    /// Where torques are measured.
+    pub torque_sensing: TorqueSensing,
+}
+
+impl Robot {
+    /// Names of the built-in robots.
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        BUILT_IN.iter().map(|(name, _)| *name)
+    }
+
+    /// A built-in robot by name, or the description in a file when the name ends in `.toml` (relative to `config_dir` where given).
+    pub fn load(name_or_path: &str, config_dir: Option<&Path>) -> Result<Robot, BadInput> {
+        if name_or_path.ends_with(".toml") {
+            let path = config_dir.map_or_else(|| name_or_path.into(), |dir| dir.join(name_or_path));
+            let file = path.display().to_string();
+            let text = std::fs::read_to_string(&path)
+                .map_err(|error| BadInput::new(&file, "robot description", error, "a file that can be read"))?;
+            return Robot::parse(&file, &text);
+        }
+        match BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
+            Some((name, text)) => Robot::parse(&format!("built-in robot {name}"), text),
+            None => {
+                let known = Robot::names().collect::<Vec<_>>().join(", ");
+                let expected = format!("one of {known}, or the path of a robot description ending in .toml");
+                Err(BadInput::new("robot", "name", format!("`{name_or_path}`"), expected))
+            }
+        }
+    }
+
+    /// A robot from the text of a description; `file` is only named in errors.
+    pub fn parse(file: &str, text: &str) -> Result<Robot, BadInput> {
+        from_toml::<RobotFile>(file, text)?.check(file)
+    }
+}
+
+impl RobotFile {
+    /// Checks everything and puts it into the shape that the rest of the program uses.
+    pub fn check(&self, file: &str) -> Result<Robot, BadInput> {
+        let n = self.joint.len();
+        if !(1..=MAX_JOINTS).contains(&n) {
+            return Err(BadInput::new(file, "joint", format!("{n} joints"), format!("1 to {MAX_JOINTS} joints")));
+        }
+        for (index, row) in self.joint.iter().enumerate() {
+            check_row(row).map_err(|(key, value, expected)| {
+                BadInput::new(file, format!("joint {}, key `{key}`", index + 1), value, expected)
+            })?;
+        }
+        let first = &self.joint[0];
+        if self.convention == Convention::ModifiedDh && (first.alpha != 0.0 || first.a != 0.0) {
+            let expected =
+                "0: the base frame's z axis is axis 1, so that a mounting says how gravity lies to it (paper eq. 3)";
+            let value = format!("alpha = {}, a = {}", first.alpha, first.a);
+            return Err(BadInput::new(file, "joint 1, keys `alpha` and `a`", value, expected));
+        }
+        for (key, values) in [("xyz", self.flange.xyz), ("rpy", self.flange.rpy)] {
+            if values.iter().any(|value| !value.is_finite()) {
+                return Err(BadInput::new(
+                    file,
+                    format!("flange, key `{key}`"),
+                    format!("{values:?}"),
+                    "finite numbers",
+                ));
+            }
+        }
+        Ok(Robot {
+            name: self.name.clone(),
+            full_name: self.full_name.clone(),
+            source: self.source.clone(),
+            chain: self.chain(),
+            limits: self.limits(),
+            workspace: self.checked_workspace(file)?,
+            torque_sensing: self.torque_sensing,
+        })
+    }
+
+    fn chain(&self) -> Chain {
+        let [roll, pitch, yaw] = self.flange.rpy;
+        let rotation = *Rotation3::from_euler_angles(roll, pitch, yaw).matrix();
+        let flange = Placement { rotation, origin: Vector3::from(self.flange.xyz) };
+        let kind = |row: &JointRow| match row.kind {
+            Kind::Revolute => JointKind::Revolute,
+            Kind::Prismatic => JointKind::Prismatic,
+        };
+        match self.convention {
+            Convention::ModifiedDh => {
+                let joint = |r: &JointRow| Joint { kind: kind(r), a: r.a, alpha: r.alpha, d: r.d, theta: r.theta };
+                Chain::modified(self.joint.iter().map(joint).collect(), flange)
+            }
+            Convention::StandardDh => {
+                let row = |r: &JointRow| StandardDh { kind: kind(r), a: r.a, alpha: r.alpha, d: r.d, theta: r.theta };
+                Chain::standard(&self.joint.iter().map(row).collect::<Vec<_>>(), flange)
+            }
+        }
+    }
+
+    fn limits(&self) -> Limits {
+        let per_joint = |value: fn(&JointRow) -> f64| {
+            let mut all = JointVec::default();
+            for (slot, row) in all.iter_mut().zip(&self.joint) {
+                *slot = value(row);
+            }
+            all
+        };
+        Limits {
+            q_min: per_joint(|row| row.q_min),
+            q_max: per_joint(|row| row.q_max),
+            dq: per_joint(|row| row.dq),
+            ddq: per_joint(|row| row.ddq),
+            jerk: per_joint(|row| row.jerk),
+            tau: per_joint(|row| row.tau),
+            dtau: per_joint(|row| row.dtau),
+        }
+    }
+
+    fn checked_workspace(&self, file: &str) -> Result<Workspace, BadInput> {
+        let Some(table) = self.workspace else {
+            let reach = self.reach();
+            return Ok(Workspace { box_min: [-reach; 3], box_max: [reach; 3], base_radius: 0.0 });
+        };
+        for (axis, (low, high)) in table.box_min.iter().zip(&table.box_max).enumerate() {
+            if !(low.is_finite() && high.is_finite() && low < high) {
+                let value = format!("{} from {low} to {high}", ["x", "y", "z"][axis]);
+                return Err(BadInput::new(
+                    file,
+                    "workspace, keys `box-min` and `box-max`",
+                    value,
+                    "box-min below box-max",
+                ));
+            }
+        }
+        if !(table.base_radius.is_finite() && table.base_radius >= 0.0) {
+            let expected = "a radius of 0 or more in m";
+            return Err(BadInput::new(file, "workspace, key `base-radius`", table.base_radius, expected));
+        }
+        Ok(Workspace { box_min: table.box_min, box_max: table.box_max, base_radius: table.base_radius })
+    }
+
+    /// No point of the arm is farther than this from the base \[m\].
+    fn reach(&self) -> f64 {
+        let slide = |row: &JointRow| match row.kind {
+            Kind::Revolute => row.d.abs(),
+            Kind::Prismatic => (row.d + row.q_min).abs().max((row.d + row.q_max).abs()),
+        };
+        self.joint.iter().map(|row| row.a.abs() + slide(row)).sum::<f64>() + Vector3::from(self.flange.xyz).norm()
+    }
+}
+
+/// Key, value found, and what was expected.
+type Wrong = (&'static str, String, &'static str);
+
+fn check_row(row: &JointRow) -> Result<(), Wrong> {
+    let wrong = |key, value: f64, expected| Err((key, value.to_string(), expected));
+    let geometry = [("a", row.a), ("alpha", row.alpha), ("d", row.d), ("theta", row.theta)];
+    for (key, value) in geometry.into_iter().chain([("q-min", row.q_min), ("q-max", row.q_max)]) {
+        if !value.is_finite() {
+            return wrong(key, value, "a finite number");
+        }
+    }
+    let right_angles = row.alpha / FRAC_PI_2;
+    let slip = (right_angles - right_angles.round()).abs() * FRAC_PI_2;
+    if slip > RIGHT_ANGLE_EXACT * row.alpha.abs().max(1.0) && slip < RIGHT_ANGLE_SLIP {
+        return wrong(
+            "alpha",
+            row.alpha,
+            "right angles with all digits (1.5707963267948966): base parameters depend on them",
+        );
+    }
+    if row.q_min >= row.q_max {
+        return Err(("q-min", format!("{} with q-max = {}", row.q_min, row.q_max), "less than q-max"));
+    }
+    let limits = [("dq", row.dq), ("ddq", row.ddq), ("jerk", row.jerk), ("tau", row.tau), ("dtau", row.dtau)];
+    for (key, value) in limits {
+        if !(value.is_finite() && value > 0.0) {
+            return wrong(key, value, "a finite number above 0");
+        }
+    }
+    Ok(())
+}
