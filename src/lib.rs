@@ -6,15 +6,23 @@
 //! |---|---|---|
 //! | 0 | [`joint`], [`input`], [`atomic`] | fixed-size values with units; how bad input is reported; how files are written |
 //! | 1 | [`model`], [`rt`] | the arm's dynamics, pure; the real-time loop and its traits |
-//! | 2 | [`excite`], [`estimate`] | motions that excite; parameters from samples |
-//! | 3 | [`config`], [`dataset`], [`store`] | typed configuration; recorded motions as folders of CSV files; model files |
+//! | 2 | [`excite`], [`estimate`], [`backend`], [`ipc`] | motions that excite; parameters from samples; arms; shared memory |
+//! | 3 | [`config`], [`dataset`], [`store`] | typed configuration; recorded motions; model and plan files |
+//! | 4 | [`app`] | one file per subcommand: wiring only |
+//!
+//! The way of the data: `excite` plans a motion, `rt` drives it through a `backend` and puts one record per cycle into a ring,
+//! the daemon's bridge thread (`app::daemon`) publishes the records through `ipc`, the estimator process (`app::estimator`) turns
+//! them into a model with `estimate`, and the daemon serves that model's torque.
 
+pub mod app;
 pub mod atomic;
+pub mod backend;
 pub mod config;
 pub mod dataset;
 pub mod estimate;
 pub mod excite;
 pub mod input;
+pub mod ipc;
 pub mod joint;
 pub mod model;
 pub mod rt;

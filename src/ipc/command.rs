@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::error::IpcError;
 use crate::joint::Phase;
+use crate::rt::stats::Distribution;
 
 /// Longest request. A model file of 1 MiB fits in even when every second character needs an escape.
 pub const MAX_REQUEST_BYTES: usize = 2 << 20;
@@ -19,6 +20,8 @@ pub(super) const MAX_RESPONSE_BYTES: usize = 64 << 10;
 pub enum Request {
     /// How is the daemon? Answered with [`Response::Status`].
     Status {},
+    /// Drive the programme of the job, once.
+    Start {},
     /// Brake now and stay at rest.
     Stop {},
     /// Go on after a stop.
@@ -77,10 +80,86 @@ pub struct Status {
     pub model: u64,
     /// Direction of gravity, as far as it is known.
     pub mounting: Option<Mounting>,
+    /// Where the job stands.
+    pub progress: Progress,
     /// What the job is at, for people to read.
     pub job: String,
+    /// How the loop kept its time, one entry per connection to the arm that has ended.
+    pub sessions: Vec<Session>,
     /// Counters of the shared-memory side; take them from [`Server::served`](super::Server::served).
     pub served: Served,
+}
+
+/// Where the job stands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Progress {
+    /// Nothing was started yet.
+    #[default]
+    Idle,
+    /// Motions are being driven.
+    Driving,
+    /// The arm holds until the estimator offers the model.
+    AwaitingModel,
+    /// Everything was driven.
+    Done,
+    /// A stop ended the job.
+    Stopped,
+}
+
+/// Counts and times of one connection to the arm: `elapsed == cycles + lost`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub struct Session {
+    /// What it was for.
+    pub name: String,
+    /// Cycles of the arm, by the arm's own counter.
+    pub elapsed: u64,
+    /// Cycles of the loop.
+    pub cycles: u64,
+    /// States that never arrived.
+    pub lost: u64,
+    /// Longest run of lost states.
+    pub longest_lost: u64,
+    /// Cycles that began more than half a period late.
+    pub late: u64,
+    /// Records that found no room between the loop and the bridge thread.
+    pub unrecorded: u64,
+    /// Allocations inside the loop; absent when nobody watched.
+    pub allocations: Option<u32>,
+    /// Lateness of a state after its deadline; empty where the arm has no deadlines.
+    pub wake: Times,
+    /// From state read to command written.
+    pub work: Times,
+    /// From one state to the next.
+    pub period: Times,
+    /// From state read to shared memory, on the bridge thread.
+    pub bridge: Times,
+    /// What the operating system did not grant, with what to change.
+    pub refusals: Vec<String>,
+    /// How it ended.
+    pub end: String,
+}
+
+/// Percentiles of one duration \[ns\]; all zero when nothing was measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Times {
+    /// Number of values.
+    pub count: u64,
+    /// Median.
+    pub p50: u64,
+    /// 99th percentile.
+    pub p99: u64,
+    /// 99.9th percentile.
+    pub p999: u64,
+    /// Largest value.
+    pub max: u64,
+}
+
+impl From<Distribution> for Times {
+    fn from(Distribution { count, p50, p99, p999, max }: Distribution) -> Times {
+        Times { count, p50, p99, p999, max }
+    }
 }
 
 /// Direction of the gravitational acceleration in the base frame, paper eq. 3.
@@ -188,7 +267,7 @@ mod tests {
     fn requests_and_responses_come_back_as_they_were() {
         let toml = "name = \"a\"\n# \u{3c1}\n".to_string();
         for request in
-            [Request::Status {}, Request::Stop {}, Request::Resume {}, Request::Quit {}, Request::OfferModel { toml }]
+            [Request::Status {}, Request::Start {}, Request::Stop {}, Request::Resume {}, Request::Quit {}, Request::OfferModel { toml }]
         {
             let bytes = encode("request", &request, MAX_REQUEST_BYTES).unwrap();
             assert_eq!(decode::<Request>("request", &bytes, MAX_REQUEST_BYTES).unwrap(), request);

@@ -28,7 +28,9 @@ mod services;
 mod stream;
 
 pub use client::Client;
-pub use command::{Follower, MAX_REQUEST_BYTES, Mounting, Request, Response, Served, Status};
+pub use command::{
+    Follower, MAX_REQUEST_BYTES, Mounting, Progress, Request, Response, Served, Session, Status, Times,
+};
 pub use error::IpcError;
 pub use feed_forward::{Daemon, FeedForwardClient, FeedForwardSettings, Latest};
 pub use followers::News;

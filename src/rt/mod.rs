@@ -38,6 +38,28 @@ pub trait Backend: Send {
     }
 }
 
+impl<B: Backend + ?Sized> Backend for Box<B> {
+    fn joints(&self) -> usize {
+        (**self).joints()
+    }
+
+    fn read(&mut self) -> Result<State, Fault> {
+        (**self).read()
+    }
+
+    fn write(&mut self, command: &Command) -> Result<(), Fault> {
+        (**self).write(command)
+    }
+
+    fn stop(&mut self) {
+        (**self).stop();
+    }
+
+    fn deadline_ns(&self) -> Option<u64> {
+        (**self).deadline_ns()
+    }
+}
+
 /// Where the loop puts its records; `false` says that there was no room and the record is lost.
 pub trait Sink: Send {
     /// Takes one record without blocking.

@@ -1,0 +1,56 @@
+//! `plumbline command`: one request to the daemon, for operators and scripts.
+
+use super::Failure;
+use crate::ipc::{Client, Request, Response, RobotId};
+use clap::{Args, ValueEnum};
+use std::time::Duration;
+
+/// Options of `plumbline command`.
+#[derive(Args)]
+pub struct Options {
+    /// What the daemon shall do
+    what: What,
+    /// Robot that the daemon drives
+    #[arg(long, default_value = "panda")]
+    robot: String,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum What {
+    /// Drive the programme of the job; the arm moves
+    Start,
+    /// Brake now and stay at rest
+    Stop,
+    /// Allow motion again after a stop
+    Resume,
+    /// Stop, then end the daemon
+    Quit,
+    /// Print how the daemon is, as JSON
+    Status,
+}
+
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// Sends the request and prints the answer.
+pub fn run(options: Options) -> Result<(), Failure> {
+    let id = RobotId::parse("command line", "--robot", &options.robot)?;
+    let request = match options.what {
+        What::Start => Request::Start {},
+        What::Stop => Request::Stop {},
+        What::Resume => Request::Resume {},
+        What::Quit => Request::Quit {},
+        What::Status => Request::Status {},
+    };
+    let mut client = Client::connect(&id, PATIENCE).map_err(Failure::job)?;
+    match client.send(&request, PATIENCE).map_err(Failure::job)? {
+        Response::Status(status) => {
+            println!("{}", serde_json::to_string_pretty(&status).map_err(Failure::job)?);
+            Ok(())
+        }
+        Response::Refused { reason } => Err(Failure::job(reason)),
+        Response::Accepted {} | Response::ModelAccepted { .. } => {
+            println!("accepted");
+            Ok(())
+        }
+    }
+}

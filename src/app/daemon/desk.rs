@@ -1,0 +1,196 @@
+//! What the daemon knows and decides: answers requests, accepts models, says what the loop does.
+
+use crate::app::Failure;
+use crate::backend::sim::Truth;
+use crate::config::job::{Job, OnLoss};
+use crate::config::robot::Robot;
+use crate::config::units::mounting_name;
+use crate::input::BadInput;
+use crate::ipc::{
+    Mounting as MountingMessage, News, Progress, Request, Response, Served, Session as SessionStatistics, Status,
+};
+use crate::joint::{JointVec, Record};
+use crate::model::gravity::Mounting;
+use crate::model::torque::TorqueModel;
+use crate::rt::order::{Controls, Event};
+use crate::store::{ModelFile, model_identity};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// A model that passed every check.
+pub struct Accepted {
+    /// Identity of its text.
+    pub id: u64,
+    /// The model.
+    pub model: TorqueModel,
+}
+
+/// The daemon without its ports.
+pub struct Desk {
+    /// What to do.
+    pub job: Job,
+    /// The arm's description.
+    pub robot: Robot,
+    /// What the simulated arm is made of.
+    pub truth: Truth,
+    /// Where the arm starts and returns to \[rad\].
+    pub rest: JointVec,
+    /// The model being served.
+    pub model: Option<Accepted>,
+    /// How the arm is mounted now.
+    pub mounting: Mounting,
+    /// Where the job stands.
+    pub progress: Progress,
+    /// Numbers and names of the motions.
+    pub names: Vec<(u32, String)>,
+    /// Connections to the arm that have ended.
+    pub sessions: Vec<SessionStatistics>,
+    /// The last cycle seen.
+    pub last: Record,
+    /// SIGINT or SIGTERM arrived.
+    pub signalled: Arc<AtomicBool>,
+    /// Somebody asked for the programme.
+    pub start: bool,
+    /// Somebody asked for the end.
+    pub quit: bool,
+}
+
+impl Desk {
+    /// Whether the daemon is to end.
+    pub fn must_quit(&self) -> bool {
+        self.quit || self.signalled.load(Ordering::Relaxed)
+    }
+
+    /// Whether the present connection is to end: for good, or to start the programme.
+    pub fn must_leave(&self) -> bool {
+        self.must_quit() || (self.start && self.progress == Progress::Idle)
+    }
+
+    /// Answers one request. `controls` are the running loop's, where one runs.
+    pub fn answer(&mut self, request: Request, served: &Served, controls: Option<&Controls>) -> Response {
+        let refused = |reason: &str| Response::Refused { reason: reason.to_string() };
+        match request {
+            Request::Status {} => Response::Status(Box::new(self.status(served, controls))),
+            Request::Start {} if self.progress != Progress::Idle => {
+                refused("the programme was started before; restart the daemon to drive it again")
+            }
+            Request::Start {} => {
+                self.start = true;
+                Response::Accepted {}
+            }
+            Request::Quit {} => {
+                self.quit = true;
+                Response::Accepted {}
+            }
+            Request::Stop {} => controls.map_or(refused("the arm is not connected, so nothing moves"), |controls| {
+                controls.stop();
+                Response::Accepted {}
+            }),
+            Request::Resume {} => match controls {
+                Some(controls) if controls.resume() => Response::Accepted {},
+                _ => refused("nothing waits for a permission to go on"),
+            },
+            Request::OfferModel { toml } => match self.accept("offered model", &toml) {
+                Ok(model) => Response::ModelAccepted { model },
+                Err(bad) => Response::Refused { reason: bad.to_string() },
+            },
+        }
+    }
+
+    /// Takes a model from a file that a person named.
+    pub fn accept_file(&mut self, path: &Path) -> Result<u64, Failure> {
+        let file = path.display().to_string();
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| BadInput::new(&file, "file", error, "a readable model file"))?;
+        Ok(self.accept(&file, &text)?)
+    }
+
+    /// Checks a model's text and serves it from one of the next cycles on: the right robot, a set that holds in this mounting.
+    fn accept(&mut self, file: &str, text: &str) -> Result<u64, BadInput> {
+        let offered = ModelFile::parse(file, text, |name| {
+            if name == self.robot.name {
+                return Ok(self.robot.chain.clone());
+            }
+            Err(BadInput::new(file, "key `robot`", name, format!("`{}`, which this daemon drives", self.robot.name)))
+        })?;
+        offered.model.valid_in(&self.mounting).map_err(|refused| {
+            BadInput::new(file, "key `kind`", refused, "a model that holds in the present mounting")
+        })?;
+        let id = model_identity(text);
+        tracing::info!("model {id:016x} ({}) is served from now on", offered.model.kind());
+        self.model = Some(Accepted { id, model: offered.model });
+        if self.progress == Progress::AwaitingModel {
+            self.progress = Progress::Driving;
+        }
+        Ok(id)
+    }
+
+    /// Says what became of a follower of the samples, and stops the arm where the job wants that.
+    pub fn news(&self, news: &News, controls: Option<&Controls>) {
+        if !matches!(news, News::Died { .. } | News::Silent { .. }) {
+            tracing::info!("{news}");
+            return;
+        }
+        let stop = self.job.safety.on_estimator_loss == OnLoss::Stop;
+        let rule = if stop { "the arm stops" } else { "the arm goes on and the samples are kept" };
+        tracing::warn!("{news}; by safety.on-estimator-loss, {rule}");
+        if let (true, Progress::Driving, Some(controls)) = (stop, self.progress, controls) {
+            controls.stop();
+        }
+    }
+
+    /// Says what happened in the loop.
+    pub fn log(&self, event: &Event) {
+        match event {
+            Event::Started { motion } => self.names.iter().filter(|(number, _)| number == motion).for_each(|(_, name)| {
+                tracing::info!("{name} has started");
+            }),
+            Event::Ended { motion } => self.names.iter().filter(|(number, _)| number == motion).for_each(|(_, name)| {
+                tracing::info!("{name} has ended");
+            }),
+            Event::Stopping { reason, .. } => tracing::error!("the arm is being stopped: {reason}"),
+            Event::Stopped => {
+                tracing::error!("the arm is at rest; it moves again only after `plumbline command resume`");
+            }
+            Event::Resumed => tracing::info!("an operator has allowed motion again"),
+            Event::Discarded { motion } => tracing::debug!("order {motion} was discarded"),
+            Event::Serving { model } => tracing::debug!("the loop serves model {model:016x}"),
+            Event::Distrusted { model } => {
+                tracing::error!("the torque of model {model:016x} broke a limit; it is not served any more");
+            }
+        }
+    }
+
+    fn status(&self, served: &Served, controls: Option<&Controls>) -> Status {
+        let name = self.names.iter().find(|(number, _)| *number == self.last.motion).map(|(_, name)| name.as_str());
+        let place = mounting_name(&self.mounting);
+        let mut status = Status {
+            robot: self.robot.name.clone(),
+            joints: self.robot.chain.len(),
+            phase: self.last.phase,
+            motion: self.last.motion,
+            cycles: self.sessions.iter().map(|session| session.cycles).sum(),
+            lost: self.sessions.iter().map(|session| session.lost).sum(),
+            late: self.sessions.iter().map(|session| session.late).sum(),
+            dropped: self.sessions.iter().map(|session| session.unrecorded).sum(),
+            model: self.model.as_ref().map_or(0, |accepted| accepted.id),
+            mounting: Some(MountingMessage {
+                rho: self.mounting.rho,
+                phi: self.mounting.phi,
+                gravity: self.mounting.gravity().into(),
+            }),
+            progress: self.progress,
+            job: name.map_or_else(|| place.clone(), |name| format!("{place}: {name}")),
+            sessions: self.sessions.clone(),
+            served: served.clone(),
+        };
+        if let Some(controls) = controls {
+            status.cycles += controls.cycles();
+            status.lost += controls.lost();
+            status.late += controls.late();
+            status.dropped += controls.unrecorded();
+        }
+        status
+    }
+}

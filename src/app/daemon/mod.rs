@@ -1,0 +1,138 @@
+//! `plumbline daemon`: connects to the arm, drives the job's programme when told to, serves the model.
+//!
+//! The main thread is the bridge thread: it owns everything that talks to other processes. The loop has a thread of its own for each
+//! connection to the arm (`session`), and knows this side only through its rings.
+
+mod desk;
+mod script;
+mod session;
+
+use super::programme::Programme;
+use super::{Failure, JobOptions};
+use crate::config::job::Pace;
+use crate::config::units::mounting_name;
+use crate::ipc::{Lock, Progress, Server, ServerSettings};
+use crate::joint::Record;
+use crate::model::gravity::Mounting;
+use crate::rt::cycle::End;
+use clap::Args;
+use desk::Desk;
+use script::Script;
+use session::Session;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+/// Options of `plumbline daemon`.
+#[derive(Args)]
+pub struct Options {
+    #[command(flatten)]
+    job: JobOptions,
+    /// Serve this model from the start
+    #[arg(long, value_name = "MODEL")]
+    model: Option<PathBuf>,
+}
+
+/// What the bridge thread owns.
+pub struct Daemon {
+    server: Server,
+    desk: Desk,
+}
+
+/// Runs until it is told to quit.
+pub fn run(options: Options) -> Result<(), Failure> {
+    let (job, robot, out) = options.job.load()?;
+    let id = super::robot_id(&job)?;
+    // Before anything else is touched: nobody else may drive this robot.
+    let _lock = super::lock(&id)?;
+    let programme = super::plan::programme(&job, &robot, &out)?;
+    let signalled = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register(signal, Arc::clone(&signalled)).map_err(Failure::job)?;
+    }
+    let mut desk = Desk {
+        truth: super::truth(&job)?,
+        rest: super::rest(&job, &robot)?,
+        model: None,
+        mounting: job.mounting,
+        progress: Progress::Idle,
+        names: programme.motions().map(|motion| (motion.number, motion.name.clone())).collect(),
+        sessions: Vec::new(),
+        last: Record::default(),
+        signalled,
+        start: false,
+        quit: false,
+        job,
+        robot,
+    };
+    if let Some(path) = options.model {
+        desk.accept_file(&path)?;
+    }
+    let server = Server::open(&id, ServerSettings::default()).map_err(Failure::job)?;
+    let mut daemon = Daemon { server, desk };
+    tracing::info!("the daemon of robot `{id}` is ready; the arm moves after `plumbline command start`");
+    daemon.hold(daemon.desk.mounting)?;
+    if daemon.desk.start && !daemon.desk.must_quit() {
+        daemon.drive(&programme)?;
+        daemon.hold(daemon.desk.mounting)?;
+    }
+    tracing::info!("the daemon ends; it has published {} samples", daemon.server.served().published);
+    Ok(())
+}
+
+impl Daemon {
+    /// Holds and serves until there is something to do. An arm in simulated time would only burn the processor meanwhile: it waits
+    /// unconnected.
+    fn hold(&mut self, mounting: Mounting) -> Result<(), Failure> {
+        if self.desk.job.backend.pace == Pace::Fast {
+            while !self.desk.must_leave() {
+                self.talk(None);
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            return Ok(());
+        }
+        let session = Session::open(&self.desk, "hold".into(), mounting, Script::hold())?;
+        self.see_through(session)
+    }
+
+    /// Drives every stage of the programme.
+    fn drive(&mut self, programme: &Programme) -> Result<(), Failure> {
+        for stage in &programme.stages {
+            self.desk.progress = Progress::Driving;
+            let place = mounting_name(&stage.mounting);
+            tracing::info!("the arm is mounted {place}; {} motions", stage.motions.len());
+            let script = Script::of(stage, self.desk.rest).map_err(Failure::job)?;
+            let session = Session::open(&self.desk, place, stage.mounting, script)?;
+            self.see_through(session)?;
+            if self.desk.progress == Progress::Stopped || self.desk.must_quit() {
+                return Ok(());
+            }
+        }
+        self.desk.progress = Progress::Done;
+        tracing::info!("everything was driven");
+        Ok(())
+    }
+
+    /// Runs a session to its end and keeps its figures.
+    fn see_through(&mut self, session: Session) -> Result<(), Failure> {
+        let (statistics, end) = session.run(self);
+        for refusal in &statistics.refusals {
+            tracing::warn!("not real-time: {refusal}");
+        }
+        self.desk.sessions.push(statistics);
+        match end {
+            End::Quit => Ok(()),
+            end => Err(Failure::job(format!("the loop ended: {end}"))),
+        }
+    }
+
+    /// Answers the requests that are waiting.
+    fn talk(&mut self, controls: Option<&crate::rt::order::Controls>) {
+        let Daemon { server, desk } = self;
+        server.poll(|request, served| desk.answer(request, served, controls));
+        while let Some(news) = server.take_news() {
+            desk.news(&news, controls);
+        }
+    }
+}

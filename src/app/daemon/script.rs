@@ -1,0 +1,95 @@
+//! What the loop is told next: decides from events, without doing anything itself.
+
+use crate::app::programme::{Motion, Role, Stage};
+use crate::excite::ExciteError;
+use crate::excite::fourier::PeriodicMotion;
+use crate::joint::{JointVec, MAX_JOINTS, Phase};
+use crate::rt::order::{Event, Order, OrderKind};
+use std::collections::VecDeque;
+
+/// Orders that bring the arm to a motion's start carry the motion's number plus this.
+pub const APPROACH: u32 = 1 << 16;
+/// Number of the order that brings the arm back.
+pub const RETURN: u32 = 1 << 17;
+/// Rest before a motion starts \[ms\].
+const SETTLE: u64 = 500;
+
+/// What the daemon does after an event.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Next {
+    /// Nothing.
+    GoOn,
+    /// Hold until there is a model, then give the orders that are left.
+    AwaitModel,
+    /// The stage is over and the arm is back where it started.
+    Over,
+    /// The arm was stopped; nothing more is driven.
+    Aborted,
+}
+
+/// The orders of one stage.
+pub struct Script {
+    /// Orders up to and with the motion after which the model is needed; all of them where none is.
+    before: VecDeque<Order>,
+    /// Orders that need the model.
+    after: VecDeque<Order>,
+    /// Number of the motion in between.
+    barrier: Option<u32>,
+}
+
+impl Script {
+    /// Nothing to drive: the loop holds.
+    pub fn hold() -> Script {
+        Script { before: VecDeque::new(), after: VecDeque::new(), barrier: None }
+    }
+
+    /// Approach, settle and drive every motion of the stage, then return to `rest`.
+    pub fn of(stage: &Stage, rest: JointVec) -> Result<Script, ExciteError> {
+        let mut script = Script::hold();
+        for motion in &stage.motions {
+            let target = start_of(motion);
+            let approach = motion.number + APPROACH;
+            let reference = PeriodicMotion::new(&motion.fourier, (motion.periods + motion.lead_in) as u32)?;
+            script.push(Order { motion: approach, kind: OrderKind::MoveTo { target, phase: Phase::Approach } });
+            script.push(Order { motion: approach, kind: OrderKind::Dwell { ticks: SETTLE } });
+            script.push(Order { motion: motion.number, kind: OrderKind::Follow(Box::new(reference)) });
+            if motion.role == Role::Identify {
+                script.barrier = Some(motion.number);
+            }
+        }
+        script.push(Order { motion: RETURN, kind: OrderKind::MoveTo { target: rest, phase: Phase::Return } });
+        Ok(script)
+    }
+
+    fn push(&mut self, order: Order) {
+        let queue = if self.barrier.is_some() { &mut self.after } else { &mut self.before };
+        queue.push_back(order);
+    }
+
+    /// The next order that may be given now.
+    pub fn next(&mut self, model: bool) -> Option<Order> {
+        self.before.pop_front().or_else(|| if model { self.after.pop_front() } else { None })
+    }
+
+    /// What follows from an event of the loop.
+    pub fn after(&mut self, event: &Event) -> Next {
+        match *event {
+            Event::Ended { motion: RETURN } => Next::Over,
+            Event::Ended { motion } if Some(motion) == self.barrier => Next::AwaitModel,
+            Event::Stopping { .. } => {
+                *self = Script::hold();
+                Next::Aborted
+            }
+            _ => Next::GoOn,
+        }
+    }
+}
+
+/// The pose that a motion starts in.
+fn start_of(motion: &Motion) -> JointVec {
+    let mut start = [0.0; MAX_JOINTS];
+    for (slot, &q) in start.iter_mut().zip(&motion.plan.q0) {
+        *slot = q;
+    }
+    start
+}

@@ -1,0 +1,244 @@
+//! One connection to the arm: builds the loop, runs it on a thread of its own, and bridges it to shared memory meanwhile.
+
+use super::Daemon;
+use super::desk::Desk;
+use super::script::{Next, Script};
+use crate::app::Failure;
+use crate::app::served::{Reach, ServedModel};
+use crate::backend::sim::{Gate, Pace, SimArm};
+use crate::backend::Clock;
+use crate::config::job;
+use crate::ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
+use crate::joint::{MAX_JOINTS, Record};
+use crate::model::gravity::Mounting;
+use crate::rt::cycle::{self, CycleSettings, End, Outcome};
+use crate::rt::guard::GuardSettings;
+use crate::rt::order::{Event, Handles};
+use crate::rt::os::{self, Rights};
+use crate::rt::recorder::{self, Drain};
+use hdrhistogram::Histogram;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// Records between the loop and the bridge thread: eight seconds at 1 kHz.
+const RING: usize = 8192;
+/// Records taken from the ring at once.
+const DRAIN: usize = 512;
+/// Pause of the bridge thread when there is nothing to do.
+const PAUSE: Duration = Duration::from_micros(200);
+/// How many levels the bridge thread's priority lies below the loop's.
+const BELOW_LOOP: u8 = 10;
+
+/// `CLOCK_MONOTONIC` for arms that keep wall-clock time.
+struct Monotonic;
+
+impl Clock for Monotonic {
+    fn now_ns(&self) -> u64 {
+        os::now_ns()
+    }
+
+    fn sleep_until(&self, deadline_ns: u64) {
+        os::sleep_until(deadline_ns);
+    }
+}
+
+/// A running loop and this side of it.
+pub struct Session {
+    name: String,
+    mounting: Mounting,
+    handles: Handles,
+    drain: Drain,
+    /// Back-pressure of an arm that runs as fast as it can.
+    gate: Option<Arc<Gate>>,
+    thread: Option<JoinHandle<Outcome>>,
+    script: Script,
+    /// Identity of the model handed to this loop.
+    model: u64,
+    /// From state read to shared memory \[ns\].
+    bridged: Histogram<u64>,
+    records: Vec<Record>,
+}
+
+impl Session {
+    /// Connects to the arm in `mounting` and starts the loop. The loop asks for real-time rights when the arm keeps wall-clock time.
+    pub fn open(
+        desk: &Desk,
+        name: String,
+        mounting: Mounting,
+        script: Script,
+    ) -> Result<Session, Failure> {
+        let (job, robot) = (&desk.job, &desk.robot);
+        let gate = (job.backend.pace == job::Pace::Fast).then(|| Arc::new(Gate::new(RING as u64 / 2)));
+        let pace = gate.clone().map_or_else(|| Pace::WallClock(Box::new(Monotonic)), Pace::Fast);
+        let arm = SimArm::new(&robot.chain, &desk.truth, mounting, desk.rest, job.backend.seed, pace)
+            .map_err(Failure::job)?;
+        let limits = job.guard_limits(&robot.limits, robot.chain.len())?;
+        let mut settings = CycleSettings::new(GuardSettings {
+            limits,
+            workspace: Some(job.workspace(&robot.workspace)),
+            tracking: [job.safety.tracking_error; MAX_JOINTS],
+        });
+        settings.max_consecutive_lost = u64::from(job.safety.max_lost);
+        settings.queue = 3 * desk.names.len() + 8;
+        settings.rights = if gate.is_some() { Rights::NONE } else { rights(&job.realtime, 0) };
+        let (sink, drain) = recorder::ring(RING);
+        let reach = Box::new(Reach(robot.chain.clone()));
+        let (mut cycle, handles) = cycle::new(arm, sink, Some(reach), settings).map_err(Failure::job)?;
+        // The bridge's own priority goes up before the loop starts, and stays below it.
+        if gate.is_none() {
+            os::become_realtime(&rights(&job.realtime, BELOW_LOOP));
+        }
+        let mut session = Session {
+            name,
+            mounting,
+            handles,
+            drain,
+            gate,
+            thread: None,
+            script,
+            model: 0,
+            bridged: Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("constant bounds"),
+            records: Vec::with_capacity(DRAIN),
+        };
+        // The model and the first orders are there before the first cycle, so that a seed gives the same motion every time.
+        session.hand_over_model(desk);
+        session.give_orders();
+        let thread = std::thread::Builder::new().name("plumbline-loop".into());
+        session.thread = Some(thread.spawn(move || cycle.run()).map_err(Failure::job)?);
+        Ok(session)
+    }
+
+    /// Bridges until the loop ends.
+    pub fn run(mut self, daemon: &mut Daemon) -> (SessionStatistics, End) {
+        daemon.desk.mounting = self.mounting;
+        while !self.thread.as_ref().is_none_or(JoinHandle::is_finished) {
+            let busy = self.bridge(daemon);
+            self.handle_events(&mut daemon.desk);
+            self.hand_over_model(&daemon.desk);
+            self.give_orders();
+            daemon.talk(Some(&self.handles.controls));
+            if daemon.desk.must_leave() {
+                self.handles.controls.quit();
+                self.open_gate();
+            }
+            if !busy {
+                std::thread::sleep(PAUSE);
+            }
+        }
+        let outcome = self.thread.take().map(JoinHandle::join);
+        let outcome = outcome.expect("the thread was started").expect("the loop does not panic");
+        while self.bridge(daemon) {}
+        self.handle_events(&mut daemon.desk);
+        self.handles.free_retired();
+        (self.statistics(&outcome), outcome.end)
+    }
+
+    /// Moves records from the ring to shared memory; whether there were any.
+    fn bridge(&mut self, daemon: &mut Daemon) -> bool {
+        self.records.clear();
+        let taken = self.drain.take_into(&mut self.records, DRAIN);
+        let Some(last) = self.records.last() else { return false };
+        daemon.server.publish(&self.records);
+        let gravity = self.mounting.gravity().into();
+        daemon.server.feed_forward(FeedForwardMessage::new(last, daemon.desk.robot.chain.len(), gravity));
+        daemon.desk.last = *last;
+        let now = now_ns();
+        for record in &self.records {
+            self.bridged.saturating_record(now.saturating_sub(record.stamp_ns).max(1));
+        }
+        if let Some(gate) = &self.gate {
+            gate.consumed(taken as u64);
+        }
+        true
+    }
+
+    fn handle_events(&mut self, desk: &mut Desk) {
+        while let Ok(event) = self.handles.events.pop() {
+            desk.log(&event);
+            match self.script.after(&event) {
+                Next::GoOn => {}
+                Next::AwaitModel if self.model == 0 => {
+                    desk.progress = Progress::AwaitingModel;
+                    // Simulated time stands still while the estimator works.
+                    self.gate.iter().for_each(|gate| gate.shut());
+                }
+                Next::AwaitModel => {}
+                Next::Over => self.handles.controls.quit(),
+                Next::Aborted => desk.progress = Progress::Stopped,
+            }
+            if event == Event::Stopped {
+                self.gate.iter().for_each(|gate| gate.shut());
+            }
+            if event == Event::Resumed {
+                self.open_gate();
+            }
+        }
+        self.handles.free_retired();
+    }
+
+    /// Gives the loop the model that the daemon has accepted, for the gravity of this session.
+    fn hand_over_model(&mut self, desk: &Desk) {
+        let Some(accepted) = &desk.model else { return };
+        if accepted.id == self.model || accepted.model.valid_in(&self.mounting).is_err() {
+            return;
+        }
+        let evaluator = accepted.model.evaluator(&self.mounting.gravity());
+        if self.handles.models.serve(Box::new(ServedModel { id: accepted.id, evaluator })).is_ok() {
+            self.model = accepted.id;
+            self.open_gate();
+        }
+    }
+
+    fn give_orders(&mut self) {
+        while self.handles.orders.room() > 0 {
+            let Some(order) = self.script.next(self.model != 0) else { return };
+            // There is room: it was asked for above, and this thread alone fills the ring.
+            let _ = self.handles.orders.give(order);
+        }
+    }
+
+    fn open_gate(&self) {
+        self.gate.iter().for_each(|gate| gate.open());
+    }
+
+    fn statistics(&self, outcome: &Outcome) -> SessionStatistics {
+        let summary = &outcome.summary;
+        let at = |quantile| self.bridged.value_at_quantile(quantile);
+        let bridge = Times {
+            count: self.bridged.len(),
+            p50: at(0.5),
+            p99: at(0.99),
+            p999: at(0.999),
+            max: self.bridged.max(),
+        };
+        SessionStatistics {
+            name: self.name.clone(),
+            elapsed: summary.elapsed,
+            cycles: summary.cycles,
+            lost: summary.lost,
+            longest_lost: summary.longest_lost,
+            late: summary.late,
+            unrecorded: summary.unrecorded,
+            allocations: outcome.allocations,
+            wake: summary.wake.into(),
+            work: summary.work.into(),
+            period: summary.period.into(),
+            bridge,
+            refusals: outcome.granted.refusals().map(str::to_string).collect(),
+            end: match outcome.last_stop {
+                Some(reason) if outcome.end == End::Quit => format!("stopped: {reason}"),
+                _ => outcome.end.to_string(),
+            },
+        }
+    }
+}
+
+/// What the job asks of the operating system, `below` levels lower.
+fn rights(realtime: &job::Realtime, below: u8) -> Rights {
+    Rights {
+        priority: Some(realtime.priority.saturating_sub(below)).filter(|&priority| priority > 0),
+        cpu: realtime.cpu.filter(|_| below == 0),
+        lock_memory: realtime.lock_memory,
+    }
+}

@@ -1,0 +1,188 @@
+//! `plumbline identify`: the identification offline, from files.
+
+use super::pipeline::{self, Judged};
+use super::results::report_of;
+use super::{Failure, SAME_MOUNTING, progress};
+use crate::config::robot::Robot;
+use crate::config::units::mounting_name;
+use crate::dataset::{Dataset, Role, Run};
+use crate::estimate::experiment::Settings;
+use crate::input::BadInput;
+use crate::report::figures::Figures;
+use crate::report::{Band, Validation};
+use crate::store::{ModelFile, Provenance, Validated};
+use clap::Args;
+use std::path::PathBuf;
+
+/// Options of `plumbline identify`.
+#[derive(Args)]
+pub struct Options {
+    /// Folder with dataset.toml and one CSV file per run
+    dataset: PathBuf,
+    /// Folder for report.html, report.json and model.toml
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Terms besides the rigid body; by default friction and torque-offset, and rotor-inertia for motor-side torques
+    #[arg(long, value_delimiter = ',')]
+    terms: Option<Vec<String>>,
+    /// Cut-off of the zero-phase low-pass on torques and regressor columns [Hz]
+    #[arg(long, value_name = "HZ")]
+    torque_cutoff: Option<f64>,
+    /// Cut-off of the zero-phase low-pass on positions [Hz]
+    #[arg(long, value_name = "HZ")]
+    position_cutoff: Option<f64>,
+    /// Order of both filters
+    #[arg(long)]
+    order: Option<usize>,
+}
+
+/// Share of a single run that the parameters are identified from when the dataset has nothing to validate with.
+const FIRST_PART: f64 = 0.6;
+
+/// Identifies, validates and writes the results.
+pub fn run(options: Options) -> Result<(), Failure> {
+    let dataset = Dataset::read(&options.dataset)?;
+    let robot = Robot::load(&dataset.robot, Some(&options.dataset))?;
+    dataset.expect_joints(robot.chain.len())?;
+    let settings = settings(&options)?;
+    let terms = terms(&options, &robot)?;
+    let (identify, validate, notes) = split(&dataset)?;
+
+    let bar = progress::bar("identifying");
+    bar.at(0.1, "regression");
+    let runs: Vec<&Run> = identify.iter().collect();
+    let identified = pipeline::identify(&robot, &runs, &terms, &settings)?;
+    let mut judged: Vec<(&Run, Judged)> = Vec::new();
+    let mut untrusted = Vec::new();
+    for (k, run) in validate.iter().enumerate() {
+        bar.at(0.5 + 0.5 * k as f64 / validate.len() as f64, &run.file);
+        match identified.model.valid_in(&run.mounting) {
+            Ok(()) => judged.push((run, pipeline::judge(&identified.model, run, &settings)?)),
+            Err(_) => untrusted.push(run.file.clone()),
+        }
+    }
+    bar.done();
+
+    let provenance = Provenance {
+        dataset: Some(dataset.content_hash()),
+        plumbline: Some(env!("CARGO_PKG_VERSION").into()),
+        date: Some(super::today()),
+        source: None,
+    };
+    let mut report = report_of(&identified, dataset.mounting, &provenance);
+    // Recorded data rarely repeats, so there is no noise floor to hold raw samples against: `rms` is that of the filtered band.
+    report.band = Band::Filtered { cutoff: settings.torque_cutoff };
+    report.identify.rms.clone_from(&report.identify.rms_filtered);
+    report.validate = judged
+        .iter()
+        .map(|(run, judged)| Validation {
+            run: run.file.clone(),
+            rms: judged.rms.filtered.clone(),
+            rms_raw: judged.rms.raw.clone(),
+            rms_filtered: judged.rms.filtered.clone(),
+            served_rms: None,
+            mounting: run.mounting.into(),
+        })
+        .collect();
+    report.identifiability.untrusted_runs = untrusted;
+    report.notes = notes;
+    let model = ModelFile {
+        validation: judged
+            .iter()
+            .map(|(run, judged)| Validated {
+                run: run.file.clone(),
+                rho: run.mounting.rho,
+                phi: run.mounting.phi,
+                rms: judged.rms.filtered.clone(),
+            })
+            .collect(),
+        noise_floor: report.noise_floor.clone(),
+        model: identified.model,
+        provenance,
+    };
+    std::fs::create_dir_all(&options.out).map_err(|error| Failure::job(format!("{}: {error}", options.out.display())))?;
+    super::write(&options.out.join("model.toml"), model.to_toml().as_bytes())?;
+    let figures = Figures { runs: judged.into_iter().map(|(_, judged)| judged.figure).take(2).collect(), ..Figures::default() };
+    report.write(&options.out, &figures).map_err(Failure::job)?;
+    for line in report.summary() {
+        println!("{line}");
+    }
+    println!("report: {}", options.out.join("report.html").display());
+    Ok(())
+}
+
+fn settings(options: &Options) -> Result<Settings, Failure> {
+    let mut settings = Settings::default();
+    for (name, given, setting) in [
+        ("--torque-cutoff", options.torque_cutoff, &mut settings.torque_cutoff),
+        ("--position-cutoff", options.position_cutoff, &mut settings.position_cutoff),
+    ] {
+        if let Some(value) = given {
+            if !(0.01..=500.0).contains(&value) {
+                return Err(BadInput::new("command line", name, value, "0.01 to 500 Hz").into());
+            }
+            *setting = value;
+        }
+    }
+    if let Some(order) = options.order {
+        if order == 0 || order % 2 == 1 || order > 40 {
+            return Err(BadInput::new("command line", "--order", order, "an even number from 2 to 40").into());
+        }
+        settings.order = order;
+    }
+    Ok(settings)
+}
+
+fn terms<'a>(options: &'a Options, robot: &Robot) -> Result<Vec<&'a str>, Failure> {
+    let Some(named) = &options.terms else { return Ok(pipeline::usual_terms(robot)) };
+    let known = &crate::model::term::KNOWN[1..];
+    for name in named {
+        if !known.contains(&name.as_str()) {
+            return Err(BadInput::new("command line", "--terms", format!("`{name}`"), known.join(", ")).into());
+        }
+    }
+    Ok(named.iter().map(String::as_str).collect())
+}
+
+/// Runs to identify from, runs to validate with, and what the reader has to know about it. A dataset without validation runs is
+/// validated with the last part of its runs, which then is not used to identify.
+fn split(dataset: &Dataset) -> Result<(Vec<Run>, Vec<Run>, Vec<String>), Failure> {
+    let identify: Vec<Run> = dataset.with_role(Role::Identify).cloned().collect();
+    let validate: Vec<Run> = dataset.with_role(Role::Validate).cloned().collect();
+    let mut notes = Vec::new();
+    let Some(first) = identify.first() else {
+        let file = format!("dataset {}", dataset.name);
+        return Err(BadInput::new(file, "[[run]] role", "no run", "at least one run with role = \"identify\"").into());
+    };
+    if let Some(other) = identify.iter().find(|run| run.mounting.angle_to(&first.mounting) > SAME_MOUNTING) {
+        notes.push(format!(
+            "the parameters are identified from several mountings at once: {} and {}",
+            mounting_name(&first.mounting),
+            mounting_name(&other.mounting)
+        ));
+    }
+    if !validate.is_empty() {
+        return Ok((identify, validate, notes));
+    }
+    notes.push(format!(
+        "the dataset has no validation run: the last {:.0} % of each run were kept out of the identification and validate it",
+        100.0 * (1.0 - FIRST_PART)
+    ));
+    let (head, tail) = identify.iter().map(|run| cut(run, FIRST_PART)).unzip();
+    Ok((head, tail, notes))
+}
+
+/// Both parts of a run, cut at a share of its samples.
+fn cut(run: &Run, share: f64) -> (Run, Run) {
+    let at = (run.samples() as f64 * share) as usize;
+    let part = |from: usize, count: usize, name: &str| Run {
+        file: format!("{} ({name} part)", run.file),
+        t: run.t[from..from + count].to_vec(),
+        q: run.q.rows(from, count).into_owned(),
+        dq: run.dq.as_ref().map(|dq| dq.rows(from, count).into_owned()),
+        tau: run.tau.rows(from, count).into_owned(),
+        extra: run.extra.iter().map(|(name, values)| (name.clone(), values[from..from + count].to_vec())).collect(),
+        ..run.clone()
+    };
+    (part(0, at, "first"), part(at, run.samples() - at, "last"))
+}

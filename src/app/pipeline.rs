@@ -1,0 +1,98 @@
+//! From recorded runs to a model and its errors: what `identify` and `estimator` share.
+
+use super::Failure;
+use crate::config::robot::{Robot, TorqueSensing};
+use crate::dataset::Run;
+use crate::estimate::experiment::{Experiment, Settings};
+use crate::estimate::run as estimate;
+use crate::estimate::validate::{Rms, validate};
+use crate::estimate::wls::{self, Identification};
+use crate::model::base::Reduction;
+use crate::model::structure::Structure;
+use crate::model::torque::TorqueModel;
+use crate::report::figures::TorqueFigure;
+
+/// A model and how it came about.
+pub struct Identified {
+    /// The model.
+    pub model: TorqueModel,
+    /// Everything the estimator says about it.
+    pub identification: Identification,
+}
+
+/// How well a model predicts one run.
+pub struct Judged {
+    /// Name of the run.
+    pub run: String,
+    /// Errors, raw and filtered.
+    pub rms: Rms,
+    /// Measured and modelled torque.
+    pub figure: TorqueFigure,
+}
+
+/// Terms that an arm's torques need besides its rigid body, when nobody says otherwise: motor-side torques feel the rotors, and every
+/// torque sensor has an offset.
+pub fn usual_terms(robot: &Robot) -> Vec<&'static str> {
+    match robot.torque_sensing {
+        TorqueSensing::Link => vec!["friction", "torque-offset"],
+        TorqueSensing::Motor => vec!["friction", "torque-offset", "rotor-inertia"],
+    }
+}
+
+/// The parameters that runs in these mountings can determine: one mounting has its own base set, several need the general one.
+pub fn structure(robot: &Robot, runs: &[&Run], terms: &[&str]) -> Result<Structure, Failure> {
+    let chain = robot.chain.clone();
+    let same = runs.windows(2).all(|pair| pair[0].mounting.angle_to(&pair[1].mounting) < super::SAME_MOUNTING);
+    let reduction = match runs.first() {
+        Some(first) if same => Reduction::in_mounting(&chain, &first.mounting),
+        _ => Reduction::any_mounting(&chain),
+    };
+    Ok(Structure::of(chain, reduction, terms).map_err(Failure::job)?.identifiable())
+}
+
+/// Averages, filters and differentiates a run.
+pub fn experiment(run: &Run, settings: &Settings) -> Result<Experiment, Failure> {
+    let input = estimate::Run {
+        name: run.file.clone(),
+        t: run.t.clone(),
+        q: run.q.clone(),
+        tau: run.tau.clone(),
+        gravity: run.mounting.gravity(),
+        period: run.period,
+    };
+    Experiment::prepare(&input, settings).map_err(Failure::job)
+}
+
+/// Identifies a model from runs of one arm.
+pub fn identify(robot: &Robot, runs: &[&Run], terms: &[&str], settings: &Settings) -> Result<Identified, Failure> {
+    let structure = structure(robot, runs, terms)?;
+    let experiments = runs.iter().map(|run| experiment(run, settings)).collect::<Result<Vec<_>, _>>()?;
+    let identification = wls::identify(&structure, &experiments).map_err(Failure::job)?;
+    let mut mountings = Vec::new();
+    for run in runs {
+        if !mountings.contains(&run.mounting) {
+            mountings.push(run.mounting);
+        }
+    }
+    let model =
+        TorqueModel::new(&robot.name, structure, &identification.values(), mountings).map_err(Failure::job)?;
+    Ok(Identified { model, identification })
+}
+
+/// Predicts a run with a model, in the run's own mounting.
+pub fn judge(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Judged, Failure> {
+    let experiment = experiment(run, settings)?;
+    let modelled = model.predict(&experiment.motion);
+    let rms = validate(&experiment, |_| modelled.clone());
+    let columns = |matrix: &nalgebra::DMatrix<f64>| {
+        matrix.column_iter().map(|column| column.iter().copied().collect()).collect::<Vec<Vec<f64>>>()
+    };
+    let figure = TorqueFigure {
+        title: run.file.trim_end_matches(".csv").to_string(),
+        t: (0..experiment.motion.samples()).map(|k| k as f64 * experiment.motion.dt).collect(),
+        measured: columns(&experiment.tau),
+        modelled: columns(&modelled),
+        noise: rms.noise_floor.clone().unwrap_or_default(),
+    };
+    Ok(Judged { run: run.file.clone(), rms, figure })
+}

@@ -1,0 +1,272 @@
+//! What a job leaves behind: identifies, judges, and writes model, dataset and report.
+
+use super::Failure;
+use super::collector::Recorded;
+use super::pipeline::{self, Identified, Judged};
+use super::programme::{Motion, Programme, Role};
+use crate::config::job::{Job, Pace};
+use crate::config::robot::Robot;
+use crate::config::units::mounting_name;
+use crate::dataset::{Dataset, Run};
+use crate::estimate::experiment::Settings;
+use crate::ipc::{Status, StreamCounters, Times};
+use crate::report::figures::{Figures, PlanFigure};
+use crate::report::{
+    Base, CounterExperiment, Fit, Identifiability, IpcFacts, LoopFacts, Quantiles, Report, Validation,
+};
+use crate::store::{ModelFile, Provenance, Validated};
+use std::path::{Path, PathBuf};
+
+/// Terms of the paper's model, besides the rigid body.
+const TERMS: [&str; 1] = ["friction"];
+
+/// Motions as they come in, and the model once it is there.
+pub struct Results {
+    job: Job,
+    robot: Robot,
+    settings: Settings,
+    out: PathBuf,
+    plan: Option<Motion>,
+    recorded: Vec<Recorded>,
+    model: Option<Identified>,
+}
+
+impl Results {
+    /// Results of one job, to be written into `out`.
+    pub fn new(job: &Job, robot: &Robot, programme: &Programme, out: &Path) -> Results {
+        Results {
+            job: job.clone(),
+            robot: robot.clone(),
+            settings: super::estimator_settings(job),
+            out: out.to_path_buf(),
+            plan: programme.motions().find(|motion| motion.role == Role::Identify).cloned(),
+            recorded: Vec::new(),
+            model: None,
+        }
+    }
+
+    /// Number of joints.
+    pub fn joints(&self) -> usize {
+        self.robot.chain.len()
+    }
+
+    /// Keeps a recorded motion.
+    pub fn take(&mut self, recorded: Recorded) {
+        tracing::info!("{} was recorded: {} samples", recorded.run.file, recorded.run.samples());
+        self.recorded.push(recorded);
+    }
+
+    /// Identifies the model from the motions that are there for it; writes `model.toml` and returns its text.
+    pub fn identify(&mut self) -> Result<String, Failure> {
+        let runs = self.runs(Role::Identify);
+        let identified = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings)?;
+        let text = self.model_file(&identified, Vec::new(), None).to_toml();
+        super::write(&self.out.join("model.toml"), text.as_bytes())?;
+        self.model = Some(identified);
+        Ok(text)
+    }
+
+    /// Judges the model by every unseen motion and writes everything.
+    pub fn finish(&mut self, status: &Status, counters: &StreamCounters) -> Result<(), Failure> {
+        let Some(identified) = self.model.take() else {
+            return Err(Failure::job("the daemon is done, but no motion to identify from was recorded"));
+        };
+        let dataset = self.dataset();
+        let judged = self.judge(&identified)?;
+        let counter = self.counter_experiment(&judged)?;
+        let validated = judged.iter().map(|(run, judged)| Validated {
+            run: run.file.clone(),
+            rho: run.mounting.rho,
+            phi: run.mounting.phi,
+            rms: judged.rms.raw.clone(),
+        });
+        let model = self.model_file(&identified, validated.collect(), Some(dataset.content_hash()));
+        super::write(&self.out.join("model.toml"), model.to_toml().as_bytes())?;
+        if let Some((_, vertical)) = &counter {
+            super::write(&self.out.join("model-vertical.toml"), vertical.to_toml().as_bytes())?;
+        }
+        if self.job.output.dataset {
+            dataset.write(&self.out.join("dataset")).map_err(Failure::job)?;
+        }
+        let mut report = report_of(&identified, self.job.mounting, &model.provenance);
+        report.validate = judged.iter().map(|(run, judged)| validation(run, judged)).collect();
+        report.counter_experiment = counter.map(|(facts, _)| facts);
+        report.cycle = Some(self.loop_facts(status));
+        report.sessions.clone_from(&status.sessions);
+        report.ipc = Some(IpcFacts {
+            sent: status.served.published,
+            received: counters.received,
+            replayed: counters.replayed,
+            missed: counters.missed,
+        });
+        report.write(&self.out, &self.figures(&identified, judged)?).map_err(Failure::job)
+    }
+
+    fn runs(&self, role: Role) -> Vec<&Run> {
+        self.recorded.iter().filter(|recorded| recorded.role == role).map(|recorded| &recorded.run).collect()
+    }
+
+    fn judge(&self, identified: &Identified) -> Result<Vec<(&Run, Judged)>, Failure> {
+        let unseen = self.runs(Role::Validate).into_iter();
+        unseen.map(|run| Ok((run, pipeline::judge(&identified.model, run, &self.settings)?))).collect()
+    }
+
+    /// The usual set from the vertical mounting: refused elsewhere, and forced, to show where it fails.
+    fn counter_experiment(
+        &self,
+        judged: &[(&Run, Judged)],
+    ) -> Result<Option<(CounterExperiment, ModelFile)>, Failure> {
+        let runs = self.runs(Role::Counter);
+        let Some(first) = runs.first() else { return Ok(None) };
+        let vertical = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings)?;
+        let Err(refused) = vertical.model.valid_in(&self.job.mounting) else { return Ok(None) };
+        let here: Vec<&(&Run, Judged)> =
+            judged.iter().filter(|(run, _)| run.mounting == self.job.mounting).collect();
+        let mut forced = vec![0.0; self.joints()];
+        let mut general = forced.clone();
+        for (run, judged) in &here {
+            let wrong = pipeline::judge(&vertical.model, run, &self.settings)?;
+            for j in 0..self.joints() {
+                forced[j] += wrong.rms.raw[j] / here.len() as f64;
+                general[j] += judged.rms.raw[j] / here.len() as f64;
+            }
+        }
+        let facts = CounterExperiment {
+            identified_in: first.mounting.into(),
+            kind: vertical.model.kind().to_string(),
+            count: vertical.model.parameters().len(),
+            refused_in: self.job.mounting.into(),
+            refusal: refused.to_string(),
+            forced_rms: forced,
+            general_rms: general,
+        };
+        Ok(Some((facts, self.model_file(&vertical, Vec::new(), None))))
+    }
+
+    fn model_file(&self, identified: &Identified, validation: Vec<Validated>, hash: Option<String>) -> ModelFile {
+        ModelFile {
+            model: identified.model.clone(),
+            noise_floor: identified.identification.rms.noise_floor.clone().unwrap_or_default(),
+            validation,
+            provenance: Provenance {
+                dataset: hash,
+                plumbline: Some(env!("CARGO_PKG_VERSION").to_string()),
+                date: Some(super::today()),
+                source: None,
+            },
+        }
+    }
+
+    fn dataset(&self) -> Dataset {
+        let name = self.job.file.file_stem().map_or("job".into(), |stem| stem.to_string_lossy().into_owned());
+        let mut source = toml::Table::new();
+        source.insert("program".into(), format!("plumbline {}", env!("CARGO_PKG_VERSION")).into());
+        source.insert("arm".into(), "simulated".into());
+        Dataset {
+            name,
+            robot: self.job.robot.clone(),
+            mounting: self.job.mounting,
+            source,
+            runs: self.recorded.iter().filter(|recorded| recorded.role != Role::Counter).map(|recorded| recorded.run.clone()).collect(),
+        }
+    }
+
+    fn loop_facts(&self, status: &Status) -> LoopFacts {
+        let wall_clock = self.job.backend.pace == Pace::WallClock;
+        let worst = |of: fn(&crate::ipc::Session) -> Times| {
+            let longest = status.sessions.iter().max_by_key(|session| session.cycles)?;
+            let Times { p50, p99, p999, max, count } = of(longest);
+            let us = |ns: u64| ns as f64 * 1e-3;
+            (count > 0).then(|| Quantiles { p50: us(p50), p99: us(p99), p999: us(p999), max: us(max) })
+        };
+        let mut realtime: Vec<String> = Vec::new();
+        for refusal in status.sessions.iter().flat_map(|session| &session.refusals) {
+            if !realtime.contains(refusal) {
+                realtime.push(refusal.clone());
+            }
+        }
+        LoopFacts {
+            pace: if wall_clock { "wall-clock" } else { "fast" }.to_string(),
+            cycles: status.cycles,
+            late: if wall_clock { status.late } else { 0 },
+            lost: status.lost,
+            records_lost: status.dropped,
+            allocations: status.sessions.iter().filter_map(|session| session.allocations).map(u64::from).sum(),
+            wake_us: worst(|session| session.wake).filter(|_| wall_clock),
+            work_us: worst(|session| session.work),
+            realtime,
+        }
+    }
+
+    /// The identification and the first unseen motion of every mounting.
+    fn figures(&self, identified: &Identified, judged: Vec<(&Run, Judged)>) -> Result<Figures, Failure> {
+        let mut figures = Figures::default();
+        for run in self.runs(Role::Identify) {
+            figures.runs.push(pipeline::judge(&identified.model, run, &self.settings)?.figure);
+        }
+        let mut shown = Vec::new();
+        for (run, judged) in judged {
+            if !shown.contains(&run.mounting) {
+                shown.push(run.mounting);
+                let title = format!("{} (unseen, {})", judged.figure.title, mounting_name(&run.mounting));
+                figures.runs.push(crate::report::figures::TorqueFigure { title, ..judged.figure });
+            }
+        }
+        figures.plan = self.plan.as_ref().map(|motion| self.plan_figure(motion));
+        Ok(figures)
+    }
+
+    fn plan_figure(&self, motion: &Motion) -> PlanFigure {
+        let n = self.joints();
+        let t: Vec<f64> = (0..500).map(|k| k as f64 * motion.plan.period / 499.0).collect();
+        let q: Vec<Vec<f64>> =
+            (0..n).map(|j| t.iter().map(|&t| motion.fourier.at(j, t).q).collect()).collect();
+        let end_effector = (0..t.len())
+            .map(|k| self.robot.chain.end_effector(&q.iter().map(|q| q[k]).collect::<Vec<_>>()).into())
+            .collect();
+        PlanFigure { t, q, end_effector, workspace: Some(self.job.workspace(&self.robot.workspace)) }
+    }
+}
+
+/// One line of the paper's Tables IV and V.
+fn validation(run: &Run, judged: &Judged) -> Validation {
+    let served: Option<Vec<&[f64]>> = (1..=run.joints()).map(|j| run.extra(&format!("tau_ff{j}"))).collect();
+    Validation {
+        run: run.file.clone(),
+        rms: judged.rms.raw.clone(),
+        rms_filtered: judged.rms.filtered.clone(),
+        served_rms: served.map(|served| {
+            let error = |j: usize, k: usize| run.tau[(k, j)] - served[j][k];
+            let square = |j: usize| (0..run.samples()).map(|k| error(j, k).powi(2)).sum::<f64>();
+            (0..run.joints()).map(|j| (square(j) / run.samples() as f64).sqrt()).collect()
+        }),
+        mounting: run.mounting.into(),
+    }
+}
+
+/// The report of an identification, before anything was validated.
+pub fn report_of(identified: &Identified, mounting: crate::model::gravity::Mounting, provenance: &Provenance) -> Report {
+    let identification = &identified.identification;
+    let mut facts = serde_json::Map::new();
+    for (name, value) in
+        [("dataset", &provenance.dataset), ("plumbline", &provenance.plumbline), ("date", &provenance.date)]
+    {
+        if let Some(value) = value {
+            facts.insert(name.into(), value.clone().into());
+        }
+    }
+    Report {
+        robot: identified.model.robot().to_string(),
+        mounting: mounting.into(),
+        base: Base::new(identified.model.kind(), identified.model.parameters()),
+        identify: Fit { rms: identification.rms.raw.clone(), rms_filtered: identification.rms.filtered.clone() },
+        noise_floor: identification.rms.noise_floor.clone().unwrap_or_default(),
+        identifiability: Identifiability {
+            not_identifiable: identification.undetermined.iter().map(|one| one.name.clone()).collect(),
+            untrusted_runs: Vec::new(),
+        },
+        conditions: super::conditions_facts(&identification.conditions),
+        provenance: facts,
+        ..Report::default()
+    }
+}

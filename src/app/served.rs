@@ -1,0 +1,35 @@
+//! What the loop asks of a model, in the loop's own terms.
+
+use crate::joint::{JointVec, Setpoint, Torque};
+use crate::model::chain::Chain;
+use crate::model::term::Sample;
+use crate::model::torque::Evaluator;
+use crate::rt::{FeedForward, Kinematics};
+
+/// An identified model, ready for one direction of gravity.
+pub struct ServedModel {
+    /// Identity of the model file's text.
+    pub id: u64,
+    /// The model.
+    pub evaluator: Evaluator,
+}
+
+impl FeedForward for ServedModel {
+    fn id(&self) -> u64 {
+        self.id
+    }
+
+    fn torque(&mut self, desired: &Setpoint) -> Torque {
+        let &Setpoint { q, dq, ddq } = desired;
+        self.evaluator.torque(&Sample { q, dq, ddq })
+    }
+}
+
+/// Where the end effector is, for the guard.
+pub struct Reach(pub Chain);
+
+impl Kinematics for Reach {
+    fn end_effector(&self, q: &JointVec) -> [f64; 3] {
+        self.0.end_effector(q).into()
+    }
+}
