@@ -126,7 +126,8 @@ impl Structure {
     /// Without the columns, rigid body apart, that are linear combinations of the columns before them on every motion.
     ///
     /// For example the rotor inertias of joints 1 and 2 of most arms, which are part of `Lzz1` and `Lzz2`. What was taken out is
-    /// in [`Structure::absorbed`], and the expressions of the columns that absorbed it say so.
+    /// in [`Structure::absorbed`], and the expressions of the columns that absorbed it say so. Data from one mounting, or from a
+    /// poor motion, can determine less than that: the estimator finds out.
     pub fn identifiable(mut self) -> Structure {
         let rigid = self.reduction.len();
         if self.columns.len() == rigid {
