@@ -29,7 +29,7 @@ fn an_arm_has_this_many(#[case] robot: &str, #[case] generalized: usize, #[case]
         let reduction = Reduction::in_mounting(&chain, &mounting);
         assert_eq!((reduction.len(), reduction.kind()), (generalized, BaseKind::Gbs));
     }
-    for mounting in [Mounting::UPRIGHT, Mounting::CEILING, Mounting { rho: 3.14, phi: 0.3 }] {
+    for mounting in [Mounting::UPRIGHT, Mounting::CEILING, Mounting { rho: 3.135, phi: 0.3 }] {
         let reduction = Reduction::in_mounting(&chain, &mounting);
         assert_eq!((reduction.len(), reduction.kind()), (vertical, BaseKind::Vbs));
     }

@@ -10,7 +10,7 @@ use plumbline::model::base::{BaseKind, Reduction};
 use plumbline::model::gravity::Mounting;
 use plumbline::model::structure::{ModelError, Structure};
 use plumbline::model::term::{self, Motion, Sample};
-use plumbline::model::torque::TorqueModel;
+use plumbline::model::torque::{NamedTerm, Parameter, TorqueModel};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -161,12 +161,9 @@ fn a_vertical_model_fails_on_a_wall_in_joint_1_alone() {
     assert!(difference.amax() < 1e-9);
 }
 
-type Named = Vec<(String, Vec<(String, f64, Option<f64>)>)>;
-
-fn named(model: &TorqueModel) -> Named {
-    let parameters = |parameters: &[plumbline::model::torque::Parameter]| {
-        parameters.iter().rev().map(|p| (p.column.name.clone(), p.value, p.std)).collect()
-    };
+fn named(model: &TorqueModel) -> Vec<NamedTerm> {
+    let parameters =
+        |parameters: &[Parameter]| parameters.iter().rev().map(|p| (p.column.name.clone(), p.value, p.std)).collect();
     model.terms().into_iter().map(|(id, all)| (id.to_string(), parameters(all))).collect()
 }
 
@@ -174,7 +171,7 @@ fn named(model: &TorqueModel) -> Named {
 fn a_model_comes_back_from_its_names() {
     let mut rng = ChaCha8Rng::seed_from_u64(6);
     let rebuild =
-        |kind, named: &Named| TorqueModel::from_named("panda", chain("panda"), kind, vec![Mounting::WALL], named);
+        |kind, named: &[NamedTerm]| TorqueModel::from_named("panda", chain("panda"), kind, vec![Mounting::WALL], named);
     for kind in [BaseKind::Gbs, BaseKind::Vbs] {
         let model = random_model("panda", kind, &mut rng);
         let again = rebuild(kind, &named(&model)).unwrap();

@@ -2,6 +2,7 @@
 
 use super::base::{BaseKind, Reduction};
 use super::chain::Chain;
+use super::expression::six_digits;
 use super::gravity::Mounting;
 use super::term::{self, Column, Motion, Term, rigid_body, subset::Subset};
 use nalgebra::{DMatrix, DVector};
@@ -172,7 +173,10 @@ impl Structure {
                 let column =
                     self.columns.iter_mut().find(|column| column.name == *name).expect("absorbed by a kept column");
                 let sign = if *coefficient < 0.0 { '-' } else { '+' };
-                let factor = if coefficient.abs() == 1.0 { String::new() } else { format!("{} ", coefficient.abs()) };
+                let factor = match coefficient.abs() {
+                    1.0 => String::new(),
+                    other => format!("{} ", six_digits(other)),
+                };
                 column.expression.push_str(&format!(" {sign} {factor}{}", absorbed.column.name));
             }
         }
