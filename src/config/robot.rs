@@ -326,3 +326,96 @@ fn check_row(row: &JointRow) -> Result<(), Wrong> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn every_shipped_robot_loads() {
+        let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/robots");
+        let mut files = 0;
+        for entry in std::fs::read_dir(&dir).unwrap() {
+            let name = entry.unwrap().path().file_stem().unwrap().to_str().unwrap().to_string();
+            let robot = Robot::load(&name, None).unwrap_or_else(|error| panic!("{error}"));
+            assert_eq!(robot.name, name);
+            assert_eq!(Robot::load(&format!("{name}.toml"), Some(&dir)).unwrap(), robot);
+            assert!(robot.limits.dq[robot.chain.len()..].iter().all(|dq| *dq == 0.0));
+            files += 1;
+        }
+        assert_eq!(files, Robot::names().count());
+    }
+
+    /// A motion planner can find poses: a fair share of all that the joints allow keeps the flange where it may be.
+    #[test]
+    fn the_workspace_leaves_room() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for name in Robot::names() {
+            let Robot { chain, limits, workspace, .. } = Robot::load(name, None).unwrap();
+            let free = |_: &usize| {
+                let q: Vec<f64> =
+                    (0..chain.len()).map(|j| rng.random_range(limits.q_min[j]..limits.q_max[j])).collect();
+                let end = chain.end_effector(&q);
+                let boxed = (0..3).all(|axis| (workspace.box_min[axis]..=workspace.box_max[axis]).contains(&end[axis]));
+                boxed && end.norm() > workspace.base_radius
+            };
+            let share = (0..1000).filter(free).count() as f64 / 1000.0;
+            assert!(share > 0.3, "{name}: {share}");
+        }
+    }
+
+    #[test]
+    fn the_panda_is_as_tall_as_its_data_sheet_says() {
+        let robot = Robot::load("panda", None).unwrap();
+        // Stretched upwards: 0.333 + 0.316 + 0.384 less the flange, which then points down, 0.088 aside.
+        let end = robot.chain.end_effector(&[0.0; 7]);
+        assert!((end - Vector3::new(0.088, 0.0, 0.333 + 0.316 + 0.384 - 0.107)).norm() < 1e-12);
+    }
+
+    /// Each wrong value is answered with its place, itself, and what was expected.
+    #[test]
+    fn wrong_values_are_named() {
+        let panda = BUILT_IN[0].1;
+        let cases = [
+            ("alpha = -1.5707963267948966", "alpha = -1.5708", "joint 2, key `alpha`", "-1.5708"),
+            ("q-min = -2.8973", "q-min = 3.0", "joint 1, key `q-min`", "3 with q-max = 2.8973"),
+            ("jerk = 3750.0", "jerk = 0.0", "joint 2, key `jerk`", "0"),
+            ("d = 0.316", "d = nan", "joint 3, key `d`", "NaN"),
+            ("alpha = 0.0", "alpha = 0.7", "joint 1, keys `alpha` and `a`", "alpha = 0.7, a = 0"),
+            ("base-radius = 0.3", "base-radius = -0.3", "workspace, key `base-radius`", "-0.3"),
+            ("box-min = [-0.9", "box-min = [9.0", "workspace, keys `box-min` and `box-max`", "x from 9 to 0.9"),
+        ];
+        for (good, bad, place, value) in cases {
+            assert!(panda.contains(good), "{good}");
+            let error = Robot::parse("arm.toml", &panda.replacen(good, bad, 1)).unwrap_err();
+            assert_eq!((error.file.as_str(), error.place.as_str(), error.value.as_str()), ("arm.toml", place, value));
+        }
+        let error = Robot::parse("arm.toml", &panda.replacen("\njerk", "\njrek", 1)).unwrap_err();
+        assert!(error.to_string().contains("jrek"), "{error}");
+        let joints = panda.find("[[joint]]").unwrap();
+        let many = format!("{}{}", &panda[..joints], panda[joints..panda.find("# Flange").unwrap()].repeat(2));
+        assert_eq!(Robot::parse("arm.toml", &many).unwrap_err().value, "14 joints");
+    }
+
+    #[test]
+    fn an_unknown_robot_is_answered_with_the_known_ones() {
+        let error = Robot::load("pandda", None).unwrap_err();
+        assert!(error.to_string().contains("`pandda`") && error.expected.contains("paper-2dof"), "{error}");
+        let error = Robot::load("no-such-arm.toml", Some(Path::new("nowhere"))).unwrap_err();
+        assert!(error.file.ends_with("no-such-arm.toml"), "{error}");
+    }
+
+    #[test]
+    fn without_a_workspace_the_arm_may_go_anywhere() {
+        let robot = Robot::load("paper-2dof", None).unwrap();
+        assert_eq!(robot.workspace.base_radius, 0.0);
+        for q1 in [-2.0, 0.0, 1.0] {
+            for q2 in [-2.0, 0.0, 1.5] {
+                let end = robot.chain.end_effector(&[q1, q2]);
+                assert!(end.amax() <= robot.workspace.box_max[0]);
+            }
+        }
+    }
+}

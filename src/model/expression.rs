@@ -76,7 +76,7 @@ pub fn expression(reduction: &Reduction, row: usize) -> String {
 }
 
 /// Six significant digits without trailing zeros.
-fn six_digits(value: f64) -> String {
+pub(super) fn six_digits(value: f64) -> String {
     let decimals = (5 - value.abs().log10().floor() as i32).max(0) as usize;
     let text = format!("{value:.decimals$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_string() } else { text }

@@ -40,8 +40,8 @@ pub fn regressor(chain: &Chain, gravity: &Vector3<f64>, q: &[f64], dq: &[f64], d
         let moment_part = skew(&dw) + skew(&w) * skew(&w);
         let mut force = [Vector3::zeros(); LINK_COLUMNS];
         let mut moment = [Vector3::zeros(); LINK_COLUMNS];
-        for c in 0..6 {
-            moment[c] = inertia_part.column(c).into();
+        for (column, part) in moment.iter_mut().zip(inertia_part.column_iter()) {
+            column.copy_from(&part);
         }
         for c in 0..3 {
             force[6 + c] = moment_part.column(c).into();

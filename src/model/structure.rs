@@ -2,6 +2,7 @@
 
 use super::base::{BaseKind, Reduction};
 use super::chain::Chain;
+use super::expression::six_digits;
 use super::gravity::Mounting;
 use super::term::{self, Column, Motion, Term, rigid_body, subset::Subset};
 use nalgebra::{DMatrix, DVector};
@@ -126,7 +127,8 @@ impl Structure {
     /// Without the columns, rigid body apart, that are linear combinations of the columns before them on every motion.
     ///
     /// For example the rotor inertias of joints 1 and 2 of most arms, which are part of `Lzz1` and `Lzz2`. What was taken out is
-    /// in [`Structure::absorbed`], and the expressions of the columns that absorbed it say so.
+    /// in [`Structure::absorbed`], and the expressions of the columns that absorbed it say so. Data from one mounting, or from a
+    /// poor motion, can determine less than that: the estimator finds out.
     pub fn identifiable(mut self) -> Structure {
         let rigid = self.reduction.len();
         if self.columns.len() == rigid {
@@ -171,7 +173,10 @@ impl Structure {
                 let column =
                     self.columns.iter_mut().find(|column| column.name == *name).expect("absorbed by a kept column");
                 let sign = if *coefficient < 0.0 { '-' } else { '+' };
-                let factor = if coefficient.abs() == 1.0 { String::new() } else { format!("{} ", coefficient.abs()) };
+                let factor = match coefficient.abs() {
+                    1.0 => String::new(),
+                    other => format!("{} ", six_digits(other)),
+                };
                 column.expression.push_str(&format!(" {sign} {factor}{}", absorbed.column.name));
             }
         }

@@ -21,6 +21,12 @@ pub struct Parameter {
     pub std: Option<f64>,
 }
 
+/// A parameter as a model file holds it: name of the column, value, standard deviation where known.
+pub type NamedValue = (String, f64, Option<f64>);
+
+/// A term as a model file holds it: its identity and its parameters in any order.
+pub type NamedTerm = (String, Vec<NamedValue>);
+
 /// A VBS model was asked for torques in a mounting that it does not know.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
@@ -75,7 +81,7 @@ impl TorqueModel {
         Ok(TorqueModel { robot: robot.into(), structure, mountings, parameters })
     }
 
-    /// A model from names, as a model file holds it: per term its identity and `(column, value, std)` in any order.
+    /// A model from names, as a model file holds it: per term its identity and its parameters.
     ///
     /// The rigid body has to be complete; any other term may lack columns (they are zero) but can't have foreign ones.
     pub fn from_named(
@@ -83,7 +89,7 @@ impl TorqueModel {
         chain: Chain,
         kind: BaseKind,
         mountings: Vec<Mounting>,
-        terms: &[(String, Vec<(String, f64, Option<f64>)>)],
+        terms: &[NamedTerm],
     ) -> Result<TorqueModel, ModelError> {
         let reduction = Reduction::of_kind(&chain, kind);
         if reduction.kind() != kind {
@@ -92,7 +98,7 @@ impl TorqueModel {
         let ids: Vec<&str> = terms.iter().map(|(id, _)| id.as_str()).collect();
         let full = Structure::of(chain, reduction, &ids)?;
         for column in &full.columns()[..full.reduction().len()] {
-            let named = |(id, named): &(String, Vec<_>)| id == rigid_body::ID && has(named, &column.name);
+            let named = |(id, named): &NamedTerm| id == rigid_body::ID && has(named, &column.name);
             if !terms.iter().any(named) {
                 return Err(ModelError::MissingColumn { name: column.name.clone() });
             }
@@ -109,7 +115,7 @@ impl TorqueModel {
                 }
             }
         }
-        let all: Vec<&(String, f64, Option<f64>)> = terms.iter().flat_map(|(_, named)| named).collect();
+        let all: Vec<&NamedValue> = terms.iter().flat_map(|(_, named)| named).collect();
         let structure = full.restricted(|column| all.iter().any(|(name, _, _)| *name == column.name));
         let value = |column: &Column| all.iter().find(|named| named.0 == column.name).map(|named| (named.1, named.2));
         let values: Vec<_> = structure.columns().iter().filter_map(value).collect();
@@ -214,6 +220,6 @@ impl Evaluator {
     }
 }
 
-fn has(named: &[(String, f64, Option<f64>)], name: &str) -> bool {
+fn has(named: &[NamedValue], name: &str) -> bool {
     named.iter().any(|(own, _, _)| own == name)
 }
