@@ -80,13 +80,18 @@ fn position_is_limited_ahead_of_time_at_both_ends() {
 fn acceleration_and_jerk_are_limited() {
     let run = Job::new(1_000).order(follow(1, along(3, 900, push_on(13.0, 1.5)))).run();
     assert_guarded(&run, Limit::Acceleration, 3);
-    let run = Job::new(1_000).order(follow(1, along(1, 900, push_on(7.0, 0.5)))).run();
-    // 7 rad/s2 in 10 ms is 700 rad/s3: inside. The same in 1 ms is not.
-    assert!(!matches!(run.outcome.last_stop, Some(StopReason::Guard(_))), "{:?}", run.outcome.last_stop);
-    let abrupt = |t: f64| [0.5 * 6.0 * t * t, 6.0 * t, 6.0];
-    let run = Job::new(1_000).order(follow(1, along(1, 900, abrupt))).run();
-    let violation = assert_guarded(&run, Limit::Jerk, 1);
-    assert!(violation.value > 3750.0);
+    // 7 rad/s2 in 10 ms is 700 rad/s3.
+    for (jerk, limited) in [(750.0, false), (650.0, true)] {
+        let mut job = Job::new(500).order(follow(1, along(1, 900, push_on(7.0, 0.5))));
+        job.settings.guard.limits.jerk[1] = jerk;
+        let run = job.run();
+        if limited {
+            let violation = assert_guarded(&run, Limit::Jerk, 1);
+            assert!((violation.value - 700.0).abs() < 1.0, "{violation}");
+        } else {
+            assert_eq!(run.outcome.last_stop, Some(StopReason::Quit));
+        }
+    }
 }
 
 #[test]
@@ -109,7 +114,7 @@ fn derivatives_that_contradict_the_positions_are_refused() {
     // The stop starts from the stated derivatives: if they lied, it would start with a jump.
     for (limit, spoil) in [
         (Limit::StatedVelocity, (|s: &mut Setpoint| s.dq[2] = 0.0) as fn(&mut Setpoint)),
-        (Limit::StatedAcceleration, |s| s.ddq[2] += 10.1 - s.ddq[2].max(0.0)),
+        (Limit::StatedAcceleration, |s| s.ddq[2] = 9.5),
     ] {
         let liar = Shape(1_501, move |tick| {
             let mut out = Wave::gentle().at(tick);
@@ -118,16 +123,15 @@ fn derivatives_that_contradict_the_positions_are_refused() {
             }
             out
         });
-        let mut job = Job::new(3_000).order(follow(1, liar));
-        job.settings.guard.limits.ddq[2] = 30.0;
-        let run = job.run();
+        let run = Job::new(3_000).order(follow(1, liar)).run();
         assert_guarded(&run, limit, 2);
     }
 }
 
 #[test]
 fn numbers_that_are_none_never_leave() {
-    for spoil in [|s: &mut Setpoint| s.q[4] = f64::NAN, |s| s.dq[4] = f64::INFINITY, |s| s.ddq[4] = f64::NAN] {
+    let spoils: [fn(&mut Setpoint); 3] = [|s| s.q[4] = f64::NAN, |s| s.dq[4] = f64::INFINITY, |s| s.ddq[4] = f64::NAN];
+    for spoil in spoils {
         let broken = Shape(1_501, move |tick| {
             let mut out = Wave::gentle().at(tick);
             if tick >= 600 {
