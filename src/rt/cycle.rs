@@ -237,12 +237,12 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         let mut tau_ff = self.torque(&desired);
         // Guard: a command that breaks a limit is not sent; the first sample of the stop takes its place.
         if self.motion.is_stopping() {
-            self.guard.check_brake(seconds(gap), &desired, &tau_ff, &state).map_err(End::Unsafe)?;
+            self.guard.check_brake(seconds(gap), &desired, &tau_ff, Some(&state)).map_err(End::Unsafe)?;
         } else if let Err(violation) = self.guard.check(seconds(gap), &desired, &tau_ff, &state) {
             self.brake(StopReason::Guard(violation), gap)?;
             desired = self.motion.sample();
             tau_ff = self.torque(&desired);
-            self.guard.check_brake(seconds(gap), &desired, &tau_ff, &state).map_err(End::Unsafe)?;
+            self.guard.check_brake(seconds(gap), &desired, &tau_ff, None).map_err(End::Unsafe)?;
         }
         // Write and record.
         let command = Command { seq: state.seq, desired, tau_ff };
@@ -343,6 +343,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
             OrderKind::MoveTo { target, .. } => self.guard.check_target(target).map_err(StopReason::Guard),
             OrderKind::Follow(_) | OrderKind::Dwell { .. } => Ok(()),
         };
+        // Begun in either case, so that events and records name the order that the stop belongs to.
         match aim.and(self.motion.begin(permitted.order)) {
             Ok(()) => {
                 self.tell(Event::Started { motion });

@@ -167,3 +167,88 @@ impl Planner {
 pub fn stop_distances(dq_now: f64, ddq_now: f64, ddq: f64, jerk: f64) -> (f64, f64) {
     (stop_distance_third_order(dq_now, ddq_now, ddq, jerk), stop_distance_third_order(-dq_now, -ddq_now, ddq, jerk))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use approx::assert_abs_diff_eq;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    const LIMITS: Limits = Limits {
+        q_min: [-3.0; 8],
+        q_max: [3.0; 8],
+        dq: [2.0, 1.0, 3.0, 2.0, 2.0, 2.5, 2.0, 1.5],
+        ddq: [15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0, 4.0],
+        jerk: [7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0, 50.0],
+        tau: [50.0; 8],
+        dtau: [1000.0; 8],
+    };
+
+    fn random(rng: &mut ChaCha8Rng, joints: usize, span: f64) -> JointVec {
+        std::array::from_fn(|j| if j < joints { rng.random_range(-span..span) } else { 0.0 })
+    }
+
+    #[test]
+    fn motions_go_from_rest_to_the_very_target_inside_their_share_of_the_limits() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        for case in 0..400 {
+            let joints = 1 + case % MAX_JOINTS;
+            let mut planner =
+                Planner::new(joints, LIMITS, MoveFactors { velocity: 0.5, acceleration: 0.3, jerk: 0.1, brake: 0.9 });
+            let from = Setpoint { q: random(&mut rng, joints, 2.0), ..Setpoint::default() };
+            let target = random(&mut rng, joints, 2.0);
+            planner.move_to(&from, &target).unwrap();
+            assert_abs_diff_eq!(planner.at(0).q[..], from.q[..], epsilon = 1e-12);
+            assert_eq!(planner.at(planner.last_tick()), Setpoint { q: target, ..Setpoint::default() });
+            assert_eq!(planner.at(u64::MAX).q, target);
+            let step = (planner.last_tick() / 50).max(1);
+            for tick in (0..planner.last_tick()).step_by(step as usize) {
+                let s = planner.at(tick);
+                for j in 0..MAX_JOINTS {
+                    assert!(s.dq[j].abs() <= 0.5 * LIMITS.dq[j] + 1e-9 && s.ddq[j].abs() <= 0.3 * LIMITS.ddq[j] + 1e-9);
+                    let (low, high) = (from.q[j].min(target[j]), from.q[j].max(target[j]));
+                    assert!(s.q[j] >= low - 1e-7 && s.q[j] <= high + 1e-7);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_stop_goes_as_far_as_the_guard_expects_it_to() {
+        // Two routes to the braking distance: the closed form that the guard uses, and the samples of the planned stop.
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let mut planner = Planner::new(MAX_JOINTS, LIMITS, MoveFactors::default());
+        for _ in 0..400 {
+            let mut from = Setpoint { q: random(&mut rng, 8, 2.0), ..Setpoint::default() };
+            for j in 0..MAX_JOINTS {
+                from.dq[j] = rng.random_range(-1.0..1.0) * LIMITS.dq[j];
+                from.ddq[j] = rng.random_range(-0.94..0.94) * LIMITS.ddq[j];
+            }
+            planner.stop(&from).unwrap();
+            let samples: Vec<Setpoint> = (0..=planner.last_tick()).map(|tick| planner.at(tick)).collect();
+            let end = samples.last().unwrap();
+            assert_eq!((end.dq, end.ddq), Default::default());
+            for j in 0..MAX_JOINTS {
+                let (up, down) = stop_distances(from.dq[j], from.ddq[j], 0.95 * LIMITS.ddq[j], 0.95 * LIMITS.jerk[j]);
+                let highest = samples.iter().map(|s| s.q[j] - from.q[j]).fold(0.0, f64::max);
+                let lowest = samples.iter().map(|s| s.q[j] - from.q[j]).fold(0.0, f64::min);
+                assert_abs_diff_eq!(highest, up, epsilon = 1e-5);
+                assert_abs_diff_eq!(-lowest, down, epsilon = 1e-5);
+            }
+        }
+    }
+
+    #[test]
+    fn numbers_that_are_none_are_refused_before_ruckig_sees_them() {
+        let mut planner = Planner::new(3, LIMITS, MoveFactors::default());
+        let mut bad = Setpoint::default();
+        bad.dq[2] = f64::NAN;
+        assert_eq!(planner.stop(&bad), Err(NoMotion));
+        let mut target = [0.5; 8];
+        target[7] = f64::NAN;
+        assert_eq!(planner.move_to(&Setpoint::default(), &target), Ok(()), "joint 8 takes no part");
+        target[0] = f64::INFINITY;
+        assert_eq!(planner.move_to(&Setpoint::default(), &target), Err(NoMotion));
+    }
+}

@@ -124,6 +124,9 @@ pub struct GuardSettings {
 /// Rounding of positions and their differences must not look like a violation: this share of a limit is forgiven.
 const ROUNDING: f64 = 1e-6;
 
+/// Room for rounding in the check of stated derivatives.
+const EXPLAINED: f64 = 1.05;
+
 /// The guard: limits, and the history of what was sent.
 pub struct Guard {
     joints: usize,
@@ -162,7 +165,8 @@ impl Guard {
     /// Checks the command that is to be sent `dt` \[s\] after the last one, and the state that it answers. A command that passes
     /// becomes part of the history.
     pub fn check(&mut self, dt: f64, desired: &Setpoint, tau_ff: &Torque, state: &State) -> Result<(), Violation> {
-        self.finite(desired, tau_ff, state)?;
+        self.finite_command(desired, tau_ff)?;
+        self.finite_state(state)?;
         self.measured(state)?;
         for j in 0..self.joints {
             self.position(j, desired.q[j])?;
@@ -176,15 +180,18 @@ impl Guard {
     }
 
     /// Checks a sample of the controlled stop, or of the rest after it: finite numbers, positions and torques. The other limits have just
-    /// been broken or are kept by the stop's own plan.
+    /// been broken or are kept by the stop's own plan. `state` is `None` where it is what began the stop.
     pub fn check_brake(
         &mut self,
         dt: f64,
         desired: &Setpoint,
         tau_ff: &Torque,
-        state: &State,
+        state: Option<&State>,
     ) -> Result<(), Violation> {
-        self.finite(desired, tau_ff, state)?;
+        self.finite_command(desired, tau_ff)?;
+        if let Some(state) = state {
+            self.finite_state(state)?;
+        }
         for j in 0..self.joints {
             self.position(j, desired.q[j])?;
         }
@@ -198,13 +205,16 @@ impl Guard {
         self.tau_last = Some(tau_ff.0);
     }
 
-    fn finite(&self, desired: &Setpoint, tau_ff: &Torque, state: &State) -> Result<(), Violation> {
+    fn finite_command(&self, desired: &Setpoint, tau_ff: &Torque) -> Result<(), Violation> {
         for j in 0..self.joints {
             finite(Limit::NotFinite, j, [desired.q[j], desired.dq[j], desired.ddq[j]])?;
             finite(Limit::TorqueNotFinite, j, [tau_ff.0[j]])?;
-            finite(Limit::MeasuredNotFinite, j, [state.q[j], state.dq[j], state.tau[j]])?;
         }
         Ok(())
+    }
+
+    fn finite_state(&self, state: &State) -> Result<(), Violation> {
+        (0..self.joints).try_for_each(|j| finite(Limit::MeasuredNotFinite, j, [state.q[j], state.dq[j], state.tau[j]]))
     }
 
     fn measured(&self, state: &State) -> Result<(), Violation> {
@@ -247,12 +257,13 @@ impl Guard {
         within(Limit::Acceleration, j, ddq, limits.ddq[j])?;
         within(Limit::Jerk, j, seen.jerk, limits.jerk[j])?;
 
-        // The stop starts from the stated derivatives, so they must be those of the positions: Taylor's remainder at bounded jerk.
+        // The stop starts from the stated derivatives, so they must be ones that some motion inside the jerk limit has at these positions:
+        // `|dq - seen - ddq dt / 2| <= jerk dt^2 / 6` and `|ddq - seen| <= jerk lag`, with the lag of the mean of three samples.
         let dq_seen = seen.dq + 0.5 * ddq * dt;
-        if (dq - dq_seen).abs() > 0.5 * limits.jerk[j] * dt * dt {
+        if (dq - dq_seen).abs() > EXPLAINED * limits.jerk[j] * dt * dt / 6.0 {
             return Err(Violation { limit: Limit::StatedVelocity, joint: j, value: dq, bound: dq_seen });
         }
-        if (ddq - seen.ddq).abs() > limits.jerk[j] * seen.span {
+        if (ddq - seen.ddq).abs() > EXPLAINED * limits.jerk[j] * (dt + seen.span) / 3.0 {
             return Err(Violation { limit: Limit::StatedAcceleration, joint: j, value: ddq, bound: seen.ddq });
         }
         Ok(())

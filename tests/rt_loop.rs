@@ -1,0 +1,312 @@
+//! The loop as a whole on a perfect arm: order of motions, models, stops, lost states, faults, and not one allocation.
+
+mod common;
+
+use common::drive::{Job, Model, READY, Run, Shape, Wave, dwell, follow, move_to, panda_limits};
+use common::{FakeArm, Trick};
+use plumbline::joint::{JointVec, Phase, Setpoint};
+use plumbline::rt::cycle::{self, End, SetupError};
+use plumbline::rt::order::{Event, StopReason};
+use plumbline::rt::recorder::ring;
+use plumbline::rt::{Fault, Reference};
+
+#[global_allocator]
+static WATCH: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
+
+const AWAY: JointVec = [0.4, -0.3, -0.5, -1.9, 0.6, 1.2, 0.1, 0.0];
+
+fn started_at(q0: JointVec) -> Wave {
+    Wave { q0, ..Wave::gentle() }
+}
+
+#[test]
+fn a_whole_job_runs_in_order_inside_the_limits_and_allocates_nothing() {
+    let run = Job::new(9_000)
+        .order(move_to(1, AWAY))
+        .order(follow(2, started_at(AWAY)))
+        .order(dwell(3, 100))
+        .order(follow(4, started_at(AWAY)))
+        .order(move_to(5, READY))
+        .model(Model(7, |d: &Setpoint| d.q.map(|q| 2.0 * q)))
+        .outside(1_800, |handles| {
+            assert!(handles.models.serve(Box::new(Model(8, |d: &Setpoint| d.q.map(|q| -3.0 * q)))).is_ok());
+        })
+        .run();
+    run.assert_sound();
+    run.assert_inside(&panda_limits(), 7);
+    assert_eq!(run.outcome.end, End::Quit);
+    assert_eq!((run.outcome.stops, run.outcome.summary.cycles), (0, 9_001));
+    assert_eq!(run.records.len(), 9_001, "hold cycles are recorded too");
+    use Event::{Ended, Serving, Started};
+    let expected = [Serving { model: 7 }, Started { motion: 1 }, Ended { motion: 1 }, Started { motion: 2 }];
+    assert_eq!(run.events[..4], expected);
+    let motions: Vec<Event> = run.events.iter().copied().filter(|e| !matches!(e, Serving { .. })).collect();
+    let expected: Vec<Event> = (1..=5).flat_map(|motion| [Started { motion }, Ended { motion }]).collect();
+    assert_eq!(motions, expected);
+
+    // Every sample of the reference, once, in order, and exactly as it was given.
+    for motion in [2, 4] {
+        let excited: Vec<_> = run.records.iter().filter(|r| r.motion == motion && r.phase == Phase::Excite).collect();
+        assert_eq!(excited.len() as u64, started_at(AWAY).ticks());
+        for (tick, record) in excited.iter().enumerate() {
+            assert_eq!(record.tick, tick as u64);
+            assert_eq!(record.command.desired, started_at(AWAY).at(record.tick));
+        }
+    }
+    assert_eq!(run.records.iter().filter(|r| r.motion == 3 && r.tick > 0).count(), 99);
+    assert_eq!(run.records.last().unwrap().command.desired, Setpoint { q: READY, ..Setpoint::default() });
+    assert_eq!(run.outcome.flight, run.records[run.records.len() - 200..]);
+}
+
+#[test]
+fn two_models_never_mix_and_the_old_one_is_freed_outside() {
+    let run = Job::new(3_000)
+        .order(follow(1, Wave::gentle()))
+        .outside(400, |h| assert!(h.models.serve(Box::new(Model(1, |d: &Setpoint| d.q.map(|q| 4.0 * q)))).is_ok()))
+        .outside(900, |h| assert!(h.models.serve(Box::new(Model(2, |d: &Setpoint| d.dq.map(|v| -5.0 * v)))).is_ok()))
+        .outside(2_500, |h| assert_eq!(h.free_retired(), 2, "model 1 and the finished reference"))
+        .run();
+    run.assert_sound();
+    assert_eq!(run.outcome.stops, 0);
+    let mut cycles_with = [0; 3];
+    for record in &run.records {
+        let desired = &record.command.desired;
+        let expected = match record.model {
+            0 => JointVec::default(),
+            1 => desired.q.map(|q| 4.0 * q),
+            _ => desired.dq.map(|v| -5.0 * v),
+        };
+        assert_eq!(record.command.tau_ff.0, expected);
+        cycles_with[record.model as usize] += 1;
+    }
+    assert_eq!(cycles_with, [400, 500, 2_101]);
+}
+
+#[test]
+fn an_allocation_in_a_model_is_seen() {
+    let run = Job::new(50).model(Model(1, |d: &Setpoint| std::hint::black_box(d.q.to_vec()).try_into().unwrap())).run();
+    // One allocation and one release in each of 51 cycles.
+    assert_eq!(run.outcome.allocations, Some(102));
+}
+
+/// A controlled stop ends at rest, stays there, and kept every limit on the way.
+fn assert_stopped(run: &Run, reason: StopReason) {
+    run.assert_sound();
+    run.assert_inside(&panda_limits(), 7);
+    assert_eq!((run.outcome.stops, run.outcome.last_stop, run.outcome.end), (1, Some(reason), End::Quit));
+    assert_eq!(run.records.last().unwrap().phase, Phase::Stopped);
+    let rest = run.records.last().unwrap().command.desired;
+    assert_eq!((rest.dq, rest.ddq), Default::default());
+    let resting = run.records.iter().filter(|r| r.phase == Phase::Stopped);
+    assert!(resting.clone().count() > 10 && resting.into_iter().all(|r| r.command.desired == rest));
+}
+
+#[test]
+fn a_stop_in_any_phase_ends_at_rest_and_smoothly() {
+    for (read, phase) in [(10, Phase::Hold), (300, Phase::Approach), (2_600, Phase::Excite)] {
+        let run = Job::new(6_000)
+            .order(dwell(1, 100))
+            .order(move_to(2, AWAY))
+            .order(follow(3, started_at(AWAY)))
+            .order(move_to(4, READY))
+            .outside(read, |h| h.controls.stop())
+            .run();
+        assert_stopped(&run, StopReason::Requested);
+        assert_eq!(run.records[read as usize - 1].phase, phase, "read {read}");
+        assert_eq!(run.phases().last_chunk::<3>(), Some(&[phase, Phase::Stop, Phase::Stopped]));
+        assert!(run.outcome.summary.discarded >= 1, "what was queued does not run");
+        assert!(!run.events.contains(&Event::Started { motion: 4 }));
+    }
+}
+
+#[test]
+fn nothing_moves_before_an_operator_resumes_and_only_what_was_ordered_since() {
+    let run = Job::new(4_000)
+        .order(move_to(1, AWAY))
+        .order(move_to(2, READY))
+        .outside(200, |h| h.controls.stop())
+        .outside(201, |h| assert!(!h.controls.resume(), "no permission while it brakes"))
+        .outside(600, |h| assert!(h.orders.give(move_to(3, AWAY)).is_ok(), "ordered without permission"))
+        .outside(1_000, |h| {
+            assert!(h.controls.is_waiting());
+            assert!(h.orders.give(move_to(4, AWAY)).is_ok());
+            assert!(h.controls.resume());
+            assert!(h.orders.give(move_to(5, READY)).is_ok());
+        })
+        .run();
+    run.assert_sound();
+    run.assert_inside(&panda_limits(), 7);
+    assert_eq!(run.outcome.summary.discarded, 3);
+    let motions: Vec<&Event> = run.events.iter().filter(|e| !matches!(e, Event::Discarded { .. })).collect();
+    let stopping = Event::Stopping { motion: 1, reason: StopReason::Requested };
+    let expected = [
+        Event::Started { motion: 1 },
+        stopping,
+        Event::Stopped,
+        Event::Resumed,
+        Event::Started { motion: 5 },
+        Event::Ended { motion: 5 },
+    ];
+    assert_eq!(motions, expected.iter().collect::<Vec<_>>());
+    assert_eq!(run.records.last().unwrap().command.desired.q, READY);
+}
+
+#[test]
+fn quitting_in_mid_motion_stops_first() {
+    let run = Job::new(700).order(move_to(1, AWAY)).run();
+    run.assert_sound();
+    run.assert_inside(&panda_limits(), 7);
+    assert_eq!((run.outcome.end, run.outcome.last_stop), (End::Quit, Some(StopReason::Quit)));
+    let last = run.records.last().unwrap().command.desired;
+    assert_eq!((last.dq, last.ddq), Default::default());
+    assert_ne!(last.q, AWAY);
+}
+
+#[test]
+fn lost_states_cost_samples_but_no_time() {
+    let lose = [(300, 1), (500, 4), (501, 1), (900, 10)];
+    let mut job = Job::new(3_000).order(follow(1, Wave::gentle()));
+    for (read, count) in lose {
+        job = job.trick(read, Trick::Lose(count));
+    }
+    let run = job.run();
+    run.assert_sound();
+    assert_eq!(run.outcome.stops, 0);
+    let summary = &run.outcome.summary;
+    assert_eq!((summary.lost, summary.longest_lost, summary.cycles), (16, 10, 3_001));
+    // A sample's tick is the arm's clock since the start, lost states or not.
+    let start = run.records[0].state.seq;
+    for record in run.records.iter().filter(|r| r.phase == Phase::Excite) {
+        assert_eq!(record.tick, record.state.seq - start);
+        assert_eq!(record.command.desired, Wave::gentle().at(record.tick));
+    }
+    assert_eq!(run.records.iter().filter(|r| r.phase == Phase::Excite).count(), 1_501 - 16);
+}
+
+#[test]
+fn too_many_lost_states_stop_the_motion() {
+    let run = Job::new(3_000).order(follow(1, Wave::gentle())).trick(700, Trick::Lose(11)).run();
+    assert_stopped(&run, StopReason::LostStates { lost: 11 });
+}
+
+#[test]
+fn a_reference_that_starts_elsewhere_never_begins() {
+    let run = Job::new(200).order(follow(1, started_at(AWAY))).run();
+    assert_stopped(&run, StopReason::NotAtStart { motion: 1, joint: 0, distance: 0.4 });
+    assert!(run.records.iter().all(|r| r.command.desired.q == READY));
+}
+
+#[test]
+fn a_fault_in_any_phase_stops_the_arm_at_once() {
+    let faults =
+        [Fault::Silent { waited_ms: 20 }, Fault::Reflex { code: 25 }, Fault::Refused { code: 3 }, Fault::Disconnected];
+    // Reads 50: hold, 800: approach, 2600: excitation, 5000: rest after a stop, 4105: braking.
+    for (k, read) in [50, 800, 2_600, 4_105, 5_000].into_iter().enumerate() {
+        for writing in [false, true] {
+            let fault = faults[k % faults.len()];
+            let trick = if writing { Trick::WriteFault(fault) } else { Trick::ReadFault(fault) };
+            let run = Job::new(9_000)
+                .order(dwell(1, 100))
+                .order(move_to(2, AWAY))
+                .order(follow(3, started_at(AWAY)))
+                .order(move_to(4, READY))
+                .outside(4_100, |h| h.controls.stop())
+                .trick(read, trick)
+                .run();
+            run.assert_sound();
+            assert_eq!(run.outcome.end, End::Fault(fault));
+            let (reads, writes, ..) = run.seen.get();
+            assert_eq!((reads, writes), (read + 1, read + u64::from(writing)));
+            assert_eq!(run.outcome.flight.last(), run.records.last());
+        }
+    }
+}
+
+#[test]
+fn a_counter_that_does_not_go_forward_ends_the_loop() {
+    let run = Job::new(500).trick(100, Trick::Repeat).run();
+    run.assert_sound();
+    assert_eq!(run.outcome.end, End::Clock { last: 1_100, seq: 1_100 });
+}
+
+#[test]
+fn a_full_sink_is_counted_and_costs_the_motion_nothing() {
+    let mut job = Job::new(2_000).order(follow(1, Wave::gentle()));
+    job.sink = 500;
+    let run = job.run();
+    run.assert_sound();
+    assert_eq!(run.records.len(), 500);
+    assert_eq!(run.outcome.summary.unrecorded, 2_001 - 500);
+    assert!(run.events.contains(&Event::Ended { motion: 1 }));
+    assert_eq!(run.outcome.flight.last().unwrap().cycle, 2_000);
+}
+
+#[test]
+fn a_full_way_out_makes_orders_wait_but_never_blocks() {
+    // The way out holds queue + 16 boxes; nobody frees any for 400 reads.
+    let short = || Shape(3, |_| Setpoint { q: READY, ..Setpoint::default() });
+    let mut job = Job::new(1_000).outside(400, |h| assert!(h.free_retired() >= 64));
+    for motion in 1..=64 {
+        job = job.order(follow(motion, short()));
+    }
+    job = job.outside(390, move |h| while h.orders.give(follow(99, short())).is_ok() {});
+    let run = job.run();
+    assert_eq!(run.outcome.summary.cycles, 1_001);
+    assert_eq!(run.outcome.stops, 0);
+    let ended = run.events.iter().filter(|e| matches!(e, Event::Ended { .. })).count();
+    assert!((64 + 16..=128).contains(&ended), "{ended} motions ended");
+}
+
+#[test]
+fn joints_that_the_arm_does_not_have_stay_at_zero() {
+    let noisy = |tick| {
+        let mut out = Wave::gentle().at(tick);
+        (out.q[2], out.dq[5], out.ddq[7]) = (f64::NAN, f64::NAN, f64::INFINITY);
+        out
+    };
+    let mut target = AWAY;
+    target[4] = f64::NAN;
+    let run = Job::on(FakeArm::new(2, READY), 5_000)
+        .model(Model(1, |d: &Setpoint| [d.q[0], d.q[1], f64::NAN, 1.0, 1.0, 1.0, 1.0, 1.0]))
+        .order(follow(1, Shape(1_501, noisy)))
+        .order(move_to(2, target))
+        .outside(2_000, |h| h.controls.stop())
+        .run();
+    run.assert_sound();
+    run.assert_inside(&panda_limits(), 2);
+    for record in &run.records {
+        let d = &record.command.desired;
+        for v in [d.q, d.dq, d.ddq, record.command.tau_ff.0] {
+            assert_eq!(v[2..], [0.0; 6]);
+        }
+    }
+    assert_eq!(run.phases(), [Phase::Excite, Phase::Approach, Phase::Stop, Phase::Stopped]);
+}
+
+#[test]
+fn it_starts_from_what_the_arm_holds_as_desired_unless_that_is_elsewhere() {
+    let mut near = READY;
+    near[1] += 0.01;
+    let run = Job::on(FakeArm::new(7, READY).with_desired(near), 20).run();
+    assert_eq!(run.records[0].command.desired.q, near);
+    let run = Job::on(FakeArm::new(7, READY).with_desired([0.0; 8]), 20).run();
+    assert_eq!(run.records[0].command.desired.q, READY);
+}
+
+#[test]
+fn settings_that_make_no_sense_build_no_loop() {
+    let try_with = |change: fn(&mut cycle::CycleSettings)| {
+        let mut settings = common::drive::settings();
+        change(&mut settings);
+        cycle::new(FakeArm::new(7, READY), ring(8).0, None, settings).err()
+    };
+    assert_eq!(try_with(|_| {}), None);
+    assert!(matches!(
+        try_with(|s| s.guard.limits.jerk[3] = f64::NAN),
+        Some(SetupError::Limit { name: "jerk", joint: 3, .. })
+    ));
+    assert!(matches!(try_with(|s| s.guard.limits.q_max[1] = -3.0), Some(SetupError::Limit { name: "q_max", .. })));
+    assert!(matches!(try_with(|s| s.moves.velocity = 1.2), Some(SetupError::Factor { name: "velocity", .. })));
+    let nine = cycle::new(FakeArm::new(9, READY), ring(8).0, None, common::drive::settings()).err();
+    assert_eq!(nine, Some(SetupError::Joints { joints: 9 }));
+}
