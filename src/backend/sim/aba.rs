@@ -118,3 +118,82 @@ pub(super) fn inverse(
     }
     tau
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::spatial::Inertia;
+    use super::*;
+    use crate::model::chain::{Chain, Joint};
+    use crate::model::rnea::{LinkParameters, rnea};
+    use nalgebra::Matrix3;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// A chain of random geometry, a random distribution of mass on every link, and its standard parameters.
+    fn random_arm(rng: &mut ChaCha8Rng, n: usize) -> (Chain, Mechanism, Vec<LinkParameters>) {
+        let mut joints = Vec::new();
+        let mut links = Vec::new();
+        let mut parameters = Vec::new();
+        for _ in 0..n {
+            let kind = if rng.random_bool(0.7) { JointKind::Revolute } else { JointKind::Prismatic };
+            let mut length = || rng.random_range(-0.5..0.5);
+            let (a, d) = (length(), length());
+            joints.push(Joint { kind, a, d, alpha: rng.random_range(-3.0..3.0), theta: rng.random_range(-3.0..3.0) });
+            // The inertia of twelve point masses: consistent by construction, and summed here without the parallel axis theorem.
+            let points: Vec<(f64, Vector3<f64>)> = (0..12)
+                .map(|_| (rng.random_range(0.05..0.5), Vector3::from_fn(|_, _| rng.random_range(-0.3..0.3))))
+                .collect();
+            let mass: f64 = points.iter().map(|(m, _)| m).sum();
+            let first: Vector3<f64> = points.iter().map(|(m, r)| *m * r).sum();
+            let about = |centre: Vector3<f64>| -> Matrix3<f64> {
+                let part = |(m, r): &(f64, Vector3<f64>)| {
+                    let r = r - centre;
+                    *m * (r.norm_squared() * Matrix3::identity() - r * r.transpose())
+                };
+                points.iter().map(part).sum()
+            };
+            let (com, l) = (first / mass, about(Vector3::zeros()));
+            links.push(Inertia::rigid(mass, com, about(com)));
+            let moments = [l[(0, 0)], l[(0, 1)], l[(0, 2)], l[(1, 1)], l[(1, 2)], l[(2, 2)]];
+            let mut row = [0.0; 10];
+            row[..6].copy_from_slice(&moments);
+            row[6..9].copy_from_slice(first.as_slice());
+            row[9] = mass;
+            parameters.push(row);
+        }
+        let chain = Chain::modified(joints, Placement::identity());
+        let arm = Mechanism::new(&chain, &links);
+        (chain, arm, parameters)
+    }
+
+    /// Two routes to the same torque: articulated bodies and their own inverse on one side, the estimator's Newton-Euler on the other.
+    #[test]
+    fn agrees_with_newton_euler() {
+        let mut rng = ChaCha8Rng::seed_from_u64(11);
+        for case in 0..400 {
+            let n = rng.random_range(1..=MAX_JOINTS);
+            let (chain, mut arm, parameters) = random_arm(&mut rng, n);
+            let mut draw = |span: f64| -> JointVec {
+                std::array::from_fn(|j| if j < n { rng.random_range(-span..span) } else { 0.0 })
+            };
+            let (q, dq, tau, rotors) = (draw(3.0), draw(3.0), draw(30.0), draw(0.5));
+            let gravity = Vector3::from_column_slice(&draw(9.81)[..3.min(MAX_JOINTS)]);
+            arm.armature = rotors.map(f64::abs);
+
+            let ddq = aba(&arm, &gravity, &[Force::ZERO; MAX_JOINTS], &q, &dq, &tau);
+            let mut back = [0.0; MAX_JOINTS];
+            rnea(&chain, &parameters, &gravity, &q, &dq, &ddq, &mut back);
+            let own = inverse(&arm, &gravity, &q, &dq, &ddq);
+            for j in 0..n {
+                let scale = 1.0 + ddq[j].abs();
+                let newton_euler = back[j] + arm.armature[j] * ddq[j];
+                assert!(
+                    (newton_euler - tau[j]).abs() < 1e-9 * scale,
+                    "case {case} joint {j}: {newton_euler} {}",
+                    tau[j]
+                );
+                assert!((own[j] - tau[j]).abs() < 1e-9 * scale, "case {case} joint {j}: {} {}", own[j], tau[j]);
+            }
+        }
+    }
+}

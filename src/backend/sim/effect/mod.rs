@@ -16,6 +16,8 @@
 mod friction;
 pub mod payload;
 pub mod presliding;
+#[cfg(test)]
+mod tests;
 pub mod torque_offset;
 
 pub(super) use friction::Friction;

@@ -1,0 +1,290 @@
+//! The simulated arm as a measuring object: what it reports obeys the model it was built from, it loses nothing it should not lose,
+//! and it can be repeated bit by bit.
+
+mod backend_support;
+
+use backend_support::{READY, TestClock, arm_file, command, excitation, panda, silent_panda, sim};
+use nalgebra::DVector;
+use plumbline::backend::Clock;
+use plumbline::backend::sim::truth::Truth;
+use plumbline::backend::sim::{
+    Exact, Gate, Pace, REFLEX_COMMUNICATION, REFUSED_JUMP, REFUSED_NOT_FINITE, REFUSED_STOPPED, SimArm, SimError,
+};
+use plumbline::joint::{MAX_JOINTS, Setpoint, State};
+use plumbline::model::base::Reduction;
+use plumbline::model::chain::{Chain, Joint, JointKind, Placement};
+use plumbline::model::gravity::Mounting;
+use plumbline::model::rnea::rnea;
+use plumbline::rt::{Backend, Fault};
+use std::f64::consts::FRAC_PI_2;
+use std::sync::Arc;
+use std::time::Instant;
+
+const N: usize = 7;
+
+fn fast() -> Pace {
+    Pace::Fast(Arc::new(Gate::unlimited()))
+}
+
+/// Follows the excitation and hands out every state and what was true.
+fn follow(arm: &mut SimArm, ticks: usize) -> Vec<(State, Exact)> {
+    (0..ticks)
+        .map(|_| {
+            let state = arm.read().expect("the arm goes on");
+            let exact = *arm.exact();
+            arm.write(&command(state.seq, excitation(state.seq))).expect("a smooth motion");
+            (state, exact)
+        })
+        .collect()
+}
+
+/// Torque of the model the arm was built from: RNEA and the paper's friction.
+fn modelled(truth: &Truth, gravity: Mounting, q: &[f64], dq: &[f64], ddq: &[f64]) -> [f64; MAX_JOINTS] {
+    let mut tau = [0.0; MAX_JOINTS];
+    rnea(&panda(), &truth.link_parameters(), &gravity.gravity(), q, dq, ddq, &mut tau);
+    for (j, joint) in truth.joints.iter().enumerate() {
+        tau[j] += joint.fv * dq[j] + joint.fc * (100.0 * dq[j]).tanh();
+    }
+    tau
+}
+
+fn rms(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| (sum + value * value, count + 1.0));
+    (sum / count).sqrt()
+}
+
+#[test]
+fn measured_torque_obeys_the_identified_model() {
+    let truth = silent_panda();
+    let run = follow(&mut sim(&truth, 0, fast()), 5000);
+    for j in 0..N {
+        let off = |state: &State, exact: &Exact| {
+            state.tau[j] - modelled(&truth, Mounting::WALL, &state.q, &state.dq, &exact.ddq)[j]
+        };
+        let left = rms(run.iter().map(|(state, exact)| off(state, exact)));
+        let size = rms(run.iter().map(|(state, _)| state.tau[j]));
+        assert!(left < 1e-9 && size > 0.1, "joint {}: {left} Nm left of {size} Nm", j + 1);
+    }
+}
+
+/// The same with the acceleration from the reported positions alone: the arm really moved the way its torques say.
+#[test]
+fn reported_positions_agree_with_the_accelerations() {
+    let truth = silent_panda();
+    let run = follow(&mut sim(&truth, 0, fast()), 5000);
+    let dq_peak = run.iter().map(|(state, _)| state.dq[0].abs()).fold(0.0, f64::max);
+    assert!(dq_peak > 0.5, "a lively motion, not {dq_peak} rad/s");
+    for j in 0..N {
+        // Away from reversals; there the friction's step rings faster than 1 kHz differences can tell.
+        let calm = |k: &usize| (k - 100..k + 100).all(|k| run[k].0.dq[j].abs() > 0.05);
+        let off = (1100..run.len() - 100).filter(calm).map(|k| {
+            let second = (run[k + 1].0.q[j] - 2.0 * run[k].0.q[j] + run[k - 1].0.q[j]) / 1e-6;
+            second - run[k].1.ddq[j]
+        });
+        let (left, size) = (rms(off), rms(run.iter().map(|(_, exact)| exact.ddq[j])));
+        assert!(left < 0.01 * size, "joint {}: {left} of {size} rad/s2", j + 1);
+    }
+}
+
+/// Four steps a millisecond are enough for the shipped arm, its steep friction included: eight times as many change nothing that matters.
+#[test]
+fn substeps_have_converged() {
+    for file in ["sim-panda.toml", "sim-panda-effect.toml"] {
+        let mut truth = silent_panda();
+        truth.effects = arm_file(file).effects;
+        let shipped = follow(&mut sim(&truth, 0, fast()), 3000);
+        truth.substeps *= 8;
+        let fine = follow(&mut sim(&truth, 0, fast()), 3000);
+        for j in 0..N {
+            let tau = rms(shipped.iter().zip(&fine).map(|(a, b)| a.0.tau[j] - b.0.tau[j]));
+            let q = rms(shipped.iter().zip(&fine).map(|(a, b)| a.0.q[j] - b.0.q[j]));
+            println!("{file} joint {}: torque {tau:.2e} Nm, position {q:.2e} rad", j + 1);
+            assert!(tau < 1e-3 && q < 1e-6, "{file}, joint {}: {tau} Nm, {q} rad", j + 1);
+        }
+    }
+}
+
+#[test]
+fn noise_and_steps_are_as_written() {
+    let truth = arm_file("sim-panda.toml");
+    let run = follow(&mut sim(&truth, 7, fast()), 4000);
+    for (j, joint) in truth.joints.iter().enumerate() {
+        let tau = rms(run.iter().map(|(state, exact)| state.tau[j] - exact.tau[j]));
+        let expected = joint.torque_noise.hypot(joint.torque_quantum / 12f64.sqrt());
+        assert!((tau / expected - 1.0).abs() < 0.05, "joint {}: torque {tau} instead of {expected}", j + 1);
+        let q = rms(run.iter().map(|(state, exact)| state.q[j] - exact.q[j]));
+        let expected = joint.position_noise.hypot(joint.position_quantum / 12f64.sqrt());
+        assert!((q / expected - 1.0).abs() < 0.05, "joint {}: position {q} instead of {expected}", j + 1);
+        let dq = rms(run.iter().map(|(state, exact)| state.dq[j] - exact.dq[j]));
+        assert!((dq / joint.velocity_noise - 1.0).abs() < 0.05, "joint {}: velocity {dq}", j + 1);
+        let steps = run[1234].0.tau[j] / joint.torque_quantum;
+        assert!((steps - steps.round()).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn same_seed_and_commands_give_the_same_bits() {
+    let mut truth = arm_file("sim-panda-effect.toml");
+    (truth.drop_probability, truth.drop_burst) = (0.01, 2);
+    let states = |seed| follow(&mut sim(&truth, seed, fast()), 800).into_iter().map(|(s, _)| s).collect::<Vec<_>>();
+    let bits = |states: &[State]| {
+        let numbers = |s: &State| [s.q, s.dq, s.tau, s.q_d].concat().into_iter().map(f64::to_bits).collect::<Vec<_>>();
+        states.iter().map(|s| (s.seq, numbers(s))).collect::<Vec<_>>()
+    };
+    assert_eq!(bits(&states(3)), bits(&states(3)));
+    assert_ne!(bits(&states(3)), bits(&states(4)));
+}
+
+/// Lost states cost the loop a state, not the arm its motion: those that arrive are as if none had been lost.
+#[test]
+fn lost_states_leave_gaps_of_the_burst_length() {
+    let mut truth = silent_panda();
+    let whole = follow(&mut sim(&truth, 9, fast()), 3000);
+    (truth.drop_probability, truth.drop_burst) = (0.02, 3);
+    let run = follow(&mut sim(&truth, 9, fast()), 2500);
+    let gaps: Vec<u64> = run.windows(2).map(|pair| pair[1].0.seq - pair[0].0.seq).collect();
+    let lost: u64 = gaps.iter().map(|gap| gap - 1).sum();
+    assert!(gaps.iter().all(|gap| (gap - 1) % 3 == 0), "bursts of three");
+    let share = lost as f64 / (2500.0 + lost as f64);
+    assert!((0.03..0.09).contains(&share), "{share} lost");
+    for (state, _) in run.iter().filter(|(state, _)| state.seq <= 3000) {
+        let same = &whole[state.seq as usize - 1].0;
+        assert_eq!((same.seq, same.time), (state.seq, state.time));
+        // The arm went on alone at constant acceleration, so it is off by the jerk over three milliseconds.
+        assert!((0..N).all(|j| (same.q[j] - state.q[j]).abs() < 2e-5), "state {}", state.seq);
+    }
+}
+
+#[test]
+fn twenty_missing_commands_are_a_reflex() {
+    let mut arm = sim(&silent_panda(), 0, fast());
+    for _ in 0..100 {
+        arm.read().expect("nobody has commanded anything yet");
+    }
+    follow(&mut arm, 700);
+    // The last command is still under way at the first of these.
+    for missing in 0..20 {
+        assert!(arm.read().is_ok(), "after {missing} missing commands");
+    }
+    let reflex = Fault::Reflex { code: REFLEX_COMMUNICATION };
+    assert_eq!(arm.read(), Err(reflex));
+    assert_eq!(arm.write(&command(0, excitation(700))), Err(Fault::Refused { code: REFUSED_STOPPED }));
+    assert_eq!(arm.read(), Err(reflex));
+    arm.stop();
+    let rest: Vec<State> = (0..500).map(|_| arm.read().expect("stopped")).collect();
+    assert!((0..N).all(|j| rest[499].dq[j].abs() < 1e-6), "{:?}", rest[499].dq);
+}
+
+#[test]
+fn refuses_what_a_robot_refuses_and_goes_on() {
+    let mut arm = sim(&silent_panda(), 0, fast());
+    let state = arm.read().unwrap();
+    let at = |j: usize, value: f64| {
+        let mut desired = Setpoint { q: READY, ..Setpoint::default() };
+        desired.q[j] = value;
+        command(state.seq, desired)
+    };
+    assert_eq!(arm.write(&at(3, f64::NAN)), Err(Fault::Refused { code: REFUSED_NOT_FINITE }));
+    assert_eq!(arm.write(&at(3, READY[3] + 0.001)), Err(Fault::Refused { code: REFUSED_JUMP }));
+    assert_eq!(arm.write(&at(3, READY[3] + 0.0001)), Ok(()));
+    // A number past the arm's joints is nobody's business.
+    assert_eq!(arm.write(&at(7, f64::NAN)), Ok(()));
+    let state = arm.read().unwrap();
+    assert_eq!(state.q_d[7], 0.0);
+}
+
+/// The gate holds simulated time, not samples: whatever the consumer does, every state arrives in order.
+#[test]
+fn a_slow_consumer_loses_no_state() {
+    let gate = Arc::new(Gate::new(16));
+    gate.shut();
+    let (sender, receiver) = std::sync::mpsc::channel();
+    let mut arm = sim(&silent_panda(), 0, Pace::Fast(gate.clone()));
+    let thread = std::thread::spawn(move || {
+        loop {
+            match arm.read() {
+                Ok(state) => {
+                    sender.send(state.seq).unwrap();
+                    arm.write(&command(state.seq, excitation(state.seq))).unwrap();
+                }
+                Err(fault) => return fault,
+            }
+        }
+    });
+    assert!(receiver.recv_timeout(std::time::Duration::from_millis(20)).is_err(), "the gate is shut");
+    gate.open();
+    for expected in 1..=500 {
+        assert_eq!(receiver.recv().unwrap(), expected);
+        assert!(gate.under_way() <= 16);
+        gate.consumed(1);
+    }
+    gate.end();
+    assert_eq!(thread.join().unwrap(), Fault::Disconnected);
+    assert!(receiver.iter().count() <= 16);
+}
+
+#[test]
+fn the_wall_clock_has_absolute_deadlines_and_forgives_a_late_reader() {
+    let zero = Instant::now();
+    let mut arm = sim(&silent_panda(), 0, Pace::WallClock(Box::new(TestClock(zero))));
+    assert_eq!(arm.deadline_ns(), None);
+    let clock = TestClock(zero);
+    let origin = arm.read().map(|_| arm.deadline_ns().unwrap()).unwrap();
+    for k in 1..200u64 {
+        if k == 50 {
+            std::thread::sleep(std::time::Duration::from_millis(12));
+        }
+        let state = arm.read().unwrap();
+        assert_eq!(state.seq, k + 1, "no state is lost");
+        assert_eq!(arm.deadline_ns(), Some(origin + k * 1_000_000), "no drift");
+        assert!(clock.now_ns() >= origin + k * 1_000_000, "not before its time");
+    }
+}
+
+#[test]
+fn says_what_does_not_fit() {
+    let truth = silent_panda();
+    let short = Chain::modified(panda().joints()[..6].to_vec(), Placement::identity());
+    let new = |chain: &Chain, start| SimArm::new(chain, &truth, Mounting::WALL, start, 0, fast()).err();
+    assert_eq!(new(&short, READY), Some(SimError::Joints { truth: 7, chain: 6 }));
+    let mut start = READY;
+    start[2] = f64::INFINITY;
+    assert_eq!(new(&panda(), start), Some(SimError::NotFinite { what: "joint 3".into(), value: f64::INFINITY }));
+}
+
+#[test]
+fn a_wrong_truth_names_the_place() {
+    let text =
+        std::fs::read_to_string(format!("{}/config/arms/sim-panda-effect.toml", env!("CARGO_MANIFEST_DIR"))).unwrap();
+    let cases = [
+        ("mass = 4.970684", "mass = -1.0", "link 1, mass"),
+        ("0.027518, 0.039252", "nan, 0.039252", "link 3"),
+        ("0.70337, -0.000139", "0.10, -0.000139", "link 1, inertia"),
+        ("fc = 0.5182", "fc = -0.5", "joint 1, fc"),
+        ("fc = 0.5182", "fx = 0.5182", "line"),
+        ("substeps = 4", "substeps = 0", "substeps"),
+        ("drop-probability = 0.0", "drop-probability = 0.9", "drop-probability"),
+        ("joint = 4\ndelta", "joint = 8\ndelta", "effect 2, joint"),
+        ("delta = 0.002", "delta = 0.0", "effect 2, delta"),
+        ("id = \"presliding\"", "id = \"poltergeist\"", "line"),
+        ("mass = 0.73\n", "mass = 0.73\nlink = 9\n", "effect 3, link"),
+    ];
+    for (from, to, place) in cases {
+        assert!(text.contains(from), "{from}");
+        let error = Truth::parse("arm.toml", &text.replacen(from, to, 1)).expect_err(to);
+        assert_eq!(error.file, "arm.toml");
+        assert!(error.place.contains(place), "{to}: `{error}` does not name {place}");
+    }
+}
+
+#[test]
+fn the_paper_arm_has_the_base_parameters_of_table_2() {
+    let joint = |alpha| Joint { kind: JointKind::Revolute, a: 0.0, alpha, d: 0.0, theta: 0.0 };
+    let chain = Chain::modified(vec![joint(0.0), joint(-FRAC_PI_2)], Placement::identity());
+    let truth = arm_file("sim-paper-2dof.toml");
+    let delta = DVector::from_vec(truth.link_parameters().concat());
+    let beta = Reduction::any_mounting(&chain).regroup() * delta;
+    let paper = [0.320, 0.800, 1.100, 1.590, 0.210, -0.030, 0.210, 1.660, 0.300, -2.100];
+    assert_eq!(beta.len(), paper.len());
+    assert!(beta.iter().zip(paper).all(|(found, value)| (found - value).abs() < 1e-9), "{beta}");
+}
