@@ -39,7 +39,8 @@ fn child() {
 fn follow(robot: &RobotId) {
     let mut stream = SampleStream::connect(robot, StreamSettings::default(), PATIENCE).unwrap();
     loop {
-        read_until(&mut stream, stream.position() + 100, || ());
+        let goal = stream.position() + 100;
+        read_until(&mut stream, goal, || ());
         println!("at {}", stream.position());
     }
 }
