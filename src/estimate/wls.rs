@@ -4,15 +4,13 @@ use super::EstimateError;
 use super::covariance::{Block, sandwich, tapered_autocovariance};
 use super::experiment::Experiment;
 use super::validate::{Rms, validate_parameters};
-use crate::model::conditioning::{Conditions, conditions};
+use crate::model::conditioning::{Conditions, ZERO_COLUMN, conditions};
 use crate::model::structure::Structure;
 use crate::model::term::{Column, friction};
 use nalgebra::{DMatrix, DVector};
 
 /// Directions whose singular value, in equilibrated columns, is below this share of the largest are left undetermined.
 const RANK_TOLERANCE: f64 = 1e-7;
-/// A column whose norm is below this share of the largest column's is no excitation but rounding.
-const ZERO_COLUMN: f64 = 1e-10;
 /// A parameter is undetermined when more than this share of it lies in undetermined directions.
 const UNDETERMINED_SHARE: f64 = 1e-3;
 /// Rounds of weights from residuals; the weights settle to a few per cent in the second.

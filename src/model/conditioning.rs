@@ -24,6 +24,9 @@ pub struct Conditions {
     pub weighted_rigid: f64,
 }
 
+/// A column whose norm is below this share of the largest column's is no excitation but rounding.
+pub const ZERO_COLUMN: f64 = 1e-10;
+
 /// All condition numbers of `w`, whose rows are joint by joint (n equal blocks).
 ///
 /// `friction[c]` tells the friction columns, `sigma` is the standard deviation of each joint's torque noise, n \[Nm\].
@@ -63,10 +66,14 @@ fn triangle(w: &DMatrix<f64>) -> DMatrix<f64> {
 
 fn equilibrated(w: &DMatrix<f64>) -> DMatrix<f64> {
     let mut w = w.clone();
+    let largest = w.column_iter().map(|column| column.norm()).fold(0.0, f64::max);
     for mut column in w.column_iter_mut() {
         let norm = column.norm();
-        if norm > 0.0 {
+        // What is left of a column that nothing excites (`sin(pi)` is 1e-16) must not be blown up to a direction.
+        if norm > ZERO_COLUMN * largest {
             column /= norm;
+        } else {
+            column.fill(0.0);
         }
     }
     w
