@@ -7,7 +7,7 @@
 //! | 0 | [`joint`], [`input`], [`atomic`] | fixed-size values with units; how bad input is reported; how files are written |
 //! | 1 | [`model`], [`rt`] | the arm's dynamics, pure; the real-time loop and its traits |
 //! | 2 | [`excite`], [`estimate`] | excitation motions and their limits; signals, least squares, uncertainty |
-//! | 3 | [`config`], [`dataset`], [`store`] | typed configuration; recorded motions as folders of CSV files; model files |
+//! | 3 | [`config`], [`dataset`], [`store`], [`report`] | typed configuration; recorded motions as folders of CSV files; model files; report |
 
 pub mod atomic;
 pub mod config;
@@ -17,5 +17,6 @@ pub mod excite;
 pub mod input;
 pub mod joint;
 pub mod model;
+pub mod report;
 pub mod rt;
 pub mod store;
