@@ -18,12 +18,14 @@ const MODELLED: RGBColor = RGBColor(2, 2, 2);
 const RESIDUAL: RGBColor = RGBColor(3, 3, 3);
 /// Band of the noise, bars of a histogram.
 const BAND: RGBColor = RGBColor(4, 4, 4);
+/// Edges of the noise band, over the curve that hides the band itself.
+const EDGE: RGBColor = RGBColor(6, 6, 6);
 /// Axes and grid.
 const GRID: RGBColor = RGBColor(5, 5, 5);
 /// The first of one colour per joint.
 const JOINT: RGBColor = RGBColor(11, 0, 0);
 
-const TEXT: (&str, i32) = ("sans-serif", 19);
+const TEXT: (&str, i32) = ("sans-serif", 15);
 
 /// Draws into a fresh SVG of the given size. A plot of finite data in memory can't fail; a plot that does is left out.
 fn svg(size: (u32, u32), draw: impl FnOnce(Area) -> Drawn) -> String {
@@ -72,12 +74,12 @@ fn curves(
 ) -> Drawn {
     let mut chart = ChartBuilder::on(area)
         .margin(6)
-        .set_label_area_size(LabelAreaPosition::Left, 82)
-        .set_label_area_size(LabelAreaPosition::Bottom, if x_name.is_empty() { 8 } else { 50 })
+        .set_label_area_size(LabelAreaPosition::Left, 66)
+        .set_label_area_size(LabelAreaPosition::Bottom, if x_name.is_empty() { 24 } else { 44 })
         .build_cartesian_2d(t0..t1, low..high)?;
     let mut mesh = chart.configure_mesh();
     mesh.light_line_style(TRANSPARENT).bold_line_style(GRID.stroke_width(1)).axis_style(GRID.stroke_width(1));
-    mesh.label_style(TEXT).x_labels(8).y_labels(ticks).x_label_formatter(&tick).y_label_formatter(&tick);
+    mesh.axis_desc_style(TEXT).label_style(TEXT).x_labels(8).y_labels(ticks).x_label_formatter(&tick).y_label_formatter(&tick);
     mesh.y_desc(y_name).x_desc(x_name).draw()?;
     if let Some(half) = band {
         let corners = [(t0, (-half).max(low)), (t1, half.min(high))];
@@ -85,6 +87,9 @@ fn curves(
     }
     for (points, colour, width) in lines {
         chart.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(*width)))?;
+    }
+    for edge in band.iter().flat_map(|half| [-half, *half]) {
+        chart.draw_series(LineSeries::new([(t0, edge), (t1, edge)], EDGE.stroke_width(2)))?;
     }
     Ok(())
 }
@@ -98,9 +103,9 @@ pub(super) fn torque(figure: &TorqueFigure, j: usize) -> String {
     let t = time_span(&figure.t);
     let noise = figure.noise.get(j).map(|noise| 2.0 * noise);
     let far = residual.iter().fold(noise.unwrap_or(0.0), |far, value| far.max(value.abs())).max(1e-9) * 1.1;
-    svg((1140, 520), |area| {
-        let (above, below) = area.split_vertically(310);
-        let lines = [(thin(&figure.t, measured), MEASURED, 2), (thin(&figure.t, modelled), MODELLED, 2)];
+    svg((820, 430), |area| {
+        let (above, below) = area.split_vertically(250);
+        let lines = [(thin(&figure.t, measured), MEASURED, 4), (thin(&figure.t, modelled), MODELLED, 1)];
         curves(&above, t, span(measured.iter().chain(modelled)), "torque / Nm", "", 6, None, &lines)?;
         let line = [(thin(&figure.t, &residual), RESIDUAL, 1)];
         curves(&below, t, (-far, far), "residual / Nm", "t / s", 4, noise, &line)?;
@@ -135,15 +140,15 @@ pub(super) fn path(plan: &PlanFigure, axes: [usize; 2], names: [&str; 2]) -> Str
     let half = 0.5 * (x.1 - x.0).max(y.1 - y.0);
     let around = |(low, high): (f64, f64)| (0.5 * (low + high) - half, 0.5 * (low + high) + half);
     let (x, y) = (around(x), around(y));
-    svg((560, 530), |area| {
+    svg((430, 410), |area| {
         let mut chart = ChartBuilder::on(&area)
             .margin(6)
-            .set_label_area_size(LabelAreaPosition::Left, 82)
-            .set_label_area_size(LabelAreaPosition::Bottom, 50)
+            .set_label_area_size(LabelAreaPosition::Left, 66)
+            .set_label_area_size(LabelAreaPosition::Bottom, 44)
             .build_cartesian_2d(x.0..x.1, y.0..y.1)?;
         let mut mesh = chart.configure_mesh();
         mesh.light_line_style(TRANSPARENT).bold_line_style(GRID.stroke_width(1)).axis_style(GRID.stroke_width(1));
-        mesh.label_style(TEXT).x_labels(5).y_labels(5).x_label_formatter(&tick).y_label_formatter(&tick);
+        mesh.axis_desc_style(TEXT).label_style(TEXT).x_labels(5).y_labels(5).x_label_formatter(&tick).y_label_formatter(&tick);
         mesh.x_desc(names[0]).y_desc(names[1]).draw()?;
         if let Some(space) = &plan.workspace {
             let [a, b] = axes;
@@ -166,15 +171,15 @@ pub(super) fn histogram(bins: &[Bin], x_name: &str) -> String {
     let from = |bin: &Bin| bin.from.max(bin.to / 10.0);
     let low = bins.iter().map(from).fold(f64::MAX, f64::min);
     let high = bins.iter().map(|bin| bin.to).fold(0.0, f64::max);
-    svg((1140, 380), |area| {
+    svg((820, 340), |area| {
         let mut chart = ChartBuilder::on(&area)
             .margin(6)
-            .set_label_area_size(LabelAreaPosition::Left, 92)
-            .set_label_area_size(LabelAreaPosition::Bottom, 50)
+            .set_label_area_size(LabelAreaPosition::Left, 76)
+            .set_label_area_size(LabelAreaPosition::Bottom, 44)
             .build_cartesian_2d((low..high * 1.05).log_scale(), (0.5..most as f64 * 2.0).log_scale())?;
         let mut mesh = chart.configure_mesh();
         mesh.light_line_style(TRANSPARENT).bold_line_style(GRID.stroke_width(1)).axis_style(GRID.stroke_width(1));
-        mesh.label_style(TEXT).x_label_formatter(&tick).y_label_formatter(&tick).x_desc(x_name).y_desc("cycles");
+        mesh.axis_desc_style(TEXT).label_style(TEXT).x_label_formatter(&tick).y_label_formatter(&tick).x_desc(x_name).y_desc("cycles");
         mesh.draw()?;
         let bar = |bin: &Bin| Rectangle::new([(from(bin), 0.5), (bin.to, bin.count as f64)], BAND.filled());
         chart.draw_series(bins.iter().map(bar))?;

@@ -33,16 +33,8 @@ pub(super) fn mean(values: &[f64]) -> f64 {
 }
 
 pub(super) fn lines(report: &Report) -> Vec<String> {
-    let mut lines = vec![format!(
-        "{} on the {}: {} parameters ({})",
-        report.robot, report.mounting.name, report.base.count, report.base.kind
-    )];
-    if report.mounting.name.contains('=') || report.mounting.name == "upright" {
-        lines[0] = format!(
-            "{}, mounting {}: {} parameters ({})",
-            report.robot, report.mounting.name, report.base.count, report.base.kind
-        );
-    }
+    let (base, mounting) = (&report.base, &report.mounting.name);
+    let mut lines = vec![format!("{}, mounting {mounting}: {} parameters ({})", report.robot, base.count, base.kind)];
     if !report.conditions.is_empty() {
         let one = |c: &super::Condition| {
             format!("{} {} (rigid body alone {})", c.definition, digits(c.with_friction), digits(c.without_friction))
