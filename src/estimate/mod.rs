@@ -1,3 +1,73 @@
 //! Floor 2: from measured samples to base parameters with honest standard deviations.
+//!
+//! [`run::Run`] (samples as they came) -> [`experiment::Experiment`] (averaged, filtered, differentiated) ->
+//! [`wls::identify`] -> [`wls::Identification`]; [`validate::validate`] measures any model on any experiment.
 
+pub mod covariance;
+pub mod experiment;
+pub mod periods;
+pub mod run;
 pub mod signal;
+pub mod validate;
+pub mod wls;
+
+/// Why samples could not be turned into parameters.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EstimateError {
+    /// A run's samples could not be processed.
+    #[error("run {run}: {source}")]
+    Signal {
+        /// Name of the run.
+        run: String,
+        /// What was wrong.
+        source: signal::SignalError,
+    },
+    /// The run has fewer whole periods than are needed.
+    #[error("run {run}: {found} whole periods of {period} s after leaving out {skipped}: expected at least 1")]
+    Periods {
+        /// Name of the run.
+        run: String,
+        /// Whole periods found.
+        found: usize,
+        /// Periods left out at the start.
+        skipped: usize,
+        /// The period \[s\].
+        period: f64,
+    },
+    /// The period is no positive number of samples.
+    #[error("run {run}: period {period} s at a step of {dt} s: expected at least 16 samples a period")]
+    Period {
+        /// Name of the run.
+        run: String,
+        /// The period \[s\].
+        period: f64,
+        /// Time between samples \[s\].
+        dt: f64,
+    },
+    /// The run is of another arm.
+    #[error("run {run} has {found} joints, the model {expected}")]
+    Joints {
+        /// Name of the run.
+        run: String,
+        /// Joints of the run.
+        found: usize,
+        /// Joints of the model.
+        expected: usize,
+    },
+    /// There are fewer equations than parameters.
+    #[error("{rows} equations after decimation for {columns} parameters")]
+    TooFewRows {
+        /// Equations.
+        rows: usize,
+        /// Parameters.
+        columns: usize,
+    },
+    /// A singular value decomposition did not converge, which finite data does not cause.
+    #[error("the regressor of {rows} x {columns} has no singular value decomposition (are all samples finite?)")]
+    Decomposition {
+        /// Rows.
+        rows: usize,
+        /// Columns.
+        columns: usize,
+    },
+}

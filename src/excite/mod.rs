@@ -1,7 +1,10 @@
 //! Floor 2: excitation motions: Fourier series, the limits they keep, how well they excite, and a search for good ones.
 
+pub mod criterion;
 pub mod fourier;
 pub mod limits;
+pub mod plan;
+pub mod search;
 
 /// Why a motion can't be built or found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -89,6 +92,14 @@ pub enum ExciteError {
     NoMotion {
         /// The limit that the smallest motion still broke.
         violation: limits::Peak,
+    },
+    /// The arm of the structure and the arm of the limits differ.
+    #[error("a start pose of {found} joints for an arm of {expected}")]
+    Joints {
+        /// Joints given.
+        found: usize,
+        /// Joints of the arm.
+        expected: usize,
     },
     /// The search was given nothing to spend.
     #[error("{evaluations} evaluations on {samples} samples a period: expected at least 1 and 20")]

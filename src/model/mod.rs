@@ -2,6 +2,7 @@
 
 pub mod base;
 pub mod chain;
+pub mod conditioning;
 pub mod expression;
 pub mod gravity;
 pub mod regressor;

@@ -1,0 +1,301 @@
+//! One run made ready for the regression: averaged, filtered, differentiated.
+
+use super::EstimateError;
+use super::periods::{Scatter, average};
+use super::run::Run;
+use super::signal::butterworth::Butterworth;
+use super::signal::resample::{Sampling, resample};
+use super::signal::spectral::Spectral;
+use super::signal::{SignalError, decimation, difference};
+use crate::model::term::Motion;
+use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
+
+/// How velocities and accelerations come from filtered positions.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Derivative {
+    /// Through the spectrum, exact for a periodic motion. A run that does not repeat takes central differences.
+    #[default]
+    Spectral,
+    /// Central differences.
+    Central,
+}
+
+/// How runs are prepared.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case", default)]
+pub struct Settings {
+    /// Cut-off of the zero-phase low-pass on the torques and on every column of the regressor \[Hz\].
+    pub torque_cutoff: f64,
+    /// Cut-off of the zero-phase low-pass on the positions before they are differentiated \[Hz\]. It must pass what the sign of the
+    /// velocity does at a reversal, so it is wider than the other. At most 0.8 of half the sampling rate is used.
+    pub position_cutoff: f64,
+    /// Order of both low-passes, even; they run forward and backward.
+    pub order: usize,
+    /// Samples to keep one of after the low-pass; absent: paper eq. 16 for twice the torque cut-off.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub decimation: Option<usize>,
+    /// How positions are differentiated.
+    pub derivative: Derivative,
+    /// Periods left out at the start of a periodic run, while the arm settles.
+    pub skip_periods: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Settings {
+        Settings {
+            torque_cutoff: 5.0,
+            position_cutoff: 20.0,
+            order: 8,
+            decimation: None,
+            derivative: Derivative::Spectral,
+            skip_periods: 0,
+        }
+    }
+}
+
+/// Share of half the sampling rate that the position filter may use.
+const WIDEST: f64 = 0.8;
+/// Time that is cut off both ends of a run that does not repeat, as a number of periods of the lower cut-off.
+const EDGE: f64 = 2.0;
+
+/// One run, ready for the regression.
+#[derive(Clone, Debug)]
+pub struct Experiment {
+    /// Name of the run.
+    pub name: String,
+    /// The filtered motion with its derivatives on the even grid, one period of a periodic run.
+    pub motion: Motion,
+    /// Torques on the same grid, N x n, averaged over the periods and not filtered \[Nm\].
+    pub tau: DMatrix<f64>,
+    /// Scatter of the torques between the periods \[Nm\]; `None` without repeats.
+    pub scatter: Option<Scatter>,
+    /// Standard deviation of one raw position sample between the periods, n \[rad\]; `None` without repeats.
+    pub position_noise: Option<Vec<f64>>,
+    /// What the time stamps were like.
+    pub sampling: Sampling,
+    /// Samples of the grid that enter the regression.
+    kept: Vec<usize>,
+    /// Samples of the grid away from the ends of a run that does not repeat.
+    trusted: std::ops::Range<usize>,
+    filter: Butterworth,
+}
+
+impl Experiment {
+    /// Puts a run onto an even grid, averages its periods, filters the positions and differentiates them.
+    pub fn prepare(run: &Run, settings: &Settings) -> Result<Experiment, EstimateError> {
+        let signal = |source| EstimateError::Signal { run: run.name.clone(), source };
+        let n = run.joints();
+        if run.tau.shape() != run.q.shape() {
+            return Err(signal(SignalError::Shape { what: "tau", found: run.tau.nrows(), expected: run.q.nrows() }));
+        }
+        let mut values = DMatrix::zeros(run.q.nrows(), 2 * n);
+        values.columns_mut(0, n).copy_from(&run.q);
+        values.columns_mut(n, n).copy_from(&run.tau);
+        let mut even = resample(&run.t, &values, None).map_err(signal)?;
+        let Some(period) = run.period else {
+            return Experiment::build(run, settings, even.values, None, even.sampling).map_err(signal);
+        };
+
+        // A whole number of samples per period, so that the periods lie on top of each other.
+        let samples = (period / even.sampling.dt).round();
+        if !(samples >= 16.0 && samples.is_finite()) {
+            return Err(EstimateError::Period { run: run.name.clone(), period, dt: even.sampling.dt });
+        }
+        let samples = samples as usize;
+        let dt = period / samples as f64;
+        if (dt - even.sampling.dt).abs() > 1e-12 {
+            even = resample(&run.t, &values, Some(dt)).map_err(signal)?;
+        }
+        let found = even.values.nrows() / samples;
+        let skipped = settings.skip_periods;
+        if found <= skipped {
+            return Err(EstimateError::Periods { run: run.name.clone(), found, skipped, period });
+        }
+        let first = skipped * samples;
+        let rest = even.values.rows(first, even.values.nrows() - first).into_owned();
+        let averaged = average(&rest, &even.filled[first..], samples, dt);
+        Experiment::build(run, settings, averaged.mean, Some(averaged.scatter), even.sampling).map_err(signal)
+    }
+
+    /// `values` are positions and torques on the even grid; `scatter` is `Some` for a periodic run, whatever its periods.
+    fn build(
+        run: &Run,
+        settings: &Settings,
+        values: DMatrix<f64>,
+        scatter: Option<Option<Scatter>>,
+        sampling: Sampling,
+    ) -> Result<Experiment, SignalError> {
+        let (n, samples, dt) = (run.joints(), values.nrows(), sampling.dt);
+        let periodic = scatter.is_some();
+        let rate = 1.0 / dt;
+        let filter = Butterworth::new(settings.order, settings.torque_cutoff, rate)?;
+        let position_cutoff = settings.position_cutoff.min(WIDEST * rate / 2.0);
+        let position_filter = Butterworth::new(settings.order, position_cutoff, rate)?;
+
+        let zeros = || DMatrix::zeros(samples, n);
+        let mut motion = Motion { dt, q: zeros(), dq: zeros(), ddq: zeros(), gravity: run.gravity, periodic };
+        let mut spectral = Spectral::new(samples, dt);
+        for j in 0..n {
+            let q: Vec<f64> = values.column(j).iter().copied().collect();
+            let [q, dq, ddq] = match settings.derivative {
+                Derivative::Spectral if periodic => spectral.derivatives(&q, |f| position_filter.zero_phase_gain(f)),
+                _ => {
+                    let q = if periodic {
+                        position_filter.zero_phase_periodic(&mut spectral, &q)
+                    } else {
+                        position_filter.zero_phase(&q)
+                    };
+                    let [dq, ddq] = difference::derivatives(&q, dt, periodic);
+                    [q, dq, ddq]
+                }
+            };
+            for (target, source) in [(&mut motion.q, q), (&mut motion.dq, dq), (&mut motion.ddq, ddq)] {
+                target.column_mut(j).copy_from_slice(&source);
+            }
+        }
+
+        let edge = if periodic {
+            0
+        } else {
+            (EDGE * rate / settings.torque_cutoff.min(position_cutoff)).ceil() as usize
+        };
+        let trusted = edge..samples.saturating_sub(edge);
+        let step = settings.decimation.unwrap_or_else(|| decimation(rate, 2.0 * settings.torque_cutoff)).max(1);
+        let kept: Vec<usize> = trusted.clone().step_by(step).collect();
+        if kept.len() < 2 {
+            return Err(SignalError::TooShort { samples, needed: 2 * edge + 2 * step });
+        }
+        let scatter = scatter.flatten();
+        Ok(Experiment {
+            name: run.name.clone(),
+            motion,
+            tau: values.columns(n, n).into_owned(),
+            position_noise: scatter.as_ref().map(|scatter| scatter.std[..n].to_vec()),
+            scatter: scatter.map(|scatter| scatter.select(n..2 * n)),
+            sampling,
+            kept,
+            trusted,
+            filter,
+        })
+    }
+
+    /// Number of joints, n.
+    pub fn joints(&self) -> usize {
+        self.motion.joints()
+    }
+
+    /// Samples of the grid that enter the regression, m of N.
+    pub fn kept(&self) -> &[usize] {
+        &self.kept
+    }
+
+    /// Samples of the grid whose derivatives can be trusted: all of a periodic run, all but the ends of another.
+    pub fn trusted(&self) -> std::ops::Range<usize> {
+        self.trusted.clone()
+    }
+
+    /// Zero-phase gain of the filter on torques and columns at a frequency \[Hz\].
+    pub fn gain(&self, f: f64) -> f64 {
+        self.filter.zero_phase_gain(f)
+    }
+
+    /// Filters every column of `y` (n N rows at the raw rate, joint by joint) over each joint's block of samples.
+    ///
+    /// Torques and regressor go through this same function: a filter on one side alone would look like friction at reversals.
+    pub fn filter(&self, y: &DMatrix<f64>) -> DMatrix<f64> {
+        let samples = self.motion.samples();
+        assert_eq!(y.nrows() % samples, 0, "whole blocks of samples");
+        let mut spectral = Spectral::new(samples, self.motion.dt);
+        let mut out = y.clone();
+        for mut column in out.column_iter_mut() {
+            for block in column.as_mut_slice().chunks_mut(samples) {
+                // A link's column is zero in the rows of the joints beyond it.
+                if block.iter().all(|&value| value == 0.0) {
+                    continue;
+                }
+                let filtered = if self.motion.periodic {
+                    self.filter.zero_phase_periodic(&mut spectral, block)
+                } else {
+                    self.filter.zero_phase(block)
+                };
+                block.copy_from_slice(&filtered);
+            }
+        }
+        out
+    }
+
+    /// [`Experiment::filter`], then the kept samples: n m rows, joint by joint.
+    pub fn band(&self, y: &DMatrix<f64>) -> DMatrix<f64> {
+        let samples = self.motion.samples();
+        let filtered = self.filter(y);
+        let rows: Vec<usize> = (0..y.nrows() / samples)
+            .flat_map(|block| self.kept.iter().map(move |&k| block * samples + k))
+            .collect();
+        filtered.select_rows(&rows)
+    }
+
+    /// Torques as one column, n N rows joint by joint.
+    pub fn stacked_tau(&self) -> DMatrix<f64> {
+        DMatrix::from_column_slice(self.tau.len(), 1, self.tau.as_slice())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+    use std::f64::consts::PI;
+
+    fn run(period: Option<f64>, seconds: f64) -> Run {
+        let count = (seconds * 1000.0) as usize + 1;
+        let t: Vec<f64> = (0..count).map(|k| k as f64 * 1e-3).collect();
+        let q = DMatrix::from_fn(count, 2, |k, j| (PI * t[k] * (j + 1) as f64).sin());
+        let tau = q.map(|q| 3.0 * q);
+        Run { name: "test".into(), t, q, tau, gravity: Vector3::new(0.0, 0.0, -9.81), period }
+    }
+
+    #[test]
+    fn derivatives_of_a_periodic_and_of_a_free_run_are_those_of_the_sine() {
+        for (period, derivative) in
+            [(Some(2.0), Derivative::Spectral), (Some(2.0), Derivative::Central), (None, Derivative::Central)]
+        {
+            let settings = Settings { derivative, ..Settings::default() };
+            let experiment = Experiment::prepare(&run(period, 8.0), &settings).unwrap();
+            assert_eq!(experiment.motion.samples(), if period.is_some() { 2000 } else { 8001 });
+            for k in experiment.trusted() {
+                for j in 0..2 {
+                    let w = PI * (j + 1) as f64;
+                    let angle = w * k as f64 * 1e-3;
+                    assert!((experiment.motion.q[(k, j)] - angle.sin()).abs() < 1e-6);
+                    assert!((experiment.motion.dq[(k, j)] - w * angle.cos()).abs() < 1e-5);
+                    assert!((experiment.motion.ddq[(k, j)] + w * w * angle.sin()).abs() < 1e-3, "{derivative:?} {k}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn band_filters_columns_and_torques_alike() {
+        let experiment = Experiment::prepare(&run(Some(2.0), 4.0), &Settings::default()).unwrap();
+        let tau = experiment.stacked_tau();
+        let column = &tau / 3.0;
+        assert!((experiment.band(&column) * 3.0 - experiment.band(&tau)).abs().max() < 1e-12);
+        assert_eq!(experiment.band(&tau).nrows(), 2 * experiment.kept().len());
+        assert_eq!(experiment.kept()[1], 80);
+        assert_eq!(experiment.scatter.as_ref().unwrap().periods, 2);
+        assert!(experiment.scatter.unwrap().std.iter().all(|&s| s < 1e-12));
+    }
+
+    #[test]
+    fn too_few_periods_and_odd_periods_are_refused() {
+        let settings = Settings { skip_periods: 2, ..Settings::default() };
+        let error = Experiment::prepare(&run(Some(2.0), 4.5), &settings).unwrap_err();
+        assert_eq!(error, EstimateError::Periods { run: "test".into(), found: 2, skipped: 2, period: 2.0 });
+        assert!(matches!(
+            Experiment::prepare(&run(Some(0.001), 4.5), &Settings::default()),
+            Err(EstimateError::Period { .. })
+        ));
+    }
+}

@@ -1,0 +1,167 @@
+//! The mean of the periods of a periodic run, and the scatter between them: what no model of the motion can explain.
+
+use super::signal::spectral::Spectral;
+use nalgebra::DMatrix;
+
+/// Mean of P periods and what they scatter.
+#[derive(Clone, Debug)]
+pub struct Averaged {
+    /// The mean period, N x columns.
+    pub mean: DMatrix<f64>,
+    /// The scatter; `None` for a single period.
+    pub scatter: Option<Scatter>,
+}
+
+/// Deviations of the periods from their mean, as a spectrum.
+#[derive(Clone, Debug)]
+pub struct Scatter {
+    /// Number of periods, P.
+    pub periods: usize,
+    /// Standard deviation of one raw sample, per column: the noise floor.
+    pub std: Vec<f64>,
+    /// Power of one period's noise, bins x columns, `sum_p |DFT(deviation_p)|^2 / (N (P - 1))`, for 0 Hz to half the rate.
+    pub power: DMatrix<f64>,
+    /// Samples of a period, N.
+    pub samples: usize,
+    /// Time between samples \[s\].
+    pub dt: f64,
+}
+
+/// Averages `values` (rows in time) over its whole periods of `samples` rows, `dt` apart \[s\]; a partial one at the end is left out.
+///
+/// Rows with `filled` set were interpolated across a gap: they count only where no period has the real sample.
+/// There must be at least one whole period.
+pub fn average(values: &DMatrix<f64>, filled: &[bool], samples: usize, dt: f64) -> Averaged {
+    let periods = values.nrows() / samples;
+    assert!(periods > 0, "no whole period of {samples} samples in {}", values.nrows());
+    let columns = values.ncols();
+    let mut mean = DMatrix::zeros(samples, columns);
+    let mut counted = vec![false; periods * samples];
+    for k in 0..samples {
+        let rows: Vec<usize> = (0..periods).map(|p| p * samples + k).collect();
+        let real: Vec<usize> = rows.iter().copied().filter(|&row| !filled[row]).collect();
+        let used = if real.is_empty() { rows } else { real };
+        for &row in &used {
+            counted[row] = true;
+            for c in 0..columns {
+                mean[(k, c)] += values[(row, c)] / used.len() as f64;
+            }
+        }
+    }
+    if periods < 2 {
+        return Averaged { mean, scatter: None };
+    }
+    let spectral = Spectral::new(samples, dt);
+    let mut power = DMatrix::zeros(spectral.bins(), columns);
+    let mut std = vec![0.0; columns];
+    let scale = 1.0 / (samples * (periods - 1)) as f64;
+    for c in 0..columns {
+        for p in 0..periods {
+            let deviation: Vec<f64> = (0..samples)
+                .map(|k| (k, p * samples + k))
+                .map(|(k, row)| if counted[row] { values[(row, c)] - mean[(k, c)] } else { 0.0 })
+                .collect();
+            std[c] += scale * deviation.iter().map(|d| d * d).sum::<f64>();
+            for (m, value) in spectral.transform(&deviation).iter().enumerate() {
+                power[(m, c)] += scale * value.norm_sqr();
+            }
+        }
+        std[c] = std[c].sqrt();
+    }
+    Averaged { mean, scatter: Some(Scatter { periods, std, power, samples, dt }) }
+}
+
+impl Scatter {
+    /// Autocovariance of the mean's noise after a filter of the given zero-phase gain (of the frequency in Hz), at lags of
+    /// 0 to N - 1 samples. It is circular: the end of a period adjoins the start of the next.
+    pub fn autocovariance_of_mean(&self, column: usize, gain: impl Fn(f64) -> f64) -> Vec<f64> {
+        let spectral = Spectral::new(self.samples, self.dt);
+        let spectrum = (0..spectral.bins())
+            .map(|m| self.power[(m, column)] * gain(spectral.frequency(m)).powi(2) / self.periods as f64)
+            .map(|power| power.into())
+            .collect();
+        spectral.signal(spectrum)
+    }
+
+    /// Standard deviation of the mean's noise after a filter, per column.
+    pub fn std_of_mean(&self, gain: impl Fn(f64) -> f64) -> Vec<f64> {
+        (0..self.std.len()).map(|c| self.autocovariance_of_mean(c, &gain)[0].max(0.0).sqrt()).collect()
+    }
+
+    /// The scatter of some of the columns.
+    pub fn select(&self, columns: std::ops::Range<usize>) -> Scatter {
+        Scatter {
+            std: self.std[columns.clone()].to_vec(),
+            power: self.power.columns(columns.start, columns.len()).into_owned(),
+            ..self.clone()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    fn noise(rng: &mut ChaCha8Rng) -> f64 {
+        StandardNormal.sample(rng)
+    }
+
+    /// First-order noise of standard deviation 0.2 and pole 0.9 on a known period, and white noise of 0.05.
+    fn record(seed: u64, periods: usize, samples: usize) -> DMatrix<f64> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut x = 0.0;
+        DMatrix::from_fn(periods * samples + 7, 2, |k, c| {
+            let clean = ((k % samples) as f64 * 0.01).sin();
+            let unit = noise(&mut rng);
+            if c == 0 {
+                clean + 0.05 * unit
+            } else {
+                x = 0.9 * x + 0.2 * (1.0 - 0.81_f64).sqrt() * unit;
+                clean + x
+            }
+        })
+    }
+
+    #[test]
+    fn scatter_is_the_noise_and_its_autocovariance_that_of_its_process() {
+        let (periods, samples) = (12, 4000);
+        let mut values = DMatrix::zeros(periods * samples + 7, 2);
+        for c in 0..2 {
+            // Column by column, so that the coloured process runs in time.
+            values.set_column(c, &record(5 + c as u64, periods, samples).column(c));
+        }
+        let averaged = average(&values, &vec![false; values.nrows()], samples, 1e-3);
+        let scatter = averaged.scatter.unwrap();
+        assert_eq!(scatter.periods, periods);
+        assert!((scatter.std[0] / 0.05 - 1.0).abs() < 0.02, "{:?}", scatter.std);
+        assert!((scatter.std[1] / 0.2 - 1.0).abs() < 0.05, "{:?}", scatter.std);
+        let mean = scatter.autocovariance_of_mean(1, |_| 1.0);
+        for lag in [0, 1, 5, 10] {
+            let expected = 0.04 * 0.9_f64.powi(lag as i32) / periods as f64;
+            assert!((mean[lag] - expected).abs() < 0.06 * 0.04 / periods as f64, "lag {lag}: {} {expected}", mean[lag]);
+        }
+        // Half of white noise lies below a quarter of the rate.
+        let half = scatter.std_of_mean(|f| if f < 250.0 { 1.0 } else { 0.0 });
+        assert!((half[0] / (0.05 / (2.0 * periods as f64).sqrt()) - 1.0).abs() < 0.03);
+    }
+
+    #[test]
+    fn interpolated_samples_do_not_count() {
+        let samples = 20;
+        let mut values = DMatrix::from_fn(60, 1, |k, _| (k % samples) as f64);
+        let mut filled = vec![false; 60];
+        values[(25, 0)] = 1e6;
+        filled[25] = true;
+        let averaged = average(&values, &filled, samples, 0.1);
+        assert!((0..samples).all(|k| (averaged.mean[(k, 0)] - k as f64).abs() < 1e-12));
+        assert!(averaged.scatter.unwrap().std[0] < 1e-12);
+    }
+
+    #[test]
+    fn one_period_has_no_scatter() {
+        assert!(average(&DMatrix::zeros(30, 1), &[false; 30], 20, 0.1).scatter.is_none());
+    }
+}

@@ -1,0 +1,116 @@
+//! Condition numbers of a stacked regressor, in every definition in use.
+//!
+//! The paper reports a "normalized condition number" without defining it, so all of them stand side by side.
+
+use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
+
+/// `cond = s_max / s_min` of the stacked base regressor `W`, with and without the friction columns. Infinite (or beyond 1e15)
+/// when the motion does not determine every parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Conditions {
+    /// Of `W` as it is.
+    pub raw: f64,
+    /// Of `W` with every column divided by its norm.
+    pub equilibrated: f64,
+    /// Of `Sigma^-1/2 W`: every row divided by its joint's noise (paper eq. 11).
+    pub weighted: f64,
+    /// Of `W` without the friction columns.
+    pub raw_rigid: f64,
+    /// Of the equilibrated `W` without the friction columns.
+    pub equilibrated_rigid: f64,
+    /// Of `Sigma^-1/2 W` without the friction columns.
+    pub weighted_rigid: f64,
+}
+
+/// A column whose norm is below this share of the largest column's is no excitation but rounding.
+pub const ZERO_COLUMN: f64 = 1e-10;
+
+/// All condition numbers of `w`, whose rows are joint by joint (n equal blocks).
+///
+/// `friction[c]` tells the friction columns, `sigma` is the standard deviation of each joint's torque noise, n \[Nm\].
+pub fn conditions(w: &DMatrix<f64>, friction: &[bool], sigma: &[f64]) -> Conditions {
+    assert_eq!(w.ncols(), friction.len(), "one flag per column");
+    assert_eq!(w.nrows() % sigma.len(), 0, "equal blocks of rows");
+    let samples = w.nrows() / sigma.len();
+    let mut weighted = w.clone();
+    for (joint, sigma) in sigma.iter().enumerate() {
+        weighted.rows_mut(joint * samples, samples).scale_mut(1.0 / sigma);
+    }
+    let rigid: Vec<usize> = (0..w.ncols()).filter(|&c| !friction[c]).collect();
+    // W = Q R: every choice of columns of W has the condition of the same columns of R, which is small.
+    let (raw, weighted) = (triangle(w), triangle(&weighted));
+    Conditions {
+        raw: condition(&raw),
+        equilibrated: condition(&equilibrated(&raw)),
+        weighted: condition(&weighted),
+        raw_rigid: condition(&raw.select_columns(&rigid)),
+        equilibrated_rigid: condition(&equilibrated(&raw.select_columns(&rigid))),
+        weighted_rigid: condition(&weighted.select_columns(&rigid)),
+    }
+}
+
+/// Condition number by singular values; infinite for fewer rows than columns.
+pub fn condition(w: &DMatrix<f64>) -> f64 {
+    if w.nrows() < w.ncols() || w.ncols() == 0 || w.iter().any(|value| !value.is_finite()) {
+        return f64::INFINITY;
+    }
+    let s = w.singular_values();
+    if s.min() > 0.0 { s.max() / s.min() } else { f64::INFINITY }
+}
+
+fn triangle(w: &DMatrix<f64>) -> DMatrix<f64> {
+    if w.nrows() > w.ncols() { w.clone().qr().unpack_r() } else { w.clone() }
+}
+
+fn equilibrated(w: &DMatrix<f64>) -> DMatrix<f64> {
+    let mut w = w.clone();
+    let largest = w.column_iter().map(|column| column.norm()).fold(0.0, f64::max);
+    for mut column in w.column_iter_mut() {
+        let norm = column.norm();
+        // What is left of a column that nothing excites (`sin(pi)` is 1e-16) must not be blown up to a direction.
+        if norm > ZERO_COLUMN * largest {
+            column /= norm;
+        } else {
+            column.fill(0.0);
+        }
+    }
+    w
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::DVector;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn each_definition_is_what_its_matrix_has() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        // Two joints of 50 samples each; orthonormal columns, then known scales.
+        let q = DMatrix::from_fn(100, 4, |_, _| rng.random_range(-1.0..1.0)).qr().q();
+        let w = &q * DMatrix::from_diagonal(&DVector::from_vec(vec![2.0, 1.0, 0.1, 40.0]));
+        let friction = [false, false, false, true];
+        let found = conditions(&w, &friction, &[1.0, 1.0]);
+        assert!((found.raw - 400.0).abs() < 1e-9 && (found.raw_rigid - 20.0).abs() < 1e-11);
+        assert!((found.equilibrated - 1.0).abs() < 1e-12 && (found.equilibrated_rigid - 1.0).abs() < 1e-12);
+        assert!((found.weighted - found.raw).abs() < 1e-9);
+        // Noise of its own in each joint: the same as scaling the rows first.
+        let found = conditions(&w, &friction, &[0.5, 0.1]);
+        let mut scaled = w.clone();
+        scaled.rows_mut(0, 50).scale_mut(2.0);
+        scaled.rows_mut(50, 50).scale_mut(10.0);
+        assert!((found.weighted / condition(&scaled) - 1.0).abs() < 1e-10);
+        assert!((found.weighted_rigid / condition(&scaled.select_columns(&[0, 1, 2])) - 1.0).abs() < 1e-10);
+    }
+
+    #[test]
+    fn a_column_that_is_not_excited_is_infinite() {
+        let mut w = DMatrix::from_fn(30, 3, |i, j| ((i * (j + 2)) as f64).sin());
+        w.column_mut(1).fill(0.0);
+        assert!(conditions(&w, &[false; 3], &[1.0]).raw > 1e15);
+        assert_eq!(condition(&DMatrix::zeros(2, 3)), f64::INFINITY);
+    }
+}
