@@ -297,7 +297,8 @@ mod tests {
     #[test]
     fn the_end_effector_stays_in_the_box_and_out_of_the_sphere() {
         let (chain, limits) = (pendulum(), limits());
-        let space = |y: f64, radius: f64| Workspace { box_min: [-1.0, -y, -1.0], box_max: [1.0, y, 1.0], base_radius: radius };
+        let space =
+            |y: f64, radius: f64| Workspace { box_min: [-1.0, -y, -1.0], box_max: [1.0, y, 1.0], base_radius: radius };
         let broken = |workspace: Workspace| {
             let bounds =
                 Bounds { chain: &chain, limits: &limits, workspace: Some(&workspace), margins: Margins::default() };

@@ -1,0 +1,103 @@
+//! The curves behind the plots. They are drawn with at most about 1500 points each, however long they are.
+
+use crate::joint::Workspace;
+
+/// All curves of a report; whatever is absent is not drawn.
+#[derive(Clone, Debug, Default)]
+pub struct Figures {
+    /// Torques per run, in the order of drawing. All joints of a run cost about 0.2 MB: hand over the identification and one run
+    /// per mounting rather than everything.
+    pub runs: Vec<TorqueFigure>,
+    /// The planned motion.
+    pub plan: Option<PlanFigure>,
+    /// Distribution of the loop's wake-up lateness \[us\].
+    pub wake: Vec<Bin>,
+    /// Distribution of the loop's work time \[us\].
+    pub work: Vec<Bin>,
+}
+
+/// Measured and modelled torque along one run.
+#[derive(Clone, Debug, Default)]
+pub struct TorqueFigure {
+    /// What is shown.
+    pub title: String,
+    /// Time \[s\].
+    pub t: Vec<f64>,
+    /// Measured torque per joint, each as long as `t` \[Nm\].
+    pub measured: Vec<Vec<f64>>,
+    /// Modelled torque per joint \[Nm\].
+    pub modelled: Vec<Vec<f64>>,
+    /// Standard deviation of the measured torque's noise per joint, drawn as a band of twice that \[Nm\]; may be empty.
+    pub noise: Vec<f64>,
+}
+
+/// A planned motion.
+#[derive(Clone, Debug, Default)]
+pub struct PlanFigure {
+    /// Time \[s\].
+    pub t: Vec<f64>,
+    /// Position per joint, each as long as `t` \[rad\].
+    pub q: Vec<Vec<f64>>,
+    /// Position of the end effector in the base frame at `t` \[m\].
+    pub end_effector: Vec<[f64; 3]>,
+    /// Where the end effector may be.
+    pub workspace: Option<Workspace>,
+}
+
+/// One bin of a histogram.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Bin {
+    /// Lower edge.
+    pub from: f64,
+    /// Upper edge.
+    pub to: f64,
+    /// How many fell into it.
+    pub count: u64,
+}
+
+/// Most points of a drawn curve.
+pub const MOST_POINTS: usize = 1500;
+
+/// Thins a curve for drawing: of every stretch its lowest and highest point stay, so that no peak disappears.
+pub fn thin(t: &[f64], y: &[f64]) -> Vec<(f64, f64)> {
+    let samples = t.len().min(y.len());
+    if samples <= MOST_POINTS {
+        return t.iter().copied().zip(y.iter().copied()).collect();
+    }
+    let stretch = samples.div_ceil(MOST_POINTS / 2);
+    let mut points = Vec::with_capacity(MOST_POINTS);
+    for first in (0..samples).step_by(stretch) {
+        let range = first..(first + stretch).min(samples);
+        let (mut low, mut high) = (first, first);
+        for k in range {
+            if y[k] < y[low] {
+                low = k;
+            }
+            if y[k] > y[high] {
+                high = k;
+            }
+        }
+        points.push((t[low.min(high)], y[low.min(high)]));
+        if low != high {
+            points.push((t[low.max(high)], y[low.max(high)]));
+        }
+    }
+    points
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn thinning_keeps_every_peak_and_the_order() {
+        let t: Vec<f64> = (0..100_000).map(|k| k as f64 * 1e-3).collect();
+        let mut y: Vec<f64> = t.iter().map(|t| t.sin()).collect();
+        (y[777], y[55_555]) = (50.0, -60.0);
+        let points = thin(&t, &y);
+        assert!(points.len() <= MOST_POINTS && points.len() > MOST_POINTS / 3);
+        assert!(points.contains(&(0.777, 50.0)) && points.contains(&(t[55_555], -60.0)));
+        assert!(points.windows(2).all(|pair| pair[0].0 < pair[1].0));
+        assert_eq!(thin(&t[..9], &y[..9]).len(), 9);
+    }
+}

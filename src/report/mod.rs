@@ -1,0 +1,229 @@
+//! Floor 3: what a job says when it is done: `report.json` for programs, `report.html` for people.
+//!
+//! The report is plain data that the caller fills; nothing here computes a figure that the caller did not hand over.
+
+pub mod figures;
+mod html;
+mod plot;
+mod summary;
+
+pub use figures::Figures;
+
+use crate::atomic;
+use crate::model::gravity::Mounting;
+use crate::model::torque::Parameter;
+use serde::{Deserialize, Serialize};
+use std::io;
+use std::path::Path;
+
+/// Everything in `report.json`, under the names that it has there. Torques in Nm, one entry per joint.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Robot.
+    pub robot: String,
+    /// Mounting of the identification.
+    pub mounting: MountingFacts,
+    /// The identified parameters.
+    pub base: Base,
+    /// How well the model fits the data it was identified from.
+    pub identify: Fit,
+    /// How well it predicts data that it was not identified from.
+    pub validate: Vec<Validation>,
+    /// Noise of the measured torque, from the scatter between repetitions \[Nm\].
+    pub noise_floor: Vec<f64>,
+    /// What this data can't say.
+    pub identifiability: Identifiability,
+    /// Condition numbers of the stacked regressor.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub conditions: Vec<Condition>,
+    /// How the real-time loop did; absent for recorded data.
+    #[serde(default, rename = "loop", skip_serializing_if = "Option::is_none")]
+    pub cycle: Option<LoopFacts>,
+    /// What went through shared memory; absent for recorded data.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ipc: Option<IpcFacts>,
+    /// Where the numbers came from: dataset hash, version, date, configuration.
+    #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
+    pub provenance: serde_json::Map<String, serde_json::Value>,
+    /// Remarks that the reader has to know.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
+}
+
+/// A mounting by name and angles.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MountingFacts {
+    /// Name, or both angles where it has none.
+    pub name: String,
+    /// Polar angle of gravity \[rad\].
+    pub rho: f64,
+    /// Azimuth of gravity \[rad\].
+    pub phi: f64,
+}
+
+impl From<Mounting> for MountingFacts {
+    fn from(mounting: Mounting) -> MountingFacts {
+        MountingFacts { name: mounting.to_string(), rho: mounting.rho, phi: mounting.phi }
+    }
+}
+
+/// The identified parameter set.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Base {
+    /// `GBS` or `VBS`.
+    pub kind: String,
+    /// Number of parameters.
+    pub count: usize,
+    /// The parameters, in the order of the model.
+    pub parameters: Vec<ParameterFacts>,
+}
+
+impl Base {
+    /// The parameters of a model; `kind` is its `GBS` or `VBS`.
+    pub fn new(kind: impl ToString, parameters: &[Parameter]) -> Base {
+        let facts = |parameter: &Parameter| ParameterFacts {
+            name: parameter.column.name.clone(),
+            symbol: parameter.column.symbol.clone(),
+            expression: parameter.column.expression.clone(),
+            value: parameter.value,
+            std: parameter.std,
+            unit: parameter.column.unit.to_string(),
+        };
+        Base { kind: kind.to_string(), count: parameters.len(), parameters: parameters.iter().map(facts).collect() }
+    }
+}
+
+/// One parameter.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ParameterFacts {
+    /// Name in ASCII.
+    pub name: String,
+    /// Symbol, with R where it is regrouped.
+    pub symbol: String,
+    /// Standard parameters that it is made of.
+    pub expression: String,
+    /// Value, in `unit`.
+    pub value: f64,
+    /// Standard deviation where known, in `unit`.
+    pub std: Option<f64>,
+    /// Unit.
+    pub unit: String,
+}
+
+/// Fit of the model to its own data.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Fit {
+    /// RMS of measured minus modelled torque, per joint \[Nm\].
+    pub rms: Vec<f64>,
+}
+
+/// Prediction of one unseen run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Validation {
+    /// Name of the run.
+    pub run: String,
+    /// RMS of measured minus predicted torque, per joint \[Nm\].
+    pub rms: Vec<f64>,
+    /// Mounting of the run.
+    pub mounting: MountingFacts,
+}
+
+/// What the data can't say.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Identifiability {
+    /// Parameters that this data can't determine.
+    pub not_identifiable: Vec<String>,
+    /// Runs that the model can't vouch for.
+    pub untrusted_runs: Vec<String>,
+}
+
+/// One condition number.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Condition {
+    /// Definition: `raw`, `column-equilibrated`, `noise-weighted`.
+    pub definition: String,
+    /// With all columns.
+    pub with_friction: f64,
+    /// Of the rigid-body columns alone.
+    pub without_friction: f64,
+}
+
+/// How the real-time loop did.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LoopFacts {
+    /// `fast` or `wall-clock`.
+    pub pace: String,
+    /// Cycles run.
+    pub cycles: u64,
+    /// Cycles that came late.
+    pub late: u64,
+    /// States that the arm sent and the loop never saw.
+    pub lost: u64,
+    /// Records that found no room.
+    pub records_lost: u64,
+    /// Heap allocations inside cycles.
+    pub allocations: u64,
+    /// Lateness of wake-ups \[us\]; absent where simulated time doesn't follow the clock.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wake_us: Option<Quantiles>,
+    /// Time from state read to command written \[us\].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub work_us: Option<Quantiles>,
+    /// What the machine granted and refused, as text.
+    #[serde(default)]
+    pub realtime: Vec<String>,
+}
+
+/// A distribution in four numbers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Quantiles {
+    /// Median.
+    pub p50: f64,
+    /// 99 of 100 are below.
+    pub p99: f64,
+    /// 999 of 1000 are below.
+    pub p999: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+/// What went through shared memory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct IpcFacts {
+    /// Samples that the daemon published.
+    pub sent: u64,
+    /// Samples that the estimator has, each once.
+    pub received: u64,
+    /// Of those, samples that had to be asked for again.
+    pub replayed: u64,
+    /// Samples that the estimator never got.
+    pub missed: u64,
+}
+
+impl Report {
+    /// The text of `report.json`.
+    ///
+    /// # Errors
+    /// A number that JSON can't hold never is one: NaN and infinity are written as `null`. Fails only when out of memory.
+    pub fn to_json(&self) -> serde_json::Result<String> {
+        serde_json::to_string_pretty(self).map(|text| text + "\n")
+    }
+
+    /// The text of `report.html`: one file with everything inside, for any browser without a network.
+    pub fn to_html(&self, figures: &Figures) -> io::Result<String> {
+        html::render(self, figures)
+    }
+
+    /// What matters, in a few lines of text: also the last lines that a job prints.
+    pub fn summary(&self) -> Vec<String> {
+        summary::lines(self)
+    }
+
+    /// Writes `report.json` and `report.html` into folder `dir`, each aside first, then renamed.
+    pub fn write(&self, dir: &Path, figures: &Figures) -> io::Result<()> {
+        let html = self.to_html(figures)?;
+        let json = self.to_json().map_err(io::Error::other)?;
+        atomic::write_file(&dir.join("report.html"), html.as_bytes())?;
+        atomic::write_file(&dir.join("report.json"), json.as_bytes())
+    }
+}

@@ -1,0 +1,188 @@
+//! Plots as inline SVG.
+//!
+//! Colours are names in disguise: each is drawn in one fixed tint, which the page's style sheet maps to a colour that suits light and
+//! dark (`report.html`, "plot colours").
+
+use super::figures::{Bin, PlanFigure, TorqueFigure, thin};
+use plotters::coord::Shift;
+use plotters::prelude::*;
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
+
+/// Measured torque.
+const MEASURED: RGBColor = RGBColor(1, 1, 1);
+/// Modelled torque.
+const MODELLED: RGBColor = RGBColor(2, 2, 2);
+/// Measured minus modelled.
+const RESIDUAL: RGBColor = RGBColor(3, 3, 3);
+/// Band of the noise, bars of a histogram.
+const BAND: RGBColor = RGBColor(4, 4, 4);
+/// Edges of the noise band, over the curve that hides the band itself.
+const EDGE: RGBColor = RGBColor(6, 6, 6);
+/// Axes and grid.
+const GRID: RGBColor = RGBColor(5, 5, 5);
+/// The first of one colour per joint.
+const JOINT: RGBColor = RGBColor(11, 0, 0);
+
+const TEXT: (&str, i32) = ("sans-serif", 15);
+
+/// Draws into a fresh SVG of the given size. A plot of finite data in memory can't fail; a plot that does is left out.
+fn svg(size: (u32, u32), draw: impl FnOnce(Area) -> Drawn) -> String {
+    let mut text = String::new();
+    match draw(SVGBackend::with_string(&mut text, size).into_drawing_area()) {
+        Ok(()) => text,
+        Err(_) => String::new(),
+    }
+}
+
+/// Lowest and highest value with some air; never empty.
+fn span<'v>(values: impl IntoIterator<Item = &'v f64>) -> (f64, f64) {
+    let finite = values.into_iter().copied().filter(|value| value.is_finite());
+    let (low, high) = finite.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
+    if low > high {
+        return (-1.0, 1.0);
+    }
+    let air = ((high - low) * 0.06).max(high.abs() * 1e-6).max(1e-9);
+    (low - air, high + air)
+}
+
+/// Both ends of a time axis; never empty.
+fn time_span(t: &[f64]) -> (f64, f64) {
+    match (t.first(), t.last()) {
+        (Some(&first), Some(&last)) if last > first => (first, last),
+        _ => (0.0, 1.0),
+    }
+}
+
+/// Axis numbers without needless zeros.
+fn tick(value: &f64) -> String {
+    let rounded = (value * 1e4).round() / 1e4 + 0.0;
+    format!("{rounded}")
+}
+
+/// One chart of curves over time.
+fn curves(
+    area: &Area,
+    (t0, t1): (f64, f64),
+    (low, high): (f64, f64),
+    y_name: &str,
+    x_name: &str,
+    ticks: usize,
+    band: Option<f64>,
+    lines: &[(Vec<(f64, f64)>, RGBColor, u32)],
+) -> Drawn {
+    let mut chart = ChartBuilder::on(area)
+        .margin(6)
+        .set_label_area_size(LabelAreaPosition::Left, 66)
+        .set_label_area_size(LabelAreaPosition::Bottom, if x_name.is_empty() { 24 } else { 44 })
+        .build_cartesian_2d(t0..t1, low..high)?;
+    let mut mesh = chart.configure_mesh();
+    mesh.light_line_style(TRANSPARENT).bold_line_style(GRID.stroke_width(1)).axis_style(GRID.stroke_width(1));
+    mesh.axis_desc_style(TEXT).label_style(TEXT).x_labels(8).y_labels(ticks).x_label_formatter(&tick).y_label_formatter(&tick);
+    mesh.y_desc(y_name).x_desc(x_name).draw()?;
+    if let Some(half) = band {
+        let corners = [(t0, (-half).max(low)), (t1, half.min(high))];
+        chart.draw_series([Rectangle::new(corners, BAND.filled())])?;
+    }
+    for (points, colour, width) in lines {
+        chart.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(*width)))?;
+    }
+    for edge in band.iter().flat_map(|half| [-half, *half]) {
+        chart.draw_series(LineSeries::new([(t0, edge), (t1, edge)], EDGE.stroke_width(2)))?;
+    }
+    Ok(())
+}
+
+/// Joint `j` of a run: measured and modelled torque above, what is left over and the noise band below.
+pub(super) fn torque(figure: &TorqueFigure, j: usize) -> String {
+    let (Some(measured), Some(modelled)) = (figure.measured.get(j), figure.modelled.get(j)) else {
+        return String::new();
+    };
+    let residual: Vec<f64> = measured.iter().zip(modelled).map(|(measured, modelled)| measured - modelled).collect();
+    let t = time_span(&figure.t);
+    let noise = figure.noise.get(j).map(|noise| 2.0 * noise);
+    let far = residual.iter().fold(noise.unwrap_or(0.0), |far, value| far.max(value.abs())).max(1e-9) * 1.1;
+    svg((820, 430), |area| {
+        let (above, below) = area.split_vertically(250);
+        let lines = [(thin(&figure.t, measured), MEASURED, 4), (thin(&figure.t, modelled), MODELLED, 1)];
+        curves(&above, t, span(measured.iter().chain(modelled)), "torque / Nm", "", 6, None, &lines)?;
+        let line = [(thin(&figure.t, &residual), RESIDUAL, 1)];
+        curves(&below, t, (-far, far), "residual / Nm", "t / s", 4, noise, &line)?;
+        area.present()
+    })
+}
+
+/// Joint positions of a plan over time.
+pub(super) fn positions(plan: &PlanFigure) -> String {
+    let lines: Vec<_> = plan.q.iter().enumerate().map(|(j, q)| (thin(&plan.t, q), joint_colour(j), 2)).collect();
+    svg((1140, 440), |area| {
+        curves(&area, time_span(&plan.t), span(plan.q.iter().flatten()), "q / rad", "t / s", 7, None, &lines)?;
+        area.present()
+    })
+}
+
+fn joint_colour(j: usize) -> RGBColor {
+    RGBColor(JOINT.0 + j as u8, 0, 0)
+}
+
+/// Path of the end effector seen along one axis of the base frame; `axes` are the two that are drawn.
+pub(super) fn path(plan: &PlanFigure, axes: [usize; 2], names: [&str; 2]) -> String {
+    let points: Vec<(f64, f64)> = plan.end_effector.iter().map(|point| (point[axes[0]], point[axes[1]])).collect();
+    let points: Vec<_> = points.iter().step_by(points.len().div_ceil(1500).max(1)).copied().collect();
+    let mut corners: Vec<(f64, f64)> = points.clone();
+    if let Some(space) = &plan.workspace {
+        corners.push((space.box_min[axes[0]], space.box_min[axes[1]]));
+        corners.push((space.box_max[axes[0]], space.box_max[axes[1]]));
+    }
+    // Equal scales: a circle shall look like one.
+    let (x, y) = (span(corners.iter().map(|(x, _)| x)), span(corners.iter().map(|(_, y)| y)));
+    let half = 0.5 * (x.1 - x.0).max(y.1 - y.0);
+    let around = |(low, high): (f64, f64)| (0.5 * (low + high) - half, 0.5 * (low + high) + half);
+    let (x, y) = (around(x), around(y));
+    svg((430, 410), |area| {
+        let mut chart = ChartBuilder::on(&area)
+            .margin(6)
+            .set_label_area_size(LabelAreaPosition::Left, 66)
+            .set_label_area_size(LabelAreaPosition::Bottom, 44)
+            .build_cartesian_2d(x.0..x.1, y.0..y.1)?;
+        let mut mesh = chart.configure_mesh();
+        mesh.light_line_style(TRANSPARENT).bold_line_style(GRID.stroke_width(1)).axis_style(GRID.stroke_width(1));
+        mesh.axis_desc_style(TEXT).label_style(TEXT).x_labels(5).y_labels(5).x_label_formatter(&tick).y_label_formatter(&tick);
+        mesh.x_desc(names[0]).y_desc(names[1]).draw()?;
+        if let Some(space) = &plan.workspace {
+            let [a, b] = axes;
+            let corners = [(space.box_min[a], space.box_min[b]), (space.box_max[a], space.box_max[b])];
+            chart.draw_series([Rectangle::new(corners, MODELLED.stroke_width(1))])?;
+            let circle = (0..=90).map(|k| f64::from(k) * std::f64::consts::PI / 45.0);
+            let circle = circle.map(|angle| (space.base_radius * angle.cos(), space.base_radius * angle.sin()));
+            chart.draw_series(LineSeries::new(circle, MODELLED.stroke_width(1)))?;
+        }
+        chart.draw_series(LineSeries::new(points, MEASURED.stroke_width(2)))?;
+        area.present()
+    })
+}
+
+/// A histogram with both axes logarithmic: the tail of a latency is what matters, and it is thin.
+pub(super) fn histogram(bins: &[Bin], x_name: &str) -> String {
+    let bins: Vec<Bin> = bins.iter().filter(|bin| bin.count > 0 && bin.to > 0.0).copied().collect();
+    let Some(most) = bins.iter().map(|bin| bin.count).max() else { return String::new() };
+    // A bin that starts at 0 has no place on a logarithmic axis: it is drawn one decade wide.
+    let from = |bin: &Bin| bin.from.max(bin.to / 10.0);
+    let low = bins.iter().map(from).fold(f64::MAX, f64::min);
+    let high = bins.iter().map(|bin| bin.to).fold(0.0, f64::max);
+    svg((820, 340), |area| {
+        let mut chart = ChartBuilder::on(&area)
+            .margin(6)
+            .set_label_area_size(LabelAreaPosition::Left, 76)
+            .set_label_area_size(LabelAreaPosition::Bottom, 44)
+            .build_cartesian_2d((low..high * 1.05).log_scale(), (0.5..most as f64 * 2.0).log_scale())?;
+        let mut mesh = chart.configure_mesh();
+        mesh.light_line_style(TRANSPARENT).bold_line_style(GRID.stroke_width(1)).axis_style(GRID.stroke_width(1));
+        mesh.axis_desc_style(TEXT).label_style(TEXT).x_label_formatter(&tick).y_label_formatter(&tick).x_desc(x_name).y_desc("cycles");
+        mesh.draw()?;
+        let bar = |bin: &Bin| Rectangle::new([(from(bin), 0.5), (bin.to, bin.count as f64)], BAND.filled());
+        chart.draw_series(bins.iter().map(bar))?;
+        area.present()
+    })
+}
