@@ -25,5 +25,6 @@ pub mod input;
 pub mod ipc;
 pub mod joint;
 pub mod model;
+pub mod report;
 pub mod rt;
 pub mod store;

@@ -1,11 +1,37 @@
 //! Floor 4: one file per subcommand, wiring only.
 
+mod collector;
+mod command;
+mod daemon;
+mod estimator;
 mod failure;
+mod identify;
+mod pipeline;
+mod plan;
+mod predict;
+mod programme;
+mod progress;
+mod results;
+mod run;
+mod served;
+mod torque;
 
 pub use failure::Failure;
 
 use clap::{Args, Parser, Subcommand};
-use std::path::PathBuf;
+use crate::backend::sim::Truth;
+use crate::config::job::{Derivatives, Job};
+use crate::config::robot::Robot;
+use crate::estimate::experiment::{Derivative, Settings};
+use crate::input::BadInput;
+use crate::ipc::{Lock, LockError, RobotId};
+use crate::joint::{JointVec, MAX_JOINTS};
+use crate::model::base::Reduction;
+use crate::model::conditioning::Conditions;
+use crate::model::gravity::Mounting;
+use crate::model::structure::Structure;
+use crate::report::Condition;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Identifies the dynamics of a serial robot arm for any mounting and serves the torques it needs at 1 kHz.
@@ -32,6 +58,8 @@ enum Command {
     Predict(predict::Options),
     /// Print the feed-forward torque that a daemon serves
     Torque(torque::Options),
+    /// Tell a running daemon what to do: start, stop, resume, quit, status
+    Command(command::Options),
 }
 
 /// A job file and what overrides it.
@@ -59,6 +87,7 @@ pub fn main() -> ExitCode {
         Command::Identify(options) => identify::run(options),
         Command::Predict(options) => predict::run(options),
         Command::Torque(options) => torque::run(options),
+        Command::Command(options) => command::run(options),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -74,4 +103,141 @@ fn logging() {
     let filter = tracing_subscriber::EnvFilter::try_from_env("PLUMBLINE_LOG")
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,plumbline=info"));
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_target(false).init();
+}
+
+/// Two gravity directions closer than this are one mounting \[rad\].
+const SAME_MOUNTING: f64 = 1e-3;
+
+/// Simulated arms that the program carries.
+const ARMS: [(&str, &str); 3] = [
+    ("sim-panda", include_str!("../../config/arms/sim-panda.toml")),
+    ("sim-panda-effect", include_str!("../../config/arms/sim-panda-effect.toml")),
+    ("sim-paper-2dof", include_str!("../../config/arms/sim-paper-2dof.toml")),
+];
+
+impl JobOptions {
+    /// The job, its robot, and the folder for the results.
+    fn load(&self) -> Result<(Job, Robot, PathBuf), Failure> {
+        let job = Job::load(&self.config, &self.sets)?;
+        let robot = Robot::load(&job.robot, Some(job.dir()))?;
+        let out = self.out.clone().unwrap_or_else(|| job.output.dir.clone());
+        Ok((job, robot, out))
+    }
+}
+
+/// The robot's identity in shared memory.
+fn robot_id(job: &Job) -> Result<RobotId, Failure> {
+    let name = job.output.id.as_ref().unwrap_or(&job.robot);
+    Ok(RobotId::parse(&job.file.display().to_string(), "key `output.id`", name)?)
+}
+
+/// Takes the robot for this process.
+fn lock(id: &RobotId) -> Result<Lock, Failure> {
+    Lock::take(id).map_err(|error| match error {
+        LockError::Taken { .. } => {
+            let expected = "a robot that no other daemon drives";
+            Failure::Input(BadInput::new("command line", format!("robot `{id}`"), error, expected))
+        }
+        other => Failure::job(other),
+    })
+}
+
+/// What the simulated arm is made of.
+fn truth(job: &Job) -> Result<Truth, Failure> {
+    let (file, text) = job.backend.arm.read("backend.arm", &ARMS)?;
+    Ok(Truth::parse(&file, &text)?)
+}
+
+/// Where the arm starts and returns to: the job's own pose, inside every limit.
+fn rest(job: &Job, robot: &Robot) -> Result<JointVec, Failure> {
+    let n = robot.chain.len();
+    let file = job.file.display().to_string();
+    let Some(start) = &job.backend.start else {
+        let middle = |j: usize| 0.5 * (robot.limits.q_min[j] + robot.limits.q_max[j]);
+        return Ok(std::array::from_fn(|j| if j < n { middle(j) } else { 0.0 }));
+    };
+    let key = "key `backend.start`";
+    if start.len() != n {
+        return Err(BadInput::new(file, key, format!("{} positions", start.len()), format!("{n}, one per joint")).into());
+    }
+    let limits = job.guard_limits(&robot.limits, n)?;
+    for (j, &q) in start.iter().enumerate() {
+        if !(limits.q_min[j]..=limits.q_max[j]).contains(&q) {
+            let expected = format!("{} to {} rad for joint {}", limits.q_min[j], limits.q_max[j], j + 1);
+            return Err(BadInput::new(file, key, format!("{q} rad"), expected).into());
+        }
+    }
+    let at = robot.chain.end_effector(start);
+    if let Some(why) = job.workspace(&robot.workspace).objection(&at.into()) {
+        return Err(BadInput::new(file, key, why, "a pose with the end effector inside the workspace").into());
+    }
+    let mut rest = [0.0; MAX_JOINTS];
+    rest[..n].copy_from_slice(start);
+    Ok(rest)
+}
+
+/// The paper's model: rigid body and friction, in the base set of a mounting.
+fn friction_structure(robot: &Robot, mounting: &Mounting) -> Structure {
+    let reduction = Reduction::in_mounting(&robot.chain, mounting);
+    Structure::of(robot.chain.clone(), reduction, &["friction"]).expect("friction is a known term")
+}
+
+/// The estimator's settings: its own defaults where the job is silent.
+fn estimator_settings(job: &Job) -> Settings {
+    let own = &job.estimator;
+    let usual = Settings::default();
+    Settings {
+        torque_cutoff: own.torque_cutoff.unwrap_or(usual.torque_cutoff),
+        position_cutoff: own.position_cutoff.unwrap_or(usual.position_cutoff),
+        order: own.filter_order.unwrap_or(usual.order),
+        derivative: match own.derivatives {
+            Some(Derivatives::Central) => Derivative::Central,
+            Some(Derivatives::Spectral) => Derivative::Spectral,
+            None => usual.derivative,
+        },
+        ..usual
+    }
+}
+
+/// Condition numbers as the report has them.
+fn conditions_facts(conditions: &Conditions) -> Vec<Condition> {
+    let fact = |definition: &str, with_friction, without_friction| Condition {
+        definition: definition.to_string(),
+        with_friction,
+        without_friction,
+    };
+    vec![
+        fact("raw", conditions.raw, conditions.raw_rigid),
+        fact("column-equilibrated", conditions.equilibrated, conditions.equilibrated_rigid),
+        fact("noise-weighted", conditions.weighted, conditions.weighted_rigid),
+    ]
+}
+
+/// Condition numbers in one line.
+fn conditions_text(conditions: &Conditions) -> String {
+    let one = |fact: Condition| {
+        format!("{} {:.1} (rigid body alone {:.1})", fact.definition, fact.with_friction, fact.without_friction)
+    };
+    conditions_facts(conditions).into_iter().map(one).collect::<Vec<_>>().join(", ")
+}
+
+/// Writes a result aside, then renames it.
+fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    crate::atomic::write_file(path, bytes).map_err(Failure::job)
+}
+
+/// Today's date in UTC, as in 2026-11-20.
+fn today() -> String {
+    let seconds = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    // Days to a civil date (Howard Hinnant's algorithm): years are counted from March, so that the leap day is the last.
+    let days = (seconds / 86_400) as i64 + 719_468;
+    let era = days.div_euclid(146_097);
+    let day_of_era = days.rem_euclid(146_097);
+    let year_of_era = (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let shifted = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * shifted + 2) / 5 + 1;
+    let month = if shifted < 10 { shifted + 3 } else { shifted - 9 };
+    let year = year_of_era + era * 400 + i64::from(month <= 2);
+    format!("{year:04}-{month:02}-{day:02}")
 }

@@ -11,6 +11,7 @@ use crate::model::base::Reduction;
 use crate::model::structure::Structure;
 use crate::model::torque::TorqueModel;
 use crate::report::figures::TorqueFigure;
+use nalgebra::DMatrix;
 
 /// A model and how it came about.
 pub struct Identified {
@@ -84,7 +85,7 @@ pub fn judge(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Judg
     let experiment = experiment(run, settings)?;
     let modelled = model.predict(&experiment.motion);
     let rms = validate(&experiment, |_| modelled.clone());
-    let columns = |matrix: &nalgebra::DMatrix<f64>| {
+    let columns = |matrix: &DMatrix<f64>| {
         matrix.column_iter().map(|column| column.iter().copied().collect()).collect::<Vec<Vec<f64>>>()
     };
     let figure = TorqueFigure {
@@ -95,4 +96,28 @@ pub fn judge(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Judg
         noise: rms.noise_floor.clone().unwrap_or_default(),
     };
     Ok(Judged { run: run.file.clone(), rms, figure })
+}
+
+/// Torques of a model at every sample of a recorded motion, N x n \[Nm\], and the errors where the motion has measured torques.
+pub fn predict(
+    model: &TorqueModel,
+    run: &Run,
+    settings: &Settings,
+) -> Result<(DMatrix<f64>, Option<Rms>), Failure> {
+    let measured = run.tau.ncols() > 0;
+    // Every sample is wanted, not the mean period.
+    let mut whole = Run { period: None, ..run.clone() };
+    if !measured {
+        whole.tau = DMatrix::zeros(run.samples(), run.joints());
+    }
+    let experiment = experiment(&whole, settings)?;
+    let even = model.predict(&experiment.motion);
+    let rms = measured.then(|| validate(&experiment, |_| even.clone()));
+    let (start, dt, last) = (run.t[0], experiment.motion.dt, even.nrows() - 1);
+    let torques = DMatrix::from_fn(run.samples(), run.joints(), |k, j| {
+        let at = ((run.t[k] - start) / dt).clamp(0.0, last as f64);
+        let (before, share) = (at.floor() as usize, at.fract());
+        even[(before, j)] * (1.0 - share) + even[((before + 1).min(last), j)] * share
+    });
+    Ok((torques, rms))
 }

@@ -13,7 +13,7 @@ use crate::excite::search::{self, Problem, Search};
 use crate::input::BadInput;
 use crate::joint::{Limits, Workspace};
 use crate::model::gravity::Mounting;
-use crate::store::plan_file;
+use crate::store::{load_plan, save_plan};
 use clap::Args;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
@@ -73,7 +73,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         .best(&search, &mut |share, best| bar.at(share, &format!("raw condition {best:.1}")))
         .map_err(|error| infeasible("command line", &error))?;
     bar.done();
-    plan_file::save(&options.out, &plan).map_err(Failure::job)?;
+    save_plan(&plan, &options.out).map_err(Failure::job)?;
     println!("{}: condition {}", options.out.display(), super::conditions_text(&plan.conditions));
     Ok(())
 }
@@ -110,7 +110,7 @@ pub fn best(
     progress: &mut dyn FnMut(f64),
 ) -> Result<Plan, Failure> {
     if let (Some(path), true) = (&job.excitation.plan, *mounting == job.mounting) {
-        let plan = plan_file::load(path)?;
+        let plan = load_plan(path)?;
         check(job, robot, &plan, path)?;
         return Ok(plan);
     }

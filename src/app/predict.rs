@@ -3,9 +3,11 @@
 use super::{Failure, pipeline};
 use crate::config::robot::Robot;
 use crate::config::units::parse_mounting;
-use crate::dataset::Run;
+use crate::dataset::{Dataset, Run};
 use crate::estimate::experiment::Settings;
 use crate::input::BadInput;
+use crate::model::gravity::Mounting;
+use crate::model::torque::TorqueModel;
 use crate::store::ModelFile;
 use clap::Args;
 use std::fmt::Write;
@@ -34,14 +36,7 @@ pub struct Options {
 pub fn run(options: Options) -> Result<(), Failure> {
     let file = ModelFile::load(&options.model, |name| Ok(Robot::load(name, options.model.parent())?.chain))?;
     let model = &file.model;
-    let mut run = Run::read_csv(&options.run, model.structure().chain().len())?;
-    if let Some(text) = &options.mounting {
-        run.mounting = parse_mounting("--mounting", text)?;
-    } else if let Some(mounting) = run.mounting_beside(&options.run)? {
-        run.mounting = mounting;
-    } else if let Some(&own) = model.mountings().first() {
-        run.mounting = own;
-    }
+    let run = motion(&options, model)?;
     if let Err(refused) = model.valid_in(&run.mounting)
         && !options.force
     {
@@ -49,7 +44,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let expected = "a model that holds in this mounting, or --force";
         return Err(BadInput::new(name, "key `kind`", refused, expected).into());
     }
-    let judged = pipeline::predict(model, &run, &Settings::default())?;
+    let (torques, rms) = pipeline::predict(model, &run, &Settings::default())?;
     let mut text = String::from("t");
     for j in 1..=run.joints() {
         write!(text, ",tau{j}").expect("a string takes everything");
@@ -58,15 +53,41 @@ pub fn run(options: Options) -> Result<(), Failure> {
     for (k, t) in run.t.iter().enumerate() {
         write!(text, "{t}").expect("a string takes everything");
         for j in 0..run.joints() {
-            write!(text, ",{}", judged.torques[(k, j)]).expect("a string takes everything");
+            write!(text, ",{}", torques[(k, j)]).expect("a string takes everything");
         }
         text.push('\n');
     }
     super::write(&options.out, text.as_bytes())?;
-    if let Some(rms) = judged.rms {
+    if let Some(rms) = rms {
         let list = |values: &[f64]| values.iter().map(|value| format!("{value:.3}")).collect::<Vec<_>>().join(" ");
         println!("RMS of measured minus predicted torque [Nm]: raw {} | filtered {}", list(&rms.raw), list(&rms.filtered));
     }
     println!("{}: {} samples", options.out.display(), run.samples());
     Ok(())
+}
+
+/// The motion and its mounting: as `--mounting` says, else as the dataset that the file belongs to says, else as the model's own.
+fn motion(options: &Options, model: &TorqueModel) -> Result<Run, Failure> {
+    let folder = options.run.parent().filter(|folder| folder.join("dataset.toml").is_file());
+    let of_dataset = match folder {
+        Some(folder) => {
+            let dataset = Dataset::read(folder)?;
+            dataset.runs.into_iter().find(|run| options.run.file_name().is_some_and(|name| name == run.file.as_str()))
+        }
+        None => None,
+    };
+    let mut run = match of_dataset {
+        Some(run) => run,
+        None => Run::read_csv(&options.run, model.mountings().first().copied().unwrap_or(Mounting::UPRIGHT))?,
+    };
+    if let Some(text) = &options.mounting {
+        run.mounting = parse_mounting("--mounting", text)?;
+    }
+    let n = model.structure().chain().len();
+    if run.joints() != n {
+        let expected = format!("q1..q{n}, the joints of robot `{}`", model.robot());
+        let file = options.run.display().to_string();
+        return Err(BadInput::new(file, "line 1", format!("q1..q{}", run.joints()), expected).into());
+    }
+    Ok(run)
 }

@@ -7,7 +7,7 @@ use crate::config::units::mounting_name;
 use crate::excite::fourier::Fourier;
 use crate::excite::plan::Plan;
 use crate::model::gravity::Mounting;
-use crate::store::plan_file;
+use crate::store::{load_plan, save_plan};
 use std::path::Path;
 
 /// What a motion is driven for.
@@ -98,7 +98,7 @@ impl Programme {
     /// Reads the plans that [`Programme::save`] wrote.
     pub fn load(job: &Job, robot: &Robot, dir: &Path) -> Result<Programme, Failure> {
         fill(job, slots(job), |slot| {
-            let plan = plan_file::load(&file(dir, &slot.name))?;
+            let plan = load_plan(&file(dir, &slot.name))?;
             super::plan::check(job, robot, &plan, &file(dir, &slot.name))?;
             Ok(plan)
         })
@@ -108,7 +108,7 @@ impl Programme {
     pub fn save(&self, dir: &Path) -> Result<(), Failure> {
         std::fs::create_dir_all(dir).map_err(|error| Failure::job(format!("{}: {error}", dir.display())))?;
         for motion in self.motions() {
-            plan_file::save(&file(dir, &motion.name), &motion.plan).map_err(Failure::job)?;
+            save_plan(&motion.plan, &file(dir, &motion.name)).map_err(Failure::job)?;
         }
         Ok(())
     }

@@ -17,20 +17,28 @@ pub(super) struct Columns {
     pub extra: Vec<(String, Vec<f64>)>,
 }
 
-pub(super) fn read(path: &Path) -> Result<Columns, BadInput> {
+/// Whether a file has to hold torques.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Torque {
+    Required,
+    /// Without them, `Columns::tau` has no columns.
+    Optional,
+}
+
+pub(super) fn read(path: &Path, torque: Torque) -> Result<Columns, BadInput> {
     let file = path.display().to_string();
     let bytes = std::fs::read(path).map_err(|error| BadInput::new(&file, "file", error, "a readable CSV file"))?;
-    parse(&file, &bytes)
+    parse(&file, &bytes, torque)
 }
 
 /// Parses CSV text; `file` is only named in errors.
-pub(super) fn parse(file: &str, bytes: &[u8]) -> Result<Columns, BadInput> {
+pub(super) fn parse(file: &str, bytes: &[u8], torque: Torque) -> Result<Columns, BadInput> {
     let mut reader = ::csv::ReaderBuilder::new().trim(::csv::Trim::All).flexible(true).from_reader(bytes);
     let header: Vec<String> = match reader.headers() {
         Ok(header) => header.iter().map(str::to_string).collect(),
         Err(error) => return Err(BadInput::new(file, "line 1", error, "a header row of column names")),
     };
-    let layout = Layout::of(file, &header)?;
+    let layout = Layout::of(file, &header, torque)?;
     let columns = cells(file, &header, &mut reader)?;
     let samples = columns[layout.t].len();
     if samples < Run::LEAST_SAMPLES {
@@ -58,7 +66,7 @@ struct Layout {
 }
 
 impl Layout {
-    fn of(file: &str, header: &[String]) -> Result<Layout, BadInput> {
+    fn of(file: &str, header: &[String], torque: Torque) -> Result<Layout, BadInput> {
         for (index, name) in header.iter().enumerate() {
             if name.is_empty() || header[..index].contains(name) {
                 let place = format!("line 1, column {}", index + 1);
@@ -84,7 +92,8 @@ impl Layout {
                 .collect()
         };
         let q = all("q", "with a joint position in rad")?;
-        let tau = all("tau", "with a joint torque")?;
+        let none = torque == Torque::Optional && highest("tau") == 0;
+        let tau = if none { Vec::new() } else { all("tau", "with a joint torque")? };
         let dq = if highest("dq") > 0 { all("dq", "like those of the other joints")? } else { Vec::new() };
         let extra = (0..header.len())
             .filter(|&column| column != t && ![&q, &dq, &tau].iter().any(|known| known.contains(&column)))

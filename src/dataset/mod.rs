@@ -115,6 +115,17 @@ impl Run {
     /// A run shorter than this says nothing about an arm.
     pub const LEAST_SAMPLES: usize = 10;
 
+    /// One motion from a CSV file alone, in a given mounting; torques (in Nm) may be absent, `tau` then has no columns.
+    ///
+    /// # Errors
+    /// As [`Dataset::read`], for this file.
+    pub fn read_csv(path: &Path, mounting: Mounting) -> Result<Run, BadInput> {
+        let csv::Columns { t, q, dq, tau, extra } = csv::read(path, csv::Torque::Optional)?;
+        let file = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        let (note, period) = (String::new(), None);
+        Ok(Run { file, role: Role::Validate, note, period, session: 1, mounting, t, q, dq, tau, extra })
+    }
+
     /// Number of samples, N.
     pub fn samples(&self) -> usize {
         self.t.len()

@@ -1,0 +1,177 @@
+//! `plumbline run`: daemon, estimator and report on one machine, for people without systemd.
+
+use super::estimator::status;
+use super::{Failure, JobOptions, plan, progress, robot_id};
+use crate::ipc::{Client, Progress, Request, RobotId};
+use crate::report::Report;
+use clap::Args;
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Options of `plumbline run`.
+#[derive(Args)]
+pub struct Options {
+    #[command(flatten)]
+    job: JobOptions,
+}
+
+/// How long the two processes may take to find each other.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// Pause between two looks at them.
+const LOOK: Duration = Duration::from_millis(100);
+/// How often a killed estimator is started again.
+const RESTARTS: usize = 3;
+
+/// Plans, starts both processes, waits for the results and says what they are.
+pub fn run(options: Options) -> Result<(), Failure> {
+    let (job, robot, out) = options.job.load()?;
+    let id = robot_id(&job)?;
+    // What a daemon would refuse is refused here, before anything starts.
+    drop(super::lock(&id)?);
+    super::truth(&job)?;
+    super::rest(&job, &robot)?;
+    std::fs::create_dir_all(&out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
+    let programme = plan::programme(&job, &robot, &out)?;
+    let ticks: usize = programme.motions().map(|motion| motion.ticks()).sum();
+
+    let interrupted = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register(signal, Arc::clone(&interrupted)).map_err(Failure::job)?;
+    }
+    let mut daemon = Process::start("daemon", &options.job, &out, &[])?;
+    let outcome = drive(&id, &options.job, &out, &mut daemon, ticks as u64, &interrupted);
+    // Whatever happened, the daemon ends by its own rules: it brakes first when the arm moves.
+    if daemon.child.try_wait().map_err(Failure::job)?.is_none() {
+        let quit = Client::connect(&id, LOOK).and_then(|mut client| client.send(&Request::Quit {}, PATIENCE));
+        if quit.is_err() {
+            daemon.child.kill().map_err(Failure::job)?;
+        }
+    }
+    let ended = daemon.child.wait().map_err(Failure::job)?;
+    outcome?;
+    if !ended.success() {
+        return Err(Failure::job(format!("the daemon ended badly: {ended}")));
+    }
+    summarise(&out)
+}
+
+/// Sees the programme through.
+fn drive(
+    id: &RobotId,
+    job: &JobOptions,
+    out: &Path,
+    daemon: &mut Process,
+    ticks: u64,
+    interrupted: &AtomicBool,
+) -> Result<(), Failure> {
+    let mut client = await_daemon(id, daemon)?;
+    let mut estimator = Process::start("estimator", job, out, &["--once"])?;
+    let outcome = (|| {
+        await_follower(id, daemon, &mut estimator)?;
+        client.send(&Request::Start {}, PATIENCE).map_err(Failure::job)?;
+        let bar = progress::bar("running");
+        let mut restarts = 0;
+        loop {
+            std::thread::sleep(LOOK);
+            if interrupted.load(Ordering::Relaxed) {
+                return Err(Failure::job("interrupted; the arm was stopped"));
+            }
+            if let Some(ended) = daemon.ended()? {
+                return Err(Failure::job(format!("the daemon ended in mid-job: {ended}")));
+            }
+            match estimator.ended()? {
+                Some(ended) if ended.success() => break,
+                Some(ended) if ended.code().is_none() && restarts < RESTARTS => {
+                    restarts += 1;
+                    tracing::warn!("the estimator was killed ({ended}); a new one goes on from what the daemon kept");
+                    estimator = Process::start("estimator", job, out, &["--once"])?;
+                }
+                Some(ended) => return Err(Failure::job(format!("the estimator ended: {ended}"))),
+                None => {}
+            }
+            // A daemon that is busy for a moment is no reason to give up; one that is gone is seen above.
+            if let Ok(now) = status(id) {
+                bar.at(now.cycles as f64 / (1.3 * ticks as f64), &now.job);
+                if now.progress == Progress::Stopped && estimator.ended()?.is_some() {
+                    return Err(Failure::job("the arm was stopped"));
+                }
+            }
+        }
+        bar.done();
+        Ok(())
+    })();
+    if outcome.is_err() && estimator.ended()?.is_none() {
+        estimator.child.kill().map_err(Failure::job)?;
+        estimator.child.wait().map_err(Failure::job)?;
+    }
+    outcome
+}
+
+fn await_daemon(id: &RobotId, daemon: &mut Process) -> Result<Client, Failure> {
+    let start = Instant::now();
+    loop {
+        if let Some(ended) = daemon.ended()? {
+            return Err(Failure::job(format!("the daemon did not start: {ended}")));
+        }
+        match Client::connect(id, LOOK) {
+            Ok(client) => return Ok(client),
+            Err(error) if start.elapsed() > PATIENCE => return Err(Failure::job(error)),
+            Err(_) => {}
+        }
+    }
+}
+
+/// Waits until the daemon has heard of the estimator, so that not even the first sample needs a replay.
+fn await_follower(id: &RobotId, daemon: &mut Process, estimator: &mut Process) -> Result<(), Failure> {
+    let start = Instant::now();
+    while start.elapsed() < PATIENCE {
+        if status(id).is_ok_and(|status| !status.served.followers.is_empty()) {
+            return Ok(());
+        }
+        for process in [&mut *daemon, &mut *estimator] {
+            if let Some(ended) = process.ended()? {
+                return Err(Failure::job(format!("the {} did not start: {ended}", process.name)));
+            }
+        }
+        std::thread::sleep(LOOK);
+    }
+    Err(Failure::job("the estimator did not find the daemon"))
+}
+
+/// A process of this program.
+struct Process {
+    name: &'static str,
+    child: Child,
+}
+
+impl Process {
+    fn start(name: &'static str, job: &JobOptions, out: &Path, more: &[&str]) -> Result<Process, Failure> {
+        let program = std::env::current_exe().map_err(Failure::job)?;
+        let mut command = Command::new(program);
+        command.arg(name).arg(&job.config).arg("--out").arg(out).args(more);
+        for set in &job.sets {
+            command.arg("--set").arg(set);
+        }
+        let child = command.spawn().map_err(|error| Failure::job(format!("the {name} can't be started: {error}")))?;
+        Ok(Process { name, child })
+    }
+
+    fn ended(&mut self) -> Result<Option<ExitStatus>, Failure> {
+        self.child.try_wait().map_err(Failure::job)
+    }
+}
+
+/// The last lines: what came out and where it lies.
+fn summarise(out: &Path) -> Result<(), Failure> {
+    let path = out.join("report.json");
+    let text = std::fs::read_to_string(&path).map_err(|error| Failure::job(format!("{}: {error}", path.display())))?;
+    let report: Report = serde_json::from_str(&text).map_err(Failure::job)?;
+    for line in report.summary() {
+        println!("{line}");
+    }
+    println!("report: {}", out.join("report.html").display());
+    Ok(())
+}
