@@ -467,14 +467,14 @@ fn check(joints: usize, settings: &CycleSettings, has_kinematics: bool) -> Resul
         return Err(SetupError::Joints { joints });
     }
     let GuardSettings { limits, workspace, tracking } = &settings.guard;
-    for j in 0..joints {
+    for (j, &tolerance) in tracking.iter().enumerate().take(joints) {
         let positive = [
             ("dq", limits.dq[j]),
             ("ddq", limits.ddq[j]),
             ("jerk", limits.jerk[j]),
             ("tau", limits.tau[j]),
             ("dtau", limits.dtau[j]),
-            ("tracking", tracking[j]),
+            ("tracking", tolerance),
         ];
         for (name, value) in positive {
             if !(value.is_finite() && value > 0.0) {

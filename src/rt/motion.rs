@@ -81,10 +81,9 @@ impl Motion {
             OrderKind::Follow(reference) => {
                 let first = reference.at(0).q;
                 self.doing = Doing::Follow(reference);
-                for joint in 0..self.joints {
-                    let distance = first[joint] - self.last.q[joint];
-                    // Written so that a NaN fails too.
-                    if !(distance.abs() <= START_TOLERANCE) {
+                for (joint, (first, last)) in first.iter().zip(&self.last.q).enumerate().take(self.joints) {
+                    let distance = first - last;
+                    if distance.is_nan() || distance.abs() > START_TOLERANCE {
                         return Err(StopReason::NotAtStart { motion, joint, distance });
                     }
                 }

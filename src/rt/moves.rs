@@ -79,8 +79,8 @@ impl Planner {
         let MoveFactors { velocity, acceleration, jerk, .. } = self.factors;
         self.input.control_interface = ControlInterface::Position;
         self.input.synchronization = Synchronization::Time;
-        for j in 0..self.joints {
-            self.input.target_position[j] = target[j];
+        for (j, &q) in target.iter().enumerate().take(self.joints) {
+            self.input.target_position[j] = q;
         }
         self.plan(from, velocity, acceleration, jerk)?;
         // Ruckig reaches the target to rounding; the last sample is the target itself.
@@ -205,9 +205,9 @@ mod tests {
             let step = (planner.last_tick() / 50).max(1);
             for tick in (0..planner.last_tick()).step_by(step as usize) {
                 let s = planner.at(tick);
-                for j in 0..MAX_JOINTS {
+                for (j, (&start, &end)) in from.q.iter().zip(&target).enumerate() {
                     assert!(s.dq[j].abs() <= 0.5 * LIMITS.dq[j] + 1e-9 && s.ddq[j].abs() <= 0.3 * LIMITS.ddq[j] + 1e-9);
-                    let (low, high) = (from.q[j].min(target[j]), from.q[j].max(target[j]));
+                    let (low, high) = (start.min(end), start.max(end));
                     assert!(s.q[j] >= low - 1e-7 && s.q[j] <= high + 1e-7);
                 }
             }

@@ -124,8 +124,9 @@ pub struct GuardSettings {
 /// Rounding of positions and their differences must not look like a violation: this share of a limit is forgiven.
 const ROUNDING: f64 = 1e-6;
 
-/// Room for rounding in the check of stated derivatives.
-const EXPLAINED: f64 = 1.05;
+/// Stated derivatives may need up to so many times the jerk limit to go with the positions: a motion that is a little past the limit is
+/// told so by its differences, and only one that no such motion explains contradicts itself.
+const EXPLAINED: f64 = 1.5;
 
 /// The guard: limits, and the history of what was sent.
 pub struct Guard {
@@ -234,12 +235,12 @@ impl Guard {
         self.between(Limit::Position, joint, q, q)
     }
 
-    /// `low` and `high` against the position limits; written so that a NaN fails.
+    /// `low` and `high` against the position limits; a NaN fails.
     fn between(&self, limit: Limit, joint: usize, low: f64, high: f64) -> Result<(), Violation> {
         let (q_min, q_max) = (self.settings.limits.q_min[joint], self.settings.limits.q_max[joint]);
-        if !(low >= q_min - ROUNDING) {
+        if low.is_nan() || low < q_min - ROUNDING {
             Err(Violation { limit, joint, value: low, bound: q_min })
-        } else if !(high <= q_max + ROUNDING) {
+        } else if high.is_nan() || high > q_max + ROUNDING {
             Err(Violation { limit, joint, value: high, bound: q_max })
         } else {
             Ok(())
@@ -293,8 +294,8 @@ impl Guard {
     fn end_effector(&self, q: &JointVec) -> Result<(), Violation> {
         let (Some(space), Some(kinematics)) = (&self.settings.workspace, &self.kinematics) else { return Ok(()) };
         let x = kinematics.end_effector(q);
-        for axis in 0..3 {
-            let (value, low, high) = (x[axis], space.box_min[axis], space.box_max[axis]);
+        for (axis, &value) in x.iter().enumerate() {
+            let (low, high) = (space.box_min[axis], space.box_max[axis]);
             // Written so that a NaN fails too.
             if !(value >= low && value <= high) {
                 let bound = if value > high { high } else { low };
