@@ -8,8 +8,6 @@ use nalgebra::DMatrix;
 /// A motion that was driven, and what was recorded of it.
 #[derive(Clone, Debug)]
 pub struct Recorded {
-    /// Number of the motion in the programme.
-    pub number: u32,
     /// What it was for.
     pub role: Role,
     /// The samples after the lead-in; the served torque is in the further columns `tau_ff1` to `tau_ffn`.
@@ -78,6 +76,6 @@ impl Collector {
         };
         // The last sample of a motion is one tick behind its last period.
         let complete = records.last().is_some_and(|record| record.tick + 1 >= motion.ticks() as u64);
-        Recorded { number: motion.number, role: motion.role, run, complete }
+        Recorded { role: motion.role, run, complete }
     }
 }

@@ -4,7 +4,6 @@ use super::pipeline::{self, Judged};
 use super::results::report_of;
 use super::{Failure, SAME_MOUNTING, progress};
 use crate::config::robot::Robot;
-use crate::config::units::mounting_name;
 use crate::dataset::{Dataset, Role, Run};
 use crate::estimate::experiment::Settings;
 use crate::input::BadInput;
@@ -157,8 +156,8 @@ fn split(dataset: &Dataset) -> Result<(Vec<Run>, Vec<Run>, Vec<String>), Failure
     if let Some(other) = identify.iter().find(|run| run.mounting.angle_to(&first.mounting) > SAME_MOUNTING) {
         notes.push(format!(
             "the parameters are identified from several mountings at once: {} and {}",
-            mounting_name(&first.mounting),
-            mounting_name(&other.mounting)
+            first.mounting,
+            other.mounting
         ));
     }
     if !validate.is_empty() {

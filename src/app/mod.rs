@@ -127,14 +127,14 @@ impl JobOptions {
 
 /// The robot's identity in shared memory.
 fn robot_id(job: &Job) -> Result<RobotId, Failure> {
-    let name = job.output.id.as_ref().unwrap_or(&job.robot);
-    Ok(RobotId::parse(&job.file.display().to_string(), "key `output.id`", name)?)
+    let name = job.serve.id.as_ref().unwrap_or(&job.robot);
+    Ok(RobotId::parse(&job.file.display().to_string(), "key `serve.id`", name)?)
 }
 
 /// Takes the robot for this process.
 fn lock(id: &RobotId) -> Result<Lock, Failure> {
     Lock::take(id).map_err(|error| match error {
-        LockError::Taken { .. } => {
+        LockError::Held { .. } => {
             let expected = "a robot that no other daemon drives";
             Failure::Input(BadInput::new("command line", format!("robot `{id}`"), error, expected))
         }
@@ -168,8 +168,15 @@ fn rest(job: &Job, robot: &Robot) -> Result<JointVec, Failure> {
         }
     }
     let at = robot.chain.end_effector(start);
-    if let Some(why) = job.workspace(&robot.workspace).objection(&at.into()) {
-        return Err(BadInput::new(file, key, why, "a pose with the end effector inside the workspace").into());
+    let space = job.workspace(&robot.workspace);
+    let inside = (0..3).all(|axis| (space.box_min[axis]..=space.box_max[axis]).contains(&at[axis]));
+    if !inside || at.norm() < space.base_radius {
+        let found = format!("the end effector at [{:.3}, {:.3}, {:.3}] m", at.x, at.y, at.z);
+        let expected = format!(
+            "a pose that holds it in the box {:?} to {:?} m and {} m away from the base",
+            space.box_min, space.box_max, space.base_radius
+        );
+        return Err(BadInput::new(file, key, found, expected).into());
     }
     let mut rest = [0.0; MAX_JOINTS];
     rest[..n].copy_from_slice(start);

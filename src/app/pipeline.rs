@@ -23,8 +23,6 @@ pub struct Identified {
 
 /// How well a model predicts one run.
 pub struct Judged {
-    /// Name of the run.
-    pub run: String,
     /// Errors, raw and filtered.
     pub rms: Rms,
     /// Measured and modelled torque.
@@ -76,7 +74,7 @@ pub fn identify(robot: &Robot, runs: &[&Run], terms: &[&str], settings: &Setting
         }
     }
     let model =
-        TorqueModel::new(&robot.name, structure, &identification.values(), mountings).map_err(Failure::job)?;
+        TorqueModel::new(&robot.name, structure, mountings, &identification.values()).map_err(Failure::job)?;
     Ok(Identified { model, identification })
 }
 
@@ -95,7 +93,7 @@ pub fn judge(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Judg
         modelled: columns(&modelled),
         noise: rms.noise_floor.clone().unwrap_or_default(),
     };
-    Ok(Judged { run: run.file.clone(), rms, figure })
+    Ok(Judged { rms, figure })
 }
 
 /// Torques of a model at every sample of a recorded motion, N x n \[Nm\], and the errors where the motion has measured torques.

@@ -3,10 +3,9 @@
 use super::Failure;
 use crate::config::job::Job;
 use crate::config::robot::Robot;
-use crate::config::units::mounting_name;
 use crate::excite::fourier::Fourier;
 use crate::excite::plan::Plan;
-use crate::model::gravity::Mounting;
+use crate::model::gravity::{Mounting, VERTICAL_TOLERANCE};
 use crate::store::{load_plan, save_plan};
 use std::path::Path;
 
@@ -135,11 +134,11 @@ fn slots(job: &Job) -> Vec<Slot> {
     mountings.extend(job.validation.mountings.iter().filter(|&&other| other != job.mounting));
     let mut slots = Vec::new();
     for mounting in mountings {
-        let place = slug(&mounting_name(&mounting));
+        let place = slug(&mounting.to_string());
         if mounting == job.mounting {
             let name = format!("identify-{place}");
             slots.push(Slot { name, role: Role::Identify, mounting, seed: job.excitation.seed });
-        } else if job.validation.counter_experiment && mounting.is_along_axis_1(super::VERTICAL) {
+        } else if job.validation.counter_experiment && mounting.is_along_axis_1(VERTICAL_TOLERANCE) {
             let name = format!("counter-{place}");
             slots.push(Slot { name, role: Role::Counter, mounting, seed: job.excitation.seed + 1 });
         }

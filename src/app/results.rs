@@ -6,7 +6,6 @@ use super::pipeline::{self, Identified, Judged};
 use super::programme::{Motion, Programme, Role};
 use crate::config::job::{Job, Pace};
 use crate::config::robot::Robot;
-use crate::config::units::mounting_name;
 use crate::dataset::{Dataset, Run};
 use crate::estimate::experiment::Settings;
 use crate::ipc::{Status, StreamCounters, Times};
@@ -208,7 +207,7 @@ impl Results {
         for (run, judged) in judged {
             if !shown.contains(&run.mounting) {
                 shown.push(run.mounting);
-                let title = format!("{} (unseen, {})", judged.figure.title, mounting_name(&run.mounting));
+                let title = format!("{} (unseen, {})", judged.figure.title, run.mounting);
                 figures.runs.push(crate::report::figures::TorqueFigure { title, ..judged.figure });
             }
         }
@@ -234,6 +233,7 @@ fn validation(run: &Run, judged: &Judged) -> Validation {
     Validation {
         run: run.file.clone(),
         rms: judged.rms.raw.clone(),
+        rms_raw: judged.rms.raw.clone(),
         rms_filtered: judged.rms.filtered.clone(),
         served_rms: served.map(|served| {
             let error = |j: usize, k: usize| run.tau[(k, j)] - served[j][k];

@@ -55,7 +55,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
 fn line(latest: &Latest, daemon: Daemon) -> String {
     let torques: Vec<String> = latest.message.torque().iter().map(|tau| format!("{tau:9.4}")).collect();
     let state = match (daemon, latest.stale, latest.message.model) {
-        (Daemon::Dead | Daemon::Gone, ..) => "  DAEMON GONE",
+        (Daemon::Gone, ..) => "  DAEMON GONE",
         (_, true, _) => "  STALE",
         (_, _, 0) => "  NO MODEL",
         _ => "",

@@ -69,6 +69,9 @@ pub struct Backend {
     /// Seed of the simulated noise and losses.
     #[serde(default = "one")]
     pub seed: u64,
+    /// Pose that the simulated arm starts in and returns to; the middle of every joint's range where absent \[rad\].
+    #[serde(default, deserialize_with = "units::optional_positions")]
+    pub start: Option<Vec<f64>>,
 }
 
 /// Backends.
@@ -187,11 +190,19 @@ pub struct Validation {
     pub periods: usize,
     /// Seed of the motions.
     pub seed: u64,
+    /// Whether the usual vertical set is identified, too, in a mounting of the list with gravity along axis 1, to show where it fails.
+    pub counter_experiment: bool,
 }
 
 impl Default for Validation {
     fn default() -> Validation {
-        Validation { trajectories: 5, mountings: vec![Mounting::WALL, Mounting::UPRIGHT], periods: 1, seed: 1000 }
+        Validation {
+            trajectories: 5,
+            mountings: vec![Mounting::WALL, Mounting::UPRIGHT],
+            periods: 1,
+            seed: 1000,
+            counter_experiment: false,
+        }
     }
 }
 
@@ -333,6 +344,8 @@ pub enum OnLoss {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Serve {
+    /// Name under which the robot is found in shared memory; the robot's own where absent. Two arms of one kind need two names.
+    pub id: Option<String>,
     /// Age from which a client calls a value stale \[s\].
     #[serde(deserialize_with = "units::duration")]
     pub stale_after: f64,
@@ -340,7 +353,7 @@ pub struct Serve {
 
 impl Default for Serve {
     fn default() -> Serve {
-        Serve { stale_after: 0.005 }
+        Serve { id: None, stale_after: 0.005 }
     }
 }
 

@@ -167,13 +167,13 @@ mod tests {
     }
 
     fn refusal(text: &str) -> String {
-        parse("run.csv", text.as_bytes()).unwrap_err().to_string()
+        parse("run.csv", text.as_bytes(), Torque::Required).unwrap_err().to_string()
     }
 
     #[test]
     fn columns_are_found_by_name_in_any_order() {
         let text = file("t,temp1,tau2,tau1,q1,q2,tau_cmd1", 12).replace("0.003,3.5,3.5", "0.003,30,-7");
-        let columns = parse("run.csv", text.as_bytes()).unwrap();
+        let columns = parse("run.csv", text.as_bytes(), Torque::Required).unwrap();
         assert_eq!((columns.q.shape(), columns.tau.shape()), ((12, 2), (12, 2)));
         assert!(columns.dq.is_none());
         assert_eq!(columns.tau[(3, 1)], -7.0);
@@ -211,6 +211,6 @@ mod tests {
     #[test]
     fn a_repeated_time_is_no_error() {
         let text = file("t,q1,tau1", 12).replace("0.004,", "0.003,");
-        assert_eq!(parse("run.csv", text.as_bytes()).unwrap().t[4], 0.003);
+        assert_eq!(parse("run.csv", text.as_bytes(), Torque::Required).unwrap().t[4], 0.003);
     }
 }

@@ -10,6 +10,7 @@ mod summary;
 pub use figures::Figures;
 
 use crate::atomic;
+use crate::ipc::Session;
 use crate::model::gravity::Mounting;
 use crate::model::torque::Parameter;
 use serde::{Deserialize, Serialize};
@@ -29,6 +30,12 @@ pub struct Report {
     pub identify: Fit,
     /// How well it predicts data that it was not identified from.
     pub validate: Vec<Validation>,
+    /// What `rms` is taken of, here and in `identify`.
+    #[serde(default)]
+    pub band: Band,
+    /// The usual vertical set, tried where it does not hold.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub counter_experiment: Option<CounterExperiment>,
     /// Noise of the measured torque, from the scatter between repetitions \[Nm\].
     pub noise_floor: Vec<f64>,
     /// What this data can't say.
@@ -39,6 +46,9 @@ pub struct Report {
     /// How the real-time loop did; absent for recorded data.
     #[serde(default, rename = "loop", skip_serializing_if = "Option::is_none")]
     pub cycle: Option<LoopFacts>,
+    /// The same for each connection to the arm.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sessions: Vec<Session>,
     /// What went through shared memory; absent for recorded data.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ipc: Option<IpcFacts>,
@@ -110,11 +120,47 @@ pub struct ParameterFacts {
     pub unit: String,
 }
 
+/// What errors are taken of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Band {
+    /// Raw torque samples, noise and all: as in the paper's Tables IV and V.
+    #[default]
+    Raw,
+    /// Torques and model after the estimator's zero-phase low-pass; of a periodic motion, the mean period.
+    Filtered {
+        /// Its cut-off \[Hz\].
+        cutoff: f64,
+    },
+}
+
+/// The base set of the vertical mounting, identified there, refused elsewhere, and forced all the same.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct CounterExperiment {
+    /// Where it was identified.
+    pub identified_in: MountingFacts,
+    /// `VBS`.
+    pub kind: String,
+    /// Number of its parameters.
+    pub count: usize,
+    /// Where it was forced.
+    pub refused_in: MountingFacts,
+    /// What the program says to somebody who does not force it.
+    pub refusal: String,
+    /// RMS over the unseen motions there, per joint, mean of the motions \[Nm\].
+    pub forced_rms: Vec<f64>,
+    /// The same of the generalized set \[Nm\].
+    pub general_rms: Vec<f64>,
+}
+
 /// Fit of the model to its own data.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Fit {
-    /// RMS of measured minus modelled torque, per joint \[Nm\].
+    /// RMS of measured minus modelled torque in the report's band, per joint \[Nm\].
     pub rms: Vec<f64>,
+    /// RMS after the low-pass \[Nm\].
+    #[serde(default)]
+    pub rms_filtered: Vec<f64>,
 }
 
 /// Prediction of one unseen run.
@@ -122,8 +168,17 @@ pub struct Fit {
 pub struct Validation {
     /// Name of the run.
     pub run: String,
-    /// RMS of measured minus predicted torque, per joint \[Nm\].
+    /// RMS of measured minus predicted torque in the report's band, per joint \[Nm\].
     pub rms: Vec<f64>,
+    /// RMS of raw samples \[Nm\].
+    #[serde(default)]
+    pub rms_raw: Vec<f64>,
+    /// RMS after the low-pass \[Nm\].
+    #[serde(default)]
+    pub rms_filtered: Vec<f64>,
+    /// RMS of measured torque minus the feed-forward that was served while the arm moved \[Nm\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub served_rms: Option<Vec<f64>>,
     /// Mounting of the run.
     pub mounting: MountingFacts,
 }

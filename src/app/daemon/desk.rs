@@ -4,7 +4,6 @@ use crate::app::Failure;
 use crate::backend::sim::Truth;
 use crate::config::job::{Job, OnLoss};
 use crate::config::robot::Robot;
-use crate::config::units::mounting_name;
 use crate::input::BadInput;
 use crate::ipc::{
     Mounting as MountingMessage, News, Progress, Request, Response, Served, Session as SessionStatistics, Status,
@@ -164,7 +163,7 @@ impl Desk {
 
     fn status(&self, served: &Served, controls: Option<&Controls>) -> Status {
         let name = self.names.iter().find(|(number, _)| *number == self.last.motion).map(|(_, name)| name.as_str());
-        let place = mounting_name(&self.mounting);
+        let place = self.mounting.to_string();
         let mut status = Status {
             robot: self.robot.name.clone(),
             joints: self.robot.chain.len(),

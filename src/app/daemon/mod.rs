@@ -10,8 +10,7 @@ mod session;
 use super::programme::Programme;
 use super::{Failure, JobOptions};
 use crate::config::job::Pace;
-use crate::config::units::mounting_name;
-use crate::ipc::{Lock, Progress, Server, ServerSettings};
+use crate::ipc::{Progress, Server, ServerSettings};
 use crate::joint::Record;
 use crate::model::gravity::Mounting;
 use crate::rt::cycle::End;
@@ -100,7 +99,7 @@ impl Daemon {
     fn drive(&mut self, programme: &Programme) -> Result<(), Failure> {
         for stage in &programme.stages {
             self.desk.progress = Progress::Driving;
-            let place = mounting_name(&stage.mounting);
+            let place = stage.mounting.to_string();
             tracing::info!("the arm is mounted {place}; {} motions", stage.motions.len());
             let script = Script::of(stage, self.desk.rest).map_err(Failure::job)?;
             let session = Session::open(&self.desk, place, stage.mounting, script)?;
