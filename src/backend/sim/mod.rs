@@ -9,6 +9,10 @@
 //! | `commands`, `plant` | the controller's smooth target; the integration of everything |
 //! | `sensors`, `gate` | noise and loss; back-pressure at full speed |
 //!
+//! It takes positions: `desired.q` of a command, nothing else. A motion begins with the first command, which must be where the arm stands.
+//! Where a command is missing the arm goes on at constant acceleration; 20 in a row are a reflex, and only `stop` ends that.
+//! After a stop the arm brakes, keeps reporting, and takes no command any more.
+//!
 //! The same truth, seed and commands give the same states bit by bit.
 
 mod aba;

@@ -5,7 +5,7 @@ use crate::backend::sim::truth::Truth;
 use crate::joint::{JointVec, MAX_JOINTS};
 
 /// Steepness of the Coulomb term's step \[s/rad\] (paper, section II-A).
-pub(in crate::backend::sim) const STEEPNESS: f64 = 100.0;
+const STEEPNESS: f64 = 100.0;
 
 pub(in crate::backend::sim) struct Friction {
     fv: JointVec,
@@ -26,8 +26,8 @@ impl Friction {
 
 impl Effect for Friction {
     fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
-        for j in 0..at.n {
-            tau[j] -= self.fv[j] * at.dq[j] + self.fc[j] * (STEEPNESS * at.dq[j]).tanh();
+        for (j, tau) in tau[..at.n].iter_mut().enumerate() {
+            *tau -= self.fv[j] * at.dq[j] + self.fc[j] * (STEEPNESS * at.dq[j]).tanh();
         }
     }
 }

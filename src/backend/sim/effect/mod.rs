@@ -1,6 +1,6 @@
 //! Effects: what a simulated arm has beyond a rigid body. The estimator doesn't know them.
 //!
-//! An [`Effect`] bends the arm wherever its physics acts, through hooks that do nothing by default; one kind of effect is one file here
+//! An `Effect` bends the arm wherever its physics acts, through hooks that do nothing by default; one kind of effect is one file here
 //! and one arm of [`EffectSpec`]. Where each row of the catalogue acts:
 //!
 //! | hook | effects |
