@@ -353,7 +353,6 @@ fn at_wall_clock_pace_every_deadline_is_met_or_counted() {
     assert_eq!(records.iter().map(|r| r.wake_ns).max(), Some(summary.wake.max));
     assert!(records.windows(2).all(|pair| pair[1].stamp_ns > pair[0].stamp_ns && pair[1].work_ns > 0));
     assert!(drain.pop().is_none() && handles.controls.cycles() == summary.cycles);
-    eprintln!("wake {:?}\nwork {:?}\nperiod {:?} late {}", summary.wake, summary.work, summary.period, summary.late);
 }
 
 #[test]
