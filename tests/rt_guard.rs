@@ -15,6 +15,11 @@ use rand_chacha::ChaCha8Rng;
 #[global_allocator]
 static WATCH: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
 
+/// Forward kinematics of a test.
+type Forward = fn(&JointVec) -> [f64; 3];
+/// A trick, made anew for every run.
+type Scripted = fn() -> Trick;
+
 /// The run was stopped by the guard, for this reason, inside every limit, and rests.
 fn assert_guarded(run: &Run, limit: Limit, joint: usize) -> Violation {
     run.assert_sound();
@@ -184,13 +189,17 @@ fn a_model_that_breaks_a_torque_limit_is_not_asked_again() {
 fn the_end_effector_stays_in_its_box_and_off_the_base() {
     let workspace = Workspace { box_min: [-0.5, -0.2, 0.1], box_max: [0.5, 0.2, 0.8], base_radius: 0.3 };
     // A tool that joint 1 moves along one axis.
-    let cases: [(Limit, usize, fn(&JointVec) -> [f64; 3]); 3] = [
+    let cases: [(Limit, usize, Forward); 3] = [
         (Limit::EndEffectorBox, 1, |q| [0.4, 3.0 * q[0], 0.4]),
         (Limit::EndEffectorBox, 2, |q| [0.4, 0.0, 0.2 - 2.0 * q[0].abs()]),
         (Limit::BaseSphere, 0, |q| [0.4 - 2.0 * q[0].abs(), 0.0, 0.15]),
     ];
-    for (limit, axis, tool) in cases {
-        let mut job = Job::new(3_000).order(follow(1, Wave { amplitude: [0.1; 8], ..Wave::gentle() }));
+    let mut aside = READY;
+    aside[0] = 0.3;
+    for (case, (limit, axis, tool)) in cases.into_iter().chain(cases).enumerate() {
+        // First by a motion that is followed, then by a point-to-point one.
+        let wave = Wave { amplitude: [0.1; 8], ..Wave::gentle() };
+        let mut job = Job::new(3_000).order(if case < 3 { follow(1, wave) } else { move_to(1, aside) });
         job.settings.guard.workspace = Some(workspace);
         job.kinematics = Some(Box::new(Tool(tool)));
         let run = job.run();
@@ -207,7 +216,7 @@ fn the_end_effector_stays_in_its_box_and_off_the_base() {
 #[test]
 fn what_the_arm_measures_can_stop_it_in_every_phase() {
     let away: JointVec = [0.4, -0.3, -0.5, -1.9, 0.6, 1.2, 0.1, 0.0];
-    let tricks: [(Limit, usize, fn() -> Trick); 3] = [
+    let tricks: [(Limit, usize, Scripted); 3] = [
         (Limit::Tracking, 3, || Trick::Push(3, -0.11)),
         (Limit::MeasuredTorque, 5, || Trick::Torque(5, 12.5)),
         (Limit::MeasuredNotFinite, 1, || Trick::NanPosition(1)),

@@ -4,11 +4,13 @@ mod common;
 
 use common::drive::{Job, Model, READY, Run, Shape, Wave, dwell, follow, move_to, panda_limits};
 use common::{FakeArm, Trick};
-use plumbline::joint::{JointVec, Phase, Setpoint};
-use plumbline::rt::cycle::{self, End, SetupError};
+use plumbline::joint::{Command, JointVec, Phase, Setpoint, State};
+use plumbline::rt::cycle::{self, End};
 use plumbline::rt::order::{Event, StopReason};
+use plumbline::rt::os::{now_ns, sleep_until};
 use plumbline::rt::recorder::ring;
-use plumbline::rt::{Fault, Reference};
+use plumbline::rt::settings::{CycleSettings, SetupError};
+use plumbline::rt::{Backend, Fault, PERIOD_NS, Reference};
 
 #[global_allocator]
 static WATCH: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
@@ -293,9 +295,69 @@ fn it_starts_from_what_the_arm_holds_as_desired_unless_that_is_elsewhere() {
     assert_eq!(run.records[0].command.desired.q, READY);
 }
 
+/// The fake arm at the pace of the wall clock: a state is due every millisecond.
+struct PacedArm {
+    arm: FakeArm,
+    deadline_ns: u64,
+}
+
+impl Backend for PacedArm {
+    fn joints(&self) -> usize {
+        self.arm.joints()
+    }
+
+    fn read(&mut self) -> Result<State, Fault> {
+        self.deadline_ns += PERIOD_NS;
+        sleep_until(self.deadline_ns);
+        self.arm.read()
+    }
+
+    fn write(&mut self, command: &Command) -> Result<(), Fault> {
+        self.arm.write(command)
+    }
+
+    fn stop(&mut self) {
+        self.arm.stop();
+    }
+
+    fn deadline_ns(&self) -> Option<u64> {
+        Some(self.deadline_ns)
+    }
+}
+
+#[test]
+fn at_wall_clock_pace_every_deadline_is_met_or_counted() {
+    let arm = PacedArm { arm: FakeArm::new(7, READY), deadline_ns: now_ns() };
+    let (sink, mut drain) = ring(1_000);
+    let (mut cycle, mut handles) = cycle::new(arm, sink, None, common::drive::settings()).unwrap();
+    assert!(handles.orders.give(dwell(1, 300)).is_ok());
+    let start = now_ns();
+    let outcome = std::thread::scope(|scope| {
+        let looping = scope.spawn(|| cycle.run());
+        while !matches!(handles.events.pop(), Ok(Event::Ended { motion: 1 })) {
+            std::thread::yield_now();
+        }
+        handles.controls.quit();
+        looping.join().unwrap()
+    });
+    let summary = outcome.summary;
+    assert_eq!((outcome.end, outcome.allocations, summary.lost), (End::Quit, Some(0), 0));
+    // The arm's clock, the loop's count, the wall and the records agree.
+    assert!(summary.cycles >= 301 && now_ns() - start >= (summary.cycles - 1) * PERIOD_NS);
+    assert_eq!(
+        (summary.wake.count, summary.work.count, summary.period.count),
+        (summary.cycles, summary.cycles, summary.cycles - 1)
+    );
+    let mut records = Vec::new();
+    assert_eq!(drain.take_into(&mut records, usize::MAX) as u64, summary.cycles);
+    assert_eq!(records.iter().map(|r| r.wake_ns).max(), Some(summary.wake.max));
+    assert!(records.windows(2).all(|pair| pair[1].stamp_ns > pair[0].stamp_ns && pair[1].work_ns > 0));
+    assert!(drain.pop().is_none() && handles.controls.cycles() == summary.cycles);
+}
+
 #[test]
 fn settings_that_make_no_sense_build_no_loop() {
-    let try_with = |change: fn(&mut cycle::CycleSettings)| {
+    let try_with = |change: fn(&mut CycleSettings)| {
         let mut settings = common::drive::settings();
         change(&mut settings);
         cycle::new(FakeArm::new(7, READY), ring(8).0, None, settings).err()

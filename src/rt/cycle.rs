@@ -10,81 +10,17 @@
 //! - A lost state is a cycle of the arm without an answer. Motions keep the arm's time: the next sample is the one that is due by
 //!   the arm's counter, and the guard differences over the time that really passed.
 
-use super::guard::{Guard, GuardSettings, Violation};
+use super::guard::{Guard, Violation};
 use super::motion::{Finished, Motion, seconds};
-use super::moves::{MoveFactors, Planner};
+use super::moves::Planner;
 use super::order::{Event, Handles, Inlets, Order, OrderKind, Retired, StopReason, rings};
 use super::os::{Granted, Rights, become_realtime, now_ns};
 use super::recorder::Flight;
+use super::settings::{CycleSettings, SetupError};
 use super::stats::{NotForward, Summary, Tally};
 use super::{Backend, Fault, FeedForward, Kinematics, Reference, Sink};
 use crate::joint::{Command, JointVec, MAX_JOINTS, Record, Setpoint, State, Torque};
 use assert_no_alloc::{assert_no_alloc, reset_violation_count, violation_count};
-
-/// What the loop is built from.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CycleSettings {
-    /// Limits of commands and states.
-    pub guard: GuardSettings,
-    /// Share of the limits that point-to-point motions and the stop use.
-    pub moves: MoveFactors,
-    /// Longest run of lost states that a motion goes on after.
-    pub max_consecutive_lost: u64,
-    /// Room for orders in the queue.
-    pub queue: usize,
-    /// Records kept for the outcome, whatever happens to the sink.
-    pub flight: usize,
-    /// What the loop's thread asks of the operating system.
-    pub rights: Rights,
-}
-
-impl CycleSettings {
-    /// The usual loop: 10 lost states in a row (half of what the FCI tolerates), 64 orders, 200 records kept, real-time rights.
-    pub fn new(guard: GuardSettings) -> CycleSettings {
-        CycleSettings {
-            guard,
-            moves: MoveFactors::default(),
-            max_consecutive_lost: 10,
-            queue: 64,
-            flight: 200,
-            rights: Rights::default(),
-        }
-    }
-}
-
-/// Settings that no loop can be built from.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum SetupError {
-    /// More joints than fixed-size messages hold, or none.
-    #[error("the arm has {joints} joints, expected 1 to {MAX_JOINTS}")]
-    Joints {
-        /// Joints of the arm.
-        joints: usize,
-    },
-    /// A limit is not a positive number, or the position limits are the wrong way round.
-    #[error("limit {name} of joint {} is {value}, expected a finite number{expected}", .joint + 1)]
-    Limit {
-        /// Which limit.
-        name: &'static str,
-        /// Joint, counted from 0.
-        joint: usize,
-        /// Its value.
-        value: f64,
-        /// What more is expected of it.
-        expected: &'static str,
-    },
-    /// A share of the limits is outside (0, 1].
-    #[error("the share {name} of the limits is {value}, expected more than 0 and at most 1")]
-    Factor {
-        /// Which share.
-        name: &'static str,
-        /// Its value.
-        value: f64,
-    },
-    /// There is a workspace and no kinematics to hold it with.
-    #[error("a workspace was given without kinematics")]
-    NoKinematics,
-}
 
 /// How the loop ended.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -169,7 +105,7 @@ pub fn new<B: Backend, S: Sink>(
     settings: CycleSettings,
 ) -> Result<(Cycle<B, S>, Handles), SetupError> {
     let joints = backend.joints();
-    check(joints, &settings, kinematics.is_some())?;
+    settings.check(joints, kinematics.is_some())?;
     let (inlets, handles) = rings(settings.queue);
     let planner = Planner::new(joints, settings.guard.limits, settings.moves);
     let cycle = Cycle {
@@ -460,42 +396,4 @@ fn allocations_are_watched() -> bool {
         reset_violation_count();
         watched
     })
-}
-
-fn check(joints: usize, settings: &CycleSettings, has_kinematics: bool) -> Result<(), SetupError> {
-    if joints == 0 || joints > MAX_JOINTS {
-        return Err(SetupError::Joints { joints });
-    }
-    let GuardSettings { limits, workspace, tracking } = &settings.guard;
-    for (j, &tolerance) in tracking.iter().enumerate().take(joints) {
-        let positive = [
-            ("dq", limits.dq[j]),
-            ("ddq", limits.ddq[j]),
-            ("jerk", limits.jerk[j]),
-            ("tau", limits.tau[j]),
-            ("dtau", limits.dtau[j]),
-            ("tracking", tolerance),
-        ];
-        for (name, value) in positive {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(SetupError::Limit { name, joint: j, value, expected: " above 0" });
-            }
-        }
-        for (name, value) in [("q_min", limits.q_min[j]), ("q_max", limits.q_max[j])] {
-            if !value.is_finite() {
-                return Err(SetupError::Limit { name, joint: j, value, expected: "" });
-            }
-        }
-        if limits.q_min[j] >= limits.q_max[j] {
-            let value = limits.q_max[j];
-            return Err(SetupError::Limit { name: "q_max", joint: j, value, expected: " above q_min" });
-        }
-    }
-    let MoveFactors { velocity, acceleration, jerk, brake } = settings.moves;
-    for (name, value) in [("velocity", velocity), ("acceleration", acceleration), ("jerk", jerk), ("brake", brake)] {
-        if !(value > 0.0 && value <= 1.0) {
-            return Err(SetupError::Factor { name, value });
-        }
-    }
-    if workspace.is_some() && !has_kinematics { Err(SetupError::NoKinematics) } else { Ok(()) }
 }

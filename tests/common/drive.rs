@@ -2,11 +2,12 @@
 
 use super::{FakeArm, Seen, Trick};
 use plumbline::joint::{JointVec, Limits, MAX_JOINTS, Phase, Record, Setpoint, Torque};
-use plumbline::rt::cycle::{self, CycleSettings, Outcome};
+use plumbline::rt::cycle::{self, Outcome};
 use plumbline::rt::guard::GuardSettings;
 use plumbline::rt::order::{Event, Handles, Order, OrderKind};
 use plumbline::rt::os::Rights;
 use plumbline::rt::recorder::ring;
+use plumbline::rt::settings::CycleSettings;
 use plumbline::rt::{FeedForward, Kinematics, Reference};
 use std::sync::{Arc, Mutex};
 
