@@ -30,7 +30,7 @@ mod stream;
 pub use client::Client;
 pub use command::{Follower, MAX_REQUEST_BYTES, Mounting, Request, Response, Served, Status};
 pub use error::IpcError;
-pub use feed_forward::{Daemon, FeedForwardClient, FeedForwardSettings, Latest};
+pub use feed_forward::{FeedForwardClient, FeedForwardSettings, Latest, Presence};
 pub use followers::News;
 pub use lock::{Lock, LockError};
 pub use messages::{FeedForwardMessage, FollowRequest, MessageError, ReplayHeader, SampleMessage};
