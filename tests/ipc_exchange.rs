@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use ipc_support::*;
 use plumbline::ipc::{
-    Client, Daemon as Presence, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, IpcError, Lock,
-    MAX_REQUEST_BYTES, News, Request, Response, SampleStream, Server, ServerSettings, Status, StreamSettings,
+    Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, IpcError, Lock, MAX_REQUEST_BYTES,
+    News, Presence, Request, Response, SampleStream, Server, ServerSettings, Status, StreamSettings,
 };
 use rand::{Rng, RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -281,14 +281,22 @@ fn a_missing_a_busy_and_a_second_daemon_are_told_apart() {
     let _lock = Lock::take_in(directory.path(), &robot).unwrap();
     assert!(Lock::take_in(directory.path(), &robot).is_err());
 
-    // Without the lock, shared memory itself refuses a second daemon.
+    // Without the lock, shared memory itself refuses a second daemon. This one is alive, but answers nobody.
     let busy = Daemon::start(&robot, ServerSettings::default(), |_, stop| {
         wait_for("the end of the test", || stop.load(Ordering::Relaxed));
     });
     let mut client = Client::connect(&robot, PATIENCE).unwrap();
-    let error = client.send(&Request::Status {}, Duration::from_millis(50)).unwrap_err();
-    assert!(matches!(error, IpcError::NoAnswer { waited_ms: 50, .. }), "{error}");
+    for _ in 0..5 {
+        let error = client.send(&Request::Status {}, Duration::from_millis(20)).unwrap_err();
+        assert!(matches!(error, IpcError::NoAnswer { .. }), "{error}");
+    }
+    let hasty = StreamSettings { answer_within: Duration::from_millis(20), heartbeat: Duration::ZERO, ..settings() };
+    let mut stream = SampleStream::connect(&robot, hasty, PATIENCE).unwrap();
+    for _ in 0..5 {
+        assert_eq!(stream.next(Duration::from_millis(40)).unwrap(), Delivery::Idle);
+    }
     let error = Server::open(&robot, ServerSettings::default()).err().unwrap();
     assert!(matches!(error, IpcError::Full { .. }), "{error}");
     busy.stop();
+    wait_for("word of its end", || stream.next(Duration::from_millis(1)).unwrap() == Delivery::Gone);
 }

@@ -13,8 +13,8 @@ use std::time::Duration;
 
 use ipc_support::*;
 use plumbline::ipc::{
-    Client, Daemon as Presence, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, Lock, News,
-    Request, Response, RobotId, SampleStream, Server, ServerSettings, Status, StreamSettings,
+    Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, Lock, News, Presence, Request,
+    Response, RobotId, SampleStream, Server, ServerSettings, Status, StreamSettings,
 };
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -67,7 +67,8 @@ impl Client {
         let memory = self.port.loan_slice_uninit(bytes.len()).map_err(|error| transport("asking", &name, error))?;
         let pending = memory.write_from_slice(bytes).send().map_err(|error| transport("asking", &name, error))?;
         if pending.number_of_server_connections() == 0 {
-            return Err(services::no_daemon(&self.robot, Duration::ZERO));
+            // No one took it: there is no daemon, or one that is too busy to have read our earlier requests.
+            return Err(self.silence(Duration::ZERO));
         }
         let start = Instant::now();
         loop {

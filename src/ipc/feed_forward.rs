@@ -42,7 +42,7 @@ pub struct Latest {
 
 /// Whether anyone serves the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Daemon {
+pub enum Presence {
     /// A daemon's process runs.
     Running,
     /// It ended or was killed. The client stays connected and hears of the next one by itself.
@@ -115,11 +115,11 @@ impl FeedForwardClient {
     }
 
     /// Whether the daemon's process runs. Looks at files: to be called when a value is stale, not in a control loop.
-    pub fn daemon(&self) -> Daemon {
-        let mut state = Daemon::Gone;
+    pub fn daemon(&self) -> Presence {
+        let mut state = Presence::Gone;
         self.service.dynamic_config().list_publishers(|details| {
             if services::runs(&self.node, details.node_id) {
-                state = Daemon::Running;
+                state = Presence::Running;
             }
             CallbackProgression::Continue
         });

@@ -32,7 +32,7 @@ pub use command::{
     Follower, MAX_REQUEST_BYTES, Mounting, Progress, Request, Response, Served, Session, Status, Times,
 };
 pub use error::IpcError;
-pub use feed_forward::{Daemon, FeedForwardClient, FeedForwardSettings, Latest};
+pub use feed_forward::{FeedForwardClient, FeedForwardSettings, Latest, Presence};
 pub use followers::News;
 pub use lock::{Lock, LockError};
 pub use messages::{FeedForwardMessage, FollowRequest, MessageError, ReplayHeader, SampleMessage};

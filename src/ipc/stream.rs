@@ -109,6 +109,8 @@ pub struct SampleStream {
     curious: bool,
     gone: bool,
     asked: Option<Instant>,
+    /// The last question was answered; otherwise the next one waits for the heartbeat.
+    answered: bool,
     ready: VecDeque<Delivery>,
     counters: StreamCounters,
     pending: Option<Pending>,
@@ -152,6 +154,7 @@ impl SampleStream {
             curious: false,
             gone: false,
             asked: None,
+            answered: true,
             ready: VecDeque::new(),
             counters: StreamCounters::default(),
             pending: None,
@@ -204,7 +207,7 @@ impl SampleStream {
             self.fall_behind();
         }
         let overdue = self.asked.is_none_or(|asked| asked.elapsed() >= self.settings.heartbeat);
-        if self.pending.is_none() && (overdue || (self.behind && !self.gone) || std::mem::take(&mut self.curious)) {
+        if self.pending.is_none() && (overdue || (self.behind && self.answered) || std::mem::take(&mut self.curious)) {
             self.ask()?;
         }
         Ok(())
@@ -223,6 +226,7 @@ impl SampleStream {
         };
         let header = *answer.user_header();
         self.gone = false;
+        self.answered = true;
         if header.epoch != self.epoch {
             drop(answer);
             self.pending = None;
@@ -334,10 +338,12 @@ impl SampleStream {
         let name = services::replay_name(&self.robot);
         let pending = self.port.send_copy(request).map_err(|error| transport("asking", &name, error))?;
         self.asked = Some(Instant::now());
-        if pending.number_of_server_connections() == 0 {
-            self.gone = true;
-        } else {
+        self.answered = false;
+        if pending.number_of_server_connections() > 0 {
             self.pending = Some(pending);
+        } else {
+            // No one took it: there is no daemon, or one that is too busy to have read our earlier questions.
+            self.gone = !self.daemon_runs();
         }
         Ok(())
     }
