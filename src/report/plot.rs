@@ -79,7 +79,12 @@ fn curves(
         .build_cartesian_2d(t0..t1, low..high)?;
     let mut mesh = chart.configure_mesh();
     mesh.light_line_style(TRANSPARENT).bold_line_style(GRID.stroke_width(1)).axis_style(GRID.stroke_width(1));
-    mesh.axis_desc_style(TEXT).label_style(TEXT).x_labels(8).y_labels(ticks).x_label_formatter(&tick).y_label_formatter(&tick);
+    mesh.axis_desc_style(TEXT)
+        .label_style(TEXT)
+        .x_labels(8)
+        .y_labels(ticks)
+        .x_label_formatter(&tick)
+        .y_label_formatter(&tick);
     mesh.y_desc(y_name).x_desc(x_name).draw()?;
     if let Some(half) = band {
         let corners = [(t0, (-half).max(low)), (t1, half.min(high))];
@@ -148,7 +153,12 @@ pub(super) fn path(plan: &PlanFigure, axes: [usize; 2], names: [&str; 2]) -> Str
             .build_cartesian_2d(x.0..x.1, y.0..y.1)?;
         let mut mesh = chart.configure_mesh();
         mesh.light_line_style(TRANSPARENT).bold_line_style(GRID.stroke_width(1)).axis_style(GRID.stroke_width(1));
-        mesh.axis_desc_style(TEXT).label_style(TEXT).x_labels(5).y_labels(5).x_label_formatter(&tick).y_label_formatter(&tick);
+        mesh.axis_desc_style(TEXT)
+            .label_style(TEXT)
+            .x_labels(5)
+            .y_labels(5)
+            .x_label_formatter(&tick)
+            .y_label_formatter(&tick);
         mesh.x_desc(names[0]).y_desc(names[1]).draw()?;
         if let Some(space) = &plan.workspace {
             let [a, b] = axes;
@@ -179,7 +189,12 @@ pub(super) fn histogram(bins: &[Bin], x_name: &str) -> String {
             .build_cartesian_2d((low..high * 1.05).log_scale(), (0.5..most as f64 * 2.0).log_scale())?;
         let mut mesh = chart.configure_mesh();
         mesh.light_line_style(TRANSPARENT).bold_line_style(GRID.stroke_width(1)).axis_style(GRID.stroke_width(1));
-        mesh.axis_desc_style(TEXT).label_style(TEXT).x_label_formatter(&tick).y_label_formatter(&tick).x_desc(x_name).y_desc("cycles");
+        mesh.axis_desc_style(TEXT)
+            .label_style(TEXT)
+            .x_label_formatter(&tick)
+            .y_label_formatter(&tick)
+            .x_desc(x_name)
+            .y_desc("cycles");
         mesh.draw()?;
         let bar = |bin: &Bin| Rectangle::new([(from(bin), 0.5), (bin.to, bin.count as f64)], BAND.filled());
         chart.draw_series(bins.iter().map(bar))?;

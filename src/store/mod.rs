@@ -1,6 +1,8 @@
-//! Floor 3: the files that plumbline keeps: identified models.
+//! Floor 3: the files that plumbline keeps: identified models and planned motions.
 
 mod model_file;
 mod model_text;
+mod plan_file;
 
 pub use model_file::{ModelFile, Provenance, Validated, model_identity};
+pub use plan_file::{load_plan, parse_plan, plan_text, save_plan};
