@@ -1,6 +1,7 @@
 //! The job configuration: shipped files load, every bad value is refused by name, overrides win over the file.
 
 use plumbline::config::job::{Job, OnLoss, Pace, Resource};
+use plumbline::estimate::experiment::Settings;
 use plumbline::joint;
 use plumbline::model::gravity::Mounting;
 use std::path::Path;
@@ -57,6 +58,7 @@ fn quantities_are_read_in_their_units() {
     assert_eq!(job.excitation.q0, Some(vec![90_f64.to_radians(), 0.1]));
     assert_eq!(job.serve.stale_after, 0.02);
     assert_eq!(job.estimator.torque_cutoff, Some(5.0));
+    assert_eq!((job.settings().torque_cutoff, job.settings().order), (5.0, Settings::default().order));
     assert!((job.safety.tracking_error - 3_f64.to_radians()).abs() < 1e-15);
 }
 
@@ -164,7 +166,7 @@ fn files_are_found_beside_the_configuration() {
 }
 
 #[test]
-fn own_limits_only_tighten_and_shares_hold_for_planning_alone() {
+fn own_limits_only_tighten_and_shares_leave_the_guard_alone() {
     let eight = |value: f64| [value; joint::MAX_JOINTS];
     let robot = joint::Limits {
         q_min: eight(-2.0),
@@ -177,9 +179,9 @@ fn own_limits_only_tighten_and_shares_hold_for_planning_alone() {
     };
     let job =
         parse(&format!("{LEAST}[limits]\nspeed = 0.5\nmargin = \"0.1 rad\"\noverride.dq = [1.0, 2.0]\n"), &[]).unwrap();
-    let (guard, plan) = (job.guard_limits(&robot, 2).unwrap(), job.planning_limits(&robot, 2).unwrap());
+    let (guard, margins) = (job.guard_limits(&robot, 2).unwrap(), job.margins());
     assert_eq!((guard.dq[0], guard.dq[1], guard.q_max[0]), (1.0, 2.0, 2.0));
-    assert_eq!((plan.dq[0], plan.dq[1], plan.q_max[0], plan.ddq[1]), (0.5, 1.0, 1.9, 9.0));
+    assert_eq!((margins.velocity, margins.position), (0.5, 0.1));
     let refused = |list: &str| {
         let job = parse(&format!("{LEAST}[limits]\noverride.{list}\n"), &[]).unwrap();
         job.guard_limits(&robot, 2).unwrap_err().to_string()

@@ -7,6 +7,8 @@ mod check;
 mod sets;
 
 use super::units;
+use crate::estimate::experiment::Derivative;
+use crate::excite::limits::Margins;
 use crate::input::BadInput;
 use crate::model::gravity::Mounting;
 use serde::Deserialize;
@@ -230,7 +232,8 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Limits {
-        Limits { margin: 0.05, speed: 0.9, acceleration: 0.9, jerk: 0.9, torque: 0.9, own: OwnLimits::default() }
+        let Margins { position, velocity, acceleration, jerk, torque, .. } = Margins::default();
+        Limits { margin: position, speed: velocity, acceleration, jerk, torque, own: OwnLimits::default() }
     }
 }
 
@@ -278,18 +281,8 @@ pub struct Estimator {
     pub position_cutoff: Option<f64>,
     /// Order of both filters, even.
     pub filter_order: Option<usize>,
-    /// How velocity and acceleration are computed.
-    pub derivatives: Option<Derivatives>,
-}
-
-/// How velocity and acceleration are computed from positions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Derivatives {
-    /// Central differences, as in the paper.
-    Central,
-    /// In the frequency domain, for periodic motions.
-    Spectral,
+    /// How velocity and acceleration come from positions: `spectral` or, as in the paper, `central`.
+    pub derivative: Option<Derivative>,
 }
 
 /// What the loop's thread asks of the machine; what is not permitted is reported and done without.

@@ -38,8 +38,8 @@ impl Hygiene {
             repeated_rows: (1..run.samples()).filter(|&k| same(k)).count(),
             gaps: moving.iter().filter(|&&step| step > 1.5 * dt).count(),
             longest_gap: moving.last().copied().unwrap_or(0.0),
-            q_quantum: run.q.column_iter().map(|column| quantum(column.into())).collect(),
-            tau_quantum: run.tau.column_iter().map(|column| quantum(column.into())).collect(),
+            q_quantum: run.q.column_iter().map(quantum).collect(),
+            tau_quantum: run.tau.column_iter().map(quantum).collect(),
         }
     }
 }

@@ -259,7 +259,7 @@ impl Report {
     /// The text of `report.json`.
     ///
     /// # Errors
-    /// A number that JSON can't hold never is one: NaN and infinity are written as `null`. Fails only when out of memory.
+    /// None in practice: what JSON can't hold, NaN and infinity, is written as `null`.
     pub fn to_json(&self) -> serde_json::Result<String> {
         serde_json::to_string_pretty(self).map(|text| text + "\n")
     }

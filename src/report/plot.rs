@@ -16,16 +16,16 @@ const MEASURED: RGBColor = RGBColor(1, 1, 1);
 const MODELLED: RGBColor = RGBColor(2, 2, 2);
 /// Measured minus modelled.
 const RESIDUAL: RGBColor = RGBColor(3, 3, 3);
-/// Band of the noise, bars of a histogram.
+/// Band of the noise.
 const BAND: RGBColor = RGBColor(4, 4, 4);
-/// Edges of the noise band, over the curve that hides the band itself.
+/// Edges of the noise band, over the curve that hides the band itself; bars of a histogram.
 const EDGE: RGBColor = RGBColor(6, 6, 6);
 /// Axes and grid.
 const GRID: RGBColor = RGBColor(5, 5, 5);
 /// The first of one colour per joint.
 const JOINT: RGBColor = RGBColor(11, 0, 0);
 
-const TEXT: (&str, i32) = ("sans-serif", 15);
+const TEXT: (&str, i32) = ("sans-serif", 18);
 
 /// Draws into a fresh SVG of the given size. A plot of finite data in memory can't fail; a plot that does is left out.
 fn svg(size: (u32, u32), draw: impl FnOnce(Area) -> Drawn) -> String {
@@ -61,25 +61,37 @@ fn tick(value: &f64) -> String {
     format!("{rounded}")
 }
 
+/// A curve: its points, colour and width.
+type Line = (Vec<(f64, f64)>, RGBColor, u32);
+
 /// One chart of curves over time.
-fn curves(
-    area: &Area,
-    (t0, t1): (f64, f64),
-    (low, high): (f64, f64),
-    y_name: &str,
-    x_name: &str,
-    ticks: usize,
+struct Curves<'l> {
+    t: (f64, f64),
+    y: (f64, f64),
+    y_name: &'l str,
+    /// Empty where another chart below names the axis.
+    x_name: &'l str,
+    y_ticks: usize,
+    /// Half the width of a band around zero.
     band: Option<f64>,
-    lines: &[(Vec<(f64, f64)>, RGBColor, u32)],
-) -> Drawn {
+    lines: &'l [Line],
+}
+
+fn curves(area: &Area, of: Curves) -> Drawn {
+    let Curves { t: (t0, t1), y: (low, high), y_name, x_name, y_ticks, band, lines } = of;
     let mut chart = ChartBuilder::on(area)
         .margin(6)
-        .set_label_area_size(LabelAreaPosition::Left, 66)
-        .set_label_area_size(LabelAreaPosition::Bottom, if x_name.is_empty() { 24 } else { 44 })
+        .set_label_area_size(LabelAreaPosition::Left, 78)
+        .set_label_area_size(LabelAreaPosition::Bottom, if x_name.is_empty() { 28 } else { 50 })
         .build_cartesian_2d(t0..t1, low..high)?;
     let mut mesh = chart.configure_mesh();
     mesh.light_line_style(TRANSPARENT).bold_line_style(GRID.stroke_width(1)).axis_style(GRID.stroke_width(1));
-    mesh.axis_desc_style(TEXT).label_style(TEXT).x_labels(8).y_labels(ticks).x_label_formatter(&tick).y_label_formatter(&tick);
+    mesh.axis_desc_style(TEXT)
+        .label_style(TEXT)
+        .x_labels(8)
+        .y_labels(y_ticks)
+        .x_label_formatter(&tick)
+        .y_label_formatter(&tick);
     mesh.y_desc(y_name).x_desc(x_name).draw()?;
     if let Some(half) = band {
         let corners = [(t0, (-half).max(low)), (t1, half.min(high))];
@@ -105,19 +117,23 @@ pub(super) fn torque(figure: &TorqueFigure, j: usize) -> String {
     let far = residual.iter().fold(noise.unwrap_or(0.0), |far, value| far.max(value.abs())).max(1e-9) * 1.1;
     svg((820, 430), |area| {
         let (above, below) = area.split_vertically(250);
-        let lines = [(thin(&figure.t, measured), MEASURED, 4), (thin(&figure.t, modelled), MODELLED, 1)];
-        curves(&above, t, span(measured.iter().chain(modelled)), "torque / Nm", "", 6, None, &lines)?;
-        let line = [(thin(&figure.t, &residual), RESIDUAL, 1)];
-        curves(&below, t, (-far, far), "residual / Nm", "t / s", 4, noise, &line)?;
+        let both = [(thin(&figure.t, measured), MEASURED, 4), (thin(&figure.t, modelled), MODELLED, 2)];
+        let y = span(measured.iter().chain(modelled));
+        let torque = Curves { t, y, y_name: "torque / Nm", x_name: "", y_ticks: 6, band: None, lines: &both };
+        curves(&above, torque)?;
+        let left = [(thin(&figure.t, &residual), RESIDUAL, 1)];
+        let (y, y_name) = ((-far, far), "residual / Nm");
+        curves(&below, Curves { t, y, y_name, x_name: "t / s", y_ticks: 4, band: noise, lines: &left })?;
         area.present()
     })
 }
 
 /// Joint positions of a plan over time.
 pub(super) fn positions(plan: &PlanFigure) -> String {
-    let lines: Vec<_> = plan.q.iter().enumerate().map(|(j, q)| (thin(&plan.t, q), joint_colour(j), 2)).collect();
+    let lines: Vec<Line> = plan.q.iter().enumerate().map(|(j, q)| (thin(&plan.t, q), joint_colour(j), 2)).collect();
     svg((1140, 440), |area| {
-        curves(&area, time_span(&plan.t), span(plan.q.iter().flatten()), "q / rad", "t / s", 7, None, &lines)?;
+        let (t, y) = (time_span(&plan.t), span(plan.q.iter().flatten()));
+        curves(&area, Curves { t, y, y_name: "q / rad", x_name: "t / s", y_ticks: 7, band: None, lines: &lines })?;
         area.present()
     })
 }
@@ -134,6 +150,7 @@ pub(super) fn path(plan: &PlanFigure, axes: [usize; 2], names: [&str; 2]) -> Str
     if let Some(space) = &plan.workspace {
         corners.push((space.box_min[axes[0]], space.box_min[axes[1]]));
         corners.push((space.box_max[axes[0]], space.box_max[axes[1]]));
+        corners.extend([-space.base_radius, space.base_radius].map(|radius| (radius, radius)));
     }
     // Equal scales: a circle shall look like one.
     let (x, y) = (span(corners.iter().map(|(x, _)| x)), span(corners.iter().map(|(_, y)| y)));
@@ -143,12 +160,17 @@ pub(super) fn path(plan: &PlanFigure, axes: [usize; 2], names: [&str; 2]) -> Str
     svg((430, 410), |area| {
         let mut chart = ChartBuilder::on(&area)
             .margin(6)
-            .set_label_area_size(LabelAreaPosition::Left, 66)
-            .set_label_area_size(LabelAreaPosition::Bottom, 44)
+            .set_label_area_size(LabelAreaPosition::Left, 78)
+            .set_label_area_size(LabelAreaPosition::Bottom, 50)
             .build_cartesian_2d(x.0..x.1, y.0..y.1)?;
         let mut mesh = chart.configure_mesh();
         mesh.light_line_style(TRANSPARENT).bold_line_style(GRID.stroke_width(1)).axis_style(GRID.stroke_width(1));
-        mesh.axis_desc_style(TEXT).label_style(TEXT).x_labels(5).y_labels(5).x_label_formatter(&tick).y_label_formatter(&tick);
+        mesh.axis_desc_style(TEXT)
+            .label_style(TEXT)
+            .x_labels(5)
+            .y_labels(5)
+            .x_label_formatter(&tick)
+            .y_label_formatter(&tick);
         mesh.x_desc(names[0]).y_desc(names[1]).draw()?;
         if let Some(space) = &plan.workspace {
             let [a, b] = axes;
@@ -174,14 +196,19 @@ pub(super) fn histogram(bins: &[Bin], x_name: &str) -> String {
     svg((820, 340), |area| {
         let mut chart = ChartBuilder::on(&area)
             .margin(6)
-            .set_label_area_size(LabelAreaPosition::Left, 76)
-            .set_label_area_size(LabelAreaPosition::Bottom, 44)
+            .set_label_area_size(LabelAreaPosition::Left, 78)
+            .set_label_area_size(LabelAreaPosition::Bottom, 50)
             .build_cartesian_2d((low..high * 1.05).log_scale(), (0.5..most as f64 * 2.0).log_scale())?;
         let mut mesh = chart.configure_mesh();
         mesh.light_line_style(TRANSPARENT).bold_line_style(GRID.stroke_width(1)).axis_style(GRID.stroke_width(1));
-        mesh.axis_desc_style(TEXT).label_style(TEXT).x_label_formatter(&tick).y_label_formatter(&tick).x_desc(x_name).y_desc("cycles");
+        mesh.axis_desc_style(TEXT)
+            .label_style(TEXT)
+            .x_label_formatter(&tick)
+            .y_label_formatter(&tick)
+            .x_desc(x_name)
+            .y_desc("cycles");
         mesh.draw()?;
-        let bar = |bin: &Bin| Rectangle::new([(from(bin), 0.5), (bin.to, bin.count as f64)], BAND.filled());
+        let bar = |bin: &Bin| Rectangle::new([(from(bin), 0.5), (bin.to, bin.count as f64)], EDGE.filled());
         chart.draw_series(bins.iter().map(bar))?;
         area.present()
     })

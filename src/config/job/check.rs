@@ -1,6 +1,8 @@
 //! Ranges of a job's values, and the limits that come out of it for one robot.
 
 use super::{Job, Limits, OwnLimits, Workspace};
+use crate::estimate::experiment::Settings;
+use crate::excite::limits::Margins;
 use crate::input::BadInput;
 use crate::joint::{self, JointVec, MAX_JOINTS};
 
@@ -122,28 +124,31 @@ impl Job {
         }
     }
 
-    /// The limits that motions are planned for: the share of the guard's that `[limits]` allows.
-    ///
-    /// # Errors
-    /// As [`Job::guard_limits`]; also a margin that leaves a joint no range.
-    pub fn planning_limits(&self, robot: &joint::Limits, n: usize) -> Result<joint::Limits, BadInput> {
+    /// How far planned motions stay inside those limits.
+    pub fn margins(&self) -> Margins {
         let Limits { margin, speed, acceleration, jerk, torque, .. } = self.limits;
-        let mut limits = self.guard_limits(robot, n)?;
-        for j in 0..n {
-            let range = limits.q_max[j] - limits.q_min[j];
-            if range <= 2.0 * margin {
-                let expected = format!("less than half the range of joint {}, {range} rad", j + 1);
-                return Err(BadInput::new(self.file.display().to_string(), "key `limits.margin`", margin, expected));
-            }
-            limits.q_min[j] += margin;
-            limits.q_max[j] -= margin;
-            limits.dq[j] *= speed;
-            limits.ddq[j] *= acceleration;
-            limits.jerk[j] *= jerk;
-            limits.tau[j] *= torque;
-            limits.dtau[j] *= torque;
+        Margins {
+            position: margin,
+            velocity: speed,
+            acceleration,
+            jerk,
+            torque,
+            torque_rate: torque,
+            ..Margins::default()
         }
-        Ok(limits)
+    }
+
+    /// Signal processing of the estimator: its defaults with what the job says over them.
+    pub fn settings(&self) -> Settings {
+        let defaults = Settings::default();
+        let own = &self.estimator;
+        Settings {
+            torque_cutoff: own.torque_cutoff.unwrap_or(defaults.torque_cutoff),
+            position_cutoff: own.position_cutoff.unwrap_or(defaults.position_cutoff),
+            order: own.filter_order.unwrap_or(defaults.order),
+            derivative: own.derivative.unwrap_or(defaults.derivative),
+            ..defaults
+        }
     }
 
     /// The workspace: the job's, else the robot's.

@@ -1,0 +1,189 @@
+//! Model and plan files: bit-exact round trips, and every wrong number refused by name.
+
+use nalgebra::Vector3;
+use plumbline::config::robot::Robot;
+use plumbline::excite::limits::Margins;
+use plumbline::excite::plan::{Constraints, Plan};
+use plumbline::input::BadInput;
+use plumbline::model::base::{BaseKind, Reduction};
+use plumbline::model::chain::Chain;
+use plumbline::model::conditioning::Conditions;
+use plumbline::model::gravity::Mounting;
+use plumbline::model::structure::Structure;
+use plumbline::model::term::Sample;
+use plumbline::model::torque::TorqueModel;
+use plumbline::store::*;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+fn chain_of(robot: &str) -> Result<Chain, BadInput> {
+    Ok(Robot::load(robot, None)?.chain)
+}
+
+fn made_up(kind: BaseKind) -> ModelFile {
+    let mut rng = ChaCha8Rng::seed_from_u64(21);
+    let chain = chain_of("panda").unwrap();
+    let reduction = Reduction::of_kind(&chain, kind);
+    let structure = Structure::of(chain, reduction, &["friction", "torque-offset", "rotor-inertia"]).unwrap();
+    let draw =
+        |_| (rng.random_range(-1.0..1.0_f64) * 10f64.powi(rng.random_range(-7..2)), Some(rng.random_range(0.0..0.1)));
+    let values: Vec<_> = (0..structure.columns().len()).map(draw).collect();
+    let mounting = if kind == BaseKind::Gbs { Mounting { rho: 1.1, phi: -0.3 } } else { Mounting::UPRIGHT };
+    ModelFile {
+        model: TorqueModel::new("panda", structure, vec![mounting], &values).unwrap(),
+        noise_floor: vec![0.1 + 0.2; 7],
+        validation: vec![Validated { run: "a \"b\" \\ c".into(), rho: 0.1, phi: 0.2, rms: vec![1.0 / 3.0; 7] }],
+        provenance: Provenance {
+            dataset: Some("ab".repeat(32)),
+            date: Some("2026-01-01".into()),
+            ..Provenance::default()
+        },
+    }
+}
+
+fn parse(text: &str) -> Result<ModelFile, String> {
+    ModelFile::parse("model.toml", text, chain_of).map_err(|bad| bad.to_string())
+}
+
+#[test]
+fn a_model_reads_back_bit_by_bit() {
+    for kind in [BaseKind::Gbs, BaseKind::Vbs] {
+        let written = made_up(kind);
+        let read = parse(&written.to_toml()).unwrap();
+        assert_eq!(read.model.parameters(), written.model.parameters());
+        assert_eq!(
+            (read.model.robot(), read.model.kind(), read.model.mountings()),
+            ("panda", kind, written.model.mountings())
+        );
+        assert_eq!(read.noise_floor, written.noise_floor);
+        assert_eq!((&read.validation, &read.provenance), (&written.validation, &written.provenance));
+        assert_eq!(read.to_toml(), written.to_toml());
+        // The second route: the same torque, not only the same numbers.
+        let gravity = Vector3::new(1.0, -2.0, 9.0);
+        let sample = Sample { q: [0.3; 8], dq: [-0.7; 8], ddq: [2.0; 8] };
+        let torque = |file: &ModelFile| file.model.evaluator(&gravity).torque(&sample);
+        assert_eq!(torque(&read), torque(&written));
+    }
+}
+
+#[test]
+fn a_model_is_saved_whole() {
+    let room = tempfile::tempdir().unwrap();
+    let path = room.path().join("out/model.toml");
+    let file = made_up(BaseKind::Gbs);
+    file.save(&path).unwrap();
+    assert_eq!(ModelFile::load(&path, chain_of).unwrap().to_toml(), file.to_toml());
+    let lost = ModelFile::load(&room.path().join("none.toml"), chain_of).unwrap_err().to_string();
+    assert!(lost.contains("none.toml: file: got "), "{lost}");
+}
+
+#[test]
+fn every_wrong_model_is_refused_by_name() {
+    let text = made_up(BaseKind::Gbs).to_toml();
+    let spoil = |from: &str, to: &str| {
+        assert!(text.contains(from), "no `{from}` in\n{text}");
+        parse(&text.replacen(from, to, 1)).expect_err("a refusal")
+    };
+    let line = |name: &str| text.lines().find(|line| line.contains(&format!("name = \"{name}\""))).unwrap().to_string();
+    let value = |name: &str| {
+        let line = line(name);
+        line.split(", ").find(|part| part.starts_with("value")).unwrap().to_string()
+    };
+    let cases = [
+        (spoil("format = 1", "format = 2"), "key `format`: got 2, expected 1, the format this program knows"),
+        (spoil("format = 1", "formt = 1"), "formt"),
+        (spoil("\"GBS\"", "\"VBS\""), "[[term]]: got term `rigid-body`"),
+        (spoil("\"GBS\"", "\"gbs\""), "key `kind`: got `\"gbs\"`"),
+        (spoil("\"panda\"", "\"pandu\""), "pandu"),
+        (spoil("\"panda\"", "\"ur10\""), "key `noise-floor`: got 7 values, expected 6"),
+        (spoil(&line("Lxx2"), ""), "base parameter `Lxx2` is missing"),
+        (spoil(&line("fv3"), &line("fv2")), "two columns `fv2`"),
+        (spoil("name = \"fv3\"", "name = \"fw3\""), "no column `fw3`"),
+        (spoil("id = \"friction\"", "id = \"frcition\""), "no term `frcition`"),
+        (spoil(&value("Lxx2"), "value = nan"), "key `value of Lxx2`: got NaN, expected a finite number"),
+        (spoil(&value("fc1"), "value = inf"), "key `value of fc1`: got inf"),
+        (spoil("std = 0.", "std = -0."), "expected a standard deviation, 0 or more"),
+        (spoil("unit = \"kg m\"", "unit = \"g m\""), "got `g m`, expected kg m"),
+        (spoil("noise-floor = [", "noise-floor = [0.1, "), "key `noise-floor`: got 8 values, expected 7"),
+        (spoil("rms = [", "rms = [0.1, "), "key `validation[0].rms`: got 8 values, expected 7"),
+        (spoil("\nrho = 1.1", "\nrho = nan"), "key `mounting[0]`: got NaN"),
+        (spoil("[provenance]", "[provenance]\nauthor = \"me\""), "key `provenance.author`"),
+        (spoil("[provenance]", "provenance"), "line "),
+    ];
+    for (said, expected) in cases {
+        assert!(said.starts_with("model.toml: ") || said.contains("pandu"), "{said}");
+        assert!(said.contains(expected), "`{said}` does not say `{expected}`");
+    }
+}
+
+#[test]
+fn an_identity_follows_the_text_and_is_never_zero() {
+    let text = made_up(BaseKind::Gbs).to_toml();
+    assert_eq!(model_identity(&text), model_identity(&text.clone()));
+    assert_ne!(model_identity(&text), model_identity(&text.replacen("0.", "1.", 1)));
+    assert_ne!(model_identity(""), 0);
+}
+
+fn plan() -> Plan {
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let mut rows = || (0..3).map(|_| (0..5).map(|_| rng.random_range(-0.3..0.3)).collect()).collect::<Vec<Vec<f64>>>();
+    Plan {
+        robot: "panda".into(),
+        rho: 1.1,
+        phi: 0.1 + 0.2,
+        period: 10.0,
+        harmonics: 5,
+        seed: 7,
+        q0: vec![0.1, 0.2, 0.3],
+        a: rows(),
+        b: rows(),
+        conditions: Conditions {
+            raw: 130.5,
+            equilibrated: 30.0,
+            weighted: 140.0,
+            raw_rigid: 120.0,
+            equilibrated_rigid: 28.0,
+            weighted_rigid: f64::INFINITY,
+        },
+        constraints: Constraints {
+            q_min: vec![-1.0; 3],
+            q_max: vec![1.0; 3],
+            dq: vec![2.0; 3],
+            ddq: vec![5.0; 3],
+            jerk: vec![500.0; 3],
+            tau: None,
+            dtau: None,
+            box_min: Some([-0.5; 3]),
+            box_max: Some([0.5; 3]),
+            base_radius: Some(0.2),
+            margins: Margins::default(),
+        },
+    }
+}
+
+#[test]
+fn a_plan_reads_back_bit_by_bit() {
+    let room = tempfile::tempdir().unwrap();
+    let path = room.path().join("plan.toml");
+    save_plan(&plan(), &path).unwrap();
+    assert_eq!(load_plan(&path).unwrap(), plan());
+}
+
+#[test]
+fn every_wrong_plan_is_refused() {
+    let text = plan_text(&plan()).unwrap();
+    let cases = [
+        ("harmonics = 5", "harmonics = 4", "keys `q0`, `a`, `b`"),
+        ("period = 10.0", "period = -1.0", "key `period`: got -1"),
+        ("rho = 1.1", "rho = inf", "key `rho`: got inf, expected an angle in rad"),
+        ("q0 = [0.1, ", "q0 = [", "keys `q0`, `a`, `b`"),
+        ("q0 = [0.1, ", "q0 = [nan, ", "not a finite"),
+        ("seed = 7", "sed = 7", "unknown field `sed`"),
+        ("seed = 7", "seed = \"x\"", "key `seed`"),
+    ];
+    for (from, to, expected) in cases {
+        assert!(text.contains(from), "no `{from}` in\n{text}");
+        let said = parse_plan("plan.toml", &text.replacen(from, to, 1)).unwrap_err().to_string();
+        assert!(said.starts_with("plan.toml: ") && said.contains(expected), "`{said}` does not say `{expected}`");
+    }
+}
