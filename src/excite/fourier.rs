@@ -44,7 +44,12 @@ impl Fourier {
             return Err(ExciteError::Period { period });
         }
         let (n, harmonics) = (q0.len(), a.ncols());
-        if n == 0 || n > MAX_JOINTS || a.shape() != b.shape() || a.nrows() != n || !(1..=MAX_HARMONICS).contains(&harmonics) {
+        if n == 0
+            || n > MAX_JOINTS
+            || a.shape() != b.shape()
+            || a.nrows() != n
+            || !(1..=MAX_HARMONICS).contains(&harmonics)
+        {
             return Err(ExciteError::Shape { q0: n, a: a.shape(), b: b.shape() });
         }
         if let Some(&value) = q0.iter().chain(a.iter()).chain(b.iter()).find(|value| !value.is_finite()) {

@@ -4,19 +4,11 @@
 //! order `dt^8`): with the three-point one a 2 Hz motion sampled at 100 Hz loses 0.3 % of its velocity.
 
 /// Weights of `x[k+i] - x[k-i]`, i = 1.., for half widths 1 to 4.
-const FIRST: [&[f64]; 4] = [
-    &[0.5],
-    &[2.0 / 3.0, -1.0 / 12.0],
-    &[0.75, -0.15, 1.0 / 60.0],
-    &[0.8, -0.2, 4.0 / 105.0, -1.0 / 280.0],
-];
+const FIRST: [&[f64]; 4] =
+    [&[0.5], &[2.0 / 3.0, -1.0 / 12.0], &[0.75, -0.15, 1.0 / 60.0], &[0.8, -0.2, 4.0 / 105.0, -1.0 / 280.0]];
 /// Weights of `x[k+i] - 2 x[k] + x[k-i]`, i = 1.., for half widths 1 to 4.
-const SECOND: [&[f64]; 4] = [
-    &[1.0],
-    &[4.0 / 3.0, -1.0 / 12.0],
-    &[1.5, -0.15, 1.0 / 90.0],
-    &[1.6, -0.2, 8.0 / 315.0, -1.0 / 560.0],
-];
+const SECOND: [&[f64]; 4] =
+    [&[1.0], &[4.0 / 3.0, -1.0 / 12.0], &[1.5, -0.15, 1.0 / 90.0], &[1.6, -0.2, 8.0 / 315.0, -1.0 / 560.0]];
 
 /// First and second derivative of a signal sampled every `dt` \[s\].
 ///

@@ -48,7 +48,8 @@ pub fn resample(t: &[f64], values: &DMatrix<f64>, dt: Option<f64>) -> Result<Eve
         return Err(SignalError::Shape { what: "values", found: values.nrows(), expected: t.len() });
     }
     for (row, &time) in t.iter().enumerate() {
-        let bad = std::iter::once(time).chain(values.row(row).iter().copied()).enumerate().find(|(_, v)| !v.is_finite());
+        let bad =
+            std::iter::once(time).chain(values.row(row).iter().copied()).enumerate().find(|(_, v)| !v.is_finite());
         if let Some((column, value)) = bad {
             return Err(SignalError::NotFinite { row: row + 1, column, value });
         }
@@ -126,13 +127,7 @@ fn advancing_rows(t: &[f64], sampling: &mut Sampling) -> Vec<usize> {
 }
 
 /// Leaves out rows that only repeat the values of the row used before them.
-fn fresh_rows(
-    t: &[f64],
-    values: &DMatrix<f64>,
-    rows: Vec<usize>,
-    typical: f64,
-    sampling: &mut Sampling,
-) -> Vec<usize> {
+fn fresh_rows(t: &[f64], values: &DMatrix<f64>, rows: Vec<usize>, typical: f64, sampling: &mut Sampling) -> Vec<usize> {
     let mut used: Vec<usize> = Vec::with_capacity(rows.len());
     for row in rows {
         let repeats = used

@@ -17,12 +17,7 @@ impl Spectral {
     /// For periods of `samples` samples, `dt` apart \[s\].
     pub fn new(samples: usize, dt: f64) -> Spectral {
         let mut planner = RealFftPlanner::new();
-        Spectral {
-            forward: planner.plan_fft_forward(samples),
-            inverse: planner.plan_fft_inverse(samples),
-            samples,
-            dt,
-        }
+        Spectral { forward: planner.plan_fft_forward(samples), inverse: planner.plan_fft_inverse(samples), samples, dt }
     }
 
     /// Number of frequencies, 0 Hz to half the sampling rate.
@@ -47,7 +42,7 @@ impl Spectral {
     pub fn signal(&self, mut spectrum: Vec<Complex<f64>>) -> Vec<f64> {
         // A real signal has real values at 0 Hz and, for an even length, at half the rate.
         spectrum[0].im = 0.0;
-        if self.samples % 2 == 0 {
+        if self.samples.is_multiple_of(2) {
             spectrum[self.samples / 2].im = 0.0;
         }
         let mut x = self.inverse.make_output_vec();
@@ -74,7 +69,7 @@ impl Spectral {
         let mut first: Vec<_> =
             spectrum.iter().enumerate().map(|(m, value)| value * Complex::new(0.0, omega(m))).collect();
         // The component at half the rate has no sign, hence no first derivative.
-        if self.samples % 2 == 0 {
+        if self.samples.is_multiple_of(2) {
             first[self.samples / 2] = Complex::new(0.0, 0.0);
         }
         let second: Vec<_> = spectrum.iter().enumerate().map(|(m, value)| value * -(omega(m) * omega(m))).collect();
@@ -92,8 +87,7 @@ mod tests {
             let dt = 2.0 / samples as f64;
             let w = PI;
             let t = |k: usize| k as f64 * dt;
-            let x: Vec<f64> =
-                (0..samples).map(|k| 0.3 + (w * t(k)).sin() - 0.4 * (7.0 * w * t(k)).cos()).collect();
+            let x: Vec<f64> = (0..samples).map(|k| 0.3 + (w * t(k)).sin() - 0.4 * (7.0 * w * t(k)).cos()).collect();
             let [same, first, second] = Spectral::new(samples, dt).derivatives(&x, |_| 1.0);
             for k in 0..samples {
                 let dx = w * (w * t(k)).cos() + 2.8 * w * (7.0 * w * t(k)).sin();
