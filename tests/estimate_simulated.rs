@@ -92,9 +92,8 @@ fn motion(seed: u64, period: f64, harmonics: usize) -> Fourier {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let centre = [0.0, -0.3, 0.0, -1.6, 0.0, 1.8, 0.0];
     let q0 = centre.iter().map(|c| c + rng.random_range(-0.3..0.3)).collect();
-    let mut draw = || {
-        DMatrix::from_fn(N, harmonics, |_, k| 0.55 * normal(&mut rng) / ((k + 1) as f64).powf(0.5) * period / 10.0)
-    };
+    let mut draw =
+        || DMatrix::from_fn(N, harmonics, |_, k| 0.55 * normal(&mut rng) / ((k + 1) as f64).powf(0.5) * period / 10.0);
     let (a, b) = (draw(), draw());
     let mut fourier = Fourier::new(period, q0, a, b).unwrap();
     fourier.project();
@@ -252,7 +251,8 @@ fn a_filter_on_the_torque_alone_is_a_bias() {
     let solve = |w: DMatrix<f64>, tau: &DMatrix<f64>| w.svd(true, true).solve(tau, 1e-12).unwrap();
     let error = |found: &DMatrix<f64>| {
         let found: Vec<f64> = found.iter().copied().collect();
-        let difference = torques(&structure, &found, &experiment.motion) - torques(&structure, &beta, &experiment.motion);
+        let difference =
+            torques(&structure, &found, &experiment.motion) - torques(&structure, &beta, &experiment.motion);
         difference.norm() / (difference.len() as f64).sqrt()
     };
     let tau = experiment.filter(&experiment.stacked_tau());

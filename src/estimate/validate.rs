@@ -60,12 +60,12 @@ fn mean(values: &[f64]) -> f64 {
 /// Compares any model with an experiment. `predict` gives the torques along a motion, N x n \[Nm\], in its own mounting.
 pub fn validate(experiment: &Experiment, predict: impl FnOnce(&Motion) -> DMatrix<f64>) -> Rms {
     let residual = &experiment.tau - predict(&experiment.motion);
-    let (n, trusted) = (experiment.joints(), experiment.trusted());
-    let (start, count) = (trusted.start, trusted.len());
+    let (n, samples) = (experiment.joints(), experiment.motion.samples());
+    let mean_square = |block: &[f64]| block.iter().map(|x| x * x).sum::<f64>() / samples as f64;
     let scatter = experiment.scatter.as_ref();
     let raw = (0..n)
         .map(|j| {
-            let of_mean = residual.column(j).rows(start, count).norm_squared() / count as f64;
+            let of_mean = mean_square(&residual.as_slice()[j * samples..(j + 1) * samples]);
             // Every sample is the mean plus its deviation: the squares add up.
             let of_deviations = scatter.map_or(0.0, |s| s.std[j].powi(2) * (s.periods - 1) as f64 / s.periods as f64);
             (of_mean + of_deviations).sqrt()
@@ -73,16 +73,13 @@ pub fn validate(experiment: &Experiment, predict: impl FnOnce(&Motion) -> DMatri
         .collect();
     let stacked = DMatrix::from_column_slice(residual.len(), 1, residual.as_slice());
     let band = experiment.filter(&stacked);
-    let samples = experiment.motion.samples();
-    let filtered = (0..n)
-        .map(|j| (band.column(0).rows(j * samples + start, count).norm_squared() / count as f64).sqrt())
-        .collect();
+    let filtered = band.as_slice().chunks(samples).map(|block| mean_square(block).sqrt()).collect();
     Rms {
         raw,
         filtered,
         noise_floor: scatter.map(|scatter| scatter.std.clone()),
         filtered_noise_floor: scatter.map(|scatter| scatter.std_of_mean(|f| experiment.gain(f))),
-        samples: count * scatter.map_or(1, |scatter| scatter.periods),
+        samples: samples * scatter.map_or(1, |scatter| scatter.periods),
     }
 }
 

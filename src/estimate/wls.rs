@@ -182,7 +182,8 @@ fn solve(stack: &Stack, sigma: &[f64]) -> Result<Solution, EstimateError> {
     // Equilibrate: the rank must not depend on the parameters' units.
     let norms: Vec<f64> = w.column_iter().map(|column| column.norm()).collect();
     let largest = norms.iter().copied().fold(0.0, f64::max);
-    let scales: Vec<f64> = norms.iter().map(|&norm| if norm > ZERO_COLUMN * largest { 1.0 / norm } else { 0.0 }).collect();
+    let scales: Vec<f64> =
+        norms.iter().map(|&norm| if norm > ZERO_COLUMN * largest { 1.0 / norm } else { 0.0 }).collect();
     for (mut column, scale) in w.column_iter_mut().zip(&scales) {
         column *= *scale;
     }

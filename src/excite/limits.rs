@@ -131,7 +131,8 @@ impl Peak {
 
     /// Whether the limit is broken. A value that is not a number breaks every limit.
     pub fn is_violation(&self) -> bool {
-        !(self.headroom() >= -1e-9 * self.limit.abs().max(1.0))
+        let headroom = self.headroom();
+        headroom.is_nan() || headroom < -1e-9 * self.limit.abs().max(1.0)
     }
 }
 
@@ -168,7 +169,7 @@ impl Check {
         let peak = Peak { quantity, joint, time, value, limit };
         match self.peaks.get_mut(*slot) {
             None => self.peaks.push(peak),
-            Some(known) if !(peak.headroom() >= known.headroom()) => *known = peak,
+            Some(known) if peak.headroom().is_nan() || peak.headroom() < known.headroom() => *known = peak,
             Some(_) => {}
         }
         *slot += 1;

@@ -75,11 +75,7 @@ const COARSE_ROOM: f64 = 0.99;
 
 /// Searches for the motion of least raw condition number (paper eq. 11 with Sigma = 1): random motions, then a climb from the best
 /// with steps that grow after a success and shrink after failures. The result keeps every limit at 1 kHz.
-pub fn optimise(
-    problem: &Problem,
-    search: &Search,
-    mut progress: impl FnMut(Progress),
-) -> Result<Plan, ExciteError> {
+pub fn optimise(problem: &Problem, search: &Search, mut progress: impl FnMut(Progress)) -> Result<Plan, ExciteError> {
     validate(problem, search)?;
     let mut rng = ChaCha8Rng::seed_from_u64(search.seed);
     let gravity = problem.mounting.gravity();
@@ -100,11 +96,8 @@ pub fn optimise(
     for done in starts + 1..=of {
         let mut candidate = perturbed(problem, &best.1, step, &mut rng);
         fit_joints(problem, &mut candidate, search.samples);
-        let value = if coarse(problem, &candidate, search.samples).is_feasible() {
-            cost(&candidate)
-        } else {
-            f64::INFINITY
-        };
+        let value =
+            if coarse(problem, &candidate, search.samples).is_feasible() { cost(&candidate) } else { f64::INFINITY };
         // One success in five failures keeps the step (the 1/5 rule of evolution strategies).
         if value < best.0 {
             best = (value, candidate);
@@ -144,7 +137,7 @@ fn validate(problem: &Problem, search: &Search) -> Result<(), ExciteError> {
             ("acceleration", limits.ddq[j] * margins.acceleration),
             ("jerk", limits.jerk[j] * margins.jerk),
         ];
-        if let Some((what, _)) = rooms.into_iter().find(|(_, room)| !(*room > 0.0)) {
+        if let Some((what, _)) = rooms.into_iter().find(|(_, room)| room.is_nan() || *room <= 0.0) {
             return Err(ExciteError::NoRoom { joint: j + 1, what });
         }
     }

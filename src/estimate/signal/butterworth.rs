@@ -29,7 +29,7 @@ pub struct Butterworth {
 impl Butterworth {
     /// A low-pass of even `order` with its half-power frequency at `cutoff` \[Hz\] for signals sampled at `rate` \[Hz\].
     pub fn new(order: usize, cutoff: f64, rate: f64) -> Result<Butterworth, SignalError> {
-        if order < 2 || order > 40 || order % 2 == 1 {
+        if !(2..=40).contains(&order) || order % 2 == 1 {
             return Err(SignalError::Order { order });
         }
         if !(cutoff > 0.0 && cutoff < rate / 2.0) {

@@ -2,6 +2,7 @@
 
 pub mod butterworth;
 pub mod difference;
+pub mod ends;
 pub mod resample;
 pub mod spectral;
 

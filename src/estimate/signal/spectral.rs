@@ -42,7 +42,7 @@ impl Spectral {
     pub fn signal(&self, mut spectrum: Vec<Complex<f64>>) -> Vec<f64> {
         // A real signal has real values at 0 Hz and, for an even length, at half the rate.
         spectrum[0].im = 0.0;
-        if self.samples % 2 == 0 {
+        if self.samples.is_multiple_of(2) {
             spectrum[self.samples / 2].im = 0.0;
         }
         let mut x = self.inverse.make_output_vec();
@@ -69,7 +69,7 @@ impl Spectral {
         let mut first: Vec<_> =
             spectrum.iter().enumerate().map(|(m, value)| value * Complex::new(0.0, omega(m))).collect();
         // The component at half the rate has no sign, hence no first derivative.
-        if self.samples % 2 == 0 {
+        if self.samples.is_multiple_of(2) {
             first[self.samples / 2] = Complex::new(0.0, 0.0);
         }
         let second: Vec<_> = spectrum.iter().enumerate().map(|(m, value)| value * -(omega(m) * omega(m))).collect();
