@@ -20,9 +20,8 @@ pub use failure::Failure;
 
 use clap::{Args, Parser, Subcommand};
 use crate::backend::sim::Truth;
-use crate::config::job::{Derivatives, Job};
+use crate::config::job::Job;
 use crate::config::robot::Robot;
-use crate::estimate::experiment::{Derivative, Settings};
 use crate::input::BadInput;
 use crate::ipc::{Lock, LockError, RobotId};
 use crate::joint::{JointVec, MAX_JOINTS};
@@ -187,23 +186,6 @@ fn rest(job: &Job, robot: &Robot) -> Result<JointVec, Failure> {
 fn friction_structure(robot: &Robot, mounting: &Mounting) -> Structure {
     let reduction = Reduction::in_mounting(&robot.chain, mounting);
     Structure::of(robot.chain.clone(), reduction, &["friction"]).expect("friction is a known term")
-}
-
-/// The estimator's settings: its own defaults where the job is silent.
-fn estimator_settings(job: &Job) -> Settings {
-    let own = &job.estimator;
-    let usual = Settings::default();
-    Settings {
-        torque_cutoff: own.torque_cutoff.unwrap_or(usual.torque_cutoff),
-        position_cutoff: own.position_cutoff.unwrap_or(usual.position_cutoff),
-        order: own.filter_order.unwrap_or(usual.order),
-        derivative: match own.derivatives {
-            Some(Derivatives::Central) => Derivative::Central,
-            Some(Derivatives::Spectral) => Derivative::Spectral,
-            None => usual.derivative,
-        },
-        ..usual
-    }
 }
 
 /// Condition numbers as the report has them.

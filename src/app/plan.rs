@@ -187,21 +187,12 @@ struct Task<'a> {
 
 impl<'a> Task<'a> {
     fn of(job: &'a Job, robot: &'a Robot, mounting: &Mounting) -> Result<Task<'a>, Failure> {
-        let share = &job.limits;
         Ok(Task {
             robot,
             mounting: *mounting,
             limits: job.guard_limits(&robot.limits, robot.chain.len())?,
             workspace: job.workspace(&robot.workspace),
-            margins: Margins {
-                position: share.margin,
-                velocity: share.speed,
-                acceleration: share.acceleration,
-                jerk: share.jerk,
-                torque: share.torque,
-                torque_rate: share.torque,
-                ..Margins::default()
-            },
+            margins: job.margins(),
             q0: job.excitation.q0.as_deref(),
         })
     }

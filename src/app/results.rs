@@ -36,7 +36,7 @@ impl Results {
         Results {
             job: job.clone(),
             robot: robot.clone(),
-            settings: super::estimator_settings(job),
+            settings: job.settings(),
             out: out.to_path_buf(),
             plan: programme.motions().find(|motion| motion.role == Role::Identify).cloned(),
             recorded: Vec::new(),

@@ -1,7 +1,7 @@
 //! `plumbline torque`: a shared-memory client that prints the served feed-forward torque.
 
 use super::Failure;
-use crate::ipc::{Daemon, FeedForwardClient, FeedForwardSettings, Latest, RobotId};
+use crate::ipc::{FeedForwardClient, FeedForwardSettings, Latest, Presence, RobotId};
 use clap::Args;
 use std::io::Write;
 use std::time::Duration;
@@ -52,10 +52,10 @@ pub fn run(options: Options) -> Result<(), Failure> {
 }
 
 /// Sequence, age, model, torques; and whether the value may still be used.
-fn line(latest: &Latest, daemon: Daemon) -> String {
+fn line(latest: &Latest, daemon: Presence) -> String {
     let torques: Vec<String> = latest.message.torque().iter().map(|tau| format!("{tau:9.4}")).collect();
     let state = match (daemon, latest.stale, latest.message.model) {
-        (Daemon::Gone, ..) => "  DAEMON GONE",
+        (Presence::Gone, ..) => "  DAEMON GONE",
         (_, true, _) => "  STALE",
         (_, _, 0) => "  NO MODEL",
         _ => "",
