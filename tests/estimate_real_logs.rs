@@ -142,7 +142,8 @@ fn panda_gaz2019_at_several_cutoffs() {
     // The choice of cut-offs is not what reaches the figures: .15 .17 .14 .15 .07 .03 .046.
     for (torque_cutoff, position_cutoff) in [(4.0, 10.0), (4.0, 15.0), (5.0, 10.0)] {
         let settings = Settings { torque_cutoff, position_cutoff, ..Settings::default() };
-        let (found, rms) = fit(panda(), &FRICTION_AND_OFFSET, &settings, &[a.clone()], &[b.clone()]);
+        let (found, rms) =
+            fit(panda(), &FRICTION_AND_OFFSET, &settings, std::slice::from_ref(&a), std::slice::from_ref(&b));
         show(&format!("panda-gaz2019 {torque_cutoff} Hz, {position_cutoff} Hz"), &found, &rms);
         assert!(found.undetermined.is_empty());
         at_most(&rms, &[0.155, 0.175, 0.145, 0.155, 0.075, 0.035, 0.0465]);

@@ -4,9 +4,9 @@ use super::EstimateError;
 use super::covariance::{Block, sandwich, tapered_autocovariance};
 use super::experiment::Experiment;
 use super::validate::{Rms, validate_parameters};
-use crate::model::conditioning::{Conditions, ZERO_COLUMN, conditions};
+use crate::model::conditioning::{Conditions, ZERO_COLUMN, conditions, friction_columns};
 use crate::model::structure::Structure;
-use crate::model::term::{Column, friction};
+use crate::model::term::Column;
 use nalgebra::{DMatrix, DVector};
 
 /// Directions whose singular value, in equilibrated columns, is below this share of the largest are left undetermined.
@@ -106,7 +106,6 @@ pub fn identify(structure: &Structure, experiments: &[Experiment]) -> Result<Ide
     let covariance = sandwich(&solution.projection, &blocks);
 
     let determined = |c: usize| solution.null_share[c] <= UNDETERMINED_SHARE;
-    let friction: Vec<bool> = friction_columns(structure);
     let beta: Vec<f64> = solution.beta.iter().copied().collect();
     let runs: Vec<(String, Rms)> = experiments
         .iter()
@@ -123,18 +122,12 @@ pub fn identify(structure: &Structure, experiments: &[Experiment]) -> Result<Ide
         beta,
         covariance,
         rank: solution.rank,
-        conditions: conditions(&stack.w, &friction, &sigma),
+        conditions: conditions(&stack.w, &friction_columns(structure), &sigma),
         sigma,
         rows,
         rms: Rms::pooled(&each).ok_or(EstimateError::TooFewRows { rows, columns: columns.len() })?,
         runs,
     })
-}
-
-/// Which columns of a structure are friction.
-pub fn friction_columns(structure: &Structure) -> Vec<bool> {
-    let terms = structure.terms().iter().zip(structure.ranges());
-    terms.flat_map(|(term, range)| range.map(move |_| term.id() == friction::ID)).collect()
 }
 
 /// `tau = W beta` of all experiments: joint by joint, and within a joint experiment by experiment.

@@ -1,9 +1,9 @@
 //! How well a motion excites the parameters of a model: paper eq. 11 and its other readings.
 
 use super::fourier::Fourier;
-use crate::model::conditioning::{Conditions, conditions};
+use crate::model::conditioning::{Conditions, conditions, friction_columns};
 use crate::model::structure::Structure;
-use crate::model::term::{Motion, friction};
+use crate::model::term::Motion;
 use nalgebra::{DMatrix, DVector, Vector3};
 
 /// One period of a Fourier motion on an even grid of `samples`, in a mounting.
@@ -23,11 +23,7 @@ pub fn sampled(fourier: &Fourier, gravity: &Vector3<f64>, samples: usize) -> Mot
 
 /// All condition numbers of a motion's stacked base regressor; `sigma` is each joint's torque noise, n \[Nm\].
 pub fn evaluate(structure: &Structure, motion: &Motion, sigma: &[f64]) -> Conditions {
-    let mut is_friction = vec![false; structure.columns().len()];
-    for (term, range) in structure.terms().iter().zip(structure.ranges()) {
-        is_friction[range].fill(term.id() == friction::ID);
-    }
-    conditions(&structure.regressor(motion), &is_friction, sigma)
+    conditions(&structure.regressor(motion), &friction_columns(structure), sigma)
 }
 
 /// Condition number of the raw stacked base regressor, for searching: from the eigenvalues of `W' W`, which is three times as fast

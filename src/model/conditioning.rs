@@ -2,6 +2,8 @@
 //!
 //! The paper reports a "normalized condition number" without defining it, so all of them stand side by side.
 
+use super::structure::Structure;
+use super::term::friction;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
@@ -49,6 +51,12 @@ pub fn conditions(w: &DMatrix<f64>, friction: &[bool], sigma: &[f64]) -> Conditi
         equilibrated_rigid: condition(&equilibrated(&raw.select_columns(&rigid))),
         weighted_rigid: condition(&weighted.select_columns(&rigid)),
     }
+}
+
+/// Which columns of a structure are friction, for [`conditions`].
+pub fn friction_columns(structure: &Structure) -> Vec<bool> {
+    let terms = structure.terms().iter().zip(structure.ranges());
+    terms.flat_map(|(term, range)| range.map(|_| term.id() == friction::ID)).collect()
 }
 
 /// Condition number by singular values; infinite for fewer rows than columns.
