@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 /// Top-level modules by floor; a module may import from its own tree and from lower floors.
 const FLOORS: &[&[&str]] = &[
-    &["joint", "input"],
+    &["joint", "input", "atomic"],
     &["model", "rt"],
     &["excite", "estimate", "diagnose", "backend", "ipc"],
     &["config", "store", "dataset", "report"],

@@ -45,7 +45,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     dataset.expect_joints(robot.chain.len())?;
     let settings = settings(&options)?;
     let terms = terms(&options, &robot)?;
-    let (identify, validate, notes) = split(&dataset)?;
+    let Split { identify, validate, notes } = split(&dataset)?;
 
     let bar = progress::bar("identifying");
     bar.at(0.1, "regression");
@@ -99,9 +99,11 @@ pub fn run(options: Options) -> Result<(), Failure> {
         model: identified.model,
         provenance,
     };
-    std::fs::create_dir_all(&options.out).map_err(|error| Failure::job(format!("{}: {error}", options.out.display())))?;
+    std::fs::create_dir_all(&options.out)
+        .map_err(|error| Failure::job(format!("{}: {error}", options.out.display())))?;
     super::write(&options.out.join("model.toml"), model.to_toml().as_bytes())?;
-    let figures = Figures { runs: judged.into_iter().map(|(_, judged)| judged.figure).take(2).collect(), ..Figures::default() };
+    let figures =
+        Figures { runs: judged.into_iter().map(|(_, judged)| judged.figure).take(2).collect(), ..Figures::default() };
     report.write(&options.out, &figures).map_err(Failure::job)?;
     for line in report.summary() {
         println!("{line}");
@@ -143,9 +145,17 @@ fn terms<'a>(options: &'a Options, robot: &Robot) -> Result<Vec<&'a str>, Failur
     Ok(named.iter().map(String::as_str).collect())
 }
 
-/// Runs to identify from, runs to validate with, and what the reader has to know about it. A dataset without validation runs is
-/// validated with the last part of its runs, which then is not used to identify.
-fn split(dataset: &Dataset) -> Result<(Vec<Run>, Vec<Run>, Vec<String>), Failure> {
+/// Who does what.
+struct Split {
+    identify: Vec<Run>,
+    validate: Vec<Run>,
+    /// What the reader has to know about it.
+    notes: Vec<String>,
+}
+
+/// Runs by their roles. A dataset without validation runs is validated with the last part of its runs, which then is not used to
+/// identify.
+fn split(dataset: &Dataset) -> Result<Split, Failure> {
     let identify: Vec<Run> = dataset.with_role(Role::Identify).cloned().collect();
     let validate: Vec<Run> = dataset.with_role(Role::Validate).cloned().collect();
     let mut notes = Vec::new();
@@ -156,19 +166,18 @@ fn split(dataset: &Dataset) -> Result<(Vec<Run>, Vec<Run>, Vec<String>), Failure
     if let Some(other) = identify.iter().find(|run| run.mounting.angle_to(&first.mounting) > SAME_MOUNTING) {
         notes.push(format!(
             "the parameters are identified from several mountings at once: {} and {}",
-            first.mounting,
-            other.mounting
+            first.mounting, other.mounting
         ));
     }
     if !validate.is_empty() {
-        return Ok((identify, validate, notes));
+        return Ok(Split { identify, validate, notes });
     }
     notes.push(format!(
         "the dataset has no validation run: the last {:.0} % of each run were kept out of the identification and validate it",
         100.0 * (1.0 - FIRST_PART)
     ));
     let (head, tail) = identify.iter().map(|run| cut(run, FIRST_PART)).unzip();
-    Ok((head, tail, notes))
+    Ok(Split { identify: head, validate: tail, notes })
 }
 
 /// Both parts of a run, cut at a share of its samples.

@@ -18,7 +18,6 @@ mod torque;
 
 pub use failure::Failure;
 
-use clap::{Args, Parser, Subcommand};
 use crate::backend::sim::Truth;
 use crate::config::job::Job;
 use crate::config::robot::Robot;
@@ -30,6 +29,7 @@ use crate::model::conditioning::Conditions;
 use crate::model::gravity::Mounting;
 use crate::model::structure::Structure;
 use crate::report::Condition;
+use clap::{Args, Parser, Subcommand};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -38,11 +38,11 @@ use std::process::ExitCode;
 #[command(name = "plumbline", version, max_term_width = 100)]
 struct Cli {
     #[command(subcommand)]
-    command: Command,
+    verb: Verb,
 }
 
 #[derive(Subcommand)]
-enum Command {
+enum Verb {
     /// Optimise an excitation and write it to a plan file
     Plan(plan::Options),
     /// Do the whole job on one machine: daemon, estimator, report
@@ -78,15 +78,15 @@ pub struct JobOptions {
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     logging();
-    let outcome = match cli.command {
-        Command::Plan(options) => plan::run(options),
-        Command::Run(options) => run::run(options),
-        Command::Daemon(options) => daemon::run(options),
-        Command::Estimator(options) => estimator::run(options),
-        Command::Identify(options) => identify::run(options),
-        Command::Predict(options) => predict::run(options),
-        Command::Torque(options) => torque::run(options),
-        Command::Command(options) => command::run(options),
+    let outcome = match cli.verb {
+        Verb::Plan(options) => plan::run(options),
+        Verb::Run(options) => run::run(options),
+        Verb::Daemon(options) => daemon::run(options),
+        Verb::Estimator(options) => estimator::run(options),
+        Verb::Identify(options) => identify::run(options),
+        Verb::Predict(options) => predict::run(options),
+        Verb::Torque(options) => torque::run(options),
+        Verb::Command(options) => command::run(options),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -157,7 +157,9 @@ fn rest(job: &Job, robot: &Robot) -> Result<JointVec, Failure> {
     };
     let key = "key `backend.start`";
     if start.len() != n {
-        return Err(BadInput::new(file, key, format!("{} positions", start.len()), format!("{n}, one per joint")).into());
+        return Err(
+            BadInput::new(file, key, format!("{} positions", start.len()), format!("{n}, one per joint")).into()
+        );
     }
     let limits = job.guard_limits(&robot.limits, n)?;
     for (j, &q) in start.iter().enumerate() {

@@ -94,7 +94,10 @@ fn replay(node: &ServiceNode, name: &str) -> Result<ReplayBuilder, IpcError> {
         .response_user_header::<ReplayHeader>())
 }
 
-fn commands(node: &ServiceNode, name: &str) -> Result<reqres::Builder<[u8], (), [u8], (), ipc::Service>, IpcError> {
+/// A command service that is still being described.
+type CommandBuilder = reqres::Builder<[u8], (), [u8], (), ipc::Service>;
+
+fn commands(node: &ServiceNode, name: &str) -> Result<CommandBuilder, IpcError> {
     Ok(node.service_builder(&service_name(name)?).request_response::<[u8], [u8]>())
 }
 

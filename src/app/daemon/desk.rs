@@ -142,12 +142,16 @@ impl Desk {
     /// Says what happened in the loop.
     pub fn log(&self, event: &Event) {
         match event {
-            Event::Started { motion } => self.names.iter().filter(|(number, _)| number == motion).for_each(|(_, name)| {
-                tracing::info!("{name} has started");
-            }),
-            Event::Ended { motion } => self.names.iter().filter(|(number, _)| number == motion).for_each(|(_, name)| {
-                tracing::info!("{name} has ended");
-            }),
+            Event::Started { motion } => {
+                self.names.iter().filter(|(number, _)| number == motion).for_each(|(_, name)| {
+                    tracing::info!("{name} has started");
+                })
+            }
+            Event::Ended { motion } => {
+                self.names.iter().filter(|(number, _)| number == motion).for_each(|(_, name)| {
+                    tracing::info!("{name} has ended");
+                })
+            }
             Event::Stopping { reason, .. } => tracing::error!("the arm is being stopped: {reason}"),
             Event::Stopped => {
                 tracing::error!("the arm is at rest; it moves again only after `plumbline command resume`");
