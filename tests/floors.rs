@@ -57,10 +57,12 @@ fn imported(code: &str) -> Vec<String> {
     let mut names = Vec::new();
     for (at, _) in code.match_indices("crate::") {
         let rest = &code[at + "crate::".len()..];
-        let group = rest.strip_prefix('{').map(|inner| inner.split('}').next().unwrap_or(""));
-        for part in group.unwrap_or(rest).split(if group.is_some() { ',' } else { '\n' }) {
-            let name: String = part.trim().chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
-            names.push(name);
+        let parts: Vec<&str> = match rest.strip_prefix('{') {
+            Some(group) => group.split('}').next().unwrap_or("").split(',').collect(),
+            None => vec![rest],
+        };
+        for part in parts {
+            names.push(part.trim().chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect());
         }
     }
     names
