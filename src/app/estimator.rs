@@ -79,7 +79,10 @@ fn follow(
                         return Ok(Outcome::Written);
                     }
                     Progress::Stopped => {
-                        return Err(Failure::job("the arm was stopped, so there are no complete results"));
+                        let why = status.stopped.unwrap_or_default();
+                        return Err(Failure::job(format!(
+                            "the arm was stopped, so there are no complete results: {why}"
+                        )));
                     }
                     _ => {}
                 }

@@ -2,7 +2,7 @@
 
 use super::estimator::status;
 use super::{Failure, JobOptions, plan, progress, robot_id};
-use crate::ipc::{Client, Progress, Request, RobotId};
+use crate::ipc::{Client, Request, RobotId};
 use crate::report::Report;
 use clap::Args;
 use std::path::Path;
@@ -89,15 +89,17 @@ fn drive(
                     tracing::warn!("the estimator was killed ({ended}); a new one goes on from what the daemon kept");
                     estimator = Process::start("estimator", job, out, &["--once"])?;
                 }
-                Some(ended) => return Err(Failure::job(format!("the estimator ended: {ended}"))),
+                Some(ended) => {
+                    let stopped = status(id).ok().and_then(|now| now.stopped);
+                    let why = stopped
+                        .map_or(format!("the estimator ended: {ended}"), |why| format!("the arm was stopped: {why}"));
+                    return Err(Failure::job(why));
+                }
                 None => {}
             }
             // A daemon that is busy for a moment is no reason to give up; one that is gone is seen above.
             if let Ok(now) = status(id) {
                 bar.at(now.cycles as f64 / (1.3 * ticks as f64), &now.job);
-                if now.progress == Progress::Stopped && estimator.ended()?.is_some() {
-                    return Err(Failure::job("the arm was stopped"));
-                }
             }
         }
         bar.done();

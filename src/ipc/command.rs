@@ -84,6 +84,9 @@ pub struct Status {
     pub progress: Progress,
     /// What the job is at, for people to read.
     pub job: String,
+    /// Why the arm was stopped last, if it was.
+    #[serde(default)]
+    pub stopped: Option<String>,
     /// How the loop kept its time, one entry per connection to the arm that has ended.
     pub sessions: Vec<Session>,
     /// Counters of the shared-memory side; take them from [`Server::served`](super::Server::served).

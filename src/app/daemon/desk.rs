@@ -45,6 +45,8 @@ pub struct Desk {
     pub names: Vec<(u32, String)>,
     /// Connections to the arm that have ended.
     pub sessions: Vec<SessionStatistics>,
+    /// Why the arm was stopped last, if it was.
+    pub stopped: Option<String>,
     /// The last cycle seen.
     pub last: Record,
     /// SIGINT or SIGTERM arrived.
@@ -139,8 +141,8 @@ impl Desk {
         }
     }
 
-    /// Says what happened in the loop.
-    pub fn log(&self, event: &Event) {
+    /// Says what happened in the loop, and remembers why it stopped.
+    pub fn log(&mut self, event: &Event) {
         match event {
             Event::Started { motion } => {
                 self.names.iter().filter(|(number, _)| number == motion).for_each(|(_, name)| {
@@ -152,7 +154,10 @@ impl Desk {
                     tracing::info!("{name} has ended");
                 })
             }
-            Event::Stopping { reason, .. } => tracing::error!("the arm is being stopped: {reason}"),
+            Event::Stopping { reason, .. } => {
+                tracing::error!("the arm is being stopped: {reason}");
+                self.stopped = Some(reason.to_string());
+            }
             Event::Stopped => {
                 tracing::error!("the arm is at rest; it moves again only after `plumbline command resume`");
             }
@@ -184,6 +189,7 @@ impl Desk {
                 gravity: self.mounting.gravity().into(),
             }),
             progress: self.progress,
+            stopped: self.stopped.clone(),
             job: name.map_or_else(|| place.clone(), |name| format!("{place}: {name}")),
             sessions: self.sessions.clone(),
             served: served.clone(),

@@ -58,6 +58,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         progress: Progress::Idle,
         names: programme.motions().map(|motion| (motion.number, motion.name.clone())).collect(),
         sessions: Vec::new(),
+        stopped: None,
         last: Record::default(),
         signalled,
         start: false,
@@ -115,7 +116,7 @@ impl Daemon {
 
     /// Runs a session to its end and keeps its figures.
     fn see_through(&mut self, session: Session) -> Result<(), Failure> {
-        let (statistics, end) = session.run(self);
+        let (statistics, end) = session.run(self)?;
         for refusal in &statistics.refusals {
             tracing::warn!("not real-time: {refusal}");
         }

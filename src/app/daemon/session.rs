@@ -106,7 +106,7 @@ impl Session {
     }
 
     /// Bridges until the loop ends.
-    pub fn run(mut self, daemon: &mut Daemon) -> (SessionStatistics, End) {
+    pub fn run(mut self, daemon: &mut Daemon) -> Result<(SessionStatistics, End), Failure> {
         daemon.desk.mounting = self.mounting;
         while !self.thread.as_ref().is_none_or(JoinHandle::is_finished) {
             let busy = self.bridge(daemon);
@@ -122,12 +122,12 @@ impl Session {
                 std::thread::sleep(PAUSE);
             }
         }
-        let outcome = self.thread.take().map(JoinHandle::join);
-        let outcome = outcome.expect("the thread was started").expect("the loop does not panic");
+        let joined = self.thread.take().and_then(|thread| thread.join().ok());
+        let outcome = joined.ok_or(Failure::job("the loop's thread panicked; the arm was stopped by its own means"))?;
         while self.bridge(daemon) {}
         self.handle_events(&mut daemon.desk);
         self.handles.free_retired();
-        (self.statistics(&outcome), outcome.end)
+        Ok((self.statistics(&outcome), outcome.end))
     }
 
     /// Moves records from the ring to shared memory; whether there were any.
