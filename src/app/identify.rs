@@ -24,17 +24,19 @@ pub struct Options {
     /// Terms besides the rigid body; by default friction and torque-offset, and rotor-inertia for motor-side torques
     #[arg(long, value_delimiter = ',')]
     terms: Option<Vec<String>>,
-    /// Cut-off of the zero-phase low-pass on torques and regressor columns [Hz]
+    /// Cut-off of the zero-phase low-pass on torques and regressor columns [Hz]; 4 by default
     #[arg(long, value_name = "HZ")]
     torque_cutoff: Option<f64>,
-    /// Cut-off of the zero-phase low-pass on positions [Hz]
+    /// Cut-off of the zero-phase low-pass on positions [Hz]; 10 by default
     #[arg(long, value_name = "HZ")]
     position_cutoff: Option<f64>,
-    /// Order of both filters
+    /// Order of both filters; 8 by default
     #[arg(long)]
     order: Option<usize>,
 }
 
+/// Usual cut-off for recorded data, which seldom repeats so that its noise can't be averaged away \[Hz\].
+const CUTOFF: f64 = 4.0;
 /// Share of a single run that the parameters are identified from when the dataset has nothing to validate with.
 const FIRST_PART: f64 = 0.6;
 
@@ -113,7 +115,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
 }
 
 fn settings(options: &Options) -> Result<Settings, Failure> {
-    let mut settings = Settings::default();
+    let mut settings = Settings { torque_cutoff: CUTOFF, ..Settings::default() };
     for (name, given, setting) in [
         ("--torque-cutoff", options.torque_cutoff, &mut settings.torque_cutoff),
         ("--position-cutoff", options.position_cutoff, &mut settings.position_cutoff),
