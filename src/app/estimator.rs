@@ -4,9 +4,11 @@ use super::collector::{Collector, Recorded};
 use super::programme::{Programme, Role};
 use super::results::Results;
 use super::{Failure, JobOptions, robot_id};
-use crate::ipc::{Client, Delivery, Progress, Request, Response, RobotId, SampleStream, Status, StreamSettings};
+use crate::ipc::{
+    Client, Delivery, Progress, Request, Response, RobotId, SampleStream, Status, StreamCounters, StreamSettings,
+};
 use clap::Args;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Options of `plumbline estimator`.
 #[derive(Args)]
@@ -57,6 +59,7 @@ fn follow(
     mut results: Results,
 ) -> Result<Outcome, Failure> {
     let mut collector = Collector::new(programme, results.joints());
+    let mut looked = Instant::now();
     loop {
         match stream.next(STEP).map_err(Failure::job)? {
             Delivery::Records { records, .. } => {
@@ -71,22 +74,27 @@ fn follow(
             }
             Delivery::Restarted { .. } if stream.counters().received == 0 => {}
             Delivery::Restarted { .. } | Delivery::Gone => return Ok(Outcome::DaemonGone),
-            Delivery::Idle => {
-                let status = status(id)?;
-                match status.progress {
-                    Progress::Done if stream.position() >= status.served.published => {
-                        results.finish(&status, &stream.counters())?;
-                        return Ok(Outcome::Written);
-                    }
-                    Progress::Stopped => {
-                        let why = status.stopped.unwrap_or_default();
-                        return Err(Failure::job(format!(
-                            "the arm was stopped, so there are no complete results: {why}"
-                        )));
-                    }
-                    _ => {}
-                }
-            }
+            Delivery::Idle => {}
+        }
+        // The samples alone don't tell the end: an arm that is served goes on sending them.
+        if looked.elapsed() < STEP {
+            continue;
+        }
+        looked = Instant::now();
+        let status = status(id)?;
+        if let Some(driven) = status.driven
+            && stream.position() >= driven
+        {
+            // What came after the programme's last sample is not part of it.
+            let beyond = stream.position() - driven;
+            let StreamCounters { received, .. } = stream.counters();
+            let counters = StreamCounters { received: received.saturating_sub(beyond), ..stream.counters() };
+            results.finish(&status, driven, &counters)?;
+            return Ok(Outcome::Written);
+        }
+        if status.progress == Progress::Stopped {
+            let why = status.stopped.unwrap_or_default();
+            return Err(Failure::job(format!("the arm was stopped, so there are no complete results: {why}")));
         }
     }
 }

@@ -65,8 +65,8 @@ impl Results {
         Ok(text)
     }
 
-    /// Judges the model by every unseen motion and writes everything.
-    pub fn finish(&mut self, status: &Status, counters: &StreamCounters) -> Result<(), Failure> {
+    /// Judges the model by every unseen motion and writes everything. `sent` is the number of samples of the whole programme.
+    pub fn finish(&mut self, status: &Status, sent: u64, counters: &StreamCounters) -> Result<(), Failure> {
         let Some(identified) = self.model.take() else {
             return Err(Failure::job("the daemon is done, but no motion to identify from was recorded"));
         };
@@ -92,12 +92,8 @@ impl Results {
         report.counter_experiment = counter.map(|(facts, _)| facts);
         report.cycle = Some(self.loop_facts(status));
         report.sessions.clone_from(&status.sessions);
-        report.ipc = Some(IpcFacts {
-            sent: status.served.published,
-            received: counters.received,
-            replayed: counters.replayed,
-            missed: counters.missed,
-        });
+        report.ipc =
+            Some(IpcFacts { sent, received: counters.received, replayed: counters.replayed, missed: counters.missed });
         report.write(&self.out, &self.figures(&identified, judged)?).map_err(Failure::job)
     }
 

@@ -82,6 +82,9 @@ pub struct Status {
     pub mounting: Option<Mounting>,
     /// Where the job stands.
     pub progress: Progress,
+    /// Samples published when everything had been driven; absent before.
+    #[serde(default)]
+    pub driven: Option<u64>,
     /// What the job is at, for people to read.
     pub job: String,
     /// Why the arm was stopped last, if it was.

@@ -45,6 +45,8 @@ pub struct Desk {
     pub names: Vec<(u32, String)>,
     /// Connections to the arm that have ended.
     pub sessions: Vec<SessionStatistics>,
+    /// Samples published when everything had been driven.
+    pub driven: Option<u64>,
     /// Why the arm was stopped last, if it was.
     pub stopped: Option<String>,
     /// The last cycle seen.
@@ -189,6 +191,7 @@ impl Desk {
                 gravity: self.mounting.gravity().into(),
             }),
             progress: self.progress,
+            driven: self.driven,
             stopped: self.stopped.clone(),
             job: name.map_or_else(|| place.clone(), |name| format!("{place}: {name}")),
             sessions: self.sessions.clone(),

@@ -58,6 +58,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         progress: Progress::Idle,
         names: programme.motions().map(|motion| (motion.number, motion.name.clone())).collect(),
         sessions: Vec::new(),
+        driven: None,
         stopped: None,
         last: Record::default(),
         signalled,
@@ -109,6 +110,7 @@ impl Daemon {
                 return Ok(());
             }
         }
+        self.desk.driven = Some(self.server.served().published);
         self.desk.progress = Progress::Done;
         tracing::info!("everything was driven");
         Ok(())
