@@ -94,8 +94,10 @@ impl Process {
 }
 
 impl Drop for Process {
-    /// SIGKILL, and wait for the end.
+    /// SIGKILL, and wait for the end. A child that has ended by itself had something to complain about.
     fn drop(&mut self) {
+        let ended = self.child.try_wait().unwrap();
+        assert!(ended.is_none() || std::thread::panicking(), "the child ended by itself: {ended:?}");
         self.child.kill().unwrap();
         self.child.wait().unwrap();
     }

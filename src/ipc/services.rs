@@ -94,10 +94,9 @@ fn replay(node: &ServiceNode, name: &str) -> Result<ReplayBuilder, IpcError> {
         .response_user_header::<ReplayHeader>())
 }
 
-/// A command service that is still being described.
-type CommandBuilder = reqres::Builder<[u8], (), [u8], (), ipc::Service>;
+type CommandsBuilder = reqres::Builder<[u8], (), [u8], (), ipc::Service>;
 
-fn commands(node: &ServiceNode, name: &str) -> Result<CommandBuilder, IpcError> {
+fn commands(node: &ServiceNode, name: &str) -> Result<CommandsBuilder, IpcError> {
     Ok(node.service_builder(&service_name(name)?).request_response::<[u8], [u8]>())
 }
 

@@ -99,7 +99,7 @@ pub struct SampleStream {
     settings: StreamSettings,
     /// The daemon's start that we follow, 0 before its first answer.
     epoch: u64,
-    /// Number of the next record.
+    /// Number of the next record to be taken; those in `ready` have been taken, but not handed on.
     next: u64,
     /// Records are missing: ask for replay instead of reading live batches.
     behind: bool,
@@ -195,9 +195,16 @@ impl SampleStream {
         self.epoch
     }
 
-    /// Number of the record that is expected next: where a successor of this follower could go on.
+    /// Number of the record that [`SampleStream::next`] brings next: where a successor of this follower could go on.
     pub fn position(&self) -> u64 {
-        self.next
+        if self.ready.iter().any(|delivery| matches!(delivery, Delivery::Restarted { .. })) {
+            return 0;
+        }
+        match self.ready.front() {
+            Some(Delivery::Records { first, .. }) => *first,
+            Some(Delivery::Missed { from, .. }) => *from,
+            _ => self.next,
+        }
     }
 
     /// One round: take an answer, take live batches, ask.
@@ -315,8 +322,14 @@ impl SampleStream {
     }
 
     fn deliver(&mut self, first: u64, records: Vec<Record>) {
-        if !records.is_empty() {
-            self.ready.push_back(Delivery::Records { first, records });
+        if records.is_empty() {
+            return;
+        }
+        match self.ready.back_mut() {
+            Some(Delivery::Records { first: before, records: waiting }) if *before + waiting.len() as u64 == first => {
+                waiting.extend(records);
+            }
+            _ => self.ready.push_back(Delivery::Records { first, records }),
         }
     }
 
@@ -355,7 +368,7 @@ impl SampleStream {
         }
         FollowRequest {
             epoch: self.epoch,
-            acknowledged: self.next,
+            acknowledged: self.position(),
             from: self.next,
             count,
             leaving,
@@ -381,5 +394,50 @@ impl Drop for SampleStream {
         self.pending = None;
         // There is no one left to tell when this fails; the daemon then finds out by itself.
         let _ = self.port.send_copy(self.request(0, 1));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ipc::{Server, ServerSettings};
+
+    #[test]
+    fn only_what_comes_next_is_taken_and_impossible_records_are_named() {
+        let robot = RobotId::parse("test", "robot", &format!("test-take-{}", std::process::id())).unwrap();
+        let _server = Server::open(&robot, ServerSettings::default()).unwrap();
+        let mut stream = SampleStream::connect(&robot, StreamSettings::default(), Duration::from_secs(5)).unwrap();
+        (stream.epoch, stream.next) = (9, 100);
+        let sample = |epoch, seq, phase| SampleMessage { epoch, seq, cycle: seq, phase, ..SampleMessage::default() };
+
+        // Twice seen, of another start, next, impossible, next, twice seen.
+        let batch = [
+            sample(9, 99, 0),
+            sample(8, 100, 0),
+            sample(9, 100, 0),
+            sample(9, 101, 99),
+            sample(9, 102, 0),
+            sample(9, 100, 0),
+        ];
+        assert!(stream.take(&batch));
+        assert_eq!((stream.next, stream.position()), (103, 100));
+        let delivered: Vec<_> = stream.ready.drain(..).collect();
+        let record = |cycle| Record { cycle, ..Record::default() };
+        let expected = [
+            Delivery::Records { first: 100, records: vec![record(100)] },
+            Delivery::Missed { from: 101, to: 102 },
+            Delivery::Records { first: 102, records: vec![record(102)] },
+        ];
+        assert_eq!(delivered, expected);
+        assert_eq!((stream.counters.received, stream.counters.missed), (2, 1));
+
+        // A gap: nothing after it is taken.
+        assert!(!stream.take(&[sample(9, 103, 0), sample(9, 105, 0), sample(9, 106, 0)]));
+        assert_eq!((stream.next, stream.position()), (104, 103));
+        // What follows on comes in one delivery.
+        assert!(stream.take(&[sample(9, 104, 0)]));
+        let both = Delivery::Records { first: 103, records: vec![record(103), record(104)] };
+        assert_eq!(stream.ready, [both]);
+        assert_eq!(stream.next(Duration::ZERO).map(|_| stream.position()), Ok(105));
     }
 }
