@@ -24,10 +24,10 @@ pub struct Options {
     /// Terms besides the rigid body; by default friction and torque-offset, and rotor-inertia for motor-side torques
     #[arg(long, value_delimiter = ',')]
     terms: Option<Vec<String>>,
-    /// Cut-off of the zero-phase low-pass on torques and regressor columns [Hz]; 4 by default
+    /// Cut-off of the zero-phase low-pass on torques and regressor columns in Hz; 4 by default
     #[arg(long, value_name = "HZ")]
     torque_cutoff: Option<f64>,
-    /// Cut-off of the zero-phase low-pass on positions [Hz]; 10 by default
+    /// Cut-off of the zero-phase low-pass on positions in Hz; 10 by default
     #[arg(long, value_name = "HZ")]
     position_cutoff: Option<f64>,
     /// Order of both filters; 8 by default

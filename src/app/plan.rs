@@ -30,7 +30,7 @@ pub struct Options {
     /// Plan file to write
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Period of the motion [s]
+    /// Period of the motion in s
     #[arg(long, default_value_t = 10.0)]
     period: f64,
     /// Harmonics per joint
