@@ -4,7 +4,7 @@ use super::Failure;
 use crate::ipc::{FeedForwardClient, FeedForwardSettings, Latest, Presence, RobotId};
 use clap::Args;
 use std::io::Write;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Options of `plumbline torque`.
 #[derive(Args)]
@@ -36,6 +36,11 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let mut client = FeedForwardClient::connect(&id, FeedForwardSettings::default(), PATIENCE).map_err(Failure::job)?;
     let count = if options.follow { options.count.unwrap_or(u64::MAX) } else { options.count.unwrap_or(1) };
     let mut out = std::io::stdout();
+    // A fresh subscriber sees its first value with the daemon's next cycle.
+    let start = Instant::now();
+    while client.latest().map_err(Failure::job)?.is_none() && start.elapsed() < PATIENCE {
+        std::thread::sleep(Duration::from_millis(1));
+    }
     for _ in 0..count {
         let line = match client.latest().map_err(Failure::job)? {
             Some(latest) => line(&latest, client.daemon()),

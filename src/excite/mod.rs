@@ -46,7 +46,7 @@ pub enum ExciteError {
         error: [f64; 3],
     },
     /// The start pose lies outside a joint's range.
-    #[error("start pose: joint {joint} at {q} rad, expected {min} to {max} rad (limits less their margin)")]
+    #[error("start pose: joint {joint} at {q} rad, expected {min:.4} to {max:.4} rad (limits less their margin)")]
     StartJoint {
         /// Joint, counted from 1.
         joint: usize,
