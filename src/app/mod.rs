@@ -157,11 +157,9 @@ fn truth(job: &Job) -> Result<Truth, Failure> {
 fn rest(job: &Job, robot: &Robot) -> Result<JointVec, Failure> {
     let n = robot.chain.len();
     let file = job.file.display().to_string();
-    let Some(start) = &job.backend.start else {
-        let middle = |j: usize| 0.5 * (robot.limits.q_min[j] + robot.limits.q_max[j]);
-        return Ok(std::array::from_fn(|j| if j < n { middle(j) } else { 0.0 }));
-    };
     let key = "key `backend.start`";
+    let middle = |j: usize| 0.5 * (robot.limits.q_min[j] + robot.limits.q_max[j]);
+    let start = job.backend.start.clone().unwrap_or_else(|| (0..n).map(middle).collect());
     if start.len() != n {
         return Err(
             BadInput::new(file, key, format!("{} positions", start.len()), format!("{n}, one per joint")).into()
@@ -174,7 +172,7 @@ fn rest(job: &Job, robot: &Robot) -> Result<JointVec, Failure> {
             return Err(BadInput::new(file, key, format!("{q} rad"), expected).into());
         }
     }
-    let at = robot.chain.end_effector(start);
+    let at = robot.chain.end_effector(&start);
     let space = job.workspace(&robot.workspace);
     let inside = (0..3).all(|axis| (space.box_min[axis]..=space.box_max[axis]).contains(&at[axis]));
     if !inside || at.norm() < space.base_radius {
@@ -186,7 +184,7 @@ fn rest(job: &Job, robot: &Robot) -> Result<JointVec, Failure> {
         return Err(BadInput::new(file, key, found, expected).into());
     }
     let mut rest = [0.0; MAX_JOINTS];
-    rest[..n].copy_from_slice(start);
+    rest[..n].copy_from_slice(&start);
     Ok(rest)
 }
 

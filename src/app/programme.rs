@@ -5,6 +5,7 @@ use crate::config::job::Job;
 use crate::config::robot::Robot;
 use crate::excite::fourier::Fourier;
 use crate::excite::plan::Plan;
+use crate::input::BadInput;
 use crate::model::gravity::{Mounting, VERTICAL_TOLERANCE};
 use crate::store::{load_plan, save_plan};
 use std::path::Path;
@@ -83,14 +84,26 @@ impl Programme {
         let slots = slots(job);
         let all = slots.len() as f64;
         let mut done = 0.0;
+        let rest = super::rest(job, robot)?;
+        let mut pose = rest[..robot.chain.len()].to_vec();
         fill(job, slots, |slot| {
-            let mut hear = |share: f64| progress(&slot.name, (done + share) / all);
-            let plan = match slot.role {
-                Role::Validate => super::plan::random(job, robot, &slot.mounting, slot.seed, &mut hear),
-                Role::Identify | Role::Counter => super::plan::best(job, robot, &slot.mounting, slot.seed, &mut hear),
-            };
-            done += 1.0;
-            plan
+            for attempt in 0..ATTEMPTS {
+                let seed = slot.seed + attempt * SEED_STEP;
+                let mut hear = |share: f64| progress(&slot.name, (done + share) / all);
+                let plan = match slot.role {
+                    Role::Validate => super::plan::random(job, robot, &slot.mounting, seed, &mut hear),
+                    Role::Identify | Role::Counter => super::plan::best(job, robot, &slot.mounting, seed, &mut hear),
+                }?;
+                // The arm comes from the motion before, and goes home after the last one of its mounting.
+                if reachable(job, robot, &pose, &plan.q0) && reachable(job, robot, &plan.q0, &rest) {
+                    pose.clone_from(&plan.q0);
+                    done += 1.0;
+                    return Ok(plan);
+                }
+            }
+            let expected = "room for a motion whose start the arm reaches inside the workspace";
+            let found = format!("no such start pose for {} in {ATTEMPTS} tries", slot.name);
+            Err(BadInput::new(job.file.display().to_string(), "workspace", found, expected).into())
         })
     }
 
@@ -117,6 +130,29 @@ impl Programme {
         self.stages.iter().flat_map(|stage| &stage.motions)
     }
 }
+
+/// Motions that are tried when the way to a motion's start leaves the workspace.
+const ATTEMPTS: u64 = 20;
+/// Distance of the seeds of two tries, so that no motion takes another's.
+const SEED_STEP: u64 = 10_007;
+
+/// Whether the end effector stays inside the workspace on the straight way between two poses.
+fn reachable(job: &Job, robot: &Robot, from: &[f64], to: &[f64]) -> bool {
+    let space = job.workspace(&robot.workspace);
+    (0..=WAY).all(|step| {
+        let share = f64::from(step) / f64::from(WAY);
+        let q: Vec<f64> = from.iter().zip(to).map(|(a, b)| a + share * (b - a)).collect();
+        let at = robot.chain.end_effector(&q);
+        // A synchronised motion is not quite straight: some room is left.
+        (0..3).all(|axis| (space.box_min[axis] + ROOM..=space.box_max[axis] - ROOM).contains(&at[axis]))
+            && at.norm() >= space.base_radius + ROOM
+    })
+}
+
+/// Steps that a way is checked in.
+const WAY: u32 = 100;
+/// Distance kept from the workspace's bounds on the way \[m\].
+const ROOM: f64 = 0.02;
 
 fn file(dir: &Path, name: &str) -> std::path::PathBuf {
     dir.join(format!("{name}.toml"))

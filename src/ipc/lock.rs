@@ -3,7 +3,6 @@
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Seek, Write};
 use std::path::{Path, PathBuf};
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::robot::RobotId;
 
@@ -15,7 +14,7 @@ pub enum LockError {
     Held {
         /// The robot.
         robot: String,
-        /// Process and start time of the other daemon, as it wrote them.
+        /// Process of the other daemon, as it wrote it.
         holder: String,
         /// The lock file.
         path: PathBuf,
@@ -63,10 +62,9 @@ impl Lock {
             Err(TryLockError::Error(source)) => return Err(failed(source)),
         }
         // Who holds it, for whoever comes second. The lock itself does not depend on this text.
-        let started = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
         file.set_len(0).map_err(failed)?;
         file.rewind().map_err(failed)?;
-        writeln!(file, "process {}, started {started} s after 1970", std::process::id()).map_err(failed)?;
+        writeln!(file, "process {}", std::process::id()).map_err(failed)?;
         file.flush().map_err(failed)?;
         Ok(Lock { path, _file: file })
     }
