@@ -141,7 +141,7 @@ fn panda_gaz2019_at_several_cutoffs() {
     let (a, b) = (read(&folder, "excitation_a.csv", &[1.0; 7]), read(&folder, "excitation_b.csv", &[1.0; 7]));
     // The choice of cut-offs is not what reaches the figures: .15 .17 .14 .15 .07 .03 .046.
     for (torque_cutoff, position_cutoff) in [(4.0, 10.0), (4.0, 15.0), (5.0, 10.0)] {
-        let settings = Settings { torque_cutoff, position_cutoff, ..Settings::default() };
+        let settings = Settings { torque_cutoff, position_cutoff: Some(position_cutoff), ..Settings::default() };
         let (found, rms) =
             fit(panda(), &FRICTION_AND_OFFSET, &settings, std::slice::from_ref(&a), std::slice::from_ref(&b));
         show(&format!("panda-gaz2019 {torque_cutoff} Hz, {position_cutoff} Hz"), &found, &rms);
@@ -186,7 +186,7 @@ fn ur10e_currents() {
 fn tx40_figaroh() {
     let Some(folder) = folder("tx40-figaroh") else { return };
     let run = read(&folder, "excitation.csv", &[1.0; 6]);
-    let settings = Settings { torque_cutoff: 30.0, position_cutoff: 30.0, ..Settings::default() };
+    let settings = Settings { torque_cutoff: 30.0, position_cutoff: Some(30.0), ..Settings::default() };
     let (found, rms) = fit(tx40(), &MOTOR_SIDE, &settings, &[part(&run, 0.0, 0.65)], &[part(&run, 0.65, 1.0)]);
     show("tx40-figaroh", &found, &rms);
     at_most(&rms, &[3.0, 6.0, 2.0, 1.0, 8.0, 4.0]);

@@ -353,7 +353,7 @@ fn an_uneven_record_with_gaps_and_repeats_that_does_not_repeat_is_identified() {
     let matrix = |of: &dyn Fn(usize, usize) -> f64| DMatrix::from_fn(t.len(), N, of);
     let (q, tau) = (matrix(&|k, j| q[k][j]), matrix(&|k, j| tau[k][j]));
     let run = Run { name: "uneven".into(), t, q, tau, gravity: even.gravity, period: None };
-    let settings = Settings { position_cutoff: 10.0, ..Settings::default() };
+    let settings = Settings { position_cutoff: Some(10.0), ..Settings::default() };
     let experiment = Experiment::prepare(&run, &settings).unwrap();
     assert!(experiment.sampling.repeated_rows > 700 && experiment.sampling.missing > 700, "{:?}", experiment.sampling);
     let found = identify(&structure, &[experiment]).unwrap();

@@ -116,17 +116,15 @@ pub fn run(options: Options) -> Result<(), Failure> {
 
 fn settings(options: &Options) -> Result<Settings, Failure> {
     let mut settings = Settings { torque_cutoff: CUTOFF, ..Settings::default() };
-    for (name, given, setting) in [
-        ("--torque-cutoff", options.torque_cutoff, &mut settings.torque_cutoff),
-        ("--position-cutoff", options.position_cutoff, &mut settings.position_cutoff),
-    ] {
-        if let Some(value) = given {
-            if !(0.01..=500.0).contains(&value) {
-                return Err(BadInput::new("command line", name, value, "0.01 to 500 Hz").into());
-            }
-            *setting = value;
+    for (name, given) in [("--torque-cutoff", options.torque_cutoff), ("--position-cutoff", options.position_cutoff)] {
+        if let Some(value) = given
+            && !(0.01..=500.0).contains(&value)
+        {
+            return Err(BadInput::new("command line", name, value, "0.01 to 500 Hz").into());
         }
     }
+    settings.torque_cutoff = options.torque_cutoff.unwrap_or(settings.torque_cutoff);
+    settings.position_cutoff = options.position_cutoff.or(settings.position_cutoff);
     if let Some(order) = options.order {
         if order == 0 || order % 2 == 1 || order > 40 {
             return Err(BadInput::new("command line", "--order", order, "an even number from 2 to 40").into());

@@ -29,9 +29,11 @@ pub enum Derivative {
 pub struct Settings {
     /// Cut-off of the zero-phase low-pass on the torques and on every column of the regressor \[Hz\].
     pub torque_cutoff: f64,
-    /// Cut-off of the zero-phase low-pass on the positions before they are differentiated \[Hz\]. It must pass what the sign of the
-    /// velocity does at a reversal, so it is wider than the other. At most 0.8 of half the sampling rate is used.
-    pub position_cutoff: f64,
+    /// Cut-off of the zero-phase low-pass on the positions before they are differentiated \[Hz\]. It must pass what the arm does when
+    /// friction changes its sign at a reversal, so it is wider than the other. Absent: 40 Hz for the mean of several periods, which
+    /// has little noise left, and 10 Hz for what was recorded once. At most 0.8 of half the sampling rate is used.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position_cutoff: Option<f64>,
     /// Order of both low-passes, even; they run forward and backward.
     pub order: usize,
     /// Samples to keep one of after the low-pass; absent: paper eq. 16 for twice the torque cut-off.
@@ -47,7 +49,7 @@ impl Default for Settings {
     fn default() -> Settings {
         Settings {
             torque_cutoff: 5.0,
-            position_cutoff: 10.0,
+            position_cutoff: None,
             order: 8,
             decimation: None,
             derivative: Derivative::Spectral,
@@ -56,6 +58,12 @@ impl Default for Settings {
     }
 }
 
+/// Position cut-off for the mean of several periods \[Hz\]. A joint's controller answers a reversal of friction within its own bandwidth,
+/// some 20 Hz: a filter that takes that out of the motion biases friction and inertia against each other by several of their
+/// standard deviations.
+const CUTOFF_OF_MEAN: f64 = 40.0;
+/// Position cut-off for what was recorded once \[Hz\]: there the noise of wider accelerations would cost more than that bias.
+const CUTOFF_OF_ONE: f64 = 10.0;
 /// Share of half the sampling rate that the position filter may use.
 const WIDEST: f64 = 0.8;
 /// Time that is cut off both ends of a run that does not repeat, as a number of periods of the position cut-off: there the
@@ -133,7 +141,9 @@ impl Experiment {
         let periodic = scatter.is_some();
         let rate = 1.0 / dt;
         let filter = Butterworth::new(settings.order, settings.torque_cutoff, rate)?;
-        let position_cutoff = settings.position_cutoff.min(WIDEST * rate / 2.0);
+        let averaged = matches!(scatter, Some(Some(_)));
+        let usual = if averaged { CUTOFF_OF_MEAN } else { CUTOFF_OF_ONE };
+        let position_cutoff = settings.position_cutoff.unwrap_or(usual).min(WIDEST * rate / 2.0);
         let position_filter = Butterworth::new(settings.order, position_cutoff, rate)?;
 
         // Without repeats the ends are cut before the torques and columns are filtered: what they are filtered with is linear, so its

@@ -144,7 +144,7 @@ impl Job {
         let own = &self.estimator;
         Settings {
             torque_cutoff: own.torque_cutoff.unwrap_or(defaults.torque_cutoff),
-            position_cutoff: own.position_cutoff.unwrap_or(defaults.position_cutoff),
+            position_cutoff: own.position_cutoff.or(defaults.position_cutoff),
             order: own.filter_order.unwrap_or(defaults.order),
             derivative: own.derivative.unwrap_or(defaults.derivative),
             ..defaults
