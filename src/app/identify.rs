@@ -27,7 +27,7 @@ pub struct Options {
     /// Cut-off of the zero-phase low-pass on torques and regressor columns in Hz; 4 by default
     #[arg(long, value_name = "HZ")]
     torque_cutoff: Option<f64>,
-    /// Cut-off of the zero-phase low-pass on positions in Hz; 10 by default
+    /// Cut-off of the zero-phase low-pass on positions in Hz; by default 10, or 40 for the mean of several periods
     #[arg(long, value_name = "HZ")]
     position_cutoff: Option<f64>,
     /// Order of both filters; 8 by default
