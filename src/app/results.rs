@@ -8,10 +8,10 @@ use crate::config::job::{Job, Pace};
 use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Run};
 use crate::estimate::experiment::Settings;
-use crate::ipc::{Status, StreamCounters, Times};
+use crate::ipc::{Session, Status, StreamCounters};
 use crate::report::figures::{Figures, PlanFigure};
 use crate::report::{
-    Base, CounterExperiment, Fit, Identifiability, IpcFacts, LoopFacts, Quantiles, Report, Validation,
+    Base, CounterExperiment, Fit, Identifiability, IpcFacts, LoopFacts, Quantiles, Report, SessionFacts, Validation,
 };
 use crate::store::{ModelFile, Provenance, Validated};
 use std::path::{Path, PathBuf};
@@ -91,7 +91,8 @@ impl Results {
         report.validate = judged.iter().map(|(run, judged)| validation(run, judged)).collect();
         report.counter_experiment = counter.map(|(facts, _)| facts);
         report.cycle = Some(self.loop_facts(status));
-        report.sessions.clone_from(&status.sessions);
+        let wall_clock = self.wall_clock();
+        report.sessions = status.sessions.iter().map(|session| SessionFacts::of(session, wall_clock)).collect();
         report.ipc = Some(IpcFacts {
             sent: status.served.published,
             received: counters.received,
@@ -111,16 +112,12 @@ impl Results {
     }
 
     /// The usual set from the vertical mounting: refused elsewhere, and forced, to show where it fails.
-    fn counter_experiment(
-        &self,
-        judged: &[(&Run, Judged)],
-    ) -> Result<Option<(CounterExperiment, ModelFile)>, Failure> {
+    fn counter_experiment(&self, judged: &[(&Run, Judged)]) -> Result<Option<(CounterExperiment, ModelFile)>, Failure> {
         let runs = self.runs(Role::Counter);
         let Some(first) = runs.first() else { return Ok(None) };
         let vertical = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings)?;
         let Err(refused) = vertical.model.valid_in(&self.job.mounting) else { return Ok(None) };
-        let here: Vec<&(&Run, Judged)> =
-            judged.iter().filter(|(run, _)| run.mounting == self.job.mounting).collect();
+        let here: Vec<&(&Run, Judged)> = judged.iter().filter(|(run, _)| run.mounting == self.job.mounting).collect();
         let mut forced = vec![0.0; self.joints()];
         let mut general = forced.clone();
         for (run, judged) in &here {
@@ -166,18 +163,24 @@ impl Results {
             robot: self.job.robot.clone(),
             mounting: self.job.mounting,
             source,
-            runs: self.recorded.iter().filter(|recorded| recorded.role != Role::Counter).map(|recorded| recorded.run.clone()).collect(),
+            runs: self
+                .recorded
+                .iter()
+                .filter(|recorded| recorded.role != Role::Counter)
+                .map(|recorded| recorded.run.clone())
+                .collect(),
         }
     }
 
+    fn wall_clock(&self) -> bool {
+        self.job.backend.pace == Pace::WallClock
+    }
+
     fn loop_facts(&self, status: &Status) -> LoopFacts {
-        let wall_clock = self.job.backend.pace == Pace::WallClock;
-        let worst = |of: fn(&crate::ipc::Session) -> Times| {
-            let longest = status.sessions.iter().max_by_key(|session| session.cycles)?;
-            let Times { p50, p99, p999, max, count } = of(longest);
-            let us = |ns: u64| ns as f64 * 1e-3;
-            (count > 0).then(|| Quantiles { p50: us(p50), p99: us(p99), p999: us(p999), max: us(max) })
-        };
+        let wall_clock = self.wall_clock();
+        // Quantiles can't be added up: those of the longest session stand for the whole.
+        let longest = status.sessions.iter().max_by_key(|session| session.cycles);
+        let times = |of: fn(&Session) -> &crate::ipc::Times| longest.and_then(|session| Quantiles::of(of(session)));
         let mut realtime: Vec<String> = Vec::new();
         for refusal in status.sessions.iter().flat_map(|session| &session.refusals) {
             if !realtime.contains(refusal) {
@@ -187,12 +190,13 @@ impl Results {
         LoopFacts {
             pace: if wall_clock { "wall-clock" } else { "fast" }.to_string(),
             cycles: status.cycles,
-            late: if wall_clock { status.late } else { 0 },
+            late: wall_clock.then_some(status.late),
             lost: status.lost,
             records_lost: status.dropped,
-            allocations: status.sessions.iter().filter_map(|session| session.allocations).map(u64::from).sum(),
-            wake_us: worst(|session| session.wake).filter(|_| wall_clock),
-            work_us: worst(|session| session.work),
+            // Unknown as soon as one session was not watched.
+            allocations: status.sessions.iter().map(|session| session.allocations.map(u64::from)).sum(),
+            wake_us: times(|session| &session.wake).filter(|_| wall_clock),
+            work_us: times(|session| &session.work),
             realtime,
         }
     }
@@ -218,8 +222,7 @@ impl Results {
     fn plan_figure(&self, motion: &Motion) -> PlanFigure {
         let n = self.joints();
         let t: Vec<f64> = (0..500).map(|k| k as f64 * motion.plan.period / 499.0).collect();
-        let q: Vec<Vec<f64>> =
-            (0..n).map(|j| t.iter().map(|&t| motion.fourier.at(j, t).q).collect()).collect();
+        let q: Vec<Vec<f64>> = (0..n).map(|j| t.iter().map(|&t| motion.fourier.at(j, t).q).collect()).collect();
         let end_effector = (0..t.len())
             .map(|k| self.robot.chain.end_effector(&q.iter().map(|q| q[k]).collect::<Vec<_>>()).into())
             .collect();
@@ -245,7 +248,11 @@ fn validation(run: &Run, judged: &Judged) -> Validation {
 }
 
 /// The report of an identification, before anything was validated.
-pub fn report_of(identified: &Identified, mounting: crate::model::gravity::Mounting, provenance: &Provenance) -> Report {
+pub fn report_of(
+    identified: &Identified,
+    mounting: crate::model::gravity::Mounting,
+    provenance: &Provenance,
+) -> Report {
     let identification = &identified.identification;
     let mut facts = serde_json::Map::new();
     for (name, value) in
@@ -259,7 +266,11 @@ pub fn report_of(identified: &Identified, mounting: crate::model::gravity::Mount
         robot: identified.model.robot().to_string(),
         mounting: mounting.into(),
         base: Base::new(identified.model.kind(), identified.model.parameters()),
-        identify: Fit { rms: identification.rms.raw.clone(), rms_filtered: identification.rms.filtered.clone() },
+        identify: Fit {
+            rms: identification.rms.raw.clone(),
+            rms_raw: identification.rms.raw.clone(),
+            rms_filtered: identification.rms.filtered.clone(),
+        },
         noise_floor: identification.rms.noise_floor.clone().unwrap_or_default(),
         identifiability: Identifiability {
             not_identifiable: identification.undetermined.iter().map(|one| one.name.clone()).collect(),
