@@ -247,7 +247,7 @@ fn the_counter_experiment_names_the_joints_that_fail() {
     let said = sentence(&report);
     assert!(said.contains("57 parameters, identified upright) is refused in mounting wall"), "{said}");
     assert!(
-        said.contains("is 0.225 Nm in joint 1 (generalized set 0.150) and changes by at most 0 % in the others"),
+        said.contains("is 0.225 Nm in joint 1 (generalized set 0.150) and changes by at most 0.00 % in the others"),
         "{said}"
     );
     report.counter_experiment.as_mut().unwrap().forced_rms[3] *= 0.5;

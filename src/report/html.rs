@@ -192,7 +192,10 @@ fn fit(report: &Report) -> Vec<Value> {
 
 fn counter(report: &Report) -> Option<Value> {
     let of = report.counter_experiment.as_ref()?;
-    let change = |(forced, general): (&f64, &f64)| format!("{:+.1} %", 100.0 * (forced - general) / general);
+    let change = |(forced, general): (&f64, &f64)| {
+        let percent = 100.0 * (forced - general) / general;
+        if percent.abs() < 0.05 { "0.0 %".to_string() } else { format!("{percent:+.1} %") }
+    };
     Some(context! {
         sentence => summary::counter(of),
         refusal => &of.refusal,

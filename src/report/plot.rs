@@ -84,6 +84,8 @@ fn curves(area: &Area, of: Curves) -> Drawn {
     let Curves { t: (t0, t1), y: (low, high), y_name, x_name, y_ticks, band, lines } = of;
     let mut chart = ChartBuilder::on(area)
         .margin(6)
+        // Half of the last number of the axis.
+        .margin_right(16)
         .set_label_area_size(LabelAreaPosition::Left, 78)
         .set_label_area_size(LabelAreaPosition::Bottom, if x_name.is_empty() { 28 } else { 50 })
         .build_cartesian_2d(t0..t1, low..high)?;
@@ -130,7 +132,7 @@ pub(super) fn torque(figure: &TorqueFigure, j: usize) -> String {
         curves(&above, torque)?;
         let left = [(thin(&figure.t, &residual), RESIDUAL, 1)];
         let (y, y_name) = ((-far, far), "residual / Nm");
-        curves(&below, Curves { t, y, y_name, x_name: "t / s", y_ticks: 4, band: noise, lines: &left })?;
+        curves(&below, Curves { t, y, y_name, x_name: "t / s", y_ticks: 5, band: noise, lines: &left })?;
         area.present()
     })
 }
@@ -220,7 +222,7 @@ pub(super) fn quantiles(rows: &[(String, Quantiles)]) -> String {
             chart.draw_series(LineSeries::new([(p50, y), (max, y)], EDGE.stroke_width(2)))?;
             chart.draw_series(marks(q).map(|us| Circle::new((us, y), 4, MEASURED.filled())))?;
             let (_, row) = chart.backend_coord(&(p50, y));
-            area.draw(&Text::new(name.clone(), (8, row - 9), TEXT))?;
+            area.draw(&Text::new(name.clone(), (8, row - 6), TEXT))?;
         }
         area.present()
     })

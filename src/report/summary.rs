@@ -74,7 +74,7 @@ pub(super) fn lines(report: &Report) -> Vec<String> {
         lines.push(format!("condition number: {}", report.conditions.iter().map(one).collect::<Vec<_>>().join(", ")));
     }
     errors(report, &mut lines);
-    lines.extend(report.counter_experiment.as_ref().map(counter));
+    lines.extend(report.counter_experiment.as_ref().map(|of| format!("counter-experiment: {}", counter(of))));
     lines.extend(report.cycle.as_ref().map(cycle));
     if let Some(ipc) = &report.ipc {
         let verdict = if ipc.sent == ipc.received { "none missing" } else { "NOT EQUAL" };
@@ -140,14 +140,14 @@ pub(super) fn counter(of: &CounterExperiment) -> String {
             others += 1;
         }
     }
-    let rest = format!("changes by at most {} %", digits(100.0 * most));
+    let rest = format!("changes by at most {:.2} %", 100.0 * most);
     let outcome = match (changed.is_empty(), others) {
         (true, _) => format!("{rest} in any joint"),
         (false, 0) => format!("is {}", changed.join(", ")),
         (false, _) => format!("is {} and {rest} in the others", changed.join(", ")),
     };
     format!(
-        "counter-experiment: the vertical set ({} parameters, identified {}) is refused in mounting {place}; forced, its RMS there \
+        "the vertical set ({} parameters, identified {}) is refused in mounting {place}; forced, its RMS there \
          {outcome}",
         of.count, of.identified_in.name
     )
