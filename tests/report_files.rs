@@ -1,9 +1,10 @@
 //! The report: the promised schema, everything inside one HTML file, text from files escaped.
 
 use plumbline::config::robot::Robot;
+use plumbline::ipc::{Session, Times};
 use plumbline::joint::Workspace;
 use plumbline::model::gravity::Mounting;
-use plumbline::report::figures::{Bin, PlanFigure, TorqueFigure};
+use plumbline::report::figures::{PlanFigure, TorqueFigure};
 use plumbline::report::*;
 use plumbline::store::ModelFile;
 use rand::{Rng, SeedableRng};
@@ -21,10 +22,16 @@ fn report() -> Report {
     for parameter in &mut model {
         parameter.std = Some(10f64.powf(rng.random_range(-4.5..-2.0)));
     }
-    let run = |index: usize, mounting: Mounting, rng: &mut ChaCha8Rng| Validation {
-        run: format!("{mounting}-{index}"),
-        rms: FLOOR.iter().map(|floor| floor * rng.random_range(1.0..1.08)).collect(),
-        mounting: mounting.into(),
+    let run = |index: usize, mounting: Mounting, rng: &mut ChaCha8Rng| {
+        let rms: Vec<f64> = FLOOR.iter().map(|floor| floor * rng.random_range(1.0..1.08)).collect();
+        Validation {
+            run: format!("{mounting}-{index}.csv"),
+            rms_raw: rms.clone(),
+            rms_filtered: rms.iter().map(|rms| rms / 10.0).collect(),
+            served_rms: Some(rms.iter().map(|rms| rms * 1.02).collect()),
+            rms,
+            mounting: mounting.into(),
+        }
     };
     let mut validate: Vec<_> = (1..=5).map(|index| run(index, Mounting::WALL, &mut rng)).collect();
     validate.extend((1..=5).map(|index| run(index, Mounting::UPRIGHT, &mut rng)));
@@ -40,8 +47,14 @@ fn report() -> Report {
         robot: "panda".into(),
         mounting: Mounting::WALL.into(),
         base: Base::new("GBS", &model),
-        identify: Fit { rms: FLOOR.map(|floor| floor / 3.0).to_vec() },
+        identify: Fit {
+            rms: FLOOR.map(|floor| floor * 1.01).to_vec(),
+            rms_raw: FLOOR.map(|floor| floor * 1.01).to_vec(),
+            rms_filtered: FLOOR.map(|floor| floor / 30.0).to_vec(),
+        },
         validate,
+        band: Band::Raw,
+        counter_experiment: Some(counter_experiment()),
         noise_floor: FLOOR.to_vec(),
         identifiability: Identifiability::default(),
         conditions: vec![
@@ -52,15 +65,53 @@ fn report() -> Report {
         cycle: Some(LoopFacts {
             pace: "wall-clock".into(),
             cycles: 131_072,
-            late: 3,
+            late: Some(3),
+            allocations: Some(0),
             wake_us: Some(Quantiles { p50: 28.0, p99: 69.0, p999: 337.0, max: 8871.0 }),
             work_us: Some(Quantiles { p50: 6.1, p99: 14.0, p999: 31.0, max: 402.0 }),
             realtime: vec!["SCHED_FIFO 80 granted; memory locked; the kernel is not PREEMPT_RT".into()],
             ..LoopFacts::default()
         }),
+        sessions: ["wall", "upright"].map(|name| SessionFacts::of(&session(name), true)).to_vec(),
         ipc: Some(IpcFacts { sent: 131_072, received: 131_072, replayed: 12, missed: 0 }),
         provenance,
         notes: Vec::new(),
+    }
+}
+
+/// The vertical set that misses two parameters of joint 1.
+fn counter_experiment() -> CounterExperiment {
+    let mut forced = FLOOR.to_vec();
+    forced[0] = 0.225;
+    CounterExperiment {
+        identified_in: Mounting::UPRIGHT.into(),
+        kind: "VBS".into(),
+        count: 57,
+        refused_in: Mounting::WALL.into(),
+        refusal: "the VBS model of panda lacks lxR1 and lyR1".into(),
+        forced_rms: forced,
+        general_rms: FLOOR.to_vec(),
+    }
+}
+
+/// A connection as the daemon describes it, times in ns.
+fn session(name: &str) -> Session {
+    let times = |p50: u64| Times { count: 65_536, p50, p99: 3 * p50, p999: 12 * p50, max: 300 * p50 };
+    Session {
+        name: name.into(),
+        elapsed: 65_537,
+        cycles: 65_536,
+        lost: 1,
+        longest_lost: 1,
+        late: 3,
+        allocations: Some(0),
+        wake: times(28_000),
+        work: times(6_100),
+        period: times(1_000_000),
+        bridge: times(600_000),
+        refusals: vec!["CPU 1 is not isolated".into()],
+        end: "ended on request, at rest".into(),
+        ..Session::default()
     }
 }
 
@@ -80,16 +131,9 @@ fn figures(samples: usize) -> Figures {
         t: t.clone(),
         measured: measured.clone(),
         modelled: modelled.clone(),
+        raw: Vec::new(),
         noise: FLOOR.to_vec(),
     };
-    let mut from = 1.0;
-    let mut bins = Vec::new();
-    while from < 10_000.0 {
-        let to = from * 1.25;
-        let log = (from / 28.0_f64).log10();
-        bins.push(Bin { from, to, count: (60_000.0 * (-6.0 * log * log).exp() + 2.0) as u64 });
-        from = to;
-    }
     Figures {
         runs: vec![
             run("Identification, wall: average of 10 periods"),
@@ -105,8 +149,6 @@ fn figures(samples: usize) -> Figures {
                 .collect(),
             workspace: Some(Workspace { box_min: [-0.2, -0.9, 0.0], box_max: [0.9, 0.9, 1.2], base_radius: 0.25 }),
         }),
-        wake: bins.clone(),
-        work: bins,
     }
 }
 
@@ -122,7 +164,7 @@ fn the_json_has_the_promised_shape_and_reads_back() {
     }
     assert_eq!(json["base"]["parameters"].as_array().unwrap().len(), 59);
     assert_eq!(json["identify"]["rms"].as_array().unwrap().len(), 7);
-    assert_eq!(json["validate"][9]["run"], "upright-5");
+    assert_eq!(json["validate"][9]["run"], "upright-5.csv");
     assert_eq!(json["validate"][9]["rms"].as_array().unwrap().len(), 7);
     assert_eq!(json["noise_floor"][0], 0.15);
     assert!(
@@ -130,7 +172,89 @@ fn the_json_has_the_promised_shape_and_reads_back() {
     );
     assert!(json.get("diagnosis").is_none());
     assert_eq!(json["loop"]["wake_us"]["p99"], 69.0);
+    assert_eq!(json["band"]["kind"], "raw");
+    assert_eq!(json["sessions"][1]["wake_us"]["p50"], 28.0);
+    let mut keys = Vec::new();
+    keys_of(&json, &mut keys);
+    // `provenance` may hold any name that a caller gives; all of ours are words with underscores.
+    let odd: Vec<_> = keys
+        .iter()
+        .filter(|key| key.chars().any(|c| !(c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')))
+        .collect();
+    assert!(odd.is_empty() && keys.len() > 100, "{odd:?}");
     assert_eq!(serde_json::from_str::<Report>(&text).unwrap(), report);
+}
+
+fn keys_of(json: &serde_json::Value, keys: &mut Vec<String>) {
+    match json {
+        serde_json::Value::Object(map) => map.iter().for_each(|(key, value)| {
+            keys.push(key.clone());
+            keys_of(value, keys);
+        }),
+        serde_json::Value::Array(values) => values.iter().for_each(|value| keys_of(value, keys)),
+        _ => {}
+    }
+}
+
+#[test]
+fn a_session_without_a_clock_has_no_lateness() {
+    let facts = SessionFacts::of(&session("wall"), false);
+    assert_eq!((facts.late, facts.wake_us, facts.period_us), (None, None, None));
+    assert_eq!((facts.lost, facts.longest_lost, facts.work_us.unwrap().max), (1, 1, 1830.0));
+    assert_eq!(Quantiles::of(&Times::default()), None);
+
+    let mut report = report();
+    let cycle = report.cycle.as_mut().unwrap();
+    (cycle.pace, cycle.late, cycle.wake_us, cycle.allocations) = ("fast".into(), None, None, None);
+    report.sessions = vec![facts];
+    let said = report.summary().join("\n");
+    assert!(said.contains("as fast as possible") && said.contains("allocations not watched"), "{said}");
+    let page = report.to_html(&Figures::default()).unwrap();
+    assert!(!said.contains(" late") && !said.contains("wake-up") && !page.contains("wake-up, wall"), "{said}");
+}
+
+#[test]
+fn filtered_errors_say_so_and_are_not_held_against_a_raw_floor() {
+    let mut report = report();
+    report.band = Band::Filtered { cutoff: 4.0 };
+    for run in &mut report.validate {
+        run.rms = run.rms_filtered.clone();
+        run.served_rms = None;
+    }
+    let said = report.summary().join("\n");
+    let line =
+        |start: &str| said.lines().find(|line| line.starts_with(start)).unwrap_or_else(|| panic!("{start} in {said}"));
+    let filtered = line("RMS wall [Nm] after a 4 Hz zero-phase low-pass, 5 unseen runs: 0.01");
+    assert!(!filtered.contains("noise floor"), "{filtered}");
+    assert!(line("RMS wall [Nm], raw samples: 0.1").contains("of the noise floor"));
+    let page = report.to_html(&Figures::default()).unwrap();
+    assert!(page.contains("unseen motions, after a 4 Hz zero-phase low-pass") && page.contains("<th>raw mean</th>"));
+
+    report.noise_floor.clear();
+    let page = report.to_html(&Figures::default()).unwrap();
+    assert!(
+        report.summary().join("\n").contains("noise floor: unknown") && page.contains("No motion of this data repeats")
+    );
+    assert!(!page.contains("<th>noise floor</th>"), "an empty column");
+}
+
+#[test]
+fn the_counter_experiment_names_the_joints_that_fail() {
+    let mut report = report();
+    let sentence = |report: &Report| {
+        report.summary().into_iter().find(|line| line.starts_with("counter-experiment")).expect("it was done")
+    };
+    let said = sentence(&report);
+    assert!(said.contains("57 parameters, identified upright) is refused in mounting wall"), "{said}");
+    assert!(
+        said.contains("is 0.225 Nm in joint 1 (generalized set 0.150) and changes by at most 0.00 % in the others"),
+        "{said}"
+    );
+    report.counter_experiment.as_mut().unwrap().forced_rms[3] *= 0.5;
+    let said = sentence(&report);
+    assert!(said.contains("0.225 Nm in joint 1") && said.contains("0.075 Nm in joint 4"), "{said}");
+    report.counter_experiment.as_mut().unwrap().forced_rms = FLOOR.map(|floor| floor * 1.02).to_vec();
+    assert!(sentence(&report).contains("changes by at most 2.00 % in any joint"), "{}", sentence(&report));
 }
 
 #[test]
@@ -143,6 +267,8 @@ fn the_summary_says_what_the_job_promises() {
         "RMS wall [Nm], 5 unseen runs: ",
         "RMS upright [Nm], 5 unseen runs: ",
         "of the noise floor",
+        "RMS wall [Nm], served feed-forward: ",
+        "wake-up p50 28.0 p99 69.0 max 8871 us",
         "131072 cycles, 3 late, 0 lost",
         "131072 sent, 131072 received, none missing",
     ];
@@ -162,12 +288,22 @@ fn the_page_is_one_file_of_bearable_size() {
     report().write(&dir, &figures(60_000)).unwrap();
     let page = std::fs::read_to_string(dir.join("report.html")).unwrap();
     assert!(dir.join("report.json").exists());
-    assert!(page.len() < 2_500_000, "{} bytes", page.len());
+    assert!(page.len() < 2_000_000, "{} bytes", page.len());
     assert!(!page.contains("src=") && !page.contains("href=") && !page.contains("@import"), "something is loaded");
-    // Seven joints in each of three runs, positions, two views of the path, two histograms.
-    assert_eq!(page.matches("<svg ").count(), 3 * 7 + 3 + 2);
+    // Seven joints in each of three runs, positions, two views of the path, the durations.
+    assert_eq!(page.matches("<svg ").count(), 3 * 7 + 3 + 1);
     assert!(!page.contains("NaN") && !page.contains("Infinity"));
-    for expected in ["LxxR2", "Lzz1 + Lyy2", "Joint 7", "column-equilibrated", "131072", "noise floor"] {
+    for expected in [
+        "LxxR2",
+        "Lzz1 + Lyy2",
+        "Joint 7",
+        "column-equilibrated",
+        "131072",
+        "noise floor",
+        "traj5",
+        "served",
+        "longest loss",
+    ] {
         assert!(page.contains(expected), "no {expected}");
     }
 }
@@ -180,6 +316,8 @@ fn text_from_files_is_escaped() {
     report.validate[0].run = evil.into();
     report.base.parameters[0].expression = evil.into();
     report.notes = vec![evil.into()];
+    report.counter_experiment.as_mut().unwrap().refusal = evil.into();
+    report.sessions[0].name = evil.into();
     report.provenance.insert(evil.into(), evil.into());
     report.cycle.as_mut().unwrap().realtime = vec![evil.into()];
     let mut figures = figures(100);
@@ -195,6 +333,6 @@ fn a_bare_report_is_a_page_too() {
     assert!(page.contains("panda") && !page.contains("<svg "));
     let one =
         TorqueFigure { t: vec![0.0], measured: vec![vec![f64::NAN]], modelled: vec![vec![0.0]], ..Default::default() };
-    let figures = Figures { runs: vec![one], plan: Some(PlanFigure::default()), ..Figures::default() };
+    let figures = Figures { runs: vec![one], plan: Some(PlanFigure::default()) };
     assert!(Report::default().to_html(&figures).unwrap().contains("Joint 1"));
 }

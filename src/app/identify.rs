@@ -51,8 +51,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
 
     let bar = progress::bar("identifying");
     bar.at(0.1, "regression");
-    let runs: Vec<&Run> = identify.iter().collect();
-    let identified = pipeline::identify(&robot, &runs, &terms, &settings)?;
+    let identified_runs: Vec<&Run> = identify.iter().collect();
+    let identified = pipeline::identify(&robot, &identified_runs, &terms, &settings)?;
     let mut judged: Vec<(&Run, Judged)> = Vec::new();
     let mut untrusted = Vec::new();
     for (k, run) in validate.iter().enumerate() {
@@ -104,8 +104,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
     std::fs::create_dir_all(&options.out)
         .map_err(|error| Failure::job(format!("{}: {error}", options.out.display())))?;
     super::write(&options.out.join("model.toml"), model.to_toml().as_bytes())?;
-    let figures =
-        Figures { runs: judged.into_iter().map(|(_, judged)| judged.figure).take(2).collect(), ..Figures::default() };
+    let shown = identified_runs.iter().take(1).copied().chain(judged.iter().map(|(run, _)| *run).take(2));
+    let drawn = shown.map(|run| pipeline::figure_in_band(&model.model, run, &settings)).collect::<Result<_, _>>()?;
+    let figures = Figures { runs: drawn, plan: None };
     report.write(&options.out, &figures).map_err(Failure::job)?;
     for line in report.summary() {
         println!("{line}");

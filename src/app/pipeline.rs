@@ -82,17 +82,45 @@ pub fn judge(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Judg
     let experiment = experiment(run, settings)?;
     let modelled = model.predict(&experiment.motion);
     let rms = validate(&experiment, |_| modelled.clone());
-    let columns = |matrix: &DMatrix<f64>| {
-        matrix.column_iter().map(|column| column.iter().copied().collect()).collect::<Vec<Vec<f64>>>()
-    };
     let figure = TorqueFigure {
-        title: run.file.trim_end_matches(".csv").to_string(),
-        t: (0..experiment.motion.samples()).map(|k| k as f64 * experiment.motion.dt).collect(),
-        measured: columns(&experiment.tau),
-        modelled: columns(&modelled),
+        title: title(run),
+        t: times(&experiment),
+        measured: columns(&experiment.tau, experiment.joints()),
+        modelled: columns(&modelled, experiment.joints()),
+        raw: Vec::new(),
         noise: rms.noise_floor.clone().unwrap_or_default(),
     };
     Ok(Judged { rms, figure })
+}
+
+/// Measured and modelled torque of a run after the estimator's low-pass, with the raw torque behind them.
+pub fn figure_in_band(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<TorqueFigure, Failure> {
+    let experiment = experiment(run, settings)?;
+    let modelled = model.predict(&experiment.motion);
+    let rms = validate(&experiment, |_| modelled.clone());
+    let n = experiment.joints();
+    let stacked = DMatrix::from_column_slice(modelled.len(), 1, modelled.as_slice());
+    Ok(TorqueFigure {
+        title: title(run),
+        t: times(&experiment),
+        measured: columns(&experiment.filter(&experiment.stacked_tau()), n),
+        modelled: columns(&experiment.filter(&stacked), n),
+        raw: columns(&experiment.tau, n),
+        noise: rms.filtered_noise_floor.unwrap_or_default(),
+    })
+}
+
+fn title(run: &Run) -> String {
+    run.file.replace(".csv", "")
+}
+
+fn times(experiment: &Experiment) -> Vec<f64> {
+    (0..experiment.motion.samples()).map(|k| k as f64 * experiment.motion.dt).collect()
+}
+
+/// One vector per joint of a matrix that holds its samples joint by joint.
+fn columns(matrix: &DMatrix<f64>, joints: usize) -> Vec<Vec<f64>> {
+    matrix.as_slice().chunks(matrix.len() / joints).map(<[f64]>::to_vec).collect()
 }
 
 /// Torques of a model at every sample of a recorded motion, N x n \[Nm\], and the errors where the motion has measured torques.

@@ -8,10 +8,10 @@ use crate::config::job::{Job, Pace};
 use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Run};
 use crate::estimate::experiment::Settings;
-use crate::ipc::{Status, StreamCounters, Times};
+use crate::ipc::{Session, Status, StreamCounters};
 use crate::report::figures::{Figures, PlanFigure};
 use crate::report::{
-    Base, CounterExperiment, Fit, Identifiability, IpcFacts, LoopFacts, Quantiles, Report, Validation,
+    Base, CounterExperiment, Fit, Identifiability, IpcFacts, LoopFacts, Quantiles, Report, SessionFacts, Validation,
 };
 use crate::store::{ModelFile, Provenance, Validated};
 use std::path::{Path, PathBuf};
@@ -91,7 +91,8 @@ impl Results {
         report.validate = judged.iter().map(|(run, judged)| validation(run, judged)).collect();
         report.counter_experiment = counter.map(|(facts, _)| facts);
         report.cycle = Some(self.loop_facts(status));
-        report.sessions.clone_from(&status.sessions);
+        let wall_clock = self.wall_clock();
+        report.sessions = status.sessions.iter().map(|session| SessionFacts::of(session, wall_clock)).collect();
         report.ipc =
             Some(IpcFacts { sent, received: counters.received, replayed: counters.replayed, missed: counters.missed });
         report.write(&self.out, &self.figures(&identified, judged)?).map_err(Failure::job)
@@ -167,14 +168,15 @@ impl Results {
         }
     }
 
+    fn wall_clock(&self) -> bool {
+        self.job.backend.pace == Pace::WallClock
+    }
+
     fn loop_facts(&self, status: &Status) -> LoopFacts {
-        let wall_clock = self.job.backend.pace == Pace::WallClock;
-        let worst = |of: fn(&crate::ipc::Session) -> Times| {
-            let longest = status.sessions.iter().max_by_key(|session| session.cycles)?;
-            let Times { p50, p99, p999, max, count } = of(longest);
-            let us = |ns: u64| ns as f64 * 1e-3;
-            (count > 0).then(|| Quantiles { p50: us(p50), p99: us(p99), p999: us(p999), max: us(max) })
-        };
+        let wall_clock = self.wall_clock();
+        // Quantiles can't be added up: those of the longest session stand for the whole.
+        let longest = status.sessions.iter().max_by_key(|session| session.cycles);
+        let times = |of: fn(&Session) -> &crate::ipc::Times| longest.and_then(|session| Quantiles::of(of(session)));
         let mut realtime: Vec<String> = Vec::new();
         for refusal in status.sessions.iter().flat_map(|session| &session.refusals) {
             if !realtime.contains(refusal) {
@@ -184,12 +186,13 @@ impl Results {
         LoopFacts {
             pace: if wall_clock { "wall-clock" } else { "fast" }.to_string(),
             cycles: status.cycles,
-            late: if wall_clock { status.late } else { 0 },
+            late: wall_clock.then_some(status.late),
             lost: status.lost,
             records_lost: status.dropped,
-            allocations: status.sessions.iter().filter_map(|session| session.allocations).map(u64::from).sum(),
-            wake_us: worst(|session| session.wake).filter(|_| wall_clock),
-            work_us: worst(|session| session.work),
+            // Unknown as soon as one session was not watched.
+            allocations: status.sessions.iter().map(|session| session.allocations.map(u64::from)).sum(),
+            wake_us: times(|session| &session.wake).filter(|_| wall_clock),
+            work_us: times(|session| &session.work),
             realtime,
         }
     }
@@ -259,7 +262,11 @@ pub fn report_of(
         robot: identified.model.robot().to_string(),
         mounting: mounting.into(),
         base: Base::new(identified.model.kind(), identified.model.parameters()),
-        identify: Fit { rms: identification.rms.raw.clone(), rms_filtered: identification.rms.filtered.clone() },
+        identify: Fit {
+            rms: identification.rms.raw.clone(),
+            rms_raw: identification.rms.raw.clone(),
+            rms_filtered: identification.rms.filtered.clone(),
+        },
         noise_floor: identification.rms.noise_floor.clone().unwrap_or_default(),
         identifiability: Identifiability {
             not_identifiable: identification.undetermined.iter().map(|one| one.name.clone()).collect(),

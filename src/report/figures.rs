@@ -10,10 +10,6 @@ pub struct Figures {
     pub runs: Vec<TorqueFigure>,
     /// The planned motion.
     pub plan: Option<PlanFigure>,
-    /// Distribution of the loop's wake-up lateness \[us\].
-    pub wake: Vec<Bin>,
-    /// Distribution of the loop's work time \[us\].
-    pub work: Vec<Bin>,
 }
 
 /// Measured and modelled torque along one run.
@@ -23,11 +19,13 @@ pub struct TorqueFigure {
     pub title: String,
     /// Time \[s\].
     pub t: Vec<f64>,
-    /// Measured torque per joint, each as long as `t` \[Nm\].
+    /// Measured torque per joint, each as long as `t`, in the band that is judged \[Nm\].
     pub measured: Vec<Vec<f64>>,
-    /// Modelled torque per joint \[Nm\].
+    /// Modelled torque per joint in the same band \[Nm\].
     pub modelled: Vec<Vec<f64>>,
-    /// Standard deviation of the measured torque's noise per joint, drawn as a band of twice that \[Nm\]; may be empty.
+    /// Raw measured torque per joint, drawn behind the others \[Nm\]; empty where `measured` is raw.
+    pub raw: Vec<Vec<f64>>,
+    /// Standard deviation of the noise of `measured` per joint, drawn as a band of twice that \[Nm\]; may be empty.
     pub noise: Vec<f64>,
 }
 
@@ -42,17 +40,6 @@ pub struct PlanFigure {
     pub end_effector: Vec<[f64; 3]>,
     /// Where the end effector may be.
     pub workspace: Option<Workspace>,
-}
-
-/// One bin of a histogram.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Bin {
-    /// Lower edge.
-    pub from: f64,
-    /// Upper edge.
-    pub to: f64,
-    /// How many fell into it.
-    pub count: u64,
 }
 
 /// Most points of a drawn curve.

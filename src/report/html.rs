@@ -1,7 +1,7 @@
 //! `report.html`: figures formatted here, laid out by the template. minijinja escapes every text; only our own SVG goes in as it is.
 
-use super::summary::{digits, groups, mean};
-use super::{Figures, Report, plot};
+use super::summary::{self, Group, against_floor, digits, groups, mean};
+use super::{Band, Figures, Quantiles, Report, plot};
 use minijinja::{AutoEscape, Environment, Value, context};
 use std::io;
 
@@ -16,18 +16,22 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
     let page = context! {
         report => Value::from(minijinja::value::Serde(report)),
         summary => report.summary(),
+        notices => notices(report),
         verdicts => verdicts(report),
-        joints => report.noise_floor.len().max(report.identify.rms.len()),
+        band => summary::band(report),
         conditions => conditions(report),
         groups => tables(report),
-        identify => report.identify.rms.iter().map(|rms| format!("{rms:.3}")).collect::<Vec<_>>(),
-        floor => report.noise_floor.iter().map(|noise| format!("{noise:.3}")).collect::<Vec<_>>(),
+        identify => fit(report),
+        joints => report.identify.rms.len(),
+        counter => counter(report),
         parameters => parameters(report),
         runs => runs(figures),
         plan => plan(figures),
-        wake => safe(plot::histogram(&figures.wake, "wake-up latency / us")),
-        work => safe(plot::histogram(&figures.work, "work time / us")),
-        quantiles => quantiles(report),
+        cycle => report.cycle.as_ref().map(summary::cycle),
+        fast => report.cycle.as_ref().is_some_and(|cycle| cycle.pace == "fast"),
+        sessions => sessions(report),
+        durations => durations(report),
+        durations_plot => safe(plot::quantiles(&durations_of(report))),
         provenance => report.provenance.iter().map(|(key, value)| (key.clone(), plain(value))).collect::<Vec<_>>(),
     };
     template.render(page).map_err(io::Error::other)
@@ -39,6 +43,40 @@ fn safe(svg: String) -> Value {
 
 fn plain(value: &serde_json::Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), str::to_string)
+}
+
+fn number(value: f64) -> String {
+    format!("{value:.3}")
+}
+
+fn cells(values: &[f64]) -> Vec<String> {
+    values.iter().copied().map(number).collect()
+}
+
+/// A recording's name for people.
+fn name(file: &str) -> &str {
+    file.strip_suffix(".csv").unwrap_or(file)
+}
+
+/// What the reader has to know before trusting a figure.
+fn notices(report: &Report) -> Vec<String> {
+    let mut notices = report.notes.clone();
+    if report.noise_floor.is_empty() && !report.validate.is_empty() {
+        notices.push(
+            "No motion of this data repeats, so the noise of its torques is unknown: how much of the errors below is noise and how \
+             much the model lacks can't be told apart."
+                .into(),
+        );
+    }
+    let identifiability = &report.identifiability;
+    if !identifiability.not_identifiable.is_empty() {
+        notices.push(format!("Not identifiable from this data: {}.", identifiability.not_identifiable.join(", ")));
+    }
+    if !identifiability.untrusted_runs.is_empty() {
+        let names: Vec<&str> = identifiability.untrusted_runs.iter().map(|file| name(file)).collect();
+        notices.push(format!("The model can't vouch for these runs, so they are not judged: {}.", names.join(", ")));
+    }
+    notices
 }
 
 /// The large figures of the first screen: value, unit, what it is, and whether it is as it should be.
@@ -56,15 +94,15 @@ fn verdicts(report: &Report) -> Vec<Value> {
     if let Some(first) = report.conditions.first() {
         tiles.push(tile(digits(first.with_friction), "", format!("condition number, {}", first.definition), None));
     }
-    let floor = mean(&report.noise_floor);
+    let after = summary::band(report);
     for group in groups(report) {
-        let rms = mean(&group.per_joint());
-        let what = if floor > 0.0 {
-            format!("mean RMS {}, {:.2} of the noise floor", group.mounting, rms / floor)
+        let mut what = format!("mean RMS {}", group.mounting);
+        if after.is_empty() {
+            what.extend(against_floor(report, &group.raw()).map(|text| format!(", {text}")));
         } else {
-            format!("mean RMS {}", group.mounting)
-        };
-        tiles.push(tile(format!("{rms:.3}"), "Nm", what, None));
+            what += &format!(", {after}");
+        }
+        tiles.push(tile(number(mean(&group.per_joint())), "Nm", what, None));
     }
     if let Some(ipc) = &report.ipc {
         let lost = ipc.sent.abs_diff(ipc.received);
@@ -74,33 +112,100 @@ fn verdicts(report: &Report) -> Vec<Value> {
 }
 
 fn conditions(report: &Report) -> Vec<Value> {
+    let meaning = |definition: &str| match definition {
+        "raw" => "singular values of the base regressor as it is, in its units",
+        "column-equilibrated" => "every column scaled to length one",
+        "noise-weighted" => "every row divided by the noise of its joint, as the estimator weighs it",
+        _ => "",
+    };
     let row = |c: &super::Condition| {
-        context! { name => &c.definition, with => digits(c.with_friction), without => digits(c.without_friction) }
+        let (with, without) = (digits(c.with_friction), digits(c.without_friction));
+        context! { name => &c.definition, with, without, meaning => meaning(&c.definition) }
     };
     report.conditions.iter().map(row).collect()
 }
 
+/// Rows below a table of runs: what it says of each joint besides the runs.
+fn extra_columns(report: &Report, group: &Group) -> Vec<(&'static str, Vec<f64>)> {
+    let mut columns = Vec::new();
+    if report.band != Band::Raw {
+        columns.push(("raw mean", group.raw()));
+    }
+    columns.push(("noise floor", report.noise_floor.clone()));
+    columns.push(("served", group.served()));
+    columns.retain(|(_, values)| !values.is_empty());
+    columns
+}
+
 /// One table per mounting as the paper's Tables IV and V: a row per joint, a column per run.
 fn tables(report: &Report) -> Vec<Value> {
-    let number = |value: f64| format!("{value:.3}");
-    let table = |group: super::summary::Group| {
+    let table = |group: &Group| {
         let average = group.per_joint();
+        let extra = extra_columns(report, group);
         let row = |j: usize| {
-            let cells: Vec<_> =
-                group.runs.iter().map(|run| run.rms.get(j).map_or(String::new(), |rms| number(*rms))).collect();
-            let floor = report.noise_floor.get(j).map_or(String::new(), |noise| number(*noise));
-            context! { joint => j + 1, cells, mean => number(average[j]), floor }
+            let of = |values: &[f64]| values.get(j).map_or(String::new(), |value| number(*value));
+            let cells: Vec<_> = group.runs.iter().map(|run| of(&run.rms)).collect();
+            let extra: Vec<_> = extra.iter().map(|(_, values)| of(values)).collect();
+            context! { joint => j + 1, cells, mean => number(average[j]), extra }
         };
+        let names: Vec<&str> = group.runs.iter().map(|run| name(&run.run)).collect();
         context! {
             mounting => group.mounting,
-            runs => group.runs.iter().map(|run| run.run.clone()).collect::<Vec<_>>(),
+            runs => headings(&names),
+            names => names.iter().map(|name| name.to_string()).collect::<Vec<_>>(),
+            extra => extra.iter().map(|(name, _)| *name).collect::<Vec<_>>(),
             rows => (0..average.len()).map(row).collect::<Vec<_>>(),
             means => group.runs.iter().map(|run| number(mean(&run.rms))).collect::<Vec<_>>(),
             mean => number(mean(&average)),
-            floor => if report.noise_floor.is_empty() { String::new() } else { number(mean(&report.noise_floor)) },
+            extra_means => extra.iter().map(|(_, values)| number(mean(values))).collect::<Vec<_>>(),
         }
     };
-    groups(report).into_iter().map(table).collect()
+    groups(report).iter().map(table).collect()
+}
+
+/// Column headings: `traj1`, `traj2` where the names of runs differ in a final number alone, else the names.
+fn headings(names: &[&str]) -> Vec<String> {
+    let parts: Option<Vec<(&str, &str)>> = names.iter().map(|name| name.rsplit_once('-')).collect();
+    match parts {
+        Some(parts) if parts.iter().all(|(stem, last)| *stem == parts[0].0 && last.parse::<u32>().is_ok()) => {
+            parts.iter().map(|(_, last)| format!("traj{last}")).collect()
+        }
+        _ => names.iter().map(|name| name.to_string()).collect(),
+    }
+}
+
+/// Rows of the table of the fit.
+fn fit(report: &Report) -> Vec<Value> {
+    let after = summary::band(report);
+    let fit = &report.identify;
+    let judged = if after.is_empty() { "RMS / Nm".to_string() } else { format!("RMS / Nm, {after}") };
+    let mut rows = vec![(judged, &fit.rms)];
+    match report.band {
+        Band::Raw => rows.push(("RMS / Nm, filtered mean period".to_string(), &fit.rms_filtered)),
+        Band::Filtered { .. } => rows.push(("RMS / Nm, raw samples".to_string(), &fit.rms_raw)),
+    }
+    rows.push(("noise floor / Nm, raw samples".to_string(), &report.noise_floor));
+    let row =
+        |(what, values): (String, &Vec<f64>)| context! { what, cells => cells(values), mean => number(mean(values)) };
+    rows.into_iter().filter(|(_, values)| !values.is_empty()).map(row).collect()
+}
+
+fn counter(report: &Report) -> Option<Value> {
+    let of = report.counter_experiment.as_ref()?;
+    let change = |(forced, general): (&f64, &f64)| {
+        let percent = 100.0 * (forced - general) / general;
+        if percent.abs() < 0.05 { "0.0 %".to_string() } else { format!("{percent:+.1} %") }
+    };
+    Some(context! {
+        sentence => summary::counter(of),
+        refusal => &of.refusal,
+        place => &of.refused_in.name,
+        forced_name => format!("{} of {} parameters, forced", of.kind, of.count),
+        general_name => format!("{} of {} parameters", report.base.kind, report.base.count),
+        forced => cells(&of.forced_rms),
+        general => cells(&of.general_rms),
+        changes => of.forced_rms.iter().zip(&of.general_rms).map(change).collect::<Vec<_>>(),
+    })
 }
 
 fn parameters(report: &Report) -> Vec<Value> {
@@ -125,7 +230,7 @@ fn parameters(report: &Report) -> Vec<Value> {
 fn runs(figures: &Figures) -> Vec<Value> {
     let run = |figure: &super::figures::TorqueFigure| {
         let plots: Vec<_> = (0..figure.measured.len()).map(|j| safe(plot::torque(figure, j))).collect();
-        context! { title => &figure.title, plots, band => !figure.noise.is_empty() }
+        context! { title => &figure.title, plots, band => !figure.noise.is_empty(), raw => !figure.raw.is_empty() }
     };
     figures.runs.iter().map(run).collect()
 }
@@ -134,19 +239,45 @@ fn plan(figures: &Figures) -> Option<Value> {
     let plan = figures.plan.as_ref()?;
     Some(context! {
         joints => plan.q.len(),
+        workspace => plan.workspace.is_some(),
         positions => safe(plot::positions(plan)),
         side => safe(plot::path(plan, [0, 2], ["x / m", "z / m"])),
         top => safe(plot::path(plan, [0, 1], ["x / m", "y / m"])),
     })
 }
 
-fn quantiles(report: &Report) -> Vec<Value> {
-    let Some(cycle) = &report.cycle else { return Vec::new() };
-    let row = |(what, q): (&str, Option<super::Quantiles>)| {
-        let q = q?;
-        Some(
-            context! { what, p50 => digits(q.p50), p99 => digits(q.p99), p999 => digits(q.p999), max => digits(q.max) },
-        )
+fn sessions(report: &Report) -> Vec<Value> {
+    let known = |count: Option<u64>| count.map_or("-".to_string(), |count| count.to_string());
+    let row = |s: &super::SessionFacts| {
+        context! {
+            name => &s.name, cycles => s.cycles, elapsed => s.elapsed, lost => s.lost, longest => s.longest_lost,
+            late => known(s.late), records => s.records_lost, allocations => known(s.allocations), end => &s.end,
+        }
     };
-    [("wake-up latency", cycle.wake_us), ("work time", cycle.work_us)].into_iter().filter_map(row).collect()
+    report.sessions.iter().map(row).collect()
+}
+
+/// Every duration that was measured, with its name; of the whole loop where the report has no sessions.
+fn durations_of(report: &Report) -> Vec<(String, Quantiles)> {
+    let named = |what: &str, session: &str, q: Option<Quantiles>| {
+        let name = if session.is_empty() { what.to_string() } else { format!("{what}, {session}") };
+        q.map(|q| (name, q))
+    };
+    let mut rows = Vec::new();
+    for s in &report.sessions {
+        let times = [("wake-up", s.wake_us), ("work", s.work_us), ("period", s.period_us), ("bridge", s.bridge_us)];
+        rows.extend(times.into_iter().filter_map(|(what, q)| named(what, &s.name, q)));
+    }
+    if let (true, Some(cycle)) = (rows.is_empty(), &report.cycle) {
+        let times = [("wake-up", cycle.wake_us), ("work", cycle.work_us)];
+        rows.extend(times.into_iter().filter_map(|(what, q)| named(what, "", q)));
+    }
+    rows
+}
+
+fn durations(report: &Report) -> Vec<Value> {
+    let row = |(what, q): (String, Quantiles)| {
+        context! { what, p50 => digits(q.p50), p99 => digits(q.p99), p999 => digits(q.p999), max => digits(q.max) }
+    };
+    durations_of(report).into_iter().map(row).collect()
 }

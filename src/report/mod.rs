@@ -6,11 +6,12 @@ pub mod figures;
 mod html;
 mod plot;
 mod summary;
+mod timing;
 
 pub use figures::Figures;
+pub use timing::{IpcFacts, LoopFacts, Quantiles, SessionFacts};
 
 use crate::atomic;
-use crate::ipc::Session;
 use crate::model::gravity::Mounting;
 use crate::model::torque::Parameter;
 use serde::{Deserialize, Serialize};
@@ -36,7 +37,8 @@ pub struct Report {
     /// The usual vertical set, tried where it does not hold.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub counter_experiment: Option<CounterExperiment>,
-    /// Noise of the measured torque, from the scatter between repetitions \[Nm\].
+    /// Noise of one raw sample of the measured torque, from the scatter between repetitions \[Nm\]; empty where no motion repeats. It
+    /// is the least that `rms_raw` can be, whatever the band.
     pub noise_floor: Vec<f64>,
     /// What this data can't say.
     pub identifiability: Identifiability,
@@ -48,7 +50,7 @@ pub struct Report {
     pub cycle: Option<LoopFacts>,
     /// The same for each connection to the arm.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub sessions: Vec<Session>,
+    pub sessions: Vec<SessionFacts>,
     /// What went through shared memory; absent for recorded data.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ipc: Option<IpcFacts>,
@@ -122,7 +124,7 @@ pub struct ParameterFacts {
 
 /// What errors are taken of.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Band {
     /// Raw torque samples, noise and all: as in the paper's Tables IV and V.
     #[default]
@@ -158,6 +160,9 @@ pub struct CounterExperiment {
 pub struct Fit {
     /// RMS of measured minus modelled torque in the report's band, per joint \[Nm\].
     pub rms: Vec<f64>,
+    /// RMS of raw samples \[Nm\].
+    #[serde(default)]
+    pub rms_raw: Vec<f64>,
     /// RMS after the low-pass \[Nm\].
     #[serde(default)]
     pub rms_filtered: Vec<f64>,
@@ -201,58 +206,6 @@ pub struct Condition {
     pub with_friction: f64,
     /// Of the rigid-body columns alone.
     pub without_friction: f64,
-}
-
-/// How the real-time loop did.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct LoopFacts {
-    /// `fast` or `wall-clock`.
-    pub pace: String,
-    /// Cycles run.
-    pub cycles: u64,
-    /// Cycles that came late.
-    pub late: u64,
-    /// States that the arm sent and the loop never saw.
-    pub lost: u64,
-    /// Records that found no room.
-    pub records_lost: u64,
-    /// Heap allocations inside cycles.
-    pub allocations: u64,
-    /// Lateness of wake-ups \[us\]; absent where simulated time doesn't follow the clock.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub wake_us: Option<Quantiles>,
-    /// Time from state read to command written \[us\].
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub work_us: Option<Quantiles>,
-    /// What the machine granted and refused, as text.
-    #[serde(default)]
-    pub realtime: Vec<String>,
-}
-
-/// A distribution in four numbers.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Quantiles {
-    /// Median.
-    pub p50: f64,
-    /// 99 of 100 are below.
-    pub p99: f64,
-    /// 999 of 1000 are below.
-    pub p999: f64,
-    /// Largest.
-    pub max: f64,
-}
-
-/// What went through shared memory.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct IpcFacts {
-    /// Samples that the daemon published.
-    pub sent: u64,
-    /// Samples that the estimator has, each once.
-    pub received: u64,
-    /// Of those, samples that had to be asked for again.
-    pub replayed: u64,
-    /// Samples that the estimator never got.
-    pub missed: u64,
 }
 
 impl Report {

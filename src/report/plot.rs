@@ -3,7 +3,8 @@
 //! Colours are names in disguise: each is drawn in one fixed tint, which the page's style sheet maps to a colour that suits light and
 //! dark (`report.html`, "plot colours").
 
-use super::figures::{Bin, PlanFigure, TorqueFigure, thin};
+use super::Quantiles;
+use super::figures::{PlanFigure, TorqueFigure, thin};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
@@ -18,8 +19,10 @@ const MODELLED: RGBColor = RGBColor(2, 2, 2);
 const RESIDUAL: RGBColor = RGBColor(3, 3, 3);
 /// Band of the noise.
 const BAND: RGBColor = RGBColor(4, 4, 4);
-/// Edges of the noise band, over the curve that hides the band itself; bars of a histogram.
+/// Edges of the noise band, over the curve that hides the band itself; bars of quantiles.
 const EDGE: RGBColor = RGBColor(6, 6, 6);
+/// Raw measured torque, behind the filtered one.
+const RAW: RGBColor = RGBColor(7, 7, 7);
 /// Axes and grid.
 const GRID: RGBColor = RGBColor(5, 5, 5);
 /// The first of one colour per joint.
@@ -81,6 +84,8 @@ fn curves(area: &Area, of: Curves) -> Drawn {
     let Curves { t: (t0, t1), y: (low, high), y_name, x_name, y_ticks, band, lines } = of;
     let mut chart = ChartBuilder::on(area)
         .margin(6)
+        // Half of the last number of the axis.
+        .margin_right(16)
         .set_label_area_size(LabelAreaPosition::Left, 78)
         .set_label_area_size(LabelAreaPosition::Bottom, if x_name.is_empty() { 28 } else { 50 })
         .build_cartesian_2d(t0..t1, low..high)?;
@@ -117,13 +122,17 @@ pub(super) fn torque(figure: &TorqueFigure, j: usize) -> String {
     let far = residual.iter().fold(noise.unwrap_or(0.0), |far, value| far.max(value.abs())).max(1e-9) * 1.1;
     svg((820, 430), |area| {
         let (above, below) = area.split_vertically(250);
-        let both = [(thin(&figure.t, measured), MEASURED, 4), (thin(&figure.t, modelled), MODELLED, 2)];
-        let y = span(measured.iter().chain(modelled));
-        let torque = Curves { t, y, y_name: "torque / Nm", x_name: "", y_ticks: 6, band: None, lines: &both };
+        let raw = figure.raw.get(j).map_or(&[][..], Vec::as_slice);
+        let mut lines = vec![(thin(&figure.t, measured), MEASURED, 4), (thin(&figure.t, modelled), MODELLED, 2)];
+        if !raw.is_empty() {
+            lines.insert(0, (thin(&figure.t, raw), RAW, 1));
+        }
+        let y = span(measured.iter().chain(modelled).chain(raw));
+        let torque = Curves { t, y, y_name: "torque / Nm", x_name: "", y_ticks: 6, band: None, lines: &lines };
         curves(&above, torque)?;
         let left = [(thin(&figure.t, &residual), RESIDUAL, 1)];
         let (y, y_name) = ((-far, far), "residual / Nm");
-        curves(&below, Curves { t, y, y_name, x_name: "t / s", y_ticks: 4, band: noise, lines: &left })?;
+        curves(&below, Curves { t, y, y_name, x_name: "t / s", y_ticks: 5, band: noise, lines: &left })?;
         area.present()
     })
 }
@@ -185,31 +194,36 @@ pub(super) fn path(plan: &PlanFigure, axes: [usize; 2], names: [&str; 2]) -> Str
     })
 }
 
-/// A histogram with both axes logarithmic: the tail of a latency is what matters, and it is thin.
-pub(super) fn histogram(bins: &[Bin], x_name: &str) -> String {
-    let bins: Vec<Bin> = bins.iter().filter(|bin| bin.count > 0 && bin.to > 0.0).copied().collect();
-    let Some(most) = bins.iter().map(|bin| bin.count).max() else { return String::new() };
-    // A bin that starts at 0 has no place on a logarithmic axis: it is drawn one decade wide.
-    let from = |bin: &Bin| bin.from.max(bin.to / 10.0);
-    let low = bins.iter().map(from).fold(f64::MAX, f64::min);
-    let high = bins.iter().map(|bin| bin.to).fold(0.0, f64::max);
-    svg((820, 340), |area| {
+/// Distributions of durations, one bar each on a logarithmic axis: from the median to the 99th percentile thick, on to the largest
+/// thin, with a dot at p50, p99, p99.9 and the largest. The tail of a latency is what matters.
+pub(super) fn quantiles(rows: &[(String, Quantiles)]) -> String {
+    // Below a tenth of a microsecond no clock tells durations apart.
+    let at = |us: f64| us.max(0.1);
+    let marks = |q: &Quantiles| [q.p50, q.p99, q.p999, q.max].map(at);
+    let all: Vec<f64> = rows.iter().flat_map(|(_, q)| marks(q)).filter(|us| us.is_finite()).collect();
+    let (Some(low), Some(high)) = (all.iter().copied().reduce(f64::min), all.iter().copied().reduce(f64::max)) else {
+        return String::new();
+    };
+    let count = rows.len();
+    svg((1140, 70 + 34 * count as u32), |area| {
         let mut chart = ChartBuilder::on(&area)
             .margin(6)
-            .set_label_area_size(LabelAreaPosition::Left, 78)
-            .set_label_area_size(LabelAreaPosition::Bottom, 50)
-            .build_cartesian_2d((low..high * 1.05).log_scale(), (0.5..most as f64 * 2.0).log_scale())?;
+            .set_label_area_size(LabelAreaPosition::Left, 240)
+            .set_label_area_size(LabelAreaPosition::Bottom, 54)
+            .build_cartesian_2d((low / 1.5..high * 1.5).log_scale(), 0.0..count as f64)?;
         let mut mesh = chart.configure_mesh();
         mesh.light_line_style(TRANSPARENT).bold_line_style(GRID.stroke_width(1)).axis_style(GRID.stroke_width(1));
-        mesh.axis_desc_style(TEXT)
-            .label_style(TEXT)
-            .x_label_formatter(&tick)
-            .y_label_formatter(&tick)
-            .x_desc(x_name)
-            .y_desc("cycles");
-        mesh.draw()?;
-        let bar = |bin: &Bin| Rectangle::new([(from(bin), 0.5), (bin.to, bin.count as f64)], EDGE.filled());
-        chart.draw_series(bins.iter().map(bar))?;
+        mesh.axis_desc_style(TEXT).label_style(TEXT).x_label_formatter(&tick).x_desc("us").disable_y_mesh();
+        mesh.y_labels(0).draw()?;
+        for (k, (name, q)) in rows.iter().enumerate() {
+            let y = (count - 1 - k) as f64 + 0.5;
+            let [p50, p99, _, max] = marks(q);
+            chart.draw_series([Rectangle::new([(p50, y - 0.14), (p99, y + 0.14)], EDGE.filled())])?;
+            chart.draw_series(LineSeries::new([(p50, y), (max, y)], EDGE.stroke_width(2)))?;
+            chart.draw_series(marks(q).map(|us| Circle::new((us, y), 4, MEASURED.filled())))?;
+            let (_, row) = chart.backend_coord(&(p50, y));
+            area.draw(&Text::new(name.clone(), (8, row - 6), TEXT))?;
+        }
         area.present()
     })
 }

@@ -1,6 +1,9 @@
 //! The few lines that say how a job went.
 
-use super::{Report, Validation};
+use super::{Band, CounterExperiment, LoopFacts, Report, Validation};
+
+/// Share by which an RMS has to differ before one calls it changed. The scatter of an RMS over ten thousand samples is below 1 %.
+const CHANGED: f64 = 0.05;
 
 /// Runs of one mounting, in the order of the report.
 pub(super) struct Group<'r> {
@@ -21,15 +24,44 @@ pub(super) fn groups(report: &Report) -> Vec<Group<'_>> {
 }
 
 impl Group<'_> {
-    /// Mean over the runs, per joint.
+    /// Mean over the runs, per joint, in the report's band.
     pub fn per_joint(&self) -> Vec<f64> {
-        let n = self.runs.first().map_or(0, |run| run.rms.len());
-        (0..n).map(|j| mean(&self.runs.iter().filter_map(|run| run.rms.get(j).copied()).collect::<Vec<_>>())).collect()
+        self.mean_of(|run| Some(&run.rms))
+    }
+
+    /// The same of raw samples; empty where the report does not have them.
+    pub fn raw(&self) -> Vec<f64> {
+        self.mean_of(|run| Some(&run.rms_raw))
+    }
+
+    /// The same of the feed-forward that was served; empty where none was.
+    pub fn served(&self) -> Vec<f64> {
+        self.mean_of(|run| run.served_rms.as_ref())
+    }
+
+    fn mean_of<'r>(&'r self, of: impl Fn(&'r Validation) -> Option<&'r Vec<f64>>) -> Vec<f64> {
+        let runs: Vec<&Vec<f64>> = self.runs.iter().filter_map(|run| of(run)).collect();
+        let n = runs.iter().map(|rms| rms.len()).max().unwrap_or(0);
+        (0..n).map(|j| mean(&runs.iter().filter_map(|rms| rms.get(j).copied()).collect::<Vec<_>>())).collect()
     }
 }
 
 pub(super) fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len().max(1) as f64
+}
+
+/// What errors are taken of, to follow "RMS": empty for raw samples.
+pub(super) fn band(report: &Report) -> String {
+    match report.band {
+        Band::Raw => String::new(),
+        Band::Filtered { cutoff } => format!("after a {} Hz zero-phase low-pass", digits(cutoff)),
+    }
+}
+
+/// How raw errors compare with the noise floor, in words; `None` where there is no floor.
+pub(super) fn against_floor(report: &Report, raw: &[f64]) -> Option<String> {
+    let floor = mean(&report.noise_floor);
+    (floor > 0.0 && !raw.is_empty()).then(|| format!("{:.2} of the noise floor", mean(raw) / floor))
 }
 
 pub(super) fn lines(report: &Report) -> Vec<String> {
@@ -41,30 +73,9 @@ pub(super) fn lines(report: &Report) -> Vec<String> {
         };
         lines.push(format!("condition number: {}", report.conditions.iter().map(one).collect::<Vec<_>>().join(", ")));
     }
-    let floor = mean(&report.noise_floor);
-    let against = |rms: &[f64]| {
-        if report.noise_floor.is_empty() || floor == 0.0 {
-            return String::new();
-        }
-        format!(", {:.2} of the noise floor", mean(rms) / floor)
-    };
-    let row = |values: &[f64]| values.iter().map(|value| format!("{value:.3}")).collect::<Vec<_>>().join(" ");
-    if !report.noise_floor.is_empty() {
-        lines.push(format!("noise floor [Nm]: {} | mean {floor:.3}", row(&report.noise_floor)));
-    }
-    for group in groups(report) {
-        let rms = group.per_joint();
-        let (name, count) = (group.mounting, group.runs.len());
-        let runs = if count == 1 { "run" } else { "runs" };
-        let relative = against(&rms);
-        lines.push(format!("RMS {name} [Nm], {count} unseen {runs}: {} | mean {:.3}{relative}", row(&rms), mean(&rms)));
-    }
-    if let Some(cycle) = &report.cycle {
-        lines.push(format!(
-            "loop ({}): {} cycles, {} late, {} lost, {} allocations",
-            cycle.pace, cycle.cycles, cycle.late, cycle.lost, cycle.allocations
-        ));
-    }
+    errors(report, &mut lines);
+    lines.extend(report.counter_experiment.as_ref().map(|of| format!("counter-experiment: {}", counter(of))));
+    lines.extend(report.cycle.as_ref().map(cycle));
     if let Some(ipc) = &report.ipc {
         let verdict = if ipc.sent == ipc.received { "none missing" } else { "NOT EQUAL" };
         lines.push(format!("samples: {} sent, {} received, {verdict}", ipc.sent, ipc.received));
@@ -76,7 +87,93 @@ pub(super) fn lines(report: &Report) -> Vec<String> {
     if !report.identifiability.untrusted_runs.is_empty() {
         lines.push(format!("runs that the model can't vouch for: {}", names(&report.identifiability.untrusted_runs)));
     }
+    lines.extend(report.notes.iter().map(|note| format!("note: {note}")));
     lines
+}
+
+/// Noise floor, and the errors of every mounting against it.
+fn errors(report: &Report, lines: &mut Vec<String>) {
+    let row = |values: &[f64]| {
+        let each = values.iter().map(|value| format!("{value:.3}")).collect::<Vec<_>>().join(" ");
+        format!("{each} | mean {:.3}", mean(values))
+    };
+    let against = |raw: &[f64]| against_floor(report, raw).map_or(String::new(), |text| format!(", {text}"));
+    if !report.noise_floor.is_empty() {
+        lines.push(format!("noise floor [Nm]: {}", row(&report.noise_floor)));
+    } else if !report.validate.is_empty() {
+        lines.push("noise floor: unknown, because no motion of this data repeats".to_string());
+    }
+    let filtered = band(report);
+    let after = if filtered.is_empty() { String::new() } else { format!(" {filtered}") };
+    if !report.identify.rms.is_empty() {
+        let (rms, raw) = (&report.identify.rms, &report.identify.rms_raw);
+        let relative = if filtered.is_empty() { against(raw) } else { String::new() };
+        lines.push(format!("RMS of the fit [Nm]{after}: {}{relative}", row(rms)));
+    }
+    for group in groups(report) {
+        let (name, count) = (group.mounting, group.runs.len());
+        let runs = if count == 1 { "run" } else { "runs" };
+        let (rms, raw, served) = (group.per_joint(), group.raw(), group.served());
+        let relative = if filtered.is_empty() { against(&raw) } else { String::new() };
+        lines.push(format!("RMS {name} [Nm]{after}, {count} unseen {runs}: {}{relative}", row(&rms)));
+        if !filtered.is_empty() && !raw.is_empty() {
+            lines.push(format!("RMS {name} [Nm], raw samples: {}{}", row(&raw), against(&raw)));
+        }
+        if !served.is_empty() {
+            lines.push(format!("RMS {name} [Nm], served feed-forward: {}{}", row(&served), against(&served)));
+        }
+    }
+}
+
+/// What the vertical set does where it does not hold, in one sentence. Joints whose error changes stand with their figures.
+pub(super) fn counter(of: &CounterExperiment) -> String {
+    let place = &of.refused_in.name;
+    let change = |forced: f64, general: f64| (forced - general) / general.max(f64::MIN_POSITIVE);
+    let (mut changed, mut most) = (Vec::new(), 0.0f64);
+    let mut others = 0;
+    for (j, (&forced, &general)) in of.forced_rms.iter().zip(&of.general_rms).enumerate() {
+        let share = change(forced, general);
+        if share.abs() > CHANGED {
+            changed.push(format!("{forced:.3} Nm in joint {} (generalized set {general:.3})", j + 1));
+        } else {
+            most = most.max(share.abs());
+            others += 1;
+        }
+    }
+    let rest = format!("changes by at most {:.2} %", 100.0 * most);
+    let outcome = match (changed.is_empty(), others) {
+        (true, _) => format!("{rest} in any joint"),
+        (false, 0) => format!("is {}", changed.join(", ")),
+        (false, _) => format!("is {} and {rest} in the others", changed.join(", ")),
+    };
+    format!(
+        "the vertical set ({} parameters, identified {}) is refused in mounting {place}; forced, its RMS there \
+         {outcome}",
+        of.count, of.identified_in.name
+    )
+}
+
+/// How the loop ran. Nothing is late where no clock paces it.
+pub(super) fn cycle(cycle: &LoopFacts) -> String {
+    let mut parts = vec![format!("{} cycles", cycle.cycles)];
+    parts.extend(cycle.late.map(|late| format!("{late} late")));
+    parts.push(format!("{} lost", cycle.lost));
+    if cycle.records_lost > 0 {
+        parts.push(format!("{} records lost", cycle.records_lost));
+    }
+    parts.push(cycle.allocations.map_or("allocations not watched".into(), |count| format!("{count} allocations")));
+    for (what, quantiles) in [("wake-up", cycle.wake_us), ("work", cycle.work_us)] {
+        let three = |q: super::Quantiles| {
+            format!("{what} p50 {} p99 {} max {} us", digits(q.p50), digits(q.p99), digits(q.max))
+        };
+        parts.extend(quantiles.map(three));
+    }
+    format!("loop ({}): {}", pace(cycle), parts.join(", "))
+}
+
+/// The pace in words.
+pub(super) fn pace(cycle: &LoopFacts) -> &str {
+    if cycle.pace == "fast" { "simulated time, as fast as possible" } else { &cycle.pace }
 }
 
 /// About three significant digits.
@@ -87,6 +184,7 @@ pub(super) fn digits(value: f64) -> String {
     match value.abs() {
         0.0 => "0".to_string(),
         size if !(1e-4..1e6).contains(&size) => format!("{value:.2e}"),
+        size if value.fract() == 0.0 && size >= 1.0 => format!("{value:.0}"),
         size => {
             let decimals = (2 - size.log10().floor() as i32).clamp(0, 6) as usize;
             format!("{value:.decimals$}")
