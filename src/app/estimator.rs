@@ -35,7 +35,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let results = Results::new(&job, &robot, &programme, &out);
         match follow(&id, &mut stream, &programme, results)? {
             Outcome::Written if options.once => return Ok(()),
-            Outcome::Written => while !matches!(stream.next(STEP).map_err(Failure::job)?, Delivery::Restarted { .. }) {},
+            Outcome::Written => {
+                while !matches!(stream.next(STEP).map_err(Failure::job)?, Delivery::Restarted { .. }) {}
+            }
             Outcome::DaemonGone if options.once => return Err(Failure::job("the daemon is gone; its samples with it")),
             Outcome::DaemonGone => {}
         }

@@ -99,9 +99,11 @@ pub fn run(options: Options) -> Result<(), Failure> {
         model: identified.model,
         provenance,
     };
-    std::fs::create_dir_all(&options.out).map_err(|error| Failure::job(format!("{}: {error}", options.out.display())))?;
+    std::fs::create_dir_all(&options.out)
+        .map_err(|error| Failure::job(format!("{}: {error}", options.out.display())))?;
     super::write(&options.out.join("model.toml"), model.to_toml().as_bytes())?;
-    let figures = Figures { runs: judged.into_iter().map(|(_, judged)| judged.figure).take(2).collect(), ..Figures::default() };
+    let figures =
+        Figures { runs: judged.into_iter().map(|(_, judged)| judged.figure).take(2).collect(), ..Figures::default() };
     report.write(&options.out, &figures).map_err(Failure::job)?;
     for line in report.summary() {
         println!("{line}");
@@ -112,9 +114,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
 
 fn settings(options: &Options) -> Result<Settings, Failure> {
     let mut settings = Settings::default();
-    for (name, given) in
-        [("--torque-cutoff", options.torque_cutoff), ("--position-cutoff", options.position_cutoff)]
-    {
+    for (name, given) in [("--torque-cutoff", options.torque_cutoff), ("--position-cutoff", options.position_cutoff)] {
         if let Some(value) = given
             && !(0.01..=500.0).contains(&value)
         {
@@ -156,8 +156,7 @@ fn split(dataset: &Dataset) -> Result<(Vec<Run>, Vec<Run>, Vec<String>), Failure
     if let Some(other) = identify.iter().find(|run| run.mounting.angle_to(&first.mounting) > SAME_MOUNTING) {
         notes.push(format!(
             "the parameters are identified from several mountings at once: {} and {}",
-            first.mounting,
-            other.mounting
+            first.mounting, other.mounting
         ));
     }
     if !validate.is_empty() {

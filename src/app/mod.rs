@@ -18,7 +18,6 @@ mod torque;
 
 pub use failure::Failure;
 
-use clap::{Args, Parser, Subcommand};
 use crate::backend::sim::Truth;
 use crate::config::job::Job;
 use crate::config::robot::Robot;
@@ -30,6 +29,7 @@ use crate::model::conditioning::Conditions;
 use crate::model::gravity::Mounting;
 use crate::model::structure::Structure;
 use crate::report::Condition;
+use clap::{Args, Parser, Subcommand};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -161,7 +161,9 @@ fn rest(job: &Job, robot: &Robot) -> Result<JointVec, Failure> {
     };
     let key = "key `backend.start`";
     if start.len() != n {
-        return Err(BadInput::new(file, key, format!("{} positions", start.len()), format!("{n}, one per joint")).into());
+        return Err(
+            BadInput::new(file, key, format!("{} positions", start.len()), format!("{n}, one per joint")).into()
+        );
     }
     let limits = job.guard_limits(&robot.limits, n)?;
     for (j, &q) in start.iter().enumerate() {

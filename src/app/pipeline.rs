@@ -73,8 +73,7 @@ pub fn identify(robot: &Robot, runs: &[&Run], terms: &[&str], settings: &Setting
             mountings.push(run.mounting);
         }
     }
-    let model =
-        TorqueModel::new(&robot.name, structure, mountings, &identification.values()).map_err(Failure::job)?;
+    let model = TorqueModel::new(&robot.name, structure, mountings, &identification.values()).map_err(Failure::job)?;
     Ok(Identified { model, identification })
 }
 
@@ -97,11 +96,7 @@ pub fn judge(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Judg
 }
 
 /// Torques of a model at every sample of a recorded motion, N x n \[Nm\], and the errors where the motion has measured torques.
-pub fn predict(
-    model: &TorqueModel,
-    run: &Run,
-    settings: &Settings,
-) -> Result<(DMatrix<f64>, Option<Rms>), Failure> {
+pub fn predict(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<(DMatrix<f64>, Option<Rms>), Failure> {
     let measured = run.tau.ncols() > 0;
     // Every sample is wanted, not the mean period.
     let mut whole = Run { period: None, ..run.clone() };

@@ -116,7 +116,8 @@ pub fn best(
     }
     let search = search(job, job.excitation.evaluations, seed);
     let task = Task::of(job, robot, mounting)?;
-    task.best(&search, &mut |share, _| progress(share)).map_err(|error| infeasible(&job.file.display().to_string(), &error))
+    task.best(&search, &mut |share, _| progress(share))
+        .map_err(|error| infeasible(&job.file.display().to_string(), &error))
 }
 
 /// A random motion to judge the model by.
@@ -128,9 +129,8 @@ pub fn random(
     progress: &mut dyn FnMut(f64),
 ) -> Result<Plan, Failure> {
     let task = Task::of(job, robot, mounting)?;
-    let plan = task
-        .random(&search(job, 1, seed))
-        .map_err(|error| infeasible(&job.file.display().to_string(), &error))?;
+    let plan =
+        task.random(&search(job, 1, seed)).map_err(|error| infeasible(&job.file.display().to_string(), &error))?;
     progress(1.0);
     Ok(plan)
 }

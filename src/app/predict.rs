@@ -60,7 +60,11 @@ pub fn run(options: Options) -> Result<(), Failure> {
     super::write(&options.out, text.as_bytes())?;
     if let Some(rms) = rms {
         let list = |values: &[f64]| values.iter().map(|value| format!("{value:.3}")).collect::<Vec<_>>().join(" ");
-        println!("RMS of measured minus predicted torque [Nm]: raw {} | filtered {}", list(&rms.raw), list(&rms.filtered));
+        println!(
+            "RMS of measured minus predicted torque [Nm]: raw {} | filtered {}",
+            list(&rms.raw),
+            list(&rms.filtered)
+        );
     }
     println!("{}: {} samples", options.out.display(), run.samples());
     Ok(())

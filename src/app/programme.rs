@@ -124,7 +124,8 @@ fn file(dir: &Path, name: &str) -> std::path::PathBuf {
 
 /// A name that is safe in a file name: `rho = 60 deg, phi = 0 deg` becomes `rho-60-deg-phi-0-deg`.
 fn slug(name: &str) -> String {
-    let words: Vec<&str> = name.split(|c: char| !c.is_ascii_alphanumeric() && c != '.').filter(|w| !w.is_empty()).collect();
+    let words: Vec<&str> =
+        name.split(|c: char| !c.is_ascii_alphanumeric() && c != '.').filter(|w| !w.is_empty()).collect();
     words.join("-")
 }
 

@@ -11,7 +11,8 @@ pub struct Bar(ProgressBar);
 /// A bar with a title; nothing is drawn when standard error is not a terminal.
 pub fn bar(title: &'static str) -> Bar {
     let bar = ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::stderr());
-    let style = ProgressStyle::with_template("{prefix:12} {wide_bar} {percent:>3} %  {msg}").expect("constant template");
+    let style =
+        ProgressStyle::with_template("{prefix:12} {wide_bar} {percent:>3} %  {msg}").expect("constant template");
     bar.set_style(style);
     bar.set_prefix(title);
     Bar(bar)

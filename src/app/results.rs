@@ -111,16 +111,12 @@ impl Results {
     }
 
     /// The usual set from the vertical mounting: refused elsewhere, and forced, to show where it fails.
-    fn counter_experiment(
-        &self,
-        judged: &[(&Run, Judged)],
-    ) -> Result<Option<(CounterExperiment, ModelFile)>, Failure> {
+    fn counter_experiment(&self, judged: &[(&Run, Judged)]) -> Result<Option<(CounterExperiment, ModelFile)>, Failure> {
         let runs = self.runs(Role::Counter);
         let Some(first) = runs.first() else { return Ok(None) };
         let vertical = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings)?;
         let Err(refused) = vertical.model.valid_in(&self.job.mounting) else { return Ok(None) };
-        let here: Vec<&(&Run, Judged)> =
-            judged.iter().filter(|(run, _)| run.mounting == self.job.mounting).collect();
+        let here: Vec<&(&Run, Judged)> = judged.iter().filter(|(run, _)| run.mounting == self.job.mounting).collect();
         let mut forced = vec![0.0; self.joints()];
         let mut general = forced.clone();
         for (run, judged) in &here {
@@ -166,7 +162,12 @@ impl Results {
             robot: self.job.robot.clone(),
             mounting: self.job.mounting,
             source,
-            runs: self.recorded.iter().filter(|recorded| recorded.role != Role::Counter).map(|recorded| recorded.run.clone()).collect(),
+            runs: self
+                .recorded
+                .iter()
+                .filter(|recorded| recorded.role != Role::Counter)
+                .map(|recorded| recorded.run.clone())
+                .collect(),
         }
     }
 
@@ -218,8 +219,7 @@ impl Results {
     fn plan_figure(&self, motion: &Motion) -> PlanFigure {
         let n = self.joints();
         let t: Vec<f64> = (0..500).map(|k| k as f64 * motion.plan.period / 499.0).collect();
-        let q: Vec<Vec<f64>> =
-            (0..n).map(|j| t.iter().map(|&t| motion.fourier.at(j, t).q).collect()).collect();
+        let q: Vec<Vec<f64>> = (0..n).map(|j| t.iter().map(|&t| motion.fourier.at(j, t).q).collect()).collect();
         let end_effector = (0..t.len())
             .map(|k| self.robot.chain.end_effector(&q.iter().map(|q| q[k]).collect::<Vec<_>>()).into())
             .collect();
@@ -245,7 +245,11 @@ fn validation(run: &Run, judged: &Judged) -> Validation {
 }
 
 /// The report of an identification, before anything was validated.
-pub fn report_of(identified: &Identified, mounting: crate::model::gravity::Mounting, provenance: &Provenance) -> Report {
+pub fn report_of(
+    identified: &Identified,
+    mounting: crate::model::gravity::Mounting,
+    provenance: &Provenance,
+) -> Report {
     let identification = &identified.identification;
     let mut facts = serde_json::Map::new();
     for (name, value) in

@@ -89,15 +89,15 @@ fn drive(
                     tracing::warn!("the estimator was killed ({ended}); a new one goes on from what the daemon kept");
                     estimator = Process::start("estimator", job, out, &["--once"])?;
                 }
+                Some(_) if status(id).is_ok_and(|now| now.progress == Progress::Stopped) => {
+                    return Err(Failure::job("the arm was stopped, so there are no results"));
+                }
                 Some(ended) => return Err(Failure::job(format!("the estimator ended: {ended}"))),
                 None => {}
             }
             // A daemon that is busy for a moment is no reason to give up; one that is gone is seen above.
             if let Ok(now) = status(id) {
                 bar.at(now.cycles as f64 / (1.3 * ticks as f64), &now.job);
-                if now.progress == Progress::Stopped && estimator.ended()?.is_some() {
-                    return Err(Failure::job("the arm was stopped"));
-                }
             }
         }
         bar.done();

@@ -266,9 +266,14 @@ mod tests {
     #[test]
     fn requests_and_responses_come_back_as_they_were() {
         let toml = "name = \"a\"\n# \u{3c1}\n".to_string();
-        for request in
-            [Request::Status {}, Request::Start {}, Request::Stop {}, Request::Resume {}, Request::Quit {}, Request::OfferModel { toml }]
-        {
+        for request in [
+            Request::Status {},
+            Request::Start {},
+            Request::Stop {},
+            Request::Resume {},
+            Request::Quit {},
+            Request::OfferModel { toml },
+        ] {
             let bytes = encode("request", &request, MAX_REQUEST_BYTES).unwrap();
             assert_eq!(decode::<Request>("request", &bytes, MAX_REQUEST_BYTES).unwrap(), request);
         }

@@ -5,8 +5,8 @@ use super::desk::Desk;
 use super::script::{Next, Script};
 use crate::app::Failure;
 use crate::app::served::{Reach, ServedModel};
-use crate::backend::sim::{Gate, Pace, SimArm};
 use crate::backend::Clock;
+use crate::backend::sim::{Gate, Pace, SimArm};
 use crate::config::job;
 use crate::ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
 use crate::joint::{MAX_JOINTS, Record};
@@ -63,12 +63,7 @@ pub struct Session {
 
 impl Session {
     /// Connects to the arm in `mounting` and starts the loop. The loop asks for real-time rights when the arm keeps wall-clock time.
-    pub fn open(
-        desk: &Desk,
-        name: String,
-        mounting: Mounting,
-        script: Script,
-    ) -> Result<Session, Failure> {
+    pub fn open(desk: &Desk, name: String, mounting: Mounting, script: Script) -> Result<Session, Failure> {
         let (job, robot) = (&desk.job, &desk.robot);
         let gate = (job.backend.pace == job::Pace::Fast).then(|| Arc::new(Gate::new(RING as u64 / 2)));
         let pace = gate.clone().map_or_else(|| Pace::WallClock(Box::new(Monotonic)), Pace::Fast);
@@ -206,13 +201,8 @@ impl Session {
     fn statistics(&self, outcome: &Outcome) -> SessionStatistics {
         let summary = &outcome.summary;
         let at = |quantile| self.bridged.value_at_quantile(quantile);
-        let bridge = Times {
-            count: self.bridged.len(),
-            p50: at(0.5),
-            p99: at(0.99),
-            p999: at(0.999),
-            max: self.bridged.max(),
-        };
+        let bridge =
+            Times { count: self.bridged.len(), p50: at(0.5), p99: at(0.99), p999: at(0.999), max: self.bridged.max() };
         SessionStatistics {
             name: self.name.clone(),
             elapsed: summary.elapsed,
