@@ -60,10 +60,13 @@ fn one_command_identifies_serves_and_validates() {
 fn says_what_it_promises(done: &Done, place: &Place) {
     let lines: Vec<&str> = done.out.lines().collect();
     assert!(lines[0].starts_with("panda, mounting wall: 59 parameters (GBS)"), "{}", done.said());
-    for begin in ["condition number: raw ", "noise floor [Nm]: ", "RMS wall [Nm], 2 unseen runs: ", "RMS upright [Nm], 2 "] {
+    for begin in
+        ["condition number: raw ", "noise floor [Nm]: ", "RMS wall [Nm], 2 unseen runs: ", "RMS upright [Nm], 2 "]
+    {
         assert!(lines.iter().any(|line| line.starts_with(begin)), "no `{begin}` in {}", done.said());
     }
-    let cycles = lines.iter().find(|line| line.starts_with("loop (fast): ")).unwrap_or_else(|| panic!("{}", done.said()));
+    let cycles =
+        lines.iter().find(|line| line.starts_with("loop (fast): ")).unwrap_or_else(|| panic!("{}", done.said()));
     assert!(cycles.ends_with("cycles, 0 late, 0 lost, 0 allocations"), "{cycles}");
     let samples = lines.iter().find(|line| line.starts_with("samples: ")).unwrap_or_else(|| panic!("{}", done.said()));
     assert!(samples.ends_with("none missing"), "{samples}");
@@ -106,7 +109,12 @@ fn served_what_it_identified(report: &Report) {
         // Served along the desired motion, judged along the measured one: they differ by the tracking error of a fast motion.
         let served = run.served_rms.as_ref().unwrap_or_else(|| panic!("nothing was served in {}", run.run));
         for (j, (served, judged)) in served.iter().zip(&run.rms).enumerate() {
-            assert!((0.9..1.5).contains(&(served / judged)), "{}, joint {}: served {served}, judged {judged}", run.run, j + 1);
+            assert!(
+                (0.9..1.5).contains(&(served / judged)),
+                "{}, joint {}: served {served}, judged {judged}",
+                run.run,
+                j + 1
+            );
         }
         assert!((0.95..1.25).contains(&(mean(served) / mean(&run.rms))), "{}: {served:?} {:?}", run.run, run.rms);
     }

@@ -31,7 +31,8 @@ impl Left {
     fn ratio(&self, done: Done) -> Vec<f64> {
         let done = done.expect_code(0);
         let raw = done.out.split("raw ").nth(1).and_then(|rest| rest.split(" |").next());
-        let rms: Vec<f64> = raw.unwrap_or_else(|| panic!("{}", done.said())).split(' ').map(|v| v.parse().unwrap()).collect();
+        let rms: Vec<f64> =
+            raw.unwrap_or_else(|| panic!("{}", done.said())).split(' ').map(|v| v.parse().unwrap()).collect();
         rms.iter().zip(torque_noise(&truth("sim-panda"))).map(|(rms, noise)| rms / noise).collect()
     }
 }

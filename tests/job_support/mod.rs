@@ -94,7 +94,11 @@ impl Place {
         while let Some(folder) = folders.pop() {
             for entry in std::fs::read_dir(folder).unwrap() {
                 let path = entry.unwrap().path();
-                if path.is_dir() { folders.push(path) } else { found.push(path.strip_prefix(self.path()).unwrap().into()) }
+                if path.is_dir() {
+                    folders.push(path)
+                } else {
+                    found.push(path.strip_prefix(self.path()).unwrap().into())
+                }
             }
         }
         found.sort();
@@ -190,7 +194,8 @@ pub fn signal(pid: u32, name: &str) {
 
 /// Children of `parent` whose first argument is `subcommand`.
 pub fn children(parent: u32, subcommand: &str) -> Vec<u32> {
-    let processes = std::fs::read_dir("/proc").unwrap().filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
+    let processes =
+        std::fs::read_dir("/proc").unwrap().filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
     let is_child = |&pid: &u32| {
         let read = |file: &str| std::fs::read_to_string(format!("/proc/{pid}/{file}")).unwrap_or_default();
         // pid (name) state ppid ...; a name may hold anything but comes before the last parenthesis.
@@ -203,7 +208,8 @@ pub fn children(parent: u32, subcommand: &str) -> Vec<u32> {
 
 /// Whether any process was started with this text in its arguments, the program's own aside.
 pub fn anyone_with(text: &str) -> Vec<u32> {
-    let processes = std::fs::read_dir("/proc").unwrap().filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
+    let processes =
+        std::fs::read_dir("/proc").unwrap().filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
     let mentions = |&pid: &u32| {
         let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
         pid != std::process::id() && line.contains(text)
@@ -248,7 +254,8 @@ pub fn true_parameters(truth: &Truth) -> Vec<(String, f64)> {
 pub fn z_scores(report: &Report, truth: &[(String, f64)]) -> Vec<(String, f64)> {
     assert_eq!(report.base.parameters.len(), truth.len());
     let z = |(name, true_value): &(String, f64)| {
-        let found = report.base.parameters.iter().find(|found| found.name == *name).unwrap_or_else(|| panic!("no {name}"));
+        let found =
+            report.base.parameters.iter().find(|found| found.name == *name).unwrap_or_else(|| panic!("no {name}"));
         (name.clone(), (found.value - true_value) / found.std.unwrap_or_else(|| panic!("{name} has no std")))
     };
     truth.iter().map(z).collect()
@@ -256,7 +263,9 @@ pub fn z_scores(report: &Report, truth: &[(String, f64)]) -> Vec<(String, f64)> 
 
 /// Noise of a raw torque sample of every joint: the sensor's noise and its step's rounding \[Nm\].
 pub fn torque_noise(truth: &Truth) -> Vec<f64> {
-    let one = |joint: &plumbline::backend::sim::truth::JointTruth| joint.torque_noise.hypot(joint.torque_quantum / 12f64.sqrt());
+    let one = |joint: &plumbline::backend::sim::truth::JointTruth| {
+        joint.torque_noise.hypot(joint.torque_quantum / 12f64.sqrt())
+    };
     truth.joints.iter().map(one).collect()
 }
 
