@@ -33,6 +33,9 @@ pub fn from_toml<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, BadIn
     let syntax = |error: toml::de::Error| {
         let line = error.span().map_or(0, |span| 1 + text[..span.start.min(text.len())].matches('\n').count());
         let found = error.span().and_then(|span| text.get(span)).unwrap_or("").lines().next().unwrap_or("").to_string();
+        // Where something is missing, the span is empty: the line itself says what stands there.
+        let whole_line = || text.lines().nth(line.saturating_sub(1)).unwrap_or("").trim().to_string();
+        let found = if found.trim().is_empty() { whole_line() } else { found };
         BadInput::new(file, format!("line {line}"), format!("`{found}`"), expectation(error.message()))
     };
     let deserializer = toml::Deserializer::parse(text).map_err(syntax)?;

@@ -1,6 +1,7 @@
 //! The Python client against a Rust daemon: the same bytes, the same rules, in another language.
 
 mod ipc_support;
+mod peers;
 
 use std::path::Path;
 use std::process::Command;
@@ -9,20 +10,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use ipc_support::*;
+use peers::interpreter;
 use plumbline::ipc::{FeedForwardMessage, RobotId, Server, ServerSettings};
-
-/// The interpreter of the peers' environment, which is made when it is missing. `None` when it can't be had and need not.
-fn interpreter() -> Option<String> {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil/peers/venv.sh");
-    let made = Command::new(script).output().expect("bash runs");
-    if made.status.success() {
-        return Some(String::from_utf8(made.stdout).unwrap().trim().to_string());
-    }
-    let why = String::from_utf8_lossy(&made.stderr).trim().to_string();
-    assert!(std::env::var("PLUMBLINE_REQUIRE_PEERS").is_err(), "no Python peers: {why}");
-    eprintln!("SKIPPED: no Python environment for peers could be made: {why}");
-    None
-}
 
 /// Runs the client and returns its standard output.
 fn torque_follow(python: &str, robot: &RobotId, options: &[&str]) -> String {

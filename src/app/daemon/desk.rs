@@ -131,12 +131,14 @@ impl Desk {
 
     /// Says what became of a follower of the samples, and stops the arm where the job wants that.
     pub fn news(&self, news: &News, controls: Option<&Controls>) {
-        if !matches!(news, News::Died { .. } | News::Silent { .. }) {
-            tracing::info!("{news}");
-            return;
-        }
         let stop = self.job.safety.on_estimator_loss == OnLoss::Stop;
-        let rule = if stop { "the arm stops" } else { "the arm goes on and the samples are kept" };
+        let rule = match (news, self.progress) {
+            (News::Died { .. } | News::Silent { .. }, Progress::Driving) if stop => "the arm stops",
+            (News::Died { .. } | News::Silent { .. }, Progress::Driving) => "the arm goes on and the samples are kept",
+            (News::Died { .. }, Progress::AwaitingModel) => "the arm waits for a model and the samples are kept",
+            // Nothing moves, so nothing is decided. An estimator that computes is silent, too.
+            _ => return tracing::info!("{news}"),
+        };
         tracing::warn!("{news}; by safety.on-estimator-loss, {rule}");
         if let (true, Progress::Driving, Some(controls)) = (stop, self.progress, controls) {
             controls.stop();

@@ -1,0 +1,17 @@
+//! The Python environment in which programs of other origin are tested against this one.
+
+use std::path::Path;
+use std::process::Command;
+
+/// The interpreter of the peers' environment, which is made when it is missing. `None` when it can't be had and need not.
+pub fn interpreter() -> Option<String> {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil/peers/venv.sh");
+    let made = Command::new(script).output().expect("bash runs");
+    if made.status.success() {
+        return Some(String::from_utf8(made.stdout).unwrap().trim().to_string());
+    }
+    let why = String::from_utf8_lossy(&made.stderr).trim().to_string();
+    assert!(std::env::var("PLUMBLINE_REQUIRE_PEERS").is_err(), "no Python peers: {why}");
+    eprintln!("SKIPPED: no Python environment for peers could be made: {why}");
+    None
+}
