@@ -6,7 +6,7 @@ use super::results::Results;
 use super::{Failure, JobOptions, robot_id};
 use crate::ipc::{Client, Delivery, Progress, Request, Response, RobotId, SampleStream, Status, StreamSettings};
 use clap::Args;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Options of `plumbline estimator`.
 #[derive(Args)]
@@ -57,6 +57,8 @@ fn follow(
     mut results: Results,
 ) -> Result<Outcome, Failure> {
     let mut collector = Collector::new(programme, results.joints());
+    let mut done: Option<Status> = None;
+    let mut looked = Instant::now();
     loop {
         match stream.next(STEP).map_err(Failure::job)? {
             Delivery::Records { records, .. } => {
@@ -71,19 +73,26 @@ fn follow(
             }
             Delivery::Restarted { .. } if stream.counters().received == 0 => {}
             Delivery::Restarted { .. } | Delivery::Gone => return Ok(Outcome::DaemonGone),
-            Delivery::Idle => {
-                let status = status(id)?;
-                match status.progress {
-                    Progress::Done if stream.position() >= status.served.published => {
-                        results.finish(&status, &stream.counters())?;
-                        return Ok(Outcome::Written);
-                    }
-                    Progress::Stopped => {
-                        return Err(Failure::job("the arm was stopped, so there are no complete results"));
-                    }
-                    _ => {}
+            Delivery::Idle => {}
+        }
+        // An arm that keeps wall-clock time goes on sending while it holds: the daemon says when everything was driven.
+        if done.is_none() && looked.elapsed() >= STEP {
+            looked = Instant::now();
+            let status = status(id)?;
+            match status.progress {
+                Progress::Done => done = Some(status),
+                Progress::Stopped => {
+                    return Err(Failure::job("the arm was stopped, so there are no complete results"));
                 }
+                _ => {}
             }
+        }
+        if let Some(status) = done.take_if(|status| stream.position() >= status.served.published) {
+            // Samples sent and received are both counted up to the end of the programme.
+            let mut counters = stream.counters();
+            counters.received -= stream.position() - status.served.published;
+            results.finish(&status, &counters)?;
+            return Ok(Outcome::Written);
         }
     }
 }
