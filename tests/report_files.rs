@@ -333,6 +333,6 @@ fn a_bare_report_is_a_page_too() {
     assert!(page.contains("panda") && !page.contains("<svg "));
     let one =
         TorqueFigure { t: vec![0.0], measured: vec![vec![f64::NAN]], modelled: vec![vec![0.0]], ..Default::default() };
-    let figures = Figures { runs: vec![one], plan: Some(PlanFigure::default()), ..Figures::default() };
+    let figures = Figures { runs: vec![one], plan: Some(PlanFigure::default()) };
     assert!(Report::default().to_html(&figures).unwrap().contains("Joint 1"));
 }

@@ -146,9 +146,12 @@ fn terms<'a>(options: &'a Options, robot: &Robot) -> Result<Vec<&'a str>, Failur
     Ok(named.iter().map(String::as_str).collect())
 }
 
-/// Runs to identify from, runs to validate with, and what the reader has to know about it. A dataset without validation runs is
+/// Runs to identify from, runs to validate with, and remarks for the reader.
+type Split = (Vec<Run>, Vec<Run>, Vec<String>);
+
+/// Parts a dataset by the roles of its runs. A dataset without validation runs is
 /// validated with the last part of its runs, which then is not used to identify.
-fn split(dataset: &Dataset) -> Result<(Vec<Run>, Vec<Run>, Vec<String>), Failure> {
+fn split(dataset: &Dataset) -> Result<Split, Failure> {
     let identify: Vec<Run> = dataset.with_role(Role::Identify).cloned().collect();
     let validate: Vec<Run> = dataset.with_role(Role::Validate).cloned().collect();
     let mut notes = Vec::new();
