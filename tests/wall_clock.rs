@@ -85,7 +85,12 @@ fn every_millisecond_is_accounted_for_and_clients_follow() {
     let report = place.report();
     assert_eq!(report.base.count, 59);
     let cycle = report.cycle.unwrap();
-    assert_eq!((cycle.pace.as_str(), cycle.records_lost, cycle.allocations), ("wall-clock", 0, Some(0)), "{}", done.said());
+    assert_eq!(
+        (cycle.pace.as_str(), cycle.records_lost, cycle.allocations),
+        ("wall-clock", 0, Some(0)),
+        "{}",
+        done.said()
+    );
     let wake = cycle.wake_us.expect("wake-ups of the loop");
     assert!(wake.p50 > 0.0 && wake.p50 <= wake.p99 && wake.p99 <= wake.p999 && wake.p999 <= wake.max, "{wake:?}");
     assert!(cycle.work_us.is_some_and(|work| work.p50 > 0.0));

@@ -54,7 +54,7 @@ pub(super) fn mean(values: &[f64]) -> f64 {
 pub(super) fn band(report: &Report) -> String {
     match report.band {
         Band::Raw => String::new(),
-        Band::Filtered { cutoff } => format!("after a {} Hz zero-phase low-pass", digits(cutoff)),
+        Band::Filtered { cutoff } => format!("after a {cutoff} Hz zero-phase low-pass"),
     }
 }
 
@@ -184,7 +184,6 @@ pub(super) fn digits(value: f64) -> String {
     match value.abs() {
         0.0 => "0".to_string(),
         size if !(1e-4..1e6).contains(&size) => format!("{value:.2e}"),
-        size if value.fract() == 0.0 && size >= 1.0 => format!("{value:.0}"),
         size => {
             let decimals = (2 - size.log10().floor() as i32).clamp(0, 6) as usize;
             format!("{value:.decimals$}")

@@ -63,6 +63,8 @@ def newest(subscriber):
     message = None
     while (sample := subscriber.receive()) is not None:
         message = FeedForwardMessage.from_buffer_copy(sample.payload().contents)
+        # Given back before the next one is borrowed: a subscriber may hold only so many.
+        del sample
     return message
 
 
