@@ -30,7 +30,7 @@ pub struct Settings {
     /// Cut-off of the zero-phase low-pass on the torques and on every column of the regressor \[Hz\].
     pub torque_cutoff: f64,
     /// Cut-off of the zero-phase low-pass on the positions before they are differentiated \[Hz\]. It must pass what the arm does when
-    /// friction changes its sign at a reversal, so it is wider than the other. Absent: 25 Hz for the mean of several periods, which
+    /// friction changes its sign at a reversal, so it is wider than the other. Absent: 20 Hz for the mean of several periods, which
     /// has little noise left, and 10 Hz for what was recorded once. At most 0.8 of half the sampling rate is used.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_cutoff: Option<f64>,
@@ -61,7 +61,7 @@ impl Default for Settings {
 /// Position cut-off for the mean of several periods \[Hz\]. A joint's controller answers a reversal of friction within its own bandwidth,
 /// some 20 Hz: a filter that takes that out of the motion biases friction and inertia against each other by several of their
 /// standard deviations. Much wider, and the noise of the accelerations shows in the errors of a few periods.
-const CUTOFF_OF_MEAN: f64 = 25.0;
+const CUTOFF_OF_MEAN: f64 = 20.0;
 /// Position cut-off for what was recorded once \[Hz\]: there the noise of wider accelerations would cost more than that bias.
 const CUTOFF_OF_ONE: f64 = 10.0;
 /// Share of half the sampling rate that the position filter may use.
