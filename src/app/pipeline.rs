@@ -7,6 +7,7 @@ use crate::estimate::experiment::{Experiment, Settings};
 use crate::estimate::run as estimate;
 use crate::estimate::validate::{Rms, validate};
 use crate::estimate::wls::{self, Identification};
+use crate::input::BadInput;
 use crate::model::base::Reduction;
 use crate::model::structure::Structure;
 use crate::model::torque::TorqueModel;
@@ -59,7 +60,8 @@ pub fn experiment(run: &Run, settings: &Settings) -> Result<Experiment, Failure>
         gravity: run.mounting.gravity(),
         period: run.period,
     };
-    Experiment::prepare(&input, settings).map_err(Failure::job)
+    let expected = "a run that is long and even enough for the filters";
+    Experiment::prepare(&input, settings).map_err(|error| BadInput::new(&run.file, "samples", error, expected).into())
 }
 
 /// Identifies a model from runs of one arm.
