@@ -73,7 +73,7 @@ fn a_killed_estimator_stops_the_arm_where_that_is_the_rule() {
     let done = run.end().expect_code(1);
     assert!(done.err.contains("by safety.on-estimator-loss, the arm stops"), "{}", done.said());
     assert!(done.err.contains("the arm is being stopped"), "{}", done.said());
-    let last = done.err.lines().filter(|line| line.starts_with("plumbline: ")).next_back().unwrap();
+    let last = done.err.lines().rfind(|line| line.starts_with("plumbline: ")).unwrap();
     assert!(last.contains("the arm was stopped"), "{}", done.said());
     assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.said());
     nobody_lingers(&place);
