@@ -161,7 +161,9 @@ impl Session {
                 }
                 Next::AwaitModel => {}
                 Next::Over => self.handles.controls.quit(),
-                Next::Aborted => desk.progress = Progress::Stopped,
+                // A stop before the programme began does not use it up.
+                Next::Aborted if desk.start => desk.progress = Progress::Stopped,
+                Next::Aborted => {}
             }
             if event == Event::Stopped {
                 self.gate.iter().for_each(|gate| gate.shut());
