@@ -2,36 +2,26 @@
 //! the estimator uses), friction, noise.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use plumbline::config::robot::Robot;
 use plumbline::estimate::experiment::{Derivative, Experiment, Settings};
 use plumbline::estimate::run::Run;
 use plumbline::estimate::validate::{torques, validate_parameters};
 use plumbline::estimate::wls::{Identification, identify};
 use plumbline::excite::fourier::Fourier;
 use plumbline::model::base::{BaseKind, Reduction};
-use plumbline::model::chain::{Chain, Joint, JointKind, Placement};
+use plumbline::model::chain::Chain;
 use plumbline::model::gravity::Mounting;
 use plumbline::model::rnea::{LinkParameters, rnea};
 use plumbline::model::structure::Structure;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use std::f64::consts::FRAC_PI_2;
 
 const N: usize = 7;
 const DT: f64 = 1e-3;
 
 fn panda() -> Chain {
-    let rows = [
-        (0.0, 0.0, 0.333),
-        (0.0, -FRAC_PI_2, 0.0),
-        (0.0, FRAC_PI_2, 0.316),
-        (0.0825, FRAC_PI_2, 0.0),
-        (-0.0825, -FRAC_PI_2, 0.384),
-        (0.0, FRAC_PI_2, 0.0),
-        (0.088, FRAC_PI_2, 0.0),
-    ];
-    let joints = rows.map(|(a, alpha, d)| Joint { kind: JointKind::Revolute, a, alpha, d, theta: 0.0 }).to_vec();
-    Chain::modified(joints, Placement::identity())
+    Robot::load("panda", None).expect("a shipped robot").chain
 }
 
 fn structure(mounting: Option<Mounting>) -> Structure {

@@ -1,5 +1,6 @@
 //! Excitation motions of a Panda on a wall: they keep every limit, repeat by seed, and say what is wrong with a start pose.
 
+use plumbline::config::robot::Robot;
 use plumbline::excite::ExciteError;
 use plumbline::excite::criterion::{evaluate, raw_condition, sampled};
 use plumbline::excite::limits::{Bounds, Margins, verify};
@@ -7,27 +8,14 @@ use plumbline::excite::plan::Plan;
 use plumbline::excite::search::{Problem, Search, optimise, random};
 use plumbline::joint::{JointVec, Limits, Workspace};
 use plumbline::model::base::Reduction;
-use plumbline::model::chain::{Chain, Joint, JointKind, Placement};
+use plumbline::model::chain::Chain;
 use plumbline::model::gravity::Mounting;
 use plumbline::model::structure::Structure;
-use std::f64::consts::FRAC_PI_2;
 
 const START: [f64; 7] = [0.0, -0.4, 0.0, -1.9, 0.0, 1.9, 0.0];
 
 fn panda() -> Chain {
-    let rows = [
-        (0.0, 0.0, 0.333),
-        (0.0, -FRAC_PI_2, 0.0),
-        (0.0, FRAC_PI_2, 0.316),
-        (0.0825, FRAC_PI_2, 0.0),
-        (-0.0825, -FRAC_PI_2, 0.384),
-        (0.0, FRAC_PI_2, 0.0),
-        (0.088, FRAC_PI_2, 0.0),
-    ];
-    let joints = rows.map(|(a, alpha, d)| Joint { kind: JointKind::Revolute, a, alpha, d, theta: 0.0 }).to_vec();
-    let mut flange = Placement::identity();
-    flange.origin.z = 0.107;
-    Chain::modified(joints, flange)
+    Robot::load("panda", None).expect("a shipped robot").chain
 }
 
 fn limits() -> Limits {

@@ -9,7 +9,7 @@ use crate::estimate::experiment::Settings;
 use crate::input::BadInput;
 use crate::report::figures::Figures;
 use crate::report::{Band, Validation};
-use crate::store::{ModelFile, Provenance, Validated};
+use crate::store::{ModelFile, Validated};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -64,12 +64,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
     bar.done();
 
-    let provenance = Provenance {
-        dataset: Some(dataset.content_hash()),
-        plumbline: Some(env!("CARGO_PKG_VERSION").into()),
-        date: Some(super::today()),
-        source: None,
-    };
+    let provenance = super::provenance(Some(dataset.content_hash()));
     let mut report = report_of(&identified, dataset.mounting, &provenance);
     // Recorded data rarely repeats, so there is no noise floor to hold raw samples against: `rms` is that of the filtered band.
     report.band = Band::Filtered { cutoff: settings.torque_cutoff };

@@ -29,6 +29,7 @@ use crate::model::conditioning::Conditions;
 use crate::model::gravity::Mounting;
 use crate::model::structure::Structure;
 use crate::report::Condition;
+use crate::store::Provenance;
 use clap::{Args, Parser, Subcommand};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -217,6 +218,12 @@ fn conditions_text(conditions: &Conditions) -> String {
 /// Writes a result aside, then renames it.
 fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     crate::atomic::write_file(path, bytes).map_err(Failure::job)
+}
+
+/// Where numbers that this program identified come from; `dataset` is the hash of the data's content, where it is known already.
+fn provenance(dataset: Option<String>) -> Provenance {
+    let plumbline = Some(env!("CARGO_PKG_VERSION").to_string());
+    Provenance { dataset, plumbline, date: Some(today()), source: None }
 }
 
 /// Today's date in UTC, as in 2026-11-20.

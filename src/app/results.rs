@@ -140,12 +140,7 @@ impl Results {
             model: identified.model.clone(),
             noise_floor: identified.identification.rms.noise_floor.clone().unwrap_or_default(),
             validation,
-            provenance: Provenance {
-                dataset: hash,
-                plumbline: Some(env!("CARGO_PKG_VERSION").to_string()),
-                date: Some(super::today()),
-                source: None,
-            },
+            provenance: super::provenance(hash),
         }
     }
 

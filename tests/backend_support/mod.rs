@@ -2,8 +2,9 @@
 
 use plumbline::backend::Clock;
 use plumbline::backend::sim::{Pace, SimArm, Truth};
+use plumbline::config::robot::Robot;
 use plumbline::joint::{Command, JointVec, MAX_JOINTS, Setpoint, Torque};
-use plumbline::model::chain::{Chain, Joint, JointKind, Placement};
+use plumbline::model::chain::Chain;
 use plumbline::model::gravity::Mounting;
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::time::{Duration, Instant};
@@ -12,17 +13,7 @@ use std::time::{Duration, Instant};
 pub const READY: JointVec = [0.0, -0.4, 0.0, -2.0, 0.3, 1.8, 0.5, 0.0];
 
 pub fn panda() -> Chain {
-    let rows = [
-        (0.0, 0.0, 0.333),
-        (0.0, -FRAC_PI_2, 0.0),
-        (0.0, FRAC_PI_2, 0.316),
-        (0.0825, FRAC_PI_2, 0.0),
-        (-0.0825, -FRAC_PI_2, 0.384),
-        (0.0, FRAC_PI_2, 0.0),
-        (0.088, FRAC_PI_2, 0.0),
-    ];
-    let joints = rows.map(|(a, alpha, d)| Joint { kind: JointKind::Revolute, a, alpha, d, theta: 0.0 }).to_vec();
-    Chain::modified(joints, Placement::identity())
+    Robot::load("panda", None).expect("a shipped robot").chain
 }
 
 pub fn arm_file(name: &str) -> Truth {
