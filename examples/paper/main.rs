@@ -1,0 +1,23 @@
+//! Reproduces the paper's tables and figures in simulation: `cargo run --release --example paper`.
+//!
+//! Writes the tables into docs/paper.md, between its markers, and the figures into docs/figures. `cargo test --test paper` holds the
+//! same results, and that the page says what the program says.
+
+mod experiment;
+mod figures;
+mod tables;
+
+use std::path::Path;
+
+fn main() -> std::io::Result<()> {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
+    let page = docs.join("paper.md");
+    let text = tables::fill(&std::fs::read_to_string(&page)?, &tables::all());
+    std::fs::write(&page, text)?;
+    std::fs::create_dir_all(docs.join("figures"))?;
+    for (name, svg) in figures::all() {
+        std::fs::write(docs.join("figures").join(name), svg)?;
+    }
+    println!("wrote {} and its figures", page.display());
+    Ok(())
+}
