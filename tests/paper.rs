@@ -2,6 +2,8 @@
 
 #[path = "../examples/paper/experiment.rs"]
 mod experiment;
+#[path = "../examples/paper/figures.rs"]
+mod figures;
 #[path = "../examples/paper/tables.rs"]
 mod tables;
 
@@ -155,6 +157,17 @@ fn figure_6_stays_in_the_workspace() {
     for at in &path {
         assert!((0..3).all(|axis| (space.box_min[axis]..=space.box_max[axis]).contains(&at[axis])), "{at:?}");
         assert!(at.iter().map(|x| x * x).sum::<f64>().sqrt() >= space.base_radius, "{at:?}");
+    }
+}
+
+/// Every figure is drawn, is on the page, and its file is there.
+#[test]
+fn figures_are_drawn_and_shown() {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
+    let page = std::fs::read_to_string(docs.join("paper.md")).unwrap();
+    for (name, svg) in figures::all() {
+        assert!(svg.starts_with("<svg") && svg.matches("<polyline").count() >= 3, "{name}");
+        assert!(page.contains(&format!("(figures/{name})")) && docs.join("figures").join(name).is_file(), "{name}");
     }
 }
 

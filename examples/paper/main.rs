@@ -12,7 +12,7 @@ use std::path::Path;
 fn main() -> std::io::Result<()> {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
     let page = docs.join("paper.md");
-    let text = tables::fill(&std::fs::read_to_string(&page)?, &tables::all());
+    let text = fill(&std::fs::read_to_string(&page)?, &tables::all());
     std::fs::write(&page, text)?;
     std::fs::create_dir_all(docs.join("figures"))?;
     for (name, svg) in figures::all() {
@@ -20,4 +20,16 @@ fn main() -> std::io::Result<()> {
     }
     println!("wrote {} and its figures", page.display());
     Ok(())
+}
+
+/// The page with every block between `<!-- NAME -->` and `<!-- end -->` replaced.
+fn fill(page: &str, blocks: &[(&str, String)]) -> String {
+    let mut text = page.to_string();
+    for (name, content) in blocks {
+        let open = format!("<!-- {name} -->\n");
+        let Some(start) = text.find(&open).map(|at| at + open.len()) else { continue };
+        let Some(length) = text[start..].find("<!-- end -->") else { continue };
+        text.replace_range(start..start + length, content);
+    }
+    text
 }

@@ -14,18 +14,6 @@ pub fn all() -> Vec<(&'static str, String)> {
     ]
 }
 
-/// The page with every block between `<!-- NAME -->` and `<!-- end -->` replaced.
-pub fn fill(page: &str, blocks: &[(&str, String)]) -> String {
-    let mut text = page.to_string();
-    for (name, content) in blocks {
-        let open = format!("<!-- {name} -->\n");
-        let Some(start) = text.find(&open).map(|at| at + open.len()) else { continue };
-        let Some(length) = text[start..].find("<!-- end -->") else { continue };
-        text.replace_range(start..start + length, content);
-    }
-    text
-}
-
 fn table_1() -> String {
     let mut text = String::from("| Nr. | symbol | GBS | VBS |\n|---|---|---|---|\n");
     for (index, row) in experiment::table_1().iter().enumerate() {
