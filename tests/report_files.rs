@@ -62,6 +62,7 @@ fn report() -> Report {
             condition("column-equilibrated", 34.2, 31.9),
             condition("noise-weighted", 148.0, 139.5),
         ],
+        estimator: None,
         cycle: Some(LoopFacts {
             pace: "wall-clock".into(),
             cycles: 131_072,
@@ -335,4 +336,24 @@ fn a_bare_report_is_a_page_too() {
         TorqueFigure { t: vec![0.0], measured: vec![vec![f64::NAN]], modelled: vec![vec![0.0]], ..Default::default() };
     let figures = Figures { runs: vec![one], plan: Some(PlanFigure::default()) };
     assert!(Report::default().to_html(&figures).unwrap().contains("Joint 1"));
+}
+
+#[test]
+fn a_motion_that_excites_too_little_and_restricted_parameters_come_back_from_json() {
+    let mut report = report();
+    report.conditions[0].with_friction = f64::INFINITY;
+    report.estimator = Some(EstimatorFacts {
+        name: "huber".into(),
+        rounds: 50,
+        settled: false,
+        restricted: vec!["Lxy3".into(), "Lyz2".into()],
+    });
+    let json = report.to_json().unwrap();
+    assert!(json.contains("\"with_friction\": null"));
+    let back: Report = serde_json::from_str(&json).unwrap();
+    assert_eq!(back, report);
+    let summary = back.summary().join("\n");
+    assert!(summary.contains("estimator: huber, whose weights did not settle"), "{summary}");
+    assert!(summary.contains("restricted to zero, not to be told from it in this data: Lxy3, Lyz2"), "{summary}");
+    assert!(back.base.parameters.iter().all(|p| p.relative_std.is_some() == (p.std.is_some() && p.value != 0.0)));
 }

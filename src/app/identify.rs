@@ -5,7 +5,8 @@ use super::results::report_of;
 use super::{Failure, SAME_MOUNTING, progress};
 use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Role, Run};
-use crate::estimate::experiment::Settings;
+use crate::estimate::experiment::{Method, Settings};
+use crate::estimate::solve::{self, Estimator};
 use crate::input::BadInput;
 use crate::report::figures::Figures;
 use crate::report::{Band, Validation};
@@ -24,13 +25,22 @@ pub struct Options {
     /// Terms besides the rigid body; by default friction and torque-offset, and rotor-inertia for motor-side torques
     #[arg(long, value_delimiter = ',')]
     terms: Option<Vec<String>>,
-    /// Cut-off of the zero-phase low-pass on torques and regressor columns in Hz; 4 by default
+    /// Estimator: ols, wls, wls-full, huber, tls or iv
+    #[arg(long, default_value = "wls")]
+    estimator: String,
+    /// Take out parameters that can't be told from zero in this data (essential parameters)
+    #[arg(long)]
+    essential: bool,
+    /// Signal processing: spectral, or paper (order 20, 2 Hz, central differences)
+    #[arg(long, default_value = "spectral")]
+    method: String,
+    /// Cut-off of the zero-phase low-pass on torques and regressor columns in Hz; 4 by default, 2 for the paper's method
     #[arg(long, value_name = "HZ")]
     torque_cutoff: Option<f64>,
-    /// Cut-off of the zero-phase low-pass on positions in Hz; by default 10, or 40 for the mean of several periods
+    /// Cut-off of the zero-phase low-pass on positions in Hz; by default 10, or 80 for the mean of several periods, or 2 for the paper's method
     #[arg(long, value_name = "HZ")]
     position_cutoff: Option<f64>,
-    /// Order of both filters; 8 by default
+    /// Order of both filters; 8 by default, 20 for the paper's method
     #[arg(long)]
     order: Option<usize>,
 }
@@ -46,13 +56,14 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let robot = Robot::load(&dataset.robot, Some(&options.dataset))?;
     dataset.expect_joints(robot.chain.len())?;
     let settings = settings(&options)?;
+    let solver = solver(&options)?;
     let terms = terms(&options, &robot)?;
     let Split { identify, validate, notes } = split(&dataset)?;
 
     let bar = progress::bar("identifying");
     bar.at(0.1, "regression");
     let identified_runs: Vec<&Run> = identify.iter().collect();
-    let identified = pipeline::identify(&robot, &identified_runs, &terms, &settings)?;
+    let identified = pipeline::identify(&robot, &identified_runs, &terms, &settings, &solver)?;
     let mut judged: Vec<(&Run, Judged)> = Vec::new();
     let mut untrusted = Vec::new();
     for (k, run) in validate.iter().enumerate() {
@@ -111,7 +122,14 @@ pub fn run(options: Options) -> Result<(), Failure> {
 }
 
 fn settings(options: &Options) -> Result<Settings, Failure> {
-    let mut settings = Settings { torque_cutoff: CUTOFF, ..Settings::default() };
+    let mut settings = match Method::by_id(&options.method) {
+        Some(Method::Spectral) => Settings { torque_cutoff: CUTOFF, ..Settings::default() },
+        Some(Method::Paper) => Settings::paper(),
+        None => {
+            let found = format!("`{}`", options.method);
+            return Err(BadInput::new("command line", "--method", found, "spectral or paper").into());
+        }
+    };
     for (name, given) in [("--torque-cutoff", options.torque_cutoff), ("--position-cutoff", options.position_cutoff)] {
         if let Some(value) = given
             && !(0.01..=500.0).contains(&value)
@@ -128,6 +146,14 @@ fn settings(options: &Options) -> Result<Settings, Failure> {
         settings.order = order;
     }
     Ok(settings)
+}
+
+fn solver(options: &Options) -> Result<solve::Options, Failure> {
+    let Some(estimator) = Estimator::by_id(&options.estimator) else {
+        let known = Estimator::ALL.map(Estimator::id).join(", ");
+        return Err(BadInput::new("command line", "--estimator", format!("`{}`", options.estimator), known).into());
+    };
+    Ok(solve::Options { estimator, essential: options.essential })
 }
 
 fn terms<'a>(options: &'a Options, robot: &Robot) -> Result<Vec<&'a str>, Failure> {

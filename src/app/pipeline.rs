@@ -3,10 +3,11 @@
 use super::Failure;
 use crate::config::robot::{Robot, TorqueSensing};
 use crate::dataset::Run;
+use crate::estimate::EstimateError;
 use crate::estimate::experiment::{Experiment, Settings};
 use crate::estimate::run as estimate;
+use crate::estimate::solve::{self, Identification, identify_with};
 use crate::estimate::validate::{Rms, validate};
-use crate::estimate::wls::{self, Identification};
 use crate::input::BadInput;
 use crate::model::base::Reduction;
 use crate::model::structure::Structure;
@@ -65,10 +66,30 @@ pub fn experiment(run: &Run, settings: &Settings) -> Result<Experiment, Failure>
 }
 
 /// Identifies a model from runs of one arm.
-pub fn identify(robot: &Robot, runs: &[&Run], terms: &[&str], settings: &Settings) -> Result<Identified, Failure> {
+pub fn identify(
+    robot: &Robot,
+    runs: &[&Run],
+    terms: &[&str],
+    settings: &Settings,
+    options: &solve::Options,
+) -> Result<Identified, Failure> {
     let structure = structure(robot, runs, terms)?;
-    let experiments = runs.iter().map(|run| experiment(run, settings)).collect::<Result<Vec<_>, _>>()?;
-    let identification = wls::identify(&structure, &experiments).map_err(Failure::job)?;
+    let settings = Settings { keep_periods: options.estimator.wants_periods(), ..settings.clone() };
+    let prepare = |run: &&Run| {
+        let experiment = experiment(run, &settings)?;
+        if !options.estimator.wants_periods() {
+            return Ok(experiment);
+        }
+        desired(run, experiment)
+    };
+    let experiments = runs.iter().map(prepare).collect::<Result<Vec<_>, Failure>>()?;
+    let identification = identify_with(&structure, &experiments, options).map_err(|error| match error {
+        EstimateError::NoInstruments { run } => {
+            let expected = "at least two periods, or columns q_d1..q_dn, for `--estimator iv`";
+            Failure::from(BadInput::new(run, "samples", "a motion that does not repeat", expected))
+        }
+        other => Failure::job(other),
+    })?;
     let mut mountings = Vec::new();
     for run in runs {
         if !mountings.contains(&run.mounting) {
@@ -79,11 +100,22 @@ pub fn identify(robot: &Robot, runs: &[&Run], terms: &[&str], settings: &Setting
     Ok(Identified { model, identification })
 }
 
+/// With the desired motion, where the run has columns `q_d1` to `q_dn`.
+fn desired(run: &Run, experiment: Experiment) -> Result<Experiment, Failure> {
+    let columns: Option<Vec<&[f64]>> = (1..=run.joints()).map(|j| run.extra(&format!("q_d{j}"))).collect();
+    let Some(columns) = columns else { return Ok(experiment) };
+    let q_d = DMatrix::from_fn(run.samples(), run.joints(), |k, j| columns[j][k]);
+    let expected = "one finite desired position per sample and joint";
+    experiment
+        .with_desired(&run.t, &q_d)
+        .map_err(|error| BadInput::new(&run.file, "columns q_d1..q_dn", error, expected).into())
+}
+
 /// Predicts a run with a model, in the run's own mounting.
 pub fn judge(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Judged, Failure> {
     let experiment = experiment(run, settings)?;
-    let modelled = model.predict(&experiment.motion);
-    let rms = validate(&experiment, |_| modelled.clone());
+    let rms = validate(&experiment, |motion| model.predict(motion));
+    let modelled = model.predict(experiment.judged.as_ref().unwrap_or(&experiment.motion));
     let figure = TorqueFigure {
         title: title(run),
         t: times(&experiment),
@@ -99,7 +131,7 @@ pub fn judge(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Judg
 pub fn figure_in_band(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<TorqueFigure, Failure> {
     let experiment = experiment(run, settings)?;
     let modelled = model.predict(&experiment.motion);
-    let rms = validate(&experiment, |_| modelled.clone());
+    let rms = validate(&experiment, |motion| model.predict(motion));
     let n = experiment.joints();
     let stacked = DMatrix::from_column_slice(modelled.len(), 1, modelled.as_slice());
     Ok(TorqueFigure {

@@ -8,10 +8,12 @@ use crate::config::job::{Job, Pace};
 use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Run};
 use crate::estimate::experiment::Settings;
+use crate::estimate::solve::Outcome;
 use crate::ipc::{Session, Status, StreamCounters};
 use crate::report::figures::{Figures, PlanFigure};
 use crate::report::{
-    Base, CounterExperiment, Fit, Identifiability, IpcFacts, LoopFacts, Quantiles, Report, SessionFacts, Validation,
+    Base, CounterExperiment, EstimatorFacts, Fit, Identifiability, IpcFacts, LoopFacts, Quantiles, Report,
+    SessionFacts, Validation,
 };
 use crate::store::{ModelFile, Provenance, Validated};
 use std::path::{Path, PathBuf};
@@ -58,7 +60,7 @@ impl Results {
     /// Identifies the model from the motions that are there for it; writes `model.toml` and returns its text.
     pub fn identify(&mut self) -> Result<String, Failure> {
         let runs = self.runs(Role::Identify);
-        let identified = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings)?;
+        let identified = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings, &self.job.solver())?;
         let text = self.model_file(&identified, Vec::new(), None).to_toml();
         super::write(&self.out.join("model.toml"), text.as_bytes())?;
         self.model = Some(identified);
@@ -111,7 +113,7 @@ impl Results {
     fn counter_experiment(&self, judged: &[(&Run, Judged)]) -> Result<Option<(CounterExperiment, ModelFile)>, Failure> {
         let runs = self.runs(Role::Counter);
         let Some(first) = runs.first() else { return Ok(None) };
-        let vertical = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings)?;
+        let vertical = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings, &self.job.solver())?;
         let Err(refused) = vertical.model.valid_in(&self.job.mounting) else { return Ok(None) };
         let here: Vec<&(&Run, Judged)> = judged.iter().filter(|(run, _)| run.mounting == self.job.mounting).collect();
         let mut forced = vec![0.0; self.joints()];
@@ -268,6 +270,12 @@ pub fn report_of(
             untrusted_runs: Vec::new(),
         },
         conditions: super::conditions_facts(&identification.conditions),
+        estimator: Some(EstimatorFacts {
+            name: identification.estimator.id().to_string(),
+            rounds: identification.rounds,
+            settled: identification.outcome == Outcome::Settled,
+            restricted: identification.dropped.iter().map(|one| one.name.clone()).collect(),
+        }),
         provenance: facts,
         ..Report::default()
     }

@@ -7,7 +7,8 @@ mod check;
 mod sets;
 
 use super::units;
-use crate::estimate::experiment::Derivative;
+use crate::estimate::experiment::{Derivative, Method};
+use crate::estimate::solve;
 use crate::excite::limits::Margins;
 use crate::input::BadInput;
 use crate::model::gravity::Mounting;
@@ -269,10 +270,16 @@ pub struct Workspace {
     pub base_radius: f64,
 }
 
-/// Signal processing before the least squares; what is absent is left to the estimator's own defaults.
+/// Signal processing and estimator; what is absent is left to the estimator's own defaults.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Estimator {
+    /// Estimator: `ols`, `wls`, `wls-full`, `huber`, `tls` or `iv`.
+    pub solver: solve::Estimator,
+    /// Whether parameters that can't be told from zero are taken out.
+    pub essential: bool,
+    /// Signal processing: `spectral`, or `paper` (order 20, 2 Hz, central differences); the keys below go over it.
+    pub method: Method,
     /// Cut-off of the filter that torque and every regressor column pass through \[Hz\].
     #[serde(deserialize_with = "units::optional_frequency")]
     pub torque_cutoff: Option<f64>,

@@ -1,13 +1,13 @@
 //! One run made ready for the regression: averaged, filtered, differentiated.
 
 use super::EstimateError;
-use super::periods::{Scatter, average};
+use super::differentiate::Differentiator;
+use super::periods::{NoiseOfMean, Scatter, average};
 use super::run::Run;
 use super::signal::butterworth::Butterworth;
-use super::signal::ends::Quintic;
 use super::signal::resample::{Sampling, resample};
 use super::signal::spectral::Spectral;
-use super::signal::{SignalError, decimation, difference};
+use super::signal::{SignalError, decimation};
 use crate::model::term::Motion;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
@@ -23,6 +23,40 @@ pub enum Derivative {
     Central,
 }
 
+/// How torques and motions are made ready.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// The better way for periodic motions: exact derivatives through the spectrum behind a wide low-pass ([`Settings::default`]).
+    #[default]
+    Spectral,
+    /// The paper's way ([`Settings::paper`]).
+    Paper,
+}
+
+impl Method {
+    /// Its settings.
+    pub fn settings(self) -> Settings {
+        match self {
+            Method::Spectral => Settings::default(),
+            Method::Paper => Settings::paper(),
+        }
+    }
+
+    /// Its name on the command line and in files.
+    pub fn id(self) -> &'static str {
+        match self {
+            Method::Spectral => "spectral",
+            Method::Paper => "paper",
+        }
+    }
+
+    /// The method of that name.
+    pub fn by_id(id: &str) -> Option<Method> {
+        [Method::Spectral, Method::Paper].into_iter().find(|method| method.id() == id)
+    }
+}
+
 /// How runs are prepared.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case", default)]
@@ -30,8 +64,9 @@ pub struct Settings {
     /// Cut-off of the zero-phase low-pass on the torques and on every column of the regressor \[Hz\].
     pub torque_cutoff: f64,
     /// Cut-off of the zero-phase low-pass on the positions before they are differentiated \[Hz\]. It must pass what the arm does when
-    /// friction changes its sign at a reversal, so it is wider than the other. Absent: 20 Hz for the mean of several periods, which
-    /// has little noise left, and 10 Hz for what was recorded once. At most 0.8 of half the sampling rate is used.
+    /// friction changes its sign at a reversal, so it is wider than the other; what noise it passes above the torque cut-off does not
+    /// reach the regression. Absent: 80 Hz for the mean of several periods (20 Hz where raw torques are compared with the
+    /// model), and 10 Hz for what was recorded once. At most 0.8 of half the sampling rate is used.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_cutoff: Option<f64>,
     /// Order of both low-passes, even; they run forward and backward.
@@ -43,6 +78,22 @@ pub struct Settings {
     pub derivative: Derivative,
     /// Periods left out at the start of a periodic run, while the arm settles.
     pub skip_periods: usize,
+    /// Whether every period's deviation from the mean is kept: estimators that reckon with noisy positions need it.
+    pub keep_periods: bool,
+}
+
+impl Settings {
+    /// The paper's signal processing (section II-B.3): mean period, order-20 zero-phase Butterworth at 2 Hz, central differences,
+    /// decimation by eq. 16 with `omega_fp` twice the cut-off. Torques and columns pass the same filter.
+    pub fn paper() -> Settings {
+        Settings {
+            torque_cutoff: 2.0,
+            position_cutoff: Some(2.0),
+            order: 20,
+            derivative: Derivative::Central,
+            ..Settings::default()
+        }
+    }
 }
 
 impl Default for Settings {
@@ -54,23 +105,21 @@ impl Default for Settings {
             decimation: None,
             derivative: Derivative::Spectral,
             skip_periods: 0,
+            keep_periods: false,
         }
     }
 }
 
 /// Position cut-off for the mean of several periods \[Hz\]. A joint's controller answers a reversal of friction within its own bandwidth,
-/// some 20 Hz: a filter that takes that out of the motion biases friction and inertia against each other by several of their
-/// standard deviations. Much wider, and the noise of the accelerations shows in the errors of a few periods.
-const CUTOFF_OF_MEAN: f64 = 20.0;
+/// some 20 Hz, and the step of the acceleration there reaches higher still: a filter that takes that out of the motion biases friction
+/// and inertia against each other.
+const CUTOFF_OF_MEAN: f64 = 80.0;
+/// The same where the model is compared with raw torques, which no filter keeps the accelerations' noise out of \[Hz\].
+const CUTOFF_OF_JUDGED: f64 = 20.0;
 /// Position cut-off for what was recorded once \[Hz\]: there the noise of wider accelerations would cost more than that bias.
 const CUTOFF_OF_ONE: f64 = 10.0;
 /// Share of half the sampling rate that the position filter may use.
 const WIDEST: f64 = 0.8;
-/// Time that is cut off both ends of a run that does not repeat, as a number of periods of the position cut-off: there the
-/// positions' continuation past the ends, a guess, reaches into the accelerations.
-const EDGE: f64 = 0.5;
-/// Length of the ends that tell slope and curvature there, as a number of periods of the position cut-off.
-const END_WINDOW: f64 = 3.0;
 
 /// One run, ready for the regression.
 #[derive(Clone, Debug)]
@@ -79,17 +128,52 @@ pub struct Experiment {
     pub name: String,
     /// The filtered motion with its derivatives on the even grid: one period of a periodic run, all but the ends of another.
     pub motion: Motion,
+    /// The same behind a narrower low-pass, along which a model is compared with raw torques; `None` where `motion` does for that.
+    pub judged: Option<Motion>,
     /// Torques on the same grid, N x n, averaged over the periods and not filtered \[Nm\].
     pub tau: DMatrix<f64>,
     /// Scatter of the torques between the periods \[Nm\]; `None` without repeats.
     pub scatter: Option<Scatter>,
+    /// Noise of the filtered mean torques; `None` without repeats.
+    pub noise: Option<NoiseOfMean>,
     /// Standard deviation of one raw position sample between the periods, n \[rad\]; `None` without repeats.
     pub position_noise: Option<Vec<f64>>,
+    /// Every period's deviation from the mean, where the settings keep it.
+    pub repeats: Option<Repeats>,
+    /// The desired motion on the same grid, filtered alike; where it was given.
+    pub desired: Option<Motion>,
     /// What the time stamps were like.
     pub sampling: Sampling,
     /// Samples of the grid that enter the regression.
     kept: Vec<usize>,
     filter: Butterworth,
+    /// Positions on the even grid with the ends, not filtered \[rad\].
+    q: DMatrix<f64>,
+    differentiator: Differentiator,
+    edge: usize,
+    /// First sample of the grid after those left out.
+    first: usize,
+}
+
+/// Every period's deviation from the mean, P N rows, period below period.
+#[derive(Clone, Debug)]
+pub struct Repeats {
+    /// Of the positions, P N x n \[rad\].
+    pub q: DMatrix<f64>,
+    /// Of the torques, P N x n \[Nm\].
+    pub tau: DMatrix<f64>,
+}
+
+/// Samples of a run after resampling and averaging.
+struct Even {
+    /// Positions and torques, N x 2n.
+    values: DMatrix<f64>,
+    sampling: Sampling,
+    first: usize,
+    /// Of a periodic run.
+    periodic: bool,
+    scatter: Option<Scatter>,
+    deviations: DMatrix<f64>,
 }
 
 impl Experiment {
@@ -105,7 +189,10 @@ impl Experiment {
         values.columns_mut(n, n).copy_from(&run.tau);
         let mut even = resample(&run.t, &values, None).map_err(signal)?;
         let Some(period) = run.period else {
-            return Experiment::build(run, settings, even.values, None, even.sampling).map_err(signal);
+            let (values, sampling) = (even.values, even.sampling);
+            let deviations = DMatrix::zeros(0, 2 * n);
+            let even = Even { values, sampling, first: 0, periodic: false, scatter: None, deviations };
+            return Experiment::build(run, settings, even).map_err(signal);
         };
 
         // A whole number of samples per period, so that the periods lie on top of each other.
@@ -126,64 +213,105 @@ impl Experiment {
         let first = skipped * samples;
         let rest = even.values.rows(first, even.values.nrows() - first).into_owned();
         let averaged = average(&rest, &even.filled[first..], samples, dt);
-        Experiment::build(run, settings, averaged.mean, Some(averaged.scatter), even.sampling).map_err(signal)
+        let even = Even {
+            values: averaged.mean,
+            sampling: even.sampling,
+            first,
+            periodic: true,
+            scatter: averaged.scatter,
+            deviations: averaged.deviations,
+        };
+        Experiment::build(run, settings, even).map_err(signal)
     }
 
-    /// `values` are positions and torques on the even grid; `scatter` is `Some` for a periodic run, whatever its periods.
-    fn build(
-        run: &Run,
-        settings: &Settings,
-        values: DMatrix<f64>,
-        scatter: Option<Option<Scatter>>,
-        sampling: Sampling,
-    ) -> Result<Experiment, SignalError> {
+    fn build(run: &Run, settings: &Settings, even: Even) -> Result<Experiment, SignalError> {
+        let Even { values, sampling, first, periodic, scatter, deviations } = even;
         let (n, samples, dt) = (run.joints(), values.nrows(), sampling.dt);
-        let periodic = scatter.is_some();
         let rate = 1.0 / dt;
         let filter = Butterworth::new(settings.order, settings.torque_cutoff, rate)?;
-        let averaged = matches!(scatter, Some(Some(_)));
-        let usual = if averaged { CUTOFF_OF_MEAN } else { CUTOFF_OF_ONE };
-        let position_cutoff = settings.position_cutoff.unwrap_or(usual).min(WIDEST * rate / 2.0);
-        let position_filter = Butterworth::new(settings.order, position_cutoff, rate)?;
+        let (usual, usual_judged) =
+            if scatter.is_some() { (CUTOFF_OF_MEAN, CUTOFF_OF_JUDGED) } else { (CUTOFF_OF_ONE, CUTOFF_OF_ONE) };
+        let differentiator = |usual: f64| {
+            let cutoff = settings.position_cutoff.unwrap_or(usual).min(WIDEST * rate / 2.0);
+            Differentiator::new(settings.order, cutoff, settings.derivative, periodic, dt, run.gravity)
+        };
+        let (judging, differentiator) = (differentiator(usual_judged)?, differentiator(usual)?);
 
         // Without repeats the ends are cut before the torques and columns are filtered: what they are filtered with is linear, so its
         // own end effects are the same on both sides of the equation.
-        let edge = if periodic { 0 } else { (EDGE * rate / position_cutoff).ceil() as usize };
+        let edge = differentiator.edge();
         let step = settings.decimation.unwrap_or_else(|| decimation(rate, 2.0 * settings.torque_cutoff)).max(1);
         let count = samples.saturating_sub(2 * edge);
         if count < 2 * step {
             return Err(SignalError::TooShort { samples, needed: 2 * edge + 2 * step });
         }
-
-        let zeros = || DMatrix::zeros(count, n);
-        let mut motion = Motion { dt, q: zeros(), dq: zeros(), ddq: zeros(), gravity: run.gravity, periodic };
-        let mut spectral = Spectral::new(samples, dt);
-        for j in 0..n {
-            let q: Vec<f64> = values.column(j).iter().copied().collect();
-            let [q, dq, ddq] = match settings.derivative {
-                Derivative::Spectral if periodic => spectral.derivatives(&q, |f| position_filter.zero_phase_gain(f)),
-                _ if periodic => {
-                    let q = position_filter.zero_phase_periodic(&mut spectral, &q);
-                    let [dq, ddq] = difference::derivatives(&q, dt, true);
-                    [q, dq, ddq]
-                }
-                _ => free_derivatives(&position_filter, q, dt, END_WINDOW / position_cutoff),
-            };
-            for (target, source) in [(&mut motion.q, q), (&mut motion.dq, dq), (&mut motion.ddq, ddq)] {
-                target.column_mut(j).copy_from_slice(&source[edge..edge + count]);
-            }
-        }
-        let scatter = scatter.flatten();
+        let q = values.columns(0, n).into_owned();
+        let narrower = judging.cutoff() < differentiator.cutoff();
+        let of_tau = || deviations.columns(n, n).into_owned();
         Ok(Experiment {
             name: run.name.clone(),
-            motion,
+            motion: differentiator.motion(&q, edge),
+            judged: narrower.then(|| judging.motion(&q, edge)),
             tau: values.view((edge, n), (count, n)).into_owned(),
+            noise: scatter.as_ref().map(|_| NoiseOfMean::of(&of_tau(), samples, dt, |f| filter.zero_phase_gain(f))),
+            repeats: (scatter.is_some() && settings.keep_periods)
+                .then(|| Repeats { q: deviations.columns(0, n).into_owned(), tau: of_tau() }),
             position_noise: scatter.as_ref().map(|scatter| scatter.std[..n].to_vec()),
             scatter: scatter.map(|scatter| scatter.select(n..2 * n)),
+            desired: None,
             sampling,
             kept: (0..count).step_by(step).collect(),
             filter,
+            q,
+            differentiator,
+            edge,
+            first,
         })
+    }
+
+    /// With the desired motion, N x n \[rad\] at the time stamps of the run it was prepared from \[s\].
+    ///
+    /// # Errors
+    /// Another number of rows, a value that is no finite number.
+    pub fn with_desired(mut self, t: &[f64], q_d: &DMatrix<f64>) -> Result<Experiment, EstimateError> {
+        let signal = |source| EstimateError::Signal { run: self.name.clone(), source };
+        assert_eq!(q_d.ncols(), self.joints(), "joints of the desired motion");
+        let even = resample(t, q_d, Some(self.sampling.dt)).map_err(signal)?;
+        let samples = self.q.nrows();
+        let short = SignalError::Shape { what: "desired positions", found: even.values.nrows(), expected: samples };
+        if even.values.nrows() < self.first + samples {
+            return Err(signal(short));
+        }
+        let rest = even.values.rows(self.first, even.values.nrows() - self.first).into_owned();
+        let grid = if self.motion.periodic {
+            average(&rest, &even.filled[self.first..], samples, self.sampling.dt).mean
+        } else {
+            rest.rows(0, samples).into_owned()
+        };
+        self.desired = Some(self.differentiator.motion(&grid, self.edge));
+        Ok(self)
+    }
+
+    /// The motion that other positions on the whole grid would have given: `offset` is added to the measured ones, N x n \[rad\].
+    pub fn moved(&self, offset: &DMatrix<f64>) -> Motion {
+        self.differentiator.motion(&(&self.q + offset), self.edge)
+    }
+
+    /// Shape of the positions on the whole grid, ends included.
+    pub fn grid(&self) -> (usize, usize) {
+        self.q.shape()
+    }
+
+    /// Standard deviation of the positions' noise, n \[rad\]: of the mean period by the scatter between the periods; without repeats by
+    /// what lies above the position cut-off, taken as white.
+    pub fn noise_of_positions(&self) -> Vec<f64> {
+        if let (Some(noise), Some(scatter)) = (&self.position_noise, &self.scatter) {
+            return noise.iter().map(|std| std / (scatter.periods as f64).sqrt()).collect();
+        }
+        let share = 1.0 - 2.0 * self.differentiator.cutoff() * self.sampling.dt;
+        let (count, n) = self.motion.q.shape();
+        let rest = self.q.rows(self.edge, count) - &self.motion.q;
+        (0..n).map(|j| (rest.column(j).norm_squared() / (count as f64 * share)).sqrt()).collect()
     }
 
     /// Number of joints, n.
@@ -239,21 +367,6 @@ impl Experiment {
     pub fn stacked_tau(&self) -> DMatrix<f64> {
         DMatrix::from_column_slice(self.tau.len(), 1, self.tau.as_slice())
     }
-}
-
-/// Filtered position of a record that does not repeat, with its first two derivatives.
-fn free_derivatives(filter: &Butterworth, mut q: Vec<f64>, dt: f64, window: f64) -> [Vec<f64>; 3] {
-    let ends = Quintic::through_ends(&q, dt, window);
-    q.iter_mut().enumerate().for_each(|(k, q)| *q -= ends.at(k as f64 * dt)[0]);
-    let mut q = filter.zero_phase(&q);
-    let [mut dq, mut ddq] = difference::derivatives(&q, dt, false);
-    for k in 0..q.len() {
-        let [value, first, second] = ends.at(k as f64 * dt);
-        q[k] += value;
-        dq[k] += first;
-        ddq[k] += second;
-    }
-    [q, dq, ddq]
 }
 
 #[cfg(test)]

@@ -1,15 +1,23 @@
 //! Floor 2: from measured samples to base parameters with honest standard deviations.
 //!
 //! [`run::Run`] (samples as they came) -> [`experiment::Experiment`] (averaged, filtered, differentiated) ->
-//! [`wls::identify`] -> [`wls::Identification`]; [`validate::validate`] measures any model on any experiment.
+//! [`solve::identify_with`] an estimator of choice -> [`solve::Identification`]; [`validate::validate`] measures any model on any
+//! experiment.
 
 pub mod covariance;
+mod differentiate;
+pub mod essential;
 pub mod experiment;
 pub mod periods;
 pub mod run;
 pub mod signal;
+pub mod solve;
 pub mod validate;
-pub mod wls;
+
+/// The usual estimator.
+pub mod wls {
+    pub use super::solve::{Identification, Undetermined, identify};
+}
 
 /// Why samples could not be turned into parameters.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -61,6 +69,12 @@ pub enum EstimateError {
         rows: usize,
         /// Parameters.
         columns: usize,
+    },
+    /// Instrumental variables without an instrument.
+    #[error("run {run} has neither two periods nor a desired motion (q_d1..q_dn): expected one of them as instrument")]
+    NoInstruments {
+        /// Name of the run.
+        run: String,
     },
     /// A singular value decomposition did not converge, which finite data does not cause.
     #[error("the regressor of {rows} x {columns} has no singular value decomposition (are all samples finite?)")]

@@ -2,6 +2,7 @@
 
 use super::signal::spectral::Spectral;
 use nalgebra::DMatrix;
+use realfft::num_complex::Complex;
 
 /// Mean of P periods and what they scatter.
 #[derive(Clone, Debug)]
@@ -10,6 +11,8 @@ pub struct Averaged {
     pub mean: DMatrix<f64>,
     /// The scatter; `None` for a single period.
     pub scatter: Option<Scatter>,
+    /// Every period minus the mean, one below the other, P N x columns; no rows for a single period.
+    pub deviations: DMatrix<f64>,
 }
 
 /// Deviations of the periods from their mean, as a spectrum.
@@ -49,26 +52,67 @@ pub fn average(values: &DMatrix<f64>, filled: &[bool], samples: usize, dt: f64) 
         }
     }
     if periods < 2 {
-        return Averaged { mean, scatter: None };
+        return Averaged { mean, scatter: None, deviations: DMatrix::zeros(0, columns) };
     }
+    let deviations = DMatrix::from_fn(periods * samples, columns, |row, c| {
+        if counted[row] { values[(row, c)] - mean[(row % samples, c)] } else { 0.0 }
+    });
     let spectral = Spectral::new(samples, dt);
     let mut power = DMatrix::zeros(spectral.bins(), columns);
     let mut std = vec![0.0; columns];
     let scale = 1.0 / (samples * (periods - 1)) as f64;
-    for c in 0..columns {
-        for p in 0..periods {
-            let deviation: Vec<f64> = (0..samples)
-                .map(|k| (k, p * samples + k))
-                .map(|(k, row)| if counted[row] { values[(row, c)] - mean[(k, c)] } else { 0.0 })
-                .collect();
-            std[c] += scale * deviation.iter().map(|d| d * d).sum::<f64>();
-            for (m, value) in spectral.transform(&deviation).iter().enumerate() {
+    for (c, column) in deviations.column_iter().enumerate() {
+        std[c] = (scale * column.norm_squared()).sqrt();
+        for deviation in column.as_slice().chunks(samples) {
+            for (m, value) in spectral.transform(deviation).iter().enumerate() {
                 power[(m, c)] += scale * value.norm_sqr();
             }
         }
-        std[c] = std[c].sqrt();
     }
-    Averaged { mean, scatter: Some(Scatter { periods, std, power, samples, dt }) }
+    Averaged { mean, scatter: Some(Scatter { periods, std, power, samples, dt }), deviations }
+}
+
+/// Noise of the mean of P periods after a filter, as a spectrum with the correlations between its columns.
+#[derive(Clone, Debug)]
+pub struct NoiseOfMean {
+    /// Number of periods, P.
+    pub periods: usize,
+    /// Samples of a period, N.
+    pub samples: usize,
+    /// Per frequency that the filter passes, its bin and `sum_p D_p D_p^H / (P (P - 1) N)` with `D_p` the filtered deviations' DFT,
+    /// columns x columns.
+    pub bins: Vec<(usize, DMatrix<Complex<f64>>)>,
+}
+
+impl NoiseOfMean {
+    /// What the filter passes less of counts as nothing.
+    const PASSED: f64 = 1e-6;
+
+    /// Of deviations as in [`Averaged`], `dt` apart \[s\], after a filter of this zero-phase gain (of the frequency in Hz).
+    pub fn of(deviations: &DMatrix<f64>, samples: usize, dt: f64, gain: impl Fn(f64) -> f64) -> NoiseOfMean {
+        let (periods, columns) = (deviations.nrows() / samples, deviations.ncols());
+        assert!(periods > 1 && deviations.nrows() == periods * samples, "whole periods, two or more");
+        let spectral = Spectral::new(samples, dt);
+        let gains: Vec<(usize, f64)> = (0..spectral.bins())
+            .map(|bin| (bin, gain(spectral.frequency(bin))))
+            .filter(|(_, gain)| *gain > NoiseOfMean::PASSED)
+            .collect();
+        let scale = 1.0 / (periods * (periods - 1) * samples) as f64;
+        let mut bins: Vec<_> = gains.iter().map(|&(bin, _)| (bin, DMatrix::zeros(columns, columns))).collect();
+        for p in 0..periods {
+            let spectra: Vec<Vec<Complex<f64>>> = (0..columns)
+                .map(|c| spectral.transform(&deviations.column(c).as_slice()[p * samples..(p + 1) * samples]))
+                .collect();
+            for ((bin, power), (_, gain)) in bins.iter_mut().zip(&gains) {
+                for i in 0..columns {
+                    for k in 0..columns {
+                        power[(i, k)] += spectra[i][*bin] * spectra[k][*bin].conj() * (scale * gain * gain);
+                    }
+                }
+            }
+        }
+        NoiseOfMean { periods, samples, bins }
+    }
 }
 
 impl Scatter {

@@ -8,8 +8,8 @@ use nalgebra::DMatrix;
 /// Root mean square of measured minus modelled torque, per joint \[Nm\].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rms {
-    /// Of the raw torque samples, as in the paper's Tables IV and V. The model is evaluated at the measured motion (filtered,
-    /// of a periodic run the mean one); every sample of every period counts.
+    /// Of the raw torque samples, as in the paper's Tables IV and V. The model is evaluated at the measured motion (filtered, of a
+    /// periodic run the mean one); every sample of every period counts.
     pub raw: Vec<f64>,
     /// Of measured and modelled torque after the estimator's low-pass; of a periodic run, of the mean period.
     pub filtered: Vec<f64>,
@@ -58,8 +58,13 @@ fn mean(values: &[f64]) -> f64 {
 }
 
 /// Compares any model with an experiment. `predict` gives the torques along a motion, N x n \[Nm\], in its own mounting.
-pub fn validate(experiment: &Experiment, predict: impl FnOnce(&Motion) -> DMatrix<f64>) -> Rms {
-    let residual = &experiment.tau - predict(&experiment.motion);
+///
+/// Raw torques are compared along [`Experiment::judged`], whose accelerations have less noise; filtered ones along the motion of the
+/// regression, whose noise the filter takes out.
+pub fn validate(experiment: &Experiment, predict: impl Fn(&Motion) -> DMatrix<f64>) -> Rms {
+    let modelled = predict(&experiment.motion);
+    let of_filtered = &experiment.tau - &modelled;
+    let residual = &experiment.tau - experiment.judged.as_ref().map_or(modelled, predict);
     let (n, samples) = (experiment.joints(), experiment.motion.samples());
     let mean_square = |block: &[f64]| block.iter().map(|x| x * x).sum::<f64>() / samples as f64;
     let scatter = experiment.scatter.as_ref();
@@ -71,7 +76,7 @@ pub fn validate(experiment: &Experiment, predict: impl FnOnce(&Motion) -> DMatri
             (of_mean + of_deviations).sqrt()
         })
         .collect();
-    let stacked = DMatrix::from_column_slice(residual.len(), 1, residual.as_slice());
+    let stacked = DMatrix::from_column_slice(of_filtered.len(), 1, of_filtered.as_slice());
     let band = experiment.filter(&stacked);
     let filtered = band.as_slice().chunks(samples).map(|block| mean_square(block).sqrt()).collect();
     Rms {

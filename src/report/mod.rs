@@ -14,7 +14,7 @@ pub use timing::{IpcFacts, LoopFacts, Quantiles, SessionFacts};
 use crate::atomic;
 use crate::model::gravity::Mounting;
 use crate::model::torque::Parameter;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use std::io;
 use std::path::Path;
 
@@ -45,6 +45,9 @@ pub struct Report {
     /// Condition numbers of the stacked regressor.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<Condition>,
+    /// How the parameters were estimated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub estimator: Option<EstimatorFacts>,
     /// How the real-time loop did; absent for recorded data.
     #[serde(default, rename = "loop", skip_serializing_if = "Option::is_none")]
     pub cycle: Option<LoopFacts>,
@@ -99,6 +102,7 @@ impl Base {
             expression: parameter.column.expression.clone(),
             value: parameter.value,
             std: parameter.std,
+            relative_std: parameter.std.map(|std| std / parameter.value.abs()).filter(|ratio| ratio.is_finite()),
             unit: parameter.column.unit.to_string(),
         };
         Base { kind: kind.to_string(), count: parameters.len(), parameters: parameters.iter().map(facts).collect() }
@@ -118,6 +122,9 @@ pub struct ParameterFacts {
     pub value: f64,
     /// Standard deviation where known, in `unit`.
     pub std: Option<f64>,
+    /// Standard deviation over size, where both are known and the value is not zero.
+    #[serde(default)]
+    pub relative_std: Option<f64>,
     /// Unit.
     pub unit: String,
 }
@@ -203,9 +210,30 @@ pub struct Condition {
     /// Definition: `raw`, `column-equilibrated`, `noise-weighted`.
     pub definition: String,
     /// With all columns.
+    #[serde(deserialize_with = "number_or_infinity")]
     pub with_friction: f64,
     /// Of the rigid-body columns alone.
+    #[serde(deserialize_with = "number_or_infinity")]
     pub without_friction: f64,
+}
+
+/// JSON has no infinity: what the motion does not excite at all is written as `null`.
+fn number_or_infinity<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(deserializer)?.unwrap_or(f64::INFINITY))
+}
+
+/// How the parameters were estimated.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EstimatorFacts {
+    /// `ols`, `wls`, `wls-full`, `huber`, `tls` or `iv`.
+    pub name: String,
+    /// Rounds of weights.
+    pub rounds: usize,
+    /// Whether the weights settled before the rounds were over.
+    pub settled: bool,
+    /// Parameters restricted to zero, because this data can't tell them from it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub restricted: Vec<String>,
 }
 
 impl Report {

@@ -81,6 +81,13 @@ pub(super) fn lines(report: &Report) -> Vec<String> {
         lines.push(format!("samples: {} sent, {} received, {verdict}", ipc.sent, ipc.received));
     }
     let names = |names: &[String]| names.join(", ");
+    if let Some(estimator) = report.estimator.as_ref().filter(|of| of.name != "wls" || !of.settled) {
+        let end = if estimator.settled { "" } else { ", whose weights did not settle" };
+        lines.push(format!("estimator: {}{end}", estimator.name));
+    }
+    if let Some(restricted) = report.estimator.as_ref().map(|of| &of.restricted).filter(|list| !list.is_empty()) {
+        lines.push(format!("restricted to zero, not to be told from it in this data: {}", names(restricted)));
+    }
     if !report.identifiability.not_identifiable.is_empty() {
         lines.push(format!("not identifiable from this data: {}", names(&report.identifiability.not_identifiable)));
     }

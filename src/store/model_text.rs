@@ -28,8 +28,11 @@ pub(super) fn write(file: &ModelFile) -> String {
         for parameter in parameters {
             let column = &parameter.column;
             let std = parameter.std.map_or(String::new(), |std| format!(", std = {std:?}"));
+            // A zero without a standard deviation was not measured.
+            let zero = parameter.value == 0.0 && parameter.std.is_none();
+            let note = if zero { " # restricted to zero: the data does not show it" } else { "" };
             line(format_args!(
-                "  {{ name = {}, value = {:?}{std}, unit = {}, symbol = {}, expression = {} }},",
+                "  {{ name = {}, value = {:?}{std}, unit = {}, symbol = {}, expression = {} }},{note}",
                 quoted(&column.name),
                 parameter.value,
                 quoted(column.unit),

@@ -2,6 +2,7 @@
 
 use super::{Job, Limits, OwnLimits, Workspace};
 use crate::estimate::experiment::Settings;
+use crate::estimate::solve;
 use crate::excite::limits::Margins;
 use crate::input::BadInput;
 use crate::joint::{self, JointVec, MAX_JOINTS};
@@ -140,8 +141,8 @@ impl Job {
 
     /// Signal processing of the estimator: its defaults with what the job says over them.
     pub fn settings(&self) -> Settings {
-        let defaults = Settings::default();
         let own = &self.estimator;
+        let defaults = own.method.settings();
         Settings {
             torque_cutoff: own.torque_cutoff.unwrap_or(defaults.torque_cutoff),
             position_cutoff: own.position_cutoff.or(defaults.position_cutoff),
@@ -149,6 +150,11 @@ impl Job {
             derivative: own.derivative.unwrap_or(defaults.derivative),
             ..defaults
         }
+    }
+
+    /// The estimator that solves.
+    pub fn solver(&self) -> solve::Options {
+        solve::Options { estimator: self.estimator.solver, essential: self.estimator.essential }
     }
 
     /// The workspace: the job's, else the robot's.
