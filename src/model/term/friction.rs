@@ -3,6 +3,7 @@
 use super::{Column, FixedTerm, Motion, Sample, Term, padded, per_joint};
 use crate::joint::JointVec;
 use crate::model::chain::{Chain, JointKind};
+use crate::model::fast::closed::ClosedForm;
 use nalgebra::{DMatrix, Vector3};
 
 /// Identity of [`Friction`].
@@ -71,5 +72,10 @@ impl FixedTerm for FixedFriction {
         for (j, tau) in tau.iter_mut().enumerate() {
             *tau += self.fv[j] * sample.dq[j] + self.fc[j] * (SHARPNESS * sample.dq[j]).tanh();
         }
+    }
+
+    fn join(&self, closed: &mut ClosedForm) -> bool {
+        closed.add_friction(&self.fv, &self.fc);
+        true
     }
 }

@@ -11,6 +11,7 @@ pub mod torque_offset;
 
 use super::base::Reduction;
 use super::chain::{Chain, JointKind};
+use super::fast::closed::ClosedForm;
 use crate::joint::JointVec;
 use nalgebra::{DMatrix, Vector3};
 use std::sync::Arc;
@@ -108,6 +109,11 @@ pub trait Term: Send + Sync {
 pub trait FixedTerm: Send {
     /// Adds the term's torque at `sample` to `tau` \[Nm\].
     fn torque(&mut self, sample: &Sample, tau: &mut JointVec);
+
+    /// Adds itself to the part of the model that is computed in one pass, and is not called any more. False when it has no such form.
+    fn join(&self, _closed: &mut ClosedForm) -> bool {
+        false
+    }
 }
 
 /// One column per joint whose expression is its own name.

@@ -5,6 +5,7 @@ use crate::joint::{JointVec, MAX_JOINTS};
 use crate::model::base::Reduction;
 use crate::model::chain::Chain;
 use crate::model::expression;
+use crate::model::fast::closed::ClosedForm;
 use crate::model::regressor::{LINK_COLUMNS, regressor};
 use crate::model::rnea::{LinkParameters, rnea};
 use nalgebra::{DMatrix, Vector3};
@@ -79,5 +80,9 @@ impl FixedTerm for FixedRigidBody {
         for (tau, own) in tau.iter_mut().zip(&own) {
             *tau += own;
         }
+    }
+
+    fn join(&self, closed: &mut ClosedForm) -> bool {
+        closed.add_links(&self.chain, &self.links, &self.gravity)
     }
 }

@@ -3,6 +3,7 @@
 use super::{Column, FixedTerm, Motion, Sample, Term, padded, per_joint};
 use crate::joint::JointVec;
 use crate::model::chain::{Chain, JointKind};
+use crate::model::fast::closed::ClosedForm;
 use nalgebra::{DMatrix, Vector3};
 
 /// Identity of [`RotorInertia`].
@@ -60,5 +61,10 @@ impl FixedTerm for FixedRotors {
         for ((tau, ia), ddq) in tau.iter_mut().zip(&self.0).zip(&sample.ddq) {
             *tau += ia * ddq;
         }
+    }
+
+    fn join(&self, closed: &mut ClosedForm) -> bool {
+        closed.add_rotors(&self.0);
+        true
     }
 }

@@ -3,6 +3,7 @@
 use super::{Column, FixedTerm, Motion, Sample, Term, padded, per_joint};
 use crate::joint::JointVec;
 use crate::model::chain::{Chain, JointKind};
+use crate::model::fast::closed::ClosedForm;
 use nalgebra::{DMatrix, Vector3};
 
 /// Identity of [`TorqueOffset`].
@@ -56,5 +57,10 @@ impl FixedTerm for FixedOffset {
         for (tau, offset) in tau.iter_mut().zip(&self.0) {
             *tau += offset;
         }
+    }
+
+    fn join(&self, closed: &mut ClosedForm) -> bool {
+        closed.add_offset(&self.0);
+        true
     }
 }
