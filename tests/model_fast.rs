@@ -3,14 +3,17 @@
 mod arms;
 
 use arms::{all, any_mounting, draw, links, random_chain};
-use nalgebra::Vector3;
+use nalgebra::{DMatrix, Vector3};
 use plumbline::joint::JointVec;
 use plumbline::model::base::{BaseKind, Reduction};
 use plumbline::model::chain::{Chain, JointKind};
 use plumbline::model::fast::closed::ClosedForm;
+use plumbline::model::fast::links::LinkColumns;
+use plumbline::model::fast::sample::SampleRegressor;
+use plumbline::model::regressor::regressor;
 use plumbline::model::rnea::{LinkParameters, rnea};
 use plumbline::model::structure::Structure;
-use plumbline::model::term::{FixedTerm, Sample};
+use plumbline::model::term::{FixedTerm, Motion, Sample};
 use plumbline::model::torque::TorqueModel;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -128,4 +131,70 @@ fn angles_of_many_turns_and_no_angles_at_all() {
     assert!(closed.torque(&s)[..6].iter().all(|tau| tau.is_nan()), "what is no number must not look like one");
     // A second arm is no part of the first one.
     assert!(!closed.add_links(&panda, &links, &gravity));
+}
+
+/// Any choice of columns, on every arm, prismatic joints included.
+#[test]
+fn link_columns_are_those_of_the_plain_regressor() {
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let named: Vec<_> = all().into_iter().map(|(name, chain)| (name.to_string(), chain)).collect();
+    let random: Vec<_> = (0..200).map(|k| (format!("random arm {k}"), random_chain(&mut rng))).collect();
+    for (name, chain) in named.into_iter().chain(random) {
+        let n = chain.len();
+        let base = Reduction::any_mounting(&chain).independent().to_vec();
+        let some: Vec<usize> = (0..10 * n).filter(|_| rng.random_bool(0.5)).collect();
+        for slots in [base, (0..10 * n).collect(), some, Vec::new()] {
+            let gravity = any_mounting(&mut rng).gravity();
+            let mut columns = LinkColumns::new(&chain, &slots, &gravity);
+            assert_eq!((columns.len(), columns.is_empty()), (slots.len(), slots.is_empty()));
+            let mut standard = DMatrix::zeros(n, 10 * n);
+            // What stood there before must not show through.
+            let mut found = vec![[f64::NAN; 8]; slots.len()];
+            for _ in 0..10 {
+                let s = sample(&mut rng, n);
+                columns.fill(&s, &mut found);
+                regressor(&chain, &gravity, &s.q, &s.dq, &s.ddq, &mut standard);
+                let scale = standard.amax();
+                for (found, &slot) in found.iter().zip(&slots) {
+                    for (j, entry) in found.iter().enumerate() {
+                        let expected = if j < n { standard[(j, slot)] } else { 0.0 };
+                        let close = (entry - expected).abs() <= 1e-13 * scale;
+                        assert!(close, "{name}, slot {slot}, joint {}: {entry} is not {expected}", j + 1);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// One sample after the other gives the rows of the whole motion.
+#[test]
+fn sample_by_sample_is_the_structures_regressor() {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    for (name, chain) in all() {
+        let n = chain.len();
+        let reduction = Reduction::any_mounting(&chain);
+        let structure = Structure::of(chain, reduction, &["friction", "torque-offset", "rotor-inertia"]).unwrap();
+        // No multiple of the block that is written at once.
+        let samples = 21;
+        let mut matrix = |span| DMatrix::from_vec(samples, n, draw(&mut rng, samples * n, span));
+        let (q, dq, ddq) = (matrix(3.0), matrix(0.3), matrix(5.0));
+        let motion = Motion { dt: 1e-3, q, dq, ddq, gravity: any_mounting(&mut rng).gravity(), periodic: false };
+        let whole = structure.regressor(&motion);
+        let mut rows = SampleRegressor::new(&structure, &motion.gravity).unwrap();
+        assert_eq!((rows.joints(), rows.len(), rows.is_empty()), (n, structure.columns().len(), false));
+        for k in 0..samples {
+            let mut s = Sample::default();
+            for j in 0..n {
+                (s.q[j], s.dq[j], s.ddq[j]) = (motion.q[(k, j)], motion.dq[(k, j)], motion.ddq[(k, j)]);
+            }
+            for (c, column) in rows.at(&s).iter().enumerate() {
+                for (j, entry) in column.iter().enumerate() {
+                    let expected = if j < n { whole[(j * samples + k, c)] } else { 0.0 };
+                    let close = (entry - expected).abs() <= 1e-13 * (1.0 + expected.abs());
+                    assert!(close, "{name}, {}, joint {}: {entry} {expected}", structure.columns()[c].name, j + 1);
+                }
+            }
+        }
+    }
 }

@@ -28,8 +28,7 @@ pub struct Frame {
     pub levered: bool,
 }
 
-/// Frames of an all-revolute arm. They are those of the [`Chain`], each moved along its own z axis by [`Frames::shift`] where
-/// that leaves fewer levers: the links' motions and joint torques stay the same.
+/// Frames of an all-revolute arm: those of the [`Chain`], or each moved along its own z axis by [`Frames::shift`].
 #[derive(Clone, Debug)]
 pub struct Frames {
     /// Number of joints.
@@ -43,8 +42,17 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// The frames of a chain; `None` when it has a prismatic joint or no joint.
+    /// The chain's own frames; `None` when it has a prismatic joint or no joint.
     pub fn of(chain: &Chain) -> Option<Frames> {
+        Frames::with(chain, false)
+    }
+
+    /// Frames moved along their own z axes where that leaves fewer levers; the links' motions and joint torques stay the same.
+    pub fn moved(chain: &Chain) -> Option<Frames> {
+        Frames::with(chain, true)
+    }
+
+    fn with(chain: &Chain, may_move: bool) -> Option<Frames> {
         let joints = chain.joints();
         if joints.is_empty() || joints.iter().any(|joint| joint.kind == JointKind::Prismatic) {
             return None;
@@ -65,7 +73,7 @@ impl Frames {
             // A lever along the joint's own axis alone vanishes when the frame moves along that axis. The last frame has no one to
             // carry it to, and the first one's parent stands still.
             let vanishes = joint.a == 0.0 && carried == 0.0;
-            let moved = i == 0 || i + 1 == joints.len() || vanishes;
+            let moved = may_move && (i == 0 || i + 1 == joints.len() || vanishes);
             let d = if moved { 0.0 } else { joint.d };
             let lever = [joint.a, -sin * d, cos * d + carried];
             carried = if moved { joint.d } else { 0.0 };
@@ -92,5 +100,27 @@ impl Frames {
         // Steiner's theorem for a step t along z.
         let turned = m * t * t - 2.0 * t * z;
         [xx + turned, xy, xz + t * x, yy + turned, yz + t * y, zz, x, y, z - m * t, m]
+    }
+}
+
+/// A parent's vector in the twisted frame: `Rx(alpha)' v`.
+#[inline(always)]
+pub fn untwist(twist: Twist, [x, y, z]: [f64; 3]) -> [f64; 3] {
+    match twist {
+        Twist::None => [x, y, z],
+        Twist::Left => [x, z, -y],
+        Twist::Right => [x, -z, y],
+        Twist::Any(sin, cos) => [x, cos * y + sin * z, cos * z - sin * y],
+    }
+}
+
+/// The other way: `Rx(alpha) v`.
+#[inline(always)]
+pub fn twist(twist: Twist, [x, y, z]: [f64; 3]) -> [f64; 3] {
+    match twist {
+        Twist::None => [x, y, z],
+        Twist::Left => [x, -z, y],
+        Twist::Right => [x, z, -y],
+        Twist::Any(sin, cos) => [x, cos * y - sin * z, sin * y + cos * z],
     }
 }

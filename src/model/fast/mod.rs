@@ -5,6 +5,10 @@
 
 pub mod closed;
 mod frames;
+pub mod links;
+mod motion;
+mod regressor;
+pub mod sample;
 mod torque;
 mod trig;
 
@@ -14,7 +18,7 @@ use fearless_simd::{Level, Simd};
 /// One number per link or joint, where a vector register is loaded from and stored to at once.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(align(64))]
-struct Lanes([f64; 8]);
+pub struct Lanes([f64; 8]);
 
 impl Lanes {
     fn add(&mut self, other: &JointVec) {

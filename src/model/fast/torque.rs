@@ -1,13 +1,13 @@
 //! Inverse dynamics for the loop: the recursion of [`super::super::rnea::rnea`] with all that is zero left out.
 
-use super::frames::{Frames, Twist};
-use super::trig::sin_cos;
+use super::frames::{Frames, twist, untwist};
+use super::motion::{Carrier, Motion};
 use super::{Lanes, fused};
 use crate::joint::{JointVec, MAX_JOINTS};
 use crate::model::chain::Chain;
 use crate::model::rnea::LinkParameters;
 use crate::model::term::Sample;
-use fearless_simd::{Simd, SimdBase, SimdFloat, f64x4, f64x8};
+use fearless_simd::{Simd, SimdBase, SimdFloat, f64x4};
 use nalgebra::Vector3;
 
 /// The rigid body of an all-revolute arm with its numbers in place.
@@ -18,9 +18,7 @@ use nalgebra::Vector3;
 /// lever needs them.
 #[derive(Clone, Debug)]
 pub struct RigidTorque {
-    frames: Frames,
-    /// Acceleration of the base against gravity, turned by the first twist \[m/s2\].
-    base: [f64; 3],
+    carrier: Carrier,
     /// Standard parameters, each with one lane per link.
     p: [Lanes; 10],
     /// Whether any of `Lyy`, `lz`, `m` is not zero.
@@ -34,7 +32,7 @@ impl RigidTorque {
     /// `None` when a joint is prismatic.
     pub fn new(chain: &Chain, links: &[LinkParameters], gravity: &Vector3<f64>) -> Option<RigidTorque> {
         assert_eq!(links.len(), chain.len(), "one row of parameters per link");
-        let frames = Frames::of(chain)?;
+        let frames = Frames::moved(chain)?;
         let mut p = [Lanes::default(); 10];
         for (i, link) in links.iter().enumerate() {
             for (lanes, value) in p.iter_mut().zip(frames.parameters(i, link)) {
@@ -43,73 +41,28 @@ impl RigidTorque {
         }
         let whole = [3, 8, 9].iter().any(|&slot: &usize| p[slot].0.iter().any(|&value| value != 0.0));
         let first_lever = (0..frames.len).find(|&i| frames.frames[i].levered).unwrap_or(MAX_JOINTS);
-        let against = [-gravity.x, -gravity.y, -gravity.z];
-        let base = untwist(frames.frames[0].twist, against);
-        Some(RigidTorque { frames, base, p, whole, first_lever })
+        Some(RigidTorque { carrier: Carrier::new(frames, gravity), p, whole, first_lever })
     }
 
     /// Adds the arm's torques at a sample to `tau` \[Nm\].
     #[inline(always)]
     pub fn torque<S: Simd>(&self, simd: S, work: &mut Workspace, sample: &Sample, tau: &mut JointVec) {
-        let n = self.frames.len;
-        let q = f64x8::from_slice(simd, &sample.q) + f64x8::from_slice(simd, &self.frames.theta);
-        let (sin, cos) = sin_cos(simd, q);
-        sin.store_slice(&mut work.sin.0);
-        cos.store_slice(&mut work.cos.0);
-        self.outward(simd, work, sample);
+        self.carrier.outward(simd, &mut work.motion, sample);
         // Half the lanes at a time fit into sixteen registers.
         self.wrenches(simd, work, 0);
-        if n > 4 {
+        if self.carrier.frames.len > 4 {
             self.wrenches(simd, work, 4);
         }
         self.inward(simd, work, tau);
     }
 
-    /// Angular velocity and acceleration of every frame, and its origin's acceleration.
-    #[inline(always)]
-    fn outward<S: Simd>(&self, simd: S, work: &mut Workspace, sample: &Sample) {
-        let fma = |a: f64, b: f64, c: f64| fused(simd, a, b, c);
-        // The base stands still, so that frame 1 turns about its own axis alone.
-        let mut w = [0.0, 0.0, sample.dq[0]];
-        let mut dw = [0.0, 0.0, sample.ddq[0]];
-        let (s, c) = (work.sin.0[0], work.cos.0[0]);
-        let mut a = [fma(c, self.base[0], s * self.base[1]), fma(c, self.base[1], -s * self.base[0]), self.base[2]];
-        work.keep(0, w, dw, a);
-        for i in 1..self.frames.len.min(MAX_JOINTS) {
-            let frame = &self.frames.frames[i];
-            if frame.levered {
-                // a + dw x p + w x (w x p)
-                let [x, y, z] = frame.lever;
-                let along = fma(w[0], x, fma(w[1], y, w[2] * z));
-                let square = fma(w[0], w[0], fma(w[1], w[1], w[2] * w[2]));
-                a[0] += fma(dw[1], z, fma(-dw[2], y, fma(along, w[0], -square * x)));
-                a[1] += fma(dw[2], x, fma(-dw[0], z, fma(along, w[1], -square * y)));
-                a[2] += fma(dw[0], y, fma(-dw[1], x, fma(along, w[2], -square * z)));
-            }
-            let turn = (work.sin.0[i], work.cos.0[i], sample.dq[i], sample.ddq[i]);
-            // One copy per twist, so that its signs and swaps are part of the products.
-            (w, dw, a) = match frame.twist {
-                Twist::None => step(simd, w, dw, a, turn),
-                Twist::Left => {
-                    let to = |v| untwist(Twist::Left, v);
-                    step(simd, to(w), to(dw), to(a), turn)
-                }
-                Twist::Right => {
-                    let to = |v| untwist(Twist::Right, v);
-                    step(simd, to(w), to(dw), to(a), turn)
-                }
-                twist => step(simd, untwist(twist, w), untwist(twist, dw), untwist(twist, a), turn),
-            };
-            work.keep(i, w, dw, a);
-        }
-    }
-
     /// Force and moment about its frame's origin that each link needs, for four links from `first`.
     #[inline(always)]
     fn wrenches<S: Simd>(&self, simd: S, work: &mut Workspace, first: usize) {
+        let motion = &work.motion;
         let load = |lanes: &Lanes| f64x4::from_slice(simd, &lanes.0[first..first + 4]);
-        let ([wx, wy, wz], [dx, dy, dz]) = (work.w.each_ref().map(load), work.dw.each_ref().map(load));
-        let [ax, ay, az] = work.a.each_ref().map(load);
+        let ([wx, wy, wz], [dx, dy, dz]) = (motion.w.each_ref().map(load), motion.dw.each_ref().map(load));
+        let [ax, ay, az] = motion.a.each_ref().map(load);
         let p = |slot: usize| load(&self.p[slot]);
 
         // U = [dw]x + [w]x [w]x.
@@ -134,8 +87,8 @@ impl RigidTorque {
             fx = mass.mul_add(ax, lz.mul_add(uxz, fx));
             fy = mass.mul_add(ay, lz.mul_add(uyz, fy));
             fz = mass.mul_add(az, fz - lz * (xx + yy));
-            mx = mx - iyy.mul_add(wyz, lz * ay);
-            my = my + iyy.mul_add(dy, lz * ax);
+            mx -= iyy.mul_add(wyz, lz * ay);
+            my += iyy.mul_add(dy, lz * ax);
             mz = iyy.mul_add(wxy, mz);
         }
         for (lanes, value) in work.f.iter_mut().chain(&mut work.m).zip([fx, fy, fz, mx, my, mz]) {
@@ -148,12 +101,13 @@ impl RigidTorque {
     fn inward<S: Simd>(&self, simd: S, work: &Workspace, tau: &mut JointVec) {
         let fma = |a: f64, b: f64, c: f64| fused(simd, a, b, c);
         let own = |lanes: &[Lanes; 3], i: usize| [lanes[0].0[i], lanes[1].0[i], lanes[2].0[i]];
-        let last = self.frames.len.min(MAX_JOINTS) - 1;
+        let frames = &self.carrier.frames;
+        let last = frames.len.min(MAX_JOINTS) - 1;
         let (mut f, mut m) = (own(&work.f, last), own(&work.m, last));
         for i in (1..=last).rev() {
             tau[i] += m[2];
-            let frame = &self.frames.frames[i];
-            let (s, c) = (work.sin.0[i], work.cos.0[i]);
+            let frame = &frames.frames[i];
+            let (s, c) = (work.motion.sin.0[i], work.motion.cos.0[i]);
             // Everything but the moment beyond is ready before that moment is: it goes through two products alone.
             let mut link = own(&work.m, i - 1);
             if i >= self.first_lever {
@@ -175,61 +129,12 @@ impl RigidTorque {
     }
 }
 
-/// Motion of a frame from its parent's, twisted already, by sine and cosine of its joint's angle and the joint's velocity and acceleration.
-#[inline(always)]
-fn step<S: Simd>(
-    simd: S,
-    w: [f64; 3],
-    dw: [f64; 3],
-    a: [f64; 3],
-    (s, c, dq, ddq): (f64, f64, f64, f64),
-) -> ([f64; 3], [f64; 3], [f64; 3]) {
-    let fma = |a: f64, b: f64, c: f64| fused(simd, a, b, c);
-    let w = [fma(c, w[0], s * w[1]), fma(c, w[1], -s * w[0]), w[2] + dq];
-    let x = fma(c, dw[0], fma(s, dw[1], w[1] * dq));
-    let y = fma(c, dw[1], fma(-s, dw[0], -w[0] * dq));
-    (w, [x, y, dw[2] + ddq], [fma(c, a[0], s * a[1]), fma(c, a[1], -s * a[0]), a[2]])
-}
-
-/// What the passes hand to each other, one lane per link or joint.
+/// What the passes hand to each other, one lane per link.
 #[derive(Clone, Debug, Default)]
 pub struct Workspace {
-    sin: Lanes,
-    cos: Lanes,
-    w: [Lanes; 3],
-    dw: [Lanes; 3],
-    a: [Lanes; 3],
+    motion: Motion,
+    /// Force of each link \[N\].
     f: [Lanes; 3],
+    /// Moment of each link about its frame's origin \[Nm\].
     m: [Lanes; 3],
-}
-
-impl Workspace {
-    #[inline(always)]
-    fn keep(&mut self, i: usize, w: [f64; 3], dw: [f64; 3], a: [f64; 3]) {
-        for axis in 0..3 {
-            (self.w[axis].0[i], self.dw[axis].0[i], self.a[axis].0[i]) = (w[axis], dw[axis], a[axis]);
-        }
-    }
-}
-
-/// A parent's vector in the twisted frame: `Rx(alpha)' v`.
-#[inline(always)]
-fn untwist(twist: Twist, [x, y, z]: [f64; 3]) -> [f64; 3] {
-    match twist {
-        Twist::None => [x, y, z],
-        Twist::Left => [x, z, -y],
-        Twist::Right => [x, -z, y],
-        Twist::Any(sin, cos) => [x, cos * y + sin * z, cos * z - sin * y],
-    }
-}
-
-/// The other way: `Rx(alpha) v`.
-#[inline(always)]
-fn twist(twist: Twist, [x, y, z]: [f64; 3]) -> [f64; 3] {
-    match twist {
-        Twist::None => [x, y, z],
-        Twist::Left => [x, -z, y],
-        Twist::Right => [x, z, -y],
-        Twist::Any(sin, cos) => [x, cos * y - sin * z, sin * y + cos * z],
-    }
 }

@@ -64,11 +64,13 @@ pub fn sin_cos<S: Simd>(simd: S, x: f64x8<S>) -> (f64x8<S>, f64x8<S>) {
     let odd = (quarter & 1).simd_eq(1u64);
     let sin_sign = (quarter & 2) << 62;
     let cos_sign = ((quarter + 1) & 2) << 62;
-    let flip = |value: f64x8<S>, sign: u64x8<S>| -> f64x8<S> {
-        let bits: u64x8<S> = value.bitcast();
-        (bits ^ sign).bitcast()
-    };
     (flip(odd.select(cos, sin), sin_sign), flip(odd.select(sin, cos), cos_sign))
+}
+
+#[inline(always)]
+fn flip<S: Simd>(value: f64x8<S>, sign: u64x8<S>) -> f64x8<S> {
+    let bits: u64x8<S> = value.bitcast();
+    (bits ^ sign).bitcast()
 }
 
 /// The standard library's, for angles that the reduction does not reach.
@@ -97,18 +99,23 @@ pub fn tanh<S: Simd>(simd: S, x: f64x8<S>) -> f64x8<S> {
     let r = k.mul_add(-LN_2[1], r);
 
     // exp(r) - 1 on |r| <= ln 2 / 2 by its series to r^13 (the rest is below 2e-17 of it), pairs first.
-    let pair = |n: usize| r.mul_add(INVERSE_FACTORIAL[n + 1], f64x8::splat(simd, INVERSE_FACTORIAL[n]));
     let r2 = r * r;
     let r4 = r2 * r2;
-    let low = r2.mul_add(pair(4), pair(2));
-    let mid = r2.mul_add(pair(8), pair(6));
-    let high = r2.mul_add(pair(12), pair(10));
+    let low = r2.mul_add(pair(simd, r, 4), pair(simd, r, 2));
+    let mid = r2.mul_add(pair(simd, r, 8), pair(simd, r, 6));
+    let high = r2.mul_add(pair(simd, r, 12), pair(simd, r, 10));
     let small = r2.mul_add(r4.mul_add(r4.mul_add(high, mid), low), r);
 
     let exponent: u64x8<S> = rounded.bitcast();
     let scale: f64x8<S> = ((exponent + 1023) << 52).bitcast();
     let t = scale.mul_add(small, scale - 1.0);
     (t / (t + 2.0)).copysign(x)
+}
+
+/// `1 / n! + r / (n + 1)!`. A function and no closure: code of the vector level has to be inlined, and a closure can't be told to be.
+#[inline(always)]
+fn pair<S: Simd>(simd: S, r: f64x8<S>, n: usize) -> f64x8<S> {
+    r.mul_add(INVERSE_FACTORIAL[n + 1], f64x8::splat(simd, INVERSE_FACTORIAL[n]))
 }
 
 /// `1 / n!`.

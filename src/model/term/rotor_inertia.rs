@@ -1,6 +1,6 @@
 //! Inertia of the motors' rotors, seen through the gears.
 
-use super::{Column, FixedTerm, Motion, Sample, Term, padded, per_joint};
+use super::{Column, Entry, FixedTerm, Motion, Sample, Term, padded, per_joint};
 use crate::joint::JointVec;
 use crate::model::chain::{Chain, JointKind};
 use crate::model::fast::closed::ClosedForm;
@@ -47,6 +47,10 @@ impl Term for RotorInertia {
         for j in 0..motion.joints() {
             y.view_mut((j * samples, first + j), (samples, 1)).copy_from(&motion.ddq.column(j));
         }
+    }
+
+    fn entries(&self) -> Option<Vec<Entry>> {
+        Some((0..self.columns.len()).map(|joint| Entry::Acceleration { joint }).collect())
     }
 
     fn fix(&self, _chain: &Chain, _gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {

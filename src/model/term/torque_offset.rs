@@ -1,6 +1,6 @@
 //! A constant torque in every joint's measurement.
 
-use super::{Column, FixedTerm, Motion, Sample, Term, padded, per_joint};
+use super::{Column, Entry, FixedTerm, Motion, Sample, Term, padded, per_joint};
 use crate::joint::JointVec;
 use crate::model::chain::{Chain, JointKind};
 use crate::model::fast::closed::ClosedForm;
@@ -43,6 +43,10 @@ impl Term for TorqueOffset {
         for j in 0..motion.joints() {
             y.view_mut((j * samples, first + j), (samples, 1)).fill(1.0);
         }
+    }
+
+    fn entries(&self) -> Option<Vec<Entry>> {
+        Some((0..self.columns.len()).map(|joint| Entry::Constant { joint }).collect())
     }
 
     fn fix(&self, _chain: &Chain, _gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {
