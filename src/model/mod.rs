@@ -4,6 +4,7 @@ pub mod base;
 pub mod chain;
 pub mod conditioning;
 pub mod expression;
+pub mod fast;
 pub mod gravity;
 pub mod regressor;
 pub mod rnea;

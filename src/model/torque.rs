@@ -2,10 +2,11 @@
 
 use super::base::{BaseKind, Reduction};
 use super::chain::Chain;
+use super::fast::closed::ClosedForm;
 use super::gravity::{Mounting, VERTICAL_TOLERANCE};
 use super::structure::{ModelError, Structure};
 use super::term::{Column, FixedTerm, Motion, Sample, Term, rigid_body};
-use crate::joint::{JointVec, Torque};
+use crate::joint::Torque;
 use nalgebra::{DMatrix, Vector3};
 use std::ops::Range;
 use std::sync::Arc;
@@ -182,7 +183,9 @@ impl TorqueModel {
         let beta = self.beta();
         let fixed =
             |(term, range): (&Arc<dyn Term>, Range<usize>)| term.fix(self.structure.chain(), gravity, &beta[range]);
-        Evaluator { terms: self.structure.terms().iter().zip(self.structure.ranges()).map(fixed).collect() }
+        let mut closed = ClosedForm::default();
+        let terms = self.structure.terms().iter().zip(self.structure.ranges()).map(fixed);
+        Evaluator { terms: terms.filter(|term| !term.join(&mut closed)).collect(), closed }
     }
 
     /// Torques along a motion, N x n \[Nm\], sample after sample with [`Evaluator::torque`].
@@ -206,13 +209,15 @@ impl TorqueModel {
 
 /// A model ready for the loop: its torque neither allocates nor panics.
 pub struct Evaluator {
+    closed: ClosedForm,
+    /// What has no closed form.
     terms: Vec<Box<dyn FixedTerm>>,
 }
 
 impl Evaluator {
-    /// Torque that the arm needs at `sample`: RNEA with the regrouped parameters in their slots, plus the other terms \[Nm\].
+    /// Torque that the arm needs at `sample`: Newton-Euler with the regrouped parameters in their slots, plus the other terms \[Nm\].
     pub fn torque(&mut self, sample: &Sample) -> Torque {
-        let mut tau = JointVec::default();
+        let mut tau = self.closed.torque(sample);
         for term in &mut self.terms {
             term.torque(sample, &mut tau);
         }

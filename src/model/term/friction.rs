@@ -1,8 +1,10 @@
 //! Viscous and Coulomb friction of every joint.
 
-use super::{Column, FixedTerm, Motion, Sample, Term, padded, per_joint};
+use super::{Column, Entry, FixedTerm, Motion, Sample, Term, padded, per_joint};
 use crate::joint::JointVec;
 use crate::model::chain::{Chain, JointKind};
+use crate::model::fast::closed::ClosedForm;
+use crate::model::fast::sample::smooth_signs;
 use nalgebra::{DMatrix, Vector3};
 
 /// Identity of [`Friction`].
@@ -47,12 +49,19 @@ impl Term for Friction {
     fn fill(&self, _chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
         let (n, samples) = (motion.joints(), motion.samples());
         for j in 0..n {
-            for k in 0..samples {
-                let dq = motion.dq[(k, j)];
-                y[(j * samples + k, first + j)] = dq;
-                y[(j * samples + k, first + n + j)] = (SHARPNESS * dq).tanh();
-            }
+            let (dq, rows) = (motion.dq.column(j), j * samples..(j + 1) * samples);
+            y.view_mut((rows.start, first + j), (samples, 1)).copy_from(&dq);
+            // One column is one piece of memory.
+            let height = y.nrows();
+            let column = &mut y.as_mut_slice()[(first + n + j) * height..][..height];
+            smooth_signs(dq.as_slice(), &mut column[rows]);
         }
+    }
+
+    fn entries(&self) -> Option<Vec<Entry>> {
+        let n = self.columns.len() / 2;
+        let signs = (0..n).map(|joint| Entry::SmoothSign { joint });
+        Some((0..n).map(|joint| Entry::Velocity { joint }).chain(signs).collect())
     }
 
     fn fix(&self, _chain: &Chain, _gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {
@@ -71,5 +80,10 @@ impl FixedTerm for FixedFriction {
         for (j, tau) in tau.iter_mut().enumerate() {
             *tau += self.fv[j] * sample.dq[j] + self.fc[j] * (SHARPNESS * sample.dq[j]).tanh();
         }
+    }
+
+    fn join(&self, closed: &mut ClosedForm) -> bool {
+        closed.add_friction(&self.fv, &self.fc);
+        true
     }
 }

@@ -11,6 +11,7 @@ pub mod torque_offset;
 
 use super::base::Reduction;
 use super::chain::{Chain, JointKind};
+use super::fast::closed::ClosedForm;
 use crate::joint::JointVec;
 use nalgebra::{DMatrix, Vector3};
 use std::sync::Arc;
@@ -100,14 +101,54 @@ pub trait Term: Send + Sync {
     /// `y` has n N rows, joint by joint: joint `j` (from 0), sample `k` is row `j N + k`. Its entries are zero on entry.
     fn fill(&self, chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize);
 
+    /// What its columns are at one sample, in their order; `None` when they depend on more than that sample.
+    fn entries(&self) -> Option<Vec<Entry>> {
+        None
+    }
+
     /// The term with its parameters fixed, for the real-time loop.
     fn fix(&self, chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm>;
+}
+
+/// A column that depends on one sample alone. Joints are counted from 0; all but a link's column have that joint's row alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Entry {
+    /// A standard parameter of a rigid link, `10 * link + position` in `[Lxx Lxy Lxz Lyy Lyz Lzz lx ly lz m]`.
+    Link {
+        /// That place.
+        slot: usize,
+    },
+    /// `dq_j`.
+    Velocity {
+        /// The joint.
+        joint: usize,
+    },
+    /// `tanh(100 dq_j)` (paper eq. 2).
+    SmoothSign {
+        /// The joint.
+        joint: usize,
+    },
+    /// `ddq_j`.
+    Acceleration {
+        /// The joint.
+        joint: usize,
+    },
+    /// One.
+    Constant {
+        /// The joint.
+        joint: usize,
+    },
 }
 
 /// A term with known parameters. `torque` neither allocates nor panics.
 pub trait FixedTerm: Send {
     /// Adds the term's torque at `sample` to `tau` \[Nm\].
     fn torque(&mut self, sample: &Sample, tau: &mut JointVec);
+
+    /// Adds itself to the part of the model that is computed in one pass, and is not called any more. False when it has no such form.
+    fn join(&self, _closed: &mut ClosedForm) -> bool {
+        false
+    }
 }
 
 /// One column per joint whose expression is its own name.

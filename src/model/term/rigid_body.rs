@@ -1,16 +1,21 @@
 //! The rigid links: inertia, centrifugal and Coriolis torques, gravity.
 
-use super::{Column, FixedTerm, Motion, Sample, Term};
+use super::{Column, Entry, FixedTerm, Motion, Sample, Term};
 use crate::joint::{JointVec, MAX_JOINTS};
 use crate::model::base::Reduction;
 use crate::model::chain::Chain;
 use crate::model::expression;
-use crate::model::regressor::{LINK_COLUMNS, regressor};
+use crate::model::fast::closed::ClosedForm;
+use crate::model::fast::links::LinkColumns;
+use crate::model::regressor::LINK_COLUMNS;
 use crate::model::rnea::{LinkParameters, rnea};
 use nalgebra::{DMatrix, Vector3};
 
 /// Identity of [`RigidBody`].
 pub const ID: &str = "rigid-body";
+
+/// Samples whose columns are computed before they are written.
+const BLOCK: usize = 8;
 
 /// `tau = Y_b(q, dq, ddq, rho, phi) beta` (paper eq. 7): the base columns of a [`Reduction`].
 pub struct RigidBody {
@@ -39,21 +44,36 @@ impl Term for RigidBody {
     }
 
     fn fill(&self, chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
-        let (n, samples) = (motion.joints(), motion.samples());
-        let mut standard = DMatrix::zeros(n, n * LINK_COLUMNS);
-        let (mut q, mut dq, mut ddq) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
-        for k in 0..samples {
-            for j in 0..n {
-                (q[j], dq[j], ddq[j]) = (motion.q[(k, j)], motion.dq[(k, j)], motion.ddq[(k, j)]);
+        let (n, samples, height) = (motion.joints(), motion.samples(), y.nrows());
+        let mut links = LinkColumns::new(chain, &self.independent, &motion.gravity);
+        // A joint's rows of a column are one piece of memory, those of different joints and columns lie far apart: several samples at
+        // a time, so that each piece is visited once for all of them.
+        let mut block = vec![[[0.0; MAX_JOINTS]; BLOCK]; self.independent.len()];
+        let mut one = vec![[0.0; MAX_JOINTS]; self.independent.len()];
+        let mut sample = Sample::default();
+        let y = y.as_mut_slice();
+        for start in (0..samples).step_by(BLOCK) {
+            let count = BLOCK.min(samples - start);
+            for k in 0..count {
+                for j in 0..n {
+                    let at = (start + k, j);
+                    (sample.q[j], sample.dq[j], sample.ddq[j]) = (motion.q[at], motion.dq[at], motion.ddq[at]);
+                }
+                links.fill(&sample, &mut one);
+                block.iter_mut().zip(&one).for_each(|(column, one)| column[k] = *one);
             }
-            regressor(chain, &motion.gravity, &q[..n], &dq[..n], &ddq[..n], &mut standard);
-            for (c, &slot) in self.independent.iter().enumerate() {
+            for ((c, &slot), column) in self.independent.iter().enumerate().zip(&block) {
                 // A link moves only the joints up to its own.
                 for j in 0..=slot / LINK_COLUMNS {
-                    y[(j * samples + k, first + c)] = standard[(j, slot)];
+                    let rows = &mut y[(first + c) * height + j * samples + start..][..count];
+                    rows.iter_mut().zip(column).for_each(|(row, lanes)| *row = lanes[j]);
                 }
             }
         }
+    }
+
+    fn entries(&self) -> Option<Vec<Entry>> {
+        Some(self.independent.iter().map(|&slot| Entry::Link { slot }).collect())
     }
 
     fn fix(&self, chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {
@@ -79,5 +99,9 @@ impl FixedTerm for FixedRigidBody {
         for (tau, own) in tau.iter_mut().zip(&own) {
             *tau += own;
         }
+    }
+
+    fn join(&self, closed: &mut ClosedForm) -> bool {
+        closed.add_links(&self.chain, &self.links, &self.gravity)
     }
 }

@@ -1,8 +1,9 @@
 //! Inertia of the motors' rotors, seen through the gears.
 
-use super::{Column, FixedTerm, Motion, Sample, Term, padded, per_joint};
+use super::{Column, Entry, FixedTerm, Motion, Sample, Term, padded, per_joint};
 use crate::joint::JointVec;
 use crate::model::chain::{Chain, JointKind};
+use crate::model::fast::closed::ClosedForm;
 use nalgebra::{DMatrix, Vector3};
 
 /// Identity of [`RotorInertia`].
@@ -48,6 +49,10 @@ impl Term for RotorInertia {
         }
     }
 
+    fn entries(&self) -> Option<Vec<Entry>> {
+        Some((0..self.columns.len()).map(|joint| Entry::Acceleration { joint }).collect())
+    }
+
     fn fix(&self, _chain: &Chain, _gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {
         Box::new(FixedRotors(padded(beta)))
     }
@@ -60,5 +65,10 @@ impl FixedTerm for FixedRotors {
         for ((tau, ia), ddq) in tau.iter_mut().zip(&self.0).zip(&sample.ddq) {
             *tau += ia * ddq;
         }
+    }
+
+    fn join(&self, closed: &mut ClosedForm) -> bool {
+        closed.add_rotors(&self.0);
+        true
     }
 }

@@ -1,6 +1,6 @@
 //! A term with some of its columns left out.
 
-use super::{Column, FixedTerm, Motion, Term};
+use super::{Column, Entry, FixedTerm, Motion, Term};
 use crate::model::chain::Chain;
 use nalgebra::{DMatrix, Vector3};
 use std::sync::Arc;
@@ -46,6 +46,11 @@ impl Term for Subset {
         for (to, &from) in self.kept.iter().enumerate() {
             y.column_mut(first + to).copy_from(&all.column(from));
         }
+    }
+
+    fn entries(&self) -> Option<Vec<Entry>> {
+        let entries = self.inner.entries()?;
+        Some(self.kept.iter().map(|&c| entries[c]).collect())
     }
 
     fn fix(&self, chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {

@@ -1,8 +1,9 @@
 //! A constant torque in every joint's measurement.
 
-use super::{Column, FixedTerm, Motion, Sample, Term, padded, per_joint};
+use super::{Column, Entry, FixedTerm, Motion, Sample, Term, padded, per_joint};
 use crate::joint::JointVec;
 use crate::model::chain::{Chain, JointKind};
+use crate::model::fast::closed::ClosedForm;
 use nalgebra::{DMatrix, Vector3};
 
 /// Identity of [`TorqueOffset`].
@@ -44,6 +45,10 @@ impl Term for TorqueOffset {
         }
     }
 
+    fn entries(&self) -> Option<Vec<Entry>> {
+        Some((0..self.columns.len()).map(|joint| Entry::Constant { joint }).collect())
+    }
+
     fn fix(&self, _chain: &Chain, _gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {
         Box::new(FixedOffset(padded(beta)))
     }
@@ -56,5 +61,10 @@ impl FixedTerm for FixedOffset {
         for (tau, offset) in tau.iter_mut().zip(&self.0) {
             *tau += offset;
         }
+    }
+
+    fn join(&self, closed: &mut ClosedForm) -> bool {
+        closed.add_offset(&self.0);
+        true
     }
 }
