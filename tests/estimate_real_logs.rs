@@ -44,6 +44,7 @@ fn read(folder: &std::path::Path, file: &str, gain: &[f64]) -> Run {
     Run {
         name: file.to_string(),
         t: rows.iter().map(|row| row[0]).collect(),
+        dq: None,
         q: matrix("q"),
         tau,
         gravity: Mounting::UPRIGHT.gravity(),

@@ -134,7 +134,7 @@ fn simulate(truth: &Truth, fourier: &Fourier, periods: usize, mounting: Mounting
         }
     }
     let t = (0..periods * samples).map(|k| k as f64 * DT).collect();
-    Run { name: format!("run {seed}"), t, q, tau, gravity, period: Some(fourier.period) }
+    Run { name: format!("run {seed}"), t, q, dq: None, tau, gravity, period: Some(fourier.period) }
 }
 
 fn prepare(run: &Run) -> Experiment {
@@ -342,7 +342,7 @@ fn an_uneven_record_with_gaps_and_repeats_that_does_not_repeat_is_identified() {
     }
     let matrix = |of: &dyn Fn(usize, usize) -> f64| DMatrix::from_fn(t.len(), N, of);
     let (q, tau) = (matrix(&|k, j| q[k][j]), matrix(&|k, j| tau[k][j]));
-    let run = Run { name: "uneven".into(), t, q, tau, gravity: even.gravity, period: None };
+    let run = Run { name: "uneven".into(), t, dq: None, q, tau, gravity: even.gravity, period: None };
     let settings = Settings { position_cutoff: Some(10.0), ..Settings::default() };
     let experiment = Experiment::prepare(&run, &settings).unwrap();
     assert!(experiment.sampling.repeated_rows > 700 && experiment.sampling.missing > 700, "{:?}", experiment.sampling);

@@ -43,12 +43,26 @@ pub struct Options {
     /// Order of both filters; 8 by default, 20 for the paper's method
     #[arg(long)]
     order: Option<usize>,
+    /// Velocities of runs that do not repeat: measured (where the run has dq columns) or derived from the positions
+    #[arg(long, default_value = "measured")]
+    velocities: String,
+    /// Time to leave out at both ends of runs that do not repeat, in s
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    trim: f64,
+    /// Count the samples at which the whole arm stands, too: Coulomb friction can be anything there
+    #[arg(long)]
+    keep_rests: bool,
+    /// Share of every run to validate with, when the dataset has no run for it
+    #[arg(long, value_name = "SHARE", default_value_t = HOLD_OUT)]
+    hold_out: f64,
 }
 
 /// Usual cut-off for recorded data, which seldom repeats so that its noise can't be averaged away \[Hz\].
 const CUTOFF: f64 = 4.0;
-/// Share of a single run that the parameters are identified from when the dataset has nothing to validate with.
-const FIRST_PART: f64 = 0.6;
+/// Share of a run that validates when the dataset has nothing else to validate with.
+const HOLD_OUT: f64 = 0.4;
+/// Slower than this, a joint stands \[rad/s\]: the model's Coulomb friction turns within 0.01 rad/s.
+const REST: f64 = 0.01;
 
 /// Identifies, validates and writes the results.
 pub fn run(options: Options) -> Result<(), Failure> {
@@ -58,7 +72,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let settings = settings(&options)?;
     let solver = solver(&options)?;
     let terms = terms(&options, &robot)?;
-    let Split { identify, validate, notes } = split(&dataset)?;
+    let Split { identify, validate, notes } = split(&dataset, hold_out(&options)?)?;
 
     let bar = progress::bar("identifying");
     bar.at(0.1, "regression");
@@ -145,7 +159,27 @@ fn settings(options: &Options) -> Result<Settings, Failure> {
         }
         settings.order = order;
     }
+    settings.measured_velocities = match options.velocities.as_str() {
+        "measured" => true,
+        "derived" => false,
+        other => {
+            let found = format!("`{other}`");
+            return Err(BadInput::new("command line", "--velocities", found, "measured or derived").into());
+        }
+    };
+    if !(0.0..=3600.0).contains(&options.trim) {
+        return Err(BadInput::new("command line", "--trim", options.trim, "0 to 3600 s").into());
+    }
+    settings.trim = options.trim;
+    settings.rest = (!options.keep_rests).then_some(REST);
     Ok(settings)
+}
+
+fn hold_out(options: &Options) -> Result<f64, Failure> {
+    if !(0.05..=0.95).contains(&options.hold_out) {
+        return Err(BadInput::new("command line", "--hold-out", options.hold_out, "0.05 to 0.95").into());
+    }
+    Ok(options.hold_out)
 }
 
 fn solver(options: &Options) -> Result<solve::Options, Failure> {
@@ -177,7 +211,7 @@ struct Split {
 
 /// Runs by their roles. A dataset without validation runs is validated with the last part of its runs, which then is not used to
 /// identify.
-fn split(dataset: &Dataset) -> Result<Split, Failure> {
+fn split(dataset: &Dataset, hold_out: f64) -> Result<Split, Failure> {
     let identify: Vec<Run> = dataset.with_role(Role::Identify).cloned().collect();
     let validate: Vec<Run> = dataset.with_role(Role::Validate).cloned().collect();
     let mut notes = Vec::new();
@@ -196,9 +230,9 @@ fn split(dataset: &Dataset) -> Result<Split, Failure> {
     }
     notes.push(format!(
         "the dataset has no validation run: the last {:.0} % of each run were kept out of the identification and validate it",
-        100.0 * (1.0 - FIRST_PART)
+        100.0 * hold_out
     ));
-    let (head, tail) = identify.iter().map(|run| cut(run, FIRST_PART)).unzip();
+    let (head, tail) = identify.iter().map(|run| cut(run, 1.0 - hold_out)).unzip();
     Ok(Split { identify: head, validate: tail, notes })
 }
 

@@ -57,6 +57,7 @@ pub fn experiment(run: &Run, settings: &Settings) -> Result<Experiment, Failure>
         name: run.file.clone(),
         t: run.t.clone(),
         q: run.q.clone(),
+        dq: run.dq.clone(),
         tau: run.tau.clone(),
         gravity: run.mounting.gravity(),
         period: run.period,

@@ -80,6 +80,16 @@ pub struct Settings {
     pub skip_periods: usize,
     /// Whether every period's deviation from the mean is kept: estimators that reckon with noisy positions need it.
     pub keep_periods: bool,
+    /// Whether the velocities of a run that does not repeat are those that the arm measured, where the run has them, and the
+    /// accelerations are differentiated from them. Where samples are few, or an elastic gear lies between motor and link, they know
+    /// better when a joint reverses.
+    pub measured_velocities: bool,
+    /// Time left out at both ends of a run that does not repeat, where its filters need less \[s\].
+    pub trim: f64,
+    /// Speed below which a joint counts as standing \[rad/s\]. Samples of a run that does not repeat at which every joint stands are
+    /// left out: there Coulomb friction is whatever holds the arm, and no velocity tells which. Absent: all samples count.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rest: Option<f64>,
 }
 
 impl Settings {
@@ -106,6 +116,9 @@ impl Default for Settings {
             derivative: Derivative::Spectral,
             skip_periods: 0,
             keep_periods: false,
+            measured_velocities: false,
+            trim: 0.0,
+            rest: None,
         }
     }
 }
@@ -144,8 +157,11 @@ pub struct Experiment {
     pub desired: Option<Motion>,
     /// What the time stamps were like.
     pub sampling: Sampling,
-    /// Samples of the grid that enter the regression.
+    /// Samples of the grid at which the whole arm stands, and which therefore don't count.
+    resting: Vec<bool>,
+    /// Samples of the grid that enter the regression: one of `step`, less those at rest.
     kept: Vec<usize>,
+    step: usize,
     filter: Butterworth,
     /// Positions on the even grid with the ends, not filtered \[rad\].
     q: DMatrix<f64>,
@@ -166,7 +182,7 @@ pub struct Repeats {
 
 /// Samples of a run after resampling and averaging.
 struct Even {
-    /// Positions and torques, N x 2n.
+    /// Positions, torques and, where they are wanted, measured velocities, N x 2n or N x 3n.
     values: DMatrix<f64>,
     sampling: Sampling,
     first: usize,
@@ -184,9 +200,16 @@ impl Experiment {
         if run.tau.shape() != run.q.shape() {
             return Err(signal(SignalError::Shape { what: "tau", found: run.tau.nrows(), expected: run.q.nrows() }));
         }
-        let mut values = DMatrix::zeros(run.q.nrows(), 2 * n);
+        let dq = run.dq.as_ref().filter(|_| settings.measured_velocities && run.period.is_none());
+        if let Some(found) = dq.map(DMatrix::nrows).filter(|&found| found != run.q.nrows()) {
+            return Err(signal(SignalError::Shape { what: "dq", found, expected: run.q.nrows() }));
+        }
+        let mut values = DMatrix::zeros(run.q.nrows(), if dq.is_some() { 3 * n } else { 2 * n });
         values.columns_mut(0, n).copy_from(&run.q);
         values.columns_mut(n, n).copy_from(&run.tau);
+        if let Some(dq) = dq {
+            values.columns_mut(2 * n, n).copy_from(dq);
+        }
         let mut even = resample(&run.t, &values, None).map_err(signal)?;
         let Some(period) = run.period else {
             let (values, sampling) = (even.values, even.sampling);
@@ -239,19 +262,30 @@ impl Experiment {
 
         // Without repeats the ends are cut before the torques and columns are filtered: what they are filtered with is linear, so its
         // own end effects are the same on both sides of the equation.
-        let edge = differentiator.edge();
+        let trim = if periodic { 0.0 } else { (settings.trim * rate).ceil().max(0.0) };
+        let edge = differentiator.edge().max(trim as usize);
         let step = settings.decimation.unwrap_or_else(|| decimation(rate, 2.0 * settings.torque_cutoff)).max(1);
         let count = samples.saturating_sub(2 * edge);
         if count < 2 * step {
             return Err(SignalError::TooShort { samples, needed: 2 * edge + 2 * step });
         }
         let q = values.columns(0, n).into_owned();
+        let dq = (values.ncols() > 2 * n).then(|| values.columns(2 * n, n).into_owned());
+        // Behind the filter of the positions, so that all stay in step.
+        let motion = |differentiator: &Differentiator| {
+            let mut motion = differentiator.motion(&q, edge);
+            if let Some(dq) = &dq {
+                let measured = differentiator.motion(dq, edge);
+                (motion.dq, motion.ddq) = (measured.q, measured.dq);
+            }
+            motion
+        };
         let narrower = judging.cutoff() < differentiator.cutoff();
         let of_tau = || deviations.columns(n, n).into_owned();
-        Ok(Experiment {
+        let mut experiment = Experiment {
             name: run.name.clone(),
-            motion: differentiator.motion(&q, edge),
-            judged: narrower.then(|| judging.motion(&q, edge)),
+            motion: motion(&differentiator),
+            judged: narrower.then(|| motion(&judging)),
             tau: values.view((edge, n), (count, n)).into_owned(),
             noise: scatter.as_ref().map(|_| NoiseOfMean::of(&of_tau(), samples, dt, |f| filter.zero_phase_gain(f))),
             repeats: (scatter.is_some() && settings.keep_periods)
@@ -260,13 +294,32 @@ impl Experiment {
             scatter: scatter.map(|scatter| scatter.select(n..2 * n)),
             desired: None,
             sampling,
+            resting: vec![false; count],
             kept: (0..count).step_by(step).collect(),
+            step,
             filter,
             q,
             differentiator,
             edge,
             first,
-        })
+        };
+        experiment.leave_out_rests(settings.rest);
+        Ok(experiment)
+    }
+
+    /// Samples at which every joint is slower than `rest` \[rad/s\] neither enter the regression nor count as errors. A periodic motion
+    /// rests for an instant only and keeps all of its samples.
+    fn leave_out_rests(&mut self, rest: Option<f64>) {
+        let Some(rest) = rest.filter(|_| !self.motion.periodic) else { return };
+        for (k, resting) in self.resting.iter_mut().enumerate() {
+            *resting = self.motion.dq.row(k).iter().all(|speed| speed.abs() < rest);
+        }
+        self.kept.retain(|&k| !self.resting[k]);
+    }
+
+    /// Whether the whole arm stands at each sample of the grid, N; such samples don't count.
+    pub fn resting(&self) -> &[bool] {
+        &self.resting
     }
 
     /// With the desired motion, N x n \[rad\] at the time stamps of the run it was prepared from \[s\].
@@ -380,7 +433,7 @@ mod tests {
         let t: Vec<f64> = (0..count).map(|k| k as f64 * 1e-3).collect();
         let q = DMatrix::from_fn(count, 2, |k, j| (PI * t[k] * (j + 1) as f64).sin());
         let tau = q.map(|q| 3.0 * q);
-        Run { name: "test".into(), t, q, tau, gravity: Vector3::new(0.0, 0.0, -9.81), period }
+        Run { name: "test".into(), t, dq: None, q, tau, gravity: Vector3::new(0.0, 0.0, -9.81), period }
     }
 
     #[test]

@@ -12,6 +12,8 @@ pub struct Run {
     pub t: Vec<f64>,
     /// Measured joint positions, N x n \[rad\].
     pub q: DMatrix<f64>,
+    /// Measured joint velocities, N x n, where there are any \[rad/s\].
+    pub dq: Option<DMatrix<f64>>,
     /// Measured joint torques, gravity included, N x n \[Nm\].
     pub tau: DMatrix<f64>,
     /// Gravitational acceleration in the base frame \[m/s2\].
@@ -33,6 +35,7 @@ impl Run {
             name: name.into(),
             t: records.iter().map(|record| record.state.time).collect(),
             q: DMatrix::from_fn(records.len(), joints, |k, j| records[k].state.q[j]),
+            dq: Some(DMatrix::from_fn(records.len(), joints, |k, j| records[k].state.dq[j])),
             tau: DMatrix::from_fn(records.len(), joints, |k, j| records[k].state.tau[j]),
             gravity,
             period,

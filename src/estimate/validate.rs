@@ -66,7 +66,11 @@ pub fn validate(experiment: &Experiment, predict: impl Fn(&Motion) -> DMatrix<f6
     let of_filtered = &experiment.tau - &modelled;
     let residual = &experiment.tau - experiment.judged.as_ref().map_or(modelled, predict);
     let (n, samples) = (experiment.joints(), experiment.motion.samples());
-    let mean_square = |block: &[f64]| block.iter().map(|x| x * x).sum::<f64>() / samples as f64;
+    let resting = experiment.resting();
+    let counted = resting.iter().filter(|resting| !**resting).count().max(1);
+    let mean_square = |block: &[f64]| {
+        block.iter().zip(resting).filter(|(_, resting)| !**resting).map(|(x, _)| x * x).sum::<f64>() / counted as f64
+    };
     let scatter = experiment.scatter.as_ref();
     let raw = (0..n)
         .map(|j| {
@@ -84,7 +88,7 @@ pub fn validate(experiment: &Experiment, predict: impl Fn(&Motion) -> DMatrix<f6
         filtered,
         noise_floor: scatter.map(|scatter| scatter.std.clone()),
         filtered_noise_floor: scatter.map(|scatter| scatter.std_of_mean(|f| experiment.gain(f))),
-        samples: samples * scatter.map_or(1, |scatter| scatter.periods),
+        samples: counted * scatter.map_or(1, |scatter| scatter.periods),
     }
 }
 

@@ -134,7 +134,15 @@ impl Scene {
             }
         }
         let t = (0..rows).map(|k| k as f64 * DT).collect();
-        Run { name: format!("run {seed}"), t, q, tau, gravity: self.mounting.gravity(), period: Some(self.period) }
+        Run {
+            name: format!("run {seed}"),
+            t,
+            q,
+            dq: None,
+            tau,
+            gravity: self.mounting.gravity(),
+            period: Some(self.period),
+        }
     }
 
     /// Variance of one raw torque sample of each joint: the sensor's noise and the rounding to its step.
