@@ -66,6 +66,16 @@ fn the_scene_draws_what_the_arms_sensors_draw() {
 }
 
 #[test]
+fn the_bound_is_the_same_in_time_and_frequency() {
+    let (time, frequency) = (SCENE.bound(3), SCENE.bound_coloured(3, 0.0));
+    for c in 0..time.nrows() {
+        assert!((frequency[(c, c)] / time[(c, c)] - 1.0).abs() < 1e-8, "{c}");
+    }
+    let coloured = SCENE.bound_coloured(3, 0.1);
+    assert!((0..time.nrows()).all(|c| coloured[(c, c)] > 2.0 * time[(c, c)]));
+}
+
+#[test]
 fn with_good_data_all_estimators_agree_and_know_their_errors() {
     let experiment = [prepare(&SCENE.record(10, 1))];
     let unit = bound(10);

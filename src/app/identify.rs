@@ -37,7 +37,7 @@ pub struct Options {
     /// Cut-off of the zero-phase low-pass on torques and regressor columns in Hz; 4 by default, 2 for the paper's method
     #[arg(long, value_name = "HZ")]
     torque_cutoff: Option<f64>,
-    /// Cut-off of the zero-phase low-pass on positions in Hz; by default 10, or 80 for the mean of several periods, or 2 for the paper's method
+    /// Cut-off of the zero-phase low-pass on positions in Hz; by default as wide as their noise allows, 10 to 80, or 2 for the paper's method
     #[arg(long, value_name = "HZ")]
     position_cutoff: Option<f64>,
     /// Order of both filters; 8 by default, 20 for the paper's method

@@ -79,8 +79,8 @@ pub fn between_periods(b: &DMatrix<f64>, at: &[usize], noise: &NoiseOfMean) -> S
 /// `sum_l w_l sum_k s_k s_{k+l}'` of the scores `s_k = B_k r_k` (Newey and West 1987, Bartlett's weights `w_l = 1 - |l| / (L + 1)`).
 ///
 /// `b` is p x n m, `residual` n m, both joint by joint with m samples in time. The number of lags `L` comes from the scores themselves
-/// (Newey and West 1994). `scale` makes up for the degrees of freedom that the fit took.
-pub fn newey_west(b: &DMatrix<f64>, residual: &[f64], samples: usize, scale: f64) -> Spread {
+/// (Newey and West 1994). The residual has the size of the noise: what the fit took of it is given back.
+pub fn newey_west(b: &DMatrix<f64>, residual: &[f64], samples: usize) -> Spread {
     let (p, n) = (b.nrows(), b.ncols() / samples);
     assert_eq!((residual.len(), b.ncols()), (n * samples, n * samples), "one residual per column");
     let mut scores = DMatrix::zeros(p, samples);
@@ -92,7 +92,7 @@ pub fn newey_west(b: &DMatrix<f64>, residual: &[f64], samples: usize, scale: f64
     let lags = bandwidth(&scores);
     let mut covariance = DMatrix::zeros(p, p);
     for lag in 0..=lags {
-        let weight = scale * (1.0 - lag as f64 / (lags + 1) as f64);
+        let weight = 1.0 - lag as f64 / (lags + 1) as f64;
         let count = samples - lag;
         let product = scores.columns(0, count) * scores.columns(lag, count).transpose();
         covariance += if lag == 0 { product * weight } else { (&product + product.transpose()) * weight };
@@ -211,7 +211,7 @@ mod tests {
         let inverse = (w.transpose() * &w).try_inverse().unwrap();
         let b = &inverse * w.transpose();
         let residual: Vec<f64> = (0..n * m).map(|_| 0.2 * rng.sample::<f64, _>(StandardNormal)).collect();
-        let found = newey_west(&b, &residual, m, 1.0).covariance;
+        let found = newey_west(&b, &residual, m).covariance;
         for c in 0..3 {
             let ratio = found[(c, c)] / (0.04 * inverse[(c, c)]);
             assert!((0.75..1.3).contains(&ratio), "{ratio}");

@@ -9,11 +9,13 @@ use super::signal::spectral::Spectral;
 use crate::model::term::Motion;
 use nalgebra::{DMatrix, Vector3};
 
-/// Time that is cut off both ends of a run that does not repeat, as a number of periods of the position cut-off: there the
-/// positions' continuation past the ends, a guess, reaches into the accelerations.
+/// Time that is cut off both ends of a run that does not repeat, as a number of periods of the position cut-off (at most
+/// [`ENDS_AT`]): there the positions' continuation past the ends, a guess, reaches into the accelerations.
 const EDGE: f64 = 0.5;
-/// Length of the ends that tell slope and curvature there, as a number of periods of the position cut-off.
+/// Length of the ends that tell slope and curvature there, as a number of periods of the same.
 const END_WINDOW: f64 = 3.0;
+/// Ends are treated as for a cut-off of this at most: shorter ones would follow the noise \[Hz\].
+const ENDS_AT: f64 = 10.0;
 
 /// How the positions of one run are filtered and differentiated. Linear in the positions.
 #[derive(Clone, Debug)]
@@ -45,7 +47,7 @@ impl Differentiator {
 
     /// Samples that are cut off each end.
     pub fn edge(&self) -> usize {
-        if self.periodic { 0 } else { (EDGE / (self.dt * self.cutoff)).ceil() as usize }
+        if self.periodic { 0 } else { (EDGE / (self.dt * self.cutoff.min(ENDS_AT))).ceil() as usize }
     }
 
     /// Cut-off of the low-pass \[Hz\].
@@ -85,7 +87,7 @@ impl Differentiator {
 
     /// Of a record that does not repeat.
     fn free(&self, mut q: Vec<f64>) -> [Vec<f64>; 3] {
-        let ends = Quintic::through_ends(&q, self.dt, END_WINDOW / self.cutoff);
+        let ends = Quintic::through_ends(&q, self.dt, END_WINDOW / self.cutoff.min(ENDS_AT));
         q.iter_mut().enumerate().for_each(|(k, q)| *q -= ends.at(k as f64 * self.dt)[0]);
         let mut q = self.filter.zero_phase(&q);
         let [mut dq, mut ddq] = difference::derivatives(&q, self.dt, false);

@@ -11,6 +11,7 @@ use super::signal::{SignalError, decimation};
 use crate::model::term::Motion;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
+use std::f64::consts::PI;
 
 /// How velocities and accelerations come from filtered positions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -65,8 +66,9 @@ pub struct Settings {
     pub torque_cutoff: f64,
     /// Cut-off of the zero-phase low-pass on the positions before they are differentiated \[Hz\]. It must pass what the arm does when
     /// friction changes its sign at a reversal, so it is wider than the other; what noise it passes above the torque cut-off does not
-    /// reach the regression. Absent: 80 Hz for the mean of several periods (20 Hz where raw torques are compared with the
-    /// model), and 10 Hz for what was recorded once. At most 0.8 of half the sampling rate is used.
+    /// reach the regression. Absent: as wide as the positions' noise allows, 80 Hz at most and at least 20 Hz for the mean of
+    /// several periods, 10 Hz for what was recorded once; those two where raw torques are compared with the model. At most 0.8 of
+    /// half the sampling rate is used.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_cutoff: Option<f64>,
     /// Order of both low-passes, even; they run forward and backward.
@@ -123,14 +125,17 @@ impl Default for Settings {
     }
 }
 
-/// Position cut-off for the mean of several periods \[Hz\]. A joint's controller answers a reversal of friction within its own bandwidth,
+/// Widest position cut-off \[Hz\]. A joint's controller answers a reversal of friction within its own bandwidth,
 /// some 20 Hz, and the step of the acceleration there reaches higher still: a filter that takes that out of the motion biases friction
 /// and inertia against each other.
 const CUTOFF_OF_MEAN: f64 = 80.0;
-/// The same where the model is compared with raw torques, which no filter keeps the accelerations' noise out of \[Hz\].
+/// Position cut-off of the mean of several periods where the model is compared with raw torques, which no filter keeps the
+/// accelerations' noise out of \[Hz\].
 const CUTOFF_OF_JUDGED: f64 = 20.0;
-/// Position cut-off for what was recorded once \[Hz\]: there the noise of wider accelerations would cost more than that bias.
+/// The same of what was recorded once \[Hz\]; the least that any motion is filtered with.
 const CUTOFF_OF_ONE: f64 = 10.0;
+/// Noise of the velocities that the position filter may pass \[rad/s\]. Friction turns within 0.01 rad/s: more would blur its sign.
+const VELOCITY_NOISE: f64 = 1e-3;
 /// Share of half the sampling rate that the position filter may use.
 const WIDEST: f64 = 0.8;
 
@@ -167,6 +172,8 @@ pub struct Experiment {
     q: DMatrix<f64>,
     differentiator: Differentiator,
     edge: usize,
+    /// Whether velocities and accelerations come from measured velocities.
+    measured_velocities: bool,
     /// First sample of the grid after those left out.
     first: usize,
 }
@@ -252,8 +259,16 @@ impl Experiment {
         let (n, samples, dt) = (run.joints(), values.nrows(), sampling.dt);
         let rate = 1.0 / dt;
         let filter = Butterworth::new(settings.order, settings.torque_cutoff, rate)?;
-        let (usual, usual_judged) =
-            if scatter.is_some() { (CUTOFF_OF_MEAN, CUTOFF_OF_JUDGED) } else { (CUTOFF_OF_ONE, CUTOFF_OF_ONE) };
+        let q = values.columns(0, n).into_owned();
+        let largest = |each: &mut dyn Iterator<Item = f64>| each.fold(0.0, f64::max);
+        let noise = match &scatter {
+            Some(scatter) => largest(&mut scatter.std[..n].iter().copied()) / (scatter.periods as f64).sqrt(),
+            None => largest(&mut q.column_iter().map(|column| noise_of_one(column.as_slice()))),
+        };
+        // White noise of the positions gives velocities of `noise 2 pi f_c sqrt(2 f_c dt / 3)` behind the filter.
+        let quiet = (VELOCITY_NOISE / (noise * 2.0 * PI * (2.0 * dt / 3.0).sqrt())).powf(2.0 / 3.0);
+        let usual_judged = if scatter.is_some() { CUTOFF_OF_JUDGED } else { CUTOFF_OF_ONE };
+        let usual = quiet.clamp(usual_judged, CUTOFF_OF_MEAN);
         let differentiator = |usual: f64| {
             let cutoff = settings.position_cutoff.unwrap_or(usual).min(WIDEST * rate / 2.0);
             Differentiator::new(settings.order, cutoff, settings.derivative, periodic, dt, run.gravity)
@@ -269,7 +284,6 @@ impl Experiment {
         if count < 2 * step {
             return Err(SignalError::TooShort { samples, needed: 2 * edge + 2 * step });
         }
-        let q = values.columns(0, n).into_owned();
         let dq = (values.ncols() > 2 * n).then(|| values.columns(2 * n, n).into_owned());
         // Behind the filter of the positions, so that all stay in step.
         let motion = |differentiator: &Differentiator| {
@@ -301,6 +315,7 @@ impl Experiment {
             q,
             differentiator,
             edge,
+            measured_velocities: dq.is_some(),
             first,
         };
         experiment.leave_out_rests(settings.rest);
@@ -347,7 +362,12 @@ impl Experiment {
 
     /// The motion that other positions on the whole grid would have given: `offset` is added to the measured ones, N x n \[rad\].
     pub fn moved(&self, offset: &DMatrix<f64>) -> Motion {
-        self.differentiator.motion(&(&self.q + offset), self.edge)
+        let mut moved = self.differentiator.motion(&(&self.q + offset), self.edge);
+        if self.measured_velocities {
+            moved.dq.copy_from(&self.motion.dq);
+            moved.ddq.copy_from(&self.motion.ddq);
+        }
+        moved
     }
 
     /// Shape of the positions on the whole grid, ends included.
@@ -422,11 +442,19 @@ impl Experiment {
     }
 }
 
+/// Standard deviation of the white noise in a record, by the median size of its third differences: motion hardly shows in them.
+fn noise_of_one(x: &[f64]) -> f64 {
+    // Third differences of white noise have 20 times its variance; the median size of a normal number is 0.6745 of its deviation.
+    let scale = 1.0 / (0.674_489_75 * 20f64.sqrt());
+    let mut sizes: Vec<f64> = x.windows(4).map(|w| (w[3] - 3.0 * w[2] + 3.0 * w[1] - w[0]).abs()).collect();
+    let middle = sizes.len() / 2;
+    if sizes.is_empty() { 0.0 } else { scale * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use nalgebra::Vector3;
-    use std::f64::consts::PI;
 
     fn run(period: Option<f64>, seconds: f64) -> Run {
         let count = (seconds * 1000.0) as usize + 1;

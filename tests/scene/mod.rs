@@ -2,10 +2,13 @@
 //! parameters can be known at best. Shared by the statistics of the estimators in `tests/` and `benches/`.
 #![allow(dead_code)]
 
+pub mod campaign;
+
 use nalgebra::{Cholesky, DMatrix, DVector};
 use plumbline::backend::sim::{Gate, Pace, SimArm, Truth};
 use plumbline::config::robot::Robot;
 use plumbline::estimate::run::Run;
+use plumbline::estimate::signal::spectral::Spectral;
 use plumbline::excite::fourier::PeriodicMotion;
 use plumbline::joint::{Command, JointVec, Setpoint, State, Torque};
 use plumbline::model::base::Reduction;
@@ -145,6 +148,22 @@ impl Scene {
         }
     }
 
+    /// Another motion of the same arm, every fiftieth sample: the plan's amplitudes, each joint with those of the next, exact derivatives.
+    pub fn unseen(&self) -> Motion {
+        let plan = parse_plan("wall.toml", include_str!("wall.toml")).unwrap().fourier().unwrap();
+        let n = self.joints();
+        let rows = self.motion.samples() / 50;
+        let at = |k: usize, j: usize| plan.at((j + 1) % n, k as f64 * 50.0 * DT);
+        Motion {
+            dt: 50.0 * DT,
+            q: DMatrix::from_fn(rows, n, |k, j| plan.q0[j] + at(k, j).q - plan.q0[(j + 1) % n]),
+            dq: DMatrix::from_fn(rows, n, |k, j| at(k, j).dq),
+            ddq: DMatrix::from_fn(rows, n, |k, j| at(k, j).ddq),
+            gravity: self.mounting.gravity(),
+            periodic: true,
+        }
+    }
+
     /// Variance of one raw torque sample of each joint: the sensor's noise and the rounding to its step.
     pub fn torque_variance(&self) -> Vec<f64> {
         self.truth.joints.iter().map(|j| j.torque_noise.powi(2) + j.torque_quantum.powi(2) / 12.0).collect()
@@ -159,6 +178,39 @@ impl Scene {
             w.rows_mut(j * samples, samples).scale_mut(1.0 / variance.sqrt());
         }
         let information = w.tr_mul(&w) * periods as f64;
+        Cholesky::new(information).expect("an exciting motion").inverse()
+    }
+}
+
+impl Scene {
+    /// As [`Scene::bound`] where a first-order noise of 0.1 s correlation time and `coloured` Nm is on every torque too:
+    /// frequency by frequency, `(sum_f W(f)^H W(f) / S(f))^-1` with `S` the spectrum of all noise.
+    pub fn bound_coloured(&self, periods: usize, coloured: f64) -> DMatrix<f64> {
+        let w = self.structure.regressor(&self.motion);
+        let samples = self.motion.samples();
+        let spectral = Spectral::new(samples, DT);
+        let pole = (-DT / 0.1_f64).exp();
+        let colour = |f: f64| {
+            let turn = std::f64::consts::TAU * f * DT;
+            (1.0 - pole * pole) / (1.0 - 2.0 * pole * turn.cos() + pole * pole)
+        };
+        let mut information = DMatrix::zeros(w.ncols(), w.ncols());
+        for (j, variance) in self.torque_variance().iter().enumerate() {
+            // Real and imaginary parts as rows of their own, both sides of the spectrum, weighed by the noise.
+            let mut rows = DMatrix::zeros(2 * spectral.bins(), w.ncols());
+            for c in 0..w.ncols() {
+                let column = w.column(c);
+                let spectrum = spectral.transform(&column.as_slice()[j * samples..(j + 1) * samples]);
+                for (m, value) in spectrum.iter().enumerate() {
+                    let sides: f64 = if m == 0 || 2 * m == samples { 1.0 } else { 2.0 };
+                    let noise = variance + coloured * coloured * colour(spectral.frequency(m));
+                    let weight = (sides / (samples as f64 * noise)).sqrt();
+                    rows[(2 * m, c)] = weight * value.re;
+                    rows[(2 * m + 1, c)] = weight * value.im;
+                }
+            }
+            information += rows.tr_mul(&rows) * periods as f64;
+        }
         Cholesky::new(information).expect("an exciting motion").inverse()
     }
 }

@@ -1,7 +1,7 @@
 //! What an estimator has to know about the noise of its experiments, and what that noise does to its parameters.
 
 use super::iv::Pair;
-use super::linear::{Fit, Weights, deviations, freedom};
+use super::linear::{Fit, Weights, deviations};
 use super::stack::{Stack, regressor};
 use super::wls::Weighed;
 use crate::estimate::EstimateError;
@@ -20,6 +20,8 @@ use rand_distr::StandardNormal;
 const DRAWS: usize = 8;
 /// Torque noise is taken as at least this share of the residual's variance.
 const LEAST_SHARE: f64 = 0.01;
+/// Equations that decide the model by themselves count as this at most.
+const MOST_LEVERAGE: f64 = 0.95;
 
 /// Covariance of the parameters from the noise of the torques: the scatter between periods, else the residual.
 pub fn of_torques(stack: &Stack, experiments: &[Experiment], fit: &Fit) -> Spread {
@@ -57,9 +59,13 @@ pub fn of_all(structure: &Structure, stack: &Stack, experiments: &[Experiment], 
 
 fn from_residual(stack: &Stack, fit: &Fit, residual: &DVector<f64>, index: usize) -> Spread {
     let samples = stack.spans[index];
-    let own = part(stack, &DMatrix::from_row_slice(1, residual.len(), residual.as_slice()), index);
-    let scale = freedom(stack.tau.len(), fit.rank);
-    newey_west(&part(stack, &fit.projection, index), own.as_slice(), samples, scale)
+    // A fit goes nearer to the equations that decide it: of each residual so much is missing as its torque moves the model there.
+    let freed = DMatrix::from_fn(1, residual.len(), |_, row| {
+        let leverage = (stack.w.row(row) * fit.projection.column(row))[(0, 0)];
+        residual[row] / (1.0 - leverage.clamp(0.0, MOST_LEVERAGE)).sqrt()
+    });
+    let own = part(stack, &freed, index);
+    newey_west(&part(stack, &fit.projection, index), own.as_slice(), samples)
 }
 
 /// Columns of one experiment, joint by joint, of a matrix with a column for every equation.
