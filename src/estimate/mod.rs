@@ -3,6 +3,7 @@
 //! [`run::Run`] (samples as they came) -> [`experiment::Experiment`] (averaged, filtered, differentiated) ->
 //! [`wls::identify`] -> [`wls::Identification`]; [`validate::validate`] measures any model on any experiment.
 
+pub mod consistency;
 pub mod covariance;
 pub mod experiment;
 pub mod periods;

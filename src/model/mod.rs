@@ -5,6 +5,7 @@ pub mod chain;
 pub mod conditioning;
 pub mod expression;
 pub mod gravity;
+pub mod inertia;
 pub mod regressor;
 pub mod rnea;
 pub mod structure;
