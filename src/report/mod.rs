@@ -2,12 +2,14 @@
 //!
 //! The report is plain data that the caller fills; nothing here computes a figure that the caller did not hand over.
 
+mod consistency;
 pub mod figures;
 mod html;
 mod plot;
 mod summary;
 mod timing;
 
+pub use consistency::{Consistency, Moved};
 pub use figures::Figures;
 pub use timing::{IpcFacts, LoopFacts, Quantiles, SessionFacts};
 
@@ -45,6 +47,9 @@ pub struct Report {
     /// Condition numbers of the stacked regressor.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<Condition>,
+    /// Whether real bodies have these parameters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub consistency: Option<Consistency>,
     /// How the real-time loop did; absent for recorded data.
     #[serde(default, rename = "loop", skip_serializing_if = "Option::is_none")]
     pub cycle: Option<LoopFacts>,
