@@ -124,7 +124,9 @@ pub fn nearest(
 ) -> Result<Nearest, ConsistencyError> {
     check(structure, beta, uncertainty, prior)?;
     let map = Map::of(structure);
-    let metric = Metric::of(&map, uncertainty, prior);
+    let reduction = structure.reduction();
+    let usual = Prior::of_geometry(structure.chain(), reduction, &beta[..reduction.len()]);
+    let metric = Metric::of(&map, uncertainty, &usual);
     let target = DVector::from_iterator(map.rows.len(), map.rows.iter().map(|&row| beta[row]));
     let space = |floor| Space::new(&map, prior, floor).ok_or(ConsistencyError::Failed);
 
@@ -163,8 +165,10 @@ pub fn nearest(
         return Err(ConsistencyError::Failed);
     }
     let mut now = beta.to_vec();
-    for (&row, value) in map.rows.iter().zip(&(&map.k * &delta)) {
-        now[row] = *value;
+    if !exact {
+        for (&row, value) in map.rows.iter().zip(&(&map.k * &delta)) {
+            now[row] = *value;
+        }
     }
     if let (false, Uncertainty::Covariance(covariance, _)) = (exact, uncertainty) {
         // The others' best values given these: beta_o - C_or C_rr^-1 (beta_r - K delta), and C_rr^-1 (..) is y.

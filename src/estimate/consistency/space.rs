@@ -99,8 +99,8 @@ pub struct Metric {
 }
 
 impl Metric {
-    /// Of what is known; a row that is not known at all is given a deviation by its size in the prior.
-    pub fn of(map: &Map, uncertainty: Uncertainty, prior: &Prior) -> Metric {
+    /// Of what is known; a row that is not known at all is given a deviation by its size in `usual` bodies, whatever the prior is.
+    pub fn of(map: &Map, uncertainty: Uncertainty, usual: &Prior) -> Metric {
         let (deviations_of, weights) = match uncertainty {
             Uncertainty::Covariance(_, deviations) => (deviations, Weights::Covariance),
             Uncertainty::Deviations(deviations) if map.rows.iter().any(|&row| deviations[row].is_some()) => {
@@ -108,7 +108,7 @@ impl Metric {
             }
             Uncertainty::Deviations(deviations) => (deviations, Weights::Relative),
         };
-        let size = map.sizes(prior);
+        let size = map.sizes(usual);
         let unknown = if weights == Weights::Relative { RELATIVE } else { UNDETERMINED };
         let deviation = |(&row, size): (&usize, &f64)| match deviations_of[row] {
             Some(deviation) => deviation.max(LEAST_DEVIATION * size),
