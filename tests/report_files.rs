@@ -57,6 +57,7 @@ fn report() -> Report {
         counter_experiment: Some(counter_experiment()),
         noise_floor: FLOOR.to_vec(),
         identifiability: Identifiability::default(),
+        consistency: None,
         conditions: vec![
             condition("raw", 131.4, 122.8),
             condition("column-equilibrated", 34.2, 31.9),

@@ -33,6 +33,7 @@ fn made_up(kind: BaseKind) -> ModelFile {
         model: TorqueModel::new("panda", structure, vec![mounting], &values).unwrap(),
         noise_floor: vec![0.1 + 0.2; 7],
         validation: vec![Validated { run: "a \"b\" \\ c".into(), rho: 0.1, phi: 0.2, rms: vec![1.0 / 3.0; 7] }],
+        consistent: None,
         provenance: Provenance {
             dataset: Some("ab".repeat(32)),
             date: Some("2026-01-01".into()),

@@ -2,7 +2,7 @@
 
 use super::pipeline::{self, Judged};
 use super::results::report_of;
-use super::{Failure, SAME_MOUNTING, progress};
+use super::{Failure, SAME_MOUNTING, export, progress};
 use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Role, Run};
 use crate::estimate::experiment::{Method, Settings};
@@ -107,6 +107,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
         .collect();
     report.identifiability.untrusted_runs = untrusted;
     report.notes = notes;
+    let consistent = export::of_identified(&identified);
+    report.consistency = consistent.as_ref().map(|found| export::facts(&identified.model, found));
     let model = ModelFile {
         validation: judged
             .iter()
@@ -118,6 +120,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
             })
             .collect(),
         noise_floor: report.noise_floor.clone(),
+        consistent,
         model: identified.model,
         provenance,
     };

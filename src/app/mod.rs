@@ -4,6 +4,7 @@ mod collector;
 mod command;
 mod daemon;
 mod estimator;
+mod export;
 mod failure;
 mod identify;
 mod pipeline;
@@ -57,6 +58,8 @@ enum Verb {
     Identify(identify::Options),
     /// Compute the torques of a model along a recorded motion
     Predict(predict::Options),
+    /// Write the identified arm as URDF, MuJoCo model or C function
+    Export(export::Options),
     /// Print the feed-forward torque that a daemon serves
     Torque(torque::Options),
     /// Tell a running daemon what to do: start, stop, resume, quit, status
@@ -87,6 +90,7 @@ pub fn main() -> ExitCode {
         Verb::Estimator(options) => estimator::run(options),
         Verb::Identify(options) => identify::run(options),
         Verb::Predict(options) => predict::run(options),
+        Verb::Export(options) => export::run(options),
         Verb::Torque(options) => torque::run(options),
         Verb::Command(options) => command::run(options),
     };

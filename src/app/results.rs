@@ -91,6 +91,7 @@ impl Results {
         }
         let mut report = report_of(&identified, self.job.mounting, &model.provenance);
         report.validate = judged.iter().map(|(run, judged)| validation(run, judged)).collect();
+        report.consistency = model.consistent.as_ref().map(|found| super::export::facts(&model.model, found));
         report.counter_experiment = counter.map(|(facts, _)| facts);
         report.cycle = Some(self.loop_facts(status));
         let wall_clock = self.wall_clock();
@@ -142,6 +143,7 @@ impl Results {
             model: identified.model.clone(),
             noise_floor: identified.identification.rms.noise_floor.clone().unwrap_or_default(),
             validation,
+            consistent: super::export::of_identified(identified),
             provenance: super::provenance(hash),
         }
     }

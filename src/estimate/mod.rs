@@ -4,6 +4,7 @@
 //! [`solve::identify_with`] an estimator of choice -> [`solve::Identification`]; [`validate::validate`] measures any model on any
 //! experiment.
 
+pub mod consistency;
 pub mod covariance;
 mod differentiate;
 pub mod essential;

@@ -6,6 +6,7 @@ pub mod conditioning;
 pub mod expression;
 pub mod fast;
 pub mod gravity;
+pub mod inertia;
 pub mod regressor;
 pub mod rnea;
 pub mod structure;

@@ -2,12 +2,14 @@
 //!
 //! The report is plain data that the caller fills; nothing here computes a figure that the caller did not hand over.
 
+mod consistency;
 pub mod figures;
 mod html;
 mod plot;
 mod summary;
 mod timing;
 
+pub use consistency::{Consistency, Moved};
 pub use figures::Figures;
 pub use timing::{IpcFacts, LoopFacts, Quantiles, SessionFacts};
 
@@ -48,6 +50,9 @@ pub struct Report {
     /// How the parameters were estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub estimator: Option<EstimatorFacts>,
+    /// Whether real bodies have these parameters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub consistency: Option<Consistency>,
     /// How the real-time loop did; absent for recorded data.
     #[serde(default, rename = "loop", skip_serializing_if = "Option::is_none")]
     pub cycle: Option<LoopFacts>,

@@ -74,6 +74,7 @@ pub(super) fn lines(report: &Report) -> Vec<String> {
         lines.push(format!("condition number: {}", report.conditions.iter().map(one).collect::<Vec<_>>().join(", ")));
     }
     errors(report, &mut lines);
+    lines.extend(report.consistency.as_ref().map(|facts| facts.sentence()));
     lines.extend(report.counter_experiment.as_ref().map(|of| format!("counter-experiment: {}", counter(of))));
     lines.extend(report.cycle.as_ref().map(cycle));
     if let Some(ipc) = &report.ipc {

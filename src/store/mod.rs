@@ -1,5 +1,7 @@
-//! Floor 3: the files that plumbline keeps: identified models and planned motions.
+//! Floor 3: the files that plumbline keeps: identified models, planned motions, and what other programs read.
 
+mod consistent;
+pub mod export;
 mod model_file;
 mod model_text;
 mod plan_file;

@@ -1,7 +1,8 @@
 //! `model.toml`: an identified model with everything needed to trust and to serve it.
 
-use super::model_text;
+use super::{consistent, model_text};
 use crate::atomic;
+use crate::estimate::consistency::Nearest;
 use crate::input::{BadInput, from_toml};
 use crate::model::base::BaseKind;
 use crate::model::chain::Chain;
@@ -20,6 +21,8 @@ pub struct ModelFile {
     pub noise_floor: Vec<f64>,
     /// Errors on motions that were not fitted.
     pub validation: Vec<Validated>,
+    /// Real bodies with these parameters, or the nearest to them; `None` where nobody looked for them.
+    pub consistent: Option<Nearest>,
     /// Where the numbers came from.
     pub provenance: Provenance,
 }
@@ -67,6 +70,7 @@ struct Raw {
     terms: Vec<RawTerm>,
     #[serde(default)]
     validation: Vec<Validated>,
+    consistent: Option<consistent::Raw>,
     #[serde(default)]
     provenance: Provenance,
 }
@@ -157,7 +161,9 @@ impl ModelFile {
             BadInput::new(file, "[[term]]", error, expected)
         })?;
         check_units(file, &raw, &model)?;
-        Ok(ModelFile { model, noise_floor: raw.noise_floor, validation: raw.validation, provenance: raw.provenance })
+        let consistent = raw.consistent.map(|raw| raw.check(file, &model)).transpose()?;
+        let Raw { noise_floor, validation, provenance, .. } = raw;
+        Ok(ModelFile { model, noise_floor, validation, consistent, provenance })
     }
 
     /// As [`ModelFile::parse`], from a file.

@@ -45,6 +45,9 @@ pub(super) fn write(file: &ModelFile) -> String {
     for Validated { run, rho, phi, rms } in &file.validation {
         line(format_args!("\n[[validation]]\nrun = {}\nrho = {rho:?}\nphi = {phi:?}\nrms = {rms:?}", quoted(run)));
     }
+    if let Some(found) = &file.consistent {
+        super::consistent::write(&mut line, model, found);
+    }
     line(format_args!("\n[provenance]"));
     let origin = &file.provenance;
     let keys = ["dataset", "plumbline", "date", "source"];
@@ -57,6 +60,6 @@ pub(super) fn write(file: &ModelFile) -> String {
 }
 
 /// A TOML basic string.
-fn quoted(text: &str) -> String {
+pub(super) fn quoted(text: &str) -> String {
     toml::Value::String(text.to_string()).to_string()
 }

@@ -1,12 +1,18 @@
 //! The Python environment in which programs of other origin are tested against this one.
+#![allow(dead_code)] // each test file uses its own part
 
 use std::path::Path;
 use std::process::Command;
 
 /// The interpreter of the peers' environment, which is made when it is missing. `None` when it can't be had and need not.
 pub fn interpreter() -> Option<String> {
+    interpreter_with(&[])
+}
+
+/// The same with further packages, as pip's requirements.
+pub fn interpreter_with(requirements: &[&str]) -> Option<String> {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil/peers/venv.sh");
-    let made = Command::new(script).output().expect("bash runs");
+    let made = Command::new(script).args(requirements).output().expect("bash runs");
     if made.status.success() {
         return Some(String::from_utf8(made.stdout).unwrap().trim().to_string());
     }

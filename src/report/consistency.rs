@@ -1,0 +1,61 @@
+//! Whether real bodies have the identified parameters.
+
+use crate::estimate::consistency::Nearest;
+use serde::{Deserialize, Serialize};
+
+/// Parameters named in one sentence.
+const NAMED: usize = 3;
+/// A parameter counts as moved from here on, in standard deviations.
+const MOVED: f64 = 0.01;
+
+/// Physical consistency of the identified parameters.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Consistency {
+    /// Real bodies have exactly these parameters.
+    pub exact: bool,
+    /// Distance of the nearest parameters that bodies have, in standard deviations: the root of the Mahalanobis distance squared.
+    pub distance: f64,
+    /// What the distance is measured by, for people.
+    pub weights: String,
+    /// Parameters that moved, the farthest first.
+    pub moved: Vec<Moved>,
+}
+
+/// A parameter that no real bodies have.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Moved {
+    /// Its name.
+    pub name: String,
+    /// Its value in the nearest bodies.
+    pub value: f64,
+    /// How far that is from the estimate, in standard deviations.
+    pub deviations: f64,
+}
+
+impl Consistency {
+    /// Of bodies that were found; `names` are those of the columns.
+    pub fn of(found: &Nearest, names: &[&str]) -> Consistency {
+        let mut moved: Vec<Moved> = names
+            .iter()
+            .zip(found.moved.iter().zip(&found.beta))
+            .filter(|(_, (deviations, _))| deviations.abs() > MOVED)
+            .map(|(name, (deviations, value))| Moved { name: name.to_string(), value: *value, deviations: *deviations })
+            .collect();
+        moved.sort_by(|a, b| b.deviations.abs().total_cmp(&a.deviations.abs()));
+        Consistency { exact: found.exact, distance: found.distance, weights: found.weights.text().to_string(), moved }
+    }
+
+    /// In one sentence.
+    pub fn sentence(&self) -> String {
+        if self.exact {
+            return "physically consistent: yes, real bodies have exactly these parameters".into();
+        }
+        let each = |moved: &Moved| format!("{} by {:+.2}", moved.name, moved.deviations);
+        let named: Vec<String> = self.moved.iter().take(NAMED).map(each).collect();
+        let farthest = if named.is_empty() { String::new() } else { format!("; farthest {}", named.join(", ")) };
+        format!(
+            "physically consistent: no, the nearest real bodies are {:.2} standard deviations away ({}){farthest}",
+            self.distance, self.weights
+        )
+    }
+}

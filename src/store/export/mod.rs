@@ -1,0 +1,151 @@
+//! An identified arm for other programs: URDF, MJCF, and a C function.
+//!
+//! URDF and MJCF need standard parameters of real bodies ([`crate::estimate::consistency`]); the C function computes with the base
+//! parameters themselves. What a format has no place for is in [`Exported::notes`] and in a comment of the file.
+
+pub mod c;
+mod emit;
+pub mod mjcf;
+pub mod splice;
+pub mod tree;
+pub mod urdf;
+
+use crate::estimate::consistency::Nearest;
+use crate::joint::Limits;
+use crate::model::base::BaseKind;
+use crate::model::chain::{Chain, JointKind, Placement};
+use crate::model::term::{friction, rigid_body, rotor_inertia, torque_offset};
+use crate::model::torque::TorqueModel;
+use nalgebra::Matrix3;
+
+/// Text of a file and what the reader of it has to know.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Exported {
+    /// The file.
+    pub text: String,
+    /// What the format can't hold, and where the numbers hold; the file has them in a comment, too.
+    pub notes: Vec<String>,
+}
+
+/// A model with real bodies and the robot's limits.
+#[derive(Clone, Copy)]
+pub struct Arm<'a> {
+    /// The model.
+    pub model: &'a TorqueModel,
+    /// Bodies and rotors for it.
+    pub bodies: &'a Nearest,
+    /// Limits of the joints.
+    pub limits: &'a Limits,
+}
+
+impl Arm<'_> {
+    fn chain(&self) -> &Chain {
+        self.model.structure().chain()
+    }
+
+    fn joints(&self) -> usize {
+        self.chain().len()
+    }
+
+    /// Value of a column in the parameters that the bodies have; 0 where the model has no such column.
+    fn value(&self, stem: &str, joint: usize) -> f64 {
+        let name = format!("{stem}{}", joint + 1);
+        let columns = self.model.structure().columns();
+        columns.iter().position(|column| column.name == name).map_or(0.0, |c| self.bodies.beta[c])
+    }
+
+    /// A friction coefficient, or zero and a note where it is negative: no simulator takes friction that drives.
+    fn friction(&self, stem: &str, joint: usize, notes: &mut Vec<String>) -> f64 {
+        let value = self.value(stem, joint);
+        if value < 0.0 {
+            notes.push(format!("{stem}{} = {value:?} is negative and stands as 0", joint + 1));
+        }
+        value.max(0.0)
+    }
+
+    /// How far the bodies are from what was identified, in one sentence.
+    fn origin(&self) -> String {
+        match self.bodies.exact {
+            true => "The bodies have exactly the identified base parameters.".into(),
+            false => format!(
+                "No real bodies have the identified parameters: these are the nearest, {:.3} standard deviations away ({}).",
+                self.bodies.distance,
+                self.bodies.weights.text()
+            ),
+        }
+    }
+}
+
+/// Where a model of this kind holds, when that is not everywhere.
+fn validity(model: &TorqueModel) -> Option<String> {
+    (model.kind() == BaseKind::Vbs).then(|| {
+        "VERTICAL ONLY: identified with gravity along axis 1; with gravity in any other direction in the base frame the torques of \
+         joint 1 are wrong"
+            .to_string()
+    })
+}
+
+/// Terms that no writer knows, which therefore are left out.
+fn unknown_terms(model: &TorqueModel) -> Vec<String> {
+    let known = [rigid_body::ID, friction::ID, torque_offset::ID, rotor_inertia::ID];
+    let unknown = model.structure().terms().iter().filter(|term| !known.contains(&term.id()));
+    unknown.map(|term| format!("term `{}` is left out: {}", term.id(), term.physics())).collect()
+}
+
+/// The offsets of a model as a note: neither URDF nor MJCF holds a constant torque.
+fn offsets(arm: &Arm) -> Option<String> {
+    let has = arm.model.structure().terms().iter().any(|term| term.id() == torque_offset::ID);
+    has.then(|| {
+        let values: Vec<String> = (0..arm.joints()).map(|j| format!("{:?}", arm.value("offset", j))).collect();
+        format!("torque offsets are left out: [{}] Nm belong to the sensors", values.join(", "))
+    })
+}
+
+/// Lines of an XML comment; `--` may not stand in one.
+fn comment(lines: impl IntoIterator<Item = String>) -> String {
+    let lines: Vec<String> = lines.into_iter().map(|line| format!("  {}\n", line.replace("--", "- -"))).collect();
+    format!("<!--\n{}-->\n", lines.concat())
+}
+
+/// Numbers with a space between, each the shortest text that reads back the same.
+fn numbers(values: impl IntoIterator<Item = f64>) -> String {
+    // Without the sign of a zero, which no reader needs.
+    values.into_iter().map(|value| format!("{:?}", value + 0.0)).collect::<Vec<_>>().join(" ")
+}
+
+/// Fixed-axis roll, pitch, yaw of a rotation, `R = Rz(yaw) Ry(pitch) Rx(roll)`; exact to rounding also where pitch is a right angle.
+fn rpy(rotation: &Matrix3<f64>) -> [f64; 3] {
+    let yaw = rotation[(1, 0)].atan2(rotation[(0, 0)]);
+    let (sin, cos) = yaw.sin_cos();
+    let rest = Matrix3::new(cos, sin, 0.0, -sin, cos, 0.0, 0.0, 0.0, 1.0) * rotation;
+    [(-rest[(1, 2)]).atan2(rest[(1, 1)]), (-rest[(2, 0)]).atan2(rest[(0, 0)]), yaw]
+}
+
+/// Placement of every joint's frame in the one before, at position zero.
+fn placements(chain: &Chain) -> impl Iterator<Item = (JointKind, Placement)> + '_ {
+    chain.joints().iter().map(|joint| (joint.kind, joint.placement(0.0)))
+}
+
+/// Text for a double-quoted XML attribute.
+fn attribute(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Rotation3;
+    use std::f64::consts::FRAC_PI_2;
+
+    #[test]
+    fn angles_give_the_rotation_back() {
+        for pitch in [0.0, 0.7, FRAC_PI_2, -FRAC_PI_2, FRAC_PI_2 - 1e-9, -FRAC_PI_2 + 1e-13] {
+            for (roll, yaw) in [(0.0, 0.0), (1.3, -2.9), (-2.0, 0.4)] {
+                let r = *Rotation3::from_euler_angles(roll, pitch, yaw).matrix();
+                let [roll, pitch, yaw] = rpy(&r);
+                let again = *Rotation3::from_euler_angles(roll, pitch, yaw).matrix();
+                assert!((r - again).amax() < 1e-15, "{roll} {pitch} {yaw}");
+            }
+        }
+    }
+}
