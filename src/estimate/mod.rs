@@ -8,6 +8,7 @@ pub mod experiment;
 pub mod periods;
 pub mod run;
 pub mod signal;
+pub mod streaming;
 pub mod validate;
 pub mod wls;
 
