@@ -164,9 +164,8 @@ pub struct Experiment {
     pub sampling: Sampling,
     /// Samples of the grid at which the whole arm stands, and which therefore don't count.
     resting: Vec<bool>,
-    /// Samples of the grid that enter the regression: one of `step`, less those at rest.
+    /// Samples of the grid that enter the regression.
     kept: Vec<usize>,
-    step: usize,
     filter: Butterworth,
     /// Positions on the even grid with the ends, not filtered \[rad\].
     q: DMatrix<f64>,
@@ -310,7 +309,6 @@ impl Experiment {
             sampling,
             resting: vec![false; count],
             kept: (0..count).step_by(step).collect(),
-            step,
             filter,
             q,
             differentiator,

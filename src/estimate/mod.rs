@@ -13,6 +13,7 @@ pub mod periods;
 pub mod run;
 pub mod signal;
 pub mod solve;
+pub mod streaming;
 pub mod validate;
 
 /// The usual estimator.

@@ -46,6 +46,11 @@ impl Butterworth {
         Ok(Butterworth { sections, order, cutoff, rate })
     }
 
+    /// `[b0, a1, a2]` of its second-order sections, `y = b0 (x + 2 x_1 + x_2) - a1 y_1 - a2 y_2`, for who runs them forward alone.
+    pub fn coefficients(&self) -> impl Iterator<Item = [f64; 3]> + '_ {
+        self.sections.iter().map(|section| [section.b0, section.a1, section.a2])
+    }
+
     /// Gain of the forward and backward run at `f` \[Hz\]: `|H(f)|^2`, one half at the cut-off.
     pub fn zero_phase_gain(&self, f: f64) -> f64 {
         let ratio = (PI * f / self.rate).tan() / (PI * self.cutoff / self.rate).tan();
