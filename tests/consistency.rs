@@ -13,6 +13,7 @@ use plumbline::model::inertia::{Body, is_consistent, pseudo_inertia};
 use plumbline::model::rnea::LinkParameters;
 use plumbline::model::structure::Structure;
 use plumbline::store::ModelFile;
+use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -279,4 +280,44 @@ fn a_prior_that_is_no_body_is_refused() {
     let mut wild = beta.clone();
     wild[7] = f64::NAN;
     assert_eq!(run(&good, &wild), Err(ConsistencyError::Failed));
+}
+
+/// Whatever the numbers, there is an answer that bodies can have: any arm, noise up to thirty times the parameters, covariances that know
+/// only some directions, parameters that the data does not determine.
+#[test]
+fn noise_does_not_defeat_it() {
+    let mut rng = ChaCha8Rng::seed_from_u64(6);
+    let (mut moved, mut reproduced) = (0, 0);
+    for k in 0..120 {
+        let chain = random_chain(&mut rng);
+        let structure = structure(&chain, &["friction", "rotor-inertia"]);
+        let rigid = structure.reduction().len();
+        if rigid == 0 {
+            continue;
+        }
+        let bodies: Vec<LinkParameters> = (0..chain.len()).map(|_| random_body(&mut rng)).collect();
+        let mut beta = vec![0.5; structure.columns().len()];
+        beta[..rigid].copy_from_slice(structure.reduction().base_of(&stacked(&bodies)).as_slice());
+        let share = *[0.001, 0.1, 1.0, 30.0].choose(&mut rng).unwrap();
+        let mut c = covariance(&mut rng, &beta, share);
+        let mut known = deviations(&c);
+        for (column, known) in known.iter_mut().enumerate() {
+            // Not determined: as the estimator leaves them, without variance in that direction.
+            if rng.random_bool(0.1) {
+                *known = None;
+                c.row_mut(column).fill(0.0);
+                c.column_mut(column).fill(0.0);
+            }
+        }
+        let noisy: Vec<f64> = (0..beta.len())
+            .map(|c| beta[c] + known[c].unwrap_or(beta[c]) * rng.sample::<f64, _>(StandardNormal))
+            .collect();
+        let prior = geometry(&structure, &noisy);
+        let found = nearest(&structure, &noisy, Uncertainty::Covariance(&c, &known), &prior)
+            .unwrap_or_else(|error| panic!("arm {k}, noise {share}: {error}"));
+        assert!(found.links.iter().all(is_consistent) && found.distance.is_finite());
+        assert_eq!(found.exact, found.distance == 0.0);
+        *(if found.exact { &mut reproduced } else { &mut moved }) += 1;
+    }
+    assert!(moved > 20 && reproduced > 20, "{moved} moved, {reproduced} reproduced");
 }

@@ -29,7 +29,7 @@ pub struct Options {
     /// URDF of the same arm (from its maker, from CAD) whose bodies are preferred wherever the torques leave a choice
     #[arg(long, value_name = "FILE.urdf")]
     prior: Option<PathBuf>,
-    /// URDF of the same arm to put the identified bodies into; everything but its <inertial> elements stays as it is
+    /// URDF of the same arm to put the identified bodies into; everything but its inertials stays as it is
     #[arg(long, value_name = "FILE.urdf")]
     into: Option<PathBuf>,
     /// Export a model that holds only with gravity along axis 1; the file then says so

@@ -59,3 +59,28 @@ impl Consistency {
         )
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::consistency::Weights;
+
+    fn found(exact: bool, moved: Vec<f64>) -> Nearest {
+        let (links, rotors) = (Vec::new(), Vec::new());
+        let (beta, weights) = (vec![1.0; moved.len()], Weights::Covariance);
+        Nearest { links, rotors, beta, exact, distance: 3.456, moved, weights, iterations: 20 }
+    }
+
+    #[test]
+    fn the_sentence_names_what_moved_farthest() {
+        let names = ["Lxx1", "Lzz1", "lx1", "ly1", "Lzz7"];
+        let facts = Consistency::of(&found(false, vec![0.5, -1.5, 0.001, 0.7, 2.25]), &names);
+        assert_eq!(facts.moved.len(), 4);
+        assert_eq!(
+            facts.sentence(),
+            "physically consistent: no, the nearest real bodies are 3.46 standard deviations away (in the estimate's covariance); farthest \
+             Lzz7 by +2.25, Lzz1 by -1.50, ly1 by +0.70"
+        );
+        assert!(Consistency::of(&found(true, vec![0.0; 5]), &names).sentence().contains("yes"));
+    }
+}

@@ -15,6 +15,7 @@ use plumbline::model::torque::TorqueModel;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
+use std::f64::consts::PI;
 use std::path::Path;
 
 /// Robots that the formats are tested with: revolute and prismatic, right angles and none.
@@ -80,7 +81,7 @@ pub fn cases(model: &TorqueModel, count: usize) -> Vec<Case> {
         .map(|_| {
             let mut draw = |span: f64| -> Vec<f64> { (0..n).map(|_| rng.random_range(-span..span)).collect() };
             let (q, dq, ddq) = (draw(3.0), draw(2.0), draw(5.0));
-            let mounting = Mounting { rho: rng.random_range(0.0..3.14), phi: rng.random_range(-3.14..3.14) };
+            let mounting = Mounting { rho: rng.random_range(0.0..PI), phi: rng.random_range(-PI..PI) };
             let gravity = mounting.gravity();
             let mut sample = Sample::default();
             let padded = |values: &[f64]| {
