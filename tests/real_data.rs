@@ -40,7 +40,7 @@ const ROWS: [Row; 8] = [
     },
     Row {
         dataset: "tx40-figaroh",
-        options: "--keep-rests",
+        options: "--keep-rests --position-cutoff 10",
         beat: &["2.1", "4.1", "1.1", ".59", "5.7", "2.3"],
         above: &[],
     },
