@@ -2,7 +2,8 @@
 //!
 //! One plan, the simulated arm with its controller, friction, sensor noise and rounding; every run is recorded with noise of its own and
 //! goes through the whole identification. Parts by name, all by default: `cargo bench --bench statistics -- runs signal estimators
-//! aperiodic`. `RUNS=n` changes the number of runs. The figures stand in docs/statistics.md, docs/signal.md and docs/estimators.md.
+//! aperiodic`; `estimators huber iv` for some of them. `RUNS=n` changes the number of runs. The figures stand in docs/statistics.md,
+//! docs/signal.md and docs/estimators.md.
 
 #[path = "../tests/scene/mod.rs"]
 mod scene;
@@ -30,7 +31,7 @@ fn main() {
         signal(&scene, runs.unwrap_or(30));
     }
     if wanted("estimators") {
-        estimators(&scene, runs.unwrap_or(16));
+        estimators(&scene, runs.unwrap_or(16), &parts);
     }
     if wanted("aperiodic") {
         aperiodic(&scene, runs.unwrap_or(100));
@@ -108,7 +109,9 @@ fn signal(scene: &Scene, runs: usize) {
 }
 
 /// Every estimator on the data that others are made for.
-fn estimators(scene: &Scene, runs: usize) {
+fn estimators(scene: &Scene, runs: usize, parts: &[String]) {
+    let named = |of: Estimator| parts.iter().any(|part| part == of.id());
+    let chosen = |of: &Estimator| named(*of) || !Estimator::ALL.into_iter().any(named);
     let wide = Settings { torque_cutoff: 15.0, position_cutoff: Some(15.0), ..Settings::default() };
     let data = [
         ("as the arm's sensors are", Extra::default(), Settings::default()),
@@ -119,7 +122,7 @@ fn estimators(scene: &Scene, runs: usize) {
     for (name, extra, settings) in data {
         println!("\n{runs} runs of {PERIODS} periods, {name}\nestimator | {HEAD}");
         let bound = scene.bound_coloured(PERIODS, extra.coloured);
-        for estimator in Estimator::ALL {
+        for estimator in Estimator::ALL.into_iter().filter(chosen) {
             let of = Campaign::of(scene, runs, &bound, |seed| {
                 identify(scene, &scene.record_with(PERIODS, seed, extra), &settings, estimator)
             });

@@ -167,8 +167,8 @@ pub fn predict(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<(D
         whole.tau = DMatrix::zeros(run.samples(), run.joints());
     }
     let experiment = experiment(&whole, settings)?;
-    let even = model.predict(&experiment.motion);
-    let rms = measured.then(|| validate(&experiment, |_| even.clone()));
+    let even = model.predict(experiment.judged.as_ref().unwrap_or(&experiment.motion));
+    let rms = measured.then(|| validate(&experiment, |motion| model.predict(motion)));
     let (start, dt, last) = (run.t[0], experiment.motion.dt, even.nrows() - 1);
     let torques = DMatrix::from_fn(run.samples(), run.joints(), |k, j| {
         let at = ((run.t[k] - start) / dt).clamp(0.0, last as f64);

@@ -262,7 +262,10 @@ impl Experiment {
         let largest = |each: &mut dyn Iterator<Item = f64>| each.fold(0.0, f64::max);
         let noise = match &scatter {
             Some(scatter) => largest(&mut scatter.std[..n].iter().copied()) / (scatter.periods as f64).sqrt(),
-            None => largest(&mut q.column_iter().map(|column| noise_of_one(column.as_slice()))),
+            None => {
+                let each = q.column_iter().map(|column| noise_of_one(column.as_slice(), settings.order, rate));
+                largest(&mut each.collect::<Result<Vec<f64>, SignalError>>()?.into_iter())
+            }
         };
         // White noise of the positions gives velocities of `noise 2 pi f_c sqrt(2 f_c dt / 3)` behind the filter.
         let quiet = (VELOCITY_NOISE / (noise * 2.0 * PI * (2.0 * dt / 3.0).sqrt())).powf(2.0 / 3.0);
@@ -440,13 +443,16 @@ impl Experiment {
     }
 }
 
-/// Standard deviation of the white noise in a record, by the median size of its third differences: motion hardly shows in them.
-fn noise_of_one(x: &[f64]) -> f64 {
-    // Third differences of white noise have 20 times its variance; the median size of a normal number is 0.6745 of its deviation.
-    let scale = 1.0 / (0.674_489_75 * 20f64.sqrt());
-    let mut sizes: Vec<f64> = x.windows(4).map(|w| (w[3] - 3.0 * w[2] + 3.0 * w[1] - w[0]).abs()).collect();
-    let middle = sizes.len() / 2;
-    if sizes.is_empty() { 0.0 } else { scale * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 }
+/// Standard deviation of white noise with the power that a record, sampled at `rate` \[Hz\], has between half of the widest position
+/// cut-off and that cut-off, where a smooth motion has next to none. Time stamps that are off make noise below that alone.
+fn noise_of_one(x: &[f64], order: usize, rate: f64) -> Result<f64, SignalError> {
+    let top = CUTOFF_OF_MEAN.min(WIDEST * rate / 2.0);
+    let [low, high] = [0.5 * top, top].map(|cutoff| Butterworth::new(order, cutoff, rate));
+    let (low, high) = (low?.zero_phase(x), high?.zero_phase(x));
+    // The filters' guesses beyond the ends stay out of it.
+    let inside = x.len() / 10..x.len() - x.len() / 10;
+    let squares: f64 = inside.clone().map(|k| (high[k] - low[k]).powi(2)).sum();
+    Ok((squares / inside.len().max(1) as f64 * rate / top).sqrt())
 }
 
 #[cfg(test)]

@@ -255,7 +255,7 @@ impl<'a> Solver<'a> {
         }
         if self.estimator == Estimator::Huber {
             let robust = huber::solve(stack)?;
-            let spread = noise::of_residual(stack, &robust.fit, &robust.influence);
+            let spread = noise::of_influences(stack, experiments, &robust.fit, &robust.influence, &robust.weights);
             let (row_weights, outcome) = (Some(robust.weights), outcome(robust.settled));
             return Ok(Solved {
                 fit: robust.fit,

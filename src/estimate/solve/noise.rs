@@ -33,9 +33,31 @@ pub fn of_torques(stack: &Stack, experiments: &[Experiment], fit: &Fit) -> Sprea
     each.fold(Spread::zero(fit.beta.len()), |sum, one| sum.plus(&one))
 }
 
-/// Covariance of the parameters from what is left of the torques.
-pub fn of_residual(stack: &Stack, fit: &Fit, residual: &DVector<f64>) -> Spread {
-    let each = (0..stack.spans.len()).map(|index| from_residual(stack, fit, residual, index));
+/// Covariance of a robust estimate's parameters from its `influences`, the residuals times their `weights`. Where periods repeat, their
+/// scatter gives the noise's colour and the influences its size: a touch in one period has a large scatter and little influence.
+pub fn of_influences(
+    stack: &Stack,
+    experiments: &[Experiment],
+    fit: &Fit,
+    influences: &DVector<f64>,
+    weights: &[f64],
+) -> Spread {
+    let weighed = DMatrix::from_row_slice(1, weights.len(), weights);
+    let each = experiments.iter().enumerate().map(|(index, experiment)| {
+        let Some(noise) = &experiment.noise else { return from_residual(stack, fit, influences, index) };
+        let (sizes, weights) = (freed(stack, fit, influences, index), part(stack, &weighed, index));
+        let mut map = part(stack, &fit.projection, index);
+        let m = stack.spans[index];
+        for (j, variance) in variances(noise).iter().enumerate() {
+            let squares = sizes.columns(j * m, m).norm_squared();
+            let expected = weights.columns(j * m, m).norm_squared() * variance;
+            let size = if expected > 0.0 { (squares / expected).sqrt() } else { 0.0 };
+            for k in j * m..(j + 1) * m {
+                map.column_mut(k).scale_mut(size * weights[k]);
+            }
+        }
+        between_periods(&map, experiment.kept(), noise)
+    });
     each.fold(Spread::zero(fit.beta.len()), |sum, one| sum.plus(&one))
 }
 
@@ -58,14 +80,18 @@ pub fn of_all(structure: &Structure, stack: &Stack, experiments: &[Experiment], 
 }
 
 fn from_residual(stack: &Stack, fit: &Fit, residual: &DVector<f64>, index: usize) -> Spread {
-    let samples = stack.spans[index];
+    let own = freed(stack, fit, residual, index);
+    newey_west(&part(stack, &fit.projection, index), own.as_slice(), stack.spans[index])
+}
+
+/// One experiment's residuals with what the fit took of them given back.
+fn freed(stack: &Stack, fit: &Fit, residual: &DVector<f64>, index: usize) -> DMatrix<f64> {
     // A fit goes nearer to the equations that decide it: of each residual so much is missing as its torque moves the model there.
     let freed = DMatrix::from_fn(1, residual.len(), |_, row| {
         let leverage = (stack.w.row(row) * fit.projection.column(row))[(0, 0)];
         residual[row] / (1.0 - leverage.clamp(0.0, MOST_LEVERAGE)).sqrt()
     });
-    let own = part(stack, &freed, index);
-    newey_west(&part(stack, &fit.projection, index), own.as_slice(), samples)
+    part(stack, &freed, index)
 }
 
 /// Columns of one experiment, joint by joint, of a matrix with a column for every equation.

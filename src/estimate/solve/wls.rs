@@ -6,10 +6,10 @@ use crate::estimate::EstimateError;
 use nalgebra::DMatrix;
 
 /// Most rounds of weights.
-const ROUNDS: usize = 20;
+const ROUNDS: usize = 30;
 /// Weights have settled when no parameter moves by more than this share of its standard deviation. Noise in the weights themselves
 /// moves parameters by more.
-const SETTLED: f64 = 1e-4;
+const SETTLED: f64 = 1e-2;
 /// Share of a parameter that is rounding.
 const ROUNDING: f64 = 1e-9;
 /// What correlations between joints are multiplied by, so that their matrix stays well inside the positive definite ones.
