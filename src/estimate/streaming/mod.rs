@@ -175,15 +175,20 @@ impl Streaming {
         let p = regressor.len();
         let narrow = Butterworth::new(settings.torque_order, settings.torque_cutoff, rate)?;
         let wide = Butterworth::new(settings.position_order, settings.position_cutoff, rate)?;
+        // Only what has entries goes through the low-pass; the torque has all of them.
+        let active = active(structure);
+        let mut lanes = vec![[false; MAX_JOINTS]; p + 1];
+        active.iter().enumerate().for_each(|(j, columns)| columns.iter().for_each(|&c| lanes[c][j] = true));
+        lanes[p] = [true; MAX_JOINTS];
         let step = settings.decimation.unwrap_or_else(|| decimation(rate, 2.0 * settings.torque_cutoff)).max(1);
         Ok(Streaming {
             rate,
-            first: Bank::new(settings.position_order, settings.position_cutoff, rate, 2)?,
-            second: Bank::new(settings.torque_order, settings.torque_cutoff, rate, p + 1)?,
+            first: Bank::new(settings.position_order, settings.position_cutoff, rate, &[[true; MAX_JOINTS]; 2])?,
+            second: Bank::new(settings.torque_order, settings.torque_cutoff, rate, &lanes)?,
             before: Default::default(),
             torque_before: JointVec::default(),
             values: vec![[0.0; MAX_JOINTS]; p + 1],
-            gram: Gram::new(p, active(structure), settings.forgetting),
+            gram: Gram::new(p, active, settings.forgetting),
             tick: 0,
             settled: 2 + ((wide.settling() + narrow.settling()) * rate).ceil() as u64,
             step: step as u64,
