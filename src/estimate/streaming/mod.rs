@@ -264,8 +264,8 @@ impl Streaming {
     /// Parameters from all samples so far, with one variance per joint from its residual (paper eq. 10).
     ///
     /// Rows that follow each other are not independent. The covariance is that of least squares times what the correlation adds to each
-    /// joint's variance: of white noise through the low-passes, or, after [`ENOUGH`] rows since the first call of this
-    /// function, of the residuals themselves up to [`LAGS`] rows apart, where that is more.
+    /// joint's variance: of white noise through the low-passes, or, after 200 rows since the first call of this
+    /// function, of the residuals themselves up to 8 rows apart, where that is more.
     pub fn estimate(&mut self) -> Result<Estimate, StreamingError> {
         let (n, p) = (self.gram.joints(), self.gram.columns());
         let rows = n * self.gram.count();
