@@ -10,18 +10,24 @@ pub struct Bank {
     level: Level,
     /// `b0, a1, a2` of each second-order section.
     sections: Vec<[f64; 3]>,
-    /// Two states per section and signal: section by section, signal by signal.
-    states: Vec<[[f64; 8]; 2]>,
     signals: usize,
+    /// Signal and first lane of each four lanes that are not always zero.
+    parts: Vec<(usize, usize)>,
+    /// Two states per part and section: part by part, section by section.
+    states: Vec<[[f64; 4]; 2]>,
     started: bool,
 }
 
 impl Bank {
-    /// A low-pass of even `order` with its half-power frequency at `cutoff` \[Hz\] for `signals` signals sampled at `rate` \[Hz\].
-    pub fn new(order: usize, cutoff: f64, rate: f64, signals: usize) -> Result<Bank, SignalError> {
+    /// A low-pass of even `order` with its half-power frequency at `cutoff` \[Hz\] for signals sampled at `rate` \[Hz\]. `active` has one element per
+    /// signal: which of its lanes can be other than zero. Lanes are filtered four at a time; four that are zero are not.
+    pub fn new(order: usize, cutoff: f64, rate: f64, active: &[[bool; 8]]) -> Result<Bank, SignalError> {
         let sections: Vec<[f64; 3]> = Butterworth::new(order, cutoff, rate)?.coefficients().collect();
-        let states = vec![[[0.0; 8]; 2]; sections.len() * signals];
-        Ok(Bank { level: Level::new(), sections, states, signals, started: false })
+        let both = |signal: usize| [(signal, 0), (signal, 4)];
+        let moves = |&(signal, first): &(usize, usize)| active[signal][first..first + 4].iter().any(|&lane| lane);
+        let parts: Vec<(usize, usize)> = (0..active.len()).flat_map(both).filter(moves).collect();
+        let states = vec![[[0.0; 4]; 2]; sections.len() * parts.len()];
+        Ok(Bank { level: Level::new(), sections, signals: active.len(), parts, states, started: false })
     }
 
     /// Forgets all samples: the next one is the first.
@@ -34,39 +40,40 @@ impl Bank {
         assert_eq!(values.len(), self.signals, "one value per signal");
         if !self.started {
             self.started = true;
-            for (s, [b0, a1, a2]) in self.sections.iter().enumerate() {
-                for (state, value) in self.states[s * self.signals..].iter_mut().zip(values.iter()) {
-                    for lane in 0..8 {
-                        state[1][lane] = (b0 - a2) * value[lane];
-                        state[0][lane] = (2.0 * b0 - a1) * value[lane] + state[1][lane];
+            for (&(signal, first), states) in self.parts.iter().zip(self.states.chunks_exact_mut(self.sections.len())) {
+                for (state, [b0, a1, a2]) in states.iter_mut().zip(&self.sections) {
+                    for (lane, value) in values[signal][first..first + 4].iter().enumerate() {
+                        state[1][lane] = (b0 - a2) * value;
+                        state[0][lane] = (2.0 * b0 - a1) * value + state[1][lane];
                     }
                 }
             }
         }
-        let level = self.level;
-        let (sections, states) = (&self.sections, &mut self.states);
-        dispatch!(level, simd => step(simd, sections, states, values));
+        let (level, sections, parts, states) = (self.level, &self.sections, &self.parts, &mut self.states);
+        dispatch!(level, simd => step(simd, sections, parts, states, values));
     }
 }
 
+/// `y = b0 (x + 2 x_1 + x_2) - a1 y_1 - a2 y_2` of every section, transposed form; a part goes through all of them in registers.
 #[inline(always)]
-fn step<S: Simd>(simd: S, sections: &[[f64; 3]], states: &mut [[[f64; 8]; 2]], values: &mut [[f64; 8]]) {
-    for (&[b0, a1, a2], states) in sections.iter().zip(states.chunks_exact_mut(values.len().max(1))) {
-        for (value, [z1, z2]) in values.iter_mut().zip(states) {
-            half(simd, [b0, a1, a2], &mut value[..4], &mut z1[..4], &mut z2[..4]);
-            half(simd, [b0, a1, a2], &mut value[4..], &mut z1[4..], &mut z2[4..]);
+fn step<S: Simd>(
+    simd: S,
+    sections: &[[f64; 3]],
+    parts: &[(usize, usize)],
+    states: &mut [[[f64; 4]; 2]],
+    values: &mut [[f64; 8]],
+) {
+    for (&(signal, first), states) in parts.iter().zip(states.chunks_exact_mut(sections.len())) {
+        let place = &mut values[signal][first..first + 4];
+        let mut value = f64x4::from_slice(simd, place);
+        for (&[b0, a1, a2], [z1, z2]) in sections.iter().zip(states) {
+            let x = value * b0;
+            value = x + f64x4::from_slice(simd, z1);
+            value.mul_add(-a1, x + x + f64x4::from_slice(simd, z2)).store_slice(z1);
+            value.mul_add(-a2, x).store_slice(z2);
         }
+        value.store_slice(place);
     }
-}
-
-/// `y = b0 (x + 2 x_1 + x_2) - a1 y_1 - a2 y_2` on four lanes, transposed form.
-#[inline(always)]
-fn half<S: Simd>(simd: S, [b0, a1, a2]: [f64; 3], value: &mut [f64], z1: &mut [f64], z2: &mut [f64]) {
-    let x = f64x4::from_slice(simd, value) * b0;
-    let y = x + f64x4::from_slice(simd, z1);
-    y.mul_add(-a1, x + x + f64x4::from_slice(simd, z2)).store_slice(z1);
-    y.mul_add(-a2, x).store_slice(z2);
-    y.store_slice(value);
 }
 
 #[cfg(test)]
@@ -77,7 +84,7 @@ mod tests {
     #[test]
     fn every_lane_has_the_gain_of_the_low_pass_and_starts_at_rest() {
         let (order, cutoff, rate) = (4, 5.0, 1000.0);
-        let mut bank = Bank::new(order, cutoff, rate, 2).unwrap();
+        let mut bank = Bank::new(order, cutoff, rate, &[[true; 8]; 2]).unwrap();
         let reference = Butterworth::new(order, cutoff, rate).unwrap();
         let frequency = |lane: usize| 0.5 + lane as f64;
         let mut squares = [[0.0; 8]; 2];

@@ -175,15 +175,20 @@ impl Streaming {
         let p = regressor.len();
         let narrow = Butterworth::new(settings.torque_order, settings.torque_cutoff, rate)?;
         let wide = Butterworth::new(settings.position_order, settings.position_cutoff, rate)?;
+        // Only what has entries goes through the low-pass; the torque has all of them.
+        let active = active(structure);
+        let mut lanes = vec![[false; MAX_JOINTS]; p + 1];
+        active.iter().enumerate().for_each(|(j, columns)| columns.iter().for_each(|&c| lanes[c][j] = true));
+        lanes[p] = [true; MAX_JOINTS];
         let step = settings.decimation.unwrap_or_else(|| decimation(rate, 2.0 * settings.torque_cutoff)).max(1);
         Ok(Streaming {
             rate,
-            first: Bank::new(settings.position_order, settings.position_cutoff, rate, 2)?,
-            second: Bank::new(settings.torque_order, settings.torque_cutoff, rate, p + 1)?,
+            first: Bank::new(settings.position_order, settings.position_cutoff, rate, &[[true; MAX_JOINTS]; 2])?,
+            second: Bank::new(settings.torque_order, settings.torque_cutoff, rate, &lanes)?,
             before: Default::default(),
             torque_before: JointVec::default(),
             values: vec![[0.0; MAX_JOINTS]; p + 1],
-            gram: Gram::new(p, active(structure), settings.forgetting),
+            gram: Gram::new(p, active, settings.forgetting),
             tick: 0,
             settled: 2 + ((wide.settling() + narrow.settling()) * rate).ceil() as u64,
             step: step as u64,
@@ -259,8 +264,8 @@ impl Streaming {
     /// Parameters from all samples so far, with one variance per joint from its residual (paper eq. 10).
     ///
     /// Rows that follow each other are not independent. The covariance is that of least squares times what the correlation adds to each
-    /// joint's variance: of white noise through the low-passes, or, after [`ENOUGH`] rows since the first call of this
-    /// function, of the residuals themselves up to [`LAGS`] rows apart, where that is more.
+    /// joint's variance: of white noise through the low-passes, or, after 200 rows since the first call of this
+    /// function, of the residuals themselves up to 8 rows apart, where that is more.
     pub fn estimate(&mut self) -> Result<Estimate, StreamingError> {
         let (n, p) = (self.gram.joints(), self.gram.columns());
         let rows = n * self.gram.count();
