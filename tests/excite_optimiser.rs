@@ -17,6 +17,7 @@ use plumbline::store::ModelFile;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::Path;
+use std::slice::from_ref;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -180,8 +181,8 @@ fn a_second_motion_complements_the_first() {
         optimise(&problem, &Search { seed, ..search.clone() }, prior, &Watch::alone(2)).unwrap().fourier().unwrap()
     };
     let first = find(1, &[]);
-    let alone = together(&problem, &[first.clone()]).raw;
-    let second = find(2, &[first.clone()]);
+    let alone = together(&problem, from_ref(&first)).raw;
+    let second = find(2, from_ref(&first));
     let both = together(&problem, &[first.clone(), second]).raw;
     let any = together(&problem, &[first.clone(), find(2, &[])]).raw;
     assert!(both < 0.9 * alone && both < any, "{alone} alone, {both} with its complement, {any} with any other");

@@ -95,8 +95,6 @@ impl From<Goal> for Criterion {
     }
 }
 
-/// Grid of the search: samples per period.
-const COARSE: usize = 100;
 /// Share of the room that a validation motion uses.
 const VALIDATION_AMPLITUDE: f64 = 0.7;
 /// Rounds of a search that ends by the clock.
@@ -153,7 +151,7 @@ impl Options {
         }
         let rounds = if self.seconds.is_some() { ENDLESS } else { self.rounds };
         let (period, harmonics, starts, seed) = (self.period, self.harmonics, self.starts, self.seed);
-        Ok(Search { period, harmonics, criterion: self.criterion.into(), starts, rounds, samples: COARSE, seed })
+        Ok(Search { period, harmonics, criterion: self.criterion.into(), starts, rounds, seed, ..Search::default() })
     }
 
     /// One search, with a bar, by the clock where asked; ctrl-C ends it with the best so far.
@@ -326,8 +324,8 @@ impl<'a> Planner<'a> {
             criterion: excitation.criterion,
             starts: excitation.starts,
             rounds: excitation.rounds,
-            samples: COARSE,
             seed,
+            ..Search::default()
         }
     }
 

@@ -273,11 +273,11 @@ impl Check {
         let segments = shape.placed(bounds.chain, q);
         if let Some(workspace) = bounds.workspace {
             for (capsule, ends) in shape.capsules().iter().zip(&segments).filter(|(c, _)| c.link >= FIRST_BOXED) {
-                for axis in 0..3 {
-                    let (low, high) = (ends[0][axis].min(ends[1][axis]), ends[0][axis].max(ends[1][axis]));
-                    let link = Some(capsule.link);
-                    let (least, most) =
-                        (workspace.box_min[axis] + margins.workspace, workspace.box_max[axis] - margins.workspace);
+                let (low, high) = (ends[0].inf(&ends[1]), ends[0].sup(&ends[1]));
+                let link = Some(capsule.link);
+                for (axis, (low, high)) in low.iter().zip(&high).enumerate() {
+                    let least = workspace.box_min[axis] + margins.workspace;
+                    let most = workspace.box_max[axis] - margins.workspace;
                     self.note(slot, Quantity::LinkBoxMin(axis), link, time, low - capsule.radius, least);
                     self.note(slot, Quantity::LinkBoxMax(axis), link, time, high + capsule.radius, most);
                 }

@@ -56,7 +56,7 @@ pub struct Search {
 
 impl Default for Search {
     fn default() -> Search {
-        Search { period: 10.0, harmonics: 5, criterion: Criterion::Raw, starts: 32, rounds: 4, samples: 100, seed: 1 }
+        Search { period: 10.0, harmonics: 5, criterion: Criterion::Raw, starts: 32, rounds: 6, samples: 80, seed: 1 }
     }
 }
 

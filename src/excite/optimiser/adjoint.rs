@@ -252,10 +252,10 @@ impl Tape {
     /// Places every link frame in the base frame.
     pub fn place(&self, n: usize, frames: &mut [Frame; MAX_JOINTS]) {
         let (mut rotation, mut origin) = (Matrix3::identity(), V3::zeros());
-        for i in 0..n {
+        for (i, frame) in frames.iter_mut().enumerate().take(n) {
             origin += rotation * self.origin[i];
             rotation *= self.rotation[i];
-            frames[i] = Frame { rotation, origin };
+            *frame = Frame { rotation, origin };
         }
     }
 }

@@ -175,8 +175,8 @@ impl<'a> Objective<'a> {
         for (motion, basis) in self.motion.iter_mut().zip(bases) {
             motion.gemm(1.0, basis, &coordinates, 0.0);
         }
-        for j in 0..n {
-            self.motion[0].column_mut(j).add_scalar_mut(q0[j]);
+        for (j, &q0) in q0.iter().enumerate().take(n) {
+            self.motion[0].column_mut(j).add_scalar_mut(q0);
         }
         for (k, sample) in self.samples.iter_mut().enumerate() {
             let at =
