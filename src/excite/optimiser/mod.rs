@@ -1,7 +1,7 @@
 //! The excitation optimiser: many starts, each a descent with exact gradients under hard constraints, on all cores.
 //!
 //! The problem has many local minima, so a search goes in three steps: every start is descended a little way with a smooth surrogate
-//! (a sketch); the best quarter is seen through; then, in rounds, the best motions so far are shaken and descended again (hops).
+//! (a sketch); of every eight the best two are seen through; then, in rounds, the best motions so far are shaken and descended again (hops).
 //!
 //! | file | what |
 //! |---|---|
@@ -68,7 +68,9 @@ const TOLERANCE: f64 = 3e-6;
 /// Rounds in which what the grid did not see is taken off, and iterations of each.
 const ROUNDS: usize = 5;
 const ROUND_ITERATIONS: usize = 50;
-/// One sketch of so many is seen through; a round of hops has as many hops.
+/// Starts are sketched in groups of so many, so that the first finished motion is there soon.
+const GROUP: usize = 8;
+/// One sketch of so many is seen through; a round of hops has one hop for so many starts.
 const KEPT: usize = 4;
 /// How many of the best motions hops start from.
 const ELITES: usize = 4;
@@ -93,46 +95,58 @@ struct Found {
 /// starts and rounds, not on the number of threads. It depends on time when `watch.stop` does.
 pub fn optimise(problem: &Problem, search: &Search, prior: &[Fourier], watch: &Watch) -> Result<Plan, ExciteError> {
     search::validate(problem, search)?;
-    let kept = search.starts.div_ceil(KEPT);
-    let crew = Crew::new(watch, search.starts + kept * (3 + 3 * search.rounds));
+    let hops = search.starts.div_ceil(KEPT);
+    let groups = (0..search.starts).step_by(GROUP).map(|first| GROUP.min(search.starts - first).div_ceil(KEPT));
+    let crew = Crew::new(watch, search.starts + 3 * (groups.sum::<usize>() + hops * search.rounds));
     let task = Task { problem, search, prior, watch };
 
-    let mut sketches = Vec::new();
-    let mut trouble = None;
-    for sketch in crew.map(search.starts, 1, |index| task.sketch(index)) {
-        match sketch {
-            Ok(sketch) => sketches.push(sketch),
-            Err(error) => trouble = trouble.or(Some(error)),
-        }
-    }
-    sketches.sort_by(|one, other| one.cost.total_cmp(&other.cost));
-    sketches.truncate(kept);
-
     let mut best: Vec<Found> = Vec::new();
-    let finish = |index: usize| task.descend(&sketches[index].fourier, &FINISH);
-    let mut finished = crew.map(sketches.len(), 3, |index| crew.told(finish(index)));
-    for round in 0..=search.rounds {
-        for motion in finished {
-            match motion {
-                Ok(motion) => best.push(motion),
-                Err(error) => trouble = trouble.or(Some(error)),
-            }
-        }
-        best.sort_by(|one, other| one.cost.total_cmp(&other.cost));
-        best.truncate(ELITES);
-        if best.is_empty() || round == search.rounds || (watch.stop)() {
+    let mut trouble = None;
+    for first in (0..search.starts).step_by(GROUP) {
+        let count = GROUP.min(search.starts - first);
+        let (mut sketches, errors) = sorted(crew.map(count, 1, |index| task.sketch(first + index)));
+        sketches.truncate(count.div_ceil(KEPT));
+        let finish = |index: usize| crew.told(task.descend(&sketches[index].fourier, &FINISH));
+        let (finished, more) = sorted(crew.map(sketches.len(), 3, finish));
+        best.extend(finished);
+        trouble = trouble.or(errors).or(more);
+        if (watch.stop)() && !best.is_empty() {
             break;
         }
-        finished = crew.map(kept, 3, |index| {
-            let mut rng = task.stream(1 + round, index);
+    }
+    for round in 1..=search.rounds {
+        best.sort_by(|one, other| one.cost.total_cmp(&other.cost));
+        best.truncate(ELITES);
+        if best.is_empty() || (watch.stop)() {
+            break;
+        }
+        let hop = |index: usize| {
+            let mut rng = task.stream(round, index);
             let shaken = shake(&best[index % best.len()].fourier, search.samples, problem.q0.is_none(), &mut rng);
             crew.told(task.descend(&shaken, &HOP))
-        });
+        };
+        let (finished, _) = sorted(crew.map(hops, 3, hop));
+        best.extend(finished);
     }
+    best.sort_by(|one, other| one.cost.total_cmp(&other.cost));
     match best.into_iter().next() {
         Some(found) => search::plan_of(problem, search, found.fourier),
         None => Err(trouble.unwrap_or(ExciteError::Unexcited)),
     }
+}
+
+/// What was found, best first, and the first error.
+fn sorted(results: Vec<Result<Found, ExciteError>>) -> (Vec<Found>, Option<ExciteError>) {
+    let mut found = Vec::new();
+    let mut trouble = None;
+    for result in results {
+        match result {
+            Ok(motion) => found.push(motion),
+            Err(error) => trouble = trouble.or(Some(error)),
+        }
+    }
+    found.sort_by(|one, other| one.cost.total_cmp(&other.cost));
+    (found, trouble)
 }
 
 /// What all descents of a search share.
