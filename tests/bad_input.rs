@@ -118,7 +118,7 @@ fn an_infeasible_start_pose() {
 #[test]
 fn a_second_daemon_on_the_same_robot() {
     let place = Place::new("second");
-    let first = Running::start(place.job("daemon", &short(&["excitation.evaluations=5"])));
+    let first = Running::start(place.job("daemon", &short(&[])));
     wait_for("the first daemon", || (place.command("status").code == Some(0)).then_some(()));
     let holder = format!("process {}", first.pid());
     for subcommand in ["daemon", "run"] {
@@ -220,7 +220,7 @@ fn a_model_that_is_broken() {
     // A daemon that is to serve it refuses, too, before it opens anything; its plans are its own and stay.
     let place = Place::new("daemon-model");
     let model = put(&place, "model.toml", &table3.replace("\"panda\"", "\"fr3\""));
-    let mut daemon = place.job("daemon", &short(&["excitation.evaluations=5"]));
+    let mut daemon = place.job("daemon", &short(&[]));
     daemon.arg("--model").arg(&model);
     let done = Running::start(daemon).end().expect_code(2);
     assert!(
@@ -234,7 +234,7 @@ fn a_model_that_is_broken() {
 fn a_plan_that_is_broken() {
     let place = Place::new("plan");
     let mut command = plumbline();
-    command.args(["plan", "--robot", "panda", "--mounting", "wall", "--evaluations", "5", "--out"]);
+    command.args(["plan", "--robot", "panda", "--mounting", "wall", "--starts", "1", "--rounds", "0", "--out"]);
     let plan = place.path().join("plan.toml");
     command.arg(&plan);
     Done::of(command).expect_code(0);

@@ -14,8 +14,13 @@ fn turn() -> MutexGuard<'static, ()> {
 }
 
 /// Overrides that make the identification last some seconds of simulated time at the fast pace, and the planning none.
-const LONG: [&str; 4] =
-    ["excitation.periods=60", "excitation.evaluations=5", "validation.mountings=[\"wall\"]", "backend.seed=3"];
+const LONG: [&str; 5] = [
+    "excitation.periods=60",
+    "excitation.starts=1",
+    "excitation.rounds=0",
+    "validation.mountings=[\"wall\"]",
+    "backend.seed=3",
+];
 
 /// For jobs that are not meant to come to their end.
 const ENDLESS: &str = "excitation.periods=500";
@@ -114,7 +119,7 @@ fn an_interrupt_ends_everything() {
 fn a_daemon_takes_orders_and_refuses_what_it_can_not_do() {
     let _turn = turn();
     let place = Place::new("orders");
-    let daemon = Running::start(place.job("daemon", &short(&["excitation.evaluations=5"])));
+    let daemon = Running::start(place.job("daemon", &short(&[])));
     let idle = wait_for("the daemon", || status(&place));
     assert_eq!((idle.robot.as_str(), idle.joints, idle.cycles, idle.model), ("panda", 7, 0, 0));
 

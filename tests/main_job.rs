@@ -10,7 +10,7 @@ use std::path::Path;
 
 /// The shipped job with short periods, but with everything in it: unseen motions in both mountings, the counter-experiment, the dataset.
 const JOB: [&str; 4] =
-    ["excitation.period=4 s", "excitation.periods=5", "excitation.evaluations=300", "validation.trajectories=2"];
+    ["excitation.period=4 s", "excitation.periods=5", "excitation.starts=4", "validation.trajectories=2"];
 
 /// Mean RMS over joints and runs of one mounting.
 fn validation_rms(report: &Report, mounting: &str) -> f64 {

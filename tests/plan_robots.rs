@@ -19,7 +19,9 @@ fn every_shipped_robot_gets_a_feasible_plan() {
     for name in robots {
         let out = place.path().join(format!("{name}.toml"));
         let mut command = plumbline();
-        command.args(["plan", "--robot", &name, "--mounting", "wall", "--evaluations", "50", "--out"]).arg(&out);
+        command
+            .args(["plan", "--robot", &name, "--mounting", "wall", "--starts", "1", "--rounds", "0", "--out"])
+            .arg(&out);
         let done = Done::of(command).expect_code(0);
         assert!(done.out.contains("condition raw "), "{}", done.said());
 
@@ -27,10 +29,10 @@ fn every_shipped_robot_gets_a_feasible_plan() {
         let (plan, robot) = (load_plan(&out).unwrap(), Robot::load(&name, None).unwrap());
         assert_eq!((plan.robot.as_str(), plan.period, plan.harmonics), (name.as_str(), 10.0, 5));
         let bounds = Bounds {
-            chain: &robot.chain,
-            limits: &robot.limits,
             workspace: Some(&robot.workspace),
-            margins: Margins::default(),
+            shape: Some(&robot.shape),
+            envelope: robot.envelope.as_ref(),
+            ..Bounds::new(&robot.chain, &robot.limits, Margins::default())
         };
         let verdict = verify(&bounds, &plan.fourier().unwrap(), None);
         assert!(verdict.violations().next().is_none(), "{name}: {}", verdict.violations().next().unwrap());

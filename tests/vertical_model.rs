@@ -6,8 +6,13 @@ use job_support::*;
 use std::path::PathBuf;
 
 /// A job that leaves a vertical model and runs of both mountings behind.
-const JOB: [&str; 4] =
-    ["excitation.period=4 s", "excitation.periods=3", "excitation.evaluations=60", "validation.trajectories=1"];
+const JOB: [&str; 5] = [
+    "excitation.period=4 s",
+    "excitation.periods=3",
+    "excitation.starts=1",
+    "excitation.rounds=0",
+    "validation.trajectories=1",
+];
 
 struct Left {
     place: Place,

@@ -8,11 +8,12 @@ use plumbline::ipc::Status;
 use std::path::Path;
 
 /// A few seconds of motion. How late a cycle may come is the machine's business, not this test's: no loss stops the arm.
-const JOB: [&str; 8] = [
+const JOB: [&str; 9] = [
     "backend.pace=wall-clock",
     "excitation.period=2 s",
     "excitation.periods=3",
-    "excitation.evaluations=60",
+    "excitation.starts=1",
+    "excitation.rounds=0",
     "validation.trajectories=3",
     "validation.mountings=[\"wall\"]",
     "output.dataset=false",

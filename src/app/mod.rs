@@ -22,6 +22,7 @@ pub use failure::Failure;
 use crate::backend::sim::Truth;
 use crate::config::job::Job;
 use crate::config::robot::Robot;
+use crate::excite::limits::{Bounds, Margins, check_pose};
 use crate::input::BadInput;
 use crate::ipc::{Lock, LockError, RobotId};
 use crate::joint::{JointVec, MAX_JOINTS};
@@ -185,6 +186,10 @@ fn rest(job: &Job, robot: &Robot) -> Result<JointVec, Failure> {
             space.box_min, space.box_max, space.base_radius
         );
         return Err(BadInput::new(file, key, found, expected).into());
+    }
+    let bounds = Bounds { shape: Some(&robot.shape), ..Bounds::new(&robot.chain, &limits, Margins::none()) };
+    if let Some(peak) = check_pose(&bounds, &start).violations().next() {
+        return Err(BadInput::new(file, key, peak, "a pose in which the arm does not touch itself").into());
     }
     let mut rest = [0.0; MAX_JOINTS];
     rest[..n].copy_from_slice(&start);

@@ -6,17 +6,23 @@ use crate::config::job::Job;
 use crate::config::robot::Robot;
 use crate::config::units::parse_mounting;
 use crate::excite::ExciteError;
+use crate::excite::criterion::Criterion;
 use crate::excite::fourier::Fourier;
-use crate::excite::limits::{Bounds, Margins, verify};
+use crate::excite::limits::{Bounds, Margins};
+use crate::excite::nominal::Nominal;
+use crate::excite::optimiser::optimise;
 use crate::excite::plan::Plan;
-use crate::excite::search::{self, Problem, Search};
+use crate::excite::search::{self, Problem, Progress, Search, Watch, verdict};
 use crate::input::BadInput;
 use crate::joint::{Limits, Workspace};
 use crate::model::gravity::Mounting;
-use crate::store::{load_plan, save_plan};
-use clap::Args;
+use crate::store::{ModelFile, load_plan, save_plan};
+use clap::{Args, ValueEnum};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 /// Options of `plumbline plan`.
 #[derive(Args)]
@@ -27,67 +33,204 @@ pub struct Options {
     /// Mounting: upright, wall, ceiling, or RHO,PHI with units such as "60 deg,0 deg"
     #[arg(long, default_value = "upright")]
     mounting: String,
-    /// Plan file to write
+    /// Plan file to write; several motions become plan-1.toml, plan-2.toml, .., plan-validate-1.toml, ..
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
+    /// What is made small
+    #[arg(long, value_enum, default_value_t = Goal::Raw)]
+    criterion: Goal,
+    /// Nominal model (a model file): torques and torque rates are held to the limits, too
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Motions to identify from; each one complements those before it
+    #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
+    trajectories: u64,
+    /// Random motions to validate with
+    #[arg(long, value_name = "K", default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=100))]
+    validate: u64,
     /// Period of the motion in s
     #[arg(long, default_value_t = 10.0)]
     period: f64,
     /// Harmonics per joint
     #[arg(long, default_value_t = 5)]
     harmonics: usize,
-    /// Candidate motions that the search may try
-    #[arg(long, default_value_t = 4000)]
-    evaluations: usize,
-    /// Seed of the search
+    /// Random motions that the search descends from; the best quarter is seen through
+    #[arg(long, default_value_t = 32)]
+    starts: usize,
+    /// Rounds in which the best motions are shaken and descended again
+    #[arg(long, default_value_t = 6)]
+    rounds: usize,
+    /// Search each motion for this long instead of --rounds; the result then depends on the machine's speed
+    #[arg(long, value_name = "S", conflicts_with = "rounds")]
+    seconds: Option<f64>,
+    /// Seed of the search: the same seed finds the same motions
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
 
-/// Grid of the search: samples per period.
-const COARSE: usize = 100;
+/// The criteria by their names on the command line.
+#[derive(Clone, Copy, ValueEnum)]
+enum Goal {
+    /// Condition number of the stacked base regressor
+    Raw,
+    /// The same without the friction columns
+    RawRigid,
+    /// Condition number with every column divided by its norm
+    Equilibrated,
+    /// Condition number with every row divided by its joint's noise
+    Weighted,
+    /// Volume of the parameters' confidence ellipsoid
+    LogDet,
+}
+
+impl From<Goal> for Criterion {
+    fn from(goal: Goal) -> Criterion {
+        match goal {
+            Goal::Raw => Criterion::Raw,
+            Goal::RawRigid => Criterion::RawRigid,
+            Goal::Equilibrated => Criterion::Equilibrated,
+            Goal::Weighted => Criterion::Weighted,
+            Goal::LogDet => Criterion::LogDet,
+        }
+    }
+}
+
 /// Share of the room that a validation motion uses.
 const VALIDATION_AMPLITUDE: f64 = 0.7;
+/// Rounds of a search that ends by the clock.
+const ENDLESS: usize = 100_000;
+/// Distance of the seeds of validation motions from those of the search.
+const VALIDATION_SEED: u64 = 1_000_003;
 
-/// Optimises a motion and writes it.
+/// Optimises motions and writes them.
 pub fn run(options: Options) -> Result<(), Failure> {
     let robot = Robot::load(&options.robot, None)?;
     let mounting = parse_mounting("--mounting", &options.mounting)?;
-    let search = Search {
-        period: options.period,
-        harmonics: options.harmonics,
-        evaluations: options.evaluations,
-        samples: COARSE,
-        seed: options.seed,
-    };
+    let search = options.search()?;
+    let nominal = options.model.as_deref().map(|path| nominal(path, &robot)).transpose()?;
     let task = Task {
         robot: &robot,
         mounting,
         limits: robot.limits,
         workspace: robot.workspace,
         margins: Margins::default(),
+        nominal: nominal.as_ref(),
         q0: None,
     };
-    let bar = progress::bar("planning");
-    let plan = task
-        .best(&search, &mut |share, best| bar.at(share, &format!("raw condition {best:.1}")))
-        .map_err(|error| infeasible("command line", &error))?;
-    bar.done();
-    save_plan(&plan, &options.out).map_err(Failure::job)?;
-    println!("{}: condition {}", options.out.display(), super::conditions_text(&plan.conditions));
+    let interrupted = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register(signal, Arc::clone(&interrupted)).map_err(Failure::job)?;
+    }
+    let mut done: Vec<Fourier> = Vec::new();
+    for k in 1..=options.trajectories {
+        let plan =
+            options.one(&task, &Search { seed: search.seed + (k - 1), ..search.clone() }, &done, &interrupted)?;
+        done.push(motion(&plan)?);
+        options.leave(&plan, &options.name("", k, options.trajectories), &done, &task)?;
+    }
+    for k in 1..=options.validate {
+        let plan = task
+            .random(&Search { seed: search.seed + VALIDATION_SEED + k, ..search.clone() })
+            .map_err(|error| infeasible("command line", &error))?;
+        options.leave(&plan, &options.name("-validate", k, 100), &[], &task)?;
+    }
     Ok(())
+}
+
+impl Options {
+    fn search(&self) -> Result<Search, BadInput> {
+        let bad =
+            |option: &str, value: String, expected: &str| Err(BadInput::new("command line", option, value, expected));
+        if !(self.period >= 0.1 && self.period <= 1000.0 && (self.period * 1e3).fract().abs() < 1e-6) {
+            return bad("--period", self.period.to_string(), "0.1 to 1000 s, in whole milliseconds");
+        }
+        if let Some(seconds) = self.seconds
+            && !(seconds > 0.0 && seconds <= 1e6)
+        {
+            return bad("--seconds", seconds.to_string(), "a time above 0 s");
+        }
+        let rounds = if self.seconds.is_some() { ENDLESS } else { self.rounds };
+        let (period, harmonics, starts, seed) = (self.period, self.harmonics, self.starts, self.seed);
+        Ok(Search { period, harmonics, criterion: self.criterion.into(), starts, rounds, seed, ..Search::default() })
+    }
+
+    /// One search, with a bar, by the clock where asked; ctrl-C ends it with the best so far.
+    fn one(&self, task: &Task, search: &Search, prior: &[Fourier], interrupted: &AtomicBool) -> Result<Plan, Failure> {
+        let start = Instant::now();
+        let limit = self.seconds.map(Duration::from_secs_f64);
+        let bar = progress::bar("planning");
+        let hear = |now: Progress| {
+            let share = match limit {
+                Some(limit) => start.elapsed().as_secs_f64() / limit.as_secs_f64(),
+                None => now.done as f64 / now.of as f64,
+            };
+            let best = if now.best.is_finite() { format!("best {:.2}", now.best) } else { "no motion yet".into() };
+            bar.at(share, &best);
+        };
+        let stop = || interrupted.load(Ordering::Relaxed) || limit.is_some_and(|limit| start.elapsed() > limit);
+        let watch = Watch { threads: threads(), stop: &stop, progress: &hear };
+        let plan = task.best(search, prior, &watch).map_err(|error| infeasible("command line", &error))?;
+        bar.done();
+        if interrupted.load(Ordering::Relaxed) {
+            eprintln!("plumbline: interrupted; the best motion so far is kept");
+        }
+        Ok(plan)
+    }
+
+    /// `plan.toml` for a motion alone, else `plan-2.toml` or `plan-validate-2.toml`.
+    fn name(&self, kind: &str, k: u64, of: u64) -> PathBuf {
+        if of == 1 && kind.is_empty() {
+            return self.out.clone();
+        }
+        let stem = self.out.file_stem().map_or("plan".into(), |stem| stem.to_string_lossy().into_owned());
+        let extension =
+            self.out.extension().map_or("toml".into(), |extension| extension.to_string_lossy().into_owned());
+        self.out.with_file_name(format!("{stem}{kind}-{k}.{extension}"))
+    }
+
+    /// Writes a plan and says how good it is.
+    fn leave(&self, plan: &Plan, path: &Path, set: &[Fourier], task: &Task) -> Result<(), Failure> {
+        save_plan(plan, path).map_err(Failure::job)?;
+        println!("{}: condition {}", path.display(), super::conditions_text(&plan.conditions));
+        if set.len() > 1 {
+            let together = task.with_problem(|problem| search::together(problem, set));
+            println!("  with the {} before it: condition {}", set.len() - 1, super::conditions_text(&together));
+        }
+        Ok(())
+    }
+}
+
+/// Threads that a search may use: all that the machine has.
+fn threads() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// The nominal model in a file.
+fn nominal(path: &Path, robot: &Robot) -> Result<Nominal, Failure> {
+    let file = path.display().to_string();
+    let model = ModelFile::load(path, |name| {
+        if name == robot.name {
+            return Ok(robot.chain.clone());
+        }
+        Err(BadInput::new(&file, "key `robot`", format!("`{name}`"), format!("a model of `{}`", robot.name)))
+    })?
+    .model;
+    Nominal::of(&model).map_err(|error| {
+        let expected = "a model of rigid body, friction, torque-offset and rotor-inertia";
+        BadInput::new(&file, "term", error, expected).into()
+    })
 }
 
 /// The job's programme: the plans of an earlier run of the same job, or new ones, which are then kept in `out/plans`.
 pub fn programme(job: &Job, robot: &Robot, out: &Path) -> Result<Programme, Failure> {
     let dir = out.join("plans");
-    let stamp = fingerprint(job, robot);
+    let stamp = fingerprint(job, robot)?;
     let stamp_file = dir.join("planned-for");
     if std::fs::read_to_string(&stamp_file).is_ok_and(|text| text.trim() == stamp) {
         return Programme::load(job, robot, &dir);
     }
     let bar = progress::bar("planning");
-    let programme = Programme::plan(job, robot, &mut |name, share| bar.at(share, name))?;
+    let programme = Programme::plan(job, robot, &|name, share| bar.at(share, name))?;
     bar.done();
     programme.save(&dir)?;
     crate::atomic::write_file(&stamp_file, stamp.as_bytes()).map_err(Failure::job)?;
@@ -95,84 +238,113 @@ pub fn programme(job: &Job, robot: &Robot, out: &Path) -> Result<Programme, Fail
 }
 
 /// Hash of everything that the plans depend on.
-fn fingerprint(job: &Job, robot: &Robot) -> String {
-    let parts = (&job.excitation, &job.validation, &job.limits, &job.workspace, &job.mounting, robot);
+fn fingerprint(job: &Job, robot: &Robot) -> Result<String, Failure> {
+    let nominal = Planner::of(job, robot)?.nominal;
+    let parts = (&job.excitation, &job.validation, &job.limits, &job.workspace, &job.mounting, robot, nominal);
     let version = env!("CARGO_PKG_VERSION");
-    Sha256::digest(format!("{version} {parts:?}")).iter().map(|byte| format!("{byte:02x}")).collect()
+    Ok(Sha256::digest(format!("{version} {parts:?}")).iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// The motion to identify from: the job's own plan file, or the best that a search finds.
-pub fn best(
-    job: &Job,
-    robot: &Robot,
-    mounting: &Mounting,
-    seed: u64,
-    progress: &mut dyn FnMut(f64),
-) -> Result<Plan, Failure> {
-    if let (Some(path), true) = (&job.excitation.plan, *mounting == job.mounting) {
-        let plan = load_plan(path)?;
-        check(job, robot, &plan, path)?;
-        return Ok(plan);
-    }
-    let search = search(job, job.excitation.evaluations, seed);
-    let task = Task::of(job, robot, mounting)?;
-    task.best(&search, &mut |share, _| progress(share))
-        .map_err(|error| infeasible(&job.file.display().to_string(), &error))
+/// What plans the motions of a job.
+pub struct Planner<'a> {
+    job: &'a Job,
+    robot: &'a Robot,
+    limits: Limits,
+    workspace: Workspace,
+    nominal: Option<Nominal>,
 }
 
-/// A random motion to judge the model by.
-pub fn random(
-    job: &Job,
-    robot: &Robot,
-    mounting: &Mounting,
-    seed: u64,
-    progress: &mut dyn FnMut(f64),
-) -> Result<Plan, Failure> {
-    let task = Task::of(job, robot, mounting)?;
-    let plan =
-        task.random(&search(job, 1, seed)).map_err(|error| infeasible(&job.file.display().to_string(), &error))?;
-    progress(1.0);
-    Ok(plan)
-}
+impl<'a> Planner<'a> {
+    /// Reads what the job names. Errors on limits that are none, and on a nominal model that can't be read.
+    pub fn of(job: &'a Job, robot: &'a Robot) -> Result<Planner<'a>, Failure> {
+        let limits = job.guard_limits(&robot.limits, robot.chain.len())?;
+        let nominal = job.excitation.model.as_deref().map(|path| nominal(path, robot)).transpose()?;
+        Ok(Planner { job, robot, limits, workspace: job.workspace(&robot.workspace), nominal })
+    }
 
-/// Checks that a plan from a file fits the job's robot and keeps the limits that the guard will hold it to.
-pub fn check(job: &Job, robot: &Robot, plan: &Plan, path: &Path) -> Result<(), Failure> {
-    let file = path.display().to_string();
-    if plan.robot != robot.name {
-        return Err(BadInput::new(&file, "key `robot`", &plan.robot, format!("`{}`", robot.name)).into());
+    /// The motion to identify from: the job's own plan file, or the best that a search finds.
+    pub fn best(&self, mounting: &Mounting, seed: u64, progress: &(dyn Fn(f64) + Sync)) -> Result<Plan, Failure> {
+        if let (Some(path), true) = (&self.job.excitation.plan, *mounting == self.job.mounting) {
+            let plan = load_plan(path)?;
+            self.check(&plan, path)?;
+            return Ok(plan);
+        }
+        let hear = |now: Progress| progress(now.done as f64 / now.of as f64);
+        let watch = Watch { threads: threads(), stop: &|| false, progress: &hear };
+        self.task(mounting, self.job.margins())
+            .best(&self.search(seed), &[], &watch)
+            .map_err(|error| self.infeasible(&error))
     }
-    let fourier = plan.fourier().map_err(|error| infeasible(&file, &error))?;
-    if fourier.joints() != robot.chain.len() {
-        let expected = format!("{} joints", robot.chain.len());
-        return Err(BadInput::new(&file, "key `q0`", format!("{} joints", fourier.joints()), expected).into());
-    }
-    let limits = job.guard_limits(&robot.limits, robot.chain.len())?;
-    let workspace = job.workspace(&robot.workspace);
-    let whole = Margins {
-        position: 0.0,
-        velocity: 1.0,
-        acceleration: 1.0,
-        jerk: 1.0,
-        torque: 1.0,
-        torque_rate: 1.0,
-        workspace: 0.0,
-    };
-    let bounds = Bounds { chain: &robot.chain, limits: &limits, workspace: Some(&workspace), margins: whole };
-    let verdict = verify(&bounds, &fourier, None);
-    match verdict.violations().next() {
-        Some(peak) => Err(BadInput::new(&file, "motion", peak, "a motion inside every limit of the job").into()),
-        None => Ok(()),
-    }
-}
 
-fn search(job: &Job, evaluations: usize, seed: u64) -> Search {
-    let excitation = &job.excitation;
-    let (period, harmonics) = (excitation.period, excitation.harmonics);
-    Search { period, harmonics, evaluations, samples: COARSE, seed }
+    /// A random motion to judge the model by.
+    pub fn random(&self, mounting: &Mounting, seed: u64) -> Result<Plan, Failure> {
+        self.task(mounting, self.job.margins()).random(&self.search(seed)).map_err(|error| self.infeasible(&error))
+    }
+
+    /// Checks that a plan from a file fits the job's robot and keeps every limit, margins apart, at 1 kHz.
+    pub fn check(&self, plan: &Plan, path: &Path) -> Result<(), Failure> {
+        let file = path.display().to_string();
+        if plan.robot != self.robot.name {
+            return Err(BadInput::new(&file, "key `robot`", &plan.robot, format!("`{}`", self.robot.name)).into());
+        }
+        let fourier = plan.fourier().map_err(|error| infeasible(&file, &error))?;
+        if fourier.joints() != self.robot.chain.len() {
+            let expected = format!("{} joints", self.robot.chain.len());
+            return Err(BadInput::new(&file, "key `q0`", format!("{} joints", fourier.joints()), expected).into());
+        }
+        let verdict = self.task(&plan.mounting(), Margins::none()).with_problem(|problem| verdict(problem, &fourier));
+        match verdict.violations().next() {
+            Some(peak) => Err(BadInput::new(&file, "motion", peak, "a motion inside every limit of the job").into()),
+            None => Ok(()),
+        }
+    }
+
+    /// What the arm is held to on the ways between motions: everything to its full.
+    pub fn bounds(&self) -> Bounds<'_> {
+        bounds(self.robot, &self.limits, &self.workspace, Margins::none())
+    }
+
+    fn task(&self, mounting: &Mounting, margins: Margins) -> Task<'_> {
+        Task {
+            robot: self.robot,
+            mounting: *mounting,
+            limits: self.limits,
+            workspace: self.workspace,
+            margins,
+            nominal: self.nominal.as_ref(),
+            q0: self.job.excitation.q0.as_deref(),
+        }
+    }
+
+    fn search(&self, seed: u64) -> Search {
+        let excitation = &self.job.excitation;
+        Search {
+            period: excitation.period,
+            harmonics: excitation.harmonics,
+            criterion: excitation.criterion,
+            starts: excitation.starts,
+            rounds: excitation.rounds,
+            seed,
+            ..Search::default()
+        }
+    }
+
+    fn infeasible(&self, error: &ExciteError) -> Failure {
+        infeasible(&self.job.file.display().to_string(), error)
+    }
 }
 
 fn infeasible(file: &str, error: &ExciteError) -> Failure {
     BadInput::new(file, "excitation", error, "a start pose and limits that leave room for a motion").into()
+}
+
+fn bounds<'a>(robot: &'a Robot, limits: &'a Limits, workspace: &'a Workspace, margins: Margins) -> Bounds<'a> {
+    Bounds {
+        workspace: Some(workspace),
+        shape: Some(&robot.shape),
+        envelope: robot.envelope.as_ref(),
+        ..Bounds::new(&robot.chain, limits, margins)
+    }
 }
 
 /// One search: the arm, its mounting and what it is held to.
@@ -182,32 +354,20 @@ struct Task<'a> {
     limits: Limits,
     workspace: Workspace,
     margins: Margins,
+    nominal: Option<&'a Nominal>,
     q0: Option<&'a [f64]>,
 }
 
-impl<'a> Task<'a> {
-    fn of(job: &'a Job, robot: &'a Robot, mounting: &Mounting) -> Result<Task<'a>, Failure> {
-        Ok(Task {
-            robot,
-            mounting: *mounting,
-            limits: job.guard_limits(&robot.limits, robot.chain.len())?,
-            workspace: job.workspace(&robot.workspace),
-            margins: job.margins(),
-            q0: job.excitation.q0.as_deref(),
-        })
-    }
-
-    fn best(&self, search: &Search, progress: &mut dyn FnMut(f64, f64)) -> Result<Plan, ExciteError> {
-        self.with_problem(|problem| {
-            search::optimise(problem, search, |now| progress(now.done as f64 / now.of as f64, now.best))
-        })
+impl Task<'_> {
+    fn best(&self, search: &Search, prior: &[Fourier], watch: &Watch) -> Result<Plan, ExciteError> {
+        self.with_problem(|problem| optimise(problem, search, prior, watch))
     }
 
     fn random(&self, search: &Search) -> Result<Plan, ExciteError> {
         self.with_problem(|problem| search::random(problem, search, VALIDATION_AMPLITUDE))
     }
 
-    fn with_problem(&self, find: impl FnOnce(&Problem) -> Result<Plan, ExciteError>) -> Result<Plan, ExciteError> {
+    fn with_problem<T>(&self, find: impl FnOnce(&Problem) -> T) -> T {
         let n = self.robot.chain.len();
         let structure = friction_structure(self.robot, &self.mounting);
         // Before anything is measured, the torque range of a joint stands for the size of its noise.
@@ -216,13 +376,8 @@ impl<'a> Task<'a> {
             robot: &self.robot.name,
             structure: &structure,
             mounting: self.mounting,
-            bounds: Bounds {
-                chain: &self.robot.chain,
-                limits: &self.limits,
-                workspace: Some(&self.workspace),
-                margins: self.margins,
-            },
-            torque: None,
+            bounds: bounds(self.robot, &self.limits, &self.workspace, self.margins),
+            nominal: self.nominal,
             sigma: &sigma,
             q0: self.q0,
         })

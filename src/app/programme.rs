@@ -1,12 +1,16 @@
 //! What a job drives, in order. The daemon and the estimator derive the same programme from the same files.
 
 use super::Failure;
+use super::plan::Planner;
 use crate::config::job::Job;
 use crate::config::robot::Robot;
 use crate::excite::fourier::Fourier;
+use crate::excite::limits::{Bounds, Peak, Quantity, check_pose};
 use crate::excite::plan::Plan;
 use crate::input::BadInput;
+use crate::joint::{JointVec, Setpoint};
 use crate::model::gravity::{Mounting, VERTICAL_TOLERANCE};
+use crate::rt::moves::{self, MoveFactors};
 use crate::store::{load_plan, save_plan};
 use std::path::Path;
 
@@ -80,39 +84,47 @@ struct Slot {
 
 impl Programme {
     /// Plans every motion; `progress` hears which one is being planned and how far it is.
-    pub fn plan(job: &Job, robot: &Robot, progress: &mut dyn FnMut(&str, f64)) -> Result<Programme, Failure> {
+    pub fn plan(job: &Job, robot: &Robot, progress: &(dyn Fn(&str, f64) + Sync)) -> Result<Programme, Failure> {
         let slots = slots(job);
         let all = slots.len() as f64;
         let mut done = 0.0;
-        let rest = super::rest(job, robot)?;
-        let mut pose = rest[..robot.chain.len()].to_vec();
+        let planner = Planner::of(job, robot)?;
+        let mut ways = Ways::new(&planner, job, robot)?;
         fill(job, slots, |slot| {
-            for attempt in 0..ATTEMPTS {
+            let given = job.excitation.plan.is_some() && slot.role == Role::Identify;
+            let attempts = if given { 1 } else { ATTEMPTS };
+            let mut broken = None;
+            for attempt in 0..attempts {
                 let seed = slot.seed + attempt * SEED_STEP;
-                let mut hear = |share: f64| progress(&slot.name, (done + share) / all);
+                let hear = |share: f64| progress(&slot.name, (done + share) / all);
+                hear(0.0);
                 let plan = match slot.role {
-                    Role::Validate => super::plan::random(job, robot, &slot.mounting, seed, &mut hear),
-                    Role::Identify | Role::Counter => super::plan::best(job, robot, &slot.mounting, seed, &mut hear),
+                    Role::Validate => planner.random(&slot.mounting, seed),
+                    Role::Identify | Role::Counter => planner.best(&slot.mounting, seed, &hear),
                 }?;
-                // The arm comes from the motion before, and goes home after the last one of its mounting.
-                if reachable(job, robot, &pose, &plan.q0) && reachable(job, robot, &plan.q0, &rest) {
-                    pose.clone_from(&plan.q0);
-                    done += 1.0;
-                    return Ok(plan);
+                match ways.go(&slot.mounting, &plan.q0) {
+                    Ok(()) => {
+                        done += 1.0;
+                        return Ok(plan);
+                    }
+                    Err(peak) => broken = Some(peak),
                 }
             }
-            let expected = "room for a motion whose start the arm reaches inside the workspace";
-            let found = format!("no such start pose for {} in {ATTEMPTS} tries", slot.name);
-            Err(BadInput::new(job.file.display().to_string(), "workspace", found, expected).into())
+            Err(way_blocked(job, &slot.name, broken, attempts))
         })
     }
 
-    /// Reads the plans that [`Programme::save`] wrote.
+    /// Reads the plans that [`Programme::save`] wrote, and holds motions and ways to the limits once more.
     pub fn load(job: &Job, robot: &Robot, dir: &Path) -> Result<Programme, Failure> {
+        let planner = Planner::of(job, robot)?;
+        let mut ways = Ways::new(&planner, job, robot)?;
         fill(job, slots(job), |slot| {
             let plan = load_plan(&file(dir, &slot.name))?;
-            super::plan::check(job, robot, &plan, &file(dir, &slot.name))?;
-            Ok(plan)
+            planner.check(&plan, &file(dir, &slot.name))?;
+            match ways.go(&slot.mounting, &plan.q0) {
+                Ok(()) => Ok(plan),
+                Err(peak) => Err(way_blocked(job, &slot.name, Some(peak), 1)),
+            }
         })
     }
 
@@ -136,23 +148,72 @@ const ATTEMPTS: u64 = 20;
 /// Distance of the seeds of two tries, so that no motion takes another's.
 const SEED_STEP: u64 = 10_007;
 
-/// Whether the end effector stays inside the workspace on the straight way between two poses.
-fn reachable(job: &Job, robot: &Robot, from: &[f64], to: &[f64]) -> bool {
-    let space = job.workspace(&robot.workspace);
-    (0..=WAY).all(|step| {
-        let share = f64::from(step) / f64::from(WAY);
-        let q: Vec<f64> = from.iter().zip(to).map(|(a, b)| a + share * (b - a)).collect();
-        let at = robot.chain.end_effector(&q);
-        // A synchronised motion is not quite straight: some room is left.
-        (0..3).all(|axis| (space.box_min[axis] + ROOM..=space.box_max[axis] - ROOM).contains(&at[axis]))
-            && at.norm() >= space.base_radius + ROOM
-    })
+/// The ways between motions, as the loop will drive them.
+struct Ways<'a> {
+    bounds: Bounds<'a>,
+    rest: JointVec,
+    /// Where the arm is, and in which mounting: it goes home before it is mounted anew.
+    at: JointVec,
+    mounting: Option<Mounting>,
 }
 
-/// Steps that a way is checked in.
-const WAY: u32 = 100;
-/// Distance kept from the workspace's bounds on the way \[m\].
-const ROOM: f64 = 0.02;
+impl<'a> Ways<'a> {
+    fn new(planner: &'a Planner, job: &Job, robot: &Robot) -> Result<Ways<'a>, Failure> {
+        let rest = super::rest(job, robot)?;
+        Ok(Ways { bounds: planner.bounds(), rest, at: rest, mounting: None })
+    }
+
+    /// Goes to the start of a motion, where the arm can also go home from: it does after the last motion of a mounting, and after a
+    /// stop. Otherwise stays, and says what the way would break.
+    fn go(&mut self, mounting: &Mounting, q0: &[f64]) -> Result<(), Peak> {
+        if self.mounting.replace(*mounting) != Some(*mounting) {
+            self.at = self.rest;
+        }
+        let mut to = JointVec::default();
+        to[..q0.len()].copy_from_slice(q0);
+        self.way(&self.at, &to)?;
+        self.way(&to, &self.rest)?;
+        self.at = to;
+        Ok(())
+    }
+
+    /// Checks every millisecond of a way against box, sphere, bodies and speeds; range, acceleration and jerk are the way's own.
+    fn way(&self, from: &JointVec, to: &JointVec) -> Result<(), Peak> {
+        let n = self.bounds.chain.len();
+        let mut moves = moves::Planner::new(n, *self.bounds.limits, MoveFactors::default());
+        let start = Setpoint { q: *from, ..Setpoint::default() };
+        // Between two poses inside the range there is always a way; a blocked one is its start.
+        if moves.move_to(&start, to).is_err() {
+            return Err(Peak { quantity: Quantity::PositionMax, joint: None, time: 0.0, value: f64::NAN, limit: 0.0 });
+        }
+        for tick in 0..=moves.last_tick() {
+            let point = moves.at(tick);
+            let time = tick as f64 * 1e-3;
+            if let Some(peak) = check_pose(&self.bounds, &point.q[..n]).violations().next() {
+                return Err(Peak { time, ..*peak });
+            }
+            for j in 0..n {
+                let limit = self.bounds.speeds(j, point.q[j])[usize::from(point.dq[j] > 0.0)];
+                let joint = Some(j + 1);
+                let peak = Peak { quantity: Quantity::Velocity, joint, time, value: point.dq[j].abs(), limit };
+                if peak.is_violation() {
+                    return Err(peak);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn way_blocked(job: &Job, name: &str, broken: Option<Peak>, attempts: u64) -> Failure {
+    let what = broken.map_or("nothing".to_string(), |peak| peak.to_string());
+    let found = match attempts {
+        1 => format!("on the way to {name}, or home from it: {what}"),
+        _ => format!("no start for {name} with a free way there and home in {attempts} tries; the last: {what}"),
+    };
+    let expected = "room for a motion whose start the arm reaches inside the workspace without touching itself";
+    BadInput::new(job.file.display().to_string(), "workspace", found, expected).into()
+}
 
 fn file(dir: &Path, name: &str) -> std::path::PathBuf {
     dir.join(format!("{name}.toml"))

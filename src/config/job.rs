@@ -9,6 +9,7 @@ mod sets;
 use super::units;
 use crate::estimate::experiment::{Derivative, Method};
 use crate::estimate::solve;
+use crate::excite::criterion::Criterion;
 use crate::excite::limits::Margins;
 use crate::input::BadInput;
 use crate::model::gravity::Mounting;
@@ -156,8 +157,14 @@ pub struct Excitation {
     pub periods: usize,
     /// Periods driven before those, while transients die out.
     pub lead_in: usize,
-    /// Candidate motions that the search may try.
-    pub evaluations: usize,
+    /// What the search makes small.
+    pub criterion: Criterion,
+    /// Random motions that the search descends from.
+    pub starts: usize,
+    /// Rounds in which the search shakes its best motions and descends again.
+    pub rounds: usize,
+    /// Nominal model (a model file) whose torques are held to the limits, too; relative to the job's folder.
+    pub model: Option<PathBuf>,
     /// Seed of the search.
     pub seed: u64,
     /// Centre of the motion, where it starts and ends; chosen by the search where absent \[rad\].
@@ -173,7 +180,10 @@ impl Default for Excitation {
             period: 10.0,
             periods: 10,
             lead_in: 1,
-            evaluations: 4000,
+            criterion: Criterion::Raw,
+            starts: 12,
+            rounds: 2,
+            model: None,
             seed: 1,
             q0: None,
         }
@@ -401,8 +411,8 @@ impl Job {
         if let Resource::File(arm) = &mut job.backend.arm {
             *arm = dir.join(&*arm);
         }
-        if let Some(plan) = &mut job.excitation.plan {
-            *plan = dir.join(&*plan);
+        for file in [&mut job.excitation.plan, &mut job.excitation.model].into_iter().flatten() {
+            *file = dir.join(&*file);
         }
         Ok(job)
     }

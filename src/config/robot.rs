@@ -1,5 +1,7 @@
 //! Robot descriptions: kinematics and limits of an arm. The usual ones are built in; a file of the same form describes another.
 
+use crate::excite::limits::SpeedEnvelope;
+use crate::excite::shape::{Capsule, Shape};
 use crate::input::{BadInput, from_toml};
 use crate::joint::{JointVec, Limits, MAX_JOINTS, Workspace};
 use crate::model::chain::{Chain, Joint, JointKind, Placement, StandardDh};
@@ -85,6 +87,19 @@ pub struct JointRow {
     pub tau: f64,
     /// Highest torque rate \[Nm/s\].
     pub dtau: f64,
+    /// With `dq-braking`: the speed limit falls towards the ends of the range, to `sqrt(2 dq-braking distance) - dq-offset`
+    /// \[rad/s\].
+    pub dq_offset: Option<f64>,
+    /// See `dq-offset` \[rad/s2\].
+    pub dq_braking: Option<f64>,
+}
+
+/// Which links are not compared.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case", default)]
+pub struct SelfCollision {
+    /// Pairs of link numbers, 0 being the base; neighbours are never compared.
+    pub exempt: Vec<[usize; 2]>,
 }
 
 /// Placement of the flange in the last DH frame: translation, then fixed-axis rotations about x, y, z as in URDF.
@@ -131,6 +146,12 @@ pub struct RobotFile {
     pub flange: Flange,
     /// Where the end effector may be; without it a box that the arm can't leave and no sphere.
     pub workspace: Option<WorkspaceTable>,
+    /// Bodies of the links; without them nothing keeps the links off each other.
+    #[serde(default)]
+    pub capsule: Vec<Capsule>,
+    /// What is not compared.
+    #[serde(default)]
+    pub self_collision: SelfCollision,
 }
 
 /// A robot, checked.
@@ -148,6 +169,10 @@ pub struct Robot {
     pub limits: Limits,
     /// Where the end effector may be.
     pub workspace: Workspace,
+    /// Bodies of the links; empty when the description has none.
+    pub shape: Shape,
+    /// Speed limits that fall towards the ends of the ranges, where the arm has them.
+    pub envelope: Option<SpeedEnvelope>,
     /// Where torques are measured.
     pub torque_sensing: TorqueSensing,
 }
@@ -219,6 +244,8 @@ impl RobotFile {
             chain: self.chain(),
             limits: self.limits(),
             workspace: self.checked_workspace(file)?,
+            shape: self.checked_shape(file)?,
+            envelope: self.envelope(),
             torque_sensing: self.torque_sensing,
         })
     }
@@ -262,6 +289,41 @@ impl RobotFile {
         }
     }
 
+    fn envelope(&self) -> Option<SpeedEnvelope> {
+        let mut envelope = SpeedEnvelope { offset: JointVec::default(), deceleration: JointVec::default() };
+        for (j, row) in self.joint.iter().enumerate() {
+            if let (Some(offset), Some(braking)) = (row.dq_offset, row.dq_braking) {
+                (envelope.offset[j], envelope.deceleration[j]) = (offset, braking);
+            }
+        }
+        envelope.deceleration.iter().any(|dec| *dec > 0.0).then_some(envelope)
+    }
+
+    fn checked_shape(&self, file: &str) -> Result<Shape, BadInput> {
+        let n = self.joint.len();
+        for (index, capsule) in self.capsule.iter().enumerate() {
+            let bad = |key: &str, value: String, expected: String| {
+                Err(BadInput::new(file, format!("capsule {}, key `{key}`", index + 1), value, expected))
+            };
+            if capsule.link > n {
+                return bad("link", capsule.link.to_string(), format!("0 (the base) to {n}"));
+            }
+            for (key, point) in [("from", capsule.from), ("to", capsule.to)] {
+                if point.iter().any(|x| !x.is_finite()) {
+                    return bad(key, format!("{point:?}"), "finite numbers".into());
+                }
+            }
+            if !(capsule.radius.is_finite() && capsule.radius > 0.0) {
+                return bad("radius", capsule.radius.to_string(), "a radius above 0 in m".into());
+            }
+        }
+        if let Some(pair) = self.self_collision.exempt.iter().find(|pair| pair.iter().any(|link| *link > n)) {
+            let expected = format!("pairs of link numbers from 0 to {n}");
+            return Err(BadInput::new(file, "self-collision, key `exempt`", format!("{pair:?}"), expected));
+        }
+        Ok(Shape::new(self.capsule.clone(), &self.self_collision.exempt))
+    }
+
     fn checked_workspace(&self, file: &str) -> Result<Workspace, BadInput> {
         let Some(table) = self.workspace else {
             let reach = self.reach();
@@ -285,13 +347,15 @@ impl RobotFile {
         Ok(Workspace { box_min: table.box_min, box_max: table.box_max, base_radius: table.base_radius })
     }
 
-    /// No point of the arm is farther than this from the base \[m\].
+    /// No point of the arm is farther than this from the base, its bodies included \[m\].
     fn reach(&self) -> f64 {
         let slide = |row: &JointRow| match row.kind {
             Kind::Revolute => row.d.abs(),
             Kind::Prismatic => (row.d + row.q_min).abs().max((row.d + row.q_max).abs()),
         };
-        self.joint.iter().map(|row| row.a.abs() + slide(row)).sum::<f64>() + Vector3::from(self.flange.xyz).norm()
+        let frames = self.joint.iter().map(|row| row.a.abs() + slide(row)).sum::<f64>();
+        let bodies = self.capsule.iter().flat_map(|c| [c.from, c.to].map(|end| Vector3::from(end).norm() + c.radius));
+        frames + bodies.fold(Vector3::from(self.flange.xyz).norm(), f64::max)
     }
 }
 
@@ -324,12 +388,26 @@ fn check_row(row: &JointRow) -> Result<(), Wrong> {
             return wrong(key, value, "a finite number above 0");
         }
     }
-    Ok(())
+    match (row.dq_offset, row.dq_braking) {
+        (None, None) => Ok(()),
+        (Some(offset), Some(braking)) => {
+            if !(offset.is_finite() && offset >= 0.0) {
+                return wrong("dq-offset", offset, "0 or more in rad/s");
+            }
+            if !(braking.is_finite() && braking > 0.0) {
+                return wrong("dq-braking", braking, "a finite number above 0");
+            }
+            Ok(())
+        }
+        (Some(_), None) => Err(("dq-braking", "nothing".into(), "a deceleration beside dq-offset")),
+        (None, Some(_)) => Err(("dq-offset", "nothing".into(), "a speed beside dq-braking")),
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::excite::limits::{Bounds, Margins, check_pose};
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -348,21 +426,25 @@ mod tests {
         assert_eq!(files, Robot::names().count());
     }
 
-    /// A motion planner can find poses: a fair share of all that the joints allow keeps the flange where it may be.
+    /// A motion planner can find poses: a fair share of all that the joints allow keeps flange and links where they may be.
     #[test]
     fn the_workspace_leaves_room() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         for name in Robot::names() {
-            let Robot { chain, limits, workspace, .. } = Robot::load(name, None).unwrap();
+            let Robot { chain, limits, workspace, shape, .. } = Robot::load(name, None).unwrap();
+            assert!(!shape.pairs().is_empty(), "{name} has no bodies");
+            let bounds = Bounds {
+                workspace: Some(&workspace),
+                shape: Some(&shape),
+                ..Bounds::new(&chain, &limits, Margins::default())
+            };
             let free = |_: &usize| {
                 let q: Vec<f64> =
                     (0..chain.len()).map(|j| rng.random_range(limits.q_min[j]..limits.q_max[j])).collect();
-                let end = chain.end_effector(&q);
-                let boxed = (0..3).all(|axis| (workspace.box_min[axis]..=workspace.box_max[axis]).contains(&end[axis]));
-                boxed && end.norm() > workspace.base_radius
+                check_pose(&bounds, &q).is_feasible()
             };
             let share = (0..1000).filter(free).count() as f64 / 1000.0;
-            assert!(share > 0.3, "{name}: {share}");
+            assert!(share > 0.2, "{name}: {share}");
         }
     }
 
@@ -386,6 +468,10 @@ mod tests {
             ("alpha = 0.0", "alpha = 0.7", "joint 1, keys `alpha` and `a`", "alpha = 0.7, a = 0"),
             ("base-radius = 0.3", "base-radius = -0.3", "workspace, key `base-radius`", "-0.3"),
             ("box-min = [-0.9", "box-min = [9.0", "workspace, keys `box-min` and `box-max`", "x from 9 to 0.9"),
+            ("link = 7", "link = 8", "capsule 9, key `link`", "8"),
+            ("radius = 0.025", "radius = 0.0", "capsule 7, key `radius`", "0"),
+            ("exempt = [[1, 3]]", "exempt = [[1, 9]]", "self-collision, key `exempt`", "[1, 9]"),
+            ("jerk = 7500.0", "dq-offset = 0.3\njerk = 7500.0", "joint 1, key `dq-braking`", "nothing"),
         ];
         for (good, bad, place, value) in cases {
             assert!(panda.contains(good), "{good}");

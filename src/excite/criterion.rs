@@ -5,6 +5,58 @@ use crate::model::conditioning::{Conditions, conditions, friction_columns};
 use crate::model::structure::Structure;
 use crate::model::term::Motion;
 use nalgebra::{DMatrix, DVector, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// What a search makes small.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Criterion {
+    /// Condition number of the stacked base regressor `W` as it is.
+    #[default]
+    Raw,
+    /// Of `W` without the columns of friction and other terms: the rigid body alone.
+    RawRigid,
+    /// Of `W` with every column divided by its norm.
+    Equilibrated,
+    /// Of `Sigma^-1/2 W`, every row divided by its joint's torque noise (paper eq. 11).
+    Weighted,
+    /// `-log det(W' Sigma^-1 W)`: the volume of the parameters' confidence ellipsoid (D-optimality).
+    LogDet,
+}
+
+impl Criterion {
+    /// All of them.
+    pub const ALL: [Criterion; 5] =
+        [Criterion::Raw, Criterion::RawRigid, Criterion::Equilibrated, Criterion::Weighted, Criterion::LogDet];
+
+    /// Whether rows are divided by their joint's noise.
+    pub fn is_weighted(self) -> bool {
+        matches!(self, Criterion::Weighted | Criterion::LogDet)
+    }
+
+    /// The number to be small, as a logarithm: natural log of the condition number, or `-(1/2b) log det (W' Sigma^-1 W / N)` for b
+    /// columns and N samples. Infinite when the motion leaves a parameter alone.
+    pub fn value(self, structure: &Structure, motion: &Motion, sigma: &[f64]) -> f64 {
+        let w = structure.regressor(motion);
+        let found = conditions(&w, &friction_columns(structure), sigma);
+        match self {
+            Criterion::Raw => found.raw.ln(),
+            Criterion::RawRigid => found.raw_rigid.ln(),
+            Criterion::Equilibrated => found.equilibrated.ln(),
+            Criterion::Weighted => found.weighted.ln(),
+            Criterion::LogDet => {
+                let mut w = w;
+                let samples = motion.samples();
+                for (joint, sigma) in sigma.iter().enumerate() {
+                    w.rows_mut(joint * samples, samples).scale_mut(1.0 / (sigma * (samples as f64).sqrt()));
+                }
+                let columns = w.ncols() as f64;
+                let value = -w.singular_values().map(f64::ln).sum() / columns;
+                if value.is_finite() { value } else { f64::INFINITY }
+            }
+        }
+    }
+}
 
 /// One period of a Fourier motion on an even grid of `samples`, in a mounting.
 pub fn sampled(fourier: &Fourier, gravity: &Vector3<f64>, samples: usize) -> Motion {
@@ -19,6 +71,22 @@ pub fn sampled(fourier: &Fourier, gravity: &Vector3<f64>, samples: usize) -> Mot
         }
     }
     motion
+}
+
+/// Several motions of one arm in one mounting, one after the other. Panics when there is none, or when they differ in joints.
+pub fn stacked(motions: &[Motion]) -> Motion {
+    let rows: usize = motions.iter().map(Motion::samples).sum();
+    let join = |of: fn(&Motion) -> &DMatrix<f64>| {
+        let mut all = DMatrix::zeros(rows, motions[0].joints());
+        let mut first = 0;
+        for motion in motions {
+            all.rows_mut(first, motion.samples()).copy_from(of(motion));
+            first += motion.samples();
+        }
+        all
+    };
+    let (q, dq, ddq) = (join(|m| &m.q), join(|m| &m.dq), join(|m| &m.ddq));
+    Motion { dt: motions[0].dt, q, dq, ddq, gravity: motions[0].gravity, periodic: motions.len() == 1 }
 }
 
 /// All condition numbers of a motion's stacked base regressor; `sigma` is each joint's torque noise, n \[Nm\].

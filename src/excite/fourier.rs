@@ -140,7 +140,7 @@ impl Fourier {
 }
 
 /// Orthonormal basis of the span of the rows (Gram-Schmidt); rows that bring nothing new are left out.
-fn orthonormal(rows: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+pub(super) fn orthonormal(rows: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     let mut basis: Vec<Vec<f64>> = Vec::new();
     for mut row in rows {
         let before: f64 = row.iter().map(|x| x * x).sum();

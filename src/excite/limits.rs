@@ -1,6 +1,7 @@
 //! The limits a motion must keep, and how near it comes to each of them.
 
 use super::fourier::Fourier;
+use super::shape::{FIRST_BOXED, Shape, nearest};
 use crate::joint::{JointVec, Limits, MAX_JOINTS, Workspace};
 use crate::model::chain::Chain;
 use serde::{Deserialize, Serialize};
@@ -27,6 +28,8 @@ pub struct Margins {
     pub torque_rate: f64,
     /// Kept away from the box and from the sphere round the base \[m\].
     pub workspace: f64,
+    /// Kept between links that are no neighbours \[m\].
+    pub clearance: f64,
 }
 
 impl Default for Margins {
@@ -39,6 +42,53 @@ impl Default for Margins {
             torque: 0.9,
             torque_rate: 0.9,
             workspace: 0.02,
+            clearance: 0.01,
+        }
+    }
+}
+
+impl Margins {
+    /// Every limit to its full.
+    pub fn none() -> Margins {
+        Margins {
+            position: 0.0,
+            velocity: 1.0,
+            acceleration: 1.0,
+            jerk: 1.0,
+            torque: 1.0,
+            torque_rate: 1.0,
+            workspace: 0.0,
+            clearance: 0.0,
+        }
+    }
+}
+
+/// A speed limit that falls towards the ends of a joint's range, as the Franka Research 3 has it:
+/// `dq <= min(dq_max, max(0, sqrt(2 dec (q_max - q)) - offset))`, and its mirror image at the lower end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpeedEnvelope {
+    /// Taken off the speed from which a joint can still brake before the end of its range \[rad/s\].
+    pub offset: JointVec,
+    /// Deceleration that it brakes with \[rad/s2\]; 0 for a joint whose speed limit does not depend on its position.
+    pub deceleration: JointVec,
+}
+
+impl SpeedEnvelope {
+    /// Highest speed of joint `j` (from 0) at `room` \[rad\] before the end of its range that it moves towards, at most `dq_max`, and
+    /// its derivative with respect to `room`.
+    pub fn at(&self, j: usize, room: f64, dq_max: f64) -> (f64, f64) {
+        let dec = self.deceleration[j];
+        if dec == 0.0 {
+            return (dq_max, 0.0);
+        }
+        let root = (2.0 * dec * room.max(0.0)).sqrt();
+        let speed = root - self.offset[j];
+        if speed >= dq_max {
+            (dq_max, 0.0)
+        } else if speed > 0.0 {
+            (speed, dec / root)
+        } else {
+            (0.0, 0.0)
         }
     }
 }
@@ -52,8 +102,27 @@ pub struct Bounds<'a> {
     pub limits: &'a Limits,
     /// Where its end effector may be (paper eq. 14); `None` leaves it free.
     pub workspace: Option<&'a Workspace>,
+    /// Bodies of the links: they are held in the box (from link [`FIRST_BOXED`] on), and off each other; `None` leaves them free.
+    pub shape: Option<&'a Shape>,
+    /// Speed limits that depend on position, on top of those of `limits`.
+    pub envelope: Option<&'a SpeedEnvelope>,
     /// What to leave free of each limit.
     pub margins: Margins,
+}
+
+impl<'a> Bounds<'a> {
+    /// An arm and the limits of its joints; workspace, bodies and speed envelope are left free.
+    pub fn new(chain: &'a Chain, limits: &'a Limits, margins: Margins) -> Bounds<'a> {
+        Bounds { chain, limits, workspace: None, shape: None, envelope: None, margins }
+    }
+
+    /// Highest speeds of joint `j` (from 0) at position `q`, downwards and upwards, both as positive numbers, less their margin
+    /// \[rad/s\].
+    pub fn speeds(&self, j: usize, q: f64) -> [f64; 2] {
+        let most = self.limits.dq[j];
+        let at = |room: f64| self.envelope.map_or(most, |envelope| envelope.at(j, room, most).0);
+        [at(q - self.limits.q_min[j]), at(self.limits.q_max[j] - q)].map(|speed| speed * self.margins.velocity)
+    }
 }
 
 /// Torque that a nominal model needs at a position, velocity and acceleration \[Nm\].
@@ -83,6 +152,12 @@ pub enum Quantity {
     BoxMax(usize),
     /// Distance from the base frame's origin \[m\].
     BaseSphere,
+    /// Lower side of the box along x, y or z, for the surface of a link \[m\].
+    LinkBoxMin(usize),
+    /// Upper side of the box along x, y or z, for the surface of a link \[m\].
+    LinkBoxMax(usize),
+    /// Distance between the surfaces of two links, counted from 1, the base being 0 \[m\].
+    Clearance(usize, usize),
 }
 
 impl Quantity {
@@ -98,12 +173,16 @@ impl Quantity {
             Quantity::TorqueRate => ("torque rate".into(), "Nm/s"),
             Quantity::BoxMin(i) | Quantity::BoxMax(i) => (format!("end effector {}", axis(i)), "m"),
             Quantity::BaseSphere => ("end effector distance from the base".into(), "m"),
+            Quantity::LinkBoxMin(i) | Quantity::LinkBoxMax(i) => (format!("surface {}", axis(i)), "m"),
+            Quantity::Clearance(0, b) => (format!("distance of link {b} from the base"), "m"),
+            Quantity::Clearance(a, b) => (format!("distance of link {b} from link {a}"), "m"),
         }
     }
 
     /// Whether the value must stay above the limit rather than below.
     fn is_lower(self) -> bool {
-        matches!(self, Quantity::PositionMin | Quantity::BoxMin(_) | Quantity::BaseSphere)
+        use Quantity::{BaseSphere, BoxMin, Clearance, LinkBoxMin, PositionMin};
+        matches!(self, PositionMin | BoxMin(_) | BaseSphere | LinkBoxMin(_) | Clearance(..))
     }
 }
 
@@ -113,7 +192,7 @@ impl Quantity {
 pub struct Peak {
     /// What the limit is about.
     pub quantity: Quantity,
-    /// Joint, counted from 1; `None` for the end effector.
+    /// Joint or link, counted from 1; `None` for the end effector and for what two links have between them.
     pub joint: Option<usize>,
     /// When \[s\].
     pub time: f64,
@@ -139,8 +218,10 @@ impl Peak {
 impl fmt::Display for Peak {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (what, unit) = self.quantity.describe();
-        if let Some(joint) = self.joint {
-            write!(f, "joint {joint} ")?;
+        match (self.joint, self.quantity) {
+            (Some(link), Quantity::LinkBoxMin(_) | Quantity::LinkBoxMax(_)) => write!(f, "link {link} ")?,
+            (Some(joint), _) => write!(f, "joint {joint} ")?,
+            (None, _) => {}
         }
         let side = if self.quantity.is_lower() { "at least" } else { "at most" };
         write!(f, "{what} {:.4} {unit} at {:.3} s, expected {side} {:.4} {unit}", self.value, self.time, self.limit)
@@ -174,6 +255,48 @@ impl Check {
         }
         *slot += 1;
     }
+
+    /// Notes where end effector and links are at a pose.
+    fn note_space(&mut self, slot: &mut usize, bounds: &Bounds, q: &[f64], time: f64) {
+        let margins = &bounds.margins;
+        if let Some(workspace) = bounds.workspace {
+            let at = bounds.chain.end_effector(q);
+            for axis in 0..3 {
+                let (low, high) =
+                    (workspace.box_min[axis] + margins.workspace, workspace.box_max[axis] - margins.workspace);
+                self.note(slot, Quantity::BoxMin(axis), None, time, at[axis], low);
+                self.note(slot, Quantity::BoxMax(axis), None, time, at[axis], high);
+            }
+            self.note(slot, Quantity::BaseSphere, None, time, at.norm(), workspace.base_radius + margins.workspace);
+        }
+        let Some(shape) = bounds.shape else { return };
+        let segments = shape.placed(bounds.chain, q);
+        if let Some(workspace) = bounds.workspace {
+            for (capsule, ends) in shape.capsules().iter().zip(&segments).filter(|(c, _)| c.link >= FIRST_BOXED) {
+                let (low, high) = (ends[0].inf(&ends[1]), ends[0].sup(&ends[1]));
+                let link = Some(capsule.link);
+                for (axis, (low, high)) in low.iter().zip(&high).enumerate() {
+                    let least = workspace.box_min[axis] + margins.workspace;
+                    let most = workspace.box_max[axis] - margins.workspace;
+                    self.note(slot, Quantity::LinkBoxMin(axis), link, time, low - capsule.radius, least);
+                    self.note(slot, Quantity::LinkBoxMax(axis), link, time, high + capsule.radius, most);
+                }
+            }
+        }
+        for &(a, b) in shape.pairs() {
+            let (one, other) = (&shape.capsules()[a], &shape.capsules()[b]);
+            let distance = nearest(&segments[a], &segments[b]).between.norm() - one.radius - other.radius;
+            let (low, high) = (one.link.min(other.link), one.link.max(other.link));
+            self.note(slot, Quantity::Clearance(low, high), None, time, distance, margins.clearance);
+        }
+    }
+}
+
+/// What a motion breaks of box, sphere and clearances at rest in a pose, if anything.
+pub fn check_pose(bounds: &Bounds, q: &[f64]) -> Check {
+    let mut check = Check::default();
+    check.note_space(&mut 0, bounds, q, 0.0);
+    check
 }
 
 /// Walks one period of a motion (`samples` even steps) and notes the peak of every quantity.
@@ -197,19 +320,12 @@ pub fn check(bounds: &Bounds, fourier: &Fourier, samples: usize, torque: Option<
             let mut note = |quantity, value, limit| check.note(&mut slot, quantity, joint, time, value, limit);
             note(Quantity::PositionMin, point.q, limits.q_min[j] + margins.position);
             note(Quantity::PositionMax, point.q, limits.q_max[j] - margins.position);
-            note(Quantity::Velocity, point.dq.abs(), limits.dq[j] * margins.velocity);
+            let [down, up] = bounds.speeds(j, point.q);
+            note(Quantity::Velocity, point.dq.abs(), if point.dq < 0.0 { down } else { up });
             note(Quantity::Acceleration, point.ddq.abs(), limits.ddq[j] * margins.acceleration);
             note(Quantity::Jerk, point.jerk.abs(), limits.jerk[j] * margins.jerk);
         }
-        if let Some(workspace) = bounds.workspace {
-            let at = bounds.chain.end_effector(&q[..n]);
-            let mut note = |quantity, value, limit| check.note(&mut slot, quantity, None, time, value, limit);
-            for axis in 0..3 {
-                note(Quantity::BoxMin(axis), at[axis], workspace.box_min[axis] + margins.workspace);
-                note(Quantity::BoxMax(axis), at[axis], workspace.box_max[axis] - margins.workspace);
-            }
-            note(Quantity::BaseSphere, at.norm(), workspace.base_radius + margins.workspace);
-        }
+        check.note_space(&mut slot, bounds, &q[..n], time);
         if let Some(torque) = torque {
             let tau = torque(&q, &dq, &ddq);
             let before = last_tau.unwrap_or(tau);
@@ -233,7 +349,14 @@ pub fn verify(bounds: &Bounds, fourier: &Fourier, torque: Option<NominalTorque>)
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::excite::shape::Capsule;
     use crate::model::chain::{Joint, JointKind, Placement};
+
+    /// Three revolute joints with parallel axes; the last two are 0.5 m out.
+    fn three_links() -> Chain {
+        let joint = |a: f64| Joint { kind: JointKind::Revolute, a, alpha: 0.0, d: 0.0, theta: 0.0 };
+        Chain::modified(vec![joint(0.0), joint(0.5), joint(0.0)], Placement::identity())
+    }
 
     /// One revolute joint about z with the end effector 0.5 m out along x.
     fn pendulum() -> Chain {
@@ -266,7 +389,7 @@ mod tests {
     fn peaks_are_those_of_the_sine() {
         let (chain, limits) = (pendulum(), limits());
         let margins = Margins::default();
-        let bounds = Bounds { chain: &chain, limits: &limits, workspace: None, margins };
+        let bounds = Bounds::new(&chain, &limits, margins);
         let tau = |q: &JointVec, _: &JointVec, ddq: &JointVec| {
             let mut tau = [0.0; MAX_JOINTS];
             tau[0] = 2.0 * ddq[0] + 3.0 * q[0].sin();
@@ -289,7 +412,7 @@ mod tests {
     #[test]
     fn a_broken_limit_names_joint_time_value_and_limit() {
         let (chain, limits) = (pendulum(), limits());
-        let bounds = Bounds { chain: &chain, limits: &limits, workspace: None, margins: Margins::default() };
+        let bounds = Bounds::new(&chain, &limits, Margins::default());
         let check = verify(&bounds, &sine(0.98), None);
         let text = check.violations().next().unwrap().to_string();
         assert_eq!(text, "joint 1 position -0.9800 rad at 1.500 s, expected at least -0.9500 rad");
@@ -301,8 +424,7 @@ mod tests {
         let space =
             |y: f64, radius: f64| Workspace { box_min: [-1.0, -y, -1.0], box_max: [1.0, y, 1.0], base_radius: radius };
         let broken = |workspace: Workspace| {
-            let bounds =
-                Bounds { chain: &chain, limits: &limits, workspace: Some(&workspace), margins: Margins::default() };
+            let bounds = Bounds { workspace: Some(&workspace), ..Bounds::new(&chain, &limits, Margins::default()) };
             verify(&bounds, &sine(0.3), None).violations().map(|p| p.quantity).collect::<Vec<_>>()
         };
         assert_eq!(broken(space(0.2, 0.3)), []);
@@ -311,9 +433,72 @@ mod tests {
     }
 
     #[test]
+    fn the_surfaces_of_links_stay_in_the_box_and_off_each_other() {
+        let (chain, limits) = (three_links(), limits());
+        let capsule = |link, length| Capsule { link, from: [0.0; 3], to: [length, 0.0, 0.0], radius: 0.05 };
+        let shape = Shape::new(
+            vec![Capsule { to: [0.0, 0.0, 0.2], ..capsule(0, 0.0) }, capsule(1, 0.5), capsule(3, 0.4)],
+            &[[1, 3]],
+        );
+        // Folded until the tip of link 3, at x = 0.5 + 0.4 cos q2, y = 0.4 sin q2, comes near the base.
+        let mut fourier = Fourier::still(2.0, vec![0.0, 2.6, 0.0], 1).unwrap();
+        fourier.a[(1, 0)] = 0.2;
+        let wide: Limits = Limits { q_max: [3.0; MAX_JOINTS], ..limits };
+        let workspace = Workspace { box_min: [-1.0, -0.2, -1.0], box_max: [1.0, 1.0, 1.0], base_radius: 0.0 };
+        let bounds = Bounds {
+            workspace: Some(&workspace),
+            shape: Some(&shape),
+            ..Bounds::new(&chain, &wide, Margins { clearance: 0.04, ..Margins::default() })
+        };
+        let check = verify(&bounds, &fourier, None);
+        let peak = |quantity| *check.peaks.iter().find(|p| p.quantity == quantity).unwrap();
+        // Nearest at q2 = 2.8, when the tip is 0.5 + 0.4 cos 2.8 = 0.1231 and 0.1340 away.
+        let clearance = peak(Quantity::Clearance(0, 3));
+        let tip = (0.5 + 0.4 * 2.8_f64.cos(), 0.4 * 2.8_f64.sin());
+        assert!((clearance.value - (tip.0.hypot(tip.1) - 0.1)).abs() < 1e-9, "{clearance}");
+        assert!(!clearance.is_violation());
+        let side = peak(Quantity::LinkBoxMin(1));
+        assert!((side.value + 0.05).abs() < 1e-9 && side.joint == Some(3), "{side}");
+        let near = Bounds { margins: Margins { clearance: 0.09, ..bounds.margins }, ..bounds };
+        let text = verify(&near, &fourier, None).violations().next().unwrap().to_string();
+        assert!(
+            text.starts_with("distance of link 3 from the base 0.0820 m at 0.500 s, expected at least 0.0900"),
+            "{text}"
+        );
+        assert_eq!(check_pose(&near, &[0.0, 2.8, 0.0]).violations().count(), 1);
+        assert!(check_pose(&near, &[0.0, 2.0, 0.0]).is_feasible());
+    }
+
+    #[test]
+    fn speed_falls_towards_the_end_of_the_range() {
+        let (chain, limits) = (pendulum(), limits());
+        let envelope = SpeedEnvelope { offset: [0.2; MAX_JOINTS], deceleration: [2.0; MAX_JOINTS] };
+        let margins = Margins { velocity: 0.5, ..Margins::default() };
+        let bounds = Bounds { envelope: Some(&envelope), ..Bounds::new(&chain, &limits, margins) };
+        let near = |one: [f64; 2], other: [f64; 2]| (0..2).all(|i| (one[i] - other[i]).abs() < 1e-12);
+        // Upwards at q = 0.9: sqrt(2 * 2 * 0.1) - 0.2; downwards the full 2 rad/s.
+        assert!(near(bounds.speeds(0, 0.9), [1.0, 0.5 * (0.4_f64.sqrt() - 0.2)]));
+        assert!(near(bounds.speeds(0, 0.999), [1.0, 0.0]));
+        assert!(near(bounds.speeds(0, 0.0), [0.9, 0.9]));
+        let h = 1e-6;
+        for room in [0.05, 0.4, 3.0] {
+            let difference = (envelope.at(0, room + h, 2.0).0 - envelope.at(0, room - h, 2.0).0) / (2.0 * h);
+            assert!((envelope.at(0, room, 2.0).1 - difference).abs() < 1e-6);
+        }
+        // The sine's peak speed is 0.3 pi = 0.94, allowed in the middle; it is too fast for a joint that is shifted to the end.
+        assert!(
+            verify(&Bounds { margins: Margins { velocity: 1.0, ..margins }, ..bounds }, &sine(0.3), None).is_feasible()
+        );
+        let mut high = sine(0.3);
+        high.q0[0] = 0.6;
+        let check = verify(&Bounds { margins: Margins { velocity: 1.0, ..margins }, ..bounds }, &high, None);
+        assert_eq!(check.violations().map(|p| p.quantity).collect::<Vec<_>>(), [Quantity::Velocity]);
+    }
+
+    #[test]
     fn a_motion_that_is_not_a_number_is_not_feasible() {
         let (chain, limits) = (pendulum(), limits());
-        let bounds = Bounds { chain: &chain, limits: &limits, workspace: None, margins: Margins::default() };
+        let bounds = Bounds::new(&chain, &limits, Margins::default());
         let mut motion = sine(0.1);
         motion.a[(0, 0)] = f64::NAN;
         assert!(!verify(&bounds, &motion, None).is_feasible());

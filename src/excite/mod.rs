@@ -3,8 +3,11 @@
 pub mod criterion;
 pub mod fourier;
 pub mod limits;
+pub mod nominal;
+pub mod optimiser;
 pub mod plan;
 pub mod search;
+pub mod shape;
 
 /// Why a motion can't be built or found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -101,12 +104,29 @@ pub enum ExciteError {
         /// Joints of the arm.
         expected: usize,
     },
+    /// No motion was found that excites every parameter.
+    #[error("the motions found leave a parameter unexcited")]
+    Unexcited,
     /// The search was given nothing to spend.
-    #[error("{evaluations} evaluations on {samples} samples a period: expected at least 1 and 20")]
+    #[error("{starts} starts on {samples} samples a period: expected at least 1 and 20")]
     Budget {
-        /// Evaluations granted.
-        evaluations: usize,
+        /// Starts granted.
+        starts: usize,
         /// Samples of the coarse grid.
         samples: usize,
+    },
+    /// The model has a term that the optimiser can't differentiate.
+    #[error("column `{name}` of term `{term}`: the optimiser knows rigid body, friction, offset and rotor")]
+    Column {
+        /// The term.
+        term: String,
+        /// Its column.
+        name: String,
+    },
+    /// Too few harmonics to move at all.
+    #[error("{harmonics} harmonics: expected 3 to 16, so that a motion can start and end at rest")]
+    Harmonics {
+        /// Harmonics asked for.
+        harmonics: usize,
     },
 }

@@ -1,10 +1,14 @@
-//! A randomised search for motions that keep every limit and excite every parameter.
+//! What a motion is searched for with, random motions, and the plan that a search ends in. The search itself is [`super::optimiser`].
 
 use super::ExciteError;
-use super::criterion::{evaluate, raw_condition, sampled};
-use super::fourier::Fourier;
-use super::limits::{Bounds, Check, NominalTorque, Peak, check, verify};
+use super::criterion::{Criterion, evaluate, sampled, stacked};
+use super::fourier::{Fourier, MAX_HARMONICS};
+use super::limits::{Bounds, Check, Peak, check, check_pose, verify};
+use super::nominal::Nominal;
+use super::optimiser::FINE;
 use super::plan::{Constraints, Plan};
+use crate::joint::JointVec;
+use crate::model::conditioning::Conditions;
 use crate::model::gravity::Mounting;
 use crate::model::structure::Structure;
 use rand::{Rng, SeedableRng};
@@ -22,9 +26,9 @@ pub struct Problem<'a> {
     pub mounting: Mounting,
     /// Limits of the motion. Their chain is the arm's.
     pub bounds: Bounds<'a>,
-    /// Nominal torque at (q, dq, ddq), to hold the torque limits as well; `None` leaves them out.
-    pub torque: Option<NominalTorque<'a>>,
-    /// Torque noise of each joint for the weighted condition number, n \[Nm\].
+    /// Nominal model, to hold the limits of torque and torque rate as well; `None` leaves them out.
+    pub nominal: Option<&'a Nominal>,
+    /// Torque noise of each joint for the weighted criteria, n \[Nm\].
     pub sigma: &'a [f64],
     /// Start pose; `None` lets the search choose one \[rad\].
     pub q0: Option<&'a [f64]>,
@@ -38,8 +42,12 @@ pub struct Search {
     pub period: f64,
     /// Number of harmonics, N.
     pub harmonics: usize,
-    /// Condition numbers to compute before the search ends.
-    pub evaluations: usize,
+    /// What is made small.
+    pub criterion: Criterion,
+    /// Random motions that are descended from; the best quarter of them is seen through.
+    pub starts: usize,
+    /// Rounds in which the best motions are shaken and descended again.
+    pub rounds: usize,
     /// Samples of one period on the grid that is searched on.
     pub samples: usize,
     /// Seed of the random numbers: the same seed finds the same motion.
@@ -48,81 +56,65 @@ pub struct Search {
 
 impl Default for Search {
     fn default() -> Search {
-        Search { period: 10.0, harmonics: 5, evaluations: 3000, samples: 100, seed: 1 }
+        Search { period: 10.0, harmonics: 5, criterion: Criterion::Raw, starts: 32, rounds: 6, samples: 80, seed: 1 }
     }
 }
 
 /// How far a search has come.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Condition numbers computed.
+    /// Steps that are over.
     pub done: usize,
-    /// Condition numbers granted.
+    /// Steps of the whole search.
     pub of: usize,
-    /// Best raw condition number so far; infinite before the first motion.
+    /// Best criterion so far (a condition number, or what [`Criterion::LogDet`] stands for); infinite before the first motion.
     pub best: f64,
 }
 
-/// Share of the evaluations that are spent on random motions before the climb.
-const RANDOM_SHARE: f64 = 0.1;
-/// Random start poses tried before giving up.
+/// Who watches a search, and what it may use.
+#[derive(Clone, Copy)]
+pub struct Watch<'a> {
+    /// Threads that descents run on.
+    pub threads: usize,
+    /// Asked between the legs of a descent: when true, the search ends with the best that it has.
+    pub stop: &'a (dyn Fn() -> bool + Sync),
+    /// Told how far it is, from any thread.
+    pub progress: &'a (dyn Fn(Progress) + Sync),
+}
+
+impl Watch<'_> {
+    /// Nobody watches: all starts are seen through, on this many threads.
+    pub fn alone(threads: usize) -> Watch<'static> {
+        Watch { threads, stop: &|| false, progress: &|_| {} }
+    }
+}
+
+/// Start poses tried before giving up.
 const POSES: usize = 2000;
-/// Factor by which a motion is shrunk when it leaves the limits, and how often at most.
-const SHRINK: f64 = 0.9;
+/// Factors by which a motion is shrunk when it leaves the limits: gently at first.
+const SHRINK: [f64; 2] = [0.995, 0.9];
+const GENTLE: usize = 8;
 const SHRINKINGS: usize = 80;
 /// Extra room on the coarse grid, whose samples can straddle a peak.
 const COARSE_ROOM: f64 = 0.99;
-
-/// Searches for the motion of least raw condition number (paper eq. 11 with Sigma = 1): random motions, then a climb from the best
-/// with steps that grow after a success and shrink after failures. The result keeps every limit at 1 kHz.
-pub fn optimise(problem: &Problem, search: &Search, mut progress: impl FnMut(Progress)) -> Result<Plan, ExciteError> {
-    validate(problem, search)?;
-    let mut rng = ChaCha8Rng::seed_from_u64(search.seed);
-    let gravity = problem.mounting.gravity();
-    let cost = |fourier: &Fourier| raw_condition(problem.structure, &sampled(fourier, &gravity, search.samples));
-    let of = search.evaluations;
-    let starts = ((of as f64 * RANDOM_SHARE).ceil() as usize).clamp(1, of);
-
-    let mut best = (f64::INFINITY, Fourier::still(search.period, pose(problem, &mut rng)?, search.harmonics)?);
-    for done in 1..=starts {
-        let candidate = feasible_random(problem, search, 1.0, &mut rng)?;
-        let value = cost(&candidate);
-        if value < best.0 || done == 1 {
-            best = (value, candidate);
-        }
-        progress(Progress { done, of, best: best.0 });
-    }
-    let mut step = 0.3;
-    for done in starts + 1..=of {
-        let mut candidate = perturbed(problem, &best.1, step, &mut rng);
-        fit_joints(problem, &mut candidate, search.samples);
-        let value =
-            if coarse(problem, &candidate, search.samples).is_feasible() { cost(&candidate) } else { f64::INFINITY };
-        // One success in five failures keeps the step (the 1/5 rule of evolution strategies).
-        if value < best.0 {
-            best = (value, candidate);
-            step = f64::min(step * 1.5, 1.0);
-        } else {
-            step = f64::max(step * 1.5_f64.powf(-0.25), 0.01);
-        }
-        progress(Progress { done, of, best: best.0 });
-    }
-    finish(problem, search, best.1)
-}
 
 /// A random motion that keeps every limit at 1 kHz, for validation. `amplitude` (0 to 1) is the share of each joint's room that it
 /// uses. Only the condition numbers of the plan depend on the structure.
 pub fn random(problem: &Problem, search: &Search, amplitude: f64) -> Result<Plan, ExciteError> {
     validate(problem, search)?;
     let mut rng = ChaCha8Rng::seed_from_u64(search.seed);
-    let fourier = feasible_random(problem, search, amplitude, &mut rng)?;
-    finish(problem, search, fourier)
+    let fourier = random_motion(problem, search, amplitude, &mut rng)?;
+    let fourier = shrink(fourier, |fourier| coarse(problem, fourier, search.samples))?;
+    plan_of(problem, search, shrink(fourier, |fourier| verdict(problem, fourier))?)
 }
 
-fn validate(problem: &Problem, search: &Search) -> Result<(), ExciteError> {
+pub(super) fn validate(problem: &Problem, search: &Search) -> Result<(), ExciteError> {
     let n = problem.bounds.chain.len();
-    if search.evaluations == 0 || search.samples < 20 {
-        return Err(ExciteError::Budget { evaluations: search.evaluations, samples: search.samples });
+    if search.starts == 0 || search.samples < 20 {
+        return Err(ExciteError::Budget { starts: search.starts, samples: search.samples });
+    }
+    if !(3..=MAX_HARMONICS).contains(&search.harmonics) {
+        return Err(ExciteError::Harmonics { harmonics: search.harmonics });
     }
     for found in [problem.q0.map_or(n, <[f64]>::len), problem.sigma.len(), problem.structure.chain().len()] {
         if found != n {
@@ -142,28 +134,28 @@ fn validate(problem: &Problem, search: &Search) -> Result<(), ExciteError> {
         }
     }
     if let Some(q0) = problem.q0 {
-        check_pose(problem, search, q0)?;
+        can_rest(problem, q0)?;
     }
     Ok(())
 }
 
 /// Whether the arm can rest at a pose; the error says what is wrong with it.
-fn check_pose(problem: &Problem, search: &Search, q0: &[f64]) -> Result<(), ExciteError> {
+fn can_rest(problem: &Problem, q0: &[f64]) -> Result<(), ExciteError> {
     let (limits, margin) = (problem.bounds.limits, problem.bounds.margins.position);
-    let still = Fourier::still(search.period, q0.to_vec(), search.harmonics)?;
     for (j, &q) in q0.iter().enumerate() {
         let (min, max) = (limits.q_min[j] + margin, limits.q_max[j] - margin);
         if !(min..=max).contains(&q) {
             return Err(ExciteError::StartJoint { joint: j + 1, q, min, max });
         }
     }
-    match check(&problem.bounds, &still, 1, problem.torque).violations().next() {
+    if let Some(violation) = check_pose(&problem.bounds, q0).violations().next() {
+        let at = problem.bounds.chain.end_effector(q0).into();
+        return Err(ExciteError::StartWorkspace { at, reason: violation.to_string() });
+    }
+    let still = Fourier::still(1.0, q0.to_vec(), 1)?;
+    match coarse(problem, &still, 1).violations().next() {
         None => Ok(()),
-        Some(violation) if violation.joint.is_some() => Err(ExciteError::StartTorque { violation: *violation }),
-        Some(violation) => Err(ExciteError::StartWorkspace {
-            at: problem.bounds.chain.end_effector(q0).into(),
-            reason: violation.to_string(),
-        }),
+        Some(violation) => Err(ExciteError::StartTorque { violation: *violation }),
     }
 }
 
@@ -173,7 +165,6 @@ fn pose(problem: &Problem, rng: &mut ChaCha8Rng) -> Result<Vec<f64>, ExciteError
         return Ok(q0.to_vec());
     }
     let (limits, margin) = (problem.bounds.limits, problem.bounds.margins.position);
-    let any = Search::default();
     let mut last = [0.0; 3];
     for _ in 0..POSES {
         // From the middle two thirds of each range, to leave room for the motion.
@@ -183,7 +174,7 @@ fn pose(problem: &Problem, rng: &mut ChaCha8Rng) -> Result<Vec<f64>, ExciteError
                 0.5 * (min + max) + rng.random_range(-1.0..1.0) * (max - min) / 3.0
             })
             .collect();
-        match check_pose(problem, &any, &q0) {
+        match can_rest(problem, &q0) {
             Ok(()) => return Ok(q0),
             Err(_) => last = problem.bounds.chain.end_effector(&q0).into(),
         }
@@ -191,8 +182,8 @@ fn pose(problem: &Problem, rng: &mut ChaCha8Rng) -> Result<Vec<f64>, ExciteError
     Err(ExciteError::NoStart { tried: POSES, last })
 }
 
-/// A random motion, every joint scaled to its limits, then all of them shrunk until the whole motion is feasible.
-fn feasible_random(
+/// A random motion about a pose that the arm can rest at, every joint scaled to its own limits. Box, bodies and torques are not asked.
+pub(super) fn random_motion(
     problem: &Problem,
     search: &Search,
     amplitude: f64,
@@ -212,58 +203,24 @@ fn feasible_random(
         let factor = room(problem, &fourier, j, search.samples) * amplitude;
         fourier.scale_joint(j, factor);
     }
-    shrink(fourier, |fourier| coarse(problem, fourier, search.samples))
+    Ok(fourier)
 }
 
 /// Shrinks the whole motion about its start pose until it keeps the limits.
-fn shrink(mut fourier: Fourier, check: impl Fn(&Fourier) -> Check) -> Result<Fourier, ExciteError> {
+pub(super) fn shrink(mut fourier: Fourier, check: impl Fn(&Fourier) -> Check) -> Result<Fourier, ExciteError> {
     let mut broken: Option<Peak> = None;
-    for _ in 0..SHRINKINGS {
+    for tried in 0..SHRINKINGS {
         match check(&fourier).violations().next() {
             None => return Ok(fourier),
             Some(violation) => broken = Some(*violation),
         }
         for j in 0..fourier.joints() {
-            fourier.scale_joint(j, SHRINK);
+            fourier.scale_joint(j, SHRINK[usize::from(tried >= GENTLE)]);
         }
     }
     match broken {
         None => Ok(fourier),
         Some(violation) => Err(ExciteError::NoMotion { violation }),
-    }
-}
-
-/// A neighbour: the amplitudes of one joint (or, one time in four, of all) and, when it is free, the start pose move by `step`.
-fn perturbed(problem: &Problem, from: &Fourier, step: f64, rng: &mut ChaCha8Rng) -> Fourier {
-    let mut to = from.clone();
-    let n = to.joints();
-    let all = rng.random_range(0..4) == 0;
-    let one = rng.random_range(0..n);
-    // A step in all joints at once is shared among them.
-    let step = if all { step / (n as f64).sqrt() } else { step };
-    for j in (0..n).filter(|&j| all || j == one) {
-        for k in 0..to.harmonics() {
-            let size = 0.5 * step / (k + 1) as f64;
-            to.a[(j, k)] += size * normal(rng);
-            to.b[(j, k)] += size * normal(rng);
-        }
-        if problem.q0.is_none() {
-            let margin = problem.bounds.margins.position;
-            let (min, max) = (problem.bounds.limits.q_min[j] + margin, problem.bounds.limits.q_max[j] - margin);
-            to.q0[j] = (to.q0[j] + 0.5 * step * normal(rng)).clamp(min, max);
-        }
-    }
-    to.project();
-    to
-}
-
-/// Scales down the joints that left their own limits; what the end effector does is checked afterwards.
-fn fit_joints(problem: &Problem, fourier: &mut Fourier, samples: usize) {
-    for j in 0..fourier.joints() {
-        let factor = room(problem, fourier, j, samples);
-        if factor < 1.0 {
-            fourier.scale_joint(j, factor);
-        }
     }
 }
 
@@ -278,7 +235,7 @@ fn room(problem: &Problem, fourier: &Fourier, j: usize, samples: usize) -> f64 {
         let away = point.q - q0;
         let uses = [
             if away > 0.0 { away / up } else { -away / down },
-            point.dq.abs() / (limits.dq[j] * margins.velocity),
+            point.dq.abs() / problem.bounds.speeds(j, point.q)[usize::from(point.dq > 0.0)].max(1e-3 * limits.dq[j]),
             point.ddq.abs() / (limits.ddq[j] * margins.acceleration),
             point.jerk.abs() / (limits.jerk[j] * margins.jerk),
         ];
@@ -288,14 +245,39 @@ fn room(problem: &Problem, fourier: &Fourier, j: usize, samples: usize) -> f64 {
     if factor.is_finite() { COARSE_ROOM * factor } else { 1.0 }
 }
 
+/// What the motion breaks on a coarse grid.
 fn coarse(problem: &Problem, fourier: &Fourier, samples: usize) -> Check {
-    check(&problem.bounds, fourier, samples, problem.torque)
+    with_torque(problem, |torque| check(&problem.bounds, fourier, samples, torque))
 }
 
-/// Holds the motion to every limit at 1 kHz and writes the plan.
-fn finish(problem: &Problem, search: &Search, fourier: Fourier) -> Result<Plan, ExciteError> {
-    let fourier = shrink(fourier, |fourier| verify(&problem.bounds, fourier, problem.torque))?;
-    let motion = sampled(&fourier, &problem.mounting.gravity(), 5 * search.samples);
+/// What the motion breaks at 1 kHz: the judgement that a plan stands on.
+pub fn verdict(problem: &Problem, fourier: &Fourier) -> Check {
+    with_torque(problem, |torque| verify(&problem.bounds, fourier, torque))
+}
+
+fn with_torque(problem: &Problem, judge: impl Fn(Option<super::limits::NominalTorque>) -> Check) -> Check {
+    let gravity = problem.mounting.gravity();
+    match problem.nominal {
+        None => judge(None),
+        Some(nominal) => judge(Some(&|q: &JointVec, dq: &JointVec, ddq: &JointVec| {
+            nominal.torque(problem.bounds.chain, &gravity, q, dq, ddq)
+        })),
+    }
+}
+
+/// Condition numbers of several motions together, stacked.
+pub fn together(problem: &Problem, motions: &[Fourier]) -> Conditions {
+    let fine = |fourier: &Fourier| sampled(fourier, &problem.mounting.gravity(), FINE * Search::default().samples);
+    let motions: Vec<_> = motions.iter().map(fine).collect();
+    evaluate(problem.structure, &stacked(&motions), problem.sigma)
+}
+
+/// The plan of a motion that keeps every limit at 1 kHz; an error when it does not.
+pub(super) fn plan_of(problem: &Problem, search: &Search, fourier: Fourier) -> Result<Plan, ExciteError> {
+    if let Some(violation) = verdict(problem, &fourier).violations().next() {
+        return Err(ExciteError::NoMotion { violation: *violation });
+    }
+    let motion = sampled(&fourier, &problem.mounting.gravity(), FINE * search.samples);
     let rows = |m: &nalgebra::DMatrix<f64>| m.row_iter().map(|row| row.iter().copied().collect()).collect();
     Ok(Plan {
         robot: problem.robot.to_string(),
@@ -308,7 +290,7 @@ fn finish(problem: &Problem, search: &Search, fourier: Fourier) -> Result<Plan, 
         a: rows(&fourier.a),
         b: rows(&fourier.b),
         conditions: evaluate(problem.structure, &motion, problem.sigma),
-        constraints: Constraints::of(&problem.bounds, problem.torque.is_some()),
+        constraints: Constraints::of(&problem.bounds, problem.nominal.is_some()),
     })
 }
 

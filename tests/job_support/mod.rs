@@ -19,10 +19,11 @@ pub const PATIENCE: Duration = Duration::from_secs(90);
 pub const WALL: &str = "config/sim-panda-wall.toml";
 
 /// Overrides that make the shipped job short: 4 s periods, few of them, a coarse search, no counter-experiment.
-pub const SHORT: [&str; 6] = [
+pub const SHORT: [&str; 7] = [
     "excitation.period=4 s",
     "excitation.periods=3",
-    "excitation.evaluations=60",
+    "excitation.starts=1",
+    "excitation.rounds=0",
     "validation.trajectories=1",
     "validation.counter-experiment=false",
     "output.dataset=false",

@@ -17,8 +17,8 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     if job.robot.trim().is_empty() {
         return bad("robot", &"``", "the name of a robot or the path of its description");
     }
-    if !(1..=16).contains(&excitation.harmonics) {
-        return bad("excitation.harmonics", &excitation.harmonics, "1 to 16");
+    if !(3..=16).contains(&excitation.harmonics) {
+        return bad("excitation.harmonics", &excitation.harmonics, "3 to 16");
     }
     if !(1.0..=120.0).contains(&excitation.period) || (excitation.period * 1e3).fract().abs() > 1e-6 {
         return bad("excitation.period", &excitation.period, "1 s to 120 s, in whole milliseconds");
@@ -29,8 +29,11 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     if excitation.lead_in > 100 {
         return bad("excitation.lead-in", &excitation.lead_in, "0 to 100");
     }
-    if !(1..=10_000_000).contains(&excitation.evaluations) {
-        return bad("excitation.evaluations", &excitation.evaluations, "1 to 10000000");
+    if !(1..=10_000).contains(&excitation.starts) {
+        return bad("excitation.starts", &excitation.starts, "1 to 10000");
+    }
+    if excitation.rounds > 10_000 {
+        return bad("excitation.rounds", &excitation.rounds, "0 to 10000");
     }
     if let Some(q0) = &excitation.q0
         && !(1..=MAX_JOINTS).contains(&q0.len())
