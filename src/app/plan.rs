@@ -127,6 +127,10 @@ pub fn run(options: Options) -> Result<(), Failure> {
             options.one(&task, &Search { seed: search.seed + (k - 1), ..search.clone() }, &done, &interrupted)?;
         done.push(motion(&plan)?);
         options.leave(&plan, &options.name("", k, options.trajectories), &done, &task)?;
+        if interrupted.load(Ordering::Relaxed) {
+            // Nobody asked for half-searched motions after this one.
+            return Ok(());
+        }
     }
     for k in 1..=options.validate {
         let plan = task
