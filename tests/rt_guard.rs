@@ -4,7 +4,7 @@ mod common;
 
 use common::drive::{Job, Model, READY, Run, Shape, Tool, Wave, follow, move_to, panda_limits};
 use common::{FakeArm, Trick};
-use plumbline::joint::{JointVec, MAX_JOINTS, Phase, Setpoint, Workspace};
+use plumbline::joint::{JointVec, MAX_JOINTS, Phase, Setpoint, SpeedEnvelope, Workspace};
 use plumbline::rt::Reference;
 use plumbline::rt::cycle::End;
 use plumbline::rt::guard::{Limit, Violation};
@@ -78,6 +78,28 @@ fn position_is_limited_ahead_of_time_at_both_ends() {
         assert_eq!(violation.bound, bound);
         let rest = run.records.last().unwrap().command.desired.q[1];
         assert!((rest - bound).abs() < 0.01, "came to rest at {rest}, next to the limit");
+    }
+}
+
+#[test]
+fn speed_falls_towards_the_ends_of_a_range_where_the_arm_has_it_so() {
+    let envelope = SpeedEnvelope { offset: [0.2; MAX_JOINTS], deceleration: [2.0; MAX_JOINTS] };
+    for sign in [1.0, -1.0] {
+        // 1.2 rad/s is inside joint 2's limit, and under the envelope until some (1.2 + 0.2)^2 / 4 = 0.49 rad before the end.
+        let mut job = Job::new(5_000).order(follow(1, along(1, 4_000, push_on(7.0 * sign, 1.2))));
+        job.settings.guard.envelope = Some(envelope);
+        let run = job.run();
+        let violation = assert_guarded(&run, Limit::Velocity, 1);
+        assert!(violation.value * sign > 1.1 && violation.bound.abs() < 1.3, "{violation}");
+        let (q_min, q_max) = (panda_limits().q_min[1], panda_limits().q_max[1]);
+        for record in &run.records {
+            let (q, dq) = (record.command.desired.q[1], record.command.desired.dq[1]);
+            let room = if dq > 0.0 { q_max - q } else { q - q_min };
+            let bound = envelope.at(1, room, panda_limits().dq[1]).0;
+            assert!(dq.abs() < bound + 0.005, "{dq} rad/s at {q} rad, {bound} rad/s allowed");
+        }
+        let rest = run.records.last().unwrap().command.desired.q[1];
+        assert!(rest > q_min + 0.2 && rest < q_max - 0.2, "came to rest at {rest}");
     }
 }
 

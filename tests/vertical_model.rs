@@ -51,7 +51,16 @@ fn a_vertical_model_is_refused_where_it_does_not_hold() {
     // Where it was identified it is as good as any.
     let ratio = left.ratio(left.predict("validate-upright-1.csv", &[]));
     assert!(ratio.iter().all(|ratio| (0.9..1.2).contains(ratio)), "{ratio:?}");
+    // So are the nearest parameters that real bodies can have, which the model file carries; the paper's table carries none.
+    let ratio = left.ratio(left.predict("validate-upright-1.csv", &["--consistent"]));
+    assert!(ratio.iter().all(|ratio| (0.9..1.2).contains(ratio)), "{ratio:?}");
     std::fs::remove_file(&left.tau).unwrap();
+    let mut command = plumbline();
+    command.args(["predict", "config/models/panda-paper-table3.toml", "--consistent", "--out"]).arg(&left.tau);
+    command.arg(left.place.out().join("dataset/validate-upright-1.csv"));
+    let done = Done::of(command).expect_code(2);
+    assert!(done.err.contains("panda-paper-table3.toml") && done.err.contains("[consistent]"), "{}", done.said());
+    assert!(!left.tau.exists());
 
     // On the wall it is refused, whether the dataset says so or the command line, and nothing is written.
     let model = left.model().display().to_string();

@@ -30,12 +30,15 @@ pub struct Options {
     /// Predict even where the model is not valid
     #[arg(long)]
     force: bool,
+    /// Predict with the nearest parameters that real bodies can have (the model file's [consistent] block)
+    #[arg(long)]
+    consistent: bool,
 }
 
 /// Predicts, writes, and says how far off the measured torques are where there are any.
 pub fn run(options: Options) -> Result<(), Failure> {
     let file = ModelFile::load(&options.model, |name| Ok(Robot::load(name, options.model.parent())?.chain))?;
-    let model = &file.model;
+    let model = &chosen(&options, &file)?;
     let run = motion(&options, model)?;
     if let Err(refused) = model.valid_in(&run.mounting)
         && !options.force
@@ -68,6 +71,22 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
     println!("{}: {} samples", options.out.display(), run.samples());
     Ok(())
+}
+
+/// The model as it was identified, or moved to where real bodies have its parameters.
+fn chosen(options: &Options, file: &ModelFile) -> Result<TorqueModel, Failure> {
+    let model = &file.model;
+    if !options.consistent {
+        return Ok(model.clone());
+    }
+    let Some(nearest) = &file.consistent else {
+        let expected = "a model file with a [consistent] block, as `plumbline identify` and `run` write it";
+        let name = options.model.display().to_string();
+        return Err(BadInput::new(name, "--consistent", "no key `consistent`", expected).into());
+    };
+    let values: Vec<(f64, Option<f64>)> = nearest.beta.iter().map(|&value| (value, None)).collect();
+    let (structure, mountings) = (model.structure().clone(), model.mountings().to_vec());
+    TorqueModel::new(model.robot(), structure, mountings, &values).map_err(Failure::job)
 }
 
 /// The motion and its mounting: as `--mounting` says, else as the dataset that the file belongs to says, else as the model's own.

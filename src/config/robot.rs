@@ -1,9 +1,8 @@
 //! Robot descriptions: kinematics and limits of an arm. The usual ones are built in; a file of the same form describes another.
 
-use crate::excite::limits::SpeedEnvelope;
 use crate::excite::shape::{Capsule, Shape};
 use crate::input::{BadInput, from_toml};
-use crate::joint::{JointVec, Limits, MAX_JOINTS, Workspace};
+use crate::joint::{JointVec, Limits, MAX_JOINTS, SpeedEnvelope, Workspace};
 use crate::model::chain::{Chain, Joint, JointKind, Placement, StandardDh};
 use nalgebra::{Rotation3, Vector3};
 use serde::Deserialize;

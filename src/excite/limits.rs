@@ -2,7 +2,7 @@
 
 use super::fourier::Fourier;
 use super::shape::{FIRST_BOXED, Shape, nearest};
-use crate::joint::{JointVec, Limits, MAX_JOINTS, Workspace};
+use crate::joint::{JointVec, Limits, MAX_JOINTS, SpeedEnvelope, Workspace};
 use crate::model::chain::Chain;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -59,36 +59,6 @@ impl Margins {
             torque_rate: 1.0,
             workspace: 0.0,
             clearance: 0.0,
-        }
-    }
-}
-
-/// A speed limit that falls towards the ends of a joint's range, as the Franka Research 3 has it:
-/// `dq <= min(dq_max, max(0, sqrt(2 dec (q_max - q)) - offset))`, and its mirror image at the lower end.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SpeedEnvelope {
-    /// Taken off the speed from which a joint can still brake before the end of its range \[rad/s\].
-    pub offset: JointVec,
-    /// Deceleration that it brakes with \[rad/s2\]; 0 for a joint whose speed limit does not depend on its position.
-    pub deceleration: JointVec,
-}
-
-impl SpeedEnvelope {
-    /// Highest speed of joint `j` (from 0) at `room` \[rad\] before the end of its range that it moves towards, at most `dq_max`, and
-    /// its derivative with respect to `room`.
-    pub fn at(&self, j: usize, room: f64, dq_max: f64) -> (f64, f64) {
-        let dec = self.deceleration[j];
-        if dec == 0.0 {
-            return (dq_max, 0.0);
-        }
-        let root = (2.0 * dec * room.max(0.0)).sqrt();
-        let speed = root - self.offset[j];
-        if speed >= dq_max {
-            (dq_max, 0.0)
-        } else if speed > 0.0 {
-            (speed, dec / root)
-        } else {
-            (0.0, 0.0)
         }
     }
 }

@@ -76,7 +76,7 @@ impl CycleSettings {
         if joints == 0 || joints > MAX_JOINTS {
             return Err(SetupError::Joints { joints });
         }
-        let GuardSettings { limits, workspace, tracking } = &self.guard;
+        let GuardSettings { limits, workspace, tracking, .. } = &self.guard;
         for (j, &tolerance) in tracking.iter().enumerate().take(joints) {
             let positive = [
                 ("dq", limits.dq[j]),

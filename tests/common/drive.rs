@@ -28,7 +28,7 @@ pub fn panda_limits() -> Limits {
 pub const READY: JointVec = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785, 0.0];
 
 pub fn settings() -> CycleSettings {
-    let guard = GuardSettings { limits: panda_limits(), workspace: None, tracking: [0.1; MAX_JOINTS] };
+    let guard = GuardSettings { limits: panda_limits(), envelope: None, workspace: None, tracking: [0.1; MAX_JOINTS] };
     CycleSettings { rights: Rights::NONE, ..CycleSettings::new(guard) }
 }
 

@@ -72,6 +72,7 @@ impl Session {
         let limits = job.guard_limits(&robot.limits, robot.chain.len())?;
         let mut settings = CycleSettings::new(GuardSettings {
             limits,
+            envelope: robot.envelope,
             workspace: Some(job.workspace(&robot.workspace)),
             tracking: [job.safety.tracking_error; MAX_JOINTS],
         });

@@ -8,7 +8,7 @@ mod history;
 
 use super::moves::stop_distances;
 use super::{Kinematics, PERIOD};
-use crate::joint::{JointVec, Limits, MAX_JOINTS, Setpoint, State, Torque, Workspace};
+use crate::joint::{JointVec, Limits, MAX_JOINTS, Setpoint, SpeedEnvelope, State, Torque, Workspace};
 use history::History;
 use std::fmt;
 
@@ -115,6 +115,8 @@ impl fmt::Display for Violation {
 pub struct GuardSettings {
     /// Joint limits.
     pub limits: Limits,
+    /// Speed limits that depend on position, on top of those of `limits`.
+    pub envelope: Option<SpeedEnvelope>,
     /// Where the end effector may be. The braking distance is not part of it: choose it with room to stop.
     pub workspace: Option<Workspace>,
     /// Largest distance of the measured position from the position sent last \[rad\].
@@ -252,8 +254,8 @@ impl Guard {
         let limits = &self.settings.limits;
         let (dq, ddq) = (desired.dq[j], desired.ddq[j]);
         let seen = self.history.differences(j, desired.q[j], dt);
-        within(Limit::Velocity, j, seen.dq, limits.dq[j])?;
-        within(Limit::Velocity, j, dq, limits.dq[j])?;
+        within(Limit::Velocity, j, seen.dq, self.speed(j, desired.q[j], seen.dq))?;
+        within(Limit::Velocity, j, dq, self.speed(j, desired.q[j], dq))?;
         within(Limit::Acceleration, j, seen.ddq, limits.ddq[j])?;
         within(Limit::Acceleration, j, ddq, limits.ddq[j])?;
         within(Limit::Jerk, j, seen.jerk, limits.jerk[j])?;
@@ -270,12 +272,21 @@ impl Guard {
         Ok(())
     }
 
+    /// Highest speed of joint `j` at position `q` in the direction of `dq`. The stop itself brakes harder than the envelope supposes,
+    /// and so stays under it.
+    fn speed(&self, j: usize, q: f64, dq: f64) -> f64 {
+        let limits = &self.settings.limits;
+        let room = if dq > 0.0 { limits.q_max[j] - q } else { q - limits.q_min[j] };
+        self.settings.envelope.map_or(limits.dq[j], |envelope| envelope.at(j, room, limits.dq[j]).0)
+    }
+
     /// Whether a stop from here stays inside the limits: otherwise the brake itself would break them.
     fn can_stop(&self, j: usize, desired: &Setpoint) -> Result<(), Violation> {
         let limits = &self.settings.limits;
         let (q, dq, ddq) = (desired.q[j], desired.dq[j], desired.ddq[j]);
         let (ddq_brake, jerk_brake) = (self.brake * limits.ddq[j], self.brake * limits.jerk[j]);
-        within(Limit::VelocityAhead, j, dq + ddq * ddq.abs() / (2.0 * jerk_brake), limits.dq[j])?;
+        let ahead = dq + ddq * ddq.abs() / (2.0 * jerk_brake);
+        within(Limit::VelocityAhead, j, ahead, self.speed(j, q, ahead))?;
         let (up, down) = stop_distances(dq, ddq, ddq_brake, jerk_brake);
         self.between(Limit::StoppingPosition, j, q - down, q + up)
     }
