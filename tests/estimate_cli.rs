@@ -120,9 +120,13 @@ fn names_that_do_not_exist() {
     let place = Place::new("names");
     let scene = Scene::panda_on_the_wall();
     let data = dataset(&scene, &place.path().join("data"), vec![run(&scene, "run.csv", Role::Identify, 4, true)]);
-    for (option, value, known) in
-        [("--estimator", "lasso", "huber, tls, iv"), ("--method", "wavelet", "spectral or paper")]
-    {
+    for (option, value, known) in [
+        ("--estimator", "lasso", "huber, tls, iv"),
+        ("--method", "wavelet", "spectral or paper"),
+        ("--velocities", "guessed", "measured or derived"),
+        ("--trim", "4000", "0 to 3600 s"),
+        ("--hold-out", "1.5", "0.05 to 0.95"),
+    ] {
         let done = Done::of(identify(&data, &place.out(), &[option, value])).expect_code(2);
         for part in [option, value, known] {
             assert!(done.err.contains(part), "no `{part}` in {}", done.said());

@@ -8,6 +8,7 @@ mod figures;
 mod tables;
 
 use plumbline::config::robot::Robot;
+use plumbline::estimate::experiment::Settings;
 use plumbline::model::gravity::Mounting;
 use plumbline::model::rnea::rnea;
 use rand::{Rng, SeedableRng};
@@ -130,7 +131,7 @@ fn table_2_and_figures_3_and_4_of_the_two_dof_arm() {
 /// processing. The parameters come back within their standard deviations and add nothing to the noise in either mounting.
 #[test]
 fn tables_3_to_5_of_the_panda_with_noise_as_in_the_paper() {
-    let panda = experiment::panda(&experiment::processing());
+    let panda = experiment::panda(&Settings::paper());
     assert_eq!((panda.found.beta.len(), panda.found.rank), (59, 59));
     let z: Vec<f64> = (panda.found.beta.iter().zip(&panda.truth).zip(&panda.found.std))
         .map(|((beta, truth), std)| (beta - truth) / std.expect("59 parameters are determined on the wall"))

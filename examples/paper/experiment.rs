@@ -5,7 +5,7 @@
 use nalgebra::{DMatrix, Vector3};
 use plumbline::backend::sim::Truth;
 use plumbline::config::robot::Robot;
-use plumbline::estimate::experiment::{Derivative, Experiment, Settings};
+use plumbline::estimate::experiment::{Experiment, Settings};
 use plumbline::estimate::run::Run;
 use plumbline::estimate::validate::{torques, validate_parameters};
 use plumbline::estimate::wls::{Identification, identify};
@@ -33,18 +33,6 @@ const POSITION_NOISE: f64 = 1e-5;
 pub const TABLE_4_MEAN: [f64; 7] = [0.288, 0.260, 0.274, 0.120, 0.154, 0.118, 0.058];
 /// See [`TABLE_4_MEAN`].
 pub const TABLE_5_MEAN: [f64; 7] = [0.276, 0.376, 0.166, 0.134, 0.170, 0.114, 0.064];
-
-/// The signal processing of the paper: mean of 10 periods, zero-phase Butterworth of order 20 at 2 Hz, central differences,
-/// decimation by eq. 16.
-pub fn processing() -> Settings {
-    Settings {
-        torque_cutoff: 2.0,
-        position_cutoff: Some(2.0),
-        order: 20,
-        derivative: Derivative::Central,
-        ..Settings::default()
-    }
-}
 
 fn shipped(file: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("config").join(file)

@@ -1,10 +1,11 @@
 //! The tables of docs/paper.md as text.
 
 use crate::experiment::{self, Panda};
+use plumbline::estimate::experiment::Settings;
 
 /// Name and content of every block of the page.
 pub fn all() -> Vec<(&'static str, String)> {
-    let panda = experiment::panda(&experiment::processing());
+    let panda = experiment::panda(&Settings::paper());
     vec![
         ("table-1", table_1()),
         ("table-2", table_2()),

@@ -4,126 +4,14 @@ use super::EstimateError;
 use super::differentiate::Differentiator;
 use super::periods::{NoiseOfMean, Scatter, average};
 use super::run::Run;
+pub use super::settings::{Derivative, Method, Settings};
 use super::signal::butterworth::Butterworth;
 use super::signal::resample::{Sampling, resample};
 use super::signal::spectral::Spectral;
 use super::signal::{SignalError, decimation};
 use crate::model::term::Motion;
 use nalgebra::DMatrix;
-use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
-
-/// How velocities and accelerations come from filtered positions.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Derivative {
-    /// Through the spectrum, exact for a periodic motion. A run that does not repeat takes central differences.
-    #[default]
-    Spectral,
-    /// Central differences.
-    Central,
-}
-
-/// How torques and motions are made ready.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Method {
-    /// The better way for periodic motions: exact derivatives through the spectrum behind a wide low-pass ([`Settings::default`]).
-    #[default]
-    Spectral,
-    /// The paper's way ([`Settings::paper`]).
-    Paper,
-}
-
-impl Method {
-    /// Its settings.
-    pub fn settings(self) -> Settings {
-        match self {
-            Method::Spectral => Settings::default(),
-            Method::Paper => Settings::paper(),
-        }
-    }
-
-    /// Its name on the command line and in files.
-    pub fn id(self) -> &'static str {
-        match self {
-            Method::Spectral => "spectral",
-            Method::Paper => "paper",
-        }
-    }
-
-    /// The method of that name.
-    pub fn by_id(id: &str) -> Option<Method> {
-        [Method::Spectral, Method::Paper].into_iter().find(|method| method.id() == id)
-    }
-}
-
-/// How runs are prepared.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, rename_all = "kebab-case", default)]
-pub struct Settings {
-    /// Cut-off of the zero-phase low-pass on the torques and on every column of the regressor \[Hz\].
-    pub torque_cutoff: f64,
-    /// Cut-off of the zero-phase low-pass on the positions before they are differentiated \[Hz\]. It must pass what the arm does when
-    /// friction changes its sign at a reversal, so it is wider than the other; what noise it passes above the torque cut-off does not
-    /// reach the regression. Absent: as wide as the positions' noise allows, 80 Hz at most and at least 20 Hz for the mean of
-    /// several periods, 10 Hz for what was recorded once; those two where raw torques are compared with the model. At most 0.8 of
-    /// half the sampling rate is used.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub position_cutoff: Option<f64>,
-    /// Order of both low-passes, even; they run forward and backward.
-    pub order: usize,
-    /// Samples to keep one of after the low-pass; absent: paper eq. 16 for twice the torque cut-off.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub decimation: Option<usize>,
-    /// How positions are differentiated.
-    pub derivative: Derivative,
-    /// Periods left out at the start of a periodic run, while the arm settles.
-    pub skip_periods: usize,
-    /// Whether every period's deviation from the mean is kept: estimators that reckon with noisy positions need it.
-    pub keep_periods: bool,
-    /// Whether the velocities of a run that does not repeat are those that the arm measured, where the run has them, and the
-    /// accelerations are differentiated from them. Where samples are few, or an elastic gear lies between motor and link, they know
-    /// better when a joint reverses.
-    pub measured_velocities: bool,
-    /// Time left out at both ends of a run that does not repeat, where its filters need less \[s\].
-    pub trim: f64,
-    /// Speed below which a joint counts as standing \[rad/s\]. Samples of a run that does not repeat at which every joint stands are
-    /// left out: there Coulomb friction is whatever holds the arm, and no velocity tells which. Absent: all samples count.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub rest: Option<f64>,
-}
-
-impl Settings {
-    /// The paper's signal processing (section II-B.3): mean period, order-20 zero-phase Butterworth at 2 Hz, central differences,
-    /// decimation by eq. 16 with `omega_fp` twice the cut-off. Torques and columns pass the same filter.
-    pub fn paper() -> Settings {
-        Settings {
-            torque_cutoff: 2.0,
-            position_cutoff: Some(2.0),
-            order: 20,
-            derivative: Derivative::Central,
-            ..Settings::default()
-        }
-    }
-}
-
-impl Default for Settings {
-    fn default() -> Settings {
-        Settings {
-            torque_cutoff: 5.0,
-            position_cutoff: None,
-            order: 8,
-            decimation: None,
-            derivative: Derivative::Spectral,
-            skip_periods: 0,
-            keep_periods: false,
-            measured_velocities: false,
-            trim: 0.0,
-            rest: None,
-        }
-    }
-}
 
 /// Widest position cut-off \[Hz\]. A joint's controller answers a reversal of friction within its own bandwidth,
 /// some 20 Hz, and the step of the acceleration there reaches higher still: a filter that takes that out of the motion biases friction
@@ -507,6 +395,67 @@ mod tests {
         assert_eq!(experiment.kept()[1], 80);
         assert_eq!(experiment.scatter.as_ref().unwrap().periods, 2);
         assert!(experiment.scatter.unwrap().std.iter().all(|&s| s < 1e-12));
+    }
+
+    /// A free run that stands for its first 3 s, then moves along a sine that starts at rest.
+    fn standing_first() -> Run {
+        let mut run = run(None, 9.0);
+        let angle = |t: f64| PI * (t - 3.0).max(0.0);
+        let speed = |k: usize| if run.t[k] > 3.0 { PI * angle(run.t[k]).sin() } else { 0.0 };
+        run.dq = Some(DMatrix::from_fn(run.t.len(), 2, |k, _| speed(k)));
+        run.q = DMatrix::from_fn(run.t.len(), 2, |k, _| 1.0 - angle(run.t[k]).cos());
+        run
+    }
+
+    #[test]
+    fn samples_at_rest_are_left_out_of_regression_and_errors() {
+        use super::super::validate::validate;
+        let run = standing_first();
+        let whole = Experiment::prepare(&run, &Settings::default()).unwrap();
+        let moving = Experiment::prepare(&run, &Settings { rest: Some(0.01), ..Settings::default() }).unwrap();
+        // 3 s of 9 s, less the edge; the sine itself passes its turning points in an instant.
+        let resting = moving.resting().iter().filter(|resting| **resting).count();
+        assert!((2850..3050).contains(&resting), "{resting}");
+        assert!(whole.resting().iter().all(|resting| !resting) && moving.kept().iter().all(|&k| !moving.resting()[k]));
+        assert!(moving.kept().len() < whole.kept().len() * 7 / 10);
+        // A model that is wrong by 1 Nm at rest and right in motion has no error where rests don't count.
+        let wrong_at_rest = |motion: &Motion| {
+            let tau = &moving.tau;
+            DMatrix::from_fn(tau.nrows(), tau.ncols(), |k, j| {
+                tau[(k, j)] + if motion.dq.row(k).amax() < 0.01 { 1.0 } else { 0.0 }
+            })
+        };
+        let error = |experiment: &Experiment| validate(experiment, wrong_at_rest).raw[0];
+        assert!(error(&moving) < 1e-12 && error(&whole) > 0.5, "{} {}", error(&moving), error(&whole));
+        // A periodic run keeps all of its samples.
+        let periodic = Run { period: Some(9.0), ..run };
+        let periodic = Experiment::prepare(&periodic, &Settings { rest: Some(0.01), ..Settings::default() }).unwrap();
+        assert!(periodic.resting().iter().all(|resting| !resting));
+    }
+
+    #[test]
+    fn measured_velocities_replace_the_derived_ones_of_free_runs() {
+        let mut run = standing_first();
+        let settings = Settings { measured_velocities: true, trim: 0.5, ..Settings::default() };
+        let derived = Experiment::prepare(&run, &Settings { measured_velocities: false, ..settings.clone() }).unwrap();
+        let measured = Experiment::prepare(&run, &settings).unwrap();
+        assert_eq!(measured.motion.samples(), 9001 - 2 * 500, "half a second is cut off each end");
+        let difference = |other: &Experiment| (&other.motion.dq - &derived.motion.dq).rows(100, 7800).amax();
+        assert!(difference(&measured) < 0.05, "the true velocity is the derivative of the position");
+        // A velocity that says something else is believed, and the acceleration is its derivative.
+        run.dq.as_mut().unwrap().scale_mut(2.0);
+        let doubled = Experiment::prepare(&run, &settings).unwrap();
+        assert!((&doubled.motion.dq - &measured.motion.dq * 2.0).amax() < 1e-9);
+        assert!((&doubled.motion.ddq - &measured.motion.ddq * 2.0).amax() < 1e-7);
+        assert_eq!(doubled.motion.q, measured.motion.q);
+        // Positions that move a little leave them alone.
+        let (rows, columns) = doubled.grid();
+        assert_eq!(doubled.moved(&DMatrix::from_element(rows, columns, 1e-3)).dq, doubled.motion.dq);
+        // Not those of a periodic run, and not of another length.
+        let periodic = Experiment::prepare(&Run { period: Some(9.0), ..run.clone() }, &settings).unwrap();
+        assert!(periodic.motion.dq.amax() < 1.5 * PI);
+        run.dq = Some(DMatrix::zeros(7, 2));
+        assert!(matches!(Experiment::prepare(&run, &settings), Err(EstimateError::Signal { .. })));
     }
 
     #[test]

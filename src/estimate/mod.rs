@@ -11,6 +11,7 @@ pub mod essential;
 pub mod experiment;
 pub mod periods;
 pub mod run;
+pub mod settings;
 pub mod signal;
 pub mod solve;
 pub mod streaming;
