@@ -30,7 +30,7 @@ pub struct Options {
     /// Predict even where the model is not valid
     #[arg(long)]
     force: bool,
-    /// Predict with the nearest parameters that real bodies can have (the model file's [consistent] block)
+    /// Predict with the nearest parameters that real bodies can have (block `consistent` of the model file)
     #[arg(long)]
     consistent: bool,
 }

@@ -48,7 +48,7 @@ impl Descent {
     }
 
     /// At most `iterations` steps downhill. `f` writes the gradient at its first argument into the second and returns the value,
-    /// infinite where there is none. Ends early when [`PATIENCE`] steps in a row gain less than `tolerance`.
+    /// infinite where there is none. Ends early when 3 steps in a row gain less than `tolerance`.
     pub fn run(
         &mut self,
         iterations: usize,

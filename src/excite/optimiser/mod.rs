@@ -61,7 +61,7 @@ const HOP: [Leg; 3] = [
     Leg { p: 24.0, sign: 30.0, rho: 100.0, iterations: 120 },
     LAST,
 ];
-/// The last leg of both, and of every round of [`settle`].
+/// The last leg of both, and of every round of `settle`.
 const LAST: Leg = Leg { p: 96.0, sign: 60.0, rho: 300.0, iterations: 150 };
 /// Gain of the logarithm of a condition number that is not worth another step.
 const TOLERANCE: f64 = 3e-6;
