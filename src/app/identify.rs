@@ -162,14 +162,7 @@ fn settings(options: &Options) -> Result<Settings, Failure> {
         }
         settings.order = order;
     }
-    settings.measured_velocities = match options.velocities.as_str() {
-        "measured" => true,
-        "derived" => false,
-        other => {
-            let found = format!("`{other}`");
-            return Err(BadInput::new("command line", "--velocities", found, "measured or derived").into());
-        }
-    };
+    settings.measured_velocities = pipeline::measured_velocities(&options.velocities)?;
     if !(0.0..=3600.0).contains(&options.trim) {
         return Err(BadInput::new("command line", "--trim", options.trim, "0 to 3600 s").into());
     }

@@ -40,6 +40,15 @@ pub fn usual_terms(robot: &Robot) -> Vec<&'static str> {
     }
 }
 
+/// Whether `--velocities` asks for those that the arm measured.
+pub fn measured_velocities(option: &str) -> Result<bool, BadInput> {
+    match option {
+        "measured" => Ok(true),
+        "derived" => Ok(false),
+        other => Err(BadInput::new("command line", "--velocities", format!("`{other}`"), "measured or derived")),
+    }
+}
+
 /// The parameters that runs in these mountings can determine: one mounting has its own base set, several need the general one.
 pub fn structure(robot: &Robot, runs: &[&Run], terms: &[&str]) -> Result<Structure, Failure> {
     let chain = robot.chain.clone();

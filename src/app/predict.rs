@@ -33,6 +33,9 @@ pub struct Options {
     /// Predict with the nearest parameters that real bodies can have (block `consistent` of the model file)
     #[arg(long)]
     consistent: bool,
+    /// Velocities of the motion: measured (where it has dq columns) or derived from the positions
+    #[arg(long, default_value = "measured")]
+    velocities: String,
 }
 
 /// Predicts, writes, and says how far off the measured torques are where there are any.
@@ -47,7 +50,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let expected = "a model that holds in this mounting, or --force";
         return Err(BadInput::new(name, "key `kind`", refused, expected).into());
     }
-    let (torques, rms) = pipeline::predict(model, &run, &Settings::default())?;
+    let measured_velocities = pipeline::measured_velocities(&options.velocities)?;
+    let settings = Settings { measured_velocities, ..Settings::default() };
+    let (torques, rms) = pipeline::predict(model, &run, &settings)?;
     let mut text = String::from("t");
     for j in 1..=run.joints() {
         write!(text, ",tau{j}").expect("a string takes everything");
