@@ -1,8 +1,10 @@
 //! Physical consistency: what real bodies can have is reproduced, what they can't is moved to the nearest, and how far is said.
 
 mod arms;
+mod export_support;
 
 use arms::{all, chain, random_chain};
+use export_support::random_body;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline::backend::sim::Truth;
 use plumbline::config::robot::Robot;
@@ -26,24 +28,6 @@ fn structure(chain: &Chain, terms: &[&str]) -> Structure {
 
 fn stacked(links: &[LinkParameters]) -> DVector<f64> {
     DVector::from_iterator(10 * links.len(), links.iter().flatten().copied())
-}
-
-fn geometry(structure: &Structure, beta: &[f64]) -> Prior {
-    Prior::of_geometry(structure.chain(), structure.reduction(), &beta[..structure.reduction().len()])
-}
-
-/// A body with mass and extent, its inertia from principal moments of a real mass distribution.
-fn random_body(rng: &mut ChaCha8Rng) -> LinkParameters {
-    let second = Vector3::from_fn(|_, _| rng.random_range(0.002..0.05));
-    let axes = nalgebra::Rotation3::from_euler_angles(
-        rng.random_range(-3.0..3.0),
-        rng.random_range(-1.5..1.5),
-        rng.random_range(-3.0..3.0),
-    );
-    let mass = rng.random_range(0.3..6.0);
-    let sigma = axes.matrix() * Matrix3::from_diagonal(&second) * axes.matrix().transpose() * mass;
-    let inertia = sigma.trace() * Matrix3::identity() - sigma;
-    Body { mass, com: Vector3::from_fn(|_, _| rng.random_range(-0.2..0.2)), inertia }.link_parameters()
 }
 
 /// A covariance with correlations: 1 % of each size, mixed.
@@ -81,7 +65,8 @@ fn what_a_real_arm_has_is_reproduced() {
     let truth = Truth::parse("sim-panda", PANDA).unwrap().link_parameters();
     let panda = structure(&chain("panda"), &[]);
     let beta: Vec<f64> = panda.reduction().base_of(&stacked(&truth)).iter().copied().collect();
-    let found = nearest(&panda, &beta, Uncertainty::Deviations(&unknown(&beta)), &geometry(&panda, &beta)).unwrap();
+    let found =
+        nearest(&panda, &beta, Uncertainty::Deviations(&unknown(&beta)), &Prior::of_geometry(&panda, &beta)).unwrap();
     assert_exact(&panda, &beta, &found);
     assert_eq!(found.weights, Weights::Relative);
     // What the data leaves open is of the size of a real arm's.
@@ -123,7 +108,7 @@ fn check_random(rng: &mut ChaCha8Rng, name: &str, chain: &Chain) {
     }
     let bodies: Vec<LinkParameters> = (0..chain.len()).map(|_| random_body(rng)).collect();
     let beta: Vec<f64> = structure.reduction().base_of(&stacked(&bodies)).iter().copied().collect();
-    let prior = geometry(&structure, &beta);
+    let prior = Prior::of_geometry(&structure, &beta);
     let found = nearest(&structure, &beta, Uncertainty::Deviations(&unknown(&beta)), &prior)
         .unwrap_or_else(|error| panic!("{name}: {error}"));
     assert_exact(&structure, &beta, &found);
@@ -143,7 +128,7 @@ fn what_no_arm_has_is_moved_to_the_nearest() {
         let c = covariance(&mut rng, &beta, share);
         let noise = c.clone().cholesky().unwrap().l() * DVector::from_fn(beta.len(), |_, _| rng.sample(StandardNormal));
         let noisy: Vec<f64> = beta.iter().zip(&noise).map(|(beta, noise)| beta + noise).collect();
-        let prior = geometry(&panda, &noisy);
+        let prior = Prior::of_geometry(&panda, &noisy);
         let found = nearest(&panda, &noisy, Uncertainty::Covariance(&c, &deviations(&c)), &prior).unwrap();
         if found.exact {
             continue;
@@ -211,7 +196,7 @@ fn table_3_is_moved_and_says_so() {
     let text = include_str!("../config/models/panda-paper-table3.toml");
     let file = ModelFile::parse("Table III", text, |name| Ok(Robot::load(name, None)?.chain)).unwrap();
     let (beta, structure) = (file.model.beta(), file.model.structure());
-    let prior = geometry(structure, &beta);
+    let prior = Prior::of_geometry(structure, &beta);
     let found = nearest(structure, &beta, Uncertainty::Deviations(&unknown(&beta)), &prior).unwrap();
     assert!(!found.exact && found.distance > 1.0 && found.links.iter().all(is_consistent));
     let lzz7 = structure.columns().iter().position(|column| column.name == "Lzz7").unwrap();
@@ -244,7 +229,7 @@ fn rotors_are_told_from_links() {
             beta[position(name).unwrap()] += coefficient * rotors[absorbed.column.joint - 1];
         }
     }
-    let prior = geometry(&structure, &beta);
+    let prior = Prior::of_geometry(&structure, &beta);
     let found = nearest(&structure, &beta, Uncertainty::Deviations(&unknown(&beta)), &prior).unwrap();
     assert!(found.exact && found.rotors.iter().all(|rotor| *rotor > 0.0), "{:?}", found.rotors);
     let mut again = structure.reduction().base_of(&stacked(&found.links));
@@ -269,7 +254,7 @@ fn rotors_are_told_from_links() {
 fn a_prior_that_is_no_body_is_refused() {
     let panda = structure(&chain("panda"), &[]);
     let beta = vec![0.1; 45];
-    let good = geometry(&panda, &beta);
+    let good = Prior::of_geometry(&panda, &beta);
     let mut prior = good.clone();
     prior.links[3][9] = -1.0;
     let run = |prior: &Prior, beta: &[f64]| nearest(&panda, beta, Uncertainty::Deviations(&unknown(beta)), prior);
@@ -312,7 +297,7 @@ fn noise_does_not_defeat_it() {
         let noisy: Vec<f64> = (0..beta.len())
             .map(|c| beta[c] + known[c].unwrap_or(beta[c]) * rng.sample::<f64, _>(StandardNormal))
             .collect();
-        let prior = geometry(&structure, &noisy);
+        let prior = Prior::of_geometry(&structure, &noisy);
         let found = nearest(&structure, &noisy, Uncertainty::Covariance(&c, &known), &prior)
             .unwrap_or_else(|error| panic!("arm {k}, noise {share}: {error}"));
         assert!(found.links.iter().all(is_consistent) && found.distance.is_finite());

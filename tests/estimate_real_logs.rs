@@ -7,8 +7,8 @@
 use nalgebra::DMatrix;
 use plumbline::estimate::experiment::{Experiment, Settings};
 use plumbline::estimate::run::Run;
+use plumbline::estimate::solve::{Identification, identify};
 use plumbline::estimate::validate::{Rms, validate_parameters};
-use plumbline::estimate::wls::{Identification, identify};
 use plumbline::model::base::Reduction;
 use plumbline::model::chain::{Chain, Joint, JointKind, Placement};
 use plumbline::model::gravity::Mounting;

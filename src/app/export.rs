@@ -113,7 +113,7 @@ fn bodies(
     prior: Option<&Path>,
 ) -> Result<(Nearest, Vec<String>), Failure> {
     let model = &file.model;
-    let usual = usual_prior(model);
+    let usual = Prior::of_geometry(model.structure(), &model.beta());
     let (prior, mut notes) = match prior {
         Some(path) => prior_of(path, robot, usual)?,
         None => match &file.consistent {
@@ -137,12 +137,6 @@ fn bodies(
         notes.push(format!("{name} has no standard deviations: distances are measured {}", found.weights.text()));
     }
     Ok((found, notes))
-}
-
-fn usual_prior(model: &TorqueModel) -> Prior {
-    let structure = model.structure();
-    let beta = model.beta();
-    Prior::of_geometry(structure.chain(), structure.reduction(), &beta[..structure.reduction().len()])
 }
 
 /// The bodies of a URDF as a prior; links without any keep the usual one's.
@@ -202,7 +196,8 @@ pub fn of_identified(identified: &Identified) -> Option<Nearest> {
     let identification = &identified.identification;
     let uncertainty = Uncertainty::Covariance(&identification.covariance, &identification.std);
     let structure = identified.model.structure();
-    match nearest(structure, &identification.beta, uncertainty, &usual_prior(&identified.model)) {
+    let prior = Prior::of_geometry(structure, &identification.beta);
+    match nearest(structure, &identification.beta, uncertainty, &prior) {
         Ok(found) => Some(found),
         Err(error) => {
             tracing::warn!("physical consistency: {error}");

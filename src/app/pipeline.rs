@@ -7,7 +7,7 @@ use crate::estimate::EstimateError;
 use crate::estimate::experiment::{Experiment, Settings};
 use crate::estimate::run as estimate;
 use crate::estimate::solve::{self, Identification, identify_with};
-use crate::estimate::validate::{Rms, validate};
+use crate::estimate::validate::{Modelled, Rms, compare};
 use crate::input::BadInput;
 use crate::model::base::Reduction;
 use crate::model::structure::Structure;
@@ -124,13 +124,13 @@ fn desired(run: &Run, experiment: Experiment) -> Result<Experiment, Failure> {
 /// Predicts a run with a model, in the run's own mounting.
 pub fn judge(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Judged, Failure> {
     let experiment = experiment(run, settings)?;
-    let rms = validate(&experiment, |motion| model.predict(motion));
-    let modelled = model.predict(experiment.judged.as_ref().unwrap_or(&experiment.motion));
+    let modelled = Modelled::of(&experiment, |motion| model.predict(motion));
+    let rms = compare(&experiment, &modelled);
     let figure = TorqueFigure {
         title: title(run),
         t: times(&experiment),
         measured: columns(&experiment.tau, experiment.joints()),
-        modelled: columns(&modelled, experiment.joints()),
+        modelled: columns(modelled.judged(), experiment.joints()),
         raw: Vec::new(),
         noise: rms.noise_floor.clone().unwrap_or_default(),
     };
@@ -141,7 +141,7 @@ pub fn judge(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Judg
 pub fn figure_in_band(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<TorqueFigure, Failure> {
     let experiment = experiment(run, settings)?;
     let modelled = model.predict(&experiment.motion);
-    let rms = validate(&experiment, |motion| model.predict(motion));
+    let noise = experiment.scatter.as_ref().map(|scatter| scatter.std_of_mean(|f| experiment.gain(f)));
     let n = experiment.joints();
     let stacked = DMatrix::from_column_slice(modelled.len(), 1, modelled.as_slice());
     Ok(TorqueFigure {
@@ -150,7 +150,7 @@ pub fn figure_in_band(model: &TorqueModel, run: &Run, settings: &Settings) -> Re
         measured: columns(&experiment.filter(&experiment.stacked_tau()), n),
         modelled: columns(&experiment.filter(&stacked), n),
         raw: columns(&experiment.tau, n),
-        noise: rms.filtered_noise_floor.unwrap_or_default(),
+        noise: noise.unwrap_or_default(),
     })
 }
 
@@ -176,8 +176,9 @@ pub fn predict(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<(D
         whole.tau = DMatrix::zeros(run.samples(), run.joints());
     }
     let experiment = experiment(&whole, settings)?;
-    let even = model.predict(experiment.judged.as_ref().unwrap_or(&experiment.motion));
-    let rms = measured.then(|| validate(&experiment, |motion| model.predict(motion)));
+    let modelled = Modelled::of(&experiment, |motion| model.predict(motion));
+    let even = modelled.judged();
+    let rms = measured.then(|| compare(&experiment, &modelled));
     let (start, dt, last) = (run.t[0], experiment.motion.dt, even.nrows() - 1);
     let torques = DMatrix::from_fn(run.samples(), run.joints(), |k, j| {
         let at = ((run.t[k] - start) / dt).clamp(0.0, last as f64);

@@ -17,11 +17,6 @@ pub mod solve;
 pub mod streaming;
 pub mod validate;
 
-/// The usual estimator.
-pub mod wls {
-    pub use super::solve::{Identification, Undetermined, identify};
-}
-
 /// Why samples could not be turned into parameters.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EstimateError {

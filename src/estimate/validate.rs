@@ -57,14 +57,39 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
+/// Torques of a model along an experiment's motions, in its own mounting.
+pub struct Modelled {
+    /// Along the motion of the regression, N x n \[Nm\].
+    of_motion: DMatrix<f64>,
+    /// Along [`Experiment::judged`], where that is another one, N x n \[Nm\].
+    of_judged: Option<DMatrix<f64>>,
+}
+
+impl Modelled {
+    /// `predict` gives the torques along a motion, N x n \[Nm\].
+    pub fn of(experiment: &Experiment, predict: impl Fn(&Motion) -> DMatrix<f64>) -> Modelled {
+        let of_judged = experiment.judged.as_ref().map(&predict);
+        Modelled { of_motion: predict(&experiment.motion), of_judged }
+    }
+
+    /// Along the motion that raw torques are compared along, whose accelerations have less noise, N x n \[Nm\].
+    pub fn judged(&self) -> &DMatrix<f64> {
+        self.of_judged.as_ref().unwrap_or(&self.of_motion)
+    }
+}
+
 /// Compares any model with an experiment. `predict` gives the torques along a motion, N x n \[Nm\], in its own mounting.
+pub fn validate(experiment: &Experiment, predict: impl Fn(&Motion) -> DMatrix<f64>) -> Rms {
+    compare(experiment, &Modelled::of(experiment, predict))
+}
+
+/// Compares torques of a model with those of the experiment.
 ///
 /// Raw torques are compared along [`Experiment::judged`], whose accelerations have less noise; filtered ones along the motion of the
 /// regression, whose noise the filter takes out.
-pub fn validate(experiment: &Experiment, predict: impl Fn(&Motion) -> DMatrix<f64>) -> Rms {
-    let modelled = predict(&experiment.motion);
-    let of_filtered = &experiment.tau - &modelled;
-    let residual = &experiment.tau - experiment.judged.as_ref().map_or(modelled, predict);
+pub fn compare(experiment: &Experiment, modelled: &Modelled) -> Rms {
+    let of_filtered = &experiment.tau - &modelled.of_motion;
+    let residual = &experiment.tau - modelled.judged();
     let (n, samples) = (experiment.joints(), experiment.motion.samples());
     let resting = experiment.resting();
     let counted = resting.iter().filter(|resting| !**resting).count().max(1);

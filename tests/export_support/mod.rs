@@ -58,7 +58,7 @@ pub fn model(robot: &Robot, terms: &[&str], seed: u64) -> TorqueModel {
 /// Bodies for a model, by the geometry's prior.
 pub fn bodies(model: &TorqueModel) -> Nearest {
     let (structure, beta) = (model.structure(), model.beta());
-    let prior = Prior::of_geometry(structure.chain(), structure.reduction(), &beta[..structure.reduction().len()]);
+    let prior = Prior::of_geometry(structure, &beta);
     let deviations: Vec<Option<f64>> = model.parameters().iter().map(|parameter| parameter.std).collect();
     nearest(structure, &beta, Uncertainty::Deviations(&deviations), &prior).unwrap()
 }

@@ -44,7 +44,8 @@ pub fn problem(share: f64, seed: u64) -> Problem {
     let text = include_str!("../../config/arms/sim-panda.toml");
     let truth = Truth::parse("sim-panda", text).unwrap().link_parameters();
     let chain = Robot::load("panda", None).unwrap().chain;
-    let structure = Structure::of(chain.clone(), Reduction::any_mounting(&chain), &[]).unwrap();
+    let reduction = Reduction::any_mounting(&chain);
+    let structure = Structure::of(chain, reduction, &[]).unwrap();
     let delta = DVector::from_iterator(70, truth.iter().flatten().copied());
     let beta = structure.reduction().base_of(&delta);
     let p = beta.len();
@@ -55,7 +56,7 @@ pub fn problem(share: f64, seed: u64) -> Problem {
     let root = scale * mix;
     let beta: Vec<f64> =
         (beta + &root * DVector::from_fn(p, |_, _| rng.sample(StandardNormal))).iter().copied().collect();
-    let prior = Prior::of_geometry(&chain, structure.reduction(), &beta);
+    let prior = Prior::of_geometry(&structure, &beta);
     Problem { structure, beta, covariance: &root * root.transpose(), prior }
 }
 

@@ -124,8 +124,7 @@ pub fn nearest(
 ) -> Result<Nearest, ConsistencyError> {
     check(structure, beta, uncertainty, prior)?;
     let map = Map::of(structure);
-    let reduction = structure.reduction();
-    let usual = Prior::of_geometry(structure.chain(), reduction, &beta[..reduction.len()]);
+    let usual = Prior::of_geometry(structure, beta);
     let metric = Metric::of(&map, uncertainty, &usual);
     let target = DVector::from_iterator(map.rows.len(), map.rows.iter().map(|&row| beta[row]));
     let space = |floor| Space::new(&map, prior, floor).ok_or(ConsistencyError::Failed);

@@ -1,9 +1,8 @@
 //! What is assumed about a body where the data says nothing.
 
-use crate::model::base::Reduction;
-use crate::model::chain::Chain;
 use crate::model::inertia::{link_parameters, pseudo_inertia};
 use crate::model::rnea::LinkParameters;
+use crate::model::structure::Structure;
 use nalgebra::{DVector, Matrix4, Vector3};
 
 /// Thickness of a link (standard deviation of its mass across its length) over the length of the whole arm.
@@ -24,10 +23,11 @@ pub struct Prior {
 }
 
 impl Prior {
-    /// A rod of even density from every link's frame to the next one's, all of one mass, which makes the whole as heavy as `beta` (the
-    /// base parameters of `reduction`) says.
-    pub fn of_geometry(chain: &Chain, reduction: &Reduction, beta: &[f64]) -> Prior {
-        assert_eq!(beta.len(), reduction.len(), "one value per base parameter");
+    /// A rod of even density from every link's frame to the next one's, all of one mass, which makes the whole as heavy as the base
+    /// parameters among `beta` (one value per column of `structure`) say.
+    pub fn of_geometry(structure: &Structure, beta: &[f64]) -> Prior {
+        assert_eq!(beta.len(), structure.columns().len(), "one value per column");
+        let (chain, reduction) = (structure.chain(), structure.reduction());
         let n = chain.len();
         let end = |i: usize| match chain.joints().get(i + 1) {
             Some(next) => next.placement(0.0).origin,

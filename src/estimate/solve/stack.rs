@@ -55,7 +55,7 @@ impl Stack {
 
     /// The same equations for some of the columns alone; the parameters of the others are zero.
     pub fn columns(&self, kept: &[usize]) -> Stack {
-        Stack { w: self.w.select_columns(kept), ..self.clone() }
+        Stack { w: self.w.select_columns(kept), tau: self.tau.clone(), joints: self.joints, spans: self.spans.clone() }
     }
 
     /// Rows of each experiment within a joint.
