@@ -171,7 +171,7 @@ fn stack(table: &Table, rng: &mut ChaCha8Rng, model: &TorqueModel, gravity: &Vec
     let points = samples(rng, ROWS);
     let take = |of: fn(&Sample) -> &JointVec| DMatrix::from_fn(ROWS, N, |k, j| of(&points[k])[j]);
     let (q, dq, ddq) = (take(|s| &s.q), take(|s| &s.dq), take(|s| &s.ddq));
-    let motion = Motion { dt: 1e-3, q, dq, ddq, gravity: *gravity, periodic: false };
+    let motion = Motion { dt: 1e-3, q, dq, ddq, gravity: *gravity, periodic: false, start: 0.0 };
     let sigma = [0.1; N];
     let tau = model.predict(&motion).map(|tau| tau + 0.1 * rng.random_range(-1.7..1.7));
     let active: Vec<Vec<usize>> = (0..N)

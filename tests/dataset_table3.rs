@@ -63,7 +63,8 @@ fn errors(model: &ModelFile, run: &Run) -> (JointVec, f64) {
     let samples = q[0].len();
     let block = |from: &[Vec<f64>]| DMatrix::from_fn(samples, 7, |k, j| from[j][k]);
     let gravity = run.mounting.gravity();
-    let motion = Motion { dt: 1e-3, q: block(&q), dq: block(&dq), ddq: block(&ddq), gravity, periodic: false };
+    let motion =
+        Motion { dt: 1e-3, q: block(&q), dq: block(&dq), ddq: block(&ddq), gravity, periodic: false, start: 0.0 };
     let modelled = model.model.predict(&motion);
     let mut squares = JointVec::default();
     for j in 0..7 {

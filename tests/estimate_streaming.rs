@@ -119,6 +119,7 @@ fn rows(
         ddq: DMatrix::from_fn(inner, n, |k, j| (q[(k + 2, j)] - 2.0 * q[(k + 1, j)] + q[(k, j)]) * (RATE * RATE)),
         gravity: Mounting::WALL.gravity(),
         periodic: false,
+        start: 0.0,
     };
     let y = structure.regressor(&motion);
     let settled = 2 + ((wide.settling() + narrow.settling()) * RATE).ceil() as usize;
@@ -364,6 +365,7 @@ fn a_whole_motion_is_solved_to_the_last_digits_that_matter() {
                 ddq: DMatrix::zeros(samples, n),
                 gravity: Mounting::WALL.gravity(),
                 periodic: false,
+                start: 0.0,
             },
             DMatrix::zeros(samples, n),
         );
@@ -403,8 +405,15 @@ fn a_whole_motion_is_solved_to_the_last_digits_that_matter() {
     }
     let structure = structure("panda");
     let zeros = || DMatrix::zeros(3, 7);
-    let still =
-        Motion { dt: 0.1, q: zeros(), dq: zeros(), ddq: zeros(), gravity: Mounting::WALL.gravity(), periodic: false };
+    let still = Motion {
+        dt: 0.1,
+        q: zeros(),
+        dq: zeros(),
+        ddq: zeros(),
+        gravity: Mounting::WALL.gravity(),
+        periodic: false,
+        start: 0.0,
+    };
     let error = least_squares(&structure, &still, &zeros(), &[1.0; 7]).unwrap_err();
     assert_eq!(error, StreamingError::TooFewRows { rows: 21, columns: structure.columns().len() });
 }

@@ -179,7 +179,8 @@ fn sample_by_sample_is_the_structures_regressor() {
         let samples = 21;
         let mut matrix = |span| DMatrix::from_vec(samples, n, draw(&mut rng, samples * n, span));
         let (q, dq, ddq) = (matrix(3.0), matrix(0.3), matrix(5.0));
-        let motion = Motion { dt: 1e-3, q, dq, ddq, gravity: any_mounting(&mut rng).gravity(), periodic: false };
+        let motion =
+            Motion { dt: 1e-3, q, dq, ddq, gravity: any_mounting(&mut rng).gravity(), periodic: false, start: 0.0 };
         let whole = structure.regressor(&motion);
         let mut rows = SampleRegressor::new(&structure, &motion.gravity).unwrap();
         assert_eq!((rows.joints(), rows.len(), rows.is_empty()), (n, structure.columns().len(), false));

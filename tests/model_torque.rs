@@ -9,8 +9,9 @@ use plumbline::joint::Torque;
 use plumbline::model::base::{BaseKind, Reduction};
 use plumbline::model::gravity::Mounting;
 use plumbline::model::structure::{ModelError, Structure};
-use plumbline::model::term::{self, Motion, Sample};
-use plumbline::model::torque::{NamedTerm, Parameter, TorqueModel};
+use plumbline::model::term::effect::{self, Site, Spec};
+use plumbline::model::term::{self, Motion, Sample, Term};
+use plumbline::model::torque::{NamedEffect, NamedTerm, Parameter, TorqueModel};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -22,7 +23,7 @@ const TERMS: [&str; 3] = ["friction", "torque-offset", "rotor-inertia"];
 fn random_motion(rng: &mut ChaCha8Rng, n: usize, samples: usize) -> Motion {
     let mut matrix = |span| DMatrix::from_vec(samples, n, draw(rng, samples * n, span));
     let (q, dq, ddq) = (matrix(3.0), matrix(0.5), matrix(5.0));
-    Motion { dt: 1e-3, q, dq, ddq, gravity: any_mounting(rng).gravity(), periodic: false }
+    Motion { dt: 1e-3, q, dq, ddq, gravity: any_mounting(rng).gravity(), periodic: false, start: 0.0 }
 }
 
 fn random_model(robot: &str, kind: BaseKind, rng: &mut ChaCha8Rng) -> TorqueModel {
@@ -164,7 +165,21 @@ fn a_vertical_model_fails_on_a_wall_in_joint_1_alone() {
 fn named(model: &TorqueModel) -> Vec<NamedTerm> {
     let parameters =
         |parameters: &[Parameter]| parameters.iter().rev().map(|p| (p.column.name.clone(), p.value, p.std)).collect();
-    model.terms().into_iter().map(|(id, all)| (id.to_string(), parameters(all))).collect()
+    let named = |(term, all): (&dyn Term, &[Parameter])| {
+        let effect = term.spec().map_or(NamedEffect::default(), |spec| {
+            let form = spec.family().unwrap().form(spec.form).unwrap();
+            let joints: Vec<usize> = spec.site.joints().iter().map(|joint| joint + 1).collect();
+            let settings = form.settings.iter().zip(&spec.settings);
+            NamedEffect {
+                form: spec.form.to_string(),
+                joint: joints.first().copied(),
+                cause: joints.get(1).copied(),
+                settings: settings.map(|(setting, value)| (setting.name.to_string(), *value)).collect(),
+            }
+        });
+        NamedTerm { id: term.id().to_string(), effect, parameters: parameters(all) }
+    };
+    model.terms().into_iter().map(named).collect()
 }
 
 #[test]
@@ -183,25 +198,74 @@ fn a_model_comes_back_from_its_names() {
     let full = named(&random_model("panda", BaseKind::Gbs, &mut rng));
     // A term may be short of columns; the rigid body may not.
     let mut short = full.clone();
-    short[2].1.retain(|(name, _, _)| name == "offset3");
+    short[2].parameters.retain(|(name, _, _)| name == "offset3");
     let names: Vec<String> =
         rebuild(BaseKind::Gbs, &short).unwrap().terms()[2].1.iter().map(|p| p.column.name.clone()).collect();
     assert_eq!(names, ["offset3"]);
     let mut broken = full.clone();
-    broken[0].1.retain(|(name, _, _)| name != "lx4");
+    broken[0].parameters.retain(|(name, _, _)| name != "lx4");
     assert_eq!(rebuild(BaseKind::Gbs, &broken).unwrap_err(), ModelError::MissingColumn { name: "lx4".into() });
     let mut broken = full.clone();
-    broken[3].1.push(("ia1".into(), 0.1, None));
+    broken[3].parameters.push(("ia1".into(), 0.1, None));
     let error = ModelError::UnknownColumn { term: "rotor-inertia".into(), name: "ia1".into() };
     assert_eq!(rebuild(BaseKind::Gbs, &broken).unwrap_err(), error);
     let mut broken = full.clone();
-    broken[1].1.push(("fv1".into(), 0.1, None));
+    broken[1].parameters.push(("fv1".into(), 0.1, None));
     assert_eq!(rebuild(BaseKind::Gbs, &broken).unwrap_err(), ModelError::DuplicateColumn { name: "fv1".into() });
     let mut broken = full.clone();
-    broken[1].1[0].1 = f64::NAN;
+    broken[1].parameters[0].1 = f64::NAN;
     assert!(matches!(rebuild(BaseKind::Gbs, &broken).unwrap_err(), ModelError::NotFinite { .. }));
     let mut broken = full.clone();
-    broken[1].0 = "ghosts".into();
+    broken[1].id = "ghosts".into();
     assert_eq!(rebuild(BaseKind::Gbs, &broken).unwrap_err(), ModelError::UnknownTerm { id: "ghosts".into() });
     assert!(rebuild(BaseKind::Vbs, &full).is_err());
+}
+
+/// A model of [`random_model`] with effects on top of it.
+fn with_effects(model: &TorqueModel, specs: &[Spec]) -> TorqueModel {
+    let ground = model.structure().ground(&model.beta());
+    let terms = effect::assemble(specs, &ground).unwrap();
+    let structure = model.structure().clone().with(terms).unwrap();
+    let mut values: Vec<(f64, Option<f64>)> = model.parameters().iter().map(|p| (p.value, p.std)).collect();
+    values.resize(structure.columns().len(), (0.7, Some(0.1)));
+    TorqueModel::new("panda", structure, vec![Mounting::WALL], &values).unwrap()
+}
+
+#[test]
+fn a_model_with_effects_comes_back_from_its_names_and_serves_what_its_regressor_says() {
+    let mut rng = ChaCha8Rng::seed_from_u64(16);
+    let specs = |delta| {
+        [(3, delta), (5, 0.004)].map(|(joint, delta)| Spec {
+            family: "presliding",
+            form: "",
+            site: Site::Joint(joint),
+            settings: vec![delta],
+        })
+    };
+    let plain = random_model("panda", BaseKind::Gbs, &mut rng);
+    let model = with_effects(&plain, &specs(0.002));
+    let full = named(&model);
+    let rebuild = |named: &[NamedTerm]| {
+        TorqueModel::from_named("panda", chain("panda"), BaseKind::Gbs, vec![Mounting::WALL], named)
+    };
+    let again = rebuild(&full).unwrap();
+    assert_eq!(model.parameters(), again.parameters());
+    let motion = random_motion(&mut rng, 7, 50);
+    assert_eq!(model.predict(&motion), again.predict(&motion));
+    let regressor = model.structure().regressor(&motion) * DVector::from_vec(model.beta());
+    let served = model.predict(&motion);
+    assert!((DVector::from_column_slice(served.as_slice()) - regressor).amax() < 1e-9);
+    assert!((&served - plain.predict(&motion)).column(3).amax() > 0.1, "the effect is there");
+
+    let wrong = |change: &dyn Fn(&mut NamedTerm)| {
+        let mut broken = full.clone();
+        change(broken.last_mut().unwrap());
+        rebuild(&broken).unwrap_err().to_string()
+    };
+    assert!(wrong(&|term| term.effect.settings.clear()).contains("`delta`"));
+    assert!(wrong(&|term| term.effect.settings[0].1 = 7.0).contains("delta of effect presliding is 7"));
+    assert!(wrong(&|term| term.effect.joint = Some(8)).contains("joint 8"));
+    assert!(wrong(&|term| term.effect.joint = None).contains("the arm"));
+    assert!(wrong(&|term| term.effect.form = "odd".into()).contains("`odd`"));
+    assert!(wrong(&|term| term.effect.joint = Some(4)).contains("fp6"));
 }

@@ -62,7 +62,7 @@ impl Differentiator {
         let count = samples - 2 * edge;
         let zeros = || DMatrix::zeros(count, n);
         let (dt, gravity, periodic) = (self.dt, self.gravity, self.periodic);
-        let mut motion = Motion { dt, q: zeros(), dq: zeros(), ddq: zeros(), gravity, periodic };
+        let mut motion = Motion { dt, q: zeros(), dq: zeros(), ddq: zeros(), gravity, periodic, start: 0.0 };
         let mut spectral = Spectral::new(samples, dt);
         for j in 0..n {
             let [q, dq, ddq] = self.joint(&mut spectral, q.column(j).as_slice());

@@ -63,7 +63,8 @@ pub fn sampled(fourier: &Fourier, gravity: &Vector3<f64>, samples: usize) -> Mot
     let n = fourier.joints();
     let dt = fourier.period / samples as f64;
     let zeros = || DMatrix::zeros(samples, n);
-    let mut motion = Motion { dt, q: zeros(), dq: zeros(), ddq: zeros(), gravity: *gravity, periodic: true };
+    let mut motion =
+        Motion { dt, q: zeros(), dq: zeros(), ddq: zeros(), gravity: *gravity, periodic: true, start: 0.0 };
     for j in 0..n {
         for k in 0..samples {
             let point = fourier.at(j, k as f64 * dt);
@@ -86,7 +87,7 @@ pub fn stacked(motions: &[Motion]) -> Motion {
         all
     };
     let (q, dq, ddq) = (join(|m| &m.q), join(|m| &m.dq), join(|m| &m.ddq));
-    Motion { dt: motions[0].dt, q, dq, ddq, gravity: motions[0].gravity, periodic: motions.len() == 1 }
+    Motion { dt: motions[0].dt, q, dq, ddq, gravity: motions[0].gravity, periodic: motions.len() == 1, start: 0.0 }
 }
 
 /// All condition numbers of a motion's stacked base regressor; `sigma` is each joint's torque noise, n \[Nm\].

@@ -31,7 +31,8 @@ impl Nominal {
         let structure = model.structure();
         let mut nominal =
             Nominal { links: vec![LinkParameters::default(); structure.chain().len()], ..Nominal::default() };
-        for (id, parameters) in model.terms() {
+        for (term, parameters) in model.terms() {
+            let id = term.id();
             if id == rigid_body::ID {
                 for (&slot, parameter) in structure.reduction().independent().iter().zip(parameters) {
                     nominal.links[slot / LINK_COLUMNS][slot % LINK_COLUMNS] = parameter.value;

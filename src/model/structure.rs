@@ -4,6 +4,8 @@ use super::base::{BaseKind, Reduction};
 use super::chain::Chain;
 use super::expression::six_digits;
 use super::gravity::Mounting;
+use super::term::effect::{EffectError, Ground};
+use super::term::load::Load;
 use super::term::{self, Column, Motion, Term, rigid_body, subset::Subset};
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
@@ -40,6 +42,17 @@ pub enum ModelError {
         /// Its name.
         name: String,
     },
+    /// What a model file says of an effect does not fit it.
+    #[error("term `{term}` has {what}")]
+    Effect {
+        /// The term.
+        term: String,
+        /// What is wrong.
+        what: String,
+    },
+    /// An effect that can't be built.
+    #[error(transparent)]
+    Build(#[from] EffectError),
     /// Not as many values as columns.
     #[error("{found} values for {expected} columns")]
     Count {
@@ -183,6 +196,28 @@ impl Structure {
         self
     }
 
+    /// With more terms behind the others, none of whose columns is taken out: whoever adds an effect has asked whether the data can tell
+    /// it from the rest.
+    ///
+    /// # Errors
+    /// Two columns of one name.
+    pub fn with(mut self, terms: Vec<Arc<dyn Term>>) -> Result<Structure, ModelError> {
+        for column in terms.iter().flat_map(|term| term.columns()) {
+            if self.columns.iter().any(|before| before.name == column.name) {
+                return Err(ModelError::DuplicateColumn { name: column.name });
+            }
+            self.columns.push(column);
+        }
+        self.terms.extend(terms);
+        Ok(self)
+    }
+
+    /// What effects are built upon, with these parameters; those of the rigid body are the first of them.
+    pub fn ground(&self, beta: &[f64]) -> Ground {
+        let load = Load::new(&self.chain, &self.reduction, &beta[..self.reduction.len()]);
+        Ground { chain: self.chain.clone(), load: Arc::new(load) }
+    }
+
     /// Without the columns, rigid body apart, for which `keep` does not hold: their parameters are zero.
     pub fn restricted(mut self, keep: impl Fn(&Column) -> bool) -> Structure {
         let rigid: Vec<String> =
@@ -292,5 +327,5 @@ fn probing_motion(rng: &mut ChaCha8Rng, n: usize, mounting: &Mounting) -> Motion
             }
         }
     }
-    Motion { dt, q, dq, ddq, gravity: mounting.gravity(), periodic: false }
+    Motion { dt, q, dq, ddq, gravity: mounting.gravity(), periodic: false, start: 0.0 }
 }

@@ -5,7 +5,8 @@ use super::chain::Chain;
 use super::fast::closed::ClosedForm;
 use super::gravity::{Mounting, VERTICAL_TOLERANCE};
 use super::structure::{ModelError, Structure};
-use super::term::{Column, FixedTerm, Motion, Sample, Term, rigid_body};
+use super::term::effect::{self, Setting, Site, Spec};
+use super::term::{self, Column, FixedTerm, Motion, Sample, Term, rigid_body};
 use crate::joint::Torque;
 use nalgebra::{DMatrix, Vector3};
 use std::ops::Range;
@@ -25,8 +26,29 @@ pub struct Parameter {
 /// A parameter as a model file holds it: name of the column, value, standard deviation where known.
 pub type NamedValue = (String, f64, Option<f64>);
 
-/// A term as a model file holds it: its identity and its parameters in any order.
-pub type NamedTerm = (String, Vec<NamedValue>);
+/// A term as a model file holds it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NamedTerm {
+    /// Its identity.
+    pub id: String,
+    /// What tells an effect from others of its kind; nothing of it for a term of the whole arm.
+    pub effect: NamedEffect,
+    /// Its parameters, in any order.
+    pub parameters: Vec<NamedValue>,
+}
+
+/// [`Spec`] as a model file holds it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NamedEffect {
+    /// Form, where its family has several.
+    pub form: String,
+    /// Joint that it acts on, counted from 1.
+    pub joint: Option<usize>,
+    /// Joint that it comes from, counted from 1.
+    pub cause: Option<usize>,
+    /// Nonlinear parameters by name, in any order.
+    pub settings: Vec<(String, f64)>,
+}
 
 /// A VBS model was asked for torques in a mounting that it does not know.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -84,7 +106,8 @@ impl TorqueModel {
 
     /// A model from names, as a model file holds it: per term its identity and its parameters.
     ///
-    /// The rigid body has to be complete; any other term may lack columns (they are zero) but can't have foreign ones.
+    /// The rigid body has to be complete; any other term may lack columns (they are zero) but can't have foreign ones. Effects stand
+    /// upon the rigid body of this very model.
     pub fn from_named(
         robot: impl Into<String>,
         chain: Chain,
@@ -96,30 +119,34 @@ impl TorqueModel {
         if reduction.kind() != kind {
             return Err(ModelError::Kind { expected: kind, found: reduction.kind() });
         }
-        let ids: Vec<&str> = terms.iter().map(|(id, _)| id.as_str()).collect();
+        let known = |named: &&NamedTerm| term::KNOWN.contains(&named.id.as_str());
+        let (arm, effects): (Vec<&NamedTerm>, Vec<&NamedTerm>) = terms.iter().partition(known);
+        let ids: Vec<&str> = arm.iter().map(|named| named.id.as_str()).collect();
         let full = Structure::of(chain, reduction, &ids)?;
+        let rigid = arm.iter().find(|named| named.id == rigid_body::ID);
+        let mut beta = Vec::new();
         for column in &full.columns()[..full.reduction().len()] {
-            let named = |(id, named): &NamedTerm| id == rigid_body::ID && has(named, &column.name);
-            if !terms.iter().any(named) {
-                return Err(ModelError::MissingColumn { name: column.name.clone() });
-            }
+            let value = rigid.and_then(|named| named.parameters.iter().find(|own| own.0 == column.name));
+            beta.push(value.ok_or_else(|| ModelError::MissingColumn { name: column.name.clone() })?.1);
         }
-        for (id, named) in terms {
-            let term = full.terms().iter().find(|term| term.id() == id);
-            let columns = term.map_or(Vec::new(), |term| term.columns());
-            for (index, (name, _, _)) in named.iter().enumerate() {
-                if !columns.iter().any(|column| column.name == *name) {
-                    return Err(ModelError::UnknownColumn { term: id.clone(), name: name.clone() });
-                }
-                if has(&named[..index], name) {
-                    return Err(ModelError::DuplicateColumn { name: name.clone() });
-                }
-            }
+        for named in &arm {
+            let term = full.terms().iter().find(|term| term.id() == named.id);
+            check_names(named, &term.map_or(Vec::new(), |term| term.columns()))?;
         }
-        let all: Vec<&NamedValue> = terms.iter().flat_map(|(_, named)| named).collect();
-        let structure = full.restricted(|column| all.iter().any(|(name, _, _)| *name == column.name));
+        let all: Vec<&NamedValue> = terms.iter().flat_map(|named| &named.parameters).collect();
+        let mut structure = full.restricted(|column| all.iter().any(|(name, _, _)| *name == column.name));
+        let ground = structure.ground(&beta);
+        let mut built = Vec::new();
+        for named in effects {
+            let term = named.spec()?.build(&ground)?;
+            check_names(named, &term.columns())?;
+            built.push(term);
+        }
+        structure = structure.with(built)?;
         let value = |column: &Column| all.iter().find(|named| named.0 == column.name).map(|named| (named.1, named.2));
-        let values: Vec<_> = structure.columns().iter().filter_map(value).collect();
+        let missing = |column: &Column| ModelError::MissingColumn { name: column.name.clone() };
+        let values = structure.columns().iter().map(|column| value(column).ok_or_else(|| missing(column)));
+        let values = values.collect::<Result<Vec<_>, _>>()?;
         TorqueModel::new(robot, structure, mountings, &values)
     }
 
@@ -148,10 +175,15 @@ impl TorqueModel {
         &self.parameters
     }
 
-    /// Identity of each term with its parameters, the rigid body first.
-    pub fn terms(&self) -> Vec<(&'static str, &[Parameter])> {
+    /// Each term with its parameters, the rigid body first.
+    pub fn terms(&self) -> Vec<(&dyn Term, &[Parameter])> {
         let ranges = self.structure.ranges();
-        self.structure.terms().iter().zip(ranges).map(|(term, range)| (term.id(), &self.parameters[range])).collect()
+        self.structure
+            .terms()
+            .iter()
+            .map(|term| &**term)
+            .zip(ranges.into_iter().map(|range| &self.parameters[range]))
+            .collect()
     }
 
     /// `beta`.
@@ -193,12 +225,14 @@ impl TorqueModel {
         let n = motion.joints();
         let mut evaluator = self.evaluator(&motion.gravity);
         let mut tau = DMatrix::zeros(motion.samples(), n);
-        let mut sample = Sample::default();
-        for k in 0..motion.samples() {
-            for j in 0..n {
-                (sample.q[j], sample.dq[j], sample.ddq[j]) = (motion.q[(k, j)], motion.dq[(k, j)], motion.ddq[(k, j)]);
+        if motion.periodic && evaluator.may_remember() {
+            // What the period before has left behind.
+            for k in 0..motion.samples() {
+                evaluator.torque(&motion.sample(k));
             }
-            let Torque(now) = evaluator.torque(&sample);
+        }
+        for k in 0..motion.samples() {
+            let Torque(now) = evaluator.torque(&motion.sample(k));
             for j in 0..n {
                 tau[(k, j)] = now[j];
             }
@@ -215,6 +249,11 @@ pub struct Evaluator {
 }
 
 impl Evaluator {
+    /// Whether the torque may depend on the samples before: only terms without a closed form can.
+    fn may_remember(&self) -> bool {
+        !self.terms.is_empty()
+    }
+
     /// Torque that the arm needs at `sample`: Newton-Euler with the regrouped parameters in their slots, plus the other terms \[Nm\].
     pub fn torque(&mut self, sample: &Sample) -> Torque {
         let mut tau = self.closed.torque(sample);
@@ -225,6 +264,40 @@ impl Evaluator {
     }
 }
 
-fn has(named: &[NamedValue], name: &str) -> bool {
-    named.iter().any(|(own, _, _)| own == name)
+impl NamedTerm {
+    /// What it says of an effect.
+    fn spec(&self) -> Result<Spec, ModelError> {
+        let unknown = || ModelError::UnknownTerm { id: self.id.clone() };
+        let family = effect::family(&self.id).ok_or_else(unknown)?;
+        let NamedEffect { form: name, joint, cause, settings } = &self.effect;
+        let foreign = |what: String| ModelError::Effect { term: self.id.clone(), what };
+        let form = family.form(name).ok_or_else(|| foreign(format!("no form `{name}`")))?;
+        let from_0 = |joint: usize| joint.checked_sub(1).ok_or_else(|| foreign("no joint 0".into()));
+        let site = match (*joint, *cause) {
+            (None, None) => Site::Arm,
+            (Some(joint), None) => Site::Joint(from_0(joint)?),
+            (Some(row), Some(cause)) => Site::Pair { row: from_0(row)?, cause: from_0(cause)? },
+            (None, Some(_)) => return Err(foreign("no cause without a joint".into())),
+        };
+        if let Some((name, _)) = settings.iter().find(|(name, _)| form.settings.iter().all(|one| one.name != name)) {
+            return Err(foreign(format!("no setting `{name}`")));
+        }
+        let value = |one: &Setting| settings.iter().find(|(name, _)| name == one.name).map(|(_, value)| *value);
+        let given = |one| value(one).ok_or_else(|| foreign(format!("a setting `{}`, which is missing", one.name)));
+        let settings = form.settings.iter().map(given).collect::<Result<_, _>>()?;
+        Ok(Spec { family: family.id, form: form.name, site, settings })
+    }
+}
+
+/// Every parameter is a column of the term, and none is there twice.
+fn check_names(named: &NamedTerm, columns: &[Column]) -> Result<(), ModelError> {
+    for (index, (name, _, _)) in named.parameters.iter().enumerate() {
+        if !columns.iter().any(|column| column.name == *name) {
+            return Err(ModelError::UnknownColumn { term: named.id.clone(), name: name.clone() });
+        }
+        if named.parameters[..index].iter().any(|(before, _, _)| before == name) {
+            return Err(ModelError::DuplicateColumn { name: name.clone() });
+        }
+    }
+    Ok(())
 }

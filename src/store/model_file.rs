@@ -7,9 +7,10 @@ use crate::input::{BadInput, from_toml};
 use crate::model::base::BaseKind;
 use crate::model::chain::Chain;
 use crate::model::gravity::Mounting;
-use crate::model::torque::TorqueModel;
+use crate::model::torque::{NamedEffect, NamedTerm, TorqueModel};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// A model with its proof and its origin.
@@ -94,6 +95,12 @@ enum Kind {
 #[serde(deny_unknown_fields)]
 struct RawTerm {
     id: String,
+    #[serde(default)]
+    form: String,
+    joint: Option<usize>,
+    cause: Option<usize>,
+    #[serde(default)]
+    settings: BTreeMap<String, f64>,
     parameters: Vec<RawParameter>,
 }
 
@@ -109,6 +116,21 @@ struct RawParameter {
     _symbol: Option<String>,
     #[serde(rename = "expression")]
     _expression: Option<String>,
+}
+
+impl RawTerm {
+    fn named(&self) -> NamedTerm {
+        NamedTerm {
+            id: self.id.clone(),
+            effect: NamedEffect {
+                form: self.form.clone(),
+                joint: self.joint,
+                cause: self.cause,
+                settings: self.settings.iter().map(|(name, value)| (name.clone(), *value)).collect(),
+            },
+            parameters: self.parameters.iter().map(|own| (own.name.clone(), own.value, own.std)).collect(),
+        }
+    }
 }
 
 /// The format that this program writes and reads.
@@ -152,10 +174,7 @@ impl ModelFile {
             Kind::Vbs => BaseKind::Vbs,
         };
         let mountings = raw.mountings.iter().map(|angles| Mounting { rho: angles.rho, phi: angles.phi }).collect();
-        let named = |term: &RawTerm| {
-            (term.id.clone(), term.parameters.iter().map(|own| (own.name.clone(), own.value, own.std)).collect())
-        };
-        let terms: Vec<(String, Vec<_>)> = raw.terms.iter().map(named).collect();
+        let terms: Vec<NamedTerm> = raw.terms.iter().map(RawTerm::named).collect();
         let model = TorqueModel::from_named(&raw.robot, chain, kind, mountings, &terms).map_err(|error| {
             let expected = format!("the parameters of the {kind} of robot `{}`", raw.robot);
             BadInput::new(file, "[[term]]", error, expected)

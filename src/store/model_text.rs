@@ -1,6 +1,7 @@
 //! The text of `model.toml`: one line per parameter, for people who read and compare such files.
 
 use super::model_file::{FORMAT, ModelFile, Validated};
+use crate::model::term::effect::Spec;
 use std::fmt::Write;
 
 /// Everything in the order in which a reader asks for it; numbers are the shortest text that reads back as the same `f64`.
@@ -23,8 +24,12 @@ pub(super) fn write(file: &ModelFile) -> String {
         line(format_args!("\n[[mounting]] # {mounting}"));
         line(format_args!("rho = {:?}\nphi = {:?}", mounting.rho, mounting.phi));
     }
-    for (id, parameters) in model.terms() {
-        line(format_args!("\n[[term]]\nid = {}\nparameters = [", quoted(id)));
+    for (term, parameters) in model.terms() {
+        line(format_args!("\n[[term]]\nid = {}", quoted(term.id())));
+        if let Some(spec) = term.spec() {
+            effect(&mut line, &spec);
+        }
+        line(format_args!("parameters = ["));
         for parameter in parameters {
             let column = &parameter.column;
             let std = parameter.std.map_or(String::new(), |std| format!(", std = {std:?}"));
@@ -57,6 +62,23 @@ pub(super) fn write(file: &ModelFile) -> String {
         }
     }
     text
+}
+
+/// What tells an effect from others of its kind.
+fn effect(line: &mut dyn FnMut(std::fmt::Arguments), spec: &Spec) {
+    if !spec.form.is_empty() {
+        line(format_args!("form = {}", quoted(spec.form)));
+    }
+    for (key, joint) in ["joint", "cause"].into_iter().zip(spec.site.joints()) {
+        line(format_args!("{key} = {}", joint + 1));
+    }
+    let form = spec.family().ok().and_then(|family| family.form(spec.form));
+    let names = form.map_or(&[][..], |form| form.settings);
+    let settings = names.iter().zip(&spec.settings).map(|(one, value)| format!("{} = {value:?}", one.name));
+    let settings: Vec<String> = settings.collect();
+    if !settings.is_empty() {
+        line(format_args!("settings = {{ {} }}", settings.join(", ")));
+    }
 }
 
 /// A TOML basic string.

@@ -65,8 +65,15 @@ impl Scene {
         let mut arm = still(&chain, &truth, mounting, &plan.q0, 0);
         let reference = PeriodicMotion::new(&fourier, LEAD_IN as u32 + 1).unwrap();
         let zeros = || DMatrix::zeros(period, n);
-        let mut motion =
-            Motion { dt: DT, q: zeros(), dq: zeros(), ddq: zeros(), gravity: mounting.gravity(), periodic: true };
+        let mut motion = Motion {
+            dt: DT,
+            q: zeros(),
+            dq: zeros(),
+            ddq: zeros(),
+            gravity: mounting.gravity(),
+            periodic: true,
+            start: 0.0,
+        };
         let mut tau = zeros();
         let first = LEAD_IN as usize * period;
         drive(&mut arm, &reference, first + period, |tick, _, arm| {
@@ -161,6 +168,7 @@ impl Scene {
             ddq: DMatrix::from_fn(rows, n, |k, j| at(k, j).ddq),
             gravity: self.mounting.gravity(),
             periodic: true,
+            start: 0.0,
         }
     }
 

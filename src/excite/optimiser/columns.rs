@@ -119,7 +119,8 @@ mod tests {
         let samples = 20;
         let wave = |shift: f64| DMatrix::from_fn(samples, 3, |k, j| ((0.7 + j as f64) * k as f64 + shift).sin());
         let gravity = Vector3::new(2.0, 3.0, 5.0);
-        let motion = Motion { dt: 0.1, q: wave(0.1), dq: wave(0.5), ddq: wave(1.1), gravity, periodic: false };
+        let motion =
+            Motion { dt: 0.1, q: wave(0.1), dq: wave(0.5), ddq: wave(1.1), gravity, periodic: false, start: 0.0 };
         let w = structure.regressor(&motion);
         for (j, row) in columns.rows.iter().enumerate() {
             for c in 0..columns.count {

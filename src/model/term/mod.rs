@@ -3,11 +3,16 @@
 //! A term contributes named columns to the regressor and says in one sentence what it is physically. An effect that diagnosis
 //! finds is added by pushing one more term; a new kind of effect is one new file here.
 
+pub mod effect;
 pub mod friction;
+pub mod load;
+pub mod presliding;
 pub mod rigid_body;
 pub mod rotor_inertia;
 pub mod subset;
 pub mod torque_offset;
+
+use subset::Subset;
 
 use super::base::Reduction;
 use super::chain::{Chain, JointKind};
@@ -60,6 +65,8 @@ pub struct Motion {
     pub gravity: Vector3<f64>,
     /// Whether the motion repeats, so that the sample before the first is the last one.
     pub periodic: bool,
+    /// Time of the first sample since the start of the recording \[s\].
+    pub start: f64,
 }
 
 impl Motion {
@@ -71,6 +78,15 @@ impl Motion {
     /// Number of joints, n.
     pub fn joints(&self) -> usize {
         self.q.ncols()
+    }
+
+    /// One of its samples. An arm has at most [`MAX_JOINTS`](crate::joint::MAX_JOINTS) joints.
+    pub fn sample(&self, k: usize) -> Sample {
+        let mut sample = Sample::default();
+        for j in 0..self.joints() {
+            (sample.q[j], sample.dq[j], sample.ddq[j]) = (self.q[(k, j)], self.dq[(k, j)], self.ddq[(k, j)]);
+        }
+        sample
     }
 }
 
@@ -103,6 +119,11 @@ pub trait Term: Send + Sync {
 
     /// What its columns are at one sample, in their order; `None` when they depend on more than that sample.
     fn entries(&self) -> Option<Vec<Entry>> {
+        None
+    }
+
+    /// What tells it from other effects of its family, for a model file; `None` for a term of the whole arm.
+    fn spec(&self) -> Option<effect::Spec> {
         None
     }
 

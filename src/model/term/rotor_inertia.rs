@@ -1,13 +1,38 @@
 //! Inertia of the motors' rotors, seen through the gears.
 
+use super::effect::{Confounded, Family, Form, Place, Stratum, of_joint};
 use super::{Column, Entry, FixedTerm, Motion, Sample, Term, padded, per_joint};
 use crate::joint::JointVec;
 use crate::model::chain::{Chain, JointKind};
 use crate::model::fast::closed::ClosedForm;
 use nalgebra::{DMatrix, Vector3};
+use std::sync::Arc;
 
 /// Identity of [`RotorInertia`].
 pub const ID: &str = "rotor-inertia";
+
+const PHYSICS: &str =
+    "The motor has to accelerate its own rotor, whose inertia the gear multiplies by the square of its ratio.";
+
+/// The rotor of one joint.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: PHYSICS,
+    place: Place::Joint,
+    forms: &[Form {
+        name: "",
+        equation: "tau_j = ia_j ddq_j",
+        settings: &[],
+        build: |ground, site, _| of_joint(Arc::new(RotorInertia::new(&ground.chain)), site),
+    }],
+    stratum: Stratum::Repeatable,
+    typical: "0.05 to 1 kg m2 at the joint",
+    confounded: &[Confounded {
+        with: "Lzz of the same link",
+        decided_by: "none is needed on the first joints: the two are one parameter there; further out, accelerate that joint harder",
+    }],
+    reference: "Khalil, Dombre, Modeling, Identification and Control of Robots (2002), section 9.4",
+};
 
 /// `tau_j = ia_j ddq_j`, the rotor's inertia times the gear ratio squared, in the joint's own row. Columns `ia1 .. ian`.
 ///
@@ -35,7 +60,7 @@ impl Term for RotorInertia {
     }
 
     fn physics(&self) -> &'static str {
-        "The motor has to accelerate its own rotor, whose inertia the gear multiplies by the square of its ratio."
+        PHYSICS
     }
 
     fn columns(&self) -> Vec<Column> {

@@ -1,13 +1,38 @@
 //! A constant torque in every joint's measurement.
 
+use super::effect::{Confounded, Family, Form, Place, Stratum, of_joint};
 use super::{Column, Entry, FixedTerm, Motion, Sample, Term, padded, per_joint};
 use crate::joint::JointVec;
 use crate::model::chain::{Chain, JointKind};
 use crate::model::fast::closed::ClosedForm;
 use nalgebra::{DMatrix, Vector3};
+use std::sync::Arc;
 
 /// Identity of [`TorqueOffset`].
 pub const ID: &str = "torque-offset";
+
+const PHYSICS: &str = "The torque sensor (or current sensor) reads a constant when the torque is zero.";
+
+/// An offset in one joint.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: PHYSICS,
+    place: Place::Joint,
+    forms: &[Form {
+        name: "",
+        equation: "tau_j = offset_j",
+        settings: &[],
+        build: |ground, site, _| of_joint(Arc::new(TorqueOffset::new(&ground.chain)), site),
+    }],
+    stratum: Stratum::Repeatable,
+    typical: "0.05 to 0.5 Nm",
+    confounded: &[
+        Confounded { with: "asymmetric-coulomb", decided_by: "hold the joint still for some seconds in several poses" },
+        Confounded { with: "spring", decided_by: "move the joint through more than 60 % of its range" },
+        Confounded { with: "position-ripple", decided_by: "move the joint through a full turn, or as far as it goes" },
+    ],
+    reference: "Gautier, Janot, Vandanjon, IEEE Trans. Control Systems Technology 21 (2013); Gaz et al., IEEE RA-L 4 (2019)",
+};
 
 /// `tau_j = offset_j`. Columns `offset1 .. offsetn`.
 pub struct TorqueOffset {
@@ -31,7 +56,7 @@ impl Term for TorqueOffset {
     }
 
     fn physics(&self) -> &'static str {
-        "The torque sensor (or current sensor) reads a constant when the torque is zero."
+        PHYSICS
     }
 
     fn columns(&self) -> Vec<Column> {
