@@ -3,7 +3,12 @@
 //! A kind of effect is one file beside this one that gives a [`Family`] and a [`Term`]; [`FAMILIES`] lists them all.
 
 use super::load::Load;
-use super::{Subset, Term, presliding, rotor_inertia, torque_offset};
+use super::{Subset, Term};
+use super::{
+    asymmetric_coulomb, asymmetric_viscous, friction_drift, load_dependent_friction, nonlinear_viscous, offset_drift,
+};
+use super::{position_dependent_friction, position_ripple, presliding, rotor_inertia, spring, stribeck};
+use super::{torque_crosstalk, torque_gain, torque_offset, transmission_coupling};
 use crate::model::chain::Chain;
 use std::fmt;
 use std::sync::Arc;
@@ -169,6 +174,9 @@ pub struct Family {
     pub forms: &'static [Form],
     /// Where it shows.
     pub stratum: Stratum,
+    /// Whether the loop serves it. What depends on when something happened does not come again: it explains a recording, and its
+    /// [`FixedTerm`](super::FixedTerm) adds nothing.
+    pub served: bool,
     /// Sizes met on real arms.
     pub typical: &'static str,
     /// What looks alike, and what decides.
@@ -252,7 +260,24 @@ pub enum EffectError {
 }
 
 /// Every kind of effect, in the order of the catalogue.
-pub static FAMILIES: &[&Family] = &[&torque_offset::FAMILY, &presliding::FAMILY, &rotor_inertia::FAMILY];
+pub static FAMILIES: &[&Family] = &[
+    &torque_offset::FAMILY,
+    &torque_gain::FAMILY,
+    &asymmetric_coulomb::FAMILY,
+    &asymmetric_viscous::FAMILY,
+    &stribeck::FAMILY,
+    &nonlinear_viscous::FAMILY,
+    &load_dependent_friction::FAMILY,
+    &friction_drift::FAMILY,
+    &offset_drift::FAMILY,
+    &presliding::FAMILY,
+    &rotor_inertia::FAMILY,
+    &position_ripple::FAMILY,
+    &position_dependent_friction::FAMILY,
+    &spring::FAMILY,
+    &torque_crosstalk::FAMILY,
+    &transmission_coupling::FAMILY,
+];
 
 /// The family of that identity.
 pub fn family(id: &str) -> Option<&'static Family> {

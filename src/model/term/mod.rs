@@ -3,14 +3,28 @@
 //! A term contributes named columns to the regressor and says in one sentence what it is physically. An effect that diagnosis
 //! finds is added by pushing one more term; a new kind of effect is one new file here.
 
+pub mod asymmetric_coulomb;
+pub mod asymmetric_viscous;
 pub mod effect;
 pub mod friction;
+pub mod friction_drift;
 pub mod load;
+pub mod load_dependent_friction;
+pub mod nonlinear_viscous;
+pub mod offset_drift;
+mod one_row;
+pub mod position_dependent_friction;
+pub mod position_ripple;
 pub mod presliding;
 pub mod rigid_body;
 pub mod rotor_inertia;
+pub mod spring;
+pub mod stribeck;
 pub mod subset;
+pub mod torque_crosstalk;
+pub mod torque_gain;
 pub mod torque_offset;
+pub mod transmission_coupling;
 
 use subset::Subset;
 
