@@ -5,10 +5,11 @@
 use super::load::Load;
 use super::{Subset, Term};
 use super::{
-    asymmetric_coulomb, asymmetric_viscous, friction_drift, load_dependent_friction, nonlinear_viscous, offset_drift,
+    asymmetric_coulomb, asymmetric_viscous, backlash, base_motion, contact, delay, encoder_eccentricity,
+    encoder_offset, friction_drift, joint_elasticity, load_dependent_friction, mounting, nonlinear_viscous,
+    offset_drift, payload, position_dependent_friction, position_ripple, presliding, rotor_inertia, spring, stribeck,
+    torque_crosstalk, torque_gain, torque_offset, transmission_coupling,
 };
-use super::{position_dependent_friction, position_ripple, presliding, rotor_inertia, spring, stribeck};
-use super::{torque_crosstalk, torque_gain, torque_offset, transmission_coupling};
 use crate::model::chain::Chain;
 use std::fmt;
 use std::sync::Arc;
@@ -272,11 +273,20 @@ pub static FAMILIES: &[&Family] = &[
     &offset_drift::FAMILY,
     &presliding::FAMILY,
     &rotor_inertia::FAMILY,
+    &joint_elasticity::FAMILY,
     &position_ripple::FAMILY,
     &position_dependent_friction::FAMILY,
     &spring::FAMILY,
+    &payload::FAMILY,
+    &mounting::FAMILY,
+    &base_motion::FAMILY,
     &torque_crosstalk::FAMILY,
     &transmission_coupling::FAMILY,
+    &delay::FAMILY,
+    &contact::FAMILY,
+    &encoder_offset::FAMILY,
+    &encoder_eccentricity::FAMILY,
+    &backlash::FAMILY,
 ];
 
 /// The family of that identity.
