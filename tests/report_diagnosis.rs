@@ -290,7 +290,7 @@ fn what_stays_unexplained_is_said_with_what_it_depends_on() {
     let lines = said(diagnosis.clone());
     assert_eq!(
         lines[0],
-        "diagnosis: unexplained: joint 2 has 0.110 Nm beyond its noise that depends on q2 and dq4 (R2 0.82); to decide: sweep joint 2 \
+        "diagnosis: unexplained: joint 2 has 0.110 Nm beyond its noise (0.020) that depends on q2 and dq4 (R2 0.82); to decide: sweep joint 2 \
          slowly while joint 4 rests"
     );
     let open = Unexplained { joint: 5, note: "line at 7.3 Hz".into(), ..Unexplained::default() };
@@ -556,7 +556,10 @@ fn pages_of_much_little_and_odd_content() {
     let bare = Diagnosis { verdict: Verdict::Diagnosed, changes: vec![changes], ..Diagnosis::default() };
     let changed = page("payload", &report(bare), DiagnosisFigures::default());
     assert!(changed.contains("payload in joint 7</h2>") && changed.contains("since wall.toml"));
-    assert!(changed.contains("Error of the earlier model"));
+    assert!(
+        changed.contains("worst joint (2): 0.900 \u{2192} 0.151 Nm with the changes")
+            && changed.contains("the earlier model<i")
+    );
 }
 
 #[test]

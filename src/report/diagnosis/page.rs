@@ -29,10 +29,10 @@ pub(in crate::report) fn context(of: &Diagnosis, figures: &DiagnosisFigures) -> 
         verdict => of.verdict.to_string(),
         tone => tone(of.verdict),
         // Many effects need the width of the page.
-        wide => of.effects.len() > 2 || !of.changes.is_empty(),
+        wide => of.effects.len() > 2,
         headline => words::headline(of),
         sentences => words::sentences(of),
-        error => words::error(of).map(|line| line.replace("->", "\u{2192}")),
+        error => words::error(of).map(arrow),
         effects => effects(&of.effects, &of.confirmation),
         changes => of.changes.iter().map(|changes| self::changes(changes, &of.confirmation)).collect::<Vec<_>>(),
         grown,
@@ -68,6 +68,11 @@ fn tone(verdict: Verdict) -> &'static str {
         Verdict::Ambiguous | Verdict::Partly => "warn",
         Verdict::Unexplained => "bad",
     }
+}
+
+/// What stands between before and after, as print has it.
+fn arrow(line: String) -> String {
+    line.replace("->", "\u{2192}")
 }
 
 /// A number or a dash.
@@ -134,6 +139,7 @@ fn changes(of: &Changes, confirmation: &str) -> Value {
         session => &of.session,
         effects => effects(&of.effects, confirmation),
         note => &of.note,
+        helped => words::helped(of).map(arrow),
         plot => (!plot.is_empty()).then(|| safe(plot)),
     }
 }

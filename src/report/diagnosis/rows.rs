@@ -8,7 +8,7 @@ use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
 use plotters::prelude::*;
 
 /// Height of a row in the units of the picture.
-const ROW: u32 = 40;
+const ROW: u32 = 36;
 /// Letters that fit in front of a bar.
 const LETTERS: usize = 36;
 /// From this ratio between the largest and the smallest on, an axis is logarithmic.
@@ -50,7 +50,7 @@ pub(super) fn dumbbells(pairs: &[Pair], x_name: &str) -> String {
     let (Some(low), Some(high)) = (all.iter().copied().reduce(f64::min), all.iter().copied().reduce(f64::max)) else {
         return String::new();
     };
-    let picture = (820, 62 + ROW * pairs.len() as u32);
+    let picture = (620, 62 + ROW * pairs.len() as u32);
     if high / low > WIDE {
         // What is not positive has no place on this axis; it stands at the left end.
         svg(picture, |area| dumbbell_rows(&area, (low / 1.3..high * 1.3).log_scale(), low / 1.3, pairs, x_name))
@@ -74,7 +74,7 @@ where
     let mut mesh = chart.configure_mesh();
     mesh.light_line_style(TRANSPARENT).bold_line_style(GRID.stroke_width(1)).axis_style(GRID.stroke_width(1));
     mesh.axis_desc_style(TEXT).label_style(TEXT).x_label_formatter(&tick).x_desc(x_name).disable_y_mesh();
-    mesh.x_labels(8).y_labels(0).draw()?;
+    mesh.x_labels(6).y_labels(0).draw()?;
     let known = |value: Option<f64>| value.filter(|value| value.is_finite()).map(|value| value.max(least));
     for (k, pair) in pairs.iter().enumerate() {
         let y = (count - 1 - k) as f64 + 0.5;
@@ -138,7 +138,7 @@ pub(super) fn bars(bars: &[Bar], decimals: bool) -> String {
     let reach = most - low;
     let range = low - if low < 0.0 { 0.02 * reach } else { 0.0 }..most + 0.2 * reach;
     let count = bars.len();
-    svg((820, 16 + (ROW - 4) * count as u32), |area| {
+    svg((820, 16 + ROW * count as u32), |area| {
         let mut chart = ChartBuilder::on(&area)
             .margin(6)
             .margin_right(30)

@@ -188,7 +188,8 @@ pub(super) fn unexplained(of: &Unexplained) -> String {
         let r2 = of.r2.map_or(String::new(), |r2| format!(" (R2 {r2:.2})"));
         format!("that depends on {}{r2}", listed(of.depends_on.iter().cloned()))
     };
-    let mut text = format!("joint {} has {size} beyond its noise {dependence}", of.joint);
+    let floor = of.floor.map_or(String::new(), |floor| format!(" ({})", fixed(floor)));
+    let mut text = format!("joint {} has {size} beyond its noise{floor} {dependence}", of.joint);
     for (what, more) in [("", &of.note), ("to decide: ", &of.deciding_experiment)] {
         if !more.is_empty() {
             text += &format!("; {what}{}", more.trim_end_matches('.'));
@@ -203,7 +204,22 @@ fn changes(of: &Changes, confirmation: &str) -> String {
     let effects = if effects.is_empty() { "nothing changed".to_string() } else { effects.join("; ") };
     let session = if of.session.is_empty() { String::new() } else { format!("{}, ", of.session) };
     let note = if of.note.is_empty() { String::new() } else { format!("; {}", of.note.trim_end_matches('.')) };
-    format!("{session}since {}: {effects}{note}", of.since)
+    let helped = helped(of).map_or(String::new(), |text| format!("; {text}"));
+    format!("{session}since {}: {effects}{helped}{note}", of.since)
+}
+
+/// How much better the earlier model is with the changes, in its worst joint.
+pub(super) fn helped(of: &Changes) -> Option<String> {
+    let (before, after) = (of.before.as_ref()?, of.after.as_ref()?);
+    let known = before.validate_rms.iter().enumerate().filter(|(_, rms)| rms.is_finite());
+    let (worst, rms) = known.max_by(|a, b| a.1.total_cmp(b.1))?;
+    let now = after.validate_rms.get(worst).copied().unwrap_or(f64::NAN);
+    Some(format!(
+        "error of that model, worst joint ({}): {} -> {} Nm with the changes",
+        worst + 1,
+        fixed(*rms),
+        fixed(now)
+    ))
 }
 
 /// Errors on unseen runs: the worst joint first, then all of them.
