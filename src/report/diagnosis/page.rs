@@ -266,12 +266,22 @@ fn detectable(of: &Diagnosis) -> Vec<Value> {
     rows
 }
 
+/// Effects with the places where the same absorbs them.
 fn absorbed(of: &Diagnosis) -> Vec<Value> {
-    let row = |one: &super::NotIdentifiable| {
-        let name = words::placed(&one.effect, &one.joints);
-        context! { name, why => &one.why }
+    let mut groups: Vec<(&str, &str, Vec<String>)> = Vec::new();
+    for one in &of.not_identifiable {
+        let place = words::places(&one.joints);
+        match groups.iter_mut().find(|(effect, why, _)| (*effect, *why) == (&one.effect, &one.why)) {
+            Some((.., places)) => places.push(place),
+            None => groups.push((&one.effect, &one.why, vec![place])),
+        }
+    }
+    let row = |(effect, why, places): (&str, &str, Vec<String>)| {
+        let places: Vec<String> = places.into_iter().filter(|place| !place.is_empty()).collect();
+        let name = words::plain(effect);
+        context! { name, places => places.join(", "), why }
     };
-    of.not_identifiable.iter().map(row).collect()
+    groups.into_iter().map(row).collect()
 }
 
 /// What was found wrong with the data, one line each; what was looked for and not found stays out.

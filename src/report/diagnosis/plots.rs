@@ -54,6 +54,12 @@ fn finite(points: impl IntoIterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
     points.into_iter().filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
 }
 
+/// A long curve with fewer points.
+fn thinned(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
+    let (x, y): (Vec<f64>, Vec<f64>) = points.into_iter().unzip();
+    thin(&x, &y)
+}
+
 /// Mean period of a residual without and with the effects, before the band that noise leaves.
 pub(super) fn period(figure: &PeriodFigure) -> String {
     let t = time_span(&figure.t);
@@ -96,7 +102,7 @@ pub(super) fn effect(figure: &EffectFigure) -> String {
         .map(|(k, (x, mean))| (*x, *mean, figure.deviation.get(k).filter(|s| s.is_finite()).map_or(0.0, |s| 2.0 * s)))
         .filter(|(x, mean, _)| x.is_finite() && mean.is_finite())
         .collect();
-    let fitted = finite(figure.fitted.iter().copied());
+    let fitted = thinned(finite(figure.fitted.iter().copied()));
     if bins.is_empty() && fitted.is_empty() {
         return String::new();
     }
@@ -119,7 +125,10 @@ pub(super) fn effect(figure: &EffectFigure) -> String {
 /// Power density of a residual and of its noise above, the first over the second below: one where nothing but noise is left.
 pub(super) fn spectrum(figure: &SpectrumFigure) -> String {
     // A logarithm wants positive numbers.
-    let drawn = |y: &[f64]| finite(figure.f.iter().copied().zip(y.iter().copied()).filter(|(_, y)| *y > 0.0));
+    let drawn = |y: &[f64]| {
+        let points = figure.f.iter().copied().zip(y.iter().copied());
+        thinned(finite(points.filter(|(_, y)| *y > 0.0)))
+    };
     let over = |y: &[f64]| drawn(&y.iter().zip(&figure.noise).map(|(y, noise)| y / noise).collect::<Vec<_>>());
     let density = [(drawn(&figure.before), BEFORE), (drawn(&figure.after), AFTER), (drawn(&figure.noise), LIMIT)];
     let whitened = [(over(&figure.before), BEFORE), (over(&figure.after), AFTER)];

@@ -1,6 +1,7 @@
 //! A diagnosis in plain words.
 
 use super::{Changes, Diagnosis, Effect, EffectParameter, Errors, Unexplained, Verdict};
+use crate::report::Band;
 use crate::report::summary::{CHANGED, band_of, digits};
 
 /// The diagnosis in a few lines, the verdict first; the first line begins with `diagnosis:`.
@@ -10,7 +11,7 @@ pub(in crate::report) fn lines(of: &Diagnosis) -> Vec<String> {
         (Verdict::NothingSignificant, _) => format!("nothing significant: {}", seen(of)),
         (Verdict::Diagnosed, 1) => findings.remove(0),
         (verdict, 1) => format!("{verdict}: {}", findings.remove(0)),
-        (Verdict::Diagnosed, count) if count > 1 => format!("{} explain the residual", counted(of)),
+        (Verdict::Diagnosed, count) if count > 1 => format!("{} found", counted(of)),
         (verdict, 0) => verdict.to_string(),
         (verdict, _) => format!("{verdict}: {}", counted(of)),
     };
@@ -82,30 +83,29 @@ fn seen(of: &Diagnosis) -> String {
     let each = of
         .minimum_detectable
         .iter()
-        .flat_map(|(id, least)| least.torque_rms.iter().enumerate().map(move |(j, rms)| (id.as_str(), j, *rms)));
-    let hardest = each.filter(|(_, _, rms)| rms.is_finite()).max_by(|a, b| a.2.total_cmp(&b.2));
-    let Some((id, j, rms)) = hardest else {
+        .flat_map(|(id, least)| least.torque_rms.iter().enumerate().map(move |(j, rms)| (*rms, id.as_str(), j)));
+    let mut all: Vec<(f64, &str, usize)> = each.filter(|(rms, ..)| rms.is_finite()).collect();
+    all.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (Some((half, ..)), Some((most, id, j))) = (all.get(all.len() / 2), all.last()) else {
         return "how small an effect would have been seen is not known".into();
     };
-    let except = match of.not_identifiable.len() {
-        0 => String::new(),
-        _ => ", unless the base parameters absorb it".into(),
-    };
+    let except = if of.not_identifiable.is_empty() { "" } else { ", unless the base parameters absorb it" };
     format!(
-        "a known effect of {} Nm RMS or more would have been seen in any joint{except} (hardest to see: {} in joint {})",
-        digits(rms),
+        "any known effect of {} Nm RMS or more would have been seen{except}, half of them from {} Nm on (hardest to see: {} in joint {})",
+        digits(*most),
+        digits(*half),
         plain(id),
         j + 1
     )
 }
 
 /// An id as words.
-fn plain(id: &str) -> String {
+pub(super) fn plain(id: &str) -> String {
     id.replace('-', " ")
 }
 
 /// `joint 4`, `joints 4 and 5`; nothing for the arm as a whole.
-fn places(joints: &[usize]) -> String {
+pub(super) fn places(joints: &[usize]) -> String {
     match joints {
         [] => String::new(),
         [joint] => format!("joint {joint}"),
@@ -129,9 +129,13 @@ pub(super) fn placed(id: &str, joints: &[usize]) -> String {
 }
 
 impl Effect {
-    /// What it is called: `presliding in joint 4`, or its own label.
+    /// What it is called: `presliding in joint 4`, `mounting since session 2`, or its own label.
     pub fn name(&self) -> String {
-        if self.label.is_empty() { placed(&self.id, &self.joints) } else { self.label.clone() }
+        if !self.label.is_empty() {
+            return self.label.clone();
+        }
+        let since = self.since_session.map_or(String::new(), |session| format!(" since session {session}"));
+        placed(&self.id, &self.joints) + &since
     }
 }
 
@@ -225,6 +229,10 @@ pub(super) fn helped(of: &Changes) -> Option<String> {
 /// Errors on unseen runs: the worst joint first, then all of them.
 fn errors(of: &Diagnosis, lines: &mut Vec<String>) {
     lines.extend(error(of));
+    if of.band != Band::Raw && !of.noise_floor.is_empty() {
+        let floor = of.noise_floor.iter().copied().map(fixed).collect::<Vec<_>>().join("  ");
+        lines.push(format!("noise floor [Nm] {}: {floor}", band_of(&of.band)));
+    }
     if !grown(of) {
         lines.extend((!of.before.validate_rms.is_empty()).then(|| format!("RMS [Nm]: {}", row(&of.before))));
         return;
