@@ -1,5 +1,6 @@
 //! The diagnosis in the report: the promised keys, the words of every verdict, the page with much, little and odd content.
 
+use plumbline::model::gravity::Mounting;
 use plumbline::report::diagnosis::*;
 use plumbline::report::figures::{DiagnosisFigures, EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
 use plumbline::report::*;
@@ -107,12 +108,31 @@ fn diagnosed() -> Diagnosis {
 }
 
 fn report(diagnosis: Diagnosis) -> Report {
-    Report { robot: "panda".into(), noise_floor: FLOOR.to_vec(), diagnosis: Some(diagnosis), ..Report::default() }
+    let run = |index: usize| Validation {
+        run: format!("validate-{index}.csv"),
+        rms: diagnosis.after.validate_rms.clone(),
+        mounting: Mounting::WALL.into(),
+        ..Validation::default()
+    };
+    Report {
+        robot: "panda".into(),
+        mounting: Mounting::WALL.into(),
+        base: Base { kind: "GBS".into(), count: 59, parameters: Vec::new() },
+        identify: Fit { rms: FLOOR.to_vec(), ..Fit::default() },
+        validate: (1..=2).map(run).collect(),
+        noise_floor: FLOOR.to_vec(),
+        diagnosis: Some(diagnosis),
+        ..Report::default()
+    }
 }
 
 /// The lines of the summary that speak of the diagnosis.
 fn said(diagnosis: Diagnosis) -> Vec<String> {
-    report(diagnosis).summary().into_iter().skip(1).filter(|line| !line.starts_with("noise floor [Nm]: ")).collect()
+    let lines = report(diagnosis).summary();
+    // Right after the line that names the robot, before everything else.
+    assert!(lines[0].starts_with("panda, mounting wall: 59 parameters"), "{}", lines[0]);
+    let end = lines.iter().position(|line| line.starts_with("noise floor [Nm]: ")).unwrap();
+    lines[1..end].to_vec()
 }
 
 /// The joint that has 0.11 Nm of unknown origin.
