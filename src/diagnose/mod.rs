@@ -1,9 +1,11 @@
 //! Floor 3: what the model leaves over, traced to the effect that it lacks.
 //!
 //! [`evidence`] (torques and columns as coefficients with known noise) -> [`moments`] (their sums of products) -> [`fit`] (weighted fits, the
-//! likelihood that a candidate brings) -> [`library`] (the candidates) -> [`select`] (forward selection, backward elimination) with [`gates`].
+//! likelihood that a candidate brings) -> [`library`] (the candidates) -> [`select`] (forward selection, backward elimination) with [`gates`];
+//! what stays unexplained goes to [`fallback`].
 
 pub mod evidence;
+pub mod fallback;
 pub mod fit;
 pub mod gates;
 pub mod library;
