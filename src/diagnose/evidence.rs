@@ -12,6 +12,7 @@ use crate::model::chain::Chain;
 use crate::model::structure::Structure;
 use crate::model::term::{Motion, Term};
 use nalgebra::{DMatrix, DVector};
+use realfft::num_complex::Complex;
 use std::f64::consts::PI;
 use std::ops::Range;
 
@@ -268,6 +269,50 @@ impl Evidence {
         Rows { width, parts: parts.into_iter().enumerate().filter_map(whiten).collect() }
     }
 
+    /// The motion of each experiment at the rate of candidates.
+    pub fn motion(&self, experiment: usize) -> &Motion {
+        &self.motions[experiment].motion
+    }
+
+    /// Number of experiments.
+    pub fn experiments(&self) -> usize {
+        self.motions.len()
+    }
+
+    /// Samples at the rate of candidates that a fold spans, of those of its experiment.
+    pub fn thinned(&self, fold: usize) -> Range<usize> {
+        let Fold { experiment, samples, .. } = &self.folds[fold];
+        let step = self.motions[*experiment].step;
+        samples.start / step..samples.end / step
+    }
+
+    /// Coefficients of torques of one joint that are given at the samples of [`Evidence::motion`], N x width in each experiment; divided
+    /// by the noise.
+    pub fn project(&self, joint: usize, samples: &[DMatrix<f64>]) -> DMatrix<f64> {
+        let width = samples.first().map_or(0, DMatrix::ncols);
+        let mut part = DMatrix::zeros(self.per_joint(), width);
+        for (index, (Thinned { motion, step }, values)) in self.motions.iter().zip(samples).enumerate() {
+            assert_eq!(values.shape(), (motion.samples(), width), "samples of experiment {index}");
+            let mut spectral = None;
+            for (mut out, x) in part.column_iter_mut().zip(values.as_slice().chunks_exact(motion.samples())) {
+                for fold in self.folds.iter().filter(|fold| fold.experiment == index) {
+                    let mut own = out.rows_mut(fold.rows.start, fold.rows.len());
+                    fold.project(x, *step, motion.dt, &mut spectral, own.as_mut_slice());
+                }
+            }
+        }
+        self.whiten(joint, &mut part);
+        part
+    }
+
+    /// The signal that has these coefficients in one fold, and nothing outside the band, at the samples of [`Evidence::thinned`]: the
+    /// inverse of what torques go through. `rows` are those of the fold, not divided by the noise.
+    pub fn signal(&self, fold: usize, rows: &[f64]) -> Vec<f64> {
+        let fold = &self.folds[fold];
+        let Thinned { motion, step } = &self.motions[fold.experiment];
+        fold.signal(rows, *step, motion)
+    }
+
     /// Coefficients of samples at the full rate, n N x width in each experiment.
     fn of_samples(&self, samples: impl Fn(usize) -> DMatrix<f64>, width: usize) -> Vec<DMatrix<f64>> {
         let mut parts = vec![DMatrix::zeros(self.per_joint(), width); self.joints];
@@ -344,6 +389,32 @@ impl Fold {
                     let sum: f64 = wave.iter().zip(x).map(|(wave, x)| wave * x).sum();
                     *value = sum / thinning.gain(PI * row as f64 / n);
                 }
+            }
+        }
+    }
+}
+
+impl Fold {
+    /// Inverse of [`Fold::project`] within the band, at every `step`-th sample.
+    fn signal(&self, rows: &[f64], step: usize, motion: &Motion) -> Vec<f64> {
+        match &self.waves {
+            Waves::Periodic { bins } => {
+                let spectral = Spectral::new(motion.samples(), motion.dt);
+                let n = self.samples.len() as f64;
+                let late = 2.0 * PI * (step / 2) as f64 / n;
+                let mut spectrum = vec![Complex::new(0.0, 0.0); spectral.bins()];
+                // `Spectral::signal` divides by its own number of samples.
+                let scale = motion.samples() as f64 / n.sqrt();
+                spectrum[0] = Complex::new(scale * rows[0], 0.0);
+                for bin in 1..*bins {
+                    let value = Complex::new(rows[2 * bin - 1], rows[2 * bin]);
+                    spectrum[bin] = value * Complex::cis(late * bin as f64) * (scale / 2.0_f64.sqrt());
+                }
+                spectral.signal(spectrum)
+            }
+            Waves::Block { thinned, .. } => {
+                let rows = DVector::from_column_slice(rows);
+                (thinned * rows / step as f64).as_slice().to_vec()
             }
         }
     }

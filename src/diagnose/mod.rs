@@ -2,11 +2,12 @@
 //!
 //! [`evidence`] (torques and columns as coefficients with known noise) -> [`moments`] (their sums of products) -> [`fit`] (weighted fits, the
 //! likelihood that a candidate brings) -> [`library`] (the candidates) -> [`select`] (forward selection, backward elimination) with [`gates`]
-//! -> [`diagnosis`] (veto by unseen runs, adequacy, verdict) -> [`outcome`].
+//! -> [`diagnosis`] (veto by unseen runs, adequacy, verdict) -> [`outcome`]; what stays unexplained goes to [`fallback`].
 
 mod detectable;
 pub mod diagnosis;
 pub mod evidence;
+pub mod fallback;
 pub mod fit;
 pub mod gates;
 pub mod library;
