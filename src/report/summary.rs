@@ -1,9 +1,9 @@
 //! The few lines that say how a job went.
 
-use super::{Band, CounterExperiment, LoopFacts, Report, Validation};
+use super::{Band, CounterExperiment, LoopFacts, Report, Validation, diagnosis};
 
 /// Share by which an RMS has to differ before one calls it changed. The scatter of an RMS over ten thousand samples is below 1 %.
-const CHANGED: f64 = 0.05;
+pub(super) const CHANGED: f64 = 0.05;
 
 /// Runs of one mounting, in the order of the report.
 pub(super) struct Group<'r> {
@@ -52,7 +52,12 @@ pub(super) fn mean(values: &[f64]) -> f64 {
 
 /// What errors are taken of, to follow "RMS": empty for raw samples.
 pub(super) fn band(report: &Report) -> String {
-    match report.band {
+    band_of(&report.band)
+}
+
+/// The same of any band.
+pub(super) fn band_of(band: &Band) -> String {
+    match band {
         Band::Raw => String::new(),
         Band::Filtered { cutoff } => format!("after a {cutoff} Hz zero-phase low-pass"),
     }
@@ -67,6 +72,7 @@ pub(super) fn against_floor(report: &Report, raw: &[f64]) -> Option<String> {
 pub(super) fn lines(report: &Report) -> Vec<String> {
     let (base, mounting) = (&report.base, &report.mounting.name);
     let mut lines = vec![format!("{}, mounting {mounting}: {} parameters ({})", report.robot, base.count, base.kind)];
+    lines.extend(report.diagnosis.iter().flat_map(diagnosis::lines));
     if !report.conditions.is_empty() {
         let one = |c: &super::Condition| {
             format!("{} {} (rigid body alone {})", c.definition, digits(c.with_friction), digits(c.without_friction))
