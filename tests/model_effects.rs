@@ -209,7 +209,7 @@ fn no_effect_allocates_in_the_loop() {
 const IDS: &str = "torque-offset torque-gain asymmetric-coulomb asymmetric-viscous stribeck nonlinear-viscous \
     load-dependent-friction friction-drift offset-drift presliding rotor-inertia joint-elasticity position-ripple \
     position-dependent-friction spring payload mounting base-motion torque-crosstalk transmission-coupling delay contact \
-    encoder-offset encoder-eccentricity backlash";
+    encoder-offset encoder-eccentricity backlash friction-change";
 
 #[test]
 fn the_catalogue_is_whole_and_says_what_people_have_to_know() {
