@@ -133,8 +133,7 @@ impl SimArm {
         seed: u64,
         pace: Pace,
     ) -> Result<SimArm, SimError> {
-        let effects = truth.effects.iter().map(|effect| effect.build(truth)).collect();
-        SimArm::with_effects(chain, truth, mounting, start, seed, pace, effects)
+        SimArm::with_effects(chain, truth, mounting, start, seed, pace, truth.build_effects())
     }
 
     fn with_effects(

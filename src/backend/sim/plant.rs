@@ -23,6 +23,13 @@ struct Placed {
     states: Range<usize>,
 }
 
+impl Placed {
+    /// Where its states lie among those of all effects.
+    fn own(&self, joints: usize) -> Range<usize> {
+        self.states.start - 2 * joints..self.states.end - 2 * joints
+    }
+}
+
 /// Everything about the arm at an instant that only a simulation knows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Exact {
@@ -70,14 +77,10 @@ impl Plant {
     ) -> Plant {
         let n = chain.len();
         let nominal = Mechanism::new(chain, &truth.inertias());
-        let mut actual = nominal.clone();
         let friction = Friction::new(truth, |joint| effects.iter().any(|effect| effect.replaces_coulomb(joint)));
         let mut placed: Vec<Placed> = Vec::new();
         let mut end = 2 * n;
         for effect in std::iter::once::<Box<dyn Effect>>(Box::new(friction)).chain(effects) {
-            for j in 0..n {
-                actual.armature[j] += effect.armature(j);
-            }
             let states = end..end + effect.states();
             end = states.end;
             placed.push(Placed { effect, states });
@@ -90,8 +93,8 @@ impl Plant {
             vector
         };
         Plant {
+            actual: nominal.clone(),
             nominal,
-            actual,
             gravity,
             stiffness: per_joint(|joint| joint.stiffness),
             damping: per_joint(|joint| joint.damping),
@@ -106,7 +109,7 @@ impl Plant {
 
     /// One millisecond along `commands`. Allocates nothing.
     pub fn advance(&mut self, commands: &Commands) {
-        self.pick_up(self.time());
+        self.take_up(self.time());
         let h = TICK / f64::from(self.substeps);
         let mut from = self.target(&commands.at(0.0));
         for k in 0..self.substeps {
@@ -114,6 +117,8 @@ impl Plant {
             let share = |part: f64| (f64::from(k) + part) / f64::from(self.substeps);
             let middle = self.target(&commands.at(share(0.5)));
             let to = self.target(&commands.at(share(1.0)));
+            let start = at(t, self.actual.n, &self.y, &from);
+            self.effects.iter_mut().for_each(|placed| placed.effect.settle(&start));
             self.slope(0, None, t, &from);
             self.slope(1, Some((0, 0.5 * h)), t + 0.5 * h, &middle);
             self.slope(2, Some((1, 0.5 * h)), t + 0.5 * h, &middle);
@@ -133,9 +138,10 @@ impl Plant {
         let target = self.target(&commands.at(1.0));
         self.stage.copy_from_slice(&self.y);
         let at = at(t, n, &self.y, &target);
-        let (q, dq) = self.encoders(&at);
+        let mut dx = [0.0; MAX_STATES];
+        let (q, dq) = self.encoders(&at, &mut dx);
         let tau = self.controller(&q, &dq, &at);
-        let ddq = self.acceleration(&at, &tau, &mut [0.0; MAX_STATES]);
+        let ddq = self.acceleration(&at, &tau, &mut dx);
         let mut reading = Reading { q, dq, tau };
         for placed in &mut self.effects {
             placed.effect.sense(&at, &self.y[placed.states.clone()], &mut reading);
@@ -148,11 +154,17 @@ impl Plant {
         self.ticks as f64 * TICK
     }
 
-    /// Bodies that the links carry from now on.
-    fn pick_up(&mut self, t: f64) {
+    /// Bodies that the links carry, and rotors that turn with the joints, from now on.
+    fn take_up(&mut self, t: f64) {
         self.actual.links = self.nominal.links;
-        for (link, inertia) in self.effects.iter().filter_map(|placed| placed.effect.inertia(t)) {
-            self.actual.links[link] += inertia;
+        self.actual.armature = self.nominal.armature;
+        for placed in &self.effects {
+            if let Some((link, inertia)) = placed.effect.inertia(t) {
+                self.actual.links[link] += inertia;
+            }
+            for (j, armature) in self.actual.armature.iter_mut().enumerate() {
+                *armature += placed.effect.armature(t, j);
+            }
         }
     }
 
@@ -171,9 +183,9 @@ impl Plant {
         }
         let n = self.actual.n;
         let at = at(t, n, &self.stage, target);
-        let (q, dq) = self.encoders(&at);
-        let tau = self.controller(&q, &dq, &at);
         let mut dx = [0.0; MAX_STATES];
+        let (q, dq) = self.encoders(&at, &mut dx);
+        let tau = self.controller(&q, &dq, &at);
         let ddq = self.acceleration(&at, &tau, &mut dx);
         let slope = &mut self.slopes[which];
         slope[..n].copy_from_slice(&at.dq[..n]);
@@ -182,11 +194,12 @@ impl Plant {
         slope[2 * n..].copy_from_slice(&dx[..own]);
     }
 
-    /// What the encoders see of the state in `stage`.
-    fn encoders(&self, at: &At) -> (JointVec, JointVec) {
+    /// What the encoders see of the state in `stage`; may write derivatives of the effects' states.
+    fn encoders(&self, at: &At, dx: &mut [f64; MAX_STATES]) -> (JointVec, JointVec) {
         let (mut q, mut dq) = (at.q, at.dq);
         for placed in &self.effects {
-            placed.effect.encoder(at, &self.stage[placed.states.clone()], &mut q, &mut dq);
+            let x = &self.stage[placed.states.clone()];
+            placed.effect.encoder(at, x, &mut dx[placed.own(at.n)], &mut q, &mut dq);
         }
         (q, dq)
     }
@@ -207,9 +220,8 @@ impl Plant {
         let mut external = [Force::ZERO; MAX_JOINTS];
         for placed in &self.effects {
             let x = &self.stage[placed.states.clone()];
-            let own = placed.states.start - 2 * n..placed.states.end - 2 * n;
             placed.effect.gravity(at.t, &mut gravity);
-            placed.effect.torque(at, x, &mut dx[own], &mut link_torque);
+            placed.effect.torque(at, x, &mut dx[placed.own(n)], &mut link_torque);
             if let Some(wrench) = placed.effect.wrench(at) {
                 let to_base = self.orientation(&at.q, wrench.link);
                 let f = to_base.rotation.tr_mul(&wrench.force);

@@ -1,6 +1,6 @@
 //! What a simulated arm truly is: its masses, friction, controller, sensors and effects, from a TOML file.
 
-use super::effect::EffectSpec;
+use super::effect::{Effect, EffectSpec};
 use super::spatial::Inertia;
 use crate::input::{BadInput, from_toml};
 use crate::joint::MAX_JOINTS;
@@ -131,13 +131,18 @@ impl Truth {
         for (k, effect) in self.effects.iter().enumerate() {
             effect.check(file, &format!("effect {}", k + 1), self)?;
         }
-        let replaced = |joint| self.effects.iter().filter(|effect| effect.replaces_coulomb(joint)).count();
-        if let Some(joint) = (0..n).find(|&joint| replaced(joint) > 1) {
-            return wrong(
-                "effect".into(),
-                format!("{} on joint {}", replaced(joint), joint + 1),
-                "one presliding a joint",
-            );
+        let effects = self.build_effects();
+        for joint in 0..n {
+            let count = |has: fn(&dyn Effect, usize) -> bool| effects.iter().filter(|e| has(e.as_ref(), joint)).count();
+            let replaced = count(|effect, joint| effect.replaces_coulomb(joint));
+            let twisted = count(|effect, joint| effect.twists(joint));
+            let found = |count| format!("{count} on joint {}", joint + 1);
+            if replaced > 1 {
+                return wrong("effect".into(), found(replaced), "one presliding a joint");
+            }
+            if twisted > 1 {
+                return wrong("effect".into(), found(twisted), "one joint-elasticity or backlash a joint");
+            }
         }
         Ok(())
     }
@@ -157,6 +162,24 @@ impl Truth {
             [i[(0, 0)], i[(0, 1)], i[(0, 2)], i[(1, 1)], i[(1, 2)], i[(2, 2)], first.x, first.y, first.z, m]
         };
         self.links.iter().map(parameters).collect()
+    }
+
+    /// Whether the arm, once its transients have died away, does the same in every period of a motion that repeats after `period` \[s\], noise
+    /// and losses aside.
+    pub fn repeats(&self, period: f64) -> bool {
+        self.build_effects().iter().all(|effect| effect.repeats(period))
+    }
+
+    /// The effects in the order in which they act: as written, but what gives way under the controller's answer comes last.
+    pub(super) fn build_effects(&self) -> Vec<Box<dyn Effect>> {
+        let mut effects: Vec<_> = self.effects.iter().map(|effect| effect.build(self)).collect();
+        effects.sort_by_key(|effect| (0..self.joints()).any(|joint| effect.twists(joint)));
+        effects
+    }
+
+    /// Whether an effect stands for the Coulomb friction of `joint`, counted from 0.
+    pub(super) fn replaces_coulomb(&self, joint: usize) -> bool {
+        self.effects.iter().any(|effect| effect.replaces_coulomb(joint))
     }
 
     pub(super) fn inertias(&self) -> Vec<Inertia> {
