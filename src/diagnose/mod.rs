@@ -1,15 +1,19 @@
 //! Floor 3: what the model leaves over, traced to the effect that it lacks.
 //!
 //! [`evidence`] (torques and columns as coefficients with known noise) -> [`moments`] (their sums of products) -> [`fit`] (weighted fits, the
-//! likelihood that a candidate brings) -> [`library`] (the candidates) -> [`select`] (forward selection, backward elimination) with [`gates`]. [`reference`]
-//! asks instead what has changed since a model was identified.
+//! likelihood that a candidate brings) -> [`library`] (the candidates) -> [`select`] (forward selection, backward elimination) with [`gates`]
+//! -> [`diagnosis`] (veto by unseen runs, adequacy, verdict) -> [`outcome`].
+//! [`reference`] asks instead what has changed since a model was identified.
 
+mod detectable;
+pub mod diagnosis;
 pub mod evidence;
 pub mod fit;
 pub mod gates;
 pub mod library;
 pub mod moments;
-pub mod reference;
+pub mod outcome;
+//! [`reference`] asks instead what has changed since a model was identified.
 pub mod select;
 pub mod state;
 
