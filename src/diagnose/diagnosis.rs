@@ -323,6 +323,7 @@ fn facts(
         unmodelled: [base, after].map(|state| state.unmodelled(evidence, joint).sqrt()),
         lack_of_fit: floor.map(|_| [base, after].map(ratio)),
         threshold: settings.threshold.unwrap_or(THRESHOLD * floor.unwrap_or(0.0)),
+        adequacy: None,
     }
 }
 

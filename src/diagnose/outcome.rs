@@ -111,6 +111,9 @@ pub struct JointFacts {
     pub lack_of_fit: Option<[f64; 2]>,
     /// What counts as unmodelled \[Nm\].
     pub threshold: f64,
+    /// Share of what was unmodelled that the effects explain, on data that was not fitted where there is any; `None` where nothing was
+    /// unmodelled or the noise is not known.
+    pub adequacy: Option<f64>,
 }
 
 impl JointFacts {
