@@ -7,7 +7,7 @@
 //!   L = -1/2 sum_g [ n_g ln phi_g + RSS_g / phi_g ].
 //!
 //! `phi` is estimated again with every candidate: estimated before it, an offset would explain itself away. Without repeats the noise
-//! has no known scale, and `phi = RSS / n` alone.
+//! has no known scale, and `phi` is near `RSS / n`.
 
 use super::evidence::{BANDS, Evidence};
 use super::moments::{Cross, Moments};
@@ -15,6 +15,8 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// Directions of the equilibrated normal equations below this share of the largest are left alone.
 const RANK: f64 = 1e-11;
+/// Rows that the whole joint counts for in each of its bands, where the noise is not known.
+const DRAWN: f64 = 30.0;
 /// Rounds of weights.
 const ROUNDS: usize = 3;
 
@@ -81,9 +83,20 @@ impl Problem<'_> {
     }
 
     /// Over-dispersion of groups.
+    ///
+    /// Without repeats it is drawn towards that of the whole joint: a band of few rows could be fitted to the last bit otherwise, and
+    /// then would weigh more than all others.
     fn phi(&self, rss: &[f64], count: &[f64]) -> Vec<f64> {
-        let least = if self.evidence.repeats() { 1.0 } else { 1e-12 };
-        rss.iter().zip(count).map(|(rss, count)| (rss / count.max(1.0)).max(least)).collect()
+        if self.evidence.repeats() {
+            return rss.iter().zip(count).map(|(rss, count)| (rss / count.max(1.0)).max(1.0)).collect();
+        }
+        let mut phi = Vec::with_capacity(rss.len());
+        for (rss, count) in rss.chunks(BANDS.len()).zip(count.chunks(BANDS.len())) {
+            let mean = rss.iter().sum::<f64>() / count.iter().sum::<f64>().max(1.0);
+            let drawn = |(rss, count): (&f64, &f64)| ((rss + DRAWN * mean) / (count + DRAWN)).max(1e-12);
+            phi.extend(rss.iter().zip(count).map(drawn));
+        }
+        phi
     }
 
     /// What the prior adds to the log likelihood: `-1/2 theta' precision theta`.
