@@ -42,7 +42,9 @@ impl Nominal {
             }
             if term.spec().is_some() {
                 if let (payload::ID, Some(last)) = (id, nominal.links.last_mut()) {
-                    last.iter_mut().zip(parameters).for_each(|(own, parameter)| *own += parameter.value);
+                    for (c, parameter) in parameters.iter().enumerate() {
+                        last[term.original(c)] += parameter.value;
+                    }
                 }
                 continue;
             }

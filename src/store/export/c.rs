@@ -50,7 +50,7 @@ pub fn write(model: &TorqueModel) -> Exported {
         for (c, (column, &value)) in structure.columns()[range.clone()].iter().zip(&beta[range]).enumerate() {
             let one = Value::Known(1.0);
             if let Some(spec) = &spec {
-                if let Some((row, factor)) = effects::column(&mut program, spec, c, &load) {
+                if let Some((row, factor)) = effects::column(&mut program, spec, term.original(c), &load) {
                     tau[row] = program.sum(&[(tau[row].clone(), one), (Value::Known(value), factor)]);
                 }
                 continue;

@@ -46,7 +46,9 @@ pub fn payload_of(model: &TorqueModel) -> LinkParameters {
     let mut sum = [0.0; LINK_COLUMNS];
     for (term, parameters) in model.terms() {
         if term.id() == payload::ID {
-            sum.iter_mut().zip(parameters).for_each(|(sum, parameter)| *sum += parameter.value);
+            for (c, parameter) in parameters.iter().enumerate() {
+                sum[term.original(c)] += parameter.value;
+            }
         }
     }
     sum
@@ -68,8 +70,8 @@ pub fn with_payload(model: &TorqueModel, bodies: &Nearest) -> Result<Nearest, Li
     Ok(bodies)
 }
 
-/// Column `c` of an effect in one row as a value of the program, and that row; `load` holds the rigid-body torques. `None` for an effect
-/// without such a law.
+/// Column `c` of an effect in one row as a value of the program, and that row; `load` holds the rigid-body torques. `None` for an
+/// effect without such a law.
 pub(super) fn column(program: &mut Program, spec: &Spec, c: usize, load: &[Value]) -> Option<(usize, Value)> {
     let (row, cause) = joints(spec.site);
     let sign = |joint: usize| format!("tanh({SHARPNESS:?}*dq[{joint}])");
