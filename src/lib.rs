@@ -7,7 +7,7 @@
 //! | 0 | [`joint`], [`input`], [`atomic`] | fixed-size values with units; how bad input is reported; how files are written |
 //! | 1 | [`model`], [`rt`] | the arm's dynamics, pure; the real-time loop and its traits |
 //! | 2 | [`excite`], [`estimate`], [`backend`], [`ipc`] | motions that excite; parameters from samples; arms; shared memory |
-//! | 3 | [`config`], [`dataset`], [`store`] | typed configuration; recorded motions; model and plan files |
+//! | 3 | [`config`], [`dataset`], [`diagnose`], [`report`], [`store`] | typed configuration; recorded motions; what a model lacks; what a job says; model and plan files |
 //! | 4 | [`app`] | one file per subcommand: wiring only |
 //!
 //! The way of the data: `excite` plans a motion, `rt` drives it through a `backend` and puts one record per cycle into a ring,
@@ -19,6 +19,7 @@ pub mod atomic;
 pub mod backend;
 pub mod config;
 pub mod dataset;
+pub mod diagnose;
 pub mod estimate;
 pub mod excite;
 pub mod input;

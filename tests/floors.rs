@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 const FLOORS: &[&[&str]] = &[
     &["joint", "input", "atomic"],
     &["model", "rt"],
-    &["excite", "estimate", "diagnose", "backend", "ipc"],
-    &["config", "store", "dataset", "report"],
+    &["excite", "estimate", "backend", "ipc"],
+    &["config", "diagnose", "store", "dataset", "report"],
     &["app"],
 ];
 

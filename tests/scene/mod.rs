@@ -3,6 +3,7 @@
 #![allow(dead_code)]
 
 pub mod campaign;
+pub mod lab;
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 use plumbline::backend::sim::{Gate, Pace, SimArm, Truth};

@@ -1,0 +1,104 @@
+//! The candidates: every family at every site, in every form, at every start value of its settings.
+
+use super::evidence::{Evidence, Rows};
+use crate::model::term::effect::{Family, Form, Ground, Site, Spec, Stratum};
+use std::thread;
+
+/// An effect that may be missing from the model.
+#[derive(Clone, Debug)]
+pub struct Candidate {
+    /// What it is.
+    pub spec: Spec,
+    /// First session that has it; all where absent.
+    pub since: Option<u32>,
+    /// Its columns on the evidence.
+    pub rows: Rows,
+}
+
+impl Candidate {
+    /// Computes the columns; `None` when they can't be built or are nothing in this data.
+    pub fn of(evidence: &Evidence, ground: &Ground, spec: Spec, since: Option<u32>) -> Option<Candidate> {
+        let term = spec.build(ground).ok()?;
+        let rows = evidence.columns(&*term, since);
+        let finite = rows.parts.iter().all(|(_, part)| part.iter().all(|value| value.is_finite()));
+        (finite && !rows.parts.is_empty()).then_some(Candidate { spec, since, rows })
+    }
+
+    /// Number of parameters: linear and nonlinear.
+    pub fn parameters(&self) -> usize {
+        self.rows.width + self.spec.settings.len()
+    }
+
+    /// Joints whose torque it touches.
+    pub fn joints(&self) -> Vec<usize> {
+        self.rows.parts.iter().map(|(joint, _)| *joint).collect()
+    }
+
+    /// Whether the other is the same effect but for its settings.
+    pub fn alike(&self, other: &Candidate) -> bool {
+        let key = |one: &Candidate| (one.spec.family, one.spec.form, one.spec.site, one.since);
+        key(self) == key(other)
+    }
+
+    /// Whether the other is of the same family, at the same place.
+    pub fn same_effect(&self, other: &Candidate) -> bool {
+        let key = |one: &Candidate| (one.spec.family, one.spec.site, one.since);
+        key(self) == key(other)
+    }
+}
+
+/// Every candidate that these families have, computed on `threads` threads; in the order of the families whatever their number.
+pub fn library(
+    evidence: &Evidence,
+    ground: &Ground,
+    families: &[&'static Family],
+    since: Option<u32>,
+    threads: usize,
+) -> Vec<Candidate> {
+    let mut specs = Vec::new();
+    for family in families {
+        for site in family.place.sites(ground.chain.len()) {
+            for form in family.forms {
+                specs.extend(grid(family, form, site));
+            }
+        }
+    }
+    parallel(&specs, threads, |spec| Candidate::of(evidence, ground, spec.clone(), since))
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+/// Families whose effects every period repeats.
+pub fn repeatable() -> Vec<&'static Family> {
+    let families = crate::model::term::effect::FAMILIES.iter().copied();
+    families.filter(|family| family.stratum == Stratum::Repeatable).collect()
+}
+
+/// The start values of a form's settings, every combination.
+fn grid(family: &'static Family, form: &'static Form, site: Site) -> Vec<Spec> {
+    let mut settings: Vec<Vec<f64>> = vec![Vec::new()];
+    for setting in form.settings {
+        let grid = setting.grid();
+        let longer = |before: &Vec<f64>| {
+            let before = before.clone();
+            grid.iter().map(move |value| before.iter().copied().chain([*value]).collect())
+        };
+        settings = settings.iter().flat_map(longer).collect();
+    }
+    settings.into_iter().map(|settings| Spec { family: family.id, form: form.name, site, settings }).collect()
+}
+
+/// `work` on every item, in order.
+pub(super) fn parallel<T: Sync, R: Send>(items: &[T], threads: usize, work: impl Fn(&T) -> R + Sync) -> Vec<R> {
+    let threads = threads.clamp(1, items.len().max(1));
+    // Neighbours cost alike: dealt out one by one, every thread gets its share of the dear ones.
+    let work = &work;
+    let shares: Vec<Vec<R>> = thread::scope(|scope| {
+        let share = |first: usize| scope.spawn(move || items[first..].iter().step_by(threads).map(work).collect());
+        let running: Vec<_> = (0..threads).map(share).collect();
+        running.into_iter().map(|one| one.join().expect("no candidate panics")).collect()
+    });
+    let mut shares: Vec<_> = shares.into_iter().map(Vec::into_iter).collect();
+    (0..items.len()).filter_map(|index| shares[index % threads].next()).collect()
+}

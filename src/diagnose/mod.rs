@@ -1,0 +1,57 @@
+//! Floor 3: what the model leaves over, traced to the effect that it lacks.
+//!
+//! [`evidence`] (torques and columns as coefficients with known noise) -> [`moments`] (their sums of products) -> [`fit`] (weighted fits, the
+//! likelihood that a candidate brings) -> [`library`] (the candidates) -> [`select`] (forward selection, backward elimination) with [`gates`]
+//! -> [`diagnosis`] (veto by unseen runs, adequacy, verdict) -> [`outcome`]; what stays unexplained goes to [`fallback`]. The same machine
+//! tells what changed since a model was identified: [`reference`].
+
+pub mod curves;
+mod detectable;
+pub mod diagnosis;
+pub mod errors;
+pub mod evidence;
+pub mod fallback;
+pub mod fit;
+pub mod gates;
+pub mod library;
+pub mod moments;
+pub mod outcome;
+pub mod reference;
+pub mod select;
+pub mod state;
+
+/// How a diagnosis is done.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Highest frequency that counts \[Hz\].
+    pub band: f64,
+    /// Least RMS of an effect that matters \[Nm\]; by default a share of the noise floor.
+    pub threshold: Option<f64>,
+    /// That share: of the noise of the mean period.
+    pub least_floor: f64,
+    /// Share of the unmodelled mean square that an effect has to explain in one joint.
+    pub least_share: f64,
+    /// The same where the noise is not known, of the whole residual.
+    pub least_share_of_all: f64,
+    /// Score that an effect needs where the noise is not known; zero is enough where it is.
+    pub margin: f64,
+    /// Most steps of the selection.
+    pub steps: usize,
+    /// Threads to work on.
+    pub threads: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Settings {
+        Settings {
+            band: 16.0,
+            threshold: None,
+            least_floor: 0.7,
+            least_share: 0.15,
+            least_share_of_all: 0.03,
+            margin: 10.0,
+            steps: 12,
+            threads: 1,
+        }
+    }
+}

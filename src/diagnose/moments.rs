@@ -1,0 +1,133 @@
+//! Sums of products of columns and torques, cell by cell: all that fits, scores and folds need of the data.
+//!
+//! With `M` the columns of a model, `C` those of a candidate and `r` the torques, in one cell, these are `M'M`, `M'r`, `r'r` and `M'C`,
+//! `C'C`, `C'r`. Weighing a band anew or leaving a trajectory out is another sum of the same small matrices.
+
+use super::evidence::{Evidence, Rows};
+use nalgebra::{DMatrix, DVector};
+
+/// Of one model on all cells.
+#[derive(Clone, Debug)]
+pub struct Moments {
+    /// Number of columns.
+    pub width: usize,
+    /// One per cell of the evidence, in its order.
+    pub cells: Vec<Moment>,
+}
+
+/// Of one cell.
+#[derive(Clone, Debug)]
+pub struct Moment {
+    /// `M'M`.
+    pub g: DMatrix<f64>,
+    /// `M'r`.
+    pub b: DVector<f64>,
+    /// `r'r`.
+    pub r2: f64,
+    /// Rows.
+    pub count: usize,
+}
+
+/// Of a candidate with a model, in the cells of the candidate's joints.
+#[derive(Clone, Debug)]
+pub struct Cross {
+    /// Columns of the candidate.
+    pub width: usize,
+    /// Index of the cell and its sums.
+    pub cells: Vec<(usize, CrossMoment)>,
+}
+
+/// Of one cell.
+#[derive(Clone, Debug)]
+pub struct CrossMoment {
+    /// `M'C`.
+    pub a: DMatrix<f64>,
+    /// `C'C`.
+    pub c: DMatrix<f64>,
+    /// `C'r`.
+    pub d: DVector<f64>,
+}
+
+/// The columns of a model and the torques, per joint, divided by the noise.
+#[derive(Clone, Debug)]
+pub struct Columns {
+    /// `M`, rows of a joint x columns.
+    pub m: Vec<DMatrix<f64>>,
+    /// `r`.
+    pub r: Vec<DVector<f64>>,
+}
+
+impl Columns {
+    /// With a candidate's columns behind its own.
+    pub fn push(&mut self, rows: &Rows) {
+        for (joint, m) in self.m.iter_mut().enumerate() {
+            let width = m.ncols();
+            let grown = std::mem::replace(m, DMatrix::zeros(0, 0)).resize_horizontally(width + rows.width, 0.0);
+            *m = grown;
+            if let Some((_, part)) = rows.parts.iter().find(|(own, _)| *own == joint) {
+                m.columns_mut(width, rows.width).copy_from(part);
+            }
+        }
+    }
+
+    /// Without some of its columns.
+    pub fn without(&self, gone: std::ops::Range<usize>) -> Columns {
+        let kept = |m: &DMatrix<f64>| m.clone().remove_columns(gone.start, gone.len());
+        Columns { m: self.m.iter().map(kept).collect(), r: self.r.clone() }
+    }
+
+    /// Its sums.
+    pub fn moments(&self, evidence: &Evidence) -> Moments {
+        let of = |cell: &super::evidence::Cell| {
+            let m = self.m[cell.joint].rows(cell.rows.start, cell.rows.len());
+            let r = self.r[cell.joint].rows(cell.rows.start, cell.rows.len());
+            Moment { g: m.tr_mul(&m), b: m.tr_mul(&r), r2: r.norm_squared(), count: cell.rows.len() }
+        };
+        let width = self.m.first().map_or(0, DMatrix::ncols);
+        Moments { width, cells: evidence.cells().iter().map(of).collect() }
+    }
+
+    /// The sums of a candidate with it.
+    pub fn cross(&self, evidence: &Evidence, rows: &Rows) -> Cross {
+        let mut cells = Vec::new();
+        for (index, cell) in evidence.cells().iter().enumerate() {
+            let Some((_, part)) = rows.parts.iter().find(|(joint, _)| *joint == cell.joint) else { continue };
+            let m = self.m[cell.joint].rows(cell.rows.start, cell.rows.len());
+            let c = part.rows(cell.rows.start, cell.rows.len());
+            let r = self.r[cell.joint].rows(cell.rows.start, cell.rows.len());
+            cells.push((index, CrossMoment { a: m.tr_mul(&c), c: c.tr_mul(&c), d: c.tr_mul(&r) }));
+        }
+        Cross { width: rows.width, cells }
+    }
+}
+
+impl Moments {
+    /// The model with the candidate as its last columns.
+    pub fn with(&self, cross: &Cross) -> Moments {
+        let (p, l) = (self.width, cross.width);
+        let mut grown = Moments { width: p + l, cells: Vec::with_capacity(self.cells.len()) };
+        for own in &self.cells {
+            let mut b = own.b.clone().resize_vertically(p + l, 0.0);
+            b.rows_mut(p, l).fill(0.0);
+            grown.cells.push(Moment { g: own.g.clone().resize(p + l, p + l, 0.0), b, r2: own.r2, count: own.count });
+        }
+        for (index, add) in &cross.cells {
+            let cell = &mut grown.cells[*index];
+            cell.g.view_mut((0, p), (p, l)).copy_from(&add.a);
+            cell.g.view_mut((p, 0), (l, p)).copy_from(&add.a.transpose());
+            cell.g.view_mut((p, p), (l, l)).copy_from(&add.c);
+            cell.b.rows_mut(p, l).copy_from(&add.d);
+        }
+        grown
+    }
+
+    /// The model without some of its columns.
+    pub fn without(&self, gone: std::ops::Range<usize>) -> Moments {
+        let less = |own: &Moment| Moment {
+            g: own.g.clone().remove_rows(gone.start, gone.len()).remove_columns(gone.start, gone.len()),
+            b: own.b.clone().remove_rows(gone.start, gone.len()),
+            ..own.clone()
+        };
+        Moments { width: self.width - gone.len(), cells: self.cells.iter().map(less).collect() }
+    }
+}

@@ -1,0 +1,342 @@
+//! Forward selection of effects with re-identification at every step, and backward elimination.
+//!
+//! Score of a candidate: twice the gain in profile log likelihood, less `k ln n` for its `k` parameters (linear and nonlinear, `n` rows of
+//! a joint) and `2 ln N` for a library of `N` columns (extended Bayesian information criterion, Chen and Chen, Biometrika 95, 2008).
+
+use super::Settings;
+use super::evidence::Evidence;
+use super::fit::Problem;
+use super::gates::{self, Folds, Relevance};
+use super::library::{Candidate, parallel};
+use super::state::{State, Tried, every};
+use crate::model::term::effect::{Ground, Setting};
+
+/// Candidates that are tried with all care at each step.
+const SHORTLIST: usize = 16;
+/// Evaluations of a search for a setting.
+const EVALUATIONS: usize = 12;
+/// A rival within so much of the score can't be told from the chosen one.
+pub const GAP: f64 = 12.0;
+
+/// One look at the data: the evidence, what the terms stand upon, and every candidate.
+pub struct Search<'a> {
+    /// Evidence and prior.
+    pub problem: Problem<'a>,
+    /// What the terms stand upon.
+    pub ground: &'a Ground,
+    /// Every candidate.
+    pub library: &'a [Candidate],
+    /// How it is done.
+    pub settings: &'a Settings,
+}
+
+/// A candidate with its score.
+#[derive(Clone, Debug)]
+pub struct Scored {
+    /// The candidate.
+    pub item: Candidate,
+    /// Tried in the state at hand.
+    pub tried: Tried,
+    /// Score.
+    pub score: f64,
+    /// Part of the score that pays for parameters and choice.
+    pub penalty: f64,
+}
+
+/// An effect that was taken in.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// Score against the model without it.
+    pub score: f64,
+    /// Twice the gain in log likelihood.
+    pub evidence: f64,
+    /// Part of the score that pays for parameters and choice.
+    pub penalty: f64,
+    /// How the folds judge it.
+    pub folds: Folds,
+    /// What it explains.
+    pub relevance: Relevance,
+    /// Share of its fitted part that the other columns can't take over.
+    pub independence: f64,
+    /// Rivals whose score is near, or that look alike.
+    pub rivals: Vec<Rival>,
+}
+
+/// What might be there instead of an effect.
+#[derive(Clone, Debug)]
+pub struct Rival {
+    /// The other effect.
+    pub item: Candidate,
+    /// Score of the chosen one less its own.
+    pub gap: f64,
+}
+
+/// One step of the selection.
+#[derive(Clone, Debug)]
+pub struct Step {
+    /// What came in or went out.
+    pub item: Candidate,
+    /// Whether it came in.
+    pub added: bool,
+    /// Its score then.
+    pub score: f64,
+    /// Unmodelled mean square of all joints afterwards \[Nm2\].
+    pub unmodelled: f64,
+}
+
+/// What the selection ended with.
+pub struct Selected {
+    /// The model.
+    pub state: State,
+    /// Facts on each of its items.
+    pub found: Vec<Found>,
+    /// How it came about.
+    pub path: Vec<Step>,
+    /// The best candidates at the first step: what the data says of every kind of effect alone.
+    pub first: Vec<Scored>,
+}
+
+impl Search<'_> {
+    fn evidence(&self) -> &Evidence {
+        self.problem.evidence
+    }
+
+    fn penalty(&self, item: &Candidate) -> f64 {
+        let rows = self.evidence().per_joint() as f64;
+        let columns: usize = self.library.iter().map(|one| one.rows.width).sum();
+        item.parameters() as f64 * rows.ln() + 2.0 * (columns.max(2) as f64).ln()
+    }
+
+    /// The best candidates for a state, refined, best first.
+    pub fn propose(&self, state: &State, wanted: impl Fn(&Candidate) -> bool + Sync) -> Vec<Scored> {
+        let threads = self.settings.threads;
+        let screened = parallel(self.library, threads, |item| {
+            let usable = wanted(item) && !state.items.iter().any(|own| own.alike(item));
+            if !usable {
+                return f64::NEG_INFINITY;
+            }
+            let cross = state.columns.cross(self.evidence(), &item.rows);
+            let gain = self.problem.gain(&state.fit, &cross, &every, Some(&item.joints()));
+            gain.map_or(f64::NEG_INFINITY, |gain| gain.evidence - self.penalty(item))
+        });
+        let mut order: Vec<usize> = (0..self.library.len()).filter(|&k| screened[k].is_finite()).collect();
+        order.sort_by(|&a, &b| screened[b].total_cmp(&screened[a]));
+        let mut short: Vec<&Candidate> = Vec::new();
+        for k in order {
+            if !short.iter().any(|one| one.alike(&self.library[k])) {
+                short.push(&self.library[k]);
+            }
+            if short.len() == SHORTLIST {
+                break;
+            }
+        }
+        let tried = parallel(&short, threads, |item| self.score(state, &self.refined(state, item)));
+        let mut scored: Vec<Scored> = tried.into_iter().flatten().collect();
+        scored.sort_by(|a, b| b.score.total_cmp(&a.score));
+        scored
+    }
+
+    /// A candidate's score in a state.
+    pub fn score(&self, state: &State, item: &Candidate) -> Option<Scored> {
+        let tried = state.try_in(&self.problem, item)?;
+        let penalty = self.penalty(item);
+        Some(Scored { score: tried.evidence - penalty, penalty, tried, item: item.clone() })
+    }
+
+    /// The candidate with its settings where the likelihood is largest, near where they are.
+    pub fn refined(&self, state: &State, item: &Candidate) -> Candidate {
+        let form = item.spec.family().ok().and_then(|family| family.form(item.spec.form));
+        let Some(form) = form.filter(|form| !form.settings.is_empty()) else { return self.rebuilt(item) };
+        let gain = |item: &Candidate| {
+            let cross = state.columns.cross(self.evidence(), &item.rows);
+            self.problem.gain(&state.fit, &cross, &every, None).map_or(f64::NEG_INFINITY, |gain| gain.evidence)
+        };
+        let mut best = self.rebuilt(item);
+        let mut best_gain = gain(&best);
+        for (which, setting) in form.settings.iter().enumerate() {
+            let step = 1.0 / (setting.steps.max(2) - 1) as f64;
+            let centre = setting.share(best.spec.settings[which]);
+            let mut at = |share: f64| {
+                let mut spec = best.spec.clone();
+                spec.settings[which] = inside(setting, share);
+                let moved = Candidate::of(self.evidence(), self.ground, spec, item.since);
+                moved.map(|moved| (gain(&moved), moved))
+            };
+            let found = golden((centre - step).max(0.0), (centre + step).min(1.0), &mut at);
+            if let Some((found_gain, found)) = found.filter(|(found_gain, _)| *found_gain > best_gain) {
+                (best, best_gain) = (found, found_gain);
+            }
+        }
+        best
+    }
+
+    /// The same effect on the present ground.
+    fn rebuilt(&self, item: &Candidate) -> Candidate {
+        Candidate::of(self.evidence(), self.ground, item.spec.clone(), item.since).unwrap_or_else(|| item.clone())
+    }
+
+    /// Adds effects as long as one is worth it, each time with everything fitted again. It starts from `seeds`, as far as they hold.
+    pub fn select(&self, base: State, seeds: &[Candidate], progress: &dyn Fn(&Step)) -> Selected {
+        let mut state = base;
+        let mut path: Vec<Step> = Vec::new();
+        let mut tabu: Vec<Candidate> = Vec::new();
+        let mut first = Vec::new();
+        for seed in seeds {
+            state = state.with(&self.problem, seed.clone());
+        }
+        while let Some((worst, _)) = self.weakest(&state) {
+            state = state.without(&self.problem, worst);
+        }
+        for item in state.items.clone() {
+            self.record(&mut path, &state, item, true, 0.0, progress);
+        }
+        for step in 0..self.settings.steps {
+            let proposals = self.propose(&state, |item| !tabu.iter().any(|one| one.alike(item)));
+            if step == 0 {
+                first.clone_from(&proposals);
+            }
+            let Some(chosen) = proposals.into_iter().find(|one| self.passes(&state, one)) else { break };
+            state = self.settle(&state.with(&self.problem, chosen.item.clone()));
+            self.record(&mut path, &state, chosen.item, true, chosen.score, progress);
+            while let Some((worst, score)) = self.weakest(&state) {
+                let gone = state.items[worst].clone();
+                state = state.without(&self.problem, worst);
+                self.record(&mut path, &state, gone.clone(), false, score, progress);
+                tabu.push(gone);
+            }
+        }
+        let (state, found) = self.judge(state, &mut path, progress);
+        Selected { state, found, path, first }
+    }
+
+    fn record(
+        &self,
+        path: &mut Vec<Step>,
+        state: &State,
+        item: Candidate,
+        added: bool,
+        score: f64,
+        progress: &dyn Fn(&Step),
+    ) {
+        let unmodelled = (0..self.evidence().joints()).map(|joint| state.unmodelled(self.evidence(), joint)).sum();
+        let step = Step { item, added, score, unmodelled };
+        progress(&step);
+        path.push(step);
+    }
+
+    /// Whether a candidate passes every gate.
+    fn passes(&self, state: &State, one: &Scored) -> bool {
+        if one.score <= self.least() {
+            return false;
+        }
+        let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);
+        gates::matters(self.evidence(), &relevance, &one.item, self.settings)
+            && gates::folds(&self.problem, state, &one.tried).confirm() != Some(false)
+    }
+
+    /// Score that an effect needs.
+    fn least(&self) -> f64 {
+        if self.evidence().repeats() { 0.0 } else { self.settings.margin }
+    }
+
+    /// Settings of every effect searched again, beside all others.
+    fn settle(&self, state: &State) -> State {
+        let mut state = state.clone();
+        for item in 0..state.items.len() {
+            if state.items[item].spec.settings.is_empty() || state.items.len() == 1 {
+                continue;
+            }
+            let rest = state.without(&self.problem, item);
+            let better = self.refined(&rest, &state.items[item]);
+            let moved = rest.with(&self.problem, better);
+            if moved.fit.likelihood > state.fit.likelihood {
+                // It is the last one now; the loop goes on with its neighbour next time.
+                state = moved;
+            }
+        }
+        state
+    }
+
+    /// The effect that no longer pays for itself, if any.
+    fn weakest(&self, state: &State) -> Option<(usize, f64)> {
+        let score = |item: usize| {
+            let rest = state.without(&self.problem, item);
+            2.0 * (state.fit.likelihood - rest.fit.likelihood) - self.penalty(&state.items[item])
+        };
+        let scores = (0..state.items.len()).map(|item| (item, score(item)));
+        scores.filter(|(_, score)| *score <= self.least()).min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// Tries every other candidate in the place of each effect: a better one takes it, near ones are its rivals.
+    fn judge(&self, mut state: State, path: &mut Vec<Step>, progress: &dyn Fn(&Step)) -> (State, Vec<Found>) {
+        let mut swaps = state.items.len();
+        let mut found = Vec::new();
+        let mut item = 0;
+        while item < state.items.len() {
+            let rest = state.without(&self.problem, item);
+            let chosen = state.items[item].clone();
+            let joints = chosen.joints();
+            let near = |other: &Candidate| other.joints().iter().any(|joint| joints.contains(joint));
+            let Some(own) = self.score(&rest, &chosen) else {
+                state = rest;
+                continue;
+            };
+            let others = self.propose(&rest, |other| near(other) && !other.alike(&chosen));
+            let better = others.iter().find(|other| other.score > own.score && self.passes(&rest, other));
+            if let Some(better) = better.filter(|_| swaps > 0) {
+                swaps -= 1;
+                self.record(path, &rest, chosen, false, own.score, progress);
+                state = rest.with(&self.problem, better.item.clone());
+                self.record(path, &state, better.item.clone(), true, better.score, progress);
+                // Every other effect has a new neighbour.
+                item = 0;
+                found.clear();
+                continue;
+            }
+            let mut rivals: Vec<Rival> = Vec::new();
+            for other in others.iter().filter(|other| other.score > 0.0 && !other.item.same_effect(&chosen)) {
+                let gap = own.score - other.score;
+                if gap < GAP && !rivals.iter().any(|rival| rival.item.same_effect(&other.item)) {
+                    rivals.push(Rival { item: other.item.clone(), gap });
+                }
+            }
+            found.push(Found {
+                score: own.score,
+                evidence: own.tried.evidence,
+                penalty: own.penalty,
+                folds: gates::folds(&self.problem, &rest, &own.tried),
+                relevance: gates::relevance(self.evidence(), &rest, &own.tried, &chosen),
+                independence: own.tried.independence,
+                rivals,
+            });
+            item += 1;
+        }
+        (state, found)
+    }
+}
+
+/// A value between the setting's limits, whatever rounding does.
+fn inside(setting: &Setting, share: f64) -> f64 {
+    setting.at(share.clamp(0.0, 1.0)).clamp(setting.low, setting.high)
+}
+
+/// Golden-section search for the largest first component of `at`.
+fn golden<T>(low: f64, high: f64, at: &mut dyn FnMut(f64) -> Option<(f64, T)>) -> Option<(f64, T)> {
+    let ratio = (5.0_f64.sqrt() - 1.0) / 2.0;
+    let value = |one: &Option<(f64, T)>| one.as_ref().map_or(f64::NEG_INFINITY, |(value, _)| *value);
+    let (mut low, mut high) = (low, high);
+    let (mut left, mut right) = (high - ratio * (high - low), low + ratio * (high - low));
+    let (mut at_left, mut at_right) = (at(left), at(right));
+    for _ in 2..EVALUATIONS {
+        if value(&at_left) > value(&at_right) {
+            (high, right, at_right) = (right, left, at_left);
+            left = high - ratio * (high - low);
+            at_left = at(left);
+        } else {
+            (low, left, at_left) = (left, right, at_right);
+            right = low + ratio * (high - low);
+            at_right = at(right);
+        }
+    }
+    if value(&at_left) > value(&at_right) { at_left } else { at_right }
+}

@@ -1,0 +1,112 @@
+//! A model under test: the base parameters and the effects taken in so far, fitted to the evidence.
+
+use super::evidence::Evidence;
+use super::fit::{Fit, Problem};
+use super::library::Candidate;
+use super::moments::{Columns, Cross, Moments};
+use nalgebra::DVector;
+use std::ops::Range;
+
+/// Base and effects with their fit.
+#[derive(Clone, Debug)]
+pub struct State {
+    /// Number of base columns.
+    pub base: usize,
+    /// The effects, in the order in which they came in.
+    pub items: Vec<Candidate>,
+    /// Columns of all, and the torques.
+    pub columns: Columns,
+    /// Their sums.
+    pub moments: Moments,
+    /// The fit to all folds.
+    pub fit: Fit,
+}
+
+/// Every fold.
+pub fn every(_fold: usize) -> bool {
+    true
+}
+
+impl State {
+    /// The base alone.
+    pub fn base(problem: &Problem, columns: Columns) -> State {
+        let moments = columns.moments(problem.evidence);
+        let fit = problem.fit(&moments, &every, None);
+        State { base: moments.width, items: Vec::new(), columns, moments, fit }
+    }
+
+    /// Columns of an effect.
+    pub fn range(&self, item: usize) -> Range<usize> {
+        let first = self.base + self.items[..item].iter().map(|item| item.rows.width).sum::<usize>();
+        first..first + self.items[item].rows.width
+    }
+
+    /// With one more effect.
+    pub fn with(&self, problem: &Problem, item: Candidate) -> State {
+        let cross = self.columns.cross(problem.evidence, &item.rows);
+        let moments = self.moments.with(&cross);
+        let fit = problem.fit(&moments, &every, Some(&self.fit.phi));
+        let mut columns = self.columns.clone();
+        columns.push(&item.rows);
+        let mut items = self.items.clone();
+        items.push(item);
+        State { base: self.base, items, columns, moments, fit }
+    }
+
+    /// Without one effect.
+    pub fn without(&self, problem: &Problem, item: usize) -> State {
+        let gone = self.range(item);
+        let moments = self.moments.without(gone.clone());
+        let fit = problem.fit(&moments, &every, Some(&self.fit.phi));
+        let mut items = self.items.clone();
+        items.remove(item);
+        State { base: self.base, items, columns: self.columns.without(gone), moments, fit }
+    }
+
+    /// What a candidate would be with it, and its likelihood when the weights have settled; `None` when the data can't tell it.
+    pub fn try_in(&self, problem: &Problem, item: &Candidate) -> Option<Tried> {
+        let cross = self.columns.cross(problem.evidence, &item.rows);
+        let gain = problem.gain(&self.fit, &cross, &every, None)?;
+        let moments = self.moments.with(&cross);
+        let fit = problem.fit(&moments, &every, Some(&self.fit.phi));
+        let evidence = 2.0 * (fit.likelihood - self.fit.likelihood);
+        Some(Tried { cross, moments, fit, evidence, independence: gain.independence })
+    }
+
+    /// Residual torque of a joint, divided by its noise.
+    pub fn residual(&self, joint: usize) -> DVector<f64> {
+        &self.columns.r[joint] - &self.columns.m[joint] * &self.fit.theta
+    }
+
+    /// Mean square of a joint's residual in the band \[Nm2\].
+    pub fn mean_square(&self, evidence: &Evidence, joint: usize) -> f64 {
+        mean_square(evidence, joint, &self.residual(joint))
+    }
+
+    /// Mean square of what repeats and the model lacks, per joint \[Nm2\]: the noise is taken off where it is known.
+    pub fn unmodelled(&self, evidence: &Evidence, joint: usize) -> f64 {
+        let floor = evidence.floor(joint).unwrap_or(0.0);
+        (self.mean_square(evidence, joint) - floor * floor).max(0.0)
+    }
+}
+
+/// Mean square of a signal by its weighed coefficients \[Nm2\].
+pub fn mean_square(evidence: &Evidence, joint: usize, rows: &DVector<f64>) -> f64 {
+    let square = |(row, sigma): (&f64, &f64)| (row * sigma).powi(2);
+    rows.iter().zip(evidence.sigma(joint)).map(square).sum::<f64>() / evidence.samples()
+}
+
+/// A candidate tried in a state.
+#[derive(Clone, Debug)]
+pub struct Tried {
+    /// Its sums with the state's columns.
+    pub cross: Cross,
+    /// Sums of both.
+    pub moments: Moments,
+    /// Fit of both.
+    pub fit: Fit,
+    /// Twice the gain in log likelihood.
+    pub evidence: f64,
+    /// Share of its fitted part that the other columns can't take over.
+    pub independence: f64,
+}
