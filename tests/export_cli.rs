@@ -198,16 +198,16 @@ fn effects_are_refused_by_name_left_out_knowingly_or_part_of_the_last_link() {
     let load = random_body(&mut ChaCha8Rng::seed_from_u64(13));
     let specs = [
         spec("payload", Site::Arm, vec![]),
-        spec("stribeck", Site::Joint(1), vec![0.1]),
+        spec("asymmetric-viscous", Site::Joint(1), vec![]),
         spec("presliding", Site::Joint(4), vec![0.004]),
     ];
     let full = with_effects(&plain, &specs, |index, c| if index == 0 { load[c] } else { 0.4 });
     let path = put(room.path(), "effects.toml", &file(full.clone(), None).to_toml());
     let out = room.path().join("out");
     for (format, lost, held) in [
-        ("c", "presliding", "stribeck"),
-        ("urdf", "presliding, stribeck", "payload"),
-        ("mjcf", "presliding, stribeck", "payload"),
+        ("c", "presliding", "asymmetric-viscous"),
+        ("urdf", "asymmetric-viscous, presliding", "payload"),
+        ("mjcf", "asymmetric-viscous, presliding", "payload"),
     ] {
         let arguments = ["--format", format, "--out", out.to_str().unwrap(), "--without-effects"];
         let done = export(&path, &arguments[..4]).expect_code(2);

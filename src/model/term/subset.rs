@@ -49,6 +49,10 @@ impl Term for Subset {
         }
     }
 
+    fn smooth(&self) -> bool {
+        self.inner.smooth()
+    }
+
     fn entries(&self) -> Option<Vec<Entry>> {
         let entries = self.inner.entries()?;
         Some(self.kept.iter().map(|&c| entries[c]).collect())
