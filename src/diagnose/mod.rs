@@ -2,8 +2,9 @@
 //!
 //! [`evidence`] (torques and columns as coefficients with known noise) -> [`moments`] (their sums of products) -> [`fit`] (weighted fits, the
 //! likelihood that a candidate brings) -> [`library`] (the candidates) -> [`select`] (forward selection, backward elimination) with [`gates`];
-//! what stays unexplained goes to [`fallback`].
+//! what stays unexplained goes to [`fallback`]. What differs from period to period is the matter of [`changing`], which needs no fit.
 
+pub mod changing;
 pub mod evidence;
 pub mod fallback;
 pub mod fit;
