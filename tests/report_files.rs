@@ -56,6 +56,7 @@ fn report() -> Report {
         band: Band::Raw,
         counter_experiment: Some(counter_experiment()),
         noise_floor: FLOOR.to_vec(),
+        diagnosis: None,
         identifiability: Identifiability::default(),
         consistency: None,
         conditions: vec![
@@ -151,6 +152,7 @@ fn figures(samples: usize) -> Figures {
                 .collect(),
             workspace: Some(Workspace { box_min: [-0.2, -0.9, 0.0], box_max: [0.9, 0.9, 1.2], base_radius: 0.25 }),
         }),
+        ..Figures::default()
     }
 }
 
@@ -335,7 +337,7 @@ fn a_bare_report_is_a_page_too() {
     assert!(page.contains("panda") && !page.contains("<svg "));
     let one =
         TorqueFigure { t: vec![0.0], measured: vec![vec![f64::NAN]], modelled: vec![vec![0.0]], ..Default::default() };
-    let figures = Figures { runs: vec![one], plan: Some(PlanFigure::default()) };
+    let figures = Figures { runs: vec![one], plan: Some(PlanFigure::default()), ..Figures::default() };
     assert!(Report::default().to_html(&figures).unwrap().contains("Joint 1"));
 }
 

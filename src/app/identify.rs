@@ -129,7 +129,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     super::write(&options.out.join("model.toml"), model.to_toml().as_bytes())?;
     let shown = identified_runs.iter().take(1).copied().chain(judged.iter().map(|(run, _)| *run).take(2));
     let drawn = shown.map(|run| pipeline::figure_in_band(&model.model, run, &settings)).collect::<Result<_, _>>()?;
-    let figures = Figures { runs: drawn, plan: None };
+    let figures = Figures { runs: drawn, ..Figures::default() };
     report.write(&options.out, &figures).map_err(Failure::job)?;
     for line in report.summary() {
         println!("{line}");

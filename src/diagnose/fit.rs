@@ -176,6 +176,21 @@ impl Problem<'_> {
         Some(Gain { evidence, gamma, shift, independence, rss })
     }
 
+    /// Share of a candidate's first column that the other columns can't take over.
+    pub fn own_share(&self, fit: &Fit, cross: &Cross, chosen: Chosen) -> Option<f64> {
+        let mut a = DVector::zeros(fit.theta.len());
+        let mut c = 0.0;
+        for (index, own) in &cross.cells {
+            let cell = &self.evidence.cells()[*index];
+            if chosen(cell.fold) {
+                let weight = 1.0 / fit.phi[group(cell.joint, cell.band)];
+                a.axpy(weight, &own.a.column(0), 1.0);
+                c += weight * own.c[(0, 0)];
+            }
+        }
+        (c > 0.0).then(|| ((c - (&fit.h * &a).dot(&a)) / c).clamp(0.0, 1.0))
+    }
+
     /// Squared residuals after the parameters moved by `shift` and the candidate came in with `gamma`.
     fn changed(
         &self,

@@ -1,16 +1,20 @@
 //! Floor 3: what the model leaves over, traced to the effect that it lacks.
 //!
 //! [`evidence`] (torques and columns as coefficients with known noise) -> [`moments`] (their sums of products) -> [`fit`] (weighted fits, the
-//! likelihood that a candidate brings) -> [`library`] (the candidates) -> [`select`] (forward selection, backward elimination) with [`gates`];
-//! what stays unexplained goes to [`fallback`]. What differs from period to period is the matter of [`changing`], which needs no fit.
+//! likelihood that a candidate brings) -> [`library`] (the candidates) -> [`select`] (forward selection, backward elimination) with [`gates`]
+//! -> [`diagnosis`] (veto by unseen runs, adequacy, verdict) -> [`outcome`]; what stays unexplained goes to [`fallback`]. What differs from
+//! period to period is the matter of [`changing`], which needs no fit.
 
 pub mod changing;
+mod detectable;
+pub mod diagnosis;
 pub mod evidence;
 pub mod fallback;
 pub mod fit;
 pub mod gates;
 pub mod library;
 pub mod moments;
+pub mod outcome;
 pub mod select;
 pub mod state;
 

@@ -224,6 +224,7 @@ impl TorqueModel {
     pub fn predict(&self, motion: &Motion) -> DMatrix<f64> {
         let n = motion.joints();
         let mut evaluator = self.evaluator(&motion.gravity);
+        evaluator.every(motion.dt);
         let mut tau = DMatrix::zeros(motion.samples(), n);
         if motion.periodic && evaluator.may_remember() {
             // What the period before has left behind.
@@ -252,6 +253,11 @@ impl Evaluator {
     /// Whether the torque may depend on the samples before: only terms without a closed form can.
     fn may_remember(&self) -> bool {
         !self.terms.is_empty()
+    }
+
+    /// Samples come every `dt` from now on \[s\]; before the first call, every millisecond.
+    pub fn every(&mut self, dt: f64) {
+        self.terms.iter_mut().for_each(|term| term.every(dt));
     }
 
     /// Torque that the arm needs at `sample`: Newton-Euler with the regrouped parameters in their slots, plus the other terms \[Nm\].

@@ -1,5 +1,7 @@
 //! The curves behind the plots. They are drawn with at most about 1500 points each, however long they are.
 
+pub use super::diagnosis::figures::{DiagnosisFigures, EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
+
 use crate::joint::Workspace;
 
 /// All curves of a report; whatever is absent is not drawn.
@@ -10,6 +12,8 @@ pub struct Figures {
     pub runs: Vec<TorqueFigure>,
     /// The planned motion.
     pub plan: Option<PlanFigure>,
+    /// What the residual shows; drawn where the report has a diagnosis.
+    pub diagnosis: DiagnosisFigures,
 }
 
 /// Measured and modelled torque along one run.

@@ -3,6 +3,7 @@
 //! The report is plain data that the caller fills; nothing here computes a figure that the caller did not hand over.
 
 mod consistency;
+pub mod diagnosis;
 pub mod figures;
 mod html;
 mod plot;
@@ -10,6 +11,7 @@ mod summary;
 mod timing;
 
 pub use consistency::{Consistency, Moved};
+pub use diagnosis::Diagnosis;
 pub use figures::Figures;
 pub use timing::{IpcFacts, LoopFacts, Quantiles, SessionFacts};
 
@@ -42,6 +44,9 @@ pub struct Report {
     /// Noise of one raw sample of the measured torque, from the scatter between repetitions \[Nm\]; empty where no motion repeats. It
     /// is the least that `rms_raw` can be, whatever the band.
     pub noise_floor: Vec<f64>,
+    /// What is left over, and what it comes from; absent where nobody asked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub diagnosis: Option<Diagnosis>,
     /// What this data can't say.
     pub identifiability: Identifiability,
     /// Condition numbers of the stacked regressor.

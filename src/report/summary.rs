@@ -1,9 +1,9 @@
 //! The few lines that say how a job went.
 
-use super::{Band, CounterExperiment, LoopFacts, Report, Validation};
+use super::{Band, CounterExperiment, LoopFacts, Report, Validation, diagnosis};
 
 /// Share by which an RMS has to differ before one calls it changed. The scatter of an RMS over ten thousand samples is below 1 %.
-const CHANGED: f64 = 0.05;
+pub(super) const CHANGED: f64 = 0.05;
 
 /// Runs of one mounting, in the order of the report.
 pub(super) struct Group<'r> {
@@ -52,7 +52,12 @@ pub(super) fn mean(values: &[f64]) -> f64 {
 
 /// What errors are taken of, to follow "RMS": empty for raw samples.
 pub(super) fn band(report: &Report) -> String {
-    match report.band {
+    band_of(&report.band)
+}
+
+/// The same of any band.
+pub(super) fn band_of(band: &Band) -> String {
+    match band {
         Band::Raw => String::new(),
         Band::Filtered { cutoff } => format!("after a {cutoff} Hz zero-phase low-pass"),
     }
@@ -65,6 +70,14 @@ pub(super) fn against_floor(report: &Report, raw: &[f64]) -> Option<String> {
 }
 
 pub(super) fn lines(report: &Report) -> Vec<String> {
+    let mut lines = without_diagnosis(report);
+    let diagnosis: Vec<String> = report.diagnosis.iter().flat_map(diagnosis::lines).collect();
+    lines.splice(1..1, diagnosis);
+    lines
+}
+
+/// The lines but those of the diagnosis; the first names the robot.
+pub(super) fn without_diagnosis(report: &Report) -> Vec<String> {
     let (base, mounting) = (&report.base, &report.mounting.name);
     let mut lines = vec![format!("{}, mounting {mounting}: {} parameters ({})", report.robot, base.count, base.kind)];
     if !report.conditions.is_empty() {

@@ -23,6 +23,13 @@ struct Placed {
     states: Range<usize>,
 }
 
+impl Placed {
+    /// Where its states lie among those of all effects.
+    fn own(&self, joints: usize) -> Range<usize> {
+        self.states.start - 2 * joints..self.states.end - 2 * joints
+    }
+}
+
 /// Everything about the arm at an instant that only a simulation knows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Exact {
@@ -50,10 +57,12 @@ pub(super) struct Plant {
     y: Vec<f64>,
     stage: Vec<f64>,
     slopes: [Vec<f64>; 4],
+    /// The target at the end of the last millisecond: the next begins there.
+    end: Target,
 }
 
 /// The controller's side of an instant: what it tracks, and the feed-forward that takes.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Target {
     desired: Setpoint,
     load: JointVec,
@@ -70,14 +79,10 @@ impl Plant {
     ) -> Plant {
         let n = chain.len();
         let nominal = Mechanism::new(chain, &truth.inertias());
-        let mut actual = nominal.clone();
         let friction = Friction::new(truth, |joint| effects.iter().any(|effect| effect.replaces_coulomb(joint)));
         let mut placed: Vec<Placed> = Vec::new();
         let mut end = 2 * n;
         for effect in std::iter::once::<Box<dyn Effect>>(Box::new(friction)).chain(effects) {
-            for j in 0..n {
-                actual.armature[j] += effect.armature(j);
-            }
             let states = end..end + effect.states();
             end = states.end;
             placed.push(Placed { effect, states });
@@ -89,9 +94,9 @@ impl Plant {
             vector.iter_mut().zip(&truth.joints).for_each(|(slot, joint)| *slot = value(joint));
             vector
         };
-        Plant {
+        let mut plant = Plant {
+            actual: nominal.clone(),
             nominal,
-            actual,
             gravity,
             stiffness: per_joint(|joint| joint.stiffness),
             damping: per_joint(|joint| joint.damping),
@@ -101,19 +106,38 @@ impl Plant {
             stage: y.clone(),
             slopes: std::array::from_fn(|_| y.clone()),
             y,
-        }
+            end: Target::default(),
+        };
+        plant.end = plant.target(Setpoint { q: *q, ..Setpoint::default() });
+        plant
+    }
+
+    /// Lets the arm move with `dq` instead of being at rest, before its first millisecond; `commands` move likewise.
+    pub fn push_off(&mut self, dq: &JointVec, commands: &Commands) {
+        let n = self.actual.n;
+        self.y[n..2 * n].copy_from_slice(&dq[..n]);
+        self.end = self.target(commands.at(1.0));
     }
 
     /// One millisecond along `commands`. Allocates nothing.
     pub fn advance(&mut self, commands: &Commands) {
-        self.pick_up(self.time());
+        self.take_up(self.time());
         let h = TICK / f64::from(self.substeps);
-        let mut from = self.target(&commands.at(0.0));
+        // The feed-forward of three instants; between them it is the parabola through these. The controller is what it is, so this costs no
+        // truth: the torque it answers with is the torque that moves the arm.
+        let loads = [self.end.load, self.target(commands.at(0.5)).load, self.target(commands.at(1.0)).load];
+        let mut from = self.end;
         for k in 0..self.substeps {
             let t = self.time() + f64::from(k) * h;
-            let share = |part: f64| (f64::from(k) + part) / f64::from(self.substeps);
-            let middle = self.target(&commands.at(share(0.5)));
-            let to = self.target(&commands.at(share(1.0)));
+            let target = |part: f64| {
+                let s = (f64::from(k) + part) / f64::from(self.substeps);
+                let weights = [(1.0 - s) * (1.0 - 2.0 * s), 4.0 * s * (1.0 - s), s * (2.0 * s - 1.0)];
+                let load = std::array::from_fn(|j| (0..3).map(|i| weights[i] * loads[i][j]).sum());
+                Target { desired: commands.at(s), load }
+            };
+            let (middle, to) = (target(0.5), target(1.0));
+            let start = at(t, self.actual.n, &self.y, &from);
+            self.effects.iter_mut().for_each(|placed| placed.effect.settle(&start));
             self.slope(0, None, t, &from);
             self.slope(1, Some((0, 0.5 * h)), t + 0.5 * h, &middle);
             self.slope(2, Some((1, 0.5 * h)), t + 0.5 * h, &middle);
@@ -124,18 +148,19 @@ impl Plant {
             }
             from = to;
         }
+        self.end = from;
         self.ticks += 1;
     }
 
     /// What the sensors say now, before noise, and what is true. Once per millisecond: effects may remember.
-    pub fn sense(&mut self, commands: &Commands) -> (Reading, Exact) {
+    pub fn sense(&mut self) -> (Reading, Exact) {
         let (t, n) = (self.time(), self.actual.n);
-        let target = self.target(&commands.at(1.0));
         self.stage.copy_from_slice(&self.y);
-        let at = at(t, n, &self.y, &target);
-        let (q, dq) = self.encoders(&at);
+        let at = at(t, n, &self.y, &self.end);
+        let mut dx = [0.0; MAX_STATES];
+        let (q, dq) = self.encoders(&at, &mut dx);
         let tau = self.controller(&q, &dq, &at);
-        let ddq = self.acceleration(&at, &tau, &mut [0.0; MAX_STATES]);
+        let ddq = self.acceleration(&at, &tau, &mut dx);
         let mut reading = Reading { q, dq, tau };
         for placed in &mut self.effects {
             placed.effect.sense(&at, &self.y[placed.states.clone()], &mut reading);
@@ -148,17 +173,23 @@ impl Plant {
         self.ticks as f64 * TICK
     }
 
-    /// Bodies that the links carry from now on.
-    fn pick_up(&mut self, t: f64) {
+    /// Bodies that the links carry, and rotors that turn with the joints, from now on.
+    fn take_up(&mut self, t: f64) {
         self.actual.links = self.nominal.links;
-        for (link, inertia) in self.effects.iter().filter_map(|placed| placed.effect.inertia(t)) {
-            self.actual.links[link] += inertia;
+        self.actual.armature = self.nominal.armature;
+        for placed in &self.effects {
+            if let Some((link, inertia)) = placed.effect.inertia(t) {
+                self.actual.links[link] += inertia;
+            }
+            for (j, armature) in self.actual.armature.iter_mut().enumerate() {
+                *armature += placed.effect.armature(t, j);
+            }
         }
     }
 
-    fn target(&self, desired: &Setpoint) -> Target {
+    fn target(&self, desired: Setpoint) -> Target {
         let load = inverse(&self.nominal, &self.gravity, &desired.q, &desired.dq, &desired.ddq);
-        Target { desired: *desired, load }
+        Target { desired, load }
     }
 
     /// Writes slope `which` at the state, moved by `(slope, step)`.
@@ -171,9 +202,9 @@ impl Plant {
         }
         let n = self.actual.n;
         let at = at(t, n, &self.stage, target);
-        let (q, dq) = self.encoders(&at);
-        let tau = self.controller(&q, &dq, &at);
         let mut dx = [0.0; MAX_STATES];
+        let (q, dq) = self.encoders(&at, &mut dx);
+        let tau = self.controller(&q, &dq, &at);
         let ddq = self.acceleration(&at, &tau, &mut dx);
         let slope = &mut self.slopes[which];
         slope[..n].copy_from_slice(&at.dq[..n]);
@@ -182,11 +213,12 @@ impl Plant {
         slope[2 * n..].copy_from_slice(&dx[..own]);
     }
 
-    /// What the encoders see of the state in `stage`.
-    fn encoders(&self, at: &At) -> (JointVec, JointVec) {
+    /// What the encoders see of the state in `stage`; may write derivatives of the effects' states.
+    fn encoders(&self, at: &At, dx: &mut [f64; MAX_STATES]) -> (JointVec, JointVec) {
         let (mut q, mut dq) = (at.q, at.dq);
         for placed in &self.effects {
-            placed.effect.encoder(at, &self.stage[placed.states.clone()], &mut q, &mut dq);
+            let x = &self.stage[placed.states.clone()];
+            placed.effect.encoder(at, x, &mut dx[placed.own(at.n)], &mut q, &mut dq);
         }
         (q, dq)
     }
@@ -207,9 +239,8 @@ impl Plant {
         let mut external = [Force::ZERO; MAX_JOINTS];
         for placed in &self.effects {
             let x = &self.stage[placed.states.clone()];
-            let own = placed.states.start - 2 * n..placed.states.end - 2 * n;
             placed.effect.gravity(at.t, &mut gravity);
-            placed.effect.torque(at, x, &mut dx[own], &mut link_torque);
+            placed.effect.torque(at, x, &mut dx[placed.own(n)], &mut link_torque);
             if let Some(wrench) = placed.effect.wrench(at) {
                 let to_base = self.orientation(&at.q, wrench.link);
                 let f = to_base.rotation.tr_mul(&wrench.force);

@@ -3,7 +3,13 @@
 //! A kind of effect is one file beside this one that gives a [`Family`] and a [`Term`]; [`FAMILIES`] lists them all.
 
 use super::load::Load;
-use super::{Subset, Term, presliding, rotor_inertia, torque_offset};
+use super::{Subset, Term};
+use super::{
+    asymmetric_coulomb, asymmetric_viscous, backlash, base_motion, contact, delay, encoder_eccentricity,
+    encoder_offset, friction_drift, joint_elasticity, load_dependent_friction, mounting, nonlinear_viscous,
+    offset_drift, payload, position_dependent_friction, position_ripple, presliding, rotor_inertia, spring, stribeck,
+    torque_crosstalk, torque_gain, torque_offset, transmission_coupling,
+};
 use crate::model::chain::Chain;
 use std::fmt;
 use std::sync::Arc;
@@ -169,6 +175,9 @@ pub struct Family {
     pub forms: &'static [Form],
     /// Where it shows.
     pub stratum: Stratum,
+    /// Whether the loop serves it. What depends on when something happened does not come again: it explains a recording, and its
+    /// [`FixedTerm`](super::FixedTerm) adds nothing.
+    pub served: bool,
     /// Sizes met on real arms.
     pub typical: &'static str,
     /// What looks alike, and what decides.
@@ -252,7 +261,33 @@ pub enum EffectError {
 }
 
 /// Every kind of effect, in the order of the catalogue.
-pub static FAMILIES: &[&Family] = &[&torque_offset::FAMILY, &presliding::FAMILY, &rotor_inertia::FAMILY];
+pub static FAMILIES: &[&Family] = &[
+    &torque_offset::FAMILY,
+    &torque_gain::FAMILY,
+    &asymmetric_coulomb::FAMILY,
+    &asymmetric_viscous::FAMILY,
+    &stribeck::FAMILY,
+    &nonlinear_viscous::FAMILY,
+    &load_dependent_friction::FAMILY,
+    &friction_drift::FAMILY,
+    &offset_drift::FAMILY,
+    &presliding::FAMILY,
+    &rotor_inertia::FAMILY,
+    &joint_elasticity::FAMILY,
+    &position_ripple::FAMILY,
+    &position_dependent_friction::FAMILY,
+    &spring::FAMILY,
+    &payload::FAMILY,
+    &mounting::FAMILY,
+    &base_motion::FAMILY,
+    &torque_crosstalk::FAMILY,
+    &transmission_coupling::FAMILY,
+    &delay::FAMILY,
+    &contact::FAMILY,
+    &encoder_offset::FAMILY,
+    &encoder_eccentricity::FAMILY,
+    &backlash::FAMILY,
+];
 
 /// The family of that identity.
 pub fn family(id: &str) -> Option<&'static Family> {

@@ -3,14 +3,39 @@
 //! A term contributes named columns to the regressor and says in one sentence what it is physically. An effect that diagnosis
 //! finds is added by pushing one more term; a new kind of effect is one new file here.
 
+mod all_rows;
+pub mod asymmetric_coulomb;
+pub mod asymmetric_viscous;
+pub mod backlash;
+pub mod base_motion;
+pub mod contact;
+pub mod delay;
 pub mod effect;
+pub mod encoder_eccentricity;
+pub mod encoder_offset;
 pub mod friction;
+pub mod friction_drift;
+pub mod joint_elasticity;
 pub mod load;
+pub mod load_dependent_friction;
+pub mod mounting;
+pub mod nonlinear_viscous;
+pub mod offset_drift;
+mod one_row;
+pub mod payload;
+pub mod position_dependent_friction;
+mod position_error;
+pub mod position_ripple;
 pub mod presliding;
 pub mod rigid_body;
 pub mod rotor_inertia;
+pub mod spring;
+pub mod stribeck;
 pub mod subset;
+pub mod torque_crosstalk;
+pub mod torque_gain;
 pub mod torque_offset;
+pub mod transmission_coupling;
 
 use subset::Subset;
 
@@ -117,6 +142,11 @@ pub trait Term: Send + Sync {
     /// `y` has n N rows, joint by joint: joint `j` (from 0), sample `k` is row `j N + k`. Its entries are zero on entry.
     fn fill(&self, chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize);
 
+    /// Whether its columns are as smooth in time as the motion, with no step where a joint turns back.
+    fn smooth(&self) -> bool {
+        false
+    }
+
     /// What its columns are at one sample, in their order; `None` when they depend on more than that sample.
     fn entries(&self) -> Option<Vec<Entry>> {
         None
@@ -165,6 +195,9 @@ pub enum Entry {
 pub trait FixedTerm: Send {
     /// Adds the term's torque at `sample` to `tau` \[Nm\].
     fn torque(&mut self, sample: &Sample, tau: &mut JointVec);
+
+    /// Samples come every `dt` from now on \[s\]; before the first call, every millisecond.
+    fn every(&mut self, _dt: f64) {}
 
     /// Adds itself to the part of the model that is computed in one pass, and is not called any more. False when it has no such form.
     fn join(&self, _closed: &mut ClosedForm) -> bool {

@@ -32,6 +32,7 @@ pub static FAMILY: Family = Family {
         build,
     }],
     stratum: Stratum::Repeatable,
+    served: true,
     typical: "delta 1 to 50 mrad, fp the Coulomb friction",
     confounded: &[
         Confounded {

@@ -26,6 +26,7 @@ pub static FAMILY: Family = Family {
         build: |ground, site, _| of_joint(Arc::new(RotorInertia::new(&ground.chain)), site),
     }],
     stratum: Stratum::Repeatable,
+    served: true,
     typical: "0.05 to 1 kg m2 at the joint",
     confounded: &[Confounded {
         with: "Lzz of the same link",

@@ -25,6 +25,7 @@ pub static FAMILY: Family = Family {
         build: |ground, site, _| of_joint(Arc::new(TorqueOffset::new(&ground.chain)), site),
     }],
     stratum: Stratum::Repeatable,
+    served: true,
     typical: "0.05 to 0.5 Nm",
     confounded: &[
         Confounded { with: "asymmetric-coulomb", decided_by: "hold the joint still for some seconds in several poses" },

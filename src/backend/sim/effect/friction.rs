@@ -7,6 +7,11 @@ use crate::joint::{JointVec, MAX_JOINTS};
 /// Steepness of the Coulomb term's step \[s/rad\] (paper, section II-A).
 const STEEPNESS: f64 = 100.0;
 
+/// The smooth sign of a velocity \[rad/s\], as all friction of the simulated arm has it.
+pub(super) fn sign(dq: f64) -> f64 {
+    (STEEPNESS * dq).tanh()
+}
+
 pub(in crate::backend::sim) struct Friction {
     fv: JointVec,
     fc: JointVec,
@@ -27,7 +32,7 @@ impl Friction {
 impl Effect for Friction {
     fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
         for (j, tau) in tau[..at.n].iter_mut().enumerate() {
-            *tau -= self.fv[j] * at.dq[j] + self.fc[j] * (STEEPNESS * at.dq[j]).tanh();
+            *tau -= self.fv[j] * at.dq[j] + self.fc[j] * sign(at.dq[j]);
         }
     }
 }

@@ -1,6 +1,6 @@
-//! Payload: a body on a link that nobody declared, from some moment on.
+//! Payload: a body on a link that nobody declared, picked up at `from`.
 
-use super::{Effect, check_range};
+use super::{Effect, Place, Spec};
 use crate::backend::sim::spatial::Inertia;
 use crate::backend::sim::truth::{Inside, Truth, check_body, symmetric};
 use crate::input::BadInput;
@@ -19,38 +19,29 @@ pub struct Config {
     /// Inertia about the centre of mass, in the link frame's axes, `[Ixx Ixy Ixz Iyy Iyz Izz]`; a point where absent \[kg m2\].
     #[serde(default)]
     pub inertia: [f64; 6],
-    /// Time at which it is picked up \[s\].
-    #[serde(default)]
-    pub from: f64,
 }
 
-pub(super) struct Payload {
+struct Payload {
     link: usize,
     inertia: Inertia,
-    from: f64,
 }
 
-impl Config {
-    pub(super) fn check(&self, file: &str, place: &str, truth: &Truth) -> Result<(), BadInput> {
-        let n = truth.joints();
-        if let Some(link) = self.link.filter(|link| !(1..=n).contains(link)) {
-            return Err(BadInput::new(file, format!("{place}, link"), link, format!("1 to {n}")));
-        }
-        check_body(file, place, self.mass, &self.com, &self.inertia, Inside::MayBeZero)?;
-        check_range(file, place, "from", self.from, 0.0, 1e9)
+impl Spec for Config {
+    fn check(&self, place: &Place) -> Result<(), BadInput> {
+        self.link.map_or(Ok(()), |link| place.one_of_the_joints("link", link))?;
+        check_body(place.file, place.name, self.mass, &self.com, &self.inertia, Inside::MayBeZero)
     }
 
-    pub(super) fn build(&self, truth: &Truth) -> Payload {
-        Payload {
+    fn build(&self, truth: &Truth, _from: f64) -> Box<dyn Effect> {
+        Box::new(Payload {
             link: self.link.unwrap_or(truth.joints()) - 1,
             inertia: Inertia::rigid(self.mass, self.com.into(), symmetric(&self.inertia)),
-            from: self.from,
-        }
+        })
     }
 }
 
 impl Effect for Payload {
-    fn inertia(&self, t: f64) -> Option<(usize, Inertia)> {
-        (t >= self.from).then_some((self.link, self.inertia))
+    fn inertia(&self, _t: f64) -> Option<(usize, Inertia)> {
+        Some((self.link, self.inertia))
     }
 }

@@ -1,6 +1,12 @@
 //! Every hook of an effect does to the arm what its physics says. The torque an effect leaves is found by the estimator's own
 //! Newton-Euler recursion, which shares nothing with the simulation.
 
+mod catalogue;
+mod friction;
+mod sensors;
+mod transmission;
+mod world;
+
 use super::*;
 use crate::backend::sim::{Exact, Gate, Pace, SimArm};
 use crate::joint::{Command, MAX_JOINTS, State, Torque};
@@ -24,7 +30,7 @@ fn chain() -> Chain {
     Chain::modified(joints, Placement::identity())
 }
 
-fn truth(effects: &str) -> Truth {
+fn parsed(effects: &str) -> Result<Truth, BadInput> {
     let text = format!(
         "robot = 'turn-turn-slide'
         link = [
@@ -39,7 +45,11 @@ fn truth(effects: &str) -> Truth {
         ]
         {effects}"
     );
-    Truth::parse("test", &text).unwrap_or_else(|error| panic!("{error}"))
+    Truth::parse("test", &text)
+}
+
+fn truth(effects: &str) -> Truth {
+    parsed(effects).unwrap_or_else(|error| panic!("{error}"))
 }
 
 fn desired(tick: u64) -> Setpoint {
@@ -53,7 +63,7 @@ fn desired(tick: u64) -> Setpoint {
 
 /// Moves an arm for `ticks` milliseconds, mounted upright as far as it knows.
 fn run(truth: &Truth, effects: Vec<Box<dyn Effect>>, ticks: usize) -> Vec<(State, Exact)> {
-    let mut all: Vec<Box<dyn Effect>> = truth.effects.iter().map(|effect| effect.build(truth)).collect();
+    let mut all = truth.build_effects();
     all.extend(effects);
     let pace = Pace::Fast(Arc::new(Gate::unlimited()));
     let mut arm = SimArm::with_effects(&chain(), truth, Mounting::UPRIGHT, START, 0, pace, all).unwrap();
@@ -104,7 +114,7 @@ fn gravity_is_what_the_effect_says() {
 
 struct Rotor;
 impl Effect for Rotor {
-    fn armature(&self, joint: usize) -> f64 {
+    fn armature(&self, _t: f64, joint: usize) -> f64 {
         if joint == 1 { 0.2 } else { 0.0 }
     }
 }
@@ -174,7 +184,7 @@ fn a_wrench_takes_the_torque_of_its_jacobian() {
 
 struct EncoderZero;
 impl Effect for EncoderZero {
-    fn encoder(&self, _at: &At, _x: &[f64], q: &mut JointVec, _dq: &mut JointVec) {
+    fn encoder(&self, _at: &At, _x: &[f64], _dx: &mut [f64], q: &mut JointVec, _dq: &mut JointVec) {
         q[1] += 0.005;
     }
 }

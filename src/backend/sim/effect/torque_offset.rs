@@ -1,11 +1,15 @@
 //! Torque-sensor offset: the zero of a strain gauge or its amplifier is off.
+//!
+//!   tau_measured = tau + offset
+//!
+//! Logs of two public Panda arms need such an offset more than any other single term (docs/real-data.md).
 
-use super::{At, Effect, Reading, check_joint, check_range};
+use super::{At, Effect, Place, Reading, Spec};
 use crate::backend::sim::truth::Truth;
 use crate::input::BadInput;
 use serde::Deserialize;
 
-/// `tau_measured = tau + offset`.
+/// Acts on what is reported, not on the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
@@ -15,16 +19,16 @@ pub struct Config {
     pub offset: f64,
 }
 
-pub(super) struct TorqueOffset(Config);
+struct TorqueOffset(Config);
 
-impl Config {
-    pub(super) fn check(&self, file: &str, place: &str, truth: &Truth) -> Result<(), BadInput> {
-        check_joint(file, place, self.joint, truth)?;
-        check_range(file, place, "offset", self.offset, -1e3, 1e3)
+impl Spec for Config {
+    fn check(&self, place: &Place) -> Result<(), BadInput> {
+        place.joint(self.joint)?;
+        place.range("offset", self.offset, -1e3, 1e3)
     }
 
-    pub(super) fn build(&self) -> TorqueOffset {
-        TorqueOffset(*self)
+    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
+        Box::new(TorqueOffset(*self))
     }
 }
 

@@ -1,0 +1,314 @@
+//! The whole way: base fit, selection, veto by unseen data, adequacy, verdict.
+
+use super::Settings;
+use super::detectable;
+use super::evidence::{Evidence, Trial};
+use super::fit::{Problem, group};
+use super::library::{library, repeatable};
+use super::moments::Columns;
+use super::outcome::{Confirmation, Effect, Estimate, Fitted, JointFacts, Outcome, Verdict};
+use super::select::{Found, Search, Selected, Step};
+use super::state::{State, every, mean_square};
+use crate::estimate::EstimateError;
+use crate::estimate::experiment::Experiment;
+use crate::estimate::solve::{self, identify_with};
+use crate::model::structure::Structure;
+use crate::model::term::effect::{self, Ground, Spec};
+use nalgebra::DVector;
+
+/// What is diagnosed.
+pub struct Input<'a> {
+    /// The plain model.
+    pub structure: &'a Structure,
+    /// Runs to identify from.
+    pub identify: &'a [Trial<'a>],
+    /// Runs that a finding has to hold on before it is believed; not fitted.
+    pub veto: &'a [Trial<'a>],
+    /// Runs that nothing is decided with but whether a joint is explained; not fitted.
+    pub judge: &'a [Trial<'a>],
+    /// How parameters are identified.
+    pub options: &'a solve::Options,
+}
+
+/// What a joint's effects have to explain of what was unmodelled there, to be called an explanation.
+const EXPLAINED: f64 = 0.9;
+/// And to be put into the model at all.
+const HELPFUL: f64 = 0.5;
+/// What is unmodelled counts from this share of the noise of the mean period on.
+const THRESHOLD: f64 = 0.75;
+
+/// Diagnoses a set of runs of one arm. `progress` hears of every step.
+///
+/// # Errors
+/// As [`identify_with`].
+pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) -> Result<Outcome, EstimateError> {
+    let structure = input.structure;
+    let experiments: Vec<Experiment> = input.identify.iter().map(|trial| trial.experiment.clone()).collect();
+    let before = identify_with(structure, &experiments, input.options)?;
+    let evidence = Evidence::of(structure.chain(), input.identify, settings.band);
+    let columns = columns_of(&evidence, structure, input.identify);
+    let base = State::base(&Problem { evidence: &evidence, prior: None }, columns);
+    // Columns that follow the load need parameters; the plain model's are near enough to begin with.
+    let ground = structure.ground(base.fit.theta.as_slice());
+    let candidates = library(&evidence, &ground, &repeatable(), None, settings.threads);
+    let problem = Problem { evidence: &evidence, prior: None };
+    let search = Search { problem, ground: &ground, library: &candidates, settings };
+    let selected = search.select(base.clone(), progress);
+    let selected = vetoed(&search, selected, input, settings);
+
+    let adequacy = adequacy(input, settings, &base, &selected.state, &ground);
+    let helpful = |found: &Found| adequacy[found.relevance.joint].is_none_or(|share| share >= HELPFUL);
+    let kept: Vec<bool> = selected.found.iter().map(helpful).collect();
+    let after = extended(input, &experiments, &selected.state, &kept, &before)?;
+    let effects = effects_of(&search, &selected, &kept, &adequacy, &after);
+    let joints: Vec<JointFacts> =
+        (0..evidence.joints()).map(|joint| facts(&evidence, settings, joint, &base, &selected.state, &kept)).collect();
+    let verdict = verdict(&effects, &joints, &adequacy);
+    let (detectable, hidden) = detectable::of(&search, &base);
+    Ok(Outcome {
+        verdict,
+        confirmation: confirmation(&evidence),
+        effects,
+        joints,
+        before: Fitted { structure: structure.clone(), identification: before },
+        after,
+        detectable,
+        hidden,
+        path: selected.path,
+        ranking: selected.first.iter().map(|one| (one.item.spec.clone(), one.score)).collect(),
+    })
+}
+
+fn columns_of(evidence: &Evidence, structure: &Structure, trials: &[Trial]) -> Columns {
+    Columns { m: evidence.regressor(structure, trials), r: evidence.torques(trials) }
+}
+
+fn confirmation(evidence: &Evidence) -> Confirmation {
+    match (evidence.repeats(), evidence.folds().len()) {
+        (true, 1) => Confirmation::OneTrajectory,
+        (true, trajectories) => Confirmation::Full { trajectories },
+        (false, blocks) => Confirmation::NoRepeats { blocks },
+    }
+}
+
+/// Torques and columns of a state on other runs than those it was fitted to.
+struct Unseen {
+    evidence: Evidence,
+    columns: Columns,
+}
+
+impl Unseen {
+    fn of(structure: &Structure, trials: &[Trial], state: &State, ground: &Ground, settings: &Settings) -> Unseen {
+        let evidence = Evidence::of(structure.chain(), trials, settings.band);
+        let mut columns = columns_of(&evidence, structure, trials);
+        for item in &state.items {
+            if let Ok(term) = item.spec.build(ground) {
+                columns.push(&evidence.columns(&*term, item.since));
+            }
+        }
+        Unseen { evidence, columns }
+    }
+
+    /// Residual of a joint, divided by the noise there.
+    fn residual(&self, joint: usize, theta: &DVector<f64>) -> DVector<f64> {
+        &self.columns.r[joint] - self.columns.m[joint].columns(0, theta.len()) * theta
+    }
+
+    /// Mean square of a joint's residual \[Nm2\].
+    fn mean_square(&self, joint: usize, theta: &DVector<f64>) -> f64 {
+        mean_square(&self.evidence, joint, &self.residual(joint, theta))
+    }
+}
+
+/// Takes out every effect without which the unseen runs are predicted no worse.
+fn vetoed(search: &Search, mut selected: Selected, input: &Input, settings: &Settings) -> Selected {
+    if input.veto.is_empty() {
+        return selected;
+    }
+    let mut item = 0;
+    while item < selected.state.items.len() {
+        let state = &selected.state;
+        let unseen = Unseen::of(input.structure, input.veto, state, search.ground, settings);
+        let rest = state.without(&search.problem, item);
+        // The parameters without it, at their places among the columns with it.
+        let gone = state.range(item);
+        let theta = rest.fit.theta.clone().insert_rows(gone.start, gone.len(), 0.0);
+        let error = |theta: &DVector<f64>| -> f64 {
+            let weighed = |joint: usize| {
+                let phi = &state.fit.phi[group(joint, 0)..group(joint + 1, 0)];
+                let scale = phi.iter().sum::<f64>() / phi.len() as f64;
+                unseen.residual(joint, theta).norm_squared() / scale
+            };
+            (0..unseen.evidence.joints()).map(weighed).sum()
+        };
+        if error(&theta) > error(&state.fit.theta) {
+            item += 1;
+            continue;
+        }
+        let gone = state.items[item].clone();
+        let unmodelled =
+            (0..search.problem.evidence.joints()).map(|joint| rest.unmodelled(search.problem.evidence, joint));
+        let score = selected.found[item].score;
+        selected.path.push(Step { item: gone, added: false, score, unmodelled: unmodelled.sum() });
+        selected.found.remove(item);
+        selected.state = rest;
+        item = 0;
+    }
+    selected
+}
+
+/// Share of what was unmodelled in each joint that the effects explain, on unseen runs where there are any; `None` where nothing was
+/// unmodelled or the noise is not known.
+fn adequacy(input: &Input, settings: &Settings, base: &State, state: &State, ground: &Ground) -> Vec<Option<f64>> {
+    let runs = [input.judge, input.veto, input.identify].into_iter().find(|runs| !runs.is_empty());
+    let unseen = Unseen::of(input.structure, runs.unwrap_or(input.identify), state, ground, settings);
+    let share = |joint: usize| {
+        let floor = unseen.evidence.floor(joint)?.powi(2);
+        let before = (unseen.mean_square(joint, &base.fit.theta) - floor).max(0.0);
+        let after = (unseen.mean_square(joint, &state.fit.theta) - floor).max(0.0);
+        (before > (THRESHOLD * THRESHOLD) * floor).then(|| 1.0 - after / before)
+    };
+    (0..unseen.evidence.joints()).map(share).collect()
+}
+
+/// The model with the effects that help, identified as a whole.
+fn extended(
+    input: &Input,
+    experiments: &[Experiment],
+    state: &State,
+    kept: &[bool],
+    before: &solve::Identification,
+) -> Result<Fitted, EstimateError> {
+    let plain = || Fitted { structure: input.structure.clone(), identification: before.clone() };
+    let specs: Vec<Spec> =
+        state.items.iter().zip(kept).filter(|(_, kept)| **kept).map(|(item, _)| item.spec.clone()).collect();
+    if specs.is_empty() {
+        return Ok(plain());
+    }
+    let mut beta = state.fit.theta.as_slice().to_vec();
+    let mut fitted = plain();
+    // Once more with the load of the parameters just found.
+    for _ in 0..2 {
+        let ground = input.structure.ground(&beta);
+        let terms = effect::assemble(&specs, &ground).ok();
+        let Some(structure) = terms.and_then(|terms| input.structure.clone().with(terms).ok()) else {
+            return Ok(plain());
+        };
+        let identification = identify_with(&structure, experiments, input.options)?;
+        beta.clone_from(&identification.beta);
+        fitted = Fitted { structure, identification };
+    }
+    Ok(fitted)
+}
+
+fn effects_of(
+    search: &Search,
+    selected: &Selected,
+    kept: &[bool],
+    adequacy: &[Option<f64>],
+    after: &Fitted,
+) -> Vec<Effect> {
+    let state = &selected.state;
+    let mut effects = Vec::new();
+    for (index, (item, found)) in state.items.iter().zip(&selected.found).enumerate() {
+        let names = item.spec.build(search.ground).map(|term| term.columns()).unwrap_or_default();
+        let fitted = |k: usize| {
+            let at = state.range(index).start + k;
+            (state.fit.theta[at], Some(state.fit.h[(at, at)].max(0.0).sqrt()))
+        };
+        let delivered = |name: &str| {
+            let at = after.structure.columns().iter().position(|column| column.name == name)?;
+            Some((after.identification.beta[at], after.identification.std[at]))
+        };
+        let estimate = |(k, column): (usize, &crate::model::term::Column)| {
+            let (value, std) = delivered(&column.name).filter(|_| kept[index]).unwrap_or_else(|| fitted(k));
+            Estimate { name: column.name.clone(), value, std, unit: column.unit }
+        };
+        effects.push(Effect {
+            spec: item.spec.clone(),
+            since: item.since,
+            parameters: names.iter().enumerate().map(estimate).collect(),
+            settings: settings_of(search, state, index),
+            evidence: found.evidence,
+            penalty: found.penalty,
+            score: found.score,
+            folds: found.folds,
+            relevance: found.relevance.clone(),
+            independence: found.independence,
+            adequacy: adequacy[found.relevance.joint],
+            rivals: found.rivals.clone(),
+            in_model: kept[index],
+        });
+    }
+    effects.sort_by(|a, b| b.score.total_cmp(&a.score));
+    effects
+}
+
+/// Nonlinear parameters with standard deviations from the curvature of the likelihood about them.
+fn settings_of(search: &Search, state: &State, index: usize) -> Vec<Estimate> {
+    let item = &state.items[index];
+    let Some(form) = item.spec.family().ok().and_then(|family| family.form(item.spec.form)) else { return Vec::new() };
+    let rest = state.without(&search.problem, index);
+    let likelihood = |which: usize, share: f64| {
+        let mut moved = item.spec.clone();
+        let setting = &form.settings[which];
+        moved.settings[which] = setting.at(share).clamp(setting.low, setting.high);
+        let moved = super::library::Candidate::of(search.problem.evidence, search.ground, moved, item.since)?;
+        let cross = rest.columns.cross(search.problem.evidence, &moved.rows);
+        Some(search.problem.gain(&rest.fit, &cross, &every, None)?.evidence)
+    };
+    let estimate = |(which, setting): (usize, &effect::Setting)| {
+        let value = item.spec.settings[which];
+        let share = setting.share(value);
+        let h = 0.25 / (setting.steps.max(2) - 1) as f64;
+        let std = (|| {
+            let (low, high) = ((share - h).max(0.0), (share + h).min(1.0));
+            let middle = 0.5 * (low + high);
+            let bend = likelihood(which, low)? - 2.0 * likelihood(which, middle)? + likelihood(which, high)?;
+            let step = 0.5 * (high - low);
+            // The evidence is twice the log likelihood: 1 / variance is minus half of its second derivative.
+            let variance = -2.0 * step * step / bend;
+            let slope = (setting.at((share + 1e-4).min(1.0)) - setting.at((share - 1e-4).max(0.0))) / 2e-4;
+            (variance > 0.0).then(|| variance.sqrt() * slope.abs())
+        })();
+        Estimate { name: setting.name.to_string(), value, std, unit: setting.unit }
+    };
+    form.settings.iter().enumerate().map(estimate).collect()
+}
+
+fn facts(
+    evidence: &Evidence,
+    settings: &Settings,
+    joint: usize,
+    base: &State,
+    state: &State,
+    kept: &[bool],
+) -> JointFacts {
+    // What is not put into the model explains nothing.
+    let after = if kept.iter().any(|kept| !kept) && !kept.iter().any(|kept| *kept) { base } else { state };
+    let floor = evidence.floor(joint);
+    let ratio = |state: &State| state.residual(joint).norm_squared() / evidence.per_joint() as f64;
+    JointFacts {
+        floor,
+        rms: [base, after].map(|state| state.mean_square(evidence, joint).sqrt()),
+        unmodelled: [base, after].map(|state| state.unmodelled(evidence, joint).sqrt()),
+        lack_of_fit: floor.map(|_| [base, after].map(ratio)),
+        threshold: settings.threshold.unwrap_or(THRESHOLD * floor.unwrap_or(0.0)),
+    }
+}
+
+fn verdict(effects: &[Effect], joints: &[JointFacts], adequacy: &[Option<f64>]) -> Verdict {
+    let found = effects.iter().any(|effect| effect.in_model);
+    let left = joints.iter().enumerate().any(|(joint, facts)| {
+        let explained = adequacy[joint].is_some_and(|share| share >= EXPLAINED) && found;
+        facts.lacking(1) && !explained
+    });
+    let rivals = effects.iter().any(|effect| effect.in_model && !effect.rivals.is_empty());
+    match (found, left) {
+        (false, false) => Verdict::NothingSignificant,
+        (false, true) => Verdict::Unexplained,
+        (true, true) => Verdict::Partly,
+        (true, false) if rivals => Verdict::Ambiguous,
+        (true, false) => Verdict::Diagnosed,
+    }
+}

@@ -1,0 +1,36 @@
+//! Viscous friction that is larger in one direction.
+
+use super::Term;
+use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
+use super::one_row::{OneRow, column, unit};
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "asymmetric-viscous";
+
+/// The part of viscous friction that does not change its sign with the velocity.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "Lubricant resists more in one direction of motion than in the other.",
+    place: Place::Joint,
+    forms: &[Form { name: "", equation: "tau_j = fva_j |dq_j|", settings: &[], build }],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "5 to 20 % of the viscous friction",
+    confounded: &[
+        Confounded {
+            with: "asymmetric-coulomb",
+            decided_by: "move the joint at speeds that differ five times and more",
+        },
+        Confounded {
+            with: "Lxy and Lzz of outer links",
+            decided_by: "move that joint alone, fast, in several poses of the others",
+        },
+    ],
+    reference: "Elhami, Brookfield, Automatica 33 (1997)",
+};
+
+fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("fva", site, "", unit(ground, joint(site), "Nms/rad", "Ns/m"))];
+    OneRow::new(&FAMILY, "", site, settings, columns, |at, _| [at.own.dq.abs(), 0.0, 0.0]).term()
+}

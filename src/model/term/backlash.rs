@@ -1,0 +1,67 @@
+//! Play in a gear.
+
+use super::all_rows::{AllRows, Clock, Law, Past};
+use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::one_row::{column, unit};
+use super::position_error::PositionError;
+use super::{Sample, Term};
+use crate::joint::JointVec;
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "backlash";
+
+/// The gap of one joint's gear, which the link falls through when its load changes sign.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "Between the flanks of a gear's teeth is a gap, and the link falls from one flank to the other when its load changes sign.",
+    place: Place::Joint,
+    forms: &[Form {
+        name: "",
+        equation: "tau = gap_i lin_i(-tanh(tau_rb_i / width)), lin_i(e) = K_i e + V_i e' + M_i e'' in all rows",
+        settings: &[Setting {
+            name: "width",
+            unit: "Nm",
+            what: "load at which the teeth lie on a flank with 76 % of the gap",
+            low: 0.05,
+            high: 5.0,
+            steps: 6,
+            scale: Scale::Logarithmic,
+        }],
+        build,
+    }],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "half a gap of 0.1 to 1.5 mrad",
+    confounded: &[
+        Confounded { with: "contact", decided_by: "repeat the motion: the teeth change flanks in every period" },
+        Confounded { with: "joint-elasticity", decided_by: "pass through poses without load in several runs" },
+    ],
+    reference: "Nordin, Gutman, Automatica 38 (2002)",
+};
+
+fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let (joint, width) = (joint(site), settings[0]);
+    let columns = vec![column("gap", site, "", unit(ground, joint, "rad", "m"))];
+    let load = Arc::clone(&ground.load);
+    AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
+        let error = PositionError { joint, load: load.under(gravity) };
+        Box::new(Gap { error, width, past: Past::default() })
+    })
+}
+
+struct Gap {
+    error: PositionError,
+    width: f64,
+    past: Past,
+}
+
+impl Law for Gap {
+    fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
+        let e = -(self.error.own(sample) / self.width).tanh();
+        let [de, dde] = self.past.derivatives(e, clock.dt);
+        if let Some(column) = columns.first_mut() {
+            *column = self.error.signature(sample, [e, de, dde]);
+        }
+    }
+}

@@ -1,0 +1,55 @@
+//! Torques that come later than positions.
+
+use super::all_rows::{AllRows, Clock, Law, PastOfJoints};
+use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum};
+use super::load::LoadUnder;
+use super::one_row::column;
+use super::{Sample, Term};
+use crate::joint::JointVec;
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "delay";
+
+/// One delay of all torques against all positions.
+///
+/// First order in the delay, and of the rigid body's torque alone: friction jumps where it is late, which no slope holds. The slope is a
+/// difference of the torques before.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "The torque is measured, filtered or sent later than the position that stands beside it in the recording.",
+    place: Place::Arm,
+    forms: &[Form { name: "", equation: "tau = -delay d tau_rb / dt, in all rows", settings: &[], build }],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "1 to 5 ms; negative where the positions are late",
+    confounded: &[
+        Confounded { with: "presliding", decided_by: "add harmonics of a higher frequency: a delay grows with it" },
+        Confounded {
+            with: "fv of every joint",
+            decided_by: "add harmonics of a higher frequency: a delay grows with it",
+        },
+    ],
+    reference: "Swevers et al., IEEE Trans. Robotics and Automation 13 (1997), on phases of filtered data",
+};
+
+fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let load = Arc::clone(&ground.load);
+    AllRows::term(&FAMILY, "", site, settings, vec![column("delay", site, "", "s")], move |gravity| {
+        Box::new(Late { load: load.under(gravity), past: PastOfJoints::default() })
+    })
+}
+
+struct Late {
+    load: LoadUnder,
+    past: PastOfJoints,
+}
+
+impl Law for Late {
+    fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
+        let Some(column) = columns.first_mut() else { return };
+        for ((value, past), torque) in column.iter_mut().zip(&mut self.past).zip(self.load.torque(sample)) {
+            *value = -past.derivatives(torque, clock.dt)[0];
+        }
+    }
+}

@@ -1,0 +1,63 @@
+//! Friction that falls while an arm gets warm.
+
+use super::Term;
+use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
+use super::offset_drift::{WARMING, warmed};
+use super::one_row::{Law, OneRow, column, smooth_sign, unit};
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "friction-drift";
+
+/// A drift of one joint's friction.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "Grease gets thinner while the joint warms up, so that friction changes over the session.",
+    place: Place::Joint,
+    forms: &[
+        Form {
+            name: "linear",
+            equation: "tau_j = (dfc_j tanh(100 dq_j) + dfv_j dq_j) t / 60 s",
+            settings: &[],
+            build: linear,
+        },
+        Form {
+            name: "exponential",
+            equation: "tau_j = (dfc_j tanh(100 dq_j) + dfv_j dq_j) (1 - exp(-t / T))",
+            settings: &[WARMING],
+            build: exponential,
+        },
+    ],
+    stratum: Stratum::Changing,
+    served: false,
+    typical: "-20 to -50 % of the friction over 10 to 30 min",
+    confounded: &[Confounded {
+        with: "offset-drift",
+        decided_by: "a motion that is as long in either direction; a drift of friction turns with it",
+    }],
+    reference: "Simoni, Beschi, Legnani, Visioli, IROS 2015; Bittencourt, Gunnarsson, Trans. ASME J. Dynamic Systems 134 (2012)",
+};
+
+fn linear(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let joint = joint(site);
+    let columns = vec![
+        column("dfc", site, "", unit(ground, joint, "Nm/min", "N/min")),
+        column("dfv", site, "", unit(ground, joint, "Nms/rad/min", "Ns/m/min")),
+    ];
+    let law: Law = |at, _| scaled(at.own.dq, at.time / 60.0);
+    OneRow::new(&FAMILY, "linear", site, settings, columns, law).term()
+}
+
+fn exponential(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let joint = joint(site);
+    let columns = vec![
+        column("dfc", site, "_exponential", unit(ground, joint, "Nm", "N")),
+        column("dfv", site, "_exponential", unit(ground, joint, "Nms/rad", "Ns/m")),
+    ];
+    let law: Law = |at, settings| scaled(at.own.dq, warmed(at.time, settings[0]));
+    OneRow::new(&FAMILY, "exponential", site, settings, columns, law).term()
+}
+
+fn scaled(dq: f64, share: f64) -> [f64; 3] {
+    [share * smooth_sign(dq), share * dq, 0.0]
+}

@@ -1,0 +1,64 @@
+//! A gear that twists under its load.
+
+use super::all_rows::{AllRows, Clock, Law, Past};
+use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
+use super::one_row::{column, unit};
+use super::position_error::PositionError;
+use super::{Sample, Term};
+use crate::joint::JointVec;
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "joint-elasticity";
+
+/// The twist of one joint's gear, as long as the motion is slow against its resonance.
+///
+/// The link is at `q_i - c_i tau_rb_i`, first order in the compliance; `e'` and `e''` are differences of the torques before, so that a
+/// regressor needs a motion on a grid that is fine against it (20 samples per period of its highest harmonic).
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "The encoder sits on the motor's side, and the gear (or the torque sensor) behind it twists under the joint's load.",
+    place: Place::Joint,
+    forms: &[Form {
+        name: "",
+        equation: "tau = c_i lin_i(-tau_rb_i), lin_i(e) = K_i e + V_i e' + M_i e'' in all rows",
+        settings: &[],
+        build,
+    }],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "5e-5 to 2e-4 rad/Nm",
+    confounded: &[
+        Confounded {
+            with: "encoder-offset",
+            decided_by: "identify in a second mounting: the load turns, the zero stays",
+        },
+        Confounded { with: "lx and ly of the same link", decided_by: "log the position on both sides of the gear" },
+    ],
+    reference: "Albu-Schaeffer, Ott, Hirzinger, Int. J. Robotics Research 26 (2007); De Luca, Book, Handbook of Robotics (2016), chapter 11",
+};
+
+fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let joint = joint(site);
+    let columns = vec![column("compliance", site, "", unit(ground, joint, "rad/Nm", "m/N"))];
+    let load = Arc::clone(&ground.load);
+    AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
+        let error = PositionError { joint, load: load.under(gravity) };
+        Box::new(Twist { error, past: Past::default() })
+    })
+}
+
+struct Twist {
+    error: PositionError,
+    past: Past,
+}
+
+impl Law for Twist {
+    fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
+        let e = -self.error.own(sample);
+        let [de, dde] = self.past.derivatives(e, clock.dt);
+        if let Some(column) = columns.first_mut() {
+            *column = self.error.signature(sample, [e, de, dde]);
+        }
+    }
+}

@@ -1,0 +1,43 @@
+//! Friction that grows with the torque that a gear carries.
+
+use super::Term;
+use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
+use super::one_row::{Law, OneRow, column, smooth_sign, unit};
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "load-dependent-friction";
+
+/// Friction in proportion to the rigid-body torque of the same joint.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "Teeth that transmit more torque are pressed together harder, and so rub harder.",
+    place: Place::Joint,
+    forms: &[
+        Form { name: "coulomb", equation: "tau_j = fl_j |tau_rb_j| tanh(100 dq_j)", settings: &[], build: coulomb },
+        Form { name: "viscous", equation: "tau_j = fl_j |tau_rb_j| dq_j", settings: &[], build: viscous },
+    ],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "0.5 to 5 % of the load",
+    confounded: &[
+        Confounded {
+            with: "position-dependent-friction",
+            decided_by: "pass the same poses under another load, or in another mounting",
+        },
+        Confounded { with: "torque-gain", decided_by: "pass the same poses slowly in both directions" },
+    ],
+    reference: "Hamon, Gautier, Garrec, IROS 2010; Bittencourt, Axelsson, IEEE/ASME Trans. Mechatronics 19 (2014)",
+};
+
+fn coulomb(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("fl", site, "_coulomb", "1")];
+    let law: Law = |at, _| [at.load.abs() * smooth_sign(at.own.dq), 0.0, 0.0];
+    OneRow::new(&FAMILY, "coulomb", site, settings, columns, law).loaded(ground).term()
+}
+
+fn viscous(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("fl", site, "_viscous", unit(ground, joint(site), "s/rad", "s/m"))];
+    let law: Law = |at, _| [at.load.abs() * at.own.dq, 0.0, 0.0];
+    OneRow::new(&FAMILY, "viscous", site, settings, columns, law).loaded(ground).term()
+}

@@ -1,0 +1,65 @@
+//! Friction that is no straight line over the speed.
+
+use super::Term;
+use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::one_row::{Law, OneRow, column, unit};
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "nonlinear-viscous";
+
+/// What viscous friction has on top of `fv dq`.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "Grease gets thinner when it is sheared faster, and churning costs more: friction bends over the speed.",
+    place: Place::Joint,
+    forms: &[
+        Form {
+            name: "sigmoid",
+            equation: "tau_j = fn_j tanh(dq_j / vt)",
+            settings: &[Setting {
+                name: "vt",
+                unit: "rad/s",
+                what: "speed at which friction has reached 76 % of its level",
+                low: 0.03,
+                high: 3.0,
+                steps: 10,
+                scale: Scale::Logarithmic,
+            }],
+            build: sigmoid,
+        },
+        Form { name: "cubic", equation: "tau_j = fn_j dq_j^3", settings: &[], build: cubic },
+        Form { name: "quadratic", equation: "tau_j = fn_j dq_j |dq_j|", settings: &[], build: quadratic },
+    ],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "0.3 to 1.3 Nm over a Panda's joints in the sigmoid form, vt 0.06 to 0.2 rad/s",
+    confounded: &[
+        Confounded {
+            with: "stribeck",
+            decided_by: "move the joint at constant speeds of 0.02 rad/s up to its rated one",
+        },
+        Confounded {
+            with: "presliding",
+            decided_by: "move the joint at constant speeds of 0.02 to 0.3 rad/s, both ways",
+        },
+        Confounded { with: "fv and fc", decided_by: "they hold most of it: move the joint up to its rated speed" },
+    ],
+    reference: "Gaz et al., IEEE RA-L 4 (2019); Wolf, Iskandar, ICRA 2018",
+};
+
+fn sigmoid(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("fn", site, "_sigmoid", unit(ground, joint(site), "Nm", "N"))];
+    let law: Law = |at, settings| [(at.own.dq / settings[0]).tanh(), 0.0, 0.0];
+    OneRow::new(&FAMILY, "sigmoid", site, settings, columns, law).term()
+}
+
+fn cubic(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("fn", site, "_cubic", unit(ground, joint(site), "Nm s3/rad3", "N s3/m3"))];
+    OneRow::new(&FAMILY, "cubic", site, settings, columns, |at, _| [at.own.dq.powi(3), 0.0, 0.0]).term()
+}
+
+fn quadratic(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("fn", site, "_quadratic", unit(ground, joint(site), "Nm s2/rad2", "N s2/m2"))];
+    OneRow::new(&FAMILY, "quadratic", site, settings, columns, |at, _| [at.own.dq * at.own.dq.abs(), 0.0, 0.0]).term()
+}

@@ -1,0 +1,63 @@
+//! A torque sensor's zero that creeps.
+
+use super::Term;
+use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::one_row::{Law, OneRow, column, unit};
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "offset-drift";
+
+/// How long a part of an arm takes to get warm.
+pub(super) const WARMING: Setting = Setting {
+    name: "T",
+    unit: "s",
+    what: "time constant",
+    low: 30.0,
+    high: 1000.0,
+    steps: 8,
+    scale: Scale::Logarithmic,
+};
+
+/// A drift of one joint's offset.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "The torque sensor's zero creeps while it gets warm.",
+    place: Place::Joint,
+    forms: &[
+        Form { name: "linear", equation: "tau_j = drift_j t / 60 s", settings: &[], build: linear },
+        Form {
+            name: "exponential",
+            equation: "tau_j = drift_j (1 - exp(-t / T))",
+            settings: &[WARMING],
+            build: exponential,
+        },
+    ],
+    stratum: Stratum::Changing,
+    served: false,
+    typical: "0.05 to 0.5 Nm over a session",
+    confounded: &[
+        Confounded {
+            with: "friction-drift",
+            decided_by: "a motion that is as long in either direction; a drift of friction turns with it",
+        },
+        Confounded { with: "contact", decided_by: "a second recording: a touch does not come back, a drift does" },
+    ],
+    reference: "Bittencourt, Gunnarsson, Trans. ASME J. Dynamic Systems 134 (2012), for the time constants",
+};
+
+/// Share of the way to the warm state, `1 - exp(-t / T)`.
+pub(super) fn warmed(time: f64, constant: f64) -> f64 {
+    -(-time / constant).exp_m1()
+}
+
+fn linear(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("drift", site, "", unit(ground, joint(site), "Nm/min", "N/min"))];
+    OneRow::new(&FAMILY, "linear", site, settings, columns, |at, _| [at.time / 60.0, 0.0, 0.0]).term()
+}
+
+fn exponential(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("drift", site, "_exponential", unit(ground, joint(site), "Nm", "N"))];
+    let law: Law = |at, settings| [warmed(at.time, settings[0]), 0.0, 0.0];
+    OneRow::new(&FAMILY, "exponential", site, settings, columns, law).term()
+}

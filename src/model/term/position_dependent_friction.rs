@@ -1,0 +1,49 @@
+//! Friction that changes with the joint's angle.
+
+use super::Term;
+use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::one_row::{Law, OneRow, column, smooth_sign, unit};
+use super::position_ripple::order;
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "position-dependent-friction";
+
+/// One wave of friction over the joint's angle.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "A shaft, bearing or seal that is not quite round rubs harder in some poses of the joint than in others.",
+    place: Place::Joint,
+    forms: &[Form {
+        name: "",
+        equation: "tau_j = (fqs_j sin(n q_j) + fqc_j cos(n q_j)) tanh(100 dq_j)",
+        settings: &[Setting {
+            name: "n",
+            unit: "1",
+            what: "waves per turn of the joint",
+            low: 1.0,
+            high: 20.0,
+            steps: 39,
+            scale: Scale::Linear,
+        }],
+        build,
+    }],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "5 to 50 % of the Coulomb friction",
+    confounded: &[Confounded {
+        with: "load-dependent-friction",
+        decided_by: "pass the same poses under another load, or in another mounting",
+    }],
+    reference: "Popovic, Goldenberg, IEEE Trans. Robotics and Automation 14 (1998); Armstrong-Helouvry et al., Automatica 30 (1994)",
+};
+
+fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let (unit, n) = (unit(ground, joint(site), "Nm", "N"), order(settings[0]));
+    let columns = ["sin", "cos"].map(|wave| column("frictionwave", site, &format!("_{n}_{wave}"), unit)).to_vec();
+    let law: Law = |at, settings| {
+        let ((sin, cos), s) = ((settings[0] * at.own.q).sin_cos(), smooth_sign(at.own.dq));
+        [sin * s, cos * s, 0.0]
+    };
+    OneRow::new(&FAMILY, "", site, settings, columns, law).term()
+}

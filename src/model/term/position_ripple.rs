@@ -1,0 +1,56 @@
+//! Torque that ripples over the joint's angle.
+
+use super::Term;
+use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::one_row::{Law, OneRow, column, unit};
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "position-ripple";
+
+/// One wave of torque over the joint's angle.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "Teeth, magnets and the sensor's own ring make torque ripple with the angle: cogging, gear meshing, sensor ripple.",
+    place: Place::Joint,
+    forms: &[Form {
+        name: "",
+        equation: "tau_j = rs_j sin(n q_j) + rc_j cos(n q_j)",
+        // A harmonic drive of ratio N makes orders N and 2 N of the output. Steps of 0.5: over a range of 5 rad a wave between two of
+        // them is 0.6 rad out of phase at the ends at most.
+        settings: &[Setting {
+            name: "n",
+            unit: "1",
+            what: "waves per turn of the joint",
+            low: 1.0,
+            high: 400.0,
+            steps: 799,
+            scale: Scale::Linear,
+        }],
+        build,
+    }],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "0.05 to 0.5 Nm, 1 to 2 % of a sensor's range",
+    confounded: &[
+        Confounded { with: "torque-offset", decided_by: "move the joint through a full turn, or as far as it goes" },
+        Confounded { with: "spring", decided_by: "move the joint through a full turn, or as far as it goes" },
+        Confounded { with: "lx and ly of the same link", decided_by: "order 1 only: identify in a second mounting" },
+    ],
+    reference: "Taghirad, Belanger, Trans. ASME J. Dynamic Systems 120 (1998)",
+};
+
+fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let (unit, n) = (unit(ground, joint(site), "Nm", "N"), order(settings[0]));
+    let columns = ["sin", "cos"].map(|wave| column("ripple", site, &format!("_{n}_{wave}"), unit)).to_vec();
+    let law: Law = |at, settings| {
+        let (sin, cos) = (settings[0] * at.own.q).sin_cos();
+        [sin, cos, 0.0]
+    };
+    OneRow::new(&FAMILY, "", site, settings, columns, law).smooth().term()
+}
+
+/// An order in a column's name: `n12.5`. Orders that share the first three decimals are one ripple.
+pub(super) fn order(n: f64) -> String {
+    format!("n{}", (n * 1e3).round() / 1e3)
+}

@@ -1,0 +1,69 @@
+//! Springs on a joint: cables, hoses, gravity compensators.
+
+use super::Term;
+use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::one_row::{Law, OneRow, column, unit};
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "spring";
+
+const Q0: Setting = Setting {
+    name: "q0",
+    unit: "rad",
+    what: "position at which the spring gets tight",
+    low: -3.0,
+    high: 3.0,
+    steps: 25,
+    scale: Scale::Linear,
+};
+
+/// A spring on one joint.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "Cables, hoses or a balancer are twisted or stretched when the joint moves, and pull back.",
+    place: Place::Joint,
+    forms: &[
+        Form { name: "linear", equation: "tau_j = k_j q_j + k0_j", settings: &[], build: linear },
+        Form { name: "above", equation: "tau_j = k_j max(0, q_j - q0)", settings: &[Q0], build: above },
+        Form { name: "below", equation: "tau_j = k_j max(0, q0 - q_j)", settings: &[Q0], build: below },
+        Form { name: "cubic", equation: "tau_j = k_j q_j + k3_j q_j^3 + k0_j", settings: &[], build: cubic },
+    ],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "0.1 to 2 Nm/rad",
+    confounded: &[
+        Confounded { with: "torque-offset", decided_by: "move the joint through more than 60 % of its range" },
+        Confounded { with: "position-ripple", decided_by: "move the joint through a full turn, or as far as it goes" },
+        Confounded { with: "lx and ly of the same link", decided_by: "identify in a second mounting" },
+    ],
+    reference: "Swevers et al., IEEE Trans. Robotics and Automation 13 (1997)",
+};
+
+fn linear(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    OneRow::new(&FAMILY, "linear", site, settings, straight(ground, site), |at, _| [at.own.q, 1.0, 0.0]).term()
+}
+
+fn cubic(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let mut columns = straight(ground, site);
+    columns.push(column("spring", site, "_cubic", unit(ground, joint(site), "Nm/rad3", "N/m3")));
+    OneRow::new(&FAMILY, "cubic", site, settings, columns, |at, _| [at.own.q, 1.0, at.own.q.powi(3)]).term()
+}
+
+fn straight(ground: &Ground, site: Site) -> Vec<super::Column> {
+    let joint = joint(site);
+    let stiffness = column("spring", site, "", unit(ground, joint, "Nm/rad", "N/m"));
+    vec![stiffness, column("spring", site, "_preload", unit(ground, joint, "Nm", "N"))]
+}
+
+fn above(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("spring", site, "_above", unit(ground, joint(site), "Nm/rad", "N/m"))];
+    let law: Law = |at, settings| [(at.own.q - settings[0]).max(0.0), 0.0, 0.0];
+    OneRow::new(&FAMILY, "above", site, settings, columns, law).term()
+}
+
+fn below(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("spring", site, "_below", unit(ground, joint(site), "Nm/rad", "N/m"))];
+    let law: Law = |at, settings| [(settings[0] - at.own.q).max(0.0), 0.0, 0.0];
+    OneRow::new(&FAMILY, "below", site, settings, columns, law).term()
+}

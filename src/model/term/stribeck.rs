@@ -1,0 +1,50 @@
+//! Friction that falls with speed before it rises.
+
+use super::Term;
+use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::one_row::{OneRow, column, smooth_sign, unit};
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "stribeck";
+
+/// What Coulomb friction has on top at low speed.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "At low speed the film of lubricant is too thin to keep the surfaces apart, so that friction is higher.",
+    place: Place::Joint,
+    forms: &[Form {
+        name: "",
+        equation: "tau_j = fs_j exp(-(dq_j / vs)^2) tanh(100 dq_j)",
+        settings: &[Setting {
+            name: "vs",
+            unit: "rad/s",
+            what: "speed at which the excess has fallen to 37 %",
+            low: 0.01,
+            high: 0.3,
+            steps: 8,
+            scale: Scale::Logarithmic,
+        }],
+        build,
+    }],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "10 to 60 % of the Coulomb friction, vs 0.01 to 0.2 rad/s",
+    confounded: &[
+        Confounded {
+            with: "presliding",
+            decided_by: "move the joint at constant speeds of 0.02 to 0.3 rad/s, both ways",
+        },
+        Confounded { with: "nonlinear-viscous", decided_by: "move the joint at constant speeds up to its rated one" },
+    ],
+    reference: "Bittencourt, Gunnarsson, Trans. ASME J. Dynamic Systems 134 (2012)",
+};
+
+fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("fs", site, "", unit(ground, joint(site), "Nm", "N"))];
+    let term = OneRow::new(&FAMILY, "", site, settings, columns, |at, settings| {
+        let dq = at.own.dq;
+        [(-(dq / settings[0]).powi(2)).exp() * smooth_sign(dq), 0.0, 0.0]
+    });
+    term.term()
+}

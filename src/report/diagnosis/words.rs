@@ -1,0 +1,360 @@
+//! A diagnosis in plain words.
+
+use super::{Changes, Diagnosis, Effect, EffectParameter, Errors, Unexplained, Verdict};
+use crate::report::Band;
+use crate::report::summary::{CHANGED, band_of, digits};
+
+/// The diagnosis in a few lines, the verdict first; the first line begins with `diagnosis:`.
+pub(in crate::report) fn lines(of: &Diagnosis) -> Vec<String> {
+    let mut findings = findings(of);
+    let verdict = match (of.verdict, findings.len()) {
+        (Verdict::NothingSignificant, _) => format!("nothing significant: {}", seen(of)),
+        (Verdict::Diagnosed, 1) => findings.remove(0),
+        (verdict, 1) => format!("{verdict}: {}", findings.remove(0)),
+        (Verdict::Diagnosed, count) if count > 1 => format!("{} found", counted(of)),
+        (verdict, 0) => verdict.to_string(),
+        (verdict, _) => format!("{verdict}: {}", counted(of)),
+    };
+    let mut lines = vec![format!("diagnosis: {verdict}")];
+    lines.extend(findings.iter().map(|finding| format!("- {finding}")));
+    errors(of, &mut lines);
+    lines.extend(of.notes.iter().map(|note| format!("note: {note}")));
+    lines
+}
+
+/// Effects, what stays unexplained and what changed, one sentence each.
+fn findings(of: &Diagnosis) -> Vec<String> {
+    let effects = of.effects.iter().map(|effect| {
+        let added = if effect.in_model { "" } else { "; not added to the model" };
+        format!("{}{added}", finding(effect, &of.confirmation))
+    });
+    let unexplained = of.unexplained.iter().map(self::unexplained);
+    effects
+        .chain(unexplained)
+        .chain(of.changes.iter().map(|changes| self::changes(changes, &of.confirmation)))
+        .collect()
+}
+
+/// Names that fit into a headline.
+const NAMED: usize = 2;
+
+/// What was found, in a few words for the head of the page; what the verdict says by itself is not repeated.
+pub(super) fn headline(of: &Diagnosis) -> String {
+    let changed = of.changes.iter().flat_map(|changes| &changes.effects);
+    let mut names: Vec<String> = of.effects.iter().chain(changed).map(Effect::name).collect();
+    names.extend(of.unexplained.iter().map(|open| format!("a residual in joint {}", open.joint)));
+    match (of.verdict, names.len()) {
+        (Verdict::NothingSignificant, _) => String::new(),
+        (_, count) if count <= NAMED => listed(names),
+        _ => counted(of),
+    }
+}
+
+/// What follows the headline and is in none of the tables.
+pub(super) fn sentences(of: &Diagnosis) -> Vec<String> {
+    let mut sentences = Vec::new();
+    if of.verdict == Verdict::NothingSignificant {
+        sentences.push(seen(of));
+    }
+    sentences.extend(of.unexplained.iter().map(unexplained));
+    let unchanged = of.changes.iter().filter(|changes| changes.effects.is_empty());
+    sentences.extend(unchanged.map(|changes| self::changes(changes, &of.confirmation)));
+    sentences
+}
+
+/// `2 effects, 1 joint unexplained`.
+fn counted(of: &Diagnosis) -> String {
+    let count = |count: usize, one: &str, many: &str| match count {
+        0 => None,
+        1 => Some(format!("1 {one}")),
+        _ => Some(format!("{count} {many}")),
+    };
+    let changed: usize = of.changes.iter().map(|changes| changes.effects.len()).sum();
+    let parts = [
+        count(of.effects.len(), "effect", "effects"),
+        count(of.unexplained.len(), "joint unexplained", "joints unexplained"),
+        count(changed, "change", "changes"),
+    ];
+    parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
+}
+
+/// What "nothing" means, as a number.
+fn seen(of: &Diagnosis) -> String {
+    let each = of
+        .minimum_detectable
+        .iter()
+        .flat_map(|(id, least)| least.torque_rms.iter().enumerate().map(move |(j, rms)| (*rms, id.as_str(), j)));
+    let mut all: Vec<(f64, &str, usize)> = each.filter(|(rms, ..)| rms.is_finite()).collect();
+    all.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (Some((half, ..)), Some((most, id, j))) = (all.get(all.len() / 2), all.last()) else {
+        return "how small an effect would have been seen is not known".into();
+    };
+    let except = if of.not_identifiable.is_empty() { "" } else { ", unless the base parameters absorb it" };
+    format!(
+        "any known effect of {} Nm RMS or more would have been seen{except}, half of them from {} Nm on (hardest to see: {} in joint {})",
+        digits(*most),
+        digits(*half),
+        plain(id),
+        j + 1
+    )
+}
+
+/// An id as words.
+pub(super) fn plain(id: &str) -> String {
+    id.replace('-', " ")
+}
+
+/// `joint 4`, `joints 4 and 5`; nothing for the arm as a whole.
+pub(super) fn places(joints: &[usize]) -> String {
+    match joints {
+        [] => String::new(),
+        [joint] => format!("joint {joint}"),
+        _ => format!("joints {}", listed(joints.iter().map(usize::to_string))),
+    }
+}
+
+/// `a`, `a and b`, `a, b and c`.
+fn listed(items: impl IntoIterator<Item = String>) -> String {
+    let mut items: Vec<String> = items.into_iter().collect();
+    match items.pop() {
+        Some(last) if !items.is_empty() => format!("{} and {last}", items.join(", ")),
+        last => last.unwrap_or_default(),
+    }
+}
+
+/// An effect by id and place: `presliding in joint 4`.
+pub(super) fn placed(id: &str, joints: &[usize]) -> String {
+    let place = places(joints);
+    if place.is_empty() { plain(id) } else { format!("{} in {place}", plain(id)) }
+}
+
+impl Effect {
+    /// What it is called: `presliding in joint 4`, `mounting since session 2`, or its own label.
+    pub fn name(&self) -> String {
+        if !self.label.is_empty() {
+            return self.label.clone();
+        }
+        let since = self.since_session.map_or(String::new(), |session| format!(" since session {session}"));
+        placed(&self.id, &self.joints) + &since
+    }
+}
+
+/// An effect in one sentence.
+fn finding(effect: &Effect, confirmation: &str) -> String {
+    let parameters: Vec<String> =
+        effect.parameters.0.iter().map(|p| format!("{} {}", p.name, quantity(p, "+-"))).collect();
+    let parameters = if parameters.is_empty() { String::new() } else { format!(" ({})", parameters.join(", ")) };
+    format!("{}{parameters}, {}{}", effect.name(), confirmed(effect, confirmation), rivals(effect))
+}
+
+/// Whether an effect held in trajectories that were left out; `why` not, where nobody could say.
+pub(super) fn confirmed(effect: &Effect, why: &str) -> String {
+    let (positive, informative) = (effect.folds.positive, effect.folds.informative);
+    match (effect.confirmed, informative) {
+        (true, 0) => "confirmed".into(),
+        (true, _) => format!("confirmed in {positive} of {informative} trajectories"),
+        (false, 0) if why.is_empty() || why.starts_with("confirmed") => "unconfirmed".into(),
+        (false, 0) => format!("unconfirmed ({why})"),
+        (false, _) => format!("unconfirmed (held in {positive} of {informative} trajectories)"),
+    }
+}
+
+/// What this data can't tell from an effect, and what would decide.
+fn rivals(effect: &Effect) -> String {
+    if effect.alternatives_detail.is_empty() {
+        let ids: Vec<String> = effect.alternatives.iter().map(|id| plain(id)).collect();
+        return if ids.is_empty() { String::new() } else { format!("; or {}", ids.join(", or ")) };
+    }
+    let names = effect.alternatives_detail.iter().map(|other| {
+        let gap = other.score_gap.map_or(String::new(), |gap| format!(" (score {} lower)", digits(gap)));
+        format!("{}{gap}", placed(&other.id, &other.joints))
+    });
+    let mut text = format!("; or {}", names.collect::<Vec<_>>().join(", or "));
+    let mut experiments: Vec<&str> = Vec::new();
+    for other in &effect.alternatives_detail {
+        let experiment = other.deciding_experiment.trim_end_matches('.');
+        if !experiment.is_empty() && !experiments.contains(&experiment) {
+            experiments.push(experiment);
+        }
+    }
+    if !experiments.is_empty() {
+        text += &format!("; to decide: {}", experiments.join("; or "));
+    }
+    text
+}
+
+/// What stays unexplained in a joint, in one sentence.
+pub(super) fn unexplained(of: &Unexplained) -> String {
+    let size = of.rms.map_or("a residual".to_string(), |rms| format!("{} Nm", fixed(rms)));
+    let dependence = if of.depends_on.is_empty() {
+        "for which no dependence was found".to_string()
+    } else {
+        let r2 = of.r2.map_or(String::new(), |r2| format!(" (R2 {r2:.2})"));
+        format!("that depends on {}{r2}", listed(of.depends_on.iter().cloned()))
+    };
+    let floor = of.floor.map_or(String::new(), |floor| format!(" ({})", fixed(floor)));
+    let mut text = format!("joint {} has {size} beyond its noise{floor} {dependence}", of.joint);
+    for (what, more) in [("", &of.note), ("to decide: ", &of.deciding_experiment)] {
+        if !more.is_empty() {
+            text += &format!("; {what}{}", more.trim_end_matches('.'));
+        }
+    }
+    text
+}
+
+/// What changed, in one sentence.
+fn changes(of: &Changes, confirmation: &str) -> String {
+    let effects: Vec<String> = of.effects.iter().map(|effect| finding(effect, confirmation)).collect();
+    let effects = if effects.is_empty() { "nothing changed".to_string() } else { effects.join("; ") };
+    let session = if of.session.is_empty() { String::new() } else { format!("{}, ", of.session) };
+    let note = if of.note.is_empty() { String::new() } else { format!("; {}", of.note.trim_end_matches('.')) };
+    let helped = helped(of).map_or(String::new(), |text| format!("; {text}"));
+    format!("{session}since {}: {effects}{helped}{note}", of.since)
+}
+
+/// How much better the earlier model is with the changes, in its worst joint.
+pub(super) fn helped(of: &Changes) -> Option<String> {
+    let (before, after) = (of.before.as_ref()?, of.after.as_ref()?);
+    let known = before.validate_rms.iter().enumerate().filter(|(_, rms)| rms.is_finite());
+    let (worst, rms) = known.max_by(|a, b| a.1.total_cmp(b.1))?;
+    let now = after.validate_rms.get(worst).copied().unwrap_or(f64::NAN);
+    Some(format!(
+        "error of that model, worst joint ({}): {} -> {} Nm with the changes",
+        worst + 1,
+        fixed(*rms),
+        fixed(now)
+    ))
+}
+
+/// Errors on unseen runs: the worst joint first, then all of them.
+fn errors(of: &Diagnosis, lines: &mut Vec<String>) {
+    lines.extend(error(of));
+    if of.band != Band::Raw && !of.noise_floor.is_empty() {
+        let floor = of.noise_floor.iter().copied().map(fixed).collect::<Vec<_>>().join("  ");
+        lines.push(format!("noise floor [Nm] {}: {floor}", band_of(&of.band)));
+    }
+    if !grown(of) {
+        lines.extend((!of.before.validate_rms.is_empty()).then(|| format!("RMS [Nm]: {}", row(&of.before))));
+        return;
+    }
+    for (name, errors) in [("before", Some(&of.before)), ("after", Some(&of.after)), ("change", of.change.as_ref())] {
+        let errors = errors.filter(|errors| !errors.validate_rms.is_empty());
+        lines.extend(errors.map(|errors| format!("RMS {name} [Nm]: {}", row(errors))));
+    }
+}
+
+/// The worst joint's error on unseen runs.
+pub(super) fn error(of: &Diagnosis) -> Option<String> {
+    let (before, after) = (&of.before, &of.after);
+    let worst = worst(of, before)?;
+    let band = match band_of(&of.band) {
+        band if band.is_empty() => String::new(),
+        band => format!(" {band}"),
+    };
+    let floor =
+        |j: usize| of.noise_floor.get(j).map_or(String::new(), |floor| format!("noise floor {}", fixed(*floor)));
+    let with = |j: usize| if floor(j).is_empty() { String::new() } else { format!(" ({})", floor(j)) };
+    let start = format!("error on unseen runs{band}, worst joint");
+    let figure = fixed(before.validate_rms[worst]);
+    if !grown(of) {
+        let added = if of.effects.is_empty() { "" } else { "; no effect was added to the model" };
+        return Some(format!("{start} ({}): {figure} Nm{}{added}", worst + 1, with(worst)));
+    }
+    let now = after.validate_rms.get(worst).copied().unwrap_or(f64::NAN);
+    let apart = |j: usize| size(of, after, j) > (1.0 + CHANGED) * size(of, after, worst);
+    let next = self::worst(of, after).filter(|next| apart(*next));
+    let next =
+        next.map_or(String::new(), |j| format!("; worst now ({}): {}{}", j + 1, fixed(after.validate_rms[j]), with(j)));
+    Some(format!("{start} ({}): {figure} -> {} Nm{}{next}", worst + 1, fixed(now), with(worst)))
+}
+
+/// Whether the delivered model has effects that the one before had not.
+pub(super) fn grown(of: &Diagnosis) -> bool {
+    !of.after.validate_rms.is_empty() && of.effects.iter().any(|effect| effect.in_model)
+}
+
+/// The joint whose error is farthest above its noise.
+fn worst(of: &Diagnosis, errors: &Errors) -> Option<usize> {
+    let sizes = (0..errors.validate_rms.len()).map(|j| (j, size(of, errors, j)));
+    sizes.filter(|(_, size)| size.is_finite()).max_by(|a, b| a.1.total_cmp(&b.1)).map(|(j, _)| j)
+}
+
+/// An error over its noise; the error itself where the noise of a joint is unknown.
+fn size(of: &Diagnosis, errors: &Errors, j: usize) -> f64 {
+    let rms = errors.validate_rms.get(j).copied().unwrap_or(f64::NAN);
+    let known = of.noise_floor.len() == errors.validate_rms.len() && of.noise_floor.iter().all(|floor| *floor > 0.0);
+    if known { rms / of.noise_floor[j] } else { rms }
+}
+
+/// All joints: value and interval.
+fn row(errors: &Errors) -> String {
+    let cell = |(j, rms): (usize, &f64)| match errors.intervals.get(j) {
+        Some([low, high]) if low.is_finite() && high.is_finite() => {
+            format!("{} [{} {}]", fixed(*rms), fixed(*low), fixed(*high))
+        }
+        _ => fixed(*rms),
+    };
+    errors.validate_rms.iter().enumerate().map(cell).collect::<Vec<_>>().join("  ")
+}
+
+/// Three decimals; a dash where there is no number.
+pub(super) fn fixed(value: f64) -> String {
+    if !value.is_finite() {
+        return "-".into();
+    }
+    // Adding zero takes the sign from a rounded zero.
+    format!("{:.3}", (value * 1e3).round() / 1e3 + 0.0)
+}
+
+/// Value, standard deviation and unit of a parameter, with as many decimals as the standard deviation has meaning; `sign` stands
+/// between the two.
+pub(super) fn quantity(p: &EffectParameter, sign: &str) -> String {
+    if !p.value.is_finite() {
+        return "-".into();
+    }
+    // A thousandth of a radian, second or metre is what such parameters come in.
+    let small = p.value.abs() < 0.1 && p.std.is_none_or(|std| std < 0.1);
+    let milli = small && ["rad", "s", "m", "rad/Nm"].contains(&p.unit.as_str());
+    let (scale, prefix) = if milli { (1e3, "m") } else { (1.0, "") };
+    let unit = if p.unit.is_empty() || p.unit == "1" { String::new() } else { format!(" {prefix}{}", p.unit) };
+    let value = p.value * scale;
+    let Some(std) = p.std.map(|std| std * scale).filter(|std| *std > 0.0 && std.is_finite()) else {
+        return format!("{}{unit}", digits(value));
+    };
+    // Two digits of a deviation that starts with 1 or 2, else one.
+    let exponent = std.log10().floor();
+    let leading = (std / 10f64.powf(exponent)).round();
+    let decimals = (if leading < 3.0 { 1.0 - exponent } else { -exponent }).clamp(0.0, 9.0) as usize;
+    format!("{:.decimals$} {sign} {std:.decimals$}{unit}", value + 0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn said(value: f64, std: Option<f64>, unit: &str) -> String {
+        quantity(&EffectParameter { name: "p".into(), value, std, unit: unit.into() }, "+-")
+    }
+
+    #[test]
+    fn quantities_have_the_digits_that_their_deviation_allows() {
+        assert_eq!(said(0.002137, Some(0.000098), "rad"), "2.14 +- 0.10 mrad");
+        assert_eq!(said(0.1603, Some(0.0123), "Nm"), "0.160 +- 0.012 Nm");
+        assert_eq!(said(0.73104, Some(0.0041), "kg"), "0.731 +- 0.004 kg");
+        assert_eq!(said(-123.4, Some(56.0), "s"), "-123 +- 56 s");
+        assert_eq!(said(0.004, None, "s"), "4.00 ms");
+        assert_eq!(said(0.02, Some(0.0), "Nm"), "0.0200 Nm");
+        assert_eq!(said(1.0342, Some(0.0021), "1"), "1.0342 +- 0.0021");
+        assert_eq!(said(f64::NAN, Some(1.0), "Nm"), "-");
+        assert_eq!((fixed(-0.0002), fixed(f64::NAN), fixed(0.1234)), ("0.000".into(), "-".into(), "0.123".into()));
+    }
+
+    #[test]
+    fn lists_are_joined_as_people_do() {
+        let list = |items: &[&str]| listed(items.iter().map(|item| item.to_string()));
+        assert_eq!((list(&[]), list(&["a"]), list(&["a", "b"])), (String::new(), "a".into(), "a and b".into()));
+        assert_eq!(list(&["a", "b", "c"]), "a, b and c");
+        assert_eq!(placed("torque-crosstalk", &[5, 6]), "torque crosstalk in joints 5 and 6");
+        assert_eq!(placed("base-motion", &[]), "base motion");
+    }
+}

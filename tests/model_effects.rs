@@ -1,0 +1,521 @@
+//! Every family of effects: its regressor, its served torque and its file form are the same effect, on every kind of arm.
+
+mod arms;
+
+use arms::{any_mounting, chain, draw, torque};
+use assert_no_alloc::{AllocDisabler, assert_no_alloc, violation_count};
+use nalgebra::{DMatrix, DVector, Rotation3, Unit, Vector3};
+use plumbline::joint::Torque;
+use plumbline::model::base::Reduction;
+use plumbline::model::chain::Placement;
+use plumbline::model::gravity::Mounting;
+use plumbline::model::structure::Structure;
+use plumbline::model::term::effect::{Confounded, FAMILIES, Family, Ground, Site, Spec, Stratum};
+use plumbline::model::term::{Motion, Sample};
+use plumbline::model::torque::{NamedEffect, NamedTerm, TorqueModel};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeSet;
+
+#[global_allocator]
+static ALLOCATOR: AllocDisabler = AllocDisabler;
+
+/// Arms with turning and sliding joints.
+const ROBOTS: [&str; 3] = ["panda", "paper-2dof", "scara"];
+
+/// Sines with their derivatives, one period of 4 s at 250 Hz.
+fn smooth_motion(rng: &mut ChaCha8Rng, n: usize, periodic: bool) -> Motion {
+    sampled_motion(rng, n, periodic, 1000)
+}
+
+/// The same with that many samples.
+fn sampled_motion(rng: &mut ChaCha8Rng, n: usize, periodic: bool, samples: usize) -> Motion {
+    let dt = 4.0 / samples as f64;
+    let zeros = || DMatrix::zeros(samples, n);
+    let (mut q, mut dq, mut ddq) = (zeros(), zeros(), zeros());
+    for j in 0..n {
+        let middle = rng.random_range(-1.0..1.0);
+        q.column_mut(j).fill(middle);
+        for harmonic in 1..=4 {
+            let (a, phase) = (rng.random_range(0.05..0.3), rng.random_range(-3.0..3.0));
+            let w = f64::from(harmonic) * std::f64::consts::FRAC_PI_2;
+            for k in 0..samples {
+                let (sin, cos) = (w * k as f64 * dt + phase).sin_cos();
+                q[(k, j)] += a * sin;
+                dq[(k, j)] += a * w * cos;
+                ddq[(k, j)] -= a * w * w * sin;
+            }
+        }
+    }
+    Motion { dt, q, dq, ddq, gravity: any_mounting(rng).gravity(), periodic, start: 12.0 }
+}
+
+fn rigid_model(robot: &str, rng: &mut ChaCha8Rng) -> TorqueModel {
+    model_within(robot, rng, 1.0)
+}
+
+/// With parameters within `span` of zero.
+fn model_within(robot: &str, rng: &mut ChaCha8Rng, span: f64) -> TorqueModel {
+    let chain = chain(robot);
+    let structure = Structure::of(chain.clone(), Reduction::any_mounting(&chain), &["friction"]).unwrap();
+    let values: Vec<_> =
+        draw(rng, structure.columns().len(), span).into_iter().map(|value| (value, Some(0.1))).collect();
+    TorqueModel::new(robot, structure, vec![Mounting::WALL], &values).unwrap()
+}
+
+fn ground(model: &TorqueModel) -> Ground {
+    model.structure().ground(&model.beta())
+}
+
+/// Every form of a family at a random site with random settings.
+fn specs(family: &'static Family, n: usize, rng: &mut ChaCha8Rng) -> Vec<Spec> {
+    let sites = family.place.sites(n);
+    let mut spec = |form: &'static plumbline::model::term::effect::Form| Spec {
+        family: family.id,
+        form: form.name,
+        site: sites[rng.random_range(0..sites.len())],
+        settings: match family.id {
+            // A window inside the motion.
+            "contact" => vec![12.5, 15.5],
+            _ => form.settings.iter().map(|setting| setting.at(rng.random_range(0.0..1.0))).collect(),
+        },
+    };
+    family.forms.iter().map(&mut spec).collect()
+}
+
+/// The model with one effect, whose parameters are `0.3, 0.4, ..`.
+fn with(model: &TorqueModel, spec: &Spec) -> TorqueModel {
+    let term = spec.build(&ground(model)).unwrap();
+    let columns = term.columns().len();
+    let structure = model.structure().clone().with(vec![term]).unwrap();
+    let mut values: Vec<(f64, Option<f64>)> = model.parameters().iter().map(|p| (p.value, p.std)).collect();
+    values.extend((0..columns).map(|c| (0.3 + 0.1 * c as f64, Some(0.1))));
+    TorqueModel::new(model.robot(), structure, vec![Mounting::WALL], &values).unwrap()
+}
+
+/// The regressor of an effect alone, n N x columns.
+fn columns(ground: &Ground, spec: &Spec, motion: &Motion) -> DMatrix<f64> {
+    let term = spec.build(ground).unwrap();
+    let mut y = DMatrix::zeros(motion.joints() * motion.samples(), term.columns().len());
+    term.fill(&ground.chain, motion, &mut y, 0);
+    y
+}
+
+fn named(model: &TorqueModel) -> Vec<NamedTerm> {
+    let mut all = Vec::new();
+    for (term, parameters) in model.terms() {
+        let effect = term.spec().map_or(NamedEffect::default(), |spec| {
+            let form = spec.family().unwrap().form(spec.form).unwrap();
+            let joints: Vec<usize> = spec.site.joints().iter().map(|joint| joint + 1).collect();
+            let settings = form.settings.iter().zip(&spec.settings);
+            NamedEffect {
+                form: spec.form.to_string(),
+                joint: joints.first().copied(),
+                cause: joints.get(1).copied(),
+                settings: settings.map(|(setting, value)| (setting.name.to_string(), *value)).collect(),
+            }
+        });
+        let parameters = parameters.iter().map(|p| (p.column.name.clone(), p.value, p.std)).collect();
+        all.push(NamedTerm { id: term.id().to_string(), effect, parameters });
+    }
+    all
+}
+
+#[test]
+fn what_is_served_is_the_regressor_times_the_parameters() {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    for robot in ROBOTS {
+        let model = rigid_model(robot, &mut rng);
+        let n = model.structure().chain().len();
+        for family in FAMILIES {
+            for spec in specs(family, n, &mut rng) {
+                let periodic = rng.random_bool(0.5);
+                let motion = smooth_motion(&mut rng, n, periodic);
+                let full = with(&model, &spec);
+                let own = columns(&ground(&model), &spec, &motion);
+                assert!(own.iter().all(|value| value.is_finite()), "{spec:?}");
+                // A one-sided spring may not be reached, and a small arm does not feel every force, tilt or parameter.
+                let may_be = ["above", "below"].contains(&spec.form) || (robot != "panda" && own.ncols() > 1);
+                assert!(
+                    may_be || own.column_iter().all(|column| column.amax() > 0.0),
+                    "an empty column: {spec:?}, {robot}"
+                );
+                let served = full.predict(&motion) - model.predict(&motion);
+                if !family.served {
+                    assert_eq!(served.amax(), 0.0, "{spec:?}");
+                    continue;
+                }
+                let beta = DVector::from_vec(full.beta()[model.beta().len()..].to_vec());
+                let expected = own * beta;
+                let expected = DMatrix::from_column_slice(motion.samples(), n, expected.as_slice());
+                let scale = expected.amax().max(model.predict(&motion).amax());
+                let difference = (served - &expected).amax();
+                assert!(difference < 1e-9 * scale, "{spec:?} of {robot}: {difference:e} of {scale:e}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_model_with_any_effect_comes_back_from_its_names() {
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    for robot in ["panda", "scara"] {
+        let model = rigid_model(robot, &mut rng);
+        for family in FAMILIES {
+            for spec in specs(family, model.structure().chain().len(), &mut rng) {
+                let full = with(&model, &spec);
+                if full.terms().last().unwrap().0.spec().is_none() {
+                    // A term of the whole arm (offsets, rotors), which tests/model_torque.rs has.
+                    continue;
+                }
+                let rebuild = |named: &[NamedTerm]| {
+                    TorqueModel::from_named(robot, chain(robot), model.kind(), vec![Mounting::WALL], named)
+                };
+                let again = rebuild(&named(&full)).unwrap();
+                assert_eq!(full.parameters(), again.parameters(), "{spec:?}");
+                let motion = smooth_motion(&mut rng, model.structure().chain().len(), false);
+                assert_eq!(full.predict(&motion), again.predict(&motion), "{spec:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn no_effect_allocates_in_the_loop() {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let model = rigid_model("panda", &mut rng);
+    // The guard itself works: an allocation under it is counted.
+    assert_no_alloc(|| drop(std::hint::black_box(Box::new(1.0))));
+    let counted = violation_count();
+    assert!(counted > 0);
+    for family in FAMILIES {
+        for spec in specs(family, 7, &mut rng) {
+            let mut evaluator = with(&model, &spec).evaluator(&Mounting::WALL.gravity());
+            let mut sum = 0.0;
+            assert_no_alloc(|| {
+                for k in 0..20 {
+                    let sample = Sample { q: [0.3 + 1e-3 * f64::from(k); 8], dq: [1.0; 8], ddq: [-1.0; 8] };
+                    let Torque(tau) = evaluator.torque(&sample);
+                    sum += tau.iter().sum::<f64>();
+                }
+            });
+            assert_eq!(violation_count(), counted, "{spec:?}");
+            assert!(sum.is_finite());
+        }
+    }
+}
+
+/// The identities that reports and model files are keyed by.
+const IDS: &str = "torque-offset torque-gain asymmetric-coulomb asymmetric-viscous stribeck nonlinear-viscous \
+    load-dependent-friction friction-drift offset-drift presliding rotor-inertia joint-elasticity position-ripple \
+    position-dependent-friction spring payload mounting base-motion torque-crosstalk transmission-coupling delay contact \
+    encoder-offset encoder-eccentricity backlash";
+
+#[test]
+fn the_catalogue_is_whole_and_says_what_people_have_to_know() {
+    let ids: Vec<&str> = FAMILIES.iter().map(|family| family.id).collect();
+    assert_eq!(ids.iter().collect::<BTreeSet<_>>().len(), ids.len());
+    assert_eq!(ids.iter().copied().collect::<BTreeSet<_>>(), IDS.split_whitespace().collect());
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let model = rigid_model("panda", &mut rng);
+    for family in FAMILIES {
+        let id = family.id;
+        assert!(family.physics.ends_with('.') && family.physics.matches(". ").count() == 0, "one sentence: {id}");
+        assert!(!family.typical.is_empty() && !family.reference.is_empty() && !family.confounded.is_empty(), "{id}");
+        assert_eq!(
+            family.served,
+            family.stratum != Stratum::Changing,
+            "what changes over a recording can't be served: {id}"
+        );
+        for Confounded { with, decided_by } in family.confounded {
+            // Another family, or parameters of the model, which begin with a letter of theirs.
+            let known = IDS.split_whitespace().any(|other| other == *with && other != id);
+            let parameters = ["L", "l", "f", "the "].iter().any(|start| with.starts_with(start));
+            assert!(known || parameters, "{id} is confounded with {with}?");
+            assert!(decided_by.len() > 10, "{id}");
+        }
+        let forms: BTreeSet<&str> = family.forms.iter().map(|form| form.name).collect();
+        assert_eq!(forms.len(), family.forms.len(), "{id}");
+        let mut names = BTreeSet::new();
+        for spec in specs(family, 7, &mut rng) {
+            let term = spec.build(&ground(&model)).unwrap();
+            assert_eq!((term.id(), term.physics()), (id, family.physics));
+            let form = family.form(spec.form).unwrap();
+            let equation = |name: &str| form.equation.split(|c: char| !c.is_alphanumeric()).any(|word| word == name);
+            assert!(form.settings.iter().all(|setting| equation(setting.name)), "settings in the equation of {id}");
+            for column in term.columns() {
+                assert!(names.insert(column.name.clone()), "two columns {}", column.name);
+                assert!((1..=7).contains(&column.joint));
+                let plain = |c: char| c.is_ascii_alphanumeric() || "/ ".contains(c);
+                assert!(!column.unit.is_empty() && column.unit.chars().all(plain), "{}: {}", column.name, column.unit);
+            }
+        }
+    }
+}
+
+/// Effects of one family side by side in one model: two joints, and two waves in one joint.
+#[test]
+fn columns_of_different_effects_have_different_names() {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let model = rigid_model("panda", &mut rng);
+    let mut names = BTreeSet::new();
+    for family in FAMILIES {
+        for site in family.place.sites(7) {
+            let form = &family.forms[0];
+            let settings = form.settings.iter().map(|setting| setting.at(0.4)).collect();
+            let spec = Spec { family: family.id, form: form.name, site, settings };
+            for column in spec.build(&ground(&model)).unwrap().columns() {
+                assert!(names.insert(column.name.clone()), "{}", column.name);
+            }
+        }
+    }
+    for n in [2.5, 3.0, 200.125] {
+        let spec = Spec { family: "position-ripple", form: "", site: Site::Joint(3), settings: vec![n] };
+        let columns = spec.build(&ground(&model)).unwrap().columns();
+        assert_eq!(columns[1].name, format!("ripple4_n{n}_cos"));
+        assert!(columns.iter().all(|column| names.insert(column.name.clone())));
+    }
+}
+
+/// What is proportional to a joint's rigid-body torque is just that.
+#[test]
+fn gains_are_shares_of_the_rigid_bodys_torque() {
+    let mut rng = ChaCha8Rng::seed_from_u64(6);
+    for robot in ROBOTS {
+        let model = rigid_model(robot, &mut rng);
+        let (n, rigid) = (model.structure().chain().len(), model.structure().reduction().len());
+        let motion = smooth_motion(&mut rng, n, false);
+        let samples = motion.samples();
+        let beta = DVector::from_vec(model.beta()[..rigid].to_vec());
+        let load = model.structure().regressor(&motion).columns(0, rigid) * beta;
+        let rows = |joint: usize| load.rows(joint * samples, samples);
+        let gain = Spec { family: "torque-gain", form: "", site: Site::Joint(1), settings: vec![] };
+        let difference = columns(&ground(&model), &gain, &motion).rows(samples, samples) - rows(1);
+        assert!(difference.amax() < 1e-11 * load.amax());
+        let site = Site::Pair { row: 0, cause: 1 };
+        let cross = Spec { family: "torque-crosstalk", form: "", site, settings: vec![] };
+        let own = columns(&ground(&model), &cross, &motion);
+        assert!((own.rows(0, samples) - rows(1)).amax() < 1e-11 * load.amax());
+        assert_eq!(own.rows(samples, samples).amax(), 0.0, "only in its own row");
+    }
+}
+
+/// Laws by hand, at one sample each.
+#[test]
+fn laws_are_what_their_equations_say() {
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let model = rigid_model("panda", &mut rng);
+    let ground = ground(&model);
+    let motion = smooth_motion(&mut rng, 7, false);
+    let (j, k) = (3, 2);
+    let at = |matrix: &DMatrix<f64>, joint: usize, sample: usize| matrix[(sample, joint)];
+    let sign = |dq: f64| (100.0 * dq).tanh();
+    type Law<'a> = &'a dyn Fn(f64, f64, usize) -> Vec<f64>;
+    let pair = Site::Pair { row: j, cause: k };
+    let one = Site::Joint(j);
+    let other = |sample: usize| at(&motion.dq, k, sample);
+    let minutes = |sample: usize| (12.0 + 4e-3 * sample as f64) / 60.0;
+    let cases: [(&str, &str, Site, Vec<f64>, Law); 13] = [
+        ("asymmetric-coulomb", "", one, vec![], &|_, dq, _| vec![sign(dq).abs()]),
+        ("asymmetric-viscous", "", one, vec![], &|_, dq, _| vec![dq.abs()]),
+        ("stribeck", "", one, vec![0.1], &|_, dq, _| vec![(-dq * dq / 0.01).exp() * sign(dq)]),
+        ("nonlinear-viscous", "sigmoid", one, vec![0.2], &|_, dq, _| vec![(dq / 0.2).tanh()]),
+        ("nonlinear-viscous", "cubic", one, vec![], &|_, dq, _| vec![dq * dq * dq]),
+        ("nonlinear-viscous", "quadratic", one, vec![], &|_, dq, _| vec![dq * dq.abs()]),
+        ("position-ripple", "", one, vec![7.5], &|q, _, _| vec![(7.5 * q).sin(), (7.5 * q).cos()]),
+        ("spring", "cubic", one, vec![], &|q, _, _| vec![q, 1.0, q * q * q]),
+        ("spring", "above", one, vec![0.2], &|q, _, _| vec![if q > 0.2 { q - 0.2 } else { 0.0 }]),
+        ("spring", "below", one, vec![0.2], &|q, _, _| vec![if q < 0.2 { 0.2 - q } else { 0.0 }]),
+        ("transmission-coupling", "friction", pair, vec![], &|_, _, s| vec![sign(other(s)), other(s)]),
+        ("transmission-coupling", "sum", pair, vec![0.5], &|_, dq, s| vec![sign(dq + 0.5 * other(s))]),
+        ("friction-drift", "linear", one, vec![], &|_, dq, s| vec![minutes(s) * sign(dq), minutes(s) * dq]),
+    ];
+    for (family, form, site, settings, law) in cases {
+        let spec = Spec { family: FAMILIES.iter().find(|f| f.id == family).unwrap().id, form, site, settings };
+        let own = columns(&ground, &spec, &motion);
+        for sample in (0..motion.samples()).step_by(37) {
+            let expected = law(at(&motion.q, j, sample), at(&motion.dq, j, sample), sample);
+            assert_eq!(own.ncols(), expected.len(), "{spec:?}");
+            for (c, expected) in expected.iter().enumerate() {
+                let found = own[(j * motion.samples() + sample, c)];
+                assert!((found - expected).abs() < 1e-12, "{spec:?} column {c}: {found} {expected}");
+            }
+        }
+    }
+}
+
+/// `tau_rb` along a motion by the regressor, N x n.
+fn load(model: &TorqueModel, motion: &Motion) -> DMatrix<f64> {
+    let rigid = model.structure().reduction().len();
+    let beta = DVector::from_vec(model.beta()[..rigid].to_vec());
+    let stacked = model.structure().regressor(motion).columns(0, rigid) * beta;
+    DMatrix::from_column_slice(motion.samples(), motion.joints(), stacked.as_slice())
+}
+
+/// A column of an effect as N x n.
+fn column_of(ground: &Ground, spec: &Spec, motion: &Motion, column: usize) -> DMatrix<f64> {
+    let all = columns(ground, spec, motion);
+    DMatrix::from_column_slice(motion.samples(), motion.joints(), all.column(column).clone_owned().as_slice())
+}
+
+/// First and second derivative of a periodic signal by central differences.
+fn differences(signal: &[f64], dt: f64) -> (Vec<f64>, Vec<f64>) {
+    let n = signal.len();
+    let around = |k: usize| (signal[(k + n - 1) % n], signal[k], signal[(k + 1) % n]);
+    let first = (0..n).map(|k| (around(k).2 - around(k).0) / (2.0 * dt));
+    let second = (0..n).map(|k| (around(k).2 - 2.0 * around(k).1 + around(k).0) / (dt * dt));
+    (first.collect(), second.collect())
+}
+
+/// Effects of a position error are what the rigid body does on the motion that is really shifted.
+#[test]
+fn a_position_error_shifts_the_motion() {
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    for robot in ["panda", "paper-2dof"] {
+        // Small torques, so that a gap of a few Nm is wide against the steps of the motion.
+        let model = model_within(robot, &mut rng, 0.02);
+        let (ground, n) = (ground(&model), model.structure().chain().len());
+        let motion = sampled_motion(&mut rng, n, true, 4000);
+        let torque = load(&model, &motion);
+        let i = rng.random_range(0..n);
+        let q: Vec<f64> = motion.q.column(i).iter().copied().collect();
+        let own: Vec<f64> = torque.column(i).iter().copied().collect();
+        let width = (0.5 * torque.column(i).amax()).min(5.0);
+        let cases: [(&str, Vec<f64>, usize, Vec<f64>); 5] = [
+            ("encoder-offset", vec![], 0, vec![1.0; q.len()]),
+            ("encoder-eccentricity", vec![], 0, q.iter().map(|q| q.sin()).collect()),
+            ("encoder-eccentricity", vec![], 1, q.iter().map(|q| q.cos()).collect()),
+            ("joint-elasticity", vec![], 0, own.iter().map(|tau| -tau).collect()),
+            ("backlash", vec![width], 0, own.iter().map(|tau| -(tau / width).tanh()).collect()),
+        ];
+        for (id, settings, c, error) in cases {
+            let family = FAMILIES.iter().find(|family| family.id == id).unwrap();
+            let spec = Spec { family: family.id, form: "", site: Site::Joint(i), settings };
+            let found = column_of(&ground, &spec, &motion, c);
+            let a = 1e-5;
+            let (first, second) = differences(&error, motion.dt);
+            let shifted = |a: f64| {
+                let mut motion = motion.clone();
+                for k in 0..motion.samples() {
+                    motion.q[(k, i)] += a * error[k];
+                    motion.dq[(k, i)] += a * first[k];
+                    motion.ddq[(k, i)] += a * second[k];
+                }
+                load(&model, &motion)
+            };
+            let expected = (shifted(a) - shifted(-a)) / (2.0 * a);
+            let (difference, scale) = ((&found - &expected).amax(), expected.amax());
+            assert!(scale > 1e-3 && difference < 2e-3 * scale, "{id} of {robot}: {difference:e} of {scale:e}");
+        }
+    }
+}
+
+#[test]
+fn a_delay_is_the_slope_of_the_torque() {
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let model = rigid_model("panda", &mut rng);
+    let motion = sampled_motion(&mut rng, 7, true, 4000);
+    let torque = load(&model, &motion);
+    let spec = Spec { family: "delay", form: "", site: Site::Arm, settings: vec![] };
+    let found = column_of(&ground(&model), &spec, &motion, 0);
+    for j in 0..7 {
+        let (slope, _) = differences(torque.column(j).clone_owned().as_slice(), motion.dt);
+        let expected = -DVector::from_vec(slope);
+        let (difference, scale) = ((found.column(j) - &expected).amax(), expected.amax());
+        assert!(difference < 1e-3 * scale, "joint {}: {difference:e} of {scale:e}", j + 1);
+    }
+}
+
+/// A tilt turns gravity about its axis; upright the axes are the base's x and y.
+#[test]
+fn a_tilt_turns_gravity() {
+    let mut rng = ChaCha8Rng::seed_from_u64(10);
+    let up = plumbline::model::term::mounting::axes(&Mounting::UPRIGHT.gravity());
+    assert!((up[0] - Vector3::x()).norm() < 1e-12 && (up[1] - Vector3::y()).norm() < 1e-12);
+    let model = rigid_model("panda", &mut rng);
+    for _ in 0..4 {
+        let motion = sampled_motion(&mut rng, 7, false, 50);
+        for (c, axis) in plumbline::model::term::mounting::axes(&motion.gravity).into_iter().enumerate() {
+            assert!(axis.dot(&motion.gravity).abs() < 1e-12 && (axis.norm() - 1.0).abs() < 1e-12);
+            let spec = Spec { family: "mounting", form: "", site: Site::Arm, settings: vec![] };
+            let found = column_of(&ground(&model), &spec, &motion, c);
+            let tilted = |angle: f64| {
+                let turn = Rotation3::from_axis_angle(&Unit::new_normalize(axis), angle);
+                load(&model, &Motion { gravity: turn * motion.gravity, ..motion.clone() })
+            };
+            let a = 1e-5;
+            let expected = (tilted(a) - tilted(-a)) / (2.0 * a);
+            assert!((found - &expected).amax() < 1e-7 * expected.amax());
+        }
+    }
+}
+
+#[test]
+fn a_shaking_base_is_a_gravity_that_changes() {
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let model = rigid_model("panda", &mut rng);
+    let motion = sampled_motion(&mut rng, 7, false, 50);
+    let spec = Spec { family: "base-motion", form: "", site: Site::Arm, settings: vec![3.7] };
+    let a = [0.3, -0.2, 0.5, 0.1, -0.4, 0.2];
+    let found = columns(&ground(&model), &spec, &motion) * DVector::from_row_slice(&a);
+    let still = load(&model, &motion);
+    for k in 0..motion.samples() {
+        let (sin, cos) = (std::f64::consts::TAU * 3.7 * (motion.start + k as f64 * motion.dt)).sin_cos();
+        let shake = Vector3::new(a[0] * cos + a[1] * sin, a[2] * cos + a[3] * sin, a[4] * cos + a[5] * sin);
+        let shaken = load(&model, &Motion { gravity: motion.gravity + shake, ..motion.clone() });
+        for j in 0..7 {
+            let expected = shaken[(k, j)] - still[(k, j)];
+            assert!((found[j * motion.samples() + k] - expected).abs() < 1e-10);
+        }
+    }
+}
+
+/// A body on the last link is a last link with more in it; held still it is a force at that link, which contact has, too.
+#[test]
+fn a_payload_is_a_heavier_last_link_and_at_rest_a_contact() {
+    let mut rng = ChaCha8Rng::seed_from_u64(12);
+    for robot in ["panda", "scara"] {
+        let model = rigid_model(robot, &mut rng);
+        let (chain, ground) = (chain(robot), ground(&model));
+        let n = chain.len();
+        let mut motion = sampled_motion(&mut rng, n, false, 30);
+        let spec = Spec { family: "payload", form: "", site: Site::Arm, settings: vec![] };
+        let (body, delta) = (draw(&mut rng, 10, 1.0), draw(&mut rng, 10 * n, 1.0));
+        let found = columns(&ground, &spec, &motion) * DVector::from_row_slice(&body);
+        let mut heavier = delta.clone();
+        heavier[10 * (n - 1)..].iter_mut().zip(&body).for_each(|(own, more)| *own += more);
+        for k in 0..motion.samples() {
+            let row = |matrix: &DMatrix<f64>| matrix.row(k).iter().copied().collect::<Vec<f64>>();
+            let (q, dq, ddq) = (row(&motion.q), row(&motion.dq), row(&motion.ddq));
+            let difference = torque(&chain, &heavier, &motion.gravity, &q, &dq, &ddq)
+                - torque(&chain, &delta, &motion.gravity, &q, &dq, &ddq);
+            for j in 0..n {
+                assert!((found[j * motion.samples() + k] - difference[j]).abs() < 1e-10);
+            }
+        }
+
+        motion.dq.fill(0.0);
+        motion.ddq.fill(0.0);
+        let (site, settings) = (Site::Joint(n - 1), vec![motion.start, motion.start + 3.0]);
+        let touch = columns(&ground, &Spec { family: "contact", form: "", site, settings }, &motion);
+        // The arm holds a mass of 1 kg at the frame's origin, and a first moment of 1 kg m beside it.
+        let weight = -motion.gravity;
+        let held = touch.columns(0, 3) * DVector::from_row_slice(weight.as_slice());
+        let payload = columns(&ground, &spec, &motion);
+        for k in 0..motion.samples() {
+            let inside = k as f64 * motion.dt < 3.0 - 1e-9;
+            let frame = chain
+                .joints()
+                .iter()
+                .enumerate()
+                .fold(Placement::identity(), |frame, (j, joint)| frame.then(&joint.placement(motion.q[(k, j)])));
+            let moment = (frame.rotation * Vector3::x()).cross(&weight);
+            for j in 0..n {
+                let row = j * motion.samples() + k;
+                let turned: f64 = (0..3).map(|axis| touch[(row, 3 + axis)] * moment[axis]).sum();
+                let (mass, lever) = if inside { (payload[(row, 9)], payload[(row, 6)]) } else { (0.0, 0.0) };
+                assert!((held[row] - mass).abs() < 1e-10 && (turned - lever).abs() < 1e-10, "{robot} {j} {k}");
+            }
+        }
+    }
+}
