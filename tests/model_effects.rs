@@ -209,7 +209,7 @@ fn no_effect_allocates_in_the_loop() {
 const IDS: &str = "torque-offset torque-gain asymmetric-coulomb asymmetric-viscous stribeck nonlinear-viscous \
     load-dependent-friction friction-drift offset-drift presliding rotor-inertia joint-elasticity position-ripple \
     position-dependent-friction spring payload mounting base-motion torque-crosstalk transmission-coupling delay contact \
-    encoder-offset encoder-eccentricity backlash";
+    encoder-offset encoder-eccentricity backlash friction-change";
 
 #[test]
 fn the_catalogue_is_whole_and_says_what_people_have_to_know() {
@@ -318,7 +318,7 @@ fn laws_are_what_their_equations_say() {
     let cases: [(&str, &str, Site, Vec<f64>, Law); 13] = [
         ("asymmetric-coulomb", "", one, vec![], &|_, dq, _| vec![sign(dq).abs()]),
         ("asymmetric-viscous", "", one, vec![], &|_, dq, _| vec![dq.abs()]),
-        ("stribeck", "", one, vec![0.1], &|_, dq, _| vec![(-dq * dq / 0.01).exp() * sign(dq)]),
+        ("stribeck", "gaussian", one, vec![0.1], &|_, dq, _| vec![(-dq * dq / 0.01).exp() * sign(dq)]),
         ("nonlinear-viscous", "sigmoid", one, vec![0.2], &|_, dq, _| vec![(dq / 0.2).tanh()]),
         ("nonlinear-viscous", "cubic", one, vec![], &|_, dq, _| vec![dq * dq * dq]),
         ("nonlinear-viscous", "quadratic", one, vec![], &|_, dq, _| vec![dq * dq.abs()]),

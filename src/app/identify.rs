@@ -171,6 +171,15 @@ fn settings(options: &Options) -> Result<Settings, Failure> {
     Ok(settings)
 }
 
+/// The usual settings of recorded data: 4 Hz, whole-arm rests left out.
+pub(super) fn quiet_settings(velocities: &str, trim: f64) -> Result<Settings, Failure> {
+    let measured_velocities = pipeline::measured_velocities(velocities)?;
+    if !(0.0..=3600.0).contains(&trim) {
+        return Err(BadInput::new("command line", "--trim", trim, "0 to 3600 s").into());
+    }
+    Ok(Settings { torque_cutoff: CUTOFF, measured_velocities, trim, rest: Some(REST), ..Settings::default() })
+}
+
 fn hold_out(options: &Options) -> Result<f64, Failure> {
     if !(0.05..=0.95).contains(&options.hold_out) {
         return Err(BadInput::new("command line", "--hold-out", options.hold_out, "0.05 to 0.95").into());
@@ -233,7 +242,7 @@ fn split(dataset: &Dataset, hold_out: f64) -> Result<Split, Failure> {
 }
 
 /// Both parts of a run, cut at a share of its samples.
-fn cut(run: &Run, share: f64) -> (Run, Run) {
+pub(super) fn cut(run: &Run, share: f64) -> (Run, Run) {
     let at = (run.samples() as f64 * share) as usize;
     let part = |from: usize, count: usize, name: &str| Run {
         file: format!("{} ({name} part)", run.file),

@@ -1,7 +1,9 @@
 //! Floor 4: one file per subcommand, wiring only.
 
+mod changed;
 mod collector;
 mod command;
+mod compare;
 mod daemon;
 mod effects;
 mod estimator;
@@ -58,6 +60,8 @@ enum Verb {
     Estimator(estimator::Options),
     /// Identify from files, offline
     Identify(identify::Options),
+    /// Say what changed since a model was identified: payload, tilt, friction, sensors
+    Compare(compare::Options),
     /// Compute the torques of a model along a recorded motion
     Predict(predict::Options),
     /// Write the identified arm as URDF, MuJoCo model or C function
@@ -93,6 +97,7 @@ pub fn main() -> ExitCode {
         Verb::Daemon(options) => daemon::run(options),
         Verb::Estimator(options) => estimator::run(options),
         Verb::Identify(options) => identify::run(options),
+        Verb::Compare(options) => compare::run(options),
         Verb::Predict(options) => predict::run(options),
         Verb::Export(options) => export::run(options),
         Verb::Effects(options) => effects::run(options),

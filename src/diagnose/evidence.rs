@@ -271,7 +271,7 @@ impl Evidence {
 
     /// The motion of each experiment at the rate of candidates.
     pub fn motion(&self, experiment: usize) -> &Motion {
-        &self.motions[experiment].motion
+        &self.motions[experiment].few
     }
 
     /// Number of experiments.
@@ -291,13 +291,13 @@ impl Evidence {
     pub fn project(&self, joint: usize, samples: &[DMatrix<f64>]) -> DMatrix<f64> {
         let width = samples.first().map_or(0, DMatrix::ncols);
         let mut part = DMatrix::zeros(self.per_joint(), width);
-        for (index, (Thinned { motion, step }, values)) in self.motions.iter().zip(samples).enumerate() {
+        for (index, (Thinned { few: motion, step, .. }, values)) in self.motions.iter().zip(samples).enumerate() {
             assert_eq!(values.shape(), (motion.samples(), width), "samples of experiment {index}");
             let mut spectral = None;
             for (mut out, x) in part.column_iter_mut().zip(values.as_slice().chunks_exact(motion.samples())) {
                 for fold in self.folds.iter().filter(|fold| fold.experiment == index) {
                     let mut own = out.rows_mut(fold.rows.start, fold.rows.len());
-                    fold.project(x, *step, motion.dt, &mut spectral, own.as_mut_slice());
+                    fold.project(x, Thinning::Middle(*step), motion.dt, &mut spectral, own.as_mut_slice());
                 }
             }
         }
@@ -309,7 +309,7 @@ impl Evidence {
     /// inverse of what torques go through. `rows` are those of the fold, not divided by the noise.
     pub fn signal(&self, fold: usize, rows: &[f64]) -> Vec<f64> {
         let fold = &self.folds[fold];
-        let Thinned { motion, step } = &self.motions[fold.experiment];
+        let Thinned { few: motion, step, .. } = &self.motions[fold.experiment];
         fold.signal(rows, *step, motion)
     }
 

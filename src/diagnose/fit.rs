@@ -41,7 +41,7 @@ pub struct Fit {
     pub rss: Vec<f64>,
     /// Rows of each group.
     pub count: Vec<f64>,
-    /// Log likelihood.
+    /// Log likelihood, with what the prior adds.
     pub likelihood: f64,
     /// Of each group, `M'M` and the slope `M'(r - M theta)`.
     sums: Vec<Option<(DMatrix<f64>, DVector<f64>)>>,
@@ -86,7 +86,14 @@ impl Problem<'_> {
         rss.iter().zip(count).map(|(rss, count)| (rss / count.max(1.0)).max(least)).collect()
     }
 
-    /// Profile log likelihood of squared residuals.
+    /// What the prior adds to the log likelihood: `-1/2 theta' precision theta`.
+    fn of_prior(&self, theta: &DVector<f64>) -> f64 {
+        let Some(prior) = self.prior else { return 0.0 };
+        let known = theta.rows(0, prior.precision.nrows());
+        -0.5 * (&prior.precision * known).dot(&known)
+    }
+
+    /// Profile log likelihood of squared residuals, without what the prior adds.
     pub fn likelihood(&self, rss: &[f64], count: &[f64]) -> f64 {
         let phi = self.phi(rss, count);
         let group = |((rss, count), phi): ((&f64, &f64), &f64)| count * phi.ln() + rss / phi;
@@ -147,8 +154,23 @@ impl Problem<'_> {
             }
         }
         let phi = self.phi(&rss, &count);
-        let likelihood = self.likelihood(&rss, &count);
+        let likelihood = self.likelihood(&rss, &count) + self.of_prior(&theta);
         Fit { theta, h, phi, rss, count, likelihood, sums: per_group }
+    }
+
+    /// The weighted normal equations of all folds, with what the prior adds: the inverse of a fit's `h` where they have full rank.
+    pub fn information(&self, moments: &Moments, phi: &[f64]) -> DMatrix<f64> {
+        let mut g = DMatrix::zeros(moments.width, moments.width);
+        for (cell, own) in self.evidence.cells().iter().zip(&moments.cells) {
+            let weight = 1.0 / phi[group(cell.joint, cell.band)];
+            g.zip_apply(&own.g, |sum, own| *sum += weight * own);
+        }
+        if let Some(prior) = self.prior {
+            let known = prior.precision.nrows();
+            let mut block = g.view_mut((0, 0), (known, known));
+            block += &prior.precision;
+        }
+        g
     }
 
     /// What a candidate would bring to a fit of the chosen folds, with the weights of that fit. With `joints`, the other joints are taken
@@ -172,7 +194,8 @@ impl Problem<'_> {
         let whole = (&c * &gamma).dot(&gamma);
         let independence = (&alone * &gamma).dot(&gamma) / whole.max(f64::MIN_POSITIVE);
         let rss = self.changed(fit, cross, chosen, joints, &gamma, &shift);
-        let evidence = 2.0 * (self.likelihood(&rss, &fit.count) - fit.likelihood);
+        let likelihood = self.likelihood(&rss, &fit.count) + self.of_prior(&(&fit.theta + &shift));
+        let evidence = 2.0 * (likelihood - fit.likelihood);
         Some(Gain { evidence, gamma, shift, independence, rss })
     }
 

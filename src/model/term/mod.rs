@@ -14,6 +14,7 @@ pub mod effect;
 pub mod encoder_eccentricity;
 pub mod encoder_offset;
 pub mod friction;
+pub mod friction_change;
 pub mod friction_drift;
 pub mod joint_elasticity;
 pub mod load;

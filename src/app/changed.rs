@@ -1,0 +1,278 @@
+//! What has changed, as the report has it: shared by `compare` and the live watch.
+
+use crate::diagnose::reference::{Change, Changes, NAMES};
+use crate::estimate::validate::Rms;
+use crate::model::gravity::Mounting;
+use crate::model::term::effect::{Site, family};
+use crate::model::term::mounting::axes;
+use crate::model::torque::TorqueModel;
+use crate::report::Band;
+use crate::report::diagnosis::{
+    self, Action, Alternative, BeforeAfter, Diagnosis, Effect, EffectParameter, Errors, Folds, JointFacts,
+    MinimumDetectable, Occurrence, Parameters, Score, Unexplained, Verdict,
+};
+
+/// A joint whose residual power is so many times its noise lacks something.
+const LACKING: f64 = 2.0;
+/// Candidates that are listed.
+const LISTED: usize = 10;
+
+/// Changes on their way into the report.
+pub struct Told<'a> {
+    changes: &'a Changes,
+    stored: &'a TorqueModel,
+    /// Those that the delivered model has.
+    kept: &'a [usize],
+    /// What errors are taken of.
+    pub band: Band,
+}
+
+impl<'a> Told<'a> {
+    /// `kept` are the indices of the effects that the delivered model has.
+    pub fn new(changes: &'a Changes, stored: &'a TorqueModel, kept: &'a [usize]) -> Told<'a> {
+        Told { changes, stored, kept, band: Band::Raw }
+    }
+
+    /// The block `diagnosis`.
+    pub fn diagnosis(&self, since: &str, runs: &[String], before: &[Rms], after: &[Rms]) -> Diagnosis {
+        let changes = self.changes;
+        let effects: Vec<Effect> =
+            changes.effects.iter().enumerate().map(|(k, change)| self.effect(change, self.kept.contains(&k))).collect();
+        let errors = |runs: &[Rms]| Errors {
+            validate_rms: Rms::pooled(runs).map_or(Vec::new(), |rms| rms.filtered),
+            intervals: Vec::new(),
+        };
+        let joints = self.joints();
+        let unexplained: Vec<Unexplained> = joints.iter().enumerate().filter_map(unexplained).collect();
+        let ambiguous = effects.iter().any(|effect| !effect.alternatives.is_empty());
+        let verdict = match (effects.is_empty(), unexplained.is_empty()) {
+            (true, _) if changes.folds == 0 => Verdict::Unexplained,
+            (true, true) => Verdict::NothingSignificant,
+            (true, false) => Verdict::Unexplained,
+            (false, false) => Verdict::Partly,
+            (false, true) if ambiguous => Verdict::Ambiguous,
+            (false, true) => Verdict::Diagnosed,
+        };
+        let confirmation = match (changes.floor.is_some(), changes.folds) {
+            (false, _) => "no repeats",
+            (true, 0 | 1) => "one trajectory",
+            (true, _) => "confirmed across trajectories",
+        };
+        Diagnosis {
+            verdict,
+            confirmation: confirmation.into(),
+            before: errors(before),
+            after: errors(after),
+            band: self.band,
+            held_out_runs: runs.to_vec(),
+            noise_floor: Rms::pooled(after).and_then(|rms| rms.filtered_noise_floor).unwrap_or_default(),
+            unexplained,
+            minimum_detectable: changes.least.iter().map(least).collect(),
+            joints,
+            path: path(changes),
+            scores: self.scores(),
+            changes: vec![diagnosis::Changes {
+                since: since.to_string(),
+                effects: effects.clone(),
+                before: Some(errors(before)),
+                after: Some(errors(after)),
+                ..diagnosis::Changes::default()
+            }],
+            effects,
+            ..Diagnosis::default()
+        }
+    }
+
+    fn effect(&self, change: &Change, in_model: bool) -> Effect {
+        let (spec, found) = (&change.spec, &change.found);
+        let form = family(spec.family).and_then(|family| Some((family, family.form(spec.form)?)));
+        let mut parameters: Vec<EffectParameter> = Vec::new();
+        if let Some(body) = &change.body {
+            let estimate = |((name, unit), estimate): (&(&str, &str), &crate::diagnose::reference::Estimate)| {
+                EffectParameter { name: (*name).into(), value: estimate.value, std: estimate.std, unit: (*unit).into() }
+            };
+            parameters.extend(NAMES.iter().zip(&body.numbers()).map(estimate));
+        } else {
+            parameters.extend(change.parameters.iter().map(|own| EffectParameter {
+                name: own.column.name.clone(),
+                value: own.value,
+                std: own.std,
+                unit: own.column.unit.to_string(),
+            }));
+        }
+        parameters.extend(self.derived(change));
+        if let Some((_, form)) = form {
+            parameters.extend(form.settings.iter().zip(&spec.settings).map(|(setting, &value)| EffectParameter {
+                name: setting.name.into(),
+                value,
+                std: None,
+                unit: setting.unit.into(),
+            }));
+        }
+        let decided = |id: &str| {
+            let (family, _) = form?;
+            Some(family.confounded.iter().find(|other| other.with == id)?.decided_by.to_string())
+        };
+        let largest = |values: &[f64]| values.iter().copied().reduce(f64::max);
+        let mut alternatives: Vec<String> = Vec::new();
+        for rival in &found.rivals {
+            if !alternatives.iter().any(|id| id == rival.item.spec.family) {
+                alternatives.push(rival.item.spec.family.into());
+            }
+        }
+        Effect {
+            id: spec.family.into(),
+            joints: joints(spec.site),
+            parameters: Parameters(parameters),
+            evidence: Some(found.score),
+            delta_log_likelihood: Some(0.5 * found.evidence),
+            penalty: Some(found.penalty),
+            folds: Folds { positive: found.folds.positive, informative: found.folds.informative },
+            idf: Some(found.independence),
+            torque_rms: largest(&found.relevance.rms),
+            explained_share: largest(&found.relevance.share),
+            alternatives,
+            alternatives_detail: found
+                .rivals
+                .iter()
+                .map(|rival| Alternative {
+                    id: rival.item.spec.family.into(),
+                    joints: joints(rival.item.spec.site),
+                    score_gap: Some(rival.gap),
+                    deciding_experiment: decided(rival.item.spec.family).unwrap_or_default(),
+                })
+                .collect(),
+            confirmed: found.folds.confirm() == Some(true),
+            stratum: Occurrence::Reference,
+            in_model,
+            equation: form.map_or(String::new(), |(_, form)| form.equation.into()),
+            physics: form.map_or(String::new(), |(family, _)| family.physics.into()),
+            ..Effect::default()
+        }
+    }
+
+    /// What people ask for besides an effect's own parameters: friction as a factor, a tilt as one angle.
+    fn derived(&self, change: &Change) -> Vec<EffectParameter> {
+        let of = |name: &str| self.stored.parameters().iter().find(|own| own.column.name == name);
+        let factor = |own: &crate::model::torque::Parameter| {
+            let old = of(own.column.name.trim_start_matches('d')).filter(|old| old.value.abs() > f64::MIN_POSITIVE)?;
+            let name = format!("{}_factor", old.column.name);
+            let std = own.std.map(|std| std / old.value.abs());
+            Some(EffectParameter { name, value: 1.0 + own.value / old.value, std, unit: "1".into() })
+        };
+        match change.spec.family {
+            "friction-change" => change.parameters.iter().filter_map(factor).collect(),
+            "mounting" => {
+                let [a, b] = [0, 1].map(|k| change.parameters.get(k).map_or(0.0, |own| own.value));
+                let size = a.hypot(b);
+                let share = [a / size, b / size];
+                let variance = (0..2)
+                    .flat_map(|i| (0..2).map(move |k| (i, k)))
+                    .map(|(i, k)| share[i] * share[k] * change.covariance[(i, k)]);
+                let std = (size > 0.0).then(|| variance.sum::<f64>().max(0.0).sqrt());
+                vec![EffectParameter { name: "tilt".into(), value: size, std, unit: "rad".into() }]
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    fn joints(&self) -> Vec<JointFacts> {
+        let of = |list: &[f64], joint: usize| list.get(joint).copied();
+        let changes = self.changes;
+        let fact = |joint: usize| {
+            let floor = changes.floor.as_ref().and_then(|floor| of(floor, joint));
+            let both = changes.lack_of_fit.as_ref().map(|list| list[joint]);
+            let (before, after) = (of(&changes.before, joint), of(&changes.after, joint));
+            JointFacts {
+                floor_of_mean: floor,
+                lack_of_fit: BeforeAfter { before: both.map(|f| f[0]), after: both.map(|f| f[1]) },
+                unmodelled: BeforeAfter { before, after },
+                threshold: floor,
+                adequacy: before.zip(after).map(|(b, a)| 1.0 - (a / b.max(f64::MIN_POSITIVE)).powi(2)),
+                ..JointFacts::default()
+            }
+        };
+        (0..changes.before.len()).map(fact).collect()
+    }
+
+    fn scores(&self) -> Vec<Score> {
+        let chosen = |spec: &crate::model::term::effect::Spec| {
+            self.changes.effects.iter().any(|one| one.spec.family == spec.family && one.spec.site == spec.site)
+        };
+        let score = |one: &crate::diagnose::select::Scored| Score {
+            label: label(one.item.spec.family, one.item.spec.site),
+            score: one.score,
+            chosen: chosen(&one.item.spec),
+            equivalent: false,
+        };
+        self.changes.first.iter().take(LISTED).map(score).collect()
+    }
+}
+
+/// The gravity that a found tilt leaves, as a mounting: `rho` and `phi` of the declared gravity turned by the tilt.
+pub fn tilted(declared: &Mounting, tilt: [f64; 2]) -> Mounting {
+    let gravity = declared.gravity();
+    let [a, b] = axes(&gravity);
+    let turned = gravity + tilt[0] * a.cross(&gravity) + tilt[1] * b.cross(&gravity);
+    let unit = turned.normalize();
+    Mounting { rho: unit.z.clamp(-1.0, 1.0).acos(), phi: unit.y.atan2(unit.x) }
+}
+
+/// An effect in one line: `payload 0.731 +- 0.004 kg`, `torque-offset in joint 3, offset3 0.30 Nm`.
+pub fn line(change: &Change) -> String {
+    let number = |value: f64, std: Option<f64>, unit: &str| match std {
+        Some(std) => format!("{value:.4} +- {std:.4} {unit}"),
+        None => format!("{value:.4} {unit}"),
+    };
+    if let Some(body) = &change.body {
+        return format!("payload of {}", number(body.mass.value, body.mass.std, "kg"));
+    }
+    let each = change
+        .parameters
+        .iter()
+        .map(|own| format!("{} {}", own.column.name, number(own.value, own.std, own.column.unit)));
+    format!("{} ({})", label(change.spec.family, change.spec.site), each.collect::<Vec<_>>().join(", "))
+}
+
+fn label(id: &str, site: Site) -> String {
+    match site {
+        Site::Arm => id.to_string(),
+        site => format!("{id} in {site}"),
+    }
+}
+
+fn joints(site: Site) -> Vec<usize> {
+    site.joints().into_iter().map(|joint| joint + 1).collect()
+}
+
+fn unexplained((joint, facts): (usize, &JointFacts)) -> Option<Unexplained> {
+    let lacking = facts.lack_of_fit.after.is_some_and(|ratio| ratio > LACKING);
+    lacking.then(|| Unexplained {
+        joint: joint + 1,
+        rms: facts.unmodelled.after,
+        floor: facts.floor_of_mean,
+        deciding_experiment: "`plumbline diagnose` on the same data".into(),
+        ..Unexplained::default()
+    })
+}
+
+fn least((id, rms): &(&'static str, Vec<f64>)) -> (String, MinimumDetectable) {
+    ((*id).to_string(), MinimumDetectable { torque_rms: rms.clone(), ..MinimumDetectable::default() })
+}
+
+fn path(changes: &Changes) -> Vec<diagnosis::Step> {
+    let total = |list: &[f64]| list.iter().map(|value| value * value).sum::<f64>().sqrt();
+    let start = diagnosis::Step {
+        action: Action::Start,
+        what: "the stored model".into(),
+        unmodelled: Some(total(&changes.before)),
+        score: None,
+    };
+    let step = |step: &crate::diagnose::select::Step| diagnosis::Step {
+        action: if step.added { Action::Added } else { Action::Removed },
+        what: label(step.item.spec.family, step.item.spec.site),
+        unmodelled: Some(step.unmodelled.sqrt()),
+        score: Some(step.score),
+    };
+    [start].into_iter().chain(changes.path.iter().map(step)).collect()
+}

@@ -1,0 +1,270 @@
+//! `plumbline compare`: what changed since a model was identified.
+
+use super::identify::{cut, quiet_settings};
+use super::{Failure, changed, pipeline, progress};
+use crate::config::robot::Robot;
+use crate::dataset::{Dataset, Role, Run};
+use crate::diagnose::reference::{self, Change};
+use crate::diagnose::{self, evidence::Trial};
+use crate::estimate::experiment::{Experiment, Settings};
+use crate::estimate::validate::{Rms, validate};
+use crate::input::BadInput;
+use crate::model::base::Reduction;
+use crate::model::term::{Term, rigid_body::RigidBody};
+use crate::model::torque::TorqueModel;
+use crate::report::figures::Figures;
+use crate::report::{Band, Base, Identifiability, Report, Validation};
+use crate::store::{ModelFile, Provenance, Validated};
+use clap::Args;
+use std::path::PathBuf;
+
+/// Options of `plumbline compare`.
+#[derive(Args)]
+pub struct Options {
+    /// Model file that was identified before
+    model: PathBuf,
+    /// Folder with dataset.toml and one CSV file per run, recorded since
+    dataset: PathBuf,
+    /// Folder for report.html, report.json and model.toml
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Velocities of runs that do not repeat: measured (where the run has dq columns) or derived from the positions
+    #[arg(long, default_value = "measured")]
+    velocities: String,
+    /// Time to leave out at both ends of runs that do not repeat, in s
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    trim: f64,
+    /// Least RMS of an effect that counts, in Nm; by default 0.7 of the noise of the mean period
+    #[arg(long, value_name = "NM")]
+    threshold: Option<f64>,
+}
+
+/// Share of every run that judges what was found, when the dataset has no run for it.
+const HELD_OUT: f64 = 0.4;
+
+/// Compares, judges by unseen runs, and writes the results.
+pub fn run(options: Options) -> Result<(), Failure> {
+    let dataset = Dataset::read(&options.dataset)?;
+    let robot = Robot::load(&dataset.robot, Some(&options.dataset))?;
+    dataset.expect_joints(robot.chain.len())?;
+    let file = model_file(&options, &robot)?;
+    let settings = quiet_settings(&options.velocities, options.trim)?;
+    let diagnosis = diagnose_settings(&options)?;
+    let model = &file.model;
+
+    let (held, refused): (Vec<&Run>, Vec<&Run>) =
+        dataset.runs.iter().partition(|run| model.valid_in(&run.mounting).is_ok());
+    let mut notes = Vec::new();
+    let (find, judge) = split(&held, &mut notes);
+
+    let bar = progress::bar("comparing");
+    bar.at(0.05, "preparing");
+    let experiments = find.iter().map(|run| pipeline::experiment(run, &settings)).collect::<Result<Vec<_>, _>>()?;
+    let unseen = judge.iter().map(|run| pipeline::experiment(run, &settings)).collect::<Result<Vec<_>, _>>()?;
+    let trials: Vec<Trial> =
+        experiments.iter().zip(&find).map(|(experiment, run)| Trial { experiment, session: run.session }).collect();
+    bar.at(0.2, "searching");
+    let steps = std::cell::Cell::new(0.2);
+    let changes = reference::changes(model, &trials, &diagnosis, &|step| {
+        steps.set(steps.get() + 0.1 * (0.9 - steps.get()));
+        bar.at(steps.get(), step.item.spec.family);
+    });
+    bar.at(0.9, "judging");
+    let Delivered { model: after, kept } = delivered(model, &changes.effects, &unseen)?;
+    bar.done();
+
+    let errors = |model: &TorqueModel| unseen.iter().map(|run| error(model, run)).collect::<Vec<Rms>>();
+    let (errors_before, errors_after) = (errors(model), errors(&after));
+    let names: Vec<String> = judge.iter().map(|run| run.file.clone()).collect();
+    let since = since(&options, &file);
+    let mut told = changed::Told::new(&changes, model, &kept);
+    told.band = Band::Filtered { cutoff: settings.torque_cutoff };
+    let mut diagnosis = told.diagnosis(&since, &names, &errors_before, &errors_after);
+    let identifiability = identifiability(model, &refused, &changes.doubt);
+    if held.is_empty() {
+        notes.push(format!(
+            "nothing was compared: the {} model is not valid in the mounting of any of these runs",
+            model.kind()
+        ));
+    }
+    diagnosis.notes.append(&mut notes);
+    let report = Report {
+        robot: robot.name.clone(),
+        mounting: dataset.mounting.into(),
+        base: Base::new(after.kind(), after.parameters()),
+        validate: judge
+            .iter()
+            .zip(&errors_after)
+            .map(|(run, rms)| Validation {
+                run: run.file.clone(),
+                rms: rms.filtered.clone(),
+                rms_raw: rms.raw.clone(),
+                rms_filtered: rms.filtered.clone(),
+                served_rms: None,
+                mounting: run.mounting.into(),
+            })
+            .collect(),
+        band: Band::Filtered { cutoff: settings.torque_cutoff },
+        noise_floor: Rms::pooled(&errors_after).and_then(|rms| rms.noise_floor).unwrap_or_default(),
+        diagnosis: Some(diagnosis),
+        identifiability,
+        provenance: provenance(&file.provenance, &dataset),
+        ..Report::default()
+    };
+    std::fs::create_dir_all(&options.out)
+        .map_err(|error| Failure::job(format!("{}: {error}", options.out.display())))?;
+    let written = if kept.is_empty() {
+        // Nothing changed: the very model that was stored.
+        file
+    } else {
+        ModelFile {
+            model: after,
+            noise_floor: file.noise_floor,
+            validation: judge
+                .iter()
+                .zip(&errors_after)
+                .map(|(run, rms)| Validated {
+                    run: run.file.clone(),
+                    rho: run.mounting.rho,
+                    phi: run.mounting.phi,
+                    rms: rms.filtered.clone(),
+                })
+                .collect(),
+            consistent: None,
+            provenance: Provenance { source: Some(since), ..super::provenance(Some(dataset.content_hash())) },
+        }
+    };
+    super::write(&options.out.join("model.toml"), written.to_toml().as_bytes())?;
+    let drawn = judge.iter().take(2).map(|run| pipeline::figure_in_band(&written.model, run, &settings));
+    let figures = Figures { runs: drawn.collect::<Result<_, _>>()?, ..Figures::default() };
+    report.write(&options.out, &figures).map_err(Failure::job)?;
+    for line in report.summary() {
+        println!("{line}");
+    }
+    println!("report: {}", options.out.join("report.html").display());
+    Ok(())
+}
+
+/// The model, which must be of the robot that the dataset is of.
+fn model_file(options: &Options, robot: &Robot) -> Result<ModelFile, Failure> {
+    let name = options.model.display().to_string();
+    Ok(ModelFile::load(&options.model, |of| {
+        if of == robot.name {
+            return Ok(robot.chain.clone());
+        }
+        Err(BadInput::new(
+            &name,
+            "key `robot`",
+            format!("`{of}`"),
+            format!("`{}`, the robot of the dataset", robot.name),
+        ))
+    })?)
+}
+
+fn diagnose_settings(options: &Options) -> Result<diagnose::Settings, Failure> {
+    if let Some(threshold) = options.threshold
+        && !(threshold.is_finite() && threshold >= 0.0)
+    {
+        return Err(BadInput::new("command line", "--threshold", threshold, "a torque in Nm, 0 or more").into());
+    }
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    Ok(diagnose::Settings { threshold: options.threshold, threads, ..diagnose::Settings::default() })
+}
+
+/// Runs to find the changes in, and runs to judge them by: those of each role, or the first and the last part of every run.
+fn split(runs: &[&Run], notes: &mut Vec<String>) -> (Vec<Run>, Vec<Run>) {
+    let with = |role: Role| runs.iter().filter(|run| run.role == role).map(|run| (*run).clone()).collect::<Vec<Run>>();
+    let (identify, validate) = (with(Role::Identify), with(Role::Validate));
+    if runs.is_empty() || !(identify.is_empty() || validate.is_empty()) {
+        return (identify, validate);
+    }
+    let share = 100.0 * HELD_OUT;
+    notes.push(format!(
+        "the dataset has runs of one role: the last {share:.0} % of each judge what was found in the rest"
+    ));
+    let parts = runs.iter().map(|run| {
+        let (first, last) = cut(run, 1.0 - HELD_OUT);
+        (whole_periods(first), whole_periods(last))
+    });
+    parts.unzip()
+}
+
+/// A part of a periodic run that is shorter than its period does not repeat.
+fn whole_periods(mut part: Run) -> Run {
+    let length = part.t.last().zip(part.t.first()).map_or(0.0, |(last, first)| last - first);
+    part.period = part.period.filter(|period| *period <= length);
+    part
+}
+
+/// Errors of a model on a run.
+fn error(model: &TorqueModel, experiment: &Experiment) -> Rms {
+    validate(experiment, |motion| model.predict(motion))
+}
+
+/// The model with what stood the test, and which of the changes that are.
+struct Delivered {
+    model: TorqueModel,
+    kept: Vec<usize>,
+}
+
+/// Takes every change in that lowers the error on unseen runs; without unseen runs, all of them.
+fn delivered(stored: &TorqueModel, changes: &[Change], unseen: &[Experiment]) -> Result<Delivered, Failure> {
+    let extended = |kept: &[usize]| {
+        let chosen: Vec<Change> = kept.iter().map(|&k| changes[k].clone()).collect();
+        reference::extended(stored, &chosen).map_err(Failure::job)
+    };
+    let total = |model: &TorqueModel| {
+        let squares = |rms: &Rms| rms.filtered.iter().map(|value| value * value).sum::<f64>() * rms.samples as f64;
+        unseen.iter().map(|experiment| squares(&error(model, experiment))).sum::<f64>()
+    };
+    let mut kept: Vec<usize> = (0..changes.len()).collect();
+    let mut model = extended(&kept)?;
+    if unseen.is_empty() {
+        return Ok(Delivered { model, kept });
+    }
+    let mut with = total(&model);
+    for k in (0..changes.len()).rev() {
+        let rest: Vec<usize> = kept.iter().copied().filter(|&other| other != k).collect();
+        let other = extended(&rest)?;
+        let without = total(&other);
+        if without <= with {
+            (kept, model, with) = (rest, other, without);
+        }
+    }
+    Ok(Delivered { model, kept })
+}
+
+/// What the model can't vouch for: runs in mountings that it lacks parameters for, and parameters that were not identifiable when it
+/// was made and that these runs need.
+fn identifiability(model: &TorqueModel, refused: &[&Run], doubt: &reference::Doubt) -> Identifiability {
+    let mut facts = Identifiability {
+        not_identifiable: doubt.parameters.clone(),
+        untrusted_runs: refused.iter().map(|run| run.file.clone()).chain(doubt.runs.iter().cloned()).collect(),
+    };
+    if !refused.is_empty() {
+        let own: Vec<&str> = model.parameters().iter().map(|own| own.column.name.as_str()).collect();
+        let generalized = RigidBody::new(&Reduction::any_mounting(model.structure().chain())).columns();
+        let missing = generalized.into_iter().map(|column| column.name).filter(|name| !own.contains(&name.as_str()));
+        facts.not_identifiable.extend(missing);
+    }
+    facts
+}
+
+/// The model in a few words.
+fn since(options: &Options, file: &ModelFile) -> String {
+    let name = options.model.file_name().map_or("the model".into(), |name| name.to_string_lossy().into_owned());
+    let date = file.provenance.date.as_ref().map_or(String::new(), |date| format!(" of {date}"));
+    format!("{name}{date}")
+}
+
+fn provenance(of_model: &Provenance, dataset: &Dataset) -> serde_json::Map<String, serde_json::Value> {
+    let own = super::provenance(Some(dataset.content_hash()));
+    let facts = [
+        ("dataset", own.dataset),
+        ("plumbline", own.plumbline),
+        ("date", own.date),
+        ("model-dataset", of_model.dataset.clone()),
+        ("model-date", of_model.date.clone()),
+    ];
+    facts.into_iter().filter_map(|(name, value)| Some((name.to_string(), value?.into()))).collect()
+}
