@@ -64,7 +64,6 @@ fn stage() -> &'static Stage {
 
 /// One sample of a recording.
 struct At {
-    run: usize,
     /// Since the first sample \[s\].
     t: f64,
     q: Vec<f64>,
@@ -81,7 +80,6 @@ fn recorded(count: usize, seed: u64, mut added: impl FnMut(&At, &mut [f64])) -> 
         let mut tau = vec![0.0; run.tau.ncols()];
         for row in 0..run.tau.nrows() {
             let at = At {
-                run: k,
                 t: row as f64 * DT,
                 q: period.q.row(row % samples).iter().copied().collect(),
                 dq: dq.row(row % samples).iter().copied().collect(),
@@ -190,7 +188,7 @@ fn a_base_that_shakes_is_found_with_frequency_direction_and_amplitude() {
     assert!(found.base_motions.is_empty(), "{:?}", found.base_motions);
 }
 
-/// Torque that balances a force in the base frame at a point of a link.
+/// Torque that it takes to hold against a force on the arm in the base frame at a point of a link.
 fn of_force(chain: &Chain, q: &[f64], link: usize, point: Vector3<f64>, force: Vector3<f64>) -> Vec<f64> {
     let mut frame = Placement::identity();
     let frames: Vec<Placement> = chain
@@ -206,7 +204,7 @@ fn of_force(chain: &Chain, q: &[f64], link: usize, point: Vector3<f64>, force: V
     let torque = |(j, frame): (usize, &Placement)| {
         assert_eq!(chain.joints()[j].kind, JointKind::Revolute);
         let axis: Vector3<f64> = frame.rotation.column(2).into();
-        if j > link { 0.0 } else { axis.cross(&(at - frame.origin)).dot(&force) }
+        if j > link { 0.0 } else { -axis.cross(&(at - frame.origin)).dot(&force) }
     };
     frames.iter().enumerate().map(torque).collect()
 }

@@ -1,9 +1,10 @@
 //! Whether an event is a contact: a force at one point of a link, or a wrench on it, that moves all joints by the Jacobian.
 //!
-//!   tau = J_l(q)' w(t)
+//!   tau = -J_l(q)' w(t)
 //!
-//! `w` is continuous and piecewise linear (hat functions); `J_l` is that of a point of link `l`. The event is a contact when this explains
-//! nearly all of it, and a Jacobian of the wrong pose does not: six numbers explain much of seven torques whatever they are.
+//! is what the actuators hold against a wrench `w` on the arm. `w` is continuous and piecewise linear (hat functions); `J_l` is that of a
+//! point of link `l`. The event is a contact when this explains nearly all of it, and a Jacobian of the wrong pose does not: six numbers
+//! explain much of seven torques whatever they are.
 //! Source: Haddadin, De Luca and Albu-Schaeffer, Robot collisions: a survey on detection, isolation, and identification, T-RO 2017.
 
 use super::record::Record;
@@ -48,7 +49,7 @@ pub struct Contact {
     pub force_std: Vector3<f64>,
     /// Largest force \[N\].
     pub peak: f64,
-    /// Mean moment about the origin of the link's frame, in the base frame \[Nm\].
+    /// Mean moment on the arm about the origin of the link's frame, in the base frame \[Nm\].
     pub moment: Vector3<f64>,
     /// Share of the event's energy that it explains, beyond the noise.
     pub explained: f64,
@@ -61,7 +62,7 @@ struct Data<'a> {
     chain: &'a Chain,
     /// Rows of the record.
     rows: Vec<usize>,
-    /// Torques over their noise, samples x n.
+    /// What the wrench does, the opposite of the torques, over their noise, samples x n.
     tau: DMatrix<f64>,
     scale: &'a [f64],
     /// Weight of each knot at each sample: first knot, its weight; the next one has the rest.
@@ -136,7 +137,7 @@ impl Data<'_> {
         };
         Data {
             chain,
-            tau: DMatrix::from_fn(rows.len(), chain.len(), |k, j| x[(rows[k], j)] / scale[j]),
+            tau: DMatrix::from_fn(rows.len(), chain.len(), |k, j| -x[(rows[k], j)] / scale[j]),
             hats: rows.iter().map(hat).collect(),
             rows,
             scale,

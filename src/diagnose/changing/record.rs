@@ -81,11 +81,6 @@ impl Record<'_> {
         self.centre(&mut x);
         x
     }
-
-    /// Deviations of one joint from the median of the periods: what is in one period alone leaves no trace in the others.
-    pub fn from_median(&self, joint: usize) -> Vec<f64> {
-        from_median(self.tau.column(joint).iter().copied().collect(), self.samples)
-    }
 }
 
 /// Every period minus the median of all, P N.
