@@ -10,6 +10,7 @@ use plumbline::diagnose::evidence::Trial;
 use plumbline::estimate::experiment::{Experiment, LeftOut, Settings};
 use plumbline::estimate::run::Run;
 use plumbline::estimate::signal::spectral::Spectral;
+use plumbline::excite::fourier::PeriodicMotion;
 use plumbline::model::base::Reduction;
 use plumbline::model::chain::{Chain, JointKind, Placement};
 use plumbline::model::rnea::rnea;
@@ -333,4 +334,70 @@ fn single_samples_that_are_off_are_counted_and_left_out() {
     assert_eq!(found.leave_out.len(), 4, "{:?}", found.leave_out);
     assert!(found.leave_out.iter().any(|one| one.from < 12.345 && one.to > 12.345 && one.to - one.from < 0.02));
     assert!(found.drifts.is_empty() && found.contacts.is_empty() && found.transients.is_empty());
+}
+
+/// Ten periods of the simulated arm with effects of its own, after one that nobody records.
+fn driven(effects: &str, seed: u64) -> Run {
+    let stage = stage();
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/config/arms/sim-panda.toml");
+    let text = std::fs::read_to_string(path).unwrap() + effects;
+    let truth = Truth::parse("truth", &text).unwrap();
+    let [plans, _] = scene::lab::plans();
+    let plan = &plans[0];
+    let mut arm = scene::still(&stage.chain, &truth, plan.mounting(), &plan.q0, seed);
+    let reference = PeriodicMotion::new(&plan.fourier().unwrap(), PERIODS as u32 + 1).unwrap();
+    let samples = (plan.period / DT).round() as usize;
+    let (rows, n) = (PERIODS * samples, stage.chain.len());
+    let (mut q, mut tau) = (DMatrix::zeros(rows, n), DMatrix::zeros(rows, n));
+    scene::drive(&mut arm, &reference, rows + samples, |tick, state, _| {
+        let Some(k) = tick.checked_sub(samples) else { return };
+        for j in 0..n {
+            (q[(k, j)], tau[(k, j)]) = (state.q[j], state.tau[j]);
+        }
+    });
+    let t = (0..rows).map(|k| k as f64 * DT).collect();
+    Run { name: "driven".into(), t, q, dq: None, tau, gravity: plan.mounting().gravity(), period: Some(plan.period) }
+}
+
+#[test]
+fn three_changes_of_the_simulated_arm_at_once_are_told_apart() {
+    // The arm's clock runs ten seconds ahead of the recording's.
+    let run = driven(
+        r#"
+[[effect]]
+id = "offset-drift"
+joint = 3
+drift = 0.3
+time = 60.0
+trend = "linear"
+
+[[effect]]
+id = "base-motion"
+frequency = 6.37
+amplitude = 0.06
+direction = [1.0, 1.0, 0.0]
+
+[[effect]]
+id = "contact"
+link = 7
+point = [0.0, 0.05, 0.1]
+force = [6.0, -3.0, 8.0]
+from = 62.3
+to = 63.3
+"#,
+        5,
+    );
+    let found = found(&[run]);
+    assert_eq!(found.drifts.len(), 1, "{:?}", found.drifts);
+    let offset = &found.drifts[0];
+    assert_eq!(offset.what, Drifting::Offset(2), "{offset:?}");
+    assert!((offset.values[0][0] - 0.3).abs() < 3.0 * offset.std[0][0], "{offset:?}");
+    let line = &found.base_motions[0];
+    assert!(found.base_motions.len() == 1 && (line.frequency - 6.37).abs() < 0.005, "{:?}", found.base_motions);
+    assert!((line.amplitude / 0.06 - 1.0).abs() < 0.1, "{line:?}");
+    assert!(line.direction.dot(&Vector3::new(1.0, 1.0, 0.0).normalize()).abs() > 0.97, "{line:?}");
+    let contact = &found.contacts[0];
+    assert!(found.contacts.len() == 1 && found.transients.is_empty(), "{:?} {:?}", found.contacts, found.transients);
+    assert!((contact.from - 52.3).abs() < 0.2 && (contact.to - 53.3).abs() < 0.2, "{contact:?}");
+    assert!((contact.force - Vector3::new(6.0, -3.0, 8.0)).norm() < 2.0 && contact.link == 6, "{contact:?}");
 }
