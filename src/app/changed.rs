@@ -25,19 +25,25 @@ pub struct Told<'a> {
     kept: &'a [usize],
     /// What errors are taken of.
     pub band: Band,
+    /// How the base is said to be mounted.
+    pub declared: Option<Mounting>,
 }
 
 impl<'a> Told<'a> {
     /// `kept` are the indices of the effects that the delivered model has.
     pub fn new(changes: &'a Changes, stored: &'a TorqueModel, kept: &'a [usize]) -> Told<'a> {
-        Told { changes, stored, kept, band: Band::Raw }
+        Told { changes, stored, kept, band: Band::Raw, declared: None }
     }
 
     /// The block `diagnosis`.
     pub fn diagnosis(&self, since: &str, runs: &[String], before: &[Rms], after: &[Rms]) -> Diagnosis {
         let changes = self.changes;
-        let effects: Vec<Effect> =
-            changes.effects.iter().enumerate().map(|(k, change)| self.effect(change, self.kept.contains(&k))).collect();
+        let effects: Vec<Effect> = changes
+            .effects
+            .iter()
+            .enumerate()
+            .map(|(k, change)| effect(change, self.stored, self.declared.as_ref(), self.kept.contains(&k)))
+            .collect();
         let errors = |runs: &[Rms]| Errors {
             validate_rms: Rms::pooled(runs).map_or(Vec::new(), |rms| rms.filtered),
             intervals: Vec::new(),
@@ -83,99 +89,6 @@ impl<'a> Told<'a> {
         }
     }
 
-    fn effect(&self, change: &Change, in_model: bool) -> Effect {
-        let (spec, found) = (&change.spec, &change.found);
-        let form = family(spec.family).and_then(|family| Some((family, family.form(spec.form)?)));
-        let mut parameters: Vec<EffectParameter> = Vec::new();
-        if let Some(body) = &change.body {
-            let estimate = |((name, unit), estimate): (&(&str, &str), &crate::diagnose::reference::Estimate)| {
-                EffectParameter { name: (*name).into(), value: estimate.value, std: estimate.std, unit: (*unit).into() }
-            };
-            parameters.extend(NAMES.iter().zip(&body.numbers()).map(estimate));
-        } else {
-            parameters.extend(change.parameters.iter().map(|own| EffectParameter {
-                name: own.column.name.clone(),
-                value: own.value,
-                std: own.std,
-                unit: own.column.unit.to_string(),
-            }));
-        }
-        parameters.extend(self.derived(change));
-        if let Some((_, form)) = form {
-            parameters.extend(form.settings.iter().zip(&spec.settings).map(|(setting, &value)| EffectParameter {
-                name: setting.name.into(),
-                value,
-                std: None,
-                unit: setting.unit.into(),
-            }));
-        }
-        let decided = |id: &str| {
-            let (family, _) = form?;
-            Some(family.confounded.iter().find(|other| other.with == id)?.decided_by.to_string())
-        };
-        let largest = |values: &[f64]| values.iter().copied().reduce(f64::max);
-        let mut alternatives: Vec<String> = Vec::new();
-        for rival in &found.rivals {
-            if !alternatives.iter().any(|id| id == rival.item.spec.family) {
-                alternatives.push(rival.item.spec.family.into());
-            }
-        }
-        Effect {
-            id: spec.family.into(),
-            joints: joints(spec.site),
-            parameters: Parameters(parameters),
-            evidence: Some(found.score),
-            delta_log_likelihood: Some(0.5 * found.evidence),
-            penalty: Some(found.penalty),
-            folds: Folds { positive: found.folds.positive, informative: found.folds.informative },
-            idf: Some(found.independence),
-            torque_rms: largest(&found.relevance.rms),
-            explained_share: largest(&found.relevance.share),
-            alternatives,
-            alternatives_detail: found
-                .rivals
-                .iter()
-                .map(|rival| Alternative {
-                    id: rival.item.spec.family.into(),
-                    joints: joints(rival.item.spec.site),
-                    score_gap: Some(rival.gap),
-                    deciding_experiment: decided(rival.item.spec.family).unwrap_or_default(),
-                })
-                .collect(),
-            confirmed: found.folds.confirm() == Some(true),
-            stratum: Occurrence::Reference,
-            in_model,
-            equation: form.map_or(String::new(), |(_, form)| form.equation.into()),
-            physics: form.map_or(String::new(), |(family, _)| family.physics.into()),
-            ..Effect::default()
-        }
-    }
-
-    /// What people ask for besides an effect's own parameters: friction as a factor, a tilt as one angle.
-    fn derived(&self, change: &Change) -> Vec<EffectParameter> {
-        let of = |name: &str| self.stored.parameters().iter().find(|own| own.column.name == name);
-        let factor = |own: &crate::model::torque::Parameter| {
-            let old = of(own.column.name.trim_start_matches('d')).filter(|old| old.value.abs() > f64::MIN_POSITIVE)?;
-            let name = format!("{}_factor", old.column.name);
-            let std = own.std.map(|std| std / old.value.abs());
-            Some(EffectParameter { name, value: 1.0 + own.value / old.value, std, unit: "1".into() })
-        };
-        match change.spec.family {
-            "friction-change" => change.parameters.iter().filter_map(factor).collect(),
-            "mounting" => {
-                let [a, b] = [0, 1].map(|k| change.parameters.get(k).map_or(0.0, |own| own.value));
-                let size = a.hypot(b);
-                let share = [a / size, b / size];
-                let variance = (0..2)
-                    .flat_map(|i| (0..2).map(move |k| (i, k)))
-                    .map(|(i, k)| share[i] * share[k] * change.covariance[(i, k)]);
-                let std = (size > 0.0).then(|| variance.sum::<f64>().max(0.0).sqrt());
-                vec![EffectParameter { name: "tilt".into(), value: size, std, unit: "rad".into() }]
-            }
-            _ => Vec::new(),
-        }
-    }
-
     fn joints(&self) -> Vec<JointFacts> {
         let of = |list: &[f64], joint: usize| list.get(joint).copied();
         let changes = self.changes;
@@ -209,8 +122,106 @@ impl<'a> Told<'a> {
     }
 }
 
+/// An effect as the report has it. `stored` is the model that it changes, `declared` how the base is said to be mounted.
+pub fn effect(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>, in_model: bool) -> Effect {
+    let (spec, found) = (&change.spec, &change.found);
+    let form = family(spec.family).and_then(|family| Some((family, family.form(spec.form)?)));
+    let mut parameters: Vec<EffectParameter> = Vec::new();
+    if let Some(body) = &change.body {
+        let estimate = |((name, unit), estimate): (&(&str, &str), &crate::diagnose::reference::Estimate)| {
+            EffectParameter { name: (*name).into(), value: estimate.value, std: estimate.std, unit: (*unit).into() }
+        };
+        parameters.extend(NAMES.iter().zip(&body.numbers()).map(estimate));
+    } else {
+        parameters.extend(change.parameters.iter().map(|own| EffectParameter {
+            name: own.column.name.clone(),
+            value: own.value,
+            std: own.std,
+            unit: own.column.unit.to_string(),
+        }));
+    }
+    parameters.extend(derived(change, stored, declared));
+    if let Some((_, form)) = form {
+        parameters.extend(form.settings.iter().zip(&spec.settings).map(|(setting, &value)| EffectParameter {
+            name: setting.name.into(),
+            value,
+            std: None,
+            unit: setting.unit.into(),
+        }));
+    }
+    let decided = |id: &str| {
+        let (family, _) = form?;
+        Some(family.confounded.iter().find(|other| other.with == id)?.decided_by.to_string())
+    };
+    let largest = |values: &[f64]| values.iter().copied().reduce(f64::max);
+    let mut alternatives: Vec<String> = Vec::new();
+    for rival in &found.rivals {
+        if !alternatives.iter().any(|id| id == rival.item.spec.family) {
+            alternatives.push(rival.item.spec.family.into());
+        }
+    }
+    Effect {
+        id: spec.family.into(),
+        joints: joints(spec.site),
+        parameters: Parameters(parameters),
+        evidence: Some(found.score),
+        delta_log_likelihood: Some(0.5 * found.evidence),
+        penalty: Some(found.penalty),
+        folds: Folds { positive: found.folds.positive, informative: found.folds.informative },
+        idf: Some(found.independence),
+        torque_rms: largest(&found.relevance.rms),
+        explained_share: largest(&found.relevance.share),
+        alternatives,
+        alternatives_detail: found
+            .rivals
+            .iter()
+            .map(|rival| Alternative {
+                id: rival.item.spec.family.into(),
+                joints: joints(rival.item.spec.site),
+                score_gap: Some(rival.gap),
+                deciding_experiment: decided(rival.item.spec.family).unwrap_or_default(),
+            })
+            .collect(),
+        confirmed: found.folds.confirm() == Some(true),
+        stratum: Occurrence::Reference,
+        in_model,
+        equation: form.map_or(String::new(), |(_, form)| form.equation.into()),
+        physics: form.map_or(String::new(), |(family, _)| family.physics.into()),
+        ..Effect::default()
+    }
+}
+
+/// What people ask for besides an effect's own parameters: friction as a factor, a tilt as one angle.
+fn derived(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>) -> Vec<EffectParameter> {
+    let of = |name: &str| stored.parameters().iter().find(|own| own.column.name == name);
+    let factor = |own: &crate::model::torque::Parameter| {
+        let old = of(own.column.name.trim_start_matches('d')).filter(|old| old.value.abs() > f64::MIN_POSITIVE)?;
+        let name = format!("{}_factor", old.column.name);
+        let std = own.std.map(|std| std / old.value.abs());
+        Some(EffectParameter { name, value: 1.0 + own.value / old.value, std, unit: "1".into() })
+    };
+    match change.spec.family {
+        "friction-change" => change.parameters.iter().filter_map(factor).collect(),
+        "mounting" => {
+            let [a, b] = [0, 1].map(|k| change.parameters.get(k).map_or(0.0, |own| own.value));
+            let size = a.hypot(b);
+            let share = [a / size, b / size];
+            let variance = (0..2)
+                .flat_map(|i| (0..2).map(move |k| (i, k)))
+                .map(|(i, k)| share[i] * share[k] * change.covariance[(i, k)]);
+            let std = (size > 0.0).then(|| variance.sum::<f64>().max(0.0).sqrt());
+            let angle =
+                |name: &str, value: f64, std| EffectParameter { name: name.into(), value, std, unit: "rad".into() };
+            let truly = declared.map(|declared| tilted(declared, [a, b]));
+            let angles = truly.map(|truly| [angle("rho", truly.rho, None), angle("phi", truly.phi, None)]);
+            [angle("tilt", size, std)].into_iter().chain(angles.into_iter().flatten()).collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
 /// The gravity that a found tilt leaves, as a mounting: `rho` and `phi` of the declared gravity turned by the tilt.
-pub fn tilted(declared: &Mounting, tilt: [f64; 2]) -> Mounting {
+fn tilted(declared: &Mounting, tilt: [f64; 2]) -> Mounting {
     let gravity = declared.gravity();
     let [a, b] = axes(&gravity);
     let turned = gravity + tilt[0] * a.cross(&gravity) + tilt[1] * b.cross(&gravity);
@@ -227,7 +238,10 @@ pub fn line(change: &Change) -> String {
     if let Some(body) = &change.body {
         return format!("payload of {}", number(body.mass.value, body.mass.std, "kg"));
     }
-    let each = change.parameters.iter().map(|own| format!("{} {}", own.column.name, number(own.value, own.std, own.column.unit)));
+    let each = change
+        .parameters
+        .iter()
+        .map(|own| format!("{} {}", own.column.name, number(own.value, own.std, own.column.unit)));
     format!("{} ({})", label(change.spec.family, change.spec.site), each.collect::<Vec<_>>().join(", "))
 }
 
@@ -254,7 +268,13 @@ fn unexplained((joint, facts): (usize, &JointFacts)) -> Option<Unexplained> {
 }
 
 fn least((id, rms): &(&'static str, Vec<f64>)) -> (String, MinimumDetectable) {
-    ((*id).to_string(), MinimumDetectable { torque_rms: rms.clone(), ..MinimumDetectable::default() })
+    (
+        (*id).to_string(),
+        MinimumDetectable {
+            torque_rms: rms.iter().map(|rms| if rms.is_finite() { *rms } else { f64::NAN }).collect(),
+            ..MinimumDetectable::default()
+        },
+    )
 }
 
 fn path(changes: &Changes) -> Vec<diagnosis::Step> {

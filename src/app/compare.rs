@@ -6,7 +6,7 @@ use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Role, Run};
 use crate::diagnose::reference::{self, Change};
 use crate::diagnose::{self, evidence::Trial};
-use crate::estimate::experiment::{Experiment, Settings};
+use crate::estimate::experiment::Experiment;
 use crate::estimate::validate::{Rms, validate};
 use crate::input::BadInput;
 use crate::model::base::Reduction;
@@ -61,11 +61,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
     bar.at(0.05, "preparing");
     let experiments = find.iter().map(|run| pipeline::experiment(run, &settings)).collect::<Result<Vec<_>, _>>()?;
     let unseen = judge.iter().map(|run| pipeline::experiment(run, &settings)).collect::<Result<Vec<_>, _>>()?;
-    let trials: Vec<Trial> = experiments
-        .iter()
-        .zip(&find)
-        .map(|(experiment, run)| Trial { experiment, session: run.session })
-        .collect();
+    let trials: Vec<Trial> =
+        experiments.iter().zip(&find).map(|(experiment, run)| Trial { experiment, session: run.session }).collect();
     bar.at(0.2, "searching");
     let steps = std::cell::Cell::new(0.2);
     let changes = reference::changes(model, &trials, &diagnosis, &|step| {
@@ -82,6 +79,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let since = since(&options, &file);
     let mut told = changed::Told::new(&changes, model, &kept);
     told.band = Band::Filtered { cutoff: settings.torque_cutoff };
+    told.declared = find.first().map(|run| run.mounting);
     let mut diagnosis = told.diagnosis(&since, &names, &errors_before, &errors_after);
     let identifiability = identifiability(model, &refused, &changes.doubt);
     if held.is_empty() {
@@ -155,7 +153,12 @@ fn model_file(options: &Options, robot: &Robot) -> Result<ModelFile, Failure> {
         if of == robot.name {
             return Ok(robot.chain.clone());
         }
-        Err(BadInput::new(&name, "key `robot`", format!("`{of}`"), format!("`{}`, the robot of the dataset", robot.name)))
+        Err(BadInput::new(
+            &name,
+            "key `robot`",
+            format!("`{of}`"),
+            format!("`{}`, the robot of the dataset", robot.name),
+        ))
     })?)
 }
 
@@ -177,7 +180,9 @@ fn split(runs: &[&Run], notes: &mut Vec<String>) -> (Vec<Run>, Vec<Run>) {
         return (identify, validate);
     }
     let share = 100.0 * HELD_OUT;
-    notes.push(format!("the dataset has runs of one role: the last {share:.0} % of each judge what was found in the rest"));
+    notes.push(format!(
+        "the dataset has runs of one role: the last {share:.0} % of each judge what was found in the rest"
+    ));
     let parts = runs.iter().map(|run| {
         let (first, last) = cut(run, 1.0 - HELD_OUT);
         (whole_periods(first), whole_periods(last))

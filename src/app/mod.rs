@@ -9,6 +9,7 @@ mod estimator;
 mod export;
 mod failure;
 mod identify;
+mod live;
 mod pipeline;
 mod plan;
 mod predict;

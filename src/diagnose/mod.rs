@@ -3,7 +3,7 @@
 //! [`evidence`] (torques and columns as coefficients with known noise) -> [`moments`] (their sums of products) -> [`fit`] (weighted fits, the
 //! likelihood that a candidate brings) -> [`library`] (the candidates) -> [`select`] (forward selection, backward elimination) with [`gates`]
 //! -> [`diagnosis`] (veto by unseen runs, adequacy, verdict) -> [`outcome`].
-//! [`reference`] asks instead what has changed since a model was identified.
+//! [`reference`] asks instead what has changed since a model was identified, and [`live`] while it is served.
 
 mod detectable;
 pub mod diagnosis;
@@ -11,9 +11,10 @@ pub mod evidence;
 pub mod fit;
 pub mod gates;
 pub mod library;
+pub mod live;
 pub mod moments;
 pub mod outcome;
-//! [`reference`] asks instead what has changed since a model was identified.
+pub mod reference;
 pub mod select;
 pub mod state;
 

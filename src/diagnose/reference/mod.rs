@@ -109,12 +109,7 @@ pub fn families() -> Vec<&'static Family> {
 
 /// What changed since `reference` was identified. The trials are in mountings that the model is valid in. Nothing is found when they
 /// are too short.
-pub fn changes(
-    reference: &TorqueModel,
-    trials: &[Trial],
-    settings: &Settings,
-    progress: &dyn Fn(&Step),
-) -> Changes {
+pub fn changes(reference: &TorqueModel, trials: &[Trial], settings: &Settings, progress: &dyn Fn(&Step)) -> Changes {
     among(reference, trials, &families(), settings, progress)
 }
 
@@ -201,7 +196,9 @@ fn prior(parameters: &[Parameter]) -> Prior {
         // A parameter that was taken out has no error of its own; one in a million of the largest stands for none.
         std.map_or(0.0, |std| (ALLOWANCE * std.max(1e-6 * largest)).powi(-2))
     };
-    Prior { precision: DMatrix::from_diagonal(&DVector::from_iterator(parameters.len(), parameters.iter().map(precision))) }
+    Prior {
+        precision: DMatrix::from_diagonal(&DVector::from_iterator(parameters.len(), parameters.iter().map(precision))),
+    }
 }
 
 /// RMS per joint beyond the noise, under given parameters.
@@ -247,7 +244,7 @@ fn least(search: &Search, state: &State) -> Vec<(&'static str, Vec<f64>)> {
         let cross = state.columns.cross(evidence, &item.rows);
         let share = search.problem.gain(&state.fit, &cross, &every, None).map_or(0.0, |gain| gain.independence);
         let index = found.iter().position(|(id, _)| *id == item.spec.family).unwrap_or_else(|| {
-            found.push((item.spec.family, vec![f64::NAN; evidence.joints()]));
+            found.push((item.spec.family, vec![f64::INFINITY; evidence.joints()]));
             found.len() - 1
         });
         // An effect in one joint is seen in its own row; one of the whole arm in each.
@@ -255,8 +252,8 @@ fn least(search: &Search, state: &State) -> Vec<(&'static str, Vec<f64>)> {
         for joint in item.joints().into_iter().filter(|joint| own.is_empty() || own.contains(joint)) {
             let rms = DETECTED * evidence.floor(joint).unwrap_or(f64::NAN) / share.sqrt();
             let least = &mut found[index].1[joint];
-            if share > 0.0 && !(*least <= rms) {
-                *least = rms;
+            if share > 0.0 {
+                *least = least.min(rms);
             }
         }
     }
@@ -311,10 +308,14 @@ fn doubt(evidence: &Evidence, state: &State, parameters: &[Parameter]) -> Doubt 
     for fold in evidence.folds() {
         let needed = |joint: usize, chosen: &[usize]| {
             let m = state.columns.m[joint].rows(fold.rows.start, fold.rows.len());
-            let part = chosen.iter().fold(DVector::zeros(fold.rows.len()), |sum: DVector<f64>, &k| sum + m.column(k) * theta[k]);
+            let part = chosen
+                .iter()
+                .fold(DVector::zeros(fold.rows.len()), |sum: DVector<f64>, &k| sum + m.column(k) * theta[k]);
             let noise = match evidence.repeats() {
                 true => NEEDED.powi(2) * fold.rows.len() as f64,
-                false => NEEDED_OF_ALL.powi(2) * state.residual(joint).rows(fold.rows.start, fold.rows.len()).norm_squared(),
+                false => {
+                    NEEDED_OF_ALL.powi(2) * state.residual(joint).rows(fold.rows.start, fold.rows.len()).norm_squared()
+                }
             };
             part.norm_squared() > noise
         };

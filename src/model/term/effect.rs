@@ -6,9 +6,9 @@ use super::load::Load;
 use super::{Subset, Term};
 use super::{
     asymmetric_coulomb, asymmetric_viscous, backlash, base_motion, contact, delay, encoder_eccentricity,
-    encoder_offset, friction_change, friction_drift, joint_elasticity, load_dependent_friction, mounting, nonlinear_viscous,
-    offset_drift, payload, position_dependent_friction, position_ripple, presliding, rotor_inertia, spring, stribeck,
-    torque_crosstalk, torque_gain, torque_offset, transmission_coupling,
+    encoder_offset, friction_change, friction_drift, joint_elasticity, load_dependent_friction, mounting,
+    nonlinear_viscous, offset_drift, payload, position_dependent_friction, position_ripple, presliding, rotor_inertia,
+    spring, stribeck, torque_crosstalk, torque_gain, torque_offset, transmission_coupling,
 };
 use crate::model::chain::Chain;
 use std::fmt;

@@ -13,12 +13,7 @@ pub static FAMILY: Family = Family {
     id: ID,
     physics: "A joint's friction has changed since the model was identified: new grease, wear, another temperature.",
     place: Place::Joint,
-    forms: &[Form {
-        name: "",
-        equation: "tau_j = dfv_j dq_j + dfc_j tanh(100 dq_j)",
-        settings: &[],
-        build,
-    }],
+    forms: &[Form { name: "", equation: "tau_j = dfv_j dq_j + dfc_j tanh(100 dq_j)", settings: &[], build }],
     stratum: Stratum::Reference,
     served: true,
     typical: "20 to 50 % between a cold and a warm gear",

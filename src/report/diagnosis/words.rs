@@ -30,8 +30,20 @@ fn findings(of: &Diagnosis) -> Vec<String> {
     let unexplained = of.unexplained.iter().map(self::unexplained);
     effects
         .chain(unexplained)
-        .chain(of.changes.iter().map(|changes| self::changes(changes, &of.confirmation)))
+        .chain(
+            of.changes
+                .iter()
+                .filter(|changes| !told(changes, of))
+                .map(|changes| self::changes(changes, &of.confirmation)),
+        )
         .collect()
+}
+
+/// Whether everything that changed stands among the effects already.
+fn told(changes: &Changes, of: &Diagnosis) -> bool {
+    let among =
+        |effect: &Effect| of.effects.iter().any(|other| (&other.id, &other.joints) == (&effect.id, &effect.joints));
+    !changes.effects.is_empty() && changes.effects.iter().all(among)
 }
 
 /// `2 effects, 1 joint unexplained`.
@@ -41,7 +53,8 @@ pub(super) fn counted(of: &Diagnosis) -> String {
         1 => Some(format!("1 {one}")),
         _ => Some(format!("{count} {many}")),
     };
-    let changed: usize = of.changes.iter().map(|changes| changes.effects.len()).sum();
+    let apart = of.changes.iter().filter(|changes| !told(changes, of));
+    let changed: usize = apart.map(|changes| changes.effects.len()).sum();
     let parts = [
         count(of.effects.len(), "effect", "effects"),
         count(of.unexplained.len(), "joint unexplained", "joints unexplained"),
