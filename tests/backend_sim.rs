@@ -86,7 +86,7 @@ fn reported_positions_agree_with_the_accelerations() {
     }
 }
 
-/// Four steps a millisecond are enough for the shipped arm, its steep friction included: eight times as many change nothing that matters.
+/// Three steps a millisecond are enough for the shipped arm, its steep friction included: eight times as many change nothing that matters.
 #[test]
 fn substeps_have_converged() {
     for file in ["sim-panda.toml", "sim-panda-effect.toml"] {
@@ -262,7 +262,7 @@ fn a_wrong_truth_names_the_place() {
         ("0.70337, -0.000139", "0.10, -0.000139", "link 1, inertia"),
         ("fc = 0.5182", "fc = -0.5", "joint 1, fc"),
         ("fc = 0.5182", "fx = 0.5182", "line"),
-        ("substeps = 4", "substeps = 0", "substeps"),
+        ("substeps = 3", "substeps = 0", "substeps"),
         ("drop-probability = 0.0", "drop-probability = 0.9", "drop-probability"),
         ("joint = 4\ndelta", "joint = 8\ndelta", "effect 2, joint"),
         ("delta = 0.002", "delta = 0.0", "effect 2, delta"),

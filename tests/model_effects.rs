@@ -318,7 +318,7 @@ fn laws_are_what_their_equations_say() {
     let cases: [(&str, &str, Site, Vec<f64>, Law); 13] = [
         ("asymmetric-coulomb", "", one, vec![], &|_, dq, _| vec![sign(dq).abs()]),
         ("asymmetric-viscous", "", one, vec![], &|_, dq, _| vec![dq.abs()]),
-        ("stribeck", "", one, vec![0.1], &|_, dq, _| vec![(-dq * dq / 0.01).exp() * sign(dq)]),
+        ("stribeck", "gaussian", one, vec![0.1], &|_, dq, _| vec![(-dq * dq / 0.01).exp() * sign(dq)]),
         ("nonlinear-viscous", "sigmoid", one, vec![0.2], &|_, dq, _| vec![(dq / 0.2).tanh()]),
         ("nonlinear-viscous", "cubic", one, vec![], &|_, dq, _| vec![dq * dq * dq]),
         ("nonlinear-viscous", "quadratic", one, vec![], &|_, dq, _| vec![dq * dq.abs()]),

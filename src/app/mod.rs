@@ -5,6 +5,7 @@ mod collector;
 mod command;
 mod compare;
 mod daemon;
+mod effects;
 mod estimator;
 mod export;
 mod failure;
@@ -66,6 +67,8 @@ enum Verb {
     Predict(predict::Options),
     /// Write the identified arm as URDF, MuJoCo model or C function
     Export(export::Options),
+    /// List the effects that diagnosis knows, with their equations
+    Effects(effects::Options),
     /// Print the feed-forward torque that a daemon serves
     Torque(torque::Options),
     /// Tell a running daemon what to do: start, stop, resume, quit, status
@@ -98,6 +101,7 @@ pub fn main() -> ExitCode {
         Verb::Compare(options) => compare::run(options),
         Verb::Predict(options) => predict::run(options),
         Verb::Export(options) => export::run(options),
+        Verb::Effects(options) => effects::run(options),
         Verb::Torque(options) => torque::run(options),
         Verb::Command(options) => command::run(options),
     };

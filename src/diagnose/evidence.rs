@@ -12,6 +12,7 @@ use crate::model::chain::Chain;
 use crate::model::structure::Structure;
 use crate::model::term::{Motion, Term};
 use nalgebra::{DMatrix, DVector};
+use realfft::num_complex::Complex;
 use std::f64::consts::PI;
 use std::ops::Range;
 
@@ -87,12 +88,43 @@ pub struct Evidence {
     chain: Chain,
 }
 
-/// A motion with fewer samples.
+/// A motion and the same with fewer samples.
 #[derive(Clone, Debug)]
 struct Thinned {
-    motion: Motion,
-    /// Every how many-th sample of the experiment it has.
+    whole: Motion,
+    few: Motion,
+    /// Every how many-th sample the second has.
     step: usize,
+}
+
+/// How samples stand for those between them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Thinning {
+    /// All are there.
+    None,
+    /// The middle one of every so many.
+    Middle(usize),
+    /// The mean of every so many, so that nothing sharp falls between two of them.
+    Mean(usize),
+}
+
+impl Thinning {
+    fn step(self) -> usize {
+        match self {
+            Thinning::None => 1,
+            Thinning::Middle(step) | Thinning::Mean(step) => step,
+        }
+    }
+
+    /// What a wave that turns by `angle` from sample to sample keeps of its height.
+    fn gain(self, angle: f64) -> f64 {
+        match self {
+            Thinning::Mean(step) if angle > 0.0 => {
+                (0.5 * angle * step as f64).sin() / (step as f64 * (0.5 * angle).sin())
+            }
+            _ => 1.0,
+        }
+    }
 }
 
 /// One run to be diagnosed.
@@ -192,34 +224,39 @@ impl Evidence {
     }
 
     /// Columns of a term at the rate of candidates, in the folds of sessions from `since` on where that is given.
+    ///
+    /// Terms that are smooth in time are computed for some of the samples alone.
     pub fn columns(&self, term: &dyn Term, since: Option<u32>) -> Rows {
         let width = term.columns().len();
         let mut parts: Vec<Option<DMatrix<f64>>> = vec![None; self.joints];
-        for (index, Thinned { motion, step }) in self.motions.iter().enumerate() {
+        for (index, Thinned { whole, few, step }) in self.motions.iter().enumerate() {
             let own: Vec<&Fold> = self.folds.iter().filter(|fold| fold.experiment == index).collect();
             if !own.iter().any(|fold| since.is_none_or(|since| fold.session >= since)) {
                 continue;
             }
+            let thinning = if term.smooth() { Thinning::Middle(*step) } else { Thinning::Mean(*step) };
+            let motion = if term.smooth() { few } else { whole };
             let samples = motion.samples();
             let mut y = DMatrix::zeros(samples * self.joints, width);
             term.fill(&self.chain, motion, &mut y, 0);
             let mut spectral = None;
+            let mut means = Vec::new();
             for (joint, part) in parts.iter_mut().enumerate() {
                 for column in 0..width {
-                    let x = &y.as_slice()[column * y.nrows() + joint * samples..][..samples];
+                    let mut x = &y.as_slice()[column * y.nrows() + joint * samples..][..samples];
                     if x.iter().all(|value| *value == 0.0) {
                         continue;
                     }
+                    if let Thinning::Mean(step) = thinning {
+                        means.clear();
+                        means.extend(x.chunks_exact(step).map(|piece| piece.iter().sum::<f64>() / step as f64));
+                        x = &means;
+                    }
                     let part = part.get_or_insert_with(|| DMatrix::zeros(self.per_joint(), width));
+                    let mut part = part.column_mut(column);
                     for fold in &own {
-                        let out = &mut part.column_mut(column);
-                        fold.project(
-                            x,
-                            *step,
-                            motion.dt,
-                            &mut spectral,
-                            out.rows_mut(fold.rows.start, fold.rows.len()).as_mut_slice(),
-                        );
+                        let mut out = part.rows_mut(fold.rows.start, fold.rows.len());
+                        fold.project(x, thinning, few.dt, &mut spectral, out.as_mut_slice());
                     }
                 }
             }
@@ -232,26 +269,64 @@ impl Evidence {
         Rows { width, parts: parts.into_iter().enumerate().filter_map(whiten).collect() }
     }
 
+    /// The motion of each experiment at the rate of candidates.
+    pub fn motion(&self, experiment: usize) -> &Motion {
+        &self.motions[experiment].few
+    }
+
+    /// Number of experiments.
+    pub fn experiments(&self) -> usize {
+        self.motions.len()
+    }
+
+    /// Samples at the rate of candidates that a fold spans, of those of its experiment.
+    pub fn thinned(&self, fold: usize) -> Range<usize> {
+        let Fold { experiment, samples, .. } = &self.folds[fold];
+        let step = self.motions[*experiment].step;
+        samples.start / step..samples.end / step
+    }
+
+    /// Coefficients of torques of one joint that are given at the samples of [`Evidence::motion`], N x width in each experiment; divided
+    /// by the noise.
+    pub fn project(&self, joint: usize, samples: &[DMatrix<f64>]) -> DMatrix<f64> {
+        let width = samples.first().map_or(0, DMatrix::ncols);
+        let mut part = DMatrix::zeros(self.per_joint(), width);
+        for (index, (Thinned { few: motion, step, .. }, values)) in self.motions.iter().zip(samples).enumerate() {
+            assert_eq!(values.shape(), (motion.samples(), width), "samples of experiment {index}");
+            let mut spectral = None;
+            for (mut out, x) in part.column_iter_mut().zip(values.as_slice().chunks_exact(motion.samples())) {
+                for fold in self.folds.iter().filter(|fold| fold.experiment == index) {
+                    let mut own = out.rows_mut(fold.rows.start, fold.rows.len());
+                    fold.project(x, Thinning::Middle(*step), motion.dt, &mut spectral, own.as_mut_slice());
+                }
+            }
+        }
+        self.whiten(joint, &mut part);
+        part
+    }
+
+    /// The signal that has these coefficients in one fold, and nothing outside the band, at the samples of [`Evidence::thinned`]: the
+    /// inverse of what torques go through. `rows` are those of the fold, not divided by the noise.
+    pub fn signal(&self, fold: usize, rows: &[f64]) -> Vec<f64> {
+        let fold = &self.folds[fold];
+        let Thinned { few: motion, step, .. } = &self.motions[fold.experiment];
+        fold.signal(rows, *step, motion)
+    }
+
     /// Coefficients of samples at the full rate, n N x width in each experiment.
     fn of_samples(&self, samples: impl Fn(usize) -> DMatrix<f64>, width: usize) -> Vec<DMatrix<f64>> {
         let mut parts = vec![DMatrix::zeros(self.per_joint(), width); self.joints];
-        for (index, Thinned { motion, step }) in self.motions.iter().enumerate() {
+        for (index, Thinned { whole, .. }) in self.motions.iter().enumerate() {
             let y = samples(index);
-            let count = y.nrows() / self.joints;
-            let dt = motion.dt / *step as f64;
+            let count = whole.samples();
             let mut spectral = None;
             for (joint, part) in parts.iter_mut().enumerate() {
                 for column in 0..width {
                     let x = &y.as_slice()[column * y.nrows() + joint * count..][..count];
+                    let mut part = part.column_mut(column);
                     for fold in self.folds.iter().filter(|fold| fold.experiment == index) {
-                        let mut out = part.column_mut(column);
-                        fold.project(
-                            x,
-                            1,
-                            dt,
-                            &mut spectral,
-                            out.rows_mut(fold.rows.start, fold.rows.len()).as_mut_slice(),
-                        );
+                        let mut out = part.rows_mut(fold.rows.start, fold.rows.len());
+                        fold.project(x, Thinning::None, whole.dt, &mut spectral, out.as_mut_slice());
                     }
                 }
             }
@@ -282,37 +357,64 @@ impl Thinned {
         let thin = |x: &DMatrix<f64>| x.select_rows(&kept);
         let start = motion.start + (step / 2) as f64 * motion.dt;
         let (q, dq, ddq) = (thin(&motion.q), thin(&motion.dq), thin(&motion.ddq));
-        Thinned { motion: Motion { dt: motion.dt * step as f64, q, dq, ddq, start, ..motion.clone() }, step }
+        let few = Motion { dt: motion.dt * step as f64, q, dq, ddq, start, ..motion.clone() };
+        Thinned { whole: motion.clone(), few, step }
     }
 }
 
 impl Fold {
-    /// Writes the coefficients of the experiment's samples `x`, every `step`-th of the full rate, `dt` apart \[s\].
-    fn project(&self, x: &[f64], step: usize, dt: f64, spectral: &mut Option<Spectral>, out: &mut [f64]) {
+    /// Writes the coefficients of the experiment's samples `x`, `dt` apart \[s\].
+    fn project(&self, x: &[f64], thinning: Thinning, dt: f64, spectral: &mut Option<Spectral>, out: &mut [f64]) {
+        let (n, step) = (self.samples.len() as f64, thinning.step());
         match &self.waves {
             Waves::Periodic { bins } => {
                 let spectral = spectral.get_or_insert_with(|| Spectral::new(x.len(), dt));
                 let spectrum = spectral.transform(x);
-                let n = self.samples.len() as f64;
-                // As if all samples had been there: each stands for `step` of them, and the first is `step / 2` late.
+                // As if all samples had been there: each stands for `step` of them, and the first is late by half of that.
                 let scale = step as f64 / n.sqrt();
-                let late = 2.0 * PI * (step / 2) as f64 / n;
+                let turn = 2.0 * PI / n;
                 out[0] = scale * spectrum[0].re;
                 for bin in 1..*bins {
-                    let (sin, cos) = (late * bin as f64).sin_cos();
+                    let (sin, cos) = (0.5 * (step - 1) as f64 * turn * bin as f64).sin_cos();
                     let (re, im) = (spectrum[bin].re, spectrum[bin].im);
-                    let scale = scale * 2.0_f64.sqrt();
+                    let scale = scale * 2.0_f64.sqrt() / thinning.gain(turn * bin as f64);
                     out[2 * bin - 1] = scale * (re * cos + im * sin);
                     out[2 * bin] = scale * (im * cos - re * sin);
                 }
             }
             Waves::Block { all, thinned } => {
                 let waves = if step == 1 { all } else { thinned };
-                let first = self.samples.start / step;
-                let x = &x[first..first + waves.nrows()];
-                for (value, wave) in out.iter_mut().zip(waves.column_iter()) {
-                    *value = wave.iter().zip(x).map(|(wave, x)| wave * x).sum();
+                let x = &x[self.samples.start / step..][..waves.nrows()];
+                for (row, (value, wave)) in out.iter_mut().zip(waves.column_iter()).enumerate() {
+                    let sum: f64 = wave.iter().zip(x).map(|(wave, x)| wave * x).sum();
+                    *value = sum / thinning.gain(PI * row as f64 / n);
                 }
+            }
+        }
+    }
+}
+
+impl Fold {
+    /// Inverse of [`Fold::project`] within the band, at every `step`-th sample.
+    fn signal(&self, rows: &[f64], step: usize, motion: &Motion) -> Vec<f64> {
+        match &self.waves {
+            Waves::Periodic { bins } => {
+                let spectral = Spectral::new(motion.samples(), motion.dt);
+                let n = self.samples.len() as f64;
+                let late = 2.0 * PI * (step / 2) as f64 / n;
+                let mut spectrum = vec![Complex::new(0.0, 0.0); spectral.bins()];
+                // `Spectral::signal` divides by its own number of samples.
+                let scale = motion.samples() as f64 / n.sqrt();
+                spectrum[0] = Complex::new(scale * rows[0], 0.0);
+                for bin in 1..*bins {
+                    let value = Complex::new(rows[2 * bin - 1], rows[2 * bin]);
+                    spectrum[bin] = value * Complex::cis(late * bin as f64) * (scale / 2.0_f64.sqrt());
+                }
+                spectral.signal(spectrum)
+            }
+            Waves::Block { thinned, .. } => {
+                let rows = DVector::from_column_slice(rows);
+                (thinned * rows / step as f64).as_slice().to_vec()
             }
         }
     }

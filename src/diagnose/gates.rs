@@ -24,7 +24,7 @@ pub struct Folds {
 impl Folds {
     /// Whether they confirm it; `None` when none can tell.
     pub fn confirm(self) -> Option<bool> {
-        (self.informative > 0).then(|| self.positive as f64 >= AGREEMENT * self.informative as f64)
+        (self.informative > 0).then_some(self.positive as f64 >= AGREEMENT * self.informative as f64)
     }
 }
 

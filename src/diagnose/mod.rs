@@ -2,12 +2,13 @@
 //!
 //! [`evidence`] (torques and columns as coefficients with known noise) -> [`moments`] (their sums of products) -> [`fit`] (weighted fits, the
 //! likelihood that a candidate brings) -> [`library`] (the candidates) -> [`select`] (forward selection, backward elimination) with [`gates`]
-//! -> [`diagnosis`] (veto by unseen runs, adequacy, verdict) -> [`outcome`].
-//! [`reference`] asks instead what has changed since a model was identified, and [`live`] while it is served.
+//! -> [`diagnosis`] (veto by unseen runs, adequacy, verdict) -> [`outcome`]; what stays unexplained goes to [`fallback`]. The same machine
+//! tells what changed since a model was identified: [`reference`], and while it is served: [`live`].
 
 mod detectable;
 pub mod diagnosis;
 pub mod evidence;
+pub mod fallback;
 pub mod fit;
 pub mod gates;
 pub mod library;

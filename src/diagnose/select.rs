@@ -12,7 +12,7 @@ use super::state::{State, Tried, every};
 use crate::model::term::effect::{Ground, Setting};
 
 /// Candidates that are tried with all care at each step.
-const SHORTLIST: usize = 24;
+const SHORTLIST: usize = 16;
 /// Evaluations of a search for a setting.
 const EVALUATIONS: usize = 12;
 /// A rival within so much of the score can't be told from the chosen one.

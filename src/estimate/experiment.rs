@@ -4,7 +4,7 @@ use super::EstimateError;
 use super::differentiate::Differentiator;
 use super::periods::{NoiseOfMean, Scatter, average};
 use super::run::Run;
-pub use super::settings::{Derivative, Method, Settings};
+pub use super::settings::{Derivative, LeftOut, Method, Settings};
 use super::signal::butterworth::Butterworth;
 use super::signal::resample::{Sampling, resample};
 use super::signal::spectral::Spectral;
@@ -50,7 +50,7 @@ pub struct Experiment {
     pub desired: Option<Motion>,
     /// What the time stamps were like.
     pub sampling: Sampling,
-    /// Samples of the grid at which the whole arm stands, and which therefore don't count.
+    /// Samples of the grid at which the whole arm stands, or that the settings leave out: they don't count.
     resting: Vec<bool>,
     /// Samples of the grid that enter the regression.
     kept: Vec<usize>,
@@ -65,9 +65,11 @@ pub struct Experiment {
     first: usize,
 }
 
-/// Every period's deviation from the mean, P N rows, period below period.
+/// Every period's deviation from the mean, P N rows, period below period. Samples that don't count are zero.
 #[derive(Clone, Debug)]
 pub struct Repeats {
+    /// Which periods of the recording these are, P, counted from 0: those left out as a whole are not among them.
+    pub periods: Vec<usize>,
     /// Of the positions, P N x n \[rad\].
     pub q: DMatrix<f64>,
     /// Of the torques, P N x n \[Nm\].
@@ -82,6 +84,8 @@ struct Even {
     first: usize,
     /// Of a periodic run.
     periodic: bool,
+    /// Its periods that count.
+    periods: Vec<usize>,
     scatter: Option<Scatter>,
     deviations: DMatrix<f64>,
 }
@@ -108,7 +112,8 @@ impl Experiment {
         let Some(period) = run.period else {
             let (values, sampling) = (even.values, even.sampling);
             let deviations = DMatrix::zeros(0, 2 * n);
-            let even = Even { values, sampling, first: 0, periodic: false, scatter: None, deviations };
+            let periods = Vec::new();
+            let even = Even { values, sampling, first: 0, periodic: false, periods, scatter: None, deviations };
             return Experiment::build(run, settings, even).map_err(signal);
         };
 
@@ -128,9 +133,27 @@ impl Experiment {
             return Err(EstimateError::Periods { run: run.name.clone(), found, skipped, period });
         }
         let first = skipped * samples;
-        let rest = even.values.rows(first, even.values.nrows() - first).into_owned();
-        let averaged = average(&rest, &even.filled[first..], samples, dt);
+        let mut rest = even.values.rows(first, (found - skipped) * samples).into_owned();
+        let mut left_out = vec![false; rest.nrows()];
+        settings.left_out(&run.name).for_each(|one| one.mark(&mut left_out, first, dt));
+        let mut filled = even.filled[first..found * samples].to_vec();
+        let mut periods: Vec<usize> = (skipped..found).collect();
+        // A period of which nothing counts is none; of the others what counts does.
+        for (k, gone) in left_out.chunks(samples).enumerate().rev() {
+            if gone.iter().all(|gone| *gone) {
+                rest = rest.remove_rows(k * samples, samples);
+                filled.drain(k * samples..(k + 1) * samples);
+                periods.remove(k);
+            } else {
+                filled[k * samples..][..samples].iter_mut().zip(gone).for_each(|(filled, gone)| *filled |= gone);
+            }
+        }
+        if periods.is_empty() {
+            return Err(EstimateError::Periods { run: run.name.clone(), found, skipped: found, period });
+        }
+        let averaged = average(&rest, &filled, samples, dt);
         let even = Even {
+            periods,
             values: averaged.mean,
             sampling: even.sampling,
             first,
@@ -142,7 +165,7 @@ impl Experiment {
     }
 
     fn build(run: &Run, settings: &Settings, even: Even) -> Result<Experiment, SignalError> {
-        let Even { values, sampling, first, periodic, scatter, deviations } = even;
+        let Even { values, sampling, first, periodic, periods, scatter, deviations } = even;
         let (n, samples, dt) = (run.joints(), values.nrows(), sampling.dt);
         let rate = 1.0 / dt;
         let filter = Butterworth::new(settings.order, settings.torque_cutoff, rate)?;
@@ -192,8 +215,11 @@ impl Experiment {
             judged: narrower.then(|| motion(&judging)),
             tau: values.view((edge, n), (count, n)).into_owned(),
             noise: scatter.as_ref().map(|_| NoiseOfMean::of(&of_tau(), samples, dt, |f| filter.zero_phase_gain(f))),
-            repeats: (scatter.is_some() && settings.keep_periods)
-                .then(|| Repeats { q: deviations.columns(0, n).into_owned(), tau: of_tau() }),
+            repeats: (scatter.is_some() && settings.keep_periods).then(|| Repeats {
+                periods,
+                q: deviations.columns(0, n).into_owned(),
+                tau: of_tau(),
+            }),
             position_noise: scatter.as_ref().map(|scatter| scatter.std[..n].to_vec()),
             scatter: scatter.map(|scatter| scatter.select(n..2 * n)),
             desired: None,
@@ -208,6 +234,10 @@ impl Experiment {
             first,
         };
         experiment.leave_out_rests(settings.rest);
+        if !periodic {
+            settings.left_out(&run.name).for_each(|one| one.mark(&mut experiment.resting, edge, dt));
+            experiment.kept.retain(|&k| !experiment.resting[k]);
+        }
         Ok(experiment)
     }
 
@@ -221,7 +251,7 @@ impl Experiment {
         self.kept.retain(|&k| !self.resting[k]);
     }
 
-    /// Whether the whole arm stands at each sample of the grid, N; such samples don't count.
+    /// Whether the whole arm stands at each sample of the grid, or the settings leave it out, N; such samples don't count.
     pub fn resting(&self) -> &[bool] {
         &self.resting
     }

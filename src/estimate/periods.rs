@@ -23,6 +23,7 @@ pub struct Scatter {
     /// Standard deviation of one raw sample, per column: the noise floor.
     pub std: Vec<f64>,
     /// Power of one period's noise, bins x columns, `sum_p |DFT(deviation_p)|^2 / (N (P - 1))`, for 0 Hz to half the rate.
+    /// With samples that don't count, these are taken off `N P`.
     pub power: DMatrix<f64>,
     /// Samples of a period, N.
     pub samples: usize,
@@ -60,7 +61,9 @@ pub fn average(values: &DMatrix<f64>, filled: &[bool], samples: usize, dt: f64) 
     let spectral = Spectral::new(samples, dt);
     let mut power = DMatrix::zeros(spectral.bins(), columns);
     let mut std = vec![0.0; columns];
-    let scale = 1.0 / (samples * (periods - 1)) as f64;
+    // Every sample that counts tells, less one for each mean; `N (P - 1)` where all do.
+    let told = counted.iter().filter(|counted| **counted).count().saturating_sub(samples);
+    let scale = 1.0 / told.max(1) as f64;
     for (c, column) in deviations.column_iter().enumerate() {
         std[c] = (scale * column.norm_squared()).sqrt();
         for deviation in column.as_slice().chunks(samples) {

@@ -81,9 +81,45 @@ pub struct Settings {
     /// left out: there Coulomb friction is whatever holds the arm, and no velocity tells which. Absent: all samples count.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rest: Option<f64>,
+    /// Stretches of the recordings that don't count, such as a contact that diagnosis found. Of a periodic run the other periods stand in
+    /// for them.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub leave_out: Vec<LeftOut>,
+}
+
+/// A stretch of one run that does not count.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct LeftOut {
+    /// Name of the run.
+    pub run: String,
+    /// Begin, since the first sample of the run \[s\].
+    pub from: f64,
+    /// End, since the first sample of the run \[s\].
+    pub to: f64,
+}
+
+impl LeftOut {
+    /// One period of a run, counted from 0.
+    pub fn period(run: &str, period: usize, seconds: f64) -> LeftOut {
+        LeftOut { run: run.to_string(), from: period as f64 * seconds, to: (period + 1) as f64 * seconds }
+    }
+
+    /// Marks samples `dt` apart \[s\], the first of them `first` samples after that of the run.
+    pub(super) fn mark(&self, marked: &mut [bool], first: usize, dt: f64) {
+        // A sample at the very begin belongs to the stretch, one at the very end does not.
+        let sample = |time: f64| ((time / dt - 1e-6).ceil().max(0.0) as usize).saturating_sub(first).min(marked.len());
+        let (from, to) = (sample(self.from), sample(self.to));
+        marked[from.min(to)..to].fill(true);
+    }
 }
 
 impl Settings {
+    /// What of a run doesn't count.
+    pub(super) fn left_out<'a>(&'a self, run: &'a str) -> impl Iterator<Item = &'a LeftOut> {
+        self.leave_out.iter().filter(move |one| one.run == run)
+    }
+
     /// The paper's signal processing (section II-B.3): mean period, order-20 zero-phase Butterworth at 2 Hz, central differences,
     /// decimation by eq. 16 with `omega_fp` twice the cut-off. Torques and columns pass the same filter.
     pub fn paper() -> Settings {
@@ -110,6 +146,7 @@ impl Default for Settings {
             measured_velocities: false,
             trim: 0.0,
             rest: None,
+            leave_out: Vec::new(),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! `report.html`: figures formatted here, laid out by the template. minijinja escapes every text; only our own SVG goes in as it is.
 
 use super::summary::{self, Group, against_floor, digits, groups, mean};
-use super::{Band, Figures, Quantiles, Report, plot};
+use super::{Band, Figures, Quantiles, Report, diagnosis, plot};
 use minijinja::{AutoEscape, Environment, Value, context};
 use std::io;
 
@@ -12,10 +12,15 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
     environment.set_auto_escape_callback(|_| AutoEscape::Html);
     environment.set_undefined_behavior(minijinja::UndefinedBehavior::SemiStrict);
     environment.add_template("report", TEMPLATE).map_err(io::Error::other)?;
+    for (name, text) in diagnosis::TEMPLATES {
+        environment.add_template(name, text).map_err(io::Error::other)?;
+    }
     let template = environment.get_template("report").map_err(io::Error::other)?;
     let page = context! {
         report => Value::from(minijinja::value::Serde(report)),
-        summary => report.summary(),
+        // The diagnosis has a box of its own.
+        summary => summary::without_diagnosis(report),
+        diagnosis => report.diagnosis.as_ref().map(|of| diagnosis::context(of, &figures.diagnosis)),
         notices => notices(report),
         verdicts => verdicts(report),
         band => summary::band(report),
@@ -37,7 +42,7 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
     template.render(page).map_err(io::Error::other)
 }
 
-fn safe(svg: String) -> Value {
+pub(super) fn safe(svg: String) -> Value {
     Value::from_safe_string(svg)
 }
 

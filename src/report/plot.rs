@@ -8,8 +8,8 @@ use super::figures::{PlanFigure, TorqueFigure, thin};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
+pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+pub(super) type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
 
 /// Measured torque.
 const MEASURED: RGBColor = RGBColor(1, 1, 1);
@@ -18,20 +18,26 @@ const MODELLED: RGBColor = RGBColor(2, 2, 2);
 /// Measured minus modelled.
 const RESIDUAL: RGBColor = RGBColor(3, 3, 3);
 /// Band of the noise.
-const BAND: RGBColor = RGBColor(4, 4, 4);
+pub(super) const BAND: RGBColor = RGBColor(4, 4, 4);
 /// Edges of the noise band, over the curve that hides the band itself; bars of quantiles.
-const EDGE: RGBColor = RGBColor(6, 6, 6);
+pub(super) const EDGE: RGBColor = RGBColor(6, 6, 6);
 /// Raw measured torque, behind the filtered one.
-const RAW: RGBColor = RGBColor(7, 7, 7);
+pub(super) const RAW: RGBColor = RGBColor(7, 7, 7);
+/// Without the effects of a diagnosis.
+pub(super) const BEFORE: RGBColor = RGBColor(8, 8, 8);
+/// With them.
+pub(super) const AFTER: RGBColor = RGBColor(9, 9, 9);
+/// What a figure is held against: noise floors, thresholds.
+pub(super) const LIMIT: RGBColor = RGBColor(10, 10, 10);
 /// Axes and grid.
-const GRID: RGBColor = RGBColor(5, 5, 5);
+pub(super) const GRID: RGBColor = RGBColor(5, 5, 5);
 /// The first of one colour per joint.
 const JOINT: RGBColor = RGBColor(11, 0, 0);
 
-const TEXT: (&str, i32) = ("sans-serif", 18);
+pub(super) const TEXT: (&str, i32) = ("sans-serif", 18);
 
 /// Draws into a fresh SVG of the given size. A plot of finite data in memory can't fail; a plot that does is left out.
-fn svg(size: (u32, u32), draw: impl FnOnce(Area) -> Drawn) -> String {
+pub(super) fn svg(size: (u32, u32), draw: impl FnOnce(Area) -> Drawn) -> String {
     let mut text = String::new();
     match draw(SVGBackend::with_string(&mut text, size).into_drawing_area()) {
         Ok(()) => text,
@@ -40,7 +46,7 @@ fn svg(size: (u32, u32), draw: impl FnOnce(Area) -> Drawn) -> String {
 }
 
 /// Lowest and highest value with some air; never empty.
-fn span<'v>(values: impl IntoIterator<Item = &'v f64>) -> (f64, f64) {
+pub(super) fn span<'v>(values: impl IntoIterator<Item = &'v f64>) -> (f64, f64) {
     let finite = values.into_iter().copied().filter(|value| value.is_finite());
     let (low, high) = finite.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
     if low > high {
@@ -51,7 +57,7 @@ fn span<'v>(values: impl IntoIterator<Item = &'v f64>) -> (f64, f64) {
 }
 
 /// Both ends of a time axis; never empty.
-fn time_span(t: &[f64]) -> (f64, f64) {
+pub(super) fn time_span(t: &[f64]) -> (f64, f64) {
     match (t.first(), t.last()) {
         (Some(&first), Some(&last)) if last > first => (first, last),
         _ => (0.0, 1.0),
@@ -59,7 +65,7 @@ fn time_span(t: &[f64]) -> (f64, f64) {
 }
 
 /// Axis numbers without needless zeros.
-fn tick(value: &f64) -> String {
+pub(super) fn tick(value: &f64) -> String {
     let rounded = (value * 1e4).round() / 1e4 + 0.0;
     format!("{rounded}")
 }

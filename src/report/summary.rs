@@ -70,9 +70,16 @@ pub(super) fn against_floor(report: &Report, raw: &[f64]) -> Option<String> {
 }
 
 pub(super) fn lines(report: &Report) -> Vec<String> {
+    let mut lines = without_diagnosis(report);
+    let diagnosis: Vec<String> = report.diagnosis.iter().flat_map(diagnosis::lines).collect();
+    lines.splice(1..1, diagnosis);
+    lines
+}
+
+/// The lines but those of the diagnosis; the first names the robot.
+pub(super) fn without_diagnosis(report: &Report) -> Vec<String> {
     let (base, mounting) = (&report.base, &report.mounting.name);
     let mut lines = vec![format!("{}, mounting {mounting}: {} parameters ({})", report.robot, base.count, base.kind)];
-    lines.extend(report.diagnosis.iter().flat_map(diagnosis::lines));
     if !report.conditions.is_empty() {
         let one = |c: &super::Condition| {
             format!("{} {} (rigid body alone {})", c.definition, digits(c.with_friction), digits(c.without_friction))

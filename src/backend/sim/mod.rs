@@ -7,7 +7,8 @@
 //! | `spatial`, `aba` | its own rigid-body mechanics |
 //! | `effect` | what the estimator does not know |
 //! | `commands`, `plant` | the controller's smooth target; the integration of everything |
-//! | `sensors`, `gate` | noise and loss; back-pressure at full speed |
+//! | `sensors`, `gate` | noise, faults and loss; back-pressure at full speed |
+//! | `response` | a periodic motion at once, without a loop |
 //!
 //! It takes positions: `desired.q` of a command, nothing else. A motion begins with the first command, which must be where the arm stands.
 //! Where a command is missing the arm goes on at constant acceleration; 20 in a row are a reflex, and only `stop` ends that.
@@ -20,12 +21,14 @@ mod commands;
 pub mod effect;
 mod gate;
 mod plant;
+mod response;
 mod sensors;
 mod spatial;
 pub mod truth;
 
 pub use gate::Gate;
 pub use plant::Exact;
+pub use response::{LEAD, Response};
 pub use truth::Truth;
 
 use super::Clock;
@@ -36,8 +39,9 @@ use crate::model::gravity::Mounting;
 use crate::rt::{Backend, Fault};
 use commands::{Commands, Objection, TICK};
 use effect::Effect;
+use nalgebra::Vector3;
 use plant::{MAX_STATES, Plant};
-use sensors::{Losses, Sensors};
+use sensors::{Faults, Losses, Sensors};
 use std::sync::Arc;
 
 /// `Fault::Refused`: a commanded position was not a number.
@@ -91,6 +95,31 @@ pub enum SimError {
     Truth(#[from] BadInput),
 }
 
+/// Whether an arm can be built of these parts.
+fn check(
+    chain: &Chain,
+    truth: &Truth,
+    gravity: &Vector3<f64>,
+    start: &JointVec,
+    effects: &[Box<dyn Effect>],
+) -> Result<(), SimError> {
+    let n = chain.len();
+    if truth.joints() != n {
+        return Err(SimError::Joints { truth: truth.joints(), chain: n });
+    }
+    if let Some(&value) = gravity.iter().find(|value| !value.is_finite()) {
+        return Err(SimError::NotFinite { what: "gravity".into(), value });
+    }
+    if let Some(j) = (0..n).find(|&j| !start[j].is_finite()) {
+        return Err(SimError::NotFinite { what: format!("joint {}", j + 1), value: start[j] });
+    }
+    let states = effects.iter().map(|effect| effect.states()).sum();
+    if states > MAX_STATES {
+        return Err(SimError::TooManyStates { states });
+    }
+    Ok(())
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mode {
     /// Nobody has commanded anything yet.
@@ -107,6 +136,7 @@ pub struct SimArm {
     plant: Plant,
     commands: Commands,
     sensors: Sensors,
+    faults: Faults,
     losses: Losses,
     pace: Pace,
     mode: Mode,
@@ -145,26 +175,14 @@ impl SimArm {
         pace: Pace,
         effects: Vec<Box<dyn Effect>>,
     ) -> Result<SimArm, SimError> {
-        let n = chain.len();
-        if truth.joints() != n {
-            return Err(SimError::Joints { truth: truth.joints(), chain: n });
-        }
-        let gravity = mounting.gravity();
-        if let Some(&value) = gravity.iter().find(|value| !value.is_finite()) {
-            return Err(SimError::NotFinite { what: "gravity".into(), value });
-        }
-        if let Some(j) = (0..n).find(|&j| !start[j].is_finite()) {
-            return Err(SimError::NotFinite { what: format!("joint {}", j + 1), value: start[j] });
-        }
-        let states = effects.iter().map(|effect| effect.states()).sum();
-        if states > MAX_STATES {
-            return Err(SimError::TooManyStates { states });
-        }
+        let (n, gravity) = (chain.len(), mounting.gravity());
+        check(chain, truth, &gravity, &start, &effects)?;
         Ok(SimArm {
             joints: n,
             plant: Plant::new(chain, truth, gravity, &start, effects),
             commands: Commands::at_rest(n, &start),
             sensors: Sensors::new(truth, seed),
+            faults: Faults::new(truth, seed),
             losses: Losses::new(truth, seed),
             pace,
             mode: Mode::Idle,
@@ -201,17 +219,12 @@ impl SimArm {
         }
         self.plant.advance(&self.commands);
         self.seq += 1;
-        let (mut reading, exact) = self.plant.sense(&self.commands);
+        let (mut reading, exact) = self.plant.sense();
+        let mut time = self.seq as f64 * TICK;
         self.sensors.distort(&mut reading);
+        self.faults.spoil(&mut reading, &mut time);
         self.exact = exact;
-        State {
-            seq: self.seq,
-            time: self.seq as f64 * TICK,
-            q: reading.q,
-            dq: reading.dq,
-            tau: reading.tau,
-            q_d: *self.commands.newest(),
-        }
+        State { seq: self.seq, time, q: reading.q, dq: reading.dq, tau: reading.tau, q_d: *self.commands.newest() }
     }
 
     /// Waits for the moment of the present state.

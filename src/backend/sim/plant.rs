@@ -57,10 +57,12 @@ pub(super) struct Plant {
     y: Vec<f64>,
     stage: Vec<f64>,
     slopes: [Vec<f64>; 4],
+    /// The target at the end of the last millisecond: the next begins there.
+    end: Target,
 }
 
 /// The controller's side of an instant: what it tracks, and the feed-forward that takes.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Target {
     desired: Setpoint,
     load: JointVec,
@@ -92,7 +94,7 @@ impl Plant {
             vector.iter_mut().zip(&truth.joints).for_each(|(slot, joint)| *slot = value(joint));
             vector
         };
-        Plant {
+        let mut plant = Plant {
             actual: nominal.clone(),
             nominal,
             gravity,
@@ -104,19 +106,36 @@ impl Plant {
             stage: y.clone(),
             slopes: std::array::from_fn(|_| y.clone()),
             y,
-        }
+            end: Target::default(),
+        };
+        plant.end = plant.target(Setpoint { q: *q, ..Setpoint::default() });
+        plant
+    }
+
+    /// Lets the arm move with `dq` instead of being at rest, before its first millisecond; `commands` move likewise.
+    pub fn push_off(&mut self, dq: &JointVec, commands: &Commands) {
+        let n = self.actual.n;
+        self.y[n..2 * n].copy_from_slice(&dq[..n]);
+        self.end = self.target(commands.at(1.0));
     }
 
     /// One millisecond along `commands`. Allocates nothing.
     pub fn advance(&mut self, commands: &Commands) {
         self.take_up(self.time());
         let h = TICK / f64::from(self.substeps);
-        let mut from = self.target(&commands.at(0.0));
+        // The feed-forward of three instants; between them it is the parabola through these. The controller is what it is, so this costs no
+        // truth: the torque it answers with is the torque that moves the arm.
+        let loads = [self.end.load, self.target(commands.at(0.5)).load, self.target(commands.at(1.0)).load];
+        let mut from = self.end;
         for k in 0..self.substeps {
             let t = self.time() + f64::from(k) * h;
-            let share = |part: f64| (f64::from(k) + part) / f64::from(self.substeps);
-            let middle = self.target(&commands.at(share(0.5)));
-            let to = self.target(&commands.at(share(1.0)));
+            let target = |part: f64| {
+                let s = (f64::from(k) + part) / f64::from(self.substeps);
+                let weights = [(1.0 - s) * (1.0 - 2.0 * s), 4.0 * s * (1.0 - s), s * (2.0 * s - 1.0)];
+                let load = std::array::from_fn(|j| (0..3).map(|i| weights[i] * loads[i][j]).sum());
+                Target { desired: commands.at(s), load }
+            };
+            let (middle, to) = (target(0.5), target(1.0));
             let start = at(t, self.actual.n, &self.y, &from);
             self.effects.iter_mut().for_each(|placed| placed.effect.settle(&start));
             self.slope(0, None, t, &from);
@@ -129,15 +148,15 @@ impl Plant {
             }
             from = to;
         }
+        self.end = from;
         self.ticks += 1;
     }
 
     /// What the sensors say now, before noise, and what is true. Once per millisecond: effects may remember.
-    pub fn sense(&mut self, commands: &Commands) -> (Reading, Exact) {
+    pub fn sense(&mut self) -> (Reading, Exact) {
         let (t, n) = (self.time(), self.actual.n);
-        let target = self.target(&commands.at(1.0));
         self.stage.copy_from_slice(&self.y);
-        let at = at(t, n, &self.y, &target);
+        let at = at(t, n, &self.y, &self.end);
         let mut dx = [0.0; MAX_STATES];
         let (q, dq) = self.encoders(&at, &mut dx);
         let tau = self.controller(&q, &dq, &at);
@@ -168,9 +187,9 @@ impl Plant {
         }
     }
 
-    fn target(&self, desired: &Setpoint) -> Target {
+    fn target(&self, desired: Setpoint) -> Target {
         let load = inverse(&self.nominal, &self.gravity, &desired.q, &desired.dq, &desired.ddq);
-        Target { desired: *desired, load }
+        Target { desired, load }
     }
 
     /// Writes slope `which` at the state, moved by `(slope, step)`.

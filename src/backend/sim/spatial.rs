@@ -87,12 +87,13 @@ impl Inertia {
 
     /// The same inertia about the parent frame's origin and in its axes.
     pub fn to_parent(self, child: &Placement) -> Inertia {
-        let r = &child.rotation;
-        let turn = |block: Matrix3<f64>| r * block * r.transpose();
-        let (i, h, m) = (turn(self.i), turn(self.h), turn(self.m));
-        let p = child.origin.cross_matrix();
-        let h_parent = h + p * m;
-        Inertia { i: i - h * p + p * h_parent.transpose(), h: h_parent, m }
+        let (r, p) = (&child.rotation, &child.origin);
+        let (i, m) = (turned(r, &self.i), turned(r, &self.m));
+        let h = r * self.h * r.transpose();
+        let h_parent = h + crossed(p, &m);
+        // i - h p x + p x h_parent', of which the middle is the transpose of p x h'.
+        let i_parent = i + crossed(p, &h.transpose()).transpose() + crossed(p, &h_parent.transpose());
+        Inertia { i: i_parent, h: h_parent, m }
     }
 
     /// `self - u u' / d`: what is felt of the body when its joint is free.
@@ -102,6 +103,20 @@ impl Inertia {
         self.h -= u.n * f.transpose();
         self.m -= u.f * f.transpose();
     }
+}
+
+/// `r s r'` of a symmetric `s`, one triangle of it worked out.
+fn turned(r: &Matrix3<f64>, s: &Matrix3<f64>) -> Matrix3<f64> {
+    let half = r * s;
+    let at = |row: usize, column: usize| (0..3).map(|k| half[(row, k)] * r[(column, k)]).sum();
+    let (xx, xy, xz, yy, yz, zz) = (at(0, 0), at(0, 1), at(0, 2), at(1, 1), at(1, 2), at(2, 2));
+    Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+}
+
+/// `p x` every column of `m`.
+fn crossed(p: &Vector3<f64>, m: &Matrix3<f64>) -> Matrix3<f64> {
+    let (x, y, z) = (m.row(0), m.row(1), m.row(2));
+    Matrix3::from_rows(&[p.y * z - p.z * y, p.z * x - p.x * z, p.x * y - p.y * x])
 }
 
 impl std::ops::AddAssign for Inertia {

@@ -29,6 +29,18 @@ pub struct Truth {
     /// States lost in one burst.
     #[serde(default = "one")]
     pub drop_burst: u32,
+    /// Corner frequency of the coloured part of the torque sensors' noise \[Hz\].
+    #[serde(default = "one_hertz")]
+    pub torque_noise_corner: f64,
+    /// Chance that a joint's torque is an outlier in a state.
+    #[serde(default)]
+    pub outlier_probability: f64,
+    /// Size of an outlier, up or down \[Nm\].
+    #[serde(default)]
+    pub outlier_size: f64,
+    /// Chance that a state repeats the readings and the time stamp of the one before.
+    #[serde(default)]
+    pub repeat_probability: f64,
     /// Effects beyond the rigid body, `fv dq + fc tanh(100 dq)` and white noise, in the order in which they act.
     #[serde(default, rename = "effect")]
     pub effects: Vec<EffectSpec>,
@@ -63,6 +75,9 @@ pub struct JointTruth {
     /// Standard deviation of the torque sensor's white noise \[Nm\].
     #[serde(default)]
     pub torque_noise: f64,
+    /// Standard deviation of the coloured noise that the torque sensor has besides: white noise behind a low-pass of first order \[Nm\].
+    #[serde(default)]
+    pub torque_noise_coloured: f64,
     /// Step of the measured torque, 0 for none \[Nm\].
     #[serde(default)]
     pub torque_quantum: f64,
@@ -108,6 +123,7 @@ impl Truth {
                 ("stiffness", joint.stiffness),
                 ("damping", joint.damping),
                 ("torque-noise", joint.torque_noise),
+                ("torque-noise-coloured", joint.torque_noise_coloured),
                 ("torque-quantum", joint.torque_quantum),
                 ("position-noise", joint.position_noise),
                 ("position-quantum", joint.position_quantum),
@@ -122,8 +138,17 @@ impl Truth {
         if !(1..=1000).contains(&self.substeps) {
             return wrong("substeps".into(), self.substeps.to_string(), "1 to 1000");
         }
-        if !(0.0..=0.5).contains(&self.drop_probability) {
-            return wrong("drop-probability".into(), self.drop_probability.to_string(), "0 to 0.5");
+        let ranges = [
+            ("drop-probability", self.drop_probability, 0.0, 0.5),
+            ("torque-noise-corner", self.torque_noise_corner, 1e-3, 500.0),
+            ("outlier-probability", self.outlier_probability, 0.0, 0.5),
+            ("outlier-size", self.outlier_size, 0.0, 1e3),
+            ("repeat-probability", self.repeat_probability, 0.0, 0.5),
+        ];
+        for (name, value, low, high) in ranges {
+            if !(low..=high).contains(&value) {
+                return wrong(name.into(), value.to_string(), &format!("{low} to {high}"));
+            }
         }
         if !(1..=1000).contains(&self.drop_burst) {
             return wrong("drop-burst".into(), self.drop_burst.to_string(), "1 to 1000");
@@ -235,6 +260,10 @@ pub(super) fn check_body(
         ));
     }
     Ok(())
+}
+
+fn one_hertz() -> f64 {
+    1.0
 }
 
 fn four() -> u32 {

@@ -143,6 +143,11 @@ pub trait Term: Send + Sync {
     /// `y` has n N rows, joint by joint: joint `j` (from 0), sample `k` is row `j N + k`. Its entries are zero on entry.
     fn fill(&self, chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize);
 
+    /// Whether its columns are as smooth in time as the motion, with no step where a joint turns back.
+    fn smooth(&self) -> bool {
+        false
+    }
+
     /// What its columns are at one sample, in their order; `None` when they depend on more than that sample.
     fn entries(&self) -> Option<Vec<Entry>> {
         None

@@ -21,7 +21,8 @@ pub static FAMILY: Family = Family {
                 name: "vt",
                 unit: "rad/s",
                 what: "speed at which friction has reached 76 % of its level",
-                low: 0.03,
+                // Slower than this, friction that falls with speed is Stribeck's, and friction that rises is Coulomb's.
+                low: 0.1,
                 high: 3.0,
                 steps: 10,
                 scale: Scale::Logarithmic,
@@ -33,7 +34,7 @@ pub static FAMILY: Family = Family {
     ],
     stratum: Stratum::Repeatable,
     served: true,
-    typical: "0.3 to 1.3 Nm over a Panda's joints in the sigmoid form, vt 0.06 to 0.2 rad/s",
+    typical: "0.3 to 1.3 Nm over a Panda's joints in the sigmoid form, vt 0.12 to 0.4 rad/s",
     confounded: &[
         Confounded {
             with: "stribeck",

@@ -69,6 +69,7 @@ pub(super) struct OneRow {
     law: Law,
     columns: Vec<Column>,
     load: Option<Arc<Load>>,
+    smooth: bool,
 }
 
 impl OneRow {
@@ -83,12 +84,17 @@ impl OneRow {
     ) -> OneRow {
         assert!(columns.len() <= WIDTH && settings.len() <= SETTINGS, "{} is too wide for one row", family.id);
         let spec = Spec { family: family.id, form, site, settings: settings.to_vec() };
-        OneRow { family, spec, law, columns, load: None }
+        OneRow { family, spec, law, columns, load: None, smooth: false }
     }
 
     /// One that looks at the rigid-body torque, too.
     pub fn loaded(self, ground: &Ground) -> OneRow {
         OneRow { load: Some(Arc::clone(&ground.load)), ..self }
+    }
+
+    /// One without a step where a joint turns back.
+    pub fn smooth(self) -> OneRow {
+        OneRow { smooth: true, ..self }
     }
 
     pub fn term(self) -> Arc<dyn Term> {
@@ -106,6 +112,10 @@ impl OneRow {
 }
 
 impl Term for OneRow {
+    fn smooth(&self) -> bool {
+        self.smooth
+    }
+
     fn id(&self) -> &'static str {
         self.family.id
     }

@@ -47,7 +47,7 @@ fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
         let (sin, cos) = (settings[0] * at.own.q).sin_cos();
         [sin, cos, 0.0]
     };
-    OneRow::new(&FAMILY, "", site, settings, columns, law).term()
+    OneRow::new(&FAMILY, "", site, settings, columns, law).smooth().term()
 }
 
 /// An order in a column's name: `n12.5`. Orders that share the first three decimals are one ripple.

@@ -2,7 +2,7 @@
 
 use super::Term;
 use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
-use super::one_row::{OneRow, column, smooth_sign, unit};
+use super::one_row::{At, Law, OneRow, column, smooth_sign, unit};
 use std::sync::Arc;
 
 /// Identity.
@@ -13,20 +13,20 @@ pub static FAMILY: Family = Family {
     id: ID,
     physics: "At low speed the film of lubricant is too thin to keep the surfaces apart, so that friction is higher.",
     place: Place::Joint,
-    forms: &[Form {
-        name: "",
-        equation: "tau_j = fs_j exp(-(dq_j / vs)^2) tanh(100 dq_j)",
-        settings: &[Setting {
-            name: "vs",
-            unit: "rad/s",
-            what: "speed at which the excess has fallen to 37 %",
-            low: 0.01,
-            high: 0.3,
-            steps: 8,
-            scale: Scale::Logarithmic,
-        }],
-        build,
-    }],
+    forms: &[
+        Form {
+            name: "gaussian",
+            equation: "tau_j = fs_j exp(-(dq_j / vs)^2) tanh(100 dq_j)",
+            settings: &[SPEED],
+            build: |ground, site, settings| build(ground, site, settings, "gaussian", gaussian),
+        },
+        Form {
+            name: "exponential",
+            equation: "tau_j = fs_j exp(-|dq_j| / vs) tanh(100 dq_j)",
+            settings: &[SPEED],
+            build: |ground, site, settings| build(ground, site, settings, "exponential", exponential),
+        },
+    ],
     stratum: Stratum::Repeatable,
     served: true,
     typical: "10 to 60 % of the Coulomb friction, vs 0.01 to 0.2 rad/s",
@@ -40,11 +40,25 @@ pub static FAMILY: Family = Family {
     reference: "Bittencourt, Gunnarsson, Trans. ASME J. Dynamic Systems 134 (2012)",
 };
 
-fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let columns = vec![column("fs", site, "", unit(ground, joint(site), "Nm", "N"))];
-    let term = OneRow::new(&FAMILY, "", site, settings, columns, |at, settings| {
-        let dq = at.own.dq;
-        [(-(dq / settings[0]).powi(2)).exp() * smooth_sign(dq), 0.0, 0.0]
-    });
-    term.term()
+const SPEED: Setting = Setting {
+    name: "vs",
+    unit: "rad/s",
+    what: "speed at which the excess has fallen to 37 %",
+    low: 0.01,
+    high: 1.0,
+    steps: 11,
+    scale: Scale::Logarithmic,
+};
+
+fn build(ground: &Ground, site: Site, settings: &[f64], form: &'static str, law: Law) -> Arc<dyn Term> {
+    let columns = vec![column("fs", site, &format!("_{form}"), unit(ground, joint(site), "Nm", "N"))];
+    OneRow::new(&FAMILY, form, site, settings, columns, law).term()
+}
+
+fn gaussian(at: &At, settings: &[f64]) -> [f64; 3] {
+    [(-(at.own.dq / settings[0]).powi(2)).exp() * smooth_sign(at.own.dq), 0.0, 0.0]
+}
+
+fn exponential(at: &At, settings: &[f64]) -> [f64; 3] {
+    [(-at.own.dq.abs() / settings[0]).exp() * smooth_sign(at.own.dq), 0.0, 0.0]
 }

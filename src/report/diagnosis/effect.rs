@@ -62,6 +62,9 @@ pub struct Effect {
     /// Where in the data it shows.
     #[serde(default)]
     pub stratum: Occurrence,
+    /// First session that has it; absent where all have.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub since_session: Option<u32>,
     /// Whether the delivered model has it; otherwise it is reported alone.
     #[serde(default)]
     pub in_model: bool,

@@ -6,9 +6,13 @@
 mod effect;
 pub(super) mod figures;
 mod lenient;
+mod page;
+mod plots;
+mod rows;
 mod words;
 
 pub use effect::{Alternative, Effect, EffectParameter, Folds, Occurrence, Parameters};
+pub(super) use page::{TEMPLATES, context};
 pub(super) use words::lines;
 
 use super::Band;

@@ -1,16 +1,17 @@
 //! A diagnosis in plain words.
 
 use super::{Changes, Diagnosis, Effect, EffectParameter, Errors, Unexplained, Verdict};
+use crate::report::Band;
 use crate::report::summary::{CHANGED, band_of, digits};
 
 /// The diagnosis in a few lines, the verdict first; the first line begins with `diagnosis:`.
 pub(in crate::report) fn lines(of: &Diagnosis) -> Vec<String> {
     let mut findings = findings(of);
     let verdict = match (of.verdict, findings.len()) {
-        (Verdict::NothingSignificant, _) => nothing(of),
+        (Verdict::NothingSignificant, _) => format!("nothing significant: {}", seen(of)),
         (Verdict::Diagnosed, 1) => findings.remove(0),
         (verdict, 1) => format!("{verdict}: {}", findings.remove(0)),
-        (Verdict::Diagnosed, count) if count > 1 => format!("{} explain the residual", counted(of)),
+        (Verdict::Diagnosed, count) if count > 1 => format!("{} found", counted(of)),
         (verdict, 0) => verdict.to_string(),
         (verdict, _) => format!("{verdict}: {}", counted(of)),
     };
@@ -46,8 +47,35 @@ fn told(changes: &Changes, of: &Diagnosis) -> bool {
     !changes.effects.is_empty() && changes.effects.iter().all(among)
 }
 
+/// Names that fit into a headline.
+const NAMED: usize = 2;
+
+/// What was found, in a few words for the head of the page; what the verdict says by itself is not repeated.
+pub(super) fn headline(of: &Diagnosis) -> String {
+    let changed = of.changes.iter().filter(|changes| !told(changes, of)).flat_map(|changes| &changes.effects);
+    let mut names: Vec<String> = of.effects.iter().chain(changed).map(Effect::name).collect();
+    names.extend(of.unexplained.iter().map(|open| format!("a residual in joint {}", open.joint)));
+    match (of.verdict, names.len()) {
+        (Verdict::NothingSignificant, _) => String::new(),
+        (_, count) if count <= NAMED => listed(names),
+        _ => counted(of),
+    }
+}
+
+/// What follows the headline and is in none of the tables.
+pub(super) fn sentences(of: &Diagnosis) -> Vec<String> {
+    let mut sentences = Vec::new();
+    if of.verdict == Verdict::NothingSignificant {
+        sentences.push(seen(of));
+    }
+    sentences.extend(of.unexplained.iter().map(unexplained));
+    let unchanged = of.changes.iter().filter(|changes| changes.effects.is_empty());
+    sentences.extend(unchanged.map(|changes| self::changes(changes, &of.confirmation)));
+    sentences
+}
+
 /// `2 effects, 1 joint unexplained`.
-pub(super) fn counted(of: &Diagnosis) -> String {
+fn counted(of: &Diagnosis) -> String {
     let count = |count: usize, one: &str, many: &str| match count {
         0 => None,
         1 => Some(format!("1 {one}")),
@@ -64,34 +92,33 @@ pub(super) fn counted(of: &Diagnosis) -> String {
 }
 
 /// What "nothing" means, as a number.
-pub(super) fn nothing(of: &Diagnosis) -> String {
+fn seen(of: &Diagnosis) -> String {
     let each = of
         .minimum_detectable
         .iter()
-        .flat_map(|(id, least)| least.torque_rms.iter().enumerate().map(move |(j, rms)| (id.as_str(), j, *rms)));
-    let hardest = each.filter(|(_, _, rms)| rms.is_finite()).max_by(|a, b| a.2.total_cmp(&b.2));
-    let Some((id, j, rms)) = hardest else {
-        return "nothing significant; how small an effect would have been seen is not known".into();
+        .flat_map(|(id, least)| least.torque_rms.iter().enumerate().map(move |(j, rms)| (*rms, id.as_str(), j)));
+    let mut all: Vec<(f64, &str, usize)> = each.filter(|(rms, ..)| rms.is_finite()).collect();
+    all.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (Some((half, ..)), Some((most, id, j))) = (all.get(all.len() / 2), all.last()) else {
+        return "how small an effect would have been seen is not known".into();
     };
-    let except = match of.not_identifiable.len() {
-        0 => String::new(),
-        _ => ", unless the base parameters absorb it".into(),
-    };
+    let except = if of.not_identifiable.is_empty() { "" } else { ", unless the base parameters absorb it" };
     format!(
-        "nothing significant: a known effect of {} Nm RMS or more would have been seen in any joint{except} (hardest to see: {} in joint {})",
-        digits(rms),
+        "any known effect of {} Nm RMS or more would have been seen{except}, half of them from {} Nm on (hardest to see: {} in joint {})",
+        digits(*most),
+        digits(*half),
         plain(id),
         j + 1
     )
 }
 
 /// An id as words.
-fn plain(id: &str) -> String {
+pub(super) fn plain(id: &str) -> String {
     id.replace('-', " ")
 }
 
 /// `joint 4`, `joints 4 and 5`; nothing for the arm as a whole.
-fn places(joints: &[usize]) -> String {
+pub(super) fn places(joints: &[usize]) -> String {
     match joints {
         [] => String::new(),
         [joint] => format!("joint {joint}"),
@@ -115,9 +142,13 @@ pub(super) fn placed(id: &str, joints: &[usize]) -> String {
 }
 
 impl Effect {
-    /// What it is called: `presliding in joint 4`, or its own label.
+    /// What it is called: `presliding in joint 4`, `mounting since session 2`, or its own label.
     pub fn name(&self) -> String {
-        if self.label.is_empty() { placed(&self.id, &self.joints) } else { self.label.clone() }
+        if !self.label.is_empty() {
+            return self.label.clone();
+        }
+        let since = self.since_session.map_or(String::new(), |session| format!(" since session {session}"));
+        placed(&self.id, &self.joints) + &since
     }
 }
 
@@ -154,7 +185,7 @@ fn rivals(effect: &Effect) -> String {
     let mut text = format!("; or {}", names.collect::<Vec<_>>().join(", or "));
     let mut experiments: Vec<&str> = Vec::new();
     for other in &effect.alternatives_detail {
-        let experiment = other.deciding_experiment.as_str();
+        let experiment = other.deciding_experiment.trim_end_matches('.');
         if !experiment.is_empty() && !experiments.contains(&experiment) {
             experiments.push(experiment);
         }
@@ -174,28 +205,61 @@ pub(super) fn unexplained(of: &Unexplained) -> String {
         let r2 = of.r2.map_or(String::new(), |r2| format!(" (R2 {r2:.2})"));
         format!("that depends on {}{r2}", listed(of.depends_on.iter().cloned()))
     };
-    let mut text = format!("joint {} has {size} beyond its noise {dependence}", of.joint);
+    let floor = of.floor.map_or(String::new(), |floor| format!(" ({})", fixed(floor)));
+    let mut text = format!("joint {} has {size} beyond its noise{floor} {dependence}", of.joint);
     for (what, more) in [("", &of.note), ("to decide: ", &of.deciding_experiment)] {
         if !more.is_empty() {
-            text += &format!("; {what}{more}");
+            text += &format!("; {what}{}", more.trim_end_matches('.'));
         }
     }
     text
 }
 
 /// What changed, in one sentence.
-pub(super) fn changes(of: &Changes, confirmation: &str) -> String {
+fn changes(of: &Changes, confirmation: &str) -> String {
     let effects: Vec<String> = of.effects.iter().map(|effect| finding(effect, confirmation)).collect();
     let effects = if effects.is_empty() { "nothing changed".to_string() } else { effects.join("; ") };
     let session = if of.session.is_empty() { String::new() } else { format!("{}, ", of.session) };
-    let note = if of.note.is_empty() { String::new() } else { format!("; {}", of.note) };
-    format!("{session}since {}: {effects}{note}", of.since)
+    let note = if of.note.is_empty() { String::new() } else { format!("; {}", of.note.trim_end_matches('.')) };
+    let helped = helped(of).map_or(String::new(), |text| format!("; {text}"));
+    format!("{session}since {}: {effects}{helped}{note}", of.since)
+}
+
+/// How much better the earlier model is with the changes, in its worst joint.
+pub(super) fn helped(of: &Changes) -> Option<String> {
+    let (before, after) = (of.before.as_ref()?, of.after.as_ref()?);
+    let known = before.validate_rms.iter().enumerate().filter(|(_, rms)| rms.is_finite());
+    let (worst, rms) = known.max_by(|a, b| a.1.total_cmp(b.1))?;
+    let now = after.validate_rms.get(worst).copied().unwrap_or(f64::NAN);
+    Some(format!(
+        "error of that model, worst joint ({}): {} -> {} Nm with the changes",
+        worst + 1,
+        fixed(*rms),
+        fixed(now)
+    ))
 }
 
 /// Errors on unseen runs: the worst joint first, then all of them.
 fn errors(of: &Diagnosis, lines: &mut Vec<String>) {
+    lines.extend(error(of));
+    if of.band != Band::Raw && !of.noise_floor.is_empty() {
+        let floor = of.noise_floor.iter().copied().map(fixed).collect::<Vec<_>>().join("  ");
+        lines.push(format!("noise floor [Nm] {}: {floor}", band_of(&of.band)));
+    }
+    if !grown(of) {
+        lines.extend((!of.before.validate_rms.is_empty()).then(|| format!("RMS [Nm]: {}", row(&of.before))));
+        return;
+    }
+    for (name, errors) in [("before", Some(&of.before)), ("after", Some(&of.after)), ("change", of.change.as_ref())] {
+        let errors = errors.filter(|errors| !errors.validate_rms.is_empty());
+        lines.extend(errors.map(|errors| format!("RMS {name} [Nm]: {}", row(errors))));
+    }
+}
+
+/// The worst joint's error on unseen runs.
+pub(super) fn error(of: &Diagnosis) -> Option<String> {
     let (before, after) = (&of.before, &of.after);
-    let Some(worst) = worst(of, before) else { return };
+    let worst = worst(of, before)?;
     let band = match band_of(&of.band) {
         band if band.is_empty() => String::new(),
         band => format!(" {band}"),
@@ -207,23 +271,14 @@ fn errors(of: &Diagnosis, lines: &mut Vec<String>) {
     let figure = fixed(before.validate_rms[worst]);
     if !grown(of) {
         let added = if of.effects.is_empty() { "" } else { "; no effect was added to the model" };
-        lines.push(format!("{start} ({}): {figure} Nm{}{added}", worst + 1, with(worst)));
-        lines.push(format!("RMS [Nm]: {}", row(before)));
-        return;
+        return Some(format!("{start} ({}): {figure} Nm{}{added}", worst + 1, with(worst)));
     }
     let now = after.validate_rms.get(worst).copied().unwrap_or(f64::NAN);
     let apart = |j: usize| size(of, after, j) > (1.0 + CHANGED) * size(of, after, worst);
     let next = self::worst(of, after).filter(|next| apart(*next));
     let next =
         next.map_or(String::new(), |j| format!("; worst now ({}): {}{}", j + 1, fixed(after.validate_rms[j]), with(j)));
-    lines.push(format!("{start} ({}): {figure} -> {} Nm{}{next}", worst + 1, fixed(now), with(worst)));
-    let rows = [("before", Some(before)), ("after", Some(after)), ("change", of.change.as_ref())];
-    let filled = rows.into_iter().filter_map(|(name, errors)| errors.map(|errors| (name, errors)));
-    lines.extend(
-        filled
-            .filter(|(_, errors)| !errors.validate_rms.is_empty())
-            .map(|(name, errors)| format!("RMS {name} [Nm]: {}", row(errors))),
-    );
+    Some(format!("{start} ({}): {figure} -> {} Nm{}{next}", worst + 1, fixed(now), with(worst)))
 }
 
 /// Whether the delivered model has effects that the one before had not.
@@ -232,7 +287,7 @@ pub(super) fn grown(of: &Diagnosis) -> bool {
 }
 
 /// The joint whose error is farthest above its noise.
-pub(super) fn worst(of: &Diagnosis, errors: &Errors) -> Option<usize> {
+fn worst(of: &Diagnosis, errors: &Errors) -> Option<usize> {
     let sizes = (0..errors.validate_rms.len()).map(|j| (j, size(of, errors, j)));
     sizes.filter(|(_, size)| size.is_finite()).max_by(|a, b| a.1.total_cmp(&b.1)).map(|(j, _)| j)
 }
