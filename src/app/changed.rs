@@ -162,6 +162,9 @@ pub fn effect(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>
     }
     Effect {
         id: spec.family.into(),
+        label: change
+            .since
+            .map_or(String::new(), |since| format!("{} since session {since}", label(spec.family, spec.site))),
         joints: joints(spec.site),
         parameters: Parameters(parameters),
         evidence: Some(found.score),

@@ -70,11 +70,14 @@ pub fn run(options: Options) -> Result<(), Failure> {
         bar.at(steps.get(), step.item.spec.family);
     });
     bar.at(0.9, "judging");
-    let Delivered { model: after, kept } = delivered(model, &changes.effects, &unseen)?;
+    let stored = Stored { model, changes: &changes.effects };
+    let sessions: Vec<u32> = judge.iter().map(|run| run.session).collect();
+    let unseen: Vec<(&Experiment, u32)> = unseen.iter().zip(sessions).collect();
+    let kept = stored.stand_the_test(&unseen)?;
     bar.done();
 
-    let errors = |model: &TorqueModel| unseen.iter().map(|run| error(model, run)).collect::<Vec<Rms>>();
-    let (errors_before, errors_after) = (errors(model), errors(&after));
+    let after = stored.with(&kept, u32::MAX)?;
+    let (errors_before, errors_after) = (stored.errors(&[], &unseen)?, stored.errors(&kept, &unseen)?);
     let names: Vec<String> = judge.iter().map(|run| run.file.clone()).collect();
     let since = since(&options, &file);
     let mut told = changed::Told::new(&changes, model, &kept);
@@ -197,42 +200,49 @@ fn whole_periods(mut part: Run) -> Run {
     part
 }
 
-/// Errors of a model on a run.
-fn error(model: &TorqueModel, experiment: &Experiment) -> Rms {
-    validate(experiment, |motion| model.predict(motion))
+/// The stored model and what was found.
+struct Stored<'a> {
+    model: &'a TorqueModel,
+    changes: &'a [Change],
 }
 
-/// The model with what stood the test, and which of the changes that are.
-struct Delivered {
-    model: TorqueModel,
-    kept: Vec<usize>,
-}
-
-/// Takes every change in that lowers the error on unseen runs; without unseen runs, all of them.
-fn delivered(stored: &TorqueModel, changes: &[Change], unseen: &[Experiment]) -> Result<Delivered, Failure> {
-    let extended = |kept: &[usize]| {
-        let chosen: Vec<Change> = kept.iter().map(|&k| changes[k].clone()).collect();
-        reference::extended(stored, &chosen).map_err(Failure::job)
-    };
-    let total = |model: &TorqueModel| {
-        let squares = |rms: &Rms| rms.filtered.iter().map(|value| value * value).sum::<f64>() * rms.samples as f64;
-        unseen.iter().map(|experiment| squares(&error(model, experiment))).sum::<f64>()
-    };
-    let mut kept: Vec<usize> = (0..changes.len()).collect();
-    let mut model = extended(&kept)?;
-    if unseen.is_empty() {
-        return Ok(Delivered { model, kept });
+impl Stored<'_> {
+    /// The model with some of the changes, as far as they had come in a session.
+    fn with(&self, kept: &[usize], session: u32) -> Result<TorqueModel, Failure> {
+        let come = |k: &&usize| self.changes[**k].since.is_none_or(|since| since <= session);
+        let chosen: Vec<Change> = kept.iter().filter(come).map(|&k| self.changes[k].clone()).collect();
+        reference::extended(self.model, &chosen).map_err(Failure::job)
     }
-    let mut with = total(&model);
-    for k in (0..changes.len()).rev() {
-        let rest: Vec<usize> = kept.iter().copied().filter(|&other| other != k).collect();
-        let other = extended(&rest)?;
-        let without = total(&other);
-        if without <= with {
-            (kept, model, with) = (rest, other, without);
+
+    /// Its errors on runs of these sessions.
+    fn errors(&self, kept: &[usize], runs: &[(&Experiment, u32)]) -> Result<Vec<Rms>, Failure> {
+        let error = |&(experiment, session): &(&Experiment, u32)| {
+            let model = self.with(kept, session)?;
+            Ok(validate(experiment, |motion| model.predict(motion)))
+        };
+        runs.iter().map(error).collect()
+    }
+
+    /// Changes that lower the error on unseen runs; without unseen runs, all of them.
+    fn stand_the_test(&self, unseen: &[(&Experiment, u32)]) -> Result<Vec<usize>, Failure> {
+        let mut kept: Vec<usize> = (0..self.changes.len()).collect();
+        if unseen.is_empty() {
+            return Ok(kept);
         }
+        let total = |kept: &[usize]| -> Result<f64, Failure> {
+            let square = |rms: &Rms| rms.samples as f64 * rms.filtered.iter().map(|value| value * value).sum::<f64>();
+            Ok(self.errors(kept, unseen)?.iter().map(square).sum())
+        };
+        let mut with = total(&kept)?;
+        for k in (0..self.changes.len()).rev() {
+            let rest: Vec<usize> = kept.iter().copied().filter(|&other| other != k).collect();
+            let without = total(&rest)?;
+            if without <= with {
+                (kept, with) = (rest, without);
+            }
+        }
+        Ok(kept)
     }
-    Ok(Delivered { model, kept })
 }
 
 /// What the model can't vouch for: runs in mountings that it lacks parameters for, and parameters that were not identifiable when it

@@ -85,6 +85,9 @@ fn follow(
             Delivery::Restarted { .. } | Delivery::Gone => return Ok(Outcome::DaemonGone),
             Delivery::Idle => {}
         }
+        if let Some(offer) = live.as_mut().map_or(Ok(None), |live| live.collect(false))? {
+            propose(id, offer)?;
+        }
         // The samples alone don't tell the end: an arm that is served goes on sending them.
         if looked.elapsed() < STEP {
             continue;
@@ -100,6 +103,9 @@ fn follow(
             let StreamCounters { received, .. } = stream.counters();
             let counters = StreamCounters { received: received.saturating_sub(beyond), ..stream.counters() };
             if let Some(live) = &mut live {
+                if let Some(offer) = live.collect(true)? {
+                    propose(id, offer)?;
+                }
                 live.finish()?.into_iter().for_each(|note| results.note(note));
             }
             results.finish(&status, driven, &counters)?;

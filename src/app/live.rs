@@ -2,9 +2,9 @@
 
 use super::changed;
 use super::{Failure, pipeline};
-use crate::config::job::{Adopt, Job};
+use crate::config::job::{Adopt, Job, Pace};
 use crate::dataset::Run;
-use crate::diagnose::live::{self, Floor, Found, News, Remedy, STRETCH, Watch};
+use crate::diagnose::live::{self, ENDS, Floor, Found, News, Remedy, STRETCH, Watch};
 use crate::diagnose::{self, reference::Change};
 use crate::estimate::experiment::{Experiment, Settings};
 use crate::estimate::run;
@@ -17,11 +17,10 @@ use crate::store::{ModelFile, Provenance, model_identity};
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
+use std::thread::JoinHandle;
 
 /// Time between records \[s\].
 const DT: f64 = 1e-3;
-/// Room on both sides of a stretch, where the filters know less \[s\].
-const ENDS: f64 = 0.5;
 /// Motion of the identification that tells what error is usual \[s\].
 const CALIBRATION: f64 = 20.0;
 /// Slower than this, a joint stands \[rad/s\].
@@ -78,6 +77,16 @@ struct Stretch {
     served_rms: Vec<f64>,
 }
 
+/// A search under way.
+struct Searching {
+    /// When it began, and since when the model does not hold \[s\].
+    t: f64,
+    since: f64,
+    /// The model that it is about.
+    model: u64,
+    found: JoinHandle<Found>,
+}
+
 /// The watch and all it has to know.
 pub struct Live {
     adopt: Adopt,
@@ -99,6 +108,9 @@ pub struct Live {
     fresh: usize,
     /// No search before this moment \[s\].
     not_before: f64,
+    /// Simulated time waits: a search is waited for as well, so that the arm does not run away meanwhile.
+    patient: bool,
+    searching: Option<Searching>,
     /// A proposal is with the daemon.
     proposed: Option<u64>,
     log: Log,
@@ -123,6 +135,8 @@ impl Live {
             buffer: VecDeque::new(),
             fresh: 0,
             not_before: 0.0,
+            patient: job.backend.pace == Pace::Fast,
+            searching: None,
             proposed: None,
             log: Log::default(),
             notes: Vec::new(),
@@ -216,7 +230,7 @@ impl Live {
 
     /// Samples that the preparation may cut off each end.
     fn edge(&self) -> usize {
-        samples(ENDS)
+        samples(0.5)
     }
 
     fn now_serves(&mut self, record: &Record) {
@@ -242,7 +256,9 @@ impl Live {
         let (count, ends) = (residual.nrows(), samples(ENDS));
         let Some(start) = count.checked_sub(samples(STRETCH) + ends) else { return };
         let rms = live::rms(&residual, start..start + samples(STRETCH));
-        let begin = self.buffer[first].state.time + experiment.motion.start + start as f64 * DT;
+        // The preparation cuts as much off both ends.
+        let cut = needed.saturating_sub(count) / 2;
+        let begin = self.buffer[first].state.time + (cut + start) as f64 * DT;
         let end = begin + STRETCH;
         let served_rms = self.served(begin, end);
         let model = hex(self.serving);
@@ -275,7 +291,7 @@ impl Live {
     fn search(&mut self) -> Result<Option<Offer>, Failure> {
         let Some(since) = self.watch.as_ref().and_then(Watch::lost_since) else { return Ok(None) };
         let now = self.now();
-        if self.proposed.is_some() || now < self.not_before {
+        if self.proposed.is_some() || self.searching.is_some() || now < self.not_before {
             return Ok(None);
         }
         // The change happened somewhere in the first bad stretch.
@@ -288,12 +304,29 @@ impl Live {
         let ((Some(find), Some(judge)), Some(model)) = (parts, self.model()) else { return Ok(None) };
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
         let settings = diagnose::Settings { threads, ..diagnose::Settings::default() };
-        let offer = match live::search(model, &find, &judge, &settings) {
-            Found::Remedy(remedy) => Some(self.propose(now, since, *remedy)?),
+        let model = model.clone();
+        // The samples go on meanwhile: an estimator that is silent counts as lost.
+        let found = std::thread::spawn(move || live::search(&model, &find, &judge, &settings));
+        self.searching = Some(Searching { t: now, since, model: self.serving, found });
+        self.collect(self.patient)
+    }
+
+    /// Takes in what a search has found, once it has ended; `wait`s for that where told to.
+    pub fn collect(&mut self, wait: bool) -> Result<Option<Offer>, Failure> {
+        let Some(Searching { t, since, model, found }) = self.searching.take_if(|one| wait || one.found.is_finished())
+        else {
+            return Ok(None);
+        };
+        let found = found.join().map_err(|_| Failure::job("the search for a change panicked"))?;
+        if model != self.serving {
+            return Ok(None);
+        }
+        let offer = match found {
+            Found::Remedy(remedy) => Some(self.propose(t, since, *remedy)?),
             Found::Nothing { tried, before } => {
                 tracing::warn!("no change that is known explains it; the error is {}", list(&before));
-                self.log.events.push(Event::Unexplained { t: now, tried, rms: before });
-                self.not_before = now + self.window;
+                self.log.events.push(Event::Unexplained { t, tried, rms: before });
+                self.not_before = t + self.window;
                 None
             }
         };

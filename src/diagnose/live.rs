@@ -15,6 +15,8 @@ use std::ops::Range;
 
 /// Length of a stretch \[s\].
 pub const STRETCH: f64 = 1.0;
+/// Room at both ends of a motion, where the filters know less \[s\].
+pub const ENDS: f64 = 0.4;
 /// A stretch is bad from so many times the usual error on.
 const BAD: f64 = 2.0;
 /// And from so many times the worst stretch of the identification on.
@@ -22,7 +24,7 @@ const WORSE: f64 = 1.3;
 /// Bad stretches in a row that are an alarm.
 const IN_A_ROW: usize = 2;
 /// Share of the search's window that judges what was found.
-const JUDGED: f64 = 0.2;
+const JUDGED: f64 = 0.25;
 /// An offer has to take so much off the error of the worst joint.
 const BETTER: f64 = 0.8;
 
@@ -69,11 +71,11 @@ impl Floor {
     /// Of the motion that the model was identified from, prepared like those that will be watched.
     pub fn of(model: &TorqueModel, experiment: &Experiment) -> Floor {
         let residual = residual(model, experiment);
-        let (n, samples) = (experiment.joints(), residual.nrows());
-        let usual = rms(&residual, 0..samples);
-        let stretch = ((STRETCH / experiment.motion.dt) as usize).clamp(1, samples.max(1));
-        let mut worst = vec![0.0; n];
-        for first in (0..(samples + 1).saturating_sub(stretch)).step_by(stretch) {
+        let inside = inside(experiment);
+        let usual = rms(&residual, inside.clone());
+        let stretch = ((STRETCH / experiment.motion.dt) as usize).clamp(1, inside.len().max(1));
+        let mut worst = vec![0.0; experiment.joints()];
+        for first in (inside.start..(inside.end + 1).saturating_sub(stretch)).step_by(stretch) {
             for (worst, own) in worst.iter_mut().zip(rms(&residual, first..first + stretch)) {
                 *worst = own.max(*worst);
             }
@@ -150,14 +152,11 @@ pub enum Found {
     },
 }
 
-/// Searches the time since the model was lost. `find` and `judge` are two motions of it, prepared alike; `floor` tells which joints count.
+/// Searches the time since the model was lost. `find` and `judge` are two motions of it, prepared alike.
 pub fn search(model: &TorqueModel, find: &Experiment, judge: &Experiment, settings: &Settings) -> Found {
     let trials = [Trial { experiment: find, session: 1 }];
     let Changes { effects, .. } = reference::changes(model, &trials, settings, &|_| {});
-    let error = |model: &TorqueModel| {
-        let residual = residual(model, judge);
-        rms(&residual, 0..residual.nrows())
-    };
+    let error = |model: &TorqueModel| rms(&residual(model, judge), inside(judge));
     let before = error(model);
     let nothing = |tried: usize| Found::Nothing { tried, before: before.clone() };
     let Ok(extended) = reference::extended(model, &effects) else { return nothing(effects.len()) };
@@ -179,6 +178,13 @@ pub fn residual(model: &TorqueModel, experiment: &Experiment) -> DMatrix<f64> {
     let rest = &experiment.tau - model.predict(&experiment.motion);
     let stacked = DMatrix::from_column_slice(rest.len(), 1, rest.as_slice());
     DMatrix::from_column_slice(rest.nrows(), rest.ncols(), experiment.filter(&stacked).as_slice())
+}
+
+/// Samples without the ends.
+fn inside(experiment: &Experiment) -> Range<usize> {
+    let samples = experiment.motion.samples();
+    let ends = ((ENDS / experiment.motion.dt) as usize).min(samples / 3);
+    ends..samples - ends
 }
 
 /// RMS per joint over some of the samples \[Nm\].
@@ -225,8 +231,8 @@ mod tests {
     }
 
     #[test]
-    fn a_window_leaves_a_fifth_to_judge_by() {
-        assert_eq!(divide(10_000), 8_000);
+    fn a_window_leaves_a_quarter_to_judge_by() {
+        assert_eq!(divide(10_000), 7_500);
         let residual = DMatrix::from_row_slice(4, 1, &[1.0, 3.0, 3.0, 3.0]);
         assert_eq!(rms(&residual, 1..4), [3.0]);
     }

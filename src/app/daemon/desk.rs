@@ -2,7 +2,7 @@
 
 use crate::app::Failure;
 use crate::backend::sim::Truth;
-use crate::config::job::{Adopt, Job, OnLoss};
+use crate::config::job::{Adopt, Job, OnLoss, Pace};
 use crate::config::robot::Robot;
 use crate::input::BadInput;
 use crate::ipc::{
@@ -188,7 +188,10 @@ impl Desk {
 
     /// Says what became of a follower of the samples, and stops the arm where the job wants that.
     pub fn news(&self, news: &News, controls: Option<&Controls>) {
-        let stop = self.job.safety.on_estimator_loss == OnLoss::Stop;
+        // Simulated time waits for an estimator that watches: its silence is no loss.
+        let waited_for = self.job.live.watch && self.job.backend.pace == Pace::Fast;
+        let silent = matches!(news, News::Silent { .. });
+        let stop = self.job.safety.on_estimator_loss == OnLoss::Stop && !(silent && waited_for);
         let rule = match (news, self.progress) {
             (News::Died { .. } | News::Silent { .. }, Progress::Driving) if stop => "the arm stops",
             (News::Died { .. } | News::Silent { .. }, Progress::Driving) => "the arm goes on and the samples are kept",

@@ -107,8 +107,8 @@ pub fn families() -> Vec<&'static Family> {
     FAMILIES.iter().filter_map(|id| effect::family(id)).collect()
 }
 
-/// What changed since `reference` was identified. The trials are in mountings that the model is valid in. Nothing is found when they
-/// are too short.
+/// What changed since `reference` was identified; where the trials are of several sessions, before the first or with a later one. They
+/// are in mountings that the model is valid in. Nothing is found when they are too short.
 pub fn changes(reference: &TorqueModel, trials: &[Trial], settings: &Settings, progress: &dyn Fn(&Step)) -> Changes {
     among(reference, trials, &families(), settings, progress)
 }
@@ -135,7 +135,8 @@ pub fn among(
     let base = State::base(&problem, Columns { m, r });
     let before = left_over(&evidence, &base, &DVector::zeros(beta.len()));
     let ground = structure.ground(&beta);
-    let library = library::library(&evidence, &ground, families, None, settings.threads);
+    let mut library = library::library(&evidence, &ground, families, None, settings.threads);
+    library.extend(since_sessions(&evidence, &ground, families, settings.threads));
     let search = Search { problem, ground: &ground, library: &library, settings };
     let (least, lacking) = (least(&search, &base), lack(&evidence, &base));
     let selected = search.select(base, progress);
