@@ -1,7 +1,10 @@
 //! What has changed, as the report has it: shared by `compare` and the live watch.
 
-use crate::diagnose::reference::{Change, Changes, NAMES};
-use crate::estimate::validate::Rms;
+use super::Failure;
+use crate::diagnose::errors::{self, Compared, Of};
+use crate::diagnose::reference::{self, Change, Changes, NAMES};
+use crate::estimate::experiment::Experiment;
+use crate::estimate::validate::{Modelled, Rms, validate};
 use crate::model::gravity::Mounting;
 use crate::model::term::effect::{Site, family};
 use crate::model::term::mounting::axes;
@@ -16,6 +19,64 @@ use crate::report::diagnosis::{
 const LACKING: f64 = 2.0;
 /// Candidates that are listed.
 const LISTED: usize = 10;
+
+/// The stored model and what was found.
+pub struct Stored<'a> {
+    /// The model.
+    pub model: &'a TorqueModel,
+    /// What was found.
+    pub changes: &'a [Change],
+}
+
+impl Stored<'_> {
+    /// The model with some of the changes, as far as they had come in a session.
+    pub fn with(&self, kept: &[usize], session: u32) -> Result<TorqueModel, Failure> {
+        let come = |k: &&usize| self.changes[**k].since.is_none_or(|since| since <= session);
+        let chosen: Vec<Change> = kept.iter().filter(come).map(|&k| self.changes[k].clone()).collect();
+        reference::extended(self.model, &chosen).map_err(Failure::job)
+    }
+
+    /// Its errors on runs of these sessions.
+    pub fn errors(&self, kept: &[usize], runs: &[(&Experiment, u32)]) -> Result<Vec<Rms>, Failure> {
+        let error = |&(experiment, session): &(&Experiment, u32)| {
+            let model = self.with(kept, session)?;
+            Ok(validate(experiment, |motion| model.predict(motion)))
+        };
+        runs.iter().map(error).collect()
+    }
+
+    /// Changes that lower the error on unseen runs; without unseen runs, all of them.
+    pub fn stand_the_test(&self, unseen: &[(&Experiment, u32)]) -> Result<Vec<usize>, Failure> {
+        let mut kept: Vec<usize> = (0..self.changes.len()).collect();
+        if unseen.is_empty() {
+            return Ok(kept);
+        }
+        let total = |kept: &[usize]| -> Result<f64, Failure> {
+            let square = |rms: &Rms| rms.samples as f64 * rms.filtered.iter().map(|value| value * value).sum::<f64>();
+            Ok(self.errors(kept, unseen)?.iter().map(square).sum())
+        };
+        let mut with = total(&kept)?;
+        for k in (0..self.changes.len()).rev() {
+            let rest: Vec<usize> = kept.iter().copied().filter(|&other| other != k).collect();
+            let without = total(&rest)?;
+            if without <= with {
+                (kept, with) = (rest, without);
+            }
+        }
+        Ok(kept)
+    }
+
+    /// Errors without and with them, with intervals, after the low-pass; empty without runs.
+    pub fn compared(&self, kept: &[usize], runs: &[(&Experiment, u32)]) -> Result<Compared, Failure> {
+        let mut pairs = Vec::new();
+        for &(experiment, session) in runs {
+            let with = self.with(kept, session)?;
+            let along = |model: &TorqueModel| Modelled::of(experiment, |motion| model.predict(motion));
+            pairs.push((experiment, along(self.model), along(&with)));
+        }
+        Ok(errors::compare(&pairs, Of::Filtered).unwrap_or_default())
+    }
+}
 
 /// Changes on their way into the report.
 pub struct Told<'a> {
@@ -36,18 +97,12 @@ impl<'a> Told<'a> {
     }
 
     /// The block `diagnosis`.
-    pub fn diagnosis(&self, since: &str, runs: &[String], before: &[Rms], after: &[Rms]) -> Diagnosis {
+    pub fn diagnosis(&self, since: &str, runs: &[String], compared: &Compared) -> Diagnosis {
         let changes = self.changes;
-        let effects: Vec<Effect> = changes
-            .effects
-            .iter()
-            .enumerate()
-            .map(|(k, change)| effect(change, self.stored, self.declared.as_ref(), self.kept.contains(&k)))
-            .collect();
-        let errors = |runs: &[Rms]| Errors {
-            validate_rms: Rms::pooled(runs).map_or(Vec::new(), |rms| rms.filtered),
-            intervals: Vec::new(),
-        };
+        let one = |(k, change)| effect(change, self.stored, self.declared.as_ref(), self.kept.contains(&k));
+        let effects: Vec<Effect> = changes.effects.iter().enumerate().map(one).collect();
+        let errors = |of: &errors::Errors| Errors { validate_rms: of.rms.clone(), intervals: of.interval.clone() };
+        let (before, after) = (errors(&compared.before), errors(&compared.after));
         let joints = self.joints();
         let unexplained: Vec<Unexplained> = joints.iter().enumerate().filter_map(unexplained).collect();
         let ambiguous = effects.iter().any(|effect| !effect.alternatives.is_empty());
@@ -67,11 +122,12 @@ impl<'a> Told<'a> {
         Diagnosis {
             verdict,
             confirmation: confirmation.into(),
-            before: errors(before),
-            after: errors(after),
+            before: before.clone(),
+            after: after.clone(),
+            change: (!runs.is_empty()).then(|| errors(&compared.change)),
             band: self.band,
             held_out_runs: runs.to_vec(),
-            noise_floor: Rms::pooled(after).and_then(|rms| rms.filtered_noise_floor).unwrap_or_default(),
+            noise_floor: compared.floor.clone().unwrap_or_default(),
             unexplained,
             minimum_detectable: changes.least.iter().map(least).collect(),
             joints,
@@ -80,8 +136,8 @@ impl<'a> Told<'a> {
             changes: vec![diagnosis::Changes {
                 since: since.to_string(),
                 effects: effects.clone(),
-                before: Some(errors(before)),
-                after: Some(errors(after)),
+                before: Some(before),
+                after: Some(after),
                 ..diagnosis::Changes::default()
             }],
             effects,
@@ -162,10 +218,8 @@ pub fn effect(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>
     }
     Effect {
         id: spec.family.into(),
-        label: change
-            .since
-            .map_or(String::new(), |since| format!("{} since session {since}", label(spec.family, spec.site))),
         joints: joints(spec.site),
+        since_session: change.since,
         parameters: Parameters(parameters),
         evidence: Some(found.score),
         delta_log_likelihood: Some(0.5 * found.evidence),

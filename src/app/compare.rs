@@ -1,13 +1,14 @@
 //! `plumbline compare`: what changed since a model was identified.
 
+use super::changed::{self, Stored};
 use super::identify::{cut, quiet_settings};
-use super::{Failure, changed, pipeline, progress};
+use super::{Failure, pipeline, progress};
 use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Role, Run};
-use crate::diagnose::reference::{self, Change};
+use crate::diagnose::reference;
 use crate::diagnose::{self, evidence::Trial};
 use crate::estimate::experiment::Experiment;
-use crate::estimate::validate::{Rms, validate};
+use crate::estimate::validate::Rms;
 use crate::input::BadInput;
 use crate::model::base::Reduction;
 use crate::model::term::{Term, rigid_body::RigidBody};
@@ -77,13 +78,13 @@ pub fn run(options: Options) -> Result<(), Failure> {
     bar.done();
 
     let after = stored.with(&kept, u32::MAX)?;
-    let (errors_before, errors_after) = (stored.errors(&[], &unseen)?, stored.errors(&kept, &unseen)?);
+    let errors_after = stored.errors(&kept, &unseen)?;
     let names: Vec<String> = judge.iter().map(|run| run.file.clone()).collect();
     let since = since(&options, &file);
     let mut told = changed::Told::new(&changes, model, &kept);
     told.band = Band::Filtered { cutoff: settings.torque_cutoff };
     told.declared = find.first().map(|run| run.mounting);
-    let mut diagnosis = told.diagnosis(&since, &names, &errors_before, &errors_after);
+    let mut diagnosis = told.diagnosis(&since, &names, &stored.compared(&kept, &unseen)?);
     let identifiability = identifiability(model, &refused, &changes.doubt);
     if held.is_empty() {
         notes.push(format!(
@@ -176,7 +177,7 @@ fn diagnose_settings(options: &Options) -> Result<diagnose::Settings, Failure> {
 }
 
 /// Runs to find the changes in, and runs to judge them by: those of each role, or the first and the last part of every run.
-fn split(runs: &[&Run], notes: &mut Vec<String>) -> (Vec<Run>, Vec<Run>) {
+pub(super) fn split(runs: &[&Run], notes: &mut Vec<String>) -> (Vec<Run>, Vec<Run>) {
     let with = |role: Role| runs.iter().filter(|run| run.role == role).map(|run| (*run).clone()).collect::<Vec<Run>>();
     let (identify, validate) = (with(Role::Identify), with(Role::Validate));
     if runs.is_empty() || !(identify.is_empty() || validate.is_empty()) {
@@ -198,51 +199,6 @@ fn whole_periods(mut part: Run) -> Run {
     let length = part.t.last().zip(part.t.first()).map_or(0.0, |(last, first)| last - first);
     part.period = part.period.filter(|period| *period <= length);
     part
-}
-
-/// The stored model and what was found.
-struct Stored<'a> {
-    model: &'a TorqueModel,
-    changes: &'a [Change],
-}
-
-impl Stored<'_> {
-    /// The model with some of the changes, as far as they had come in a session.
-    fn with(&self, kept: &[usize], session: u32) -> Result<TorqueModel, Failure> {
-        let come = |k: &&usize| self.changes[**k].since.is_none_or(|since| since <= session);
-        let chosen: Vec<Change> = kept.iter().filter(come).map(|&k| self.changes[k].clone()).collect();
-        reference::extended(self.model, &chosen).map_err(Failure::job)
-    }
-
-    /// Its errors on runs of these sessions.
-    fn errors(&self, kept: &[usize], runs: &[(&Experiment, u32)]) -> Result<Vec<Rms>, Failure> {
-        let error = |&(experiment, session): &(&Experiment, u32)| {
-            let model = self.with(kept, session)?;
-            Ok(validate(experiment, |motion| model.predict(motion)))
-        };
-        runs.iter().map(error).collect()
-    }
-
-    /// Changes that lower the error on unseen runs; without unseen runs, all of them.
-    fn stand_the_test(&self, unseen: &[(&Experiment, u32)]) -> Result<Vec<usize>, Failure> {
-        let mut kept: Vec<usize> = (0..self.changes.len()).collect();
-        if unseen.is_empty() {
-            return Ok(kept);
-        }
-        let total = |kept: &[usize]| -> Result<f64, Failure> {
-            let square = |rms: &Rms| rms.samples as f64 * rms.filtered.iter().map(|value| value * value).sum::<f64>();
-            Ok(self.errors(kept, unseen)?.iter().map(square).sum())
-        };
-        let mut with = total(&kept)?;
-        for k in (0..self.changes.len()).rev() {
-            let rest: Vec<usize> = kept.iter().copied().filter(|&other| other != k).collect();
-            let without = total(&rest)?;
-            if without <= with {
-                (kept, with) = (rest, without);
-            }
-        }
-        Ok(kept)
-    }
 }
 
 /// What the model can't vouch for: runs in mountings that it lacks parameters for, and parameters that were not identifiable when it

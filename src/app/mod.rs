@@ -21,6 +21,7 @@ mod progress;
 mod results;
 mod run;
 mod served;
+mod sessions;
 mod torque;
 
 pub use failure::Failure;
