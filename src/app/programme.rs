@@ -21,6 +21,8 @@ pub enum Role {
     Identify,
     /// The model is judged by it.
     Validate,
+    /// The model is watched along it, and nothing else.
+    Live,
     /// The counter-experiment: the vertical base set is identified from it, to show where that set fails.
     Counter,
 }
@@ -99,7 +101,7 @@ impl Programme {
                 let hear = |share: f64| progress(&slot.name, (done + share) / all);
                 hear(0.0);
                 let plan = match slot.role {
-                    Role::Validate => planner.random(&slot.mounting, seed),
+                    Role::Validate | Role::Live => planner.random(&slot.mounting, seed),
                     Role::Identify | Role::Counter => planner.best(&slot.mounting, seed, &hear),
                 }?;
                 match ways.go(&slot.mounting, &plan.q0) {
@@ -147,6 +149,9 @@ impl Programme {
 const ATTEMPTS: u64 = 20;
 /// Distance of the seeds of two tries, so that no motion takes another's.
 const SEED_STEP: u64 = 10_007;
+
+/// Distance of the live motion's seed from those of the validation.
+const LIVE_SEED: u64 = 500;
 
 /// The ways between motions, as the loop will drive them.
 struct Ways<'a> {
@@ -247,6 +252,10 @@ fn slots(job: &Job) -> Vec<Slot> {
                 slots.push(Slot { name, role: Role::Validate, mounting, seed });
             }
         }
+        if mounting == job.mounting && job.live.motion > 0.0 {
+            let seed = job.validation.seed + LIVE_SEED;
+            slots.push(Slot { name: format!("live-{place}"), role: Role::Live, mounting, seed });
+        }
     }
     slots
 }
@@ -262,6 +271,7 @@ fn fill(
         let plan = plan(&slot)?;
         let (periods, lead_in) = match slot.role {
             Role::Validate => (job.validation.periods, 0),
+            Role::Live => (((job.live.motion / plan.period).ceil() as usize).max(1), 0),
             Role::Identify | Role::Counter => (job.excitation.periods, job.excitation.lead_in),
         };
         let Slot { name, role, mounting, .. } = slot;

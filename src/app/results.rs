@@ -30,6 +30,7 @@ pub struct Results {
     plan: Option<Motion>,
     recorded: Vec<Recorded>,
     model: Option<Identified>,
+    notes: Vec<String>,
 }
 
 impl Results {
@@ -43,6 +44,7 @@ impl Results {
             plan: programme.motions().find(|motion| motion.role == Role::Identify).cloned(),
             recorded: Vec::new(),
             model: None,
+            notes: Vec::new(),
         }
     }
 
@@ -65,6 +67,16 @@ impl Results {
         super::write(&self.out.join("model.toml"), text.as_bytes())?;
         self.model = Some(identified);
         Ok(text)
+    }
+
+    /// The model and the first run that it was identified from.
+    pub fn identified(&self) -> Option<(&Identified, &Run)> {
+        self.model.as_ref().zip(self.runs(Role::Identify).first().copied())
+    }
+
+    /// Something that the report should say.
+    pub fn note(&mut self, note: String) {
+        self.notes.push(note);
     }
 
     /// Judges the model by every unseen motion and writes everything. `sent` is the number of samples of the whole programme.
@@ -98,6 +110,7 @@ impl Results {
         report.sessions = status.sessions.iter().map(|session| SessionFacts::of(session, wall_clock)).collect();
         report.ipc =
             Some(IpcFacts { sent, received: counters.received, replayed: counters.replayed, missed: counters.missed });
+        report.notes.extend(self.notes.iter().cloned());
         report.write(&self.out, &self.figures(&identified, judged)?).map_err(Failure::job)
     }
 
@@ -161,7 +174,7 @@ impl Results {
             runs: self
                 .recorded
                 .iter()
-                .filter(|recorded| recorded.role != Role::Counter)
+                .filter(|recorded| !matches!(recorded.role, Role::Counter | Role::Live))
                 .map(|recorded| recorded.run.clone())
                 .collect(),
         }

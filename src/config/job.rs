@@ -54,6 +54,9 @@ pub struct Job {
     /// The served feed-forward torque.
     #[serde(default)]
     pub serve: Serve,
+    /// The watch over the served model.
+    #[serde(default)]
+    pub live: Live,
     /// What is left behind.
     #[serde(default)]
     pub output: Output,
@@ -365,6 +368,39 @@ impl Default for Serve {
     fn default() -> Serve {
         Serve { id: None, stale_after: 0.005 }
     }
+}
+
+/// The watch over the served model: whether it still holds, and what is done when it does not.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Live {
+    /// Whether the estimator watches the model while it is served and the arm moves.
+    pub watch: bool,
+    /// How long the model must have been wrong before the search for a change \[s\].
+    #[serde(deserialize_with = "units::duration")]
+    pub window: f64,
+    /// Who decides that a model with the changes is served.
+    pub adopt: Adopt,
+    /// How long an unseen motion is repeated after the validation, so that there is something to watch; 0 s for none \[s\].
+    #[serde(deserialize_with = "units::duration")]
+    pub motion: f64,
+}
+
+impl Default for Live {
+    fn default() -> Live {
+        Live { watch: false, window: 10.0, adopt: Adopt::Ask, motion: 0.0 }
+    }
+}
+
+/// Who decides that an offered model is served.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Adopt {
+    /// A person: `plumbline command adopt`, or `reject`.
+    #[default]
+    Ask,
+    /// The daemon, at once.
+    Auto,
 }
 
 /// What is left behind.

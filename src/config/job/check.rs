@@ -98,6 +98,13 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     if !(0.001..=10.0).contains(&job.serve.stale_after) {
         return bad("serve.stale-after", &format!("{} s", job.serve.stale_after), "1 ms to 10 s");
     }
+    let live = &job.live;
+    if !(4.0..=600.0).contains(&live.window) {
+        return bad("live.window", &format!("{} s", live.window), "4 s to 600 s");
+    }
+    if !(0.0..=86_400.0).contains(&live.motion) {
+        return bad("live.motion", &format!("{} s", live.motion), "0 s to 86400 s");
+    }
     if job.output.dir.as_os_str().is_empty() {
         return bad("output.dir", &"``", "the path of a folder");
     }
