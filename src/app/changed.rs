@@ -234,14 +234,14 @@ pub fn line(change: &Change) -> String {
     format!("{} ({})", label(change.spec.family, change.spec.site), each.collect::<Vec<_>>().join(", "))
 }
 
-fn label(id: &str, site: Site) -> String {
+pub(super) fn label(id: &str, site: Site) -> String {
     match site {
         Site::Arm => id.to_string(),
         site => format!("{id} in {site}"),
     }
 }
 
-fn joints(site: Site) -> Vec<usize> {
+pub(super) fn joints(site: Site) -> Vec<usize> {
     site.joints().into_iter().map(|joint| joint + 1).collect()
 }
 

@@ -18,13 +18,13 @@ use std::path::PathBuf;
 #[derive(Args)]
 pub struct Options {
     /// Folder with dataset.toml and one CSV file per run
-    dataset: PathBuf,
+    pub(super) dataset: PathBuf,
     /// Folder for report.html, report.json and model.toml
     #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    pub(super) out: PathBuf,
     /// Terms besides the rigid body; by default friction and torque-offset, and rotor-inertia for motor-side torques
     #[arg(long, value_delimiter = ',')]
-    terms: Option<Vec<String>>,
+    pub(super) terms: Option<Vec<String>>,
     /// Estimator: ols, wls, wls-full, huber, tls or iv
     #[arg(long, default_value = "wls")]
     estimator: String,
@@ -138,7 +138,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     Ok(())
 }
 
-fn settings(options: &Options) -> Result<Settings, Failure> {
+pub(super) fn settings(options: &Options) -> Result<Settings, Failure> {
     let mut settings = match Method::by_id(&options.method) {
         Some(Method::Spectral) => Settings { torque_cutoff: CUTOFF, ..Settings::default() },
         Some(Method::Paper) => Settings::paper(),
@@ -180,14 +180,14 @@ pub(super) fn quiet_settings(velocities: &str, trim: f64) -> Result<Settings, Fa
     Ok(Settings { torque_cutoff: CUTOFF, measured_velocities, trim, rest: Some(REST), ..Settings::default() })
 }
 
-fn hold_out(options: &Options) -> Result<f64, Failure> {
+pub(super) fn hold_out(options: &Options) -> Result<f64, Failure> {
     if !(0.05..=0.95).contains(&options.hold_out) {
         return Err(BadInput::new("command line", "--hold-out", options.hold_out, "0.05 to 0.95").into());
     }
     Ok(options.hold_out)
 }
 
-fn solver(options: &Options) -> Result<solve::Options, Failure> {
+pub(super) fn solver(options: &Options) -> Result<solve::Options, Failure> {
     let Some(estimator) = Estimator::by_id(&options.estimator) else {
         let known = Estimator::ALL.map(Estimator::id).join(", ");
         return Err(BadInput::new("command line", "--estimator", format!("`{}`", options.estimator), known).into());
@@ -195,7 +195,7 @@ fn solver(options: &Options) -> Result<solve::Options, Failure> {
     Ok(solve::Options { estimator, essential: options.essential })
 }
 
-fn terms<'a>(options: &'a Options, robot: &Robot) -> Result<Vec<&'a str>, Failure> {
+pub(super) fn terms<'a>(options: &'a Options, robot: &Robot) -> Result<Vec<&'a str>, Failure> {
     let Some(named) = &options.terms else { return Ok(pipeline::usual_terms(robot)) };
     let known = &crate::model::term::KNOWN[1..];
     for name in named {
@@ -207,16 +207,16 @@ fn terms<'a>(options: &'a Options, robot: &Robot) -> Result<Vec<&'a str>, Failur
 }
 
 /// Who does what.
-struct Split {
-    identify: Vec<Run>,
-    validate: Vec<Run>,
+pub(super) struct Split {
+    pub identify: Vec<Run>,
+    pub validate: Vec<Run>,
     /// What the reader has to know about it.
-    notes: Vec<String>,
+    pub notes: Vec<String>,
 }
 
 /// Runs by their roles. A dataset without validation runs is validated with the last part of its runs, which then is not used to
 /// identify.
-fn split(dataset: &Dataset, hold_out: f64) -> Result<Split, Failure> {
+pub(super) fn split(dataset: &Dataset, hold_out: f64) -> Result<Split, Failure> {
     let identify: Vec<Run> = dataset.with_role(Role::Identify).cloned().collect();
     let validate: Vec<Run> = dataset.with_role(Role::Validate).cloned().collect();
     let mut notes = Vec::new();

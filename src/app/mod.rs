@@ -5,6 +5,8 @@ mod collector;
 mod command;
 mod compare;
 mod daemon;
+mod diagnose;
+mod diagnosed;
 mod effects;
 mod estimator;
 mod export;
@@ -62,6 +64,8 @@ enum Verb {
     Identify(identify::Options),
     /// Say what changed since a model was identified: payload, tilt, friction, sensors
     Compare(compare::Options),
+    /// Find out what a plain model of recorded data lacks, offline
+    Diagnose(diagnose::Options),
     /// Compute the torques of a model along a recorded motion
     Predict(predict::Options),
     /// Write the identified arm as URDF, MuJoCo model or C function
@@ -98,6 +102,7 @@ pub fn main() -> ExitCode {
         Verb::Estimator(options) => estimator::run(options),
         Verb::Identify(options) => identify::run(options),
         Verb::Compare(options) => compare::run(options),
+        Verb::Diagnose(options) => diagnose::run(options),
         Verb::Predict(options) => predict::run(options),
         Verb::Export(options) => export::run(options),
         Verb::Effects(options) => effects::run(options),

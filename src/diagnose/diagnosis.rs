@@ -1,19 +1,22 @@
 //! The whole way: base fit, selection, veto by unseen data, adequacy, verdict.
 
 use super::Settings;
+use super::curves;
 use super::detectable;
 use super::evidence::{Evidence, Trial};
-use super::fit::{Problem, group};
-use super::library::{library, repeatable};
+use super::fallback::{self, Unexplained};
+use super::fit::{LEAST, Problem, group};
+use super::library::{Candidate, library, repeatable};
 use super::moments::Columns;
 use super::outcome::{Confirmation, Effect, Estimate, Fitted, JointFacts, Outcome, Verdict};
 use super::select::{Found, Search, Selected, Step};
 use super::state::{State, every, mean_square};
 use crate::estimate::EstimateError;
 use crate::estimate::experiment::Experiment;
-use crate::estimate::solve::{self, identify_with};
+use crate::estimate::solve::{self, Estimator, identify_weighted, identify_with};
 use crate::model::structure::Structure;
 use crate::model::term::effect::{self, Ground, Spec};
+use crate::model::term::torque_offset;
 use nalgebra::DVector;
 
 /// What is diagnosed.
@@ -34,6 +37,8 @@ pub struct Input<'a> {
 const EXPLAINED: f64 = 0.9;
 /// And to be put into the model at all.
 const HELPFUL: f64 = 0.5;
+/// Share of what is left over that has to follow some variables to be called unexplained, where the noise is not known.
+const FOLLOWS: f64 = 0.25;
 /// What is unmodelled counts from this share of the noise of the mean period on.
 const THRESHOLD: f64 = 0.75;
 
@@ -53,7 +58,8 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let candidates = library(&evidence, &ground, &repeatable(), None, settings.threads);
     let problem = Problem { evidence: &evidence, prior: None };
     let search = Search { problem, ground: &ground, library: &candidates, settings };
-    let selected = search.select(base.clone(), progress);
+    let seeds = seeds(&search, &base);
+    let selected = search.select(base.clone(), &seeds, progress);
     let selected = vetoed(&search, selected, input, settings);
 
     let adequacy = adequacy(input, settings, &base, &selected.state, &ground);
@@ -63,7 +69,11 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let effects = effects_of(&search, &selected, &kept, &adequacy, &after);
     let joints: Vec<JointFacts> =
         (0..evidence.joints()).map(|joint| facts(&evidence, settings, joint, &base, &selected.state, &kept)).collect();
-    let verdict = verdict(&effects, &joints, &adequacy);
+    // What the delivered model leaves over.
+    let left = if kept.iter().any(|kept| *kept) { &selected.state } else { &base };
+    let unexplained = unexplained(&evidence, left, settings, &joints, &adequacy);
+    let verdict = verdict(&effects, &unexplained);
+    let curves = curves::of(&search, &base, left, &unexplained);
     let (detectable, hidden) = detectable::of(&search, &base);
     Ok(Outcome {
         verdict,
@@ -74,9 +84,24 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
         after,
         detectable,
         hidden,
+        unexplained,
+        curves,
         path: selected.path,
         ranking: selected.first.iter().map(|one| (one.item.spec.clone(), one.score)).collect(),
     })
+}
+
+/// Every torque sensor has an offset. Where nothing tells the noise, the model starts with all of them, and they have to hold: left to
+/// the search, a spring or another joint's load would take the place of one that it had not yet found.
+fn seeds(search: &Search, base: &State) -> Vec<Candidate> {
+    if search.problem.evidence.repeats() {
+        return Vec::new();
+    }
+    let offset = |item: &&Candidate| {
+        item.spec.family == torque_offset::ID
+            && base.try_in(&search.problem, item).is_some_and(|tried| tried.independence > LEAST)
+    };
+    search.library.iter().filter(offset).cloned().collect()
 }
 
 fn columns_of(evidence: &Evidence, structure: &Structure, trials: &[Trial]) -> Columns {
@@ -194,7 +219,11 @@ fn extended(
         let Some(structure) = terms.and_then(|terms| input.structure.clone().with(terms).ok()) else {
             return Ok(plain());
         };
-        let identification = identify_with(&structure, experiments, input.options)?;
+        let known = experiments.iter().all(|experiment| experiment.scatter.is_some());
+        let identification = match input.options.estimator {
+            Estimator::Wls if !known => identify_weighted(&structure, experiments, &before.sigma)?,
+            _ => identify_with(&structure, experiments, input.options)?,
+        };
         beta.clone_from(&identification.beta);
         fitted = Fitted { structure, identification };
     }
@@ -294,17 +323,38 @@ fn facts(
         unmodelled: [base, after].map(|state| state.unmodelled(evidence, joint).sqrt()),
         lack_of_fit: floor.map(|_| [base, after].map(ratio)),
         threshold: settings.threshold.unwrap_or(THRESHOLD * floor.unwrap_or(0.0)),
+        adequacy: None,
     }
 }
 
-fn verdict(effects: &[Effect], joints: &[JointFacts], adequacy: &[Option<f64>]) -> Verdict {
+/// Joints in which the model lacks something that no effect explains. Where the noise is not known, those in which what is left over
+/// follows some variables.
+fn unexplained(
+    evidence: &Evidence,
+    state: &State,
+    settings: &Settings,
+    joints: &[JointFacts],
+    adequacy: &[Option<f64>],
+) -> Vec<Unexplained> {
+    let mut found = Vec::new();
+    for (joint, facts) in joints.iter().enumerate() {
+        let explained = adequacy[joint].is_some_and(|share| share >= EXPLAINED);
+        let wanted = if evidence.repeats() { facts.lacking(1) && !explained } else { true };
+        if !wanted {
+            continue;
+        }
+        let one = fallback::unexplained(evidence, state, joint, settings);
+        if evidence.repeats() || one.r2() > FOLLOWS {
+            found.push(one);
+        }
+    }
+    found
+}
+
+fn verdict(effects: &[Effect], unexplained: &[Unexplained]) -> Verdict {
     let found = effects.iter().any(|effect| effect.in_model);
-    let left = joints.iter().enumerate().any(|(joint, facts)| {
-        let explained = adequacy[joint].is_some_and(|share| share >= EXPLAINED) && found;
-        facts.lacking(1) && !explained
-    });
     let rivals = effects.iter().any(|effect| effect.in_model && !effect.rivals.is_empty());
-    match (found, left) {
+    match (found, !unexplained.is_empty()) {
         (false, false) => Verdict::NothingSignificant,
         (false, true) => Verdict::Unexplained,
         (true, true) => Verdict::Partly,

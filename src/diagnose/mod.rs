@@ -5,8 +5,10 @@
 //! -> [`diagnosis`] (veto by unseen runs, adequacy, verdict) -> [`outcome`]; what stays unexplained goes to [`fallback`]. The same machine
 //! tells what changed since a model was identified: [`reference`].
 
+pub mod curves;
 mod detectable;
 pub mod diagnosis;
+pub mod errors;
 pub mod evidence;
 pub mod fallback;
 pub mod fit;
@@ -31,6 +33,8 @@ pub struct Settings {
     pub least_share: f64,
     /// The same where the noise is not known, of the whole residual.
     pub least_share_of_all: f64,
+    /// Score that an effect needs where the noise is not known; zero is enough where it is.
+    pub margin: f64,
     /// Most steps of the selection.
     pub steps: usize,
     /// Threads to work on.
@@ -45,6 +49,7 @@ impl Default for Settings {
             least_floor: 0.7,
             least_share: 0.15,
             least_share_of_all: 0.03,
+            margin: 10.0,
             steps: 12,
             threads: 1,
         }

@@ -1,5 +1,7 @@
 //! What a diagnosis ends with.
 
+use super::curves::Curves;
+use super::fallback::Unexplained;
 use super::gates::{Folds, Relevance};
 use super::select::{Rival, Step};
 use crate::estimate::solve::Identification;
@@ -109,6 +111,9 @@ pub struct JointFacts {
     pub lack_of_fit: Option<[f64; 2]>,
     /// What counts as unmodelled \[Nm\].
     pub threshold: f64,
+    /// Share of what was unmodelled that the effects explain, on data that was not fitted where there is any; `None` where nothing was
+    /// unmodelled or the noise is not known.
+    pub adequacy: Option<f64>,
 }
 
 impl JointFacts {
@@ -166,6 +171,10 @@ pub struct Outcome {
     pub detectable: Vec<Detectable>,
     /// What could not, whatever the data holds.
     pub hidden: Vec<Hidden>,
+    /// Joints in which something is left that no effect explains.
+    pub unexplained: Vec<Unexplained>,
+    /// Curves for people to look at.
+    pub curves: Curves,
     /// How the selection went.
     pub path: Vec<Step>,
     /// The best candidates for the plain model: label and score.

@@ -175,12 +175,21 @@ impl Search<'_> {
         Candidate::of(self.evidence(), self.ground, item.spec.clone(), item.since).unwrap_or_else(|| item.clone())
     }
 
-    /// Adds effects as long as one is worth it, each time with everything fitted again.
-    pub fn select(&self, base: State, progress: &dyn Fn(&Step)) -> Selected {
+    /// Adds effects as long as one is worth it, each time with everything fitted again. It starts from `seeds`, as far as they hold.
+    pub fn select(&self, base: State, seeds: &[Candidate], progress: &dyn Fn(&Step)) -> Selected {
         let mut state = base;
         let mut path: Vec<Step> = Vec::new();
         let mut tabu: Vec<Candidate> = Vec::new();
         let mut first = Vec::new();
+        for seed in seeds {
+            state = state.with(&self.problem, seed.clone());
+        }
+        while let Some((worst, _)) = self.weakest(&state) {
+            state = state.without(&self.problem, worst);
+        }
+        for item in state.items.clone() {
+            self.record(&mut path, &state, item, true, 0.0, progress);
+        }
         for step in 0..self.settings.steps {
             let proposals = self.propose(&state, |item| !tabu.iter().any(|one| one.alike(item)));
             if step == 0 {
@@ -217,12 +226,17 @@ impl Search<'_> {
 
     /// Whether a candidate passes every gate.
     fn passes(&self, state: &State, one: &Scored) -> bool {
-        if one.score <= 0.0 {
+        if one.score <= self.least() {
             return false;
         }
         let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);
         gates::matters(self.evidence(), &relevance, &one.item, self.settings)
             && gates::folds(&self.problem, state, &one.tried).confirm() != Some(false)
+    }
+
+    /// Score that an effect needs.
+    fn least(&self) -> f64 {
+        if self.evidence().repeats() { 0.0 } else { self.settings.margin }
     }
 
     /// Settings of every effect searched again, beside all others.
@@ -250,7 +264,7 @@ impl Search<'_> {
             2.0 * (state.fit.likelihood - rest.fit.likelihood) - self.penalty(&state.items[item])
         };
         let scores = (0..state.items.len()).map(|item| (item, score(item)));
-        scores.filter(|(_, score)| *score <= 0.0).min_by(|a, b| a.1.total_cmp(&b.1))
+        scores.filter(|(_, score)| *score <= self.least()).min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// Tries every other candidate in the place of each effect: a better one takes it, near ones are its rivals.

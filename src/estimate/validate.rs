@@ -72,6 +72,11 @@ impl Modelled {
         Modelled { of_motion: predict(&experiment.motion), of_judged }
     }
 
+    /// Along the motion of the regression, which filtered torques are compared along, N x n \[Nm\].
+    pub fn along(&self) -> &DMatrix<f64> {
+        &self.of_motion
+    }
+
     /// Along the motion that raw torques are compared along, whose accelerations have less noise, N x n \[Nm\].
     pub fn judged(&self) -> &DMatrix<f64> {
         self.of_judged.as_ref().unwrap_or(&self.of_motion)

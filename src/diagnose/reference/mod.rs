@@ -138,7 +138,7 @@ pub fn among(
     let library = library::library(&evidence, &ground, families, None, settings.threads);
     let search = Search { problem, ground: &ground, library: &library, settings };
     let (least, lacking) = (least(&search, &base), lack(&evidence, &base));
-    let selected = search.select(base, progress);
+    let selected = search.select(base, &[], progress);
     let doubt = doubt(&evidence, &selected.state, reference.parameters());
     // The stored parameters stay what they are.
     let mut theta = selected.state.fit.theta.clone();
@@ -167,7 +167,7 @@ pub fn between_sessions(
     let library = since_sessions(&evidence, &ground, &families(), settings.threads);
     let search = Search { problem, ground: &ground, library: &library, settings };
     let (least, lacking) = (least(&search, &base), lack(&evidence, &base));
-    let selected = search.select(base, progress);
+    let selected = search.select(base, &[], progress);
     let after = left_over(&evidence, &selected.state, &selected.state.fit.theta);
     Changes { least, ..report(&search, selected, [before, after], lacking, Doubt::default()) }
 }

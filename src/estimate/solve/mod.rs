@@ -175,6 +175,27 @@ pub fn identify(structure: &Structure, experiments: &[Experiment]) -> Result<Ide
     identify_with(structure, experiments, &Options::default())
 }
 
+/// Identifies the parameters of a structure by weighted least squares with given standard deviations of the joints' errors, n \[Nm\].
+///
+/// A model that was extended in one joint keeps the weights of the plain one this way: weights of its own would pull the parameters that
+/// joints share towards the joint that now fits well.
+///
+/// # Errors
+/// As [`identify_with`].
+pub fn identify_weighted(
+    structure: &Structure,
+    experiments: &[Experiment],
+    sigma: &[f64],
+) -> Result<Identification, EstimateError> {
+    let stack = Stack::of(structure, experiments)?;
+    let every: Vec<usize> = (0..structure.columns().len()).collect();
+    let fit = linear::least_squares(&stack, &Weights::per_joint(sigma))?;
+    let spread = noise::of_torques(&stack, experiments, &fit);
+    let (sigma, outcome) = (sigma.to_vec(), Outcome::Settled);
+    let solved = Solved { fit, spread, sigma, row_weights: None, rounds: 1, outcome };
+    finish(structure, experiments, Estimator::Wls, &stack, solved, &every, Vec::new())
+}
+
 /// Identifies the parameters of a structure with an estimator of choice.
 ///
 /// # Errors
