@@ -12,6 +12,7 @@
 //! | `seed=` | of everything | 1 |
 //! | `case=` | this case alone, with its truth file; needs one `what` | |
 //! | `threads=` | cases at a time | 1 |
+//! | `seconds=` | no case of a part begins later | |
 //!
 //! A line per case goes to stderr, the tables to stdout. The figures stand in docs/diagnosis.md.
 
@@ -33,10 +34,11 @@ struct Options {
     seed: u64,
     case: Option<usize>,
     threads: usize,
+    seconds: Option<usize>,
 }
 
 fn options() -> Result<Options, String> {
-    let mut options = Options { what: What::ALL.to_vec(), cases: 20, seed: 1, case: None, threads: 1 };
+    let mut options = Options { what: What::ALL.to_vec(), cases: 20, seed: 1, case: None, threads: 1, seconds: None };
     for argument in std::env::args().skip(1).filter(|argument| !argument.starts_with("--")) {
         let (key, value) = argument.split_once('=').ok_or(format!("{argument}: expected key=value"))?;
         let number = || value.parse::<usize>().map_err(|_| format!("{key}={value}: expected a whole number"));
@@ -52,7 +54,8 @@ fn options() -> Result<Options, String> {
             "seed" => options.seed = number()? as u64,
             "case" => options.case = Some(number()?),
             "threads" => options.threads = number()?.max(1),
-            _ => return Err(format!("{key}: expected what, cases, seed, case or threads")),
+            "seconds" => options.seconds = Some(number()?),
+            _ => return Err(format!("{key}: expected what, cases, seed, case, threads or seconds")),
         }
     }
     if options.case.is_some() && options.what.len() != 1 {
@@ -75,7 +78,8 @@ fn main() {
         std::thread::scope(|scope| {
             for _ in 0..options.threads {
                 scope.spawn(|| {
-                    while let Some(&number) = { next.lock().expect("no panic").next() } {
+                    let late = || options.seconds.is_some_and(|most| start.elapsed().as_secs() >= most as u64);
+                    while let Some(&number) = { next.lock().expect("no panic").next().filter(|_| !late()) } {
                         let case = Case::draw(&bench.base, &bench.identify, what, options.seed, number);
                         if options.case.is_some() {
                             println!("{}", case.truth);

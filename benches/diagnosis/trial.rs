@@ -8,10 +8,10 @@ use plumbline::backend::sim::Truth;
 use plumbline::diagnose::Settings;
 use plumbline::diagnose::diagnosis::{Input, diagnose};
 use plumbline::diagnose::evidence::{Evidence, Trial};
-use plumbline::diagnose::fallback::{Unexplained, unexplained};
+use plumbline::diagnose::fallback::Unexplained;
 use plumbline::diagnose::fit::{Problem, inverse};
 use plumbline::diagnose::moments::Columns;
-use plumbline::diagnose::outcome::{Effect, Fitted, Outcome, Verdict};
+use plumbline::diagnose::outcome::{Effect, Outcome, Verdict};
 use plumbline::diagnose::state::{State, mean_square};
 use plumbline::estimate::experiment::{self, Experiment};
 use plumbline::estimate::solve;
@@ -51,7 +51,7 @@ pub struct Judged {
     pub extra: usize,
     /// RMS of the worst joint's residual over the floor of the judge run, before and after.
     pub held_out: [f64; 2],
-    /// What the fallback says about the joint of a foreign effect.
+    /// What the diagnosis says about the joint of a foreign effect, where it calls it unexplained.
     pub fallback: Option<Unexplained>,
     /// Seconds of the diagnosis.
     pub seconds: f64,
@@ -103,13 +103,18 @@ impl Bench {
         let seconds = start.elapsed().as_secs_f64();
 
         let evidence = Evidence::of(&self.chain, identify, settings.band);
-        let fallback = case.effects.iter().find(|one| one.family == "foreign").map(|foreign| {
+        let foreign = case.effects.iter().find(|one| one.family == "foreign").map(|one| one.site.joints()[0]);
+        let fallback = outcome.unexplained.iter().find(|one| Some(one.joint) == foreign).cloned();
+        let ratio = unabsorbed(&evidence, &structure, identify, &periods);
+        let held_out = [&outcome.before, &outcome.after].map(|model| {
+            worst(&self.chain, &model.structure, &model.identification.beta, judge, &settings)
+        });
+        if std::env::var("GLS").is_ok() {
             let columns = columns(&evidence, &outcome.after.structure, identify);
             let state = State::base(&Problem { evidence: &evidence, prior: None }, columns);
-            unexplained(&evidence, &state, foreign.site.joints()[0], &settings)
-        });
-        let ratio = unabsorbed(&evidence, &structure, identify, &periods);
-        let held_out = [&outcome.before, &outcome.after].map(|model| worst(&self.chain, model, judge, &settings));
+            let gls = worst(&self.chain, &outcome.after.structure, state.fit.theta.as_slice(), judge, &settings);
+            eprintln!("GLS {gls:.2}");
+        }
         judged(case, &outcome, Judgement { ratio, held_out, fallback, seconds })
     }
 }
@@ -119,10 +124,10 @@ fn columns(evidence: &Evidence, structure: &Structure, trials: &[Trial]) -> Colu
 }
 
 /// RMS of the residual of the worst joint over its noise, on runs that the model was not fitted to.
-fn worst(chain: &Chain, model: &Fitted, trials: &[Trial], settings: &Settings) -> f64 {
+fn worst(chain: &Chain, structure: &Structure, beta: &[f64], trials: &[Trial], settings: &Settings) -> f64 {
     let evidence = Evidence::of(chain, trials, settings.band);
-    let columns = columns(&evidence, &model.structure, trials);
-    let beta = DVector::from_column_slice(&model.identification.beta);
+    let columns = columns(&evidence, structure, trials);
+    let beta = DVector::from_column_slice(beta);
     let ratio = |joint: usize| {
         let residual = &columns.r[joint] - &columns.m[joint] * &beta;
         mean_square(&evidence, joint, &residual).sqrt() / evidence.floor(joint).expect("repeats")
