@@ -16,6 +16,7 @@ use clap::Args;
 
 /// Options of `plumbline diagnose`.
 #[derive(Args)]
+#[group(id = "diagnose")]
 pub struct Options {
     #[command(flatten)]
     identify: identify::Options,

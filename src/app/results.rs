@@ -2,11 +2,14 @@
 
 use super::Failure;
 use super::collector::Recorded;
+use super::diagnose::threads;
+use super::diagnosed::{self, Diagnosed, Question};
 use super::pipeline::{self, Identified, Judged};
 use super::programme::{Motion, Programme, Role};
-use crate::config::job::{Job, Pace};
+use crate::config::job::{Diagnosis, Job, Pace};
 use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Run};
+use crate::diagnose::{self, errors::Of};
 use crate::estimate::experiment::Settings;
 use crate::estimate::solve::Outcome;
 use crate::ipc::{Session, Status, StreamCounters};
@@ -85,7 +88,11 @@ impl Results {
             return Err(Failure::job("the daemon is done, but no motion to identify from was recorded"));
         };
         let dataset = self.dataset();
-        let judged = self.judge(&identified)?;
+        let plain = identified;
+        let diagnosed = self.diagnose(&plain)?;
+        // From here on the model is the one with what was found.
+        let identified = diagnosed.as_ref().map_or(&plain, |diagnosed| &diagnosed.after);
+        let judged = self.judge(identified)?;
         let counter = self.counter_experiment(&judged)?;
         let validated = judged.iter().map(|(run, judged)| Validated {
             run: run.file.clone(),
@@ -93,15 +100,20 @@ impl Results {
             phi: run.mounting.phi,
             rms: judged.rms.raw.clone(),
         });
-        let model = self.model_file(&identified, validated.collect(), Some(dataset.content_hash()));
+        let model = self.model_file(identified, validated.collect(), Some(dataset.content_hash()));
         super::write(&self.out.join("model.toml"), model.to_toml().as_bytes())?;
+        if diagnosed.as_ref().is_some_and(|diagnosed| diagnosed.block.effects.iter().any(|effect| effect.in_model)) {
+            // What the daemon has served so far.
+            let served = self.model_file(&plain, Vec::new(), Some(dataset.content_hash()));
+            super::write(&self.out.join("model-plain.toml"), served.to_toml().as_bytes())?;
+        }
         if let Some((_, vertical)) = &counter {
             super::write(&self.out.join("model-vertical.toml"), vertical.to_toml().as_bytes())?;
         }
         if self.job.output.dataset {
             dataset.write(&self.out.join("dataset")).map_err(Failure::job)?;
         }
-        let mut report = report_of(&identified, self.job.mounting, &model.provenance);
+        let mut report = report_of(identified, self.job.mounting, &model.provenance);
         report.validate = judged.iter().map(|(run, judged)| validation(run, judged)).collect();
         report.consistency = model.consistent.as_ref().map(|found| super::export::facts(&model.model, found));
         report.counter_experiment = counter.map(|(facts, _)| facts);
@@ -111,7 +123,35 @@ impl Results {
         report.ipc =
             Some(IpcFacts { sent, received: counters.received, replayed: counters.replayed, missed: counters.missed });
         report.notes.extend(self.notes.iter().cloned());
-        report.write(&self.out, &self.figures(&identified, judged)?).map_err(Failure::job)
+        let mut figures = self.figures(identified, judged)?;
+        if let Some(diagnosed) = diagnosed {
+            report.diagnosis = Some(diagnosed.block);
+            figures.diagnosis = diagnosed.figures;
+        }
+        report.write(&self.out, &figures).map_err(Failure::job)
+    }
+
+    /// What the model lacks, where the job wants to know: found on the motions of the identification, measured on unseen ones.
+    fn diagnose(&self, identified: &Identified) -> Result<Option<Diagnosed>, Failure> {
+        if !self.job.diagnosis.enabled {
+            return Ok(None);
+        }
+        let (identify, unseen) = (self.runs(Role::Identify), self.runs(Role::Validate));
+        let unseen: Vec<&Run> =
+            unseen.into_iter().filter(|run| identified.model.valid_in(&run.mounting).is_ok()).collect();
+        let Diagnosis { band, threshold, .. } = self.job.diagnosis;
+        let settings = diagnose::Settings { band, threshold, threads: threads(), ..diagnose::Settings::default() };
+        let question = Question {
+            robot: &self.robot,
+            structure: identified.model.structure(),
+            identify: &identify,
+            unseen: &unseen,
+            settings: &self.settings,
+            options: &self.job.solver(),
+            diagnosis: &settings,
+            of: Of::Raw,
+        };
+        diagnosed::run(&question).map(Some)
     }
 
     fn runs(&self, role: Role) -> Vec<&Run> {

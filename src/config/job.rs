@@ -45,6 +45,9 @@ pub struct Job {
     /// Signal processing before the least squares.
     #[serde(default)]
     pub estimator: Estimator,
+    /// The search for what the model lacks.
+    #[serde(default)]
+    pub diagnosis: Diagnosis,
     /// What the loop's thread asks of the machine.
     #[serde(default)]
     pub realtime: Realtime,
@@ -60,6 +63,24 @@ pub struct Job {
     /// What is left behind.
     #[serde(default)]
     pub output: Output,
+}
+
+/// The search for what the model lacks, after the identification.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Diagnosis {
+    /// Whether it is done.
+    pub enabled: bool,
+    /// Highest frequency that is looked at \[Hz\].
+    pub band: f64,
+    /// Least torque RMS of an effect that matters \[Nm\]; by default 0.7 of the noise of the mean period.
+    pub threshold: Option<f64>,
+}
+
+impl Default for Diagnosis {
+    fn default() -> Diagnosis {
+        Diagnosis { enabled: true, band: 16.0, threshold: None }
+    }
 }
 
 /// The arm that is driven.
@@ -156,6 +177,9 @@ pub struct Excitation {
     /// Period \[s\].
     #[serde(deserialize_with = "units::duration")]
     pub period: f64,
+    /// Motions to identify from: the first is searched for (or is `plan`), the others are random. What a diagnosis finds has to hold on
+    /// motions that it was not found on, so it wants three or more.
+    pub trajectories: usize,
     /// Periods that are averaged.
     pub periods: usize,
     /// Periods driven before those, while transients die out.
@@ -181,6 +205,7 @@ impl Default for Excitation {
             plan: None,
             harmonics: 5,
             period: 10.0,
+            trajectories: 1,
             periods: 10,
             lead_in: 1,
             criterion: Criterion::Raw,
