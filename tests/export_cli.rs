@@ -3,7 +3,7 @@
 mod export_support;
 mod job_support;
 
-use export_support::{bodies, model, random_body, robot};
+use export_support::{bodies, model, random_body, robot, with_effects};
 use job_support::{Done, plumbline};
 use nalgebra::DVector;
 use plumbline::estimate::consistency::Nearest;
@@ -11,6 +11,7 @@ use plumbline::model::base::Reduction;
 use plumbline::model::gravity::Mounting;
 use plumbline::model::inertia::Body;
 use plumbline::model::structure::Structure;
+use plumbline::model::term::effect::{Site, Spec};
 use plumbline::model::torque::TorqueModel;
 use plumbline::store::export::{Arm, urdf};
 use plumbline::store::{ModelFile, Provenance};
@@ -187,4 +188,62 @@ fn bodies_in_a_model_file_read_back_bit_by_bit() {
         assert_eq!(read.consistent.as_ref(), Some(&Nearest { iterations: 0, ..found }));
         assert_eq!(read.to_toml(), written);
     }
+}
+
+#[test]
+fn effects_are_refused_by_name_left_out_knowingly_or_part_of_the_last_link() {
+    let room = tempfile::tempdir().unwrap();
+    let plain = model(&robot("panda"), &["friction"], 12);
+    let spec = |family, site, settings| Spec { family, form: "", site, settings };
+    let load = random_body(&mut ChaCha8Rng::seed_from_u64(13));
+    let specs = [
+        spec("payload", Site::Arm, vec![]),
+        spec("asymmetric-viscous", Site::Joint(1), vec![]),
+        spec("presliding", Site::Joint(4), vec![0.004]),
+    ];
+    let full = with_effects(&plain, &specs, |index, c| if index == 0 { load[c] } else { 0.4 });
+    let path = put(room.path(), "effects.toml", &file(full.clone(), None).to_toml());
+    let out = room.path().join("out");
+    for (format, lost, held) in [
+        ("c", "presliding", "asymmetric-viscous"),
+        ("urdf", "asymmetric-viscous, presliding", "payload"),
+        ("mjcf", "asymmetric-viscous, presliding", "payload"),
+    ] {
+        let arguments = ["--format", format, "--out", out.to_str().unwrap(), "--without-effects"];
+        let done = export(&path, &arguments[..4]).expect_code(2);
+        for part in ["effects.toml", &format!("got {lost}, expected"), "--without-effects"] {
+            assert!(done.err.contains(part), "`{part}` is not in: {}", done.err);
+        }
+        let found = done.err.split(", expected").next().unwrap();
+        assert!(!found.contains(held) && !out.exists(), "{}", done.said());
+        let done = export(&path, &arguments).expect_code(0);
+        let text = std::fs::read_to_string(&out).unwrap();
+        for id in lost.split(", ") {
+            let note = format!("effect `{id}` is left out");
+            assert!(done.out.contains(&note) && text.contains(&note), "{}", done.said());
+        }
+        std::fs::remove_file(&out).unwrap();
+    }
+
+    // The last link is heavier by the load, and no other.
+    let mass = |model: TorqueModel| {
+        let path = put(room.path(), "one.toml", &file(model, None).to_toml());
+        export(&path, &["--format", "urdf", "--out", out.to_str().unwrap()]).expect_code(0);
+        let text = std::fs::read_to_string(&out).unwrap();
+        let value = |part: &str| part.split('"').next().unwrap().parse().unwrap();
+        text.split("<mass value=\"").skip(1).map(value).collect::<Vec<f64>>()
+    };
+    let loaded = with_effects(&plain, &specs[..1], |_, c| load[c]);
+    let (before, after) = (mass(plain.clone()), mass(loaded));
+    assert_eq!(before.len(), 7);
+    for (j, (before, after)) in before.iter().zip(&after).enumerate() {
+        let more = if j == 6 { load[9] } else { 0.0 };
+        assert!((after - before - more).abs() < 1e-9, "link {}: {before} {after}", j + 1);
+    }
+    // A load that takes more than there is.
+    let hollow = with_effects(&plain, &specs[..1], |_, c| -1e3 * load[c]);
+    let path = put(room.path(), "hollow.toml", &file(hollow, None).to_toml());
+    std::fs::remove_file(&out).unwrap();
+    let done = export(&path, &["--format", "mjcf", "--out", out.to_str().unwrap()]).expect_code(2);
+    assert!(done.err.contains("hollow.toml") && done.err.contains("payload") && !out.exists(), "{}", done.err);
 }

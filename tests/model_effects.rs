@@ -180,6 +180,30 @@ fn a_model_with_any_effect_comes_back_from_its_names() {
     }
 }
 
+/// Columns that the data can't tell can be left out of an effect; what is left is the same effect.
+#[test]
+fn an_effect_may_be_short_of_columns() {
+    let mut rng = ChaCha8Rng::seed_from_u64(13);
+    let model = rigid_model("panda", &mut rng);
+    let spec = Spec { family: "payload", form: "", site: Site::Arm, settings: vec![] };
+    let full = with(&model, &spec);
+    let kept = ["payload_lx", "payload_m"];
+    let mut names = named(&full);
+    let term = names.last_mut().unwrap();
+    term.parameters.retain(|(name, _, _)| kept.contains(&name.as_str()));
+    let short = TorqueModel::from_named("panda", chain("panda"), model.kind(), vec![Mounting::WALL], &names).unwrap();
+    let (last, parameters) = *short.terms().last().unwrap();
+    assert_eq!(last.spec(), Some(spec));
+    assert_eq!((last.original(0), last.original(1)), (6, 9));
+    assert_eq!(parameters.iter().map(|own| own.column.name.as_str()).collect::<Vec<_>>(), kept);
+    assert_eq!(named(&short), names, "what is left out stays out of the file");
+    let motion = smooth_motion(&mut rng, 7, false);
+    let own = columns(&ground(&model), last.spec().as_ref().unwrap(), &motion);
+    let expected = own.column(6) * parameters[0].value + own.column(9) * parameters[1].value;
+    let served = short.predict(&motion) - model.predict(&motion);
+    assert!((DVector::from_column_slice(served.as_slice()) - &expected).amax() < 1e-9 * expected.amax());
+}
+
 #[test]
 fn no_effect_allocates_in_the_loop() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);

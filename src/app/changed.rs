@@ -1,7 +1,10 @@
 //! What has changed, as the report has it: shared by `compare` and the live watch.
 
-use crate::diagnose::reference::{Change, Changes, NAMES};
-use crate::estimate::validate::Rms;
+use super::Failure;
+use crate::diagnose::errors::{self, Compared, Of};
+use crate::diagnose::reference::{self, Change, Changes, NAMES};
+use crate::estimate::experiment::Experiment;
+use crate::estimate::validate::{Modelled, Rms, validate};
 use crate::model::gravity::Mounting;
 use crate::model::term::effect::{Site, family};
 use crate::model::term::mounting::axes;
@@ -17,6 +20,64 @@ const LACKING: f64 = 2.0;
 /// Candidates that are listed.
 const LISTED: usize = 10;
 
+/// The stored model and what was found.
+pub struct Stored<'a> {
+    /// The model.
+    pub model: &'a TorqueModel,
+    /// What was found.
+    pub changes: &'a [Change],
+}
+
+impl Stored<'_> {
+    /// The model with some of the changes, as far as they had come in a session.
+    pub fn with(&self, kept: &[usize], session: u32) -> Result<TorqueModel, Failure> {
+        let come = |k: &&usize| self.changes[**k].since.is_none_or(|since| since <= session);
+        let chosen: Vec<Change> = kept.iter().filter(come).map(|&k| self.changes[k].clone()).collect();
+        reference::extended(self.model, &chosen).map_err(Failure::job)
+    }
+
+    /// Its errors on runs of these sessions.
+    pub fn errors(&self, kept: &[usize], runs: &[(&Experiment, u32)]) -> Result<Vec<Rms>, Failure> {
+        let error = |&(experiment, session): &(&Experiment, u32)| {
+            let model = self.with(kept, session)?;
+            Ok(validate(experiment, |motion| model.predict(motion)))
+        };
+        runs.iter().map(error).collect()
+    }
+
+    /// Changes that lower the error on unseen runs; without unseen runs, all of them.
+    pub fn stand_the_test(&self, unseen: &[(&Experiment, u32)]) -> Result<Vec<usize>, Failure> {
+        let mut kept: Vec<usize> = (0..self.changes.len()).collect();
+        if unseen.is_empty() {
+            return Ok(kept);
+        }
+        let total = |kept: &[usize]| -> Result<f64, Failure> {
+            let square = |rms: &Rms| rms.samples as f64 * rms.filtered.iter().map(|value| value * value).sum::<f64>();
+            Ok(self.errors(kept, unseen)?.iter().map(square).sum())
+        };
+        let mut with = total(&kept)?;
+        for k in (0..self.changes.len()).rev() {
+            let rest: Vec<usize> = kept.iter().copied().filter(|&other| other != k).collect();
+            let without = total(&rest)?;
+            if without <= with {
+                (kept, with) = (rest, without);
+            }
+        }
+        Ok(kept)
+    }
+
+    /// Errors without and with them, with intervals, after the low-pass; empty without runs.
+    pub fn compared(&self, kept: &[usize], runs: &[(&Experiment, u32)]) -> Result<Compared, Failure> {
+        let mut pairs = Vec::new();
+        for &(experiment, session) in runs {
+            let with = self.with(kept, session)?;
+            let along = |model: &TorqueModel| Modelled::of(experiment, |motion| model.predict(motion));
+            pairs.push((experiment, along(self.model), along(&with)));
+        }
+        Ok(errors::compare(&pairs, Of::Filtered).unwrap_or_default())
+    }
+}
+
 /// Changes on their way into the report.
 pub struct Told<'a> {
     changes: &'a Changes,
@@ -25,23 +86,23 @@ pub struct Told<'a> {
     kept: &'a [usize],
     /// What errors are taken of.
     pub band: Band,
+    /// How the base is said to be mounted.
+    pub declared: Option<Mounting>,
 }
 
 impl<'a> Told<'a> {
     /// `kept` are the indices of the effects that the delivered model has.
     pub fn new(changes: &'a Changes, stored: &'a TorqueModel, kept: &'a [usize]) -> Told<'a> {
-        Told { changes, stored, kept, band: Band::Raw }
+        Told { changes, stored, kept, band: Band::Raw, declared: None }
     }
 
     /// The block `diagnosis`.
-    pub fn diagnosis(&self, since: &str, runs: &[String], before: &[Rms], after: &[Rms]) -> Diagnosis {
+    pub fn diagnosis(&self, since: &str, runs: &[String], compared: &Compared) -> Diagnosis {
         let changes = self.changes;
-        let effects: Vec<Effect> =
-            changes.effects.iter().enumerate().map(|(k, change)| self.effect(change, self.kept.contains(&k))).collect();
-        let errors = |runs: &[Rms]| Errors {
-            validate_rms: Rms::pooled(runs).map_or(Vec::new(), |rms| rms.filtered),
-            intervals: Vec::new(),
-        };
+        let one = |(k, change)| effect(change, self.stored, self.declared.as_ref(), self.kept.contains(&k));
+        let effects: Vec<Effect> = changes.effects.iter().enumerate().map(one).collect();
+        let errors = |of: &errors::Errors| Errors { validate_rms: of.rms.clone(), intervals: of.interval.clone() };
+        let (before, after) = (errors(&compared.before), errors(&compared.after));
         let joints = self.joints();
         let unexplained: Vec<Unexplained> = joints.iter().enumerate().filter_map(unexplained).collect();
         let ambiguous = effects.iter().any(|effect| !effect.alternatives.is_empty());
@@ -61,11 +122,12 @@ impl<'a> Told<'a> {
         Diagnosis {
             verdict,
             confirmation: confirmation.into(),
-            before: errors(before),
-            after: errors(after),
+            before: before.clone(),
+            after: after.clone(),
+            change: (!runs.is_empty()).then(|| errors(&compared.change)),
             band: self.band,
             held_out_runs: runs.to_vec(),
-            noise_floor: Rms::pooled(after).and_then(|rms| rms.filtered_noise_floor).unwrap_or_default(),
+            noise_floor: compared.floor.clone().unwrap_or_default(),
             unexplained,
             minimum_detectable: changes.least.iter().map(least).collect(),
             joints,
@@ -74,105 +136,12 @@ impl<'a> Told<'a> {
             changes: vec![diagnosis::Changes {
                 since: since.to_string(),
                 effects: effects.clone(),
-                before: Some(errors(before)),
-                after: Some(errors(after)),
+                before: Some(before),
+                after: Some(after),
                 ..diagnosis::Changes::default()
             }],
             effects,
             ..Diagnosis::default()
-        }
-    }
-
-    fn effect(&self, change: &Change, in_model: bool) -> Effect {
-        let (spec, found) = (&change.spec, &change.found);
-        let form = family(spec.family).and_then(|family| Some((family, family.form(spec.form)?)));
-        let mut parameters: Vec<EffectParameter> = Vec::new();
-        if let Some(body) = &change.body {
-            let estimate = |((name, unit), estimate): (&(&str, &str), &crate::diagnose::reference::Estimate)| {
-                EffectParameter { name: (*name).into(), value: estimate.value, std: estimate.std, unit: (*unit).into() }
-            };
-            parameters.extend(NAMES.iter().zip(&body.numbers()).map(estimate));
-        } else {
-            parameters.extend(change.parameters.iter().map(|own| EffectParameter {
-                name: own.column.name.clone(),
-                value: own.value,
-                std: own.std,
-                unit: own.column.unit.to_string(),
-            }));
-        }
-        parameters.extend(self.derived(change));
-        if let Some((_, form)) = form {
-            parameters.extend(form.settings.iter().zip(&spec.settings).map(|(setting, &value)| EffectParameter {
-                name: setting.name.into(),
-                value,
-                std: None,
-                unit: setting.unit.into(),
-            }));
-        }
-        let decided = |id: &str| {
-            let (family, _) = form?;
-            Some(family.confounded.iter().find(|other| other.with == id)?.decided_by.to_string())
-        };
-        let largest = |values: &[f64]| values.iter().copied().reduce(f64::max);
-        let mut alternatives: Vec<String> = Vec::new();
-        for rival in &found.rivals {
-            if !alternatives.iter().any(|id| id == rival.item.spec.family) {
-                alternatives.push(rival.item.spec.family.into());
-            }
-        }
-        Effect {
-            id: spec.family.into(),
-            joints: joints(spec.site),
-            parameters: Parameters(parameters),
-            evidence: Some(found.score),
-            delta_log_likelihood: Some(0.5 * found.evidence),
-            penalty: Some(found.penalty),
-            folds: Folds { positive: found.folds.positive, informative: found.folds.informative },
-            idf: Some(found.independence),
-            torque_rms: largest(&found.relevance.rms),
-            explained_share: largest(&found.relevance.share),
-            alternatives,
-            alternatives_detail: found
-                .rivals
-                .iter()
-                .map(|rival| Alternative {
-                    id: rival.item.spec.family.into(),
-                    joints: joints(rival.item.spec.site),
-                    score_gap: Some(rival.gap),
-                    deciding_experiment: decided(rival.item.spec.family).unwrap_or_default(),
-                })
-                .collect(),
-            confirmed: found.folds.confirm() == Some(true),
-            stratum: Occurrence::Reference,
-            in_model,
-            equation: form.map_or(String::new(), |(_, form)| form.equation.into()),
-            physics: form.map_or(String::new(), |(family, _)| family.physics.into()),
-            ..Effect::default()
-        }
-    }
-
-    /// What people ask for besides an effect's own parameters: friction as a factor, a tilt as one angle.
-    fn derived(&self, change: &Change) -> Vec<EffectParameter> {
-        let of = |name: &str| self.stored.parameters().iter().find(|own| own.column.name == name);
-        let factor = |own: &crate::model::torque::Parameter| {
-            let old = of(own.column.name.trim_start_matches('d')).filter(|old| old.value.abs() > f64::MIN_POSITIVE)?;
-            let name = format!("{}_factor", old.column.name);
-            let std = own.std.map(|std| std / old.value.abs());
-            Some(EffectParameter { name, value: 1.0 + own.value / old.value, std, unit: "1".into() })
-        };
-        match change.spec.family {
-            "friction-change" => change.parameters.iter().filter_map(factor).collect(),
-            "mounting" => {
-                let [a, b] = [0, 1].map(|k| change.parameters.get(k).map_or(0.0, |own| own.value));
-                let size = a.hypot(b);
-                let share = [a / size, b / size];
-                let variance = (0..2)
-                    .flat_map(|i| (0..2).map(move |k| (i, k)))
-                    .map(|(i, k)| share[i] * share[k] * change.covariance[(i, k)]);
-                let std = (size > 0.0).then(|| variance.sum::<f64>().max(0.0).sqrt());
-                vec![EffectParameter { name: "tilt".into(), value: size, std, unit: "rad".into() }]
-            }
-            _ => Vec::new(),
         }
     }
 
@@ -209,8 +178,107 @@ impl<'a> Told<'a> {
     }
 }
 
+/// An effect as the report has it. `stored` is the model that it changes, `declared` how the base is said to be mounted.
+pub fn effect(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>, in_model: bool) -> Effect {
+    let (spec, found) = (&change.spec, &change.found);
+    let form = family(spec.family).and_then(|family| Some((family, family.form(spec.form)?)));
+    let mut parameters: Vec<EffectParameter> = Vec::new();
+    if let Some(body) = &change.body {
+        let estimate = |((name, unit), estimate): (&(&str, &str), &crate::diagnose::reference::Estimate)| {
+            EffectParameter { name: (*name).into(), value: estimate.value, std: estimate.std, unit: (*unit).into() }
+        };
+        parameters.extend(NAMES.iter().zip(&body.numbers()).map(estimate));
+    } else {
+        parameters.extend(change.parameters.iter().map(|own| EffectParameter {
+            name: own.column.name.clone(),
+            value: own.value,
+            std: own.std,
+            unit: own.column.unit.to_string(),
+        }));
+    }
+    parameters.extend(derived(change, stored, declared));
+    if let Some((_, form)) = form {
+        parameters.extend(form.settings.iter().zip(&spec.settings).map(|(setting, &value)| EffectParameter {
+            name: setting.name.into(),
+            value,
+            std: None,
+            unit: setting.unit.into(),
+        }));
+    }
+    let decided = |id: &str| {
+        let (family, _) = form?;
+        Some(family.confounded.iter().find(|other| other.with == id)?.decided_by.to_string())
+    };
+    let largest = |values: &[f64]| values.iter().copied().reduce(f64::max);
+    let mut alternatives: Vec<String> = Vec::new();
+    for rival in &found.rivals {
+        if !alternatives.iter().any(|id| id == rival.item.spec.family) {
+            alternatives.push(rival.item.spec.family.into());
+        }
+    }
+    Effect {
+        id: spec.family.into(),
+        joints: joints(spec.site),
+        since_session: change.since,
+        parameters: Parameters(parameters),
+        evidence: Some(found.score),
+        delta_log_likelihood: Some(0.5 * found.evidence),
+        penalty: Some(found.penalty),
+        folds: Folds { positive: found.folds.positive, informative: found.folds.informative },
+        idf: Some(found.independence),
+        torque_rms: largest(&found.relevance.rms),
+        explained_share: largest(&found.relevance.share),
+        alternatives,
+        alternatives_detail: found
+            .rivals
+            .iter()
+            .map(|rival| Alternative {
+                id: rival.item.spec.family.into(),
+                joints: joints(rival.item.spec.site),
+                score_gap: Some(rival.gap),
+                deciding_experiment: decided(rival.item.spec.family).unwrap_or_default(),
+            })
+            .collect(),
+        confirmed: found.folds.confirm() == Some(true),
+        stratum: Occurrence::Reference,
+        in_model,
+        equation: form.map_or(String::new(), |(_, form)| form.equation.into()),
+        physics: form.map_or(String::new(), |(family, _)| family.physics.into()),
+        ..Effect::default()
+    }
+}
+
+/// What people ask for besides an effect's own parameters: friction as a factor, a tilt as one angle.
+fn derived(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>) -> Vec<EffectParameter> {
+    let of = |name: &str| stored.parameters().iter().find(|own| own.column.name == name);
+    let factor = |own: &crate::model::torque::Parameter| {
+        let old = of(own.column.name.trim_start_matches('d')).filter(|old| old.value.abs() > f64::MIN_POSITIVE)?;
+        let name = format!("{}_factor", old.column.name);
+        let std = own.std.map(|std| std / old.value.abs());
+        Some(EffectParameter { name, value: 1.0 + own.value / old.value, std, unit: "1".into() })
+    };
+    match change.spec.family {
+        "friction-change" => change.parameters.iter().filter_map(factor).collect(),
+        "mounting" => {
+            let [a, b] = [0, 1].map(|k| change.parameters.get(k).map_or(0.0, |own| own.value));
+            let size = a.hypot(b);
+            let share = [a / size, b / size];
+            let variance = (0..2)
+                .flat_map(|i| (0..2).map(move |k| (i, k)))
+                .map(|(i, k)| share[i] * share[k] * change.covariance[(i, k)]);
+            let std = (size > 0.0).then(|| variance.sum::<f64>().max(0.0).sqrt());
+            let angle =
+                |name: &str, value: f64, std| EffectParameter { name: name.into(), value, std, unit: "rad".into() };
+            let truly = declared.map(|declared| tilted(declared, [a, b]));
+            let angles = truly.map(|truly| [angle("rho", truly.rho, None), angle("phi", truly.phi, None)]);
+            [angle("tilt", size, std)].into_iter().chain(angles.into_iter().flatten()).collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
 /// The gravity that a found tilt leaves, as a mounting: `rho` and `phi` of the declared gravity turned by the tilt.
-pub fn tilted(declared: &Mounting, tilt: [f64; 2]) -> Mounting {
+fn tilted(declared: &Mounting, tilt: [f64; 2]) -> Mounting {
     let gravity = declared.gravity();
     let [a, b] = axes(&gravity);
     let turned = gravity + tilt[0] * a.cross(&gravity) + tilt[1] * b.cross(&gravity);
@@ -257,7 +325,13 @@ fn unexplained((joint, facts): (usize, &JointFacts)) -> Option<Unexplained> {
 }
 
 fn least((id, rms): &(&'static str, Vec<f64>)) -> (String, MinimumDetectable) {
-    ((*id).to_string(), MinimumDetectable { torque_rms: rms.clone(), ..MinimumDetectable::default() })
+    (
+        (*id).to_string(),
+        MinimumDetectable {
+            torque_rms: rms.iter().map(|rms| if rms.is_finite() { *rms } else { f64::NAN }).collect(),
+            ..MinimumDetectable::default()
+        },
+    )
 }
 
 fn path(changes: &Changes) -> Vec<diagnosis::Step> {

@@ -26,7 +26,9 @@ pub struct Collector {
 impl Collector {
     /// A collector for an arm of `joints` joints.
     pub fn new(programme: &Programme, joints: usize) -> Collector {
-        Collector { joints, motions: programme.motions().cloned().collect(), present: None }
+        // A live motion may last for days; the watch has a window of its own.
+        let recorded = programme.motions().filter(|motion| motion.role != Role::Live);
+        Collector { joints, motions: recorded.cloned().collect(), present: None }
     }
 
     /// Takes the next record; gives the motion that it ends.
@@ -62,7 +64,7 @@ impl Collector {
             file: format!("{}.csv", motion.name),
             role: match motion.role {
                 Role::Identify | Role::Counter => dataset::Role::Identify,
-                Role::Validate => dataset::Role::Validate,
+                Role::Validate | Role::Live => dataset::Role::Validate,
             },
             note: String::new(),
             period: Some(motion.plan.period),

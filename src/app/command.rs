@@ -25,6 +25,10 @@ enum What {
     Resume,
     /// Stop, then end the daemon
     Quit,
+    /// Serve the model that the estimator proposed
+    Adopt,
+    /// Drop the model that the estimator proposed
+    Reject,
     /// Print how the daemon is, as JSON
     Status,
 }
@@ -39,6 +43,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
         What::Stop => Request::Stop {},
         What::Resume => Request::Resume {},
         What::Quit => Request::Quit {},
+        What::Adopt => Request::Adopt {},
+        What::Reject => Request::Reject {},
         What::Status => Request::Status {},
     };
     let mut client = Client::connect(&id, PATIENCE).map_err(Failure::job)?;
@@ -48,7 +54,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
             Ok(())
         }
         Response::Refused { reason } => Err(Failure::job(reason)),
-        Response::Accepted {} | Response::ModelAccepted { .. } => {
+        Response::Accepted {} | Response::ModelAccepted { .. } | Response::ModelHeld { .. } => {
             println!("accepted");
             Ok(())
         }

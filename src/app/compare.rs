@@ -1,13 +1,14 @@
 //! `plumbline compare`: what changed since a model was identified.
 
+use super::changed::{self, Stored};
 use super::identify::{cut, quiet_settings};
-use super::{Failure, changed, pipeline, progress};
+use super::{Failure, pipeline, progress};
 use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Role, Run};
-use crate::diagnose::reference::{self, Change};
+use crate::diagnose::reference;
 use crate::diagnose::{self, evidence::Trial};
-use crate::estimate::experiment::{Experiment, Settings};
-use crate::estimate::validate::{Rms, validate};
+use crate::estimate::experiment::Experiment;
+use crate::estimate::validate::Rms;
 use crate::input::BadInput;
 use crate::model::base::Reduction;
 use crate::model::term::{Term, rigid_body::RigidBody};
@@ -70,16 +71,20 @@ pub fn run(options: Options) -> Result<(), Failure> {
         bar.at(steps.get(), step.item.spec.family);
     });
     bar.at(0.9, "judging");
-    let Delivered { model: after, kept } = delivered(model, &changes.effects, &unseen)?;
+    let stored = Stored { model, changes: &changes.effects };
+    let sessions: Vec<u32> = judge.iter().map(|run| run.session).collect();
+    let unseen: Vec<(&Experiment, u32)> = unseen.iter().zip(sessions).collect();
+    let kept = stored.stand_the_test(&unseen)?;
     bar.done();
 
-    let errors = |model: &TorqueModel| unseen.iter().map(|run| error(model, run)).collect::<Vec<Rms>>();
-    let (errors_before, errors_after) = (errors(model), errors(&after));
+    let after = stored.with(&kept, u32::MAX)?;
+    let errors_after = stored.errors(&kept, &unseen)?;
     let names: Vec<String> = judge.iter().map(|run| run.file.clone()).collect();
     let since = since(&options, &file);
     let mut told = changed::Told::new(&changes, model, &kept);
     told.band = Band::Filtered { cutoff: settings.torque_cutoff };
-    let mut diagnosis = told.diagnosis(&since, &names, &errors_before, &errors_after);
+    told.declared = find.first().map(|run| run.mounting);
+    let mut diagnosis = told.diagnosis(&since, &names, &stored.compared(&kept, &unseen)?);
     let identifiability = identifiability(model, &refused, &changes.doubt);
     if held.is_empty() {
         notes.push(format!(
@@ -172,7 +177,7 @@ fn diagnose_settings(options: &Options) -> Result<diagnose::Settings, Failure> {
 }
 
 /// Runs to find the changes in, and runs to judge them by: those of each role, or the first and the last part of every run.
-fn split(runs: &[&Run], notes: &mut Vec<String>) -> (Vec<Run>, Vec<Run>) {
+pub(super) fn split(runs: &[&Run], notes: &mut Vec<String>) -> (Vec<Run>, Vec<Run>) {
     let with = |role: Role| runs.iter().filter(|run| run.role == role).map(|run| (*run).clone()).collect::<Vec<Run>>();
     let (identify, validate) = (with(Role::Identify), with(Role::Validate));
     if runs.is_empty() || !(identify.is_empty() || validate.is_empty()) {
@@ -194,44 +199,6 @@ fn whole_periods(mut part: Run) -> Run {
     let length = part.t.last().zip(part.t.first()).map_or(0.0, |(last, first)| last - first);
     part.period = part.period.filter(|period| *period <= length);
     part
-}
-
-/// Errors of a model on a run.
-fn error(model: &TorqueModel, experiment: &Experiment) -> Rms {
-    validate(experiment, |motion| model.predict(motion))
-}
-
-/// The model with what stood the test, and which of the changes that are.
-struct Delivered {
-    model: TorqueModel,
-    kept: Vec<usize>,
-}
-
-/// Takes every change in that lowers the error on unseen runs; without unseen runs, all of them.
-fn delivered(stored: &TorqueModel, changes: &[Change], unseen: &[Experiment]) -> Result<Delivered, Failure> {
-    let extended = |kept: &[usize]| {
-        let chosen: Vec<Change> = kept.iter().map(|&k| changes[k].clone()).collect();
-        reference::extended(stored, &chosen).map_err(Failure::job)
-    };
-    let total = |model: &TorqueModel| {
-        let squares = |rms: &Rms| rms.filtered.iter().map(|value| value * value).sum::<f64>() * rms.samples as f64;
-        unseen.iter().map(|experiment| squares(&error(model, experiment))).sum::<f64>()
-    };
-    let mut kept: Vec<usize> = (0..changes.len()).collect();
-    let mut model = extended(&kept)?;
-    if unseen.is_empty() {
-        return Ok(Delivered { model, kept });
-    }
-    let mut with = total(&model);
-    for k in (0..changes.len()).rev() {
-        let rest: Vec<usize> = kept.iter().copied().filter(|&other| other != k).collect();
-        let other = extended(&rest)?;
-        let without = total(&other);
-        if without <= with {
-            (kept, model, with) = (rest, other, without);
-        }
-    }
-    Ok(Delivered { model, kept })
 }
 
 /// What the model can't vouch for: runs in mountings that it lacks parameters for, and parameters that were not identifiable when it

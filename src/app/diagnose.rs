@@ -3,7 +3,7 @@
 use super::diagnosed::{self, Diagnosed, Question};
 use super::identify::{self, Split};
 use super::results::report_of;
-use super::{Failure, export, pipeline};
+use super::{Failure, export, pipeline, sessions};
 use crate::config::robot::{Robot, TorqueSensing};
 use crate::dataset::{Dataset, Run};
 use crate::diagnose::errors::Of;
@@ -16,6 +16,7 @@ use clap::Args;
 
 /// Options of `plumbline diagnose`.
 #[derive(Args)]
+#[group(id = "diagnose")]
 pub struct Options {
     #[command(flatten)]
     identify: identify::Options,
@@ -30,9 +31,11 @@ pub struct Options {
 /// Looks for effects in recorded runs and writes the results.
 pub fn run(options: Options) -> Result<(), Failure> {
     let given = &options.identify;
-    let dataset = Dataset::read(&given.dataset)?;
+    let mut dataset = Dataset::read(&given.dataset)?;
     let robot = Robot::load(&dataset.robot, Some(&given.dataset))?;
     dataset.expect_joints(robot.chain.len())?;
+    let hash = dataset.content_hash();
+    let later = sessions::take_later(&mut dataset);
     let settings = identify::settings(given)?;
     let solver = identify::solver(given)?;
     // An offset is a finding here, not a part of the plain model.
@@ -59,11 +62,19 @@ pub fn run(options: Options) -> Result<(), Failure> {
         diagnosis: &diagnosis,
         of: Of::Filtered,
     };
-    let Diagnosed { after, block, figures: drawn, .. } = diagnosed::run(&question)?;
+    let Diagnosed { after, mut block, figures: drawn, .. } = diagnosed::run(&question)?;
+    let reference = sessions::Reference {
+        model: &after.model,
+        noise_floor: after.identification.rms.noise_floor.as_deref().unwrap_or_default(),
+        session: dataset.runs.first().map_or(1, |run| run.session),
+        settings: &settings,
+        diagnosis: &diagnosis,
+    };
+    let not_valid = reference.compare(&later, &mut block, &given.out)?;
 
     let judged = trusted.iter().map(|run| Ok((*run, pipeline::judge(&after.model, run, &settings)?)));
     let judged = judged.collect::<Result<Vec<_>, Failure>>()?;
-    let provenance = super::provenance(Some(dataset.content_hash()));
+    let provenance = super::provenance(Some(hash));
     let mut report = report_of(&after, dataset.mounting, &provenance);
     report.band = Band::Filtered { cutoff: settings.torque_cutoff };
     report.identify.rms.clone_from(&report.identify.rms_filtered);
@@ -78,7 +89,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
             mounting: run.mounting.into(),
         })
         .collect();
-    report.identifiability.untrusted_runs = untrusted.iter().map(|run| run.file.clone()).collect();
+    report.identifiability.untrusted_runs = untrusted.iter().map(|run| run.file.clone()).chain(not_valid).collect();
     report.notes.append(&mut notes);
     report.diagnosis = Some(block);
     let consistent = export::of_identified(&after);

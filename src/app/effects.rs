@@ -93,8 +93,8 @@ fn labelled(text: &mut String, label: &str, what: &str) {
     wrap(text, 2, LABEL, &format!("{label:<0$} {what}", LABEL - 3));
 }
 
-/// Adds `what` in lines of at most [`WIDTH`] columns, the first behind `first` spaces, the others behind `others`. Spaces inside of a line
-/// stay as they are.
+/// Adds `what` in lines of at most [`WIDTH`] columns, the first behind `first` spaces, the others behind `others`. Spaces inside
+/// of a line stay as they are.
 fn wrap(text: &mut String, first: usize, others: usize, what: &str) {
     let mut line = " ".repeat(first);
     let mut empty = true;

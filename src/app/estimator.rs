@@ -1,6 +1,7 @@
 //! `plumbline estimator`: follows the daemon's samples, identifies, offers the model, writes the results.
 
 use super::collector::{Collector, Recorded};
+use super::live::{Live, Offer};
 use super::programme::{Programme, Role};
 use super::results::Results;
 use super::{Failure, JobOptions, robot_id};
@@ -35,7 +36,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let mut stream = SampleStream::connect(&id, StreamSettings::default(), PATIENCE).map_err(Failure::job)?;
         let programme = Programme::load(&job, &robot, &out.join("plans"))?;
         let results = Results::new(&job, &robot, &programme, &out);
-        match follow(&id, &mut stream, &programme, results)? {
+        let live = Live::new(&job, results.joints(), &out);
+        match follow(&id, &mut stream, &programme, results, live)? {
             Outcome::Written if options.once => return Ok(()),
             Outcome::Written => {
                 while !matches!(stream.next(STEP).map_err(Failure::job)?, Delivery::Restarted { .. }) {}
@@ -57,6 +59,7 @@ fn follow(
     stream: &mut SampleStream,
     programme: &Programme,
     mut results: Results,
+    mut live: Option<Live>,
 ) -> Result<Outcome, Failure> {
     let mut collector = Collector::new(programme, results.joints());
     let mut looked = Instant::now();
@@ -65,16 +68,25 @@ fn follow(
             Delivery::Records { records, .. } => {
                 for record in &records {
                     if let Some(recorded) = collector.take(record) {
-                        take(id, &mut results, recorded)?;
+                        take(id, &mut results, &mut live, recorded)?;
+                    }
+                    if let Some(live) = &mut live
+                        && let Some(offer) = live.take(record)?
+                    {
+                        propose(id, offer)?;
                     }
                 }
             }
             Delivery::Missed { from, to } => {
+                live.iter_mut().for_each(Live::clear);
                 tracing::warn!("samples {from} to {} are gone: the daemon no longer had them", to - 1);
             }
             Delivery::Restarted { .. } if stream.counters().received == 0 => {}
             Delivery::Restarted { .. } | Delivery::Gone => return Ok(Outcome::DaemonGone),
             Delivery::Idle => {}
+        }
+        if let Some(offer) = live.as_mut().map_or(Ok(None), |live| live.collect(false))? {
+            propose(id, offer)?;
         }
         // The samples alone don't tell the end: an arm that is served goes on sending them.
         if looked.elapsed() < STEP {
@@ -82,6 +94,7 @@ fn follow(
         }
         looked = Instant::now();
         let status = status(id)?;
+        live.iter_mut().for_each(|live| live.heard(&status));
         if let Some(driven) = status.driven
             && stream.position() >= driven
         {
@@ -89,6 +102,12 @@ fn follow(
             let beyond = stream.position() - driven;
             let StreamCounters { received, .. } = stream.counters();
             let counters = StreamCounters { received: received.saturating_sub(beyond), ..stream.counters() };
+            if let Some(live) = &mut live {
+                if let Some(offer) = live.collect(true)? {
+                    propose(id, offer)?;
+                }
+                live.finish()?.into_iter().for_each(|note| results.note(note));
+            }
             results.finish(&status, driven, &counters)?;
             return Ok(Outcome::Written);
         }
@@ -100,7 +119,7 @@ fn follow(
 }
 
 /// Takes one motion in; offers the model when it was the one to identify from.
-fn take(id: &RobotId, results: &mut Results, recorded: Recorded) -> Result<(), Failure> {
+fn take(id: &RobotId, results: &mut Results, live: &mut Option<Live>, recorded: Recorded) -> Result<(), Failure> {
     if !recorded.complete {
         tracing::warn!("{} is incomplete and left out", recorded.run.file);
         return Ok(());
@@ -111,6 +130,10 @@ fn take(id: &RobotId, results: &mut Results, recorded: Recorded) -> Result<(), F
         return Ok(());
     }
     let text = results.identify()?;
+    if let (Some(live), Some((identified, run))) = (live.as_mut(), results.identified()) {
+        let floor = identified.identification.rms.noise_floor.clone().unwrap_or_default();
+        live.identified(&identified.model, &floor, &text, run)?;
+    }
     let offer = Request::OfferModel { toml: text };
     match client(id)?.send(&offer, ANSWER).map_err(Failure::job)? {
         Response::ModelAccepted { model } => {
@@ -120,6 +143,18 @@ fn take(id: &RobotId, results: &mut Results, recorded: Recorded) -> Result<(), F
         Response::Refused { reason } => Err(Failure::job(format!("the daemon refused the model: {reason}"))),
         other => Err(Failure::job(format!("the daemon answered a model with {other:?}"))),
     }
+}
+
+/// Proposes a model in place of the one that does not hold any more. A daemon that does not want it says why, and nothing else happens.
+fn propose(id: &RobotId, offer: Offer) -> Result<(), Failure> {
+    let request = Request::ProposeModel { toml: offer.toml, proposal: offer.proposal };
+    match client(id)?.send(&request, ANSWER).map_err(Failure::job)? {
+        Response::ModelAccepted { model } => tracing::info!("the daemon serves model {model:016x}"),
+        Response::ModelHeld { model } => tracing::info!("the daemon holds model {model:016x} until somebody adopts it"),
+        Response::Refused { reason } => tracing::warn!("the daemon refused the model: {reason}"),
+        other => return Err(Failure::job(format!("the daemon answered a proposal with {other:?}"))),
+    }
+    Ok(())
 }
 
 fn client(id: &RobotId) -> Result<Client, Failure> {

@@ -10,7 +10,7 @@ use crate::model::inertia::is_consistent;
 use crate::model::torque::TorqueModel;
 use crate::report::Consistency;
 use crate::store::ModelFile;
-use crate::store::export::{Arm, Exported, c, mjcf, splice, tree, urdf};
+use crate::store::export::{Arm, Exported, c, effects, mjcf, splice, tree, urdf};
 use clap::{Args, ValueEnum};
 use roxmltree::Document;
 use std::path::{Path, PathBuf};
@@ -35,6 +35,9 @@ pub struct Options {
     /// Export a model that holds only with gravity along axis 1; the file then says so
     #[arg(long)]
     vertical: bool,
+    /// Leave out the effects of the model that the format has no place for; the file then says so
+    #[arg(long)]
+    without_effects: bool,
 }
 
 /// File formats.
@@ -60,12 +63,31 @@ pub fn run(options: Options) -> Result<(), Failure> {
         return Err(BadInput::new(name, "key `kind`", refused, expected).into());
     }
 
+    let unheld = match options.format {
+        Format::C => effects::unheld_by_c(model),
+        Format::Urdf | Format::Mjcf => effects::unheld_by_bodies(model),
+    };
+    let lost: Vec<&str> = effects::served(&unheld).collect();
+    if !lost.is_empty() && !options.without_effects {
+        let expected = match options.format {
+            Format::C => "effects that depend on one sample alone, or --without-effects",
+            Format::Urdf | Format::Mjcf => {
+                "no effect but payload, or --without-effects (--format c has a place for more)"
+            }
+        };
+        return Err(BadInput::new(name, "key `term`", lost.join(", "), expected).into());
+    }
+
     let exported = if options.format == Format::C {
         c::write(model)
     } else {
         let (bodies, notes) = bodies(&file, &robot, &name, options.prior.as_deref())?;
         println!("{}", facts(model, &bodies).sentence());
         notes.iter().for_each(|note| println!("note: {note}"));
+        let bodies = effects::with_payload(model, &bodies).map_err(|link| {
+            let expected = "a payload that makes a body of the last link: positive mass and moments";
+            BadInput::new(&name, "term `payload`", format!("a last link with {link:?}"), expected)
+        })?;
         let arm = Arm { model, bodies: &bodies, limits: &robot.limits };
         match (options.format, &options.into) {
             (Format::Mjcf, _) => {

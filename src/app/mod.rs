@@ -12,6 +12,7 @@ mod estimator;
 mod export;
 mod failure;
 mod identify;
+mod live;
 mod pipeline;
 mod plan;
 mod predict;
@@ -20,6 +21,7 @@ mod progress;
 mod results;
 mod run;
 mod served;
+mod sessions;
 mod torque;
 
 pub use failure::Failure;

@@ -219,8 +219,12 @@ fn nominal(path: &Path, robot: &Robot) -> Result<Nominal, Failure> {
         Err(BadInput::new(&file, "key `robot`", format!("`{name}`"), format!("a model of `{}`", robot.name)))
     })?
     .model;
+    let left_out = Nominal::left_out(&model);
+    if !left_out.is_empty() {
+        tracing::warn!("{file}: a plan's torques are those without {}", left_out.join(", "));
+    }
     Nominal::of(&model).map_err(|error| {
-        let expected = "a model of rigid body, friction, torque-offset and rotor-inertia";
+        let expected = "a model of rigid body, friction, torque-offset, rotor-inertia and effects";
         BadInput::new(&file, "term", error, expected).into()
     })
 }

@@ -21,6 +21,8 @@ pub enum Role {
     Identify,
     /// The model is judged by it.
     Validate,
+    /// The model is watched along it, and nothing else.
+    Live,
     /// The counter-experiment: the vertical base set is identified from it, to show where that set fails.
     Counter,
 }
@@ -78,6 +80,8 @@ pub struct Programme {
 struct Slot {
     name: String,
     role: Role,
+    /// Whether its motion is searched for; the others are random.
+    first: bool,
     mounting: Mounting,
     seed: u64,
 }
@@ -91,17 +95,18 @@ impl Programme {
         let planner = Planner::of(job, robot)?;
         let mut ways = Ways::new(&planner, job, robot)?;
         fill(job, slots, |slot| {
-            let given = job.excitation.plan.is_some() && slot.role == Role::Identify;
+            let given = job.excitation.plan.is_some() && slot.role == Role::Identify && slot.first;
             let attempts = if given { 1 } else { ATTEMPTS };
             let mut broken = None;
             for attempt in 0..attempts {
                 let seed = slot.seed + attempt * SEED_STEP;
                 let hear = |share: f64| progress(&slot.name, (done + share) / all);
                 hear(0.0);
-                let plan = match slot.role {
-                    Role::Validate => planner.random(&slot.mounting, seed),
-                    Role::Identify | Role::Counter => planner.best(&slot.mounting, seed, &hear),
-                }?;
+                let plan = if slot.first {
+                    planner.best(&slot.mounting, seed, &hear)?
+                } else {
+                    planner.random(&slot.mounting, seed)?
+                };
                 match ways.go(&slot.mounting, &plan.q0) {
                     Ok(()) => {
                         done += 1.0;
@@ -147,6 +152,9 @@ impl Programme {
 const ATTEMPTS: u64 = 20;
 /// Distance of the seeds of two tries, so that no motion takes another's.
 const SEED_STEP: u64 = 10_007;
+
+/// Distance of the live motion's seed from those of the validation.
+const LIVE_SEED: u64 = 500;
 
 /// The ways between motions, as the loop will drive them.
 struct Ways<'a> {
@@ -234,18 +242,26 @@ fn slots(job: &Job) -> Vec<Slot> {
     for mounting in mountings {
         let place = slug(&mounting.to_string());
         if mounting == job.mounting {
-            let name = format!("identify-{place}");
-            slots.push(Slot { name, role: Role::Identify, mounting, seed: job.excitation.seed });
+            for k in 1..=job.excitation.trajectories {
+                // The first keeps the name that it has alone.
+                let name = if k == 1 { format!("identify-{place}") } else { format!("identify-{place}-{k}") };
+                let seed = job.excitation.seed + 1_000 * (k as u64 - 1);
+                slots.push(Slot { name, role: Role::Identify, first: k == 1, mounting, seed });
+            }
         } else if job.validation.counter_experiment && mounting.is_along_axis_1(VERTICAL_TOLERANCE) {
             let name = format!("counter-{place}");
-            slots.push(Slot { name, role: Role::Counter, mounting, seed: job.excitation.seed + 1 });
+            slots.push(Slot { name, role: Role::Counter, first: true, mounting, seed: job.excitation.seed + 1 });
         }
         if job.validation.mountings.contains(&mounting) {
             for k in 1..=job.validation.trajectories {
                 let name = format!("validate-{place}-{k}");
                 let seed = job.validation.seed + slots.len() as u64;
-                slots.push(Slot { name, role: Role::Validate, mounting, seed });
+                slots.push(Slot { name, role: Role::Validate, first: false, mounting, seed });
             }
+        }
+        if mounting == job.mounting && job.live.motion > 0.0 {
+            let seed = job.validation.seed + LIVE_SEED;
+            slots.push(Slot { name: format!("live-{place}"), role: Role::Live, first: false, mounting, seed });
         }
     }
     slots
@@ -262,6 +278,7 @@ fn fill(
         let plan = plan(&slot)?;
         let (periods, lead_in) = match slot.role {
             Role::Validate => (job.validation.periods, 0),
+            Role::Live => (((job.live.motion / plan.period).ceil() as usize).max(1), 0),
             Role::Identify | Role::Counter => (job.excitation.periods, job.excitation.lead_in),
         };
         let Slot { name, role, mounting, .. } = slot;

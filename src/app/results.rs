@@ -2,11 +2,14 @@
 
 use super::Failure;
 use super::collector::Recorded;
+use super::diagnose::threads;
+use super::diagnosed::{self, Diagnosed, Question};
 use super::pipeline::{self, Identified, Judged};
 use super::programme::{Motion, Programme, Role};
-use crate::config::job::{Job, Pace};
+use crate::config::job::{Diagnosis, Job, Pace};
 use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Run};
+use crate::diagnose::{self, errors::Of};
 use crate::estimate::experiment::Settings;
 use crate::estimate::solve::Outcome;
 use crate::ipc::{Session, Status, StreamCounters};
@@ -30,6 +33,7 @@ pub struct Results {
     plan: Option<Motion>,
     recorded: Vec<Recorded>,
     model: Option<Identified>,
+    notes: Vec<String>,
 }
 
 impl Results {
@@ -43,6 +47,7 @@ impl Results {
             plan: programme.motions().find(|motion| motion.role == Role::Identify).cloned(),
             recorded: Vec::new(),
             model: None,
+            notes: Vec::new(),
         }
     }
 
@@ -67,13 +72,27 @@ impl Results {
         Ok(text)
     }
 
+    /// The model and the first run that it was identified from.
+    pub fn identified(&self) -> Option<(&Identified, &Run)> {
+        self.model.as_ref().zip(self.runs(Role::Identify).first().copied())
+    }
+
+    /// Something that the report should say.
+    pub fn note(&mut self, note: String) {
+        self.notes.push(note);
+    }
+
     /// Judges the model by every unseen motion and writes everything. `sent` is the number of samples of the whole programme.
     pub fn finish(&mut self, status: &Status, sent: u64, counters: &StreamCounters) -> Result<(), Failure> {
         let Some(identified) = self.model.take() else {
             return Err(Failure::job("the daemon is done, but no motion to identify from was recorded"));
         };
         let dataset = self.dataset();
-        let judged = self.judge(&identified)?;
+        let plain = identified;
+        let diagnosed = self.diagnose(&plain)?;
+        // From here on the model is the one with what was found.
+        let identified = diagnosed.as_ref().map_or(&plain, |diagnosed| &diagnosed.after);
+        let judged = self.judge(identified)?;
         let counter = self.counter_experiment(&judged)?;
         let validated = judged.iter().map(|(run, judged)| Validated {
             run: run.file.clone(),
@@ -81,15 +100,20 @@ impl Results {
             phi: run.mounting.phi,
             rms: judged.rms.raw.clone(),
         });
-        let model = self.model_file(&identified, validated.collect(), Some(dataset.content_hash()));
+        let model = self.model_file(identified, validated.collect(), Some(dataset.content_hash()));
         super::write(&self.out.join("model.toml"), model.to_toml().as_bytes())?;
+        if diagnosed.as_ref().is_some_and(|diagnosed| diagnosed.block.effects.iter().any(|effect| effect.in_model)) {
+            // What the daemon has served so far.
+            let served = self.model_file(&plain, Vec::new(), Some(dataset.content_hash()));
+            super::write(&self.out.join("model-plain.toml"), served.to_toml().as_bytes())?;
+        }
         if let Some((_, vertical)) = &counter {
             super::write(&self.out.join("model-vertical.toml"), vertical.to_toml().as_bytes())?;
         }
         if self.job.output.dataset {
             dataset.write(&self.out.join("dataset")).map_err(Failure::job)?;
         }
-        let mut report = report_of(&identified, self.job.mounting, &model.provenance);
+        let mut report = report_of(identified, self.job.mounting, &model.provenance);
         report.validate = judged.iter().map(|(run, judged)| validation(run, judged)).collect();
         report.consistency = model.consistent.as_ref().map(|found| super::export::facts(&model.model, found));
         report.counter_experiment = counter.map(|(facts, _)| facts);
@@ -98,7 +122,36 @@ impl Results {
         report.sessions = status.sessions.iter().map(|session| SessionFacts::of(session, wall_clock)).collect();
         report.ipc =
             Some(IpcFacts { sent, received: counters.received, replayed: counters.replayed, missed: counters.missed });
-        report.write(&self.out, &self.figures(&identified, judged)?).map_err(Failure::job)
+        report.notes.extend(self.notes.iter().cloned());
+        let mut figures = self.figures(identified, judged)?;
+        if let Some(diagnosed) = diagnosed {
+            report.diagnosis = Some(diagnosed.block);
+            figures.diagnosis = diagnosed.figures;
+        }
+        report.write(&self.out, &figures).map_err(Failure::job)
+    }
+
+    /// What the model lacks, where the job wants to know: found on the motions of the identification, measured on unseen ones.
+    fn diagnose(&self, identified: &Identified) -> Result<Option<Diagnosed>, Failure> {
+        if !self.job.diagnosis.enabled {
+            return Ok(None);
+        }
+        let (identify, unseen) = (self.runs(Role::Identify), self.runs(Role::Validate));
+        let unseen: Vec<&Run> =
+            unseen.into_iter().filter(|run| identified.model.valid_in(&run.mounting).is_ok()).collect();
+        let Diagnosis { band, threshold, .. } = self.job.diagnosis;
+        let settings = diagnose::Settings { band, threshold, threads: threads(), ..diagnose::Settings::default() };
+        let question = Question {
+            robot: &self.robot,
+            structure: identified.model.structure(),
+            identify: &identify,
+            unseen: &unseen,
+            settings: &self.settings,
+            options: &self.job.solver(),
+            diagnosis: &settings,
+            of: Of::Raw,
+        };
+        diagnosed::run(&question).map(Some)
     }
 
     fn runs(&self, role: Role) -> Vec<&Run> {
@@ -161,7 +214,7 @@ impl Results {
             runs: self
                 .recorded
                 .iter()
-                .filter(|recorded| recorded.role != Role::Counter)
+                .filter(|recorded| !matches!(recorded.role, Role::Counter | Role::Live))
                 .map(|recorded| recorded.run.clone())
                 .collect(),
         }

@@ -45,6 +45,9 @@ pub struct Job {
     /// Signal processing before the least squares.
     #[serde(default)]
     pub estimator: Estimator,
+    /// The search for what the model lacks.
+    #[serde(default)]
+    pub diagnosis: Diagnosis,
     /// What the loop's thread asks of the machine.
     #[serde(default)]
     pub realtime: Realtime,
@@ -54,9 +57,30 @@ pub struct Job {
     /// The served feed-forward torque.
     #[serde(default)]
     pub serve: Serve,
+    /// The watch over the served model.
+    #[serde(default)]
+    pub live: Live,
     /// What is left behind.
     #[serde(default)]
     pub output: Output,
+}
+
+/// The search for what the model lacks, after the identification.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Diagnosis {
+    /// Whether it is done.
+    pub enabled: bool,
+    /// Highest frequency that is looked at \[Hz\].
+    pub band: f64,
+    /// Least torque RMS of an effect that matters \[Nm\]; by default 0.7 of the noise of the mean period.
+    pub threshold: Option<f64>,
+}
+
+impl Default for Diagnosis {
+    fn default() -> Diagnosis {
+        Diagnosis { enabled: true, band: 16.0, threshold: None }
+    }
 }
 
 /// The arm that is driven.
@@ -153,6 +177,9 @@ pub struct Excitation {
     /// Period \[s\].
     #[serde(deserialize_with = "units::duration")]
     pub period: f64,
+    /// Motions to identify from: the first is searched for (or is `plan`), the others are random. What a diagnosis finds has to hold on
+    /// motions that it was not found on, so it wants three or more.
+    pub trajectories: usize,
     /// Periods that are averaged.
     pub periods: usize,
     /// Periods driven before those, while transients die out.
@@ -178,6 +205,7 @@ impl Default for Excitation {
             plan: None,
             harmonics: 5,
             period: 10.0,
+            trajectories: 1,
             periods: 10,
             lead_in: 1,
             criterion: Criterion::Raw,
@@ -365,6 +393,39 @@ impl Default for Serve {
     fn default() -> Serve {
         Serve { id: None, stale_after: 0.005 }
     }
+}
+
+/// The watch over the served model: whether it still holds, and what is done when it does not.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Live {
+    /// Whether the estimator watches the model while it is served and the arm moves.
+    pub watch: bool,
+    /// How long the model must have been wrong before the search for a change \[s\].
+    #[serde(deserialize_with = "units::duration")]
+    pub window: f64,
+    /// Who decides that a model with the changes is served.
+    pub adopt: Adopt,
+    /// How long an unseen motion is repeated after the validation, so that there is something to watch; 0 s for none \[s\].
+    #[serde(deserialize_with = "units::duration")]
+    pub motion: f64,
+}
+
+impl Default for Live {
+    fn default() -> Live {
+        Live { watch: false, window: 10.0, adopt: Adopt::Ask, motion: 0.0 }
+    }
+}
+
+/// Who decides that an offered model is served.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Adopt {
+    /// A person: `plumbline command adopt`, or `reject`.
+    #[default]
+    Ask,
+    /// The daemon, at once.
+    Auto,
 }
 
 /// What is left behind.

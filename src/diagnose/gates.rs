@@ -43,9 +43,12 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> Folds {
         }
         let others = |other: usize| other != fold;
         let with = problem.weighted(&tried.moments, &others, phi);
-        let without = problem.weighted(&state.moments, &others, phi);
+        let without = if tried.held { None } else { Some(problem.weighted(&state.moments, &others, phi)) };
         let error_with = problem.of_fold(&tried.moments, &with.theta, fold, phi);
-        let error_without = problem.of_fold(&state.moments, &without.theta, fold, phi);
+        // Parameters that a prior holds stay as they are with the candidate.
+        let held = || with.theta.rows(0, state.fit.theta.len()).into_owned();
+        let theta = without.map_or_else(held, |without| without.theta);
+        let error_without = problem.of_fold(&state.moments, &theta, fold, phi);
         found.informative += 1;
         found.positive += usize::from(error_with < error_without);
     }
@@ -64,12 +67,16 @@ fn shares(problem: &Problem, state: &State, tried: &Tried) -> Vec<f64> {
     energy.iter().map(|one| one / total.max(f64::MIN_POSITIVE)).collect()
 }
 
-/// Change of all parameters when the candidate comes in.
+/// Change of all parameters when the candidate comes in; of the candidate's alone where a prior holds the others.
 fn change(state: &State, tried: &Tried) -> DVector<f64> {
     let mut change = tried.fit.theta.clone();
     let own = state.fit.theta.len();
     let mut before = change.rows_mut(0, own);
-    before -= &state.fit.theta;
+    if tried.held {
+        before.fill(0.0);
+    } else {
+        before -= &state.fit.theta;
+    }
     change
 }
 
@@ -90,14 +97,17 @@ pub fn relevance(evidence: &Evidence, state: &State, tried: &Tried, item: &Candi
     let own = state.fit.theta.len();
     let (shift, gamma) = (change.rows(0, own), change.rows(own, change.len() - own));
     let mut found = Relevance { rms: Vec::new(), share: Vec::new(), joint: 0 };
+    let without = if tried.held { tried.fit.theta.rows(0, own).into_owned() } else { state.fit.theta.clone() };
     for joint in 0..evidence.joints() {
         let mut fitted = &state.columns.m[joint] * shift;
         if let Some((_, part)) = item.rows.parts.iter().find(|(other, _)| *other == joint) {
             fitted += part * gamma;
         }
-        let rest = state.residual(joint) - &fitted;
-        let before = state.unmodelled(evidence, joint);
-        let taken = state.mean_square(evidence, joint) - mean_square(evidence, joint, &rest);
+        let residual = &state.columns.r[joint] - &state.columns.m[joint] * &without;
+        let floor = evidence.floor(joint).unwrap_or(0.0);
+        let square = mean_square(evidence, joint, &residual);
+        let before = (square - floor * floor).max(0.0);
+        let taken = square - mean_square(evidence, joint, &(residual - &fitted));
         found.rms.push(mean_square(evidence, joint, &fitted).sqrt());
         found.share.push((taken / before.max(f64::MIN_POSITIVE)).clamp(-1.0, 1.0));
     }

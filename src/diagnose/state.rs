@@ -70,7 +70,8 @@ impl State {
         let moments = self.moments.with(&cross);
         let fit = problem.fit(&moments, &every, Some(&self.fit.phi));
         let evidence = 2.0 * (fit.likelihood - self.fit.likelihood);
-        Some(Tried { cross, moments, fit, evidence, independence: gain.independence })
+        let held = problem.prior.is_some();
+        Some(Tried { cross, moments, fit, evidence, independence: gain.independence, held })
     }
 
     /// Residual torque of a joint, divided by its noise.
@@ -109,4 +110,7 @@ pub struct Tried {
     pub evidence: f64,
     /// Share of its fitted part that the other columns can't take over.
     pub independence: f64,
+    /// Whether a prior holds the other parameters: what they take over of the candidate they take over at a price, and it is the
+    /// candidate's all the same.
+    pub held: bool,
 }

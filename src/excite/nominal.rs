@@ -6,7 +6,7 @@ use crate::model::chain::Chain;
 use crate::model::regressor::LINK_COLUMNS;
 use crate::model::rnea::{LinkParameters, rnea};
 use crate::model::term::friction::{self, SHARPNESS};
-use crate::model::term::{rigid_body, rotor_inertia, torque_offset};
+use crate::model::term::{payload, rigid_body, rotor_inertia, torque_offset};
 use crate::model::torque::TorqueModel;
 use nalgebra::Vector3;
 
@@ -26,7 +26,8 @@ pub struct Nominal {
 }
 
 impl Nominal {
-    /// Takes the numbers out of a model. Errors when it has a term of another kind, whose torque would be missing.
+    /// Takes the numbers out of a model; a payload becomes part of the last link, and [`Nominal::left_out`] says which effects have no
+    /// place here. Errors when it has a term of another kind, whose torque would be missing.
     pub fn of(model: &TorqueModel) -> Result<Nominal, ExciteError> {
         let structure = model.structure();
         let mut nominal =
@@ -36,6 +37,14 @@ impl Nominal {
             if id == rigid_body::ID {
                 for (&slot, parameter) in structure.reduction().independent().iter().zip(parameters) {
                     nominal.links[slot / LINK_COLUMNS][slot % LINK_COLUMNS] = parameter.value;
+                }
+                continue;
+            }
+            if term.spec().is_some() {
+                if let (payload::ID, Some(last)) = (id, nominal.links.last_mut()) {
+                    for (c, parameter) in parameters.iter().enumerate() {
+                        last[term.original(c)] += parameter.value;
+                    }
                 }
                 continue;
             }
@@ -52,6 +61,17 @@ impl Nominal {
             }
         }
         Ok(nominal)
+    }
+
+    /// Effects of a model that [`Nominal::of`] leaves out: small against the limits that torques are held to.
+    pub fn left_out(model: &TorqueModel) -> Vec<&'static str> {
+        let mut ids: Vec<&str> = Vec::new();
+        for id in model.structure().terms().iter().filter_map(|term| term.spec()).map(|spec| spec.family) {
+            if id != payload::ID && !ids.contains(&id) {
+                ids.push(id);
+            }
+        }
+        ids
     }
 
     /// Torque at a point of a motion, by the Newton-Euler recursion \[Nm\]; `gravity` is the gravitational acceleration in the base
@@ -83,6 +103,7 @@ mod tests {
     use crate::model::chain::{Joint, JointKind, Placement};
     use crate::model::structure::Structure;
     use crate::model::term::Sample;
+    use crate::model::term::effect::{Site, Spec};
 
     #[test]
     fn it_is_the_model() {
@@ -98,5 +119,23 @@ mod tests {
         let expected = model.evaluator(&gravity).torque(&sample).0;
         let found = Nominal::of(&model).unwrap().torque(&chain, &gravity, &q, &dq, &ddq);
         assert!((0..3).all(|j| (found[j] - expected[j]).abs() < 1e-12), "{found:?} {expected:?}");
+        assert!(Nominal::left_out(&model).is_empty());
+
+        // With a payload it is a heavier arm; other effects are named and left out.
+        let with = |family, site, settings| {
+            let spec = Spec { family, form: "", site, settings };
+            let term = spec.build(&model.structure().ground(&model.beta())).unwrap();
+            let structure = model.structure().clone().with(vec![term]).unwrap();
+            let values: Vec<_> = (0..structure.columns().len()).map(|c| ((c as f64 * 1.7).sin(), None)).collect();
+            TorqueModel::new("arm", structure, vec![], &values).unwrap()
+        };
+        let loaded = with("payload", Site::Arm, vec![]);
+        let expected = loaded.evaluator(&gravity).torque(&sample).0;
+        let found = Nominal::of(&loaded).unwrap().torque(&chain, &gravity, &q, &dq, &ddq);
+        assert!((0..3).all(|j| (found[j] - expected[j]).abs() < 1e-12), "{found:?} {expected:?}");
+        assert!(Nominal::left_out(&loaded).is_empty());
+        let bent = with("presliding", Site::Joint(1), vec![0.01]);
+        assert_eq!(Nominal::left_out(&bent), ["presliding"]);
+        assert_eq!(Nominal::of(&bent).unwrap(), Nominal::of(&model).unwrap());
     }
 }

@@ -33,6 +33,45 @@ pub enum Request {
         /// A model file's text.
         toml: String,
     },
+    /// The served model does not hold any more; this one does. The job says whether it is served at once or held until somebody adopts
+    /// it. It takes the place of one that is held.
+    ProposeModel {
+        /// A model file's text.
+        toml: String,
+        /// Why.
+        proposal: Proposal,
+    },
+    /// Serve the model that is held.
+    Adopt {},
+    /// Drop the model that is held.
+    Reject {},
+}
+
+/// Why a model is proposed while another is served.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub struct Proposal {
+    /// What has changed, for people to read: `payload of 0.731 +- 0.004 kg`.
+    pub what: String,
+    /// Since when the served model does not hold, on the arm's clock \[s\].
+    pub since: f64,
+    /// Joint with the largest error, from 1.
+    pub joint: usize,
+    /// Its RMS under the served model, after the estimator's low-pass \[Nm\].
+    pub before: f64,
+    /// The same under the proposed one \[Nm\].
+    pub after: f64,
+}
+
+/// A proposed model that waits for a decision.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub struct Held {
+    /// Identity of the model.
+    pub model: u64,
+    /// Why it was proposed.
+    #[serde(flatten)]
+    pub proposal: Proposal,
 }
 
 /// What the daemon answers.
@@ -46,6 +85,11 @@ pub enum Response {
     /// The model is served under this identity.
     ModelAccepted {
         /// Identity of the model as it appears in records and feed-forward values.
+        model: u64,
+    },
+    /// The proposed model is held under this identity until somebody adopts or rejects it.
+    ModelHeld {
+        /// Identity that it will have when it is served.
         model: u64,
     },
     /// The request won't be carried out.
@@ -78,6 +122,9 @@ pub struct Status {
     pub dropped: u64,
     /// Identity of the served model, 0 while there is none.
     pub model: u64,
+    /// A proposed model that waits for `adopt` or `reject`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub offered: Option<Held>,
     /// Direction of gravity, as far as it is known.
     pub mounting: Option<Mounting>,
     /// Where the job stands.
@@ -278,7 +325,10 @@ mod tests {
             Request::Stop {},
             Request::Resume {},
             Request::Quit {},
-            Request::OfferModel { toml },
+            Request::OfferModel { toml: toml.clone() },
+            Request::ProposeModel { toml, proposal: Proposal { what: "payload".into(), ..Proposal::default() } },
+            Request::Adopt {},
+            Request::Reject {},
         ] {
             let bytes = encode("request", &request, MAX_REQUEST_BYTES).unwrap();
             assert_eq!(decode::<Request>("request", &bytes, MAX_REQUEST_BYTES).unwrap(), request);
@@ -286,6 +336,7 @@ mod tests {
         for code in 0..6 {
             let status = Status {
                 phase: Phase::from_u32(code).unwrap(),
+                offered: Some(Held { model: 7, proposal: Proposal { since: 30.0, ..Proposal::default() } }),
                 mounting: Some(Mounting { rho: 1.0, phi: 0.25, gravity: [0.0, 0.0, -9.81] }),
                 served: Served { followers: vec![Follower::default()], ..Served::default() },
                 ..Status::default()

@@ -28,7 +28,9 @@ mod services;
 mod stream;
 
 pub use client::Client;
-pub use command::{Follower, MAX_REQUEST_BYTES, Mounting, Progress, Request, Response, Served, Session, Status, Times};
+pub use command::{
+    Follower, Held, MAX_REQUEST_BYTES, Mounting, Progress, Proposal, Request, Response, Served, Session, Status, Times,
+};
 pub use error::IpcError;
 pub use feed_forward::{FeedForwardClient, FeedForwardSettings, Latest, Presence};
 pub use followers::News;

@@ -4,7 +4,7 @@ use super::base::{BaseKind, Reduction};
 use super::chain::Chain;
 use super::expression::six_digits;
 use super::gravity::Mounting;
-use super::term::effect::{EffectError, Ground};
+use super::term::effect::{EffectError, FAMILIES, Ground};
 use super::term::load::Load;
 use super::term::{self, Column, Motion, Term, rigid_body, subset::Subset};
 use nalgebra::{DMatrix, DVector};
@@ -17,7 +17,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ModelError {
     /// A term that this program does not have.
-    #[error("there is no term `{id}` (known: {})", term::KNOWN.join(", "))]
+    #[error("there is no term `{id}` (known: {})", known_terms())]
     UnknownTerm {
         /// The identity asked for.
         id: String,
@@ -77,6 +77,12 @@ pub enum ModelError {
         /// The kind that the arm has.
         found: BaseKind,
     },
+}
+
+/// Identities of every term that a model can have.
+fn known_terms() -> String {
+    let effects = FAMILIES.iter().map(|family| family.id).filter(|id| !term::KNOWN.contains(id));
+    term::KNOWN.into_iter().chain(effects).collect::<Vec<_>>().join(", ")
 }
 
 /// A column that is a linear combination of those before it, and so is no parameter of its own.

@@ -6,6 +6,7 @@ use super::fast::closed::ClosedForm;
 use super::gravity::{Mounting, VERTICAL_TOLERANCE};
 use super::structure::{ModelError, Structure};
 use super::term::effect::{self, Setting, Site, Spec};
+use super::term::subset::Subset;
 use super::term::{self, Column, FixedTerm, Motion, Sample, Term, rigid_body};
 use crate::joint::Torque;
 use nalgebra::{DMatrix, Vector3};
@@ -140,7 +141,7 @@ impl TorqueModel {
         for named in effects {
             let term = named.spec()?.build(&ground)?;
             check_names(named, &term.columns())?;
-            built.push(term);
+            built.extend(Subset::of(term, |column| named.parameters.iter().any(|(name, _, _)| *name == column.name)));
         }
         structure = structure.with(built)?;
         let value = |column: &Column| all.iter().find(|named| named.0 == column.name).map(|named| (named.1, named.2));

@@ -11,6 +11,7 @@ use plumbline::model::inertia::Body;
 use plumbline::model::rnea::LinkParameters;
 use plumbline::model::structure::Structure;
 use plumbline::model::term::Sample;
+use plumbline::model::term::effect::Spec;
 use plumbline::model::torque::TorqueModel;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -53,6 +54,19 @@ pub fn model(robot: &Robot, terms: &[&str], seed: u64) -> TorqueModel {
     let mut values: Vec<(f64, Option<f64>)> = rigid.iter().map(|value| (*value, Some(0.01))).collect();
     values.extend((0..others).map(|_| (rng.random_range(0.05..0.6), Some(0.01))));
     TorqueModel::new(&robot.name, structure, vec![Mounting::WALL], &values).unwrap()
+}
+
+/// The model with effects, whose parameters are drawn by `draw` from the number of the effect and of its column.
+pub fn with_effects(model: &TorqueModel, specs: &[Spec], draw: impl Fn(usize, usize) -> f64) -> TorqueModel {
+    let ground = model.structure().ground(&model.beta());
+    let mut values: Vec<(f64, Option<f64>)> = model.parameters().iter().map(|own| (own.value, own.std)).collect();
+    let mut structure = model.structure().clone();
+    for (index, spec) in specs.iter().enumerate() {
+        let term = spec.build(&ground).unwrap();
+        values.extend((0..term.columns().len()).map(|c| (draw(index, c), Some(0.01))));
+        structure = structure.with(vec![term]).unwrap();
+    }
+    TorqueModel::new(model.robot(), structure, model.mountings().to_vec(), &values).unwrap()
 }
 
 /// Bodies for a model, by the geometry's prior.

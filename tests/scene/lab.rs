@@ -2,9 +2,9 @@
 //! once it has settled, and every recording adds the noise of its own seed.
 #![allow(dead_code)]
 
-use super::{DT, drive, still};
+use super::DT;
 use nalgebra::DMatrix;
-use plumbline::backend::sim::Truth;
+use plumbline::backend::sim::{Response, Truth};
 use plumbline::estimate::run::Run;
 use plumbline::excite::fourier::PeriodicMotion;
 use plumbline::excite::plan::Plan;
@@ -14,9 +14,6 @@ use plumbline::store::parse_plan;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
-
-/// Periods driven before the one that is kept.
-const SETTLING: usize = 1;
 
 /// What one trajectory's period is like.
 #[derive(Clone)]
@@ -57,17 +54,16 @@ pub fn plans() -> [Vec<Plan>; 2] {
 pub fn period(chain: &Chain, truth: &Truth, plan: &Plan, mounting: Mounting, name: &str) -> Period {
     let mut quiet = truth.clone();
     for joint in &mut quiet.joints {
-        (joint.torque_noise, joint.torque_quantum) = (0.0, 0.0);
+        (joint.torque_noise, joint.torque_noise_coloured, joint.torque_quantum) = (0.0, 0.0, 0.0);
         (joint.position_noise, joint.position_quantum, joint.velocity_noise) = (0.0, 0.0, 0.0);
     }
-    quiet.drop_probability = 0.0;
-    let mut arm = still(chain, &quiet, mounting, &plan.q0, 0);
-    let reference = PeriodicMotion::new(&plan.fourier().unwrap(), SETTLING as u32 + 1).unwrap();
-    let samples = (plan.period / DT).round() as usize;
-    let (mut q, mut tau) = (DMatrix::zeros(samples, chain.len()), DMatrix::zeros(samples, chain.len()));
-    let first = SETTLING * samples;
-    drive(&mut arm, &reference, first + samples, |tick, state, _| {
-        let Some(k) = tick.checked_sub(first) else { return };
+    (quiet.drop_probability, quiet.outlier_probability, quiet.repeat_probability) = (0.0, 0.0, 0.0);
+    let reference = PeriodicMotion::new(&plan.fourier().unwrap(), 1).unwrap();
+    let samples = reference.period_ticks();
+    let response = Response::simulate(chain, &quiet, mounting, &reference, samples, 1).unwrap();
+    let zeros = || DMatrix::zeros(samples as usize, chain.len());
+    let (mut q, mut tau) = (zeros(), zeros());
+    response.measure(0, |_, k, state| {
         for j in 0..chain.len() {
             (q[(k, j)], tau[(k, j)]) = (state.q[j], state.tau[j]);
         }

@@ -2,11 +2,12 @@
 
 use crate::app::Failure;
 use crate::backend::sim::Truth;
-use crate::config::job::{Job, OnLoss};
+use crate::config::job::{Adopt, Job, OnLoss, Pace};
 use crate::config::robot::Robot;
 use crate::input::BadInput;
 use crate::ipc::{
-    Mounting as MountingMessage, News, Progress, Request, Response, Served, Session as SessionStatistics, Status,
+    Held, Mounting as MountingMessage, News, Progress, Proposal, Request, Response, Served,
+    Session as SessionStatistics, Status,
 };
 use crate::joint::{JointVec, Record};
 use crate::model::gravity::Mounting;
@@ -37,6 +38,8 @@ pub struct Desk {
     pub rest: JointVec,
     /// The model being served.
     pub model: Option<Accepted>,
+    /// A proposed model that waits for a decision, and why it was proposed.
+    pub held: Option<(Accepted, Proposal)>,
     /// How the arm is mounted now.
     pub mounting: Mounting,
     /// Where the job stands.
@@ -98,7 +101,49 @@ impl Desk {
                 Ok(model) => Response::ModelAccepted { model },
                 Err(bad) => Response::Refused { reason: bad.to_string() },
             },
+            Request::ProposeModel { toml, proposal } => match self.check("proposed model", &toml) {
+                Ok(checked) => self.propose(checked, proposal),
+                Err(bad) => Response::Refused { reason: bad.to_string() },
+            },
+            Request::Adopt {} => match self.held.take() {
+                Some((held, proposal)) => self.adopt(held, proposal),
+                None => refused("no model was proposed"),
+            },
+            Request::Reject {} => match self.held.take() {
+                Some((held, proposal)) => {
+                    tracing::info!("the proposed model {:016x} ({}) was rejected", held.id, proposal.what);
+                    Response::Accepted {}
+                }
+                None => refused("no model was proposed"),
+            },
         }
+    }
+
+    /// Holds a proposed model, or serves it where the job says so.
+    fn propose(&mut self, checked: Accepted, proposal: Proposal) -> Response {
+        let Proposal { what, since, joint, before, after } = &proposal;
+        let model = checked.id;
+        tracing::warn!(
+            "since {since:.1} s the served model does not hold: {what}; error in joint {joint} {before:.3} -> {after:.3} Nm \
+             with model {model:016x}"
+        );
+        if self.job.live.adopt == Adopt::Auto {
+            self.held = None;
+            return Response::ModelAccepted { model: self.serve(checked) };
+        }
+        tracing::warn!("it waits for `plumbline command adopt` or `plumbline command reject`");
+        self.held = Some((checked, proposal));
+        Response::ModelHeld { model }
+    }
+
+    /// Serves what was held, if it holds in the mounting that the arm has by now.
+    fn adopt(&mut self, held: Accepted, proposal: Proposal) -> Response {
+        if let Err(reason) = held.model.valid_in(&self.mounting) {
+            let reason = reason.to_string();
+            self.held = Some((held, proposal));
+            return Response::Refused { reason };
+        }
+        Response::ModelAccepted { model: self.serve(held) }
     }
 
     /// Takes a model from a file that a person named.
@@ -109,8 +154,15 @@ impl Desk {
         Ok(self.accept(&file, &text)?)
     }
 
-    /// Checks a model's text and serves it from one of the next cycles on: the right robot, a set that holds in this mounting.
+    /// Checks a model's text and serves it from one of the next cycles on. What was proposed before is about another model.
     fn accept(&mut self, file: &str, text: &str) -> Result<u64, BadInput> {
+        let checked = self.check(file, text)?;
+        self.held = None;
+        Ok(self.serve(checked))
+    }
+
+    /// Checks a model's text: the right robot, a set that holds in this mounting.
+    fn check(&self, file: &str, text: &str) -> Result<Accepted, BadInput> {
         let offered = ModelFile::parse(file, text, |name| {
             if name == self.robot.name {
                 return Ok(self.robot.chain.clone());
@@ -120,18 +172,26 @@ impl Desk {
         offered.model.valid_in(&self.mounting).map_err(|refused| {
             BadInput::new(file, "key `kind`", refused, "a model that holds in the present mounting")
         })?;
-        let id = model_identity(text);
-        tracing::info!("model {id:016x} ({}) is served from now on", offered.model.kind());
-        self.model = Some(Accepted { id, model: offered.model });
+        Ok(Accepted { id: model_identity(text), model: offered.model })
+    }
+
+    /// Serves a model that was checked.
+    fn serve(&mut self, checked: Accepted) -> u64 {
+        let id = checked.id;
+        tracing::info!("model {id:016x} ({}) is served from now on", checked.model.kind());
+        self.model = Some(checked);
         if self.progress == Progress::AwaitingModel {
             self.progress = Progress::Driving;
         }
-        Ok(id)
+        id
     }
 
     /// Says what became of a follower of the samples, and stops the arm where the job wants that.
     pub fn news(&self, news: &News, controls: Option<&Controls>) {
-        let stop = self.job.safety.on_estimator_loss == OnLoss::Stop;
+        // Simulated time waits for an estimator that watches: its silence is no loss.
+        let waited_for = self.job.live.watch && self.job.backend.pace == Pace::Fast;
+        let silent = matches!(news, News::Silent { .. });
+        let stop = self.job.safety.on_estimator_loss == OnLoss::Stop && !(silent && waited_for);
         let rule = match (news, self.progress) {
             (News::Died { .. } | News::Silent { .. }, Progress::Driving) if stop => "the arm stops",
             (News::Died { .. } | News::Silent { .. }, Progress::Driving) => "the arm goes on and the samples are kept",
@@ -187,6 +247,7 @@ impl Desk {
             late: self.sessions.iter().map(|session| session.late).sum(),
             dropped: self.sessions.iter().map(|session| session.unrecorded).sum(),
             model: self.model.as_ref().map_or(0, |accepted| accepted.id),
+            offered: self.held.as_ref().map(|(held, proposal)| Held { model: held.id, proposal: proposal.clone() }),
             mounting: Some(MountingMessage {
                 rho: self.mounting.rho,
                 phi: self.mounting.phi,

@@ -54,6 +54,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         truth: super::truth(&job)?,
         rest: super::rest(&job, &robot)?,
         model: None,
+        held: None,
         mounting: job.mounting,
         progress: Progress::Idle,
         names: programme.motions().map(|motion| (motion.number, motion.name.clone())).collect(),

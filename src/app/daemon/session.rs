@@ -28,6 +28,8 @@ const RING: usize = 8192;
 const DRAIN: usize = 512;
 /// Pause of the bridge thread when there is nothing to do.
 const PAUSE: Duration = Duration::from_micros(200);
+/// Records that simulated time may run ahead of an estimator that watches it: two seconds.
+const AHEAD: u64 = 2000;
 /// How many levels the bridge thread's priority lies below the loop's.
 const BELOW_LOOP: u8 = 10;
 
@@ -56,6 +58,8 @@ pub struct Session {
     script: Script,
     /// Identity of the model handed to this loop.
     model: u64,
+    /// Simulated time waits for the estimator.
+    waiting: bool,
     /// From state read to shared memory \[ns\].
     bridged: Histogram<u64>,
     records: Vec<Record>,
@@ -95,6 +99,7 @@ impl Session {
             thread: None,
             script,
             model: 0,
+            waiting: false,
             bridged: Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("constant bounds"),
             records: Vec::with_capacity(DRAIN),
         };
@@ -114,6 +119,7 @@ impl Session {
             self.handle_events(&mut daemon.desk);
             self.hand_over_model(&daemon.desk);
             self.give_orders();
+            self.keep_pace_with_the_watch(daemon);
             daemon.talk(Some(&self.handles.controls));
             if daemon.desk.must_leave() {
                 self.handles.controls.quit();
@@ -148,6 +154,21 @@ impl Session {
             gate.consumed(taken as u64);
         }
         true
+    }
+
+    /// What watches the served model must see it in time: an arm that runs as fast as it can waits for the estimator.
+    fn keep_pace_with_the_watch(&mut self, daemon: &Daemon) {
+        let Some(gate) = self.gate.as_ref().filter(|_| daemon.desk.job.live.watch && self.model != 0) else { return };
+        let served = daemon.server.served();
+        let behind = served.published.saturating_sub(served.acknowledged);
+        let watched = !served.followers.is_empty();
+        if !self.waiting && watched && behind > AHEAD {
+            self.waiting = true;
+            gate.shut();
+        } else if self.waiting && (!watched || behind < AHEAD / 2) && !self.handles.controls.is_waiting() {
+            self.waiting = false;
+            gate.open();
+        }
     }
 
     fn handle_events(&mut self, desk: &mut Desk) {

@@ -23,6 +23,9 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     if !(1.0..=120.0).contains(&excitation.period) || (excitation.period * 1e3).fract().abs() > 1e-6 {
         return bad("excitation.period", &excitation.period, "1 s to 120 s, in whole milliseconds");
     }
+    if !(1..=20).contains(&excitation.trajectories) {
+        return bad("excitation.trajectories", &excitation.trajectories, "1 to 20");
+    }
     if !(1..=1000).contains(&excitation.periods) {
         return bad("excitation.periods", &excitation.periods, "1 to 1000");
     }
@@ -39,6 +42,12 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
         && !(1..=MAX_JOINTS).contains(&q0.len())
     {
         return bad("excitation.q0", &format!("{} values", q0.len()), "one position per joint");
+    }
+    if !(0.5..=200.0).contains(&job.diagnosis.band) {
+        return bad("diagnosis.band", &job.diagnosis.band, "0.5 to 200 Hz");
+    }
+    if let Some(threshold) = job.diagnosis.threshold.filter(|value| !(value.is_finite() && *value > 0.0)) {
+        return bad("diagnosis.threshold", &threshold, "a torque in Nm, more than 0");
     }
     let validation = &job.validation;
     if validation.trajectories > 100 {
@@ -97,6 +106,13 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     }
     if !(0.001..=10.0).contains(&job.serve.stale_after) {
         return bad("serve.stale-after", &format!("{} s", job.serve.stale_after), "1 ms to 10 s");
+    }
+    let live = &job.live;
+    if !(4.0..=600.0).contains(&live.window) {
+        return bad("live.window", &format!("{} s", live.window), "4 s to 600 s");
+    }
+    if !(0.0..=86_400.0).contains(&live.motion) {
+        return bad("live.motion", &format!("{} s", live.motion), "0 s to 86400 s");
     }
     if job.output.dir.as_os_str().is_empty() {
         return bad("output.dir", &"``", "the path of a folder");

@@ -20,7 +20,7 @@ const DENSITY: f64 = 1.3;
 pub(super) struct Screen<'a> {
     evidence: &'a Evidence,
     joint: usize,
-    /// `W M` of the joint.
+    /// `M' W` of the joint.
     weighed: DMatrix<f64>,
     /// `M H` of the joint.
     spread: DMatrix<f64>,
@@ -45,6 +45,7 @@ impl Screen<'_> {
             weighed.rows_mut(cell.rows.start, cell.rows.len()).scale_mut(weight);
         }
         let by_time = evidence.folds().len() < 2;
+        let weighed = weighed.transpose();
         let mut screen = Screen { evidence, joint, weighed, spread: m * &state.fit.h, residual: Vec::new(), by_time };
         let residual = DMatrix::from_columns(&[state.residual(joint)]);
         screen.residual = screen.parts(&residual).iter().map(|part| part.column(0).into_owned()).collect();
@@ -56,13 +57,17 @@ impl Screen<'_> {
     pub fn predicted(&self, functions: &[DMatrix<f64>]) -> f64 {
         let mut c = self.evidence.project(self.joint, functions);
         let scale = DVector::from_iterator(c.ncols(), c.column_iter().map(|column| column.norm().max(1e-12)));
-        let absorbed = &self.spread * self.weighed.tr_mul(&c);
+        let absorbed = &self.spread * (&self.weighed * &c);
         c -= absorbed;
         for (mut column, scale) in c.column_iter_mut().zip(&scale) {
             column /= *scale;
         }
-        let parts: Vec<Part> =
-            self.parts(&c).iter().zip(&self.residual).map(|(c, r)| Part { g: c.tr_mul(c), b: c.tr_mul(r) }).collect();
+        let parts: Vec<Part> = self
+            .parts(&c)
+            .iter()
+            .zip(&self.residual)
+            .map(|(c, r)| Part { g: c.transpose() * c, b: c.tr_mul(r) })
+            .collect();
         let (mut g, mut b) = (DMatrix::zeros(c.ncols(), c.ncols()), DVector::zeros(c.ncols()));
         for part in &parts {
             g += &part.g;

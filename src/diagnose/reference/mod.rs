@@ -107,8 +107,8 @@ pub fn families() -> Vec<&'static Family> {
     FAMILIES.iter().filter_map(|id| effect::family(id)).collect()
 }
 
-/// What changed since `reference` was identified. The trials are in mountings that the model is valid in. Nothing is found when they
-/// are too short.
+/// What changed since `reference` was identified; where the trials are of several sessions, before the first or with a later one. They
+/// are in mountings that the model is valid in. Nothing is found when they are too short.
 pub fn changes(reference: &TorqueModel, trials: &[Trial], settings: &Settings, progress: &dyn Fn(&Step)) -> Changes {
     among(reference, trials, &families(), settings, progress)
 }
@@ -135,7 +135,8 @@ pub fn among(
     let base = State::base(&problem, Columns { m, r });
     let before = left_over(&evidence, &base, &DVector::zeros(beta.len()));
     let ground = structure.ground(&beta);
-    let library = library::library(&evidence, &ground, families, None, settings.threads);
+    let mut library = library::library(&evidence, &ground, families, None, settings.threads);
+    library.extend(since_sessions(&evidence, &ground, families, settings.threads));
     let search = Search { problem, ground: &ground, library: &library, settings };
     let (least, lacking) = (least(&search, &base), lack(&evidence, &base));
     let selected = search.select(base, &[], progress);
@@ -244,7 +245,7 @@ fn least(search: &Search, state: &State) -> Vec<(&'static str, Vec<f64>)> {
         let cross = state.columns.cross(evidence, &item.rows);
         let share = search.problem.gain(&state.fit, &cross, &every, None).map_or(0.0, |gain| gain.independence);
         let index = found.iter().position(|(id, _)| *id == item.spec.family).unwrap_or_else(|| {
-            found.push((item.spec.family, vec![f64::NAN; evidence.joints()]));
+            found.push((item.spec.family, vec![f64::INFINITY; evidence.joints()]));
             found.len() - 1
         });
         // An effect in one joint is seen in its own row; one of the whole arm in each.
@@ -252,8 +253,8 @@ fn least(search: &Search, state: &State) -> Vec<(&'static str, Vec<f64>)> {
         for joint in item.joints().into_iter().filter(|joint| own.is_empty() || own.contains(joint)) {
             let rms = DETECTED * evidence.floor(joint).unwrap_or(f64::NAN) / share.sqrt();
             let least = &mut found[index].1[joint];
-            if share > 0.0 && !(*least <= rms) {
-                *least = rms;
+            if share > 0.0 {
+                *least = least.min(rms);
             }
         }
     }

@@ -141,8 +141,8 @@ pub(super) struct Past {
 }
 
 impl Past {
-    /// First and second derivative at the sample `now`, by backward differences of second order (Fornberg, Mathematics of Computation 51
-    /// (1988)); zero, or of first order, as long as too little has been seen.
+    /// First and second derivative at the sample `now`, by backward differences of second order (Fornberg, Mathematics of
+    /// Computation 51 (1988)); zero, or of first order, as long as too little has been seen.
     pub fn derivatives(&mut self, now: f64, dt: f64) -> [f64; 2] {
         let [a, b, c] = self.values;
         let first = match self.seen {

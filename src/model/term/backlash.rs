@@ -14,7 +14,7 @@ pub const ID: &str = "backlash";
 /// The gap of one joint's gear, which the link falls through when its load changes sign.
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "Between the flanks of a gear's teeth is a gap, and the link falls from one flank to the other when its load changes sign.",
+    physics: "Between a gear's teeth is a gap, and the link falls from one side to the other when its load changes sign.",
     place: Place::Joint,
     forms: &[Form {
         name: "",

@@ -17,7 +17,8 @@ const LONGEST: f64 = 86_400.0;
 
 /// A wrench at one link for a while.
 ///
-/// Forces and moments are those that the arm exerts on what it touches, in the axes of the base and about the origin of the link's frame.
+/// Forces and moments are those that the arm exerts on what it touches, in the axes of the base and about the origin of the
+/// link's frame.
 pub static FAMILY: Family = Family {
     id: ID,
     physics: "The arm pushed against something, or something hung on it, for a part of the recording.",

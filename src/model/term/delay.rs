@@ -13,8 +13,8 @@ pub const ID: &str = "delay";
 
 /// One delay of all torques against all positions.
 ///
-/// First order in the delay, and of the rigid body's torque alone: friction jumps where it is late, which no slope holds. The slope is a
-/// difference of the torques before.
+/// First order in the delay, and of the rigid body's torque alone: friction jumps where it is late, which no slope holds. The
+/// slope is a difference of the torques before.
 pub static FAMILY: Family = Family {
     id: ID,
     physics: "The torque is measured, filtered or sent later than the position that stands beside it in the recording.",

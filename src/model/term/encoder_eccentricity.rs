@@ -11,10 +11,10 @@ use std::sync::Arc;
 /// Identity.
 pub const ID: &str = "encoder-eccentricity";
 
-/// An error of one joint's position that comes back every turn.
+/// An error of one joint's position, the true minus the measured one, that comes back every turn.
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "An encoder's ring (or the last wheel of a gear) sits beside the joint's axis, so that the angle is read wrong by a wave per turn.",
+    physics: "An encoder's ring sits beside the joint's axis, so that the angle is read wrong by a wave per turn.",
     place: Place::Joint,
     forms: &[Form {
         name: "",

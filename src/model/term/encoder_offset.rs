@@ -11,7 +11,7 @@ use std::sync::Arc;
 /// Identity.
 pub const ID: &str = "encoder-offset";
 
-/// A constant error of one joint's position.
+/// A constant error of one joint's position: its true position minus the measured one.
 pub static FAMILY: Family = Family {
     id: ID,
     physics: "A joint's encoder was set to zero in another pose than the one that the robot's geometry is written for.",

@@ -17,13 +17,13 @@ pub static FAMILY: Family = Family {
     forms: &[
         Form {
             name: "linear",
-            equation: "tau_j = (dfc_j tanh(100 dq_j) + dfv_j dq_j) t / 60 s",
+            equation: "tau_j = (fcdrift_j tanh(100 dq_j) + fvdrift_j dq_j) t / 60 s",
             settings: &[],
             build: linear,
         },
         Form {
             name: "exponential",
-            equation: "tau_j = (dfc_j tanh(100 dq_j) + dfv_j dq_j) (1 - exp(-t / T))",
+            equation: "tau_j = (fcdrift_j tanh(100 dq_j) + fvdrift_j dq_j) (1 - exp(-t / T))",
             settings: &[WARMING],
             build: exponential,
         },
@@ -41,8 +41,8 @@ pub static FAMILY: Family = Family {
 fn linear(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let joint = joint(site);
     let columns = vec![
-        column("dfc", site, "", unit(ground, joint, "Nm/min", "N/min")),
-        column("dfv", site, "", unit(ground, joint, "Nms/rad/min", "Ns/m/min")),
+        column("fcdrift", site, "", unit(ground, joint, "Nm/min", "N/min")),
+        column("fvdrift", site, "", unit(ground, joint, "Nms/rad/min", "Ns/m/min")),
     ];
     let law: Law = |at, _| scaled(at.own.dq, at.time / 60.0);
     OneRow::new(&FAMILY, "linear", site, settings, columns, law).term()
@@ -51,8 +51,8 @@ fn linear(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
 fn exponential(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let joint = joint(site);
     let columns = vec![
-        column("dfc", site, "_exponential", unit(ground, joint, "Nm", "N")),
-        column("dfv", site, "_exponential", unit(ground, joint, "Nms/rad", "Ns/m")),
+        column("fcdrift", site, "_exponential", unit(ground, joint, "Nm", "N")),
+        column("fvdrift", site, "_exponential", unit(ground, joint, "Nms/rad", "Ns/m")),
     ];
     let law: Law = |at, settings| scaled(at.own.dq, warmed(at.time, settings[0]));
     OneRow::new(&FAMILY, "exponential", site, settings, columns, law).term()

@@ -13,8 +13,8 @@ pub const ID: &str = "joint-elasticity";
 
 /// The twist of one joint's gear, as long as the motion is slow against its resonance.
 ///
-/// The link is at `q_i - c_i tau_rb_i`, first order in the compliance; `e'` and `e''` are differences of the torques before, so that a
-/// regressor needs a motion on a grid that is fine against it (20 samples per period of its highest harmonic).
+/// The link is at `q_i - c_i tau_rb_i`, first order in the compliance; `e'` and `e''` are differences of the torques before, so
+/// that a regressor needs a motion on a grid that is fine against it (20 samples per period of its highest harmonic).
 pub static FAMILY: Family = Family {
     id: ID,
     physics: "The encoder sits on the motor's side, and the gear (or the torque sensor) behind it twists under the joint's load.",
@@ -35,7 +35,7 @@ pub static FAMILY: Family = Family {
         },
         Confounded { with: "lx and ly of the same link", decided_by: "log the position on both sides of the gear" },
     ],
-    reference: "Albu-Schaeffer, Ott, Hirzinger, Int. J. Robotics Research 26 (2007); De Luca, Book, Handbook of Robotics (2016), chapter 11",
+    reference: "Albu-Schaeffer, Ott, Hirzinger, Int. J. Robotics Research 26 (2007)",
 };
 
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -158,6 +158,11 @@ pub trait Term: Send + Sync {
         None
     }
 
+    /// Which column of the whole term this column is, where some were left out.
+    fn original(&self, column: usize) -> usize {
+        column
+    }
+
     /// The term with its parameters fixed, for the real-time loop.
     fn fix(&self, chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm>;
 }

@@ -12,14 +12,14 @@ use std::sync::Arc;
 /// Identity.
 pub const ID: &str = "mounting";
 
-/// A small tilt of the base, as two angles.
+/// A small tilt of the base, as two angles. A model of the VBS kind lacks two parameters that a tilt shows, and so feels only a part.
 pub static FAMILY: Family = Family {
     id: ID,
     physics: "The base is mounted at another angle than the one that the model was told.",
     place: Place::Arm,
     forms: &[Form {
         name: "",
-        equation: "tau = tilt_a (a x g) d tau_rb / d g + tilt_b (b x g) d tau_rb / d g, in all rows; a, b across g, a the base x axis upright",
+        equation: "tau = d tau_rb / d g (tilt_a a x g + tilt_b b x g), in all rows; upright a, b are the base x, y axes",
         settings: &[],
         build,
     }],
@@ -37,8 +37,9 @@ pub static FAMILY: Family = Family {
     reference: "the paper's equation 3, whose direction of gravity it turns",
 };
 
-/// The axes of the two tilts in the base frame: across gravity, and `a`, `b`, up a right-handed frame. `a` is the base's x axis upright, and
-/// in every other mounting the part across gravity of its x axis (of its y axis where x is within 37 degrees of gravity).
+/// The axes of the two tilts in the base frame: across gravity, and `a`, `b`, up a right-handed frame. `a` is the base's x axis
+/// upright, and in every other mounting the part across gravity of its x axis (of its y axis where x is within 37 degrees of
+/// gravity).
 pub fn axes(gravity: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let up = -gravity.normalize();
     let base = if up.x.abs() < 0.8 { Vector3::x() } else { Vector3::y() };

@@ -1,5 +1,6 @@
 //! A term with some of its columns left out.
 
+use super::effect::Spec;
 use super::{Column, Entry, FixedTerm, Motion, Term};
 use crate::model::chain::Chain;
 use nalgebra::{DMatrix, Vector3};
@@ -48,9 +49,21 @@ impl Term for Subset {
         }
     }
 
+    fn smooth(&self) -> bool {
+        self.inner.smooth()
+    }
+
     fn entries(&self) -> Option<Vec<Entry>> {
         let entries = self.inner.entries()?;
         Some(self.kept.iter().map(|&c| entries[c]).collect())
+    }
+
+    fn spec(&self) -> Option<Spec> {
+        self.inner.spec()
+    }
+
+    fn original(&self, column: usize) -> usize {
+        self.inner.original(self.kept[column])
     }
 
     fn fix(&self, chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {

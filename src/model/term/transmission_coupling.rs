@@ -70,8 +70,8 @@ fn inertia(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     OneRow::new(&FAMILY, "inertia", site, settings, columns, |at, _| [at.cause.ddq, 0.0, 0.0]).term()
 }
 
-/// A unit by the kinds of the row's joint and the other one: turning from turning, turning from sliding, sliding from turning, sliding from
-/// sliding.
+/// A unit by the kinds of the row's joint and the other one: turning from turning, turning from sliding, sliding from turning,
+/// sliding from sliding.
 fn per_motion(ground: &Ground, site: Site, units: [&'static str; 4]) -> &'static str {
     let kind = |joint: Option<&usize>| joint.map_or(Revolute, |&joint| ground.chain.joints()[joint].kind);
     let joints = site.joints();

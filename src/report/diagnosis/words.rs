@@ -31,8 +31,20 @@ fn findings(of: &Diagnosis) -> Vec<String> {
     let unexplained = of.unexplained.iter().map(self::unexplained);
     effects
         .chain(unexplained)
-        .chain(of.changes.iter().map(|changes| self::changes(changes, &of.confirmation)))
+        .chain(
+            of.changes
+                .iter()
+                .filter(|changes| !told(changes, of))
+                .map(|changes| self::changes(changes, &of.confirmation)),
+        )
         .collect()
+}
+
+/// Whether everything that changed stands among the effects already.
+fn told(changes: &Changes, of: &Diagnosis) -> bool {
+    let among =
+        |effect: &Effect| of.effects.iter().any(|other| (&other.id, &other.joints) == (&effect.id, &effect.joints));
+    !changes.effects.is_empty() && changes.effects.iter().all(among)
 }
 
 /// Names that fit into a headline.
@@ -40,7 +52,7 @@ const NAMED: usize = 2;
 
 /// What was found, in a few words for the head of the page; what the verdict says by itself is not repeated.
 pub(super) fn headline(of: &Diagnosis) -> String {
-    let changed = of.changes.iter().flat_map(|changes| &changes.effects);
+    let changed = of.changes.iter().filter(|changes| !told(changes, of)).flat_map(|changes| &changes.effects);
     let mut names: Vec<String> = of.effects.iter().chain(changed).map(Effect::name).collect();
     names.extend(of.unexplained.iter().map(|open| format!("a residual in joint {}", open.joint)));
     match (of.verdict, names.len()) {
@@ -69,7 +81,8 @@ fn counted(of: &Diagnosis) -> String {
         1 => Some(format!("1 {one}")),
         _ => Some(format!("{count} {many}")),
     };
-    let changed: usize = of.changes.iter().map(|changes| changes.effects.len()).sum();
+    let apart = of.changes.iter().filter(|changes| !told(changes, of));
+    let changed: usize = apart.map(|changes| changes.effects.len()).sum();
     let parts = [
         count(of.effects.len(), "effect", "effects"),
         count(of.unexplained.len(), "joint unexplained", "joints unexplained"),

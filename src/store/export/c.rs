@@ -1,10 +1,11 @@
 //! The whole model as one C function that depends on nothing but `math.h`.
 //!
 //! The Newton-Euler recursion with the regrouped base parameters in the slots of their names, unrolled, every product with a zero left
-//! out: it computes what [`TorqueModel::evaluator`] does, friction, offsets and rotors included, for any direction of gravity.
+//! out: it computes what [`TorqueModel::evaluator`] does, friction, offsets, rotors and effects of one sample included, for any
+//! direction of gravity.
 
 use super::emit::{Program, Value, ZERO, expression};
-use super::{Exported, unknown_terms, validity};
+use super::{Exported, effects, validity};
 use crate::model::chain::{Joint, JointKind};
 use crate::model::regressor::LINK_COLUMNS;
 use crate::model::term::{friction, rotor_inertia, torque_offset};
@@ -34,12 +35,28 @@ pub fn write(model: &TorqueModel) -> Exported {
     }
 
     let mut program = Program::default();
-    let mut tau = recursion(&mut program, chain.joints(), &links);
+    // A load that effects refer to is the rigid body's own, without a payload.
+    let load = recursion(&mut program, chain.joints(), &links);
+    let payload = effects::payload_of(model);
+    let mut tau = load.clone();
+    if payload != [0.0; LINK_COLUMNS] {
+        if let Some(last) = links.last_mut() {
+            last.iter_mut().zip(payload).for_each(|(own, more)| *own += more);
+        }
+        tau = recursion(&mut program, chain.joints(), &links);
+    }
     for (term, range) in structure.terms().iter().zip(structure.ranges()) {
-        for (column, &value) in structure.columns()[range.clone()].iter().zip(&beta[range]) {
+        let spec = term.spec();
+        for (c, (column, &value)) in structure.columns()[range.clone()].iter().zip(&beta[range]).enumerate() {
+            let one = Value::Known(1.0);
+            if let Some(spec) = &spec {
+                if let Some((row, factor)) = effects::column(&mut program, spec, term.original(c), &load) {
+                    tau[row] = program.sum(&[(tau[row].clone(), one), (Value::Known(value), factor)]);
+                }
+                continue;
+            }
             let j = column.joint - 1;
             let dq = Value::input(format!("dq[{j}]"));
-            let one = Value::Known(1.0);
             let factor = match (term.id(), column.name.trim_end_matches(|c: char| c.is_ascii_digit())) {
                 (friction::ID, "fv") => dq,
                 (friction::ID, "fc") => {
@@ -53,7 +70,7 @@ pub fn write(model: &TorqueModel) -> Exported {
         }
     }
 
-    let notes: Vec<String> = validity(model).into_iter().chain(unknown_terms(model)).collect();
+    let notes: Vec<String> = validity(model).into_iter().chain(effects::notes(&effects::unheld_by_c(model))).collect();
     let name = function_name(model.robot());
     let mountings: Vec<String> = model.mountings().iter().map(|mounting| mounting.to_string()).collect();
     let about = notes.iter().map(|note| format!(" * {}\n", note.replace("*/", "* /"))).collect::<String>();

@@ -46,9 +46,18 @@ pub struct Program {
 
 impl Program {
     /// A variable of that name for an expression of the caller's.
+    ///
+    /// The same name stands for the same expression, wherever it is asked for.
     pub fn named(&mut self, name: String, expression: String) -> Value {
-        self.lines.push((name.clone(), expression));
+        if !self.lines.iter().any(|(before, _)| *before == name) {
+            self.lines.push((name.clone(), expression));
+        }
         Value::input(name)
+    }
+
+    /// A name that no variable has, with this letter in front.
+    pub fn fresh(&self, letter: &str) -> String {
+        format!("{letter}{}", self.lines.len())
     }
 
     /// `sum of a b` over the pairs. Products with zero vanish, those of two known numbers are taken now, a single factor of one is itself.
@@ -90,7 +99,7 @@ impl Program {
             };
             expression += product;
         }
-        let name = format!("t{}", self.lines.len());
+        let name = self.fresh("t");
         self.named(name, expression)
     }
 

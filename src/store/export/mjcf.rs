@@ -1,6 +1,7 @@
 //! MJCF of an identified arm, for MuJoCo: nested bodies in the modified Denavit-Hartenberg frames, every joint's axis is z.
 
-use super::{Arm, Exported, attribute, comment, numbers, offsets, placements, unknown_terms, validity};
+use super::effects;
+use super::{Arm, Exported, attribute, comment, numbers, offsets, placements, validity};
 use crate::model::chain::{JointKind, Placement};
 use crate::model::inertia::Body;
 use crate::model::term::friction;
@@ -56,7 +57,7 @@ pub fn write(arm: &Arm, gravity: &Vector3<f64>) -> Exported {
         );
     }
     notes.extend(offsets(arm));
-    notes.extend(unknown_terms(arm.model));
+    notes.extend(effects::notes(&effects::unheld_by_bodies(arm.model)));
     let head = comment([format!("Written by plumbline. {}", arm.origin())].into_iter().chain(notes.clone()));
     let text = format!(
         "{head}<mujoco model=\"{}\">\n  <compiler angle=\"radian\" autolimits=\"true\" balanceinertia=\"false\"/>\n  <option \

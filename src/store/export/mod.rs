@@ -1,9 +1,10 @@
 //! An identified arm for other programs: URDF, MJCF, and a C function.
 //!
 //! URDF and MJCF need standard parameters of real bodies ([`crate::estimate::consistency`]); the C function computes with the base
-//! parameters themselves. What a format has no place for is in [`Exported::notes`] and in a comment of the file.
+//! parameters themselves. Effects are in [`effects`]. What a format has no place for is in [`Exported::notes`] and in a comment of the file.
 
 pub mod c;
+pub mod effects;
 mod emit;
 pub mod mjcf;
 pub mod splice;
@@ -14,7 +15,7 @@ use crate::estimate::consistency::Nearest;
 use crate::joint::Limits;
 use crate::model::base::BaseKind;
 use crate::model::chain::{Chain, JointKind, Placement};
-use crate::model::term::{friction, rigid_body, rotor_inertia, torque_offset};
+use crate::model::term::torque_offset;
 use crate::model::torque::TorqueModel;
 use nalgebra::Matrix3;
 
@@ -83,13 +84,6 @@ fn validity(model: &TorqueModel) -> Option<String> {
          joint 1 are wrong"
             .to_string()
     })
-}
-
-/// Terms that no writer knows, which therefore are left out.
-fn unknown_terms(model: &TorqueModel) -> Vec<String> {
-    let known = [rigid_body::ID, friction::ID, torque_offset::ID, rotor_inertia::ID];
-    let unknown = model.structure().terms().iter().filter(|term| !known.contains(&term.id()));
-    unknown.map(|term| format!("term `{}` is left out: {}", term.id(), term.physics())).collect()
 }
 
 /// The offsets of a model as a note: neither URDF nor MJCF holds a constant torque.

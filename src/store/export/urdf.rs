@@ -1,6 +1,7 @@
 //! URDF of an identified arm: its frames are the modified Denavit-Hartenberg frames, every joint's axis is z.
 
-use super::{Arm, Exported, attribute, comment, numbers, offsets, placements, rpy, unknown_terms, validity};
+use super::effects;
+use super::{Arm, Exported, attribute, comment, numbers, offsets, placements, rpy, validity};
 use crate::model::chain::{JointKind, Placement};
 use crate::model::inertia::Body;
 use crate::model::term::{friction, rotor_inertia};
@@ -68,7 +69,7 @@ pub(super) fn left_out(arm: &Arm) -> Vec<String> {
         ));
     }
     notes.extend(offsets(arm));
-    notes.extend(unknown_terms(arm.model));
+    notes.extend(effects::notes(&effects::unheld_by_bodies(arm.model)));
     notes
 }
 

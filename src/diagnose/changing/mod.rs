@@ -1,0 +1,212 @@
+//! What differs from period to period: drifts, a base that moves, contacts, and single samples that are off.
+//!
+//! The motion repeats, so the parameters of the model have no part in the deviations of the periods from their mean, and what is found
+//! here needs no fit of them. [`changing`] also says which stretches of which runs should be left out of the mean
+//! ([`crate::estimate::experiment::Settings::leave_out`]), and what the noise is like without the drifts.
+
+mod base_motion;
+mod contact;
+mod drift;
+mod outlier;
+mod record;
+mod transient;
+
+pub use base_motion::BaseMotion;
+pub use contact::Contact;
+pub use drift::{Course, Drift, Drifting};
+pub use outlier::Hygiene;
+
+use super::evidence::Trial;
+use crate::estimate::experiment::{Experiment, LeftOut};
+use crate::estimate::periods::Scatter;
+use crate::estimate::signal::spectral::Spectral;
+use crate::model::term::effect::Ground;
+use nalgebra::DMatrix;
+use record::Record;
+
+/// Time before and after an event that is left out too \[s\].
+const MARGIN: f64 = 0.2;
+
+/// Something that happened once and is no contact.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Transient {
+    /// Name of the run.
+    pub run: String,
+    /// Begin, since the first sample of the run \[s\].
+    pub from: f64,
+    /// End \[s\].
+    pub to: f64,
+    /// Period that it begins in, from 0.
+    pub period: usize,
+    /// Joints in which it shows, from 0.
+    pub joints: Vec<usize>,
+    /// RMS of the deviation meanwhile, per joint \[Nm\].
+    pub rms: Vec<f64>,
+}
+
+/// What differs from period to period.
+#[derive(Clone, Debug, Default)]
+pub struct Changing {
+    /// Drifts, in the order in which they were found.
+    pub drifts: Vec<Drift>,
+    /// Lines of a base that moves, run by run.
+    pub base_motions: Vec<BaseMotion>,
+    /// Contacts.
+    pub contacts: Vec<Contact>,
+    /// Events that are no contacts.
+    pub transients: Vec<Transient>,
+    /// Single samples, run by run.
+    pub hygiene: Vec<Hygiene>,
+    /// Stretches to be left out of the mean.
+    pub leave_out: Vec<LeftOut>,
+    /// Scatter of each trial's torques without the drifts and the events; `None` without repeats.
+    pub scatter: Vec<Option<Scatter>>,
+}
+
+impl Changing {
+    /// Whether nothing was found.
+    pub fn is_empty(&self) -> bool {
+        self.drifts.is_empty()
+            && self.base_motions.is_empty()
+            && self.contacts.is_empty()
+            && self.transients.is_empty()
+            && self.leave_out.is_empty()
+    }
+}
+
+/// Looks at the deviations of runs that were prepared with [`crate::estimate::experiment::Settings::keep_periods`].
+///
+/// `friction` has `[fv, fc]` of each joint (\[Nms/rad\], \[Nm\]); without it, friction drifts are sought joint by joint alone. Runs without
+/// repeats have no part in it but for their hygiene.
+pub fn changing(ground: &Ground, friction: &[[f64; 2]], trials: &[Trial]) -> Changing {
+    let mut found = Changing::default();
+    let mut records: Vec<Record> = trials.iter().filter_map(|trial| Record::of(trial.experiment)).collect();
+    // Events are no drift, nor noise: what is far off stays out of the rest.
+    for record in &mut records {
+        let x = transient::robust(record, None, true);
+        record.masked = transient::mask(record, &transient::events(record, &x), MARGIN);
+    }
+    let deviations = drift::Deviations::of(&records, friction);
+    found.drifts = deviations.drifts();
+    let mut masks = Vec::new();
+    for (run, record) in records.iter().enumerate() {
+        let drifting = deviations.torque(run, &found.drifts);
+        let mut rest = &record.tau - &drifting;
+        let rows = rest.nrows();
+        rest.as_mut_slice().chunks_mut(rows).for_each(|column| record.centre(column));
+        let lines = base_motion::base_motions(record, &ground.load, &rest);
+        let known = drifting + base_motion::torques(record, &ground.load, &lines);
+        found.base_motions.extend(lines);
+
+        let x = transient::robust(record, Some(&known), false);
+        let scale = transient::scales(&x);
+        let events = transient::events(record, &x);
+        for event in &events {
+            match contact::contact(&ground.chain, record, &x, &scale, event) {
+                Some(contact) => found.contacts.push(contact),
+                None => found.transients.push(transient_of(record, &x, event)),
+            }
+        }
+        let masked = transient::mask(record, &events, MARGIN);
+        found.leave_out.extend(left_out(record, &masked));
+        masks.push(masked);
+    }
+    let mut of_run = 0;
+    for trial in trials {
+        let record = records.get(of_run).filter(|record| std::ptr::eq(record.experiment, trial.experiment));
+        let (hygiene, spoiled) = match record {
+            Some(record) => {
+                let full: Vec<bool> = masks[of_run].iter().flat_map(|&masked| vec![masked; record.step]).collect();
+                let known = deviations.torque(of_run, &found.drifts);
+                found.scatter.push(Some(scatter(record, &known, &masks[of_run])));
+                of_run += 1;
+                outlier::hygiene(trial.experiment, &full)
+            }
+            None => {
+                found.scatter.push(None);
+                outlier::hygiene(trial.experiment, &[])
+            }
+        };
+        found.leave_out.extend(spoiled);
+        found.hygiene.push(hygiene);
+    }
+    found.leave_out = merged(found.leave_out);
+    found
+}
+
+/// Stretches that touch or overlap as one, in the order of runs and time.
+fn merged(mut stretches: Vec<LeftOut>) -> Vec<LeftOut> {
+    stretches.sort_by(|a, b| a.run.cmp(&b.run).then(a.from.total_cmp(&b.from)));
+    let mut out: Vec<LeftOut> = Vec::new();
+    for one in stretches {
+        match out.last_mut() {
+            Some(last) if last.run == one.run && one.from <= last.to + 1e-9 => last.to = last.to.max(one.to),
+            _ => out.push(one),
+        }
+    }
+    out
+}
+
+/// Experiments whose noise spectrum is that of [`Changing::scatter`].
+pub fn cleaned(experiments: &mut [Experiment], found: &Changing) {
+    for (experiment, scatter) in experiments.iter_mut().zip(&found.scatter) {
+        if let Some(scatter) = scatter {
+            experiment.scatter = Some(scatter.clone());
+        }
+    }
+}
+
+fn transient_of(record: &Record, x: &DMatrix<f64>, event: &transient::Event) -> Transient {
+    let rms = |column: &[f64]| {
+        let own = &column[event.first..event.last];
+        (own.iter().map(|value| value * value).sum::<f64>() / own.len() as f64).sqrt()
+    };
+    Transient {
+        run: record.experiment.name.clone(),
+        from: record.time(event.first),
+        to: record.time(event.last - 1) + record.dt,
+        period: record.repeats.periods[event.first / record.samples],
+        joints: event.joints.clone(),
+        rms: x.as_slice().chunks(x.nrows()).map(rms).collect(),
+    }
+}
+
+/// Stretches of masked rows in the run's own time.
+fn left_out(record: &Record, masked: &[bool]) -> Vec<LeftOut> {
+    let mut found = Vec::new();
+    for (period, rows) in record.repeats.periods.iter().zip(masked.chunks(record.samples)) {
+        for (first, last) in transient::stretches(rows) {
+            let time = |row: usize| (period * record.samples + row) as f64 * record.dt;
+            found.push(LeftOut { run: record.experiment.name.clone(), from: time(first), to: time(last) });
+        }
+    }
+    found
+}
+
+/// Scatter at the full rate without what is known and without the masked rows of the grid.
+fn scatter(record: &Record, known: &DMatrix<f64>, masked: &[bool]) -> Scatter {
+    let (samples, step) = (record.experiment.motion.samples(), record.step);
+    let (periods, joints) = (record.periods(), record.joints());
+    let dt = record.experiment.motion.dt;
+    let spectral = Spectral::new(samples, dt);
+    let (mut std, mut power) = (vec![0.0; joints], DMatrix::zeros(spectral.bins(), joints));
+    let rows = periods * samples;
+    let told = (rows - masked.iter().filter(|masked| **masked).count() * step).saturating_sub(samples).max(1);
+    for joint in 0..joints {
+        let mut x: Vec<f64> =
+            (0..rows).map(|row| record.repeats.tau[(row, joint)] - known[(row / step, joint)]).collect();
+        for k in 0..samples {
+            let own = (k..rows).step_by(samples);
+            let counted = own.clone().filter(|row| !masked[row / step]);
+            let (sum, count) = counted.fold((0.0, 0.0), |(sum, count), row| (sum + x[row], count + 1.0));
+            own.for_each(|row| x[row] = if masked[row / step] { 0.0 } else { x[row] - sum / f64::max(count, 1.0) });
+        }
+        std[joint] = (x.iter().map(|value| value * value).sum::<f64>() / told as f64).sqrt();
+        for period in x.chunks(samples) {
+            for (bin, value) in spectral.transform(period).iter().enumerate() {
+                power[(bin, joint)] += value.norm_sqr() / told as f64;
+            }
+        }
+    }
+    Scatter { periods, std, power, samples, dt }
+}

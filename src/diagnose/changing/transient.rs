@@ -1,0 +1,138 @@
+//! Seconds in which one period differs from the others by far: somebody touched the arm, a cable caught, a gripper moved.
+//!
+//! The energy of a second's deviation from the median of the periods is compared with that of all other seconds of the run.
+
+use super::record::{Record, from_median, spread};
+use nalgebra::DMatrix;
+
+/// Length of a window \[s\]; windows overlap by half.
+const WINDOW: f64 = 1.0;
+/// Median deviations from the median energy that make a window stand out.
+const DEVIATIONS: f64 = 25.0;
+/// Time over which energy is averaged to find begin and end \[s\].
+const SHORT: f64 = 0.1;
+/// Median deviations from the median energy within that time, and share of the peak, above which the event lasts.
+const LASTS: (f64, f64) = (12.0, 0.03);
+/// Time between two events that are one \[s\].
+const APART: f64 = 0.5;
+
+/// Rows of a record in which something happens.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Event {
+    /// First row.
+    pub first: usize,
+    /// Row after the last.
+    pub last: usize,
+    /// Joints whose energy stands out.
+    pub joints: Vec<usize>,
+}
+
+/// Deviations from the median of the periods, P N x n; what wanders from period to period is taken off by each period's own median.
+pub(super) fn robust(record: &Record, less: Option<&DMatrix<f64>>, level: bool) -> DMatrix<f64> {
+    let mut out = record.tau.clone();
+    if let Some(less) = less {
+        out -= less;
+    }
+    let rows = out.nrows();
+    for column in out.as_mut_slice().chunks_mut(rows) {
+        let mut x = from_median(column.to_vec(), record.samples);
+        if level {
+            for period in x.chunks_mut(record.samples) {
+                let (middle, _) = spread(period);
+                period.iter_mut().for_each(|value| *value -= middle);
+            }
+        }
+        column.copy_from_slice(&x);
+    }
+    out
+}
+
+/// Scale of each joint's deviations, as a standard deviation that events don't change \[Nm\].
+pub(super) fn scales(x: &DMatrix<f64>) -> Vec<f64> {
+    let scale = |column: &[f64]| (1.4826 * spread(column).1).max(1e-9);
+    x.as_slice().chunks(x.nrows()).map(scale).collect()
+}
+
+/// Events in deviations as [`robust`] gives them. Rows are in the order of time but for periods that were left out.
+pub(super) fn events(record: &Record, x: &DMatrix<f64>) -> Vec<Event> {
+    if record.periods() < 3 {
+        // Nobody knows which of two is right.
+        return Vec::new();
+    }
+    let rows = x.nrows();
+    let window = ((WINDOW / record.dt).round() as usize).clamp(1, rows);
+    let hop = (window / 2).max(1);
+    let starts: Vec<usize> = (0..=rows - window).step_by(hop).collect();
+    let mut flagged = vec![vec![false; rows]; record.joints()];
+    for (column, flagged) in x.as_slice().chunks(rows).zip(&mut flagged) {
+        let energy: Vec<f64> =
+            starts.iter().map(|&start| column[start..start + window].iter().map(|x| x * x).sum()).collect();
+        let (middle, deviation) = spread(&energy);
+        for (&start, energy) in starts.iter().zip(&energy) {
+            if *energy > middle + DEVIATIONS * deviation && *energy > 0.0 {
+                flagged[start..start + window].fill(true);
+            }
+        }
+    }
+    let scale = scales(x);
+    // Energy of a tenth of a second, over the joints that stand out.
+    let half = ((SHORT / record.dt / 2.0).round() as usize).max(1);
+    let gap = (APART / record.dt).round() as usize;
+    let any: Vec<bool> = (0..rows).map(|row| flagged.iter().any(|joint| joint[row])).collect();
+    let mut found = Vec::new();
+    for (first, last) in stretches(&any) {
+        let joints: Vec<usize> =
+            (0..record.joints()).filter(|&j| flagged[j][first..last].iter().any(|flag| *flag)).collect();
+        let square = |row: usize| joints.iter().map(|&j| (x[(row, j)] / scale[j]).powi(2)).sum::<f64>();
+        let mut sums = vec![0.0; rows + 1];
+        for row in 0..rows {
+            sums[row + 1] = sums[row] + square(row);
+        }
+        let short = |row: usize| {
+            let (from, to) = (row.saturating_sub(half), (row + half + 1).min(rows));
+            (sums[to] - sums[from]) / (to - from) as f64
+        };
+        let all: Vec<f64> = (0..rows).map(short).collect();
+        let (middle, deviation) = spread(&all);
+        let peak = all[first..last].iter().copied().fold(0.0, f64::max);
+        let least = (middle + LASTS.0 * deviation).max(LASTS.1 * peak);
+        let lasting: Vec<bool> = (0..rows).map(|row| (first..last).contains(&row) && all[row] > least).collect();
+        let mut own: Vec<Event> = Vec::new();
+        for (from, to) in stretches(&lasting) {
+            match own.last_mut() {
+                Some(event) if from < event.last + gap => event.last = to,
+                _ => own.push(Event { first: from, last: to, joints: joints.clone() }),
+            }
+        }
+        found.extend(own);
+    }
+    found
+}
+
+/// Marks the rows of events, with some on either side \[s\].
+pub(super) fn mask(record: &Record, events: &[Event], margin: f64) -> Vec<bool> {
+    let mut masked = vec![false; record.tau.nrows()];
+    let margin = (margin / record.dt).round() as usize;
+    for event in events {
+        let last = (event.last + margin).min(masked.len());
+        masked[event.first.saturating_sub(margin)..last].fill(true);
+    }
+    masked
+}
+
+/// Stretches of true values, as first and one after last.
+pub(super) fn stretches(flags: &[bool]) -> Vec<(usize, usize)> {
+    let mut found = Vec::new();
+    let mut start = None;
+    for (k, &flag) in flags.iter().chain([&false]).enumerate() {
+        match (start, flag) {
+            (None, true) => start = Some(k),
+            (Some(first), false) => {
+                found.push((first, k));
+                start = None;
+            }
+            _ => {}
+        }
+    }
+    found
+}
