@@ -20,16 +20,23 @@ fn truth(more: &str) -> Truth {
 
 /// Writes a dataset of that arm: `identify` runs to fit, `validate` runs to judge by; free runs say nothing of a period.
 fn write(dir: &Path, more: &str, mounting: Mounting, runs: [usize; 2], free: bool, seed: u64) {
+    dataset(mounting, record(more, mounting, runs, free, seed)).write(dir).unwrap();
+}
+
+fn dataset(mounting: Mounting, runs: Vec<Run>) -> Dataset {
+    Dataset { name: "test".into(), robot: "panda".into(), mounting, source: toml::Table::new(), runs }
+}
+
+fn record(more: &str, mounting: Mounting, runs: [usize; 2], free: bool, seed: u64) -> Vec<Run> {
     let (arm, chain) = (truth(more), Robot::load("panda", None).unwrap().chain);
-    let mut dataset =
-        Dataset { name: "test".into(), robot: "panda".into(), mounting, source: toml::Table::new(), runs: Vec::new() };
+    let mut recorded = Vec::new();
     for (role, (plans, count)) in [Role::Identify, Role::Validate].into_iter().zip(plans().into_iter().zip(runs)) {
         for (k, plan) in plans.iter().take(count).enumerate() {
             let name = format!("{role:?}-{k}.csv").to_lowercase();
             let noise = Noise { coloured: 0.05 };
             let periods = if free { 2 } else { 4 };
             let run = period(&chain, &arm, plan, mounting, &name).record(&arm, periods, noise, seed + k as u64);
-            dataset.runs.push(Run {
+            recorded.push(Run {
                 file: name,
                 role,
                 note: String::new(),
@@ -44,7 +51,7 @@ fn write(dir: &Path, more: &str, mounting: Mounting, runs: [usize; 2], free: boo
             });
         }
     }
-    dataset.write(dir).unwrap();
+    recorded
 }
 
 fn plumbline(arguments: &[&str]) -> Output {
@@ -113,6 +120,40 @@ fn a_payload_is_reported_and_carried_by_the_model_that_is_written() {
     assert!(diagnosis.effects.is_empty() && diagnosis.verdict.to_string() == "nothing significant", "{printed}");
     let text = |name: &str| std::fs::read_to_string(dir.join(name).join("model.toml")).unwrap();
     assert_eq!(text("before"), text("same-out"));
+}
+
+#[test]
+fn diagnose_compares_later_sessions_with_the_first() {
+    let place = tempfile::tempdir().unwrap();
+    let dir = place.path();
+    let path = |name: &str| dir.join(name).display().to_string();
+    let later = record(PAYLOAD, Mounting::WALL, [1, 1], false, 107).into_iter();
+    let later = later.map(|run| Run { file: format!("later-{}", run.file), session: 2, ..run });
+    let runs = record("", Mounting::WALL, [2, 1], false, 7).into_iter().chain(later).collect();
+    dataset(Mounting::WALL, runs).write(&dir.join("data")).unwrap();
+    let printed = succeed(&["diagnose", &path("data"), "--out", &path("out")]);
+    let text = std::fs::read_to_string(dir.join("out/report.json")).unwrap();
+    let report: Report = serde_json::from_str(&text).unwrap();
+    let diagnosis = report.diagnosis.unwrap();
+    let [effect] = &diagnosis.effects[..] else { panic!("{printed}") };
+    assert_eq!((effect.id.as_str(), effect.since_session), ("payload", Some(2)), "{printed}");
+    assert_eq!(diagnosis.verdict.to_string(), "diagnosed", "{printed}");
+    let mass = effect.parameters.0.iter().find(|own| own.name == "mass").unwrap();
+    assert!((mass.value - 0.73).abs() < 4.0 * mass.std.unwrap(), "{mass:?}");
+    let [changes] = &diagnosis.changes[..] else { panic!("{:?}", diagnosis.changes) };
+    assert_eq!((changes.since.as_str(), changes.session.as_str()), ("session 1", "session 2"));
+    let worst = |errors: &Option<plumbline::report::diagnosis::Errors>| {
+        errors.as_ref().unwrap().validate_rms.iter().copied().fold(0.0, f64::max)
+    };
+    assert!(worst(&changes.before) > 1.0 && worst(&changes.after) < 0.1, "{changes:?}");
+    // The first session's model knows nothing of it, the other's does.
+    let rms = |model: &str| {
+        let run = path("data/later-validate-0.csv");
+        let printed = succeed(&["predict", &path(model), &run, "--out", &path("tau.csv")]);
+        let text = printed.split("filtered ").nth(1).unwrap().lines().next().unwrap().to_string();
+        text.split(' ').map(|value| value.parse::<f64>().unwrap()).fold(0.0, f64::max)
+    };
+    assert!(rms("out/model.toml") > 1.0 && rms("out/model-session-2.toml") < 0.1);
 }
 
 #[test]
