@@ -106,9 +106,8 @@ impl Bench {
         let foreign = case.effects.iter().find(|one| one.family == "foreign").map(|one| one.site.joints()[0]);
         let fallback = outcome.unexplained.iter().find(|one| Some(one.joint) == foreign).cloned();
         let ratio = unabsorbed(&evidence, &structure, identify, &periods);
-        let held_out = [&outcome.before, &outcome.after].map(|model| {
-            worst(&self.chain, &model.structure, &model.identification.beta, judge, &settings)
-        });
+        let held_out = [&outcome.before, &outcome.after]
+            .map(|model| worst(&self.chain, &model.structure, &model.identification.beta, judge, &settings));
         if std::env::var("GLS").is_ok() {
             let columns = columns(&evidence, &outcome.after.structure, identify);
             let state = State::base(&Problem { evidence: &evidence, prior: None }, columns);

@@ -18,8 +18,11 @@ pub const PATIENCE: Duration = Duration::from_secs(90);
 /// The shipped job that every test is a variant of.
 pub const WALL: &str = "config/sim-panda-wall.toml";
 
+/// The shipped job without what it is there to show: an arm that has nothing undeclared, and one motion to identify from.
+pub const PLAIN: [&str; 2] = ["backend.arm=arms/sim-panda.toml", "excitation.trajectories=1"];
+
 /// Overrides that make the shipped job short: 4 s periods, few of them, a coarse search, no counter-experiment.
-pub const SHORT: [&str; 7] = [
+pub const SHORT: [&str; 8] = [
     "excitation.period=4 s",
     "excitation.periods=3",
     "excitation.starts=1",
@@ -27,6 +30,7 @@ pub const SHORT: [&str; 7] = [
     "validation.trajectories=1",
     "validation.counter-experiment=false",
     "output.dataset=false",
+    "diagnosis.enabled=false",
 ];
 
 /// The program, run from the project's folder.
@@ -64,7 +68,7 @@ impl Place {
         let mut command = plumbline();
         command.arg(subcommand).arg(WALL).arg("--out").arg(self.out());
         command.arg("--set").arg(format!("serve.id={}", self.id));
-        for set in sets {
+        for set in PLAIN.iter().chain(sets) {
             command.arg("--set").arg(set);
         }
         command
