@@ -146,7 +146,7 @@ impl Case {
 }
 
 /// The arm of the file with masses, centres of mass, inertias and friction of its own: nothing can be tuned to one arm. Also its `fc`.
-fn arm(rng: &mut ChaCha8Rng, base: &Truth) -> (String, Vec<f64>) {
+pub fn arm(rng: &mut ChaCha8Rng, base: &Truth) -> (String, Vec<f64>) {
     let mut text = format!("robot = \"{}\"\nsubsteps = {}\n", base.robot, base.substeps);
     for link in &base.links {
         // All of a link heavier alike stays a body; its centre of mass moves inside it.
