@@ -163,7 +163,7 @@ pub fn arm(rng: &mut ChaCha8Rng, base: &Truth) -> (String, Vec<f64>) {
         let _ = write!(text, "[[joint]]\nfv = {fv}\nfc = {fc}\n");
         let _ = write!(text, "stiffness = {}\ndamping = {}\n", joint.stiffness, joint.damping);
         let _ = write!(text, "torque-noise = {}\ntorque-quantum = {}\n", joint.torque_noise, joint.torque_quantum);
-        let _ = write!(text, "position-noise = {:e}\n", joint.position_noise);
+        let _ = writeln!(text, "position-noise = {:e}", joint.position_noise);
         let _ = writeln!(text, "position-quantum = {:e}", joint.position_quantum);
     }
     (text, all)

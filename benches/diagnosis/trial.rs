@@ -108,12 +108,6 @@ impl Bench {
         let ratio = unabsorbed(&evidence, &structure, identify, &periods);
         let held_out = [&outcome.before, &outcome.after]
             .map(|model| worst(&self.chain, &model.structure, &model.identification.beta, judge, &settings));
-        if std::env::var("GLS").is_ok() {
-            let columns = columns(&evidence, &outcome.after.structure, identify);
-            let state = State::base(&Problem { evidence: &evidence, prior: None }, columns);
-            let gls = worst(&self.chain, &outcome.after.structure, state.fit.theta.as_slice(), judge, &settings);
-            eprintln!("GLS {gls:.2}");
-        }
         judged(case, &outcome, Judgement { ratio, held_out, fallback, seconds })
     }
 }

@@ -62,7 +62,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         diagnosis: &diagnosis,
         of: Of::Filtered,
     };
-    let Diagnosed { after, mut block, figures: drawn, .. } = diagnosed::run(&question)?;
+    let Diagnosed { after, mut block, figures: drawn } = diagnosed::run(&question)?;
     let reference = sessions::Reference {
         model: &after.model,
         noise_floor: after.identification.rms.noise_floor.as_deref().unwrap_or_default(),

@@ -46,10 +46,6 @@ pub struct Question<'a> {
 
 /// A diagnosis and what follows from it.
 pub struct Diagnosed {
-    /// All of it.
-    pub outcome: Outcome,
-    /// The plain model.
-    pub before: Identified,
     /// The model with what was found; the plain one where nothing was.
     pub after: Identified,
     /// What the report says.
@@ -110,7 +106,7 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
         block.notes.push(format!("findings were held against {}, which no figure here is measured on", run.file));
     }
     let figures = figures(&outcome);
-    Ok(Diagnosed { outcome, before, after, block, figures })
+    Ok(Diagnosed { after, block, figures })
 }
 
 fn trials<'a>(experiments: &'a [Experiment], runs: &[&Run]) -> Vec<Trial<'a>> {
