@@ -2,7 +2,7 @@
 //!
 //! The cheap part looks at one short stretch of samples after the other. It compares the RMS of measured minus modelled torque in the
 //! band with what it was on the motion that the model was identified from, joint by joint. Two bad stretches in a row are an alarm,
-//! which says since when and in which joint. When the model has been wrong for long enough, the search of [`reference`] goes over that
+//! which says since when and in which joint. When the model has been wrong for long enough, the search of [`mod@super::reference`] goes over that
 //! time; the last part of it takes no part in the search and judges what was found.
 
 use super::Settings;

@@ -3,7 +3,7 @@
 //! [`evidence`] (torques and columns as coefficients with known noise) -> [`moments`] (their sums of products) -> [`fit`] (weighted fits, the
 //! likelihood that a candidate brings) -> [`library`] (the candidates) -> [`select`] (forward selection, backward elimination) with [`gates`]
 //! -> [`diagnosis`] (veto by unseen runs, adequacy, verdict) -> [`outcome`]; what stays unexplained goes to [`fallback`]. The same machine
-//! tells what changed since a model was identified, [`reference`], also while it is served, [`live`]. What differs from period to period is the matter of [`changing`], which
+//! tells what changed since a model was identified, [`mod@reference`], also while it is served, [`live`]. What differs from period to period is the matter of [`changing`], which
 //! needs no fit.
 
 pub mod changing;
