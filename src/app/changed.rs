@@ -3,6 +3,7 @@
 use super::Failure;
 use crate::diagnose::errors::{self, Compared, Of};
 use crate::diagnose::reference::{self, Change, Changes, NAMES};
+use crate::diagnose::select;
 use crate::estimate::experiment::Experiment;
 use crate::estimate::validate::{Modelled, Rms, validate};
 use crate::model::gravity::Mounting;
@@ -205,17 +206,8 @@ pub fn effect(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>
             unit: setting.unit.into(),
         }));
     }
-    let decided = |id: &str| {
-        let (family, _) = form?;
-        Some(family.confounded.iter().find(|other| other.with == id)?.decided_by.to_string())
-    };
     let largest = |values: &[f64]| values.iter().copied().reduce(f64::max);
-    let mut alternatives: Vec<String> = Vec::new();
-    for rival in &found.rivals {
-        if !alternatives.iter().any(|id| id == rival.item.spec.family) {
-            alternatives.push(rival.item.spec.family.into());
-        }
-    }
+    let (alternatives, alternatives_detail) = alternatives(spec.family, &found.rivals);
     Effect {
         id: spec.family.into(),
         joints: joints(spec.site),
@@ -229,16 +221,7 @@ pub fn effect(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>
         torque_rms: largest(&found.relevance.rms),
         explained_share: largest(&found.relevance.share),
         alternatives,
-        alternatives_detail: found
-            .rivals
-            .iter()
-            .map(|rival| Alternative {
-                id: rival.item.spec.family.into(),
-                joints: joints(rival.item.spec.site),
-                score_gap: Some(rival.gap),
-                deciding_experiment: decided(rival.item.spec.family).unwrap_or_default(),
-            })
-            .collect(),
+        alternatives_detail,
         confirmed: found.folds.confirm() == Some(true),
         stratum: Occurrence::Reference,
         in_model,
@@ -336,17 +319,36 @@ fn least((id, rms): &(&'static str, Vec<f64>)) -> (String, MinimumDetectable) {
 
 fn path(changes: &Changes) -> Vec<diagnosis::Step> {
     let total = |list: &[f64]| list.iter().map(|value| value * value).sum::<f64>().sqrt();
-    let start = diagnosis::Step {
-        action: Action::Start,
-        what: "the stored model".into(),
-        unmodelled: Some(total(&changes.before)),
-        score: None,
-    };
-    let step = |step: &crate::diagnose::select::Step| diagnosis::Step {
+    steps("the stored model", total(&changes.before), &changes.path)
+}
+
+/// How a search went, from a model that left so much unmodelled \[Nm\].
+pub(super) fn steps(from: &str, unmodelled: f64, path: &[select::Step]) -> Vec<diagnosis::Step> {
+    let start = diagnosis::Step { action: Action::Start, what: from.into(), unmodelled: Some(unmodelled), score: None };
+    let step = |step: &select::Step| diagnosis::Step {
         action: if step.added { Action::Added } else { Action::Removed },
         what: label(step.item.spec.family, step.item.spec.site),
         unmodelled: Some(step.unmodelled.sqrt()),
         score: Some(step.score),
     };
-    [start].into_iter().chain(changes.path.iter().map(step)).collect()
+    [start].into_iter().chain(path.iter().map(step)).collect()
+}
+
+/// What might be there instead of an effect of family `id`: the families, each once, and every rival with the experiment that decides.
+pub(super) fn alternatives(id: &str, rivals: &[select::Rival]) -> (Vec<String>, Vec<Alternative>) {
+    let confounded = family(id).map_or(&[][..], |family| family.confounded);
+    let decided = |other: &str| confounded.iter().find(|one| one.with == other).map(|one| one.decided_by.to_string());
+    let mut ids: Vec<String> = Vec::new();
+    for rival in rivals {
+        if !ids.iter().any(|known| known == rival.item.spec.family) {
+            ids.push(rival.item.spec.family.into());
+        }
+    }
+    let detail = |rival: &select::Rival| Alternative {
+        id: rival.item.spec.family.into(),
+        joints: joints(rival.item.spec.site),
+        score_gap: Some(rival.gap),
+        deciding_experiment: decided(rival.item.spec.family).unwrap_or_default(),
+    };
+    (ids, rivals.iter().map(detail).collect())
 }

@@ -172,7 +172,7 @@ fn diagnose_settings(options: &Options) -> Result<diagnose::Settings, Failure> {
     {
         return Err(BadInput::new("command line", "--threshold", threshold, "a torque in Nm, 0 or more").into());
     }
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = super::threads();
     Ok(diagnose::Settings { threshold: options.threshold, threads, ..diagnose::Settings::default() })
 }
 

@@ -1,17 +1,12 @@
 //! `plumbline diagnose`: what a plain model of recorded data lacks, offline, from files.
 
 use super::diagnosed::{self, Diagnosed, Question};
-use super::identify::{self, Split};
-use super::results::report_of;
-use super::{Failure, export, pipeline, sessions};
-use crate::config::robot::{Robot, TorqueSensing};
+use super::identify::{self, Done, Split};
+use super::{Failure, pipeline, sessions};
+use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Run};
-use crate::diagnose::errors::Of;
-use crate::diagnose::{self};
+use crate::diagnose::{self, errors::Of};
 use crate::input::BadInput;
-use crate::report::figures::Figures;
-use crate::report::{Band, Validation};
-use crate::store::{ModelFile, Validated};
 use clap::Args;
 
 /// Options of `plumbline diagnose`.
@@ -38,10 +33,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let later = sessions::take_later(&mut dataset);
     let settings = identify::settings(given)?;
     let solver = identify::solver(given)?;
-    // An offset is a finding here, not a part of the plain model.
     let terms = match &given.terms {
         Some(_) => identify::terms(given, &robot)?,
-        None => plain_terms(&robot),
+        None => pipeline::plain_terms(&robot),
     };
     let Split { identify, validate, mut notes } = identify::split(&dataset, identify::hold_out(given)?)?;
     let identified: Vec<&Run> = identify.iter().collect();
@@ -74,63 +68,19 @@ pub fn run(options: Options) -> Result<(), Failure> {
 
     let judged = trusted.iter().map(|run| Ok((*run, pipeline::judge(&after.model, run, &settings)?)));
     let judged = judged.collect::<Result<Vec<_>, Failure>>()?;
-    let provenance = super::provenance(Some(hash));
-    let mut report = report_of(&after, dataset.mounting, &provenance);
-    report.band = Band::Filtered { cutoff: settings.torque_cutoff };
-    report.identify.rms.clone_from(&report.identify.rms_filtered);
-    report.validate = judged
-        .iter()
-        .map(|(run, judged)| Validation {
-            run: run.file.clone(),
-            rms: judged.rms.filtered.clone(),
-            rms_raw: judged.rms.raw.clone(),
-            rms_filtered: judged.rms.filtered.clone(),
-            served_rms: None,
-            mounting: run.mounting.into(),
-        })
-        .collect();
-    report.identifiability.untrusted_runs = untrusted.iter().map(|run| run.file.clone()).chain(not_valid).collect();
-    report.notes.append(&mut notes);
-    report.diagnosis = Some(block);
-    let consistent = export::of_identified(&after);
-    report.consistency = consistent.as_ref().map(|found| export::facts(&after.model, found));
-    let model = ModelFile {
-        validation: judged
-            .iter()
-            .map(|(run, judged)| Validated {
-                run: run.file.clone(),
-                rho: run.mounting.rho,
-                phi: run.mounting.phi,
-                rms: judged.rms.filtered.clone(),
-            })
-            .collect(),
-        noise_floor: report.noise_floor.clone(),
-        consistent,
-        model: after.model,
-        provenance,
-    };
-    std::fs::create_dir_all(&given.out).map_err(|error| Failure::job(format!("{}: {error}", given.out.display())))?;
-    super::write(&given.out.join("model.toml"), model.to_toml().as_bytes())?;
-    let shown = identified.iter().take(1).chain(trusted.iter().take(2));
-    let runs = shown.map(|run| pipeline::figure_in_band(&model.model, run, &settings)).collect::<Result<_, _>>()?;
-    report.write(&given.out, &Figures { runs, plan: None, diagnosis: drawn }).map_err(Failure::job)?;
-    for line in report.summary() {
-        println!("{line}");
-    }
-    println!("report: {}", given.out.join("report.html").display());
-    Ok(())
-}
-
-/// Terms of the plain model besides the rigid body: motor-side torques feel the rotors.
-fn plain_terms(robot: &Robot) -> Vec<&'static str> {
-    match robot.torque_sensing {
-        TorqueSensing::Link => vec!["friction"],
-        TorqueSensing::Motor => vec!["friction", "rotor-inertia"],
-    }
+    let done =
+        Done { identified: after, runs: identified, judged, mounting: dataset.mounting, hash, settings: &settings };
+    done.write(&given.out, |report| {
+        let untrusted = untrusted.iter().map(|run| run.file.clone());
+        report.identifiability.untrusted_runs = untrusted.chain(not_valid).collect();
+        report.notes.append(&mut notes);
+        report.diagnosis = Some(block);
+        drawn
+    })
 }
 
 fn diagnosis_settings(options: &Options, repeats: bool) -> Result<diagnose::Settings, Failure> {
-    let plain = diagnose::Settings { threads: threads(), ..diagnose::Settings::default() };
+    let plain = diagnose::Settings { threads: super::threads(), ..diagnose::Settings::default() };
     let band = options.band.unwrap_or(if repeats { plain.band } else { BAND_OF_ONE });
     if !(0.5..=200.0).contains(&band) {
         return Err(BadInput::new("command line", "--band", band, "0.5 to 200 Hz").into());
@@ -143,8 +93,3 @@ fn diagnosis_settings(options: &Options, repeats: bool) -> Result<diagnose::Sett
 
 /// Highest frequency that is looked at where motions do not repeat \[Hz\]: above it their accelerations are noise.
 const BAND_OF_ONE: f64 = 10.0;
-
-/// Threads to work on.
-pub fn threads() -> usize {
-    std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
-}

@@ -1,6 +1,6 @@
 //! A diagnosis from recorded runs, and what the report says of it: shared by `diagnose` and the estimator.
 
-use super::changed::{joints, label};
+use super::changed::{alternatives, joints, label, steps};
 use super::pipeline::{self, Identified};
 use super::{Failure, progress};
 use crate::config::robot::Robot;
@@ -9,7 +9,7 @@ use crate::diagnose::diagnosis::{Input, diagnose};
 use crate::diagnose::errors::{self, Compared, Of};
 use crate::diagnose::evidence::Trial;
 use crate::diagnose::fallback::Unexplained;
-use crate::diagnose::outcome::{Confirmation, Effect, Outcome, Verdict};
+use crate::diagnose::outcome::{Confirmation, Effect, Fitted, Outcome, Verdict};
 use crate::diagnose::{self, curves};
 use crate::estimate::experiment::{Experiment, Settings};
 use crate::estimate::solve;
@@ -58,11 +58,9 @@ pub struct Diagnosed {
 pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     let bar = progress::bar("diagnosing");
     bar.at(0.02, "preparing");
-    let prepare = |runs: &[&Run]| {
-        let ready = runs.iter().map(|run| pipeline::experiment(run, question.settings));
-        ready.collect::<Result<Vec<Experiment>, Failure>>()
-    };
-    let (identify, unseen) = (prepare(question.identify)?, prepare(question.unseen)?);
+    let identify = pipeline::for_estimator(question.identify, question.settings, question.options)?;
+    let unseen = question.unseen.iter().map(|run| pipeline::experiment(run, question.settings));
+    let unseen = unseen.collect::<Result<Vec<_>, Failure>>()?;
     let (identify_trials, unseen_trials) = (trials(&identify, question.identify), trials(&unseen, question.unseen));
     // One run to hold the findings against, the others to measure them on; a single one measures.
     let (veto, judge) = unseen_trials.split_at(usize::from(unseen_trials.len() > 1));
@@ -76,16 +74,9 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     })
     .map_err(Failure::job)?;
     bar.at(0.92, "judging");
-    let mut mountings = Vec::new();
-    for run in question.identify {
-        if !mountings.contains(&run.mounting) {
-            mountings.push(run.mounting);
-        }
-    }
-    let identified = |fitted: &diagnose::outcome::Fitted| -> Result<Identified, Failure> {
-        let values = fitted.identification.values();
-        let model = TorqueModel::new(&question.robot.name, fitted.structure.clone(), mountings.clone(), &values);
-        Ok(Identified { model: model.map_err(Failure::job)?, identification: fitted.identification.clone() })
+    let identified = |fitted: &Fitted| {
+        let (structure, identification) = (fitted.structure.clone(), fitted.identification.clone());
+        pipeline::identified(question.robot, question.identify, structure, identification)
     };
     let (before, after) = (identified(&outcome.before)?, identified(&outcome.after)?);
     let measured = &unseen[veto.len()..];
@@ -170,22 +161,13 @@ fn verdict(verdict: Verdict) -> told::Verdict {
 fn effect_of(effect: &Effect, full: bool) -> told::Effect {
     let family = effect.spec.family().ok();
     let form = family.and_then(|family| family.form(effect.spec.form));
-    let decided = |id: &str| {
-        let found = family?.confounded.iter().find(|other| other.with == id)?;
-        Some(found.decided_by.to_string())
-    };
     let estimate = |one: &diagnose::outcome::Estimate| told::EffectParameter {
         name: one.name.clone(),
         value: one.value,
         std: one.std,
         unit: one.unit.into(),
     };
-    let mut alternatives: Vec<String> = Vec::new();
-    for rival in &effect.rivals {
-        if !alternatives.iter().any(|id| id == rival.item.spec.family) {
-            alternatives.push(rival.item.spec.family.into());
-        }
-    }
+    let (alternatives, alternatives_detail) = alternatives(effect.spec.family, &effect.rivals);
     told::Effect {
         id: effect.spec.family.into(),
         joints: joints(effect.spec.site),
@@ -199,16 +181,7 @@ fn effect_of(effect: &Effect, full: bool) -> told::Effect {
         explained_share: Some(effect.relevance.share[effect.relevance.joint].max(0.0)),
         adequacy: effect.adequacy,
         alternatives,
-        alternatives_detail: effect
-            .rivals
-            .iter()
-            .map(|rival| told::Alternative {
-                id: rival.item.spec.family.into(),
-                joints: joints(rival.item.spec.site),
-                score_gap: Some(rival.gap),
-                deciding_experiment: decided(rival.item.spec.family).unwrap_or_default(),
-            })
-            .collect(),
+        alternatives_detail,
         confirmed: full && effect.folds.confirm() == Some(true),
         stratum: match family.map(|family| family.stratum) {
             Some(Stratum::Changing) => told::Occurrence::Changing,
@@ -284,19 +257,7 @@ fn joint_facts(outcome: &Outcome) -> Vec<told::JointFacts> {
 
 fn path(outcome: &Outcome) -> Vec<told::Step> {
     let total: f64 = outcome.joints.iter().map(|joint| joint.unmodelled[0].powi(2)).sum();
-    let start = told::Step {
-        action: told::Action::Start,
-        what: "the plain model".into(),
-        unmodelled: Some(total.sqrt()),
-        score: None,
-    };
-    let step = |step: &diagnose::select::Step| told::Step {
-        action: if step.added { told::Action::Added } else { told::Action::Removed },
-        what: label(step.item.spec.family, step.item.spec.site),
-        unmodelled: Some(step.unmodelled.sqrt()),
-        score: Some(step.score),
-    };
-    [start].into_iter().chain(outcome.path.iter().map(step)).collect()
+    steps("the plain model", total.sqrt(), &outcome.path)
 }
 
 fn scores(outcome: &Outcome) -> Vec<told::Score> {

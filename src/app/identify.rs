@@ -1,6 +1,6 @@
 //! `plumbline identify`: the identification offline, from files.
 
-use super::pipeline::{self, Judged};
+use super::pipeline::{self, Identified, Judged};
 use super::results::report_of;
 use super::{Failure, SAME_MOUNTING, export, progress};
 use crate::config::robot::Robot;
@@ -8,11 +8,12 @@ use crate::dataset::{Dataset, Role, Run};
 use crate::estimate::experiment::{Method, Settings};
 use crate::estimate::solve::{self, Estimator};
 use crate::input::BadInput;
-use crate::report::figures::Figures;
-use crate::report::{Band, Validation};
+use crate::model::gravity::Mounting;
+use crate::report::figures::{DiagnosisFigures, Figures};
+use crate::report::{Band, Report, Validation};
 use crate::store::{ModelFile, Validated};
 use clap::Args;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Options of `plumbline identify`.
 #[derive(Args)]
@@ -89,53 +90,87 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
     bar.done();
 
-    let provenance = super::provenance(Some(dataset.content_hash()));
-    let mut report = report_of(&identified, dataset.mounting, &provenance);
-    // Recorded data rarely repeats, so there is no noise floor to hold raw samples against: `rms` is that of the filtered band.
-    report.band = Band::Filtered { cutoff: settings.torque_cutoff };
-    report.identify.rms.clone_from(&report.identify.rms_filtered);
-    report.validate = judged
-        .iter()
-        .map(|(run, judged)| Validation {
-            run: run.file.clone(),
-            rms: judged.rms.filtered.clone(),
-            rms_raw: judged.rms.raw.clone(),
-            rms_filtered: judged.rms.filtered.clone(),
-            served_rms: None,
-            mounting: run.mounting.into(),
-        })
-        .collect();
-    report.identifiability.untrusted_runs = untrusted;
-    report.notes = notes;
-    let consistent = export::of_identified(&identified);
-    report.consistency = consistent.as_ref().map(|found| export::facts(&identified.model, found));
-    let model = ModelFile {
-        validation: judged
-            .iter()
-            .map(|(run, judged)| Validated {
-                run: run.file.clone(),
-                rho: run.mounting.rho,
-                phi: run.mounting.phi,
-                rms: judged.rms.filtered.clone(),
-            })
-            .collect(),
-        noise_floor: report.noise_floor.clone(),
-        consistent,
-        model: identified.model,
-        provenance,
+    let done = Done {
+        identified,
+        runs: identified_runs,
+        judged,
+        mounting: dataset.mounting,
+        hash: dataset.content_hash(),
+        settings: &settings,
     };
-    std::fs::create_dir_all(&options.out)
-        .map_err(|error| Failure::job(format!("{}: {error}", options.out.display())))?;
-    super::write(&options.out.join("model.toml"), model.to_toml().as_bytes())?;
-    let shown = identified_runs.iter().take(1).copied().chain(judged.iter().map(|(run, _)| *run).take(2));
-    let drawn = shown.map(|run| pipeline::figure_in_band(&model.model, run, &settings)).collect::<Result<_, _>>()?;
-    let figures = Figures { runs: drawn, ..Figures::default() };
-    report.write(&options.out, &figures).map_err(Failure::job)?;
-    for line in report.summary() {
-        println!("{line}");
+    done.write(&options.out, |report| {
+        report.identifiability.untrusted_runs = untrusted;
+        report.notes = notes;
+        DiagnosisFigures::default()
+    })
+}
+
+/// A model from files, judged, on its way into a folder: what `identify` and `diagnose` leave behind.
+pub(super) struct Done<'a> {
+    /// The model.
+    pub identified: Identified,
+    /// Runs that it was identified from.
+    pub runs: Vec<&'a Run>,
+    /// Unseen runs with its errors.
+    pub judged: Vec<(&'a Run, Judged)>,
+    /// Mounting of the dataset.
+    pub mounting: Mounting,
+    /// Hash of its content.
+    pub hash: String,
+    /// How runs are made ready.
+    pub settings: &'a Settings,
+}
+
+impl Done<'_> {
+    /// Writes model.toml, report.json and report.html, and prints what matters. `add` puts more into the report and gives what is drawn
+    /// of it.
+    pub fn write(self, out: &Path, add: impl FnOnce(&mut Report) -> DiagnosisFigures) -> Result<(), Failure> {
+        let Done { identified, runs, judged, mounting, hash, settings } = self;
+        let provenance = super::provenance(Some(hash));
+        let mut report = report_of(&identified, mounting, &provenance);
+        // Recorded data rarely repeats, so there is no noise floor to hold raw samples against: `rms` is that of the filtered band.
+        report.band = Band::Filtered { cutoff: settings.torque_cutoff };
+        report.identify.rms.clone_from(&report.identify.rms_filtered);
+        report.validate = judged
+            .iter()
+            .map(|(run, judged)| Validation {
+                run: run.file.clone(),
+                rms: judged.rms.filtered.clone(),
+                rms_raw: judged.rms.raw.clone(),
+                rms_filtered: judged.rms.filtered.clone(),
+                served_rms: None,
+                mounting: run.mounting.into(),
+            })
+            .collect();
+        let diagnosis = add(&mut report);
+        let consistent = export::of_identified(&identified);
+        report.consistency = consistent.as_ref().map(|found| export::facts(&identified.model, found));
+        let model = ModelFile {
+            validation: judged
+                .iter()
+                .map(|(run, judged)| Validated {
+                    run: run.file.clone(),
+                    rho: run.mounting.rho,
+                    phi: run.mounting.phi,
+                    rms: judged.rms.filtered.clone(),
+                })
+                .collect(),
+            noise_floor: report.noise_floor.clone(),
+            consistent,
+            model: identified.model,
+            provenance,
+        };
+        std::fs::create_dir_all(out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
+        super::write(&out.join("model.toml"), model.to_toml().as_bytes())?;
+        let shown = runs.iter().take(1).copied().chain(judged.iter().map(|(run, _)| *run).take(2));
+        let runs = shown.map(|run| pipeline::figure_in_band(&model.model, run, settings)).collect::<Result<_, _>>()?;
+        report.write(out, &Figures { runs, plan: None, diagnosis }).map_err(Failure::job)?;
+        for line in report.summary() {
+            println!("{line}");
+        }
+        println!("report: {}", out.join("report.html").display());
+        Ok(())
     }
-    println!("report: {}", options.out.join("report.html").display());
-    Ok(())
 }
 
 pub(super) fn settings(options: &Options) -> Result<Settings, Failure> {

@@ -302,7 +302,7 @@ impl Live {
         let middle = after + live::divide(self.buffer.len() - after);
         let parts = (self.prepared(after, middle), self.prepared(middle, self.buffer.len()));
         let ((Some(find), Some(judge)), Some(model)) = (parts, self.model()) else { return Ok(None) };
-        let threads = std::thread::available_parallelism().map_or(1, usize::from);
+        let threads = super::threads();
         let settings = diagnose::Settings { threads, ..diagnose::Settings::default() };
         let model = model.clone();
         // The samples go on meanwhile: an estimator that is silent counts as lost.

@@ -11,6 +11,7 @@ use crate::estimate::validate::{Modelled, Rms, compare};
 use crate::input::BadInput;
 use crate::model::base::Reduction;
 use crate::model::structure::Structure;
+use crate::model::term::torque_offset;
 use crate::model::torque::TorqueModel;
 use crate::report::figures::TorqueFigure;
 use nalgebra::DMatrix;
@@ -38,6 +39,11 @@ pub fn usual_terms(robot: &Robot) -> Vec<&'static str> {
         TorqueSensing::Link => vec!["friction", "torque-offset"],
         TorqueSensing::Motor => vec!["friction", "torque-offset", "rotor-inertia"],
     }
+}
+
+/// The same for a diagnosis, to which an offset is a finding.
+pub fn plain_terms(robot: &Robot) -> Vec<&'static str> {
+    usual_terms(robot).into_iter().filter(|id| *id != torque_offset::ID).collect()
 }
 
 /// Whether `--velocities` asks for those that the arm measured.
@@ -75,6 +81,19 @@ pub fn experiment(run: &Run, settings: &Settings) -> Result<Experiment, Failure>
     Experiment::prepare(&input, settings).map_err(|error| BadInput::new(&run.file, "samples", error, expected).into())
 }
 
+/// Runs made ready with all that an estimator wants of them.
+pub fn for_estimator(runs: &[&Run], settings: &Settings, options: &solve::Options) -> Result<Vec<Experiment>, Failure> {
+    let settings = Settings { keep_periods: options.estimator.wants_periods(), ..settings.clone() };
+    let prepare = |run: &&Run| {
+        let experiment = experiment(run, &settings)?;
+        if !options.estimator.wants_periods() {
+            return Ok(experiment);
+        }
+        desired(run, experiment)
+    };
+    runs.iter().map(prepare).collect()
+}
+
 /// Identifies a model from runs of one arm.
 pub fn identify(
     robot: &Robot,
@@ -84,15 +103,7 @@ pub fn identify(
     options: &solve::Options,
 ) -> Result<Identified, Failure> {
     let structure = structure(robot, runs, terms)?;
-    let settings = Settings { keep_periods: options.estimator.wants_periods(), ..settings.clone() };
-    let prepare = |run: &&Run| {
-        let experiment = experiment(run, &settings)?;
-        if !options.estimator.wants_periods() {
-            return Ok(experiment);
-        }
-        desired(run, experiment)
-    };
-    let experiments = runs.iter().map(prepare).collect::<Result<Vec<_>, Failure>>()?;
+    let experiments = for_estimator(runs, settings, options)?;
     let identification = identify_with(&structure, &experiments, options).map_err(|error| match error {
         EstimateError::NoInstruments { run } => {
             let expected = "at least two periods, or columns q_d1..q_dn, for `--estimator iv`";
@@ -100,6 +111,16 @@ pub fn identify(
         }
         other => Failure::job(other),
     })?;
+    identified(robot, runs, structure, identification)
+}
+
+/// The model of an identification from runs of one arm.
+pub fn identified(
+    robot: &Robot,
+    runs: &[&Run],
+    structure: Structure,
+    identification: Identification,
+) -> Result<Identified, Failure> {
     let mut mountings = Vec::new();
     for run in runs {
         if !mountings.contains(&run.mounting) {

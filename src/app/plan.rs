@@ -1,7 +1,7 @@
 //! `plumbline plan`, and the planning of a job's motions.
 
 use super::programme::Programme;
-use super::{Failure, friction_structure, progress};
+use super::{Failure, friction_structure, progress, threads};
 use crate::config::job::Job;
 use crate::config::robot::Robot;
 use crate::config::units::parse_mounting;
@@ -202,11 +202,6 @@ impl Options {
         }
         Ok(())
     }
-}
-
-/// Threads that a search may use: all that the machine has.
-fn threads() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// The nominal model in a file.

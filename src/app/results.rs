@@ -2,7 +2,6 @@
 
 use super::Failure;
 use super::collector::Recorded;
-use super::diagnose::threads;
 use super::diagnosed::{self, Diagnosed, Question};
 use super::pipeline::{self, Identified, Judged};
 use super::programme::{Motion, Programme, Role};
@@ -140,7 +139,8 @@ impl Results {
         let unseen: Vec<&Run> =
             unseen.into_iter().filter(|run| identified.model.valid_in(&run.mounting).is_ok()).collect();
         let Diagnosis { band, threshold, .. } = self.job.diagnosis;
-        let settings = diagnose::Settings { band, threshold, threads: threads(), ..diagnose::Settings::default() };
+        let settings =
+            diagnose::Settings { band, threshold, threads: super::threads(), ..diagnose::Settings::default() };
         let question = Question {
             robot: &self.robot,
             structure: identified.model.structure(),
