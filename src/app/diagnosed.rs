@@ -249,6 +249,7 @@ fn joint_facts(outcome: &Outcome) -> Vec<told::JointFacts> {
             unmodelled: both(Some(facts.unmodelled)),
             threshold: Some(facts.threshold).filter(|_| facts.floor.is_some()),
             adequacy: facts.adequacy,
+            left_out: both(facts.left_out),
             ..told::JointFacts::default()
         }
     };

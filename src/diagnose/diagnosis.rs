@@ -6,6 +6,7 @@ use super::detectable;
 use super::evidence::{Evidence, Trial};
 use super::fallback::{self, Unexplained};
 use super::fit::{LEAST, Problem, group};
+use super::gates;
 use super::library::{Candidate, library, repeatable};
 use super::moments::Columns;
 use super::outcome::{Confirmation, Effect, Estimate, Fitted, JointFacts, Outcome, Verdict};
@@ -65,12 +66,17 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let adequacy = adequacy(input, settings, &base, &selected.state, &ground);
     let helpful = |found: &Found| adequacy[found.relevance.joint].is_none_or(|share| share >= HELPFUL);
     let kept: Vec<bool> = selected.found.iter().map(helpful).collect();
-    let after = extended(input, &experiments, &selected.state, &kept, &before)?;
+    let sigma = weights(input, &experiments, &seeds, &ground, &before)?;
+    let after = extended(input, &experiments, &selected.state, &kept, &before, &sigma)?;
     let effects = effects_of(&search, &selected, &kept, &adequacy, &after);
-    let joints: Vec<JointFacts> =
-        (0..evidence.joints()).map(|joint| facts(&evidence, settings, joint, &base, &selected.state, &kept)).collect();
     // What the delivered model leaves over.
     let left = if kept.iter().any(|kept| *kept) { &selected.state } else { &base };
+    let left_out = (evidence.folds().len() > 1).then(|| gates::left_out(&search.problem, &base, left));
+    let facts = |joint: usize| {
+        let left_out = left_out.as_ref().map(|errors| errors[joint]);
+        JointFacts { left_out, ..facts(&evidence, settings, joint, &base, left) }
+    };
+    let joints: Vec<JointFacts> = (0..evidence.joints()).map(facts).collect();
     let unexplained = unexplained(&evidence, left, settings, &joints, &adequacy);
     let verdict = verdict(&effects, &unexplained);
     let curves = curves::of(&search, &base, left, &unexplained);
@@ -196,6 +202,25 @@ fn adequacy(input: &Input, settings: &Settings, base: &State, state: &State, gro
     (0..unseen.evidence.joints()).map(share).collect()
 }
 
+/// Standard deviation of each joint's residual under the model that the search starts from.
+///
+/// The weights of the joints stay as they are there: a joint that an effect repairs would weigh more otherwise, and the parameters that
+/// it shares with the others would follow what it still lacks.
+fn weights(
+    input: &Input,
+    experiments: &[Experiment],
+    seeds: &[Candidate],
+    ground: &Ground,
+    before: &solve::Identification,
+) -> Result<Vec<f64>, EstimateError> {
+    let specs: Vec<Spec> = seeds.iter().map(|seed| seed.spec.clone()).collect();
+    let terms = effect::assemble(&specs, ground).ok().filter(|_| !specs.is_empty());
+    match terms.and_then(|terms| input.structure.clone().with(terms).ok()) {
+        Some(structure) => Ok(identify_with(&structure, experiments, input.options)?.sigma),
+        None => Ok(before.sigma.clone()),
+    }
+}
+
 /// The model with the effects that help, identified as a whole.
 fn extended(
     input: &Input,
@@ -203,6 +228,7 @@ fn extended(
     state: &State,
     kept: &[bool],
     before: &solve::Identification,
+    sigma: &[f64],
 ) -> Result<Fitted, EstimateError> {
     let plain = || Fitted { structure: input.structure.clone(), identification: before.clone() };
     let specs: Vec<Spec> =
@@ -221,7 +247,7 @@ fn extended(
         };
         let known = experiments.iter().all(|experiment| experiment.scatter.is_some());
         let identification = match input.options.estimator {
-            Estimator::Wls if !known => identify_weighted(&structure, experiments, &before.sigma)?,
+            Estimator::Wls if !known => identify_weighted(&structure, experiments, sigma)?,
             _ => identify_with(&structure, experiments, input.options)?,
         };
         beta.clone_from(&identification.beta);
@@ -305,16 +331,7 @@ fn settings_of(search: &Search, state: &State, index: usize) -> Vec<Estimate> {
     form.settings.iter().enumerate().map(estimate).collect()
 }
 
-fn facts(
-    evidence: &Evidence,
-    settings: &Settings,
-    joint: usize,
-    base: &State,
-    state: &State,
-    kept: &[bool],
-) -> JointFacts {
-    // What is not put into the model explains nothing.
-    let after = if kept.iter().any(|kept| !kept) && !kept.iter().any(|kept| *kept) { base } else { state };
+fn facts(evidence: &Evidence, settings: &Settings, joint: usize, base: &State, after: &State) -> JointFacts {
     let floor = evidence.floor(joint);
     let ratio = |state: &State| state.residual(joint).norm_squared() / evidence.per_joint() as f64;
     JointFacts {
@@ -324,6 +341,7 @@ fn facts(
         lack_of_fit: floor.map(|_| [base, after].map(ratio)),
         threshold: settings.threshold.unwrap_or(THRESHOLD * floor.unwrap_or(0.0)),
         adequacy: None,
+        left_out: None,
     }
 }
 

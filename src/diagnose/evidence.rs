@@ -23,9 +23,9 @@ const RATE: f64 = 180.0;
 /// Noise is averaged over frequencies from `f / 1.3` to `1.3 f`.
 const SMOOTHING: f64 = 1.3;
 /// A block of a motion that does not repeat is no shorter than this \[s\] and no longer than the other.
-const BLOCK: (f64, f64) = (2.0, 10.0);
+const BLOCK: (f64, f64) = (1.0, 10.0);
 /// Blocks that the motions that do not repeat are cut into, all together.
-const BLOCKS: f64 = 8.0;
+const BLOCKS: f64 = 20.0;
 
 /// A trajectory, or a block of a motion that does not repeat: what is left out as a whole when findings are tested.
 #[derive(Clone, Debug)]

@@ -171,6 +171,28 @@ impl Problem<'_> {
         Fit { theta, h, phi, rss, count, likelihood, sums: per_group }
     }
 
+    /// Parameters that all folds but one determine, under given weights, for each fold in turn.
+    pub fn left_out(&self, moments: &Moments, phi: &[f64]) -> Vec<DVector<f64>> {
+        let p = moments.width;
+        let mut folds = vec![(DMatrix::zeros(p, p), DVector::zeros(p)); self.evidence.folds().len()];
+        for (cell, own) in self.evidence.cells().iter().zip(&moments.cells) {
+            let weight = 1.0 / phi[group(cell.joint, cell.band)];
+            let (g, b) = &mut folds[cell.fold];
+            g.zip_apply(&own.g, |sum, own| *sum += weight * own);
+            b.axpy(weight, &own.b, 1.0);
+        }
+        let (mut g, mut b) = (DMatrix::zeros(p, p), DVector::zeros(p));
+        if let Some(prior) = self.prior {
+            let known = prior.precision.nrows();
+            g.view_mut((0, 0), (known, known)).copy_from(&prior.precision);
+        }
+        for (own_g, own_b) in &folds {
+            g += own_g;
+            b += own_b;
+        }
+        folds.iter().map(|(own_g, own_b)| inverse(&(&g - own_g)) * (&b - own_b)).collect()
+    }
+
     /// The weighted normal equations of all folds, with what the prior adds: the inverse of a fit's `h` where they have full rank.
     pub fn information(&self, moments: &Moments, phi: &[f64]) -> DMatrix<f64> {
         let mut g = DMatrix::zeros(moments.width, moments.width);
@@ -256,11 +278,15 @@ impl Problem<'_> {
         rss
     }
 
-    /// Squared residual of one fold, weighed by `phi`, under parameters that were fitted elsewhere.
-    pub fn of_fold(&self, moments: &Moments, theta: &DVector<f64>, fold: usize, phi: &[f64]) -> f64 {
-        let cells = self.evidence.cells().iter().zip(&moments.cells).filter(|(cell, _)| cell.fold == fold);
-        let rss = |own: &super::moments::Moment| own.r2 - 2.0 * theta.dot(&own.b) + (&own.g * theta).dot(theta);
-        cells.map(|(cell, own)| rss(own).max(0.0) / phi[group(cell.joint, cell.band)]).sum()
+    /// Squared residual of each joint in one fold under parameters that were fitted elsewhere: weighed by `phi`, and as it is.
+    pub fn of_fold(&self, moments: &Moments, theta: &DVector<f64>, fold: usize, phi: &[f64]) -> Vec<[f64; 2]> {
+        let mut errors = vec![[0.0; 2]; self.evidence.joints()];
+        for (cell, own) in self.evidence.cells().iter().zip(&moments.cells).filter(|(cell, _)| cell.fold == fold) {
+            let rss = (own.r2 - 2.0 * theta.dot(&own.b) + (&own.g * theta).dot(theta)).max(0.0);
+            errors[cell.joint][0] += rss / phi[group(cell.joint, cell.band)];
+            errors[cell.joint][1] += rss;
+        }
+        errors
     }
 }
 

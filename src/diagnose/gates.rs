@@ -13,12 +13,18 @@ const INFORMATIVE: (f64, f64) = (0.03, 0.8);
 const AGREEMENT: f64 = 0.75;
 
 /// How the folds judge a candidate.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Folds {
     /// Folds whose error falls when the effect, fitted to the others, is added.
     pub positive: usize,
     /// Folds that can tell.
     pub informative: usize,
+    /// Twice the gain in log likelihood on folds left out, `sum_j n_j ln(error_without / error_with)` over all joints.
+    pub evidence: f64,
+    /// Share of the mean square that it takes away on folds left out, in the joint where that is most.
+    pub share: f64,
+    /// The same in the joint where it is least, among all: what it harms.
+    pub worst: f64,
 }
 
 impl Folds {
@@ -37,22 +43,57 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> Folds {
     }
     let phi = &tried.fit.phi;
     let shares = shares(problem, state, tried);
+    let known = problem.evidence.repeats();
+    let with = problem.left_out(&tried.moments, phi);
+    let without = if tried.held { Vec::new() } else { problem.left_out(&state.moments, phi) };
+    let mut errors = vec![[[0.0; 2]; 2]; problem.evidence.joints()];
     for (fold, share) in shares.into_iter().enumerate() {
-        if !(INFORMATIVE.0..=INFORMATIVE.1).contains(&share) {
+        let informative = (INFORMATIVE.0..=INFORMATIVE.1).contains(&share);
+        // Where the noise is known, the folds are asked for their sign alone.
+        if known && !informative {
             continue;
         }
-        let others = |other: usize| other != fold;
-        let with = problem.weighted(&tried.moments, &others, phi);
-        let without = if tried.held { None } else { Some(problem.weighted(&state.moments, &others, phi)) };
-        let error_with = problem.of_fold(&tried.moments, &with.theta, fold, phi);
+        let error_with = problem.of_fold(&tried.moments, &with[fold], fold, phi);
         // Parameters that a prior holds stay as they are with the candidate.
-        let held = || with.theta.rows(0, state.fit.theta.len()).into_owned();
-        let theta = without.map_or_else(held, |without| without.theta);
+        let held = || with[fold].rows(0, state.fit.theta.len()).into_owned();
+        let theta = without.get(fold).cloned().unwrap_or_else(held);
         let error_without = problem.of_fold(&state.moments, &theta, fold, phi);
-        found.informative += 1;
-        found.positive += usize::from(error_with < error_without);
+        for (sums, own) in errors.iter_mut().zip(error_without.iter().zip(&error_with)) {
+            for kind in 0..2 {
+                sums[kind][0] += own.0[kind];
+                sums[kind][1] += own.1[kind];
+            }
+        }
+        if informative {
+            let weighed = |errors: &[[f64; 2]]| errors.iter().map(|own| own[0]).sum::<f64>();
+            found.informative += 1;
+            found.positive += usize::from(weighed(&error_with) < weighed(&error_without));
+        }
     }
+    let mut touched: Vec<usize> =
+        tried.cross.cells.iter().map(|(cell, _)| problem.evidence.cells()[*cell].joint).collect();
+    touched.dedup();
+    let rows = problem.evidence.per_joint() as f64;
+    let gain = |[without, with]: [f64; 2]| (without.max(f64::MIN_POSITIVE) / with.max(f64::MIN_POSITIVE)).ln();
+    let share = |joint: usize| 1.0 - (-gain(errors[joint][1])).exp();
+    found.evidence = errors.iter().map(|own| rows * gain(own[0])).sum();
+    found.share = touched.iter().map(|&joint| share(joint)).fold(f64::NEG_INFINITY, f64::max);
+    found.worst = (0..errors.len()).map(share).fold(f64::INFINITY, f64::min);
     found
+}
+
+/// RMS of each joint on folds left out in turn \[Nm\], of two models: parameters from all other folds, weights of the first.
+pub fn left_out(problem: &Problem, before: &State, after: &State) -> Vec<[f64; 2]> {
+    let phi = &before.fit.phi;
+    let mut errors = vec![[0.0; 2]; problem.evidence.joints()];
+    for (which, state) in [before, after].into_iter().enumerate() {
+        for (fold, theta) in problem.left_out(&state.moments, phi).iter().enumerate() {
+            let own = problem.of_fold(&state.moments, theta, fold, phi);
+            errors.iter_mut().zip(own).for_each(|(sum, [_, square])| sum[which] += square);
+        }
+    }
+    let samples = problem.evidence.samples();
+    errors.into_iter().map(|sums| sums.map(|sum| (sum / samples).sqrt())).collect()
 }
 
 /// Share of each fold in the energy of what the candidate changes.

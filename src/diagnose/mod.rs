@@ -36,6 +36,8 @@ pub struct Settings {
     pub least_share: f64,
     /// The same where the noise is not known, of the whole residual.
     pub least_share_of_all: f64,
+    /// And on blocks that were left out.
+    pub least_share_left_out: f64,
     /// Score that an effect needs where the noise is not known; zero is enough where it is.
     pub margin: f64,
     /// Most steps of the selection.
@@ -52,7 +54,8 @@ impl Default for Settings {
             least_floor: 0.7,
             least_share: 0.15,
             least_share_of_all: 0.03,
-            margin: 10.0,
+            least_share_left_out: 0.2,
+            margin: 0.0,
             steps: 12,
             threads: 1,
         }

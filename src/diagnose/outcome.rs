@@ -114,6 +114,8 @@ pub struct JointFacts {
     /// Share of what was unmodelled that the effects explain, on data that was not fitted where there is any; `None` where nothing was
     /// unmodelled or the noise is not known.
     pub adequacy: Option<f64>,
+    /// RMS of the residual in the band on trajectories or blocks left out in turn, before and after \[Nm\]; `None` where there is one.
+    pub left_out: Option<[f64; 2]>,
 }
 
 impl JointFacts {

@@ -15,6 +15,12 @@ use crate::model::term::effect::{Ground, Setting};
 const SHORTLIST: usize = 16;
 /// Evaluations of a search for a setting.
 const EVALUATIONS: usize = 12;
+/// Where nothing tells the noise: candidates with this share of the best score are nearly as good,
+const NEARLY: f64 = 0.8;
+/// an effect has to show in so many of the blocks that were left out,
+const LEAST_FOLDS: usize = 3;
+/// and may not add this share to the mean square of any joint on blocks that were left out.
+const HARM: f64 = 0.3;
 /// A rival within so much of the score can't be told from the chosen one.
 pub const GAP: f64 = 12.0;
 
@@ -195,7 +201,7 @@ impl Search<'_> {
             if step == 0 {
                 first.clone_from(&proposals);
             }
-            let Some(chosen) = proposals.into_iter().find(|one| self.passes(&state, one)) else { break };
+            let Some(chosen) = self.choose(&state, proposals) else { break };
             state = self.settle(&state.with(&self.problem, chosen.item.clone()));
             self.record(&mut path, &state, chosen.item, true, chosen.score, progress);
             while let Some((worst, score)) = self.weakest(&state) {
@@ -230,8 +236,34 @@ impl Search<'_> {
             return false;
         }
         let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);
-        gates::matters(self.evidence(), &relevance, &one.item, self.settings)
-            && gates::folds(&self.problem, state, &one.tried).confirm() != Some(false)
+        if !gates::matters(self.evidence(), &relevance, &one.item, self.settings) {
+            return false;
+        }
+        let folds = gates::folds(&self.problem, state, &one.tried);
+        folds.confirm() != Some(false) && (self.evidence().repeats() || self.holds(one, &folds))
+    }
+
+    /// Whether a candidate holds on blocks that were left out, where nothing but the size of what the model lacks is known: that is no
+    /// noise, and a likelihood on the data of the fit says too much. It has to show in several of them, the same score has to be reached
+    /// there, a good part of one joint's error has to go, and no joint may lose much.
+    fn holds(&self, one: &Scored, folds: &Folds) -> bool {
+        folds.informative >= LEAST_FOLDS.min(self.evidence().folds().len() / 2)
+            && folds.evidence - one.penalty > self.least()
+            && folds.share >= self.settings.least_share_left_out
+            && folds.worst > -HARM
+    }
+
+    /// Of candidates that pass, the best; of those that are nearly as good the simplest, where the score is no exact measure.
+    fn choose(&self, state: &State, proposals: Vec<Scored>) -> Option<Scored> {
+        let mut proposals = proposals.into_iter();
+        let best = proposals.find(|one| self.passes(state, one))?;
+        if self.evidence().repeats() {
+            return Some(best);
+        }
+        let least = NEARLY * best.score;
+        let near = proposals.take_while(|one| one.score >= least).filter(|one| self.passes(state, one));
+        let cost = |one: &Scored| (one.tried.cross.width * one.item.joints().len(), one.item.parameters());
+        Some(near.fold(best, |best, one| if cost(&one) < cost(&best) { one } else { best }))
     }
 
     /// Score that an effect needs.
@@ -277,26 +309,27 @@ impl Search<'_> {
             let chosen = state.items[item].clone();
             let joints = chosen.joints();
             let near = |other: &Candidate| other.joints().iter().any(|joint| joints.contains(joint));
-            let Some(own) = self.score(&rest, &chosen) else {
+            let Some(own) = self.score(&rest, &chosen).filter(|own| own.score > self.least()) else {
+                self.record(path, &rest, chosen, false, 0.0, progress);
                 state = rest;
                 continue;
             };
             let others = self.propose(&rest, |other| near(other) && !other.alike(&chosen));
-            let better = others.iter().find(|other| other.score > own.score && self.passes(&rest, other));
+            let least = own.score + if self.evidence().repeats() { 0.0 } else { GAP };
+            let better = others.iter().find(|other| other.score > least && self.passes(&rest, other));
             if let Some(better) = better.filter(|_| swaps > 0) {
                 swaps -= 1;
                 self.record(path, &rest, chosen, false, own.score, progress);
                 state = rest.with(&self.problem, better.item.clone());
                 self.record(path, &state, better.item.clone(), true, better.score, progress);
-                // Every other effect has a new neighbour.
-                item = 0;
-                found.clear();
+                // The newcomer is the last one now, and its turn comes.
                 continue;
             }
             let mut rivals: Vec<Rival> = Vec::new();
             for other in others.iter().filter(|other| other.score > 0.0 && !other.item.same_effect(&chosen)) {
                 let gap = own.score - other.score;
-                if gap < GAP && !rivals.iter().any(|rival| rival.item.same_effect(&other.item)) {
+                let listed = rivals.iter().any(|rival| rival.item.same_effect(&other.item));
+                if gap < GAP && !listed && (gap > 0.0 || self.passes(&rest, other)) {
                     rivals.push(Rival { item: other.item.clone(), gap });
                 }
             }

@@ -211,6 +211,9 @@ pub struct JointFacts {
     pub threshold: Option<f64>,
     /// Share of the unmodelled power that the effects explain.
     pub adequacy: Option<f64>,
+    /// RMS of the residual on trajectories, or blocks of motions that do not repeat, left out of the fit in turn \[Nm\].
+    #[serde(default)]
+    pub left_out: BeforeAfter,
 }
 
 /// What a step of the search did.

@@ -168,7 +168,10 @@ pub(super) fn confirmed(effect: &Effect, why: &str) -> String {
         (true, _) => format!("confirmed in {positive} of {informative} trajectories"),
         (false, 0) if why.is_empty() || why.starts_with("confirmed") => "unconfirmed".into(),
         (false, 0) => format!("unconfirmed ({why})"),
-        (false, _) => format!("unconfirmed (held in {positive} of {informative} trajectories)"),
+        (false, _) => {
+            let left_out = if why == "no repeats" { "blocks" } else { "trajectories" };
+            format!("unconfirmed (held in {positive} of {informative} {left_out})")
+        }
     }
 }
 
