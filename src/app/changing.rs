@@ -3,7 +3,9 @@
 use super::Failure;
 use super::diagnosed::Question;
 use super::pipeline;
-use crate::diagnose::changing::{BaseMotion, Changing, Contact, Course, Drift, Drifting, changing, cleaned};
+use crate::diagnose::changing::{
+    BaseMotion, Changing, Contact, Course, Drift, Drifting, LEAST_PERIODS, changing, cleaned,
+};
 use crate::diagnose::evidence::Trial;
 use crate::diagnose::outcome::JointFacts;
 use crate::estimate::experiment::{Experiment, LeftOut, Settings};
@@ -23,7 +25,7 @@ pub struct Looked {
     /// The runs, without what happened once, and with the noise of what is left.
     pub experiments: Vec<Experiment>,
     found: Changing,
-    /// Names of all runs that repeat.
+    /// Names of all runs that repeat often enough.
     runs: Vec<String>,
     /// Names of runs that keep everything.
     spared: Vec<String>,
@@ -34,7 +36,10 @@ impl Looked {
     pub fn at(question: &Question) -> Result<Looked, Failure> {
         let settings = Settings { keep_periods: true, ..question.settings.clone() };
         let mut experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
-        let repeating = experiments.iter().filter(|experiment| experiment.repeats.is_some());
+        let enough = |experiment: &&Experiment| {
+            experiment.repeats.as_ref().is_some_and(|repeats| repeats.periods.len() >= LEAST_PERIODS)
+        };
+        let repeating = experiments.iter().filter(enough);
         let runs: Vec<String> = repeating.map(|experiment| experiment.name.clone()).collect();
         let (mut found, mut spared) = (Changing::default(), Vec::new());
         if !runs.is_empty() {
@@ -50,7 +55,7 @@ impl Looked {
             let settings = Settings { leave_out, ..settings };
             experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
         }
-        // Single samples that are off are gone by now; the rest would pass for noise.
+        // Drifts and events would pass for noise; single samples that are off hardly count there.
         if !(found.drifts.is_empty()
             && found.base_motions.is_empty()
             && found.contacts.is_empty()
@@ -154,17 +159,16 @@ impl Looked {
         }
         let mut events: Vec<(&str, f64, f64, String)> = Vec::new();
         for one in &found.contacts {
-            events.push((&one.run, one.from, one.to, format!("contact on link {}", one.link + 1)));
+            events.push((&one.run, one.from, one.to, format!(": contact on link {}", one.link + 1)));
         }
         for one in &found.transients {
             let joints: Vec<usize> = one.joints.iter().map(|joint| joint + 1).collect();
-            events.push((&one.run, one.from, one.to, format!("{}: unexplained transient", places(&joints))));
+            events.push((&one.run, one.from, one.to, format!(", {}: unexplained transient", places(&joints))));
         }
         events.sort_by(|a, b| a.0.cmp(b.0).then(a.1.total_cmp(&b.1)));
         for (run, from, to, what) in events {
             let left_out = if self.spared.iter().any(|spared| spared == run) { "not left out" } else { "left out" };
-            let comma = if what.starts_with("joint") { "," } else { ":" };
-            notes.push(format!("run {run}, {from:.2} to {to:.2} s{comma} {what}, {left_out}"));
+            notes.push(format!("run {run}, {from:.2} to {to:.2} s{what}, {left_out}"));
         }
         for one in &found.hygiene {
             let (torques, positions): (usize, usize) = (one.torques.iter().sum(), one.positions.iter().sum());

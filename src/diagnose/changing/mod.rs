@@ -27,6 +27,10 @@ use record::Record;
 /// Time before and after an event that is left out too \[s\].
 const MARGIN: f64 = 0.2;
 
+/// Fewest periods that tell anything: nobody knows which of two is right, and half of the frequencies of two are harmonics, which the
+/// deviations have none of.
+pub const LEAST_PERIODS: usize = 3;
+
 /// Most times that drifts are fitted again without what only they had made an event.
 const ROUNDS: usize = 2;
 
@@ -83,7 +87,8 @@ impl Changing {
 /// repeats have no part in it but for their hygiene.
 pub fn changing(ground: &Ground, friction: &[[f64; 2]], trials: &[Trial]) -> Changing {
     let mut found = Changing::default();
-    let mut records: Vec<Record> = trials.iter().filter_map(|trial| Record::of(trial.experiment)).collect();
+    let records = trials.iter().filter_map(|trial| Record::of(trial.experiment));
+    let mut records: Vec<Record> = records.filter(|record| record.periods() >= LEAST_PERIODS).collect();
     // Events are no drift, nor noise: what is far off stays out of the rest.
     for record in &mut records {
         let x = transient::robust(record, None, true);
