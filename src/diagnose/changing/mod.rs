@@ -27,9 +27,9 @@ use record::Record;
 /// Time before and after an event that is left out too \[s\].
 const MARGIN: f64 = 0.2;
 
-/// Fewest periods that tell anything: nobody knows which of two is right, and half of the frequencies of two are harmonics, which the
-/// deviations have none of.
-pub const LEAST_PERIODS: usize = 3;
+/// Fewest periods that tell anything. Nobody knows which of two is right, and half of the frequencies of two are harmonics, which the
+/// deviations have none of; the median of three is one of them, and the scale of what differs from it too small: noise made events.
+pub const LEAST_PERIODS: usize = 4;
 
 /// Most times that drifts are fitted again without what only they had made an event.
 const ROUNDS: usize = 2;
