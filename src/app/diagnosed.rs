@@ -1,6 +1,7 @@
 //! A diagnosis from recorded runs, and what the report says of it: shared by `diagnose` and the estimator.
 
 use super::changed::{alternatives, joints, label, steps};
+use super::changing::Looked;
 use super::pipeline::{self, Identified};
 use super::{Failure, progress};
 use crate::config::robot::Robot;
@@ -58,10 +59,11 @@ pub struct Diagnosed {
 pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     let bar = progress::bar("diagnosing");
     bar.at(0.02, "preparing");
-    let identify = pipeline::for_estimator(question.identify, question.settings, question.options)?;
+    let looked = Looked::at(question)?;
+    let identify = &looked.experiments;
     let unseen = question.unseen.iter().map(|run| pipeline::experiment(run, question.settings));
     let unseen = unseen.collect::<Result<Vec<_>, Failure>>()?;
-    let (identify_trials, unseen_trials) = (trials(&identify, question.identify), trials(&unseen, question.unseen));
+    let (identify_trials, unseen_trials) = (trials(identify, question.identify), trials(&unseen, question.unseen));
     // One run to hold the findings against, the others to measure them on; a single one measures.
     let (veto, judge) = unseen_trials.split_at(usize::from(unseen_trials.len() > 1));
     let input =
@@ -96,6 +98,7 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     if let Some(run) = question.unseen[..veto.len()].first() {
         block.notes.push(format!("findings were held against {}, which no figure here is measured on", run.file));
     }
+    looked.tell(&mut block, &outcome.joints, question.diagnosis.least_floor, question.diagnosis.threshold);
     let figures = figures(&outcome);
     Ok(Diagnosed { after, block, figures })
 }

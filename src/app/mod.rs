@@ -1,6 +1,7 @@
 //! Floor 4: one file per subcommand, wiring only.
 
 mod changed;
+mod changing;
 mod collector;
 mod command;
 mod compare;

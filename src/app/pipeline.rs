@@ -83,7 +83,8 @@ pub fn experiment(run: &Run, settings: &Settings) -> Result<Experiment, Failure>
 
 /// Runs made ready with all that an estimator wants of them.
 pub fn for_estimator(runs: &[&Run], settings: &Settings, options: &solve::Options) -> Result<Vec<Experiment>, Failure> {
-    let settings = Settings { keep_periods: options.estimator.wants_periods(), ..settings.clone() };
+    let keep_periods = settings.keep_periods || options.estimator.wants_periods();
+    let settings = Settings { keep_periods, ..settings.clone() };
     let prepare = |run: &&Run| {
         let experiment = experiment(run, &settings)?;
         if !options.estimator.wants_periods() {

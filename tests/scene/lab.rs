@@ -3,12 +3,12 @@
 #![allow(dead_code)]
 
 use super::DT;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, Vector3};
 use plumbline::backend::sim::{Response, Truth};
 use plumbline::estimate::run::Run;
 use plumbline::excite::fourier::PeriodicMotion;
 use plumbline::excite::plan::Plan;
-use plumbline::model::chain::Chain;
+use plumbline::model::chain::{Chain, JointKind, Placement};
 use plumbline::model::gravity::Mounting;
 use plumbline::store::parse_plan;
 use rand::{Rng, SeedableRng};
@@ -104,4 +104,31 @@ impl Period {
 
 fn step(value: f64, quantum: f64) -> f64 {
     if quantum > 0.0 { (value / quantum).round() * quantum } else { value }
+}
+
+/// Torque that it takes to hold against a force on the arm in the base frame at a point of a link.
+pub fn of_force(chain: &Chain, q: &[f64], link: usize, point: Vector3<f64>, force: Vector3<f64>) -> Vec<f64> {
+    let mut frame = Placement::identity();
+    let frames: Vec<Placement> = chain
+        .joints()
+        .iter()
+        .zip(q)
+        .map(|(joint, &q)| {
+            frame = frame.then(&joint.placement(q));
+            frame
+        })
+        .collect();
+    let at = frames[link].origin + frames[link].rotation * point;
+    let torque = |(j, frame): (usize, &Placement)| {
+        assert_eq!(chain.joints()[j].kind, JointKind::Revolute);
+        let axis: Vector3<f64> = frame.rotation.column(2).into();
+        if j > link { 0.0 } else { -axis.cross(&(at - frame.origin)).dot(&force) }
+    };
+    frames.iter().enumerate().map(torque).collect()
+}
+
+/// 0 to 1 within a tenth of a second after `from`, and back before `to`.
+pub fn window(t: f64, from: f64, to: f64) -> f64 {
+    let edge = |x: f64| 0.5 - 0.5 * (std::f64::consts::PI * (x / 0.1).clamp(0.0, 1.0)).cos();
+    edge(t - from) * edge(to - t)
 }

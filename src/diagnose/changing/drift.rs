@@ -115,6 +115,8 @@ pub struct Drift {
     pub score: f64,
     /// Share of the deviations' mean square in the band that it explains, in its joints.
     pub explained: f64,
+    /// RMS of what it does about the mean of the periods, per joint, over all runs \[Nm\].
+    pub rms: Vec<f64>,
 }
 
 /// Coefficients of deviations, one vector per run, for one joint.
@@ -359,7 +361,7 @@ impl Deviations<'_> {
         let width = trial.what.parameters().len();
         let std: Vec<f64> = fitted.covariance.diagonal().iter().map(|variance| variance.sqrt()).collect();
         let sets = |values: &[f64]| values.chunks(width).map(<[f64]>::to_vec).collect();
-        Drift {
+        let mut drift = Drift {
             what: trial.what,
             course: trial.course,
             common: trial.common,
@@ -368,7 +370,24 @@ impl Deviations<'_> {
             evidence: fitted.evidence,
             score,
             explained: fitted.explained,
+            rms: Vec::new(),
+        };
+        drift.rms = self.rms(&drift);
+        drift
+    }
+
+    fn rms(&self, drift: &Drift) -> Vec<f64> {
+        let (mut squares, mut rows) = (vec![0.0; self.rows.len()], 0);
+        for (run, record) in self.records.iter().enumerate() {
+            let tau = self.torque(run, std::slice::from_ref(drift));
+            rows += tau.nrows();
+            for (square, column) in squares.iter_mut().zip(tau.column_iter()) {
+                let mut x: Vec<f64> = column.iter().copied().collect();
+                record.centre(&mut x);
+                *square += x.iter().map(|value| value * value).sum::<f64>();
+            }
         }
+        squares.iter().map(|square| (square / rows.max(1) as f64).sqrt()).collect()
     }
 }
 

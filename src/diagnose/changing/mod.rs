@@ -27,6 +27,13 @@ use record::Record;
 /// Time before and after an event that is left out too \[s\].
 const MARGIN: f64 = 0.2;
 
+/// Fewest periods that tell anything. Nobody knows which of two is right, and half of the frequencies of two are harmonics, which the
+/// deviations have none of; the median of three is one of them, and the scale of what differs from it too small: noise made events.
+pub const LEAST_PERIODS: usize = 4;
+
+/// Most times that drifts are fitted again without what only they had made an event.
+const ROUNDS: usize = 2;
+
 /// Something that happened once and is no contact.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Transient {
@@ -80,14 +87,22 @@ impl Changing {
 /// repeats have no part in it but for their hygiene.
 pub fn changing(ground: &Ground, friction: &[[f64; 2]], trials: &[Trial]) -> Changing {
     let mut found = Changing::default();
-    let mut records: Vec<Record> = trials.iter().filter_map(|trial| Record::of(trial.experiment)).collect();
+    let records = trials.iter().filter_map(|trial| Record::of(trial.experiment));
+    let mut records: Vec<Record> = records.filter(|record| record.periods() >= LEAST_PERIODS).collect();
     // Events are no drift, nor noise: what is far off stays out of the rest.
     for record in &mut records {
         let x = transient::robust(record, None, true);
         record.masked = transient::mask(record, &transient::events(record, &x), MARGIN);
     }
+    found.drifts = drift::Deviations::of(&records, friction).drifts();
+    // A large drift is far off itself where it is fastest, and was fitted to the rest alone: without it fewer samples are masked.
+    for _ in 0..ROUNDS {
+        if found.drifts.is_empty() || !mask_again(&mut records, friction, &found.drifts) {
+            break;
+        }
+        found.drifts = drift::Deviations::of(&records, friction).drifts();
+    }
     let deviations = drift::Deviations::of(&records, friction);
-    found.drifts = deviations.drifts();
     let mut masks = Vec::new();
     for (run, record) in records.iter().enumerate() {
         let drifting = deviations.torque(run, &found.drifts);
@@ -134,6 +149,22 @@ pub fn changing(ground: &Ground, friction: &[[f64; 2]], trials: &[Trial]) -> Cha
     found
 }
 
+/// Masks the events that are left without the drifts; whether that changed anything.
+fn mask_again(records: &mut [Record], friction: &[[f64; 2]], drifts: &[Drift]) -> bool {
+    let deviations = drift::Deviations::of(records, friction);
+    let mask = |(run, record): (usize, &Record)| {
+        let x = transient::robust(record, Some(&deviations.torque(run, drifts)), true);
+        transient::mask(record, &transient::events(record, &x), MARGIN)
+    };
+    let masks: Vec<Vec<bool>> = records.iter().enumerate().map(mask).collect();
+    let mut changed = false;
+    for (record, masked) in records.iter_mut().zip(masks) {
+        changed |= record.masked != masked;
+        record.masked = masked;
+    }
+    changed
+}
+
 /// Stretches that touch or overlap as one, in the order of runs and time.
 fn merged(mut stretches: Vec<LeftOut>) -> Vec<LeftOut> {
     stretches.sort_by(|a, b| a.run.cmp(&b.run).then(a.from.total_cmp(&b.from)));
@@ -147,11 +178,11 @@ fn merged(mut stretches: Vec<LeftOut>) -> Vec<LeftOut> {
     out
 }
 
-/// Experiments whose noise spectrum is that of [`Changing::scatter`].
+/// Experiments whose noise spectrum is that of [`Changing::scatter`]. They may have fewer periods by now than those that were looked at.
 pub fn cleaned(experiments: &mut [Experiment], found: &Changing) {
     for (experiment, scatter) in experiments.iter_mut().zip(&found.scatter) {
-        if let Some(scatter) = scatter {
-            experiment.scatter = Some(scatter.clone());
+        if let (Some(own), Some(scatter)) = (&mut experiment.scatter, scatter) {
+            *own = Scatter { periods: own.periods, ..scatter.clone() };
         }
     }
 }

@@ -40,7 +40,8 @@ pub(super) fn hygiene(experiment: &Experiment, masked: &[bool]) -> (Hygiene, Vec
         missing: sampling.missing,
         ..Hygiene::default()
     };
-    let Some(repeats) = experiment.repeats.as_ref().filter(|repeats| repeats.periods.len() > 2) else {
+    let Some(repeats) = experiment.repeats.as_ref().filter(|repeats| repeats.periods.len() >= super::LEAST_PERIODS)
+    else {
         return (found, Vec::new());
     };
     let samples = experiment.motion.samples();

@@ -21,7 +21,8 @@ pub enum Occurrence {
 pub struct Effect {
     /// Stable identity: `presliding`.
     pub id: String,
-    /// Joints that it sits in, from 1; the joint whose torque it is first. Empty for the arm as a whole.
+    /// Joints that it sits in, from 1; the joint whose torque it is first; of a contact the link that is touched. Empty for the arm as
+    /// a whole.
     pub joints: Vec<usize>,
     /// What it is called in texts; made of `id` and `joints` where empty.
     #[serde(default, skip_serializing_if = "String::is_empty")]
@@ -46,7 +47,8 @@ pub struct Effect {
     /// RMS of its torque in the joint where that is largest \[Nm\].
     #[serde(default)]
     pub torque_rms: Option<f64>,
-    /// Share of the unmodelled power that it explains in the joint where that is largest, 0 to 1.
+    /// Share of the unmodelled power that it explains in the joint where that is largest, 0 to 1; of what differs between the periods
+    /// where it changes from period to period.
     pub explained_share: Option<f64>,
     /// Share of its joint's unmodelled power that all effects together explain, 0 to 1.
     #[serde(default)]

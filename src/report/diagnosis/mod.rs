@@ -14,6 +14,7 @@ mod words;
 pub use effect::{Alternative, Effect, EffectParameter, Folds, Occurrence, Parameters};
 pub(super) use page::{TEMPLATES, context};
 pub(super) use words::lines;
+pub(crate) use words::places;
 
 use super::Band;
 use serde::{Deserialize, Serialize};

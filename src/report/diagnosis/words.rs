@@ -1,6 +1,6 @@
 //! A diagnosis in plain words.
 
-use super::{Changes, Diagnosis, Effect, EffectParameter, Errors, Unexplained, Verdict};
+use super::{Changes, Diagnosis, Effect, EffectParameter, Errors, Occurrence, Unexplained, Verdict};
 use crate::report::Band;
 use crate::report::summary::{CHANGED, band_of, digits};
 
@@ -25,8 +25,7 @@ pub(in crate::report) fn lines(of: &Diagnosis) -> Vec<String> {
 /// Effects, what stays unexplained and what changed, one sentence each.
 fn findings(of: &Diagnosis) -> Vec<String> {
     let effects = of.effects.iter().map(|effect| {
-        let added = if effect.in_model { "" } else { "; not added to the model" };
-        format!("{}{added}", finding(effect, &of.confirmation))
+        format!("{}{}", finding(effect, &of.confirmation), left(effect).map_or(String::new(), |why| format!("; {why}")))
     });
     let unexplained = of.unexplained.iter().map(self::unexplained);
     effects
@@ -38,6 +37,16 @@ fn findings(of: &Diagnosis) -> Vec<String> {
                 .map(|changes| self::changes(changes, &of.confirmation)),
         )
         .collect()
+}
+
+/// That an effect is not in the delivered model, where it is not.
+pub(super) fn left(effect: &Effect) -> Option<&'static str> {
+    match (effect.in_model, effect.stratum) {
+        (true, _) => None,
+        // The model is one of what repeats: nobody has weighed whether to add it.
+        (false, Occurrence::Changing) => Some("not in the model"),
+        (false, _) => Some("not added to the model"),
+    }
 }
 
 /// Whether everything that changed stands among the effects already.
@@ -118,7 +127,7 @@ pub(super) fn plain(id: &str) -> String {
 }
 
 /// `joint 4`, `joints 4 and 5`; nothing for the arm as a whole.
-pub(super) fn places(joints: &[usize]) -> String {
+pub(crate) fn places(joints: &[usize]) -> String {
     match joints {
         [] => String::new(),
         [joint] => format!("joint {joint}"),
@@ -163,6 +172,12 @@ fn finding(effect: &Effect, confirmation: &str) -> String {
 /// Whether an effect held in trajectories that were left out; `why` not, where nobody could say.
 pub(super) fn confirmed(effect: &Effect, why: &str) -> String {
     let (positive, informative) = (effect.folds.positive, effect.folds.informative);
+    if effect.stratum == Occurrence::Changing {
+        // No trajectory is left out for it; some effects show in each for itself.
+        let trajectories =
+            if informative > 1 { format!(" in {positive} of {informative} trajectories") } else { String::new() };
+        return format!("changes from period to period{trajectories}");
+    }
     match (effect.confirmed, informative) {
         (true, 0) => "confirmed".into(),
         (true, _) => format!("confirmed in {positive} of {informative} trajectories"),
