@@ -59,6 +59,7 @@ fn diagnosed() -> Diagnosis {
         unmodelled: BeforeAfter { before: Some(if j == 3 { 0.28 } else { 0.005 }), after: Some(0.004) },
         threshold: Some(0.7 * FLOOR[j] / 7.0),
         adequacy: (j == 3).then_some(0.96),
+        left_out: BeforeAfter { before: Some(if j == 3 { 0.32 } else { 0.15 }), after: Some(0.15) },
     };
     let step = |action, what: &str, unmodelled, score| Step { action, what: what.into(), unmodelled, score };
     let score = |label: &str, score, chosen, equivalent| Score { label: label.into(), score, chosen, equivalent };

@@ -1,7 +1,7 @@
 //! What no effect of the catalogue explains: on what it depends, where it is, and which experiment would tell more.
 //!
 //! The residual of a joint is regressed on smooth functions of each variable and of each pair of positions and velocities, always judged
-//! on trajectories that the functions were not fitted to. A residual that none of them predicts is no static function of the joint state.
+//! on trajectories that the functions were not fitted to. A residual that none of them predicts follows no function of one or two joint variables.
 
 mod place;
 mod screen;

@@ -14,7 +14,7 @@ pub(super) fn findings(found: &Unexplained) -> Vec<String> {
     if found.flat() {
         let best = found.singles.iter().chain(&found.pairs).map(|one| one.r2).fold(0.0, f64::max);
         said.push(format!(
-            "No dependence found: the best variables predict {best:.2} of joint {joint}'s residual on other trajectories{ceiling}. It is no static function of the joint state."
+            "No dependence found: the best variables predict {best:.2} of joint {joint}'s residual on other trajectories{ceiling}. It depends on three variables or more, on something that was not measured, or on the past."
         ));
     } else {
         said.push(format!(

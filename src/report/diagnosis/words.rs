@@ -223,8 +223,14 @@ pub(super) fn unexplained(of: &Unexplained) -> String {
         let r2 = of.r2.map_or(String::new(), |r2| format!(" (R2 {r2:.2})"));
         format!("that depends on {}{r2}", listed(of.depends_on.iter().cloned()))
     };
-    let floor = of.floor.map_or(String::new(), |floor| format!(" ({})", fixed(floor)));
-    let mut text = format!("joint {} has {size} beyond its noise{floor} {dependence}", of.joint);
+    let mut text = match (of.rms, of.floor) {
+        // Without repeats nobody knows how much of it is noise.
+        (Some(_), None) => format!("joint {} keeps {size} {dependence}", of.joint),
+        (_, floor) => {
+            let floor = floor.map_or(String::new(), |floor| format!(" ({})", fixed(floor)));
+            format!("joint {} has {size} beyond its noise{floor} {dependence}", of.joint)
+        }
+    };
     for (what, more) in [("", &of.note), ("to decide: ", &of.deciding_experiment)] {
         if !more.is_empty() {
             text += &format!("; {what}{}", more.trim_end_matches('.'));
