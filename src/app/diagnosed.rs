@@ -98,6 +98,10 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     if let Some(run) = question.unseen[..veto.len()].first() {
         block.notes.push(format!("findings were held against {}, which no figure here is measured on", run.file));
     }
+    if question.of == Of::Raw && block.noise_floor.is_empty() {
+        // Unseen runs that do not repeat: the noise is that of the runs that do.
+        block.noise_floor = outcome.after.identification.rms.noise_floor.clone().unwrap_or_default();
+    }
     looked.tell(&mut block, &outcome.joints, question.diagnosis.least_floor, question.diagnosis.threshold);
     let figures = figures(&outcome);
     Ok(Diagnosed { after, block, figures })
