@@ -46,6 +46,7 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> Folds {
     let known = problem.evidence.repeats();
     let with = problem.left_out(&tried.moments, phi);
     let without = if tried.held { Vec::new() } else { problem.left_out(&state.moments, phi) };
+    // Of each joint weighed and as it is, without and with the candidate.
     let mut errors = vec![[[0.0; 2]; 2]; problem.evidence.joints()];
     for (fold, share) in shares.into_iter().enumerate() {
         let informative = (INFORMATIVE.0..=INFORMATIVE.1).contains(&share);
@@ -59,9 +60,9 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> Folds {
         let theta = without.get(fold).cloned().unwrap_or_else(held);
         let error_without = problem.of_fold(&state.moments, &theta, fold, phi);
         for (sums, own) in errors.iter_mut().zip(error_without.iter().zip(&error_with)) {
-            for kind in 0..2 {
-                sums[kind][0] += own.0[kind];
-                sums[kind][1] += own.1[kind];
+            for (sum, (without, with)) in sums.iter_mut().zip(own.0.iter().zip(own.1)) {
+                sum[0] += without;
+                sum[1] += with;
             }
         }
         if informative {
