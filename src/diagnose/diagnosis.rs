@@ -40,6 +40,8 @@ const EXPLAINED: f64 = 0.9;
 const HELPFUL: f64 = 0.5;
 /// Share of what is left over that has to follow some variables to be called unexplained, where the noise is not known.
 const FOLLOWS: f64 = 0.25;
+/// Lack of fit from which on a residual is unexplained that follows no variable.
+const FLAT: f64 = 2.0;
 /// What is unmodelled counts from this share of the noise of the mean period on.
 const THRESHOLD: f64 = 0.75;
 
@@ -362,7 +364,13 @@ fn unexplained(
             continue;
         }
         let one = fallback::unexplained(evidence, state, joint, settings);
-        if evidence.repeats() || one.r2() > FOLLOWS {
+        let counts = match facts.lack_of_fit {
+            // The noise of the positions goes through the model into the mean, and the scatter of the torques knows nothing of it: so much may
+            // be left over that follows no variable.
+            Some([_, after]) => !one.flat() || after > FLAT,
+            None => one.r2() > FOLLOWS,
+        };
+        if counts {
             found.push(one);
         }
     }
