@@ -5,8 +5,10 @@
 //! package) and say so when they are not there. One log is diagnosed always; the others take minutes:
 //! `cargo test --test diagnose_real_logs -- --ignored --nocapture`.
 
+mod logs;
+
 use assert_cmd::cargo::cargo_bin;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 /// One row of the page.
@@ -49,17 +51,6 @@ const OTHERS: [Row; 6] = [
     },
     Row { dataset: "ur10-unisa", options: "", most: &[], share: &[(1, 0.6), (2, 0.5), (4, 0.6)], worse: 0.0 },
 ];
-
-fn data() -> Option<PathBuf> {
-    let root = std::env::var_os("PLUMBLINE_SHARED")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
-    let data = root.join("data");
-    if data.is_dir() {
-        return Some(data);
-    }
-    eprintln!("SKIPPED: no measured data in {}", data.display());
-    None
-}
 
 fn diagnose(dataset: &Path, options: &str) -> serde_json::Value {
     let out = tempfile::tempdir().unwrap();
@@ -106,21 +97,21 @@ fn check(data: &Path, row: &Row) {
 
 #[test]
 fn a_wrist_whose_joints_share_a_motor_is_found_in_a_real_log() {
-    let Some(data) = data() else { return };
+    let Some(data) = logs::data() else { return };
     check(&data, &QUICK);
 }
 
 #[test]
 #[ignore = "takes minutes"]
 fn real_logs_are_predicted_better_with_what_is_found() {
-    let Some(data) = data() else { return };
+    let Some(data) = logs::data() else { return };
     OTHERS.iter().for_each(|row| check(&data, row));
 }
 
 #[test]
 #[ignore = "takes a minute"]
 fn currents_read_as_torques_are_a_gain_of_a_joint_and_no_function_of_the_position() {
-    let Some(data) = data() else { return };
+    let Some(data) = logs::data() else { return };
     let copy = tempfile::tempdir().unwrap();
     for entry in std::fs::read_dir(data.join("ur10e-currents")).unwrap() {
         let entry = entry.unwrap();

@@ -4,6 +4,8 @@
 //! The logs are no part of the repository; the tests look for them in `$PLUMBLINE_SHARED/data` (default: `../shared/data` beside the
 //! package) and say so when they are not there.
 
+mod logs;
+
 use nalgebra::DMatrix;
 use plumbline::estimate::experiment::{Experiment, Settings};
 use plumbline::estimate::run::Run;
@@ -19,14 +21,7 @@ use std::path::PathBuf;
 const FRICTION_AND_OFFSET: [&str; 2] = ["friction", "torque-offset"];
 
 fn folder(dataset: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("PLUMBLINE_SHARED")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
-    let folder = root.join("data").join(dataset);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    eprintln!("SKIPPED: no measured data in {}", folder.display());
-    None
+    Some(logs::data()?.join(dataset))
 }
 
 /// Reads a run; `gain` turns motor currents into torques \[Nm/A\].

@@ -4,8 +4,10 @@
 //! The logs are no part of the repository; the tests look for them in `$PLUMBLINE_SHARED/data` (default: `../shared/data` beside the
 //! package) and say so when they are not there.
 
+mod logs;
+
 use assert_cmd::cargo::cargo_bin;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 /// One row of docs/real-data.md.
@@ -65,17 +67,6 @@ const ROWS: [Row; 8] = [
     },
 ];
 
-fn data() -> Option<PathBuf> {
-    let root = std::env::var_os("PLUMBLINE_SHARED")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
-    let data = root.join("data");
-    if data.is_dir() {
-        return Some(data);
-    }
-    eprintln!("SKIPPED: no measured data in {}", data.display());
-    None
-}
-
 /// Held-out RMS per joint, pooled over the runs, behind the low-pass \[Nm\].
 fn identify(data: &Path, row: &Row) -> Vec<f64> {
     let out = tempfile::tempdir().unwrap();
@@ -104,7 +95,7 @@ fn rounds_up(printed: &str) -> f64 {
 
 #[test]
 fn real_logs_are_identified_at_or_below_the_figures_to_beat() {
-    let Some(data) = data() else { return };
+    let Some(data) = logs::data() else { return };
     let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/real-data.md")).unwrap();
     for row in &ROWS {
         let rms = identify(&data, row);
