@@ -76,7 +76,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let left_out = (evidence.folds().len() > 1).then(|| gates::left_out(&search.problem, &base, left));
     let facts = |joint: usize| {
         let left_out = left_out.as_ref().map(|errors| errors[joint]);
-        JointFacts { left_out, ..facts(&evidence, settings, joint, &base, left) }
+        JointFacts { left_out, adequacy: adequacy[joint], ..facts(&evidence, settings, joint, &base, left) }
     };
     let joints: Vec<JointFacts> = (0..evidence.joints()).map(facts).collect();
     let unexplained = unexplained(&evidence, left, settings, &joints, &adequacy);
@@ -342,8 +342,7 @@ fn facts(evidence: &Evidence, settings: &Settings, joint: usize, base: &State, a
         unmodelled: [base, after].map(|state| state.unmodelled(evidence, joint).sqrt()),
         lack_of_fit: floor.map(|_| [base, after].map(ratio)),
         threshold: settings.threshold.unwrap_or(THRESHOLD * floor.unwrap_or(0.0)),
-        adequacy: None,
-        left_out: None,
+        ..JointFacts::default()
     }
 }
 
