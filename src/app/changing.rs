@@ -1,12 +1,11 @@
 //! What differs from period to period, looked for before a diagnosis and told beside its findings.
 
 use super::Failure;
-use super::diagnosed::Question;
+use super::diagnosed::{Question, trials};
 use super::pipeline;
 use crate::diagnose::changing::{
     BaseMotion, Changing, Contact, Course, Drift, Drifting, LEAST_PERIODS, changing, cleaned,
 };
-use crate::diagnose::evidence::Trial;
 use crate::diagnose::outcome::JointFacts;
 use crate::estimate::experiment::{Experiment, LeftOut, Settings};
 use crate::estimate::solve::{self, Estimator, identify_with};
@@ -44,10 +43,7 @@ impl Looked {
         let (mut found, mut spared) = (Changing::default(), Vec::new());
         if !runs.is_empty() {
             let (ground, friction) = known(question.structure, &experiments)?;
-            let trials = experiments.iter().zip(question.identify);
-            let trials: Vec<Trial> =
-                trials.map(|(experiment, run)| Trial { experiment, session: run.session }).collect();
-            found = changing(&ground, &friction, &trials);
+            found = changing(&ground, &friction, &trials(&experiments, question.identify));
             spared = spare(&mut found.leave_out, &experiments);
         }
         if !found.leave_out.is_empty() {

@@ -107,7 +107,7 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     Ok(Diagnosed { after, block, figures })
 }
 
-fn trials<'a>(experiments: &'a [Experiment], runs: &[&Run]) -> Vec<Trial<'a>> {
+pub(super) fn trials<'a>(experiments: &'a [Experiment], runs: &[&Run]) -> Vec<Trial<'a>> {
     experiments.iter().zip(runs).map(|(experiment, run)| Trial { experiment, session: run.session }).collect()
 }
 

@@ -68,8 +68,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let adequacy = adequacy(input, settings, &base, &selected.state, &ground);
     let helpful = |found: &Found| adequacy[found.relevance.joint].is_none_or(|share| share >= HELPFUL);
     let kept: Vec<bool> = selected.found.iter().map(helpful).collect();
-    let sigma = weights(input, &experiments, &seeds, &ground, &before)?;
-    let after = extended(input, &experiments, &selected.state, &kept, &before, &sigma)?;
+    let after = extended(input, &experiments, &selected.state, &kept, &before, &seeds)?;
     let effects = effects_of(&search, &selected, &kept, &adequacy, &after);
     // What the delivered model leaves over.
     let left = if kept.iter().any(|kept| *kept) { &selected.state } else { &base };
@@ -212,11 +211,11 @@ fn weights(
     input: &Input,
     experiments: &[Experiment],
     seeds: &[Candidate],
-    ground: &Ground,
+    beta: &[f64],
     before: &solve::Identification,
 ) -> Result<Vec<f64>, EstimateError> {
     let specs: Vec<Spec> = seeds.iter().map(|seed| seed.spec.clone()).collect();
-    let terms = effect::assemble(&specs, ground).ok().filter(|_| !specs.is_empty());
+    let terms = effect::assemble(&specs, &input.structure.ground(beta)).ok().filter(|_| !specs.is_empty());
     match terms.and_then(|terms| input.structure.clone().with(terms).ok()) {
         Some(structure) => Ok(identify_with(&structure, experiments, input.options)?.sigma),
         None => Ok(before.sigma.clone()),
@@ -230,7 +229,7 @@ fn extended(
     state: &State,
     kept: &[bool],
     before: &solve::Identification,
-    sigma: &[f64],
+    seeds: &[Candidate],
 ) -> Result<Fitted, EstimateError> {
     let plain = || Fitted { structure: input.structure.clone(), identification: before.clone() };
     let specs: Vec<Spec> =
@@ -240,6 +239,9 @@ fn extended(
     }
     let mut beta = state.fit.theta.as_slice().to_vec();
     let mut fitted = plain();
+    let known = experiments.iter().all(|experiment| experiment.scatter.is_some());
+    let own_weights = input.options.estimator == Estimator::Wls && !known;
+    let sigma = own_weights.then(|| weights(input, experiments, seeds, &beta, before)).transpose()?;
     // Once more with the load of the parameters just found.
     for _ in 0..2 {
         let ground = input.structure.ground(&beta);
@@ -247,10 +249,9 @@ fn extended(
         let Some(structure) = terms.and_then(|terms| input.structure.clone().with(terms).ok()) else {
             return Ok(plain());
         };
-        let known = experiments.iter().all(|experiment| experiment.scatter.is_some());
-        let identification = match input.options.estimator {
-            Estimator::Wls if !known => identify_weighted(&structure, experiments, sigma)?,
-            _ => identify_with(&structure, experiments, input.options)?,
+        let identification = match &sigma {
+            Some(sigma) => identify_weighted(&structure, experiments, sigma)?,
+            None => identify_with(&structure, experiments, input.options)?,
         };
         beta.clone_from(&identification.beta);
         fitted = Fitted { structure, identification };
@@ -358,8 +359,7 @@ fn unexplained(
     let mut found = Vec::new();
     for (joint, facts) in joints.iter().enumerate() {
         let explained = adequacy[joint].is_some_and(|share| share >= EXPLAINED);
-        let wanted = if evidence.repeats() { facts.lacking(1) && !explained } else { true };
-        if !wanted {
+        if evidence.repeats() && (explained || !facts.lacking(1)) {
             continue;
         }
         let one = fallback::unexplained(evidence, state, joint, settings);

@@ -106,6 +106,15 @@ impl Problem<'_> {
         -0.5 * (&prior.precision * known).dot(&known)
     }
 
+    /// What the prior adds to normal equations.
+    fn add_prior(&self, g: &mut DMatrix<f64>) {
+        if let Some(prior) = self.prior {
+            let known = prior.precision.nrows();
+            let mut block = g.view_mut((0, 0), (known, known));
+            block += &prior.precision;
+        }
+    }
+
     /// Profile log likelihood of squared residuals, without what the prior adds.
     pub fn likelihood(&self, rss: &[f64], count: &[f64]) -> f64 {
         let phi = self.phi(rss, count);
@@ -152,11 +161,7 @@ impl Problem<'_> {
                 b.axpy(1.0 / phi[at], own_b, 1.0);
             }
         }
-        if let Some(prior) = self.prior {
-            let known = prior.precision.nrows();
-            let mut block = g.view_mut((0, 0), (known, known));
-            block += &prior.precision;
-        }
+        self.add_prior(&mut g);
         let h = inverse(&g);
         let theta = &h * b;
         for (at, sums) in per_group.iter_mut().enumerate() {
@@ -182,10 +187,7 @@ impl Problem<'_> {
             b.axpy(weight, &own.b, 1.0);
         }
         let (mut g, mut b) = (DMatrix::zeros(p, p), DVector::zeros(p));
-        if let Some(prior) = self.prior {
-            let known = prior.precision.nrows();
-            g.view_mut((0, 0), (known, known)).copy_from(&prior.precision);
-        }
+        self.add_prior(&mut g);
         for (own_g, own_b) in &folds {
             g += own_g;
             b += own_b;
@@ -200,11 +202,7 @@ impl Problem<'_> {
             let weight = 1.0 / phi[group(cell.joint, cell.band)];
             g.zip_apply(&own.g, |sum, own| *sum += weight * own);
         }
-        if let Some(prior) = self.prior {
-            let known = prior.precision.nrows();
-            let mut block = g.view_mut((0, 0), (known, known));
-            block += &prior.precision;
-        }
+        self.add_prior(&mut g);
         g
     }
 

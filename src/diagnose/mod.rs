@@ -38,8 +38,6 @@ pub struct Settings {
     pub least_share_of_all: f64,
     /// And on blocks that were left out.
     pub least_share_left_out: f64,
-    /// Score that an effect needs where the noise is not known; zero is enough where it is.
-    pub margin: f64,
     /// Most steps of the selection.
     pub steps: usize,
     /// Threads to work on.
@@ -55,7 +53,6 @@ impl Default for Settings {
             least_share: 0.15,
             least_share_of_all: 0.03,
             least_share_left_out: 0.2,
-            margin: 0.0,
             steps: 12,
             threads: 1,
         }

@@ -232,7 +232,7 @@ impl Search<'_> {
 
     /// Whether a candidate passes every gate.
     fn passes(&self, state: &State, one: &Scored) -> bool {
-        if one.score <= self.least() {
+        if one.score <= 0.0 {
             return false;
         }
         let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);
@@ -248,7 +248,7 @@ impl Search<'_> {
     /// there, a good part of one joint's error has to go, and no joint may lose much.
     fn holds(&self, one: &Scored, folds: &Folds) -> bool {
         folds.informative >= LEAST_FOLDS.min(self.evidence().folds().len() / 2)
-            && folds.evidence - one.penalty > self.least()
+            && folds.evidence > one.penalty
             && folds.share >= self.settings.least_share_left_out
             && folds.worst > -HARM
     }
@@ -264,11 +264,6 @@ impl Search<'_> {
         let near = proposals.take_while(|one| one.score >= least).filter(|one| self.passes(state, one));
         let cost = |one: &Scored| (one.tried.cross.width * one.item.joints().len(), one.item.parameters());
         Some(near.fold(best, |best, one| if cost(&one) < cost(&best) { one } else { best }))
-    }
-
-    /// Score that an effect needs.
-    fn least(&self) -> f64 {
-        if self.evidence().repeats() { 0.0 } else { self.settings.margin }
     }
 
     /// Settings of every effect searched again, beside all others.
@@ -296,7 +291,7 @@ impl Search<'_> {
             2.0 * (state.fit.likelihood - rest.fit.likelihood) - self.penalty(&state.items[item])
         };
         let scores = (0..state.items.len()).map(|item| (item, score(item)));
-        scores.filter(|(_, score)| *score <= self.least()).min_by(|a, b| a.1.total_cmp(&b.1))
+        scores.filter(|(_, score)| *score <= 0.0).min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// Tries every other candidate in the place of each effect: a better one takes it, near ones are its rivals.
@@ -309,7 +304,7 @@ impl Search<'_> {
             let chosen = state.items[item].clone();
             let joints = chosen.joints();
             let near = |other: &Candidate| other.joints().iter().any(|joint| joints.contains(joint));
-            let Some(own) = self.score(&rest, &chosen).filter(|own| own.score > self.least()) else {
+            let Some(own) = self.score(&rest, &chosen).filter(|own| own.score > 0.0) else {
                 self.record(path, &rest, chosen, false, 0.0, progress);
                 state = rest;
                 continue;
