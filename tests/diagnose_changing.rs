@@ -58,8 +58,9 @@ fn stage() -> &'static Stage {
         let delta = DVector::from_iterator(10 * chain.len(), truth.link_parameters().into_iter().flatten());
         let base = structure.reduction().base_of(&delta);
         let beta: Vec<f64> = base.iter().copied().chain(vec![0.0; 2 * chain.len()]).collect();
-        let friction = truth.joints.iter().map(|joint| [joint.fv, joint.fc]).collect();
-        Stage { ground: structure.ground(&beta), chain, truth, friction, periods }
+        let friction: Vec<[f64; 2]> = truth.joints.iter().map(|joint| [joint.fv, joint.fc]).collect();
+        let ground = Ground { friction: friction.clone(), ..structure.ground(&beta) };
+        Stage { ground, chain, truth, friction, periods }
     })
 }
 
@@ -111,7 +112,7 @@ fn found(runs: &[Run]) -> Changing {
     let stage = stage();
     let experiments = prepared(runs, &kept());
     let trials: Vec<Trial> = experiments.iter().map(|experiment| Trial { experiment, session: 1 }).collect();
-    changing(&stage.ground, &stage.friction, &trials)
+    changing(&stage.ground, &trials)
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 /// Top-level modules by floor; a module may import from its own tree and from lower floors.
 const FLOORS: &[&[&str]] = &[
-    &["joint", "input", "atomic"],
+    &["joint", "input", "atomic", "parallel"],
     &["model", "rt"],
     &["excite", "estimate", "backend", "ipc"],
     &["config", "diagnose", "store", "dataset", "report"],

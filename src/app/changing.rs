@@ -8,7 +8,8 @@ use crate::diagnose::changing::{
 };
 use crate::diagnose::outcome::JointFacts;
 use crate::estimate::experiment::{Experiment, LeftOut, Settings};
-use crate::estimate::solve::{self, Estimator, identify_with};
+use crate::estimate::solve::ols;
+use crate::estimate::solve::stack::Stack;
 use crate::model::structure::Structure;
 use crate::model::term::effect::{Ground, family};
 use crate::model::term::{base_motion, contact};
@@ -42,8 +43,8 @@ impl Looked {
         let runs: Vec<String> = repeating.map(|experiment| experiment.name.clone()).collect();
         let (mut found, mut spared) = (Changing::default(), Vec::new());
         if !runs.is_empty() {
-            let (ground, friction) = known(question.structure, &experiments)?;
-            found = changing(&ground, &friction, &trials(&experiments, question.identify));
+            let ground = known(question.structure, &experiments)?;
+            found = changing(&ground, &trials(&experiments, question.identify));
             spared = spare(&mut found.leave_out, &experiments);
         }
         if !found.leave_out.is_empty() {
@@ -204,18 +205,12 @@ impl Looked {
     }
 }
 
-/// The rigid bodies as a plain identification finds them, and `[fv, fc]` of each joint; none where the model has no friction.
-fn known(structure: &Structure, experiments: &[Experiment]) -> Result<(Ground, Vec<[f64; 2]>), Failure> {
+/// The rigid bodies and the friction as a plain identification finds them.
+fn known(structure: &Structure, experiments: &[Experiment]) -> Result<Ground, Failure> {
     // Weights matter little for what the gravity columns and the shape of friction are.
-    let options = solve::Options { estimator: Estimator::Ols, essential: false };
-    let plain = identify_with(structure, experiments, &options).map_err(Failure::job)?;
-    let of = |name: String| {
-        let at = structure.columns().iter().position(|column| column.name == name)?;
-        Some(plain.beta[at])
-    };
-    let friction = (1..=structure.chain().len()).map(|j| Some([of(format!("fv{j}"))?, of(format!("fc{j}"))?]));
-    let friction: Option<Vec<[f64; 2]>> = friction.collect();
-    Ok((structure.ground(&plain.beta), friction.unwrap_or_default()))
+    let stack = Stack::of(structure, experiments).map_err(Failure::job)?;
+    let plain = ols::solve(&stack).map_err(Failure::job)?;
+    Ok(structure.ground(plain.beta.as_slice()))
 }
 
 /// Takes the stretches of those runs off the list that would lose too much, and gives their names.

@@ -13,6 +13,7 @@ use crate::input::BadInput;
 use crate::model::base::Reduction;
 use crate::model::term::{Term, rigid_body::RigidBody};
 use crate::model::torque::TorqueModel;
+use crate::parallel::threads;
 use crate::report::figures::Figures;
 use crate::report::{Band, Base, Identifiability, Report, Validation};
 use crate::store::{ModelFile, Provenance, Validated};
@@ -60,8 +61,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
 
     let bar = progress::bar("comparing");
     bar.at(0.05, "preparing");
-    let experiments = find.iter().map(|run| pipeline::experiment(run, &settings)).collect::<Result<Vec<_>, _>>()?;
-    let unseen = judge.iter().map(|run| pipeline::experiment(run, &settings)).collect::<Result<Vec<_>, _>>()?;
+    let experiments = pipeline::experiments(&find.iter().collect::<Vec<_>>(), &settings)?;
+    let unseen = pipeline::experiments(&judge.iter().collect::<Vec<_>>(), &settings)?;
     let trials: Vec<Trial> =
         experiments.iter().zip(&find).map(|(experiment, run)| Trial { experiment, session: run.session }).collect();
     bar.at(0.2, "searching");
@@ -172,7 +173,7 @@ fn diagnose_settings(options: &Options) -> Result<diagnose::Settings, Failure> {
     {
         return Err(BadInput::new("command line", "--threshold", threshold, "a torque in Nm, 0 or more").into());
     }
-    let threads = super::threads();
+    let threads = threads();
     Ok(diagnose::Settings { threshold: options.threshold, threads, ..diagnose::Settings::default() })
 }
 

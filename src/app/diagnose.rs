@@ -7,6 +7,7 @@ use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Run};
 use crate::diagnose::{self, errors::Of};
 use crate::input::BadInput;
+use crate::parallel::threads;
 use clap::Args;
 
 /// Options of `plumbline diagnose`.
@@ -30,6 +31,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let robot = Robot::load(&dataset.robot, Some(&given.dataset))?;
     dataset.expect_joints(robot.chain.len())?;
     let hash = dataset.content_hash();
+    let session = dataset.runs.iter().map(|run| run.session).min().unwrap_or(1);
     let later = sessions::take_later(&mut dataset);
     let settings = identify::settings(given)?;
     let solver = identify::solver(given)?;
@@ -37,7 +39,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         Some(_) => identify::terms(given, &robot)?,
         None => pipeline::plain_terms(&robot),
     };
-    let Split { identify, validate, mut notes } = identify::split(&dataset, identify::hold_out(given)?)?;
+    let Split { identify, validate, mut notes } = identify::split(&mut dataset, identify::hold_out(given)?)?;
     let identified: Vec<&Run> = identify.iter().collect();
     let structure = pipeline::structure(&robot, &identified, &terms)?;
     let along_axis_1 = structure.kind() == crate::model::base::BaseKind::Vbs;
@@ -60,14 +62,13 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let reference = sessions::Reference {
         model: &after.model,
         noise_floor: after.identification.rms.noise_floor.as_deref().unwrap_or_default(),
-        session: dataset.runs.first().map_or(1, |run| run.session),
+        session,
         settings: &settings,
         diagnosis: &diagnosis,
     };
     let not_valid = reference.compare(&later, &mut block, &given.out)?;
 
-    let judged = trusted.iter().map(|run| Ok((*run, pipeline::judge(&after.model, run, &settings)?)));
-    let judged = judged.collect::<Result<Vec<_>, Failure>>()?;
+    let judged = pipeline::judge_all(&after.model, &trusted, &settings)?;
     let done =
         Done { identified: after, runs: identified, judged, mounting: dataset.mounting, hash, settings: &settings };
     done.write(&given.out, |report| {
@@ -80,7 +81,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
 }
 
 fn diagnosis_settings(options: &Options, repeats: bool) -> Result<diagnose::Settings, Failure> {
-    let plain = diagnose::Settings { threads: super::threads(), ..diagnose::Settings::default() };
+    let plain = diagnose::Settings { threads: threads(), ..diagnose::Settings::default() };
     let band = options.band.unwrap_or(if repeats { plain.band } else { BAND_OF_ONE });
     if !(0.5..=200.0).contains(&band) {
         return Err(BadInput::new("command line", "--band", band, "0.5 to 200 Hz").into());

@@ -18,6 +18,7 @@ use crate::estimate::validate::Modelled;
 use crate::model::structure::Structure;
 use crate::model::term::effect::{Spec, Stratum};
 use crate::model::torque::TorqueModel;
+use crate::parallel::{parallel, threads};
 use crate::report::Band;
 use crate::report::diagnosis as told;
 use crate::report::figures::{DiagnosisFigures, EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
@@ -61,8 +62,7 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     bar.at(0.02, "preparing");
     let looked = Looked::at(question)?;
     let identify = &looked.experiments;
-    let unseen = question.unseen.iter().map(|run| pipeline::experiment(run, question.settings));
-    let unseen = unseen.collect::<Result<Vec<_>, Failure>>()?;
+    let unseen = pipeline::experiments(question.unseen, question.settings)?;
     let (identify_trials, unseen_trials) = (trials(identify, question.identify), trials(&unseen, question.unseen));
     // One run to hold the findings against, the others to measure them on; a single one measures.
     let (veto, judge) = unseen_trials.split_at(usize::from(unseen_trials.len() > 1));
@@ -83,10 +83,10 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     let (before, after) = (identified(&outcome.before)?, identified(&outcome.after)?);
     let measured = &unseen[veto.len()..];
     let along = |model: &TorqueModel, experiment: &Experiment| Modelled::of(experiment, |motion| model.predict(motion));
-    let pairs: Vec<_> = measured
-        .iter()
-        .map(|experiment| (experiment, along(&before.model, experiment), along(&after.model, experiment)))
-        .collect();
+    let both = |experiment: &Experiment| (along(&before.model, experiment), along(&after.model, experiment));
+    let modelled = parallel(measured, threads(), both);
+    let pairs: Vec<_> =
+        measured.iter().zip(modelled).map(|(experiment, (before, after))| (experiment, before, after)).collect();
     let compared = errors::compare(&pairs, question.of).unwrap_or_default();
     bar.done();
     let names = question.unseen[veto.len()..].iter().map(|run| run.file.clone()).collect();

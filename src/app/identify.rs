@@ -9,6 +9,7 @@ use crate::estimate::experiment::{Method, Settings};
 use crate::estimate::solve::{self, Estimator};
 use crate::input::BadInput;
 use crate::model::gravity::Mounting;
+use crate::parallel::{parallel, threads};
 use crate::report::figures::{DiagnosisFigures, Figures};
 use crate::report::{Band, Report, Validation};
 use crate::store::{ModelFile, Validated};
@@ -67,13 +68,14 @@ const REST: f64 = 0.01;
 
 /// Identifies, validates and writes the results.
 pub fn run(options: Options) -> Result<(), Failure> {
-    let dataset = Dataset::read(&options.dataset)?;
+    let mut dataset = Dataset::read(&options.dataset)?;
     let robot = Robot::load(&dataset.robot, Some(&options.dataset))?;
     dataset.expect_joints(robot.chain.len())?;
+    let hash = dataset.content_hash();
     let settings = settings(&options)?;
     let solver = solver(&options)?;
     let terms = terms(&options, &robot)?;
-    let Split { identify, validate, notes } = split(&dataset, hold_out(&options)?)?;
+    let Split { identify, validate, notes } = split(&mut dataset, hold_out(&options)?)?;
 
     let bar = progress::bar("identifying");
     bar.at(0.1, "regression");
@@ -90,14 +92,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
     bar.done();
 
-    let done = Done {
-        identified,
-        runs: identified_runs,
-        judged,
-        mounting: dataset.mounting,
-        hash: dataset.content_hash(),
-        settings: &settings,
-    };
+    let done =
+        Done { identified, runs: identified_runs, judged, mounting: dataset.mounting, hash, settings: &settings };
     done.write(&options.out, |report| {
         report.identifiability.untrusted_runs = untrusted;
         report.notes = notes;
@@ -163,7 +159,9 @@ impl Done<'_> {
         std::fs::create_dir_all(out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
         super::write(&out.join("model.toml"), model.to_toml().as_bytes())?;
         let shown = runs.iter().take(1).copied().chain(judged.iter().map(|(run, _)| *run).take(2));
-        let runs = shown.map(|run| pipeline::figure_in_band(&model.model, run, settings)).collect::<Result<_, _>>()?;
+        let shown: Vec<&Run> = shown.collect();
+        let runs = parallel(&shown, threads(), |run| pipeline::figure_in_band(&model.model, run, settings));
+        let runs = runs.into_iter().collect::<Result<_, _>>()?;
         report.write(out, &Figures { runs, plan: None, diagnosis }).map_err(Failure::job)?;
         for line in report.summary() {
             println!("{line}");
@@ -249,11 +247,11 @@ pub(super) struct Split {
     pub notes: Vec<String>,
 }
 
-/// Runs by their roles. A dataset without validation runs is validated with the last part of its runs, which then is not used to
+/// Runs by their roles, taken out of the dataset. A dataset without validation runs is validated with the last part of its runs, which then is not used to
 /// identify.
-pub(super) fn split(dataset: &Dataset, hold_out: f64) -> Result<Split, Failure> {
-    let identify: Vec<Run> = dataset.with_role(Role::Identify).cloned().collect();
-    let validate: Vec<Run> = dataset.with_role(Role::Validate).cloned().collect();
+pub(super) fn split(dataset: &mut Dataset, hold_out: f64) -> Result<Split, Failure> {
+    let runs = std::mem::take(&mut dataset.runs).into_iter();
+    let (identify, validate): (Vec<Run>, Vec<Run>) = runs.partition(|run| run.role == Role::Identify);
     let mut notes = Vec::new();
     let Some(first) = identify.first() else {
         let file = format!("dataset {}", dataset.name);

@@ -12,6 +12,7 @@ use crate::ipc::{Proposal, Status};
 use crate::joint::{Phase, Record};
 use crate::model::gravity::Mounting;
 use crate::model::torque::TorqueModel;
+use crate::parallel::threads;
 use crate::report::diagnosis::Effect;
 use crate::store::{ModelFile, Provenance, model_identity};
 use serde::Serialize;
@@ -302,7 +303,7 @@ impl Live {
         let middle = after + live::divide(self.buffer.len() - after);
         let parts = (self.prepared(after, middle), self.prepared(middle, self.buffer.len()));
         let ((Some(find), Some(judge)), Some(model)) = (parts, self.model()) else { return Ok(None) };
-        let threads = super::threads();
+        let threads = threads();
         let settings = diagnose::Settings { threads, ..diagnose::Settings::default() };
         let model = model.clone();
         // The samples go on meanwhile: an estimator that is silent counts as lost.

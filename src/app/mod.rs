@@ -131,11 +131,6 @@ fn logging() {
     log.with_ansi(colours).init();
 }
 
-/// Threads that a search may use: all that the machine has.
-fn threads() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
-}
-
 /// Two gravity directions closer than this are one mounting \[rad\].
 const SAME_MOUNTING: f64 = 1e-3;
 

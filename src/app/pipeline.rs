@@ -13,6 +13,7 @@ use crate::model::base::Reduction;
 use crate::model::structure::Structure;
 use crate::model::term::torque_offset;
 use crate::model::torque::TorqueModel;
+use crate::parallel::{parallel, threads};
 use crate::report::figures::TorqueFigure;
 use nalgebra::DMatrix;
 
@@ -81,6 +82,11 @@ pub fn experiment(run: &Run, settings: &Settings) -> Result<Experiment, Failure>
     Experiment::prepare(&input, settings).map_err(|error| BadInput::new(&run.file, "samples", error, expected).into())
 }
 
+/// [`experiment`] of several runs, on all processors.
+pub fn experiments(runs: &[&Run], settings: &Settings) -> Result<Vec<Experiment>, Failure> {
+    parallel(runs, threads(), |run| experiment(run, settings)).into_iter().collect()
+}
+
 /// Runs made ready with all that an estimator wants of them.
 pub fn for_estimator(runs: &[&Run], settings: &Settings, options: &solve::Options) -> Result<Vec<Experiment>, Failure> {
     let keep_periods = settings.keep_periods || options.estimator.wants_periods();
@@ -92,7 +98,7 @@ pub fn for_estimator(runs: &[&Run], settings: &Settings, options: &solve::Option
         }
         desired(run, experiment)
     };
-    runs.iter().map(prepare).collect()
+    parallel(runs, threads(), prepare).into_iter().collect()
 }
 
 /// Identifies a model from runs of one arm.
@@ -141,6 +147,15 @@ fn desired(run: &Run, experiment: Experiment) -> Result<Experiment, Failure> {
     experiment
         .with_desired(&run.t, &q_d)
         .map_err(|error| BadInput::new(&run.file, "columns q_d1..q_dn", error, expected).into())
+}
+
+/// [`judge`] of several runs, on all processors.
+pub fn judge_all<'a>(
+    model: &TorqueModel,
+    runs: &[&'a Run],
+    settings: &Settings,
+) -> Result<Vec<(&'a Run, Judged)>, Failure> {
+    parallel(runs, threads(), |run| Ok((*run, judge(model, run, settings)?))).into_iter().collect()
 }
 
 /// Predicts a run with a model, in the run's own mounting.

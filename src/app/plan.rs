@@ -1,7 +1,7 @@
 //! `plumbline plan`, and the planning of a job's motions.
 
 use super::programme::Programme;
-use super::{Failure, friction_structure, progress, threads};
+use super::{Failure, friction_structure, progress};
 use crate::config::job::Job;
 use crate::config::robot::Robot;
 use crate::config::units::parse_mounting;
@@ -16,6 +16,7 @@ use crate::excite::search::{self, Problem, Progress, Search, Watch, verdict};
 use crate::input::BadInput;
 use crate::joint::{Limits, Workspace};
 use crate::model::gravity::Mounting;
+use crate::parallel::threads;
 use crate::store::{ModelFile, load_plan, save_plan};
 use clap::{Args, ValueEnum};
 use sha2::{Digest, Sha256};

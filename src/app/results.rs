@@ -12,6 +12,7 @@ use crate::diagnose::{self, errors::Of};
 use crate::estimate::experiment::Settings;
 use crate::estimate::solve::Outcome;
 use crate::ipc::{Session, Status, StreamCounters};
+use crate::parallel::threads;
 use crate::report::figures::{Figures, PlanFigure};
 use crate::report::{
     Base, CounterExperiment, EstimatorFacts, Fit, Identifiability, IpcFacts, LoopFacts, Quantiles, Report,
@@ -139,8 +140,7 @@ impl Results {
         let unseen: Vec<&Run> =
             unseen.into_iter().filter(|run| identified.model.valid_in(&run.mounting).is_ok()).collect();
         let Diagnosis { band, threshold, .. } = self.job.diagnosis;
-        let settings =
-            diagnose::Settings { band, threshold, threads: super::threads(), ..diagnose::Settings::default() };
+        let settings = diagnose::Settings { band, threshold, threads: threads(), ..diagnose::Settings::default() };
         let question = Question {
             robot: &self.robot,
             structure: identified.model.structure(),

@@ -3,6 +3,7 @@
 use super::{Dataset, Run, csv};
 use crate::input::{BadInput, from_toml};
 use crate::model::gravity::Mounting;
+use crate::parallel::{parallel, threads};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Component, Path};
@@ -101,8 +102,10 @@ pub(super) fn read(dir: &Path) -> Result<Dataset, BadInput> {
     }
     let mounting = mounting(&file, "mounting", manifest.mounting)?;
     let mut runs: Vec<Run> = Vec::with_capacity(manifest.runs.len());
-    for (index, entry) in manifest.runs.iter().enumerate() {
-        let run = read_run(dir, &file, index, entry, mounting)?;
+    let entries: Vec<(usize, &RunEntry)> = manifest.runs.iter().enumerate().collect();
+    let read = parallel(&entries, threads(), |(index, entry)| read_run(dir, &file, *index, entry, mounting));
+    for (index, run) in read.into_iter().enumerate() {
+        let run = run?;
         if let Some(first) = runs.first()
             && first.joints() != run.joints()
         {

@@ -42,6 +42,8 @@ const HELPFUL: f64 = 0.5;
 const FOLLOWS: f64 = 0.25;
 /// Lack of fit from which on a residual is unexplained that follows no variable.
 const FLAT: f64 = 2.0;
+/// Parameters that moved by less than this, times their standard deviation, are those that the load was computed with.
+const SETTLED: f64 = 0.1;
 /// What is unmodelled counts from this share of the noise of the mean period on.
 const THRESHOLD: f64 = 0.75;
 
@@ -253,8 +255,15 @@ fn extended(
             Some(sigma) => identify_weighted(&structure, experiments, sigma)?,
             None => identify_with(&structure, experiments, input.options)?,
         };
+        let plain = 0..input.structure.columns().len();
+        let near = plain
+            .into_iter()
+            .all(|c| identification.std[c].is_none_or(|std| (identification.beta[c] - beta[c]).abs() <= SETTLED * std));
         beta.clone_from(&identification.beta);
         fitted = Fitted { structure, identification };
+        if near {
+            break;
+        }
     }
     Ok(fitted)
 }

@@ -15,6 +15,7 @@ use nalgebra::{DMatrix, DVector};
 use realfft::num_complex::Complex;
 use std::f64::consts::PI;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Upper edges of the bands that have a scale of their own \[Hz\].
 pub const BANDS: [f64; 7] = [0.55, 1.05, 2.0, 4.0, 8.0, 16.0, f64::INFINITY];
@@ -48,9 +49,18 @@ pub struct Fold {
 #[derive(Clone, Debug)]
 enum Waves {
     /// The first bins of the period's spectrum.
-    Periodic { bins: usize },
+    Periodic { bins: usize, few: Arc<Spectral>, thinned: Vec<Bin> },
     /// Cosines over the block, one column each, for all samples and for those of candidates.
     Block { all: DMatrix<f64>, thinned: DMatrix<f64> },
+}
+
+/// What thinning does to a bin of the spectrum.
+#[derive(Clone, Copy, Debug)]
+struct Bin {
+    /// Sine and cosine of the angle by which the first sample that is there is late.
+    late: (f64, f64),
+    /// What the mean of the samples that one stands for keeps of a wave.
+    gain: f64,
 }
 
 /// Rows of one joint, one fold and one band.
@@ -229,6 +239,8 @@ impl Evidence {
     pub fn columns(&self, term: &dyn Term, since: Option<u32>) -> Rows {
         let width = term.columns().len();
         let mut parts: Vec<Option<DMatrix<f64>>> = vec![None; self.joints];
+        // One piece of memory for all motions: fresh pages cost more than what is computed into them.
+        let mut buffer = Vec::new();
         for (index, Thinned { whole, few, step }) in self.motions.iter().enumerate() {
             let own: Vec<&Fold> = self.folds.iter().filter(|fold| fold.experiment == index).collect();
             if !own.iter().any(|fold| since.is_none_or(|since| fold.session >= since)) {
@@ -237,7 +249,9 @@ impl Evidence {
             let thinning = if term.smooth() { Thinning::Middle(*step) } else { Thinning::Mean(*step) };
             let motion = if term.smooth() { few } else { whole };
             let samples = motion.samples();
-            let mut y = DMatrix::zeros(samples * self.joints, width);
+            buffer.clear();
+            buffer.resize(samples * self.joints * width, 0.0);
+            let mut y = DMatrix::from_vec(samples * self.joints, width, std::mem::take(&mut buffer));
             term.fill(&self.chain, motion, &mut y, 0);
             let mut spectral = None;
             let mut means = Vec::new();
@@ -260,6 +274,7 @@ impl Evidence {
                     }
                 }
             }
+            buffer = y.data.into();
         }
         let whiten = |(joint, part): (usize, Option<DMatrix<f64>>)| {
             let mut part = part?;
@@ -367,17 +382,22 @@ impl Fold {
     fn project(&self, x: &[f64], thinning: Thinning, dt: f64, spectral: &mut Option<Spectral>, out: &mut [f64]) {
         let (n, step) = (self.samples.len() as f64, thinning.step());
         match &self.waves {
-            Waves::Periodic { bins } => {
-                let spectral = spectral.get_or_insert_with(|| Spectral::new(x.len(), dt));
-                let spectrum = spectral.transform(x);
+            Waves::Periodic { bins, few, thinned } => {
+                let spectrum = match thinning {
+                    Thinning::None => spectral.get_or_insert_with(|| Spectral::new(x.len(), dt)).transform(x),
+                    Thinning::Middle(_) | Thinning::Mean(_) => few.transform(x),
+                };
                 // As if all samples had been there: each stands for `step` of them, and the first is late by half of that.
                 let scale = step as f64 / n.sqrt();
-                let turn = 2.0 * PI / n;
                 out[0] = scale * spectrum[0].re;
                 for bin in 1..*bins {
-                    let (sin, cos) = (0.5 * (step - 1) as f64 * turn * bin as f64).sin_cos();
+                    let ((sin, cos), gain) = match thinning {
+                        Thinning::None => ((0.0, 1.0), 1.0),
+                        Thinning::Middle(_) => (thinned[bin].late, 1.0),
+                        Thinning::Mean(_) => (thinned[bin].late, thinned[bin].gain),
+                    };
                     let (re, im) = (spectrum[bin].re, spectrum[bin].im);
-                    let scale = scale * 2.0_f64.sqrt() / thinning.gain(turn * bin as f64);
+                    let scale = scale * 2.0_f64.sqrt() / gain;
                     out[2 * bin - 1] = scale * (re * cos + im * sin);
                     out[2 * bin] = scale * (im * cos - re * sin);
                 }
@@ -398,8 +418,7 @@ impl Fold {
     /// Inverse of [`Fold::project`] within the band, at every `step`-th sample.
     fn signal(&self, rows: &[f64], step: usize, motion: &Motion) -> Vec<f64> {
         match &self.waves {
-            Waves::Periodic { bins } => {
-                let spectral = Spectral::new(motion.samples(), motion.dt);
+            Waves::Periodic { bins, few: spectral, .. } => {
                 let n = self.samples.len() as f64;
                 let late = 2.0 * PI * (step / 2) as f64 / n;
                 let mut spectrum = vec![Complex::new(0.0, 0.0); spectral.bins()];
@@ -438,7 +457,14 @@ fn folds_of(index: usize, trial: &Trial, band: f64, length: f64, step: usize) ->
         let bins = ((highest * samples as f64 * dt) as usize + 1).clamp(2, samples / 2);
         let frequency = |row: usize| row.div_ceil(2) as f64 / (samples as f64 * dt);
         let frequencies = (0..2 * bins - 1).map(frequency).collect();
-        return vec![fold(0..samples, frequencies, Waves::Periodic { bins })];
+        let few = Arc::new(Spectral::new(samples / step, dt * step as f64));
+        let turn = |bin: usize| 2.0 * PI * bin as f64 / samples as f64;
+        let bin = |bin: usize| Bin {
+            late: (0.5 * (step - 1) as f64 * turn(bin)).sin_cos(),
+            gain: Thinning::Mean(step).gain(turn(bin)),
+        };
+        let thinned = (0..bins).map(bin).collect();
+        return vec![fold(0..samples, frequencies, Waves::Periodic { bins, few, thinned })];
     }
     let mut folds = Vec::new();
     for moving in stretches(trial.experiment.resting()) {

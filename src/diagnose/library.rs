@@ -2,7 +2,7 @@
 
 use super::evidence::{Evidence, Rows};
 use crate::model::term::effect::{Family, Form, Ground, Site, Spec, Stratum};
-use std::thread;
+use crate::parallel::parallel;
 
 /// An effect that may be missing from the model.
 #[derive(Clone, Debug)]
@@ -87,18 +87,4 @@ fn grid(family: &'static Family, form: &'static Form, site: Site) -> Vec<Spec> {
         settings = settings.iter().flat_map(longer).collect();
     }
     settings.into_iter().map(|settings| Spec { family: family.id, form: form.name, site, settings }).collect()
-}
-
-/// `work` on every item, in order.
-pub(super) fn parallel<T: Sync, R: Send>(items: &[T], threads: usize, work: impl Fn(&T) -> R + Sync) -> Vec<R> {
-    let threads = threads.clamp(1, items.len().max(1));
-    // Neighbours cost alike: dealt out one by one, every thread gets its share of the dear ones.
-    let work = &work;
-    let shares: Vec<Vec<R>> = thread::scope(|scope| {
-        let share = |first: usize| scope.spawn(move || items[first..].iter().step_by(threads).map(work).collect());
-        let running: Vec<_> = (0..threads).map(share).collect();
-        running.into_iter().map(|one| one.join().expect("no candidate panics")).collect()
-    });
-    let mut shares: Vec<_> = shares.into_iter().map(Vec::into_iter).collect();
-    (0..items.len()).filter_map(|index| shares[index % threads].next()).collect()
 }

@@ -7,9 +7,10 @@ use super::Settings;
 use super::evidence::Evidence;
 use super::fit::Problem;
 use super::gates::{self, Folds, Relevance};
-use super::library::{Candidate, parallel};
+use super::library::Candidate;
 use super::state::{State, Tried, every};
 use crate::model::term::effect::{Ground, Setting};
+use crate::parallel::parallel;
 
 /// Candidates that are tried with all care at each step.
 const SHORTLIST: usize = 16;

@@ -221,7 +221,13 @@ impl Structure {
     /// What effects are built upon, with these parameters; those of the rigid body are the first of them.
     pub fn ground(&self, beta: &[f64]) -> Ground {
         let load = Load::new(&self.chain, &self.reduction, &beta[..self.reduction.len()]);
-        Ground { chain: self.chain.clone(), load: Arc::new(load) }
+        let of = |name: String| {
+            let at = self.columns.iter().position(|column| column.name == name)?;
+            beta.get(at).copied()
+        };
+        let friction = (1..=self.chain.len()).map(|j| Some([of(format!("fv{j}"))?, of(format!("fc{j}"))?]));
+        let friction: Option<Vec<[f64; 2]>> = friction.collect();
+        Ground { chain: self.chain.clone(), load: Arc::new(load), friction: friction.unwrap_or_default() }
     }
 
     /// Without the columns, rigid body apart, for which `keep` does not hold: their parameters are zero.

@@ -21,6 +21,7 @@ use crate::estimate::experiment::{Experiment, LeftOut};
 use crate::estimate::periods::Scatter;
 use crate::estimate::signal::spectral::Spectral;
 use crate::model::term::effect::Ground;
+use crate::parallel::{parallel, threads};
 use nalgebra::DMatrix;
 use record::Record;
 
@@ -85,14 +86,18 @@ impl Changing {
 ///
 /// `friction` has `[fv, fc]` of each joint (\[Nms/rad\], \[Nm\]); without it, friction drifts are sought joint by joint alone. Runs without
 /// repeats have no part in it but for their hygiene.
-pub fn changing(ground: &Ground, friction: &[[f64; 2]], trials: &[Trial]) -> Changing {
+pub fn changing(ground: &Ground, trials: &[Trial]) -> Changing {
+    let friction = &ground.friction[..];
     let mut found = Changing::default();
     let records = trials.iter().filter_map(|trial| Record::of(trial.experiment));
     let mut records: Vec<Record> = records.filter(|record| record.periods() >= LEAST_PERIODS).collect();
     // Events are no drift, nor noise: what is far off stays out of the rest.
-    for record in &mut records {
+    let masked = parallel(&records, threads(), |record| {
         let x = transient::robust(record, None, true);
-        record.masked = transient::mask(record, &transient::events(record, &x), MARGIN);
+        transient::mask(record, &transient::events(record, &x), MARGIN)
+    });
+    for (record, masked) in records.iter_mut().zip(masked) {
+        record.masked = masked;
     }
     found.drifts = drift::Deviations::of(&records, friction).drifts();
     // A large drift is far off itself where it is fastest, and was fitted to the rest alone: without it fewer samples are masked.
@@ -127,21 +132,24 @@ pub fn changing(ground: &Ground, friction: &[[f64; 2]], trials: &[Trial]) -> Cha
         masks.push(masked);
     }
     let mut of_run = 0;
+    let mut looks = Vec::new();
     for trial in trials {
         let record = records.get(of_run).filter(|record| std::ptr::eq(record.experiment, trial.experiment));
-        let (hygiene, spoiled) = match record {
+        match record {
             Some(record) => {
                 let full: Vec<bool> = masks[of_run].iter().flat_map(|&masked| vec![masked; record.step]).collect();
                 let known = deviations.torque(of_run, &found.drifts);
                 found.scatter.push(Some(scatter(record, &known, &masks[of_run])));
                 of_run += 1;
-                outlier::hygiene(trial.experiment, &full)
+                looks.push((trial.experiment, full));
             }
             None => {
                 found.scatter.push(None);
-                outlier::hygiene(trial.experiment, &[])
+                looks.push((trial.experiment, Vec::new()));
             }
-        };
+        }
+    }
+    for (hygiene, spoiled) in parallel(&looks, threads(), |(experiment, full)| outlier::hygiene(experiment, full)) {
         found.leave_out.extend(spoiled);
         found.hygiene.push(hygiene);
     }

@@ -3,6 +3,7 @@
 use realfft::num_complex::Complex;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use std::f64::consts::PI;
+use std::fmt;
 use std::sync::Arc;
 
 /// Real Fourier transform of signals of one length.
@@ -11,6 +12,12 @@ pub struct Spectral {
     inverse: Arc<dyn ComplexToReal<f64>>,
     samples: usize,
     dt: f64,
+}
+
+impl fmt::Debug for Spectral {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.debug_struct("Spectral").field("samples", &self.samples).field("dt", &self.dt).finish_non_exhaustive()
+    }
 }
 
 impl Spectral {

@@ -27,6 +27,7 @@ use super::validate::{Rms, validate_parameters};
 use crate::model::conditioning::{Conditions, conditions, friction_columns};
 use crate::model::structure::Structure;
 use crate::model::term::Column;
+use crate::parallel::{parallel, threads};
 use linear::{Fit, Weights, deviations, residual_covariance};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
@@ -355,11 +356,9 @@ fn finish(
             undetermined.push(Undetermined { name: columns[c].name.clone(), share: solved.fit.null_share[own] });
         }
     }
-    let runs: Vec<(String, Rms)> = experiments
-        .iter()
-        .map(|experiment| (experiment.name.clone(), validate_parameters(experiment, structure, &beta)))
-        .collect();
-    let each: Vec<Rms> = runs.iter().map(|(_, rms)| rms.clone()).collect();
+    let each = parallel(experiments, threads(), |experiment| validate_parameters(experiment, structure, &beta));
+    let names = experiments.iter().map(|experiment| experiment.name.clone());
+    let runs: Vec<(String, Rms)> = names.zip(each.iter().cloned()).collect();
     Ok(Identification {
         estimator,
         outcome: solved.outcome,

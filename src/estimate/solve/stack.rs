@@ -4,6 +4,7 @@ use crate::estimate::EstimateError;
 use crate::estimate::experiment::Experiment;
 use crate::model::structure::Structure;
 use crate::model::term::Motion;
+use crate::parallel::{parallel, threads};
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
@@ -88,9 +89,10 @@ pub fn regressor(
     }
     let mut w = DMatrix::zeros(n * m, columns);
     let mut before = 0;
-    for (experiment, motion) in experiments.iter().zip(motions) {
+    let each: Vec<_> = experiments.iter().zip(motions).collect();
+    let banded = parallel(&each, threads(), |(experiment, motion)| experiment.band(&structure.regressor(motion)));
+    for (experiment, y) in experiments.iter().zip(banded) {
         let count = experiment.kept().len();
-        let y = experiment.band(&structure.regressor(motion));
         for j in 0..n {
             w.rows_mut(j * m + before, count).copy_from(&y.rows(j * count, count));
         }

@@ -192,6 +192,8 @@ pub struct Ground {
     pub chain: Chain,
     /// Its rigid bodies, as far as they are known.
     pub load: Arc<Load>,
+    /// `[fv, fc]` of each joint, as far as they are known: \[Nms/rad\], \[Nm\]. Empty where the model has no friction.
+    pub friction: Vec<[f64; 2]>,
 }
 
 /// One effect in all detail but its linear parameters.
