@@ -1,5 +1,6 @@
 //! The job configuration: shipped files load, every bad value is refused by name, overrides win over the file.
 
+use plumbline::config::job::franka::{Interface, Recovery};
 use plumbline::config::job::{Job, OnLoss, Pace, Resource};
 use plumbline::estimate::experiment::Settings;
 use plumbline::joint;
@@ -27,7 +28,7 @@ fn every_shipped_job_loads() {
             let job = Job::load(&path, &[]).unwrap_or_else(|bad| panic!("{bad}"));
             let robot = folder.join("robots").join(format!("{}.toml", job.robot));
             assert!(!folder.join("robots").exists() || robot.exists(), "{} is not shipped", job.robot);
-            if let Resource::File(arm) = &job.backend.arm {
+            if let Some(Resource::File(arm)) = &job.backend.arm {
                 assert!(!folder.join("arms").exists() || arm.exists(), "{} is not shipped", arm.display());
             }
             jobs += 1;
@@ -42,7 +43,7 @@ fn the_least_job_has_every_default() {
     assert_eq!(job.mounting, Mounting::WALL);
     assert_eq!((job.excitation.harmonics, job.excitation.period, job.excitation.periods), (5, 10.0, 10));
     assert_eq!(job.validation.mountings, [Mounting::WALL, Mounting::UPRIGHT]);
-    assert_eq!(job.backend.arm, Resource::BuiltIn("sim-panda".into()));
+    assert_eq!(job.backend.arm, Some(Resource::BuiltIn("sim-panda".into())));
     assert_eq!((job.backend.pace, job.safety.on_estimator_loss), (Pace::Fast, OnLoss::Finish));
     assert!(job.output.dataset && job.excitation.plan.is_none() && job.workspace.is_none());
 }
@@ -116,11 +117,55 @@ fn every_bad_value_is_named() {
         let said = refusal(&format!("{LEAST}{more}"), &[]);
         assert!(said.starts_with("conf/job.toml: ") && said.contains(expected), "`{said}` does not say `{expected}`");
     }
-    for missing in ["robot", "mounting", "arm", "kind"] {
+    for missing in ["robot", "mounting", "kind"] {
         let said = refusal(&LEAST.replace(&format!("{missing} = "), &format!("# {missing} = ")), &[]);
         assert!(said.contains(&format!("missing field `{missing}`")), "{said}");
     }
+    let no_arm = refusal(&LEAST.replace("arm = ", "# arm = "), &[]);
+    assert!(no_arm.contains("key `backend.arm`: got nothing, expected the arm to simulate"), "{no_arm}");
     assert!(refusal(&LEAST.replace("\"sim\"", "\"real\""), &[]).contains("key `backend.kind`: got `\"real\"`"));
+}
+
+const FRANKA: &str = "robot = \"panda\"\nmounting = \"wall\"\n[backend]\nkind = \"franka\"\n";
+
+#[test]
+fn a_franka_needs_an_address_and_has_defaults_for_the_rest() {
+    let job = parse(&format!("{FRANKA}[backend.franka]\naddress = \"172.16.0.2\"\n"), &[]).unwrap();
+    let franka = job.backend.franka.unwrap();
+    assert_eq!(franka.address.to_string(), "172.16.0.2");
+    assert_eq!((franka.interface, franka.recovery), (Interface::JointPosition, Recovery::Operator));
+    assert_eq!((franka.max_recoveries, franka.state_timeout), (2, 0.1));
+
+    assert!(refusal(FRANKA, &[]).contains("key `backend.franka`: got nothing, expected a table"));
+    let both = format!("{FRANKA}arm = \"sim-panda\"\n[backend.franka]\naddress = \"172.16.0.2\"\n");
+    assert!(refusal(&both, &[]).contains("key `backend.arm`: got a value, expected none"));
+    assert!(
+        refusal(&format!("{LEAST}[backend.franka]\naddress = \"172.16.0.2\"\n"), &[]).contains("key `backend.franka`")
+    );
+    let cases = [
+        ("address = \"robot.local\"\n", "key `backend.franka.address`"),
+        ("address = \"172.16.0.2\"\nadress = \"172.16.0.2\"\n", "backend.franka.adress"),
+        ("address = \"172.16.0.2\"\nlimits-share = 1.5\n", "key `backend.franka.limits-share`: got 1.5"),
+        ("address = \"172.16.0.2\"\nstate-timeout = 0.1\n", "backend.franka.state-timeout"),
+        ("address = \"172.16.0.2\"\nstate-timeout = \"1 ms\"\n", "key `backend.franka.state-timeout`: got 0.001 s"),
+        ("address = \"172.16.0.2\"\njoint-impedance = [1, 2]\n", "key `backend.franka.joint-impedance"),
+        (
+            "address = \"172.16.0.2\"\n[backend.franka.load]\nmass = -1\ncom = [0, 0, 0]\n",
+            "key `backend.franka.load.mass`: got -1 kg",
+        ),
+        (
+            "address = \"172.16.0.2\"\n[backend.franka.socket]\nbusy-poll = 100000\n",
+            "key `backend.franka.socket.busy-poll`",
+        ),
+        (
+            "address = \"172.16.0.2\"\n[backend.franka.collision]\ncontact-torque = [20, 20, 18, 18, 16, 14, 0]\n",
+            "key `backend.franka.collision.contact-torque`: got 0",
+        ),
+    ];
+    for (more, expected) in cases {
+        let said = refusal(&format!("{FRANKA}[backend.franka]\n{more}"), &[]);
+        assert!(said.contains(expected), "`{said}` does not say `{expected}`");
+    }
 }
 
 #[test]
@@ -158,9 +203,9 @@ fn overrides_win_and_are_blamed_for_what_they_bring() {
 fn files_are_found_beside_the_configuration() {
     let text = LEAST.replace("sim-panda", "arms/mine.toml") + "[excitation]\nplan = \"plan.toml\"\n";
     let job = parse(&text, &[]).unwrap();
-    assert_eq!(job.backend.arm, Resource::File("conf/arms/mine.toml".into()));
+    assert_eq!(job.backend.arm, Some(Resource::File("conf/arms/mine.toml".into())));
     assert_eq!(job.excitation.plan, Some("conf/plan.toml".into()));
-    let lost = job.backend.arm.read("backend.arm", &[]).unwrap_err().to_string();
+    let lost = job.backend.arm.unwrap().read("backend.arm", &[]).unwrap_err().to_string();
     assert!(lost.contains("conf/arms/mine.toml") && lost.contains("backend.arm"), "{lost}");
     let unknown = Resource::BuiltIn("sim-pnda".into()).read("backend.arm", &[("sim-panda", "")]).unwrap_err();
     assert!(unknown.to_string().contains("got `sim-pnda`, expected the path of a .toml file or one of sim-panda"));

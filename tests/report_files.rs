@@ -1,7 +1,7 @@
 //! The report: the promised schema, everything inside one HTML file, text from files escaped.
 
 use plumbline::config::robot::Robot;
-use plumbline::ipc::{Session, Times};
+use plumbline::ipc::{Link, Session, Times};
 use plumbline::joint::Workspace;
 use plumbline::model::gravity::Mounting;
 use plumbline::report::figures::{PlanFigure, TorqueFigure};
@@ -114,6 +114,16 @@ fn session(name: &str) -> Session {
         bridge: times(600_000),
         refusals: vec!["CPU 1 is not isolated".into()],
         end: "ended on request, at rest".into(),
+        link: Some(Link {
+            robot: "FR3, version 10".into(),
+            states: 65_536,
+            lost: 1,
+            success: Some([0.97, 0.999]),
+            turnaround: times(61_000),
+            gravity: Some([0.0, 0.0, -9.81]),
+            fault: Some("joint_velocity_violation: a joint was too fast".into()),
+            ..Link::default()
+        }),
         ..Session::default()
     }
 }

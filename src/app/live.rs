@@ -2,7 +2,7 @@
 
 use super::changed;
 use super::{Failure, pipeline};
-use crate::config::job::{Adopt, Job, Pace};
+use crate::config::job::{Adopt, Job};
 use crate::dataset::Run;
 use crate::diagnose::live::{self, ENDS, Floor, Found, News, Remedy, STRETCH, Watch};
 use crate::diagnose::{self, reference::Change};
@@ -136,7 +136,7 @@ impl Live {
             buffer: VecDeque::new(),
             fresh: 0,
             not_before: 0.0,
-            patient: job.backend.pace == Pace::Fast,
+            patient: job.backend.is_fast(),
             searching: None,
             proposed: None,
             log: Log::default(),

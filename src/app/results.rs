@@ -5,7 +5,7 @@ use super::collector::Recorded;
 use super::diagnosed::{self, Diagnosed, Question};
 use super::pipeline::{self, Identified, Judged};
 use super::programme::{Motion, Programme, Role};
-use crate::config::job::{Diagnosis, Job, Pace};
+use crate::config::job::{Diagnosis, Job};
 use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Run};
 use crate::diagnose::{self, errors::Of};
@@ -221,7 +221,7 @@ impl Results {
     }
 
     fn wall_clock(&self) -> bool {
-        self.job.backend.pace == Pace::WallClock
+        !self.job.backend.is_fast()
     }
 
     fn loop_facts(&self, status: &Status) -> LoopFacts {

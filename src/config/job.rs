@@ -4,7 +4,10 @@
 //! their unit in the file (`"90 deg"`, `"10 s"`, `"5 Hz"`) and are in rad, s and Hz here.
 
 mod check;
+pub mod franka;
 mod sets;
+
+pub use franka::Franka;
 
 use super::units;
 use crate::estimate::experiment::{Derivative, Method};
@@ -89,15 +92,19 @@ impl Default for Diagnosis {
 pub struct Backend {
     /// Which backend.
     pub kind: BackendKind,
-    /// The simulated arm's truth: a built-in name (`sim-panda`) or the path of a file.
-    pub arm: Resource,
+    /// The simulated arm's truth: a built-in name (`sim-panda`) or the path of a file. Given where `kind` is `sim`, and nowhere else.
+    #[serde(default)]
+    pub arm: Option<Resource>,
+    /// A Franka arm. Given where `kind` is `franka`, and nowhere else.
+    #[serde(default)]
+    pub franka: Option<Franka>,
     /// Whether simulated time follows the clock.
     #[serde(default)]
     pub pace: Pace,
     /// Seed of the simulated noise and losses.
     #[serde(default = "one")]
     pub seed: u64,
-    /// Pose that the simulated arm starts in and returns to; the middle of every joint's range where absent \[rad\].
+    /// Pose that the arm returns to, and that a simulated one starts in; the middle of every joint's range where absent \[rad\].
     #[serde(default, deserialize_with = "units::optional_positions")]
     pub start: Option<Vec<f64>>,
 }
@@ -108,6 +115,15 @@ pub struct Backend {
 pub enum BackendKind {
     /// The simulated arm.
     Sim,
+    /// A Franka arm behind the Franka Control Interface, or what emulates one.
+    Franka,
+}
+
+impl Backend {
+    /// Whether time is simulated and may run faster than the clock.
+    pub fn is_fast(&self) -> bool {
+        self.kind == BackendKind::Sim && self.pace == Pace::Fast
+    }
 }
 
 /// Pace of the simulated arm.
@@ -469,7 +485,7 @@ impl Job {
         job.file = path.to_path_buf();
         check::check(&job).map_err(|bad| sets::blame(bad, &file, sets))?;
         let dir = job.dir().to_path_buf();
-        if let Resource::File(arm) = &mut job.backend.arm {
+        if let Some(Resource::File(arm)) = &mut job.backend.arm {
             *arm = dir.join(&*arm);
         }
         for file in [&mut job.excitation.plan, &mut job.excitation.model].into_iter().flatten() {

@@ -7,6 +7,7 @@
 pub mod consistency;
 pub mod covariance;
 mod differentiate;
+pub mod direction;
 pub mod essential;
 pub mod experiment;
 pub mod periods;

@@ -192,6 +192,39 @@ pub struct Session {
     pub refusals: Vec<String>,
     /// How it ended.
     pub end: String,
+    /// The network to the robot; absent where there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub link: Option<Link>,
+}
+
+/// The connection to a robot over a network, by the session's own counts.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub struct Link {
+    /// Robot, protocol version and system image, in words.
+    pub robot: String,
+    /// States received.
+    pub states: u64,
+    /// States that never arrived.
+    pub lost: u64,
+    /// Packets that came out of order, twice or damaged.
+    pub odd: u64,
+    /// Commands that left late for the robot's next cycle.
+    pub late: u64,
+    /// Commands that the rate limiter changed.
+    pub limited: u64,
+    /// The robot's own share of commands that reached it in time, of the last 100 at a time: least and mean.
+    pub success: Option<[f64; 2]>,
+    /// From a state's arrival to its command on the way.
+    pub turnaround: Times,
+    /// From a command on the way to the first state that shows it.
+    pub round_trip: Times,
+    /// From one state's arrival to the next one's.
+    pub interval: Times,
+    /// Gravity in the base frame that the robot believes, with its source \[m/s2\].
+    pub gravity: Option<[f64; 3]>,
+    /// What the robot stopped for, by its own names, what that comes from, and what the operator does next.
+    pub fault: Option<String>,
 }
 
 /// Percentiles of one duration \[ns\]; all zero when nothing was measured.

@@ -225,9 +225,11 @@ impl Structure {
             let at = self.columns.iter().position(|column| column.name == name)?;
             beta.get(at).copied()
         };
-        let friction = (1..=self.chain.len()).map(|j| Some([of(format!("fv{j}"))?, of(format!("fc{j}"))?]));
-        let friction: Option<Vec<[f64; 2]>> = friction.collect();
-        Ground { chain: self.chain.clone(), load: Arc::new(load), friction: friction.unwrap_or_default() }
+        let joint = |j: usize| [of(format!("fv{j}")), of(format!("fc{j}"))];
+        let known: Vec<[Option<f64>; 2]> = (1..=self.chain.len()).map(joint).collect();
+        let any = known.iter().flatten().any(Option::is_some);
+        let friction = known.iter().filter(|_| any).map(|joint| joint.map(Option::unwrap_or_default)).collect();
+        Ground { chain: self.chain.clone(), load: Arc::new(load), friction }
     }
 
     /// Without the columns, rigid body apart, for which `keep` does not hold: their parameters are zero.

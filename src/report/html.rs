@@ -35,6 +35,7 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
         cycle => report.cycle.as_ref().map(summary::cycle),
         fast => report.cycle.as_ref().is_some_and(|cycle| cycle.pace == "fast"),
         sessions => sessions(report),
+        links => links(report),
         durations => durations(report),
         durations_plot => safe(plot::quantiles(&durations_of(report))),
         provenance => report.provenance.iter().map(|(key, value)| (key.clone(), plain(value))).collect::<Vec<_>>(),
@@ -262,6 +263,22 @@ fn sessions(report: &Report) -> Vec<Value> {
     report.sessions.iter().map(row).collect()
 }
 
+/// Connections over a network, one row each.
+fn links(report: &Report) -> Vec<Value> {
+    let row = |s: &super::SessionFacts| {
+        let link = s.link.as_ref()?;
+        let percent = |share: f64| format!("{:.2} %", 100.0 * share);
+        let success =
+            link.success.map_or("-".to_string(), |[least, mean]| format!("{} / {}", percent(least), percent(mean)));
+        let gravity = link.gravity.map_or("-".to_string(), |[x, y, z]| format!("[{x:.2}, {y:.2}, {z:.2}]"));
+        Some(context! {
+            name => &s.name, robot => &link.robot, states => link.states, lost => link.lost, odd => link.odd, late => link.late,
+            limited => link.limited, success, gravity, fault => &link.fault,
+        })
+    };
+    report.sessions.iter().filter_map(row).collect()
+}
+
 /// Every duration that was measured, with its name; of the whole loop where the report has no sessions.
 fn durations_of(report: &Report) -> Vec<(String, Quantiles)> {
     let named = |what: &str, session: &str, q: Option<Quantiles>| {
@@ -272,6 +289,14 @@ fn durations_of(report: &Report) -> Vec<(String, Quantiles)> {
     for s in &report.sessions {
         let times = [("wake-up", s.wake_us), ("work", s.work_us), ("period", s.period_us), ("bridge", s.bridge_us)];
         rows.extend(times.into_iter().filter_map(|(what, q)| named(what, &s.name, q)));
+        if let Some(link) = &s.link {
+            let times = [
+                ("turnaround", link.turnaround_us),
+                ("round trip", link.round_trip_us),
+                ("state to state", link.interval_us),
+            ];
+            rows.extend(times.into_iter().filter_map(|(what, q)| named(what, &s.name, q)));
+        }
     }
     if let (true, Some(cycle)) = (rows.is_empty(), &report.cycle) {
         let times = [("wake-up", cycle.wake_us), ("work", cycle.work_us)];

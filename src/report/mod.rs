@@ -13,7 +13,7 @@ mod timing;
 pub use consistency::{Consistency, Moved};
 pub use diagnosis::Diagnosis;
 pub use figures::Figures;
-pub use timing::{IpcFacts, LoopFacts, Quantiles, SessionFacts};
+pub use timing::{IpcFacts, LinkFacts, LoopFacts, Quantiles, SessionFacts};
 
 use crate::atomic;
 use crate::model::gravity::Mounting;

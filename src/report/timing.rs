@@ -1,7 +1,7 @@
 //! How the real-time loop and shared memory did, as it stands in `report.json`: times in microseconds, `null` where a figure has no
 //! meaning or nobody measured it.
 
-use crate::ipc::{Session, Times};
+use crate::ipc::{Link, Session, Times};
 use serde::{Deserialize, Serialize};
 
 /// How the real-time loop did.
@@ -59,6 +59,57 @@ pub struct SessionFacts {
     pub refusals: Vec<String>,
     /// How it ended.
     pub end: String,
+    /// The network to the robot; absent where there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub link: Option<LinkFacts>,
+}
+
+/// The connection to a robot over a network.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LinkFacts {
+    /// Robot, protocol version and system image, in words.
+    pub robot: String,
+    /// States received.
+    pub states: u64,
+    /// States that never arrived.
+    pub lost: u64,
+    /// Packets that came out of order, twice or damaged.
+    pub odd: u64,
+    /// Commands that left late for the robot's next cycle.
+    pub late: u64,
+    /// Commands that the rate limiter changed.
+    pub limited: u64,
+    /// Least and mean share of commands that reached the robot in time, by the robot's own count over 100 at a time.
+    pub success: Option<[f64; 2]>,
+    /// From a state's arrival to its command on the way \[us\].
+    pub turnaround_us: Option<Quantiles>,
+    /// From a command on the way to the first state that shows it \[us\].
+    pub round_trip_us: Option<Quantiles>,
+    /// From one state's arrival to the next one's \[us\].
+    pub interval_us: Option<Quantiles>,
+    /// Gravity in the base frame that the robot believes \[m/s2\].
+    pub gravity: Option<[f64; 3]>,
+    /// What the robot stopped for and what to do next.
+    pub fault: Option<String>,
+}
+
+impl LinkFacts {
+    fn of(link: &Link) -> LinkFacts {
+        LinkFacts {
+            robot: link.robot.clone(),
+            states: link.states,
+            lost: link.lost,
+            odd: link.odd,
+            late: link.late,
+            limited: link.limited,
+            success: link.success,
+            turnaround_us: Quantiles::of(&link.turnaround),
+            round_trip_us: Quantiles::of(&link.round_trip),
+            interval_us: Quantiles::of(&link.interval),
+            gravity: link.gravity,
+            fault: link.fault.clone(),
+        }
+    }
 }
 
 impl SessionFacts {
@@ -79,6 +130,7 @@ impl SessionFacts {
             bridge_us: Quantiles::of(&session.bridge),
             refusals: session.refusals.clone(),
             end: session.end.clone(),
+            link: session.link.as_ref().map(LinkFacts::of),
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::app::Failure;
 use crate::backend::sim::Truth;
-use crate::config::job::{Adopt, Job, OnLoss, Pace};
+use crate::config::job::{Adopt, Job, OnLoss};
 use crate::config::robot::Robot;
 use crate::input::BadInput;
 use crate::ipc::{
@@ -32,8 +32,8 @@ pub struct Desk {
     pub job: Job,
     /// The arm's description.
     pub robot: Robot,
-    /// What the simulated arm is made of.
-    pub truth: Truth,
+    /// What the simulated arm is made of, where one is driven.
+    pub truth: Option<Truth>,
     /// Where the arm starts and returns to \[rad\].
     pub rest: JointVec,
     /// The model being served.
@@ -189,7 +189,7 @@ impl Desk {
     /// Says what became of a follower of the samples, and stops the arm where the job wants that.
     pub fn news(&self, news: &News, controls: Option<&Controls>) {
         // Simulated time waits for an estimator that watches: its silence is no loss.
-        let waited_for = self.job.live.watch && self.job.backend.pace == Pace::Fast;
+        let waited_for = self.job.live.watch && self.job.backend.is_fast();
         let silent = matches!(news, News::Silent { .. });
         let stop = self.job.safety.on_estimator_loss == OnLoss::Stop && !(silent && waited_for);
         let rule = match (news, self.progress) {

@@ -3,13 +3,13 @@
 //! The main thread is the bridge thread: it owns everything that talks to other processes. The loop has a thread of its own for each
 //! connection to the arm (`session`), and knows this side only through its rings.
 
+mod arm;
 mod desk;
 mod script;
 mod session;
 
 use super::programme::Programme;
 use super::{Failure, JobOptions};
-use crate::config::job::Pace;
 use crate::ipc::{Progress, Server, ServerSettings};
 use crate::joint::Record;
 use crate::model::gravity::Mounting;
@@ -87,7 +87,7 @@ impl Daemon {
     /// Holds and serves until there is something to do. An arm in simulated time would only burn the processor meanwhile: it waits
     /// unconnected.
     fn hold(&mut self, mounting: Mounting) -> Result<(), Failure> {
-        if self.desk.job.backend.pace == Pace::Fast {
+        if self.desk.job.backend.is_fast() {
             while !self.desk.must_leave() {
                 self.talk(None);
                 std::thread::sleep(Duration::from_millis(1));

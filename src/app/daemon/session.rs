@@ -1,12 +1,12 @@
 //! One connection to the arm: builds the loop, runs it on a thread of its own, and bridges it to shared memory meanwhile.
 
 use super::Daemon;
+use super::arm::{Connected, connect};
 use super::desk::Desk;
 use super::script::{Next, Script};
 use crate::app::Failure;
 use crate::app::served::{Reach, ServedModel};
-use crate::backend::Clock;
-use crate::backend::sim::{Gate, Pace, SimArm};
+use crate::backend::sim::Gate;
 use crate::config::job;
 use crate::ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
 use crate::joint::{MAX_JOINTS, Record};
@@ -23,7 +23,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 /// Records between the loop and the bridge thread: eight seconds at 1 kHz.
-const RING: usize = 8192;
+pub(super) const RING: usize = 8192;
 /// Records taken from the ring at once.
 const DRAIN: usize = 512;
 /// Pause of the bridge thread when there is nothing to do.
@@ -32,19 +32,6 @@ const PAUSE: Duration = Duration::from_micros(200);
 const AHEAD: u64 = 2000;
 /// How many levels the bridge thread's priority lies below the loop's.
 const BELOW_LOOP: u8 = 10;
-
-/// `CLOCK_MONOTONIC` for arms that keep wall-clock time.
-struct Monotonic;
-
-impl Clock for Monotonic {
-    fn now_ns(&self) -> u64 {
-        os::now_ns()
-    }
-
-    fn sleep_until(&self, deadline_ns: u64) {
-        os::sleep_until(deadline_ns);
-    }
-}
 
 /// A running loop and this side of it.
 pub struct Session {
@@ -69,10 +56,7 @@ impl Session {
     /// Connects to the arm in `mounting` and starts the loop. The loop asks for real-time rights when the arm keeps wall-clock time.
     pub fn open(desk: &Desk, name: String, mounting: Mounting, script: Script) -> Result<Session, Failure> {
         let (job, robot) = (&desk.job, &desk.robot);
-        let gate = (job.backend.pace == job::Pace::Fast).then(|| Arc::new(Gate::new(RING as u64 / 2)));
-        let pace = gate.clone().map_or_else(|| Pace::WallClock(Box::new(Monotonic)), Pace::Fast);
-        let arm = SimArm::new(&robot.chain, &desk.truth, mounting, desk.rest, job.backend.seed, pace)
-            .map_err(Failure::job)?;
+        let Connected { arm, gate } = connect(desk, mounting)?;
         let limits = job.guard_limits(&robot.limits, robot.chain.len())?;
         let mut settings = CycleSettings::new(GuardSettings {
             limits,
@@ -245,6 +229,7 @@ impl Session {
                 Some(reason) if outcome.end == End::Quit => format!("stopped: {reason}"),
                 _ => outcome.end.to_string(),
             },
+            link: None,
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Ranges of a job's values, and the limits that come out of it for one robot.
 
-use super::{Job, Limits, OwnLimits, Workspace};
+use super::{BackendKind, Job, Limits, OwnLimits, Workspace};
 use crate::estimate::experiment::Settings;
 use crate::estimate::solve;
 use crate::excite::limits::Margins;
@@ -13,6 +13,21 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     let bad = |key: &str, value: &dyn ToString, expected: &str| {
         Err(BadInput::new(&file, format!("key `{key}`"), value.to_string(), expected))
     };
+    let backend = &job.backend;
+    match (backend.kind, &backend.arm, &backend.franka) {
+        (BackendKind::Sim, None, _) => {
+            return bad("backend.arm", &"nothing", "the arm to simulate, for kind = \"sim\"");
+        }
+        (BackendKind::Sim, Some(_), Some(_)) => return bad("backend.franka", &"a table", "none, for kind = \"sim\""),
+        (BackendKind::Franka, _, None) => {
+            return bad("backend.franka", &"nothing", "a table with the robot's `address`, for kind = \"franka\"");
+        }
+        (BackendKind::Franka, Some(_), _) => {
+            return bad("backend.arm", &"a value", "none, for kind = \"franka\": the arm is what it is");
+        }
+        (BackendKind::Sim, Some(_), None) => {}
+        (BackendKind::Franka, None, Some(franka)) => franka.check(&file)?,
+    }
     let excitation = &job.excitation;
     if job.robot.trim().is_empty() {
         return bad("robot", &"``", "the name of a robot or the path of its description");

@@ -1,0 +1,210 @@
+//! `[backend.franka]`: how a Franka arm is reached and driven.
+
+use crate::config::units;
+use crate::input::BadInput;
+use serde::Deserialize;
+use std::net::IpAddr;
+
+/// A Franka arm behind the Franka Control Interface.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Franka {
+    /// Address of the robot's control unit, the one that the shop-floor network gave it.
+    pub address: IpAddr,
+    /// What is commanded.
+    #[serde(default)]
+    pub interface: Interface,
+    /// Which of the robot's own controllers tracks commanded positions and velocities.
+    #[serde(default)]
+    pub controller: Controller,
+    /// Who decides that the arm may move again after it stopped by itself.
+    #[serde(default)]
+    pub recovery: Recovery,
+    /// How often a job goes on by itself where `recovery` is `automatic`.
+    #[serde(default = "two")]
+    pub max_recoveries: u32,
+    /// Share of the robot's limits of velocity, acceleration and jerk that commands are held to.
+    #[serde(default = "most")]
+    pub limits_share: f64,
+    /// Stiffness of the joint impedance controller \[Nm/rad\]; the robot's own where absent.
+    #[serde(default)]
+    pub joint_impedance: Option<[f64; 7]>,
+    /// From which forces on the robot reports a contact, and from which it stops.
+    #[serde(default)]
+    pub collision: Collision,
+    /// What the flange carries beyond the end effector set up in Desk.
+    #[serde(default)]
+    pub load: Option<Load>,
+    /// How the socket of the real-time path is set up.
+    #[serde(default)]
+    pub socket: Socket,
+    /// How long the loop waits for a state before it gives the connection up \[s\].
+    #[serde(default = "state_timeout", deserialize_with = "units::duration")]
+    pub state_timeout: f64,
+    /// How long a connection may take \[s\].
+    #[serde(default = "connect_timeout", deserialize_with = "units::duration")]
+    pub connect_timeout: f64,
+}
+
+/// What is commanded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Interface {
+    /// Positions: the robot's own controller follows them.
+    #[default]
+    JointPosition,
+    /// Velocities.
+    JointVelocity,
+    /// Torques: plumbline's own joint impedance with the served model as feed-forward.
+    Torque,
+}
+
+/// Which of the robot's controllers tracks the commands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Controller {
+    /// In joint space.
+    #[default]
+    JointImpedance,
+    /// In Cartesian space.
+    CartesianImpedance,
+}
+
+/// Who decides that the arm may move again.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Recovery {
+    /// A person: the job ends, and says what to do.
+    #[default]
+    Operator,
+    /// The daemon, after a lost connection in time alone (`communication_constraints_violation`), `max-recoveries` times in a job:
+    /// it drives the interrupted motion again from its beginning. Every other reflex is a person's to judge.
+    Automatic,
+}
+
+/// Thresholds of the robot's own contact and collision detection, while accelerating or not.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Collision {
+    /// External torque that counts as a contact \[Nm\].
+    pub contact_torque: [f64; 7],
+    /// External torque that stops the arm \[Nm\].
+    pub collision_torque: [f64; 7],
+    /// External force and moment at the end effector that count as a contact \[N\], \[Nm\].
+    pub contact_force: [f64; 6],
+    /// Those that stop the arm \[N\], \[Nm\].
+    pub collision_force: [f64; 6],
+}
+
+impl Default for Collision {
+    /// What libfranka's examples set before they move.
+    fn default() -> Collision {
+        Collision {
+            contact_torque: [20.0, 20.0, 18.0, 18.0, 16.0, 14.0, 12.0],
+            collision_torque: [20.0, 20.0, 18.0, 18.0, 16.0, 14.0, 12.0],
+            contact_force: [20.0, 20.0, 20.0, 25.0, 25.0, 25.0],
+            collision_force: [20.0, 20.0, 20.0, 25.0, 25.0, 25.0],
+        }
+    }
+}
+
+/// A load at the flange.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Load {
+    /// Mass \[kg\].
+    pub mass: f64,
+    /// Centre of mass in the flange frame \[m\].
+    pub com: [f64; 3],
+    /// Inertia about the centre of mass: xx, xy, xz, yy, yz, zz \[kg m2\].
+    #[serde(default)]
+    pub inertia: [f64; 6],
+}
+
+/// Options of the UDP socket; absent ones stay as the system has them.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Socket {
+    /// `SO_PRIORITY`, 0 to 6 without privileges.
+    pub priority: Option<u32>,
+    /// `SO_BUSY_POLL`: how long the driver polls for a packet before it sleeps \[us\].
+    pub busy_poll: Option<u32>,
+    /// `SO_RCVBUF` \[bytes\].
+    pub receive_buffer: Option<usize>,
+}
+
+fn two() -> u32 {
+    2
+}
+
+fn most() -> f64 {
+    0.9
+}
+
+fn state_timeout() -> f64 {
+    0.1
+}
+
+fn connect_timeout() -> f64 {
+    5.0
+}
+
+impl Franka {
+    /// Checks every range; `file` is named in errors.
+    pub(super) fn check(&self, file: &str) -> Result<(), BadInput> {
+        let bad = |key: &str, value: String, expected: &str| {
+            Err(BadInput::new(file, format!("key `backend.franka.{key}`"), value, expected))
+        };
+        if self.max_recoveries > 100 {
+            return bad("max-recoveries", self.max_recoveries.to_string(), "0 to 100");
+        }
+        if !(0.05..=0.99).contains(&self.limits_share) {
+            return bad("limits-share", self.limits_share.to_string(), "0.05 to 0.99 of the robot's limits");
+        }
+        for (key, value, least, most) in
+            [("state-timeout", self.state_timeout, 0.005, 5.0), ("connect-timeout", self.connect_timeout, 0.1, 60.0)]
+        {
+            if !(least..=most).contains(&value) {
+                return bad(key, format!("{value} s"), &format!("{least} s to {most} s"));
+            }
+        }
+        if let Some(stiffness) = self.joint_impedance
+            && let Some(value) = stiffness.iter().find(|value| !(0.0..=14_250.0).contains(*value))
+        {
+            return bad("joint-impedance", format!("{value} Nm/rad"), "0 to 14250 Nm/rad for every joint");
+        }
+        let Collision { contact_torque, collision_torque, contact_force, collision_force } = &self.collision;
+        let thresholds: [(&str, &[f64], f64); 4] = [
+            ("contact-torque", contact_torque, 100.0),
+            ("collision-torque", collision_torque, 100.0),
+            ("contact-force", contact_force, 200.0),
+            ("collision-force", collision_force, 200.0),
+        ];
+        for (key, values, most) in thresholds {
+            if let Some(value) = values.iter().find(|value| !(**value > 0.0 && **value <= most)) {
+                return bad(&format!("collision.{key}"), value.to_string(), &format!("above 0, at most {most}"));
+            }
+        }
+        if let Some(Load { mass, com, inertia }) = &self.load {
+            if !(0.0..=20.0).contains(mass) {
+                return bad("load.mass", format!("{mass} kg"), "0 kg to 20 kg");
+            }
+            if let Some(value) = com.iter().find(|value| !(value.abs() <= 1.0)) {
+                return bad("load.com", format!("{value} m"), "a centre of mass in the flange frame, within 1 m");
+            }
+            if let Some(value) = inertia.iter().find(|value| !(value.abs() <= 10.0)) {
+                return bad("load.inertia", format!("{value} kg m2"), "xx, xy, xz, yy, yz, zz in kg m2, within 10");
+            }
+        }
+        if let Some(priority) = self.socket.priority.filter(|&priority| priority > 15) {
+            return bad("socket.priority", priority.to_string(), "0 to 15 (above 6 takes CAP_NET_ADMIN)");
+        }
+        if let Some(poll) = self.socket.busy_poll.filter(|&poll| poll > 1000) {
+            return bad("socket.busy-poll", format!("{poll} us"), "0 us to 1000 us");
+        }
+        if let Some(buffer) = self.socket.receive_buffer.filter(|buffer| !(4096..=16 << 20).contains(buffer)) {
+            return bad("socket.receive-buffer", format!("{buffer} bytes"), "4096 bytes to 16 MiB");
+        }
+        Ok(())
+    }
+}
