@@ -213,6 +213,21 @@ impl<'a> Ways<'a> {
     }
 }
 
+/// Whether the arm can go from where it stands to where a programme begins.
+///
+/// # Errors
+/// A way that leaves the workspace or meets the arm itself, with what it breaks.
+pub fn free_way(job: &Job, robot: &Robot, from: &JointVec, to: &JointVec) -> Result<(), Failure> {
+    let planner = Planner::of(job, robot)?;
+    let ways = Ways::new(&planner, job, robot)?;
+    ways.way(from, to).map_err(|peak| {
+        Failure::job(format!(
+            "from where the arm stands, the way to where the job begins is not free: {peak}. Move the arm by hand (guiding mode) to the \
+             pose `backend.start` of the job, or near it, and start again"
+        ))
+    })
+}
+
 fn way_blocked(job: &Job, name: &str, broken: Option<Peak>, attempts: u64) -> Failure {
     let what = broken.map_or("nothing".to_string(), |peak| peak.to_string());
     let found = match attempts {

@@ -215,8 +215,10 @@ pub struct Link {
     pub limited: u64,
     /// The robot's own share of commands that reached it in time, of the last 100 at a time: least and mean.
     pub success: Option<[f64; 2]>,
-    /// From a state's arrival to its command on the way.
+    /// From a state's being read to its command on the way.
     pub turnaround: Times,
+    /// From a state's arrival at this machine to its being read.
+    pub wake: Times,
     /// From a command on the way to the first state that shows it.
     pub round_trip: Times,
     /// From one state's arrival to the next one's.

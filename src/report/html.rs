@@ -292,6 +292,7 @@ fn durations_of(report: &Report) -> Vec<(String, Quantiles)> {
         if let Some(link) = &s.link {
             let times = [
                 ("turnaround", link.turnaround_us),
+                ("wait in the socket", link.wake_us),
                 ("round trip", link.round_trip_us),
                 ("state to state", link.interval_us),
             ];

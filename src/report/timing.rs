@@ -81,8 +81,10 @@ pub struct LinkFacts {
     pub limited: u64,
     /// Least and mean share of commands that reached the robot in time, by the robot's own count over 100 at a time.
     pub success: Option<[f64; 2]>,
-    /// From a state's arrival to its command on the way \[us\].
+    /// From a state's being read to its command on the way \[us\].
     pub turnaround_us: Option<Quantiles>,
+    /// From a state's arrival at this machine to its being read \[us\].
+    pub wake_us: Option<Quantiles>,
     /// From a command on the way to the first state that shows it \[us\].
     pub round_trip_us: Option<Quantiles>,
     /// From one state's arrival to the next one's \[us\].
@@ -104,6 +106,7 @@ impl LinkFacts {
             limited: link.limited,
             success: link.success,
             turnaround_us: Quantiles::of(&link.turnaround),
+            wake_us: Quantiles::of(&link.wake),
             round_trip_us: Quantiles::of(&link.round_trip),
             interval_us: Quantiles::of(&link.interval),
             gravity: link.gravity,

@@ -4,9 +4,13 @@ use super::desk::Desk;
 use super::session::RING;
 use crate::app::Failure;
 use crate::backend::Clock;
+use crate::backend::franka::{self, Info, Telemetry};
 use crate::backend::sim::{Gate, Pace, SimArm};
+use crate::config::job::franka::Recovery;
+use crate::ipc::{Link, Times};
+use crate::joint::JointVec;
 use crate::model::gravity::Mounting;
-use crate::rt::{Backend, os};
+use crate::rt::{Backend, Fault, os};
 use std::sync::Arc;
 
 /// `CLOCK_MONOTONIC` for arms that keep wall-clock time.
@@ -22,20 +26,111 @@ impl Clock for Monotonic {
     }
 }
 
+/// What an arm is connected for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// To be there: a robot with a controller of its own is only watched, and stands by its own means.
+    Hold,
+    /// To move.
+    Drive,
+}
+
 /// A connected arm.
 pub struct Connected {
     /// The arm itself.
     pub arm: Box<dyn Backend>,
     /// Back-pressure of an arm that runs as fast as it can.
     pub gate: Option<Arc<Gate>>,
+    /// The robot at the other end of a network.
+    pub robot: Option<Robot>,
+}
+
+/// A robot at the other end of a network.
+pub struct Robot {
+    info: Info,
+    telemetry: Arc<Telemetry>,
 }
 
 /// Connects to the arm of a job, mounted as given.
-pub fn connect(desk: &Desk, mounting: Mounting) -> Result<Connected, Failure> {
+pub fn connect(desk: &Desk, mounting: Mounting, purpose: Purpose) -> Result<Connected, Failure> {
     let Desk { job, robot, .. } = desk;
+    if let Some(franka) = &job.backend.franka {
+        let purpose = match purpose {
+            Purpose::Hold => franka::Purpose::Watch,
+            Purpose::Drive => franka::Purpose::Drive,
+        };
+        let settings = franka.settings(job, purpose)?;
+        let (arm, franka::Connection { info, telemetry }) = franka::connect(&settings).map_err(Failure::job)?;
+        tracing::info!("connected to {}", words(&info));
+        return Ok(Connected { arm: Box::new(arm), gate: None, robot: Some(Robot { info, telemetry }) });
+    }
     let truth = desk.truth.as_ref().ok_or_else(|| Failure::job("there is no simulated arm to drive"))?;
     let gate = job.backend.is_fast().then(|| Arc::new(Gate::new(RING as u64 / 2)));
     let pace = gate.clone().map_or_else(|| Pace::WallClock(Box::new(Monotonic)), Pace::Fast);
     let arm = SimArm::new(&robot.chain, truth, mounting, desk.rest, job.backend.seed, pace).map_err(Failure::job)?;
-    Ok(Connected { arm: Box::new(arm), gate })
+    Ok(Connected { arm: Box::new(arm), gate, robot: None })
+}
+
+impl Robot {
+    /// Where the arm stood when it was connected \[rad\].
+    pub fn pose(&self) -> JointVec {
+        self.info.pose()
+    }
+
+    /// Gravity in the base frame that the robot believes, unless it does not know its mounting \[m/s2\].
+    pub fn gravity(&self) -> Option<[f64; 3]> {
+        self.info.gravity.as_ref().map(|gravity| gravity.direction)
+    }
+
+    /// What the session says of its network; `fault` ended it.
+    pub fn link(&self, fault: Option<&Fault>) -> Link {
+        let of = self.telemetry.snapshot();
+        Link {
+            robot: words(&self.info),
+            states: of.states,
+            lost: of.lost,
+            odd: of.out_of_order + of.duplicates + of.bad_packets + of.foreign_packets,
+            late: of.late_commands,
+            limited: of.limited,
+            success: (of.success_rate.mean > 0.0).then_some([of.success_rate.min, of.success_rate.mean]),
+            turnaround: times(&of.work),
+            wake: times(&of.wake),
+            round_trip: times(&of.round_trip),
+            interval: times(&of.interval),
+            gravity: self.gravity(),
+            fault: fault.map(|fault| {
+                let franka::Explanation { what, cause, next } = franka::explain(fault, &of);
+                let cause = cause.map_or(String::new(), |cause| format!(" {cause}"));
+                format!("{what}.{cause} Next: {next}")
+            }),
+        }
+    }
+}
+
+/// Whether the daemon may go on by itself after `fault`, of which it has seen `before` already: by the job's own rule, after lost
+/// communication alone.
+pub fn may_go_on(desk: &Desk, fault: &Fault, before: u32) -> bool {
+    let Some(franka) = &desk.job.backend.franka else { return false };
+    let lost_communication = match fault {
+        Fault::Reflex { code } => *code == franka::wire::ErrorBit::CommunicationConstraintsViolation as u32,
+        Fault::Silent { .. } | Fault::Disconnected => true,
+        Fault::Refused { .. } => false,
+    };
+    franka.recovery == Recovery::Automatic && before < franka.max_recoveries && lost_communication
+}
+
+/// Lets a robot that stopped by itself move again. Only where [`may_go_on`] says so, or an operator.
+pub fn recover(desk: &Desk) -> Result<(), Failure> {
+    let Some(franka) = &desk.job.backend.franka else { return Ok(()) };
+    franka::recover(&franka.settings(&desk.job, franka::Purpose::Watch)?).map_err(Failure::job)
+}
+
+fn words(info: &Info) -> String {
+    format!("{}, protocol {}", info.image, info.protocol.number())
+}
+
+/// Microseconds as the nanoseconds of a message.
+fn times(spread: &franka::Spread) -> Times {
+    let ns = |us: f64| (us * 1e3) as u64;
+    Times { count: spread.count, p50: ns(spread.p50), p99: ns(spread.p99), p999: ns(spread.p999), max: ns(spread.max) }
 }

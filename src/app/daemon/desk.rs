@@ -50,6 +50,10 @@ pub struct Desk {
     pub sessions: Vec<SessionStatistics>,
     /// Samples published when everything had been driven.
     pub driven: Option<u64>,
+    /// Orders that were driven to their end.
+    pub ended: Vec<u32>,
+    /// How often the daemon has let the arm go on by itself after a fault.
+    pub recoveries: u32,
     /// Why the arm was stopped last, if it was.
     pub stopped: Option<String>,
     /// The last cycle seen.

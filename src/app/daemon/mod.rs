@@ -14,6 +14,7 @@ use crate::ipc::{Progress, Server, ServerSettings};
 use crate::joint::Record;
 use crate::model::gravity::Mounting;
 use crate::rt::cycle::End;
+use arm::Purpose;
 use clap::Args;
 use desk::Desk;
 use script::Script;
@@ -39,6 +40,15 @@ pub struct Daemon {
     desk: Desk,
 }
 
+/// How a session was seen through.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Seen {
+    /// It ended as it was meant to.
+    Through,
+    /// The arm stopped by itself and may go on: what it had not driven to the end is driven again.
+    Interrupted,
+}
+
 /// Runs until it is told to quit.
 pub fn run(options: Options) -> Result<(), Failure> {
     let (job, robot, out) = options.job.load()?;
@@ -59,6 +69,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
         progress: Progress::Idle,
         names: programme.motions().map(|motion| (motion.number, motion.name.clone())).collect(),
         sessions: Vec::new(),
+        ended: Vec::new(),
+        recoveries: 0,
         driven: None,
         stopped: None,
         last: Record::default(),
@@ -94,8 +106,8 @@ impl Daemon {
             }
             return Ok(());
         }
-        let session = Session::open(&self.desk, "hold".into(), mounting, Script::hold())?;
-        self.see_through(session)
+        let session = Session::open(&self.desk, "hold".into(), mounting, Purpose::Hold, Script::hold())?;
+        self.see_through(session).map(|_| ())
     }
 
     /// Drives every stage of the programme.
@@ -104,9 +116,13 @@ impl Daemon {
             self.desk.progress = Progress::Driving;
             let place = stage.mounting.to_string();
             tracing::info!("the arm is mounted {place}; {} motions", stage.motions.len());
-            let script = Script::of(stage, self.desk.rest).map_err(Failure::job)?;
-            let session = Session::open(&self.desk, place, stage.mounting, script)?;
-            self.see_through(session)?;
+            loop {
+                let script = Script::of(stage, self.desk.rest, &self.desk.ended).map_err(Failure::job)?;
+                let session = Session::open(&self.desk, place.clone(), stage.mounting, Purpose::Drive, script)?;
+                if self.see_through(session)? == Seen::Through {
+                    break;
+                }
+            }
             if self.desk.progress == Progress::Stopped || self.desk.must_quit() {
                 return Ok(());
             }
@@ -118,15 +134,22 @@ impl Daemon {
     }
 
     /// Runs a session to its end and keeps its figures.
-    fn see_through(&mut self, session: Session) -> Result<(), Failure> {
+    fn see_through(&mut self, session: Session) -> Result<Seen, Failure> {
         let (statistics, end) = session.run(self)?;
         for refusal in &statistics.refusals {
             tracing::warn!("not real-time: {refusal}");
         }
+        let words = statistics.link.as_ref().and_then(|link| link.fault.clone()).unwrap_or_else(|| end.to_string());
         self.desk.sessions.push(statistics);
         match end {
-            End::Quit => Ok(()),
-            end => Err(Failure::job(format!("the loop ended: {end}"))),
+            End::Quit => Ok(Seen::Through),
+            End::Fault(fault) if arm::may_go_on(&self.desk, &fault, self.desk.recoveries) => {
+                self.desk.recoveries += 1;
+                tracing::warn!("{words}; going on by itself, time {}, as the job allows", self.desk.recoveries);
+                arm::recover(&self.desk)?;
+                Ok(Seen::Interrupted)
+            }
+            _ => Err(Failure::job(format!("the loop ended: {words}"))),
         }
     }
 

@@ -43,10 +43,17 @@ impl Script {
         Script { before: VecDeque::new(), after: VecDeque::new(), barrier: None }
     }
 
-    /// Approach, settle and drive every motion of the stage, then return to `rest`.
-    pub fn of(stage: &Stage, rest: JointVec) -> Result<Script, ExciteError> {
+    /// Approach, settle and drive every motion of the stage that is not among the `done`, then return to `rest`.
+    pub fn of(stage: &Stage, rest: JointVec, done: &[u32]) -> Result<Script, ExciteError> {
         let mut script = Script::hold();
         for motion in &stage.motions {
+            if done.contains(&motion.number) {
+                // What comes after it still waits for the model.
+                if motion.role == Role::Identify {
+                    script.barrier = Some(motion.number);
+                }
+                continue;
+            }
             let target = start_of(motion);
             let approach = motion.number + APPROACH;
             let reference = PeriodicMotion::new(&motion.fourier, (motion.periods + motion.lead_in) as u32)?;
@@ -69,6 +76,14 @@ impl Script {
     /// The next order that may be given now.
     pub fn next(&mut self, model: bool) -> Option<Order> {
         self.before.pop_front().or_else(|| if model { self.after.pop_front() } else { None })
+    }
+
+    /// Where the arm goes first.
+    pub fn first_target(&self) -> Option<JointVec> {
+        self.before.iter().chain(&self.after).find_map(|order| match order.kind {
+            OrderKind::MoveTo { target, .. } => Some(target),
+            _ => None,
+        })
     }
 
     /// What follows from an event of the loop.

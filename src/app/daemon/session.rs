@@ -1,11 +1,11 @@
 //! One connection to the arm: builds the loop, runs it on a thread of its own, and bridges it to shared memory meanwhile.
 
 use super::Daemon;
-use super::arm::{Connected, connect};
+use super::arm::{Connected, Purpose, Robot, connect};
 use super::desk::Desk;
 use super::script::{Next, Script};
-use crate::app::Failure;
 use crate::app::served::{Reach, ServedModel};
+use crate::app::{Failure, programme};
 use crate::backend::sim::Gate;
 use crate::config::job;
 use crate::ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
@@ -41,6 +41,8 @@ pub struct Session {
     drain: Drain,
     /// Back-pressure of an arm that runs as fast as it can.
     gate: Option<Arc<Gate>>,
+    /// The robot at the other end of a network.
+    robot: Option<Robot>,
     thread: Option<JoinHandle<Outcome>>,
     script: Script,
     /// Identity of the model handed to this loop.
@@ -54,9 +56,19 @@ pub struct Session {
 
 impl Session {
     /// Connects to the arm in `mounting` and starts the loop. The loop asks for real-time rights when the arm keeps wall-clock time.
-    pub fn open(desk: &Desk, name: String, mounting: Mounting, script: Script) -> Result<Session, Failure> {
+    pub fn open(
+        desk: &Desk,
+        name: String,
+        mounting: Mounting,
+        purpose: Purpose,
+        script: Script,
+    ) -> Result<Session, Failure> {
         let (job, robot) = (&desk.job, &desk.robot);
-        let Connected { arm, gate } = connect(desk, mounting)?;
+        let Connected { arm, gate, robot: connected } = connect(desk, mounting, purpose)?;
+        // A real arm stands wherever somebody left it.
+        if let (Some(connected), Some(target)) = (&connected, script.first_target()) {
+            programme::free_way(job, robot, &connected.pose(), &target)?;
+        }
         let limits = job.guard_limits(&robot.limits, robot.chain.len())?;
         let mut settings = CycleSettings::new(GuardSettings {
             limits,
@@ -80,6 +92,7 @@ impl Session {
             handles,
             drain,
             gate,
+            robot: connected,
             thread: None,
             script,
             model: 0,
@@ -158,6 +171,9 @@ impl Session {
     fn handle_events(&mut self, desk: &mut Desk) {
         while let Ok(event) = self.handles.events.pop() {
             desk.log(&event);
+            if let Event::Ended { motion } = event {
+                desk.ended.push(motion);
+            }
             match self.script.after(&event) {
                 Next::GoOn => {}
                 Next::AwaitModel if self.model == 0 => {
@@ -229,7 +245,10 @@ impl Session {
                 Some(reason) if outcome.end == End::Quit => format!("stopped: {reason}"),
                 _ => outcome.end.to_string(),
             },
-            link: None,
+            link: self.robot.as_ref().map(|robot| match outcome.end {
+                End::Fault(fault) => robot.link(Some(&fault)),
+                _ => robot.link(None),
+            }),
         }
     }
 }

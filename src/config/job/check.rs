@@ -26,7 +26,13 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
             return bad("backend.arm", &"a value", "none, for kind = \"franka\": the arm is what it is");
         }
         (BackendKind::Sim, Some(_), None) => {}
-        (BackendKind::Franka, None, Some(franka)) => franka.check(&file)?,
+        (BackendKind::Franka, None, Some(franka)) => {
+            franka.check(&file)?;
+            if let Some(other) = job.validation.mountings.iter().find(|other| other.angle_to(&job.mounting) > 1e-3) {
+                let expected = "`mounting` alone: a real arm is not mounted anew in mid-job";
+                return bad("validation.mountings", &format!("`{other}`"), expected);
+            }
+        }
     }
     let excitation = &job.excitation;
     if job.robot.trim().is_empty() {

@@ -1,9 +1,11 @@
 //! `[backend.franka]`: how a Franka arm is reached and driven.
 
+use crate::backend::franka::{self, RobotKind};
 use crate::config::units;
 use crate::input::BadInput;
 use serde::Deserialize;
 use std::net::IpAddr;
+use std::time::Duration;
 
 /// A Franka arm behind the Franka Control Interface.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -150,6 +152,56 @@ fn connect_timeout() -> f64 {
 }
 
 impl Franka {
+    /// What a session with the arm is opened with.
+    ///
+    /// # Errors
+    /// A job for a robot that is no Franka.
+    pub fn settings(&self, job: &super::Job, purpose: franka::Purpose) -> Result<franka::Settings, BadInput> {
+        let robot = match job.robot.as_str() {
+            "panda" => RobotKind::Panda,
+            "fr3" => RobotKind::Fr3,
+            other => {
+                let file = job.file.display().to_string();
+                let expected = "panda or fr3, for backend.kind = \"franka\"";
+                return Err(BadInput::new(file, "key `robot`", format!("`{other}`"), expected));
+            }
+        };
+        let Collision { contact_torque, collision_torque, contact_force, collision_force } = self.collision;
+        let Socket { priority, busy_poll, receive_buffer } = self.socket;
+        Ok(franka::Settings {
+            interface: match self.interface {
+                Interface::JointPosition => franka::Interface::JointPosition,
+                Interface::JointVelocity => franka::Interface::JointVelocity,
+                Interface::Torque => franka::Interface::Torque,
+            },
+            purpose,
+            controller: match self.controller {
+                Controller::JointImpedance => franka::Controller::JointImpedance,
+                Controller::CartesianImpedance => franka::Controller::CartesianImpedance,
+            },
+            collision: franka::Collision {
+                lower_torque_acceleration: contact_torque,
+                upper_torque_acceleration: collision_torque,
+                lower_torque_nominal: contact_torque,
+                upper_torque_nominal: collision_torque,
+                lower_force_acceleration: contact_force,
+                upper_force_acceleration: collision_force,
+                lower_force_nominal: contact_force,
+                upper_force_nominal: collision_force,
+            },
+            joint_impedance: self.joint_impedance,
+            load: self.load.as_ref().map(|load| {
+                let [xx, xy, xz, yy, yz, zz] = load.inertia;
+                franka::Load { mass: load.mass, com: load.com, inertia: [xx, xy, xz, xy, yy, yz, xz, yz, zz] }
+            }),
+            socket: franka::SocketOptions { priority, busy_poll_us: busy_poll, receive_buffer },
+            state_timeout: Duration::from_secs_f64(self.state_timeout),
+            connect_timeout: Duration::from_secs_f64(self.connect_timeout),
+            limits_share: self.limits_share,
+            ..franka::Settings::new(self.address, robot)
+        })
+    }
+
     /// Checks every range; `file` is named in errors.
     pub(super) fn check(&self, file: &str) -> Result<(), BadInput> {
         let bad = |key: &str, value: String, expected: &str| {

@@ -1,0 +1,97 @@
+//! Step 1: does this machine answer the robot in time?
+
+use super::Rig;
+use super::verdict::Verdict;
+use plumbline::backend::franka::{self, Connection, Explanation, Purpose, Spread, Statistics};
+use plumbline::joint::{Command, Setpoint, Torque};
+use plumbline::rt::os::{Rights, become_realtime};
+use plumbline::rt::{Backend, Fault};
+use std::error::Error;
+
+/// States that are watched, then held through: 10 s and 30 s.
+const WATCHED: u64 = 10_000;
+const HELD: u64 = 30_000;
+/// Most states that may be missing in a row.
+const LONGEST_GAP: u64 = 3;
+/// Least share of commands that the robot has to count.
+const SUCCESS: f64 = 0.95;
+
+/// Watches, then holds.
+pub fn run(rig: &Rig) -> Result<Verdict, Box<dyn Error>> {
+    let realtime = &rig.job.realtime;
+    let priority = Some(realtime.priority).filter(|&priority| priority > 0);
+    let granted = become_realtime(&Rights { priority, cpu: realtime.cpu, lock_memory: realtime.lock_memory });
+    granted.refusals().for_each(|refusal| println!("not real-time: {refusal}"));
+
+    println!("watching {} s of states; nothing moves", WATCHED / 1000);
+    let (watched, fault) = session(rig, Purpose::Watch, WATCHED)?;
+    show("watched", &watched);
+    if let Some(fault) = fault {
+        return Ok(Verdict::Fail(vec![words(&fault, &watched)]));
+    }
+    println!("holding the present pose under control for {} s; nothing is to move", HELD / 1000);
+    let (held, fault) = session(rig, Purpose::Drive, HELD)?;
+    show("held", &held);
+    let mut reasons: Vec<String> = fault.iter().map(|fault| words(fault, &held)).collect();
+    for (what, statistics) in [("watching", &watched), ("holding", &held)] {
+        if statistics.longest_gap > LONGEST_GAP {
+            reasons.push(format!(
+                "while {what}, {} states were missing in a row (at most {LONGEST_GAP}): use a network port of its own, a direct cable, and a \
+                 kernel with PREEMPT_RT",
+                statistics.longest_gap
+            ));
+        }
+    }
+    if fault.is_none() && held.success_rate.mean < SUCCESS {
+        reasons.push(format!(
+            "the robot counted {:.1} % of the commands in time ({:.0} % wanted); the longest answer took {:.0} us, the longest wait in the \
+             socket {:.0} us",
+            100.0 * held.success_rate.mean,
+            100.0 * SUCCESS,
+            held.work.max,
+            held.wake.max
+        ));
+    }
+    Ok(Verdict::of(reasons, format!("{:.2} % of the commands came in time", 100.0 * held.success_rate.mean)))
+}
+
+/// Reads so many states, and answers each with the pose of the first where the arm is driven.
+fn session(rig: &Rig, purpose: Purpose, states: u64) -> Result<(Statistics, Option<Fault>), Box<dyn Error>> {
+    let (mut arm, Connection { info, telemetry }) = franka::connect(&rig.franka.settings(&rig.job, purpose)?)?;
+    println!("connected to {}", info.image);
+    let ended = hold(&mut arm, states);
+    arm.stop();
+    Ok((telemetry.snapshot(), ended.err()))
+}
+
+fn hold(arm: &mut impl Backend, states: u64) -> Result<(), Fault> {
+    let first = arm.read()?;
+    let mut state = first;
+    for _ in 0..states {
+        let desired = Setpoint { q: first.q_d, ..Setpoint::default() };
+        arm.write(&Command { seq: state.seq, desired, tau_ff: Torque::default() })?;
+        state = arm.read()?;
+    }
+    Ok(())
+}
+
+fn words(fault: &Fault, statistics: &Statistics) -> String {
+    let Explanation { what, cause, next } = franka::explain(fault, statistics);
+    format!("{what}.{} Next: {next}", cause.map_or(String::new(), |cause| format!(" {cause}")))
+}
+
+fn show(what: &str, statistics: &Statistics) {
+    let Statistics { states, lost, longest_gap, success_rate, work, wake, round_trip, .. } = statistics;
+    println!("  {what}: {states} states, {lost} lost, at most {longest_gap} in a row");
+    let row = |name: &str, Spread { count, p50, p99, p999, max }: &Spread| {
+        if *count > 0 {
+            println!("  {name:<22} p50 {p50:>8.1}  p99 {p99:>8.1}  p99.9 {p999:>8.1}  max {max:>8.1} us");
+        }
+    };
+    row("answer", work);
+    row("wait in the socket", wake);
+    row("round trip", round_trip);
+    if success_rate.mean > 0.0 {
+        println!("  commands in time by the robot's count: {:.2} % (least {:.2} %)", 100.0 * success_rate.mean, 100.0 * success_rate.min);
+    }
+}
