@@ -1,6 +1,7 @@
 //! Floor 2: the arms. Every one of them implements [`crate::rt::Backend`] and passes the same [`conformance`] suite.
 
 pub mod conformance;
+pub mod franka;
 pub mod sim;
 
 /// A clock that an arm without hardware is paced by; the program passes in the real-time one.

@@ -1,0 +1,311 @@
+//! What lies where in a state and in a command: one list of fields, laid out once per version.
+//!
+//! The fields follow each other without padding; versions differ in which fields there are and in how wide a real number is. So the
+//! offsets are sums, taken when this is compiled, and the tests hold them against the numbers that the C++ headers give.
+
+use super::bits::{ERROR_BITS, Errors};
+use super::codes::{ControllerMode, MotionGeneratorMode, RobotMode};
+use super::error::WireError;
+use super::protocol::Protocol;
+use super::robot_command::{MAX_COMMAND, RobotCommand};
+use super::state::{MAX_STATE, RobotState};
+
+/// A number on the wire, little-endian.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scalar {
+    /// Unsigned, 8 bytes.
+    U64,
+    /// Double precision, 8 bytes.
+    F64,
+    /// Single precision, 4 bytes.
+    F32,
+    /// One byte: a flag, or the number of an enumeration.
+    U8,
+}
+
+impl Scalar {
+    /// Width \[bytes\].
+    pub const fn bytes(self) -> usize {
+        match self {
+            Scalar::U64 | Scalar::F64 => 8,
+            Scalar::F32 => 4,
+            Scalar::U8 => 1,
+        }
+    }
+}
+
+/// A field of a packet `T`, in its place.
+#[derive(Clone, Copy, Debug)]
+pub struct Slot<T> {
+    /// The name in libfranka's headers.
+    pub name: &'static str,
+    /// First byte in the packet.
+    pub offset: usize,
+    /// How many numbers.
+    pub count: usize,
+    /// What each of them is.
+    pub scalar: Scalar,
+    /// Where they lie in `T`.
+    pub(super) part: Part<T>,
+}
+
+impl<T> Slot<T> {
+    /// Length of the field \[bytes\].
+    pub const fn bytes(&self) -> usize {
+        self.count * self.scalar.bytes()
+    }
+
+    /// The byte behind its last one.
+    pub const fn end(&self) -> usize {
+        self.offset + self.bytes()
+    }
+}
+
+/// Way to a field of `T`.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Part<T> {
+    /// A counter.
+    Id { get: fn(&T) -> u64, set: fn(&mut T, u64) },
+    /// Real numbers.
+    Reals { get: fn(&T) -> &[f64], get_mut: fn(&mut T) -> &mut [f64] },
+    /// A set of errors.
+    Bits { get: fn(&T) -> Errors, set: fn(&mut T, Errors) },
+    /// A flag.
+    Flag { get: fn(&T) -> bool, set: fn(&mut T, bool) },
+    /// A number of an enumeration, checked when it is set.
+    Code { get: fn(&T, Protocol) -> u8, set: fn(&mut T, Protocol, u8) -> Result<(), WireError> },
+}
+
+/// A field before it has a place.
+#[derive(Clone, Copy)]
+struct Field<T> {
+    name: &'static str,
+    count: usize,
+    /// The first version that has it.
+    since: u16,
+    part: Part<T>,
+}
+
+impl<T: Copy> Field<T> {
+    const fn new(name: &'static str, count: usize, part: Part<T>) -> Field<T> {
+        Field { name, count, since: 0, part }
+    }
+
+    /// A field that older versions do not have.
+    const fn since(version: u16, field: Field<T>) -> Field<T> {
+        Field { since: version, ..field }
+    }
+
+    const fn place(&self, offset: usize, real: Scalar) -> Slot<T> {
+        let scalar = match self.part {
+            Part::Id { .. } => Scalar::U64,
+            Part::Reals { .. } => real,
+            Part::Bits { .. } | Part::Flag { .. } | Part::Code { .. } => Scalar::U8,
+        };
+        Slot { name: self.name, offset, count: self.count, scalar, part: self.part }
+    }
+}
+
+/// A field of `count` real numbers, whose member is an array.
+macro_rules! reals {
+    ($name:literal, $count:literal, $member:ident) => {
+        Field::new($name, $count, Part::Reals { get: |t| &t.$member, get_mut: |t| &mut t.$member })
+    };
+}
+
+/// A field that is one real number.
+macro_rules! real {
+    ($name:literal, $member:ident) => {
+        Field::new(
+            $name,
+            1,
+            Part::Reals {
+                get: |t| std::slice::from_ref(&t.$member),
+                get_mut: |t| std::slice::from_mut(&mut t.$member),
+            },
+        )
+    };
+}
+
+/// A field of 18 real numbers, one vector per link.
+macro_rules! links {
+    ($name:literal, $member:ident) => {
+        Field::new(
+            $name,
+            18,
+            Part::Reals { get: |t| t.$member.as_flattened(), get_mut: |t| t.$member.as_flattened_mut() },
+        )
+    };
+}
+
+/// A field that is one member, of `Part::$kind`.
+macro_rules! plain {
+    ($kind:ident, $name:literal, $count:expr, $member:ident) => {
+        Field::new($name, $count, Part::$kind { get: |t| t.$member, set: |t, value| t.$member = value })
+    };
+}
+
+const STATE: &[Field<RobotState>] = &[
+    plain!(Id, "message_id", 1, message_id),
+    reals!("O_T_EE", 16, o_t_ee),
+    reals!("O_T_EE_d", 16, o_t_ee_d),
+    reals!("F_T_EE", 16, f_t_ee),
+    reals!("EE_T_K", 16, ee_t_k),
+    reals!("F_T_NE", 16, f_t_ne),
+    reals!("NE_T_EE", 16, ne_t_ee),
+    real!("m_ee", m_ee),
+    reals!("I_ee", 9, i_ee),
+    reals!("F_x_Cee", 3, f_x_cee),
+    real!("m_load", m_load),
+    reals!("I_load", 9, i_load),
+    reals!("F_x_Cload", 3, f_x_cload),
+    reals!("elbow", 2, elbow),
+    reals!("elbow_d", 2, elbow_d),
+    reals!("tau_J", 7, tau_j),
+    reals!("tau_J_d", 7, tau_j_d),
+    reals!("dtau_J", 7, dtau_j),
+    reals!("q", 7, q),
+    reals!("q_d", 7, q_d),
+    reals!("dq", 7, dq),
+    reals!("dq_d", 7, dq_d),
+    reals!("ddq_d", 7, ddq_d),
+    reals!("joint_contact", 7, joint_contact),
+    reals!("cartesian_contact", 6, cartesian_contact),
+    reals!("joint_collision", 7, joint_collision),
+    reals!("cartesian_collision", 6, cartesian_collision),
+    reals!("tau_ext_hat_filtered", 7, tau_ext_hat_filtered),
+    reals!("O_F_ext_hat_K", 6, o_f_ext_hat_k),
+    reals!("K_F_ext_hat_K", 6, k_f_ext_hat_k),
+    reals!("O_dP_EE_d", 6, o_dp_ee_d),
+    reals!("O_ddP_O", 3, o_ddp_o),
+    reals!("elbow_c", 2, elbow_c),
+    reals!("delbow_c", 2, delbow_c),
+    reals!("ddelbow_c", 2, ddelbow_c),
+    reals!("O_T_EE_c", 16, o_t_ee_c),
+    reals!("O_dP_EE_c", 6, o_dp_ee_c),
+    reals!("O_ddP_EE_c", 6, o_ddp_ee_c),
+    reals!("theta", 7, theta),
+    reals!("dtheta", 7, dtheta),
+    Field::since(10, links!("accelerometer_top", accelerometer_top)),
+    Field::since(10, links!("accelerometer_bottom", accelerometer_bottom)),
+    Field::new(
+        "motion_generator_mode",
+        1,
+        Part::Code {
+            get: |t, protocol| t.motion_generator_mode.shown_at(protocol).code(),
+            set: |t, protocol, code| {
+                t.motion_generator_mode = MotionGeneratorMode::decode(protocol, code)?;
+                Ok(())
+            },
+        },
+    ),
+    Field::new(
+        "controller_mode",
+        1,
+        Part::Code {
+            get: |t, _| t.controller_mode.code(),
+            set: |t, _, code| {
+                t.controller_mode = ControllerMode::decode(code)?;
+                Ok(())
+            },
+        },
+    ),
+    plain!(Bits, "errors", ERROR_BITS, errors),
+    plain!(Bits, "reflex_reason", ERROR_BITS, reflex_reason),
+    Field::new(
+        "robot_mode",
+        1,
+        Part::Code {
+            get: |t, _| t.robot_mode.code(),
+            set: |t, _, code| {
+                t.robot_mode = RobotMode::decode(code)?;
+                Ok(())
+            },
+        },
+    ),
+    real!("control_command_success_rate", control_command_success_rate),
+];
+
+const COMMAND: &[Field<RobotCommand>] = &[
+    plain!(Id, "message_id", 1, message_id),
+    reals!("q_c", 7, q_c),
+    reals!("dq_c", 7, dq_c),
+    reals!("O_T_EE_c", 16, o_t_ee_c),
+    reals!("O_dP_EE_c", 6, o_dp_ee_c),
+    reals!("elbow_c", 2, elbow_c),
+    plain!(Flag, "valid_elbow", 1, valid_elbow),
+    plain!(Flag, "motion_generation_finished", 1, motion_generation_finished),
+    reals!("tau_J_d", 7, tau_j_d),
+    Field::since(7, plain!(Flag, "torque_command_finished", 1, torque_command_finished)),
+];
+
+/// Number of fields that `protocol` has. Evaluated by the compiler alone, like the next ones.
+#[allow(clippy::indexing_slicing)]
+const fn fields<T: Copy>(list: &[Field<T>], protocol: Protocol) -> usize {
+    let (mut count, mut index) = (0, 0);
+    while index < list.len() {
+        if list[index].since <= protocol.number() {
+            count += 1;
+        }
+        index += 1;
+    }
+    count
+}
+
+/// The fields that `protocol` has, one behind the other.
+#[allow(clippy::indexing_slicing)]
+const fn place<T: Copy, const N: usize>(list: &[Field<T>], protocol: Protocol, real: Scalar) -> [Slot<T>; N] {
+    let mut slots = [list[0].place(0, real); N];
+    let (mut placed, mut index, mut offset) = (0, 0, 0);
+    while index < list.len() {
+        if list[index].since <= protocol.number() {
+            slots[placed] = list[index].place(offset, real);
+            offset = slots[placed].end();
+            placed += 1;
+        }
+        index += 1;
+    }
+    slots
+}
+
+/// Length of a packet with these fields.
+#[allow(clippy::indexing_slicing)]
+const fn length<T>(slots: &[Slot<T>]) -> usize {
+    slots[slots.len() - 1].end()
+}
+
+/// Defines the table of a packet at a version, and has the compiler hold it against the packet's length.
+macro_rules! table {
+    ($table:ident: $packet:ident of $list:ident at $version:ident in $real:ident, $bytes:ident up to $most:ident) => {
+        static $table: [Slot<$packet>; fields($list, Protocol::$version)] = const {
+            let slots = place($list, Protocol::$version, Scalar::$real);
+            assert!(length(&slots) == Protocol::$version.$bytes() && length(&slots) <= $most);
+            slots
+        };
+    };
+}
+
+table!(STATE_5: RobotState of STATE at V5 in F64, state_bytes up to MAX_STATE);
+table!(STATE_9: RobotState of STATE at V9 in F64, state_bytes up to MAX_STATE);
+table!(STATE_10: RobotState of STATE at V10 in F32, state_bytes up to MAX_STATE);
+table!(COMMAND_5: RobotCommand of COMMAND at V5 in F64, command_bytes up to MAX_COMMAND);
+table!(COMMAND_9: RobotCommand of COMMAND at V9 in F64, command_bytes up to MAX_COMMAND);
+table!(COMMAND_10: RobotCommand of COMMAND at V10 in F64, command_bytes up to MAX_COMMAND);
+
+/// The fields of a state.
+pub(super) fn state(protocol: Protocol) -> &'static [Slot<RobotState>] {
+    match protocol {
+        Protocol::V5 => &STATE_5,
+        Protocol::V9 => &STATE_9,
+        Protocol::V10 => &STATE_10,
+    }
+}
+
+/// The fields of a command.
+pub(super) fn command(protocol: Protocol) -> &'static [Slot<RobotCommand>] {
+    match protocol {
+        Protocol::V5 => &COMMAND_5,
+        Protocol::V9 => &COMMAND_9,
+        Protocol::V10 => &COMMAND_10,
+    }
+}
