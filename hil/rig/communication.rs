@@ -92,6 +92,10 @@ fn show(what: &str, statistics: &Statistics) {
     row("wait in the socket", wake);
     row("round trip", round_trip);
     if success_rate.mean > 0.0 {
-        println!("  commands in time by the robot's count: {:.2} % (least {:.2} %)", 100.0 * success_rate.mean, 100.0 * success_rate.min);
+        println!(
+            "  commands in time by the robot's count: {:.2} % (least {:.2} %)",
+            100.0 * success_rate.mean,
+            100.0 * success_rate.min
+        );
     }
 }

@@ -17,7 +17,11 @@ const NOISE: f64 = 3.0;
 pub fn slow(rig: &Rig, given: &Given) -> Result<Verdict, Box<dyn Error>> {
     let n = rig.robot.chain.len();
     let Some(start) = rig.job.backend.start.clone().filter(|start| start.len() == n) else {
-        return Err(format!("{}: key `backend.start`: expected one position per joint: the slow step stays near it", given.config.display()).into());
+        return Err(format!(
+            "{}: key `backend.start`: expected one position per joint: the slow step stays near it",
+            given.config.display()
+        )
+        .into());
     };
     let limits = rig.job.guard_limits(&rig.robot.limits, n)?;
     let list = |of: &dyn Fn(usize) -> f64| format!("{:?}", (0..n).map(of).collect::<Vec<f64>>());
@@ -44,7 +48,10 @@ pub fn slow(rig: &Rig, given: &Given) -> Result<Verdict, Box<dyn Error>> {
     } else {
         reasons.extend(faults(&report(&out)?));
     }
-    Ok(Verdict::of(reasons, format!("driven to the end, every joint within 0.02 rad; look at {}", out.join("report.html").display())))
+    Ok(Verdict::of(
+        reasons,
+        format!("driven to the end, every joint within 0.02 rad; look at {}", out.join("report.html").display()),
+    ))
 }
 
 /// The job as it stands.
@@ -52,17 +59,23 @@ pub fn full(rig: &Rig, given: &Given) -> Result<Verdict, Box<dyn Error>> {
     let out = rig.job.output.dir.clone();
     println!("running the whole job; keep your hand on the stop button");
     if !run(given, &[], &out)? {
-        return Ok(Verdict::Fail(vec!["the arm was stopped or the job failed; the lines above say why and what to do".into()]));
+        return Ok(Verdict::Fail(vec![
+            "the arm was stopped or the job failed; the lines above say why and what to do".into(),
+        ]));
     }
     let report = report(&out)?;
     let mut reasons = faults(&report);
     if let Some(missed) = report.ipc.map(|ipc| ipc.missed).filter(|&missed| missed > 0) {
         reasons.push(format!("{missed} samples never reached the estimator: look at the load of this machine"));
     }
-    let explained = report.diagnosis.as_ref().is_some_and(|found| found.verdict == Found::Diagnosed || found.verdict == Found::NothingSignificant);
+    let explained = report
+        .diagnosis
+        .as_ref()
+        .is_some_and(|found| found.verdict == Found::Diagnosed || found.verdict == Found::NothingSignificant);
     for validation in &report.validate {
         let over = |(j, (rms, floor)): (usize, (&f64, &f64))| (*rms > NOISE * floor).then_some(j + 1);
-        let joints: Vec<usize> = validation.rms_raw.iter().zip(&report.noise_floor).enumerate().filter_map(over).collect();
+        let joints: Vec<usize> =
+            validation.rms_raw.iter().zip(&report.noise_floor).enumerate().filter_map(over).collect();
         if !joints.is_empty() && !explained {
             reasons.push(format!(
                 "{}: the model misses joints {joints:?} by more than {NOISE} times their noise, and the diagnosis does not explain it",
@@ -81,7 +94,9 @@ fn run(given: &Given, sets: &[String], out: &Path) -> Result<bool, Box<dyn Error
     for set in given.sets.iter().chain(sets) {
         command.args(["--set", set]);
     }
-    let ended = command.status().map_err(|error| format!("{}: {error}; build it with `cargo build --release`", program.display()))?;
+    let ended = command
+        .status()
+        .map_err(|error| format!("{}: {error}; build it with `cargo build --release`", program.display()))?;
     Ok(ended.success())
 }
 

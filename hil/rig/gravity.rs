@@ -39,11 +39,19 @@ pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
     let (file, text) = match &options.model {
         Some(path) => (path.display().to_string(), std::fs::read_to_string(path)?),
         None if rig.robot.name == "panda" => ("panda-paper-table3.toml".to_string(), PANDA.to_string()),
-        None => return Err(format!("--model: there is no published model of `{}`; give one that was identified", rig.robot.name).into()),
+        None => {
+            return Err(format!(
+                "--model: there is no published model of `{}`; give one that was identified",
+                rig.robot.name
+            )
+            .into());
+        }
     };
     let model = ModelFile::parse(&file, &text, |name| {
         let chain = rig.robot.chain.clone();
-        (name == rig.robot.name).then_some(chain).ok_or_else(|| BadInput::new(&file, "key `robot`", name, rig.robot.name.clone()))
+        (name == rig.robot.name)
+            .then_some(chain)
+            .ok_or_else(|| BadInput::new(&file, "key `robot`", name, rig.robot.name.clone()))
     })?;
     model.model.valid_in(&rig.job.mounting)?;
 
@@ -63,13 +71,20 @@ pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
         found.strength()
     );
     println!("{:>6} {:>12} {:>12} {:>12}", "joint", "measured", "declared", "difference");
-    let expected = model.model.evaluator(&declared.gravity()).torque(&plumbline::model::term::Sample { q: pose.q, ..Default::default() }).0;
+    let expected = model
+        .model
+        .evaluator(&declared.gravity())
+        .torque(&plumbline::model::term::Sample { q: pose.q, ..Default::default() })
+        .0;
     for j in 0..SIGMA.len() {
         println!("{:>6} {:>9.2} Nm {:>9.2} Nm {:>9.2} Nm", j + 1, pose.tau[j], expected[j], pose.tau[j] - expected[j]);
     }
     let mut reasons = Vec::new();
     if let Some(joint) = wrong_sign(&model.model, &[pose], &SIGMA)? {
-        reasons.push(format!("the torque of joint {} agrees with gravity only with the other sign: have the sensor looked at", joint + 1));
+        reasons.push(format!(
+            "the torque of joint {} agrees with gravity only with the other sign: have the sensor looked at",
+            joint + 1
+        ));
     }
     let most = f64::max(ANGLE.to_radians(), DEVIATIONS * found.std());
     if found.angle_to(&declared) > most {
@@ -87,10 +102,13 @@ pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
         ));
     }
     match info.gravity {
-        Some(own) if own.source == franka::GravitySource::Accelerometers => {
+        Some(own) if own.source == franka::Source::Accelerometers => {
             let [x, y, z] = own.direction;
             let own = Mounting { rho: x.hypot(y).atan2(z), phi: y.atan2(x) };
-            println!("gravity by the robot's accelerometers: {own}, {:.1} degrees from the declared one", degrees(own.angle_to(&declared)));
+            println!(
+                "gravity by the robot's accelerometers: {own}, {:.1} degrees from the declared one",
+                degrees(own.angle_to(&declared))
+            );
             if own.angle_to(&declared) > ANGLE.to_radians() {
                 reasons.push(format!("by the robot's accelerometers `mounting` should rather be {own}"));
             }

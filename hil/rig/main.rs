@@ -65,7 +65,11 @@ impl Given {
         let job = Job::load(&self.config, &self.sets)?;
         let robot = Robot::load(&job.robot, Some(job.dir()))?;
         let Some(franka) = job.backend.franka.clone() else {
-            return Err(format!("{}: key `backend.kind`: expected franka: the rig is about a real arm", self.config.display()).into());
+            return Err(format!(
+                "{}: key `backend.kind`: expected franka: the rig is about a real arm",
+                self.config.display()
+            )
+            .into());
         };
         Ok(Rig { job, robot, franka })
     }

@@ -7,6 +7,7 @@ use rustix::thread::{ClockId, CpuSet};
 use rustix::time::{Timespec, clock_gettime};
 use std::fs;
 use std::io;
+use std::os::fd::{AsFd, AsRawFd};
 
 const SECOND_NS: u64 = 1_000_000_000;
 /// Stack that the loop may use without a page fault.
@@ -183,6 +184,52 @@ fn touch_stack() {
     std::hint::black_box(&pages);
 }
 
+/// Kernel's queueing priority of what a socket sends (`SO_PRIORITY`); above 6 it needs CAP_NET_ADMIN.
+///
+/// # Errors
+/// What the system says.
+pub fn set_socket_priority(socket: impl AsFd, priority: u32) -> io::Result<()> {
+    set_socket_number(socket, libc::SO_PRIORITY, priority)
+}
+
+/// How long a blocking receive polls the network card before it sleeps (`SO_BUSY_POLL`) \[us\]; raising it needs CAP_NET_ADMIN.
+///
+/// # Errors
+/// What the system says.
+pub fn set_socket_busy_poll(socket: impl AsFd, micros: u32) -> io::Result<()> {
+    set_socket_number(socket, libc::SO_BUSY_POLL, micros)
+}
+
+fn set_socket_number(socket: impl AsFd, option: libc::c_int, value: u32) -> io::Result<()> {
+    let value = libc::c_int::try_from(value).map_err(|_| io::ErrorKind::InvalidInput)?;
+    let size = size_of_val(&value) as libc::socklen_t;
+    let fd = socket.as_fd().as_raw_fd();
+    // SAFETY: the descriptor is open for as long as it is borrowed; pointer and size describe `value`, which outlives the call.
+    let failed = unsafe { libc::setsockopt(fd, libc::SOL_SOCKET, option, (&raw const value).cast(), size) };
+    if failed == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+}
+
+/// `SIOCGSTAMPNS` of Linux (`asm-generic/sockios.h`), which the libc crate does not name.
+const SIOCGSTAMPNS: u32 = 0x8907;
+/// A datagram that seems older than this says that the real-time clock was set.
+const OLDEST_NS: u64 = 10 * SECOND_NS;
+
+/// How long the datagram that was read last from `socket` had waited since the kernel took it in \[ns\]: what its reader slept through.
+/// `None` before the first datagram, and when the real-time clock, which stamps datagrams, was set in between.
+pub fn datagram_age_ns(socket: impl AsFd) -> Option<u64> {
+    let mut stamp = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    let fd = socket.as_fd().as_raw_fd();
+    // SAFETY: the descriptor is open for as long as it is borrowed, and this request writes one timespec, which outlives the call.
+    let failed = unsafe { libc::ioctl(fd, SIOCGSTAMPNS as _, &raw mut stamp) };
+    if failed != 0 || stamp.tv_sec <= 0 {
+        return None;
+    }
+    let now = clock_gettime(rustix::time::ClockId::Realtime);
+    let seconds = now.tv_sec.checked_sub(stamp.tv_sec)?;
+    let age = seconds.checked_mul(SECOND_NS as i64)?.checked_add(now.tv_nsec - stamp.tv_nsec)?;
+    u64::try_from(age).ok().filter(|&age| age <= OLDEST_NS)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -196,6 +243,22 @@ mod tests {
         }
         sleep_until(0);
         sleep_until(start);
+    }
+
+    #[test]
+    fn a_datagram_is_as_old_as_it_has_waited() {
+        let sender = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+        let receiver = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+        // The first question switches the stamps on.
+        assert_eq!(datagram_age_ns(&receiver), None);
+        let before = now_ns();
+        sender.send_to(&[1], receiver.local_addr().unwrap()).unwrap();
+        sleep_until(before + 20_000_000);
+        receiver.recv(&mut [0]).unwrap();
+        let age = datagram_age_ns(&receiver).unwrap();
+        assert!(age >= 15_000_000 && age <= now_ns() - before + 5_000_000, "{age}");
+        set_socket_priority(&receiver, 6).unwrap();
+        assert!(set_socket_priority(&receiver, u32::MAX).is_err());
     }
 
     #[test]

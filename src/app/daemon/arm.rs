@@ -74,7 +74,7 @@ pub fn connect(desk: &Desk, mounting: Mounting, purpose: Purpose) -> Result<Conn
 impl Robot {
     /// Where the arm stood when it was connected \[rad\].
     pub fn pose(&self) -> JointVec {
-        self.info.pose()
+        pose_of(&self.info)
     }
 
     /// Gravity in the base frame that the robot believes, unless it does not know its mounting \[m/s2\].
@@ -123,6 +123,12 @@ pub fn may_go_on(desk: &Desk, fault: &Fault, before: u32) -> bool {
 pub fn recover(desk: &Desk) -> Result<(), Failure> {
     let Some(franka) = &desk.job.backend.franka else { return Ok(()) };
     franka::recover(&franka.settings(&desk.job, franka::Purpose::Watch)?).map_err(Failure::job)
+}
+
+fn pose_of(info: &Info) -> JointVec {
+    let mut pose = JointVec::default();
+    pose[..info.state.q.len()].copy_from_slice(&info.state.q);
+    pose
 }
 
 fn words(info: &Info) -> String {

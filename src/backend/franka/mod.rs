@@ -1,5 +1,56 @@
 //! Franka arms (Panda, FER, FR3) over the Franka Control Interface, the 1 kHz network interface that libfranka speaks too.
 //!
-//! [`wire`] is the protocol as bytes.
+//! [`connect`] opens a session and does everything that may block or allocate; [`FrankaArm`] is the arm in the loop. A motion begins with
+//! the first read of an arm that is to be driven, on the loop's own thread, and ends with [`crate::rt::Backend::stop`].
+//!
+//! | file | what |
+//! |---|---|
+//! | [`wire`] | the protocol as bytes |
+//! | `settings`, [`limits`] | what a session is opened with; what the arm holds commands against |
+//! | `session`, `tcp`, `udp`, `hints`, `error` | connecting, and what to do when that fails |
+//! | `gravity` | the direction of gravity that the arm believes in |
+//! | `arm`, `motion`, `halt` | the arm in the loop: beginning, cycle, end of a motion |
+//! | `reference`, `limiter`, `torque` | what the arm goes by, in double precision; commands inside its limits; the impedance law |
+//! | `telemetry`, `explain` | counters that any thread may look at; faults in words |
+//!
+//! What goes for every motion:
+//!
+//! - The first command is the arm's own `q_d`, to the bit. From there on the arm's point is known from the commands sent, because states
+//!   of version 10 come in single precision, whose differences would look like jerks.
+//! - An arm that misses a command goes on at constant acceleration. The state tells how far it went alone; the next command goes on
+//!   from there and comes back to the motion smoothly, inside [`Settings::limits_share`] of the limits.
+//! - Errors are read from `reflex_reason` of the first state that shows the end of the motion, and the arm's final word is always
+//!   read, within a time limit.
+//! - Nothing recovers by itself: [`recover`] is for the operator, or for a rule that the operator has set.
 
+mod arm;
+mod codes;
+mod connect;
+mod error;
+mod explain;
+mod gravity;
+mod halt;
+mod hints;
+mod limiter;
+pub mod limits;
+mod motion;
+mod reference;
+mod session;
+mod settings;
+mod tcp;
+mod telemetry;
+mod torque;
+mod udp;
 pub mod wire;
+
+pub use arm::FrankaArm;
+pub use codes::*;
+pub use connect::{Connection, Info, connect, recover};
+pub use error::ConnectError;
+pub use explain::{Explanation, explain};
+pub use gravity::{Gravity, Source};
+pub use limits::RobotLimits;
+pub use settings::{
+    BadSetting, Collision, Controller, Interface, Load, Purpose, RobotKind, Settings, SocketOptions, TorqueControl,
+};
+pub use telemetry::{Rate, Spread, Stall, Statistics, Telemetry};

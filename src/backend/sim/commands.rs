@@ -34,6 +34,13 @@ impl Commands {
         Commands { n, last: [*q; 4] }
     }
 
+    /// Commands of joints that pass `q` with velocity `dq`.
+    pub fn passing(n: usize, q: &JointVec, dq: &JointVec) -> Commands {
+        let back = |ticks: f64| std::array::from_fn(|j| q[j] - ticks * TICK * dq[j]);
+        // At the end of its millisecond the spline passes the command before the newest.
+        Commands { n, last: [back(2.0), back(1.0), *q, back(-1.0)] }
+    }
+
     /// The newest command.
     pub fn newest(&self) -> &JointVec {
         &self.last[3]

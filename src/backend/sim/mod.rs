@@ -9,6 +9,7 @@
 //! | `commands`, `plant` | the controller's smooth target; the integration of everything |
 //! | `sensors`, `gate` | noise, faults and loss; back-pressure at full speed |
 //! | `response` | a periodic motion at once, without a loop |
+//! | `hardware` | the arm alone, for a program that is the robot around it |
 //!
 //! It takes positions: `desired.q` of a command, nothing else. A motion begins with the first command, which must be where the arm stands.
 //! Where a command is missing the arm goes on at constant acceleration; 20 in a row are a reflex, and only `stop` ends that.
@@ -20,6 +21,7 @@ mod aba;
 mod commands;
 pub mod effect;
 mod gate;
+mod hardware;
 mod plant;
 mod response;
 mod sensors;
@@ -27,6 +29,7 @@ mod spatial;
 pub mod truth;
 
 pub use gate::Gate;
+pub use hardware::{Hardware, Sensed};
 pub use plant::Exact;
 pub use response::{LEAD, Response};
 pub use truth::Truth;

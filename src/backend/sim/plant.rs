@@ -4,7 +4,7 @@
 //!
 //!   tau = K (q_d - q) + D (dq_d - dq) + M(q_d) ddq_d + C(q_d, dq_d) dq_d + g(q_d),
 //!
-//! with the arm's own nominal rigid model. `tau` is what the torque sensors measure, and what the identified model has to explain:
+//! with the arm's own nominal rigid model; or it holds torques that somebody else asks for. `tau` is what the torque sensors measure, and what the identified model has to explain:
 //! rigid body, friction and effects.
 
 use super::aba::{aba, inverse};
@@ -59,6 +59,8 @@ pub(super) struct Plant {
     slopes: [Vec<f64>; 4],
     /// The target at the end of the last millisecond: the next begins there.
     end: Target,
+    /// Torques that the actuators hold instead of the controller's \[Nm\].
+    held: Option<JointVec>,
 }
 
 /// The controller's side of an instant: what it tracks, and the feed-forward that takes.
@@ -107,6 +109,7 @@ impl Plant {
             slopes: std::array::from_fn(|_| y.clone()),
             y,
             end: Target::default(),
+            held: None,
         };
         plant.end = plant.target(Setpoint { q: *q, ..Setpoint::default() });
         plant
@@ -117,6 +120,17 @@ impl Plant {
         let n = self.actual.n;
         self.y[n..2 * n].copy_from_slice(&dq[..n]);
         self.end = self.target(commands.at(1.0));
+    }
+
+    /// The controller tracks `commands` from here on, whatever it did before.
+    pub fn take_over(&mut self, commands: &Commands) {
+        self.held = None;
+        self.end = self.target(commands.at(1.0));
+    }
+
+    /// The actuators hold `tau` \[Nm\] until [`Plant::take_over`].
+    pub fn hold(&mut self, tau: &JointVec) {
+        self.held = Some(*tau);
     }
 
     /// One millisecond along `commands`. Allocates nothing.
@@ -136,7 +150,7 @@ impl Plant {
                 Target { desired: commands.at(s), load }
             };
             let (middle, to) = (target(0.5), target(1.0));
-            let start = at(t, self.actual.n, &self.y, &from);
+            let start = self.at(t, &self.y, &from);
             self.effects.iter_mut().for_each(|placed| placed.effect.settle(&start));
             self.slope(0, None, t, &from);
             self.slope(1, Some((0, 0.5 * h)), t + 0.5 * h, &middle);
@@ -154,9 +168,9 @@ impl Plant {
 
     /// What the sensors say now, before noise, and what is true. Once per millisecond: effects may remember.
     pub fn sense(&mut self) -> (Reading, Exact) {
-        let (t, n) = (self.time(), self.actual.n);
+        let t = self.time();
         self.stage.copy_from_slice(&self.y);
-        let at = at(t, n, &self.y, &self.end);
+        let at = self.at(t, &self.y, &self.end);
         let mut dx = [0.0; MAX_STATES];
         let (q, dq) = self.encoders(&at, &mut dx);
         let tau = self.controller(&q, &dq, &at);
@@ -201,7 +215,7 @@ impl Plant {
             }
         }
         let n = self.actual.n;
-        let at = at(t, n, &self.stage, target);
+        let at = self.at(t, &self.stage, target);
         let mut dx = [0.0; MAX_STATES];
         let (q, dq) = self.encoders(&at, &mut dx);
         let tau = self.controller(&q, &dq, &at);
@@ -224,6 +238,9 @@ impl Plant {
     }
 
     fn controller(&self, q: &JointVec, dq: &JointVec, at: &At) -> JointVec {
+        if let Some(held) = self.held {
+            return held;
+        }
         let mut tau = at.load;
         for j in 0..at.n {
             tau[j] += self.stiffness[j] * (at.desired.q[j] - q[j]) + self.damping[j] * (at.desired.dq[j] - dq[j]);
@@ -251,6 +268,15 @@ impl Plant {
         aba(&self.actual, &gravity, &external, &at.q, &at.dq, &link_torque)
     }
 
+    /// The arm at time `t` in state `y`, as effects see it.
+    fn at(&self, t: f64, y: &[f64], target: &Target) -> At {
+        let n = self.actual.n;
+        let mut at = At { t, n, desired: target.desired, load: target.load, held: self.held, ..At::default() };
+        at.q[..n].copy_from_slice(&y[..n]);
+        at.dq[..n].copy_from_slice(&y[n..2 * n]);
+        at
+    }
+
     fn orientation(&self, q: &JointVec, link: usize) -> Placement {
         (0..=link).fold(Placement::identity(), |base, i| base.then(&self.actual.frames[i].at(q[i])))
     }
@@ -258,10 +284,3 @@ impl Plant {
 
 /// Room for the continuous states of all effects together.
 pub(super) const MAX_STATES: usize = 64;
-
-fn at(t: f64, n: usize, y: &[f64], target: &Target) -> At {
-    let mut at = At { t, n, desired: target.desired, load: target.load, ..At::default() };
-    at.q[..n].copy_from_slice(&y[..n]);
-    at.dq[..n].copy_from_slice(&y[n..2 * n]);
-    at
-}

@@ -76,6 +76,8 @@ pub(super) struct At {
     pub desired: Setpoint,
     /// The controller's feed-forward: torque of the nominal rigid bodies along `desired` \[Nm\].
     pub load: JointVec,
+    /// Torques that the actuators hold instead of the controller's answer \[Nm\].
+    pub held: Option<JointVec>,
 }
 
 /// What the sensors say, before noise.

@@ -76,6 +76,13 @@ impl<D: Deflection> Effect for Twist<D> {
 
     fn encoder(&self, at: &At, x: &[f64], dx: &mut [f64], q: &mut JointVec, dq: &mut JointVec) {
         let j = self.joint;
+        // A held torque does not answer: the twist follows it with its lag alone.
+        if let Some(held) = at.held {
+            dx[0] = (self.deflection.under(held[j]).0 - x[0]) / self.lag;
+            q[j] += x[0];
+            dq[j] += dx[0];
+            return;
+        }
         let error = at.desired.q[j] - q[j] - x[0];
         let tau = at.load[j] + self.stiffness * error + self.damping * (at.desired.dq[j] - dq[j]);
         dx[0] = self.rate(tau, x[0]);

@@ -1,0 +1,107 @@
+//! A running motion: what it was asked for with, and how its commands come.
+
+use super::body::Drive;
+use super::limits::{Commanded, Joints};
+use plumbline::backend::franka::wire::{Move, MoveController, MoveGenerator, RobotCommand};
+
+/// Commands that the success rate looks back on.
+const WINDOW: u32 = 100;
+
+/// A motion between its start and its end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion {
+    /// Call that started it, which its end answers, too.
+    pub id: u32,
+    /// What was asked for.
+    pub request: Move,
+    /// Whether a state has shown it.
+    pub shown: bool,
+    /// Whether a command has come.
+    pub begun: bool,
+    /// Commands missing in a row.
+    pub missing: u32,
+    /// Torques commanded last, where they are commanded \[Nm\].
+    pub tau: Option<Joints>,
+    /// Which of the last commands came, the newest at bit 0.
+    came: u128,
+    counted: u32,
+}
+
+/// The end of a motion, from its cause to the arm's rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ending {
+    /// Call of StopMove that ends it.
+    pub stop: Option<u32>,
+    /// Whether the client has been told.
+    pub answered: bool,
+    /// States until the end shows \[ms\].
+    pub left: u32,
+}
+
+impl Motion {
+    /// A motion that nobody has seen yet; `tau` is the desired torque of the state before.
+    pub fn new(id: u32, request: &Move, tau: &Joints) -> Motion {
+        let external = request.controller == MoveController::External;
+        Motion {
+            id,
+            request: *request,
+            shown: false,
+            begun: false,
+            missing: 0,
+            tau: external.then_some(*tau),
+            came: 0,
+            counted: 0,
+        }
+    }
+
+    /// Whether a motion is one of the end effector.
+    pub fn is_cartesian(request: &Move) -> bool {
+        matches!(request.generator, MoveGenerator::CartesianPose | MoveGenerator::CartesianVelocity)
+    }
+
+    /// What commands hold for the motion generator, if there is one.
+    pub fn commanded(&self) -> Option<Commanded> {
+        match self.request.generator {
+            MoveGenerator::JointPosition => Some(Commanded::Position),
+            MoveGenerator::JointVelocity => Some(Commanded::Velocity),
+            MoveGenerator::CartesianPose | MoveGenerator::CartesianVelocity | MoveGenerator::None => None,
+        }
+    }
+
+    /// What moves the arm.
+    pub fn drive(&self) -> Drive {
+        self.tau.map_or(Drive::Track, Drive::Torque)
+    }
+
+    /// Counts a command that came, or one that did not.
+    pub fn count(&mut self, came: bool) {
+        self.came = (self.came << 1) | u128::from(came);
+        self.counted = (self.counted + 1).min(WINDOW);
+        self.missing = if came { 0 } else { self.missing + 1 };
+    }
+
+    /// Share of the last 100 commands that came, 0 to 1; of all while there were fewer.
+    pub fn success_rate(&self) -> f64 {
+        let window = self.came & ((1 << WINDOW) - 1);
+        if self.counted == 0 { 0.0 } else { f64::from(window.count_ones()) / f64::from(self.counted) }
+    }
+
+    /// Whether everything that this motion uses of a command is a number.
+    pub fn is_finite(&self, command: &RobotCommand) -> bool {
+        let generator = match self.commanded() {
+            Some(Commanded::Position) => command.q_c,
+            Some(Commanded::Velocity) => command.dq_c,
+            None => [0.0; 7],
+        };
+        let tau = self.tau.map_or([0.0; 7], |_| command.tau_j_d);
+        generator.iter().chain(&tau).all(|value| value.is_finite())
+    }
+
+    /// Whether a command asks for the end.
+    pub fn is_finished_by(&self, command: &RobotCommand) -> bool {
+        match self.request.generator {
+            MoveGenerator::None => command.torque_command_finished,
+            _ => command.motion_generation_finished,
+        }
+    }
+}

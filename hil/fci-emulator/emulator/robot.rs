@@ -1,0 +1,603 @@
+//! The robot as its interface shows it: modes, motions, errors and what it answers. No sockets and no clock: one call a millisecond.
+//!
+//! What Franka has not published is decided on the strict side: setters are taken when idle alone; a motion counts missing commands from
+//! the first state on that shows it; commands must carry the number of the newest state.
+
+use super::body::{Body, Drive};
+use super::limits::{
+    Commanded, JOINTS, Joints, Limits, RobotKind, Step, judge, judge_measured, judge_place, judge_start, judge_torque,
+};
+use super::motion::{Ending, Motion};
+use super::setters;
+use plumbline::backend::franka::wire::{
+    Architecture, CartesianLimit, CollisionBehavior, ControllerMode, ErrorBit, Errors, LoadModelStatus,
+    MAX_FIXED_RESPONSE, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol, RecoveryStatus,
+    Request, Response, RobotCommand, RobotMode, RobotModelStatus, RobotState, SetterStatus, StopStatus, System,
+};
+
+/// Missing commands in a row that are a violation.
+pub const MISSING: u32 = 20;
+/// How long a recovery takes \[ms\].
+const RECOVERY: u32 = 50;
+/// How long errors show at least \[ms\].
+const SHOWN: u32 = 100;
+
+/// When the end of a motion is told over TCP, seen from the first state that shows it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum FinishOrder {
+    /// In the same millisecond.
+    #[default]
+    Together,
+    /// The state comes so many ms before the answer.
+    StateFirst(u32),
+    /// The answer comes so many ms before the state.
+    AnswerFirst(u32),
+}
+
+/// What an operator does to the arm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hand {
+    /// Presses the user stop.
+    UserStop,
+    /// Releases the user stop.
+    Release,
+    /// Guides the arm by hand, as long as it is idle.
+    Guide,
+    /// Lets go of the guiding handle.
+    LetGo,
+    /// Locks the brakes in Desk.
+    Lock,
+    /// Unlocks them.
+    Unlock,
+}
+
+/// What a robot answers with beside its motion.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Served {
+    /// Shared library for clients that load one; without it they are told an error.
+    pub model_library: Option<Vec<u8>>,
+    /// Robot description.
+    pub urdf: String,
+    /// `O_ddP_O` of every state \[m/s2\].
+    pub base_acceleration: [f64; 3],
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Phase {
+    Idle,
+    Moving(Motion),
+    Ending(Motion, Ending),
+    Reflex { since: u32 },
+    UserStopped,
+    Guiding,
+    Locked,
+    Recovering { id: u32, left: u32 },
+}
+
+/// The robot.
+pub struct Robot {
+    protocol: Protocol,
+    limits: Limits,
+    body: Body,
+    served: Served,
+    finish: FinishOrder,
+    collision: CollisionBehavior,
+    desired: Step,
+    phase: Phase,
+    errors: Errors,
+    reflex_reason: Errors,
+    collided: [bool; JOINTS],
+    message_id: u64,
+    outbox: Vec<Vec<u8>>,
+    late: Vec<(u64, Vec<u8>)>,
+    events: Vec<String>,
+}
+
+impl Robot {
+    /// An idle robot that holds `start` \[rad\]. `message_id` is what the state before its first one would have had.
+    pub fn new(
+        protocol: Protocol,
+        kind: RobotKind,
+        body: Body,
+        start: &Joints,
+        served: Served,
+        finish: FinishOrder,
+        message_id: u64,
+    ) -> Robot {
+        let desired = Step::at_rest(start);
+        Robot {
+            protocol,
+            limits: Limits::of(kind, protocol),
+            body,
+            served,
+            finish,
+            collision: thresholds(),
+            desired,
+            phase: Phase::Idle,
+            errors: Errors::NONE,
+            reflex_reason: Errors::NONE,
+            collided: [false; JOINTS],
+            message_id,
+            outbox: Vec::new(),
+            late: Vec::new(),
+            events: Vec::new(),
+        }
+    }
+
+    /// Number of the state made last, which a command has to carry.
+    pub fn message_id(&self) -> u64 {
+        self.message_id
+    }
+
+    /// Whether a motion runs whose next command must come before the next millisecond.
+    pub fn awaits_command(&self) -> bool {
+        matches!(&self.phase, Phase::Moving(motion) if motion.shown)
+    }
+
+    /// Messages for the client, oldest first.
+    pub fn outbox(&mut self) -> Vec<Vec<u8>> {
+        std::mem::take(&mut self.outbox)
+    }
+
+    /// What happened, in words, oldest first.
+    pub fn events(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.events)
+    }
+
+    /// One millisecond, with the command that came in time, if one did; returns the state at its end.
+    pub fn cycle(&mut self, command: Option<&RobotCommand>) -> RobotState {
+        let drive = match self.phase {
+            Phase::Moving(motion) => self.follow(motion, command),
+            _ => None,
+        };
+        let drive = drive.unwrap_or_else(|| {
+            self.desired = self.desired.braked(&self.limits);
+            Drive::Track
+        });
+        self.body.advance(&self.desired, drive);
+        self.watch();
+        self.settle();
+        self.message_id += 1;
+        let due = self.message_id;
+        let (now, later) = std::mem::take(&mut self.late).into_iter().partition(|(id, _)| *id <= due);
+        self.late = later;
+        self.outbox.extend(Vec::into_iter(now).map(|(_, message): (u64, Vec<u8>)| message));
+        self.state()
+    }
+
+    /// A running motion takes a command or goes on without one; `None` when the motion has ended with it.
+    fn follow(&mut self, mut motion: Motion, command: Option<&RobotCommand>) -> Option<Drive> {
+        if !motion.shown {
+            motion.shown = true;
+            self.phase = Phase::Moving(motion);
+            return Some(motion.drive());
+        }
+        motion.count(command.is_some());
+        let mut errors = Errors::NONE;
+        let mut status = MoveStatus::ReflexAborted;
+        let mut next = self.desired;
+        match command {
+            Some(command) => {
+                if !motion.is_finite(command) {
+                    status = MoveStatus::InputErrorAborted;
+                }
+                next = match motion.commanded() {
+                    Some(Commanded::Position) => {
+                        if !motion.begun {
+                            errors = judge_start(&self.desired.q, &command.q_c);
+                        }
+                        self.desired.to_position(&command.q_c)
+                    }
+                    Some(Commanded::Velocity) => self.desired.with_velocity(&command.dq_c),
+                    None => self.desired,
+                };
+                if let (true, Some(commanded)) = (errors.is_empty(), motion.commanded()) {
+                    errors = judge(&self.limits, self.protocol, commanded, &self.desired, &next);
+                }
+                if let Some(tau) = &mut motion.tau {
+                    errors = union(errors, judge_torque(&self.limits, tau, &command.tau_j_d));
+                    *tau = command.tau_j_d;
+                }
+                motion.begun = true;
+            }
+            None if motion.missing >= MISSING => errors.set(ErrorBit::CommunicationConstraintsViolation),
+            None => {
+                if motion.commanded().is_some() {
+                    next = self.desired.extrapolated();
+                    errors = judge_place(&self.limits, self.protocol, &self.desired, &next);
+                }
+            }
+        }
+        if !errors.is_empty() {
+            let why = match command {
+                Some(command) => format!("command {}", command.message_id),
+                None => format!("{} commands missing in a row", motion.missing),
+            };
+            self.phase = Phase::Moving(motion);
+            self.abort(errors, status, &why);
+            return None;
+        }
+        self.desired = next;
+        if command.is_some_and(|command| motion.is_finished_by(command)) {
+            self.end(motion, None);
+            // The step that came with the flag is the last one of the motion.
+            return motion.tau.is_none().then_some(Drive::Track);
+        }
+        self.phase = Phase::Moving(motion);
+        Some(motion.drive())
+    }
+
+    /// Looks at what is measured while a motion runs.
+    fn watch(&mut self) {
+        let external = self.body.external();
+        let accelerates = self.desired.ddq.iter().any(|ddq| ddq.abs() > 1e-3);
+        let upper = if accelerates {
+            (&self.collision.upper_torque_acceleration, &self.collision.upper_force_acceleration)
+        } else {
+            (&self.collision.upper_torque_nominal, &self.collision.upper_force_nominal)
+        };
+        let hit: [bool; JOINTS] = std::array::from_fn(|j| external[j].abs() > upper.0[j]);
+        let pushed = self.body.external_wrench().iter().zip(upper.1).any(|(force, most)| force.abs() > *most);
+        let mut errors = match self.phase {
+            Phase::Moving(_) => judge_measured(&self.limits, &self.body.q(), &self.body.dq(), &self.body.tau()),
+            _ => Errors::NONE,
+        };
+        if hit.contains(&true) {
+            errors.set(ErrorBit::JointReflex);
+        }
+        if pushed {
+            errors.set(ErrorBit::CartesianReflex);
+        }
+        if matches!(self.phase, Phase::Moving(_) | Phase::Ending(..)) && !errors.is_empty() {
+            self.collided = hit;
+            self.abort(errors, MoveStatus::ReflexAborted, "measured");
+        }
+    }
+
+    /// What ends by itself: orderly ends of motions, errors after the brake, recoveries.
+    fn settle(&mut self) {
+        match &mut self.phase {
+            Phase::Ending(motion, ending) if self.desired.still() => {
+                let (motion, ending_now) = (*motion, *ending);
+                match self.finish {
+                    FinishOrder::AnswerFirst(ahead) if !ending_now.answered => {
+                        ending.answered = true;
+                        ending.left = ahead;
+                        self.answer_end(&motion, &ending_now, 0);
+                    }
+                    FinishOrder::AnswerFirst(_) if ending_now.left > 0 => ending.left -= 1,
+                    FinishOrder::AnswerFirst(_) => self.phase = Phase::Idle,
+                    FinishOrder::StateFirst(behind) => {
+                        self.phase = Phase::Idle;
+                        self.answer_end(&motion, &ending_now, u64::from(behind));
+                    }
+                    FinishOrder::Together => {
+                        self.phase = Phase::Idle;
+                        self.answer_end(&motion, &ending_now, 0);
+                    }
+                }
+            }
+            Phase::Reflex { since } => {
+                *since += 1;
+                if *since > SHOWN && self.desired.still() {
+                    self.errors = Errors::NONE;
+                }
+            }
+            Phase::Recovering { id, left: 0 } => {
+                let id = *id;
+                self.phase = Phase::Idle;
+                self.reflex_reason = Errors::NONE;
+                self.collided = [false; JOINTS];
+                self.reply(id, &Response::AutomaticErrorRecovery(RecoveryStatus::Success));
+                self.events.push("recovered".into());
+            }
+            Phase::Recovering { left, .. } if self.desired.still() => *left -= 1,
+            _ => {}
+        }
+    }
+
+    /// An orderly end: by the client's flag, by StopMove (its call), or because the client has gone.
+    fn end(&mut self, motion: Motion, stop: Option<u32>) {
+        self.leave_torques(&motion);
+        self.phase = Phase::Ending(motion, Ending { stop, answered: false, left: 0 });
+    }
+
+    fn answer_end(&mut self, motion: &Motion, ending: &Ending, behind: u64) {
+        let status = if ending.stop.is_some() { MoveStatus::Preempted } else { MoveStatus::Success };
+        self.reply_later(behind, motion.id, &Response::Move(status));
+        if let Some(stop) = ending.stop {
+            self.reply_later(behind, stop, &Response::StopMove(StopStatus::Success));
+        }
+        self.events.push(format!("motion ended: {status}"));
+    }
+
+    /// A motion ends against the client's will: it brakes, and the very next state says why.
+    fn abort(&mut self, errors: Errors, status: MoveStatus, why: &str) {
+        let (motion, stop) = match self.phase {
+            Phase::Moving(motion) => (motion, None),
+            Phase::Ending(motion, ending) if !ending.answered => (motion, ending.stop),
+            _ => return,
+        };
+        self.leave_torques(&motion);
+        self.errors = errors;
+        self.reflex_reason = errors;
+        self.phase = Phase::Reflex { since: 0 };
+        self.reply(motion.id, &Response::Move(status));
+        if let Some(stop) = stop {
+            self.reply(stop, &Response::StopMove(StopStatus::ReflexAborted));
+        }
+        self.events.push(format!("reflex: {errors} ({why})"));
+    }
+
+    /// From torques back to the inner controller, from where the arm is and as fast as it moves.
+    fn leave_torques(&mut self, motion: &Motion) {
+        if motion.tau.is_some() {
+            self.desired = Step { q: self.body.q(), dq: self.body.dq(), ..Step::default() };
+        }
+    }
+
+    /// What the operator does.
+    pub fn hand(&mut self, hand: Hand) {
+        let next = match (hand, self.phase) {
+            (Hand::UserStop, _) => {
+                self.break_off();
+                Phase::UserStopped
+            }
+            (Hand::Lock, _) => {
+                self.break_off();
+                Phase::Locked
+            }
+            (Hand::Release, Phase::UserStopped) | (Hand::LetGo, Phase::Guiding) | (Hand::Unlock, Phase::Locked) => {
+                Phase::Idle
+            }
+            (Hand::Guide, Phase::Idle) => Phase::Guiding,
+            (_, same) => {
+                self.events.push(format!("{hand:?} does nothing now"));
+                same
+            }
+        };
+        if next != self.phase {
+            self.events.push(format!("{hand:?}"));
+        }
+        self.phase = next;
+    }
+
+    /// Ends whatever runs with the answers of a pressed user stop.
+    fn break_off(&mut self) {
+        match self.phase {
+            Phase::Moving(motion) => {
+                self.leave_torques(&motion);
+                self.reply(motion.id, &Response::Move(MoveStatus::EmergencyAborted));
+            }
+            Phase::Ending(motion, ending) if !ending.answered => {
+                self.reply(motion.id, &Response::Move(MoveStatus::EmergencyAborted));
+                if let Some(stop) = ending.stop {
+                    self.reply(stop, &Response::StopMove(StopStatus::EmergencyAborted));
+                }
+            }
+            Phase::Recovering { id, .. } => {
+                self.reply(id, &Response::AutomaticErrorRecovery(RecoveryStatus::EmergencyAborted));
+            }
+            _ => {}
+        }
+        self.errors = Errors::NONE;
+    }
+
+    /// The client's connection is gone: nothing can be commanded any more, so the arm brakes.
+    pub fn client_gone(&mut self) {
+        if let Phase::Moving(motion) = self.phase {
+            self.end(motion, None);
+        }
+        // Nobody hears the answers.
+        if let Phase::Ending(_, ending) = &mut self.phase {
+            ending.answered = true;
+        }
+        if let Phase::Ending(..) = self.phase
+            && !matches!(self.finish, FinishOrder::AnswerFirst(_))
+        {
+            self.phase = Phase::Idle;
+        }
+        self.outbox.clear();
+        self.late.clear();
+    }
+
+    /// Answers a request, now or when it is done. Connect is not the robot's business.
+    pub fn request(&mut self, id: u32, request: &Request) {
+        let idle = self.phase == Phase::Idle;
+        match request {
+            Request::Connect(_) => {}
+            Request::Move(wanted) => self.start(id, wanted),
+            Request::StopMove => match &mut self.phase {
+                Phase::Moving(motion) => {
+                    let motion = *motion;
+                    self.end(motion, Some(id));
+                }
+                Phase::Ending(_, ending) if ending.stop.is_none() && !ending.answered => ending.stop = Some(id),
+                _ => self.reply(id, &Response::StopMove(StopStatus::NotPossible)),
+            },
+            Request::AutomaticErrorRecovery => self.recover(id),
+            Request::GetCartesianLimit(_) => {
+                let none = CartesianLimit {
+                    status: SetterStatus::Success,
+                    size: [0.0; 3],
+                    frame: super::geometry::IDENTITY,
+                    active: false,
+                };
+                self.reply(id, &Response::GetCartesianLimit(none));
+            }
+            Request::LoadModelLibrary(target) => {
+                let mine = target.architecture == Architecture::X64 && target.system == System::Linux;
+                let library = self.served.model_library.clone().filter(|_| mine);
+                let (status, library) = match &library {
+                    Some(library) => (LoadModelStatus::Success, library.as_slice()),
+                    None => (LoadModelStatus::Error, [].as_slice()),
+                };
+                self.reply(id, &Response::LoadModelLibrary { status, library });
+            }
+            Request::GetRobotModel => {
+                let urdf = self.served.urdf.clone();
+                let moving = matches!(self.phase, Phase::Moving(_) | Phase::Ending(..));
+                let (status, urdf) = match moving {
+                    true => (RobotModelStatus::NotPossible, ""),
+                    false => (RobotModelStatus::Success, urdf.as_str()),
+                };
+                self.reply(id, &Response::GetRobotModel { status, urdf });
+            }
+            setter => {
+                let status = match (idle, setters::is_valid(setter)) {
+                    (false, _) => SetterStatus::NotPossible,
+                    (true, false) => SetterStatus::InvalidArgument,
+                    (true, true) => {
+                        self.set(setter);
+                        SetterStatus::Success
+                    }
+                };
+                self.events.push(format!("{}: {status}", setter.kind()));
+                self.reply(id, &Response::Setter(setter.kind(), status));
+            }
+        }
+    }
+
+    fn set(&mut self, setter: &Request) {
+        match setter {
+            Request::SetCollisionBehavior(behavior) => self.collision = *behavior,
+            Request::SetEeToK(pose) => self.body.tool.ee_t_k = *pose,
+            Request::SetNeToEe(pose) => self.body.tool.ne_t_ee = *pose,
+            Request::SetLoad(load) => self.body.tool.load = *load,
+            // The simulated arm keeps the impedance of its truth, and filters nothing.
+            _ => {}
+        }
+    }
+
+    /// A request that can't be decoded but whose call is known.
+    pub fn malformed_move(&mut self, id: u32) {
+        self.reply(id, &Response::Move(MoveStatus::InvalidArgument));
+    }
+
+    fn start(&mut self, id: u32, wanted: &Move) {
+        let status = if self.phase != Phase::Idle || self.body_outside() {
+            MoveStatus::NotPossible
+        } else if !valid(wanted) {
+            MoveStatus::InvalidArgument
+        } else if wanted.use_async || Motion::is_cartesian(wanted) {
+            // A robot has these; this emulator does not.
+            MoveStatus::NotPossible
+        } else {
+            MoveStatus::MotionStarted
+        };
+        self.reply(id, &Response::Move(status));
+        self.events.push(format!("Move ({}, {}): {status}", wanted.controller, wanted.generator));
+        if status == MoveStatus::MotionStarted {
+            self.reflex_reason = Errors::NONE;
+            self.desired = Step::at_rest(&self.desired.q);
+            self.phase = Phase::Moving(Motion::new(id, wanted, &self.body.tau_d()));
+        }
+    }
+
+    fn body_outside(&self) -> bool {
+        let q = self.body.q();
+        let errors = judge_measured(&self.limits, &q, &[0.0; JOINTS], &[0.0; JOINTS]);
+        errors.contains(ErrorBit::JointPositionLimitsViolation)
+    }
+
+    fn recover(&mut self, id: u32) {
+        let status = match self.phase {
+            Phase::Reflex { .. } if self.body_outside() => RecoveryStatus::ManualRequired,
+            Phase::Reflex { .. } => {
+                self.phase = Phase::Recovering { id, left: RECOVERY };
+                self.errors = Errors::NONE;
+                return;
+            }
+            // Nothing to do, which is not an error: programs call it before they begin.
+            Phase::Idle => {
+                self.reflex_reason = Errors::NONE;
+                RecoveryStatus::Success
+            }
+            _ => RecoveryStatus::NotPossible,
+        };
+        self.events.push(format!("AutomaticErrorRecovery: {status}"));
+        self.reply(id, &Response::AutomaticErrorRecovery(status));
+    }
+
+    fn reply(&mut self, id: u32, response: &Response) {
+        self.reply_later(0, id, response);
+    }
+
+    fn reply_later(&mut self, behind: u64, id: u32, response: &Response) {
+        let mut message = vec![0; response.bytes().max(MAX_FIXED_RESPONSE)];
+        match response.encode(self.protocol, id, &mut message) {
+            Ok(length) => {
+                message.truncate(length);
+                match behind {
+                    0 => self.outbox.push(message),
+                    _ => self.late.push((self.message_id + 1 + behind, message)),
+                }
+            }
+            Err(error) => self.events.push(format!("an answer could not be written: {error}")),
+        }
+    }
+
+    fn state(&mut self) -> RobotState {
+        let mut state = RobotState { message_id: self.message_id, ..RobotState::default() };
+        self.body.report(&self.desired, &mut state);
+        state.o_ddp_o = self.served.base_acceleration;
+        let level = |is: bool| if is { 1.0 } else { 0.0 };
+        let force = state.o_f_ext_hat_k;
+        let lower = (&self.collision.lower_torque_nominal, &self.collision.lower_force_nominal);
+        state.joint_contact = std::array::from_fn(|j| level(state.tau_ext_hat_filtered[j].abs() > lower.0[j]));
+        state.cartesian_contact = std::array::from_fn(|k| level(force[k].abs() > lower.1[k]));
+        state.joint_collision = self.collided.map(level);
+        state.errors = self.errors;
+        state.reflex_reason = self.reflex_reason;
+        state.robot_mode = match self.phase {
+            Phase::Idle => RobotMode::Idle,
+            Phase::Moving(_) | Phase::Ending(..) => RobotMode::Move,
+            Phase::Reflex { .. } => RobotMode::Reflex,
+            Phase::UserStopped => RobotMode::UserStopped,
+            Phase::Guiding => RobotMode::Guiding,
+            Phase::Locked => RobotMode::Other,
+            Phase::Recovering { .. } => RobotMode::ErrorRecovery,
+        };
+        (state.motion_generator_mode, state.controller_mode) = match &self.phase {
+            Phase::Moving(motion) | Phase::Ending(motion, _) => {
+                (motion.request.generator.shown(), motion.request.controller.shown())
+            }
+            _ => (MotionGeneratorMode::Idle, ControllerMode::Other),
+        };
+        if let Phase::Moving(motion) = &self.phase {
+            state.control_command_success_rate = motion.success_rate();
+        }
+        state
+    }
+}
+
+fn union(a: Errors, b: Errors) -> Errors {
+    b.iter().fold(a, Errors::with)
+}
+
+/// Whether the arguments of a motion make sense together.
+fn valid(wanted: &Move) -> bool {
+    let alone = wanted.generator == MoveGenerator::None && wanted.controller != MoveController::External;
+    let deviations = [wanted.max_path_deviation, wanted.max_goal_pose_deviation];
+    let positive = |value: f64| value.is_finite() && value >= 0.0;
+    let sound = deviations
+        .iter()
+        .all(|deviation| positive(deviation.translation) && positive(deviation.rotation) && positive(deviation.elbow));
+    !alone && sound
+}
+
+/// Thresholds until a client sets some: those of libfranka's examples.
+fn thresholds() -> CollisionBehavior {
+    let torque: Joints = [20.0, 20.0, 18.0, 18.0, 16.0, 14.0, 12.0];
+    let force = [20.0, 20.0, 20.0, 25.0, 25.0, 25.0];
+    CollisionBehavior {
+        lower_torque_acceleration: torque,
+        upper_torque_acceleration: torque,
+        lower_torque_nominal: torque,
+        upper_torque_nominal: torque,
+        lower_force_acceleration: force,
+        upper_force_acceleration: force,
+        lower_force_nominal: force,
+        upper_force_nominal: force,
+    }
+}

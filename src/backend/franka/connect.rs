@@ -1,0 +1,173 @@
+//! From settings to an arm that is ready to be driven, and back to that state after a reflex.
+
+use super::arm::FrankaArm;
+use super::error::{ConnectError, next_step};
+use super::gravity::{Estimate, Gravity};
+use super::limits::{self, RobotLimits};
+use super::session::Session;
+use super::settings::{Purpose, RobotKind, Settings};
+use super::telemetry::Telemetry;
+use super::wire::{Protocol, RecoveryStatus, Request, Response, RobotMode, RobotState};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Longest time that a recovery may take: the arm may have to move back into its range.
+const RECOVERY: Duration = Duration::from_secs(30);
+/// Longest wait for states at rest.
+const REST: Duration = Duration::from_secs(2);
+
+/// What is known of an arm at connection.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Info {
+    /// Version of the protocol: what libfranka calls the robot server version.
+    pub protocol: Protocol,
+    /// Robots, system images and libfranka versions of that version, in words.
+    pub image: &'static str,
+    /// The state at connection.
+    pub state: RobotState,
+    /// The limits that commands are held to a share of.
+    pub limits: RobotLimits,
+    /// Whether the limits are the arm's own, from its description; otherwise they are those of the documentation's table.
+    pub limits_from_arm: bool,
+    /// The description that the arm serves, at versions 9 and 10.
+    pub urdf: Option<String>,
+    /// The direction of gravity that the arm believes in; `None` when it was not at rest.
+    pub gravity: Option<Gravity>,
+    /// Socket options that the system refused, with its reasons.
+    pub refused_options: Vec<String>,
+}
+
+/// What comes with an arm.
+#[derive(Clone, Debug)]
+pub struct Connection {
+    /// What is known of it.
+    pub info: Info,
+    /// Its counters.
+    pub telemetry: Arc<Telemetry>,
+}
+
+/// Connects to an arm and makes it ready: version, mode, settings, description, direction of gravity. No motion is started yet.
+///
+/// Everything that may block or allocate happens in here; it takes about half a second.
+///
+/// # Errors
+///
+/// [`ConnectError`], whose text says what the operator can do.
+pub fn connect(settings: &Settings) -> Result<(FrankaArm, Connection), ConnectError> {
+    let mut session = Session::open(settings)?;
+    let state = session.first;
+    if settings.purpose == Purpose::Drive {
+        ready(&state)?;
+        configure(&mut session, settings)?;
+    }
+    let urdf = session.description()?;
+    let limits = match (&urdf, settings.robot) {
+        (Some(text), RobotKind::Fr3) => Some(limits::from_urdf(text)),
+        _ => None,
+    };
+    let (limits, limits_from_arm) = match limits {
+        // An arm of version 9 may serve a description without the elements that version 10 has added.
+        Some(Err(_)) if session.protocol == Protocol::V9 => (settings.table(session.protocol), false),
+        Some(found) => (found?, true),
+        None => (settings.table(session.protocol), false),
+    };
+    let gravity = estimate_gravity(&mut session, &state);
+    let telemetry = Arc::new(Telemetry::default());
+    let info = Info {
+        protocol: session.protocol,
+        image: session.protocol.images(),
+        state,
+        limits,
+        limits_from_arm,
+        urdf,
+        gravity,
+        refused_options: std::mem::take(&mut session.refused),
+    };
+    let arm = FrankaArm::new(settings, session, &info, telemetry.clone())?;
+    Ok((arm, Connection { info, telemetry }))
+}
+
+/// Asks an arm that was stopped by a reflex to recover, and waits until it is idle. An arm that is idle already is left alone.
+///
+/// It may move a little, back into its range. Never called by the arm itself: the operator decides, or a rule of the operator's.
+///
+/// # Errors
+///
+/// [`ConnectError::Mode`] in any other mode, [`ConnectError::Recovery`] when the arm can't, and what [`connect`] has.
+pub fn recover(settings: &Settings) -> Result<(), ConnectError> {
+    let mut session = Session::open(settings)?;
+    // The mode decides: the errors of a reflex clear by themselves as soon as the arm stands.
+    match session.first.robot_mode {
+        RobotMode::Reflex => {}
+        RobotMode::Idle => return Ok(()),
+        _ => return ready(&session.first),
+    }
+    let request = Request::AutomaticErrorRecovery;
+    let payload = session.commands.call(session.protocol, &request, RECOVERY)?;
+    if let Response::AutomaticErrorRecovery(status) = Response::decode(session.protocol, request.kind(), &payload)?
+        && status != RecoveryStatus::Success
+    {
+        return Err(ConnectError::Recovery { status, next: after_recovery(status) });
+    }
+    let deadline = Instant::now() + settings.connect_timeout;
+    let mut mode = session.first.robot_mode;
+    let mut id = session.first.message_id;
+    while Instant::now() < deadline {
+        let Some(state) = session.newer_than(id) else { break };
+        (mode, id) = (state.robot_mode, state.message_id);
+        if mode == RobotMode::Idle {
+            return Ok(());
+        }
+    }
+    Err(ConnectError::StillNotIdle { mode, waited: settings.connect_timeout })
+}
+
+fn after_recovery(status: RecoveryStatus) -> &'static str {
+    match status {
+        RecoveryStatus::Success => "Start again.",
+        RecoveryStatus::NotPossible => {
+            "It is not in a reflex any more, or its mode forbids it: look at its mode in Desk."
+        }
+        RecoveryStatus::RejectedSafetyFunction => "A safety function of Desk forbids it: acknowledge it there.",
+        RecoveryStatus::ManualRequired => {
+            "Unlock it in Desk and guide it by hand back into its range (joint position error recovery)."
+        }
+        RecoveryStatus::ReflexAborted => "Something is still in the way: clear the workspace and try again.",
+        RecoveryStatus::EmergencyAborted => "Release the user stop and try again.",
+        RecoveryStatus::Aborted => "Try again; if it stays, look at Desk.",
+    }
+}
+
+/// Whether a motion can start in this state.
+fn ready(state: &RobotState) -> Result<(), ConnectError> {
+    match next_step(state.robot_mode) {
+        None => Ok(()),
+        Some(next) => Err(ConnectError::Mode { mode: state.robot_mode, reasons: state.reflex_reason, next }),
+    }
+}
+
+fn configure(session: &mut Session, settings: &Settings) -> Result<(), ConnectError> {
+    session.set(&Request::SetCollisionBehavior(settings.collision))?;
+    if let Some(stiffness) = settings.joint_impedance {
+        session.set(&Request::SetJointImpedance(stiffness))?;
+    }
+    if let Some(stiffness) = settings.cartesian_impedance {
+        session.set(&Request::SetCartesianImpedance(stiffness))?;
+    }
+    if let Some(load) = settings.load {
+        session.set(&Request::SetLoad(load))?;
+    }
+    Ok(())
+}
+
+fn estimate_gravity(session: &mut Session, first: &RobotState) -> Option<Gravity> {
+    let deadline = Instant::now() + REST;
+    let mut estimate = Estimate::default();
+    let mut id = first.message_id;
+    while !estimate.is_complete() && Instant::now() < deadline {
+        let state = session.newer_than(id)?;
+        id = state.message_id;
+        estimate.add(&state);
+    }
+    estimate.gravity()
+}

@@ -1,0 +1,171 @@
+//! Why there is no session with an arm, and what to do about it.
+
+use super::limits::UrdfError;
+use super::settings::BadSetting;
+use super::wire::{CommandKind, Errors, Protocol, RecoveryStatus, RobotMode, SetterStatus, WireError, images_of};
+use std::io;
+use std::net::IpAddr;
+use std::time::Duration;
+
+/// Why there is no session. Each message ends with what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum ConnectError {
+    /// A setting can't be used.
+    #[error("the settings of the Franka arm: {0}")]
+    Setting(#[from] BadSetting),
+    /// No connection to the control unit.
+    #[error("no connection to the arm at {address}: {cause}. {hint}")]
+    Unreachable {
+        /// Where the arm should be.
+        address: IpAddr,
+        /// What the system says.
+        cause: io::Error,
+        /// What to look at.
+        hint: String,
+    },
+    /// A socket could not be made or set.
+    #[error("a socket for the arm at {address}, {what}: {cause}")]
+    Socket {
+        /// Where the arm should be.
+        address: IpAddr,
+        /// What was attempted.
+        what: &'static str,
+        /// What the system says.
+        cause: io::Error,
+    },
+    /// The arm speaks a version that this program does not.
+    #[error("{}", version_words(*.robot, *.tried))]
+    Version {
+        /// The arm's version.
+        robot: u16,
+        /// What was offered last.
+        tried: u16,
+    },
+    /// The control unit did not answer in time.
+    #[error(
+        "the arm did not answer {command} within {waited:?}. Is another program connected to it? It serves one at a time."
+    )]
+    NoAnswer {
+        /// The command.
+        command: CommandKind,
+        /// How long was waited.
+        waited: Duration,
+    },
+    /// The control unit closed the connection.
+    #[error(
+        "the arm closed the connection during {command}. In Desk, see that FCI is activated, that this program's user holds \
+         control (single point of control), and that no other program is connected"
+    )]
+    Closed {
+        /// The command.
+        command: CommandKind,
+    },
+    /// No state came over UDP though the connection stands.
+    #[error(
+        "the arm accepted the connection, but none of its states arrived at UDP port {port} within {waited:?}. {hint}"
+    )]
+    NoStates {
+        /// The port that the states should come to.
+        port: u16,
+        /// How long was waited.
+        waited: Duration,
+        /// What to look at.
+        hint: String,
+    },
+    /// The arm is in a mode that no motion can start from.
+    #[error("the arm is not ready: its mode is `{mode}`{}. {next}", because(.reasons))]
+    Mode {
+        /// Its mode.
+        mode: RobotMode,
+        /// The errors that led to it.
+        reasons: Errors,
+        /// What the operator does next.
+        next: &'static str,
+    },
+    /// A setter was refused.
+    #[error("the arm refused {command}: {status}")]
+    Refused {
+        /// The command.
+        command: CommandKind,
+        /// Its answer.
+        status: SetterStatus,
+    },
+    /// The arm did not serve its description.
+    #[error("the arm did not serve its description: {what}")]
+    NoDescription {
+        /// Why.
+        what: String,
+    },
+    /// The description can't be used.
+    #[error(transparent)]
+    Urdf(#[from] UrdfError),
+    /// The arm is another robot than the settings say.
+    #[error("the settings expect a {expected}, but the arm speaks {protocol}, which is {}", .protocol.images())]
+    Robot {
+        /// `Panda`, `FR3`.
+        expected: &'static str,
+        /// What it speaks.
+        protocol: Protocol,
+    },
+    /// A message that is none.
+    #[error("a message of the arm can't be read: {0}")]
+    Wire(#[from] WireError),
+    /// Recovery failed.
+    #[error("automatic error recovery: {status}. {next}")]
+    Recovery {
+        /// The arm's answer.
+        status: RecoveryStatus,
+        /// What the operator does next.
+        next: &'static str,
+    },
+    /// Recovery was granted, but the arm did not become idle.
+    #[error("the arm says that it has recovered, but after {waited:?} its mode is still `{mode}`")]
+    StillNotIdle {
+        /// Its mode.
+        mode: RobotMode,
+        /// How long was waited.
+        waited: Duration,
+    },
+}
+
+fn because(errors: &Errors) -> String {
+    if errors.is_empty() { String::new() } else { format!(" because of {errors}") }
+}
+
+fn version_words(robot: u16, tried: u16) -> String {
+    let what = match images_of(robot) {
+        Some(images) => format!("protocol version {robot}: {images}"),
+        None => format!("protocol version {robot}, which is newer than any that this program knows of"),
+    };
+    let ours: Vec<String> =
+        Protocol::ALL.iter().map(|protocol| format!("{} ({})", protocol.number(), protocol.images())).collect();
+    let mut words = format!("the arm speaks {what}. This program speaks {}. ", ours.join(", "));
+    words += match robot {
+        0..5 => "Update the robot's system image to 4.2.1 or later",
+        6..=8 => "Update the robot's system image to 5.9.0 or later",
+        5 | 9 | 10 => "It refuses its own version, though",
+        _ => "A newer version of this program is needed",
+    };
+    words + &format!(" (offered last: {tried}).")
+}
+
+/// What the operator does when the arm is in `mode`; `None` where a motion can start.
+pub(super) fn next_step(mode: RobotMode) -> Option<&'static str> {
+    Some(match mode {
+        RobotMode::Idle => return None,
+        RobotMode::Move => "Another motion is running: end the program that drives the arm, then try again.",
+        RobotMode::Guiding => "It is being guided by hand: let go of the guiding buttons, then try again.",
+        RobotMode::UserStopped => {
+            "The user stop is pressed or the enabling device is released: clear the workspace, release the external \
+             activation device (the lights turn blue on a Panda, green on an FR3 with FCI active), then try again."
+        }
+        RobotMode::Reflex => {
+            "It was stopped by a reflex: look at what happened, clear the workspace, then allow the recovery \
+             (automatic error recovery), or unlock it in Desk."
+        }
+        RobotMode::ErrorRecovery => "It is recovering from an error: wait until it is idle, then try again.",
+        RobotMode::Other => {
+            "Its brakes are probably locked, or FCI is not active: open Desk, unlock the joints, activate FCI, then try again."
+        }
+    })
+}

@@ -1,0 +1,220 @@
+//! The command connection: one request and its answer at connection, and nonblocking looks at it while a motion runs.
+
+use super::error::ConnectError;
+use super::wire::{
+    CommandKind, HEADER_BYTES, Header, MAX_MESSAGE, MAX_REQUEST, MoveStatus, Protocol, Request, Response,
+};
+use rustix::net::{RecvFlags, SendFlags};
+use std::io::{ErrorKind, Read, Write};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+/// Bytes of a message that are looked at while a motion runs: all answers of that time are shorter.
+const LOOK: usize = 64;
+
+/// A connection and the numbers of its calls.
+#[derive(Debug)]
+pub(super) struct CommandLink {
+    stream: TcpStream,
+    next_id: u32,
+    /// Front of the message that is arriving.
+    message: [u8; LOOK],
+    filled: usize,
+    /// Bytes still to come of a message that is longer than is looked at.
+    skip: usize,
+}
+
+/// The connection is closed, or not to be understood any more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Gone;
+
+impl CommandLink {
+    pub fn new(stream: TcpStream) -> CommandLink {
+        CommandLink { stream, next_id: 0, message: [0; LOOK], filled: 0, skip: 0 }
+    }
+
+    fn take_id(&mut self) -> u32 {
+        let id = self.next_id;
+        self.next_id = id.wrapping_add(1);
+        id
+    }
+
+    /// Sends `request` and waits for its answer's payload; `protocol` is the one the numbers of commands go by.
+    pub fn call(&mut self, protocol: Protocol, request: &Request, timeout: Duration) -> Result<Vec<u8>, ConnectError> {
+        let command = request.kind();
+        let id = self.take_id();
+        let mut bytes = [0; MAX_REQUEST];
+        let length = request.encode(protocol, id, &mut bytes)?;
+        let deadline = Instant::now() + timeout;
+        let failed = |error: std::io::Error| match error.kind() {
+            ErrorKind::WouldBlock | ErrorKind::TimedOut => ConnectError::NoAnswer { command, waited: timeout },
+            _ => ConnectError::Closed { command },
+        };
+        self.stream.write_all(bytes.get(..length).unwrap_or_default()).map_err(failed)?;
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err(ConnectError::NoAnswer { command, waited: timeout });
+            }
+            self.stream.set_read_timeout(Some(left)).map_err(failed)?;
+            let mut head = [0; HEADER_BYTES];
+            self.stream.read_exact(&mut head).map_err(failed)?;
+            let header = Header::decode(&head, MAX_MESSAGE)?;
+            let mut payload = vec![0; header.payload_bytes()];
+            self.stream.read_exact(&mut payload).map_err(failed)?;
+            // Whatever answers an earlier call is of no interest any more.
+            if header.command_id == id && Some(header.command) == command.number(protocol) {
+                return Ok(payload);
+            }
+        }
+    }
+
+    /// From now on nothing here blocks.
+    pub fn into_nonblocking(self) -> std::io::Result<CommandLink> {
+        self.stream.set_nonblocking(true)?;
+        Ok(self)
+    }
+
+    /// Sends a request without waiting; its number is what the answers will carry.
+    pub fn post(&mut self, protocol: Protocol, request: &Request) -> Result<u32, Gone> {
+        let id = self.take_id();
+        let mut bytes = [0; MAX_REQUEST];
+        let length = request.encode(protocol, id, &mut bytes).map_err(|_| Gone)?;
+        let bytes = bytes.get(..length).ok_or(Gone)?;
+        let flags = SendFlags::DONTWAIT | SendFlags::NOSIGNAL;
+        match rustix::net::send(&self.stream, bytes, flags) {
+            Ok(sent) if sent == length => Ok(id),
+            // Half a request can't be taken back.
+            Ok(_) | Err(_) => Err(Gone),
+        }
+    }
+
+    /// The next answer to the call `id` of Move, if it is there; other answers are passed over.
+    pub fn move_answer(&mut self, protocol: Protocol, id: u32) -> Result<Option<MoveStatus>, Gone> {
+        while let Some((header, length)) = self.arrived()? {
+            if header.command_id != id || Some(header.command) != CommandKind::Move.number(protocol) {
+                continue;
+            }
+            let payload = self.message.get(HEADER_BYTES..length).ok_or(Gone)?;
+            match Response::decode(protocol, CommandKind::Move, payload) {
+                Ok(Response::Move(status)) => return Ok(Some(status)),
+                _ => return Err(Gone),
+            }
+        }
+        Ok(None)
+    }
+
+    /// Header of the next message that is there in full, and how much of it is in `message`.
+    fn arrived(&mut self) -> Result<Option<(Header, usize)>, Gone> {
+        loop {
+            if self.skip > 0 {
+                let mut rest = [0; 256];
+                let most = self.skip.min(rest.len());
+                match self.receive_into(rest.get_mut(..most).ok_or(Gone)?)? {
+                    None => return Ok(None),
+                    Some(got) => self.skip -= got.min(self.skip),
+                }
+                continue;
+            }
+            let mut wanted = HEADER_BYTES;
+            if self.filled >= HEADER_BYTES {
+                let header = self.header()?;
+                let size = header.size as usize;
+                wanted = size.min(LOOK);
+                if self.filled == wanted {
+                    self.filled = 0;
+                    self.skip = size - wanted;
+                    return Ok(Some((header, wanted)));
+                }
+            }
+            let mut bytes = [0; LOOK];
+            let room = wanted.checked_sub(self.filled).and_then(|room| bytes.get_mut(..room)).ok_or(Gone)?;
+            let Some(got) = self.receive_into(room)? else { return Ok(None) };
+            let fresh = bytes.get(..got).ok_or(Gone)?;
+            let place = self.message.get_mut(self.filled..self.filled + got).ok_or(Gone)?;
+            place.copy_from_slice(fresh);
+            self.filled += got;
+        }
+    }
+
+    fn header(&self) -> Result<Header, Gone> {
+        let head = self.message.first_chunk::<HEADER_BYTES>().ok_or(Gone)?;
+        Header::decode(head, MAX_MESSAGE).map_err(|_| Gone)
+    }
+
+    /// Bytes that are there now; `None` when there are none.
+    fn receive_into(&self, room: &mut [u8]) -> Result<Option<usize>, Gone> {
+        loop {
+            return match rustix::net::recv(&self.stream, &mut *room, RecvFlags::DONTWAIT) {
+                Ok((0, _)) => Err(Gone),
+                Ok((got, _)) => Ok(Some(got)),
+                Err(rustix::io::Errno::INTR) => continue,
+                Err(rustix::io::Errno::AGAIN) => Ok(None),
+                Err(_) => Err(Gone),
+            };
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::net::TcpListener;
+
+    fn pair() -> (CommandLink, TcpStream) {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let client = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+        (CommandLink::new(client).into_nonblocking().unwrap(), listener.accept().unwrap().0)
+    }
+
+    fn until(link: &mut CommandLink, id: u32) -> Result<MoveStatus, Gone> {
+        let deadline = Instant::now() + Duration::from_secs(2);
+        loop {
+            match link.move_answer(Protocol::V10, id) {
+                Ok(None) if Instant::now() < deadline => std::thread::yield_now(),
+                Ok(found) => return Ok(found.expect("an answer in two seconds")),
+                Err(gone) => return Err(gone),
+            }
+        }
+    }
+
+    #[test]
+    fn answers_are_put_together_from_pieces_and_others_are_passed_over() {
+        let (mut link, mut server) = pair();
+        assert_eq!(link.move_answer(Protocol::V10, 7), Ok(None));
+        let mut bytes = Vec::new();
+        let mut add = |id, response: Response| {
+            let mut out = vec![0; response.bytes()];
+            let length = response.encode(Protocol::V10, id, &mut out).unwrap();
+            bytes.extend_from_slice(&out[..length]);
+        };
+        add(3, Response::Move(MoveStatus::Aborted));
+        let urdf = "x".repeat(1000);
+        add(7, Response::GetRobotModel { status: super::super::wire::RobotModelStatus::Success, urdf: &urdf });
+        add(7, Response::Move(MoveStatus::MotionStarted));
+        add(7, Response::Move(MoveStatus::Success));
+        let sender = std::thread::spawn(move || {
+            for piece in bytes.chunks(5) {
+                server.write_all(piece).unwrap();
+                server.flush().unwrap();
+            }
+            server
+        });
+        assert_eq!(until(&mut link, 7), Ok(MoveStatus::MotionStarted));
+        assert_eq!(until(&mut link, 7), Ok(MoveStatus::Success));
+        drop(sender.join().unwrap());
+        assert_eq!(until(&mut link, 7), Err(Gone));
+    }
+
+    #[test]
+    fn garbage_ends_the_connection_in_words_not_in_panic() {
+        let (mut link, mut server) = pair();
+        server.write_all(&[0xff; 40]).unwrap();
+        assert_eq!(until(&mut link, 0), Err(Gone));
+        let (mut link, mut server) = pair();
+        let header = Header { command: 1, command_id: 0, size: 13 };
+        server.write_all(&header.encode()).unwrap();
+        server.write_all(&[99]).unwrap();
+        assert_eq!(until(&mut link, 0), Err(Gone));
+    }
+}

@@ -1,0 +1,231 @@
+//! Every limit crossed, every name; and what follows a reflex.
+
+use super::client::{Answer, Client};
+use super::emulator::limits::{Limits, RobotKind};
+use super::emulator::{READY, Settings};
+use super::{address, patient, session};
+use plumbline::backend::franka::wire::{
+    ErrorBit, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol, RecoveryStatus, Request,
+    RobotCommand, RobotMode, RobotState,
+};
+
+fn limits(protocol: Protocol) -> Limits {
+    Limits::of(RobotKind::of(protocol), protocol)
+}
+
+/// The state that first shows the end of a motion has to say why, and the motion's call is answered with a reflex.
+fn reflex(client: &mut Client, id: u32, expected: &[ErrorBit]) -> RobotState {
+    assert_eq!(client.state.robot_mode, RobotMode::Reflex, "expected {expected:?}");
+    let first = client.state;
+    assert_eq!(first.motion_generator_mode, MotionGeneratorMode::Idle);
+    assert_eq!(first.reflex_reason.iter().collect::<Vec<_>>(), expected);
+    assert_eq!(first.errors, first.reflex_reason);
+    assert_eq!(client.await_answer(id), Answer::Move(MoveStatus::ReflexAborted));
+    first
+}
+
+fn recover(client: &mut Client) {
+    assert_eq!(client.ask(Request::AutomaticErrorRecovery), Answer::Recovery(RecoveryStatus::Success));
+    client.until(RobotMode::Idle);
+}
+
+/// Constant jerk for `ticks`, then constant acceleration: positions by backward Euler from rest.
+struct Push {
+    q: f64,
+    dq: f64,
+    ddq: f64,
+}
+
+impl Push {
+    fn step(&mut self, jerk: f64) -> f64 {
+        self.ddq += jerk * 1e-3;
+        self.dq += self.ddq * 1e-3;
+        self.q += self.dq * 1e-3;
+        self.q
+    }
+}
+
+/// Drives joint 1 by `jerk(push)` until the motion ends or 3 s have passed.
+fn push(client: &mut Client, mut jerk: impl FnMut(&Push) -> f64) -> u32 {
+    let id = client.start_positions();
+    let start = client.state.q_d;
+    let mut push = Push { q: start[0], dq: 0.0, ddq: 0.0 };
+    for _ in 0..3000 {
+        let next = jerk(&push);
+        let mut q = start;
+        q[0] = push.step(next);
+        client.step_to(q);
+        if client.state.robot_mode != RobotMode::Move {
+            break;
+        }
+    }
+    id
+}
+
+#[test]
+fn a_jump_is_a_discontinuity_and_a_far_start_an_invalid_one() {
+    for protocol in Protocol::ALL {
+        let (_emulator, mut client) = session(patient(protocol));
+        let id = client.start_positions();
+        let mut q = client.state.q_d;
+        q[2] += 0.3;
+        client.step_to(q);
+        reflex(&mut client, id, &[ErrorBit::JointPositionMotionGeneratorStartPoseInvalid]);
+        recover(&mut client);
+        let id = client.start_positions();
+        let mut q = client.state.q_d;
+        client.step_to(q);
+        q[2] += 0.001;
+        client.step_to(q);
+        let expected = [
+            ErrorBit::JointMotionGeneratorVelocityDiscontinuity,
+            ErrorBit::JointMotionGeneratorAccelerationDiscontinuity,
+        ];
+        reflex(&mut client, id, &expected);
+        recover(&mut client);
+    }
+}
+
+#[test]
+fn jerk_acceleration_velocity_and_position_have_each_their_name() {
+    for protocol in Protocol::ALL {
+        let own = limits(protocol);
+        let (_emulator, mut client) = session(patient(protocol));
+        // Past the jerk.
+        let id = push(&mut client, |_| 1.1 * own.jerk[0]);
+        reflex(&mut client, id, &[ErrorBit::JointMotionGeneratorAccelerationDiscontinuity]);
+        recover(&mut client);
+        // Within the jerk, past the acceleration.
+        let id = push(&mut client, |_| 0.5 * own.jerk[0]);
+        reflex(&mut client, id, &[ErrorBit::JointMotionGeneratorVelocityDiscontinuity]);
+        recover(&mut client);
+        // Within both, past the velocity.
+        let id = push(&mut client, |now| if now.ddq < 0.8 * own.ddq[0] { 0.5 * own.jerk[0] } else { 0.0 });
+        reflex(&mut client, id, &[ErrorBit::JointMotionGeneratorVelocityLimitsViolation]);
+        recover(&mut client);
+    }
+    for (protocol, expected) in [
+        (Protocol::V5, ErrorBit::JointMotionGeneratorPositionLimitsViolation),
+        (Protocol::V9, ErrorBit::JointPositionLimitsViolation),
+        (Protocol::V10, ErrorBit::JointPositionLimitsViolation),
+    ] {
+        let own = limits(protocol);
+        let mut start = READY;
+        start[0] = own.q_max[0] - 0.003;
+        let (_emulator, mut client) = session(Settings { start, ..patient(protocol) });
+        let id = push(&mut client, |now| if now.dq < 0.02 { 0.1 * own.jerk[0] * (0.02 - now.dq) } else { 0.0 });
+        assert_eq!(client.state.robot_mode, RobotMode::Reflex);
+        assert!(client.state.reflex_reason.contains(expected), "{}", client.state.reflex_reason);
+        assert_eq!(client.await_answer(id), Answer::Move(MoveStatus::ReflexAborted));
+    }
+}
+
+#[test]
+fn velocities_and_torques_are_judged_too() {
+    for protocol in Protocol::ALL {
+        let (_emulator, mut client) = session(patient(protocol));
+        let id = client.start(MoveController::JointImpedance, MoveGenerator::JointVelocity);
+        client.write(RobotCommand { dq_c: [0.1; 7], ..RobotCommand::default() });
+        client.read();
+        let discontinuities = [
+            ErrorBit::JointMotionGeneratorVelocityDiscontinuity,
+            ErrorBit::JointMotionGeneratorAccelerationDiscontinuity,
+        ];
+        reflex(&mut client, id, &discontinuities);
+        recover(&mut client);
+        let id = client.start(MoveController::External, MoveGenerator::torque_only(protocol));
+        let tau = client.state.tau_j_d;
+        client.write(RobotCommand { tau_j_d: tau.map(|tau| tau + 2.0), ..RobotCommand::default() });
+        client.read();
+        reflex(&mut client, id, &[ErrorBit::ControllerTorqueDiscontinuity]);
+        recover(&mut client);
+        let id = client.start(MoveController::External, MoveGenerator::torque_only(protocol));
+        client.write(RobotCommand { tau_j_d: [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 13.0], ..RobotCommand::default() });
+        client.read();
+        reflex(&mut client, id, &[ErrorBit::ControllerTorqueDiscontinuity, ErrorBit::TauJRangeViolation]);
+    }
+}
+
+#[test]
+fn numbers_that_are_none_are_an_input_error() {
+    for protocol in Protocol::ALL {
+        for wrong in [f64::NAN, f64::INFINITY] {
+            let (_emulator, mut client) = session(patient(protocol));
+            let id = client.start_positions();
+            let mut q = client.state.q_d;
+            client.step_to(q);
+            q[4] = wrong;
+            client.step_to(q);
+            assert_eq!(client.state.robot_mode, RobotMode::Reflex);
+            assert!(!client.state.reflex_reason.is_empty());
+            assert_eq!(client.await_answer(id), Answer::Move(MoveStatus::InputErrorAborted));
+        }
+    }
+}
+
+/// Nineteen missing commands are forgiven, twenty are not; the arm goes on at constant acceleration meanwhile.
+#[test]
+fn twenty_missing_commands_end_a_motion() {
+    let (_emulator, mut client) = session(Settings::new(address(), Protocol::V10));
+    let id = client.start_positions();
+    // No command at all.
+    client.until(RobotMode::Reflex);
+    reflex(&mut client, id, &[ErrorBit::CommunicationConstraintsViolation]);
+    recover(&mut client);
+
+    // A stalling machine may lose more than the 19 that are left out here; then that try says nothing.
+    let kept = (0..20).any(|_| {
+        let id = client.start_positions();
+        let q = client.state.q_d;
+        for _ in 0..5 {
+            client.step_to(q);
+        }
+        for _ in 0..17 {
+            client.read();
+        }
+        client.step_to(q);
+        client.step_to(q);
+        let rate = client.state.control_command_success_rate;
+        let moving = client.state.robot_mode == RobotMode::Move;
+        if moving {
+            let answer = client.finish(id, RobotCommand { q_c: q, ..RobotCommand::default() });
+            assert!(rate < 0.5, "{rate}");
+            answer == Answer::Move(MoveStatus::Success)
+        } else {
+            client.await_answer(id);
+            recover(&mut client);
+            false
+        }
+    });
+    assert!(kept, "seventeen missing commands are forgiven");
+}
+
+#[test]
+fn errors_clear_when_the_arm_has_braked_and_the_mode_stays_until_recovered() {
+    for protocol in Protocol::ALL {
+        let own = limits(protocol);
+        let (_emulator, mut client) = session(patient(protocol));
+        let id = push(&mut client, |now| if now.dq < 0.5 { 0.2 * own.jerk[0] } else { 40.0 * own.jerk[0] });
+        let first = reflex(
+            &mut client,
+            id,
+            &[
+                ErrorBit::JointMotionGeneratorVelocityDiscontinuity,
+                ErrorBit::JointMotionGeneratorAccelerationDiscontinuity,
+            ],
+        );
+        assert!(first.dq[0] > 0.3, "{}", first.dq[0]);
+        while !client.state.errors.is_empty() {
+            client.read();
+        }
+        assert_eq!(client.state.robot_mode, RobotMode::Reflex);
+        assert_eq!(client.state.reflex_reason, first.reflex_reason);
+        assert_eq!(client.state.dq_d, [0.0; 7]);
+        let wanted = Move::new(MoveController::JointImpedance, MoveGenerator::JointPosition);
+        assert_eq!(client.begin(wanted).1, Answer::Move(MoveStatus::NotPossible));
+        recover(&mut client);
+        let id = client.start_positions();
+        let last = RobotCommand { q_c: client.state.q_d, ..RobotCommand::default() };
+        assert_eq!(client.finish(id, last), Answer::Move(MoveStatus::Success));
+    }
+}

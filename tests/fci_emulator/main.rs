@@ -1,0 +1,35 @@
+//! The emulator of Franka's control interface against a scripted client: it gives what a robot gives and refuses what a robot
+//! refuses, by name. Clients of other origin are in `hil/fci-peers`.
+
+mod client;
+#[path = "../../hil/fci-emulator/emulator/mod.rs"]
+mod emulator;
+
+mod limits;
+mod motions;
+
+use client::Client;
+use emulator::{Emulator, Settings};
+use plumbline::backend::franka::wire::Protocol;
+use std::net::{IpAddr, Ipv4Addr};
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::time::Duration;
+
+/// An address of its own for every emulator of this process.
+fn address() -> IpAddr {
+    static NEXT: AtomicU8 = AtomicU8::new(1);
+    // Away from 127.0.0.x, where other tests and people have theirs.
+    Ipv4Addr::new(127, 0, 41, NEXT.fetch_add(1, Ordering::Relaxed)).into()
+}
+
+/// A robot whose time waits for the client: a machine that stalls must not decide these tests.
+fn patient(protocol: Protocol) -> Settings {
+    Settings { patience: Duration::from_secs(2), ..Settings::new(address(), protocol) }
+}
+
+/// An emulator, and a client that is connected to it.
+fn session(settings: Settings) -> (Emulator, Client) {
+    let (address, protocol) = (settings.address, settings.protocol);
+    let emulator = Emulator::start(settings).unwrap_or_else(|error| panic!("{error}"));
+    (emulator, Client::connect(address, protocol))
+}

@@ -1,0 +1,227 @@
+//! Motions that a robot carries out, from the first state to the last answer.
+
+use super::client::{Answer, knock};
+use super::emulator::{FinishOrder, READY};
+use super::{address, patient, session};
+use crate::emulator::{Emulator, Settings};
+use plumbline::backend::franka::wire::{
+    ConnectStatus, ControllerMode, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol,
+    Request, RobotCommand, RobotMode, StopStatus,
+};
+
+/// A quintic from 0 to 1 in 1 s, at rest at both ends.
+fn quintic(s: f64) -> f64 {
+    let s = s.clamp(0.0, 1.0);
+    s * s * s * (10.0 + s * (6.0 * s - 15.0))
+}
+
+/// Ticks of the motion in these tests.
+const TICKS: u32 = 400;
+
+fn away(tick: u32) -> [f64; 7] {
+    let share = quintic(f64::from(tick) / f64::from(TICKS));
+    std::array::from_fn(|j| READY[j] + if j % 2 == 0 { 0.06 } else { -0.06 } * share)
+}
+
+#[test]
+fn states_come_each_millisecond_and_show_an_idle_arm() {
+    for protocol in Protocol::ALL {
+        let (emulator, mut client) = session(Settings::new(address(), protocol));
+        let first = client.read();
+        for k in 1..=300 {
+            assert_eq!(client.read().message_id, first.message_id + k);
+        }
+        let state = client.state;
+        assert_eq!(state.robot_mode, RobotMode::Idle);
+        assert_eq!(
+            (state.motion_generator_mode, state.controller_mode),
+            (MotionGeneratorMode::Idle, ControllerMode::Other)
+        );
+        assert!(state.errors.is_empty() && state.reflex_reason.is_empty());
+        assert_eq!(state.control_command_success_rate, 0.0);
+        for j in 0..7 {
+            assert!((state.q[j] - READY[j]).abs() < 2e-3 && (state.q_d[j] - READY[j]).abs() < 1e-6, "joint {}", j + 1);
+        }
+        // The pose that Franka's documentation shows for a Panda that is ready: the flange half a metre up, 0.3 m in front.
+        assert!((state.o_t_ee[12] - 0.307).abs() < 0.01 && state.o_t_ee[13].abs() < 0.01, "{:?}", state.o_t_ee);
+        assert_eq!(state.o_ddp_o.map(|value| (value * 100.0).round()), [0.0, 0.0, -981.0]);
+        assert_eq!(emulator.snapshot().counts.refused, 0);
+    }
+}
+
+#[test]
+fn a_position_motion_arrives_and_ends_as_commanded() {
+    for protocol in Protocol::ALL {
+        let (_emulator, mut client) = session(patient(protocol));
+        let id = client.start_positions();
+        assert_eq!(client.state.robot_mode, RobotMode::Move);
+        for tick in 0..=TICKS {
+            client.step_to(away(tick));
+            assert_eq!(client.state.robot_mode, RobotMode::Move, "{}", client.state.reflex_reason);
+            // The state shows the command that it answers, at the precision of the wire.
+            assert!((client.state.q_d[1] - away(tick)[1]).abs() < 3e-7);
+        }
+        assert_eq!(client.state.control_command_success_rate, 1.0);
+        let last = RobotCommand { q_c: away(TICKS), ..RobotCommand::default() };
+        assert_eq!(client.finish(id, last), Answer::Move(MoveStatus::Success));
+        let state = client.until(RobotMode::Idle);
+        for j in 0..7 {
+            assert!((state.q[j] - away(TICKS)[j]).abs() < 3e-3, "joint {}: {} {}", j + 1, state.q[j], away(TICKS)[j]);
+        }
+        assert!(state.reflex_reason.is_empty());
+        // And again, from where it is.
+        let id = client.start_positions();
+        let last = RobotCommand { q_c: client.state.q_d, ..RobotCommand::default() };
+        assert_eq!(client.finish(id, last), Answer::Move(MoveStatus::Success), "a motion of one command");
+    }
+}
+
+#[test]
+fn a_velocity_motion_is_integrated() {
+    for protocol in Protocol::ALL {
+        let (_emulator, mut client) = session(patient(protocol));
+        let id = client.start(MoveController::JointImpedance, MoveGenerator::JointVelocity);
+        let start = client.state.q_d;
+        let mut sum = 0.0;
+        for tick in 1..=TICKS {
+            // The derivative of a quintic, up to 0.3 rad/s and back.
+            let s = f64::from(tick) / f64::from(TICKS);
+            let dq = 4.8 * (s * (1.0 - s)).powi(2);
+            sum += dq * 1e-3;
+            client.write(RobotCommand { dq_c: [0.0, 0.0, dq, 0.0, 0.0, -dq, 0.0], ..RobotCommand::default() });
+            client.read();
+            assert_eq!(client.state.robot_mode, RobotMode::Move, "{}", client.state.reflex_reason);
+        }
+        assert!(sum > 0.05 && (client.state.q_d[2] - start[2] - sum).abs() < 1e-6);
+        assert!((client.state.q[5] - start[5] + sum).abs() < 3e-3);
+        assert_eq!(client.finish(id, RobotCommand::default()), Answer::Move(MoveStatus::Success));
+    }
+}
+
+/// Zero torque holds the arm against gravity; a spring and a damper of the client pull it where they shall.
+#[test]
+fn torques_come_on_top_of_gravity() {
+    for protocol in Protocol::ALL {
+        let (_emulator, mut client) = session(patient(protocol));
+        let generator = MoveGenerator::torque_only(protocol);
+        let id = client.start(MoveController::External, generator);
+        let start = client.state.q;
+        for _ in 0..200 {
+            client.write(RobotCommand::default());
+            client.read();
+            assert_eq!(client.state.robot_mode, RobotMode::Move, "{}", client.state.reflex_reason);
+        }
+        for j in 0..7 {
+            assert!((client.state.q[j] - start[j]).abs() < 5e-3, "joint {} sinks to {}", j + 1, client.state.q[j]);
+        }
+        let (stiffness, damping) =
+            ([300.0, 300.0, 300.0, 300.0, 60.0, 60.0, 20.0], [30.0, 30.0, 30.0, 30.0, 6.0, 6.0, 2.0]);
+        let mut last = [0.0; 7];
+        for tick in 0..1000 {
+            let wanted = 0.1 * quintic(f64::from(tick) / 800.0);
+            for j in 0..7 {
+                let tau = stiffness[j] * (start[j] + wanted - client.state.q[j]) - damping[j] * client.state.dq[j];
+                last[j] += (tau - last[j]).clamp(-0.9, 0.9);
+            }
+            client.write(RobotCommand { tau_j_d: last, ..RobotCommand::default() });
+            client.read();
+            assert_eq!(client.state.robot_mode, RobotMode::Move, "{}", client.state.reflex_reason);
+            assert!((client.state.tau_j_d[3] - last[3]).abs() < 1e-5);
+        }
+        assert!((client.state.q[0] - start[0] - 0.1).abs() < 0.02, "{} {}", client.state.q[0], start[0]);
+        let shown = client.state.tau_j[3];
+        assert!(shown.abs() > 5.0, "the measured torque holds gravity: {shown} Nm");
+        // Down to nothing before the end, as a robot wants it.
+        while last.iter().any(|tau| *tau != 0.0) {
+            last = last.map(|tau| tau - tau.clamp(-0.9, 0.9));
+            client.write(RobotCommand { tau_j_d: last, ..RobotCommand::default() });
+            client.read();
+        }
+        assert_eq!(client.finish(id, RobotCommand::default()), Answer::Move(MoveStatus::Success));
+        assert_eq!(client.state.robot_mode, RobotMode::Idle);
+    }
+}
+
+#[test]
+fn the_end_comes_in_either_order() {
+    for order in [FinishOrder::StateFirst(5), FinishOrder::AnswerFirst(5)] {
+        let (_emulator, mut client) = session(Settings { finish: order, ..patient(Protocol::V10) });
+        let id = client.start_positions();
+        let last = RobotCommand { q_c: client.state.q_d, motion_generation_finished: true, ..RobotCommand::default() };
+        let (mut answered, mut shown) = (None, None);
+        for _ in 0..30 {
+            client.write(last);
+            client.read();
+            if let (None, Some(answer)) = (answered, client.answer(id)) {
+                assert_eq!(answer, Answer::Move(MoveStatus::Success));
+                answered = Some(client.state.message_id);
+            }
+            if client.state.robot_mode == RobotMode::Idle {
+                shown = shown.or(Some(client.state.message_id));
+            }
+        }
+        let (answered, shown) = (answered.expect("an answer"), shown.expect("an idle arm"));
+        match order {
+            FinishOrder::StateFirst(_) => assert!(shown < answered, "{shown} {answered}"),
+            _ => assert!(answered < shown, "{answered} {shown}"),
+        }
+    }
+}
+
+#[test]
+fn a_stop_is_answered_twice_and_leaves_the_arm_idle() {
+    for protocol in Protocol::ALL {
+        let (_emulator, mut client) = session(patient(protocol));
+        assert_eq!(client.ask(Request::StopMove), Answer::StopMove(StopStatus::NotPossible));
+        let id = client.start_positions();
+        for tick in 0..TICKS / 2 {
+            client.step_to(away(tick));
+        }
+        let moving = client.state.dq_d[0];
+        assert!(moving > 0.2, "{moving}");
+        let stop = client.call(Request::StopMove);
+        // Nobody commands any more, and the robot does not mind.
+        assert_eq!(client.await_answer(stop), Answer::StopMove(StopStatus::Success));
+        assert_eq!(client.await_answer(id), Answer::Move(MoveStatus::Preempted));
+        let state = client.until(RobotMode::Idle);
+        assert_eq!(state.dq_d, [0.0; 7]);
+        assert!(state.reflex_reason.is_empty());
+    }
+}
+
+#[test]
+fn what_a_robot_has_and_this_one_has_not_is_not_possible() {
+    for protocol in Protocol::ALL {
+        let (_emulator, mut client) = session(patient(protocol));
+        let refused = Answer::Move(MoveStatus::NotPossible);
+        for generator in [MoveGenerator::CartesianPose, MoveGenerator::CartesianVelocity] {
+            assert_eq!(client.begin(Move::new(MoveController::JointImpedance, generator)).1, refused);
+        }
+        if protocol == Protocol::V10 {
+            let wanted = Move::new(MoveController::JointImpedance, MoveGenerator::JointPosition);
+            assert_eq!(client.begin(Move { use_async: true, ..wanted }).1, refused);
+        }
+        if protocol.has_torque_only() {
+            let wanted = Move::new(MoveController::JointImpedance, MoveGenerator::None);
+            assert_eq!(client.begin(wanted).1, Answer::Move(MoveStatus::InvalidArgument));
+        }
+        let mut wanted = Move::new(MoveController::JointImpedance, MoveGenerator::JointPosition);
+        wanted.max_path_deviation.rotation = f64::NAN;
+        assert_eq!(client.begin(wanted).1, Answer::Move(MoveStatus::InvalidArgument));
+        assert_eq!(client.state.robot_mode, RobotMode::Idle);
+    }
+}
+
+#[test]
+fn other_versions_are_told_this_one() {
+    for protocol in Protocol::ALL {
+        let address = address();
+        let _emulator = Emulator::start(Settings::new(address, protocol)).expect("an emulator");
+        for version in [0, 3, 4, 5, 6, 9, 10, 11, u16::MAX] {
+            let (connected, ..) = knock(address, version);
+            let fits = version == protocol.number();
+            let status = if fits { ConnectStatus::Success } else { ConnectStatus::IncompatibleVersion };
+            assert_eq!((connected.status, connected.version), (status, protocol.number()), "{version}");
+        }
+    }
+}

@@ -1,0 +1,123 @@
+//! The adapter against control units that other people wrote: franka-sim and franky-sim, both protocol version 10 with MuJoCo behind them.
+//!
+//! They are installed by pip on first use; without a package index the tests say that they were skipped, unless PLUMBLINE_REQUIRE_PEERS=1.
+//! franka-sim checks every command as a robot does, so a motion that ends in order was inside every limit as somebody else reads
+//! the documentation. It also gives up after 20 lost commands, as a robot does; both run on this machine's normal scheduler in Python, so a
+//! stall is tried again a few times.
+
+mod export_support;
+mod fci_support;
+mod peers;
+
+use fci_support::{Run, drive_patiently, plan};
+use plumbline::backend::franka::wire::{MoveStatus, Protocol};
+use plumbline::backend::franka::{RobotKind, Settings};
+use plumbline::model::gravity::Mounting;
+use plumbline::rt::cycle::End;
+use plumbline::store::export::{Arm, mjcf};
+use std::net::{IpAddr, SocketAddr, TcpStream};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+#[global_allocator]
+static ALLOCATOR: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
+
+/// A server that ends with its test.
+struct Server(Child, IpAddr);
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl Server {
+    /// Starts a server and waits until it listens.
+    fn start(mut command: Command, address: &str, log: &str) -> Server {
+        let file = std::fs::File::create(Path::new(env!("CARGO_TARGET_TMPDIR")).join(log)).unwrap();
+        let child = command.stdout(file.try_clone().unwrap()).stderr(file).stdin(Stdio::null()).spawn().unwrap();
+        let mut server = Server(child, address.parse().unwrap());
+        let deadline = Instant::now() + Duration::from_secs(90);
+        while TcpStream::connect_timeout(&SocketAddr::new(server.1, 1337), Duration::from_secs(1)).is_err() {
+            let said = || std::fs::read_to_string(Path::new(env!("CARGO_TARGET_TMPDIR")).join(log)).unwrap_or_default();
+            if let Some(status) = server.0.try_wait().unwrap() {
+                panic!("the server ended with {status}: {}", said());
+            }
+            assert!(Instant::now() < deadline, "the server does not listen: {}", said());
+            std::thread::sleep(Duration::from_millis(200));
+        }
+        // It takes that connection for a client: let it notice that it was none.
+        std::thread::sleep(Duration::from_secs(1));
+        server
+    }
+}
+
+fn settings(server: &Server) -> Settings {
+    Settings { connect_timeout: Duration::from_secs(5), ..Settings::new(server.1, RobotKind::Fr3) }
+}
+
+/// An FR3 by plumbline's own export; without meshes, with bodies that are nobody's.
+fn fr3_mjcf() -> PathBuf {
+    let robot = export_support::robot("fr3");
+    let model = export_support::model(&robot, &["friction"], 5);
+    let bodies = export_support::bodies(&model);
+    let arm = Arm { model: &model, bodies: &bodies, limits: &robot.limits };
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fci-servers-fr3.xml");
+    std::fs::write(&path, mjcf::write(&arm, &Mounting::UPRIGHT.gravity()).text).unwrap();
+    path
+}
+
+fn assert_ended_in_order(run: &Run, who: &str) {
+    let statistics = &run.statistics;
+    eprintln!(
+        "{who}: {} cycles, {} lost, {} passed over, {} late commands, success rate {:.3} to {:.3}; tracking {:?} rad; work p50 {:.0} p99 {:.0} \
+         us, wake p50 {:.0} p99 {:.0} us, round trip p50 {:.0} p99 {:.0} us ({}), limited {}, returning {}, unexplained {}",
+        run.outcome.summary.cycles,
+        statistics.lost,
+        statistics.skipped,
+        statistics.late_commands,
+        statistics.success_rate.min,
+        statistics.success_rate.last,
+        run.tracking().map(|rms| (rms * 1e5).round() / 1e5),
+        statistics.work.p50,
+        statistics.work.p99,
+        statistics.wake.p50,
+        statistics.wake.p99,
+        statistics.round_trip.p50,
+        statistics.round_trip.p99,
+        statistics.round_trip.count,
+        statistics.limited,
+        statistics.returning,
+        statistics.unexplained_points,
+    );
+    assert!(run.ended && run.outcome.end == End::Quit, "{who}: {}", run.words());
+    assert_eq!(run.connection.info.protocol, Protocol::V10);
+    assert!(run.connection.info.limits_from_arm);
+    assert!(statistics.reflex().is_empty(), "{who}: {}", statistics.reflex());
+    assert_eq!(statistics.status(), Some(MoveStatus::Success), "{who}: the motion was finished, not broken off");
+    assert_eq!(run.outcome.allocations, Some(0), "{who}");
+    assert!(run.tracking().iter().all(|rms| *rms < 0.05), "{who}: tracking {:?}", run.tracking());
+}
+
+#[test]
+fn franka_sim_with_every_limit_enforced_takes_a_whole_excitation() {
+    let Some(python) = peers::interpreter_with(&["franka-sim==1.1.7"]) else { return };
+    let mut command = Command::new(python);
+    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/franka_sim.py"));
+    command.arg("127.0.77.1").arg(fr3_mjcf());
+    let server = Server::start(command, "127.0.77.1", "franka-sim.log");
+    let run = drive_patiently(&settings(&server), &plan(0.5), Duration::from_secs(40), 5);
+    assert_ended_in_order(&run, "franka-sim 1.1.7");
+}
+
+#[test]
+fn franky_sim_takes_a_whole_excitation() {
+    let Some(python) = peers::interpreter_with(&["franky-sim==1.0.4"]) else { return };
+    let mut command = Command::new(Path::new(&python).with_file_name("franky-sim"));
+    command.args(["--simulator", "mujoco", "--hostname", "127.0.77.2"]);
+    let server = Server::start(command, "127.0.77.2", "franky-sim.log");
+    let run = drive_patiently(&settings(&server), &plan(0.5), Duration::from_secs(40), 5);
+    assert_ended_in_order(&run, "franky-sim 1.0.4");
+}

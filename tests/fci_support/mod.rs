@@ -1,0 +1,121 @@
+//! The whole loop on a Franka arm over real sockets: to the start of an excitation, through one period of it, and to an orderly end.
+#![allow(dead_code)] // each test file uses its own part
+
+use plumbline::backend::franka::{
+    ConnectError, Connection, FrankaArm, Settings, Statistics, connect, explain, recover,
+};
+use plumbline::excite::fourier::{Fourier, PeriodicMotion};
+use plumbline::joint::{JointVec, Phase, Record};
+use plumbline::rt::cycle::{self, End, Outcome};
+use plumbline::rt::guard::GuardSettings;
+use plumbline::rt::order::{Event, Order, OrderKind};
+use plumbline::rt::os::Rights;
+use plumbline::rt::recorder::ring;
+use plumbline::rt::settings::CycleSettings;
+use plumbline::store::plan_file::load_plan;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// What a run left behind.
+pub struct Run {
+    pub outcome: Outcome,
+    pub records: Vec<Record>,
+    pub statistics: Statistics,
+    pub connection: Connection,
+    pub ended: bool,
+}
+
+impl Run {
+    /// What ended it, in words.
+    pub fn words(&self) -> String {
+        match &self.outcome.end {
+            End::Fault(fault) => explain(fault, &self.statistics).to_string(),
+            other => format!("{other}, last stop {:?}", self.outcome.last_stop),
+        }
+    }
+
+    /// Root mean square of measured against commanded position per joint, while the excitation ran \[rad\].
+    pub fn tracking(&self) -> [f64; 7] {
+        let excited: Vec<&Record> = self.records.iter().filter(|record| record.phase == Phase::Excite).collect();
+        std::array::from_fn(|j| {
+            let sum: f64 = excited.iter().map(|r| (r.state.q[j] - r.command.desired.q[j]).powi(2)).sum();
+            (sum / excited.len().max(1) as f64).sqrt()
+        })
+    }
+}
+
+/// The shipped 10 s excitation, made smaller: an FR3 is slower to accelerate than the Panda it was planned for.
+pub fn plan(share: f64) -> Fourier {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/plans/panda-wall.toml");
+    let mut fourier = load_plan(&file).unwrap_or_else(|error| panic!("{error}")).fourier().unwrap();
+    (0..7).for_each(|joint| fourier.scale_joint(joint, share));
+    fourier
+}
+
+/// Connects, goes to where `fourier` begins, follows one period of it (or what `most` leaves time for), and ends.
+pub fn drive(settings: &Settings, fourier: &Fourier, most: Duration) -> Result<Run, ConnectError> {
+    let (arm, connection) = connect(settings)?;
+    Ok(drive_arm(arm, connection, fourier, most))
+}
+
+pub fn drive_arm(arm: FrankaArm, connection: Connection, fourier: &Fourier, most: Duration) -> Run {
+    let motion = PeriodicMotion::new(fourier, 1).unwrap();
+    let mut start = JointVec::default();
+    (0..7).for_each(|j| start[j] = fourier.at(j, 0.0).q);
+    let (limits, envelope) = connection.info.limits.for_guard();
+    let guard = GuardSettings { limits, envelope, workspace: None, tracking: [0.2; 8] };
+    // A test machine is no robot PC: what it loses is for the arm to judge, not for the loop.
+    let settings = CycleSettings { rights: Rights::NONE, max_consecutive_lost: 19, ..CycleSettings::new(guard) };
+    let (sink, mut drain) = ring(60_000);
+    let (mut cycle, mut handles) = cycle::new(arm, sink, None, settings).unwrap();
+    let loop_thread = std::thread::spawn(move || cycle.run());
+    for (motion, kind) in [
+        (1, OrderKind::Dwell { ticks: 300 }),
+        (2, OrderKind::MoveTo { target: start, phase: Phase::Approach }),
+        (3, OrderKind::Follow(Box::new(motion))),
+    ] {
+        assert!(handles.orders.give(Order { motion, kind }).is_ok());
+    }
+    let deadline = Instant::now() + most;
+    let mut ended = false;
+    while !loop_thread.is_finished() && Instant::now() < deadline {
+        while let Ok(event) = handles.events.pop() {
+            ended |= event == (Event::Ended { motion: 3 });
+            if matches!(event, Event::Stopping { .. } | Event::Stopped) {
+                handles.controls.quit();
+            }
+        }
+        if ended {
+            handles.controls.quit();
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    handles.controls.quit();
+    let outcome = loop_thread.join().unwrap();
+    handles.free_retired();
+    let mut records = Vec::new();
+    drain.take_into(&mut records, usize::MAX);
+    let statistics = connection.telemetry.snapshot();
+    Run { outcome, records, statistics, connection, ended }
+}
+
+/// Tries again where a loaded machine without real-time kernel stalled for 20 ms or more: then a violation of the communication constraints is
+/// the right end, and says nothing about the adapter. Everything else that ends a run stands.
+pub fn drive_patiently(settings: &Settings, fourier: &Fourier, most: Duration, tries: u32) -> Run {
+    use plumbline::backend::franka::wire::ErrorBit;
+    use plumbline::rt::Fault;
+    for attempt in 1.. {
+        let run = drive(settings, fourier, most).unwrap_or_else(|error| panic!("{error}"));
+        let stalled = [End::Fault(Fault::Reflex { code: ErrorBit::CommunicationConstraintsViolation as u32 })]
+            .contains(&run.outcome.end)
+            || matches!(run.outcome.last_stop, Some(plumbline::rt::order::StopReason::LostStates { .. }));
+        if !stalled || attempt >= tries {
+            return run;
+        }
+        eprintln!("RETRY {attempt}: {}", run.words());
+        if let Err(error) = recover(settings) {
+            eprintln!("recovery: {error}");
+        }
+    }
+    unreachable!("the loop returns")
+}
