@@ -36,6 +36,8 @@ pub struct Input<'a> {
 
 /// What a joint's effects have to explain of what was unmodelled there, to be called an explanation.
 const EXPLAINED: f64 = 0.9;
+/// Times the noise of the mean period that an explanation may leave.
+const LEFT_OVER: f64 = 2.5;
 /// And to be put into the model at all.
 const HELPFUL: f64 = 0.5;
 /// Share of what is left over that has to follow some variables to be called unexplained, where the noise is not known.
@@ -367,7 +369,9 @@ fn unexplained(
 ) -> Vec<Unexplained> {
     let mut found = Vec::new();
     for (joint, facts) in joints.iter().enumerate() {
-        let explained = adequacy[joint].is_some_and(|share| share >= EXPLAINED);
+        // A share of much may still leave more than noise can be.
+        let little = facts.floor.is_some_and(|floor| facts.unmodelled[1] <= LEFT_OVER * floor);
+        let explained = little && adequacy[joint].is_some_and(|share| share >= EXPLAINED);
         if evidence.repeats() && (explained || !facts.lacking(1)) {
             continue;
         }

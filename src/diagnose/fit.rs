@@ -18,7 +18,9 @@ const RANK: f64 = 1e-11;
 /// Rows that the whole joint counts for in each of its bands, where the noise is not known.
 const DRAWN: f64 = 30.0;
 /// Rounds of weights.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 12;
+/// Change of their logarithm at which they have settled.
+const SETTLED: f64 = 0.02;
 
 /// Which folds count.
 pub type Chosen<'a> = &'a dyn Fn(usize) -> bool;
@@ -37,7 +39,9 @@ pub struct Fit {
     pub theta: DVector<f64>,
     /// Inverse of the weighted normal equations, the parameters' covariance.
     pub h: DMatrix<f64>,
-    /// Over-dispersion of each group, joint by joint, within that band by band.
+    /// Over-dispersion that weighed each group, joint by joint, within that band by band: `h` goes with it.
+    pub weights: Vec<f64>,
+    /// Over-dispersion of each group by what is left over, which the weights have settled to.
     pub phi: Vec<f64>,
     /// Squared residual of each group.
     pub rss: Vec<f64>,
@@ -124,14 +128,16 @@ impl Problem<'_> {
 
     /// Fits a model to the chosen folds, with weights that settle from `phi` on.
     pub fn fit(&self, moments: &Moments, chosen: Chosen, phi: Option<&[f64]>) -> Fit {
-        let mut phi = phi.map_or_else(|| vec![1.0; self.groups()], <[f64]>::to_vec);
-        let mut last = None;
-        for _ in 0..ROUNDS {
-            let fit = self.weighted(moments, chosen, &phi);
-            phi.clone_from(&fit.phi);
-            last = Some(fit);
+        let phi = phi.map_or_else(|| vec![1.0; self.groups()], <[f64]>::to_vec);
+        let mut fit = self.weighted(moments, chosen, &phi);
+        for _ in 1..ROUNDS {
+            let settled = |(new, old): (&f64, &f64)| (new / old).ln().abs() < SETTLED;
+            if fit.phi.iter().zip(&fit.weights).all(settled) {
+                break;
+            }
+            fit = self.weighted(moments, chosen, &fit.phi);
         }
-        last.unwrap_or_else(|| self.weighted(moments, chosen, &phi))
+        fit
     }
 
     /// One fit with given weights.
@@ -171,9 +177,10 @@ impl Problem<'_> {
                 *own_b -= fitted;
             }
         }
+        let weights = phi.to_vec();
         let phi = self.phi(&rss, &count);
         let likelihood = self.likelihood(&rss, &count) + self.of_prior(&theta);
-        Fit { theta, h, phi, rss, count, likelihood, sums: per_group }
+        Fit { theta, h, weights, phi, rss, count, likelihood, sums: per_group }
     }
 
     /// Parameters that all folds but one determine, under given weights, for each fold in turn.
@@ -214,7 +221,7 @@ impl Problem<'_> {
         for (index, own) in &cross.cells {
             let cell = &self.evidence.cells()[*index];
             if chosen(cell.fold) {
-                let weight = 1.0 / fit.phi[group(cell.joint, cell.band)];
+                let weight = 1.0 / fit.weights[group(cell.joint, cell.band)];
                 a.zip_apply(&own.a, |sum, own| *sum += weight * own);
                 c.zip_apply(&own.c, |sum, own| *sum += weight * own);
                 d.axpy(weight, &own.d, 1.0);
@@ -239,7 +246,7 @@ impl Problem<'_> {
         for (index, own) in &cross.cells {
             let cell = &self.evidence.cells()[*index];
             if chosen(cell.fold) {
-                let weight = 1.0 / fit.phi[group(cell.joint, cell.band)];
+                let weight = 1.0 / fit.weights[group(cell.joint, cell.band)];
                 a.axpy(weight, &own.a.column(0), 1.0);
                 c += weight * own.c[(0, 0)];
             }
