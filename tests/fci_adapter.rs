@@ -356,7 +356,7 @@ fn after_lost_states_the_arm_goes_on_from_where_it_went_by_itself() {
     for protocol in Protocol::ALL {
         // Twelve states are lost in the quickest part of the motion, then single ones; some come twice, late or broken.
         let fake = Fake::start(protocol, move |world| {
-            world.sends = !(400..412).contains(&world.ticks) && world.ticks % 97 != 0;
+            world.sends = world.motion.is_none() || !(400..412).contains(&world.ticks) && world.ticks % 97 != 0;
             if world.ticks == 600 {
                 let mut bytes = [0; MAX_STATE];
                 let mut old = world.state;
