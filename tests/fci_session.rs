@@ -30,13 +30,14 @@ fn address() -> IpAddr {
 
 fn start(emulated: Emulated) -> (Emulator, Settings) {
     let robot = if emulated.protocol == Protocol::V5 { RobotKind::Panda } else { RobotKind::Fr3 };
-    let settings = Settings::new(emulated.address, robot);
+    // A loaded test machine can stand still for 100 ms.
+    let settings = Settings { state_timeout: Duration::from_millis(500), ..Settings::new(emulated.address, robot) };
     (Emulator::start(emulated).unwrap_or_else(|error| panic!("{error}")), settings)
 }
 
 /// A robot whose time waits for us through a stall of this machine, but ends a motion when nothing comes.
 fn patient(protocol: Protocol) -> Emulated {
-    Emulated { patience: Duration::from_millis(60), ..Emulated::new(address(), protocol) }
+    Emulated { patience: Duration::from_millis(10), ..Emulated::new(address(), protocol) }
 }
 
 /// Connects again where the robot has not noticed yet that the last client left.
@@ -67,6 +68,15 @@ fn it_keeps_the_promises_of_every_arm_at_every_version() {
     }
 }
 
+/// The emulator's own view is a moment behind the state that it sent.
+fn assert_idle(emulator: &Emulator, protocol: Protocol) {
+    let deadline = Instant::now() + Duration::from_millis(500);
+    while emulator.snapshot().state.robot_mode != RobotMode::Idle {
+        assert!(Instant::now() < deadline, "{protocol}: {:?}", emulator.snapshot().state.robot_mode);
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
 fn hold(arm: &mut FrankaArm, start: &State, last: &State) -> Result<State, Fault> {
     arm.write(&Command {
         seq: last.seq,
@@ -89,7 +99,7 @@ fn the_torque_interface_holds_the_arm_against_gravity_that_the_robot_carries() {
         }
         assert!((0..7).all(|j| (last.q[j] - start.q[j]).abs() < 0.02), "{protocol}: {:?} from {:?}", last.q, start.q);
         arm.stop();
-        assert_eq!(emulator.snapshot().state.robot_mode, RobotMode::Idle, "{protocol}");
+        assert_idle(&emulator, protocol);
         assert_eq!(connection.telemetry.snapshot().status(), Some(MoveStatus::Success), "{protocol}");
     }
 }
@@ -99,7 +109,7 @@ fn assert_in_order(run: &Run, emulator: &Emulator, protocol: Protocol) {
     let statistics = &run.statistics;
     assert_eq!((statistics.reflex().to_string(), statistics.status()), ("none".into(), Some(MoveStatus::Success)));
     assert_eq!(run.outcome.allocations, Some(0), "{protocol}");
-    assert_eq!(emulator.snapshot().state.robot_mode, RobotMode::Idle);
+    assert_idle(emulator, protocol);
     eprintln!(
         "{protocol}: {} cycles, lost {}, skipped {}, late {}, returning {}, limited {}, unexplained {}, rate {:?}, work {:?}, wake {:?}, round \
          trip {:?}",
@@ -149,7 +159,7 @@ fn a_bad_network_costs_a_way_back_and_no_discontinuity() {
         match protocol {
             Protocol::V5 => assert!(statistics.duplicates > 100, "{statistics:?}"),
             Protocol::V9 => assert!(statistics.bad_packets > 100, "{statistics:?}"),
-            Protocol::V10 => assert!(statistics.out_of_order > 50, "{statistics:?}"),
+            Protocol::V10 => assert!(statistics.skipped + statistics.out_of_order > 100, "{statistics:?}"),
         }
     }
 }

@@ -196,8 +196,9 @@ impl FrankaArm {
         let patience = self.settings.state_timeout;
         let begin = now_ns();
         while self.changed.is_none() && u128::from(now_ns().saturating_sub(begin)) < patience.as_nanos() {
-            if self.take_newest(patience).is_err() {
-                break;
+            // An arm that is silent over UDP has lost its commands for that reason.
+            if let Err(fault) = self.take_newest(patience) {
+                return fault;
             }
         }
         let stall = self.recent.worst();
