@@ -142,13 +142,12 @@ impl Commands {
                 return Followed { point: newest.point, alone: 0, own: true, shown_ns, late: false };
             }
         }
-        Followed {
-            point: *state,
-            alone: id.saturating_sub(newest.id + 1),
-            own: false,
-            shown_ns: None,
-            late: answered_last,
+        let alone = id.saturating_sub(newest.id + 1);
+        // An arm that takes a late command when it comes, instead of dropping it.
+        if alone > 0 && self.agrees(&newest.point, state) {
+            return Followed { point: newest.point, alone, own: true, shown_ns: self.first_shown(0), late: true };
         }
+        Followed { point: *state, alone, own: false, shown_ns: None, late: answered_last }
     }
 
     /// When the command left, if no state has shown it yet and it can be told from the one before.
@@ -271,6 +270,16 @@ mod tests {
         let good = seen.iter().filter(|(_, followed, _)| followed.own && !followed.late).count();
         // Where the motion begins, one command can not be told from standing still.
         assert!(good + 1 >= seen.len(), "{good} of {}", seen.len());
+    }
+
+    #[test]
+    fn a_late_command_that_is_taken_after_all_is_where_the_arm_goes_on_from() {
+        let mut commands = Commands::new(Q, F64);
+        let moving = Point { q: Q, dq: [0.3; 7], ddq: [2.0; 7] };
+        commands.push(5, 1, moving);
+        let followed = commands.follow(9, &moving);
+        assert_eq!((followed.point, followed.own, followed.alone, followed.late), (moving, true, 3, true));
+        assert_eq!(commands.follow(9, &moving.after(3)).point, moving.after(3), "unless it went on by itself");
     }
 
     #[test]
