@@ -46,9 +46,10 @@ def setters():
 
 def model():
     model, state = robot.model(), robot.read_once()
-    gravity = list(model.gravity(state))
+    near(model.pose("flange", state.q)[:3, 3], state.O_T_EE[12:15] if len(state.O_T_EE) == 16 else state.O_T_EE[:3, 3], 0.002, "the flange")
     if robot.fci_version < 10:
-        return "its own, built in"
+        return "its own, built in: same flange"
+    gravity = list(model.gravity(state.q))
     near(gravity, state.tau_J, 1.5, "gravity from the description against the measured torque")
     return "description read, its gravity is the measured torque"
 

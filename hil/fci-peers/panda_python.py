@@ -67,6 +67,6 @@ def whole():
 
 exercises = Exercises(Binding())
 exercises.run()
-exercises.robot.stop()
+# Its connection ends with it: the next one is another client.
 exercises.robot = None
 cell("its own motions", whole)
