@@ -5,7 +5,9 @@ mod client;
 #[path = "../../hil/fci-emulator/emulator/mod.rs"]
 mod emulator;
 
+mod faults;
 mod limits;
+mod manners;
 mod motions;
 
 use client::Client;

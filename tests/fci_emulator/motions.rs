@@ -114,6 +114,14 @@ fn torques_come_on_top_of_gravity() {
         for j in 0..7 {
             assert!((client.state.q[j] - start[j]).abs() < 5e-3, "joint {} sinks to {}", j + 1, client.state.q[j]);
         }
+        // The robot's own controller takes over without a jolt.
+        let before = client.state.tau_j;
+        assert_eq!(client.finish(id, RobotCommand::default()), Answer::Move(MoveStatus::Success));
+        for j in 0..7 {
+            let jolt = client.state.tau_j[j] - before[j];
+            assert!(jolt.abs() < 1.5, "joint {}: {jolt} Nm", j + 1);
+        }
+        let id = client.start(MoveController::External, generator);
         let (stiffness, damping) =
             ([300.0, 300.0, 300.0, 300.0, 60.0, 60.0, 20.0], [30.0, 30.0, 30.0, 30.0, 6.0, 6.0, 2.0]);
         let mut last = [0.0; 7];
