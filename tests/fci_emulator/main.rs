@@ -35,3 +35,13 @@ fn session(settings: Settings) -> (Emulator, Client) {
     let emulator = Emulator::start(settings).unwrap_or_else(|error| panic!("{error}"));
     (emulator, Client::connect(address, protocol))
 }
+
+/// The same test at every version, at once: a motion takes its time.
+fn each_protocol(test: impl Fn(Protocol) + Sync) {
+    std::thread::scope(|scope| {
+        for protocol in Protocol::ALL {
+            let test = &test;
+            scope.spawn(move || test(protocol));
+        }
+    });
+}

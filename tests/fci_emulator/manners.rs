@@ -2,7 +2,7 @@
 
 use super::client::{Answer, Client};
 use super::emulator::{Hand, READY, Settings};
-use super::{address, patient, session};
+use super::{address, each_protocol, patient, session};
 use plumbline::backend::franka::wire::{
     Architecture, CollisionBehavior, CommandKind, Deviation, ErrorBit, Filters, GuidingMode, Header, LibraryTarget,
     Load, Move, MoveController, MoveGenerator, MoveStatus, Protocol, RecoveryStatus, Request, RobotCommand, RobotMode,
@@ -30,7 +30,7 @@ fn thresholds(torque: f64, force: f64) -> CollisionBehavior {
 
 #[test]
 fn setters_set_when_idle_and_refuse_what_makes_no_sense() {
-    for protocol in Protocol::ALL {
+    each_protocol(|protocol| {
         let (_emulator, mut client) = session(patient(protocol));
         let mut raised = super::emulator::geometry::IDENTITY;
         raised[14] = 0.1;
@@ -81,7 +81,7 @@ fn setters_set_when_idle_and_refuse_what_makes_no_sense() {
             };
             assert_eq!(answer, Answer::Setter(SetterStatus::NotPossible), "while a motion runs");
         }
-    }
+    });
 }
 
 /// Thresholds below what the sensors' noise amounts to: the arm takes that for a collision.
@@ -103,7 +103,7 @@ fn a_collision_is_a_reflex_by_joint_and_by_force() {
 
 #[test]
 fn the_operators_hand_ends_motions_and_keeps_others_from_starting() {
-    for protocol in Protocol::ALL {
+    each_protocol(|protocol| {
         let (emulator, mut client) = session(patient(protocol));
         let id = client.start_positions();
         client.step_to(client.state.q_d);
@@ -128,7 +128,7 @@ fn the_operators_hand_ends_motions_and_keeps_others_from_starting() {
         let id = client.start_positions();
         let last = RobotCommand { q_c: client.state.q_d, ..RobotCommand::default() };
         assert_eq!(client.finish(id, last), Answer::Move(MoveStatus::Success));
-    }
+    });
 }
 
 #[test]
@@ -197,7 +197,7 @@ fn bad_bytes_are_no_commands_and_bad_requests_end_the_session() {
 #[test]
 fn models_are_served_where_the_version_has_them() {
     let target = LibraryTarget { architecture: Architecture::X64, system: System::Linux };
-    for protocol in Protocol::ALL {
+    each_protocol(|protocol| {
         let library = Some(vec![1, 2, 3, 4, 5]);
         let (_emulator, mut client) = session(Settings { model_library: library.clone(), ..patient(protocol) });
         if protocol != Protocol::V10 {
@@ -223,7 +223,7 @@ fn models_are_served_where_the_version_has_them() {
                 assert_eq!(real("position_based_velocity_limits", "velocity_offset"), envelope.offset[number - 1]);
             }
         }
-    }
+    });
     let (_emulator, mut client) = session(patient(Protocol::V5));
     assert_eq!(client.ask(Request::LoadModelLibrary(target)), Answer::Library(None));
 }
