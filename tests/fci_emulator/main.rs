@@ -5,7 +5,9 @@ mod client;
 #[path = "../../hil/fci-emulator/emulator/mod.rs"]
 mod emulator;
 
+mod faults;
 mod limits;
+mod manners;
 mod motions;
 
 use client::Client;
@@ -32,4 +34,14 @@ fn session(settings: Settings) -> (Emulator, Client) {
     let (address, protocol) = (settings.address, settings.protocol);
     let emulator = Emulator::start(settings).unwrap_or_else(|error| panic!("{error}"));
     (emulator, Client::connect(address, protocol))
+}
+
+/// The same test at every version, at once: a motion takes its time.
+fn each_protocol(test: impl Fn(Protocol) + Sync) {
+    std::thread::scope(|scope| {
+        for protocol in Protocol::ALL {
+            let test = &test;
+            scope.spawn(move || test(protocol));
+        }
+    });
 }

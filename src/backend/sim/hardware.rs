@@ -61,16 +61,25 @@ impl Hardware {
     }
 
     /// One millisecond in which the inner joint impedance controller tracks `q` \[rad\] as the newest of the positions that it has
-    /// been given. After torques it takes over where the arm is and as fast as it moves.
+    /// been given. After torques it takes over first.
     pub fn track(&mut self, q: &JointVec) -> Sensed {
         if !self.tracks {
-            let now = *self.exact();
-            self.commands = Commands::passing(self.joints, &now.q, &now.dq);
-            self.plant.take_over(&self.commands);
-            self.tracks = true;
+            self.take_over();
         }
         self.commands.push(q);
         self.advance()
+    }
+
+    /// The inner controller takes over from torques, without a jump: it goes on from where the arm is and as fast as it moves. Returns
+    /// the position \[rad\] and velocity \[rad/s\] that count as commanded last.
+    pub fn take_over(&mut self) -> (JointVec, JointVec) {
+        let Exact { q, dq, .. } = self.exact;
+        if !self.tracks {
+            self.commands = Commands::passing(self.joints, &q, &dq);
+            self.plant.take_over(&self.commands);
+            self.tracks = true;
+        }
+        (*self.commands.newest(), dq)
     }
 
     /// One millisecond in which the actuators hold `tau` \[Nm\]. That is all the torque there is: whoever wants gravity compensated adds it.
