@@ -148,7 +148,8 @@ fn a_bad_network_costs_a_way_back_and_no_discontinuity() {
         (Protocol::V10, ["loss=0.1", "reorder=0.05"]),
     ] {
         let faults = troubles.iter().map(|text| format!("{text},at=motion").parse::<Trouble>().unwrap()).collect();
-        let (emulator, settings) = start(Emulated { faults, ..patient(protocol) });
+        let patience = Duration::from_millis(3);
+        let (emulator, settings) = start(Emulated { faults, patience, ..patient(protocol) });
         let run = drive(&settings, &plan(0.4), Duration::from_secs(120)).unwrap();
         assert_in_order(&run, &emulator, protocol);
         let statistics = &run.statistics;
