@@ -114,7 +114,10 @@ pub(super) fn no_states(way: &Way, protocol: Protocol, port: u16, stranger: Opti
 mod tests {
     use super::*;
 
-    fn table(rows: &[(&str, [u8; 4], [u8; 4], [u8; 4])]) -> String {
+    /// Interface, destination, gateway, mask.
+    type Row = (&'static str, [u8; 4], [u8; 4], [u8; 4]);
+
+    fn table(rows: &[Row]) -> String {
         let mut text =
             "Iface\tDestination\tGateway \tFlags\tRefCnt\tUse\tMetric\tMask\t\tMTU\tWindow\tIRTT\n".to_string();
         let word = |bytes: [u8; 4]| format!("{:08X}", u32::from_ne_bytes(bytes));
