@@ -8,13 +8,9 @@ from peer import LOST, OTHER, READY, STALL, cell, do, near, quintic, quintic_rat
 FAR, LONG = 0.1, 1.2
 
 
-class Stop(Exception):
-    """Ends a loop of the test from within."""
-
-
 class Exercises:
-    """A binding gives `connect(address)`, `positions(step)`, `velocities(step)`, `torques(step)`, whose `step(state, t)` returns the
-    command and whether it is the last one."""
+    """A binding has `connect(address)`, and `positions(robot, step)`, `velocities(robot, step)`, `torques(robot, step)`, whose
+    `step(state, t)` returns the command and whether it is the last one."""
 
     def __init__(self, binding):
         self.binding = binding
@@ -40,13 +36,11 @@ class Exercises:
         return "yes"
 
     def position(self):
-        start, ends = list(self.state().q_d), {}
+        start = list(self.state().q_d)
 
         def step(state, t):
             share = quintic(t / LONG)
-            goal = [q + FAR * share for q in start]
-            ends["q"] = goal
-            return goal, t > LONG
+            return [q + FAR * share for q in start], t > LONG
 
         self.binding.positions(self.robot, step)
         end = self.state()
@@ -118,13 +112,15 @@ class Exercises:
 
     def too_fast(self):
         start = list(self.state().q_d)
-        held = {}
+        most, ramp = 8.0, 0.05
 
-        # 8 rad/s2 for good, after a start within the jerk.
+        # `most` rad/s2 for good, after a start within the jerk.
         def step(state, t):
-            ramp = 0.05
-            s = min(t, ramp)
-            q = 8.0 * (s ** 3 / (6.0 * ramp) + (t > ramp) * (0.5 * ramp * (t - ramp) + 0.5 * (t - ramp) ** 2))
+            if t < ramp:
+                q = most * t**3 / (6.0 * ramp)
+            else:
+                after = t - ramp
+                q = most * (ramp**2 / 6.0 + 0.5 * ramp * after + 0.5 * after**2)
             return start[:6] + [start[6] - q], False
 
         return refused(
@@ -151,10 +147,7 @@ class Exercises:
 
     def recovery(self):
         # A reflex that nobody has recovered from lets no motion begin; afterwards motions run as before.
-        try:
-            self.jump()
-        finally:
-            pass
+        self.jump()
         refused(self.position_unrecovered, "command not possible")
         self.recover()
         self.position_unrecovered()

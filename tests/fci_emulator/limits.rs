@@ -211,6 +211,38 @@ fn twenty_missing_commands_end_a_motion() {
     assert!(kept, "seventeen missing commands are forgiven");
 }
 
+/// While commands are missing, the desired motion goes on at the acceleration that it had.
+#[test]
+fn the_arm_goes_on_at_constant_acceleration_without_commands() {
+    let own = limits(Protocol::V5);
+    let settings = Settings { patience: std::time::Duration::from_millis(300), ..patient(Protocol::V5) };
+    let (emulator, mut client) = session(settings);
+    let id = client.start_positions();
+    let start = client.state.q_d;
+    let mut push = Push { q: start[0], dq: 0.0, ddq: 0.0 };
+    for tick in 0..60 {
+        let mut q = start;
+        q[0] = push.step(if tick < 2 { 0.3 * own.jerk[0] } else { 0.0 });
+        client.step_to(q);
+    }
+    let before = client.state;
+    assert!(before.ddq_d[0] > 1.0 && before.dq_d[0] > 0.1, "{} {}", before.ddq_d[0], before.dq_d[0]);
+    // The network loses what is sent, and the robot waits for none of it: the emulator's patience is bounded.
+    emulator.fault("loss=1,of=commands".parse().expect("a fault"));
+    for missing in 1..=3 {
+        let state = client.step_to(start);
+        assert_eq!(state.robot_mode, RobotMode::Move);
+        let t = f64::from(missing) * 1e-3;
+        // Backward Euler: a tick's velocity is the one at its end.
+        let q = before.q_d[0] + before.dq_d[0] * t + 0.5 * before.ddq_d[0] * t * (t + 1e-3);
+        assert!((state.q_d[0] - q).abs() < 1e-10, "{missing}: {} {q}", state.q_d[0]);
+        assert!((state.ddq_d[0] - before.ddq_d[0]).abs() < 1e-6);
+    }
+    emulator.hand(super::emulator::Hand::UserStop);
+    client.until(RobotMode::UserStopped);
+    assert_eq!(client.await_answer(id), Answer::Move(MoveStatus::EmergencyAborted));
+}
+
 #[test]
 fn errors_clear_when_the_arm_has_braked_and_the_mode_stays_until_recovered() {
     each_protocol(|protocol| {

@@ -2,13 +2,19 @@
 //! refuses, by name. Clients of other origin are in `hil/fci-peers`.
 
 mod client;
+#[path = "../../hil/fci-emulator/control.rs"]
+#[allow(dead_code)] // standard input is the program's
+mod control;
 #[path = "../../hil/fci-emulator/emulator/mod.rs"]
 mod emulator;
+#[path = "../../hil/fci-emulator/options.rs"]
+mod options;
 
 mod faults;
 mod limits;
 mod manners;
 mod motions;
+mod program;
 
 use client::Client;
 use emulator::{Emulator, Settings};

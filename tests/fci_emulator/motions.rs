@@ -39,8 +39,8 @@ fn states_come_each_millisecond_and_show_an_idle_arm() {
         );
         assert!(state.errors.is_empty() && state.reflex_reason.is_empty());
         assert_eq!(state.control_command_success_rate, 0.0);
-        for j in 0..7 {
-            assert!((state.q[j] - READY[j]).abs() < 2e-3 && (state.q_d[j] - READY[j]).abs() < 1e-6, "joint {}", j + 1);
+        for (j, ready) in READY.iter().enumerate() {
+            assert!((state.q[j] - ready).abs() < 2e-3 && (state.q_d[j] - ready).abs() < 1e-6, "joint {}", j + 1);
         }
         // The pose that Franka's documentation shows for a Panda that is ready: the flange half a metre up, 0.3 m in front.
         assert!((state.o_t_ee[12] - 0.307).abs() < 0.01 && state.o_t_ee[13].abs() < 0.01, "{:?}", state.o_t_ee);
@@ -111,14 +111,14 @@ fn torques_come_on_top_of_gravity() {
             client.read();
             assert_eq!(client.state.robot_mode, RobotMode::Move, "{}", client.state.reflex_reason);
         }
-        for j in 0..7 {
-            assert!((client.state.q[j] - start[j]).abs() < 5e-3, "joint {} sinks to {}", j + 1, client.state.q[j]);
+        for (j, start) in start.iter().enumerate() {
+            assert!((client.state.q[j] - start).abs() < 5e-3, "joint {} sinks to {}", j + 1, client.state.q[j]);
         }
         // The robot's own controller takes over without a jolt.
         let before = client.state.tau_j;
         assert_eq!(client.finish(id, RobotCommand::default()), Answer::Move(MoveStatus::Success));
-        for j in 0..7 {
-            let jolt = client.state.tau_j[j] - before[j];
+        for (j, before) in before.iter().enumerate() {
+            let jolt = client.state.tau_j[j] - before;
             assert!(jolt.abs() < 1.5, "joint {}: {jolt} Nm", j + 1);
         }
         let id = client.start(MoveController::External, generator);
@@ -147,6 +147,32 @@ fn torques_come_on_top_of_gravity() {
         }
         assert_eq!(client.finish(id, RobotCommand::default()), Answer::Move(MoveStatus::Success));
         assert_eq!(client.state.robot_mode, RobotMode::Idle);
+    });
+}
+
+/// Torques from the client beside positions from the client: both are judged, the torques move the arm, and the flag of the motion
+/// generator ends it.
+#[test]
+fn torques_run_beside_a_motion_generator() {
+    each_protocol(|protocol| {
+        let (_emulator, mut client) = session(patient(protocol));
+        let id = client.start(MoveController::External, MoveGenerator::JointPosition);
+        let (start, goal) = (client.state.q, client.state.q_d);
+        let mut q_d = goal;
+        for tick in 0..200 {
+            q_d[6] = goal[6] + 0.02 * quintic(f64::from(tick) / 200.0);
+            client.write(RobotCommand { q_c: q_d, ..RobotCommand::default() });
+            client.read();
+            assert_eq!(client.state.robot_mode, RobotMode::Move, "{}", client.state.reflex_reason);
+        }
+        assert!((client.state.q_d[6] - q_d[6]).abs() < 1e-6);
+        assert!((client.state.q[6] - start[6]).abs() < 5e-3, "no torque, no motion");
+        let last = RobotCommand { q_c: q_d, motion_generation_finished: true, ..RobotCommand::default() };
+        while client.state.robot_mode == RobotMode::Move {
+            client.write(last);
+            client.read();
+        }
+        assert_eq!(client.await_answer(id), Answer::Move(MoveStatus::Success));
     });
 }
 

@@ -188,7 +188,7 @@ impl Step {
     }
 
     /// The step from here to position `q`, by backward Euler.
-    pub fn to_position(&self, q: &Joints) -> Step {
+    pub fn to_position(self, q: &Joints) -> Step {
         self.to_velocity(&std::array::from_fn(|j| (q[j] - self.q[j]) / TICK), q)
     }
 
