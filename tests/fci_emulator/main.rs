@@ -2,11 +2,19 @@
 //! refuses, by name. Clients of other origin are in `hil/fci-peers`.
 
 mod client;
+#[path = "../../hil/fci-emulator/control.rs"]
+#[allow(dead_code)] // standard input is the program's
+mod control;
 #[path = "../../hil/fci-emulator/emulator/mod.rs"]
 mod emulator;
+#[path = "../../hil/fci-emulator/options.rs"]
+mod options;
 
+mod faults;
 mod limits;
+mod manners;
 mod motions;
+mod program;
 
 use client::Client;
 use emulator::{Emulator, Settings};
@@ -32,4 +40,14 @@ fn session(settings: Settings) -> (Emulator, Client) {
     let (address, protocol) = (settings.address, settings.protocol);
     let emulator = Emulator::start(settings).unwrap_or_else(|error| panic!("{error}"));
     (emulator, Client::connect(address, protocol))
+}
+
+/// The same test at every version, at once: a motion takes its time.
+fn each_protocol(test: impl Fn(Protocol) + Sync) {
+    std::thread::scope(|scope| {
+        for protocol in Protocol::ALL {
+            let test = &test;
+            scope.spawn(move || test(protocol));
+        }
+    });
 }

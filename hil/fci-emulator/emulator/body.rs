@@ -108,6 +108,12 @@ impl Body {
         self.twist = (geometry::jacobian(&frames, &at) * nalgebra::SMatrix::<f64, JOINTS, 1>::from(desired.dq)).into();
     }
 
+    /// Ends torques: the inner controller goes on from here, without a jump.
+    pub fn take_over(&mut self) -> Step {
+        let (q, dq) = self.hardware.take_over();
+        Step { q: narrow(&q), dq: narrow(&dq), ..Step::default() }
+    }
+
     /// Measured position \[rad\].
     pub fn q(&self) -> Joints {
         narrow(&self.sensed.q)

@@ -332,7 +332,7 @@ impl Robot {
     /// From torques back to the inner controller, from where the arm is and as fast as it moves.
     fn leave_torques(&mut self, motion: &Motion) {
         if motion.tau.is_some() {
-            self.desired = Step { q: self.body.q(), dq: self.body.dq(), ..Step::default() };
+            self.desired = self.body.take_over();
         }
     }
 

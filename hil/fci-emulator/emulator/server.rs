@@ -320,6 +320,7 @@ impl Server {
         if self.robot.awaits_command() && !self.injector.is_silent() {
             while found.is_none() && now_ns() < next.saturating_add(self.patience) {
                 sleep_until(now_ns() + LOOK);
+                self.deliver();
                 self.listen();
                 if !self.robot.awaits_command() {
                     break;
