@@ -31,7 +31,9 @@ fn peers_dir() -> PathBuf {
 }
 
 fn settings(host: u8, protocol: Protocol, library: Option<Vec<u8>>) -> Settings {
-    let address: IpAddr = Ipv4Addr::new(127, 0, 43, host).into();
+    // The port is fixed, so every process has a network of its own.
+    let [.., high, low] = std::process::id().to_be_bytes();
+    let address: IpAddr = Ipv4Addr::new(127, 128 | high >> 2, low, host).into();
     Settings { patience: PATIENCE, model_library: library, ..Settings::new(address, protocol) }
 }
 
