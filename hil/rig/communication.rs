@@ -36,9 +36,9 @@ pub fn run(rig: &Rig) -> Result<Verdict, Box<dyn Error>> {
     for (what, statistics) in [("watching", &watched), ("holding", &held)] {
         if statistics.longest_gap > LONGEST_GAP {
             reasons.push(format!(
-                "while {what}, {} states were missing in a row (at most {LONGEST_GAP}): use a network port of its own, a direct cable, and a \
-                 kernel with PREEMPT_RT",
-                statistics.longest_gap
+                "while {what}, {} states in a row were lost or passed over (at most {LONGEST_GAP}); the longest wait in the socket was {:.0} us. \
+                 Lost: use a network port of its own and a direct cable. Passed over: this machine woke up late, use a kernel with PREEMPT_RT",
+                statistics.longest_gap, statistics.wake.max
             ));
         }
     }
@@ -81,8 +81,10 @@ fn words(fault: &Fault, statistics: &Statistics) -> String {
 }
 
 fn show(what: &str, statistics: &Statistics) {
-    let Statistics { states, lost, longest_gap, success_rate, work, wake, round_trip, .. } = statistics;
-    println!("  {what}: {states} states, {lost} lost, at most {longest_gap} in a row");
+    let Statistics { states, lost, skipped, longest_gap, success_rate, work, wake, round_trip, .. } = statistics;
+    println!(
+        "  {what}: {states} states, {lost} lost, {skipped} passed over because a newer one was there; at most {longest_gap} in a row"
+    );
     let row = |name: &str, Spread { count, p50, p99, p999, max }: &Spread| {
         if *count > 0 {
             println!("  {name:<22} p50 {p50:>8.1}  p99 {p99:>8.1}  p99.9 {p999:>8.1}  max {max:>8.1} us");

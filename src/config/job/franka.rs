@@ -140,7 +140,7 @@ fn two() -> u32 {
 }
 
 fn most() -> f64 {
-    0.9
+    0.98
 }
 
 fn state_timeout() -> f64 {
