@@ -197,7 +197,7 @@ fn a_user_stop_ends_the_motion_and_tells_the_operator_what_to_do() {
         assert!(words.what.contains("user stopped") && words.next.contains("user stop"), "{words}");
         drop(arm);
         std::thread::sleep(Duration::from_millis(50));
-        let error = connect(&settings).err().expect("not while the stop is pressed").to_string();
+        let error = connect(&settings).expect_err("not while the stop is pressed").to_string();
         assert!(error.contains("user stop"), "{error}");
         emulator.hand(Hand::Release);
         std::thread::sleep(Duration::from_millis(100));
@@ -229,7 +229,7 @@ fn a_stall_is_a_violation_by_name_and_recovery_is_asked_for_not_taken() {
         std::thread::sleep(Duration::from_millis(300));
         // The arm stands, its errors may have cleared; its mode has not.
         assert_eq!(emulator.snapshot().state.robot_mode, RobotMode::Reflex, "{protocol}");
-        let error = connect(&settings).err().expect("not in a reflex").to_string();
+        let error = connect(&settings).expect_err("not in a reflex").to_string();
         assert!(error.contains("communication_constraints_violation") && error.contains("recovery"), "{error}");
         recover(&settings).unwrap();
         let (mut arm, _) = open(&settings);
