@@ -54,9 +54,9 @@ fn the_standard_deviation_is_that_of_many_draws() {
     let mut one: Option<Direction> = None;
     for _ in 0..400 {
         let mut pose = truth;
-        for j in 0..7 {
+        for (tau, sigma) in pose.tau.iter_mut().zip(SIGMA) {
             let gaussian: f64 = rng.sample(rand_distr::StandardNormal);
-            pose.tau[j] += SIGMA[j] * gaussian;
+            *tau += sigma * gaussian;
         }
         let found = direction(&model, &[pose], &SIGMA).unwrap();
         errors.push(found.gravity - Mounting::WALL.gravity());
