@@ -76,8 +76,8 @@ pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
         .evaluator(&declared.gravity())
         .torque(&plumbline::model::term::Sample { q: pose.q, ..Default::default() })
         .0;
-    for j in 0..SIGMA.len() {
-        println!("{:>6} {:>9.2} Nm {:>9.2} Nm {:>9.2} Nm", j + 1, pose.tau[j], expected[j], pose.tau[j] - expected[j]);
+    for (j, (measured, expected)) in pose.tau.iter().zip(expected).take(SIGMA.len()).enumerate() {
+        println!("{:>6} {measured:>9.2} Nm {expected:>9.2} Nm {:>9.2} Nm", j + 1, measured - expected);
     }
     let mut reasons = Vec::new();
     if let Some(joint) = wrong_sign(&model.model, &[pose], &SIGMA)? {
