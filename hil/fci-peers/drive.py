@@ -86,7 +86,17 @@ def run(python, script, emulator, other):
 
 
 # What is refused by name has a table of its own.
-REFUSED = ["jump", "wrong start", "too fast", "torque step", "stall", "commands lost"]
+REFUSED = [
+    "jump",
+    "wrong start",
+    "too fast",
+    "out of range",
+    "torque step",
+    "torque range",
+    "collision",
+    "stall",
+    "commands lost",
+]
 
 
 def table(results):

@@ -17,6 +17,8 @@ class Exercises:
         self.robot = None
 
     def state(self):
+        # A socket that nobody read was full of old states, and the newest of them is the first that comes.
+        self.robot.read_once()
         return self.robot.read_once()
 
     def recover(self):
@@ -127,6 +129,33 @@ class Exercises:
             lambda: self.binding.positions(self.robot, step), "joint_motion_generator_velocity_limits_violation"
         )
 
+    def out_of_range(self):
+        # Up to image 5.7.1 the generator's own error, the joint's from then on.
+        old = self.binding.version < 9
+        name = "joint_motion_generator_position_limits_violation" if old else "joint_position_limits_violation"
+        start = list(self.state().q_d)
+        return refused(
+            lambda: self.binding.positions(
+                self.robot, lambda state, t: (start[:6] + [3.1] if t > 0.02 else start, False)
+            ),
+            name,
+        )
+
+    def collision(self):
+        # Less than the noise of the sensors: any motion is a collision.
+        self.robot.set_collision_behavior([0.001] * 7, [0.001] * 7, [100.0] * 6, [100.0] * 6)
+        try:
+            return refused(self.position_unrecovered, "joint_reflex")
+        finally:
+            self.recover()
+            self.robot.set_collision_behavior([20.0] * 7, [30.0] * 7, [20.0] * 6, [30.0] * 6)
+
+    def torque_range(self):
+        def step(state, t):
+            return ([0.0] * 6 + [13.0] if t > 0.02 else [0.0] * 7), False
+
+        return refused(lambda: self.binding.torques(self.robot, step), "tau_J_range_violation")
+
     def torque_step(self):
         def step(state, t):
             return ([0.0] * 6 + [5.0] if t > 0.02 else [0.0] * 7), False
@@ -208,7 +237,10 @@ class Exercises:
             ("jump", self.jump),
             ("wrong start", self.wrong_start),
             ("too fast", self.too_fast),
+            ("out of range", self.out_of_range),
             ("torque step", self.torque_step),
+            ("torque range", self.torque_range),
+            ("collision", self.collision),
             ("stall", self.stall),
             ("commands lost", self.network),
         ]:

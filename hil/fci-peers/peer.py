@@ -47,14 +47,17 @@ def names(error):
 
 def cell(name, action, recover=None):
     """Fills a cell with what `action` returns; an error fills it, too, and is no success."""
+    before = ""
     for attempt in range(1, TRIES + 1):
         try:
             text = action() or "yes"
-            tell(name, True, text if attempt == 1 else f"{text} (try {attempt}: commands were lost before)")
+            tell(name, True, text if attempt == 1 else f"{text} (try {attempt}; commands were lost before: {before})")
             return True
         except Exception as error:  # whatever a binding throws is what the cell says
             lost = LOST in str(error) or SOME_LOST in str(error)
             if lost and recover is not None and attempt < TRIES:
+                rate = str(error).partition(SOME_LOST)[2].strip()
+                before = ", ".join(names(error)) + (f" at a success rate of {rate}" if rate else "")
                 recover()
                 continue
             why = " ".join(f"{type(error).__name__}: {error}".split())

@@ -42,8 +42,8 @@ fn a_delay_delays() {
     std::thread::sleep(Duration::from_millis(50));
     let state = client.refresh();
     let behind = emulator.snapshot().state.message_id - state.message_id;
-    // The machine may add to it.
-    assert!((150..2000).contains(&behind), "{behind} ms");
+    // In the robot's time, which is slower than the wall's on a machine that is late; and the machine may add to it.
+    assert!((50..2000).contains(&behind), "{behind} ms");
 }
 
 #[test]

@@ -26,8 +26,9 @@ use std::time::Duration;
 /// An address of its own for every emulator of this process.
 fn address() -> IpAddr {
     static NEXT: AtomicU8 = AtomicU8::new(1);
-    // Away from 127.0.0.x, where other tests and people have theirs.
-    Ipv4Addr::new(127, 0, 41, NEXT.fetch_add(1, Ordering::Relaxed)).into()
+    // The port is fixed, so every process has a network of its own.
+    let [.., high, low] = std::process::id().to_be_bytes();
+    Ipv4Addr::new(127, 64 | high >> 2, low, NEXT.fetch_add(1, Ordering::Relaxed)).into()
 }
 
 /// A robot whose time waits for the client: a machine that stalls must not decide these tests.
