@@ -351,7 +351,8 @@ fn a_network_that_stops_is_told_from_our_own_stall() {
     let begin = Instant::now();
     arm.stop();
     assert!(begin.elapsed() < Duration::from_secs(1));
-    assert!(explain(&fault, &connection.telemetry.snapshot()).what.contains("no state"));
+    let words = explain(&fault, &connection.telemetry.snapshot());
+    assert!(words.what.contains("no state") && !words.to_string().contains("preempted"), "{words}");
 }
 
 #[test]

@@ -18,10 +18,14 @@ use plumbline::store::export::{Arm, mjcf};
 use std::net::{IpAddr, SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 #[global_allocator]
 static ALLOCATOR: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
+
+/// Two simulators at once are too much for a small machine.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 /// A server that ends with its test.
 struct Server(Child, IpAddr);
@@ -55,7 +59,9 @@ impl Server {
 }
 
 fn settings(server: &Server) -> Settings {
-    Settings { connect_timeout: Duration::from_secs(5), ..Settings::new(server.1, RobotKind::Fr3) }
+    // Servers in Python stand still for 100 ms now and then.
+    let (connect_timeout, state_timeout) = (Duration::from_secs(5), Duration::from_secs(1));
+    Settings { connect_timeout, state_timeout, ..Settings::new(server.1, RobotKind::Fr3) }
 }
 
 /// An FR3 by plumbline's own export; without meshes, with bodies that are nobody's.
@@ -104,6 +110,7 @@ fn assert_ended_in_order(run: &Run, who: &str, soft: f64) {
 
 #[test]
 fn franka_sim_with_every_limit_enforced_takes_a_whole_excitation() {
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let Some(python) = peers::interpreter_with(&["franka-sim==1.1.7"]) else { return };
     let mut command = Command::new(python);
     command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/serve_franka_sim.py"));
@@ -115,6 +122,7 @@ fn franka_sim_with_every_limit_enforced_takes_a_whole_excitation() {
 
 #[test]
 fn franky_sim_takes_a_whole_excitation() {
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let Some(python) = peers::interpreter_with(&["franky-sim==1.0.4"]) else { return };
     let mut command = Command::new(Path::new(&python).with_file_name("franky-sim"));
     command.args(["--simulator", "mujoco", "--hostname", "127.0.77.2"]);
