@@ -27,6 +27,11 @@ static ALLOCATOR: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisable
 /// Two simulators at once are too much for a small machine.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
+/// An address of this process's own.
+fn address(number: u8) -> String {
+    format!("127.77.{}.{number}", std::process::id() % 250)
+}
+
 /// A server that ends with its test.
 struct Server(Child, IpAddr);
 
@@ -114,8 +119,9 @@ fn franka_sim_with_every_limit_enforced_takes_a_whole_excitation() {
     let Some(python) = peers::interpreter_with(&["franka-sim==1.1.7"]) else { return };
     let mut command = Command::new(python);
     command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/serve_franka_sim.py"));
-    command.arg("127.0.77.1").arg(fr3_mjcf());
-    let server = Server::start(command, "127.0.77.1", "franka-sim.log");
+    let address = address(1);
+    command.arg(&address).arg(fr3_mjcf());
+    let server = Server::start(command, &address, "franka-sim.log");
     let run = drive_patiently(&settings(&server), &plan(0.5), Duration::from_secs(40), 8);
     assert_ended_in_order(&run, "franka-sim 1.1.7", 0.05);
 }
@@ -125,8 +131,9 @@ fn franky_sim_takes_a_whole_excitation() {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let Some(python) = peers::interpreter_with(&["franky-sim==1.0.4"]) else { return };
     let mut command = Command::new(Path::new(&python).with_file_name("franky-sim"));
-    command.args(["--simulator", "mujoco", "--hostname", "127.0.77.2"]);
-    let server = Server::start(command, "127.0.77.2", "franky-sim.log");
+    let address = address(2);
+    command.args(["--simulator", "mujoco", "--hostname", &address]);
+    let server = Server::start(command, &address, "franky-sim.log");
     let run = drive_patiently(&settings(&server), &plan(0.5), Duration::from_secs(40), 8);
     assert_ended_in_order(&run, "franky-sim 1.0.4", 0.15);
 }
