@@ -100,7 +100,7 @@ fn run_franka(
     troubles: &[&str],
     silent: bool,
 ) -> (u32, u64) {
-    let address = std::net::Ipv4Addr::new(127, 0, 44, protocol.number() as u8);
+    let address = std::net::Ipv4Addr::new(127, 44, (std::process::id() % 250) as u8, protocol.number() as u8);
     let faults = troubles.iter().map(|text| text.parse().unwrap()).collect();
     let patience = std::time::Duration::from_millis(50);
     let emulated = emulator::Settings { faults, patience, ..emulator::Settings::new(address, protocol) };

@@ -322,10 +322,10 @@ fn stall(pause: Duration, in_write: bool) -> (Fault, String) {
 #[test]
 fn a_stall_ends_in_a_violation_that_says_who_stalled() {
     let communication = Fault::Reflex { code: ErrorBit::CommunicationConstraintsViolation as u32 };
-    let (fault, words) = stall(Duration::from_millis(60), true);
+    let (fault, words) = stall(Duration::from_millis(250), true);
     assert_eq!(fault, communication);
-    assert!(words.contains("communication_constraints_violation") && words.contains("our own work took 6"), "{words}");
-    let (fault, words) = stall(Duration::from_millis(60), false);
+    assert!(words.contains("communication_constraints_violation") && words.contains("our own work took 2"), "{words}");
+    let (fault, words) = stall(Duration::from_millis(250), false);
     assert_eq!(fault, communication);
     assert!(words.contains("not woken in time"), "{words}");
 }
@@ -351,7 +351,8 @@ fn a_network_that_stops_is_told_from_our_own_stall() {
     let begin = Instant::now();
     arm.stop();
     assert!(begin.elapsed() < Duration::from_secs(1));
-    assert!(explain(&fault, &connection.telemetry.snapshot()).what.contains("no state"));
+    let words = explain(&fault, &connection.telemetry.snapshot());
+    assert!(words.what.contains("no state") && !words.to_string().contains("preempted"), "{words}");
 }
 
 #[test]

@@ -18,10 +18,19 @@ use plumbline::store::export::{Arm, mjcf};
 use std::net::{IpAddr, SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 #[global_allocator]
 static ALLOCATOR: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
+
+/// Two simulators at once are too much for a small machine.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
+/// An address of this process's own.
+fn address(number: u8) -> String {
+    format!("127.77.{}.{number}", std::process::id() % 250)
+}
 
 /// A server that ends with its test.
 struct Server(Child, IpAddr);
@@ -55,7 +64,9 @@ impl Server {
 }
 
 fn settings(server: &Server) -> Settings {
-    Settings { connect_timeout: Duration::from_secs(5), ..Settings::new(server.1, RobotKind::Fr3) }
+    // Servers in Python stand still for 100 ms now and then.
+    let (connect_timeout, state_timeout) = (Duration::from_secs(5), Duration::from_secs(1));
+    Settings { connect_timeout, state_timeout, ..Settings::new(server.1, RobotKind::Fr3) }
 }
 
 /// An FR3 by plumbline's own export; without meshes, with bodies that are nobody's.
@@ -104,21 +115,25 @@ fn assert_ended_in_order(run: &Run, who: &str, soft: f64) {
 
 #[test]
 fn franka_sim_with_every_limit_enforced_takes_a_whole_excitation() {
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let Some(python) = peers::interpreter_with(&["franka-sim==1.1.7"]) else { return };
     let mut command = Command::new(python);
     command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/serve_franka_sim.py"));
-    command.arg("127.0.77.1").arg(fr3_mjcf());
-    let server = Server::start(command, "127.0.77.1", "franka-sim.log");
+    let address = address(1);
+    command.arg(&address).arg(fr3_mjcf());
+    let server = Server::start(command, &address, "franka-sim.log");
     let run = drive_patiently(&settings(&server), &plan(0.5), Duration::from_secs(40), 8);
     assert_ended_in_order(&run, "franka-sim 1.1.7", 0.05);
 }
 
 #[test]
 fn franky_sim_takes_a_whole_excitation() {
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let Some(python) = peers::interpreter_with(&["franky-sim==1.0.4"]) else { return };
     let mut command = Command::new(Path::new(&python).with_file_name("franky-sim"));
-    command.args(["--simulator", "mujoco", "--hostname", "127.0.77.2"]);
-    let server = Server::start(command, "127.0.77.2", "franky-sim.log");
+    let address = address(2);
+    command.args(["--simulator", "mujoco", "--hostname", &address]);
+    let server = Server::start(command, &address, "franky-sim.log");
     let run = drive_patiently(&settings(&server), &plan(0.5), Duration::from_secs(40), 8);
     assert_ended_in_order(&run, "franky-sim 1.0.4", 0.15);
 }

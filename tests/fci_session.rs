@@ -25,7 +25,9 @@ static ALLOCATOR: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisable
 
 fn address() -> IpAddr {
     static NEXT: AtomicU8 = AtomicU8::new(1);
-    Ipv4Addr::new(127, 0, 43, NEXT.fetch_add(1, Ordering::Relaxed)).into()
+    // The process number keeps programs apart that run at the same time.
+    let process = (std::process::id() % 250) as u8;
+    Ipv4Addr::new(127, 43, process, NEXT.fetch_add(1, Ordering::Relaxed)).into()
 }
 
 fn start(emulated: Emulated) -> (Emulator, Settings) {
@@ -215,10 +217,11 @@ fn a_stall_is_a_violation_by_name_and_recovery_is_asked_for_not_taken() {
         let mut stalled = false;
         let fault = until_a_fault(&mut arm, 3000, |tick| {
             if tick > 200 && !std::mem::replace(&mut stalled, true) {
-                std::thread::sleep(Duration::from_millis(60));
+                // Longer than this machine stalls by itself.
+                std::thread::sleep(Duration::from_millis(250));
             }
         });
-        let fault = fault.expect("60 ms without a command");
+        let fault = fault.expect("250 ms without a command");
         assert_eq!(fault, Fault::Reflex { code: ErrorBit::CommunicationConstraintsViolation as u32 }, "{protocol}");
         arm.stop();
         let statistics = connection.telemetry.snapshot();

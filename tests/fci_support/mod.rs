@@ -101,7 +101,7 @@ pub fn drive_arm(arm: FrankaArm, connection: Connection, fourier: &Fourier, most
 }
 
 /// Tries again where this machine stalled: where the motion ended in a reflex, and a state had lain in our socket for 2 ms or more shortly
-/// before. Without a real-time kernel, beside other work, that happens every few seconds; a violation of the communication constraints is the
+/// before, or where the server's own process stood still. Without a real-time kernel, beside other work, that happens every few seconds; a violation of the communication constraints is the
 /// right end of 20 ms of it. franka-sim also takes commands that come a few milliseconds late and goes back on what it had extrapolated for
 /// them, where a robot drops them; after that its point is one that no client can know. Everything else that ends a run stands.
 pub fn drive_patiently(settings: &Settings, fourier: &Fourier, most: Duration, tries: u32) -> Run {
@@ -109,10 +109,11 @@ pub fn drive_patiently(settings: &Settings, fourier: &Fourier, most: Duration, t
     let mut attempt = 1;
     loop {
         let run = drive(settings, fourier, most).unwrap_or_else(|error| panic!("{error}"));
-        let reflex = matches!(run.outcome.end, End::Fault(Fault::Reflex { .. } | Fault::Silent { .. }));
+        let reflex = matches!(run.outcome.end, End::Fault(Fault::Reflex { .. }));
+        let silent = matches!(run.outcome.end, End::Fault(Fault::Silent { .. }));
         let stalled = run.statistics.stall.wake_ns.max(run.statistics.stall.work_ns) >= 2_000_000;
         let lost = matches!(run.outcome.last_stop, Some(StopReason::LostStates { .. }));
-        if !(reflex && stalled || lost) || attempt >= tries {
+        if !(reflex && stalled || silent || lost) || attempt >= tries {
             return run;
         }
         eprintln!("RETRY {attempt}: {}", run.words());

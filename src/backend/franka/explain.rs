@@ -50,10 +50,11 @@ fn silent(waited_ms: u32, telemetry: &Statistics) -> Explanation {
             "{} datagrams of the arm were no states: something on the way changes or cuts them",
             telemetry.bad_packets
         )),
-        Some(status) => {
+        // What answers our own stop says nothing about the cause.
+        Some(status) if status != MoveStatus::Preempted && status != MoveStatus::Success => {
             Some(format!("over its command connection it says that {status}: the way of its states alone is broken"))
         }
-        None => None,
+        _ => None,
     };
     Explanation {
         what: format!("no state came from the arm for {waited_ms} ms"),
