@@ -108,7 +108,7 @@ pub struct Statistics {
     pub wake: Spread,
     /// Between the arrivals of states in the kernel \[us\].
     pub interval: Spread,
-    /// From a command's leaving to the arrival of the first state whose `q_d` (or `tau_J_d`) shows it \[us\]. It holds the way there,
+    /// From a command's leaving to the arrival of the first state whose `q_d` shows it; not measured where torques are commanded \[us\]. It holds the way there,
     /// the wait for the arm's next cycle, and the way back; commands that can't be told from the one before don't count.
     pub round_trip: Spread,
 }
