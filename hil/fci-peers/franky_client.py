@@ -110,7 +110,12 @@ def pressed():
 def stop():
     robot.move(franky.JointMotion([value + 0.2 for value in q()], relative_dynamics_factor=0.3), asynchronous=True)
     time.sleep(0.3)
-    robot.stop()
+    try:
+        robot.stop()
+    except franky.CommandException:
+        # There was nothing left to stop: the motion says why.
+        robot.join_motion()
+        raise
     try:
         robot.join_motion()
     except franky.ControlException as error:

@@ -260,8 +260,12 @@ impl Robot {
 
     /// What ends by itself: orderly ends of motions, errors after the brake, recoveries.
     fn settle(&mut self) {
+        let dq = self.body.dq();
         match &mut self.phase {
-            Phase::Ending(motion, ending) if self.desired.still() => {
+            Phase::Ending(motion, ending) => {
+                if !ending.rests(&self.desired, &dq) {
+                    return;
+                }
                 let (motion, ending_now) = (*motion, *ending);
                 match self.finish {
                     FinishOrder::AnswerFirst(ahead) if !ending_now.answered => {
@@ -303,7 +307,7 @@ impl Robot {
     /// An orderly end: by the client's flag, by StopMove (its call), or because the client has gone.
     pub(super) fn end(&mut self, motion: Motion, stop: Option<u32>) {
         self.leave_torques(&motion);
-        self.phase = Phase::Ending(motion, Ending { stop, answered: false, left: 0 });
+        self.phase = Phase::Ending(motion, Ending::new(stop));
     }
 
     fn answer_end(&mut self, motion: &Motion, ending: &Ending, behind: u64) {
