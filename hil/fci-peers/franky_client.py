@@ -56,11 +56,11 @@ def torque():
         robot.move(franky.TorqueStopMotion())
         return "joint impedance, stopped by its own motion"
     motion = franky.CartesianImpedanceMotion(
-        franky.Affine([0.02, 0.0, 0.0]),
+        franky.Affine([0.005, 0.0, 0.0]),
         franky.Duration(1000),
         target_type=franky.ReferenceType.Relative,
-        translational_stiffness=400,
-        rotational_stiffness=20,
+        translational_stiffness=200,
+        rotational_stiffness=10,
     )
     robot.move(motion)
     return "Cartesian impedance through the model library"
