@@ -148,7 +148,7 @@ def main():
             for emulator in served:
                 emulator.end()
         if any(not cell["good"] for cell in results[-1][1].values()):
-            print(served[0].said()[-3000:], file=sys.stderr)
+            print(served[0].said()[-6000:], file=sys.stderr)
     if options.table:
         path = Path(options.table)
         begin, end = "<!-- run.sh writes from here -->", "<!-- to here -->"

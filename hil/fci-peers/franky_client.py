@@ -56,11 +56,11 @@ def torque():
         robot.move(franky.TorqueStopMotion())
         return "joint impedance, stopped by its own motion"
     motion = franky.CartesianImpedanceMotion(
-        franky.Affine([0.02, 0.0, 0.0]),
+        franky.Affine([0.005, 0.0, 0.0]),
         franky.Duration(1000),
         target_type=franky.ReferenceType.Relative,
-        translational_stiffness=400,
-        rotational_stiffness=20,
+        translational_stiffness=200,
+        rotational_stiffness=10,
     )
     robot.move(motion)
     return "Cartesian impedance through the model library"
@@ -110,7 +110,12 @@ def pressed():
 def stop():
     robot.move(franky.JointMotion([value + 0.2 for value in q()], relative_dynamics_factor=0.3), asynchronous=True)
     time.sleep(0.3)
-    robot.stop()
+    try:
+        robot.stop()
+    except franky.CommandException:
+        # There was nothing left to stop: the motion says why.
+        robot.join_motion()
+        raise
     try:
         robot.join_motion()
     except franky.ControlException as error:

@@ -1,11 +1,17 @@
 //! A running motion: what it was asked for with, and how its commands come.
 
 use super::body::Drive;
-use super::limits::{Commanded, Joints};
+use super::limits::{Commanded, Joints, Step};
 use plumbline::backend::franka::wire::{Move, MoveController, MoveGenerator, RobotCommand};
 
 /// Commands that the success rate looks back on.
 const WINDOW: u32 = 100;
+/// A joint that is measured slower than this does not move \[rad/s\].
+const STILL: f64 = 5e-3;
+/// How long an arm has to be still for its motion to have ended \[ms\].
+const SETTLED: u32 = 10;
+/// How long that is waited for \[ms\].
+const RESTLESS: u32 = 500;
 
 /// A motion between its start and its end.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,6 +42,25 @@ pub struct Ending {
     pub answered: bool,
     /// States until the end shows \[ms\].
     pub left: u32,
+    /// How long nothing has moved \[ms\].
+    pub still: u32,
+    /// How long it has taken \[ms\].
+    pub since: u32,
+}
+
+impl Ending {
+    /// An end that begins now; `stop` is the call of StopMove, where that is the cause.
+    pub fn new(stop: Option<u32>) -> Ending {
+        Ending { stop, answered: false, left: 0, still: 0, since: 0 }
+    }
+
+    /// Counts a millisecond, and whether the arm rests by now: for 10 ms, or because it never will.
+    pub fn rests(&mut self, desired: &Step, dq: &Joints) -> bool {
+        let still = desired.still() && dq.iter().all(|dq| dq.abs() < STILL);
+        self.still = if still { self.still + 1 } else { 0 };
+        self.since += 1;
+        self.still >= SETTLED || (desired.still() && self.since >= RESTLESS)
+    }
 }
 
 impl Motion {

@@ -174,6 +174,7 @@ impl Robot {
         let mut errors = Errors::NONE;
         let mut status = MoveStatus::ReflexAborted;
         let mut next = self.desired;
+        let mut torque_step = [0.0; JOINTS];
         match command {
             Some(command) => {
                 if !motion.is_finite(command) {
@@ -193,6 +194,7 @@ impl Robot {
                     errors = judge(&self.limits, self.protocol, commanded, &self.desired, &next);
                 }
                 if let Some(tau) = &mut motion.tau {
+                    torque_step = std::array::from_fn(|j| command.tau_j_d[j] - tau[j]);
                     errors = union(errors, judge_torque(&self.limits, tau, &command.tau_j_d));
                     *tau = command.tau_j_d;
                 }
@@ -208,7 +210,9 @@ impl Robot {
         }
         if !errors.is_empty() {
             let why = match command {
-                Some(command) => format!("command {}", command.message_id),
+                Some(command) => {
+                    format!("command {}: {}", command.message_id, boldest(&self.limits, &next, &torque_step))
+                }
                 None => format!("{} commands missing in a row", motion.missing),
             };
             self.phase = Phase::Moving(motion);
@@ -260,8 +264,12 @@ impl Robot {
 
     /// What ends by itself: orderly ends of motions, errors after the brake, recoveries.
     fn settle(&mut self) {
+        let dq = self.body.dq();
         match &mut self.phase {
-            Phase::Ending(motion, ending) if self.desired.still() => {
+            Phase::Ending(motion, ending) => {
+                if !ending.rests(&self.desired, &dq) {
+                    return;
+                }
                 let (motion, ending_now) = (*motion, *ending);
                 match self.finish {
                     FinishOrder::AnswerFirst(ahead) if !ending_now.answered => {
@@ -303,7 +311,7 @@ impl Robot {
     /// An orderly end: by the client's flag, by StopMove (its call), or because the client has gone.
     pub(super) fn end(&mut self, motion: Motion, stop: Option<u32>) {
         self.leave_torques(&motion);
-        self.phase = Phase::Ending(motion, Ending { stop, answered: false, left: 0 });
+        self.phase = Phase::Ending(motion, Ending::new(stop));
     }
 
     fn answer_end(&mut self, motion: &Motion, ending: &Ending, behind: u64) {
@@ -437,6 +445,25 @@ impl Robot {
         }
         state
     }
+}
+
+/// The joint whose step is the largest against its limits, in words.
+fn boldest(limits: &Limits, step: &Step, torque_step: &Joints) -> String {
+    let share = |j: usize| {
+        let parts =
+            [step.dq[j] / limits.dq[j], step.ddq[j] / limits.ddq[j], step.jerk[j] / limits.jerk[j], torque_step[j]];
+        parts.iter().fold(0.0, |most: f64, part| if part.is_nan() { f64::INFINITY } else { most.max(part.abs()) })
+    };
+    let j = (0..JOINTS).max_by(|a, b| share(*a).total_cmp(&share(*b))).unwrap_or(0);
+    format!(
+        "joint {} to {:.4} rad, {:.3} rad/s, {:.2} rad/s2, {:.0} rad/s3, by {:.3} Nm",
+        j + 1,
+        step.q[j],
+        step.dq[j],
+        step.ddq[j],
+        step.jerk[j],
+        torque_step[j]
+    )
 }
 
 fn union(a: Errors, b: Errors) -> Errors {

@@ -20,6 +20,8 @@ use std::time::Duration;
 const MILLISECOND: u64 = 1_000_000;
 /// Lateness that is made good instead of moving the clock \[ns\].
 const TOLERANCE: u64 = MILLISECOND / 5;
+/// Lateness that is told \[ns\].
+const TOLD: u64 = 50 * MILLISECOND;
 /// Between two looks at the socket while the robot's time stands still \[ns\].
 const LOOK: u64 = 50_000;
 
@@ -139,6 +141,12 @@ impl Server {
             let command = self.command(next);
             let late = now_ns().saturating_sub(next);
             if late > TOLERANCE {
+                if late > TOLD {
+                    self.log.event(&format!(
+                        "the machine was {} ms late: the robot's clock stood still",
+                        late / MILLISECOND
+                    ));
+                }
                 self.counts.slips += 1;
                 next += late;
             }
