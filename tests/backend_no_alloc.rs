@@ -1,10 +1,15 @@
-//! A simulated arm allocates nothing between its construction and its end.
+//! An arm allocates nothing between its construction and its end.
 
 mod backend_support;
+#[path = "../hil/fci-emulator/emulator/mod.rs"]
+mod emulator;
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc, violation_count};
 use backend_support::{TestClock, command, excitation, sim};
+use plumbline::backend::franka::wire::Protocol;
+use plumbline::backend::franka::{Interface, Purpose, RobotKind, Settings, connect};
 use plumbline::backend::sim::{Gate, Pace, Truth};
+use plumbline::joint::{Setpoint, State};
 use plumbline::rt::Backend;
 use std::sync::Arc;
 use std::time::Instant;
@@ -85,6 +90,65 @@ fn run(pace: Pace, ticks: u64) -> u32 {
 fn the_simulated_arm_allocates_nothing() {
     assert_eq!(run(Pace::Fast(Arc::new(Gate::unlimited())), 500), 0);
     assert_eq!(run(Pace::WallClock(Box::new(TestClock(Instant::now()))), 100), 0);
+}
+
+/// Connects to an emulator and counts what reading, writing and stopping allocate, through whatever `troubles` do.
+fn run_franka(
+    protocol: Protocol,
+    interface: Interface,
+    purpose: Purpose,
+    troubles: &[&str],
+    silent: bool,
+) -> (u32, u64) {
+    let address = std::net::Ipv4Addr::new(127, 0, 44, protocol.number() as u8);
+    let faults = troubles.iter().map(|text| text.parse().unwrap()).collect();
+    let patience = std::time::Duration::from_millis(50);
+    let emulated = emulator::Settings { faults, patience, ..emulator::Settings::new(address, protocol) };
+    let _emulator = emulator::Emulator::start(emulated).unwrap();
+    let robot = if protocol == Protocol::V5 { RobotKind::Panda } else { RobotKind::Fr3 };
+    let settings = Settings { interface, purpose, ..Settings::new(address.into(), robot) };
+    let (mut arm, _connection) = connect(&settings).unwrap();
+    let before = violation_count();
+    let mut cycles = 0;
+    assert_no_alloc(|| {
+        let mut start = None;
+        let mut end = Ok(());
+        while end.is_ok() && cycles < 400 {
+            end = arm.read().and_then(|state: State| {
+                let start = *start.get_or_insert(state.q_d);
+                cycles += 1;
+                let mut desired = Setpoint { q: start, ..Setpoint::default() };
+                desired.q[6] += 1e-6 * (cycles as f64).powi(2);
+                if silent && cycles > 200 { Ok(()) } else { arm.write(&command(state.seq, desired)) }
+            });
+        }
+        arm.stop();
+        arm.stop();
+        let _ = arm.read();
+    });
+    (violation_count() - before, cycles)
+}
+
+#[test]
+fn a_franka_arm_allocates_nothing_whatever_happens_to_it() {
+    use Interface::{JointPosition, JointVelocity, Torque};
+    let trouble = ["loss=0.05,at=motion", "garbage=0.02,at=motion", "duplicate=0.05,at=motion"];
+    for protocol in Protocol::ALL {
+        for (interface, troubles, silent) in [
+            (JointPosition, &trouble[..], false),
+            (JointVelocity, &[], false),
+            (Torque, &[], false),
+            // A reflex, a connection that is reset, and an arm that falls silent.
+            (JointPosition, &[], true),
+            (JointPosition, &["tcp-reset,at=motion+0.1"], false),
+            (JointPosition, &["silence,at=motion+0.1"], false),
+        ] {
+            let (allocations, cycles) = run_franka(protocol, interface, Purpose::Drive, troubles, silent);
+            assert!(cycles > 50, "{protocol} {interface:?} {troubles:?}: {cycles} cycles");
+            assert_eq!(allocations, 0, "{protocol} {interface:?} {troubles:?}");
+        }
+        assert_eq!(run_franka(protocol, JointPosition, Purpose::Watch, &[], false), (0, 400));
+    }
 }
 
 #[test]

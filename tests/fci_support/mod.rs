@@ -12,7 +12,7 @@ use plumbline::rt::order::{Event, Order, OrderKind};
 use plumbline::rt::os::Rights;
 use plumbline::rt::recorder::ring;
 use plumbline::rt::settings::CycleSettings;
-use plumbline::store::plan_file::load_plan;
+use plumbline::store::load_plan;
 use std::path::Path;
 use std::time::{Duration, Instant};
 

@@ -161,6 +161,16 @@ impl FrankaArm {
         Ok(())
     }
 
+    /// Lets go of the states that have queued up since the session was opened; the newest of them may be old, because a full socket
+    /// keeps the oldest.
+    pub(super) fn discard_backlog(&mut self) -> Result<(), Fault> {
+        self.take_newest(self.settings.state_timeout)?;
+        self.begun = false;
+        self.take_newest(self.settings.state_timeout)?;
+        self.recent = Recent::default();
+        Ok(())
+    }
+
     /// Whether `state` is newer than what was taken before; counts it otherwise.
     fn takes(&self, state: &RobotState) -> bool {
         match state.message_id.cmp(&self.state.message_id) {
@@ -301,6 +311,7 @@ impl Backend for FrankaArm {
             Phase::Over(fault) => return Err(fault),
             Phase::Ready if self.settings.purpose == Purpose::Drive => self.begin().map(|()| self.report()),
             Phase::Moving => self.go_on(),
+            Phase::Ready if !self.begun => return self.discard_backlog().map(|()| self.report()),
             Phase::Ready | Phase::Stopped => {
                 return self.take_newest(self.settings.state_timeout).map(|()| self.report());
             }

@@ -45,13 +45,15 @@ pub fn explain(fault: &Fault, telemetry: &Statistics) -> Explanation {
 }
 
 fn silent(waited_ms: u32, telemetry: &Statistics) -> Explanation {
-    let cause = if telemetry.bad_packets > 0 {
-        Some(format!(
+    let cause = match telemetry.status() {
+        _ if telemetry.bad_packets > 0 => Some(format!(
             "{} datagrams of the arm were no states: something on the way changes or cuts them",
             telemetry.bad_packets
-        ))
-    } else {
-        None
+        )),
+        Some(status) => {
+            Some(format!("over its command connection it says that {status}: the way of its states alone is broken"))
+        }
+        None => None,
     };
     Explanation {
         what: format!("no state came from the arm for {waited_ms} ms"),

@@ -16,12 +16,9 @@ use super::wire::{
 };
 use crate::rt::Fault;
 use crate::rt::os::now_ns;
-use std::time::Duration;
 
 /// Longest wait for the motion to start \[ns\].
 const START_NS: u64 = 1_000_000_000;
-/// Longest wait for the state that explains an end heard over TCP, and for the word over TCP that explains a state.
-const EXPLAINED: Duration = Duration::from_millis(50);
 /// How far a state's `q_d` may be off what was sent \[rad\]: double precision, and the rounding of single precision below 4 rad.
 const EXACT: f64 = 1e-9;
 const ROUNDED: f64 = 3e-7;
@@ -162,8 +159,7 @@ impl Motion {
 impl FrankaArm {
     /// Asks for the motion and returns with the first state that shows it running.
     pub(super) fn begin(&mut self) -> Result<(), Fault> {
-        // What has queued up since connecting is old.
-        self.take_newest(self.settings.state_timeout)?;
+        self.discard_backlog()?;
         self.motion = Motion::new(&self.settings, &self.limits, &self.state, self.protocol());
         self.telemetry.motion_began();
         let request = Request::Move(self.motion.request);
@@ -196,12 +192,13 @@ impl FrankaArm {
 
     /// Why a motion ended by itself: what the first state after it says, else what the arm says over TCP.
     pub(super) fn conclude(&mut self) -> Fault {
-        let begin = now_ns();
-        let patience = EXPLAINED.as_nanos() as u64;
         // Heard over TCP first: the state that explains it is on its way.
-        while self.changed.is_none() && now_ns().saturating_sub(begin) < patience {
-            if self.take_newest(EXPLAINED).is_err() {
-                break;
+        let patience = self.settings.state_timeout;
+        let begin = now_ns();
+        while self.changed.is_none() && u128::from(now_ns().saturating_sub(begin)) < patience.as_nanos() {
+            // An arm that is silent over UDP has lost its commands for that reason.
+            if let Err(fault) = self.take_newest(patience) {
+                return fault;
             }
         }
         let stall = self.recent.worst();
