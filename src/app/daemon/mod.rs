@@ -45,7 +45,7 @@ pub struct Daemon {
 enum Seen {
     /// It ended as it was meant to.
     Through,
-    /// The arm stopped by itself and may go on: what it had not driven to the end is driven again.
+    /// The connection was lost, and the job allows another: what had not been driven to the end is driven again.
     Interrupted,
 }
 
@@ -106,8 +106,12 @@ impl Daemon {
             }
             return Ok(());
         }
-        let session = Session::open(&self.desk, "hold".into(), mounting, Purpose::Hold, Script::hold())?;
-        self.see_through(session).map(|_| ())
+        loop {
+            let session = Session::open(&self.desk, "hold".into(), mounting, Purpose::Hold, Script::hold())?;
+            if self.see_through(session)? == Seen::Through {
+                return Ok(());
+            }
+        }
     }
 
     /// Drives every stage of the programme.
