@@ -3,7 +3,7 @@
 use crate::emulator::{Emulator, Fault, Hand};
 use std::io::BufRead;
 
-const HELP: &str = "user-stop | release | guide | let-go | lock | unlock | fault FAULT | heal | status | quit";
+const HELP: &str = "user-stop | release | guide | let-go | lock | unlock | push | fault FAULT | heal | status | quit";
 
 /// Obeys until `quit`. At the end of input the emulator goes on for as long as the process lives.
 pub fn obey(emulator: &Emulator) {
@@ -16,6 +16,7 @@ pub fn obey(emulator: &Emulator) {
             ("let-go", "") => emulator.hand(Hand::LetGo),
             ("lock", "") => emulator.hand(Hand::Lock),
             ("unlock", "") => emulator.hand(Hand::Unlock),
+            ("push", "") => emulator.hand(Hand::Push),
             ("heal", "") => emulator.heal(),
             ("fault", text) => match text.parse::<Fault>() {
                 Ok(fault) => emulator.fault(fault),
