@@ -108,6 +108,8 @@ fn whoever_wanted_the_end_gets_it_though_the_job_may_recover() {
     let ending = play(&case, |ending| stops(ending, &["communication_constraints_violation"]));
     assert_eq!(ending.recoveries(), 0, "{}", ending.words());
     assert_eq!(ending.said.matches("identify-wall has started").count(), 1, "{}", ending.words());
+    // To watch, and to drive: not once more after that.
+    assert_eq!(ending.said.matches("connected to").count(), 2, "{}", ending.words());
 }
 
 #[test]
@@ -129,7 +131,7 @@ fn a_connection_that_breaks_while_a_model_is_served_is_made_again() {
     let case = Case::new(Trouble::Faults(&["tcp-reset"]), When::Serve);
     let ending = play(&case.clone().with(&["backend.franka.recovery=automatic"]), |ending| ending.code == Some(0));
     assert!(ending.recoveries() == 1 && ending.said.matches("connected to").count() == 2, "{}", ending.words());
-    play(&case, |ending| stops(ending, &["Next: "]));
+    play(&case, |ending| stops(ending, &["closed the command connection", "Next: "]));
 }
 
 #[test]

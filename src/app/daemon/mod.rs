@@ -106,12 +106,14 @@ impl Daemon {
             }
             return Ok(());
         }
-        loop {
+        // Whoever has ended the job in mid-motion does not want another connection.
+        while !self.desk.must_quit() {
             let session = Session::open(&self.desk, "hold".into(), mounting, Purpose::Hold, Script::hold())?;
             if self.see_through(session)? == Seen::Through {
-                return Ok(());
+                break;
             }
         }
+        Ok(())
     }
 
     /// Drives every stage of the programme.
