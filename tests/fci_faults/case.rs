@@ -199,7 +199,9 @@ impl Scene<'_> {
                 self.emulator.heal();
             }
             When::Approach => {
-                if self.wait(|scene| scene.speed() > 0.1) {
+                self.wait(|scene| scene.speed() > 0.1);
+                let from = Instant::now() + Duration::from_millis(400);
+                if self.wait(|scene| Instant::now() > from && scene.speed() > 0.1) {
                     self.strike();
                 }
             }
