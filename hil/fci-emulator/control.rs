@@ -1,37 +1,67 @@
 //! Lines on standard input: the operator's hand, and faults.
 
-use crate::emulator::{Emulator, Fault, Hand};
+use crate::emulator::{Emulator, Hand};
 use std::io::BufRead;
 
 const HELP: &str = "user-stop | release | guide | let-go | lock | unlock | push | fault FAULT | heal | status | quit";
 
+/// What a line comes to.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// It is done.
+    Done,
+    /// Somebody wants to know this, or has written what is no order.
+    Say(String),
+    /// The emulator shall end.
+    Quit,
+}
+
 /// Obeys until `quit`. At the end of input the emulator goes on for as long as the process lives.
 pub fn obey(emulator: &Emulator) {
     for line in std::io::stdin().lock().lines().map_while(Result::ok) {
-        let line = line.trim();
-        match line.split_once(' ').unwrap_or((line, "")) {
-            ("user-stop", "") => emulator.hand(Hand::UserStop),
-            ("release", "") => emulator.hand(Hand::Release),
-            ("guide", "") => emulator.hand(Hand::Guide),
-            ("let-go", "") => emulator.hand(Hand::LetGo),
-            ("lock", "") => emulator.hand(Hand::Lock),
-            ("unlock", "") => emulator.hand(Hand::Unlock),
-            ("push", "") => emulator.hand(Hand::Push),
-            ("heal", "") => emulator.heal(),
-            ("fault", text) => match text.parse::<Fault>() {
-                Ok(fault) => emulator.fault(fault),
-                Err(error) => eprintln!("{error}"),
-            },
-            ("status", "") => {
-                let now = emulator.snapshot();
-                eprintln!("{}, errors: {}, {:?}", now.state.robot_mode, now.state.errors, now.counts);
-            }
-            ("quit", "") => return,
-            ("", "") => {}
-            _ => eprintln!("`{line}`? {HELP}"),
+        match carry_out(emulator, line.trim()) {
+            Outcome::Done => {}
+            Outcome::Say(text) => eprintln!("{text}"),
+            Outcome::Quit => return,
         }
     }
     loop {
         std::thread::park();
+    }
+}
+
+/// Carries out one line.
+pub fn carry_out(emulator: &Emulator, line: &str) -> Outcome {
+    let hand = |hand| {
+        emulator.hand(hand);
+        Outcome::Done
+    };
+    match line.split_once(' ').unwrap_or((line, "")) {
+        ("user-stop", "") => hand(Hand::UserStop),
+        ("release", "") => hand(Hand::Release),
+        ("guide", "") => hand(Hand::Guide),
+        ("let-go", "") => hand(Hand::LetGo),
+        ("lock", "") => hand(Hand::Lock),
+        ("unlock", "") => hand(Hand::Unlock),
+        ("push", "") => hand(Hand::Push),
+        ("heal", "") => {
+            emulator.heal();
+            Outcome::Done
+        }
+        ("fault", text) => match text.parse() {
+            Ok(fault) => {
+                emulator.fault(fault);
+                Outcome::Done
+            }
+            Err(error) => Outcome::Say(format!("{error}")),
+        },
+        ("status", "") => {
+            let now = emulator.snapshot();
+            Outcome::Say(format!("{}, errors: {}, {:?}", now.state.robot_mode, now.state.errors, now.counts))
+        }
+        ("quit", "") => Outcome::Quit,
+        ("", "") => Outcome::Done,
+        ("help", "") => Outcome::Say(HELP.into()),
+        _ => Outcome::Say(format!("`{line}` is none of {HELP}")),
     }
 }

@@ -1,6 +1,6 @@
 """Lets clients of other origin drive the emulator, and writes down what each of them did.
 
-    drive.py EMULATOR PYTHON_OF_VENV... --table FILE
+    drive.py EMULATOR --library FILE --venvs FOLDER --table FILE
 
 is called by run.sh, which makes the environments. Standard library alone."""
 
@@ -85,18 +85,37 @@ def run(python, script, emulator, other):
     return cells
 
 
+# What is refused by name has a table of its own.
+REFUSED = [
+    "jump",
+    "wrong start",
+    "too fast",
+    "out of range",
+    "torque step",
+    "torque range",
+    "collision",
+    "stall",
+    "commands lost",
+]
+
+
 def table(results):
     """Markdown of all results: programs by rows, what they did by columns."""
     columns = []
     for _, cells in results:
         columns += [name for name in cells if name not in columns]
+    done = [name for name in columns if name not in REFUSED]
+    return "\n\n".join(part(results, some) for some in [done, [name for name in columns if name in REFUSED]])
+
+
+def part(results, columns):
     head = ["program", "libfranka inside", "version"] + columns
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for (name, inside, _, _, protocol), cells in results:
         row = [name, inside, str(protocol)]
         for column in columns:
             cell = cells.get(column)
-            text = "not tried: it has no such call" if cell is None else cell["text"]
+            text = "-" if cell is None else cell["text"]
             row.append(("" if cell is None or cell["good"] else "**failed**: ") + text.replace("|", "\\|"))
         lines.append("| " + " | ".join(row) + " |")
     return "\n".join(lines)

@@ -55,10 +55,8 @@ def torque():
         near(q()[:4], goal[:4], 0.03, "q under the impedance")
         robot.move(franky.TorqueStopMotion())
         return "joint impedance, stopped by its own motion"
-    there = franky.Affine([0.02, 0.0, 0.0])
-    before = list(robot.state.O_T_EE.translation) if hasattr(robot.state.O_T_EE, "translation") else None
     motion = franky.CartesianImpedanceMotion(
-        there,
+        franky.Affine([0.02, 0.0, 0.0]),
         franky.Duration(1000),
         target_type=franky.ReferenceType.Relative,
         translational_stiffness=400,

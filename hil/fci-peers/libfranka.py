@@ -8,19 +8,17 @@ from peer import LOST, OTHER, READY, STALL, cell, do, near, quintic, quintic_rat
 FAR, LONG = 0.1, 1.2
 
 
-class Stop(Exception):
-    """Ends a loop of the test from within."""
-
-
 class Exercises:
-    """A binding gives `connect(address)`, `positions(step)`, `velocities(step)`, `torques(step)`, whose `step(state, t)` returns the
-    command and whether it is the last one."""
+    """A binding has `connect(address)`, and `positions(robot, step)`, `velocities(robot, step)`, `torques(robot, step)`, whose
+    `step(state, t)` returns the command and whether it is the last one."""
 
     def __init__(self, binding):
         self.binding = binding
         self.robot = None
 
     def state(self):
+        # A socket that nobody read was full of old states, and the newest of them is the first that comes.
+        self.robot.read_once()
         return self.robot.read_once()
 
     def recover(self):
@@ -40,13 +38,11 @@ class Exercises:
         return "yes"
 
     def position(self):
-        start, ends = list(self.state().q_d), {}
+        start = list(self.state().q_d)
 
         def step(state, t):
             share = quintic(t / LONG)
-            goal = [q + FAR * share for q in start]
-            ends["q"] = goal
-            return goal, t > LONG
+            return [q + FAR * share for q in start], t > LONG
 
         self.binding.positions(self.robot, step)
         end = self.state()
@@ -118,18 +114,47 @@ class Exercises:
 
     def too_fast(self):
         start = list(self.state().q_d)
-        held = {}
+        most, ramp = 8.0, 0.05
 
-        # 8 rad/s2 for good, after a start within the jerk.
+        # `most` rad/s2 for good, after a start within the jerk.
         def step(state, t):
-            ramp = 0.05
-            s = min(t, ramp)
-            q = 8.0 * (s ** 3 / (6.0 * ramp) + (t > ramp) * (0.5 * ramp * (t - ramp) + 0.5 * (t - ramp) ** 2))
+            if t < ramp:
+                q = most * t**3 / (6.0 * ramp)
+            else:
+                after = t - ramp
+                q = most * (ramp**2 / 6.0 + 0.5 * ramp * after + 0.5 * after**2)
             return start[:6] + [start[6] - q], False
 
         return refused(
             lambda: self.binding.positions(self.robot, step), "joint_motion_generator_velocity_limits_violation"
         )
+
+    def out_of_range(self):
+        # Up to image 5.7.1 the generator's own error, the joint's from then on.
+        old = self.binding.version < 9
+        name = "joint_motion_generator_position_limits_violation" if old else "joint_position_limits_violation"
+        start = list(self.state().q_d)
+        return refused(
+            lambda: self.binding.positions(
+                self.robot, lambda state, t: (start[:6] + [3.1] if t > 0.02 else start, False)
+            ),
+            name,
+        )
+
+    def collision(self):
+        # Less than the noise of the sensors: any motion is a collision.
+        self.robot.set_collision_behavior([0.001] * 7, [0.001] * 7, [100.0] * 6, [100.0] * 6)
+        try:
+            return refused(self.position_unrecovered, "joint_reflex")
+        finally:
+            self.recover()
+            self.robot.set_collision_behavior([20.0] * 7, [30.0] * 7, [20.0] * 6, [30.0] * 6)
+
+    def torque_range(self):
+        def step(state, t):
+            return ([0.0] * 6 + [13.0] if t > 0.02 else [0.0] * 7), False
+
+        return refused(lambda: self.binding.torques(self.robot, step), "tau_J_range_violation")
 
     def torque_step(self):
         def step(state, t):
@@ -151,10 +176,7 @@ class Exercises:
 
     def recovery(self):
         # A reflex that nobody has recovered from lets no motion begin; afterwards motions run as before.
-        try:
-            self.jump()
-        finally:
-            pass
+        self.jump()
         refused(self.position_unrecovered, "command not possible")
         self.recover()
         self.position_unrecovered()
@@ -215,7 +237,10 @@ class Exercises:
             ("jump", self.jump),
             ("wrong start", self.wrong_start),
             ("too fast", self.too_fast),
+            ("out of range", self.out_of_range),
             ("torque step", self.torque_step),
+            ("torque range", self.torque_range),
+            ("collision", self.collision),
             ("stall", self.stall),
             ("commands lost", self.network),
         ]:

@@ -8,6 +8,8 @@ from peer import ADDRESS, cell, near
 class Binding:
     """Motions are callbacks that libfranka calls."""
 
+    version = 5
+
     def connect(self, address=ADDRESS):
         return lib.Robot(address, lib.RealtimeConfig.kIgnore)
 

@@ -8,6 +8,8 @@ from peer import ADDRESS, near
 class Binding:
     """Motions are a loop of readOnce and writeOnce."""
 
+    version = 10
+
     def connect(self, address=ADDRESS):
         return lib.Robot(address, lib.RealtimeConfig.kIgnore)
 
@@ -15,10 +17,11 @@ class Binding:
         return round(state.time.to_sec() * 1e3)
 
     def loop(self, control, step, make):
-        t = 0.0
+        t = None
         while True:
             state, period = control.readOnce()
-            t += period.to_sec()
+            # The first period reaches back to before the motion.
+            t = 0.0 if t is None else t + period.to_sec()
             values, last = step(state, t)
             command = make(values)
             command.motion_finished = last

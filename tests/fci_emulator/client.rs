@@ -96,12 +96,22 @@ impl Client {
         heard
     }
 
-    /// Throws away what has arrived, and reads a fresh state.
-    pub fn refresh(&mut self) -> RobotState {
+    /// Throws away what has arrived.
+    pub fn drain(&mut self) {
         self.udp.set_nonblocking(true).expect("a UDP option");
         while self.udp.recv_from(&mut [0; MAX_STATE + 1]).is_ok() {}
         self.udp.set_nonblocking(false).expect("a UDP option");
+    }
+
+    /// Throws away what has arrived, and reads a fresh state.
+    pub fn refresh(&mut self) -> RobotState {
+        self.drain();
         self.read()
+    }
+
+    /// Where the robot is.
+    pub fn address(&self) -> IpAddr {
+        self.stream.peer_addr().expect("a connection").ip()
     }
 
     pub fn send_bytes(&self, bytes: &[u8]) {
@@ -120,11 +130,17 @@ impl Client {
         self.send(&RobotCommand { message_id: self.state.message_id, ..command });
     }
 
-    /// Sends a request and returns its call.
-    pub fn call(&mut self, request: Request) -> u32 {
+    /// A new call, whose request the test sends itself.
+    pub fn expect(&mut self, kind: CommandKind) -> u32 {
         let id = self.next_id;
         self.next_id += 1;
-        self.calls.insert(id, request.kind());
+        self.calls.insert(id, kind);
+        id
+    }
+
+    /// Sends a request and returns its call.
+    pub fn call(&mut self, request: Request) -> u32 {
+        let id = self.expect(request.kind());
         let mut buffer = [0; MAX_REQUEST];
         let length = request.encode(self.protocol, id, &mut buffer).expect("a request of this version");
         self.stream.write_all(&buffer[..length]).expect("a connection");

@@ -3,7 +3,7 @@
 use super::client::{Answer, Client};
 use super::emulator::limits::{Limits, RobotKind};
 use super::emulator::{READY, Settings};
-use super::{address, patient, session};
+use super::{address, each_protocol, patient, session};
 use plumbline::backend::franka::wire::{
     ErrorBit, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol, RecoveryStatus, Request,
     RobotCommand, RobotMode, RobotState,
@@ -64,7 +64,7 @@ fn push(client: &mut Client, mut jerk: impl FnMut(&Push) -> f64) -> u32 {
 
 #[test]
 fn a_jump_is_a_discontinuity_and_a_far_start_an_invalid_one() {
-    for protocol in Protocol::ALL {
+    each_protocol(|protocol| {
         let (_emulator, mut client) = session(patient(protocol));
         let id = client.start_positions();
         let mut q = client.state.q_d;
@@ -83,12 +83,12 @@ fn a_jump_is_a_discontinuity_and_a_far_start_an_invalid_one() {
         ];
         reflex(&mut client, id, &expected);
         recover(&mut client);
-    }
+    });
 }
 
 #[test]
 fn jerk_acceleration_velocity_and_position_have_each_their_name() {
-    for protocol in Protocol::ALL {
+    each_protocol(|protocol| {
         let own = limits(protocol);
         let (_emulator, mut client) = session(patient(protocol));
         // Past the jerk.
@@ -103,7 +103,7 @@ fn jerk_acceleration_velocity_and_position_have_each_their_name() {
         let id = push(&mut client, |now| if now.ddq < 0.8 * own.ddq[0] { 0.5 * own.jerk[0] } else { 0.0 });
         reflex(&mut client, id, &[ErrorBit::JointMotionGeneratorVelocityLimitsViolation]);
         recover(&mut client);
-    }
+    });
     // The Panda's range ends at full speed; at the FR3's no speed is left, so it is left by a jump alone.
     for (protocol, expected) in [
         (Protocol::V5, ErrorBit::JointMotionGeneratorPositionLimitsViolation),
@@ -133,7 +133,7 @@ fn jerk_acceleration_velocity_and_position_have_each_their_name() {
 
 #[test]
 fn velocities_and_torques_are_judged_too() {
-    for protocol in Protocol::ALL {
+    each_protocol(|protocol| {
         let (_emulator, mut client) = session(patient(protocol));
         let id = client.start(MoveController::JointImpedance, MoveGenerator::JointVelocity);
         client.write(RobotCommand { dq_c: [0.1; 7], ..RobotCommand::default() });
@@ -154,12 +154,12 @@ fn velocities_and_torques_are_judged_too() {
         client.write(RobotCommand { tau_j_d: [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 13.0], ..RobotCommand::default() });
         client.read();
         reflex(&mut client, id, &[ErrorBit::ControllerTorqueDiscontinuity, ErrorBit::TauJRangeViolation]);
-    }
+    });
 }
 
 #[test]
 fn numbers_that_are_none_are_an_input_error() {
-    for protocol in Protocol::ALL {
+    each_protocol(|protocol| {
         for wrong in [f64::NAN, f64::INFINITY] {
             let (_emulator, mut client) = session(patient(protocol));
             let id = client.start_positions();
@@ -171,7 +171,7 @@ fn numbers_that_are_none_are_an_input_error() {
             assert!(!client.state.reflex_reason.is_empty());
             assert_eq!(client.await_answer(id), Answer::Move(MoveStatus::InputErrorAborted));
         }
-    }
+    });
 }
 
 /// Nineteen missing commands are forgiven, twenty are not; the arm goes on at constant acceleration meanwhile.
@@ -211,9 +211,40 @@ fn twenty_missing_commands_end_a_motion() {
     assert!(kept, "seventeen missing commands are forgiven");
 }
 
+/// While commands are missing, the desired motion goes on at the acceleration that it had.
+#[test]
+fn the_arm_goes_on_at_constant_acceleration_without_commands() {
+    let own = limits(Protocol::V5);
+    let settings = Settings { patience: std::time::Duration::from_millis(300), ..patient(Protocol::V5) };
+    let (emulator, mut client) = session(settings);
+    let id = client.start_positions();
+    let start = client.state.q_d;
+    let mut push = Push { q: start[0], dq: 0.0, ddq: 0.0 };
+    for tick in 0..60 {
+        let mut q = start;
+        q[0] = push.step(if tick < 2 { 0.3 * own.jerk[0] } else { 0.0 });
+        client.step_to(q);
+    }
+    let before = client.state;
+    assert!(before.ddq_d[0] > 1.0 && before.dq_d[0] > 0.1, "{} {}", before.ddq_d[0], before.dq_d[0]);
+    // No answer from here on, and even a patient emulator does not wait for ever.
+    for missing in 1..=3 {
+        let state = client.read();
+        assert_eq!(state.robot_mode, RobotMode::Move);
+        let t = f64::from(missing) * 1e-3;
+        // Backward Euler: a tick's velocity is the one at its end.
+        let q = before.q_d[0] + before.dq_d[0] * t + 0.5 * before.ddq_d[0] * t * (t + 1e-3);
+        assert!((state.q_d[0] - q).abs() < 1e-10, "{missing}: {} {q}", state.q_d[0]);
+        assert!((state.ddq_d[0] - before.ddq_d[0]).abs() < 1e-6);
+    }
+    emulator.hand(super::emulator::Hand::UserStop);
+    client.until(RobotMode::UserStopped);
+    assert_eq!(client.await_answer(id), Answer::Move(MoveStatus::EmergencyAborted));
+}
+
 #[test]
 fn errors_clear_when_the_arm_has_braked_and_the_mode_stays_until_recovered() {
-    for protocol in Protocol::ALL {
+    each_protocol(|protocol| {
         let own = limits(protocol);
         let (_emulator, mut client) = session(patient(protocol));
         let id = push(&mut client, |now| match now {
@@ -242,5 +273,5 @@ fn errors_clear_when_the_arm_has_braked_and_the_mode_stays_until_recovered() {
         let id = client.start_positions();
         let last = RobotCommand { q_c: client.state.q_d, ..RobotCommand::default() };
         assert_eq!(client.finish(id, last), Answer::Move(MoveStatus::Success));
-    }
+    });
 }

@@ -2,11 +2,19 @@
 //! refuses, by name. Clients of other origin are in `hil/fci-peers`.
 
 mod client;
+#[path = "../../hil/fci-emulator/control.rs"]
+#[allow(dead_code)] // standard input is the program's
+mod control;
 #[path = "../../hil/fci-emulator/emulator/mod.rs"]
 mod emulator;
+#[path = "../../hil/fci-emulator/options.rs"]
+mod options;
 
+mod faults;
 mod limits;
+mod manners;
 mod motions;
+mod program;
 
 use client::Client;
 use emulator::{Emulator, Settings};
@@ -18,8 +26,9 @@ use std::time::Duration;
 /// An address of its own for every emulator of this process.
 fn address() -> IpAddr {
     static NEXT: AtomicU8 = AtomicU8::new(1);
-    // Away from 127.0.0.x, where other tests and people have theirs.
-    Ipv4Addr::new(127, 0, 41, NEXT.fetch_add(1, Ordering::Relaxed)).into()
+    // The port is fixed, so every process has a network of its own.
+    let [.., high, low] = std::process::id().to_be_bytes();
+    Ipv4Addr::new(127, 64 | high >> 2, low, NEXT.fetch_add(1, Ordering::Relaxed)).into()
 }
 
 /// A robot whose time waits for the client: a machine that stalls must not decide these tests.
@@ -32,4 +41,14 @@ fn session(settings: Settings) -> (Emulator, Client) {
     let (address, protocol) = (settings.address, settings.protocol);
     let emulator = Emulator::start(settings).unwrap_or_else(|error| panic!("{error}"));
     (emulator, Client::connect(address, protocol))
+}
+
+/// The same test at every version, at once: a motion takes its time.
+fn each_protocol(test: impl Fn(Protocol) + Sync) {
+    std::thread::scope(|scope| {
+        for protocol in Protocol::ALL {
+            let test = &test;
+            scope.spawn(move || test(protocol));
+        }
+    });
 }

@@ -2,7 +2,7 @@
 
 use super::client::{Answer, knock};
 use super::emulator::{FinishOrder, READY};
-use super::{address, patient, session};
+use super::{address, each_protocol, patient, session};
 use crate::emulator::{Emulator, Settings};
 use plumbline::backend::franka::wire::{
     ConnectStatus, ControllerMode, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol,
@@ -25,7 +25,7 @@ fn away(tick: u32) -> [f64; 7] {
 
 #[test]
 fn states_come_each_millisecond_and_show_an_idle_arm() {
-    for protocol in Protocol::ALL {
+    each_protocol(|protocol| {
         let (emulator, mut client) = session(Settings::new(address(), protocol));
         let first = client.read();
         for k in 1..=300 {
@@ -39,19 +39,19 @@ fn states_come_each_millisecond_and_show_an_idle_arm() {
         );
         assert!(state.errors.is_empty() && state.reflex_reason.is_empty());
         assert_eq!(state.control_command_success_rate, 0.0);
-        for j in 0..7 {
-            assert!((state.q[j] - READY[j]).abs() < 2e-3 && (state.q_d[j] - READY[j]).abs() < 1e-6, "joint {}", j + 1);
+        for (j, ready) in READY.iter().enumerate() {
+            assert!((state.q[j] - ready).abs() < 2e-3 && (state.q_d[j] - ready).abs() < 1e-6, "joint {}", j + 1);
         }
         // The pose that Franka's documentation shows for a Panda that is ready: the flange half a metre up, 0.3 m in front.
         assert!((state.o_t_ee[12] - 0.307).abs() < 0.01 && state.o_t_ee[13].abs() < 0.01, "{:?}", state.o_t_ee);
         assert_eq!(state.o_ddp_o.map(|value| (value * 100.0).round()), [0.0, 0.0, -981.0]);
         assert_eq!(emulator.snapshot().counts.refused, 0);
-    }
+    });
 }
 
 #[test]
 fn a_position_motion_arrives_and_ends_as_commanded() {
-    for protocol in Protocol::ALL {
+    each_protocol(|protocol| {
         let (_emulator, mut client) = session(patient(protocol));
         let id = client.start_positions();
         assert_eq!(client.state.robot_mode, RobotMode::Move);
@@ -73,12 +73,12 @@ fn a_position_motion_arrives_and_ends_as_commanded() {
         let id = client.start_positions();
         let last = RobotCommand { q_c: client.state.q_d, ..RobotCommand::default() };
         assert_eq!(client.finish(id, last), Answer::Move(MoveStatus::Success), "a motion of one command");
-    }
+    });
 }
 
 #[test]
 fn a_velocity_motion_is_integrated() {
-    for protocol in Protocol::ALL {
+    each_protocol(|protocol| {
         let (_emulator, mut client) = session(patient(protocol));
         let id = client.start(MoveController::JointImpedance, MoveGenerator::JointVelocity);
         let start = client.state.q_d;
@@ -95,13 +95,13 @@ fn a_velocity_motion_is_integrated() {
         assert!(sum > 0.05 && (client.state.q_d[2] - start[2] - sum).abs() < 1e-6);
         assert!((client.state.q[5] - start[5] + sum).abs() < 3e-3);
         assert_eq!(client.finish(id, RobotCommand::default()), Answer::Move(MoveStatus::Success));
-    }
+    });
 }
 
 /// Zero torque holds the arm against gravity; a spring and a damper of the client pull it where they shall.
 #[test]
 fn torques_come_on_top_of_gravity() {
-    for protocol in Protocol::ALL {
+    each_protocol(|protocol| {
         let (_emulator, mut client) = session(patient(protocol));
         let generator = MoveGenerator::torque_only(protocol);
         let id = client.start(MoveController::External, generator);
@@ -111,9 +111,17 @@ fn torques_come_on_top_of_gravity() {
             client.read();
             assert_eq!(client.state.robot_mode, RobotMode::Move, "{}", client.state.reflex_reason);
         }
-        for j in 0..7 {
-            assert!((client.state.q[j] - start[j]).abs() < 5e-3, "joint {} sinks to {}", j + 1, client.state.q[j]);
+        for (j, start) in start.iter().enumerate() {
+            assert!((client.state.q[j] - start).abs() < 5e-3, "joint {} sinks to {}", j + 1, client.state.q[j]);
         }
+        // The robot's own controller takes over without a jolt.
+        let before = client.state.tau_j;
+        assert_eq!(client.finish(id, RobotCommand::default()), Answer::Move(MoveStatus::Success));
+        for (j, before) in before.iter().enumerate() {
+            let jolt = client.state.tau_j[j] - before;
+            assert!(jolt.abs() < 1.5, "joint {}: {jolt} Nm", j + 1);
+        }
+        let id = client.start(MoveController::External, generator);
         let (stiffness, damping) =
             ([300.0, 300.0, 300.0, 300.0, 60.0, 60.0, 20.0], [30.0, 30.0, 30.0, 30.0, 6.0, 6.0, 2.0]);
         let mut last = [0.0; 7];
@@ -139,17 +147,44 @@ fn torques_come_on_top_of_gravity() {
         }
         assert_eq!(client.finish(id, RobotCommand::default()), Answer::Move(MoveStatus::Success));
         assert_eq!(client.state.robot_mode, RobotMode::Idle);
-    }
+    });
+}
+
+/// Torques from the client beside positions from the client: both are judged, the torques move the arm, and the flag of the motion
+/// generator ends it.
+#[test]
+fn torques_run_beside_a_motion_generator() {
+    each_protocol(|protocol| {
+        let (_emulator, mut client) = session(patient(protocol));
+        let id = client.start(MoveController::External, MoveGenerator::JointPosition);
+        let (start, goal) = (client.state.q, client.state.q_d);
+        let mut q_d = goal;
+        for tick in 0..200 {
+            q_d[6] = goal[6] + 0.02 * quintic(f64::from(tick) / 200.0);
+            client.write(RobotCommand { q_c: q_d, ..RobotCommand::default() });
+            client.read();
+            assert_eq!(client.state.robot_mode, RobotMode::Move, "{}", client.state.reflex_reason);
+        }
+        assert!((client.state.q_d[6] - q_d[6]).abs() < 1e-6);
+        assert!((client.state.q[6] - start[6]).abs() < 5e-3, "no torque, no motion");
+        let last = RobotCommand { q_c: q_d, motion_generation_finished: true, ..RobotCommand::default() };
+        while client.state.robot_mode == RobotMode::Move {
+            client.write(last);
+            client.read();
+        }
+        assert_eq!(client.await_answer(id), Answer::Move(MoveStatus::Success));
+    });
 }
 
 #[test]
 fn the_end_comes_in_either_order() {
-    for order in [FinishOrder::StateFirst(5), FinishOrder::AnswerFirst(5)] {
+    // Far enough apart that a stall of this machine does not swap them.
+    for order in [FinishOrder::StateFirst(300), FinishOrder::AnswerFirst(300)] {
         let (_emulator, mut client) = session(Settings { finish: order, ..patient(Protocol::V10) });
         let id = client.start_positions();
         let last = RobotCommand { q_c: client.state.q_d, motion_generation_finished: true, ..RobotCommand::default() };
         let (mut answered, mut shown) = (None, None);
-        for _ in 0..30 {
+        while answered.is_none() || shown.is_none() {
             client.write(last);
             client.read();
             if let (None, Some(answer)) = (answered, client.answer(id)) {
@@ -170,7 +205,7 @@ fn the_end_comes_in_either_order() {
 
 #[test]
 fn a_stop_is_answered_twice_and_leaves_the_arm_idle() {
-    for protocol in Protocol::ALL {
+    each_protocol(|protocol| {
         let (_emulator, mut client) = session(patient(protocol));
         assert_eq!(client.ask(Request::StopMove), Answer::StopMove(StopStatus::NotPossible));
         let id = client.start_positions();
@@ -186,12 +221,12 @@ fn a_stop_is_answered_twice_and_leaves_the_arm_idle() {
         let state = client.until(RobotMode::Idle);
         assert_eq!(state.dq_d, [0.0; 7]);
         assert!(state.reflex_reason.is_empty());
-    }
+    });
 }
 
 #[test]
 fn what_a_robot_has_and_this_one_has_not_is_not_possible() {
-    for protocol in Protocol::ALL {
+    each_protocol(|protocol| {
         let (_emulator, mut client) = session(patient(protocol));
         let refused = Answer::Move(MoveStatus::NotPossible);
         for generator in [MoveGenerator::CartesianPose, MoveGenerator::CartesianVelocity] {
@@ -209,12 +244,12 @@ fn what_a_robot_has_and_this_one_has_not_is_not_possible() {
         wanted.max_path_deviation.rotation = f64::NAN;
         assert_eq!(client.begin(wanted).1, Answer::Move(MoveStatus::InvalidArgument));
         assert_eq!(client.state.robot_mode, RobotMode::Idle);
-    }
+    });
 }
 
 #[test]
 fn other_versions_are_told_this_one() {
-    for protocol in Protocol::ALL {
+    each_protocol(|protocol| {
         let address = address();
         let _emulator = Emulator::start(Settings::new(address, protocol)).expect("an emulator");
         for version in [0, 3, 4, 5, 6, 9, 10, 11, u16::MAX] {
@@ -223,5 +258,5 @@ fn other_versions_are_told_this_one() {
             let status = if fits { ConnectStatus::Success } else { ConnectStatus::IncompatibleVersion };
             assert_eq!((connected.status, connected.version), (status, protocol.number()), "{version}");
         }
-    }
+    });
 }

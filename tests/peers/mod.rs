@@ -11,8 +11,17 @@ pub fn interpreter() -> Option<String> {
 
 /// The same with further packages, as pip's requirements.
 pub fn interpreter_with(requirements: &[&str]) -> Option<String> {
+    made_by(requirements)
+}
+
+/// The interpreter of an environment by itself, for packages that don't get along with the others.
+pub fn interpreter_in(name: &str, requirements: &[&str]) -> Option<String> {
+    made_by(&[&["--in", name], requirements].concat())
+}
+
+fn made_by(arguments: &[&str]) -> Option<String> {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil/peers/venv.sh");
-    let made = Command::new(script).args(requirements).output().expect("bash runs");
+    let made = Command::new(script).args(arguments).output().expect("bash runs");
     if made.status.success() {
         return Some(String::from_utf8(made.stdout).unwrap().trim().to_string());
     }

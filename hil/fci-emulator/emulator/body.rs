@@ -121,6 +121,12 @@ impl Body {
         self.pushed = PUSH.2;
     }
 
+    /// Ends torques: the inner controller goes on from here, without a jump.
+    pub fn take_over(&mut self) -> Step {
+        let (q, dq) = self.hardware.take_over();
+        Step { q: narrow(&q), dq: narrow(&dq), ..Step::default() }
+    }
+
     /// Measured position \[rad\].
     pub fn q(&self) -> Joints {
         narrow(&self.sensed.q)

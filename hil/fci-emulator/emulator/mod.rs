@@ -9,7 +9,8 @@
 //! |---|---|
 //! | `limits` | what a robot allows its commands |
 //! | `geometry`, `body` | kinematics; the simulated arm and what its firmware knows of it |
-//! | `motion`, `robot`, `setters` | modes, motions, errors, answers; no sockets, no clock |
+//! | `motion`, `robot` | modes, motions, errors; no sockets, no clock |
+//! | `requests`, `setters` | what it answers, and which arguments it takes |
 //! | `faults` | faults of network and robot, on demand |
 //! | `server`, `log` | sockets and time; what it tells |
 //! | `urdf` | the robot description that it serves |
@@ -26,6 +27,7 @@ pub mod geometry;
 pub mod limits;
 pub mod log;
 pub mod motion;
+mod requests;
 pub mod robot;
 pub mod server;
 pub mod setters;

@@ -1,4 +1,5 @@
-//! The robot as its interface shows it: modes, motions, errors and what it answers. No sockets and no clock: one call a millisecond.
+//! The robot as its interface shows it: modes, motions, errors. No sockets and no clock: one call a millisecond. What it answers to
+//! requests is in `requests`.
 //!
 //! What Franka has not published is decided on the strict side: setters are taken when idle alone; a motion counts missing commands from
 //! the first state on that shows it; commands must carry the number of the newest state.
@@ -8,17 +9,15 @@ use super::limits::{
     Commanded, JOINTS, Joints, Limits, RobotKind, Step, judge, judge_measured, judge_place, judge_start, judge_torque,
 };
 use super::motion::{Ending, Motion};
-use super::setters;
 use plumbline::backend::franka::wire::{
-    Architecture, CartesianLimit, CollisionBehavior, ControllerMode, ErrorBit, Errors, LoadModelStatus,
-    MAX_FIXED_RESPONSE, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol, RecoveryStatus,
-    Request, Response, RobotCommand, RobotMode, RobotModelStatus, RobotState, SetterStatus, StopStatus, System,
+    CollisionBehavior, ControllerMode, ErrorBit, Errors, MotionGeneratorMode, MoveStatus, Protocol, RecoveryStatus,
+    Response, RobotCommand, RobotMode, RobotState, StopStatus,
 };
 
 /// Missing commands in a row that are a violation.
 pub const MISSING: u32 = 20;
 /// How long a recovery takes \[ms\].
-const RECOVERY: u32 = 50;
+pub(super) const RECOVERY: u32 = 50;
 /// How long errors show at least \[ms\].
 const SHOWN: u32 = 100;
 
@@ -64,8 +63,9 @@ pub struct Served {
     pub base_acceleration: [f64; 3],
 }
 
+/// What it is doing.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Phase {
+pub(super) enum Phase {
     Idle,
     Moving(Motion),
     Ending(Motion, Ending),
@@ -78,21 +78,21 @@ enum Phase {
 
 /// The robot.
 pub struct Robot {
-    protocol: Protocol,
-    limits: Limits,
-    body: Body,
-    served: Served,
+    pub(super) protocol: Protocol,
+    pub(super) limits: Limits,
+    pub(super) body: Body,
+    pub(super) served: Served,
     finish: FinishOrder,
-    collision: CollisionBehavior,
-    desired: Step,
-    phase: Phase,
-    errors: Errors,
-    reflex_reason: Errors,
+    pub(super) collision: CollisionBehavior,
+    pub(super) desired: Step,
+    pub(super) phase: Phase,
+    pub(super) errors: Errors,
+    pub(super) reflex_reason: Errors,
     collided: [bool; JOINTS],
-    message_id: u64,
-    outbox: Vec<Vec<u8>>,
-    late: Vec<(u64, Vec<u8>)>,
-    events: Vec<String>,
+    pub(super) message_id: u64,
+    pub(super) outbox: Vec<Vec<u8>>,
+    pub(super) late: Vec<(u64, Vec<u8>)>,
+    pub(super) events: Vec<String>,
 }
 
 impl Robot {
@@ -161,9 +161,7 @@ impl Robot {
         self.settle();
         self.message_id += 1;
         let due = self.message_id;
-        let (now, later) = std::mem::take(&mut self.late).into_iter().partition(|(id, _)| *id <= due);
-        self.late = later;
-        self.outbox.extend(Vec::into_iter(now).map(|(_, message): (u64, Vec<u8>)| message));
+        self.outbox.extend(self.late.extract_if(.., |(id, _)| *id <= due).map(|(_, message)| message));
         self.state()
     }
 
@@ -250,7 +248,13 @@ impl Robot {
         if pushed {
             errors.set(ErrorBit::CartesianReflex);
         }
-        if matches!(self.phase, Phase::Moving(_) | Phase::Ending(..)) && !errors.is_empty() {
+        // Before the first command nothing has moved that could have met something.
+        let moves = match self.phase {
+            Phase::Moving(motion) => motion.begun,
+            Phase::Ending(..) => true,
+            _ => false,
+        };
+        if moves && !errors.is_empty() {
             self.collided = hit;
             self.abort(errors, MoveStatus::ReflexAborted, "measured");
         }
@@ -299,7 +303,7 @@ impl Robot {
     }
 
     /// An orderly end: by the client's flag, by StopMove (its call), or because the client has gone.
-    fn end(&mut self, motion: Motion, stop: Option<u32>) {
+    pub(super) fn end(&mut self, motion: Motion, stop: Option<u32>) {
         self.leave_torques(&motion);
         self.phase = Phase::Ending(motion, Ending { stop, answered: false, left: 0 });
     }
@@ -334,7 +338,7 @@ impl Robot {
     /// From torques back to the inner controller, from where the arm is and as fast as it moves.
     fn leave_torques(&mut self, motion: &Motion) {
         if motion.tau.is_some() {
-            self.desired = Step { q: self.body.q(), dq: self.body.dq(), ..Step::default() };
+            self.desired = self.body.take_over();
         }
     }
 
@@ -408,142 +412,6 @@ impl Robot {
         self.late.clear();
     }
 
-    /// Answers a request, now or when it is done. Connect is not the robot's business.
-    pub fn request(&mut self, id: u32, request: &Request) {
-        let idle = self.phase == Phase::Idle;
-        match request {
-            Request::Connect(_) => {}
-            Request::Move(wanted) => self.start(id, wanted),
-            Request::StopMove => match &mut self.phase {
-                Phase::Moving(motion) => {
-                    let motion = *motion;
-                    self.end(motion, Some(id));
-                }
-                Phase::Ending(_, ending) if ending.stop.is_none() && !ending.answered => ending.stop = Some(id),
-                _ => self.reply(id, &Response::StopMove(StopStatus::NotPossible)),
-            },
-            Request::AutomaticErrorRecovery => self.recover(id),
-            Request::GetCartesianLimit(_) => {
-                let none = CartesianLimit {
-                    status: SetterStatus::Success,
-                    size: [0.0; 3],
-                    frame: super::geometry::IDENTITY,
-                    active: false,
-                };
-                self.reply(id, &Response::GetCartesianLimit(none));
-            }
-            Request::LoadModelLibrary(target) => {
-                let mine = target.architecture == Architecture::X64 && target.system == System::Linux;
-                let library = self.served.model_library.clone().filter(|_| mine);
-                let (status, library) = match &library {
-                    Some(library) => (LoadModelStatus::Success, library.as_slice()),
-                    None => (LoadModelStatus::Error, [].as_slice()),
-                };
-                self.reply(id, &Response::LoadModelLibrary { status, library });
-            }
-            Request::GetRobotModel => {
-                let urdf = self.served.urdf.clone();
-                let moving = matches!(self.phase, Phase::Moving(_) | Phase::Ending(..));
-                let (status, urdf) = match moving {
-                    true => (RobotModelStatus::NotPossible, ""),
-                    false => (RobotModelStatus::Success, urdf.as_str()),
-                };
-                self.reply(id, &Response::GetRobotModel { status, urdf });
-            }
-            setter => {
-                let status = match (idle, setters::is_valid(setter)) {
-                    (false, _) => SetterStatus::NotPossible,
-                    (true, false) => SetterStatus::InvalidArgument,
-                    (true, true) => {
-                        self.set(setter);
-                        SetterStatus::Success
-                    }
-                };
-                self.events.push(format!("{}: {status}", setter.kind()));
-                self.reply(id, &Response::Setter(setter.kind(), status));
-            }
-        }
-    }
-
-    fn set(&mut self, setter: &Request) {
-        match setter {
-            Request::SetCollisionBehavior(behavior) => self.collision = *behavior,
-            Request::SetEeToK(pose) => self.body.tool.ee_t_k = *pose,
-            Request::SetNeToEe(pose) => self.body.tool.ne_t_ee = *pose,
-            Request::SetLoad(load) => self.body.tool.load = *load,
-            // The simulated arm keeps the impedance of its truth, and filters nothing.
-            _ => {}
-        }
-    }
-
-    /// A request that can't be decoded but whose call is known.
-    pub fn malformed_move(&mut self, id: u32) {
-        self.reply(id, &Response::Move(MoveStatus::InvalidArgument));
-    }
-
-    fn start(&mut self, id: u32, wanted: &Move) {
-        let status = if self.phase != Phase::Idle || self.body_outside() {
-            MoveStatus::NotPossible
-        } else if !valid(wanted) {
-            MoveStatus::InvalidArgument
-        } else if wanted.use_async || Motion::is_cartesian(wanted) {
-            // A robot has these; this emulator does not.
-            MoveStatus::NotPossible
-        } else {
-            MoveStatus::MotionStarted
-        };
-        self.reply(id, &Response::Move(status));
-        self.events.push(format!("Move ({}, {}): {status}", wanted.controller, wanted.generator));
-        if status == MoveStatus::MotionStarted {
-            self.reflex_reason = Errors::NONE;
-            self.desired = Step::at_rest(&self.desired.q);
-            self.phase = Phase::Moving(Motion::new(id, wanted, &self.body.tau_d()));
-        }
-    }
-
-    fn body_outside(&self) -> bool {
-        let q = self.body.q();
-        let errors = judge_measured(&self.limits, &q, &[0.0; JOINTS], &[0.0; JOINTS]);
-        errors.contains(ErrorBit::JointPositionLimitsViolation)
-    }
-
-    fn recover(&mut self, id: u32) {
-        let status = match self.phase {
-            Phase::Reflex { .. } if self.body_outside() => RecoveryStatus::ManualRequired,
-            Phase::Reflex { .. } => {
-                self.phase = Phase::Recovering { id, left: RECOVERY };
-                self.errors = Errors::NONE;
-                return;
-            }
-            // Nothing to do, which is not an error: programs call it before they begin.
-            Phase::Idle => {
-                self.reflex_reason = Errors::NONE;
-                RecoveryStatus::Success
-            }
-            _ => RecoveryStatus::NotPossible,
-        };
-        self.events.push(format!("AutomaticErrorRecovery: {status}"));
-        self.reply(id, &Response::AutomaticErrorRecovery(status));
-    }
-
-    fn reply(&mut self, id: u32, response: &Response) {
-        self.reply_later(0, id, response);
-    }
-
-    fn reply_later(&mut self, behind: u64, id: u32, response: &Response) {
-        let mut message = vec![0; response.bytes().max(MAX_FIXED_RESPONSE)];
-        match response.encode(self.protocol, id, &mut message) {
-            Ok(length) => {
-                message.truncate(length);
-                match behind {
-                    0 => self.outbox.push(message),
-                    _ => self.late.push((self.message_id + 1 + behind, message)),
-                }
-            }
-            Err(error) => self.events.push(format!("an answer could not be written: {error}")),
-        }
-    }
-
     fn state(&mut self) -> RobotState {
         let mut state = RobotState { message_id: self.message_id, ..RobotState::default() };
         self.body.report(&self.desired, &mut state);
@@ -580,17 +448,6 @@ impl Robot {
 
 fn union(a: Errors, b: Errors) -> Errors {
     b.iter().fold(a, Errors::with)
-}
-
-/// Whether the arguments of a motion make sense together.
-fn valid(wanted: &Move) -> bool {
-    let alone = wanted.generator == MoveGenerator::None && wanted.controller != MoveController::External;
-    let deviations = [wanted.max_path_deviation, wanted.max_goal_pose_deviation];
-    let positive = |value: f64| value.is_finite() && value >= 0.0;
-    let sound = deviations
-        .iter()
-        .all(|deviation| positive(deviation.translation) && positive(deviation.rotation) && positive(deviation.elbow));
-    !alone && sound
 }
 
 /// Thresholds until a client sets some: those of libfranka's examples.

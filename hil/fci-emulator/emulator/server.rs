@@ -329,6 +329,7 @@ impl Server {
         if self.robot.awaits_command() && !self.injector.is_silent() {
             while found.is_none() && now_ns() < next.saturating_add(self.patience) {
                 sleep_until(now_ns() + LOOK);
+                self.deliver();
                 self.listen();
                 if !self.robot.awaits_command() {
                     break;
@@ -384,7 +385,12 @@ impl Server {
         self.moving_since = moves.then(|| self.moving_since.unwrap_or(self.counts.cycles));
         let motion = self.moving_since.map(|since| self.counts.cycles - since);
         self.injector.tick(self.counts.cycles, motion);
-        if self.client.as_ref().is_some_and(|client| client.states_to.is_some()) && !self.injector.is_silent() {
+        let connected = self.client.as_ref().is_some_and(|client| client.states_to.is_some());
+        // Whoever has seen a state finds it in the snapshot.
+        if let Ok(mut shared) = self.shared.lock() {
+            *shared = Snapshot { state, counts: self.counts, connected };
+        }
+        if connected && !self.injector.is_silent() {
             let mut datagram = [0; MAX_STATE];
             let length = state.encode(self.protocol, &mut datagram);
             self.injector.send(Of::States, now_ns(), datagram[..length].to_vec(), &mut self.states);
@@ -399,10 +405,6 @@ impl Server {
         self.log.cycle(&state);
         for event in self.robot.events() {
             self.log.event(&event);
-        }
-        let connected = self.client.as_ref().is_some_and(|client| client.states_to.is_some());
-        if let Ok(mut shared) = self.shared.lock() {
-            *shared = Snapshot { state, counts: self.counts, connected };
         }
     }
 }
