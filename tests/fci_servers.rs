@@ -69,7 +69,8 @@ fn fr3_mjcf() -> PathBuf {
     path
 }
 
-fn assert_ended_in_order(run: &Run, who: &str) {
+/// `soft` is how far the server's own controller may lag behind what it is told \[rad\].
+fn assert_ended_in_order(run: &Run, who: &str, soft: f64) {
     let statistics = &run.statistics;
     eprintln!(
         "{who}: {} cycles, {} lost, {} passed over, {} late commands, success rate {:.3} to {:.3}; tracking {:?} rad; work p50 {:.0} p99 {:.0} \
@@ -98,18 +99,18 @@ fn assert_ended_in_order(run: &Run, who: &str) {
     assert!(statistics.reflex().is_empty(), "{who}: {}", statistics.reflex());
     assert_eq!(statistics.status(), Some(MoveStatus::Success), "{who}: the motion was finished, not broken off");
     assert_eq!(run.outcome.allocations, Some(0), "{who}");
-    assert!(run.tracking().iter().all(|rms| *rms < 0.05), "{who}: tracking {:?}", run.tracking());
+    assert!(run.tracking().iter().all(|rms| *rms < soft), "{who}: tracking {:?}", run.tracking());
 }
 
 #[test]
 fn franka_sim_with_every_limit_enforced_takes_a_whole_excitation() {
     let Some(python) = peers::interpreter_with(&["franka-sim==1.1.7"]) else { return };
     let mut command = Command::new(python);
-    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/franka_sim.py"));
+    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/serve_franka_sim.py"));
     command.arg("127.0.77.1").arg(fr3_mjcf());
     let server = Server::start(command, "127.0.77.1", "franka-sim.log");
-    let run = drive_patiently(&settings(&server), &plan(0.5), Duration::from_secs(40), 5);
-    assert_ended_in_order(&run, "franka-sim 1.1.7");
+    let run = drive_patiently(&settings(&server), &plan(0.5), Duration::from_secs(40), 8);
+    assert_ended_in_order(&run, "franka-sim 1.1.7", 0.05);
 }
 
 #[test]
@@ -118,6 +119,6 @@ fn franky_sim_takes_a_whole_excitation() {
     let mut command = Command::new(Path::new(&python).with_file_name("franky-sim"));
     command.args(["--simulator", "mujoco", "--hostname", "127.0.77.2"]);
     let server = Server::start(command, "127.0.77.2", "franky-sim.log");
-    let run = drive_patiently(&settings(&server), &plan(0.5), Duration::from_secs(40), 5);
-    assert_ended_in_order(&run, "franky-sim 1.0.4");
+    let run = drive_patiently(&settings(&server), &plan(0.5), Duration::from_secs(40), 8);
+    assert_ended_in_order(&run, "franky-sim 1.0.4", 0.15);
 }

@@ -1,4 +1,4 @@
-//! A fake control unit: it speaks the protocol over real sockets, follows every command exactly, checks none of them, and does what a test's
+//! A fake control unit: it speaks the protocol over real sockets, follows every command that comes in time exactly, checks none of them, and does what a test's
 //! script tells it to do wrong. What a robot really refuses is the emulator's business.
 #![allow(dead_code)] // each test file uses its own part
 
@@ -245,7 +245,9 @@ fn run(address: IpAddr, listener: &TcpListener, world: &Mutex<World>, ends: &Ato
         let mut newest = None;
         let mut datagram = [0; 1024];
         while let Ok((length, _)) = udp.recv_from(&mut datagram) {
-            newest = RobotCommand::decode(world.protocol, &datagram[..length]).ok().or(newest);
+            let command = RobotCommand::decode(world.protocol, &datagram[..length]).ok();
+            // A robot drops what answers an older state.
+            newest = command.filter(|command| command.message_id == world.state.message_id).or(newest);
         }
         world.step(newest);
         if let Some(connected) = &mut client

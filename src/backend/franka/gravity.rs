@@ -157,8 +157,8 @@ mod tests {
         let gravity = mounting.gravity();
         let mut state = RobotState { q: Q, o_ddp_o: [0.0, 0.0, -9.81], ..RobotState::default() };
         let mut rotation = nalgebra::Matrix3::identity();
-        for link in 0..6 {
-            rotation *= chain.joints()[link].placement(Q[link]).rotation;
+        for (link, joint) in chain.joints().iter().enumerate().take(6) {
+            rotation *= joint.placement(Q[link]).rotation;
             let reading: Vector3<f64> = rotation.transpose() * -gravity;
             state.accelerometer_top[link] = [reading.x + noise, reading.y, reading.z];
             state.accelerometer_bottom[link] = [reading.x, reading.y - noise, reading.z];

@@ -81,8 +81,11 @@ pub(super) fn unreachable(way: &Way, kind: ErrorKind) -> String {
 }
 
 /// What to look at when the connection stands but no state comes.
-pub(super) fn no_states(way: &Way, protocol: Protocol, port: u16) -> String {
-    let mut words = match protocol {
+pub(super) fn no_states(way: &Way, protocol: Protocol, port: u16, stranger: Option<IpAddr>) -> String {
+    let mut words = stranger.map_or_else(String::new, |stranger| {
+        format!("Datagrams came from {stranger} instead: is that the arm, behind an address translation? Use its own address. ")
+    });
+    words += &match protocol {
         Protocol::V10 => String::new(),
         Protocol::V5 | Protocol::V9 => format!(
             "A state of this version has {} bytes and comes as two fragments: a firewall or switch that drops IP fragments drops every \
@@ -111,7 +114,10 @@ pub(super) fn no_states(way: &Way, protocol: Protocol, port: u16) -> String {
 mod tests {
     use super::*;
 
-    fn table(rows: &[(&str, [u8; 4], [u8; 4], [u8; 4])]) -> String {
+    /// Interface, destination, gateway, mask.
+    type Row = (&'static str, [u8; 4], [u8; 4], [u8; 4]);
+
+    fn table(rows: &[Row]) -> String {
         let mut text =
             "Iface\tDestination\tGateway \tFlags\tRefCnt\tUse\tMetric\tMask\t\tMTU\tWindow\tIRTT\n".to_string();
         let word = |bytes: [u8; 4]| format!("{:08X}", u32::from_ne_bytes(bytes));
@@ -145,10 +151,12 @@ mod tests {
         let gateway = Way::Gateway(Ipv4Addr::new(10, 0, 0, 1), "eth0".into());
         assert!(unreachable(&gateway, ErrorKind::TimedOut).contains("none of this machine's own subnets"));
         assert!(unreachable(&Way::Direct("eth1".into()), ErrorKind::ConnectionRefused).contains("activate FCI"));
-        assert!(no_states(&Way::Loopback, Protocol::V5, 4000).contains("fragments"));
-        assert!(!no_states(&Way::Loopback, Protocol::V10, 4000).contains("fragments"));
-        assert!(no_states(&Way::Loopback, Protocol::V10, 4000).contains("port 4000"));
-        assert!(no_states(&gateway, Protocol::V10, 4000).contains("10.0.0.1"));
+        assert!(no_states(&Way::Loopback, Protocol::V5, 4000, None).contains("fragments"));
+        assert!(!no_states(&Way::Loopback, Protocol::V10, 4000, None).contains("fragments"));
+        assert!(no_states(&Way::Loopback, Protocol::V10, 4000, None).contains("port 4000"));
+        assert!(no_states(&gateway, Protocol::V10, 4000, None).contains("10.0.0.1"));
+        let stranger = Some("10.9.8.7".parse().unwrap());
+        assert!(no_states(&Way::Unknown, Protocol::V10, 4000, stranger).contains("came from 10.9.8.7"));
         assert_eq!(way_to("127.0.0.9".parse().unwrap()), Way::Loopback);
     }
 }

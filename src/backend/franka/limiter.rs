@@ -52,16 +52,16 @@ impl Limiter {
 
     /// Whether `desired` may be commanded at all when the arm goes on from `from`.
     pub fn objection(&self, from: &Point, desired: &[f64; 7]) -> Option<Objection> {
-        if desired.iter().any(|q| !q.is_finite()) {
+        if desired.iter().any(|q| !q.is_finite()) || !from.is_finite() {
             return Some(Objection::NotFinite);
         }
-        for j in 0..7 {
+        for (j, &desired) in desired.iter().enumerate() {
             // An arm that stands outside its range may be led back into it.
             let (low, high) = (self.limits.q_min[j].min(from.q[j]), self.limits.q_max[j].max(from.q[j]));
-            if desired[j] < low - ROUNDING || desired[j] > high + ROUNDING {
+            if desired < low - ROUNDING || desired > high + ROUNDING {
                 return Some(Objection::Position);
             }
-            if (desired[j] - (from.q[j] + TICK * from.dq[j])).abs() > REACH {
+            if (desired - (from.q[j] + TICK * from.dq[j])).abs() > REACH {
                 return Some(Objection::Jump);
             }
         }
@@ -87,8 +87,8 @@ impl Limiter {
             // The distance e to the motion dies out as (1 - p/z)^3 e = 0.
             let (dq, ddq) = (self.share * self.limits.dq[j], self.share * self.limits.ddq[j]);
             let e = from.q[j] - last.q[j];
-            let de = from.dq[j] - last.dq[j].clamp(-dq, dq);
-            let dde = from.ddq[j] - last.ddq[j].clamp(-ddq, ddq);
+            let de = from.dq[j] - last.dq[j].max(-dq).min(dq);
+            let dde = from.ddq[j] - last.ddq[j].max(-ddq).min(ddq);
             let (e2, de2) = (e - TICK * de, de - TICK * dde);
             let e3 = e2 - TICK * de2;
             let wanted = desired[j] + POLE * (3.0 * e - POLE * (3.0 * e2 - POLE * e3));
@@ -105,21 +105,21 @@ impl Limiter {
     /// The command that brakes the arm as the limits allow; at rest it stays where it is.
     pub fn brake(&self, from: &Point) -> Point {
         let mut q = [0.0; 7];
-        for j in 0..7 {
+        for (j, q) in q.iter_mut().enumerate() {
             let most = BRAKE * self.share * self.limits.ddq[j];
             let jerk = BRAKE * self.share * self.limits.jerk[j];
             let (dq, ddq) = (from.dq[j], from.ddq[j]);
             // The last step: at rest at once, where neither this jerk nor that of the next step is too much.
             let last = -dq / TICK;
             if (last - ddq).abs() <= jerk * TICK && last.abs() <= jerk * TICK {
-                q[j] = from.q[j];
+                *q = from.q[j];
                 continue;
             }
             // As hard as can still be taken back in time, at half of the jerk.
             let ahead = dq + TICK * ddq;
             let wanted = -ahead.signum() * (jerk * ahead.abs()).sqrt().min(most);
-            let allowed = wanted.clamp(ddq - jerk * TICK, ddq + jerk * TICK);
-            q[j] = from.q[j] + TICK * (dq + TICK * allowed);
+            let allowed = wanted.max(ddq - jerk * TICK).min(ddq + jerk * TICK);
+            *q = from.q[j] + TICK * (dq + TICK * allowed);
         }
         from.step_to(&q)
     }
@@ -132,10 +132,10 @@ impl Limiter {
         // Velocity between the samples, brought forward to the last cycle by the acceleration of before.
         let n = ticks as f64;
         let mut before = self.target;
-        for j in 0..7 {
+        for (j, desired) in desired.iter().enumerate() {
             let ddq = self.target.ddq[j];
-            let dq = (desired[j] - self.target.q[j]) / (n * TICK) + 0.5 * (n - 1.0) * TICK * ddq;
-            before.q[j] = desired[j] - TICK * dq;
+            let dq = (desired - self.target.q[j]) / (n * TICK) + 0.5 * (n - 1.0) * TICK * ddq;
+            before.q[j] = desired - TICK * dq;
             before.dq[j] = dq - TICK * ddq;
         }
         before
@@ -167,7 +167,8 @@ impl Limiter {
         let (least, greatest) = (-up_to(from.dq[j] - low).min(most), up_to(high - from.dq[j]).min(most));
         let wanted = wanted.min(greatest).max(least.min(greatest));
         let (down, up) = (from.ddq[j] - jerk * TICK, from.ddq[j] + jerk * TICK);
-        wanted.clamp(down, up)
+        // Not `clamp`, which panics on what is no number.
+        wanted.max(down).min(up)
     }
 
     fn speeds(&self, j: usize, q: f64) -> (f64, f64) {

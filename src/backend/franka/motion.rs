@@ -3,7 +3,7 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
 
 use super::arm::{FrankaArm, Phase, answer_to};
-use super::codes::{REFLEX_MODE, REFUSED_MOVE, REFUSED_NO_START};
+use super::codes::{REFLEX_MODE, REFUSED_MOVE, REFUSED_NO_START, REFUSED_NOT_FINITE};
 use super::limiter::{Limited, Limiter};
 use super::limits::RobotLimits;
 use super::reference::{Commands, Followed, Point};
@@ -184,6 +184,9 @@ impl FrankaArm {
             old_reasons,
             ..Motion::new(&self.settings, &self.limits, &self.state, self.protocol())
         };
+        if !self.state.q_d.iter().all(|q| q.is_finite()) {
+            return Err(Fault::Refused { code: REFUSED_NOT_FINITE });
+        }
         self.changed = None;
         self.phase = Phase::Moving;
         self.follow();

@@ -23,8 +23,8 @@ impl Point {
     /// The point one cycle on, where `q` is commanded.
     pub fn step_to(&self, q: &[f64; 7]) -> Point {
         let mut next = Point::at_rest(*q);
-        for j in 0..7 {
-            next.dq[j] = (q[j] - self.q[j]) / TICK;
+        for (j, q) in q.iter().enumerate() {
+            next.dq[j] = (q - self.q[j]) / TICK;
             next.ddq[j] = (next.dq[j] - self.dq[j]) / TICK;
         }
         next
@@ -40,6 +40,11 @@ impl Point {
             next.q[j] += n * TICK * self.dq[j] + 0.5 * n * (n + 1.0) * TICK * TICK * self.ddq[j];
         }
         next
+    }
+
+    /// Whether every number is one.
+    pub fn is_finite(&self) -> bool {
+        self.q.iter().chain(&self.dq).chain(&self.ddq).all(|value| value.is_finite())
     }
 
     /// Whether nothing moves.
@@ -121,7 +126,7 @@ impl Commands {
     pub fn follow(&mut self, id: u64, state: &Point) -> Followed {
         let Some(newest) = self.back(0).copied() else {
             let own = self.agrees(&self.start, state);
-            let point = if own { self.start } else { *state };
+            let point = if own || !state.is_finite() { self.start } else { *state };
             return Followed { point, alone: 0, own, shown_ns: None, late: false };
         };
         let answered_last = newest.id + 1 == id;
@@ -142,13 +147,14 @@ impl Commands {
                 return Followed { point: newest.point, alone: 0, own: true, shown_ns, late: false };
             }
         }
-        Followed {
-            point: *state,
-            alone: id.saturating_sub(newest.id + 1),
-            own: false,
-            shown_ns: None,
-            late: answered_last,
+        let alone = id.saturating_sub(newest.id + 1);
+        // An arm that takes a late command when it comes, instead of dropping it.
+        if alone > 0 && self.agrees(&newest.point, state) {
+            return Followed { point: newest.point, alone, own: true, shown_ns: self.first_shown(0), late: true };
         }
+        // A state that is no number says nothing.
+        let point = if state.is_finite() { *state } else { newest.point.after(alone) };
+        Followed { point, alone, own: false, shown_ns: None, late: answered_last }
     }
 
     /// When the command left, if no state has shown it yet and it can be told from the one before.
@@ -274,11 +280,24 @@ mod tests {
     }
 
     #[test]
+    fn a_late_command_that_is_taken_after_all_is_where_the_arm_goes_on_from() {
+        let mut commands = Commands::new(Q, F64);
+        let moving = Point { q: Q, dq: [0.3; 7], ddq: [2.0; 7] };
+        commands.push(5, 1, moving);
+        let followed = commands.follow(9, &moving);
+        assert_eq!((followed.point, followed.own, followed.alone, followed.late), (moving, true, 3, true));
+        assert_eq!(commands.follow(9, &moving.after(3)).point, moving.after(3), "unless it went on by itself");
+    }
+
+    #[test]
     fn an_arm_that_goes_its_own_way_is_believed() {
         let mut commands = Commands::new(Q, F64);
         commands.push(5, 1, Point::at_rest(Q));
         let elsewhere = Point { q: Q.map(|q| q + 0.01), dq: [0.2; 7], ddq: [1.0; 7] };
         let followed = commands.follow(8, &elsewhere);
         assert_eq!((followed.point, followed.own, followed.alone), (elsewhere, false, 2));
+        let nowhere = Point { q: [f64::NAN; 7], ..elsewhere };
+        assert!(commands.follow(8, &nowhere).point.is_finite());
+        assert!(Commands::new(Q, F64).follow(1, &nowhere).point.is_finite());
     }
 }

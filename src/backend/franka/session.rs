@@ -63,10 +63,11 @@ impl Session {
         let port = socket.local_addr().map_or(0, |local| local.port());
         let cant = |cause| ConnectError::Socket { address, what: "setting a time limit", cause };
         let mut states = StateLink::new(socket, address, protocol).map_err(cant)?;
-        let first = next_state(&mut states, settings.connect_timeout).ok_or_else(|| ConnectError::NoStates {
+        let first = next_state(&mut states, settings.connect_timeout);
+        let first = first.ok_or_else(|| ConnectError::NoStates {
             port,
             waited: settings.connect_timeout,
-            hint: hints::no_states(&hints::way_to(address), protocol, port),
+            hint: hints::no_states(&hints::way_to(address), protocol, port, states.stranger()),
         })?;
         Ok(Session { protocol, commands, states, first, refused, timeout: settings.connect_timeout })
     }

@@ -31,7 +31,7 @@ impl TorqueLaw {
             control,
             most: limits.tau.map(|tau| share * tau),
             step: limits.dtau.map(|dtau| share * dtau * TICK),
-            last,
+            last: last.map(|tau| if tau.is_finite() { tau } else { 0.0 }),
         }
     }
 
@@ -49,7 +49,10 @@ impl TorqueLaw {
             let wanted = self.control.stiffness[j] * (tracking.q_d[j] - tracking.q[j])
                 + self.control.damping[j] * (tracking.dq_d[j] - tracking.dq[j])
                 + ahead;
-            let allowed = wanted.clamp(-self.most[j], self.most[j]).clamp(*last - self.step[j], *last + self.step[j]);
+            // Where a measurement is no number the last torque stays. Not `clamp`, which panics on such.
+            let wanted = if wanted.is_finite() { wanted } else { *last };
+            let allowed =
+                wanted.max(-self.most[j]).min(self.most[j]).max(*last - self.step[j]).min(*last + self.step[j]);
             held |= allowed != wanted;
             *last = allowed;
         }
@@ -91,6 +94,8 @@ mod tests {
         }
         // Half of 87 and 12 Nm at most; what asks for less gets what it asks for.
         assert_eq!((last[0], last[4], last[6]), (43.5, 6.0, 4.5));
+        let noise = Tracking { dq: [f64::NAN; 7], ..Tracking::default() };
+        assert_eq!(law.torque(&noise, &[0.0; 7]).0, last);
         let far = Tracking { q_d: [0.11; 7], ..Tracking::default() };
         let nan = Tracking { q_d: [f64::NAN; 7], ..Tracking::default() };
         assert!(law.out_of_reach(&far) && law.out_of_reach(&nan));

@@ -16,6 +16,7 @@ pub(super) struct StateLink {
     arm: IpAddr,
     /// Where the last state came from, which is where commands go.
     peer: Option<SocketAddr>,
+    stranger: Option<IpAddr>,
     protocol: Protocol,
     /// One byte more than a state, or a longer datagram looks like a good one.
     buffer: [u8; MAX_STATE + 1],
@@ -44,7 +45,17 @@ impl StateLink {
         socket.set_read_timeout(Some(SLICE))?;
         // The first question switches the kernel's time stamps on.
         datagram_age_ns(&socket);
-        Ok(StateLink { socket, arm, peer: None, protocol, buffer: [0; MAX_STATE + 1] })
+        Ok(StateLink { socket, arm, peer: None, stranger: None, protocol, buffer: [0; MAX_STATE + 1] })
+    }
+
+    /// Who else has sent something.
+    pub fn stranger(&self) -> Option<IpAddr> {
+        self.stranger
+    }
+
+    /// Whether datagrams from `address` are the arm's. An emulator on this machine may listen at one loopback address and send from another.
+    fn is_arm(&self, address: IpAddr) -> bool {
+        address == self.arm || (address.is_loopback() && self.arm.is_loopback())
     }
 
     pub fn protocol(&self) -> Protocol {
@@ -66,7 +77,10 @@ impl StateLink {
         };
         let now = now_ns();
         let from = from.and_then(|from| SocketAddr::try_from(from).ok());
-        let Some(from) = from.filter(|from| from.ip() == self.arm) else { return Found::Foreign };
+        let Some(from) = from.filter(|from| self.is_arm(from.ip())) else {
+            self.stranger = from.map(|from| from.ip()).or(self.stranger);
+            return Found::Foreign;
+        };
         match RobotState::decode(self.protocol, self.buffer.get(..length).unwrap_or_default()) {
             Ok(state) => {
                 self.peer = Some(from);

@@ -108,6 +108,12 @@ fn what_can_never_be_commanded_is_refused_by_name() {
     assert_eq!(with(3, f64::NAN), Some(Objection::NotFinite));
     assert_eq!(with(3, f64::INFINITY), Some(Objection::NotFinite));
     assert_eq!(with(3, 0.0), Some(Objection::Position));
+    // An arm that is nowhere gets no command, and nothing here panics.
+    let nowhere = Point { dq: [f64::NAN; 7], ..arm };
+    assert_eq!(limiter.objection(&nowhere, &Q), Some(Objection::NotFinite));
+    limiter.brake(&nowhere);
+    let mut other = limiter;
+    other.step(&nowhere, &Q, 3, false);
     // Standing outside its range, a joint may go back but not farther out.
     let mut out = arm;
     out.q[3] = -0.10;
@@ -124,8 +130,8 @@ fn braking_ends_at_rest_inside_the_limits_from_any_motion() {
     for limits in [panda(), fr3()] {
         for case in 0..500 {
             let mut arm = Point::at_rest(Q);
-            for j in 0..7 {
-                arm.dq[j] = rng.random_range(-0.9..0.9) * limits.velocities(j, Q[j]).unwrap().1;
+            for (j, q) in Q.into_iter().enumerate() {
+                arm.dq[j] = rng.random_range(-0.9..0.9) * limits.velocities(j, q).unwrap().1;
                 arm.ddq[j] = rng.random_range(-0.5..0.5) * limits.ddq[j];
             }
             let limiter = Limiter::new(limits, 0.98, Q);

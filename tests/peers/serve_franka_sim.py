@@ -1,6 +1,6 @@
 """Starts BarisYazici's franka-sim (PyPI) on an address of its own, every check of the commands enforced.
 
-    python franka_sim.py ADDRESS MJCF
+    python serve_franka_sim.py ADDRESS MJCF
 """
 
 import logging
