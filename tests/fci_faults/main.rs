@@ -142,7 +142,7 @@ fn a_user_stop_while_a_model_is_served_is_said_and_nothing_ends() {
 }
 
 #[test]
-#[ignore = "twelve minutes; hil/fci-faults/run.sh runs it and writes docs/fci-faults.md"]
+#[ignore = "six minutes; hil/fci-faults/run.sh runs it and writes docs/fci-faults.md"]
 fn the_whole_campaign() {
     let _turn = turn();
     table::campaign();

@@ -41,13 +41,13 @@ fn nobody_at_the_address_is_named_with_what_to_look_at() {
     let mut daemon = plumbline();
     daemon.args(["daemon", "config/panda-emulator-wall.toml", "--out"]).arg(place.out());
     let plan = concat!("excitation.plan=", env!("CARGO_MANIFEST_DIR"), "/tests/fci_faults/excitation.toml");
-    let sets = ["backend.franka.address=127.0.43.254", plan, "validation.trajectories=0"];
+    let sets = ["backend.franka.address=127.0.46.254", plan, "validation.trajectories=0"];
     sets.iter().for_each(|set| {
         daemon.args(["--set", set]);
     });
     daemon.arg("--set").arg(format!("serve.id={}", place.id));
     let done = Running::start(daemon).end().expect_code(1);
     let last = done.err.lines().rfind(|line| line.starts_with("plumbline: ")).unwrap_or("");
-    assert!(last.contains("no connection to the arm at 127.0.43.254"), "{}", done.said());
+    assert!(last.contains("no connection to the arm at 127.0.46.254"), "{}", done.said());
     assert!(last.contains("does not listen on port 1337: in Desk, activate FCI"), "{}", done.said());
 }

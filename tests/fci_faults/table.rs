@@ -69,6 +69,13 @@ fn named(words: &str) -> &'static str {
     NAMES.iter().find(|(part, _)| words.contains(part)).map_or("?", |(_, name)| name)
 }
 
+/// What a robot that sends no states says over its command connection.
+fn told(words: &str) -> String {
+    let silent = words.split_once("over its command connection it says that ");
+    let status = silent.and_then(|(_, rest)| rest.split([':', '.']).next());
+    status.map_or(String::new(), |status| format!(", over TCP \"{status}\""))
+}
+
 /// A cell in a few words.
 fn cell(case: &Case, ending: &Ending, tries: u32) -> String {
     let rest = match (ending.rest_after, ending.code) {
@@ -83,7 +90,7 @@ fn cell(case: &Case, ending: &Ending, tries: u32) -> String {
         (Some(0), When::Stop) => "stops as asked".into(),
         (Some(0), _) if ending.done => format!("driven to the end{}", counts(ending)),
         (Some(0), _) => "ends, not everything driven".into(),
-        (Some(1), _) => format!("exit 1: {}{rest}", named(ending.last_words())),
+        (Some(1), _) => format!("exit 1: {}{}{rest}", named(ending.last_words()), told(ending.last_words())),
         (other, _) => format!("exit {other:?}"),
     };
     match ending.recoveries() {
