@@ -281,7 +281,7 @@ impl Case {
     fn patience(&self) -> Duration {
         let timing = |text: &&str| ["delay", "jitter", "reorder"].iter().any(|kind| text.starts_with(kind));
         match self.trouble {
-            Trouble::Faults(texts) if texts.iter().any(|text| timing(&text)) => Duration::ZERO,
+            Trouble::Faults(texts) if texts.iter().any(|text| timing(text)) => Duration::ZERO,
             _ => Duration::from_millis(3),
         }
     }

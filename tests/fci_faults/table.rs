@@ -184,14 +184,15 @@ fn table(rows: &[&Row], whens: &[When], sets: &[&str], wrong: &mut Vec<String>) 
 /// What the machine is, without its name.
 fn conditions() -> String {
     let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
-    let kernel = read("/proc/sys/kernel/osrelease");
+    let release = read("/proc/sys/kernel/osrelease");
+    let kernel = release.split('.').take(2).collect::<Vec<_>>().join(".");
     let processors = std::thread::available_parallelism().map_or(0, usize::from);
     let load: Vec<String> = read("/proc/loadavg").split(' ').take(3).map(str::to_string).collect();
     let real_time = if plumbline::rt::os::preempt_rt() { "PREEMPT_RT" } else { "no real-time kernel" };
     format!(
         "Linux {} ({real_time}), {processors} processors, load {} at the end; robot and daemon on the same machine over the loopback \
          device, both with SCHED_FIFO where the system grants it, {AT_A_TIME} cases at a time.",
-        kernel.trim(),
+        kernel,
         load.join(" ")
     )
 }

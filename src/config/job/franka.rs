@@ -241,10 +241,10 @@ impl Franka {
             if !(0.0..=20.0).contains(mass) {
                 return bad("load.mass", format!("{mass} kg"), "0 kg to 20 kg");
             }
-            if let Some(value) = com.iter().find(|value| !(value.abs() <= 1.0)) {
+            if let Some(value) = com.iter().find(|value| !(-1.0..=1.0).contains(*value)) {
                 return bad("load.com", format!("{value} m"), "a centre of mass in the flange frame, within 1 m");
             }
-            if let Some(value) = inertia.iter().find(|value| !(value.abs() <= 10.0)) {
+            if let Some(value) = inertia.iter().find(|value| !(-10.0..=10.0).contains(*value)) {
                 return bad("load.inertia", format!("{value} kg m2"), "xx, xy, xz, yy, yz, zz in kg m2, within 10");
             }
         }
