@@ -4,10 +4,10 @@ use crate::emulator::limits::JOINTS;
 use crate::emulator::{Emulator, Fault, Hand, Settings};
 use crate::job_support::{Place, Running, plumbline};
 use crate::judge::{Judged, judge};
+use crate::scene::Scene;
 use plumbline::backend::franka::wire::{Protocol, RobotMode};
 use plumbline::backend::franka::{self, RobotKind};
-use plumbline::ipc::{Client, Progress, Request, Response, RobotId, Status};
-use plumbline::joint::Phase;
+use plumbline::ipc::Status;
 use plumbline::model::gravity::Mounting;
 use plumbline::rt::Backend;
 use std::net::{IpAddr, Ipv4Addr};
@@ -93,11 +93,6 @@ const NEXT_STEPS: [&str; 9] = [
     "Is another program connected",
 ];
 
-/// Longest time that a case may take.
-const MOST: Duration = Duration::from_secs(60);
-/// Time for an answer of the daemon.
-const ANSWER: Duration = Duration::from_secs(2);
-
 /// An address of its own for every case of this process.
 fn address() -> IpAddr {
     static NEXT: AtomicU8 = AtomicU8::new(1);
@@ -124,130 +119,6 @@ fn leave_in_reflex(address: IpAddr) {
     std::thread::sleep(Duration::from_millis(300));
 }
 
-/// A case while it runs.
-struct Scene<'a> {
-    case: &'a Case,
-    emulator: Emulator,
-    place: Place,
-    daemon: Running,
-    client: Option<Client>,
-    status: Option<Box<Status>>,
-    struck_at: Option<u64>,
-    moved: bool,
-    begun: Instant,
-}
-
-impl Scene<'_> {
-    /// Asks the daemon, where it answers.
-    fn ask(&mut self, request: &Request) -> Option<Response> {
-        if self.client.is_none() {
-            let id = RobotId::parse("test", "id", &self.place.id).unwrap();
-            self.client = Client::connect(&id, Duration::from_millis(20)).ok();
-        }
-        let answer = self.client.as_mut()?.send(request, ANSWER).ok();
-        if answer.is_none() {
-            self.client = None;
-        }
-        answer
-    }
-
-    fn look(&mut self) -> Option<&Status> {
-        if let Some(Response::Status(status)) = self.ask(&Request::Status {}) {
-            self.status = Some(status);
-            return self.status.as_deref();
-        }
-        None
-    }
-
-    /// Waits until `condition`, or the daemon's end; whether the condition came.
-    fn wait(&mut self, mut condition: impl FnMut(&mut Self) -> bool) -> bool {
-        while self.daemon.runs() && self.begun.elapsed() < MOST {
-            if condition(self) {
-                return true;
-            }
-            std::thread::sleep(Duration::from_millis(2));
-        }
-        false
-    }
-
-    /// Fastest joint by the desired velocity \[rad/s\].
-    fn speed(&self) -> f64 {
-        self.emulator.snapshot().state.dq_d.iter().fold(0.0, |most: f64, dq| most.max(dq.abs()))
-    }
-
-    /// It goes wrong now.
-    fn strike(&mut self) {
-        let state = self.emulator.snapshot().state;
-        self.struck_at = Some(state.message_id);
-        self.moved = state.dq_d != [0.0; JOINTS];
-        self.case.strike(&self.emulator);
-    }
-
-    /// Plays the case until the daemon ends; whether everything was driven.
-    fn play(&mut self) -> bool {
-        if self.case.when == When::Connect && self.case.is_reset() {
-            self.wait(|scene| scene.emulator.snapshot().connected);
-            self.strike();
-        }
-        self.wait(|scene| scene.look().is_some() && scene.emulator.snapshot().connected);
-        if self.case.when == When::Serve {
-            std::thread::sleep(Duration::from_millis(300));
-            self.strike();
-            // Long enough for every fault of the campaign to be over and for the daemon to get over it.
-            let until = Instant::now() + Duration::from_millis(1500);
-            self.wait(|_| Instant::now() > until);
-            self.emulator.hand(Hand::Release);
-            let until = Instant::now() + Duration::from_millis(300);
-            self.wait(|scene| scene.look().is_some() && Instant::now() > until);
-            self.ask(&Request::Quit {});
-            self.wait(|_| false);
-            return false;
-        }
-        self.wait(|scene| {
-            matches!(scene.ask(&Request::Start {}), Some(Response::Accepted {} | Response::Refused { .. }))
-        });
-        match self.case.when {
-            When::Connect => {
-                self.wait(|scene| scene.speed() > 0.02);
-                self.emulator.heal();
-            }
-            When::Approach => {
-                self.wait(|scene| scene.speed() > 0.1);
-                let from = Instant::now() + Duration::from_millis(400);
-                if self.wait(|scene| Instant::now() > from && scene.speed() > 0.1) {
-                    self.strike();
-                }
-            }
-            When::Excite | When::Stop => {
-                self.wait(|scene| scene.look().is_some_and(|status| status.phase == Phase::Excite));
-                let from = Instant::now() + Duration::from_millis(700);
-                if self.wait(|scene| Instant::now() > from && scene.speed() > 0.3) {
-                    if self.case.when == When::Stop {
-                        self.ask(&Request::Quit {});
-                    }
-                    self.strike();
-                }
-            }
-            When::Serve => {}
-        }
-        let over = [Progress::Done, Progress::Stopped];
-        let ended = self.wait(|scene| {
-            // Seldom: a status costs the bridge thread time.
-            std::thread::sleep(Duration::from_millis(20));
-            scene.look().is_some_and(|status| over.contains(&status.progress))
-        });
-        let done = self.status.as_ref().is_some_and(|status| status.progress == Progress::Done);
-        if ended {
-            // The connection that holds the arm afterwards is part of the job.
-            std::thread::sleep(Duration::from_millis(100));
-            self.look();
-            self.ask(&Request::Quit {});
-            self.wait(|_| false);
-        }
-        done
-    }
-}
-
 impl Case {
     /// A case of the shipped emulator job.
     pub fn new(trouble: Trouble, when: When) -> Case {
@@ -260,7 +131,8 @@ impl Case {
         self
     }
 
-    fn strike(&self, emulator: &Emulator) {
+    /// Lets it go wrong.
+    pub fn strike(&self, emulator: &Emulator) {
         match self.trouble {
             Trouble::Faults(texts) => texts.iter().for_each(|text| {
                 let fault: Fault = text.parse().unwrap_or_else(|error| panic!("{error}"));
@@ -281,12 +153,13 @@ impl Case {
     fn patience(&self) -> Duration {
         let timing = |text: &&str| ["delay", "jitter", "reorder"].iter().any(|kind| text.starts_with(kind));
         match self.trouble {
-            Trouble::Faults(texts) if texts.iter().any(|text| timing(text)) => Duration::ZERO,
+            Trouble::Faults(texts) if texts.iter().any(timing) => Duration::ZERO,
             _ => Duration::from_millis(3),
         }
     }
 
-    fn is_reset(&self) -> bool {
+    /// Whether a connection has to be there for it to go wrong.
+    pub fn is_reset(&self) -> bool {
         matches!(self.trouble, Trouble::Faults([text, ..]) if text.starts_with("tcp-reset"))
     }
 

@@ -11,6 +11,7 @@ mod emulator;
 mod job_support;
 mod judge;
 mod pains;
+mod scene;
 mod table;
 
 use case::{Case, Ending, Trouble, When};
