@@ -3,7 +3,7 @@
 use crate::emulator::{Emulator, Hand};
 use std::io::BufRead;
 
-const HELP: &str = "user-stop | release | guide | let-go | lock | unlock | fault FAULT | heal | status | quit";
+const HELP: &str = "user-stop | release | guide | let-go | lock | unlock | push | fault FAULT | heal | status | quit";
 
 /// What a line comes to.
 #[derive(Debug, PartialEq, Eq)]
@@ -43,6 +43,7 @@ pub fn carry_out(emulator: &Emulator, line: &str) -> Outcome {
         ("let-go", "") => hand(Hand::LetGo),
         ("lock", "") => hand(Hand::Lock),
         ("unlock", "") => hand(Hand::Unlock),
+        ("push", "") => hand(Hand::Push),
         ("heal", "") => {
             emulator.heal();
             Outcome::Done

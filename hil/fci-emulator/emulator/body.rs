@@ -18,6 +18,8 @@ use std::f64::consts::TAU;
 const EXTERNAL_CORNER: f64 = 10.0;
 /// Standard deviation of an accelerometer \[m/s2\].
 const ACCELEROMETER_NOISE: f64 = 0.02;
+/// Joint that is pushed against, how hard \[Nm\] and for how long \[ms\]: more than any threshold of libfranka's examples, less than the joint's range.
+const PUSH: (usize, f64, u32) = (3, 40.0, 100);
 /// What a client gets that has set no load.
 const NO_LOAD: Load = Load { mass: 0.0, com: [0.0; 3], inertia: [0.0; 9] };
 
@@ -55,6 +57,7 @@ pub struct Body {
     before: Sensed,
     tau_d: Joints,
     external: Joints,
+    pushed: u32,
     twist: [f64; 6],
     twist_before: [f64; 6],
 }
@@ -78,6 +81,7 @@ impl Body {
             before: sensed,
             tau_d: [0.0; JOINTS],
             external: [0.0; JOINTS],
+            pushed: 0,
             twist: [0.0; 6],
             twist_before: [0.0; 6],
         })
@@ -93,6 +97,10 @@ impl Body {
                 self.hardware.hold(&wide(&std::array::from_fn(|j| tau[j] + gravity[j])))
             }
         };
+        if self.pushed > 0 {
+            self.pushed -= 1;
+            self.sensed.tau[PUSH.0] += PUSH.1;
+        }
         self.tau_d = match drive {
             Drive::Torque(tau) => tau,
             Drive::Track => {
@@ -106,6 +114,11 @@ impl Body {
         let at = self.end_effector(&frames[JOINTS]).origin;
         self.twist_before = self.twist;
         self.twist = (geometry::jacobian(&frames, &at) * nalgebra::SMatrix::<f64, JOINTS, 1>::from(desired.dq)).into();
+    }
+
+    /// Somebody pushes against the arm from the next millisecond on. The sensors feel it; the arm itself is held too well to be moved.
+    pub fn push(&mut self) {
+        self.pushed = PUSH.2;
     }
 
     /// Ends torques: the inner controller goes on from here, without a jump.

@@ -21,7 +21,7 @@ pub enum Of {
 pub enum Kind {
     /// Datagrams are lost, by this chance.
     Loss(f64),
-    /// Datagrams arrive so much later \[s\]. Commands are looked at once a millisecond, so their delay ends with one.
+    /// Datagrams arrive so much later \[s\]. Commands are used once a millisecond, so their delay ends with one.
     Delay(f64),
     /// Datagrams arrive up to so much later, evenly spread, and out of order where that reaches beyond the next \[s\].
     Jitter(f64),
@@ -232,6 +232,12 @@ impl Injector {
     /// Whether the robot says and hears nothing.
     pub fn is_silent(&self) -> bool {
         self.on().any(|fault| fault.kind == Kind::Silence)
+    }
+
+    /// Whether commands may arrive later than they come.
+    pub fn delays_commands(&self) -> bool {
+        let delays = |kind| matches!(kind, Kind::Delay(_) | Kind::Jitter(_) | Kind::Reorder(_));
+        self.on().any(|fault| fault.of != Of::States && delays(fault.kind))
     }
 
     /// The version that Connect is answered with instead of the true one.

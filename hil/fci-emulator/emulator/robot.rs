@@ -48,6 +48,8 @@ pub enum Hand {
     Lock,
     /// Unlocks them.
     Unlock,
+    /// Runs into the arm: pushes against joint 4 for a tenth of a second.
+    Push,
 }
 
 /// What a robot answers with beside its motion.
@@ -363,6 +365,11 @@ impl Robot {
                 Phase::Idle
             }
             (Hand::Guide, Phase::Idle) => Phase::Guiding,
+            (Hand::Push, same) => {
+                self.events.push("Push".into());
+                self.body.push();
+                same
+            }
             (_, same) => {
                 self.events.push(format!("{hand:?} does nothing now"));
                 same

@@ -168,11 +168,20 @@ impl Server {
         }
     }
 
-    /// Sleeps until `next`, but for states that a fault has delayed to some moment before.
+    /// Sleeps until `next`, but for states that a fault has delayed to some moment before, and for commands whose delay begins as they come.
     fn wait(&mut self, next: u64) {
-        while let Some(due) = self.states.next().filter(|due| *due < next) {
+        let watches = self.injector.delays_commands();
+        loop {
+            let look = if watches { now_ns() + LOOK } else { u64::MAX };
+            let due = self.states.next().map_or(look, |due| due.min(look));
+            if due >= next {
+                break;
+            }
             sleep_until(due);
             self.deliver();
+            if watches {
+                self.gather();
+            }
         }
         sleep_until(next);
         self.deliver();
@@ -339,8 +348,8 @@ impl Server {
         found
     }
 
-    /// Drains the socket: of the commands for the newest state the first counts.
-    fn look(&mut self) -> Option<RobotCommand> {
+    /// Drains the socket.
+    fn gather(&mut self) {
         let from_client = self.client.as_ref().and_then(|client| client.states_to);
         let mut buffer = [0; MAX_COMMAND + 1];
         loop {
@@ -349,11 +358,16 @@ impl Server {
                     self.injector.send(Of::Commands, now_ns(), buffer[..count].to_vec(), &mut self.commands);
                 }
                 Ok(_) => self.counts.bad += 1,
-                Err(error) if error.kind() == ErrorKind::WouldBlock => break,
+                Err(error) if error.kind() == ErrorKind::WouldBlock => return,
                 // What an earlier datagram met at the other end.
                 Err(_) => {}
             }
         }
+    }
+
+    /// Of the commands that have arrived for the newest state the first counts.
+    fn look(&mut self) -> Option<RobotCommand> {
+        self.gather();
         let mut found = None;
         for datagram in self.commands.arrived(now_ns()) {
             match RobotCommand::decode(self.protocol, &datagram) {

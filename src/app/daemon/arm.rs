@@ -7,7 +7,7 @@ use crate::backend::Clock;
 use crate::backend::franka::{self, Info, Telemetry};
 use crate::backend::sim::{Gate, Pace, SimArm};
 use crate::config::job::franka::Recovery;
-use crate::ipc::{Link, Times};
+use crate::ipc::{Link, Progress, Times};
 use crate::joint::JointVec;
 use crate::model::gravity::Mounting;
 use crate::rt::{Backend, Fault, os};
@@ -49,6 +49,8 @@ pub struct Connected {
 pub struct Robot {
     info: Info,
     telemetry: Arc<Telemetry>,
+    /// The mode that was spoken of last.
+    mode: franka::wire::RobotMode,
 }
 
 /// Connects to the arm of a job, mounted as given.
@@ -62,7 +64,7 @@ pub fn connect(desk: &Desk, mounting: Mounting, purpose: Purpose) -> Result<Conn
         let settings = franka.settings(job, purpose)?;
         let (arm, franka::Connection { info, telemetry }) = franka::connect(&settings).map_err(Failure::job)?;
         tracing::info!("connected to {}", words(&info));
-        return Ok(Connected { arm: Box::new(arm), gate: None, robot: Some(Robot { info, telemetry }) });
+        return Ok(Connected { arm: Box::new(arm), gate: None, robot: Some(Robot::new(info, telemetry)) });
     }
     let truth = desk.truth.as_ref().ok_or_else(|| Failure::job("there is no simulated arm to drive"))?;
     let gate = job.backend.is_fast().then(|| Arc::new(Gate::new(RING as u64 / 2)));
@@ -72,6 +74,25 @@ pub fn connect(desk: &Desk, mounting: Mounting, purpose: Purpose) -> Result<Conn
 }
 
 impl Robot {
+    fn new(info: Info, telemetry: Arc<Telemetry>) -> Robot {
+        Robot { info, telemetry, mode: franka::wire::RobotMode::Idle }
+    }
+
+    /// Says it when somebody or something has changed the mode of an arm that is only watched: nothing else would.
+    pub fn watch(&mut self) {
+        self.speak_of(self.telemetry.newest_mode());
+    }
+
+    fn speak_of(&mut self, mode: franka::wire::RobotMode) {
+        if std::mem::replace(&mut self.mode, mode) == mode {
+            return;
+        }
+        match franka::next_step(mode) {
+            Some(next) => tracing::warn!("the arm's mode is now `{mode}`, no motion can start. {next}"),
+            None => tracing::info!("the arm's mode is now `{mode}`"),
+        }
+    }
+
     /// Where the arm stood when it was connected \[rad\].
     pub fn pose(&self) -> JointVec {
         pose_of(&self.info)
@@ -100,7 +121,7 @@ impl Robot {
             gravity: self.gravity(),
             fault: fault.map(|fault| {
                 let franka::Explanation { what, cause, next } = franka::explain(fault, &of);
-                let cause = cause.map_or(String::new(), |cause| format!(" {cause}"));
+                let cause = cause.map_or(String::new(), |cause| format!(" {cause}."));
                 format!("{what}.{cause} Next: {next}")
             }),
         }
@@ -108,7 +129,7 @@ impl Robot {
 }
 
 /// Whether the daemon may go on by itself after `fault`, of which it has seen `before` already: by the job's own rule, after lost
-/// communication alone.
+/// communication alone, and never where somebody wanted the end or something else had stopped the arm before.
 pub fn may_go_on(desk: &Desk, fault: &Fault, before: u32) -> bool {
     let Some(franka) = &desk.job.backend.franka else { return false };
     let lost_communication = match fault {
@@ -116,7 +137,8 @@ pub fn may_go_on(desk: &Desk, fault: &Fault, before: u32) -> bool {
         Fault::Silent { .. } | Fault::Disconnected => true,
         Fault::Refused { .. } => false,
     };
-    franka.recovery == Recovery::Automatic && before < franka.max_recoveries && lost_communication
+    let wanted = !desk.must_quit() && desk.progress != Progress::Stopped;
+    wanted && franka.recovery == Recovery::Automatic && before < franka.max_recoveries && lost_communication
 }
 
 /// Lets a robot that stopped by itself move again. Only where [`may_go_on`] says so, or an operator.

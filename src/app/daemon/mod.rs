@@ -45,7 +45,7 @@ pub struct Daemon {
 enum Seen {
     /// It ended as it was meant to.
     Through,
-    /// The arm stopped by itself and may go on: what it had not driven to the end is driven again.
+    /// The connection was lost, and the job allows another: what had not been driven to the end is driven again.
     Interrupted,
 }
 
@@ -106,8 +106,14 @@ impl Daemon {
             }
             return Ok(());
         }
-        let session = Session::open(&self.desk, "hold".into(), mounting, Purpose::Hold, Script::hold())?;
-        self.see_through(session).map(|_| ())
+        // Whoever has ended the job in mid-motion does not want another connection.
+        while !self.desk.must_quit() {
+            let session = Session::open(&self.desk, "hold".into(), mounting, Purpose::Hold, Script::hold())?;
+            if self.see_through(session)? == Seen::Through {
+                break;
+            }
+        }
+        Ok(())
     }
 
     /// Drives every stage of the programme.

@@ -45,6 +45,7 @@ pub struct Session {
     robot: Option<Robot>,
     thread: Option<JoinHandle<Outcome>>,
     script: Script,
+    purpose: Purpose,
     /// Identity of the model handed to this loop.
     model: u64,
     /// Simulated time waits for the estimator.
@@ -95,6 +96,7 @@ impl Session {
             robot: connected,
             thread: None,
             script,
+            purpose,
             model: 0,
             waiting: false,
             bridged: Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("constant bounds"),
@@ -117,6 +119,9 @@ impl Session {
             self.hand_over_model(&daemon.desk);
             self.give_orders();
             self.keep_pace_with_the_watch(daemon);
+            if let (Purpose::Hold, Some(robot)) = (self.purpose, &mut self.robot) {
+                robot.watch();
+            }
             daemon.talk(Some(&self.handles.controls));
             if daemon.desk.must_leave() {
                 self.handles.controls.quit();

@@ -140,6 +140,10 @@ impl FrankaArm {
                 }
                 let waited = now_ns().saturating_sub(begin);
                 if waited >= timeout_ns {
+                    // An arm that has closed the connection falls silent, too.
+                    if self.hear().is_err() {
+                        return Err(Fault::Disconnected);
+                    }
                     return Err(Fault::Silent { waited_ms: (waited / 1_000_000).min(u64::from(u32::MAX)) as u32 });
                 }
             }
@@ -195,7 +199,7 @@ impl FrankaArm {
 
     /// Hears what the arm says about the motion over TCP.
     pub(super) fn hear(&mut self) -> Result<(), Gone> {
-        let Some(id) = self.motion.call else { return Ok(()) };
+        let Some(id) = self.motion.call else { return self.commands.pass_over() };
         while let Some(status) = self.commands.move_answer(self.protocol(), id)? {
             self.motion.heard(status);
             self.telemetry.move_answered(status);

@@ -73,6 +73,7 @@ pub fn connect(settings: &Settings) -> Result<(FrankaArm, Connection), ConnectEr
     };
     let gravity = estimate_gravity(&mut session, &state);
     let telemetry = Arc::new(Telemetry::default());
+    telemetry.in_mode(state.robot_mode);
     let info = Info {
         protocol: session.protocol,
         image: session.protocol.images(),

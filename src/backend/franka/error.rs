@@ -150,7 +150,7 @@ fn version_words(robot: u16, tried: u16) -> String {
 }
 
 /// What the operator does when the arm is in `mode`; `None` where a motion can start.
-pub(super) fn next_step(mode: RobotMode) -> Option<&'static str> {
+pub fn next_step(mode: RobotMode) -> Option<&'static str> {
     Some(match mode {
         RobotMode::Idle => return None,
         RobotMode::Move => "Another motion is running: end the program that drives the arm, then try again.",

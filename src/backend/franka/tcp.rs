@@ -104,6 +104,12 @@ impl CommandLink {
         Ok(None)
     }
 
+    /// Passes over whatever is there, to learn whether the connection still stands.
+    pub fn pass_over(&mut self) -> Result<(), Gone> {
+        while self.arrived()?.is_some() {}
+        Ok(())
+    }
+
     /// Header of the next message that is there in full, and how much of it is in `message`.
     fn arrived(&mut self) -> Result<Option<(Header, usize)>, Gone> {
         loop {

@@ -204,6 +204,16 @@ impl Telemetry {
         }
     }
 
+    /// `robot_mode` of the newest state.
+    pub fn newest_mode(&self) -> RobotMode {
+        RobotMode::from_code(self.mode.load(Relaxed) as u8).unwrap_or_default()
+    }
+
+    /// The arm is in this mode.
+    pub(super) fn in_mode(&self, mode: RobotMode) {
+        self.mode.store(u64::from(mode.code()), Relaxed);
+    }
+
     pub(super) fn took(&self, arrivals: &Arrivals, mode: RobotMode) {
         add(&self.states, 1);
         add(&self.skipped, arrivals.skipped);
@@ -217,7 +227,7 @@ impl Telemetry {
         if let Some(ns) = arrivals.wake_ns {
             self.wake.add(ns);
         }
-        self.mode.store(u64::from(mode.code()), Relaxed);
+        self.in_mode(mode);
     }
 
     pub(super) fn out_of_order(&self) {
