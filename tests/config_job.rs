@@ -126,7 +126,8 @@ fn every_bad_value_is_named() {
     assert!(refusal(&LEAST.replace("\"sim\"", "\"real\""), &[]).contains("key `backend.kind`: got `\"real\"`"));
 }
 
-const FRANKA: &str = "robot = \"panda\"\nmounting = \"wall\"\n[backend]\nkind = \"franka\"\n";
+const FRANKA: &str =
+    "robot = \"panda\"\nmounting = \"wall\"\n[validation]\nmountings = [\"wall\"]\n[backend]\nkind = \"franka\"\n";
 
 #[test]
 fn a_franka_needs_an_address_and_has_defaults_for_the_rest() {
@@ -136,6 +137,9 @@ fn a_franka_needs_an_address_and_has_defaults_for_the_rest() {
     assert_eq!((franka.interface, franka.recovery), (Interface::JointPosition, Recovery::Operator));
     assert_eq!((franka.max_recoveries, franka.state_timeout), (2, 0.1));
 
+    let address = "[backend.franka]\naddress = \"172.16.0.2\"\n";
+    let elsewhere = refusal(&format!("{}{address}", FRANKA.replace("[\"wall\"]", "[\"wall\", \"upright\"]")), &[]);
+    assert!(elsewhere.contains("key `validation.mountings`: got `upright`"), "{elsewhere}");
     assert!(refusal(FRANKA, &[]).contains("key `backend.franka`: got nothing, expected a table"));
     let both = format!("{FRANKA}arm = \"sim-panda\"\n[backend.franka]\naddress = \"172.16.0.2\"\n");
     assert!(refusal(&both, &[]).contains("key `backend.arm`: got a value, expected none"));

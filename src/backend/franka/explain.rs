@@ -134,7 +134,7 @@ fn after(bit: ErrorBit) -> &'static str {
     use ErrorBit::*;
     match bit {
         CommunicationConstraintsViolation => {
-            "Run `plumbline doctor` on this machine; connect the arm directly, without switch, and keep its network port for it alone."
+            "Use a kernel with PREEMPT_RT and real-time rights for the daemon; connect the arm directly, without switch, and keep its network port for it alone; `rig communication` (hil/rig) measures what is left."
         }
         JointReflex | CartesianReflex => {
             "See what the arm touched. If it touched nothing, raise the collision thresholds or set the load that it carries."
