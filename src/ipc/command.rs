@@ -207,6 +207,8 @@ pub struct Link {
     pub states: u64,
     /// States that never arrived.
     pub lost: u64,
+    /// States that arrived and were passed over, for a newer one was there when the loop looked.
+    pub passed_over: u64,
     /// Packets that came out of order, twice or damaged.
     pub odd: u64,
     /// Commands that left late for the robot's next cycle.
@@ -223,7 +225,7 @@ pub struct Link {
     pub round_trip: Times,
     /// From one state's arrival to the next one's.
     pub interval: Times,
-    /// Gravity in the base frame that the robot believes, with its source \[m/s2\].
+    /// Direction of gravity in the base frame that the robot believes, a unit vector.
     pub gravity: Option<[f64; 3]>,
     /// What the robot stopped for, by its own names, what that comes from, and what the operator does next.
     pub fault: Option<String>,

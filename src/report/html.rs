@@ -272,7 +272,7 @@ fn links(report: &Report) -> Vec<Value> {
             link.success.map_or("-".to_string(), |[least, mean]| format!("{} / {}", percent(least), percent(mean)));
         let gravity = link.gravity.map_or("-".to_string(), |[x, y, z]| format!("[{x:.2}, {y:.2}, {z:.2}]"));
         Some(context! {
-            name => &s.name, robot => &link.robot, states => link.states, lost => link.lost, odd => link.odd, late => link.late,
+            name => &s.name, robot => &link.robot, states => link.states, lost => link.lost, passed => link.passed_over, odd => link.odd, late => link.late,
             limited => link.limited, success, gravity, fault => &link.fault,
         })
     };

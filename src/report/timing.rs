@@ -73,6 +73,8 @@ pub struct LinkFacts {
     pub states: u64,
     /// States that never arrived.
     pub lost: u64,
+    /// States that arrived and were passed over, for a newer one was there when the loop looked.
+    pub passed_over: u64,
     /// Packets that came out of order, twice or damaged.
     pub odd: u64,
     /// Commands that left late for the robot's next cycle.
@@ -89,7 +91,7 @@ pub struct LinkFacts {
     pub round_trip_us: Option<Quantiles>,
     /// From one state's arrival to the next one's \[us\].
     pub interval_us: Option<Quantiles>,
-    /// Gravity in the base frame that the robot believes \[m/s2\].
+    /// Direction of gravity in the base frame that the robot believes, a unit vector.
     pub gravity: Option<[f64; 3]>,
     /// What the robot stopped for and what to do next.
     pub fault: Option<String>,
@@ -101,6 +103,7 @@ impl LinkFacts {
             robot: link.robot.clone(),
             states: link.states,
             lost: link.lost,
+            passed_over: link.passed_over,
             odd: link.odd,
             late: link.late,
             limited: link.limited,

@@ -98,7 +98,7 @@ impl Robot {
         pose_of(&self.info)
     }
 
-    /// Gravity in the base frame that the robot believes, unless it does not know its mounting \[m/s2\].
+    /// Direction of gravity in the base frame that the robot believes, a unit vector.
     pub fn gravity(&self) -> Option<[f64; 3]> {
         self.info.gravity.as_ref().map(|gravity| gravity.direction)
     }
@@ -110,6 +110,7 @@ impl Robot {
             robot: words(&self.info),
             states: of.states,
             lost: of.lost,
+            passed_over: of.skipped,
             odd: of.out_of_order + of.duplicates + of.bad_packets + of.foreign_packets,
             late: of.late_commands,
             limited: of.limited,
