@@ -34,8 +34,6 @@ pub(super) struct At {
     pub cause: Point,
     /// Rigid-body torque of the joint that it comes from \[Nm\]; 0 unless the law was built with [`OneRow::loaded`].
     pub load: f64,
-    /// Viscous and Coulomb friction of the joint that it comes from \[Nm\]; 0 unless the law was built with [`OneRow::loaded`].
-    pub friction: f64,
     /// Time since the start of the recording \[s\]; 0 in the loop, where no law that looks at it is served.
     pub time: f64,
 }
@@ -46,11 +44,6 @@ pub(super) type Law = fn(&At, &[f64]) -> [f64; WIDTH];
 /// `tanh(100 dq)`, the sign of a velocity as friction has it (paper eq. 2).
 pub(super) fn smooth_sign(dq: f64) -> f64 {
     (SHARPNESS * dq).tanh()
-}
-
-/// `fv dq + fc tanh(100 dq)` (paper eq. 2), nothing where there is none \[Nm\].
-fn plain_friction([fv, fc]: [f64; 2], dq: f64) -> f64 {
-    if fv == 0.0 && fc == 0.0 { 0.0 } else { fv * dq + fc * smooth_sign(dq) }
 }
 
 /// A column of an effect: `stem`, the joints of the site, `tail`. Its symbol and expression are its name.
@@ -76,8 +69,6 @@ pub(super) struct OneRow {
     law: Law,
     columns: Vec<Column>,
     load: Option<Arc<Load>>,
-    /// `[fv, fc]` of the joint that it comes from.
-    friction: [f64; 2],
     smooth: bool,
 }
 
@@ -93,14 +84,12 @@ impl OneRow {
     ) -> OneRow {
         assert!(columns.len() <= WIDTH && settings.len() <= SETTINGS, "{} is too wide for one row", family.id);
         let spec = Spec { family: family.id, form, site, settings: settings.to_vec() };
-        OneRow { family, spec, law, columns, load: None, friction: [0.0; 2], smooth: false }
+        OneRow { family, spec, law, columns, load: None, smooth: false }
     }
 
-    /// One that looks at the rigid-body torque and at the friction, too.
+    /// One that looks at the rigid-body torque, too.
     pub fn loaded(self, ground: &Ground) -> OneRow {
-        let (_, cause) = self.joints();
-        let friction = ground.friction.get(cause).copied().unwrap_or_default();
-        OneRow { load: Some(Arc::clone(&ground.load)), friction, ..self }
+        OneRow { load: Some(Arc::clone(&ground.load)), ..self }
     }
 
     /// One without a step where a joint turns back.
@@ -148,7 +137,6 @@ impl Term for OneRow {
                 own: point(row, k),
                 cause: point(cause, k),
                 load: load.as_ref().map_or(0.0, |load| load[(k, cause)]),
-                friction: plain_friction(self.friction, motion.dq[(k, cause)]),
                 time: motion.start + k as f64 * motion.dt,
             };
             let values = (self.law)(&at, &self.spec.settings);
@@ -171,7 +159,7 @@ impl Term for OneRow {
         let (mut own, mut settings) = ([0.0; WIDTH], [0.0; SETTINGS]);
         own[..beta.len()].copy_from_slice(beta);
         settings[..self.spec.settings.len()].copy_from_slice(&self.spec.settings);
-        Box::new(FixedRow { row, cause, law: self.law, settings, beta: own, load, friction: self.friction })
+        Box::new(FixedRow { row, cause, law: self.law, settings, beta: own, load })
     }
 }
 
@@ -183,7 +171,6 @@ struct FixedRow {
     /// Zero past the columns that there are.
     beta: [f64; WIDTH],
     load: Option<LoadUnder>,
-    friction: [f64; 2],
 }
 
 impl FixedTerm for FixedRow {
@@ -196,9 +183,7 @@ impl FixedTerm for FixedRow {
             let torque = load.torque(sample);
             torque.get(self.cause).copied().unwrap_or_default()
         });
-        let cause = point(self.cause);
-        let friction = plain_friction(self.friction, cause.dq);
-        let at = At { own: point(self.row), cause, load, friction, time: 0.0 };
+        let at = At { own: point(self.row), cause: point(self.cause), load, time: 0.0 };
         let values = (self.law)(&at, &self.settings);
         if let Some(tau) = tau.get_mut(self.row) {
             *tau += self.beta.iter().zip(values).map(|(beta, value)| beta * value).sum::<f64>();

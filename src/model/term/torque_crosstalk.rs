@@ -8,17 +8,12 @@ use std::sync::Arc;
 /// Identity.
 pub const ID: &str = "torque-crosstalk";
 
-/// A share of what another joint's sensor measures by the plain model: its rigid-body torque and its friction.
+/// A share of another joint's rigid-body torque.
 pub static FAMILY: Family = Family {
     id: ID,
     physics: "A torque sensor bends under loads across its axis and takes part of them for torque.",
     place: Place::Pair,
-    forms: &[Form {
-        name: "",
-        equation: "tau_j = cross_j_k (tau_rb_k + fv_k dq_k + fc_k tanh(100 dq_k))",
-        settings: &[],
-        build,
-    }],
+    forms: &[Form { name: "", equation: "tau_j = cross_j_k tau_rb_k", settings: &[], build }],
     stratum: Stratum::Repeatable,
     served: true,
     typical: "0.5 to 3 % of the other joint's torque",
@@ -35,5 +30,5 @@ pub static FAMILY: Family = Family {
 
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("cross", site, "", "1")];
-    OneRow::new(&FAMILY, "", site, settings, columns, |at, _| [at.load + at.friction, 0.0, 0.0]).loaded(ground).term()
+    OneRow::new(&FAMILY, "", site, settings, columns, |at, _| [at.load, 0.0, 0.0]).loaded(ground).term()
 }
