@@ -46,7 +46,7 @@ pub(super) enum Phase {
     Stopped,
 }
 
-/// A Franka arm with an open session. Made by [`super::connect`]; dropping it ends its motion.
+/// A Franka arm with an open session. Made by [`super::connect()`]; dropping it ends its motion.
 #[derive(Debug)]
 pub struct FrankaArm {
     pub(super) commands: CommandLink,
