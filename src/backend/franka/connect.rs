@@ -94,7 +94,7 @@ pub fn connect(settings: &Settings) -> Result<(FrankaArm, Connection), ConnectEr
 ///
 /// # Errors
 ///
-/// [`ConnectError::Mode`] in any other mode, [`ConnectError::Recovery`] when the arm can't, and what [`connect`] has.
+/// [`ConnectError::Mode`] in any other mode, [`ConnectError::Recovery`] when the arm can't, and what [`connect()`] has.
 pub fn recover(settings: &Settings) -> Result<(), ConnectError> {
     let mut session = Session::open(settings)?;
     // The mode decides: the errors of a reflex clear by themselves as soon as the arm stands.

@@ -1,6 +1,6 @@
 //! Franka arms (Panda, FER, FR3) over the Franka Control Interface, the 1 kHz network interface that libfranka speaks too.
 //!
-//! [`connect`] opens a session and does everything that may block or allocate; [`FrankaArm`] is the arm in the loop. A motion begins with
+//! [`connect()`] opens a session and does everything that may block or allocate; [`FrankaArm`] is the arm in the loop. A motion begins with
 //! the first read of an arm that is to be driven, on the loop's own thread, and ends with [`crate::rt::Backend::stop`].
 //!
 //! | file | what |
