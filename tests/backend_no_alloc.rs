@@ -143,9 +143,13 @@ fn a_franka_arm_allocates_nothing_whatever_happens_to_it() {
             (JointPosition, &["tcp-reset,at=motion+0.1"], false),
             (JointPosition, &["silence,at=motion+0.1"], false),
         ] {
-            let (allocations, cycles) = run_franka(protocol, interface, Purpose::Drive, troubles, silent);
-            assert!(cycles > 50, "{protocol} {interface:?} {troubles:?}: {cycles} cycles");
-            assert_eq!(allocations, 0, "{protocol} {interface:?} {troubles:?}");
+            // Losses that are drawn may end a motion early; what counts is that a long one allocates nothing, and no other does.
+            let long = (0..5).any(|_| {
+                let (allocations, cycles) = run_franka(protocol, interface, Purpose::Drive, troubles, silent);
+                assert_eq!(allocations, 0, "{protocol} {interface:?} {troubles:?}");
+                cycles > 50
+            });
+            assert!(long, "{protocol} {interface:?} {troubles:?}: no long motion in five");
         }
         assert_eq!(run_franka(protocol, JointPosition, Purpose::Watch, &[], false), (0, 400));
     }
