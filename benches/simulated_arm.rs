@@ -6,7 +6,7 @@
 use plumbline::backend::sim::{Gate, Pace, Response, SimArm, Truth};
 use plumbline::config::robot::Robot;
 use plumbline::excite::fourier::{Fourier, PeriodicMotion};
-use plumbline::joint::{Command, JointVec, Setpoint, Torque};
+use plumbline::joint::{Command, JointVec, Setpoint};
 use plumbline::model::gravity::Mounting;
 use plumbline::rt::{Backend, Reference};
 use std::hint::black_box;
@@ -47,7 +47,7 @@ fn main() {
             for tick in 0..ticks {
                 let state = arm.read().expect("the arm goes on");
                 let desired = Setpoint { q: reference.at(tick).q, ..Setpoint::default() };
-                arm.write(&Command { seq: state.seq, desired, tau_ff: Torque::default() }).expect("a smooth motion");
+                arm.write(&Command { seq: state.seq, desired, ..Command::default() }).expect("a smooth motion");
                 black_box(&state);
             }
             began.elapsed().as_secs_f64() / ticks as f64

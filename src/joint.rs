@@ -54,6 +54,9 @@ pub struct Command {
     pub desired: Setpoint,
     /// Feed-forward torque of the served model at `desired`; zero while no model is served \[Nm\].
     pub tau_ff: Torque,
+    /// What of it the arm needs to stand still at `desired.q`: the same model at rest, gravity above all. An arm that
+    /// compensates gravity by itself wants `tau_ff - tau_rest` \[Nm\].
+    pub tau_rest: Torque,
 }
 
 /// What the loop was doing in a cycle.

@@ -1,6 +1,7 @@
 //! The job configuration: shipped files load, every bad value is refused by name, overrides win over the file.
 
-use plumbline::config::job::franka::{Interface, Recovery};
+use plumbline::backend::franka::Interface;
+use plumbline::config::job::franka::Recovery;
 use plumbline::config::job::{Job, OnLoss, Pace, Resource};
 use plumbline::estimate::experiment::Settings;
 use plumbline::joint;

@@ -10,7 +10,7 @@ use plumbline::backend::franka::{
     ConnectError, Connection, FrankaArm, Interface, Purpose, REFLEX_MODE, REFUSED_JUMP, REFUSED_MOVE, REFUSED_NO_START,
     REFUSED_NOT_FINITE, REFUSED_POSITION, REFUSED_STOPPED, RobotKind, Settings, Source, connect, explain, recover,
 };
-use plumbline::joint::{Command, JointVec, Setpoint, State, Torque};
+use plumbline::joint::{Command, JointVec, Setpoint, State};
 use plumbline::rt::{Backend, Fault};
 use std::time::{Duration, Instant};
 
@@ -30,7 +30,7 @@ fn refusal(fake: &Fake, protocol: Protocol) -> (ConnectError, String) {
 }
 
 fn command(state: &State, q: JointVec) -> Command {
-    Command { seq: state.seq, desired: Setpoint { q, ..Setpoint::default() }, tau_ff: Torque::default() }
+    Command { seq: state.seq, desired: Setpoint { q, ..Setpoint::default() }, ..Command::default() }
 }
 
 /// Smooth from rest to rest, 0.1 rad out and back within two seconds, in every joint.

@@ -2,8 +2,8 @@
 
 use super::Rig;
 use super::verdict::Verdict;
-use plumbline::backend::franka::{self, Connection, Explanation, Purpose, Spread, Statistics};
-use plumbline::joint::{Command, Setpoint, Torque};
+use plumbline::backend::franka::{self, Connection, Purpose, Spread, Statistics};
+use plumbline::joint::{Command, Setpoint};
 use plumbline::rt::os::{Rights, become_realtime};
 use plumbline::rt::{Backend, Fault};
 use std::error::Error;
@@ -27,12 +27,12 @@ pub fn run(rig: &Rig) -> Result<Verdict, Box<dyn Error>> {
     let (watched, fault) = session(rig, Purpose::Watch, WATCHED)?;
     show("watched", &watched);
     if let Some(fault) = fault {
-        return Ok(Verdict::Fail(vec![words(&fault, &watched)]));
+        return Ok(Verdict::Fail(vec![franka::explain(&fault, &watched).to_string()]));
     }
     println!("holding the present pose under control for {} s; nothing is to move", HELD / 1000);
     let (held, fault) = session(rig, Purpose::Drive, HELD)?;
     show("held", &held);
-    let mut reasons: Vec<String> = fault.iter().map(|fault| words(fault, &held)).collect();
+    let mut reasons: Vec<String> = fault.iter().map(|fault| franka::explain(fault, &held).to_string()).collect();
     for (what, statistics) in [("watching", &watched), ("holding", &held)] {
         if statistics.longest_gap > LONGEST_GAP {
             reasons.push(format!(
@@ -69,15 +69,10 @@ fn hold(arm: &mut impl Backend, states: u64) -> Result<(), Fault> {
     let mut state = first;
     for _ in 0..states {
         let desired = Setpoint { q: first.q_d, ..Setpoint::default() };
-        arm.write(&Command { seq: state.seq, desired, tau_ff: Torque::default() })?;
+        arm.write(&Command { seq: state.seq, desired, ..Command::default() })?;
         state = arm.read()?;
     }
     Ok(())
-}
-
-fn words(fault: &Fault, statistics: &Statistics) -> String {
-    let Explanation { what, cause, next } = franka::explain(fault, statistics);
-    format!("{what}.{} Next: {next}", cause.map_or(String::new(), |cause| format!(" {cause}")))
 }
 
 fn show(what: &str, statistics: &Statistics) {

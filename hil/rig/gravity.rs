@@ -103,8 +103,7 @@ pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
     }
     match info.gravity {
         Some(own) if own.source == franka::Source::Accelerometers => {
-            let [x, y, z] = own.direction;
-            let own = Mounting { rho: x.hypot(y).atan2(z), phi: y.atan2(x) };
+            let own = Mounting::along(&own.direction.into());
             println!(
                 "gravity by the robot's accelerometers: {own}, {:.1} degrees from the declared one",
                 degrees(own.angle_to(&declared))

@@ -264,9 +264,7 @@ fn derived(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>) -
 fn tilted(declared: &Mounting, tilt: [f64; 2]) -> Mounting {
     let gravity = declared.gravity();
     let [a, b] = axes(&gravity);
-    let turned = gravity + tilt[0] * a.cross(&gravity) + tilt[1] * b.cross(&gravity);
-    let unit = turned.normalize();
-    Mounting { rho: unit.z.clamp(-1.0, 1.0).acos(), phi: unit.y.atan2(unit.x) }
+    Mounting::along(&(gravity + tilt[0] * a.cross(&gravity) + tilt[1] * b.cross(&gravity)))
 }
 
 /// An effect in one line: `payload 0.731 +- 0.004 kg`, `torque-offset in joint 3, offset3 0.30 Nm`.

@@ -2,11 +2,10 @@
 
 use super::changed::{self, Stored};
 use super::identify::{cut, quiet_settings};
-use super::{Failure, pipeline, progress};
+use super::{Failure, diagnosed, pipeline, progress};
 use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Role, Run};
-use crate::diagnose::reference;
-use crate::diagnose::{self, evidence::Trial};
+use crate::diagnose::{self, reference};
 use crate::estimate::experiment::Experiment;
 use crate::estimate::validate::Rms;
 use crate::input::BadInput;
@@ -61,10 +60,10 @@ pub fn run(options: Options) -> Result<(), Failure> {
 
     let bar = progress::bar("comparing");
     bar.at(0.05, "preparing");
-    let experiments = pipeline::experiments(&find.iter().collect::<Vec<_>>(), &settings)?;
+    let find: Vec<&Run> = find.iter().collect();
+    let experiments = pipeline::experiments(&find, &settings)?;
     let unseen = pipeline::experiments(&judge.iter().collect::<Vec<_>>(), &settings)?;
-    let trials: Vec<Trial> =
-        experiments.iter().zip(&find).map(|(experiment, run)| Trial { experiment, session: run.session }).collect();
+    let trials = diagnosed::trials(&experiments, &find);
     bar.at(0.2, "searching");
     let steps = std::cell::Cell::new(0.2);
     let changes = reference::changes(model, &trials, &diagnosis, &|step| {

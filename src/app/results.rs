@@ -92,7 +92,7 @@ impl Results {
         let diagnosed = self.diagnose(&plain)?;
         // From here on the model is the one with what was found.
         let identified = diagnosed.as_ref().map_or(&plain, |diagnosed| &diagnosed.after);
-        let judged = self.judge(identified)?;
+        let judged = pipeline::judge_all(&identified.model, &self.runs(Role::Validate), &self.settings)?;
         let counter = self.counter_experiment(&judged)?;
         let validated = judged.iter().map(|(run, judged)| Validated {
             run: run.file.clone(),
@@ -156,11 +156,6 @@ impl Results {
 
     fn runs(&self, role: Role) -> Vec<&Run> {
         self.recorded.iter().filter(|recorded| recorded.role == role).map(|recorded| &recorded.run).collect()
-    }
-
-    fn judge(&self, identified: &Identified) -> Result<Vec<(&Run, Judged)>, Failure> {
-        let unseen = self.runs(Role::Validate).into_iter();
-        unseen.map(|run| Ok((run, pipeline::judge(&identified.model, run, &self.settings)?))).collect()
     }
 
     /// The usual set from the vertical mounting: refused elsewhere, and forced, to show where it fails.

@@ -60,10 +60,7 @@ impl Reference<'_> {
 
     fn one(&self, session: u32, runs: &[&Run], block: &mut Diagnosis, out: &Path) -> Result<(), Failure> {
         let (find, judge) = compare::split(runs, &mut block.notes);
-        let prepare = |runs: &[Run]| {
-            let ready = runs.iter().map(|run| pipeline::experiment(run, self.settings));
-            ready.collect::<Result<Vec<Experiment>, Failure>>()
-        };
+        let prepare = |runs: &[Run]| pipeline::experiments(&runs.iter().collect::<Vec<_>>(), self.settings);
         let (find, unseen) = (prepare(&find)?, prepare(&judge)?);
         // Within one session, an effect is there or it is not.
         let trials: Vec<Trial> = find.iter().map(|experiment| Trial { experiment, session: 1 }).collect();

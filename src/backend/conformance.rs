@@ -3,7 +3,7 @@
 //! `make` connects a fresh arm at rest; it is called several times, each arm is dropped before the next is made. A broken promise panics
 //! and says which. The arm moves by a few hundredths of a radian about where it stands. At 1 kHz the suite takes about three seconds.
 
-use crate::joint::{Command, JointVec, Setpoint, State, Torque};
+use crate::joint::{Command, JointVec, Setpoint, State};
 use crate::rt::{Backend, Fault};
 
 /// How far an arm that holds still may be off \[rad\].
@@ -186,7 +186,7 @@ fn hold(arm: &mut impl Backend, state: &State, q: &JointVec) {
 }
 
 fn send(arm: &mut impl Backend, state: &State, desired: Setpoint) -> Result<(), Fault> {
-    arm.write(&Command { seq: state.seq, desired, tau_ff: Torque::default() })
+    arm.write(&Command { seq: state.seq, desired, ..Command::default() })
 }
 
 fn assert_sound(state: &State, joints: usize) {

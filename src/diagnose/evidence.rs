@@ -49,7 +49,7 @@ pub struct Fold {
 #[derive(Clone, Debug)]
 enum Waves {
     /// The first bins of the period's spectrum.
-    Periodic { bins: usize, few: Arc<Spectral>, thinned: Vec<Bin> },
+    Periodic { bins: usize, all: Arc<Spectral>, few: Arc<Spectral>, thinned: Vec<Bin> },
     /// Cosines over the block, one column each, for all samples and for those of candidates.
     Block { all: DMatrix<f64>, thinned: DMatrix<f64> },
 }
@@ -253,7 +253,6 @@ impl Evidence {
             buffer.resize(samples * self.joints * width, 0.0);
             let mut y = DMatrix::from_vec(samples * self.joints, width, std::mem::take(&mut buffer));
             term.fill(&self.chain, motion, &mut y, 0);
-            let mut spectral = None;
             let mut means = Vec::new();
             for (joint, part) in parts.iter_mut().enumerate() {
                 for column in 0..width {
@@ -270,7 +269,7 @@ impl Evidence {
                     let mut part = part.column_mut(column);
                     for fold in &own {
                         let mut out = part.rows_mut(fold.rows.start, fold.rows.len());
-                        fold.project(x, thinning, few.dt, &mut spectral, out.as_mut_slice());
+                        fold.project(x, thinning, out.as_mut_slice());
                     }
                 }
             }
@@ -308,11 +307,10 @@ impl Evidence {
         let mut part = DMatrix::zeros(self.per_joint(), width);
         for (index, (Thinned { few: motion, step, .. }, values)) in self.motions.iter().zip(samples).enumerate() {
             assert_eq!(values.shape(), (motion.samples(), width), "samples of experiment {index}");
-            let mut spectral = None;
             for (mut out, x) in part.column_iter_mut().zip(values.as_slice().chunks_exact(motion.samples())) {
                 for fold in self.folds.iter().filter(|fold| fold.experiment == index) {
                     let mut own = out.rows_mut(fold.rows.start, fold.rows.len());
-                    fold.project(x, Thinning::Middle(*step), motion.dt, &mut spectral, own.as_mut_slice());
+                    fold.project(x, Thinning::Middle(*step), own.as_mut_slice());
                 }
             }
         }
@@ -334,14 +332,13 @@ impl Evidence {
         for (index, Thinned { whole, .. }) in self.motions.iter().enumerate() {
             let y = samples(index);
             let count = whole.samples();
-            let mut spectral = None;
             for (joint, part) in parts.iter_mut().enumerate() {
                 for column in 0..width {
                     let x = &y.as_slice()[column * y.nrows() + joint * count..][..count];
                     let mut part = part.column_mut(column);
                     for fold in self.folds.iter().filter(|fold| fold.experiment == index) {
                         let mut out = part.rows_mut(fold.rows.start, fold.rows.len());
-                        fold.project(x, Thinning::None, whole.dt, &mut spectral, out.as_mut_slice());
+                        fold.project(x, Thinning::None, out.as_mut_slice());
                     }
                 }
             }
@@ -378,13 +375,13 @@ impl Thinned {
 }
 
 impl Fold {
-    /// Writes the coefficients of the experiment's samples `x`, `dt` apart \[s\].
-    fn project(&self, x: &[f64], thinning: Thinning, dt: f64, spectral: &mut Option<Spectral>, out: &mut [f64]) {
+    /// Writes the coefficients of the experiment's samples `x`.
+    fn project(&self, x: &[f64], thinning: Thinning, out: &mut [f64]) {
         let (n, step) = (self.samples.len() as f64, thinning.step());
         match &self.waves {
-            Waves::Periodic { bins, few, thinned } => {
+            Waves::Periodic { bins, all, few, thinned } => {
                 let spectrum = match thinning {
-                    Thinning::None => spectral.get_or_insert_with(|| Spectral::new(x.len(), dt)).transform(x),
+                    Thinning::None => all.transform(x),
                     Thinning::Middle(_) | Thinning::Mean(_) => few.transform(x),
                 };
                 // As if all samples had been there: each stands for `step` of them, and the first is late by half of that.
@@ -457,6 +454,7 @@ fn folds_of(index: usize, trial: &Trial, band: f64, length: f64, step: usize) ->
         let bins = ((highest * samples as f64 * dt) as usize + 1).clamp(2, samples / 2);
         let frequency = |row: usize| row.div_ceil(2) as f64 / (samples as f64 * dt);
         let frequencies = (0..2 * bins - 1).map(frequency).collect();
+        let all = Arc::new(Spectral::new(samples, dt));
         let few = Arc::new(Spectral::new(samples / step, dt * step as f64));
         let turn = |bin: usize| 2.0 * PI * bin as f64 / samples as f64;
         let bin = |bin: usize| Bin {
@@ -464,7 +462,7 @@ fn folds_of(index: usize, trial: &Trial, band: f64, length: f64, step: usize) ->
             gain: Thinning::Mean(step).gain(turn(bin)),
         };
         let thinned = (0..bins).map(bin).collect();
-        return vec![fold(0..samples, frequencies, Waves::Periodic { bins, few, thinned })];
+        return vec![fold(0..samples, frequencies, Waves::Periodic { bins, all, few, thinned })];
     }
     let mut folds = Vec::new();
     for moving in stretches(trial.experiment.resting()) {

@@ -58,14 +58,12 @@ const BLIND: f64 = 5.0;
 impl Direction {
     /// As a mounting; its strength is left aside.
     pub fn mounting(&self) -> Mounting {
-        let (x, y, z) = (self.gravity.x, self.gravity.y, self.gravity.z);
-        Mounting { rho: x.hypot(y).atan2(z), phi: if x.hypot(y) < 1e-9 { 0.0 } else { y.atan2(x) } }
+        Mounting::along(&self.gravity)
     }
 
     /// Angle to the gravity of a mounting \[rad\].
     pub fn angle_to(&self, mounting: &Mounting) -> f64 {
-        let other = mounting.gravity();
-        self.gravity.cross(&other).norm().atan2(self.gravity.dot(&other))
+        self.mounting().angle_to(mounting)
     }
 
     /// Standard deviation of the direction: the larger one across it \[rad\].

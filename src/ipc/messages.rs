@@ -73,6 +73,8 @@ pub struct SampleMessage {
     pub wake_ns: u64,
     /// See [`Record::work_ns`] \[ns\].
     pub work_ns: u64,
+    /// What of `tau_ff` the arm needs to stand still at `desired_q` \[Nm\].
+    pub tau_rest: JointVec,
 }
 
 impl SampleMessage {
@@ -101,6 +103,7 @@ impl SampleMessage {
             stamp_ns: record.stamp_ns,
             wake_ns: record.wake_ns,
             work_ns: record.work_ns,
+            tau_rest: command.tau_rest.0,
         }
     }
 
@@ -114,6 +117,7 @@ impl SampleMessage {
                 seq: self.command_seq,
                 desired: Setpoint { q: self.desired_q, dq: self.desired_dq, ddq: self.desired_ddq },
                 tau_ff: Torque(self.tau_ff),
+                tau_rest: Torque(self.tau_rest),
             },
             phase,
             motion: self.motion,
@@ -151,6 +155,9 @@ pub struct FeedForwardMessage {
     pub tau_ff: JointVec,
     /// Gravitational acceleration in the base frame that the model was evaluated with \[m/s2\].
     pub gravity: [f64; 3],
+    /// What of `tau_ff` the arm needs to stand still at `q_d`. An arm that compensates gravity by itself wants
+    /// `tau_ff - tau_rest` \[Nm\].
+    pub tau_rest: JointVec,
 }
 
 impl FeedForwardMessage {
@@ -167,6 +174,7 @@ impl FeedForwardMessage {
             dq_d: record.command.desired.dq,
             tau_ff: record.command.tau_ff.0,
             gravity,
+            tau_rest: record.command.tau_rest.0,
         }
     }
 
@@ -240,6 +248,7 @@ mod tests {
                 seq: 3,
                 desired: Setpoint { q: vec(50.0), dq: vec(60.0), ddq: vec(70.0) },
                 tau_ff: Torque(vec(80.0)),
+                tau_rest: Torque(vec(90.0)),
             },
             phase: Phase::Excite,
             motion: 4,
@@ -274,7 +283,7 @@ mod tests {
 
     #[test]
     fn layouts_are_what_other_languages_expect() {
-        assert_eq!((size_of::<SampleMessage>(), align_of::<SampleMessage>()), (608, 8));
+        assert_eq!((size_of::<SampleMessage>(), align_of::<SampleMessage>()), (672, 8));
         assert_eq!(offset_of!(SampleMessage, q), 40);
         assert_eq!(offset_of!(SampleMessage, dq), 104);
         assert_eq!(offset_of!(SampleMessage, tau), 168);
@@ -291,8 +300,9 @@ mod tests {
         assert_eq!(offset_of!(SampleMessage, stamp_ns), 584);
         assert_eq!(offset_of!(SampleMessage, wake_ns), 592);
         assert_eq!(offset_of!(SampleMessage, work_ns), 600);
+        assert_eq!(offset_of!(SampleMessage, tau_rest), 608);
 
-        assert_eq!((size_of::<FeedForwardMessage>(), align_of::<FeedForwardMessage>()), (256, 8));
+        assert_eq!((size_of::<FeedForwardMessage>(), align_of::<FeedForwardMessage>()), (320, 8));
         assert_eq!(offset_of!(FeedForwardMessage, stamp_ns), 8);
         assert_eq!(offset_of!(FeedForwardMessage, epoch), 16);
         assert_eq!(offset_of!(FeedForwardMessage, model), 24);
@@ -302,6 +312,7 @@ mod tests {
         assert_eq!(offset_of!(FeedForwardMessage, dq_d), 104);
         assert_eq!(offset_of!(FeedForwardMessage, tau_ff), 168);
         assert_eq!(offset_of!(FeedForwardMessage, gravity), 232);
+        assert_eq!(offset_of!(FeedForwardMessage, tau_rest), 256);
 
         assert_eq!((size_of::<FollowRequest>(), align_of::<FollowRequest>()), (56, 8));
         assert_eq!((size_of::<ReplayHeader>(), align_of::<ReplayHeader>()), (24, 8));

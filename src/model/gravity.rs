@@ -28,6 +28,13 @@ impl Mounting {
     /// Hanging from a ceiling.
     pub const CEILING: Mounting = Mounting { rho: 0.0, phi: 0.0 };
 
+    /// Of gravity along a vector of any length in the base frame; `phi` is 0 where gravity is parallel to axis 1.
+    pub fn along(gravity: &Vector3<f64>) -> Mounting {
+        let (x, y, z) = (gravity.x, gravity.y, gravity.z);
+        let across = x.hypot(y);
+        Mounting { rho: across.atan2(z), phi: if across < 1e-9 * gravity.norm() { 0.0 } else { y.atan2(x) } }
+    }
+
     /// Gravitational acceleration in the base frame, `a_g = g [sin rho cos phi, sin rho sin phi, cos rho]` (paper eq. 3) \[m/s2\].
     pub fn gravity(&self) -> Vector3<f64> {
         let (sin_rho, cos_rho) = self.rho.sin_cos();

@@ -108,7 +108,7 @@ impl TorqueModel {
     /// A model from names, as a model file holds it: per term its identity and its parameters.
     ///
     /// The rigid body has to be complete; any other term may lack columns (they are zero) but can't have foreign ones. Effects stand
-    /// upon the rigid body and the friction of this very model.
+    /// upon the rigid body of this very model.
     pub fn from_named(
         robot: impl Into<String>,
         chain: Chain,
@@ -136,10 +136,7 @@ impl TorqueModel {
         }
         let all: Vec<&NamedValue> = terms.iter().flat_map(|named| &named.parameters).collect();
         let mut structure = full.restricted(|column| all.iter().any(|(name, _, _)| *name == column.name));
-        for column in &structure.columns()[beta.len()..] {
-            let value = all.iter().find(|(name, _, _)| *name == column.name);
-            beta.push(value.map_or(0.0, |value| value.1));
-        }
+        // What effects are built upon is the rigid body's alone.
         let ground = structure.ground(&beta);
         let mut built = Vec::new();
         for named in effects {

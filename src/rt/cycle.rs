@@ -168,22 +168,19 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         // Reference: where the motion is by the arm's clock, after hearing what the outside wants.
         self.advance(gap);
         self.listen(gap)?;
-        let mut desired = self.motion.sample();
         // Feed-forward: the served model at the desired setpoint.
-        let mut tau_ff = self.torque(&desired);
+        let mut command = self.answer(state.seq);
         // Guard: a command that breaks a limit is not sent; the first sample of the stop takes its place.
         if self.motion.is_stopping() {
-            self.guard.check_brake(seconds(gap), &desired, &tau_ff, Some(&state)).map_err(End::Unsafe)?;
-        } else if let Err(violation) = self.guard.check(seconds(gap), &desired, &tau_ff, &state) {
+            self.guard.check_brake(seconds(gap), &command, Some(&state)).map_err(End::Unsafe)?;
+        } else if let Err(violation) = self.guard.check(seconds(gap), &command, &state) {
             self.brake(StopReason::Guard(violation), gap)?;
-            desired = self.motion.sample();
-            tau_ff = self.torque(&desired);
-            self.guard.check_brake(seconds(gap), &desired, &tau_ff, None).map_err(End::Unsafe)?;
+            command = self.answer(state.seq);
+            self.guard.check_brake(seconds(gap), &command, None).map_err(End::Unsafe)?;
         }
         // Write and record.
-        let command = Command { seq: state.seq, desired, tau_ff };
         let written = self.backend.write(&command);
-        self.motion.sent(&desired);
+        self.motion.sent(&command.desired);
         self.record(state, command, stamp_ns);
         written.map_err(End::Fault)
     }
@@ -321,6 +318,13 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         self.model_trusted = false;
         self.guard.model_changed();
         self.tell(Event::Distrusted { model });
+    }
+
+    /// The present sample of the motion, and what the served model says of it.
+    fn answer(&mut self, seq: u64) -> Command {
+        let desired = self.motion.sample();
+        let still = Setpoint { q: desired.q, ..Setpoint::default() };
+        Command { seq, desired, tau_ff: self.torque(&desired), tau_rest: self.torque(&still) }
     }
 
     /// Torque of the served model; zero while there is none.

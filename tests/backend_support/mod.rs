@@ -3,7 +3,7 @@
 use plumbline::backend::Clock;
 use plumbline::backend::sim::{Pace, SimArm, Truth};
 use plumbline::config::robot::Robot;
-use plumbline::joint::{Command, JointVec, MAX_JOINTS, Setpoint, Torque};
+use plumbline::joint::{Command, JointVec, MAX_JOINTS, Setpoint};
 use plumbline::model::chain::Chain;
 use plumbline::model::gravity::Mounting;
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -56,7 +56,7 @@ pub fn excitation(tick: u64) -> Setpoint {
 
 #[allow(dead_code)]
 pub fn command(seq: u64, desired: Setpoint) -> Command {
-    Command { seq, desired, tau_ff: Torque::default() }
+    Command { seq, desired, ..Command::default() }
 }
 
 /// A monotonic clock for pacing in tests.

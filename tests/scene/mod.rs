@@ -11,7 +11,7 @@ use plumbline::config::robot::Robot;
 use plumbline::estimate::run::Run;
 use plumbline::estimate::signal::spectral::Spectral;
 use plumbline::excite::fourier::PeriodicMotion;
-use plumbline::joint::{Command, JointVec, Setpoint, State, Torque};
+use plumbline::joint::{Command, JointVec, Setpoint, State};
 use plumbline::model::base::Reduction;
 use plumbline::model::gravity::Mounting;
 use plumbline::model::structure::Structure;
@@ -245,7 +245,7 @@ pub fn drive(arm: &mut SimArm, reference: &PeriodicMotion, ticks: usize, mut see
             seen(tick - 1, &state, arm);
         }
         let desired = Setpoint { q: reference.at((tick as u64).min(reference.ticks() - 1)).q, ..Setpoint::default() };
-        arm.write(&Command { seq: state.seq, desired, tau_ff: Torque::default() }).unwrap();
+        arm.write(&Command { seq: state.seq, desired, ..Command::default() }).unwrap();
     }
 }
 

@@ -17,7 +17,7 @@ PHASES = ("hold", "approach", "excite", "return", "stop", "stopped")
 
 
 class FeedForwardMessage(ctypes.Structure):
-    """The layout of plumbline's FeedForwardMessage (src/ipc/messages.rs), 256 bytes."""
+    """The layout of plumbline's FeedForwardMessage (src/ipc/messages.rs), 320 bytes."""
 
     _fields_ = [
         ("sequence", ctypes.c_uint64),  # number of the value since the daemon's start, from 1
@@ -30,6 +30,7 @@ class FeedForwardMessage(ctypes.Structure):
         ("dq_d", ctypes.c_double * MAX_JOINTS),  # desired velocity [rad/s]
         ("tau_ff", ctypes.c_double * MAX_JOINTS),  # feed-forward torque [Nm]
         ("gravity", ctypes.c_double * 3),  # gravitational acceleration in the base frame [m/s2]
+        ("tau_rest", ctypes.c_double * MAX_JOINTS),  # what of tau_ff holds the arm still at q_d [Nm]
     ]
 
     @staticmethod
@@ -38,7 +39,7 @@ class FeedForwardMessage(ctypes.Structure):
         return "plumbline::FeedForwardMessage"
 
 
-assert ctypes.sizeof(FeedForwardMessage) == 256
+assert ctypes.sizeof(FeedForwardMessage) == 320
 
 
 def connect(robot: str, patience: float):

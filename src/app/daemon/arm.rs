@@ -95,7 +95,7 @@ impl Robot {
 
     /// Where the arm stood when it was connected \[rad\].
     pub fn pose(&self) -> JointVec {
-        pose_of(&self.info)
+        self.info.pose()
     }
 
     /// Direction of gravity in the base frame that the robot believes, a unit vector.
@@ -120,11 +120,7 @@ impl Robot {
             round_trip: times(&of.round_trip),
             interval: times(&of.interval),
             gravity: self.gravity(),
-            fault: fault.map(|fault| {
-                let franka::Explanation { what, cause, next } = franka::explain(fault, &of);
-                let cause = cause.map_or(String::new(), |cause| format!(" {cause}."));
-                format!("{what}.{cause} Next: {next}")
-            }),
+            fault: fault.map(|fault| franka::explain(fault, &of).to_string()),
         }
     }
 }
@@ -146,12 +142,6 @@ pub fn may_go_on(desk: &Desk, fault: &Fault, before: u32) -> bool {
 pub fn recover(desk: &Desk) -> Result<(), Failure> {
     let Some(franka) = &desk.job.backend.franka else { return Ok(()) };
     franka::recover(&franka.settings(&desk.job, franka::Purpose::Watch)?).map_err(Failure::job)
-}
-
-fn pose_of(info: &Info) -> JointVec {
-    let mut pose = JointVec::default();
-    pose[..info.state.q.len()].copy_from_slice(&info.state.q);
-    pose
 }
 
 fn words(info: &Info) -> String {

@@ -274,9 +274,11 @@ impl FrankaArm {
     /// Answers the newest state of a running motion.
     fn answer(&mut self, command: &Command) -> Result<(), Fault> {
         let refused = |code| Err(Fault::Refused { code });
-        let (desired, dq_d, tau_ff) =
-            (narrow(&command.desired.q), narrow(&command.desired.dq), narrow(&command.tau_ff.0));
-        if desired.iter().chain(&dq_d).chain(&tau_ff).any(|value| !value.is_finite()) {
+        let (desired, dq_d) = (narrow(&command.desired.q), narrow(&command.desired.dq));
+        let (tau_ff, tau_rest) = (narrow(&command.tau_ff.0), narrow(&command.tau_rest.0));
+        // The arm carries its own weight: what is left for us is what the motion takes.
+        let ahead: [f64; 7] = std::array::from_fn(|j| tau_ff[j] - tau_rest[j]);
+        if desired.iter().chain(&dq_d).chain(&ahead).any(|value| !value.is_finite()) {
             return refused(REFUSED_NOT_FINITE);
         }
         let from = self.followed.point;
@@ -296,7 +298,7 @@ impl FrankaArm {
             if self.motion.torque.out_of_reach(&tracking) {
                 return refused(REFUSED_REACH);
             }
-            let (tau, held) = self.motion.torque.torque(&tracking, &tau_ff);
+            let (tau, held) = self.motion.torque.torque(&tracking, &ahead);
             return self.send(Point { q: desired, dq: dq_d, ddq: [0.0; 7] }, tau, false, held, false);
         }
         let own = self.followed.own && self.followed.alone == 0;

@@ -3,11 +3,12 @@
 use super::arm::FrankaArm;
 use super::error::{ConnectError, next_step};
 use super::gravity::{Estimate, Gravity};
-use super::limits::{self, RobotLimits};
+use super::limits::{self, RobotLimits, widen};
 use super::session::Session;
 use super::settings::{Purpose, RobotKind, Settings};
 use super::telemetry::Telemetry;
 use super::wire::{Protocol, RecoveryStatus, Request, Response, RobotMode, RobotState};
+use crate::joint::JointVec;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -35,6 +36,13 @@ pub struct Info {
     pub gravity: Option<Gravity>,
     /// Socket options that the system refused, with its reasons.
     pub refused_options: Vec<String>,
+}
+
+impl Info {
+    /// Where the arm stood \[rad\].
+    pub fn pose(&self) -> JointVec {
+        widen(&self.state.q)
+    }
 }
 
 /// What comes with an arm.

@@ -23,7 +23,7 @@ impl std::fmt::Display for Explanation {
         if let Some(cause) = &self.cause {
             write!(out, " {cause}.")?;
         }
-        write!(out, " {}", self.next)
+        write!(out, " Next: {}", self.next)
     }
 }
 

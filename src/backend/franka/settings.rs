@@ -1,6 +1,7 @@
 //! What a session with an arm is opened with.
 
 use super::wire;
+use serde::Deserialize;
 use std::net::IpAddr;
 use std::time::Duration;
 
@@ -16,9 +17,11 @@ pub enum RobotKind {
 }
 
 /// What the commands hold.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Interface {
     /// Joint positions: the arm's own controller follows them.
+    #[default]
     JointPosition,
     /// Joint velocities, which the arm integrates; they are chosen so that the integral is the commanded position.
     JointVelocity,
@@ -36,9 +39,11 @@ pub enum Purpose {
 }
 
 /// The arm's own controller under a motion of positions or velocities.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Controller {
     /// Stiffness per joint.
+    #[default]
     JointImpedance,
     /// Stiffness per direction of the end effector.
     CartesianImpedance,
@@ -46,27 +51,28 @@ pub enum Controller {
 
 /// The impedance law of [`Interface::Torque`]:
 /// `tau_J_d = stiffness (q_d - q) + damping (dq_d - dq) + feed-forward`, within the torque limits and their rate.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct TorqueControl {
     /// Per joint \[Nm/rad\].
     pub stiffness: [f64; 7],
     /// Per joint \[Nms/rad\].
     pub damping: [f64; 7],
-    /// Whether the commands' feed-forward torque is added. The arm compensates gravity by itself, so the feed-forward must
-    /// come **without gravity** then: the model's torque at the setpoint less its torque at the same position at rest. With gravity in
-    /// it the arm would be pushed up by its own weight; that is why it is off unless asked for.
+    /// Whether the served model's torque is added. The arm compensates gravity by itself, so it is added **without gravity**: the
+    /// model's torque at the setpoint less its torque at the same position at rest (`tau_ff - tau_rest` of the command). A model that takes
+    /// over in mid-motion does so at the rate of torque that the arm allows.
     pub feed_forward: bool,
     /// Largest distance between desired and measured position \[rad\]; a command beyond is refused.
     pub reach: f64,
 }
 
 impl Default for TorqueControl {
-    /// Stiffness and damping of libfranka's example `joint_impedance_control`, no feed-forward, 0.1 rad.
+    /// Stiffness and damping of libfranka's example `joint_impedance_control`, with feed-forward, 0.1 rad.
     fn default() -> TorqueControl {
         TorqueControl {
             stiffness: [600.0, 600.0, 600.0, 600.0, 250.0, 150.0, 50.0],
             damping: [50.0, 50.0, 50.0, 50.0, 30.0, 25.0, 15.0],
-            feed_forward: false,
+            feed_forward: true,
             reach: 0.1,
         }
     }

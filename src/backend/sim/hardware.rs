@@ -111,7 +111,7 @@ impl Hardware {
 mod tests {
     use super::super::{Gate, Pace, SimArm};
     use super::*;
-    use crate::joint::{Command, Setpoint, Torque};
+    use crate::joint::{Command, Setpoint};
     use crate::model::chain::{Joint, JointKind, Placement};
     use crate::model::rnea::rnea;
     use crate::rt::Backend;
@@ -157,7 +157,7 @@ mod tests {
             let mut q = START;
             q[1] += 0.05 * (1.0 - (0.01 * f64::from(tick)).cos());
             let desired = Setpoint { q, ..Setpoint::default() };
-            arm.write(&Command { seq: state.seq, desired, tau_ff: Torque::default() }).expect("a smooth motion");
+            arm.write(&Command { seq: state.seq, desired, ..Command::default() }).expect("a smooth motion");
             sensed = hardware.track(&q);
         }
     }

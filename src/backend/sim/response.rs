@@ -104,7 +104,7 @@ impl Response {
 mod tests {
     use super::super::{Gate, Pace, SimArm};
     use super::*;
-    use crate::joint::{Command, Setpoint, Torque};
+    use crate::joint::{Command, Setpoint};
     use crate::model::chain::{Joint, JointKind, Placement};
     use crate::rt::Backend;
     use std::f64::consts::TAU;
@@ -154,7 +154,7 @@ mod tests {
             .map(|tick| {
                 let state = arm.read().expect("the arm goes on");
                 let desired = Setpoint { q: Wave.at(tick).q, ..Setpoint::default() };
-                arm.write(&Command { seq: state.seq, desired, tau_ff: Torque::default() }).expect("a smooth motion");
+                arm.write(&Command { seq: state.seq, desired, ..Command::default() }).expect("a smooth motion");
                 state
             })
             .collect();

@@ -1,6 +1,6 @@
 //! `[backend.franka]`: how a Franka arm is reached and driven.
 
-use crate::backend::franka::{self, RobotKind};
+use crate::backend::franka::{self, Controller, Interface, RobotKind, TorqueControl};
 use crate::config::units;
 use crate::input::BadInput;
 use serde::Deserialize;
@@ -31,6 +31,9 @@ pub struct Franka {
     /// Stiffness of the joint impedance controller \[Nm/rad\]; the robot's own where absent.
     #[serde(default)]
     pub joint_impedance: Option<[f64; 7]>,
+    /// plumbline's own impedance, with `interface = "torque"`.
+    #[serde(default)]
+    pub torque: TorqueControl,
     /// From which forces on the robot reports a contact, and from which it stops.
     #[serde(default)]
     pub collision: Collision,
@@ -46,30 +49,6 @@ pub struct Franka {
     /// How long a connection may take \[s\].
     #[serde(default = "connect_timeout", deserialize_with = "units::duration")]
     pub connect_timeout: f64,
-}
-
-/// What is commanded.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Interface {
-    /// Positions: the robot's own controller follows them.
-    #[default]
-    JointPosition,
-    /// Velocities.
-    JointVelocity,
-    /// Torques: plumbline's own joint impedance with the served model as feed-forward.
-    Torque,
-}
-
-/// Which of the robot's controllers tracks the commands.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Controller {
-    /// In joint space.
-    #[default]
-    JointImpedance,
-    /// In Cartesian space.
-    CartesianImpedance,
 }
 
 /// Who decides that the arm may move again.
@@ -169,16 +148,9 @@ impl Franka {
         let Collision { contact_torque, collision_torque, contact_force, collision_force } = self.collision;
         let Socket { priority, busy_poll, receive_buffer } = self.socket;
         Ok(franka::Settings {
-            interface: match self.interface {
-                Interface::JointPosition => franka::Interface::JointPosition,
-                Interface::JointVelocity => franka::Interface::JointVelocity,
-                Interface::Torque => franka::Interface::Torque,
-            },
+            interface: self.interface,
             purpose,
-            controller: match self.controller {
-                Controller::JointImpedance => franka::Controller::JointImpedance,
-                Controller::CartesianImpedance => franka::Controller::CartesianImpedance,
-            },
+            controller: self.controller,
             collision: franka::Collision {
                 lower_torque_acceleration: contact_torque,
                 upper_torque_acceleration: collision_torque,
@@ -194,6 +166,7 @@ impl Franka {
                 let [xx, xy, xz, yy, yz, zz] = load.inertia;
                 franka::Load { mass: load.mass, com: load.com, inertia: [xx, xy, xz, xy, yy, yz, xz, yz, zz] }
             }),
+            torque: self.torque,
             socket: franka::SocketOptions { priority, busy_poll_us: busy_poll, receive_buffer },
             state_timeout: Duration::from_secs_f64(self.state_timeout),
             connect_timeout: Duration::from_secs_f64(self.connect_timeout),
@@ -224,6 +197,21 @@ impl Franka {
             && let Some(value) = stiffness.iter().find(|value| !(0.0..=14_250.0).contains(*value))
         {
             return bad("joint-impedance", format!("{value} Nm/rad"), "0 to 14250 Nm/rad for every joint");
+        }
+        let TorqueControl { stiffness, damping, reach, feed_forward: _ } = &self.torque;
+        for (key, values, most, unit) in
+            [("stiffness", stiffness, 2000.0, "Nm/rad"), ("damping", damping, 200.0, "Nms/rad")]
+        {
+            if let Some(value) = values.iter().find(|value| !(0.0..=most).contains(*value)) {
+                return bad(
+                    &format!("torque.{key}"),
+                    format!("{value} {unit}"),
+                    &format!("0 to {most} {unit} for every joint"),
+                );
+            }
+        }
+        if !(*reach > 0.0 && *reach <= 0.5) {
+            return bad("torque.reach", format!("{reach} rad"), "above 0, at most 0.5 rad");
         }
         let Collision { contact_torque, collision_torque, contact_force, collision_force } = &self.collision;
         let thresholds: [(&str, &[f64], f64); 4] = [

@@ -84,7 +84,7 @@ impl Changing {
 
 /// Looks at the deviations of runs that were prepared with [`crate::estimate::experiment::Settings::keep_periods`].
 ///
-/// `friction` has `[fv, fc]` of each joint (\[Nms/rad\], \[Nm\]); without it, friction drifts are sought joint by joint alone. Runs without
+/// The ground's friction has `[fv, fc]` of each joint (\[Nms/rad\], \[Nm\]); without it, friction drifts are sought joint by joint alone. Runs without
 /// repeats have no part in it but for their hygiene.
 pub fn changing(ground: &Ground, trials: &[Trial]) -> Changing {
     let friction = &ground.friction[..];

@@ -8,7 +8,7 @@ mod history;
 
 use super::moves::stop_distances;
 use super::{Kinematics, PERIOD};
-use crate::joint::{JointVec, Limits, MAX_JOINTS, Setpoint, SpeedEnvelope, State, Torque, Workspace};
+use crate::joint::{Command, JointVec, Limits, MAX_JOINTS, Setpoint, SpeedEnvelope, State, Torque, Workspace};
 use history::History;
 use std::fmt;
 
@@ -167,8 +167,9 @@ impl Guard {
 
     /// Checks the command that is to be sent `dt` \[s\] after the last one, and the state that it answers. A command that passes
     /// becomes part of the history.
-    pub fn check(&mut self, dt: f64, desired: &Setpoint, tau_ff: &Torque, state: &State) -> Result<(), Violation> {
-        self.finite_command(desired, tau_ff)?;
+    pub fn check(&mut self, dt: f64, command: &Command, state: &State) -> Result<(), Violation> {
+        let Command { desired, tau_ff, .. } = command;
+        self.finite_command(command)?;
         self.finite_state(state)?;
         self.measured(state)?;
         for j in 0..self.joints {
@@ -178,40 +179,35 @@ impl Guard {
         }
         self.torque(tau_ff, Some(dt))?;
         self.end_effector(&desired.q)?;
-        self.sent(dt, desired, tau_ff);
+        self.sent(dt, command);
         Ok(())
     }
 
     /// Checks a sample of the controlled stop, or of the rest after it: finite numbers, positions and torques. The other limits have just
     /// been broken or are kept by the stop's own plan. `state` is `None` where it is what began the stop.
-    pub fn check_brake(
-        &mut self,
-        dt: f64,
-        desired: &Setpoint,
-        tau_ff: &Torque,
-        state: Option<&State>,
-    ) -> Result<(), Violation> {
-        self.finite_command(desired, tau_ff)?;
+    pub fn check_brake(&mut self, dt: f64, command: &Command, state: Option<&State>) -> Result<(), Violation> {
+        self.finite_command(command)?;
         if let Some(state) = state {
             self.finite_state(state)?;
         }
         for j in 0..self.joints {
-            self.position(j, desired.q[j])?;
+            self.position(j, command.desired.q[j])?;
         }
-        self.torque(tau_ff, None)?;
-        self.sent(dt, desired, tau_ff);
+        self.torque(&command.tau_ff, None)?;
+        self.sent(dt, command);
         Ok(())
     }
 
-    fn sent(&mut self, dt: f64, desired: &Setpoint, tau_ff: &Torque) {
-        self.history.push(desired.q, dt);
-        self.tau_last = Some(tau_ff.0);
+    fn sent(&mut self, dt: f64, command: &Command) {
+        self.history.push(command.desired.q, dt);
+        self.tau_last = Some(command.tau_ff.0);
     }
 
-    fn finite_command(&self, desired: &Setpoint, tau_ff: &Torque) -> Result<(), Violation> {
+    fn finite_command(&self, command: &Command) -> Result<(), Violation> {
+        let Command { desired, tau_ff, tau_rest, .. } = command;
         for j in 0..self.joints {
             finite(Limit::NotFinite, j, [desired.q[j], desired.dq[j], desired.ddq[j]])?;
-            finite(Limit::TorqueNotFinite, j, [tau_ff.0[j]])?;
+            finite(Limit::TorqueNotFinite, j, [tau_ff.0[j], tau_rest.0[j]])?;
         }
         Ok(())
     }

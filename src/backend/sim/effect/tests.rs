@@ -9,7 +9,7 @@ mod world;
 
 use super::*;
 use crate::backend::sim::{Exact, Gate, Pace, SimArm};
-use crate::joint::{Command, MAX_JOINTS, State, Torque};
+use crate::joint::{Command, MAX_JOINTS, State};
 use crate::model::chain::{Chain, Joint, JointKind, Placement};
 use crate::model::gravity::Mounting;
 use crate::model::rnea::{LinkParameters, rnea};
@@ -69,7 +69,7 @@ fn run(truth: &Truth, effects: Vec<Box<dyn Effect>>, ticks: usize) -> Vec<(State
     let mut arm = SimArm::with_effects(&chain(), truth, Mounting::UPRIGHT, START, 0, pace, all).unwrap();
     let mut step = || {
         let state = arm.read().unwrap();
-        let command = Command { seq: state.seq, desired: desired(state.seq), tau_ff: Torque::default() };
+        let command = Command { seq: state.seq, desired: desired(state.seq), ..Command::default() };
         let exact = *arm.exact();
         arm.write(&command).unwrap();
         (state, exact)
