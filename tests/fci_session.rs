@@ -62,16 +62,21 @@ fn open(settings: &Settings) -> (FrankaArm, Connection) {
     }
 }
 
+/// Each case has a robot of its own and keeps wall-clock time: they need not wait for one another.
+fn side_by_side<T: Sync>(cases: &[T], check: impl Fn(&T) + Sync) {
+    std::thread::scope(|scope| cases.iter().for_each(|case| drop(scope.spawn(|| check(case)))));
+}
+
 #[test]
 fn it_keeps_the_promises_of_every_arm_at_every_version() {
-    for protocol in Protocol::ALL {
+    side_by_side(&Protocol::ALL, |&protocol| {
         for interface in [Interface::JointPosition, Interface::JointVelocity] {
             eprintln!("{protocol} {interface:?}");
             let (_emulator, settings) = start(patient(protocol));
             let settings = Settings { interface, ..settings };
             conformance(|| open(&settings).0);
         }
-    }
+    });
 }
 
 /// The emulator's own view is a moment behind the state that it sent.
@@ -179,7 +184,7 @@ fn assert_in_order(run: &Run, emulator: &Emulator, protocol: Protocol) {
 
 #[test]
 fn a_whole_excitation_runs_through_the_loop_without_a_reflex_and_without_an_allocation() {
-    for protocol in Protocol::ALL {
+    side_by_side(&Protocol::ALL, |&protocol| {
         let (emulator, settings) = start(patient(protocol));
         let share = if protocol == Protocol::V5 { 0.9 } else { 0.5 };
         let run = drive(&settings, &plan(share), Duration::from_secs(60)).unwrap();
@@ -187,16 +192,17 @@ fn a_whole_excitation_runs_through_the_loop_without_a_reflex_and_without_an_allo
         // Nothing was lost on the way, so the arm was where our history says in every cycle, in single precision too.
         assert_eq!((run.statistics.unexplained_points, run.statistics.limited), (0, 0), "{protocol}");
         assert!(run.tracking().iter().all(|rms| *rms < 0.01), "{protocol}: {:?}", run.tracking());
-    }
+    });
 }
 
 #[test]
 fn a_bad_network_costs_a_way_back_and_no_discontinuity() {
-    for (protocol, troubles) in [
+    let cases = [
         (Protocol::V5, ["loss=0.05", "duplicate=0.1"]),
         (Protocol::V9, ["garbage=0.03", "truncate=0.03"]),
         (Protocol::V10, ["loss=0.1", "jitter=0.001"]),
-    ] {
+    ];
+    side_by_side(&cases, |&(protocol, troubles)| {
         let faults = troubles.iter().map(|text| format!("{text},at=motion").parse::<Trouble>().unwrap()).collect();
         let patience = Duration::from_millis(3);
         let (emulator, settings) = start(Emulated { faults, patience, ..patient(protocol) });
@@ -212,7 +218,7 @@ fn a_bad_network_costs_a_way_back_and_no_discontinuity() {
             Protocol::V9 => assert!(statistics.bad_packets > 100, "{statistics:?}"),
             Protocol::V10 => assert!(statistics.lost > 500, "{statistics:?}"),
         }
-    }
+    });
 }
 
 /// Holds until something ends it.
