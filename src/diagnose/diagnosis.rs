@@ -10,6 +10,7 @@ use super::gates;
 use super::library::{Candidate, library, repeatable};
 use super::moments::Columns;
 use super::outcome::{Confirmation, Effect, Estimate, Fitted, JointFacts, Outcome, Verdict};
+use super::parts;
 use super::select::{Found, Search, Selected, Step};
 use super::state::{State, every, mean_square};
 use crate::estimate::EstimateError;
@@ -309,8 +310,12 @@ fn effects_of(
             in_model: kept[index],
         });
     }
-    effects.sort_by(|a, b| b.score.total_cmp(&a.score));
-    effects
+    let friction = |joint: usize| {
+        let name = format!("fc{}", joint + 1);
+        let at = after.structure.columns().iter().position(|column| column.name == name)?;
+        Some(after.identification.beta[at])
+    };
+    parts::together(effects, friction)
 }
 
 /// Nonlinear parameters with standard deviations from the curvature of the likelihood about them.

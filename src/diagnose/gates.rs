@@ -129,7 +129,7 @@ pub struct Relevance {
     pub rms: Vec<f64>,
     /// Share of the unmodelled mean square that it takes away, per joint.
     pub share: Vec<f64>,
-    /// Joint in which it explains most.
+    /// Joint in which it explains most, against the noise there where that is known.
     pub joint: usize,
 }
 
@@ -139,6 +139,7 @@ pub fn relevance(evidence: &Evidence, state: &State, tried: &Tried, item: &Candi
     let own = state.fit.theta.len();
     let (shift, gamma) = (change.rows(0, own), change.rows(own, change.len() - own));
     let mut found = Relevance { rms: Vec::new(), share: Vec::new(), joint: 0 };
+    let mut worth = Vec::new();
     let without = if tried.held { tried.fit.theta.rows(0, own).into_owned() } else { state.fit.theta.clone() };
     for joint in 0..evidence.joints() {
         let mut fitted = &state.columns.m[joint] * shift;
@@ -151,10 +152,13 @@ pub fn relevance(evidence: &Evidence, state: &State, tried: &Tried, item: &Candi
         let before = (square - floor * floor).max(0.0);
         let taken = square - mean_square(evidence, joint, &(residual - &fitted));
         found.rms.push(mean_square(evidence, joint, &fitted).sqrt());
-        found.share.push((taken / before.max(f64::MIN_POSITIVE)).clamp(-1.0, 1.0));
+        let share = (taken / before.max(f64::MIN_POSITIVE)).clamp(-1.0, 1.0);
+        // Of next to nothing even all is little.
+        worth.push(if floor > 0.0 { taken / (floor * floor) } else { share });
+        found.share.push(share);
     }
     let touched = item.joints();
-    let best = touched.into_iter().max_by(|&a, &b| found.share[a].total_cmp(&found.share[b]));
+    let best = touched.into_iter().max_by(|&a, &b| worth[a].total_cmp(&worth[b]));
     found.joint = best.unwrap_or(0);
     found
 }

@@ -19,6 +19,7 @@ pub mod library;
 pub mod live;
 pub mod moments;
 pub mod outcome;
+mod parts;
 pub mod reference;
 pub mod select;
 pub mod state;
