@@ -1,36 +1,46 @@
 //! Step 1: does this machine answer the robot in time?
 
-use super::Rig;
 use super::verdict::Verdict;
+use super::{Given, Rig};
+use clap::Args;
 use plumbline::backend::franka::{self, Connection, Purpose, Spread, Statistics};
 use plumbline::joint::{Command, Setpoint};
 use plumbline::rt::os::{Rights, become_realtime};
 use plumbline::rt::{Backend, Fault};
 use std::error::Error;
 
-/// States that are watched, then held through: 10 s and 30 s.
-const WATCHED: u64 = 10_000;
-const HELD: u64 = 30_000;
 /// Most states that may be missing in a row.
 const LONGEST_GAP: u64 = 3;
 /// Least share of commands that the robot has to count.
 const SUCCESS: f64 = 0.95;
 
+#[derive(Args, Clone)]
+pub struct Options {
+    #[command(flatten)]
+    pub given: Given,
+    /// How long states are watched \[s\]
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=600))]
+    pub watch: u64,
+    /// How long the pose is held \[s\]
+    #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=600))]
+    pub hold: u64,
+}
+
 /// Watches, then holds.
-pub fn run(rig: &Rig) -> Result<Verdict, Box<dyn Error>> {
+pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
     let realtime = &rig.job.realtime;
     let priority = Some(realtime.priority).filter(|&priority| priority > 0);
     let granted = become_realtime(&Rights { priority, cpu: realtime.cpu, lock_memory: realtime.lock_memory });
     granted.refusals().for_each(|refusal| println!("not real-time: {refusal}"));
 
-    println!("watching {} s of states; nothing moves", WATCHED / 1000);
-    let (watched, fault) = session(rig, Purpose::Watch, WATCHED)?;
+    println!("watching {} s of states; nothing moves", options.watch);
+    let (watched, fault) = session(rig, Purpose::Watch, 1000 * options.watch)?;
     show("watched", &watched);
     if let Some(fault) = fault {
         return Ok(Verdict::Fail(vec![franka::explain(&fault, &watched).to_string()]));
     }
-    println!("holding the present pose under control for {} s; nothing is to move", HELD / 1000);
-    let (held, fault) = session(rig, Purpose::Drive, HELD)?;
+    println!("holding the present pose under control for {} s; nothing is to move", options.hold);
+    let (held, fault) = session(rig, Purpose::Drive, 1000 * options.hold)?;
     show("held", &held);
     let mut reasons: Vec<String> = fault.iter().map(|fault| franka::explain(fault, &held).to_string()).collect();
     for (what, statistics) in [("watching", &watched), ("holding", &held)] {

@@ -5,7 +5,7 @@ use super::{Given, Rig};
 use plumbline::report::Report;
 use plumbline::report::diagnosis::Verdict as Found;
 use std::error::Error;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 /// How far joints may move from `backend.start` in the slow step \[rad\].
@@ -41,7 +41,7 @@ pub fn slow(rig: &Rig, given: &Given) -> Result<Verdict, Box<dyn Error>> {
     ];
     let out = rig.job.output.dir.join("rig-slow");
     println!("planning, then driving a small, slow excitation; keep your hand on the stop button");
-    let driven = run(given, &sets, &out)?;
+    let driven = run(rig, given, &sets, &out)?;
     let mut reasons = Vec::new();
     if !driven {
         reasons.push("the arm was stopped or the job failed; the lines above say why and what to do".to_string());
@@ -58,7 +58,7 @@ pub fn slow(rig: &Rig, given: &Given) -> Result<Verdict, Box<dyn Error>> {
 pub fn full(rig: &Rig, given: &Given) -> Result<Verdict, Box<dyn Error>> {
     let out = rig.job.output.dir.clone();
     println!("running the whole job; keep your hand on the stop button");
-    if !run(given, &[], &out)? {
+    if !run(rig, given, &[], &out)? {
         return Ok(Verdict::Fail(vec![
             "the arm was stopped or the job failed; the lines above say why and what to do".into(),
         ]));
@@ -87,9 +87,9 @@ pub fn full(rig: &Rig, given: &Given) -> Result<Verdict, Box<dyn Error>> {
 }
 
 /// Whether `plumbline run` succeeded.
-fn run(given: &Given, sets: &[String], out: &Path) -> Result<bool, Box<dyn Error>> {
-    let program: PathBuf = std::env::current_exe()?.with_file_name("plumbline");
-    let mut command = Command::new(&program);
+fn run(rig: &Rig, given: &Given, sets: &[String], out: &Path) -> Result<bool, Box<dyn Error>> {
+    let program = &rig.program;
+    let mut command = Command::new(program);
     command.arg("run").arg(&given.config).arg("--out").arg(out);
     for set in given.sets.iter().chain(sets) {
         command.args(["--set", set]);

@@ -23,7 +23,7 @@ const DEVIATIONS: f64 = 3.0;
 /// What the strength of gravity may be off by.
 const STRENGTH: f64 = 0.15;
 /// The published model of the Panda.
-const PANDA: &str = include_str!("../../config/models/panda-paper-table3.toml");
+const PANDA: &str = include_str!("../../../config/models/panda-paper-table3.toml");
 
 #[derive(Args, Clone)]
 pub struct Options {
