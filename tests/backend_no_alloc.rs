@@ -7,7 +7,7 @@ mod emulator;
 use assert_no_alloc::{AllocDisabler, assert_no_alloc, violation_count};
 use backend_support::{TestClock, command, excitation, sim};
 use plumbline::backend::franka::wire::Protocol;
-use plumbline::backend::franka::{Interface, Purpose, RobotKind, Settings, connect};
+use plumbline::backend::franka::{Interface, Purpose, RobotKind, Settings, connect, explain};
 use plumbline::backend::sim::{Gate, Pace, Truth};
 use plumbline::joint::{Setpoint, State};
 use plumbline::rt::Backend;
@@ -99,20 +99,21 @@ fn run_franka(
     purpose: Purpose,
     troubles: &[&str],
     silent: bool,
-) -> (u32, u64) {
+) -> (u32, u64, String) {
     let address = std::net::Ipv4Addr::new(127, 44, (std::process::id() % 250) as u8, protocol.number() as u8);
     let faults = troubles.iter().map(|text| text.parse().unwrap()).collect();
-    let patience = std::time::Duration::from_millis(50);
+    // Two states lost in a row take twice that, and our own patience is 100 ms.
+    let patience = std::time::Duration::from_millis(20);
     let emulated = emulator::Settings { faults, patience, ..emulator::Settings::new(address, protocol) };
     let _emulator = emulator::Emulator::start(emulated).unwrap();
     let robot = if protocol == Protocol::V5 { RobotKind::Panda } else { RobotKind::Fr3 };
     let settings = Settings { interface, purpose, ..Settings::new(address.into(), robot) };
-    let (mut arm, _connection) = connect(&settings).unwrap();
+    let (mut arm, connection) = connect(&settings).unwrap();
     let before = violation_count();
     let mut cycles = 0;
+    let mut end = Ok(());
     assert_no_alloc(|| {
         let mut start = None;
-        let mut end = Ok(());
         while end.is_ok() && cycles < 400 {
             end = arm.read().and_then(|state: State| {
                 let start = *start.get_or_insert(state.q_d);
@@ -126,7 +127,9 @@ fn run_franka(
         arm.stop();
         let _ = arm.read();
     });
-    (violation_count() - before, cycles)
+    let allocations = violation_count() - before;
+    let words = end.err().map_or(String::new(), |fault| explain(&fault, &connection.telemetry.snapshot()).to_string());
+    (allocations, cycles, words)
 }
 
 #[test]
@@ -145,13 +148,15 @@ fn a_franka_arm_allocates_nothing_whatever_happens_to_it() {
         ] {
             // Losses that are drawn may end a motion early; what counts is that a long one allocates nothing, and no other does.
             let long = (0..5).any(|_| {
-                let (allocations, cycles) = run_franka(protocol, interface, Purpose::Drive, troubles, silent);
+                let (allocations, cycles, words) = run_franka(protocol, interface, Purpose::Drive, troubles, silent);
                 assert_eq!(allocations, 0, "{protocol} {interface:?} {troubles:?}");
+                eprintln!("{protocol} {interface:?} {troubles:?}: {cycles} cycles. {words}");
                 cycles > 50
             });
             assert!(long, "{protocol} {interface:?} {troubles:?}: no long motion in five");
         }
-        assert_eq!(run_franka(protocol, JointPosition, Purpose::Watch, &[], false), (0, 400));
+        let (allocations, cycles, _) = run_franka(protocol, JointPosition, Purpose::Watch, &[], false);
+        assert_eq!((allocations, cycles), (0, 400));
     }
 }
 

@@ -36,6 +36,11 @@ fn blocked_udp_is_named_with_the_firewall() {
 }
 
 #[test]
+fn states_that_are_cut_on_the_way_are_told_from_none() {
+    is_told(Trouble::Faults(&["truncate=1"]), &["none is a state", "changes or cuts them"]);
+}
+
+#[test]
 fn nobody_at_the_address_is_named_with_what_to_look_at() {
     let place = Place::new("faults-nobody");
     let mut daemon = plumbline();

@@ -226,6 +226,10 @@ impl Desk {
                 tracing::error!("the arm is being stopped: {reason}");
                 self.stopped = Some(reason.to_string());
             }
+            Event::Stopped if self.progress == Progress::Stopped => tracing::error!(
+                "the arm is at rest, and what was left of the programme is not driven; see to the cause, start the daemon again, and \
+                 give `plumbline command start`"
+            ),
             Event::Stopped => {
                 tracing::error!("the arm is at rest; it moves again only after `plumbline command resume`");
             }

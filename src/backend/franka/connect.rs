@@ -14,6 +14,8 @@ use std::time::{Duration, Instant};
 
 /// Longest time that a recovery may take: the arm may have to move back into its range.
 const RECOVERY: Duration = Duration::from_secs(30);
+/// Pause before an arm that can't be reached is tried again.
+const AGAIN: Duration = Duration::from_millis(200);
 /// Longest wait for states at rest.
 const REST: Duration = Duration::from_secs(2);
 
@@ -104,7 +106,7 @@ pub fn connect(settings: &Settings) -> Result<(FrankaArm, Connection), ConnectEr
 ///
 /// [`ConnectError::Mode`] in any other mode, [`ConnectError::Recovery`] when the arm can't, and what [`connect()`] has.
 pub fn recover(settings: &Settings) -> Result<(), ConnectError> {
-    let mut session = Session::open(settings)?;
+    let mut session = reach(settings)?;
     // The mode decides: the errors of a reflex clear by themselves as soon as the arm stands.
     match session.first.robot_mode {
         RobotMode::Reflex => {}
@@ -129,6 +131,18 @@ pub fn recover(settings: &Settings) -> Result<(), ConnectError> {
         }
     }
     Err(ConnectError::StillNotIdle { mode, waited: settings.connect_timeout })
+}
+
+/// Opens a session with an arm whose network may be coming back: what is refused or unreachable is tried again for as long as a
+/// connection may take.
+fn reach(settings: &Settings) -> Result<Session, ConnectError> {
+    let deadline = Instant::now() + settings.connect_timeout;
+    loop {
+        match Session::open(settings) {
+            Err(ConnectError::Unreachable { .. }) if Instant::now() < deadline => std::thread::sleep(AGAIN),
+            outcome => return outcome,
+        }
+    }
 }
 
 fn after_recovery(status: RecoveryStatus) -> &'static str {

@@ -62,7 +62,7 @@ pub enum ConnectError {
     },
     /// No state came over UDP though the connection stands.
     #[error(
-        "the arm accepted the connection, but none of its states arrived at UDP port {port} within {waited:?}. {hint}"
+        "the arm accepted the connection, but none of its states arrived at UDP port {port} whole within {waited:?}. {hint}"
     )]
     NoStates {
         /// The port that the states should come to.

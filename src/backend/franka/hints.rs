@@ -80,6 +80,15 @@ pub(super) fn unreachable(way: &Way, kind: ErrorKind) -> String {
     subnet + kind
 }
 
+/// What to look at when datagrams of the arm come, of which the last had so many `bytes`, and none is a state.
+pub(super) fn damaged(protocol: Protocol, bytes: usize) -> String {
+    format!(
+        "Datagrams of the arm did come, but none is a state of {protocol}, which has {} bytes (the last had {bytes}): something on the way \
+         changes or cuts them. Look at cable, network card and switch, and connect the robot directly.",
+        protocol.state_bytes()
+    )
+}
+
 /// What to look at when the connection stands but no state comes.
 pub(super) fn no_states(way: &Way, protocol: Protocol, port: u16, stranger: Option<IpAddr>) -> String {
     let mut words = stranger.map_or_else(String::new, |stranger| {

@@ -67,7 +67,10 @@ impl Session {
         let first = first.ok_or_else(|| ConnectError::NoStates {
             port,
             waited: settings.connect_timeout,
-            hint: hints::no_states(&hints::way_to(address), protocol, port, states.stranger()),
+            hint: match states.damaged() {
+                Some(bytes) => hints::damaged(protocol, bytes),
+                None => hints::no_states(&hints::way_to(address), protocol, port, states.stranger()),
+            },
         })?;
         Ok(Session { protocol, commands, states, first, refused, timeout: settings.connect_timeout })
     }

@@ -17,6 +17,8 @@ pub(super) struct StateLink {
     /// Where the last state came from, which is where commands go.
     peer: Option<SocketAddr>,
     stranger: Option<IpAddr>,
+    /// Bytes of the arm's last datagram that was no state.
+    damaged: Option<usize>,
     protocol: Protocol,
     /// One byte more than a state, or a longer datagram looks like a good one.
     buffer: [u8; MAX_STATE + 1],
@@ -45,12 +47,17 @@ impl StateLink {
         socket.set_read_timeout(Some(SLICE))?;
         // The first question switches the kernel's time stamps on.
         datagram_age_ns(&socket);
-        Ok(StateLink { socket, arm, peer: None, stranger: None, protocol, buffer: [0; MAX_STATE + 1] })
+        Ok(StateLink { socket, arm, peer: None, stranger: None, damaged: None, protocol, buffer: [0; MAX_STATE + 1] })
     }
 
     /// Who else has sent something.
     pub fn stranger(&self) -> Option<IpAddr> {
         self.stranger
+    }
+
+    /// Bytes of the arm's last datagram that was no state.
+    pub fn damaged(&self) -> Option<usize> {
+        self.damaged
     }
 
     /// Whether datagrams from `address` are the arm's. An emulator on this machine may listen at one loopback address and send from another.
@@ -87,7 +94,10 @@ impl StateLink {
                 let at = datagram_age_ns(&self.socket).map(|age| now.saturating_sub(age));
                 Found::State(state, at)
             }
-            Err(_) => Found::Bad,
+            Err(_) => {
+                self.damaged = Some(length);
+                Found::Bad
+            }
         }
     }
 
