@@ -49,7 +49,7 @@ pub use connect::{Connection, Info, connect, recover};
 pub use error::{ConnectError, next_step};
 pub use explain::{Explanation, explain};
 pub use gravity::{Gravity, Source};
-pub use limits::RobotLimits;
+pub use limits::{RobotLimits, from_urdf as limits_from_urdf};
 pub use settings::{
     BadSetting, Collision, Controller, Interface, Load, Purpose, RobotKind, Settings, SocketOptions, TorqueControl,
 };
