@@ -14,8 +14,9 @@ use super::guard::{Guard, Violation};
 use super::motion::{Finished, Motion, seconds};
 use super::moves::Planner;
 use super::order::{Event, Handles, Inlets, Order, OrderKind, Retired, StopReason, rings};
-use super::os::{Granted, Rights, become_realtime, now_ns};
+use super::os::now_ns;
 use super::recorder::Flight;
+use super::rights::{Granted, Rights, become_realtime};
 use super::settings::{CycleSettings, SetupError};
 use super::stats::{NotForward, Summary, Tally};
 use super::{Backend, Fault, FeedForward, Kinematics, Reference, Sink};
@@ -37,6 +38,9 @@ pub enum End {
     /// No controlled stop could be planned; the arm was stopped by its own means.
     #[error("no controlled stop from the last setpoint")]
     NoBrake,
+    /// The machine did not grant what was asked, and the settings want all of it: nothing was read or sent.
+    #[error("not real-time, and the configuration refuses to run so")]
+    NotRealTime,
     /// The arm's cycle counter did not go forward.
     #[error("the arm's cycle counter went from {last} to {seq}")]
     Clock {
@@ -81,6 +85,7 @@ pub struct Cycle<B: Backend, S: Sink> {
     tracking: JointVec,
     max_lost: u64,
     rights: Rights,
+    must_be_realtime: bool,
     inlets: Inlets,
     /// Orders given under an older permission than this don't run.
     permission: u32,
@@ -115,6 +120,7 @@ pub fn new<B: Backend, S: Sink>(
         tracking: settings.guard.tracking,
         max_lost: settings.max_consecutive_lost,
         rights: settings.rights,
+        must_be_realtime: settings.must_be_realtime,
         inlets,
         permission: 0,
         motion: Motion::new(joints, planner),
@@ -135,16 +141,16 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
     /// Runs until something ends it; call it on the thread that is to be real-time.
     pub fn run(&mut self) -> Outcome {
         let granted = become_realtime(&self.rights);
+        // Said before the first cycle, so that everybody can know what this loop is worth while it runs.
+        let _ = self.inlets.granted.set(granted.clone());
         let watched = allocations_are_watched();
         let before = violation_count();
-        let end = assert_no_alloc(|| {
-            loop {
-                if let Err(end) = self.cycle() {
-                    self.backend.stop();
-                    break end;
-                }
-            }
-        });
+        let end = if self.must_be_realtime && granted.refusals().next().is_some() {
+            self.backend.stop();
+            End::NotRealTime
+        } else {
+            assert_no_alloc(|| self.cycles())
+        };
         Outcome {
             end,
             stops: self.stops,
@@ -153,6 +159,17 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
             granted,
             allocations: watched.then(|| violation_count().wrapping_sub(before)),
             flight: self.flight.in_order(),
+        }
+    }
+
+    /// Passes until one of them ends the loop.
+    #[cfg_attr(feature = "rtsan", rtsan_standalone::nonblocking)]
+    fn cycles(&mut self) -> End {
+        loop {
+            if let Err(end) = self.cycle() {
+                self.backend.stop();
+                break end;
+            }
         }
     }
 
@@ -194,6 +211,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         let gap = self.tally.arrived(state.seq, stamp_ns)?;
         if let Some(deadline_ns) = self.backend.deadline_ns() {
             self.tally.woke(stamp_ns.saturating_sub(deadline_ns));
+            self.tally.due(deadline_ns);
         }
         if first {
             // The arm's own desired position, unless it does not go with where the arm is.

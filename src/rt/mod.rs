@@ -5,6 +5,7 @@
 // The wall around the loop: clippy.toml lists what must not be called here.
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
 
+pub mod controls;
 pub mod cycle;
 pub mod guard;
 pub mod motion;
@@ -12,8 +13,10 @@ pub mod moves;
 pub mod order;
 pub mod os;
 pub mod recorder;
+pub mod rights;
 pub mod settings;
 pub mod stats;
+mod sync;
 
 use crate::joint::{Command, JointVec, Record, Setpoint, State, Torque};
 

@@ -2,7 +2,7 @@
 
 use super::guard::GuardSettings;
 use super::moves::MoveFactors;
-use super::os::Rights;
+use super::rights::Rights;
 use crate::joint::MAX_JOINTS;
 
 /// What the loop is built from.
@@ -20,6 +20,8 @@ pub struct CycleSettings {
     pub flight: usize,
     /// What the loop's thread asks of the operating system.
     pub rights: Rights,
+    /// Whether the loop ends before its first cycle when one of these is refused, instead of running degraded.
+    pub must_be_realtime: bool,
 }
 
 impl CycleSettings {
@@ -32,6 +34,7 @@ impl CycleSettings {
             queue: 64,
             flight: 200,
             rights: Rights::default(),
+            must_be_realtime: false,
         }
     }
 }

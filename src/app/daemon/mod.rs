@@ -71,6 +71,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         sessions: Vec::new(),
         ended: Vec::new(),
         recoveries: 0,
+        degraded: Vec::new(),
         driven: None,
         stopped: None,
         last: Record::default(),
@@ -142,9 +143,6 @@ impl Daemon {
     /// Runs a session to its end and keeps its figures.
     fn see_through(&mut self, session: Session) -> Result<Seen, Failure> {
         let (statistics, end) = session.run(self)?;
-        for refusal in &statistics.refusals {
-            tracing::warn!("not real-time: {refusal}");
-        }
         let words = statistics.link.as_ref().and_then(|link| link.fault.clone()).unwrap_or_else(|| end.to_string());
         self.desk.sessions.push(statistics);
         match end {
@@ -154,6 +152,10 @@ impl Daemon {
                 tracing::warn!("{words}; going on by itself, time {}, as the job allows", self.desk.recoveries);
                 arm::recover(&self.desk)?;
                 Ok(Seen::Interrupted)
+            }
+            End::NotRealTime => {
+                let refusals = self.desk.degraded.join("; ");
+                Err(Failure::job(format!("the loop ended: {words} (realtime.on-refusal): {refusals}")))
             }
             _ => Err(Failure::job(format!("the loop ended: {words}"))),
         }

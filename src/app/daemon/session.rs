@@ -7,7 +7,7 @@ use super::script::{Next, Script};
 use crate::app::served::{Reach, ServedModel};
 use crate::app::{Failure, programme};
 use crate::backend::sim::Gate;
-use crate::config::job;
+use crate::config::job::{self, OnRefusal};
 use crate::ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
 use crate::joint::{MAX_JOINTS, Record};
 use crate::model::gravity::Mounting;
@@ -48,6 +48,8 @@ pub struct Session {
     purpose: Purpose,
     /// Identity of the model handed to this loop.
     model: u64,
+    /// It was said what the loop's thread was granted.
+    judged: bool,
     /// Simulated time waits for the estimator.
     waiting: bool,
     /// From state read to shared memory \[ns\].
@@ -80,6 +82,7 @@ impl Session {
         settings.max_consecutive_lost = u64::from(job.safety.max_lost);
         settings.queue = 3 * desk.names.len() + 8;
         settings.rights = if gate.is_some() { Rights::NONE } else { rights(&job.realtime, 0) };
+        settings.must_be_realtime = job.realtime.on_refusal == OnRefusal::Refuse;
         let (sink, drain) = recorder::ring(RING);
         let reach = Box::new(Reach(robot.chain.clone()));
         let (mut cycle, handles) = cycle::new(arm, sink, Some(reach), settings).map_err(Failure::job)?;
@@ -98,6 +101,7 @@ impl Session {
             script,
             purpose,
             model: 0,
+            judged: false,
             waiting: false,
             bridged: Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("constant bounds"),
             records: Vec::with_capacity(DRAIN),
@@ -115,6 +119,7 @@ impl Session {
         daemon.desk.mounting = self.mounting;
         while !self.thread.as_ref().is_none_or(JoinHandle::is_finished) {
             let busy = self.bridge(daemon);
+            self.hear_of_rights(&mut daemon.desk);
             self.handle_events(&mut daemon.desk);
             self.hand_over_model(&daemon.desk);
             self.give_orders();
@@ -134,6 +139,7 @@ impl Session {
         let joined = self.thread.take().and_then(|thread| thread.join().ok());
         let outcome = joined.ok_or(Failure::job("the loop's thread panicked; the arm was stopped by its own means"))?;
         while self.bridge(daemon) {}
+        self.hear_of_rights(&mut daemon.desk);
         self.handle_events(&mut daemon.desk);
         self.handles.free_retired();
         Ok((self.statistics(&outcome), outcome.end))
@@ -156,6 +162,16 @@ impl Session {
             gate.consumed(taken as u64);
         }
         true
+    }
+
+    /// Says as soon as it is known whether this loop is real-time or degraded.
+    fn hear_of_rights(&mut self, desk: &mut Desk) {
+        let Some(granted) = self.handles.granted.get().filter(|_| !self.judged) else { return };
+        self.judged = true;
+        desk.degraded = granted.refusals().map(str::to_string).collect();
+        for refusal in &desk.degraded {
+            tracing::warn!("degraded, not real-time: {refusal}");
+        }
     }
 
     /// What watches the served model must see it in time: an arm that runs as fast as it can waits for the estimator.
@@ -238,6 +254,7 @@ impl Session {
             cycles: summary.cycles,
             lost: summary.lost,
             longest_lost: summary.longest_lost,
+            clock: Some(summary.clock).filter(|&clock| clock > 0),
             late: summary.late,
             unrecorded: summary.unrecorded,
             allocations: outcome.allocations,
@@ -264,5 +281,6 @@ fn rights(realtime: &job::Realtime, below: u8) -> Rights {
         priority: Some(realtime.priority.saturating_sub(below)).filter(|&priority| priority > 0),
         cpu: realtime.cpu.filter(|_| below == 0),
         lock_memory: realtime.lock_memory,
+        preempt_rt: realtime.preempt_rt && below == 0,
     }
 }
