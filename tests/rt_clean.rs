@@ -30,10 +30,10 @@ fn whole_runs_on_every_arm_allocate_nothing() {
     }
 }
 
-/// Starts this test again as a program that makes one sealed run.
-fn sealed(what: &str) -> (ExitStatus, String) {
+/// Starts this test again as a program that makes one run.
+fn alone(arm: &str, seal: &str) -> (ExitStatus, String) {
     let mut program = Command::new(std::env::current_exe().unwrap());
-    program.args(["--exact", "a_sealed_run", "--nocapture", "--test-threads=1"]).env(RUN, what);
+    program.args(["--exact", "a_sealed_run", "--nocapture", "--test-threads=1"]).env(RUN, format!("{arm}+{seal}"));
     let done = program.output().unwrap();
     (done.status, String::from_utf8_lossy(&done.stdout).into_owned() + &String::from_utf8_lossy(&done.stderr))
 }
@@ -42,10 +42,8 @@ fn sealed(what: &str) -> (ExitStatus, String) {
 #[test]
 fn a_sealed_run() {
     let Ok(what) = std::env::var(RUN) else { return };
-    let (arm, seal) = match what.split_once('+') {
-        None => (what.as_str(), Seal::Calls),
-        Some((arm, stray)) => (arm, Seal::stray(stray)),
-    };
+    let (arm, seal) = what.split_once('+').expect("an arm and a seal");
+    let seal = Seal::parse(seal);
     let arm = ARMS.into_iter().find(|known| *known == arm).expect("a known arm");
     run(arm, seal);
 }
@@ -53,7 +51,7 @@ fn a_sealed_run() {
 #[test]
 fn whole_runs_on_every_arm_make_no_stray_system_call() {
     for arm in ARMS {
-        let (status, said) = sealed(arm);
+        let (status, said) = alone(arm, "calls");
         assert!(status.success(), "{arm}: {status}\n{said}");
         assert!(said.contains("sealed run complete"), "{arm}: {said}");
     }
@@ -63,7 +61,18 @@ fn whole_runs_on_every_arm_make_no_stray_system_call() {
 fn the_filter_would_notice() {
     // One call of getpid, a growing heap, a line of output, a woken helper: each of them in one cycle of the middle of a run.
     for stray in ["getpid", "mmap", "print", "wake"] {
-        let (status, said) = sealed(&format!("{}+{stray}", ARMS[0]));
+        let (status, said) = alone(ARMS[0], &format!("stray-{stray}"));
         assert_eq!(status.signal(), Some(SIGSYS), "{stray}: {status}\n{said}");
+    }
+}
+
+/// Under RTSan every run above is watched by it; here it must object. Without it, the same runs pass: they are what the filter is for.
+#[test]
+fn rtsan_would_notice() {
+    for stray in ["mmap", "print"] {
+        let (status, said) = alone(ARMS[0], &format!("loose-{stray}"));
+        let objected = said.contains("RealtimeSanitizer") && !status.success();
+        assert_eq!(objected, cfg!(feature = "rtsan"), "{stray}: {status}\n{said}");
+        assert!(objected || status.success(), "{stray}: {status}\n{said}");
     }
 }

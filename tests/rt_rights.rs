@@ -69,8 +69,7 @@ fn only_the_loop_and_its_bridge_are_real_time_and_the_daemon_says_what_it_lacks(
     let locked: u64 =
         locked.lines().find_map(|l| l.strip_prefix("VmLck:")?.trim().strip_suffix(" kB")?.parse().ok()).unwrap();
     assert_eq!(locked > 0, !running.degraded.iter().any(|line| line.contains("no KiB locked")), "{locked} kB locked");
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
+    let done = quit(&place, daemon);
     for line in &running.degraded {
         assert!(done.err.contains(line.as_str()), "{line}\n{}", done.said());
     }
@@ -83,8 +82,7 @@ fn a_refusal_is_run_with_and_said_or_refused_as_the_job_says() {
     let daemon = Running::start(place.job("daemon", &[&HOLD[..], &[NO_CPU]].concat()));
     let running = wait_for("the loop", || status(&place).filter(|status| status.cycles > 100));
     assert!(running.degraded.iter().any(|line| line.contains("CPU 1000")), "{:?}", running.degraded);
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    quit(&place, daemon);
 
     // Refused: nothing is driven, and the message names the right that is missing and the key that wants it.
     let place = Place::new("refused");
@@ -103,10 +101,20 @@ fn a_refusal_is_run_with_and_said_or_refused_as_the_job_says() {
     let daemon = Running::start(place.job("daemon", &[&HOLD[..], &nothing].concat()));
     let running = wait_for("the loop", || status(&place).filter(|status| status.cycles > 100));
     assert_eq!(running.degraded, Vec::<String>::new());
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    quit(&place, daemon);
 
     let place = Place::new("unknown-word");
     let done = Done::of(place.job("daemon", &["realtime.on-refusal=maybe"])).expect_code(2);
     assert!(done.err.contains("on-refusal") && done.err.contains("degrade"), "{}", done.said());
+}
+
+/// Ends the daemon by command; what it said.
+#[track_caller]
+fn quit(place: &Place, mut daemon: Running) -> Done {
+    let done = place.command("quit");
+    if !daemon.runs() && done.code != Some(0) {
+        panic!("the daemon had ended: {}", daemon.end().said());
+    }
+    assert_eq!(done.code, Some(0), "{}", done.said());
+    daemon.end().expect_code(0)
 }

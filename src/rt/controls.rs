@@ -24,7 +24,8 @@ pub struct Controls {
 impl Controls {
     /// Brakes the arm and waits for [`resume`](Controls::resume). Orders given so far are discarded.
     pub fn stop(&self) {
-        self.stop.store(true, Ordering::Release);
+        // A swap, as on the loop's side: read-modify-writes have one order, in which a stop can't slip between a look and its taking back.
+        self.stop.swap(true, Ordering::AcqRel);
     }
 
     /// Ends the loop: at once when the arm rests, after a controlled stop when it moves.

@@ -44,6 +44,8 @@ pub enum Seal {
     Calls,
     /// The same, and the loop's thread makes one in the middle of the run.
     Stray(Stray),
+    /// The thread makes one without being sealed.
+    Loose(Stray),
 }
 
 /// A call that has no place in a cycle.
@@ -60,15 +62,25 @@ pub enum Stray {
 }
 
 impl Seal {
-    /// By its name on the command line.
-    pub fn stray(name: &str) -> Seal {
-        Seal::Stray(match name {
+    /// From `calls`, `stray-NAME` or `loose-NAME`.
+    pub fn parse(text: &str) -> Seal {
+        match text.split_once('-') {
+            Some(("stray", name)) => Seal::Stray(Stray::parse(name)),
+            Some(("loose", name)) => Seal::Loose(Stray::parse(name)),
+            _ => Seal::Calls,
+        }
+    }
+}
+
+impl Stray {
+    fn parse(name: &str) -> Stray {
+        match name {
             "getpid" => Stray::Getpid,
             "mmap" => Stray::Mmap,
             "print" => Stray::Print,
             "wake" => Stray::Wake,
             other => panic!("no stray call `{other}`"),
-        })
+        }
     }
 }
 
@@ -115,8 +127,13 @@ impl<B> SealedArm<B> {
     }
 
     fn new(arm: B, name: &str, seal: Seal) -> SealedArm<B> {
-        let stray = if let Seal::Stray(stray) = seal { Some(stray) } else { None };
-        SealedArm { filter: (seal != Seal::Open).then(|| filter(name)), stray, ..SealedArm::open(arm) }
+        let (sealed, stray) = match seal {
+            Seal::Open => (false, None),
+            Seal::Calls => (true, None),
+            Seal::Stray(stray) => (true, Some(stray)),
+            Seal::Loose(stray) => (false, Some(stray)),
+        };
+        SealedArm { filter: sealed.then(|| filter(name)), stray, ..SealedArm::open(arm) }
     }
 
     fn go_astray(&self) {
