@@ -19,6 +19,8 @@ pub struct Controls {
     lost: AtomicU64,
     late: AtomicU64,
     unrecorded: AtomicU64,
+    /// Goes on as long as somebody is there to hear the loop and to stop it.
+    pulse: AtomicU64,
 }
 
 impl Controls {
@@ -26,6 +28,11 @@ impl Controls {
     pub fn stop(&self) {
         // A swap, as on the loop's side: read-modify-writes have one order, in which a stop can't slip between a look and its taking back.
         self.stop.swap(true, Ordering::AcqRel);
+    }
+
+    /// Says that the outside is alive; see [`CycleSettings::max_silence`](super::settings::CycleSettings::max_silence).
+    pub fn alive(&self) {
+        self.pulse.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Ends the loop: at once when the arm rests, after a controlled stop when it moves.
@@ -74,6 +81,10 @@ impl Controls {
 
     pub(in crate::rt) fn take_stop(&self) -> bool {
         self.stop.swap(false, Ordering::AcqRel)
+    }
+
+    pub(in crate::rt) fn pulse(&self) -> u64 {
+        self.pulse.load(Ordering::Relaxed)
     }
 
     pub(in crate::rt) fn wants_quit(&self) -> bool {

@@ -84,6 +84,9 @@ pub struct Cycle<B: Backend, S: Sink> {
     joints: usize,
     tracking: JointVec,
     max_lost: u64,
+    max_silence: Option<u64>,
+    /// The outside's last pulse, and the cycles of the arm since it.
+    heard: (u64, u64),
     rights: Rights,
     must_be_realtime: bool,
     inlets: Inlets,
@@ -119,6 +122,8 @@ pub fn new<B: Backend, S: Sink>(
         joints,
         tracking: settings.guard.tracking,
         max_lost: settings.max_consecutive_lost,
+        max_silence: settings.max_silence,
+        heard: (0, 0),
         rights: settings.rights,
         must_be_realtime: settings.must_be_realtime,
         inlets,
@@ -251,6 +256,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         if lost > self.max_lost {
             self.brake(StopReason::LostStates { lost }, gap)?;
         }
+        self.heed_silence(gap)?;
         if self.inlets.controls.take_stop() {
             self.brake(StopReason::Requested, gap)?;
         }
@@ -259,6 +265,19 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         }
         self.take_model();
         self.take_order(gap)
+    }
+
+    /// An arm that moves while nobody could stop it is braked. At rest it holds: that is where it is safe.
+    fn heed_silence(&mut self, gap: u64) -> Result<(), End> {
+        let pulse = self.inlets.controls.pulse();
+        let silent = if pulse == self.heard.0 { self.heard.1.saturating_add(gap) } else { 0 };
+        self.heard = (pulse, silent);
+        match self.max_silence {
+            Some(most) if silent > most && !self.motion.is_holding() => {
+                self.brake(StopReason::Unattended { cycles: silent }, gap)
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Swaps the model between two cycles; the old one leaves over the ring, so nothing is freed here.

@@ -70,6 +70,12 @@ pub enum StopReason {
         /// Length of the run of lost states.
         lost: u64,
     },
+    /// Nobody has said for too long that he is there: whoever gives orders and could stop the arm may be gone.
+    #[error("the program around the loop was silent for {cycles} cycles")]
+    Unattended {
+        /// Cycles of the arm since it was heard of last.
+        cycles: u64,
+    },
     /// A reference starts somewhere else than where the arm rests.
     #[error("motion {motion} starts {distance:.6} rad away from where joint {} rests", .joint + 1)]
     NotAtStart {

@@ -14,6 +14,9 @@ pub struct CycleSettings {
     pub moves: MoveFactors,
     /// Longest run of lost states that a motion goes on after.
     pub max_consecutive_lost: u64,
+    /// Longest silence of the outside ([`Controls::alive`](super::controls::Controls::alive)) that a motion goes on in, in cycles of the
+    /// arm; `None` where nobody has to be there.
+    pub max_silence: Option<u64>,
     /// Room for orders in the queue.
     pub queue: usize,
     /// Records kept for the outcome, whatever happens to the sink.
@@ -31,6 +34,7 @@ impl CycleSettings {
             guard,
             moves: MoveFactors::default(),
             max_consecutive_lost: 10,
+            max_silence: None,
             queue: 64,
             flight: 200,
             rights: Rights::default(),

@@ -3,6 +3,7 @@
 use super::Daemon;
 use super::arm::{Connected, Purpose, Robot, connect};
 use super::desk::Desk;
+use super::rhythm::Rhythm;
 use super::script::{Next, Script};
 use crate::app::served::{Reach, ServedModel};
 use crate::app::{Failure, programme};
@@ -28,6 +29,8 @@ pub(super) const RING: usize = 8192;
 const DRAIN: usize = 512;
 /// Pause of the bridge thread when there is nothing to do.
 const PAUSE: Duration = Duration::from_micros(200);
+/// Silence of this thread after which the loop brakes an arm that moves \[ms\]: this thread is the one that hears a stop.
+const SILENCE: u64 = 1000;
 /// Records that simulated time may run ahead of an estimator that watches it: two seconds.
 const AHEAD: u64 = 2000;
 /// How many levels the bridge thread's priority lies below the loop's.
@@ -50,6 +53,8 @@ pub struct Session {
     model: u64,
     /// It was said what the loop's thread was granted.
     judged: bool,
+    /// When the next record is due.
+    records_due: Rhythm,
     /// Simulated time waits for the estimator.
     waiting: bool,
     /// From state read to shared memory \[ns\].
@@ -82,6 +87,7 @@ impl Session {
         settings.max_consecutive_lost = u64::from(job.safety.max_lost);
         settings.queue = 3 * desk.names.len() + 8;
         settings.rights = if gate.is_some() { Rights::NONE } else { rights(&job.realtime, 0) };
+        settings.max_silence = gate.is_none().then_some(SILENCE);
         settings.must_be_realtime = job.realtime.on_refusal == OnRefusal::Refuse;
         let (sink, drain) = recorder::ring(RING);
         let reach = Box::new(Reach(robot.chain.clone()));
@@ -102,6 +108,7 @@ impl Session {
             purpose,
             model: 0,
             judged: false,
+            records_due: Rhythm::default(),
             waiting: false,
             bridged: Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("constant bounds"),
             records: Vec::with_capacity(DRAIN),
@@ -118,6 +125,7 @@ impl Session {
     pub fn run(mut self, daemon: &mut Daemon) -> Result<(SessionStatistics, End), Failure> {
         daemon.desk.mounting = self.mounting;
         while !self.thread.as_ref().is_none_or(JoinHandle::is_finished) {
+            self.handles.controls.alive();
             let busy = self.bridge(daemon);
             self.hear_of_rights(&mut daemon.desk);
             self.handle_events(&mut daemon.desk);
@@ -133,7 +141,7 @@ impl Session {
                 self.open_gate();
             }
             if !busy {
-                std::thread::sleep(PAUSE);
+                self.pause();
             }
         }
         let joined = self.thread.take().and_then(|thread| thread.join().ok());
@@ -145,6 +153,15 @@ impl Session {
         Ok((self.statistics(&outcome), outcome.end))
     }
 
+    /// Sleeps until the next record is due. An arm that keeps the clock's time makes one every millisecond: this thread then wakes up right behind
+    /// the loop, once, instead of looking again and again.
+    fn pause(&self) {
+        match self.records_due.next_look(now_ns()).filter(|_| self.gate.is_none()) {
+            Some(at_ns) => os::sleep_until(at_ns),
+            None => std::thread::sleep(PAUSE),
+        }
+    }
+
     /// Moves records from the ring to shared memory; whether there were any.
     fn bridge(&mut self, daemon: &mut Daemon) -> bool {
         self.records.clear();
@@ -154,6 +171,7 @@ impl Session {
         let gravity = self.mounting.gravity().into();
         daemon.server.feed_forward(FeedForwardMessage::new(last, daemon.desk.robot.chain.len(), gravity));
         daemon.desk.last = *last;
+        self.records_due.saw(last.stamp_ns, last.work_ns);
         let now = now_ns();
         for record in &self.records {
             self.bridged.saturating_record(now.saturating_sub(record.stamp_ns).max(1));
