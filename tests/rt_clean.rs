@@ -13,6 +13,7 @@ mod emulator;
 use clean::{ARMS, Seal, run};
 use std::os::unix::process::ExitStatusExt;
 use std::process::{Command, ExitStatus};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 #[global_allocator]
 static WATCH: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
@@ -20,13 +21,25 @@ static WATCH: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
 /// Which run a program of its own makes.
 const RUN: &str = "PLUMBLINE_TEST_SEALED_RUN";
 const SIGSYS: i32 = 31;
+/// An emulated robot may stop by itself where this machine stalls; one run of so many must come through.
+const TRIES: usize = 6;
+
+/// These runs keep the clock's time: they don't disturb each other.
+fn one_at_a_time() -> MutexGuard<'static, ()> {
+    static ALONE: Mutex<()> = Mutex::new(());
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 #[test]
 fn whole_runs_on_every_arm_allocate_nothing() {
+    let _alone = one_at_a_time();
     for arm in ARMS {
-        let outcome = run(arm, Seal::Open);
-        assert_eq!(outcome.allocations, Some(0), "{arm}: {outcome:?}");
-        assert!(outcome.summary.accounted(), "{arm}: {outcome:?}");
+        let mut runs = (0..TRIES).map(|_| run(arm, Seal::Open));
+        let outcome = runs.find_map(|run| run.inspect_err(|why| println!("{arm}: {why:?}")).ok());
+        let outcome = outcome.unwrap_or_else(|| panic!("{arm}: no whole run in {TRIES}"));
+        let summary = outcome.summary;
+        assert_eq!(outcome.allocations, Some(0), "{arm}: {:?} {summary:?}", outcome.end);
+        assert!(summary.accounted(), "{arm}: {:?} {summary:?}", outcome.end);
     }
 }
 
@@ -45,22 +58,30 @@ fn a_sealed_run() {
     let (arm, seal) = what.split_once('+').expect("an arm and a seal");
     let seal = Seal::parse(seal);
     let arm = ARMS.into_iter().find(|known| *known == arm).expect("a known arm");
-    run(arm, seal);
+    let _ = run(arm, seal);
 }
 
 #[test]
+#[cfg_attr(feature = "rtsan", ignore = "RTSan ends the program before the filter does")]
 fn whole_runs_on_every_arm_make_no_stray_system_call() {
+    let _alone = one_at_a_time();
     for arm in ARMS {
-        let (status, said) = alone(arm, "calls");
-        assert!(status.success(), "{arm}: {status}\n{said}");
-        assert!(said.contains("sealed run complete"), "{arm}: {said}");
+        // However it ends, no run may be killed by the filter; and one of them is a whole one.
+        let whole = (0..TRIES).any(|_| {
+            let (status, said) = alone(arm, "calls");
+            assert!(status.success() && said.contains("sealed run"), "{arm}: {status}\n{said}");
+            said.contains("sealed run complete")
+        });
+        assert!(whole, "{arm}: no whole run in {TRIES}");
     }
 }
 
 #[test]
+#[cfg_attr(feature = "rtsan", ignore = "RTSan ends the program before the filter does")]
 fn the_filter_would_notice() {
-    // One call of getpid, a growing heap, a line of output, a woken helper: each of them in one cycle of the middle of a run.
-    for stray in ["getpid", "mmap", "print", "wake"] {
+    let _alone = one_at_a_time();
+    // One call of getpid, a growing heap, a line of output, a file: each of them in one cycle of the middle of a run.
+    for stray in ["getpid", "mmap", "print", "file"] {
         let (status, said) = alone(ARMS[0], &format!("stray-{stray}"));
         assert_eq!(status.signal(), Some(SIGSYS), "{stray}: {status}\n{said}");
     }
@@ -69,6 +90,7 @@ fn the_filter_would_notice() {
 /// Under RTSan every run above is watched by it; here it must object. Without it, the same runs pass: they are what the filter is for.
 #[test]
 fn rtsan_would_notice() {
+    let _alone = one_at_a_time();
     for stray in ["mmap", "print"] {
         let (status, said) = alone(ARMS[0], &format!("loose-{stray}"));
         let objected = said.contains("RealtimeSanitizer") && !status.success();

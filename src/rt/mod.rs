@@ -4,6 +4,14 @@
 
 // The wall around the loop: clippy.toml lists what must not be called here.
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unreachable,
+    clippy::todo,
+    clippy::unimplemented
+)]
 
 pub mod controls;
 pub mod cycle;

@@ -4,6 +4,9 @@
 //! kernel before it is believed: the policy by `sched_getscheduler`, the locked pages by `VmLck` of `/proc/self/status`, the CPUs by
 //! `sched_getaffinity`, the kernel's kind by `/sys/kernel/realtime`.
 
+// It asks and reads back before the first cycle: what the walls keep out of the loop is at home here.
+#![allow(clippy::disallowed_methods)]
+
 use super::os::{Scheduling, now_ns, schedule_fifo, scheduling, touch_stack};
 use rustix::process::{Resource, getrlimit};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
