@@ -102,7 +102,8 @@ fn model(robot: &Robot) -> Evaluator {
     let reduction = Reduction::any_mounting(&robot.chain);
     let structure = Structure::of(robot.chain.clone(), reduction, &["friction", "torque-offset", "rotor-inertia"])
         .expect("known terms");
-    let known = paper.structure().columns().iter().map(|column| column.name.clone()).zip(paper.beta().iter().copied());
+    let beta = paper.beta();
+    let known = paper.structure().columns().iter().map(|column| column.name.clone()).zip(beta.iter().copied());
     let known: std::collections::HashMap<String, f64> = known.collect();
     let values: Vec<_> =
         structure.columns().iter().map(|column| (known.get(&column.name).copied().unwrap_or(0.01), None)).collect();
