@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 const FLOORS: &[&[&str]] = &[
     &["joint", "input", "atomic", "parallel"],
     &["model", "rt"],
-    &["excite", "estimate", "backend", "ipc"],
+    &["excite", "estimate", "backend", "ipc", "machine"],
     &["config", "diagnose", "store", "dataset", "report"],
     &["app"],
 ];

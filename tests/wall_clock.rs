@@ -101,6 +101,8 @@ fn every_millisecond_is_accounted_for_and_clients_follow() {
     assert!(driven.elapsed > 14_000 && driven.wake_us.is_some(), "{driven:?}");
     for session in &report.sessions {
         assert_eq!(session.elapsed, session.cycles + session.lost, "{session:?}");
+        // By two clocks: the arm's counter and this machine's own.
+        assert!(session.accounted && session.clock == Some(session.elapsed), "{session:?}");
     }
     // Of the hold that follows, the report has what had passed when the daemon was asked.
     let in_sessions: u64 = report.sessions.iter().map(|session| session.cycles).sum();

@@ -8,6 +8,7 @@ mod compare;
 mod daemon;
 mod diagnose;
 mod diagnosed;
+mod doctor;
 mod effects;
 mod estimator;
 mod export;
@@ -73,6 +74,8 @@ enum Verb {
     Predict(predict::Options),
     /// Write the identified arm as URDF, MuJoCo model or C function
     Export(export::Options),
+    /// Say whether this machine is fit for 1 kHz, and what to change
+    Doctor(doctor::Options),
     /// List the effects that diagnosis knows, with their equations
     Effects(effects::Options),
     /// Print the feed-forward torque that a daemon serves
@@ -108,6 +111,7 @@ pub fn main() -> ExitCode {
         Verb::Diagnose(options) => diagnose::run(options),
         Verb::Predict(options) => predict::run(options),
         Verb::Export(options) => export::run(options),
+        Verb::Doctor(options) => doctor::run(options),
         Verb::Effects(options) => effects::run(options),
         Verb::Torque(options) => torque::run(options),
         Verb::Command(options) => command::run(options),

@@ -1,5 +1,16 @@
 //! What the loop asks of a model, in the loop's own terms.
 
+// The walls of the real-time loop: clippy.toml.
+#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unreachable,
+    clippy::todo,
+    clippy::unimplemented
+)]
+
 use crate::joint::{JointVec, Setpoint, Torque};
 use crate::model::chain::Chain;
 use crate::model::term::Sample;

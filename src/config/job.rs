@@ -346,7 +346,7 @@ pub struct Estimator {
     pub derivative: Option<Derivative>,
 }
 
-/// What the loop's thread asks of the machine; what is not permitted is reported and done without.
+/// What the loop's thread asks of the machine, and what is done when the machine does not grant it.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Realtime {
@@ -356,11 +356,26 @@ pub struct Realtime {
     pub cpu: Option<usize>,
     /// Whether memory is locked.
     pub lock_memory: bool,
+    /// Whether the kernel should be a PREEMPT_RT one.
+    pub preempt_rt: bool,
+    /// What the daemon does when one of these is not granted.
+    pub on_refusal: OnRefusal,
+}
+
+/// What the daemon does when the machine does not grant what the loop's thread asks for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum OnRefusal {
+    /// Runs without it, and says so: in the log, in the status and in the report.
+    #[default]
+    Degrade,
+    /// Ends before the arm is commanded anything.
+    Refuse,
 }
 
 impl Default for Realtime {
     fn default() -> Realtime {
-        Realtime { priority: 80, cpu: None, lock_memory: true }
+        Realtime { priority: 80, cpu: None, lock_memory: true, preempt_rt: true, on_refusal: OnRefusal::Degrade }
     }
 }
 

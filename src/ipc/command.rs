@@ -137,6 +137,10 @@ pub struct Status {
     /// Why the arm was stopped last, if it was.
     #[serde(default)]
     pub stopped: Option<String>,
+    /// What the machine does not grant the present loop, or the last one, with what to change: while there is anything here, its torques
+    /// come without a promise of time.
+    #[serde(default)]
+    pub degraded: Vec<String>,
     /// How the loop kept its time, one entry per connection to the arm that has ended.
     pub sessions: Vec<Session>,
     /// Counters of the shared-memory side; take them from [`Server::served`](super::Server::served).
@@ -174,6 +178,9 @@ pub struct Session {
     pub lost: u64,
     /// Longest run of lost states.
     pub longest_lost: u64,
+    /// The same as `elapsed` by this machine's clock, from the first deadline to the last; absent where the arm has no deadlines.
+    #[serde(default)]
+    pub clock: Option<u64>,
     /// Cycles that began more than half a period late.
     pub late: u64,
     /// Records that found no room between the loop and the bridge thread.

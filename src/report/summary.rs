@@ -176,7 +176,9 @@ pub(super) fn counter(of: &CounterExperiment) -> String {
 
 /// How the loop ran. Nothing is late where no clock paces it.
 pub(super) fn cycle(cycle: &LoopFacts) -> String {
-    let mut parts = vec![format!("{} cycles", cycle.cycles)];
+    let degraded = (!cycle.realtime.is_empty()).then(|| "degraded".to_string());
+    let mut parts: Vec<String> = degraded.into_iter().collect();
+    parts.push(format!("{} cycles", cycle.cycles));
     parts.extend(cycle.late.map(|late| format!("{late} late")));
     parts.push(format!("{} lost", cycle.lost));
     if cycle.records_lost > 0 {

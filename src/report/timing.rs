@@ -41,6 +41,12 @@ pub struct SessionFacts {
     pub lost: u64,
     /// Longest run of lost states.
     pub longest_lost: u64,
+    /// Whether `elapsed == cycles + lost`: every period of the arm was either a cycle or is counted as skipped.
+    #[serde(default)]
+    pub accounted: bool,
+    /// The same as `elapsed` by this machine's clock; absent where simulated time doesn't follow it.
+    #[serde(default)]
+    pub clock: Option<u64>,
     /// Cycles that came late; absent where simulated time doesn't follow the clock.
     pub late: Option<u64>,
     /// Records that found no room between the loop and the bridge thread.
@@ -127,6 +133,8 @@ impl SessionFacts {
             cycles: session.cycles,
             lost: session.lost,
             longest_lost: session.longest_lost,
+            accounted: session.elapsed == session.cycles + session.lost,
+            clock: session.clock,
             late: wall_clock.then_some(session.late),
             records_lost: session.unrecorded,
             allocations: session.allocations.map(u64::from),

@@ -14,8 +14,9 @@ use super::guard::{Guard, Violation};
 use super::motion::{Finished, Motion, seconds};
 use super::moves::Planner;
 use super::order::{Event, Handles, Inlets, Order, OrderKind, Retired, StopReason, rings};
-use super::os::{Granted, Rights, become_realtime, now_ns};
+use super::os::now_ns;
 use super::recorder::Flight;
+use super::rights::{Granted, Rights, become_realtime};
 use super::settings::{CycleSettings, SetupError};
 use super::stats::{NotForward, Summary, Tally};
 use super::{Backend, Fault, FeedForward, Kinematics, Reference, Sink};
@@ -37,6 +38,9 @@ pub enum End {
     /// No controlled stop could be planned; the arm was stopped by its own means.
     #[error("no controlled stop from the last setpoint")]
     NoBrake,
+    /// The machine did not grant what was asked, and the settings want all of it: nothing was read or sent.
+    #[error("not real-time, and the configuration refuses to run so")]
+    NotRealTime,
     /// The arm's cycle counter did not go forward.
     #[error("the arm's cycle counter went from {last} to {seq}")]
     Clock {
@@ -80,7 +84,11 @@ pub struct Cycle<B: Backend, S: Sink> {
     joints: usize,
     tracking: JointVec,
     max_lost: u64,
+    max_silence: Option<u64>,
+    /// The outside's last pulse, and the cycles of the arm since it.
+    heard: (u64, u64),
     rights: Rights,
+    must_be_realtime: bool,
     inlets: Inlets,
     /// Orders given under an older permission than this don't run.
     permission: u32,
@@ -114,7 +122,10 @@ pub fn new<B: Backend, S: Sink>(
         joints,
         tracking: settings.guard.tracking,
         max_lost: settings.max_consecutive_lost,
+        max_silence: settings.max_silence,
+        heard: (0, 0),
         rights: settings.rights,
+        must_be_realtime: settings.must_be_realtime,
         inlets,
         permission: 0,
         motion: Motion::new(joints, planner),
@@ -135,16 +146,16 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
     /// Runs until something ends it; call it on the thread that is to be real-time.
     pub fn run(&mut self) -> Outcome {
         let granted = become_realtime(&self.rights);
+        // Said before the first cycle, so that everybody can know what this loop is worth while it runs.
+        let _ = self.inlets.granted.set(granted.clone());
         let watched = allocations_are_watched();
         let before = violation_count();
-        let end = assert_no_alloc(|| {
-            loop {
-                if let Err(end) = self.cycle() {
-                    self.backend.stop();
-                    break end;
-                }
-            }
-        });
+        let end = if self.must_be_realtime && granted.refusals().next().is_some() {
+            self.backend.stop();
+            End::NotRealTime
+        } else {
+            assert_no_alloc(|| self.cycles())
+        };
         Outcome {
             end,
             stops: self.stops,
@@ -153,6 +164,17 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
             granted,
             allocations: watched.then(|| violation_count().wrapping_sub(before)),
             flight: self.flight.in_order(),
+        }
+    }
+
+    /// Passes until one of them ends the loop.
+    #[cfg_attr(feature = "rtsan", rtsan_standalone::nonblocking)]
+    fn cycles(&mut self) -> End {
+        loop {
+            if let Err(end) = self.cycle() {
+                self.backend.stop();
+                break end;
+            }
         }
     }
 
@@ -191,6 +213,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         let gap = self.tally.arrived(state.seq, stamp_ns)?;
         if let Some(deadline_ns) = self.backend.deadline_ns() {
             self.tally.woke(stamp_ns.saturating_sub(deadline_ns));
+            self.tally.due(deadline_ns);
         }
         if first {
             // The arm's own desired position, unless it does not go with where the arm is.
@@ -230,6 +253,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         if lost > self.max_lost {
             self.brake(StopReason::LostStates { lost }, gap)?;
         }
+        self.heed_silence(gap)?;
         if self.inlets.controls.take_stop() {
             self.brake(StopReason::Requested, gap)?;
         }
@@ -238,6 +262,19 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         }
         self.take_model();
         self.take_order(gap)
+    }
+
+    /// An arm that moves while nobody could stop it is braked. At rest it holds: that is where it is safe.
+    fn heed_silence(&mut self, gap: u64) -> Result<(), End> {
+        let pulse = self.inlets.controls.pulse();
+        let silent = if pulse == self.heard.0 { self.heard.1.saturating_add(gap) } else { 0 };
+        self.heard = (pulse, silent);
+        match self.max_silence {
+            Some(most) if silent > most && !self.motion.is_holding() => {
+                self.brake(StopReason::Unattended { cycles: silent }, gap)
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Swaps the model between two cycles; the old one leaves over the ring, so nothing is freed here.

@@ -4,7 +4,16 @@
 
 // The wall around the loop: clippy.toml lists what must not be called here.
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unreachable,
+    clippy::todo,
+    clippy::unimplemented
+)]
 
+pub mod controls;
 pub mod cycle;
 pub mod guard;
 pub mod motion;
@@ -12,8 +21,10 @@ pub mod moves;
 pub mod order;
 pub mod os;
 pub mod recorder;
+pub mod rights;
 pub mod settings;
 pub mod stats;
+mod sync;
 
 use crate::joint::{Command, JointVec, Record, Setpoint, State, Torque};
 

@@ -8,6 +8,9 @@ use crate::joint::{JointVec, MAX_JOINTS, Phase, Setpoint};
 /// A reference may start this far from where the arm rests \[rad\]; more would be a step that no arm can follow.
 const START_TOLERANCE: f64 = 1e-6;
 
+/// States in a row after which an arm has stopped by itself: it goes on alone for no longer.
+const LONGEST_ALONE: u64 = 20;
+
 enum Doing {
     Hold,
     Move { phase: Phase },
@@ -93,9 +96,21 @@ impl Motion {
     }
 
     /// Brakes from the setpoint sent last, `gap` cycles of the arm ago; the reference under way is done with.
+    ///
+    /// Where states were lost the arm has gone on alone, at constant acceleration, as the FCI's does: the stop begins where that has brought
+    /// it, or the first sample would be a jump. Where no stop can begin there, it begins at what was sent, as if it had begun then.
     pub fn brake(&mut self, gap: u64) -> Result<Option<Box<dyn Reference>>, NoMotion> {
-        let planned = self.planner.stop(&self.last);
-        self.tick = gap;
+        let alone = gap.saturating_sub(1).min(LONGEST_ALONE);
+        let planned = match self.planner.stop(&gone_on(&self.last, seconds(alone))) {
+            Ok(()) => {
+                self.tick = gap - alone;
+                Ok(())
+            }
+            Err(NoMotion) => {
+                self.tick = gap;
+                self.planner.stop(&self.last)
+            }
+        };
         let reference = match std::mem::replace(&mut self.doing, Doing::Brake) {
             Doing::Follow(reference) => Some(reference),
             _ => None,
@@ -180,6 +195,16 @@ impl Motion {
         }
         setpoint
     }
+}
+
+/// Where a setpoint leads at constant acceleration in `t` seconds.
+fn gone_on(from: &Setpoint, t: f64) -> Setpoint {
+    let mut to = *from;
+    for j in 0..MAX_JOINTS {
+        to.q[j] += t * (from.dq[j] + 0.5 * t * from.ddq[j]);
+        to.dq[j] += t * from.ddq[j];
+    }
+    to
 }
 
 /// Seconds in a number of the arm's cycles.

@@ -3,12 +3,14 @@
 //! [`Handles`] is the outside end. Nothing here ever blocks the loop; every box that the loop has done with travels back over the
 //! `retired` ring, so that it is freed on the outside.
 
+pub use super::controls::Controls;
+
 use super::guard::Violation;
+use super::rights::Granted;
 use super::{FeedForward, Reference};
 use crate::joint::{JointVec, Phase};
 use rtrb::{Consumer, Producer, PushError};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 
 /// One motion for the queue. Motions run in sequence, each from the rest that the one before it ended in.
 pub struct Order {
@@ -67,6 +69,12 @@ pub enum StopReason {
     LostStates {
         /// Length of the run of lost states.
         lost: u64,
+    },
+    /// Nobody has said for too long that he is there: whoever gives orders and could stop the arm may be gone.
+    #[error("the program around the loop was silent for {cycles} cycles")]
+    Unattended {
+        /// Cycles of the arm since it was heard of last.
+        cycles: u64,
     },
     /// A reference starts somewhere else than where the arm rests.
     #[error("motion {motion} starts {distance:.6} rad away from where joint {} rests", .joint + 1)]
@@ -127,97 +135,6 @@ pub enum Event {
     },
 }
 
-/// Requests to the loop and its state at a glance; shared with the supervisor.
-#[derive(Debug, Default)]
-pub struct Controls {
-    stop: AtomicBool,
-    quit: AtomicBool,
-    /// The loop has come to rest after a stop and waits for permission.
-    waiting: AtomicBool,
-    /// Counts the permissions given; an order runs only under the permission it was given in.
-    permission: AtomicU32,
-    phase: AtomicU32,
-    cycles: AtomicU64,
-    lost: AtomicU64,
-    late: AtomicU64,
-    unrecorded: AtomicU64,
-}
-
-impl Controls {
-    /// Brakes the arm and waits for [`resume`](Controls::resume). Orders given so far are discarded.
-    pub fn stop(&self) {
-        self.stop.store(true, Ordering::Release);
-    }
-
-    /// Ends the loop: at once when the arm rests, after a controlled stop when it moves.
-    pub fn quit(&self) {
-        self.quit.store(true, Ordering::Release);
-    }
-
-    /// An operator's permission to move again after a stop; `false` when the loop is not waiting for one.
-    pub fn resume(&self) -> bool {
-        let granted = self.waiting.compare_exchange(true, false, Ordering::AcqRel, Ordering::Acquire).is_ok();
-        if granted {
-            self.permission.fetch_add(1, Ordering::AcqRel);
-        }
-        granted
-    }
-
-    /// What the loop was doing in the last cycle.
-    pub fn phase(&self) -> Phase {
-        Phase::from_u32(self.phase.load(Ordering::Relaxed)).unwrap_or_default()
-    }
-
-    /// Whether the arm rests after a stop and waits for [`resume`](Controls::resume).
-    pub fn is_waiting(&self) -> bool {
-        self.waiting.load(Ordering::Acquire)
-    }
-
-    /// Cycles run so far.
-    pub fn cycles(&self) -> u64 {
-        self.cycles.load(Ordering::Relaxed)
-    }
-
-    /// States lost so far.
-    pub fn lost(&self) -> u64 {
-        self.lost.load(Ordering::Relaxed)
-    }
-
-    /// Late cycles so far.
-    pub fn late(&self) -> u64 {
-        self.late.load(Ordering::Relaxed)
-    }
-
-    /// Records that found no room so far.
-    pub fn unrecorded(&self) -> u64 {
-        self.unrecorded.load(Ordering::Relaxed)
-    }
-
-    pub(super) fn take_stop(&self) -> bool {
-        self.stop.swap(false, Ordering::AcqRel)
-    }
-
-    pub(super) fn wants_quit(&self) -> bool {
-        self.quit.load(Ordering::Acquire)
-    }
-
-    pub(super) fn wait_for_permission(&self) {
-        self.waiting.store(true, Ordering::Release);
-    }
-
-    pub(super) fn permission(&self) -> u32 {
-        self.permission.load(Ordering::Acquire)
-    }
-
-    pub(super) fn show(&self, phase: Phase, cycles: u64, lost: u64, late: u64, unrecorded: u64) {
-        self.phase.store(phase as u32, Ordering::Relaxed);
-        self.cycles.store(cycles, Ordering::Relaxed);
-        self.lost.store(lost, Ordering::Relaxed);
-        self.late.store(late, Ordering::Relaxed);
-        self.unrecorded.store(unrecorded, Ordering::Relaxed);
-    }
-}
-
 /// The queue of motions, outside end.
 pub struct Orders {
     ring: Producer<Permitted>,
@@ -261,6 +178,8 @@ pub struct Handles {
     pub events: Consumer<Event>,
     /// Stop, resume, quit, and the state at a glance.
     pub controls: Arc<Controls>,
+    /// What the operating system granted; empty until the loop's thread has asked, which is before its first cycle.
+    pub granted: Arc<OnceLock<Granted>>,
 }
 
 impl Handles {
@@ -281,6 +200,7 @@ pub(super) struct Inlets {
     pub retired: Producer<Retired>,
     pub events: Producer<Event>,
     pub controls: Arc<Controls>,
+    pub granted: Arc<OnceLock<Granted>>,
 }
 
 /// Rings with room for `orders` queued motions, and what goes with them.
@@ -290,14 +210,22 @@ pub(super) fn rings(orders: usize) -> (Inlets, Handles) {
     let (serve, served) = rtrb::RingBuffer::new(4);
     let (retire, retired) = rtrb::RingBuffer::new(orders + 16);
     let (tell, told) = rtrb::RingBuffer::new(4 * orders + 256);
-    let inlets =
-        Inlets { orders: given, models: served, retired: retire, events: tell, controls: Arc::clone(&controls) };
+    let granted = Arc::new(OnceLock::new());
+    let inlets = Inlets {
+        orders: given,
+        models: served,
+        retired: retire,
+        events: tell,
+        controls: Arc::clone(&controls),
+        granted: Arc::clone(&granted),
+    };
     let handles = Handles {
         orders: Orders { ring: give, controls: Arc::clone(&controls) },
         models: Models { ring: serve },
         retired,
         events: told,
         controls,
+        granted,
     };
     (inlets, handles)
 }

@@ -2,7 +2,7 @@
 
 use super::guard::GuardSettings;
 use super::moves::MoveFactors;
-use super::os::Rights;
+use super::rights::Rights;
 use crate::joint::MAX_JOINTS;
 
 /// What the loop is built from.
@@ -14,12 +14,17 @@ pub struct CycleSettings {
     pub moves: MoveFactors,
     /// Longest run of lost states that a motion goes on after.
     pub max_consecutive_lost: u64,
+    /// Longest silence of the outside ([`Controls::alive`](super::controls::Controls::alive)) that a motion goes on in, in cycles of the
+    /// arm; `None` where nobody has to be there.
+    pub max_silence: Option<u64>,
     /// Room for orders in the queue.
     pub queue: usize,
     /// Records kept for the outcome, whatever happens to the sink.
     pub flight: usize,
     /// What the loop's thread asks of the operating system.
     pub rights: Rights,
+    /// Whether the loop ends before its first cycle when one of these is refused, instead of running degraded.
+    pub must_be_realtime: bool,
 }
 
 impl CycleSettings {
@@ -29,9 +34,11 @@ impl CycleSettings {
             guard,
             moves: MoveFactors::default(),
             max_consecutive_lost: 10,
+            max_silence: None,
             queue: 64,
             flight: 200,
             rights: Rights::default(),
+            must_be_realtime: false,
         }
     }
 }

@@ -20,7 +20,8 @@ pub struct Distribution {
 
 /// What the loop did and how well it kept its time.
 ///
-/// Every cycle of the arm is accounted for: `elapsed == cycles + lost`.
+/// Every cycle of the arm is accounted for: `elapsed == cycles + lost` ([`Summary::accounted`]). A cycle that the loop missed is skipped and
+/// counted under `lost`, whoever was late, the network or the loop itself; none is ever caught up in a burst.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Summary {
     /// Cycles of the arm from the first state read to the last, by the arm's own counter.
@@ -31,6 +32,9 @@ pub struct Summary {
     pub lost: u64,
     /// Longest run of lost states.
     pub longest_lost: u64,
+    /// Periods of `CLOCK_MONOTONIC` from the first state's deadline to the last one's, both counted, as `elapsed` counts the arm's; 0 where
+    /// the arm has no deadlines. An arm with a clock of its own may drift away from it by parts in a million.
+    pub clock: u64,
     /// Cycles that began more than half a period later after the one before than the arm's counter says.
     pub late: u64,
     /// Records that found no room in the sink.
@@ -47,6 +51,13 @@ pub struct Summary {
     pub period: Distribution,
 }
 
+impl Summary {
+    /// Whether `elapsed / period == cycles + skipped`: no cycle of the arm was counted twice or not at all.
+    pub fn accounted(&self) -> bool {
+        self.elapsed == self.cycles.saturating_add(self.lost)
+    }
+}
+
 /// The arm's counter did not go forward, so its time can't be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct NotForward {
@@ -59,6 +70,7 @@ pub(super) struct Tally {
     first: Option<u64>,
     last: u64,
     last_ns: u64,
+    first_due_ns: Option<u64>,
     pub summary: Summary,
     wake: Durations,
     work: Durations,
@@ -72,6 +84,7 @@ impl Tally {
             first: None,
             last: 0,
             last_ns: 0,
+            first_due_ns: None,
             summary: Summary::default(),
             wake: Durations::new(),
             work: Durations::new(),
@@ -106,6 +119,12 @@ impl Tally {
     /// Adds a wake-up latency \[ns\].
     pub fn woke(&mut self, late_ns: u64) {
         self.wake.add(late_ns);
+    }
+
+    /// Notes the deadline of the state that arrived last, on the clock \[ns\].
+    pub fn due(&mut self, deadline_ns: u64) {
+        let first = *self.first_due_ns.get_or_insert(deadline_ns);
+        self.summary.clock = (deadline_ns.saturating_sub(first) + PERIOD_NS / 2) / PERIOD_NS + 1;
     }
 
     /// Adds a work time \[ns\].
@@ -169,6 +188,7 @@ mod tests {
         let summary = tally.summary();
         assert_eq!((summary.elapsed, summary.cycles, summary.lost, summary.longest_lost), (12, 5, 7, 5));
         assert_eq!(summary.late, 0);
+        assert!(summary.accounted());
         assert_eq!(tally.arrived(111, now), Err(NotForward { last: 111, seq: 111 }));
         assert_eq!(tally.arrived(3, now), Err(NotForward { last: 111, seq: 3 }));
     }

@@ -83,7 +83,7 @@ pub fn drive_serving(
     let (limits, envelope) = connection.info.limits.for_guard();
     let guard = GuardSettings { limits, envelope, workspace: None, tracking: [0.2; 8] };
     // A test machine is no robot PC: what it loses is for the arm to judge, not for the loop; and what it grants in priority, it grants.
-    let rights = Rights { priority: Some(10), cpu: None, lock_memory: false };
+    let rights = Rights { priority: Some(10), ..Rights::NONE };
     let settings = CycleSettings { rights, max_consecutive_lost: 19, ..CycleSettings::new(guard) };
     let (sink, mut drain) = ring(60_000);
     let (mut cycle, mut handles) = cycle::new(arm, sink, None, settings).unwrap();

@@ -30,7 +30,12 @@ pub struct Options {
 pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
     let realtime = &rig.job.realtime;
     let priority = Some(realtime.priority).filter(|&priority| priority > 0);
-    let granted = become_realtime(&Rights { priority, cpu: realtime.cpu, lock_memory: realtime.lock_memory });
+    let granted = become_realtime(&Rights {
+        priority,
+        cpu: realtime.cpu,
+        lock_memory: realtime.lock_memory,
+        preempt_rt: realtime.preempt_rt,
+    });
     granted.refusals().for_each(|refusal| println!("not real-time: {refusal}"));
 
     println!("watching {} s of states; nothing moves", options.watch);

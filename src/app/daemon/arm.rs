@@ -26,6 +26,9 @@ impl Clock for Monotonic {
     }
 }
 
+/// Missing commands in a row that a Franka tolerates (FCI: `communication_constraints_violation`).
+const FRANKA_PATIENCE: u32 = 20;
+
 /// What an arm is connected for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
@@ -70,6 +73,8 @@ pub fn connect(desk: &Desk, mounting: Mounting, purpose: Purpose) -> Result<Conn
     let gate = job.backend.is_fast().then(|| Arc::new(Gate::new(RING as u64 / 2)));
     let pace = gate.clone().map_or_else(|| Pace::WallClock(Box::new(Monotonic)), Pace::Fast);
     let arm = SimArm::new(&robot.chain, truth, mounting, desk.rest, job.backend.seed, pace).map_err(Failure::job)?;
+    // As patient as a Franka, or as the job where that allows more.
+    let arm = arm.with_patience(job.safety.max_lost.max(FRANKA_PATIENCE));
     Ok(Connected { arm: Box::new(arm), gate, robot: None })
 }
 

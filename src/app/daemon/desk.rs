@@ -54,6 +54,8 @@ pub struct Desk {
     pub ended: Vec<u32>,
     /// How often the daemon has let the arm go on by itself after a fault.
     pub recoveries: u32,
+    /// What the machine does not grant the running loop, with what to change: while there is anything, it is degraded.
+    pub degraded: Vec<String>,
     /// Why the arm was stopped last, if it was.
     pub stopped: Option<String>,
     /// The last cycle seen.
@@ -264,6 +266,7 @@ impl Desk {
             progress: self.progress,
             driven: self.driven,
             stopped: self.stopped.clone(),
+            degraded: self.degraded.clone(),
             job: name.map_or_else(|| place.clone(), |name| format!("{place}: {name}")),
             sessions: self.sessions.clone(),
             served: served.clone(),

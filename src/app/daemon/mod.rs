@@ -5,12 +5,13 @@
 
 mod arm;
 mod desk;
+mod rhythm;
 mod script;
 mod session;
 
 use super::programme::Programme;
 use super::{Failure, JobOptions};
-use crate::ipc::{Progress, Server, ServerSettings};
+use crate::ipc::{Progress, Server, ServerSettings, Session as SessionStatistics, Times};
 use crate::joint::Record;
 use crate::model::gravity::Mounting;
 use crate::rt::cycle::End;
@@ -71,6 +72,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         sessions: Vec::new(),
         ended: Vec::new(),
         recoveries: 0,
+        degraded: Vec::new(),
         driven: None,
         stopped: None,
         last: Record::default(),
@@ -142,9 +144,7 @@ impl Daemon {
     /// Runs a session to its end and keeps its figures.
     fn see_through(&mut self, session: Session) -> Result<Seen, Failure> {
         let (statistics, end) = session.run(self)?;
-        for refusal in &statistics.refusals {
-            tracing::warn!("not real-time: {refusal}");
-        }
+        tracing::info!("{}", account(&statistics));
         let words = statistics.link.as_ref().and_then(|link| link.fault.clone()).unwrap_or_else(|| end.to_string());
         self.desk.sessions.push(statistics);
         match end {
@@ -154,6 +154,10 @@ impl Daemon {
                 tracing::warn!("{words}; going on by itself, time {}, as the job allows", self.desk.recoveries);
                 arm::recover(&self.desk)?;
                 Ok(Seen::Interrupted)
+            }
+            End::NotRealTime => {
+                let refusals = self.desk.degraded.join("; ");
+                Err(Failure::job(format!("the loop ended: {words} (realtime.on-refusal): {refusals}")))
             }
             _ => Err(Failure::job(format!("the loop ended: {words}"))),
         }
@@ -167,4 +171,28 @@ impl Daemon {
             desk.news(&news, controls);
         }
     }
+}
+
+/// How a connection's time was kept, in one line.
+fn account(of: &SessionStatistics) -> String {
+    let us = |what: &str, times: &Times| {
+        let [p50, p99, p999, max] = [times.p50, times.p99, times.p999, times.max].map(|ns| ns as f64 / 1e3);
+        format!("{what} p50 {p50:.1} p99 {p99:.1} p99.9 {p999:.1} max {max:.1} us")
+    };
+    let equal = if of.elapsed == of.cycles + of.lost { "=" } else { "DIFFERS FROM" };
+    let clock = of.clock.map_or(String::new(), |clock| format!(", {clock} by this machine's clock"));
+    format!(
+        "session `{}`: {} periods {equal} {} cycles + {} skipped (longest run {}){clock}; {} late, {} records lost, {} allocations; {}; {}; {}",
+        of.name,
+        of.elapsed,
+        of.cycles,
+        of.lost,
+        of.longest_lost,
+        of.late,
+        of.unrecorded,
+        of.allocations.map_or("unwatched".to_string(), |count| count.to_string()),
+        us("wake", &of.wake),
+        us("work", &of.work),
+        us("bridge", &of.bridge),
+    )
 }

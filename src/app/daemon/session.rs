@@ -3,11 +3,12 @@
 use super::Daemon;
 use super::arm::{Connected, Purpose, Robot, connect};
 use super::desk::Desk;
+use super::rhythm::Rhythm;
 use super::script::{Next, Script};
 use crate::app::served::{Reach, ServedModel};
 use crate::app::{Failure, programme};
 use crate::backend::sim::Gate;
-use crate::config::job;
+use crate::config::job::{self, OnRefusal};
 use crate::ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
 use crate::joint::{MAX_JOINTS, Record};
 use crate::model::gravity::Mounting;
@@ -28,6 +29,8 @@ pub(super) const RING: usize = 8192;
 const DRAIN: usize = 512;
 /// Pause of the bridge thread when there is nothing to do.
 const PAUSE: Duration = Duration::from_micros(200);
+/// Silence of this thread after which the loop brakes an arm that moves \[ms\]: this thread is the one that hears a stop.
+const SILENCE: u64 = 1000;
 /// Records that simulated time may run ahead of an estimator that watches it: two seconds.
 const AHEAD: u64 = 2000;
 /// How many levels the bridge thread's priority lies below the loop's.
@@ -48,6 +51,10 @@ pub struct Session {
     purpose: Purpose,
     /// Identity of the model handed to this loop.
     model: u64,
+    /// It was said what the loop's thread was granted.
+    judged: bool,
+    /// When the next record is due.
+    records_due: Rhythm,
     /// Simulated time waits for the estimator.
     waiting: bool,
     /// From state read to shared memory \[ns\].
@@ -80,6 +87,8 @@ impl Session {
         settings.max_consecutive_lost = u64::from(job.safety.max_lost);
         settings.queue = 3 * desk.names.len() + 8;
         settings.rights = if gate.is_some() { Rights::NONE } else { rights(&job.realtime, 0) };
+        settings.max_silence = gate.is_none().then_some(SILENCE);
+        settings.must_be_realtime = job.realtime.on_refusal == OnRefusal::Refuse;
         let (sink, drain) = recorder::ring(RING);
         let reach = Box::new(Reach(robot.chain.clone()));
         let (mut cycle, handles) = cycle::new(arm, sink, Some(reach), settings).map_err(Failure::job)?;
@@ -98,6 +107,8 @@ impl Session {
             script,
             purpose,
             model: 0,
+            judged: false,
+            records_due: Rhythm::default(),
             waiting: false,
             bridged: Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("constant bounds"),
             records: Vec::with_capacity(DRAIN),
@@ -114,7 +125,9 @@ impl Session {
     pub fn run(mut self, daemon: &mut Daemon) -> Result<(SessionStatistics, End), Failure> {
         daemon.desk.mounting = self.mounting;
         while !self.thread.as_ref().is_none_or(JoinHandle::is_finished) {
+            self.handles.controls.alive();
             let busy = self.bridge(daemon);
+            self.hear_of_rights(&mut daemon.desk);
             self.handle_events(&mut daemon.desk);
             self.hand_over_model(&daemon.desk);
             self.give_orders();
@@ -128,15 +141,25 @@ impl Session {
                 self.open_gate();
             }
             if !busy {
-                std::thread::sleep(PAUSE);
+                self.pause();
             }
         }
         let joined = self.thread.take().and_then(|thread| thread.join().ok());
         let outcome = joined.ok_or(Failure::job("the loop's thread panicked; the arm was stopped by its own means"))?;
         while self.bridge(daemon) {}
+        self.hear_of_rights(&mut daemon.desk);
         self.handle_events(&mut daemon.desk);
         self.handles.free_retired();
         Ok((self.statistics(&outcome), outcome.end))
+    }
+
+    /// Sleeps until the next record is due. An arm that keeps the clock's time makes one every millisecond: this thread then wakes up right behind
+    /// the loop, once, instead of looking again and again.
+    fn pause(&self) {
+        match self.records_due.next_look(now_ns()).filter(|_| self.gate.is_none()) {
+            Some(at_ns) => os::sleep_until(at_ns),
+            None => std::thread::sleep(PAUSE),
+        }
     }
 
     /// Moves records from the ring to shared memory; whether there were any.
@@ -148,6 +171,7 @@ impl Session {
         let gravity = self.mounting.gravity().into();
         daemon.server.feed_forward(FeedForwardMessage::new(last, daemon.desk.robot.chain.len(), gravity));
         daemon.desk.last = *last;
+        self.records_due.saw(last.stamp_ns, last.work_ns);
         let now = now_ns();
         for record in &self.records {
             self.bridged.saturating_record(now.saturating_sub(record.stamp_ns).max(1));
@@ -156,6 +180,16 @@ impl Session {
             gate.consumed(taken as u64);
         }
         true
+    }
+
+    /// Says as soon as it is known whether this loop is real-time or degraded.
+    fn hear_of_rights(&mut self, desk: &mut Desk) {
+        let Some(granted) = self.handles.granted.get().filter(|_| !self.judged) else { return };
+        self.judged = true;
+        desk.degraded = granted.refusals().map(str::to_string).collect();
+        for refusal in &desk.degraded {
+            tracing::warn!("degraded, not real-time: {refusal}");
+        }
     }
 
     /// What watches the served model must see it in time: an arm that runs as fast as it can waits for the estimator.
@@ -238,6 +272,7 @@ impl Session {
             cycles: summary.cycles,
             lost: summary.lost,
             longest_lost: summary.longest_lost,
+            clock: Some(summary.clock).filter(|&clock| clock > 0),
             late: summary.late,
             unrecorded: summary.unrecorded,
             allocations: outcome.allocations,
@@ -264,5 +299,6 @@ fn rights(realtime: &job::Realtime, below: u8) -> Rights {
         priority: Some(realtime.priority.saturating_sub(below)).filter(|&priority| priority > 0),
         cpu: realtime.cpu.filter(|_| below == 0),
         lock_memory: realtime.lock_memory,
+        preempt_rt: realtime.preempt_rt && below == 0,
     }
 }

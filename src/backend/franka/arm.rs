@@ -2,6 +2,14 @@
 
 // The walls of the real-time loop: clippy.toml.
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unreachable,
+    clippy::todo,
+    clippy::unimplemented
+)]
 
 use super::codes::{
     REFUSED_BEFORE_START, REFUSED_JUMP, REFUSED_NOT_FINITE, REFUSED_POSITION, REFUSED_REACH, REFUSED_STOPPED,

@@ -1,5 +1,15 @@
 //! The end of a motion by us: brake, finish as the protocol wants it, and leave within a second whatever happens.
 
+// The walls of the real-time loop: clippy.toml.
+#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unreachable,
+    clippy::todo,
+    clippy::unimplemented
+)]
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
 
 use super::arm::{FrankaArm, Phase};

@@ -1,5 +1,16 @@
 //! Holds commanded positions below the arm's limits, and leads back to the motion without a jump after the arm went on alone.
 
+// The walls of the real-time loop: clippy.toml.
+#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unreachable,
+    clippy::todo,
+    clippy::unimplemented
+)]
+
 use super::limits::RobotLimits;
 use super::reference::{Point, TICK};
 

@@ -1,5 +1,15 @@
 //! One motion: how it begins, what it commands, and how its end is read.
 
+// The walls of the real-time loop: clippy.toml.
+#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unreachable,
+    clippy::todo,
+    clippy::unimplemented
+)]
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
 
 use super::arm::{FrankaArm, Phase, answer_to};

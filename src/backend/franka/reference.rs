@@ -1,5 +1,16 @@
 //! What the arm goes by between two commands: position, velocity and acceleration as it differences them, once per millisecond.
 
+// The walls of the real-time loop: clippy.toml.
+#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unreachable,
+    clippy::todo,
+    clippy::unimplemented
+)]
+
 /// The arm's cycle \[s\].
 pub(super) const TICK: f64 = crate::rt::PERIOD;
 

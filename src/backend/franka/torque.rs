@@ -1,5 +1,16 @@
 //! The impedance law of the torque interface, inside the torque limits and their rate.
 
+// The walls of the real-time loop: clippy.toml.
+#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unreachable,
+    clippy::todo,
+    clippy::unimplemented
+)]
+
 use super::limits::RobotLimits;
 use super::reference::TICK;
 use super::settings::TorqueControl;

@@ -1,5 +1,16 @@
 //! States in, commands out.
 
+// The walls of the real-time loop: clippy.toml.
+#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unreachable,
+    clippy::todo,
+    clippy::unimplemented
+)]
+
 use super::wire::{MAX_COMMAND, MAX_STATE, Protocol, RobotCommand, RobotState};
 use crate::rt::os::{datagram_age_ns, now_ns};
 use rustix::net::{RecvFlags, SendFlags};

@@ -69,6 +69,7 @@ impl Gate {
     }
 
     /// Waits until one more state may be delivered, and counts it.
+    #[cfg_attr(feature = "rtsan", rtsan_standalone::no_sanitize_realtime)]
     pub(super) fn pass(&self) -> Result<(), Ended> {
         let mut tries = 0;
         loop {

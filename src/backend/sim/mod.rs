@@ -56,13 +56,13 @@ pub const REFUSED_STOPPED: u32 = 3;
 /// `Fault::Reflex`: 20 commands in a row did not come (`communication_constraints_violation` of the FCI).
 pub const REFLEX_COMMUNICATION: u32 = 25;
 
-/// Missing commands in a row that end a motion.
+/// Missing commands in a row that end a motion, unless [`SimArm::with_patience`] says otherwise.
 const MISSING: u32 = 20;
 
 /// How a simulated arm keeps time.
 pub enum Pace {
-    /// One state per millisecond of this clock, on absolute deadlines. Whoever comes late finds the states that are due and gets them
-    /// at once, none lost.
+    /// One state per millisecond of this clock, on absolute deadlines. The arm goes on without whoever comes late: he gets the newest state
+    /// that is due, the ones before it are lost, and nothing is caught up in a burst.
     WallClock(Box<dyn Clock>),
     /// As fast as the gate lets states through.
     Fast(Arc<Gate>),
@@ -145,6 +145,7 @@ pub struct SimArm {
     mode: Mode,
     pending: Option<JointVec>,
     missing: u32,
+    patience: u32,
     seq: u64,
     exact: Exact,
     /// Deadline of state 0 on the wall clock; known from the first read on \[ns\].
@@ -191,10 +192,16 @@ impl SimArm {
             mode: Mode::Idle,
             pending: None,
             missing: 0,
+            patience: MISSING,
             seq: 0,
             exact: Exact::default(),
             origin_ns: None,
         })
+    }
+
+    /// An arm that ends a motion only after so many missing commands in a row: for machines that stall more than a robot allows.
+    pub fn with_patience(self, missing: u32) -> SimArm {
+        SimArm { patience: missing.max(1), ..self }
     }
 
     /// The arm's exact motion at the state read last, for comparisons; no real arm has this.
@@ -211,7 +218,7 @@ impl SimArm {
             }
             (Mode::Moving, None) => {
                 self.missing += 1;
-                if self.missing < MISSING {
+                if self.missing < self.patience {
                     self.commands.extrapolate();
                 } else {
                     self.mode = Mode::Reflex;
@@ -228,6 +235,12 @@ impl SimArm {
         self.faults.spoil(&mut reading, &mut time);
         self.exact = exact;
         State { seq: self.seq, time, q: reading.q, dq: reading.dq, tau: reading.tau, q_d: *self.commands.newest() }
+    }
+
+    /// Whether the state after the present one is due, too: nobody came for the present one in time.
+    fn is_overdue(&self) -> bool {
+        let (Pace::WallClock(clock), Some(origin)) = (&self.pace, self.origin_ns) else { return false };
+        clock.now_ns() >= origin.saturating_add((self.seq + 1) * 1_000_000)
     }
 
     /// Waits for the moment of the present state.
@@ -250,7 +263,7 @@ impl Backend for SimArm {
             gate.pass().map_err(|_| Fault::Disconnected)?;
         }
         let mut state = self.tick();
-        while self.losses.next() {
+        while self.losses.next() || self.is_overdue() {
             state = self.tick();
         }
         self.keep_pace();
