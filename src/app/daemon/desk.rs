@@ -1,9 +1,11 @@
 //! What the daemon knows and decides: answers requests, accepts models, says what the loop does.
 
+use super::gravity::Watch;
 use crate::app::Failure;
 use crate::backend::sim::Truth;
 use crate::config::job::{Adopt, Job, OnLoss};
 use crate::config::robot::Robot;
+use crate::inclinometer::attitude::mounting_along;
 use crate::input::BadInput;
 use crate::ipc::{
     Held, Mounting as MountingMessage, News, Progress, Proposal, Request, Response, Served,
@@ -24,6 +26,8 @@ pub struct Accepted {
     pub id: u64,
     /// The model.
     pub model: TorqueModel,
+    /// Noise of the measured torque by its file, per joint \[Nm\]; empty where unknown.
+    pub noise: Vec<f64>,
 }
 
 /// The daemon without its ports.
@@ -42,6 +46,8 @@ pub struct Desk {
     pub held: Option<(Accepted, Proposal)>,
     /// How the arm is mounted now.
     pub mounting: Mounting,
+    /// What is known of gravity.
+    pub gravity: Watch,
     /// Where the job stands.
     pub progress: Progress,
     /// Numbers and names of the motions.
@@ -161,6 +167,9 @@ impl Desk {
     /// Checks a model's text and serves it from one of the next cycles on. What was proposed before is about another model.
     fn accept(&mut self, file: &str, text: &str) -> Result<u64, BadInput> {
         let checked = self.check(file, text)?;
+        self.gravity.examine(&checked).map_err(|off| {
+            BadInput::new(file, "mounting", off, "declared, measured and implied directions of gravity that agree")
+        })?;
         self.held = None;
         Ok(self.serve(checked))
     }
@@ -176,7 +185,8 @@ impl Desk {
         offered.model.valid_in(&self.mounting).map_err(|refused| {
             BadInput::new(file, "key `kind`", refused, "a model that holds in the present mounting")
         })?;
-        Ok(Accepted { id: model_identity(text), model: offered.model })
+        let ModelFile { model, noise_floor: noise, .. } = offered;
+        Ok(Accepted { id: model_identity(text), model, noise })
     }
 
     /// Serves a model that was checked.
@@ -241,6 +251,8 @@ impl Desk {
     fn status(&self, served: &Served, controls: Option<&Controls>) -> Status {
         let name = self.names.iter().find(|(number, _)| *number == self.last.motion).map(|(_, name)| name.as_str());
         let place = self.mounting.to_string();
+        let gravity = self.gravity.served();
+        let Mounting { rho, phi } = mounting_along(&gravity);
         let mut status = Status {
             robot: self.robot.name.clone(),
             joints: self.robot.chain.len(),
@@ -252,11 +264,8 @@ impl Desk {
             dropped: self.sessions.iter().map(|session| session.unrecorded).sum(),
             model: self.model.as_ref().map_or(0, |accepted| accepted.id),
             offered: self.held.as_ref().map(|(held, proposal)| Held { model: held.id, proposal: proposal.clone() }),
-            mounting: Some(MountingMessage {
-                rho: self.mounting.rho,
-                phi: self.mounting.phi,
-                gravity: self.mounting.gravity().into(),
-            }),
+            mounting: Some(MountingMessage { rho, phi, gravity: gravity.into() }),
+            gravity: Some(self.gravity.message()),
             progress: self.progress,
             driven: self.driven,
             stopped: self.stopped.clone(),
