@@ -14,7 +14,7 @@ use crate::ipc::{
 use crate::joint::{JointVec, Record};
 use crate::model::gravity::Mounting;
 use crate::model::torque::TorqueModel;
-use crate::rt::order::{Controls, Event};
+use crate::rt::order::{Controls, Event, StopReason};
 use crate::store::{ModelFile, model_identity};
 use std::path::Path;
 use std::sync::Arc;
@@ -91,10 +91,13 @@ impl Desk {
             Request::Start {} if self.progress != Progress::Idle => {
                 refused("the programme was started before; restart the daemon to drive it again")
             }
-            Request::Start {} => {
-                self.start = true;
-                Response::Accepted {}
-            }
+            Request::Start {} => match self.gravity.refusal() {
+                Some(refusal) => refused(&refusal),
+                None => {
+                    self.start = true;
+                    Response::Accepted {}
+                }
+            },
             Request::Quit {} => {
                 self.quit = true;
                 Response::Accepted {}
@@ -167,7 +170,7 @@ impl Desk {
     /// Checks a model's text and serves it from one of the next cycles on. What was proposed before is about another model.
     fn accept(&mut self, file: &str, text: &str) -> Result<u64, BadInput> {
         let checked = self.check(file, text)?;
-        self.gravity.examine(&checked).map_err(|off| {
+        self.gravity.try_out(&checked).map_err(|off| {
             BadInput::new(file, "mounting", off, "declared, measured and implied directions of gravity that agree")
         })?;
         self.held = None;
@@ -233,8 +236,10 @@ impl Desk {
                 })
             }
             Event::Stopping { reason, .. } => {
+                let cause = self.gravity.cause().filter(|_| *reason == StopReason::Requested);
+                let reason = cause.map_or_else(|| reason.to_string(), str::to_string);
                 tracing::error!("the arm is being stopped: {reason}");
-                self.stopped = Some(reason.to_string());
+                self.stopped = Some(reason);
             }
             Event::Stopped => {
                 tracing::error!("the arm is at rest; it moves again only after `plumbline command resume`");

@@ -52,6 +52,7 @@ struct During {
 }
 
 /// What the torques said of a model.
+#[derive(Clone)]
 struct Judged {
     model: u64,
     /// Poses that were there before the model: they may be of an arm that it does not describe.
@@ -81,6 +82,8 @@ pub struct Watch {
     /// What was said last of serving, so that it is said once.
     said: Option<String>,
     served: Vector3<f64>,
+    /// Why the arm was stopped from here.
+    cause: Option<String>,
 }
 
 impl Watch {
@@ -109,6 +112,7 @@ impl Watch {
             events: Vec::new(),
             said: None,
             served: job.mounting.gravity(),
+            cause: None,
         })
     }
 
@@ -134,11 +138,24 @@ impl Watch {
         must_stop
     }
 
-    /// Hears the inclinometer; call it often.
-    pub fn tick(&mut self, now: u64) {
+    /// Hears the inclinometer; call it often. While no model is `serving`, nothing has to change slowly.
+    pub fn tick(&mut self, now: u64, serving: bool) {
         let Some(own) = &mut self.inclinometer else { return };
+        if !serving {
+            own.follower.restart();
+        }
         own.health = own.listener.health(now);
         own.decision = own.follower.decide(now, &own.health);
+    }
+
+    /// Why nothing may move by the inclinometer's word, if so.
+    pub fn refusal(&self) -> Option<String> {
+        self.inclinometer.as_ref().and_then(|own| own.decision.refusal).map(|refusal| refusal.to_string())
+    }
+
+    /// Why the arm was stopped from here, if it was.
+    pub fn cause(&self) -> Option<&str> {
+        self.cause.as_deref()
     }
 
     /// A base that moves while parameters are measured makes the samples those of no mounting.
@@ -159,13 +176,22 @@ impl Watch {
                 self.motions.push(MotionGravity { motion: record.motion, rho, phi, std: attitude.std() });
             }
         }
+        if self.during.moved {
+            return false;
+        }
+        if let Some(refusal) = own.decision.refusal {
+            self.during.moved = true;
+            self.cause = Some(refusal.to_string());
+            self.event(format!("the arm stops in motion {}: {refusal}", record.motion));
+            return true;
+        }
         let (Some(first), Some(now)) = (self.during.reading, reading) else { return false };
         let by = angle_between(&first.attitude.gravity, &now.attitude.gravity);
         let allowed = own.still.max(MOVED * first.attitude.std().hypot(now.attitude.std()));
-        // Said once per motion.
-        if self.during.moved || by <= allowed {
+        if by <= allowed {
             return false;
         }
+        // Said once per motion.
         self.during.moved = true;
         let stop = own.on_motion == BaseMotion::Stop;
         let rule = if stop { "the arm stops" } else { "the motion goes on" };
@@ -174,6 +200,9 @@ impl Watch {
             by.to_degrees(),
             record.motion
         );
+        if stop {
+            self.cause = Some(event.clone());
+        }
         self.event(event);
         stop
     }
@@ -200,7 +229,10 @@ impl Watch {
                 None
             }
             Verdict::Wait(why) => Some(format!("model {:016x} is not served yet: {why}", model.id)),
-            Verdict::Refuse(why) => Some(format!("model {:016x} is not served: {why}", model.id)),
+            Verdict::Refuse(why) => {
+                self.cause = Some(why.clone());
+                Some(format!("model {:016x} is not served: {why}", model.id))
+            }
         };
         // Numbers in the words change with every rest: what is said again is another kind of refusal.
         let kind = |words: &Option<String>| {
@@ -247,8 +279,17 @@ impl Watch {
         self.check.torques && !self.simulated_time && !asked
     }
 
+    /// Whether every side that there is goes with `model`, which was offered; one that does not leaves no trace.
+    ///
+    /// # Errors
+    /// Who disagrees, and by how much.
+    pub fn try_out(&mut self, model: &Accepted) -> Result<(), String> {
+        let before = self.judged.clone();
+        self.examine(model).inspect_err(|_| self.judged = before)
+    }
+
     /// Holds every side that there is against every other.
-    pub fn examine(&mut self, model: &Accepted) -> Result<(), String> {
+    fn examine(&mut self, model: &Accepted) -> Result<(), String> {
         let implied = self.ask_torques(model)?;
         let mut sides = vec![Side::declared(&self.declared)];
         if let Some(Reading { attitude, .. }) = self.inclinometer.as_ref().and_then(|own| own.follower.last()) {

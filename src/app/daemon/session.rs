@@ -122,7 +122,7 @@ impl Session {
         while !self.thread.as_ref().is_none_or(JoinHandle::is_finished) {
             let busy = self.bridge(daemon);
             self.handle_events(&mut daemon.desk);
-            daemon.desk.gravity.tick(now_ns());
+            daemon.desk.gravity.tick(now_ns(), self.model != 0);
             self.hand_over_model(&mut daemon.desk);
             self.give_orders();
             self.keep_pace_with_the_watch(daemon);
@@ -155,7 +155,6 @@ impl Session {
         let gravity = self.gravity.into();
         daemon.server.feed_forward(FeedForwardMessage::new(last, daemon.desk.robot.chain.len(), gravity));
         if daemon.desk.gravity.take(&self.records) {
-            daemon.desk.stopped = Some("the base has moved".into());
             self.handles.controls.stop();
         }
         daemon.desk.last = *last;
@@ -239,6 +238,8 @@ impl Session {
             return;
         }
         match controls.phase() {
+            // Orders that wait would go on without a model.
+            Phase::Hold if self.purpose == Purpose::Drive => controls.stop(),
             Phase::Hold | Phase::Stopped => {
                 if self.handles.models.serve(Box::new(NoModel)).is_ok() {
                     self.model = 0;
