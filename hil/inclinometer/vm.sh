@@ -24,11 +24,11 @@ if [ ! -d "$kernel" ]; then
 fi
 version=$(ls "$kernel/lib/modules")
 
-# An initial file system is all that there is: busybox, three modules, two programs and their libraries.
+# An initial file system is all that there is: busybox, four modules, two programs and their libraries.
 root=$work/root
 mkdir -p "$root/bin" "$root/modules" "$root/proc" "$root/sys" "$root/dev" "$root/tmp" "$root/etc" "$root/job"
 cp "$kernel/bin/busybox" "$root/bin/"
-for module in net/can/can net/can/can-raw drivers/net/can/vcan; do
+for module in net/can/can net/can/can-raw drivers/net/can/dev/can-dev drivers/net/can/vcan; do
     file=$kernel/lib/modules/$version/kernel/$module.ko
     if [ -f "$file.xz" ]; then xz -dc "$file.xz" > "$root/modules/${module##*/}.ko"; else cp "$file" "$root/modules/"; fi
 done
@@ -52,7 +52,7 @@ mkdir -p /dev/shm
 mount -t tmpfs shm /dev/shm
 mount -t tmpfs tmp /tmp
 echo root:x:0:0:root:/tmp:/bin/sh > /etc/passwd
-for module in can can-raw vcan; do insmod /modules/$module.ko; done
+for module in can can-raw can-dev vcan; do insmod /modules/$module.ko; done
 ip link set lo up
 ip link add dev vcan0 type vcan
 ip link set vcan0 up
