@@ -6,7 +6,7 @@
 //! |---|---|---|
 //! | 0 | [`joint`], [`input`], [`atomic`], [`parallel`] | fixed-size values with units; how bad input is reported; how files are written; work on all processors |
 //! | 1 | [`model`], [`rt`] | the arm's dynamics, pure; the real-time loop and its traits |
-//! | 2 | [`excite`], [`estimate`], [`backend`], [`ipc`], [`machine`] | motions that excite; parameters from samples; arms; shared memory; whether this computer keeps time |
+//! | 2 | [`excite`], [`estimate`], [`backend`], [`inclinometer`], [`ipc`], [`machine`] | motions that excite; parameters from samples; arms; which way is down; shared memory; whether this computer keeps time |
 //! | 3 | [`config`], [`dataset`], [`diagnose`], [`report`], [`store`] | typed configuration; recorded motions; what a model lacks; what a job says; model and plan files |
 //! | 4 | [`app`] | one file per subcommand: wiring only |
 //!
@@ -22,6 +22,7 @@ pub mod dataset;
 pub mod diagnose;
 pub mod estimate;
 pub mod excite;
+pub mod inclinometer;
 pub mod input;
 pub mod ipc;
 pub mod joint;

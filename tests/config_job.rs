@@ -173,6 +173,56 @@ fn a_franka_needs_an_address_and_has_defaults_for_the_rest() {
     }
 }
 
+/// The least job with an inclinometer.
+fn with_inclinometer(sets: &[&str]) -> Result<Job, String> {
+    let text = "robot = \"panda\"\nmounting = \"upright\"\n[backend]\nkind = \"sim\"\narm = \"sim-panda\"\npace = \"wall-clock\"\n\
+                [validation]\nmountings = [\"upright\"]\n\
+                [inclinometer]\ninterface = \"can0\"\nnode = 10\nx = \"x\"\nz = \"z\"\n";
+    parse(text, sets)
+}
+
+#[test]
+fn an_inclinometer_has_defaults_and_every_bad_value_of_it_is_named() {
+    let job = with_inclinometer(&[]).unwrap();
+    let own = job.inclinometer.unwrap();
+    assert_eq!((own.heartbeat, own.rate, own.bits, own.serial), (0.2, 50.0, 16, None));
+    assert!((job.mounting_check.tolerance.to_degrees() - 5.0).abs() < 1e-9 && job.mounting_check.torques);
+    let sensor = own.sensor("job.toml", job.mounting).unwrap();
+    assert_eq!((sensor.node.period, sensor.node.heartbeat), (20, 200));
+    with_inclinometer(&["inclinometer.x=[0.6, 0.8, 0.0]", "inclinometer.zero=[\"1 deg\", \"-1 deg\"]"]).unwrap();
+    let cases = [
+        ("inclinometer.interface=", "inclinometer.interface"),
+        ("inclinometer.interface=../../etc", "inclinometer.interface"),
+        ("inclinometer.node=0", "1 to 127"),
+        ("inclinometer.node=128", "1 to 127"),
+        ("inclinometer.rate=5 Hz", "10 Hz to 100 Hz"),
+        ("inclinometer.rate=50", "with its unit"),
+        ("inclinometer.heartbeat=1 ms", "20 ms to 5 s"),
+        ("inclinometer.bits=24", "16 or 32"),
+        ("inclinometer.x=up", "unit vector"),
+        ("inclinometer.x=z", "right angles"),
+        ("inclinometer.z=[0.0, 0.0, 2.0]", "right angles"),
+        ("inclinometer.z=[0.0, 0.0, nan]", "right angles"),
+        ("inclinometer.turn=1 deg", "deg/s"),
+        ("inclinometer.turn=0 deg/s", "inclinometer.turn"),
+        ("inclinometer.step=0 deg", "inclinometer.step"),
+        ("inclinometer.on-loss=ignore", "refuse"),
+        ("inclinometer.on-base-motion=ignore", "stop"),
+        ("inclinometer.zero=[\"1 deg\"]", "inclinometer.zero"),
+        ("inclinometer.colour=blue", "colour"),
+        ("mounting-check.tolerance=0 deg", "0.5 deg to 90 deg"),
+        ("mounting-check.tolerance=5", "with its unit"),
+        ("backend.pace=fast", "simulated time"),
+        ("validation.mountings=[\"wall\"]", "validation.mountings"),
+        // Flat on the base of an arm on a wall the sensor sees nothing.
+        ("mounting=wall", "bracket"),
+    ];
+    for (set, expected) in cases {
+        let said = with_inclinometer(&[set]).expect_err(set);
+        assert!(said.contains(expected), "{set}: no `{expected}` in {said}");
+    }
+}
+
 #[test]
 fn overrides_win_and_are_blamed_for_what_they_bring() {
     let sets =

@@ -118,6 +118,42 @@ fn every_wrong_model_is_refused_by_name() {
 }
 
 #[test]
+fn a_model_that_was_edited_or_cut_off_is_refused_by_name() {
+    let text = made_up(BaseKind::Gbs).to_toml();
+    let seal = text.lines().nth(1).unwrap().to_string();
+    assert!(seal.starts_with("content = \"sha256:") && seal.len() == 19 + 64, "{seal}");
+    parse(&text).unwrap();
+    // A thousandth of one parameter; a comment; one more line.
+    let line = text.lines().find(|line| line.contains("name = \"Lxx2\"")).unwrap();
+    let value = line.split("value = ").nth(1).unwrap().split(',').next().unwrap();
+    let worse = format!("value = {:?}", value.parse::<f64>().unwrap() * 1.001);
+    let edits = [
+        text.replacen(&format!("value = {value}"), &worse, 1),
+        text.replacen("# Parameters", "# My parameters", 1),
+        format!("{text}\n"),
+    ];
+    for edited in &edits {
+        assert_ne!(*edited, text);
+        let said = parse(edited).unwrap_err();
+        assert!(
+            said.starts_with("model.toml: key `content`: got \"sha256:") && said.contains("edited or cut off"),
+            "{said}"
+        );
+        // Whoever means it takes the seal off.
+        parse(&edited.replacen(&format!("{seal}\n"), "", 1)).unwrap();
+    }
+    // Cut anywhere, it is refused: by its seal where the rest is a whole model.
+    for end in (0..text.len()).filter(|&end| text.is_char_boundary(end)).step_by(7) {
+        let cut = &text[..end];
+        if cut.contains(&seal) {
+            assert!(parse(cut).is_err(), "cut after {end} bytes of {}", text.len());
+        }
+    }
+    let provenance = text.find("[provenance]").unwrap();
+    assert!(parse(&text[..provenance]).unwrap_err().contains("cut off"));
+}
+
+#[test]
 fn an_identity_follows_the_text_and_is_never_zero() {
     let text = made_up(BaseKind::Gbs).to_toml();
     assert_eq!(model_identity(&text), model_identity(&text.clone()));

@@ -8,6 +8,8 @@ use nalgebra::DMatrix;
 /// A motion that was driven, and what was recorded of it.
 #[derive(Clone, Debug)]
 pub struct Recorded {
+    /// Its number in the programme.
+    pub number: u32,
     /// What it was for.
     pub role: Role,
     /// The samples after the lead-in; the served torque is in the further columns `tau_ff1` to `tau_ffn`.
@@ -78,6 +80,6 @@ impl Collector {
         };
         // The last sample of a motion is one tick behind its last period.
         let complete = records.last().is_some_and(|record| record.tick + 1 >= motion.ticks() as u64);
-        Recorded { role: motion.role, run, complete }
+        Recorded { number: motion.number, role: motion.role, run, complete }
     }
 }

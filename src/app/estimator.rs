@@ -8,6 +8,7 @@ use super::{Failure, JobOptions, robot_id};
 use crate::ipc::{
     Client, Delivery, Progress, Request, Response, RobotId, SampleStream, Status, StreamCounters, StreamSettings,
 };
+use crate::model::gravity::Mounting;
 use clap::Args;
 use std::time::{Duration, Instant};
 
@@ -119,12 +120,15 @@ fn follow(
 }
 
 /// Takes one motion in; offers the model when it was the one to identify from.
-fn take(id: &RobotId, results: &mut Results, live: &mut Option<Live>, recorded: Recorded) -> Result<(), Failure> {
+fn take(id: &RobotId, results: &mut Results, live: &mut Option<Live>, mut recorded: Recorded) -> Result<(), Failure> {
     if !recorded.complete {
         tracing::warn!("{} is incomplete and left out", recorded.run.file);
         return Ok(());
     }
     let role = recorded.role;
+    if results.has_inclinometer() {
+        as_measured(&status(id)?, results.first_mounting(), &mut recorded);
+    }
     results.take(recorded);
     if role != Role::Identify {
         return Ok(());
@@ -142,6 +146,30 @@ fn take(id: &RobotId, results: &mut Results, live: &mut Option<Live>, recorded: 
         }
         Response::Refused { reason } => Err(Failure::job(format!("the daemon refused the model: {reason}"))),
         other => Err(Failure::job(format!("the daemon answered a model with {other:?}"))),
+    }
+}
+
+/// How many standard deviations two readings of a base that has not moved may differ by.
+const SAME_BASE: f64 = 4.0;
+
+/// A run was recorded in the mounting that was measured when it began, which is only about the declared one. A base that has not moved
+/// since the `first` run has one mounting, not one per reading: otherwise noise would pass for several mountings.
+fn as_measured(status: &Status, first: Option<Mounting>, recorded: &mut Recorded) {
+    let motions = status.gravity.iter().flat_map(|gravity| &gravity.motions);
+    match motions.filter(|own| own.motion == recorded.number).last() {
+        Some(own) => {
+            let measured = Mounting { rho: own.rho, phi: own.phi };
+            let unmoved = first.filter(|first| first.angle_to(&measured) <= SAME_BASE * own.std);
+            recorded.run.mounting = unmoved.unwrap_or(measured);
+            tracing::info!(
+                "{}: gravity as measured, rho = {:.5}, phi = {:.5} rad, +- {:.2} mrad",
+                recorded.run.file,
+                own.rho,
+                own.phi,
+                1e3 * own.std
+            );
+        }
+        None => tracing::warn!("{}: no inclinometer when it began; the declared mounting is taken", recorded.run.file),
     }
 }
 

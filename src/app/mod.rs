@@ -14,6 +14,7 @@ mod estimator;
 mod export;
 mod failure;
 mod identify;
+mod inclinometer;
 mod live;
 mod pipeline;
 mod plan;
@@ -80,6 +81,8 @@ enum Verb {
     Effects(effects::Options),
     /// Print the feed-forward torque that a daemon serves
     Torque(torque::Options),
+    /// Listen to the inclinometer of a job and print what it says
+    Inclinometer(inclinometer::Options),
     /// Tell a running daemon what to do: start, stop, resume, quit, status
     Command(command::Options),
 }
@@ -114,6 +117,7 @@ pub fn main() -> ExitCode {
         Verb::Doctor(options) => doctor::run(options),
         Verb::Effects(options) => effects::run(options),
         Verb::Torque(options) => torque::run(options),
+        Verb::Inclinometer(options) => inclinometer::run(options),
         Verb::Command(options) => command::run(options),
     };
     match outcome {

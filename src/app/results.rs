@@ -12,6 +12,7 @@ use crate::diagnose::{self, errors::Of};
 use crate::estimate::experiment::Settings;
 use crate::estimate::solve::Outcome;
 use crate::ipc::{Session, Status, StreamCounters};
+use crate::model::gravity::Mounting;
 use crate::parallel::threads;
 use crate::report::figures::{Figures, PlanFigure};
 use crate::report::{
@@ -54,6 +55,16 @@ impl Results {
     /// Number of joints.
     pub fn joints(&self) -> usize {
         self.robot.chain.len()
+    }
+
+    /// Whether the job measures the direction of gravity.
+    pub fn has_inclinometer(&self) -> bool {
+        self.job.inclinometer.is_some()
+    }
+
+    /// The mounting of the first motion that was recorded.
+    pub fn first_mounting(&self) -> Option<Mounting> {
+        self.recorded.first().map(|recorded| recorded.run.mounting)
     }
 
     /// Keeps a recorded motion.
@@ -291,11 +302,7 @@ fn validation(run: &Run, judged: &Judged) -> Validation {
 }
 
 /// The report of an identification, before anything was validated.
-pub fn report_of(
-    identified: &Identified,
-    mounting: crate::model::gravity::Mounting,
-    provenance: &Provenance,
-) -> Report {
+pub fn report_of(identified: &Identified, mounting: Mounting, provenance: &Provenance) -> Report {
     let identification = &identified.identification;
     let mut facts = serde_json::Map::new();
     for (name, value) in

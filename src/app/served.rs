@@ -36,6 +36,19 @@ impl FeedForward for ServedModel {
     }
 }
 
+/// In the place of a model that may not be served any more: identity 0 and no torque, as before the first model.
+pub struct NoModel;
+
+impl FeedForward for NoModel {
+    fn id(&self) -> u64 {
+        0
+    }
+
+    fn torque(&mut self, _: &Setpoint) -> Torque {
+        Torque::default()
+    }
+}
+
 /// Where the end effector is, for the guard.
 pub struct Reach(pub Chain);
 

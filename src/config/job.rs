@@ -5,9 +5,11 @@
 
 mod check;
 pub mod franka;
+pub mod inclinometer;
 mod sets;
 
 pub use franka::Franka;
+pub use inclinometer::{Inclinometer, MountingCheck};
 
 use super::units;
 use crate::estimate::experiment::{Derivative, Method};
@@ -57,6 +59,12 @@ pub struct Job {
     /// When a motion is ended.
     #[serde(default)]
     pub safety: Safety,
+    /// An inclinometer on the base.
+    #[serde(default)]
+    pub inclinometer: Option<Inclinometer>,
+    /// What has to agree on the mounting before anything is served.
+    #[serde(default)]
+    pub mounting_check: MountingCheck,
     /// The served feed-forward torque.
     #[serde(default)]
     pub serve: Serve,

@@ -18,6 +18,11 @@ pub const ANGLE: Quantity = Quantity {
     what: "an angle with its unit, such as \"90 deg\" or \"1.5708 rad\"",
     units: &[("rad", 1.0), ("deg", PI / 180.0)],
 };
+/// Angular rates, read in rad/s.
+pub const ANGULAR_RATE: Quantity = Quantity {
+    what: "an angle per second with its unit, such as \"1 deg/s\"",
+    units: &[("rad/s", 1.0), ("deg/s", PI / 180.0)],
+};
 /// Joint positions, read in rad (revolute) or m (prismatic).
 pub const POSITION: Quantity = Quantity {
     what: "a joint position with its unit, such as \"90 deg\", \"1.5708 rad\" or \"0.2 m\"",
@@ -87,8 +92,16 @@ macro_rules! with_unit {
 }
 
 with_unit!(angle, optional_angle, ANGLE, "an angle in rad");
+with_unit!(angular_rate, optional_angular_rate, ANGULAR_RATE, "an angle per second in rad/s");
 with_unit!(duration, optional_duration, DURATION, "a duration in s");
 with_unit!(frequency, optional_frequency, FREQUENCY, "a frequency in Hz");
+
+/// `deserialize_with` for two angles in rad.
+pub fn angle_pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
+    #[derive(Deserialize)]
+    struct Angle(#[serde(deserialize_with = "angle")] f64);
+    <[Angle; 2]>::deserialize(deserializer).map(|pair| pair.map(|Angle(value)| value))
+}
 
 /// `deserialize_with` for one joint position per joint, in rad or m, that may be absent.
 pub fn optional_positions<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<f64>>, D::Error> {

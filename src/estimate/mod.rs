@@ -10,6 +10,7 @@ mod differentiate;
 pub mod direction;
 pub mod essential;
 pub mod experiment;
+pub mod mounting_check;
 pub mod periods;
 pub mod run;
 pub mod settings;

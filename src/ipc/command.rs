@@ -127,6 +127,9 @@ pub struct Status {
     pub offered: Option<Held>,
     /// Direction of gravity, as far as it is known.
     pub mounting: Option<Mounting>,
+    /// Where that direction comes from, who agrees with it, and what has happened to it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gravity: Option<Gravity>,
     /// Where the job stands.
     pub progress: Progress,
     /// Samples published when everything had been driven; absent before.
@@ -268,6 +271,43 @@ pub struct Mounting {
     pub phi: f64,
     /// The acceleration itself \[m/s2\].
     pub gravity: [f64; 3],
+}
+
+/// What is known of the direction of gravity. Directions are `[rho, phi]` of paper eq. 3 \[rad\].
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub struct Gravity {
+    /// Where the gravity that the model has comes from: `declared`, `measured`, or `held` from before the sensor was lost.
+    pub source: String,
+    /// How the inclinometer is; absent where there is none.
+    pub inclinometer: Option<String>,
+    /// What it measured last.
+    pub measured: Option<[f64; 2]>,
+    /// Standard deviations of that.
+    pub std: Option<[f64; 2]>,
+    /// What the robot's own accelerometers say.
+    pub robot: Option<[f64; 2]>,
+    /// What the torques at rest imply under the model.
+    pub torques: Option<[f64; 2]>,
+    /// Why the model is not served, where it is not.
+    pub refused: Option<String>,
+    /// What has happened, the latest last.
+    pub events: Vec<String>,
+    /// What the inclinometer measured when each motion began.
+    pub motions: Vec<MotionGravity>,
+}
+
+/// Direction of gravity at the beginning of a motion, as measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MotionGravity {
+    /// Number of the motion.
+    pub motion: u32,
+    /// See [`Mounting::rho`] \[rad\].
+    pub rho: f64,
+    /// See [`Mounting::phi`] \[rad\].
+    pub phi: f64,
+    /// Standard deviation of the direction \[rad\].
+    pub std: f64,
 }
 
 /// What the shared-memory side has done since the daemon's start.

@@ -29,8 +29,8 @@ mod stream;
 
 pub use client::Client;
 pub use command::{
-    Follower, Held, Link, MAX_REQUEST_BYTES, Mounting, Progress, Proposal, Request, Response, Served, Session, Status,
-    Times,
+    Follower, Gravity, Held, Link, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request, Response,
+    Served, Session, Status, Times,
 };
 pub use error::IpcError;
 pub use feed_forward::{FeedForwardClient, FeedForwardSettings, Latest, Presence};

@@ -92,7 +92,7 @@ pub trait Reference: Send {
 
 /// A torque model that can be evaluated in the loop.
 pub trait FeedForward: Send {
-    /// Identity of the model, not 0.
+    /// Identity of the model; 0 for one that stands for none and has no torque.
     fn id(&self) -> u64;
 
     /// Torque the arm needs at `desired` \[Nm\].

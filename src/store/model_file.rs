@@ -61,6 +61,9 @@ pub struct Provenance {
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 struct Raw {
     format: u32,
+    /// Checked against the text itself.
+    #[serde(rename = "content")]
+    _content: Option<String>,
     robot: String,
     kind: Kind,
     #[serde(default)]
@@ -145,7 +148,8 @@ impl ModelFile {
     /// Reads a model from text; `file` is only named in errors. `chain_of` finds the arm of a robot's name.
     ///
     /// # Errors
-    /// An unknown key, another format version, a parameter that is missing, foreign, doubled, not finite or in another unit, a number
+    /// A text that is not what was written (a file that was edited or cut off, by the hash in its `content`; a file without one was
+    /// written by hand and is taken), an unknown key, another format version, a parameter that is missing, foreign, doubled, not finite or in another unit, a number
     /// of values that doesn't fit the arm; whatever `chain_of` says about the robot.
     pub fn parse(
         file: &str,
@@ -181,6 +185,8 @@ impl ModelFile {
         })?;
         check_units(file, &raw, &model)?;
         let consistent = raw.consistent.map(|raw| raw.check(file, &model)).transpose()?;
+        // Last: whatever is wrong with a file has a better name than that it was edited.
+        check_content(file, text, &head)?;
         let Raw { noise_floor, validation, provenance, .. } = raw;
         Ok(ModelFile { model, noise_floor, validation, consistent, provenance })
     }
@@ -197,6 +203,36 @@ impl ModelFile {
     pub fn save(&self, path: &Path) -> std::io::Result<()> {
         atomic::write_file(path, self.to_toml().as_bytes())
     }
+}
+
+/// How the line with the hash begins.
+const CONTENT: &str = "content = \"sha256:";
+
+/// `text` with the hash of everything else in it, as its second line.
+pub(super) fn sealed(text: &str) -> String {
+    let (first, rest) = text.split_once('\n').unwrap_or((text, ""));
+    format!("{first}\n{CONTENT}{}\"\n{rest}", content_hash(text))
+}
+
+/// SHA-256 of a text without the line that holds it, in hexadecimal.
+fn content_hash(text: &str) -> String {
+    let mut hash = Sha256::new();
+    for line in text.split_inclusive('\n').filter(|line| !line.starts_with(CONTENT)) {
+        hash.update(line.as_bytes());
+    }
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Whether the text is what was written, where it says what that was.
+fn check_content(file: &str, text: &str, head: &toml::Table) -> Result<(), BadInput> {
+    let Some(written) = head.get("content") else { return Ok(()) };
+    let found = format!("sha256:{}", content_hash(text));
+    if written.as_str() == Some(&found) {
+        return Ok(());
+    }
+    let expected =
+        "the file as plumbline wrote it: it was edited or cut off (whoever wants an edited model removes this line)";
+    Err(BadInput::new(file, "key `content`", written, expected))
 }
 
 /// Identity of a model file's text, never 0: what the loop calls the model that it serves.

@@ -1,6 +1,6 @@
 //! The text of `model.toml`: one line per parameter, for people who read and compare such files.
 
-use super::model_file::{FORMAT, ModelFile, Validated};
+use super::model_file::{FORMAT, ModelFile, Validated, sealed};
 use crate::model::term::effect::Spec;
 use std::fmt::Write;
 
@@ -61,7 +61,7 @@ pub(super) fn write(file: &ModelFile) -> String {
             line(format_args!("{key} = {}", quoted(value)));
         }
     }
-    text
+    sealed(&text)
 }
 
 /// What tells an effect from others of its kind.

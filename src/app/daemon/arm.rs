@@ -7,6 +7,7 @@ use crate::backend::Clock;
 use crate::backend::franka::{self, Info, Telemetry};
 use crate::backend::sim::{Gate, Pace, SimArm};
 use crate::config::job::franka::Recovery;
+use crate::estimate::mounting_check::Side;
 use crate::ipc::{Link, Progress, Times};
 use crate::joint::JointVec;
 use crate::model::gravity::Mounting;
@@ -106,6 +107,17 @@ impl Robot {
     /// Direction of gravity in the base frame that the robot believes, a unit vector.
     pub fn gravity(&self) -> Option<[f64; 3]> {
         self.info.gravity.as_ref().map(|gravity| gravity.direction)
+    }
+
+    /// What the arm's own accelerometers say of gravity, as one side of the mounting check; the constant that the robot believes in is
+    /// none.
+    pub fn side(&self) -> Option<Side> {
+        let gravity = self.info.gravity.as_ref().filter(|gravity| gravity.source == franka::Source::Accelerometers)?;
+        Some(Side {
+            name: "the robot's accelerometers",
+            gravity: gravity.direction.into(),
+            std: gravity.spread.max(gravity.accelerometers.unwrap_or(0.0)),
+        })
     }
 
     /// What the session says of its network; `fault` ended it.

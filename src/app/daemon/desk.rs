@@ -1,9 +1,11 @@
 //! What the daemon knows and decides: answers requests, accepts models, says what the loop does.
 
+use super::gravity::Watch;
 use crate::app::Failure;
 use crate::backend::sim::Truth;
 use crate::config::job::{Adopt, Job, OnLoss};
 use crate::config::robot::Robot;
+use crate::inclinometer::attitude::mounting_along;
 use crate::input::BadInput;
 use crate::ipc::{
     Held, Mounting as MountingMessage, News, Progress, Proposal, Request, Response, Served,
@@ -12,7 +14,7 @@ use crate::ipc::{
 use crate::joint::{JointVec, Record};
 use crate::model::gravity::Mounting;
 use crate::model::torque::TorqueModel;
-use crate::rt::order::{Controls, Event};
+use crate::rt::order::{Controls, Event, StopReason};
 use crate::store::{ModelFile, model_identity};
 use std::path::Path;
 use std::sync::Arc;
@@ -24,6 +26,8 @@ pub struct Accepted {
     pub id: u64,
     /// The model.
     pub model: TorqueModel,
+    /// Noise of the measured torque by its file, per joint \[Nm\]; empty where unknown.
+    pub noise: Vec<f64>,
 }
 
 /// The daemon without its ports.
@@ -42,6 +46,8 @@ pub struct Desk {
     pub held: Option<(Accepted, Proposal)>,
     /// How the arm is mounted now.
     pub mounting: Mounting,
+    /// What is known of gravity.
+    pub gravity: Watch,
     /// Where the job stands.
     pub progress: Progress,
     /// Numbers and names of the motions.
@@ -87,10 +93,13 @@ impl Desk {
             Request::Start {} if self.progress != Progress::Idle => {
                 refused("the programme was started before; restart the daemon to drive it again")
             }
-            Request::Start {} => {
-                self.start = true;
-                Response::Accepted {}
-            }
+            Request::Start {} => match self.gravity.refusal() {
+                Some(refusal) => refused(&refusal),
+                None => {
+                    self.start = true;
+                    Response::Accepted {}
+                }
+            },
             Request::Quit {} => {
                 self.quit = true;
                 Response::Accepted {}
@@ -163,6 +172,9 @@ impl Desk {
     /// Checks a model's text and serves it from one of the next cycles on. What was proposed before is about another model.
     fn accept(&mut self, file: &str, text: &str) -> Result<u64, BadInput> {
         let checked = self.check(file, text)?;
+        self.gravity.try_out(&checked).map_err(|off| {
+            BadInput::new(file, "mounting", off, "declared, measured and implied directions of gravity that agree")
+        })?;
         self.held = None;
         Ok(self.serve(checked))
     }
@@ -178,7 +190,8 @@ impl Desk {
         offered.model.valid_in(&self.mounting).map_err(|refused| {
             BadInput::new(file, "key `kind`", refused, "a model that holds in the present mounting")
         })?;
-        Ok(Accepted { id: model_identity(text), model: offered.model })
+        let ModelFile { model, noise_floor: noise, .. } = offered;
+        Ok(Accepted { id: model_identity(text), model, noise })
     }
 
     /// Serves a model that was checked.
@@ -225,8 +238,10 @@ impl Desk {
                 })
             }
             Event::Stopping { reason, .. } => {
+                let cause = self.gravity.cause().filter(|_| *reason == StopReason::Requested);
+                let reason = cause.map_or_else(|| reason.to_string(), str::to_string);
                 tracing::error!("the arm is being stopped: {reason}");
-                self.stopped = Some(reason.to_string());
+                self.stopped = Some(reason);
             }
             Event::Stopped if self.progress == Progress::Stopped => tracing::error!(
                 "the arm is at rest, and what was left of the programme is not driven; see to the cause, start the daemon again, and \
@@ -247,6 +262,8 @@ impl Desk {
     fn status(&self, served: &Served, controls: Option<&Controls>) -> Status {
         let name = self.names.iter().find(|(number, _)| *number == self.last.motion).map(|(_, name)| name.as_str());
         let place = self.mounting.to_string();
+        let gravity = self.gravity.served();
+        let Mounting { rho, phi } = mounting_along(&gravity);
         let mut status = Status {
             robot: self.robot.name.clone(),
             joints: self.robot.chain.len(),
@@ -258,11 +275,8 @@ impl Desk {
             dropped: self.sessions.iter().map(|session| session.unrecorded).sum(),
             model: self.model.as_ref().map_or(0, |accepted| accepted.id),
             offered: self.held.as_ref().map(|(held, proposal)| Held { model: held.id, proposal: proposal.clone() }),
-            mounting: Some(MountingMessage {
-                rho: self.mounting.rho,
-                phi: self.mounting.phi,
-                gravity: self.mounting.gravity().into(),
-            }),
+            mounting: Some(MountingMessage { rho, phi, gravity: gravity.into() }),
+            gravity: Some(self.gravity.message()),
             progress: self.progress,
             driven: self.driven,
             stopped: self.stopped.clone(),

@@ -6,6 +6,8 @@
 mod arm;
 mod desk;
 mod rhythm;
+mod gravity;
+mod rest;
 mod script;
 mod session;
 
@@ -67,6 +69,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         model: None,
         held: None,
         mounting: job.mounting,
+        gravity: gravity::Watch::open(&job)?,
         progress: Progress::Idle,
         names: programme.motions().map(|motion| (motion.number, motion.name.clone())).collect(),
         sessions: Vec::new(),
@@ -110,7 +113,7 @@ impl Daemon {
         }
         // Whoever has ended the job in mid-motion does not want another connection.
         while !self.desk.must_quit() {
-            let session = Session::open(&self.desk, "hold".into(), mounting, Purpose::Hold, Script::hold())?;
+            let session = Session::open(&mut self.desk, "hold".into(), mounting, Purpose::Hold, Script::hold())?;
             if self.see_through(session)? == Seen::Through {
                 break;
             }
@@ -126,7 +129,7 @@ impl Daemon {
             tracing::info!("the arm is mounted {place}; {} motions", stage.motions.len());
             loop {
                 let script = Script::of(stage, self.desk.rest, &self.desk.ended).map_err(Failure::job)?;
-                let session = Session::open(&self.desk, place.clone(), stage.mounting, Purpose::Drive, script)?;
+                let session = Session::open(&mut self.desk, place.clone(), stage.mounting, Purpose::Drive, script)?;
                 if self.see_through(session)? == Seen::Through {
                     break;
                 }

@@ -4,13 +4,14 @@ use super::Daemon;
 use super::arm::{Connected, Purpose, Robot, connect};
 use super::desk::Desk;
 use super::rhythm::Rhythm;
+use super::gravity::Verdict;
 use super::script::{Next, Script};
-use crate::app::served::{Reach, ServedModel};
+use crate::app::served::{NoModel, Reach, ServedModel};
 use crate::app::{Failure, programme};
 use crate::backend::sim::Gate;
 use crate::config::job::{self, OnRefusal};
 use crate::ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
-use crate::joint::{MAX_JOINTS, Record};
+use crate::joint::{MAX_JOINTS, Phase, Record};
 use crate::model::gravity::Mounting;
 use crate::rt::cycle::{self, End, Outcome};
 use crate::rt::guard::GuardSettings;
@@ -19,6 +20,7 @@ use crate::rt::os::{self, Rights};
 use crate::rt::recorder::{self, Drain};
 use crate::rt::settings::CycleSettings;
 use hdrhistogram::Histogram;
+use nalgebra::Vector3;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -49,12 +51,14 @@ pub struct Session {
     thread: Option<JoinHandle<Outcome>>,
     script: Script,
     purpose: Purpose,
-    /// Identity of the model handed to this loop.
+    /// Identity of the model handed to this loop, 0 for none.
     model: u64,
     /// It was said what the loop's thread was granted.
     judged: bool,
     /// When the next record is due.
     records_due: Rhythm,
+    /// Gravity that it was handed over with \[m/s2\].
+    gravity: Vector3<f64>,
     /// Simulated time waits for the estimator.
     waiting: bool,
     /// From state read to shared memory \[ns\].
@@ -65,14 +69,15 @@ pub struct Session {
 impl Session {
     /// Connects to the arm in `mounting` and starts the loop. The loop asks for real-time rights when the arm keeps wall-clock time.
     pub fn open(
-        desk: &Desk,
+        desk: &mut Desk,
         name: String,
         mounting: Mounting,
         purpose: Purpose,
         script: Script,
     ) -> Result<Session, Failure> {
-        let (job, robot) = (&desk.job, &desk.robot);
         let Connected { arm, gate, robot: connected } = connect(desk, mounting, purpose)?;
+        desk.gravity.connect(mounting, connected.as_ref().and_then(Robot::side));
+        let (job, robot) = (&desk.job, &desk.robot);
         // A real arm stands wherever somebody left it.
         if let (Some(connected), Some(target)) = (&connected, script.first_target()) {
             programme::free_way(job, robot, &connected.pose(), &target)?;
@@ -109,6 +114,7 @@ impl Session {
             model: 0,
             judged: false,
             records_due: Rhythm::default(),
+            gravity: mounting.gravity(),
             waiting: false,
             bridged: Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("constant bounds"),
             records: Vec::with_capacity(DRAIN),
@@ -129,7 +135,8 @@ impl Session {
             let busy = self.bridge(daemon);
             self.hear_of_rights(&mut daemon.desk);
             self.handle_events(&mut daemon.desk);
-            self.hand_over_model(&daemon.desk);
+            daemon.desk.gravity.tick(now_ns(), self.model != 0);
+            self.hand_over_model(&mut daemon.desk);
             self.give_orders();
             self.keep_pace_with_the_watch(daemon);
             if let (Purpose::Hold, Some(robot)) = (self.purpose, &mut self.robot) {
@@ -168,8 +175,11 @@ impl Session {
         let taken = self.drain.take_into(&mut self.records, DRAIN);
         let Some(last) = self.records.last() else { return false };
         daemon.server.publish(&self.records);
-        let gravity = self.mounting.gravity().into();
+        let gravity = self.gravity.into();
         daemon.server.feed_forward(FeedForwardMessage::new(last, daemon.desk.robot.chain.len(), gravity));
+        if daemon.desk.gravity.take(&self.records) {
+            self.handles.controls.stop();
+        }
         daemon.desk.last = *last;
         self.records_due.saw(last.stamp_ns, last.work_ns);
         let now = now_ns();
@@ -236,16 +246,41 @@ impl Session {
         self.handles.free_retired();
     }
 
-    /// Gives the loop the model that the daemon has accepted, for the gravity of this session.
-    fn hand_over_model(&mut self, desk: &Desk) {
+    /// Gives the loop the model that the daemon has accepted, for the gravity of now; takes it away where it may not be served.
+    fn hand_over_model(&mut self, desk: &mut Desk) {
         let Some(accepted) = &desk.model else { return };
-        if accepted.id == self.model || accepted.model.valid_in(&self.mounting).is_err() {
+        if accepted.model.valid_in(&self.mounting).is_err() {
             return;
         }
-        let evaluator = accepted.model.evaluator(&self.mounting.gravity());
-        if self.handles.models.serve(Box::new(ServedModel { id: accepted.id, evaluator })).is_ok() {
-            self.model = accepted.id;
-            self.open_gate();
+        match desk.gravity.verdict(accepted) {
+            Verdict::Serve(gravity) if accepted.id != self.model || gravity != self.gravity => {
+                let evaluator = accepted.model.evaluator(&gravity);
+                if self.handles.models.serve(Box::new(ServedModel { id: accepted.id, evaluator })).is_ok() {
+                    (self.model, self.gravity) = (accepted.id, gravity);
+                    self.open_gate();
+                }
+            }
+            Verdict::Serve(_) | Verdict::Wait(_) => {}
+            Verdict::Refuse(_) => self.withdraw(),
+        }
+    }
+
+    /// Ends the service of a model: an arm that moves is stopped first, and then has none.
+    fn withdraw(&mut self) {
+        let controls = &self.handles.controls;
+        if self.model == 0 {
+            return;
+        }
+        match controls.phase() {
+            // Orders that wait would go on without a model.
+            Phase::Hold if self.purpose == Purpose::Drive => controls.stop(),
+            Phase::Hold | Phase::Stopped => {
+                if self.handles.models.serve(Box::new(NoModel)).is_ok() {
+                    self.model = 0;
+                }
+            }
+            Phase::Stop => {}
+            Phase::Approach | Phase::Excite | Phase::Return => controls.stop(),
         }
     }
 

@@ -116,6 +116,21 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     {
         return bad("estimator.filter-order", &order, "an even number from 2 to 40");
     }
+    if !(0.5f64.to_radians() - 1e-9..=90f64.to_radians()).contains(&job.mounting_check.tolerance) {
+        let found = format!("{:.3} deg", job.mounting_check.tolerance.to_degrees());
+        return bad("mounting-check.tolerance", &found, "0.5 deg to 90 deg");
+    }
+    if let Some(inclinometer) = &job.inclinometer {
+        inclinometer.check(&file, &job.mounting)?;
+        if job.backend.is_fast() {
+            let expected = "a wall-clock pace: an inclinometer does not live in simulated time";
+            return bad("backend.pace", &"`fast`", expected);
+        }
+        if let Some(other) = job.validation.mountings.iter().find(|other| other.angle_to(&job.mounting) > 1e-3) {
+            let expected = "`mounting` alone: the inclinometer's base is not mounted anew in mid-job";
+            return bad("validation.mountings", &format!("`{other}`"), expected);
+        }
+    }
     if job.realtime.priority > 99 {
         return bad("realtime.priority", &job.realtime.priority, "0 to 99");
     }

@@ -1,0 +1,395 @@
+//! What the daemon knows of gravity: the declared mounting, the inclinometer, the robot's own sensors, the torques at rest; and what
+//! follows for the model: which gravity it gets, and whether it is served at all.
+
+use super::desk::Accepted;
+use super::rest::Rests;
+use crate::app::Failure;
+use crate::config::job::inclinometer::BaseMotion;
+use crate::config::job::{Job, MountingCheck};
+use crate::estimate::mounting_check::{Implied, Side, cross_check, implied};
+use crate::inclinometer::attitude::{angle_between, mounting_along};
+use crate::inclinometer::follow::{Decision, FollowSettings, Follower, Source};
+use crate::inclinometer::sensor::{Health, Reading, Sensor};
+use crate::inclinometer::socket::Listener;
+use crate::ipc::{Gravity as GravityMessage, MotionGravity};
+use crate::joint::{Phase, Record};
+use crate::model::gravity::Mounting;
+use nalgebra::Vector3;
+
+/// Events that the status keeps, the latest ones.
+const EVENTS: usize = 32;
+/// Standard deviations of a reading beyond which a base has moved.
+const MOVED: f64 = 4.0;
+
+/// Whether a model may be served, and with which gravity.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Verdict {
+    /// It may.
+    Serve(Vector3<f64>),
+    /// Nobody can say yet: the arm has to rest first, or the inclinometer to come up.
+    Wait(String),
+    /// It may not.
+    Refuse(String),
+}
+
+/// The inclinometer, listened to.
+struct Inclinometer {
+    listener: Listener,
+    follower: Follower,
+    on_motion: BaseMotion,
+    still: f64,
+    health: Health,
+    decision: Decision,
+}
+
+/// The base during a motion.
+#[derive(Clone, Copy, Debug)]
+struct During {
+    motion: u32,
+    /// What was measured when it began.
+    reading: Option<Reading>,
+    moved: bool,
+}
+
+/// What the torques said of a model.
+#[derive(Clone)]
+struct Judged {
+    model: u64,
+    /// Poses that were there before the model: they may be of an arm that it does not describe.
+    after: u64,
+    /// Poses that were looked at.
+    seen: u64,
+    implied: Option<Implied>,
+    outcome: Result<(), String>,
+    /// The torques have agreed once; what the arm picks up later is no matter of the mounting.
+    passed: bool,
+}
+
+/// What is known of gravity.
+pub struct Watch {
+    declared: Mounting,
+    check: MountingCheck,
+    /// Time is simulated: nobody stands beside that arm, and a model is served before its first rest.
+    simulated_time: bool,
+    inclinometer: Option<Inclinometer>,
+    /// What the robot's own accelerometers say.
+    robot: Option<Side>,
+    rests: Rests,
+    judged: Option<Judged>,
+    during: During,
+    motions: Vec<MotionGravity>,
+    events: Vec<String>,
+    /// What was said last of serving, so that it is said once.
+    said: Option<String>,
+    served: Vector3<f64>,
+    /// Why the arm was stopped from here.
+    cause: Option<String>,
+}
+
+impl Watch {
+    /// Opens the inclinometer, where the job has one. Call it before the priority of this thread goes up.
+    pub fn open(job: &Job) -> Result<Watch, Failure> {
+        let inclinometer = job.inclinometer.as_ref().map(|own| {
+            let settings = own.sensor(&job.file.display().to_string(), job.mounting)?;
+            let sensor = Sensor::new(settings).map_err(Failure::job)?;
+            let health = sensor.health();
+            let listener = Listener::start(&own.interface, sensor, &settings).map_err(Failure::job)?;
+            let follow: FollowSettings = own.follow(job.mounting, &job.mounting_check);
+            let decision = Decision { gravity: job.mounting.gravity(), source: Source::Declared, refusal: None };
+            let (follower, on_motion, still) = (Follower::new(follow), own.on_base_motion, own.still);
+            Ok::<_, Failure>(Inclinometer { listener, follower, on_motion, still, health, decision })
+        });
+        Ok(Watch {
+            declared: job.mounting,
+            check: job.mounting_check,
+            simulated_time: job.backend.is_fast(),
+            inclinometer: inclinometer.transpose()?,
+            robot: None,
+            rests: Rests::default(),
+            judged: None,
+            during: During { motion: 0, reading: None, moved: false },
+            motions: Vec::new(),
+            events: Vec::new(),
+            said: None,
+            served: job.mounting.gravity(),
+            cause: None,
+        })
+    }
+
+    /// Another connection to the arm, declared to be mounted so; `robot` is what its own accelerometers say.
+    pub fn connect(&mut self, declared: Mounting, robot: Option<Side>) {
+        let known = self.judged.as_ref().map(|judged| judged.model);
+        (self.declared, self.robot) = (declared, robot);
+        self.rests = Rests::default();
+        // A model that was served is asked again, by torques of this connection.
+        self.judged = known.map(|model| Judged::new(model, 0));
+        self.served = self.inclinometer.as_ref().map_or(declared.gravity(), |own| own.decision.gravity);
+    }
+
+    /// Takes in what the loop has recorded; whether the base has moved in a motion that has to end for it.
+    pub fn take(&mut self, records: &[Record]) -> bool {
+        let mut must_stop = false;
+        for record in records {
+            self.rests.take(record);
+        }
+        if let Some(last) = records.last() {
+            must_stop = self.base_motion(last);
+        }
+        must_stop
+    }
+
+    /// Hears the inclinometer; call it often. While no model is `serving`, nothing has to change slowly.
+    pub fn tick(&mut self, now: u64, serving: bool) {
+        let Some(own) = &mut self.inclinometer else { return };
+        if !serving {
+            own.follower.restart();
+        }
+        own.health = own.listener.health(now);
+        own.decision = own.follower.decide(now, &own.health);
+    }
+
+    /// Why nothing may move by the inclinometer's word, if so.
+    pub fn refusal(&self) -> Option<String> {
+        self.inclinometer.as_ref().and_then(|own| own.decision.refusal).map(|refusal| refusal.to_string())
+    }
+
+    /// Why the arm was stopped from here, if it was.
+    pub fn cause(&self) -> Option<&str> {
+        self.cause.as_deref()
+    }
+
+    /// A base that moves while parameters are measured makes the samples those of no mounting.
+    fn base_motion(&mut self, record: &Record) -> bool {
+        let Some(own) = &self.inclinometer else { return false };
+        if record.phase != Phase::Excite {
+            self.during.motion = 0;
+            return false;
+        }
+        let reading = match own.health {
+            Health::Good(reading) => Some(reading),
+            Health::Bad(_) => None,
+        };
+        if self.during.motion != record.motion {
+            self.during = During { motion: record.motion, reading, moved: false };
+            if let Some(Reading { attitude, .. }) = reading {
+                let Mounting { rho, phi } = attitude.mounting();
+                self.motions.push(MotionGravity { motion: record.motion, rho, phi, std: attitude.std() });
+            }
+        }
+        if self.during.moved {
+            return false;
+        }
+        if let Some(refusal) = own.decision.refusal {
+            self.during.moved = true;
+            self.cause = Some(refusal.to_string());
+            self.event(format!("the arm stops in motion {}: {refusal}", record.motion));
+            return true;
+        }
+        let (Some(first), Some(now)) = (self.during.reading, reading) else { return false };
+        let by = angle_between(&first.attitude.gravity, &now.attitude.gravity);
+        let allowed = own.still.max(MOVED * first.attitude.std().hypot(now.attitude.std()));
+        if by <= allowed {
+            return false;
+        }
+        // Said once per motion.
+        self.during.moved = true;
+        let stop = own.on_motion == BaseMotion::Stop;
+        let rule = if stop { "the arm stops" } else { "the motion goes on" };
+        let event = format!(
+            "base-motion: the base has turned by {:.2} deg during motion {}; by inclinometer.on-base-motion, {rule}",
+            by.to_degrees(),
+            record.motion
+        );
+        if stop {
+            self.cause = Some(event.clone());
+        }
+        self.event(event);
+        stop
+    }
+
+    fn event(&mut self, event: String) {
+        tracing::error!("{event}");
+        if self.events.len() >= EVENTS {
+            self.events.remove(0);
+        }
+        self.events.push(event);
+    }
+
+    /// Gravity by which a model is evaluated now.
+    fn gravity(&self) -> Vector3<f64> {
+        self.inclinometer.as_ref().map_or(self.declared.gravity(), |own| own.decision.gravity)
+    }
+
+    /// Whether `model` may be served.
+    pub fn verdict(&mut self, model: &Accepted) -> Verdict {
+        let verdict = self.decide(model);
+        let words = match &verdict {
+            Verdict::Serve(gravity) => {
+                self.served = *gravity;
+                None
+            }
+            Verdict::Wait(why) => Some(format!("model {:016x} is not served yet: {why}", model.id)),
+            Verdict::Refuse(why) => {
+                self.cause = Some(why.clone());
+                Some(format!("model {:016x} is not served: {why}", model.id))
+            }
+        };
+        // Numbers in the words change with every rest: what is said again is another kind of refusal.
+        let kind = |words: &Option<String>| {
+            words.as_ref().map(|words| words.chars().filter(|c| c.is_alphabetic()).collect::<String>())
+        };
+        if kind(&words) != kind(&self.said) {
+            match (&words, &verdict) {
+                (Some(words), Verdict::Wait(_)) => tracing::info!("{words}"),
+                (Some(words), _) => {
+                    let words = words.clone();
+                    self.event(words);
+                }
+                (None, _) => {
+                    tracing::info!("model {:016x} is served again: nothing speaks against it any more", model.id)
+                }
+            }
+        }
+        self.said = words;
+        verdict
+    }
+
+    fn decide(&mut self, model: &Accepted) -> Verdict {
+        let gravity = self.gravity();
+        // What is measured decides here, not what was declared: a vertical model holds within one degree.
+        if let Err(refused) = model.model.valid_in(&mounting_along(&gravity)) {
+            return Verdict::Refuse(refused.to_string());
+        }
+        if let Some(Inclinometer { decision: Decision { refusal: Some(refusal), .. }, .. }) = &self.inclinometer {
+            return Verdict::Refuse(refusal.to_string());
+        }
+        match self.examine(model) {
+            Err(why) => Verdict::Refuse(why),
+            Ok(()) if self.must_rest_first() => {
+                Verdict::Wait("the arm has to rest for a moment first, so that its torques tell the mounting".into())
+            }
+            Ok(()) => Verdict::Serve(gravity),
+        }
+    }
+
+    /// Whether the torques are still to be asked, of an arm that somebody may stand beside.
+    fn must_rest_first(&self) -> bool {
+        // A model that follows another one in mid-motion has to wait for no rest: the mounting was checked with the first one.
+        let asked = self.judged.as_ref().is_some_and(|judged| judged.passed || judged.after > 0);
+        self.check.torques && !self.simulated_time && !asked
+    }
+
+    /// Whether every side that there is goes with `model`, which was offered; one that does not leaves no trace.
+    ///
+    /// # Errors
+    /// Who disagrees, and by how much.
+    pub fn try_out(&mut self, model: &Accepted) -> Result<(), String> {
+        let before = self.judged.clone();
+        self.examine(model).inspect_err(|_| self.judged = before)
+    }
+
+    /// Holds every side that there is against every other.
+    fn examine(&mut self, model: &Accepted) -> Result<(), String> {
+        let implied = self.ask_torques(model)?;
+        let mut sides = vec![Side::declared(&self.declared)];
+        if let Some(Reading { attitude, .. }) = self.inclinometer.as_ref().and_then(|own| own.follower.last()) {
+            sides.push(Side { name: "the inclinometer", gravity: attitude.gravity, std: attitude.std() });
+        }
+        sides.extend(self.robot);
+        sides.extend(implied);
+        let outcome = cross_check(&sides, self.check.tolerance).map(|_| ()).map_err(|off| off.to_string());
+        if let Some(judged) = &mut self.judged {
+            if implied.is_some() && outcome.is_ok() {
+                judged.passed = true;
+            }
+            judged.outcome = outcome.clone();
+        }
+        outcome
+    }
+
+    /// What the torques at rest imply, once per model and until they have agreed.
+    fn ask_torques(&mut self, model: &Accepted) -> Result<Option<Side>, String> {
+        if !self.check.torques {
+            return Ok(None);
+        }
+        let completed = self.rests.completed();
+        let after = self.judged.as_ref().map_or(0, |judged| if judged.passed { completed } else { judged.after });
+        if self.judged.as_ref().is_none_or(|judged| judged.model != model.id) {
+            self.judged = Some(Judged::new(model.id, after));
+        }
+        let Some(judged) = &mut self.judged else { return Ok(None) };
+        if judged.passed || judged.seen == completed {
+            return judged.answer();
+        }
+        judged.seen = completed;
+        let poses = self.rests.since(judged.after);
+        if poses.is_empty() {
+            return Ok(None);
+        }
+        match implied(&model.model, &poses, &model.noise) {
+            Ok(Ok(found)) => {
+                if let Some(remark) = found.remark() {
+                    tracing::warn!("{remark}");
+                }
+                judged.implied = Some(found);
+                judged.outcome = Ok(());
+            }
+            Ok(Err(wrong)) => (judged.implied, judged.outcome) = (None, Err(wrong.to_string())),
+            Err(blind) => {
+                tracing::warn!("{blind}; the mounting is checked without them");
+                // Nothing more will come of this pose: the others decide.
+                (judged.implied, judged.outcome, judged.passed) = (None, Ok(()), true);
+            }
+        }
+        judged.answer()
+    }
+
+    /// Mounting and what is known of it, for the status.
+    pub fn message(&self) -> GravityMessage {
+        let sensor = self.inclinometer.as_ref();
+        let reading = sensor.and_then(|own| own.follower.last());
+        let angles = |gravity: &Vector3<f64>| {
+            let Mounting { rho, phi } = mounting_along(gravity);
+            [rho, phi]
+        };
+        GravityMessage {
+            source: sensor.map_or(Source::Declared, |own| own.decision.source).to_string(),
+            inclinometer: sensor.map(|own| match own.health {
+                Health::Good(Reading { still: true, .. }) => "good, at rest".into(),
+                Health::Good(_) => "good, moving".into(),
+                Health::Bad(fault) => fault.to_string(),
+            }),
+            measured: reading.map(|reading| angles(&reading.attitude.gravity)),
+            std: reading.map(|reading| reading.attitude.std_of_angles()),
+            robot: self.robot.map(|side| angles(&side.gravity)),
+            torques: self
+                .judged
+                .as_ref()
+                .and_then(|judged| judged.implied.as_ref())
+                .map(|implied| angles(&implied.side.gravity)),
+            refused: self.said.clone(),
+            events: self.events.clone(),
+            motions: self.motions.clone(),
+        }
+    }
+
+    /// Gravity that the model has now \[m/s2\].
+    pub fn served(&self) -> Vector3<f64> {
+        self.served
+    }
+}
+
+impl Judged {
+    fn new(model: u64, after: u64) -> Judged {
+        Judged { model, after, seen: 0, implied: None, outcome: Ok(()), passed: false }
+    }
+
+    /// The side that the torques take, or why they can't be right.
+    fn answer(&self) -> Result<Option<Side>, String> {
+        match (&self.implied, &self.outcome) {
+            // A wrong sign is no direction.
+            (None, Err(wrong)) => Err(wrong.clone()),
+            (found, _) => Ok(found.as_ref().map(|found| found.side)),
+        }
+    }
+}

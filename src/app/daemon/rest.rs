@@ -1,0 +1,128 @@
+//! Torques of the arm at rest, as the loop's records bring them.
+
+use crate::estimate::direction::Pose;
+use crate::joint::{JointVec, MAX_JOINTS, Phase, Record};
+
+/// Records at the beginning of a rest that the arm swings out in.
+const SETTLE: u32 = 100;
+/// Records that make a pose.
+const ENOUGH: u32 = 200;
+/// Records after which a long rest is measured afresh.
+const FRESH: u32 = 1000;
+/// Poses that are kept, the latest ones.
+const POSES: usize = 8;
+/// Two rests closer than this are one pose \[rad\].
+const SAME: f64 = 1e-3;
+
+/// A pose at rest and its number since the start.
+#[derive(Clone, Copy, Debug)]
+struct Numbered {
+    number: u64,
+    pose: Pose,
+}
+
+/// Collects poses at rest.
+#[derive(Clone, Debug, Default)]
+pub struct Rests {
+    /// Commanded position of the present rest.
+    at: Option<JointVec>,
+    count: u32,
+    q: JointVec,
+    tau: JointVec,
+    poses: Vec<Numbered>,
+    /// Poses completed so far.
+    completed: u64,
+}
+
+impl Rests {
+    /// Takes in a record; whether it has completed a pose.
+    pub fn take(&mut self, record: &Record) -> bool {
+        let desired = &record.command.desired;
+        let resting = matches!(record.phase, Phase::Hold | Phase::Stopped) && desired.dq.iter().all(|&dq| dq == 0.0);
+        if !resting || self.at.is_none_or(|at| at != desired.q) {
+            (self.count, self.q, self.tau) = (0, [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+            self.at = resting.then_some(desired.q);
+            return false;
+        }
+        self.count += 1;
+        if self.count <= SETTLE {
+            return false;
+        }
+        for j in 0..MAX_JOINTS {
+            self.q[j] += record.state.q[j];
+            self.tau[j] += record.state.tau[j];
+        }
+        let measured = self.count - SETTLE;
+        // A first mean soon, then one of every second.
+        let complete = measured == ENOUGH || measured == FRESH;
+        if complete {
+            self.complete(f64::from(measured));
+        }
+        if measured == FRESH {
+            (self.count, self.q, self.tau) = (SETTLE, [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        }
+        complete
+    }
+
+    fn complete(&mut self, measured: f64) {
+        let pose = Pose { q: self.q.map(|sum| sum / measured), tau: self.tau.map(|sum| sum / measured) };
+        let near = |own: &Numbered| own.pose.q.iter().zip(&pose.q).all(|(a, b)| (a - b).abs() < SAME);
+        self.poses.retain(|own| !near(own));
+        if self.poses.len() >= POSES {
+            self.poses.remove(0);
+        }
+        self.completed += 1;
+        self.poses.push(Numbered { number: self.completed, pose });
+    }
+
+    /// How many were completed so far.
+    pub fn completed(&self) -> u64 {
+        self.completed
+    }
+
+    /// The latest poses that were completed after the first `after`.
+    pub fn since(&self, after: u64) -> Vec<Pose> {
+        self.poses.iter().filter(|own| own.number > after).map(|own| own.pose).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::joint::{Command, Setpoint, State};
+
+    fn record(q: f64, tau: f64, phase: Phase) -> Record {
+        let mut record = Record { phase, ..Record::default() };
+        record.state = State { q: [q; MAX_JOINTS], tau: [tau; MAX_JOINTS], ..State::default() };
+        record.command =
+            Command { desired: Setpoint { q: [q; MAX_JOINTS], ..Setpoint::default() }, ..Command::default() };
+        record
+    }
+
+    #[test]
+    fn a_rest_gives_a_pose_after_the_arm_has_swung_out() {
+        let mut rests = Rests::default();
+        // The torque of the first records is the motion's.
+        let tau = |k: u32| if k < 100 { 50.0 } else { 3.0 };
+        let done: Vec<u32> = (0..1200).filter(|&k| rests.take(&record(0.5, tau(k), Phase::Hold))).collect();
+        assert_eq!(done, [SETTLE + ENOUGH, SETTLE + FRESH]);
+        let poses = rests.since(0);
+        assert_eq!((poses.len(), poses[0].q[0]), (1, 0.5), "the same rest is one pose");
+        assert!((poses[0].tau[3] - 3.0).abs() < 1e-9);
+        assert!(rests.since(rests.completed()).is_empty());
+    }
+
+    #[test]
+    fn a_motion_is_no_rest_and_only_the_latest_poses_are_kept() {
+        let mut rests = Rests::default();
+        assert!(!(0..2000).any(|_| rests.take(&record(0.5, 1.0, Phase::Excite))));
+        for pose in 0..12 {
+            (0..400).for_each(|_| {
+                rests.take(&record(f64::from(pose), 1.0, Phase::Hold));
+            });
+        }
+        let poses = rests.since(0);
+        assert_eq!((poses.len(), poses[0].q[0], poses[7].q[0]), (POSES, 4.0, 11.0));
+        assert_eq!(rests.since(10).len(), 2);
+    }
+}

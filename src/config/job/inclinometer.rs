@@ -1,0 +1,314 @@
+//! `[inclinometer]`: a CiA 410 inclinometer on the base; `[mounting-check]`: what has to agree before anything is served.
+
+use crate::config::units;
+use crate::inclinometer::attitude::{Seat, Slopes};
+use crate::inclinometer::canopen::Width;
+use crate::inclinometer::follow::{FollowSettings, OnLoss};
+use crate::inclinometer::node::NodeSettings;
+use crate::inclinometer::sensor::SensorSettings;
+use crate::inclinometer::smooth::SmoothSettings;
+use crate::input::BadInput;
+use crate::model::gravity::Mounting;
+use serde::Deserialize;
+
+/// What has to agree before anything is served.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct MountingCheck {
+    /// Largest angle between any two of: the declared mounting, a sensor on the base, the direction that the torques at rest imply,
+    /// beyond their uncertainty \[rad\].
+    #[serde(deserialize_with = "units::angle")]
+    pub tolerance: f64,
+    /// Whether the torques at rest are asked.
+    pub torques: bool,
+}
+
+impl Default for MountingCheck {
+    fn default() -> MountingCheck {
+        MountingCheck { tolerance: 5f64.to_radians(), torques: true }
+    }
+}
+
+/// A CiA 410 inclinometer on the base, over SocketCAN.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Inclinometer {
+    /// CAN interface, such as `can0`. Its bit rate is set where it is brought up (`ip link`), not here.
+    pub interface: String,
+    /// CANopen node id of the device, 1 to 127.
+    pub node: u8,
+    /// Serial number (1018h:4) that the device must have; any where absent.
+    #[serde(default)]
+    pub serial: Option<u32>,
+    /// Time between two heartbeats of the device; three missing ones are a loss \[s\].
+    #[serde(default = "heartbeat", deserialize_with = "units::duration")]
+    pub heartbeat: f64,
+    /// How often the device sends its slopes \[Hz\].
+    #[serde(default = "rate", deserialize_with = "units::frequency")]
+    pub rate: f64,
+    /// Slope objects: 16 (6010h, 6020h) or 32 bits (6110h, 6120h).
+    #[serde(default = "bits")]
+    pub bits: u8,
+    /// What the slopes mean.
+    #[serde(default)]
+    pub slopes: Meaning,
+    /// The sensor's x axis (longitudinal slope) in the base frame.
+    pub x: Axis,
+    /// The sensor's z axis (normal to its mounting plate) in the base frame.
+    pub z: Axis,
+    /// What the two slopes are when they should be zero \[rad\].
+    #[serde(default, deserialize_with = "units::angle_pair")]
+    pub zero: [f64; 2],
+    /// Largest slope that the sensor measures \[rad\].
+    #[serde(default = "range", deserialize_with = "units::angle")]
+    pub range: f64,
+    /// Standard deviation of a slope's error that does not average out, by the data sheet \[rad\].
+    #[serde(default = "accuracy", deserialize_with = "units::angle")]
+    pub accuracy: f64,
+    /// Time constant of the low-pass \[s\].
+    #[serde(default = "time_constant", deserialize_with = "units::duration")]
+    pub time_constant: f64,
+    /// Step from one frame to the next from which on an angle is not believed \[rad\].
+    #[serde(default = "jump", deserialize_with = "units::angle")]
+    pub jump: f64,
+    /// Deviation from the low-pass from which on the base counts as moving \[rad\].
+    #[serde(default = "still", deserialize_with = "units::angle")]
+    pub still: f64,
+    /// Smallest change of gravity that is handed to the model \[rad\].
+    #[serde(default = "step", deserialize_with = "units::angle")]
+    pub step: f64,
+    /// Fastest change of the gravity that the model has, in an angle per second \[rad/s\].
+    #[serde(default = "turn", deserialize_with = "units::angular_rate")]
+    pub turn: f64,
+    /// What is served while there is no reading.
+    #[serde(default)]
+    pub on_loss: Loss,
+    /// What the arm does when the base moves during an excitation.
+    #[serde(default)]
+    pub on_base_motion: BaseMotion,
+}
+
+/// What the slopes of a sensor mean.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Meaning {
+    /// Each axis against the horizontal plane.
+    #[default]
+    Horizon,
+    /// `atan2` of the axis' share of gravity over the z axis'.
+    Projected,
+}
+
+/// What is served while there is no reading.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Loss {
+    /// Nothing; the arm is stopped if it moves.
+    #[default]
+    Refuse,
+    /// The model with the direction measured last.
+    Hold,
+    /// The model with the declared direction.
+    Declared,
+}
+
+/// What the arm does when the base moves during an excitation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BaseMotion {
+    /// Brakes to a stop: the motion's samples are of no mounting.
+    #[default]
+    Stop,
+    /// Goes on; the event is logged and stands in the status.
+    Say,
+}
+
+/// A direction in the base frame.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(untagged, expecting = "\"x\", \"-x\", \"y\", \"-y\", \"z\", \"-z\" or a unit vector such as [0.0, 0.6, 0.8]")]
+pub enum Axis {
+    /// An axis of the base frame, or its opposite.
+    Named(Name),
+    /// A unit vector.
+    Vector([f64; 3]),
+}
+
+/// An axis of the base frame, or its opposite.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Name {
+    /// Along x.
+    X,
+    /// Along y.
+    Y,
+    /// Along z.
+    Z,
+    /// Against x.
+    #[serde(rename = "-x")]
+    MinusX,
+    /// Against y.
+    #[serde(rename = "-y")]
+    MinusY,
+    /// Against z.
+    #[serde(rename = "-z")]
+    MinusZ,
+}
+
+impl Axis {
+    fn vector(self) -> [f64; 3] {
+        match self {
+            Axis::Vector(vector) => vector,
+            Axis::Named(name) => match name {
+                Name::X => [1.0, 0.0, 0.0],
+                Name::Y => [0.0, 1.0, 0.0],
+                Name::Z => [0.0, 0.0, 1.0],
+                Name::MinusX => [-1.0, 0.0, 0.0],
+                Name::MinusY => [0.0, -1.0, 0.0],
+                Name::MinusZ => [0.0, 0.0, -1.0],
+            },
+        }
+    }
+}
+
+fn heartbeat() -> f64 {
+    0.2
+}
+
+fn rate() -> f64 {
+    50.0
+}
+
+fn bits() -> u8 {
+    16
+}
+
+fn range() -> f64 {
+    80f64.to_radians()
+}
+
+fn accuracy() -> f64 {
+    0.2f64.to_radians()
+}
+
+fn time_constant() -> f64 {
+    SmoothSettings::default().time_constant
+}
+
+fn jump() -> f64 {
+    SmoothSettings::default().jump
+}
+
+fn still() -> f64 {
+    SmoothSettings::default().still
+}
+
+fn step() -> f64 {
+    0.1f64.to_radians()
+}
+
+fn turn() -> f64 {
+    1f64.to_radians()
+}
+
+impl Inclinometer {
+    /// Checks ranges, and that the sensor can see the declared mounting.
+    pub(super) fn check(&self, file: &str, declared: &Mounting) -> Result<(), BadInput> {
+        let bad = |key: &str, value: String, expected: &str| {
+            Err(BadInput::new(file, format!("key `inclinometer.{key}`"), value, expected))
+        };
+        let name = &self.interface;
+        let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+        if name.is_empty() || name.len() > 15 || !name.chars().all(plain) || name.starts_with('.') {
+            return bad("interface", format!("`{name}`"), "the name of a CAN interface, such as can0");
+        }
+        if !(1..=127).contains(&self.node) {
+            return bad("node", self.node.to_string(), "a CANopen node id, 1 to 127");
+        }
+        if ![16, 32].contains(&self.bits) {
+            return bad("bits", self.bits.to_string(), "16 or 32");
+        }
+        let degrees = |angle: f64| format!("{:.3} deg", angle.to_degrees());
+        let within = |key: &str, value: f64, low: f64, high: f64, text: String, expected: &str| {
+            if (low..=high).contains(&value) { Ok(()) } else { bad(key, text, expected) }
+        };
+        within("rate", self.rate, 10.0, 100.0, format!("{} Hz", self.rate), "10 Hz to 100 Hz")?;
+        within("heartbeat", self.heartbeat, 0.02, 5.0, format!("{} s", self.heartbeat), "20 ms to 5 s")?;
+        let constant = self.time_constant;
+        within("time-constant", constant, 0.02, 30.0, format!("{constant} s"), "20 ms to 30 s")?;
+        let angles = [
+            ("range", self.range, 1.0, 90.0, "1 deg to 90 deg"),
+            ("accuracy", self.accuracy, 0.0, 5.0, "0 deg to 5 deg"),
+            ("jump", self.jump, 0.1, 90.0, "0.1 deg to 90 deg"),
+            ("still", self.still, 0.01, 10.0, "0.01 deg to 10 deg"),
+            ("step", self.step, 0.01, 5.0, "0.01 deg to 5 deg"),
+            ("turn", self.turn, 0.01, 30.0, "0.01 deg/s to 30 deg/s"),
+            ("zero[0]", self.zero[0].abs(), 0.0, 45.0, "-45 deg to 45 deg"),
+            ("zero[1]", self.zero[1].abs(), 0.0, 45.0, "-45 deg to 45 deg"),
+        ];
+        for (key, value, low, high, expected) in angles {
+            let (low, high): (f64, f64) = (low, high);
+            // The ends belong to it whatever the last bit of the conversion.
+            let (low, high) = (low.to_radians() - 1e-9, high.to_radians() + 1e-9);
+            within(key, value, low, high, degrees(value), expected)?;
+        }
+        let seat = match Seat::new(self.x.vector(), self.z.vector()) {
+            Ok(seat) => self.seat(seat),
+            Err(error) => return bad("z", error.to_string(), "two unit vectors at right angles, as `x` and `z`"),
+        };
+        match seat.hemisphere(declared) {
+            Ok(_) => Ok(()),
+            Err(error) => {
+                bad("z", error.to_string(), "a sensor that can see the declared `mounting`: put it on a bracket")
+            }
+        }
+    }
+
+    fn seat(&self, mut seat: Seat) -> Seat {
+        seat.zero = self.zero;
+        seat.range = self.range;
+        seat.accuracy = self.accuracy;
+        seat.slopes = match self.slopes {
+            Meaning::Horizon => Slopes::Horizon,
+            Meaning::Projected => Slopes::Projected,
+        };
+        seat
+    }
+
+    /// Settings of the sensor on a base that is declared to be mounted so.
+    ///
+    /// # Errors
+    /// Axes that are not at right angles; a job that was loaded has none.
+    pub fn sensor(&self, file: &str, declared: Mounting) -> Result<SensorSettings, BadInput> {
+        self.check(file, &declared)?;
+        let seat = Seat::new(self.x.vector(), self.z.vector())
+            .map_err(|error| BadInput::new(file, "key `inclinometer.z`", error, "axes at right angles"))?;
+        let ms = |seconds: f64| (1e3 * seconds).round() as u16;
+        Ok(SensorSettings {
+            node: NodeSettings {
+                node: self.node,
+                heartbeat: ms(self.heartbeat),
+                period: ms(1.0 / self.rate),
+                width: if self.bits == 32 { Width::Bits32 } else { Width::Bits16 },
+                serial: self.serial,
+            },
+            seat: self.seat(seat),
+            smooth: SmoothSettings { time_constant: self.time_constant, jump: self.jump, still: self.still },
+            declared,
+        })
+    }
+
+    /// How the model follows it.
+    pub fn follow(&self, declared: Mounting, check: &MountingCheck) -> FollowSettings {
+        FollowSettings {
+            declared,
+            tolerance: check.tolerance,
+            step: self.step,
+            rate: self.turn,
+            on_loss: match self.on_loss {
+                Loss::Refuse => OnLoss::Refuse,
+                Loss::Hold => OnLoss::Hold,
+                Loss::Declared => OnLoss::Declared,
+            },
+        }
+    }
+}

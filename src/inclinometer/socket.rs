@@ -1,0 +1,265 @@
+//! The inclinometer over SocketCAN, on a thread of its own at ordinary priority.
+//!
+//! Bit rate and restart after bus-off belong to the interface and are set where it is brought up (`ip link set can0 up type can bitrate
+//! 250000 restart-ms 100`), not here. Only the device's own identifiers pass the kernel's filter, so a babbling bus costs nothing.
+//! What is learned leaves over a lock-free ring; nobody waits for anybody.
+
+use super::frame::{BusState, Frame, Heard};
+use super::node::Fault;
+use super::sensor::{Health, Note, Sensor, SensorSettings};
+use crate::rt::os::now_ns;
+use socketcan::errors::{ControllerProblems, ErrorCause};
+use socketcan::{CanDataFrame, CanError, CanFilter, CanFrame, CanSocket, EmbeddedFrame, StandardId};
+use socketcan::{ShouldRetry, Socket, SocketOptions};
+use std::io::{Error, ErrorKind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// How long the thread waits for a frame, and with it how often time passes for the device.
+const PATIENCE: Duration = Duration::from_millis(5);
+/// From one attempt to open the interface to the next.
+const REOPEN: Duration = Duration::from_millis(500);
+/// Least time between two reports \[ns\].
+const REPORT: u64 = 4_000_000;
+/// Silence after which the thread counts as gone \[ns\].
+const GONE: u64 = 500_000_000;
+/// Reports that wait to be read; more than a second of them.
+const REPORTS: usize = 256;
+/// Frames flow without an error for so long: the controller is well again \[ns\].
+const WELL: u64 = 1_000_000_000;
+
+/// An interface that can't be listened to.
+#[derive(Debug, thiserror::Error)]
+pub enum ListenError {
+    /// There is no such interface, or it is none of CAN's.
+    #[error("CAN interface `{interface}` can't be opened: {error}")]
+    Open {
+        /// Name of the interface.
+        interface: String,
+        /// Why.
+        error: Error,
+    },
+    /// No thread could be started.
+    #[error("no thread for the inclinometer: {0}")]
+    Thread(Error),
+}
+
+/// What the thread says of the sensor.
+#[derive(Clone, Copy, Debug)]
+struct Report {
+    at: u64,
+    health: Health,
+}
+
+/// This side of the thread that listens.
+pub struct Listener {
+    reports: rtrb::Consumer<Report>,
+    last: Report,
+    quit: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Listener {
+    /// Opens `interface` and brings the device up on a thread of its own; the thread has the priority of the caller, so call this before
+    /// that goes up.
+    ///
+    /// # Errors
+    /// An interface that does not exist or is none of CAN's. One that is down is waited for.
+    pub fn start(interface: &str, sensor: Sensor, settings: &SensorSettings) -> Result<Listener, ListenError> {
+        let named = |error| ListenError::Open { interface: interface.to_string(), error };
+        let socket = open(interface, settings.node.node).map_err(named)?;
+        let (outlet, reports) = rtrb::RingBuffer::new(REPORTS);
+        let quit = Arc::new(AtomicBool::new(false));
+        let last = Report { at: now_ns(), health: sensor.health() };
+        let thread = Thread {
+            interface: interface.to_string(),
+            node: settings.node.node,
+            socket: Some(socket),
+            sensor,
+            bus: BusState::Active,
+            troubled: 0,
+            outlet,
+            reported: 0,
+            quit: Arc::clone(&quit),
+        };
+        let builder = std::thread::Builder::new().name("plumbline-can".into());
+        let thread = builder.spawn(move || thread.run()).map_err(ListenError::Thread)?;
+        Ok(Listener { reports, last, quit, thread: Some(thread) })
+    }
+
+    /// How the sensor is at `now` \[ns\]; never waits.
+    pub fn health(&mut self, now: u64) -> Health {
+        while let Ok(report) = self.reports.pop() {
+            self.last = report;
+        }
+        let silent = now.saturating_sub(self.last.at);
+        if silent > GONE { Health::Bad(Fault::NoListener { silent_ms: silent / 1_000_000 }) } else { self.last.health }
+    }
+}
+
+impl Drop for Listener {
+    fn drop(&mut self) {
+        self.quit.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            // A thread that has panicked has already said so.
+            let _ = thread.join();
+        }
+    }
+}
+
+struct Thread {
+    interface: String,
+    node: u8,
+    socket: Option<CanSocket>,
+    sensor: Sensor,
+    bus: BusState,
+    /// When the bus was last in trouble \[ns\].
+    troubled: u64,
+    outlet: rtrb::Producer<Report>,
+    reported: u64,
+    quit: Arc<AtomicBool>,
+}
+
+impl Thread {
+    fn run(mut self) {
+        while !self.quit.load(Ordering::Acquire) {
+            if self.socket.is_none() {
+                std::thread::sleep(REOPEN.min(Duration::from_nanos(GONE / 2)));
+                self.reopen();
+            }
+            self.listen();
+            self.sensor.tick(now_ns());
+            self.send();
+            self.say();
+            self.report();
+        }
+    }
+
+    fn reopen(&mut self) {
+        if is_up(&self.interface) {
+            self.socket = open(&self.interface, self.node).ok();
+            if self.socket.is_some() {
+                self.bus_is(BusState::Active);
+            }
+        }
+    }
+
+    /// Waits for a frame, or for [`PATIENCE`].
+    fn listen(&mut self) {
+        let Some(socket) = &self.socket else { return };
+        match socket.read_frame() {
+            Ok(CanFrame::Data(data)) => {
+                let frame = match data.id() {
+                    socketcan::Id::Standard(id) => Frame::new(id.as_raw(), data.data()),
+                    socketcan::Id::Extended(_) => None,
+                };
+                if self.bus != BusState::Active && now_ns().saturating_sub(self.troubled) > WELL {
+                    self.bus_is(BusState::Active);
+                }
+                if let Some(frame) = frame {
+                    self.sensor.hear(now_ns(), &Heard::Frame(frame));
+                }
+            }
+            Ok(CanFrame::Remote(_)) => {}
+            Ok(CanFrame::Error(frame)) => self.trouble(&CanError::from(frame)),
+            Err(error) if error.should_retry() || error.kind() == ErrorKind::Interrupted => {}
+            // ENETDOWN, ENODEV, and whatever else makes this socket useless.
+            Err(_) => self.close(),
+        }
+    }
+
+    fn close(&mut self) {
+        self.socket = None;
+        self.bus_is(BusState::Down);
+    }
+
+    /// What the controller says of itself.
+    fn trouble(&mut self, error: &CanError) {
+        let passive = ControllerProblems::RX_PASSIVE | ControllerProblems::TX_PASSIVE;
+        let controller = |problem: ControllerProblems| {
+            error.causes().any(|cause| matches!(cause, ErrorCause::Controller(own) if own.intersects(problem)))
+        };
+        if error.is_bus_off() {
+            self.bus_is(BusState::Off);
+        } else if controller(passive) {
+            self.bus_is(BusState::Passive);
+        } else if error.is_restarted() || controller(ControllerProblems::ACTIVE) {
+            self.bus_is(BusState::Active);
+        }
+    }
+
+    fn bus_is(&mut self, state: BusState) {
+        if state != BusState::Active {
+            self.troubled = now_ns();
+        }
+        if std::mem::replace(&mut self.bus, state) != state {
+            self.sensor.hear(now_ns(), &Heard::Bus(state));
+        }
+    }
+
+    fn send(&mut self) {
+        while let Some(frame) = self.sensor.transmit() {
+            let Some(socket) = &self.socket else { return };
+            let Some(id) = StandardId::new(frame.id()) else { continue };
+            let Some(frame) = CanDataFrame::new(id, frame.data()) else { continue };
+            match socket.write_frame(&frame) {
+                Ok(()) if self.bus == BusState::Blocked => self.bus_is(BusState::Active),
+                Ok(()) => {}
+                Err(error) if error.raw_os_error() == Some(libc::ENOBUFS) || error.kind() == ErrorKind::WouldBlock => {
+                    self.bus_is(BusState::Blocked);
+                }
+                Err(_) => self.close(),
+            }
+        }
+    }
+
+    /// Faults are said here, where there is time for it.
+    fn say(&mut self) {
+        while let Some(note) = self.sensor.note() {
+            match note {
+                Note::Up(identity) => tracing::info!(
+                    "inclinometer on {}: vendor {:08X}h, product {:08X}h, serial number {}, unit {} millidegrees",
+                    self.interface,
+                    identity.vendor,
+                    identity.product,
+                    identity.serial,
+                    identity.resolution
+                ),
+                Note::Fault(fault) => tracing::warn!("{}: {fault}", self.interface),
+                Note::Well => tracing::info!("{}: the inclinometer's slopes are good", self.interface),
+                Note::Odd(fault) => tracing::warn!("{}: {fault}; passed over", self.interface),
+            }
+        }
+    }
+
+    /// A full ring means that nobody reads: the next report is as good.
+    fn report(&mut self) {
+        let at = now_ns();
+        if at.saturating_sub(self.reported) >= REPORT {
+            self.reported = at;
+            let _ = self.outlet.push(Report { at, health: self.sensor.health() });
+        }
+    }
+}
+
+/// A socket that hears the device and the controller's errors alone.
+fn open(interface: &str, node: u8) -> std::io::Result<CanSocket> {
+    let socket = CanSocket::open(interface)?;
+    // The flags are part of the mask: frames with 29-bit identifiers and remote requests are none of the device's.
+    let mask = libc::CAN_SFF_MASK | libc::CAN_EFF_FLAG | libc::CAN_RTR_FLAG;
+    let filter = |base: u32| CanFilter::new(base + u32::from(node), mask);
+    socket.set_filters(&[0x080, 0x180, 0x580, 0x700].map(filter))?;
+    socket.set_error_filter_accept_all()?;
+    socket.set_read_timeout(PATIENCE)?;
+    socket.set_write_timeout(PATIENCE)?;
+    Ok(socket)
+}
+
+/// `IFF_UP`, by the kernel's own table.
+fn is_up(interface: &str) -> bool {
+    let flags = std::fs::read_to_string(format!("/sys/class/net/{interface}/flags")).unwrap_or_default();
+    let flags = u32::from_str_radix(flags.trim().trim_start_matches("0x"), 16).unwrap_or(0);
+    flags & libc::IFF_UP as u32 != 0
+}
