@@ -7,13 +7,13 @@ use std::path::{Path, PathBuf};
 const FLOORS: &[&[&str]] = &[
     &["joint", "input", "atomic", "parallel"],
     &["model", "rt"],
-    &["excite", "estimate", "backend", "ipc"],
-    &["config", "diagnose", "store", "dataset", "report"],
+    &["excite", "estimate", "backend", "ipc", "recording"],
+    &["config", "diagnose", "store", "dataset", "report", "postmortem"],
     &["app"],
 ];
 
 /// What has one home: the text that gives it away, and the path prefix that may hold it.
-const HOMES: &[(&str, &str)] = &[("iceoryx2", "ipc"), ("unsafe {", "rt/os.rs"), ("rsruckig", "rt")];
+const HOMES: &[(&str, &str)] = &[("iceoryx2", "ipc"), ("unsafe {", "rt/os.rs"), ("rsruckig", "rt"), ("mcap::", "recording")];
 
 /// Modules without input, output, clock or randomness of their own.
 const PURE: &[&str] = &["model", "excite", "estimate", "diagnose"];

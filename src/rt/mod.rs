@@ -5,6 +5,7 @@
 // The wall around the loop: clippy.toml lists what must not be called here.
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
 
+pub mod checkpoint;
 pub mod cycle;
 pub mod guard;
 pub mod motion;

@@ -197,7 +197,7 @@ impl Job {
         let mut handles = shared.lock().unwrap().take().unwrap();
         let mut records = Vec::new();
         drain.take_into(&mut records, usize::MAX);
-        let events = std::iter::from_fn(|| handles.events.pop().ok()).collect();
+        let events = std::iter::from_fn(|| handles.events.pop().ok()).map(|told| told.event).collect();
         handles.free_retired();
         Run { outcome, records, events, seen }
     }
