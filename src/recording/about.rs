@@ -304,8 +304,8 @@ impl Settings {
         self.tracking
     }
 
-    /// Settings of a loop that asks nothing of the operating system.
-    pub fn for_replay(&self, flight: usize) -> CycleSettings {
+    /// Settings of a loop that asks nothing of the operating system, with room for so many orders.
+    pub fn for_replay(&self, queue: usize) -> CycleSettings {
         let [velocity, acceleration, jerk, brake] = self.moves;
         let space = |(box_min, box_max, base_radius)| Workspace { box_min, box_max, base_radius };
         CycleSettings {
@@ -317,8 +317,8 @@ impl Settings {
             },
             moves: MoveFactors { velocity, acceleration, jerk, brake },
             max_consecutive_lost: self.max_lost,
-            queue: 8,
-            flight,
+            queue,
+            flight: 1,
             rights: Rights::NONE,
         }
     }
