@@ -1,5 +1,6 @@
 //! What the daemon knows and decides: answers requests, accepts models, says what the loop does.
 
+use super::recorder::Recorder;
 use crate::app::Failure;
 use crate::backend::sim::Truth;
 use crate::config::job::{Adopt, Job, OnLoss};
@@ -12,6 +13,7 @@ use crate::ipc::{
 use crate::joint::{JointVec, Record};
 use crate::model::gravity::Mounting;
 use crate::model::torque::TorqueModel;
+use crate::recording::about::Reason;
 use crate::rt::order::{Controls, Event};
 use crate::store::{ModelFile, model_identity};
 use std::path::Path;
@@ -22,12 +24,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub struct Accepted {
     /// Identity of its text.
     pub id: u64,
+    /// Its text.
+    pub text: String,
     /// The model.
     pub model: TorqueModel,
 }
 
 /// The daemon without its ports.
 pub struct Desk {
+    /// Keeps the last seconds of the loop.
+    pub recorder: Recorder,
     /// What to do.
     pub job: Job,
     /// The arm's description.
@@ -101,6 +107,11 @@ impl Desk {
                 Some(controls) if controls.resume() => Response::Accepted {},
                 _ => refused("nothing waits for a permission to go on"),
             },
+            Request::Record {} if controls.is_none() => refused("the arm is not connected, so there is nothing to record"),
+            Request::Record {} if self.recorder.write(Reason::new("on-demand", "a recording was asked for")) => {
+                Response::Accepted {}
+            }
+            Request::Record {} => refused("the job's `recorder.span` is 0 s: nothing is recorded"),
             Request::OfferModel { toml } => match self.accept("offered model", &toml) {
                 Ok(model) => Response::ModelAccepted { model },
                 Err(bad) => Response::Refused { reason: bad.to_string() },
@@ -176,7 +187,7 @@ impl Desk {
         offered.model.valid_in(&self.mounting).map_err(|refused| {
             BadInput::new(file, "key `kind`", refused, "a model that holds in the present mounting")
         })?;
-        Ok(Accepted { id: model_identity(text), model: offered.model })
+        Ok(Accepted { id: model_identity(text), text: text.to_string(), model: offered.model })
     }
 
     /// Serves a model that was checked.
@@ -203,8 +214,11 @@ impl Desk {
             // Nothing moves, so nothing is decided. An estimator that computes is silent, too.
             _ => return tracing::info!("{news}"),
         };
-        tracing::warn!("{news}; by safety.on-estimator-loss, {rule}");
+        let words = format!("{news}; by safety.on-estimator-loss, {rule}");
+        tracing::warn!("{words}");
+        self.recorder.note(&words);
         if let (true, Progress::Driving, Some(controls)) = (stop, self.progress, controls) {
+            self.recorder.blame(Reason::new("estimator-lost", words));
             controls.stop();
         }
     }

@@ -5,6 +5,7 @@
 
 mod arm;
 mod desk;
+mod recorder;
 mod script;
 mod session;
 
@@ -17,6 +18,7 @@ use crate::rt::cycle::End;
 use arm::Purpose;
 use clap::Args;
 use desk::Desk;
+use recorder::Recorder;
 use script::Script;
 use session::Session;
 use std::path::PathBuf;
@@ -60,7 +62,10 @@ pub fn run(options: Options) -> Result<(), Failure> {
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, Arc::clone(&signalled)).map_err(Failure::job)?;
     }
+    // Its thread begins before anything asks for priority.
+    let recorder = Recorder::start(&job, &id, &out)?;
     let mut desk = Desk {
+        recorder,
         truth: super::truth(&job)?,
         rest: super::rest(&job, &robot)?,
         model: None,
