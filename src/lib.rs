@@ -7,7 +7,7 @@
 //! | 0 | [`joint`], [`input`], [`atomic`], [`parallel`] | fixed-size values with units; how bad input is reported; how files are written; work on all processors |
 //! | 1 | [`model`], [`rt`] | the arm's dynamics, pure; the real-time loop and its traits |
 //! | 2 | [`excite`], [`estimate`], [`backend`], [`ipc`], [`recording`] | motions that excite; parameters from samples; arms; shared memory; the last seconds before a fault |
-//! | 3 | [`config`], [`dataset`], [`diagnose`], [`report`], [`store`] | typed configuration; recorded motions; what a model lacks; what a job says; model and plan files |
+//! | 3 | [`config`], [`dataset`], [`diagnose`], [`postmortem`], [`report`], [`store`] | typed configuration; recorded motions; what a model lacks; what happened before a fault; what a job says; model and plan files |
 //! | 4 | [`app`] | one file per subcommand: wiring only |
 //!
 //! The way of the data: `excite` plans a motion, `rt` drives it through a `backend` and puts one record per cycle into a ring,
@@ -27,6 +27,7 @@ pub mod ipc;
 pub mod joint;
 pub mod model;
 pub mod parallel;
+pub mod postmortem;
 pub mod recording;
 pub mod report;
 pub mod rt;

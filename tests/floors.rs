@@ -13,7 +13,8 @@ const FLOORS: &[&[&str]] = &[
 ];
 
 /// What has one home: the text that gives it away, and the path prefix that may hold it.
-const HOMES: &[(&str, &str)] = &[("iceoryx2", "ipc"), ("unsafe {", "rt/os.rs"), ("rsruckig", "rt"), ("mcap::", "recording")];
+const HOMES: &[(&str, &str)] =
+    &[("iceoryx2", "ipc"), ("unsafe {", "rt/os.rs"), ("rsruckig", "rt"), ("mcap::", "recording")];
 
 /// Modules without input, output, clock or randomness of their own.
 const PURE: &[&str] = &["model", "excite", "estimate", "diagnose"];

@@ -138,8 +138,11 @@ pub fn replay(recording: &Recording, parts: Parts) -> Result<Replayed, ReplayErr
     if unanswered.is_some() {
         result.end = Some(outcome.end.to_string());
         // A fault of the arm came from the arm, and is not the loop's doing.
-        result.same_end =
-            about.end.as_ref().filter(|_| !matches!(outcome.end, End::Fault(_))).map(|end| *end == outcome.end.to_string());
+        result.same_end = about
+            .end
+            .as_ref()
+            .filter(|_| !matches!(outcome.end, End::Fault(_)))
+            .map(|end| *end == outcome.end.to_string());
     }
     Ok(result)
 }

@@ -188,8 +188,11 @@ impl History {
     /// The cycles from number `first` on, and what belongs to them. `flight` are records of the loop's own flight recorder, oldest first:
     /// those that are missing here are taken from there. With such records this is the loop's end: they push out the oldest.
     pub fn window(&mut self, first: u64, flight: &[Record]) -> Window {
-        let missing: Vec<Record> =
-            flight.iter().filter(|record| record.cycle >= first && self.find(record.cycle).is_none()).copied().collect();
+        let missing: Vec<Record> = flight
+            .iter()
+            .filter(|record| record.cycle >= first && self.find(record.cycle).is_none())
+            .copied()
+            .collect();
         let places = (0..self.ring.len()).filter_map(|place| self.at(place));
         let mut records: Vec<Record> = places.filter(|record| record.cycle >= first).copied().collect();
         // Behind the newest, they also say what had been sent before the last events.

@@ -91,9 +91,7 @@ fn walk(file: &str, bytes: &[u8], parts: &mut Parts) -> Result<Option<String>, B
                     Ok(record) => record,
                     Err(error) => return Ok(Some(format!("{}: {error}", place!()))),
                 };
-                parts
-                    .take(record)
-                    .map_err(|(found, expected)| BadInput::new(file, place!(), found, expected))?;
+                parts.take(record).map_err(|(found, expected)| BadInput::new(file, place!(), found, expected))?;
                 parts.count += 1;
             }
             Err(mcap::McapError::UnexpectedEof) => {
@@ -146,7 +144,9 @@ impl Parts {
                 messages::read_cycle(topic, data, record).map_err(wrong)?;
                 let which = [STATES, COMMANDS, CYCLES].iter().position(|one| one == topic).unwrap_or_default();
                 there[which] = true;
-                if which == 2 && let Some((record, there)) = self.waiting.remove(&sequence) {
+                if which == 2
+                    && let Some((record, there)) = self.waiting.remove(&sequence)
+                {
                     self.cycles.insert(record.cycle, (record, there));
                 }
                 Ok(())
@@ -184,8 +184,12 @@ impl Parts {
             return bad("joints", about.joints.to_string(), format!("1 to {MAX_JOINTS}"));
         }
         let unanswered = self.cycles.values().rfind(|(_, there)| *there == [true, false, true]).map(|(one, _)| *one);
-        let records: Vec<Record> =
-            self.cycles.into_values().filter(|(_, there)| there.iter().all(|there| *there)).map(|(one, _)| one).collect();
+        let records: Vec<Record> = self
+            .cycles
+            .into_values()
+            .filter(|(_, there)| there.iter().all(|there| *there))
+            .map(|(one, _)| one)
+            .collect();
         let (events, texts) = (self.events, self.texts);
         Ok(Recording { about, records, unanswered, events, texts, cut })
     }

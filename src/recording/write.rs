@@ -78,8 +78,7 @@ impl Recording {
         let at = |seq, stamp_ns| self.about.clock.at(seq, stamp_ns);
         let mut put = |topic: &str, sequence: u64, log_time: u64, data: &[u8]| {
             let channel_id = channels.get(topic).copied().unwrap_or_default();
-            let header =
-                MessageHeader { channel_id, sequence: sequence as u32, log_time, publish_time: log_time };
+            let header = MessageHeader { channel_id, sequence: sequence as u32, log_time, publish_time: log_time };
             writer.write_to_known_channel(&header, data).map_err(failed)
         };
         // In the order of time: a cycle's events are told before its record.

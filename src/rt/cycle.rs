@@ -10,8 +10,8 @@
 //! - A lost state is a cycle of the arm without an answer. Motions keep the arm's time: the next sample is the one that is due by
 //!   the arm's counter, and the guard differences over the time that really passed.
 
-use super::guard::{Guard, Violation};
 use super::checkpoint::Checkpoint;
+use super::guard::{Guard, Violation};
 use super::motion::{Finished, Motion, seconds};
 use super::moves::{NoMotion, Planner};
 use super::order::{Event, Handles, Inlets, Order, OrderKind, Retired, StopReason, Told, rings};

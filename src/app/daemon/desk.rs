@@ -107,7 +107,9 @@ impl Desk {
                 Some(controls) if controls.resume() => Response::Accepted {},
                 _ => refused("nothing waits for a permission to go on"),
             },
-            Request::Record {} if controls.is_none() => refused("the arm is not connected, so there is nothing to record"),
+            Request::Record {} if controls.is_none() => {
+                refused("the arm is not connected, so there is nothing to record")
+            }
             Request::Record {} if self.recorder.write(Reason::new("on-demand", "a recording was asked for")) => {
                 Response::Accepted {}
             }

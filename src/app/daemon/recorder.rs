@@ -268,9 +268,7 @@ impl Tape {
                 (outcome.end.to_string(), reason, outcome.summary.untold, &outcome.flight, outcome.unanswered)
             }
         };
-        self.send(|| {
-            Message::Close(Box::new(Close { reason, end, next, untold, flight: flight.clone(), unanswered }))
-        });
+        self.send(|| Message::Close(Box::new(Close { reason, end, next, untold, flight: flight.clone(), unanswered })));
     }
 
     fn send(&self, message: impl FnOnce() -> Message) {
