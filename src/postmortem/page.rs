@@ -22,7 +22,7 @@ pub fn page(story: &Story, recording: &Recording) -> io::Result<String> {
         calm => story.kind == "on-demand",
         reason => &story.reason,
         tiles => tiles(story),
-        next => &story.next,
+        next => story.next.iter().map(|step| safe(with_code(step))).collect::<Vec<_>>(),
         timeline => story.timeline.iter().map(|line| context! {
             before => format!("{:.3}", -line.before), cycle => line.cycle, phase => &line.phase, text => &line.text,
             weight => line.weight,
@@ -58,6 +58,13 @@ pub fn page(story: &Story, recording: &Recording) -> io::Result<String> {
 
 fn safe(svg: String) -> Value {
     Value::from_safe_string(svg)
+}
+
+/// Text as HTML, with what stands between backticks as code.
+fn with_code(text: &str) -> String {
+    let escaped = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
+    let parts = escaped.split('`').enumerate();
+    parts.map(|(k, part)| if k % 2 == 1 { format!("<code>{part}</code>") } else { part.to_string() }).collect()
 }
 
 /// The large figures of the first screen.

@@ -4,6 +4,7 @@ use super::advice;
 use super::replay::{Replayed, is_simulated};
 use crate::joint::{Phase, Record};
 use crate::recording::Recording;
+use crate::recording::about::Given;
 use crate::recording::messages::{limit_name, words};
 use crate::rt::guard::{Limit, Violation};
 use crate::rt::order::{Event, StopReason};
@@ -270,7 +271,7 @@ fn during(recording: &Recording) -> Option<String> {
     let name = own.or(to.map(|(_, name)| format!("the way to {name}")));
     Some(match (moving.phase, name) {
         (Phase::Return, _) => "the way back".to_string(),
-        (phase, Some(name)) => format!("{name} ({} s into its {})", moving.tick as f64 * PERIOD, phase_name(phase)),
+        (phase, Some(name)) => format!("{name} ({:.3} s into its {})", moving.tick as f64 * PERIOD, phase_name(phase)),
         (phase, None) => format!("motion {} ({})", moving.motion, phase_name(phase)),
     })
 }
@@ -346,7 +347,10 @@ fn timeline(recording: &Recording, before: &Before) -> Vec<Line> {
             Event::Discarded { .. } => continue,
             _ => "plain",
         };
+        let resting = matches!(told.event, Event::Started { .. } | Event::Ended { .. })
+            && matches!(recording.about.orders.get(told.orders.saturating_sub(1) as usize), Some(Given::Dwell { .. }));
         let text = name(words(&told.event));
+        let text = if resting { text.replace("the way to ", "the rest before ") } else { text };
         lines.push(Line { before: before.at(told.seq), cycle: told.cycle, phase: phase_at(told.cycle), text, weight });
     }
     for note in &recording.about.notes {
