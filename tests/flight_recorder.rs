@@ -42,7 +42,9 @@ fn story(file: &Path) -> Value {
     command.arg("postmortem").arg(file).args(["--replay", "--json"]);
     let done = Done::of(command).expect_code(0);
     let page = std::fs::read_to_string(file.with_extension("html")).unwrap();
-    assert!(page.contains("<svg") && page.contains("What to do next") && !page.contains("http://"));
+    assert!(
+        page.contains("<svg") && page.contains("What to do next") && !page.contains("src=") && !page.contains("href=")
+    );
     serde_json::from_str(&done.out).unwrap()
 }
 
@@ -50,7 +52,8 @@ fn story(file: &Path) -> Value {
 fn arm_with(place: &Place, keys: &str) -> String {
     let plain = std::fs::read_to_string("config/arms/sim-panda.toml").unwrap();
     let path = place.path().join("arm.toml");
-    std::fs::write(&path, format!("{keys}\n{plain}")).unwrap();
+    let plain: Vec<&str> = plain.lines().filter(|line| !line.starts_with("drop-")).collect();
+    std::fs::write(&path, format!("{keys}\n{}", plain.join("\n"))).unwrap();
     format!("backend.arm={}", path.display())
 }
 
@@ -215,7 +218,8 @@ fn a_kill_while_it_writes_leaves_whole_files_and_old_ones_go() {
             let whole = Recording::read(&file).unwrap();
             assert!(whole.cut.is_none() && whole.records.len() > 900, "{}: {:?}", file.display(), whole.cut);
         }
-        assert!(recordings(&dir).len() <= 3);
+        // A kill between the new file and the removal of the oldest leaves one more.
+        assert!(recordings(&dir).len() <= 4);
     }
     assert!(!recordings(&dir).is_empty());
 }

@@ -156,8 +156,11 @@ pub(super) fn strip(story: &Story, recording: &Recording) -> String {
         text +=
             &format!(r#"<path class="mark" d="M{at:.1} 14 V62"/><circle class="mark" cx="{at:.1}" cy="14" r="5"/>"#);
     }
-    let step = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0].into_iter().find(|step| -from / step <= 12.0).unwrap_or(60.0);
-    for k in 0..=((-from / step) as i32) {
+    // Some ten labels, whatever the numbers in the file are.
+    let decade = 10f64.powf((-from / 10.0).log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].map(|part| part * decade).into_iter().find(|step| -from / step <= 12.0);
+    let step = step.unwrap_or(-from);
+    for k in 0..=((-from / step) as i32).clamp(0, 12) {
         let at = -step * f64::from(k);
         text += &format!(r#"<text x="{:.1}" y="82" text-anchor="middle">{}</text>"#, x(at), tick(&at));
     }
