@@ -6,8 +6,8 @@
 //! |---|---|---|
 //! | 0 | [`joint`], [`input`], [`atomic`], [`parallel`] | fixed-size values with units; how bad input is reported; how files are written; work on all processors |
 //! | 1 | [`model`], [`rt`] | the arm's dynamics, pure; the real-time loop and its traits |
-//! | 2 | [`excite`], [`estimate`], [`backend`], [`inclinometer`], [`ipc`], [`machine`] | motions that excite; parameters from samples; arms; which way is down; shared memory; whether this computer keeps time |
-//! | 3 | [`config`], [`dataset`], [`diagnose`], [`report`], [`store`] | typed configuration; recorded motions; what a model lacks; what a job says; model and plan files |
+//! | 2 | [`excite`], [`estimate`], [`backend`], [`inclinometer`], [`ipc`], [`machine`], [`recording`] | motions that excite; parameters from samples; arms; which way is down; shared memory; whether this computer keeps time; the last seconds before a fault |
+//! | 3 | [`config`], [`dataset`], [`diagnose`], [`postmortem`], [`report`], [`store`] | typed configuration; recorded motions; what a model lacks; what happened before a fault; what a job says; model and plan files |
 //! | 4 | [`app`] | one file per subcommand: wiring only |
 //!
 //! The way of the data: `excite` plans a motion, `rt` drives it through a `backend` and puts one record per cycle into a ring,
@@ -29,6 +29,8 @@ pub mod joint;
 pub mod machine;
 pub mod model;
 pub mod parallel;
+pub mod postmortem;
+pub mod recording;
 pub mod report;
 pub mod rt;
 pub mod store;

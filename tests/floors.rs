@@ -7,14 +7,14 @@ use std::path::{Path, PathBuf};
 const FLOORS: &[&[&str]] = &[
     &["joint", "input", "atomic", "parallel"],
     &["model", "rt"],
-    &["excite", "estimate", "backend", "inclinometer", "ipc", "machine"],
-    &["config", "diagnose", "store", "dataset", "report"],
+    &["excite", "estimate", "backend", "inclinometer", "ipc", "machine", "recording"],
+    &["config", "diagnose", "store", "dataset", "report", "postmortem"],
     &["app"],
 ];
 
 /// What has one home: the text that gives it away, and the path prefix that may hold it.
 const HOMES: &[(&str, &str)] =
-    &[("iceoryx2", "ipc"), ("unsafe {", "rt/os.rs"), ("rsruckig", "rt"), ("socketcan::", "inclinometer/socket.rs")];
+    &[("iceoryx2", "ipc"), ("unsafe {", "rt/os.rs"), ("rsruckig", "rt"), ("socketcan::", "inclinometer/socket.rs"), ("mcap::", "recording")];
 
 /// Modules without input, output, clock or randomness of their own.
 const PURE: &[&str] = &["model", "excite", "estimate", "diagnose"];

@@ -29,6 +29,8 @@ enum What {
     Adopt,
     /// Drop the model that the estimator proposed
     Reject,
+    /// Write a recording of the last seconds, as after a fault
+    Record,
     /// Print how the daemon is, as JSON
     Status,
 }
@@ -45,6 +47,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         What::Quit => Request::Quit {},
         What::Adopt => Request::Adopt {},
         What::Reject => Request::Reject {},
+        What::Record => Request::Record {},
         What::Status => Request::Status {},
     };
     let mut client = Client::connect(&id, PATIENCE).map_err(Failure::job)?;

@@ -18,6 +18,7 @@ mod inclinometer;
 mod live;
 mod pipeline;
 mod plan;
+mod postmortem;
 mod predict;
 mod programme;
 mod progress;
@@ -77,6 +78,8 @@ enum Verb {
     Export(export::Options),
     /// Say whether this machine is fit for 1 kHz, and what to change
     Doctor(doctor::Options),
+    /// Say what happened before a fault, from its recording
+    Postmortem(postmortem::Options),
     /// List the effects that diagnosis knows, with their equations
     Effects(effects::Options),
     /// Print the feed-forward torque that a daemon serves
@@ -115,6 +118,7 @@ pub fn main() -> ExitCode {
         Verb::Predict(options) => predict::run(options),
         Verb::Export(options) => export::run(options),
         Verb::Doctor(options) => doctor::run(options),
+        Verb::Postmortem(options) => postmortem::run(options),
         Verb::Effects(options) => effects::run(options),
         Verb::Torque(options) => torque::run(options),
         Verb::Inclinometer(options) => inclinometer::run(options),
@@ -261,9 +265,20 @@ fn provenance(dataset: Option<String>) -> Provenance {
     Provenance { dataset, plumbline, date: Some(today()), source: None }
 }
 
+/// Now in UTC, as in 2026-11-20T08:15:00Z.
+fn utc() -> String {
+    let seconds = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    let (hour, minute, second) = (seconds / 3600 % 24, seconds / 60 % 60, seconds % 60);
+    format!("{}T{hour:02}:{minute:02}:{second:02}Z", date(seconds))
+}
+
 /// Today's date in UTC, as in 2026-11-20.
 fn today() -> String {
-    let seconds = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    date(std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_secs()))
+}
+
+/// The date of a moment, seconds after 1970.
+fn date(seconds: u64) -> String {
     // Days to a civil date (Howard Hinnant's algorithm): years are counted from March, so that the leap day is the last.
     let days = (seconds / 86_400) as i64 + 719_468;
     let era = days.div_euclid(146_097);

@@ -71,6 +71,9 @@ pub struct Job {
     /// The watch over the served model.
     #[serde(default)]
     pub live: Live,
+    /// What is kept of a fault.
+    #[serde(default)]
+    pub recorder: Recorder,
     /// What is left behind.
     #[serde(default)]
     pub output: Output,
@@ -465,6 +468,25 @@ pub enum Adopt {
     Ask,
     /// The daemon, at once.
     Auto,
+}
+
+/// The flight recorder: the last seconds before a fault, and what follows up to the end of the stop.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Recorder {
+    /// How long before the fault a recording begins; 0 s records nothing \[s\].
+    #[serde(deserialize_with = "units::duration")]
+    pub span: f64,
+    /// Folder of the recordings, relative to the working directory; `flight` in the folder of the results where absent.
+    pub dir: Option<PathBuf>,
+    /// How many recordings of this robot are kept there; the oldest go.
+    pub keep: usize,
+}
+
+impl Default for Recorder {
+    fn default() -> Recorder {
+        Recorder { span: 10.0, dir: None, keep: 20 }
+    }
 }
 
 /// What is left behind.

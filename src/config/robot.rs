@@ -184,15 +184,21 @@ impl Robot {
 
     /// A built-in robot by name, or the description in a file when the name ends in `.toml` (relative to `config_dir` where given).
     pub fn load(name_or_path: &str, config_dir: Option<&Path>) -> Result<Robot, BadInput> {
+        let (file, text) = Robot::description(name_or_path, config_dir)?;
+        Robot::parse(&file, &text)
+    }
+
+    /// Name for errors and text of the description that [`load`](Robot::load) reads.
+    pub fn description(name_or_path: &str, config_dir: Option<&Path>) -> Result<(String, String), BadInput> {
         if name_or_path.ends_with(".toml") {
             let path = config_dir.map_or_else(|| name_or_path.into(), |dir| dir.join(name_or_path));
             let file = path.display().to_string();
             let text = std::fs::read_to_string(&path)
                 .map_err(|error| BadInput::new(&file, "robot description", error, "a file that can be read"))?;
-            return Robot::parse(&file, &text);
+            return Ok((file, text));
         }
         match BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
-            Some((name, text)) => Robot::parse(&format!("built-in robot {name}"), text),
+            Some((name, text)) => Ok((format!("built-in robot {name}"), text.to_string())),
             None => {
                 let known = Robot::names().collect::<Vec<_>>().join(", ");
                 let expected = format!("one of {known}, or the path of a robot description ending in .toml");

@@ -3,8 +3,10 @@
 //! A dataset is a folder with `dataset.toml` and one CSV file per run. The CSV has a header row, then one row per sample: `t` \[s\],
 //! `q1..qn` \[rad\], optional `dq1..dqn` \[rad/s\], `tau1..taun` (\[Nm\], or \[A\] where `dataset.toml` gives a gain), and any further
 //! columns of numbers (`temp1`, `tau_cmd1`, ...), which are kept by name. Sampling may be uneven; samples may be missing or repeated.
+//! A run whose file name ends in `.mcap` is a recording of the flight recorder.
 
 mod csv;
+mod flight;
 mod hash;
 mod hygiene;
 mod manifest;

@@ -45,6 +45,8 @@ pub enum Request {
     Adopt {},
     /// Drop the model that is held.
     Reject {},
+    /// Write a recording of the last seconds.
+    Record {},
 }
 
 /// Why a model is proposed while another is served.

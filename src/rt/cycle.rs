@@ -10,10 +10,11 @@
 //! - A lost state is a cycle of the arm without an answer. Motions keep the arm's time: the next sample is the one that is due by
 //!   the arm's counter, and the guard differences over the time that really passed.
 
+use super::checkpoint::Checkpoint;
 use super::guard::{Guard, Violation};
 use super::motion::{Finished, Motion, seconds};
-use super::moves::Planner;
-use super::order::{Event, Handles, Inlets, Order, OrderKind, Retired, StopReason, rings};
+use super::moves::{NoMotion, Planner};
+use super::order::{Event, Handles, Inlets, Order, OrderKind, Retired, StopReason, Told, rings};
 use super::os::now_ns;
 use super::recorder::Flight;
 use super::rights::{Granted, Rights, become_realtime};
@@ -69,6 +70,8 @@ pub struct Outcome {
     pub allocations: Option<u32>,
     /// The last cycles, oldest first.
     pub flight: Vec<Record>,
+    /// The state that was read last, where the loop ended before it was answered.
+    pub unanswered: Option<State>,
 }
 
 impl From<NotForward> for End {
@@ -100,6 +103,11 @@ pub struct Cycle<B: Backend, S: Sink> {
     leaving: Option<Box<dyn Reference>>,
     tally: Tally,
     work_ns: u64,
+    /// When the present cycle's state had been read.
+    stamp_ns: u64,
+    /// Orders taken out of the queue so far.
+    orders: u32,
+    unanswered: Option<State>,
     flight: Flight,
     stops: u32,
     last_stop: Option<StopReason>,
@@ -135,6 +143,9 @@ pub fn new<B: Backend, S: Sink>(
         leaving: None,
         tally: Tally::new(),
         work_ns: 0,
+        stamp_ns: 0,
+        orders: 0,
+        unanswered: None,
         flight: Flight::new(settings.flight),
         stops: 0,
         last_stop: None,
@@ -164,6 +175,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
             granted,
             allocations: watched.then(|| violation_count().wrapping_sub(before)),
             flight: self.flight.in_order(),
+            unanswered: self.unanswered,
         }
     }
 
@@ -178,6 +190,31 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         }
     }
 
+    /// Goes on from where another loop was; call it before [`run`](Cycle::run). The counts begin anew, the numbers of the cycles don't.
+    ///
+    /// # Errors
+    /// [`NoMotion`] when the motion under way can't be planned again.
+    pub fn restore(&mut self, checkpoint: Checkpoint) -> Result<(), NoMotion> {
+        let Checkpoint { doing, last, model } = checkpoint;
+        let [.., newest] = &last;
+        if matches!(doing, super::checkpoint::Doing::Stopped) {
+            self.inlets.controls.wait_for_permission();
+        }
+        self.motion.restore(doing, newest)?;
+        self.guard.restore(&last);
+        self.tally.restore(newest);
+        self.model_trusted = model.is_some();
+        self.model = model;
+        Ok(())
+    }
+
+    /// After a panic in [`run`](Cycle::run): stops the arm by its own means, then hands out the last cycles, oldest first, and the state
+    /// that was not answered.
+    pub fn after_panic(&mut self) -> (Vec<Record>, Option<State>) {
+        self.backend.stop();
+        (self.flight.in_order(), self.unanswered)
+    }
+
     /// One pass.
     fn cycle(&mut self) -> Result<(), End> {
         if self.inlets.controls.wants_quit() && (self.motion.is_holding() || self.motion.is_stopped()) {
@@ -186,6 +223,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         // Read: the arm paces the loop.
         let state = self.backend.read().map_err(End::Fault)?;
         let stamp_ns = now_ns();
+        (self.stamp_ns, self.unanswered) = (stamp_ns, Some(state));
         let gap = self.arrived(&state, stamp_ns)?;
         // Reference: where the motion is by the arm's clock, after hearing what the outside wants.
         self.advance(gap);
@@ -204,6 +242,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         let written = self.backend.write(&command);
         self.motion.sent(&command.desired);
         self.record(state, command, stamp_ns);
+        self.unanswered = None;
         written.map_err(End::Fault)
     }
 
@@ -304,6 +343,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
             return Ok(());
         }
         let Ok(permitted) = self.inlets.orders.pop() else { return Ok(()) };
+        self.orders = self.orders.wrapping_add(1);
         if outdated {
             self.discard(permitted.order);
             return Ok(());
@@ -414,7 +454,9 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
     }
 
     fn tell(&mut self, event: Event) {
-        if self.inlets.events.push(event).is_err() {
+        let cycle = self.tally.summary.cycles.saturating_sub(1);
+        let told = Told { cycle, seq: self.tally.last(), stamp_ns: self.stamp_ns, orders: self.orders, event };
+        if self.inlets.events.push(told).is_err() {
             self.tally.summary.untold += 1;
         }
     }

@@ -14,6 +14,7 @@
 )]
 
 pub mod controls;
+pub mod checkpoint;
 pub mod cycle;
 pub mod guard;
 pub mod motion;

@@ -2,8 +2,8 @@
 
 use super::moves::{NoMotion, Planner};
 use super::order::{Order, OrderKind, StopReason};
-use super::{PERIOD, Reference};
-use crate::joint::{JointVec, MAX_JOINTS, Phase, Setpoint};
+use super::{PERIOD, Reference, checkpoint};
+use crate::joint::{JointVec, MAX_JOINTS, Phase, Record, Setpoint};
 
 /// A reference may start this far from where the arm rests \[rad\]; more would be a step that no arm can follow.
 const START_TOLERANCE: f64 = 1e-6;
@@ -50,6 +50,26 @@ impl Motion {
     pub fn start(&mut self, q: JointVec) {
         self.last = self.only_own_joints(Setpoint { q, ..Setpoint::default() });
         self.doing = Doing::Hold;
+    }
+
+    /// Goes on after `last`, in the middle of `doing`.
+    pub fn restore(&mut self, doing: checkpoint::Doing, last: &Record) -> Result<(), NoMotion> {
+        (self.number, self.tick, self.last) = (last.motion, last.tick, last.command.desired);
+        self.doing = match doing {
+            checkpoint::Doing::Hold => Doing::Hold,
+            checkpoint::Doing::Move { phase, from, target } => {
+                self.planner.move_to(&from, &target)?;
+                Doing::Move { phase }
+            }
+            checkpoint::Doing::Follow(reference) => Doing::Follow(reference),
+            checkpoint::Doing::Dwell { ticks } => Doing::Dwell { ticks },
+            checkpoint::Doing::Brake { from } => {
+                self.planner.stop(&from)?;
+                Doing::Brake
+            }
+            checkpoint::Doing::Stopped => Doing::Stopped,
+        };
+        Ok(())
     }
 
     /// Moves on by `gap` cycles of the arm. A motion whose last sample has been sent ends here.

@@ -135,6 +135,22 @@ pub enum Event {
     },
 }
 
+/// An event and the cycle that it belongs to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Told {
+    /// Number of the cycle, as in [`Record::cycle`](crate::joint::Record::cycle).
+    pub cycle: u64,
+    /// The arm's counter in that cycle.
+    pub seq: u64,
+    /// `CLOCK_MONOTONIC` when that cycle's state had been read \[ns\].
+    pub stamp_ns: u64,
+    /// Orders taken out of the queue so far, that of this event included. The queue is first in, first out, so this says which order
+    /// an event is about, also where several carry one number.
+    pub orders: u32,
+    /// What happened.
+    pub event: Event,
+}
+
 /// The queue of motions, outside end.
 pub struct Orders {
     ring: Producer<Permitted>,
@@ -174,8 +190,8 @@ pub struct Handles {
     pub models: Models,
     /// What the loop has done with. Drain it: a full ring keeps new orders and models waiting.
     pub retired: Consumer<Retired>,
-    /// What happened.
-    pub events: Consumer<Event>,
+    /// What happened, and when.
+    pub events: Consumer<Told>,
     /// Stop, resume, quit, and the state at a glance.
     pub controls: Arc<Controls>,
     /// What the operating system granted; empty until the loop's thread has asked, which is before its first cycle.
@@ -198,7 +214,7 @@ pub(super) struct Inlets {
     pub orders: Consumer<Permitted>,
     pub models: Consumer<Box<dyn FeedForward>>,
     pub retired: Producer<Retired>,
-    pub events: Producer<Event>,
+    pub events: Producer<Told>,
     pub controls: Arc<Controls>,
     pub granted: Arc<OnceLock<Granted>>,
 }

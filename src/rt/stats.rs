@@ -1,6 +1,7 @@
 //! Deadline statistics of the loop, in memory that is allocated before it starts.
 
 use super::PERIOD_NS;
+use crate::joint::Record;
 use hdrhistogram::Histogram;
 
 /// Distribution of one duration \[ns\]; all zero when nothing was measured.
@@ -114,6 +115,17 @@ impl Tally {
         self.summary.elapsed = (seq - self.first.unwrap_or(seq)).saturating_add(1);
         (self.last, self.last_ns) = (seq, now_ns);
         Ok(gap)
+    }
+
+    /// The arm's counter in the state that arrived last.
+    pub fn last(&self) -> u64 {
+        self.last
+    }
+
+    /// Goes on after `record`: the numbers of the cycles do, the counts begin anew.
+    pub fn restore(&mut self, record: &Record) {
+        (self.first, self.last, self.last_ns) = (Some(record.state.seq), record.state.seq, record.stamp_ns);
+        self.summary.cycles = record.cycle.saturating_add(1);
     }
 
     /// Adds a wake-up latency \[ns\].

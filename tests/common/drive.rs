@@ -4,7 +4,7 @@ use super::{FakeArm, Seen, Trick};
 use plumbline::joint::{JointVec, Limits, MAX_JOINTS, Phase, Record, Setpoint, Torque};
 use plumbline::rt::cycle::{self, Outcome};
 use plumbline::rt::guard::GuardSettings;
-use plumbline::rt::order::{Event, Handles, Order, OrderKind};
+use plumbline::rt::order::{Event, Handles, Order, OrderKind, Told};
 use plumbline::rt::os::Rights;
 use plumbline::rt::recorder::ring;
 use plumbline::rt::settings::CycleSettings;
@@ -140,6 +140,7 @@ pub struct Run {
     pub outcome: Outcome,
     pub records: Vec<Record>,
     pub events: Vec<Event>,
+    pub told: Vec<Told>,
     pub seen: Arc<Seen>,
 }
 
@@ -197,9 +198,10 @@ impl Job {
         let mut handles = shared.lock().unwrap().take().unwrap();
         let mut records = Vec::new();
         drain.take_into(&mut records, usize::MAX);
-        let events = std::iter::from_fn(|| handles.events.pop().ok()).collect();
+        let told: Vec<Told> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
+        let events = told.iter().map(|told| told.event).collect();
         handles.free_retired();
-        Run { outcome, records, events, seen }
+        Run { outcome, records, events, told, seen }
     }
 }
 

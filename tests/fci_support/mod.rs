@@ -9,7 +9,7 @@ use plumbline::joint::{JointVec, Phase, Record};
 use plumbline::rt::FeedForward;
 use plumbline::rt::cycle::{self, End, Outcome};
 use plumbline::rt::guard::GuardSettings;
-use plumbline::rt::order::{Event, Order, OrderKind, StopReason};
+use plumbline::rt::order::{Event, Order, OrderKind, StopReason, Told};
 use plumbline::rt::os::Rights;
 use plumbline::rt::recorder::ring;
 use plumbline::rt::settings::CycleSettings;
@@ -101,7 +101,7 @@ pub fn drive_serving(
     let deadline = Instant::now() + most;
     let mut ended = false;
     while !loop_thread.is_finished() && Instant::now() < deadline {
-        while let Ok(event) = handles.events.pop() {
+        while let Ok(Told { event, .. }) = handles.events.pop() {
             ended |= event == (Event::Ended { motion: 3 });
             if matches!(event, Event::Stopping { .. } | Event::Stopped) {
                 handles.controls.quit();

@@ -120,6 +120,11 @@ impl Robot {
         })
     }
 
+    /// What an operator does after `fault`.
+    pub fn next_step(&self, fault: &Fault) -> String {
+        franka::explain(fault, &self.telemetry.snapshot()).next.to_string()
+    }
+
     /// What the session says of its network; `fault` ended it.
     pub fn link(&self, fault: Option<&Fault>) -> Link {
         let of = self.telemetry.snapshot();

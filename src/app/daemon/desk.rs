@@ -1,6 +1,7 @@
 //! What the daemon knows and decides: answers requests, accepts models, says what the loop does.
 
 use super::gravity::Watch;
+use super::recorder::Recorder;
 use crate::app::Failure;
 use crate::backend::sim::Truth;
 use crate::config::job::{Adopt, Job, OnLoss};
@@ -14,6 +15,7 @@ use crate::ipc::{
 use crate::joint::{JointVec, Record};
 use crate::model::gravity::Mounting;
 use crate::model::torque::TorqueModel;
+use crate::recording::about::Reason;
 use crate::rt::order::{Controls, Event, StopReason};
 use crate::store::{ModelFile, model_identity};
 use std::path::Path;
@@ -24,6 +26,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub struct Accepted {
     /// Identity of its text.
     pub id: u64,
+    /// Its text.
+    pub text: String,
     /// The model.
     pub model: TorqueModel,
     /// Noise of the measured torque by its file, per joint \[Nm\]; empty where unknown.
@@ -32,6 +36,8 @@ pub struct Accepted {
 
 /// The daemon without its ports.
 pub struct Desk {
+    /// Keeps the last seconds of the loop.
+    pub recorder: Recorder,
     /// What to do.
     pub job: Job,
     /// The arm's description.
@@ -112,6 +118,13 @@ impl Desk {
                 Some(controls) if controls.resume() => Response::Accepted {},
                 _ => refused("nothing waits for a permission to go on"),
             },
+            Request::Record {} if controls.is_none() => {
+                refused("the arm is not connected, so there is nothing to record")
+            }
+            Request::Record {} if self.recorder.write(Reason::new("on-demand", "a recording was asked for")) => {
+                Response::Accepted {}
+            }
+            Request::Record {} => refused("the job's `recorder.span` is 0 s: nothing is recorded"),
             Request::OfferModel { toml } => match self.accept("offered model", &toml) {
                 Ok(model) => Response::ModelAccepted { model },
                 Err(bad) => Response::Refused { reason: bad.to_string() },
@@ -191,7 +204,7 @@ impl Desk {
             BadInput::new(file, "key `kind`", refused, "a model that holds in the present mounting")
         })?;
         let ModelFile { model, noise_floor: noise, .. } = offered;
-        Ok(Accepted { id: model_identity(text), model, noise })
+        Ok(Accepted { id: model_identity(text), text: text.to_string(), model, noise })
     }
 
     /// Serves a model that was checked.
@@ -218,8 +231,11 @@ impl Desk {
             // Nothing moves, so nothing is decided. An estimator that computes is silent, too.
             _ => return tracing::info!("{news}"),
         };
-        tracing::warn!("{news}; by safety.on-estimator-loss, {rule}");
+        let words = format!("{news}; by safety.on-estimator-loss, {rule}");
+        tracing::warn!("{words}");
+        self.recorder.note(&words);
         if let (true, Progress::Driving, Some(controls)) = (stop, self.progress, controls) {
+            self.recorder.blame(Reason::new("estimator-lost", words));
             controls.stop();
         }
     }

@@ -8,6 +8,7 @@ mod desk;
 mod rhythm;
 mod gravity;
 mod rest;
+mod recorder;
 mod script;
 mod session;
 
@@ -20,6 +21,7 @@ use crate::rt::cycle::End;
 use arm::Purpose;
 use clap::Args;
 use desk::Desk;
+use recorder::Recorder;
 use script::Script;
 use session::Session;
 use std::path::PathBuf;
@@ -63,7 +65,10 @@ pub fn run(options: Options) -> Result<(), Failure> {
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, Arc::clone(&signalled)).map_err(Failure::job)?;
     }
+    // Its thread begins before anything asks for priority.
+    let recorder = Recorder::start(&job, &id, &out)?;
     let mut desk = Desk {
+        recorder,
         truth: super::truth(&job)?,
         rest: super::rest(&job, &robot)?,
         model: None,

@@ -2,8 +2,9 @@
 
 use crate::app::programme::{Motion, Role, Stage};
 use crate::excite::ExciteError;
-use crate::excite::fourier::PeriodicMotion;
+use crate::excite::fourier::{Fourier, PeriodicMotion};
 use crate::joint::{JointVec, MAX_JOINTS, Phase};
+use crate::recording::about::{Given, Series};
 use crate::rt::order::{Event, Order, OrderKind};
 use std::collections::VecDeque;
 
@@ -27,12 +28,40 @@ pub enum Next {
     Aborted,
 }
 
+/// An order, and the same as data.
+pub struct Planned {
+    /// For the loop.
+    pub order: Order,
+    /// For the flight recorder.
+    pub given: Given,
+}
+
+impl Planned {
+    fn move_to(motion: u32, target: JointVec, phase: Phase) -> Planned {
+        let given = Given::Move { motion, target, phase: phase as u32 };
+        Planned { order: Order { motion, kind: OrderKind::MoveTo { target, phase } }, given }
+    }
+
+    fn dwell(motion: u32, ticks: u64) -> Planned {
+        Planned { order: Order { motion, kind: OrderKind::Dwell { ticks } }, given: Given::Dwell { motion, ticks } }
+    }
+
+    fn follow(motion: u32, fourier: &Fourier, periods: u32) -> Result<Planned, ExciteError> {
+        let rows = |of: &nalgebra::DMatrix<f64>| of.row_iter().map(|row| row.iter().copied().collect()).collect();
+        let (a, b) = (rows(&fourier.a), rows(&fourier.b));
+        let series = Series { period: fourier.period, periods, q0: fourier.q0.clone(), a, b };
+        let reference = Box::new(PeriodicMotion::new(fourier, periods)?);
+        let order = Order { motion, kind: OrderKind::Follow(reference) };
+        Ok(Planned { order, given: Given::Follow { motion, series } })
+    }
+}
+
 /// The orders of one stage.
 pub struct Script {
     /// Orders up to and with the motion after which the model is needed; all of them where none is.
-    before: VecDeque<Order>,
+    before: VecDeque<Planned>,
     /// Orders that need the model.
-    after: VecDeque<Order>,
+    after: VecDeque<Planned>,
     /// Number of the motion in between.
     barrier: Option<u32>,
 }
@@ -56,31 +85,31 @@ impl Script {
             }
             let target = start_of(motion);
             let approach = motion.number + APPROACH;
-            let reference = PeriodicMotion::new(&motion.fourier, (motion.periods + motion.lead_in) as u32)?;
-            script.push(Order { motion: approach, kind: OrderKind::MoveTo { target, phase: Phase::Approach } });
-            script.push(Order { motion: approach, kind: OrderKind::Dwell { ticks: SETTLE } });
-            script.push(Order { motion: motion.number, kind: OrderKind::Follow(Box::new(reference)) });
+            let periods = (motion.periods + motion.lead_in) as u32;
+            script.push(Planned::move_to(approach, target, Phase::Approach));
+            script.push(Planned::dwell(approach, SETTLE));
+            script.push(Planned::follow(motion.number, &motion.fourier, periods)?);
             if motion.role == Role::Identify {
                 script.barrier = Some(motion.number);
             }
         }
-        script.push(Order { motion: RETURN, kind: OrderKind::MoveTo { target: rest, phase: Phase::Return } });
+        script.push(Planned::move_to(RETURN, rest, Phase::Return));
         Ok(script)
     }
 
-    fn push(&mut self, order: Order) {
+    fn push(&mut self, order: Planned) {
         let queue = if self.barrier.is_some() { &mut self.after } else { &mut self.before };
         queue.push_back(order);
     }
 
     /// The next order that may be given now.
-    pub fn next(&mut self, model: bool) -> Option<Order> {
+    pub fn next(&mut self, model: bool) -> Option<Planned> {
         self.before.pop_front().or_else(|| if model { self.after.pop_front() } else { None })
     }
 
     /// Where the arm goes first.
     pub fn first_target(&self) -> Option<JointVec> {
-        self.before.iter().chain(&self.after).find_map(|order| match order.kind {
+        self.before.iter().chain(&self.after).find_map(|planned| match planned.order.kind {
             OrderKind::MoveTo { target, .. } => Some(target),
             _ => None,
         })

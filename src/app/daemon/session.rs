@@ -3,9 +3,10 @@
 use super::Daemon;
 use super::arm::{Connected, Purpose, Robot, connect};
 use super::desk::Desk;
-use super::rhythm::Rhythm;
 use super::gravity::Verdict;
-use super::script::{Next, Script};
+use super::recorder::{Left, Tape};
+use super::rhythm::Rhythm;
+use super::script::{Next, Planned, Script};
 use crate::app::served::{NoModel, Reach, ServedModel};
 use crate::app::{Failure, programme};
 use crate::backend::sim::Gate;
@@ -13,12 +14,14 @@ use crate::config::job::{self, OnRefusal};
 use crate::ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
 use crate::joint::{MAX_JOINTS, Phase, Record};
 use crate::model::gravity::Mounting;
-use crate::rt::cycle::{self, End, Outcome};
+use crate::recording::about::Handed;
+use crate::rt::cycle::{self, Cycle, End, Outcome};
 use crate::rt::guard::GuardSettings;
 use crate::rt::order::{Event, Handles};
 use crate::rt::os::{self, Rights};
 use crate::rt::recorder::{self, Drain};
 use crate::rt::settings::CycleSettings;
+use crate::rt::{Backend, Sink};
 use hdrhistogram::Histogram;
 use nalgebra::Vector3;
 use std::sync::Arc;
@@ -27,6 +30,8 @@ use std::time::Duration;
 
 /// Records between the loop and the bridge thread: eight seconds at 1 kHz.
 pub(super) const RING: usize = 8192;
+/// Records that the loop itself keeps: what the bridge thread may be behind at the end, whatever has become of the ring.
+const FLIGHT: usize = 2048;
 /// Records taken from the ring at once.
 const DRAIN: usize = 512;
 /// Pause of the bridge thread when there is nothing to do.
@@ -48,7 +53,8 @@ pub struct Session {
     gate: Option<Arc<Gate>>,
     /// The robot at the other end of a network.
     robot: Option<Robot>,
-    thread: Option<JoinHandle<Outcome>>,
+    thread: Option<JoinHandle<Left>>,
+    tape: Tape,
     script: Script,
     purpose: Purpose,
     /// Identity of the model handed to this loop, 0 for none.
@@ -95,8 +101,10 @@ impl Session {
         settings.max_silence = gate.is_none().then_some(SILENCE);
         settings.must_be_realtime = job.realtime.on_refusal == OnRefusal::Refuse;
         let (sink, drain) = recorder::ring(RING);
+        settings.flight = FLIGHT;
         let reach = Box::new(Reach(robot.chain.clone()));
-        let (mut cycle, handles) = cycle::new(arm, sink, Some(reach), settings).map_err(Failure::job)?;
+        let (mut cycle, handles) = cycle::new(arm, sink, Some(reach), settings.clone()).map_err(Failure::job)?;
+        let tape = desk.recorder.tape(desk, mounting, &name, &settings, &handles.controls);
         // The bridge's own priority goes up before the loop starts, and stays below it.
         if gate.is_none() {
             os::become_realtime(&rights(&job.realtime, BELOW_LOOP));
@@ -109,6 +117,7 @@ impl Session {
             gate,
             robot: connected,
             thread: None,
+            tape,
             script,
             purpose,
             model: 0,
@@ -123,7 +132,7 @@ impl Session {
         session.hand_over_model(desk);
         session.give_orders();
         let thread = std::thread::Builder::new().name("plumbline-loop".into());
-        session.thread = Some(thread.spawn(move || cycle.run()).map_err(Failure::job)?);
+        session.thread = Some(thread.spawn(move || see_through(&mut cycle)).map_err(Failure::job)?);
         Ok(session)
     }
 
@@ -152,12 +161,32 @@ impl Session {
             }
         }
         let joined = self.thread.take().and_then(|thread| thread.join().ok());
-        let outcome = joined.ok_or(Failure::job("the loop's thread panicked; the arm was stopped by its own means"))?;
+        let left = joined.ok_or(Failure::job("the loop's thread is gone"))?;
         while self.bridge(daemon) {}
         self.hear_of_rights(&mut daemon.desk);
         self.handle_events(&mut daemon.desk);
         self.handles.free_retired();
-        Ok((self.statistics(&outcome), outcome.end))
+        match left {
+            Left::Panicked { ref message, .. } => {
+                let failure = format!("the loop's thread panicked; the arm was stopped by its own means: {message}");
+                self.tape.close(&left, &failure, Vec::new());
+                Err(Failure::job(failure))
+            }
+            Left::Ended(ref outcome) => {
+                let statistics = self.statistics(outcome);
+                let words = statistics.link.as_ref().and_then(|link| link.fault.clone());
+                self.tape.close(&left, &words.unwrap_or_else(|| outcome.end.to_string()), self.next_step(&outcome.end));
+                Ok((statistics, outcome.end))
+            }
+        }
+    }
+
+    /// What an operator does after an end that the robot explains itself.
+    fn next_step(&self, end: &End) -> Vec<String> {
+        match (end, &self.robot) {
+            (End::Fault(fault), Some(robot)) => vec![robot.next_step(fault)],
+            _ => Vec::new(),
+        }
     }
 
     /// Sleeps until the next record is due. An arm that keeps the clock's time makes one every millisecond: this thread then wakes up right behind
@@ -175,6 +204,7 @@ impl Session {
         let taken = self.drain.take_into(&mut self.records, DRAIN);
         let Some(last) = self.records.last() else { return false };
         daemon.server.publish(&self.records);
+        self.tape.keep(&self.records);
         let gravity = self.gravity.into();
         daemon.server.feed_forward(FeedForwardMessage::new(last, daemon.desk.robot.chain.len(), gravity));
         if daemon.desk.gravity.take(&self.records) {
@@ -218,7 +248,9 @@ impl Session {
     }
 
     fn handle_events(&mut self, desk: &mut Desk) {
-        while let Ok(event) = self.handles.events.pop() {
+        while let Ok(told) = self.handles.events.pop() {
+            let event = told.event;
+            self.tape.tell(told);
             desk.log(&event);
             if let Event::Ended { motion } = event {
                 desk.ended.push(motion);
@@ -257,6 +289,7 @@ impl Session {
                 let evaluator = accepted.model.evaluator(&gravity);
                 if self.handles.models.serve(Box::new(ServedModel { id: accepted.id, evaluator })).is_ok() {
                     (self.model, self.gravity) = (accepted.id, gravity);
+                    self.tape.handed(Handed { id: accepted.id, gravity: gravity.into() }, &accepted.text);
                     self.open_gate();
                 }
             }
@@ -277,6 +310,7 @@ impl Session {
             Phase::Hold | Phase::Stopped => {
                 if self.handles.models.serve(Box::new(NoModel)).is_ok() {
                     self.model = 0;
+                    self.tape.handed(Handed { id: 0, gravity: [0.0; 3] }, "");
                 }
             }
             Phase::Stop => {}
@@ -286,9 +320,11 @@ impl Session {
 
     fn give_orders(&mut self) {
         while self.handles.orders.room() > 0 {
-            let Some(order) = self.script.next(self.model != 0) else { return };
+            let Some(Planned { order, given }) = self.script.next(self.model != 0) else { return };
             // There is room: it was asked for above, and this thread alone fills the ring.
-            let _ = self.handles.orders.give(order);
+            if self.handles.orders.give(order).is_ok() {
+                self.tape.ordered(given);
+            }
         }
     }
 
@@ -324,6 +360,20 @@ impl Session {
                 End::Fault(fault) => robot.link(Some(&fault)),
                 _ => robot.link(None),
             }),
+        }
+    }
+}
+
+/// Runs the loop to its end, whatever that is. Nothing of a panic is lost: the arm is stopped, and the last cycles come out.
+fn see_through<B: Backend, S: Sink>(cycle: &mut Cycle<B, S>) -> Left {
+    // What the loop leaves behind after a panic is only read.
+    match std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| cycle.run())) {
+        Ok(outcome) => Left::Ended(Box::new(outcome)),
+        Err(panic) => {
+            let (flight, unanswered) = cycle.after_panic();
+            let text = panic.downcast_ref::<&str>().map(|text| text.to_string());
+            let message = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
+            Left::Panicked { message, flight, unanswered }
         }
     }
 }

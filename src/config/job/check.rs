@@ -131,6 +131,13 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
             return bad("validation.mountings", &format!("`{other}`"), expected);
         }
     }
+    let recorder = &job.recorder;
+    if recorder.span != 0.0 && !(1.0..=120.0).contains(&recorder.span) {
+        return bad("recorder.span", &format!("{} s", recorder.span), "1 s to 120 s, or 0 s for no recordings");
+    }
+    if !(1..=10_000).contains(&recorder.keep) {
+        return bad("recorder.keep", &recorder.keep, "1 to 10000");
+    }
     if job.realtime.priority > 99 {
         return bad("realtime.priority", &job.realtime.priority, "0 to 99");
     }

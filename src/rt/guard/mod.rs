@@ -6,9 +6,12 @@
 
 mod history;
 
+use super::motion::seconds;
 use super::moves::stop_distances;
 use super::{Kinematics, PERIOD};
-use crate::joint::{Command, JointVec, Limits, MAX_JOINTS, Setpoint, SpeedEnvelope, State, Torque, Workspace};
+use crate::joint::{
+    Command, JointVec, Limits, MAX_JOINTS, Record, Setpoint, SpeedEnvelope, State, Torque, Workspace,
+};
 use history::History;
 use std::fmt;
 
@@ -158,6 +161,15 @@ impl Guard {
     pub fn start(&mut self, q: JointVec) {
         self.history = History::at_rest(q, PERIOD);
         self.tau_last = None;
+    }
+
+    /// Goes on after the last three cycles, oldest first.
+    pub fn restore(&mut self, last: &[Record; 3]) {
+        let dt = |earlier: &Record, later: &Record| seconds(later.state.seq.saturating_sub(earlier.state.seq).max(1));
+        self.history = History::at_rest(last[0].command.desired.q, PERIOD);
+        self.history.push(last[1].command.desired.q, dt(&last[0], &last[1]));
+        self.history.push(last[2].command.desired.q, dt(&last[1], &last[2]));
+        self.tau_last = Some(last[2].command.tau_ff.0);
     }
 
     /// Another model serves, or none: the step between two models is not a torque rate.

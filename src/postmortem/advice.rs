@@ -1,0 +1,63 @@
+//! What the operator does next: the backend's own words first, then what goes with the kind of fault.
+
+use super::story::{Story, is_measured};
+use crate::recording::about::About;
+
+const RESUME: &str =
+    "When it is safe to move: `plumbline command resume`; what was under way is not driven on, start the job again.";
+const AGAIN: &str =
+    "The daemon has ended. When it is safe to move, start it again; nothing moves before `plumbline command start`.";
+
+/// Steps, first things first.
+pub(super) fn next(story: &Story, about: &About) -> Vec<String> {
+    let mut steps = about.next.clone();
+    let joint = story.first_limit.as_ref().map_or(0, |crossing| crossing.joint);
+    match (story.kind.as_str(), story.first_limit.as_ref().map(|crossing| crossing.limit.as_str())) {
+        ("guard" | "unsafe", Some(limit)) if is_measured(limit) => steps.push(match limit {
+            "tracking" => format!(
+                "Look at joint {joint}: what kept it from following? A collision, a person, a payload that is not in the model, a \
+                 brake. If nothing did, `safety.tracking-error` may be too tight for this motion."
+            ),
+            "measured-torque" => format!(
+                "Look at joint {joint}: what pushed against it? A collision, a payload that is too heavy, a motion that is too fast."
+            ),
+            _ => "The arm reported a number that is none: look at its own log, and its sensors.".to_string(),
+        }),
+        ("guard" | "unsafe", Some("torque" | "torque-rate" | "torque-not-finite")) => steps.push(
+            "The served model gave that torque; it is not asked again. Identify anew, or serve the model from before.".to_string(),
+        ),
+        ("guard" | "unsafe", Some("end-effector-box" | "base-sphere")) => steps
+            .push("The motion leaves the workspace: compare `[workspace]` of the job with the plan, and plan again.".to_string()),
+        ("guard" | "unsafe", Some(_)) => steps.push(
+            "The arm did nothing wrong: the motion itself breaks a limit. Plan it again under the limits of this job.".to_string(),
+        ),
+        ("lost-states", _) => steps.push(
+            "States were lost between arm and loop: look at the late cycles below. Network, processor load, or priority? \
+             `safety.max-lost` says how many are borne."
+                .to_string(),
+        ),
+        ("silent" | "disconnected", _) if about.next.is_empty() => {
+            steps.push("Look at the cable and at the arm's power.".to_string());
+        }
+        ("reflex" | "refused", _) if about.next.is_empty() => {
+            steps.push("Look at the arm's own log for its reason; the code is the arm's.".to_string());
+        }
+        ("clock", _) => steps.push("The arm or the network repeats states: restart the arm's controller.".to_string()),
+        ("estimator-lost", _) => {
+            steps.push("Look at the estimator's log for why it ended; the samples are kept for the next one.".to_string());
+        }
+        ("panic" | "no-brake", _) => {
+            steps.push("This is a defect of plumbline: please report it, with this file.".to_string());
+        }
+        ("not-at-start" | "no-path", _) => {
+            steps.push("The motion does not begin where the arm rests: start the job from its beginning.".to_string());
+        }
+        _ => {}
+    }
+    match (story.kind.as_str(), &story.end) {
+        ("on-demand", _) => {}
+        (_, None) => steps.push(RESUME.to_string()),
+        (_, Some(_)) => steps.push(AGAIN.to_string()),
+    }
+    steps
+}

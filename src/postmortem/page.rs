@@ -1,0 +1,120 @@
+//! The story as one HTML file that needs nothing else: what happened and what to do on the first screen, the curves below.
+
+use super::story::{Joint, Story};
+use super::{plot, text};
+use crate::recording::Recording;
+use minijinja::{AutoEscape, Environment, Value, context};
+use std::io;
+
+const TEMPLATE: &str = include_str!("page.html");
+
+/// The page's text.
+///
+/// # Errors
+/// Only if the template itself is wrong.
+pub fn page(story: &Story, recording: &Recording) -> io::Result<String> {
+    let mut environment = Environment::new();
+    environment.set_auto_escape_callback(|_| AutoEscape::Html);
+    environment.add_template("page", TEMPLATE).map_err(io::Error::other)?;
+    let focus = plot::focus(story);
+    let page = context! {
+        headline => story.headline(),
+        calm => story.kind == "on-demand",
+        reason => &story.reason,
+        tiles => tiles(story),
+        next => story.next.iter().map(|step| safe(with_code(step))).collect::<Vec<_>>(),
+        timeline => story.timeline.iter().map(|line| context! {
+            before => format!("{:.3}", -line.before), cycle => line.cycle, phase => &line.phase, text => &line.text,
+            weight => line.weight,
+        }).collect::<Vec<_>>(),
+        gaps => &story.gaps,
+        replay => story.replay.as_ref().map(|replay| context! {
+            good => replay.is_identical(), text => text::replay_words(replay),
+        }),
+        focus => focus + 1,
+        strip => safe(plot::strip(story, recording)),
+        position => safe(plot::position(recording, focus)),
+        stop => safe(plot::around_the_stop(story, recording, focus)),
+        tracking => safe(plot::tracking(recording)),
+        torque => safe(plot::torque(recording)),
+        period => safe(plot::timing(recording)),
+        joints => recording.about.joints,
+        tracking_rows => rows(&story.tracking),
+        torque_rows => rows(&story.torque),
+        timing => context! {
+            cycles => story.timing.cycles, seconds => format!("{:.3}", story.timing.seconds), lost => story.timing.lost,
+            longest => story.timing.longest_lost, late => story.timing.late, simulated => story.timing.simulated,
+            rows => timing_rows(story),
+            outliers => story.timing.outliers.iter().map(|one| context! {
+                before => format!("{:.3}", -one.before), cycle => one.cycle, text => &one.text,
+            }).collect::<Vec<_>>(),
+            more => story.timing.more,
+        },
+        robot => &story.robot, mounting => &story.mounting, recorded => &story.recorded, file => &story.file,
+        provenance => text::provenance(story),
+    };
+    environment.get_template("page").and_then(|template| template.render(page)).map_err(io::Error::other)
+}
+
+fn safe(svg: String) -> Value {
+    Value::from_safe_string(svg)
+}
+
+/// Text as HTML, with what stands between backticks as code.
+fn with_code(text: &str) -> String {
+    let escaped = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
+    let parts = escaped.split('`').enumerate();
+    parts.map(|(k, part)| if k % 2 == 1 { format!("<code>{part}</code>") } else { part.to_string() }).collect()
+}
+
+/// The large figures of the first screen.
+fn tiles(story: &Story) -> Vec<Value> {
+    let tile = |value: String, unit: &str, what: String, class: &str| context! { value, unit, what, class };
+    let mut tiles = Vec::new();
+    if let Some(crossing) = &story.first_limit {
+        let what = format!("first limit crossed, {:.3} s before the end: {}", crossing.before, crossing.text);
+        tiles.push(tile(crossing.limit.replace('-', " "), "", what, "bad"));
+    }
+    if let Some(stop) = &story.stop {
+        let (speed, joint) = stop.speed;
+        let (value, class) = (format!("{:.3}", stop.seconds), if stop.at_rest { "good" } else { "bad" });
+        let rest = if stop.at_rest { "until it rested" } else { "of braking, and not yet at rest" };
+        let way = format!("{rest}, from {speed:.3} rad/s (joint {joint}); longest way {:.4} rad", stop.travelled.0);
+        tiles.push(tile(value, "s", way, class));
+    }
+    let largest = |joints: &[Joint]| joints.iter().max_by(|a, b| a.share.total_cmp(&b.share)).cloned();
+    for (joints, what) in [(&story.tracking, "of the tracking tolerance"), (&story.torque, "of the torque limit")] {
+        if let Some(Joint { joint, share, before, .. }) = largest(joints) {
+            let class = if share > 1.0 { "bad" } else { "" };
+            let what = format!("{what}, joint {joint}, {before:.3} s before the end");
+            tiles.push(tile(format!("{:.0}", 100.0 * share), "%", what, class));
+        }
+    }
+    let timing = &story.timing;
+    let class = if timing.lost > 0 { "bad" } else { "good" };
+    let late = if timing.simulated { "simulated time".to_string() } else { format!("{} late", timing.late) };
+    let what = format!("states, at most {} in a row; {late}, of {} cycles", timing.longest_lost, timing.cycles);
+    tiles.push(tile(timing.lost.to_string(), "lost", what, class));
+    tiles
+}
+
+fn rows(joints: &[Joint]) -> Vec<Value> {
+    let row = |one: &Joint| {
+        context! {
+            joint => one.joint, worst => format!("{:.4}", one.worst), limit => format!("{:.4}", one.limit),
+            share => format!("{:.1}", 100.0 * one.share), before => format!("{:.3}", -one.before), bad => one.share > 1.0,
+        }
+    };
+    joints.iter().map(row).collect()
+}
+
+fn timing_rows(story: &Story) -> Vec<Value> {
+    let timing = &story.timing;
+    let all = [("period", timing.period_us), ("wake-up", timing.wake_us), ("work", timing.work_us)];
+    let known = all.into_iter().filter(|(name, values)| values[2] > 0.0 && !(timing.simulated && *name == "period"));
+    known
+        .map(|(name, [p50, p99, max])| {
+            context! { name, p50 => format!("{p50:.1}"), p99 => format!("{p99:.1}"), max => format!("{max:.1}") }
+        })
+        .collect()
+}

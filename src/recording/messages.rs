@@ -1,0 +1,300 @@
+//! The messages of a recording: their ROS 2 definitions, and the way between them and the loop's own values.
+//!
+//! A cycle is three messages with the cycle's number as their sequence: the state and the command as `sensor_msgs/JointState`, which every
+//! viewer draws, and what has no place there as `plumbline_msgs/Cycle`.
+
+use super::cdr::{CdrError, Decoder, Encoder};
+use crate::joint::{MAX_JOINTS, Phase, Record};
+use crate::rt::guard::{Limit, Violation};
+use crate::rt::order::{Event, StopReason, Told};
+
+const RULE: &str = "================================================================================";
+
+/// Topic of the measured positions, velocities and torques.
+pub const STATES: &str = "/joint_states";
+/// Topic of the desired positions and velocities, and of the model's torque.
+pub const COMMANDS: &str = "/command";
+/// Topic of everything else about a cycle.
+pub const CYCLES: &str = "/plumbline/cycle";
+/// Topic of what happened in the loop.
+pub const EVENTS: &str = "/plumbline/event";
+/// Topic of the same and of the daemon's remarks, as text.
+pub const LOG: &str = "/rosout";
+
+/// Name and definition of the type of `topic`.
+pub(super) fn schema(topic: &str) -> (&'static str, String) {
+    let time = format!("{RULE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n");
+    match topic {
+        STATES | COMMANDS => (
+            "sensor_msgs/msg/JointState",
+            format!(
+                "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n\
+                 {RULE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{time}"
+            ),
+        ),
+        CYCLES => (
+            "plumbline_msgs/msg/Cycle",
+            "uint8 HOLD=0\nuint8 APPROACH=1\nuint8 EXCITE=2\nuint8 RETURN=3\nuint8 STOP=4\nuint8 STOPPED=5\n\
+             uint64 cycle      # number since the loop started\n\
+             uint64 seq        # the arm's own counter\n\
+             float64 time      # the arm's own clock [s]\n\
+             uint64 stamp_ns   # CLOCK_MONOTONIC when the state had been read\n\
+             uint64 wake_ns    # how late that was\n\
+             uint64 work_ns    # work of the cycle before\n\
+             uint64 model      # identity of the served model, 0 for none\n\
+             uint64 tick       # sample of the motion\n\
+             uint32 motion     # number of the motion\n\
+             uint8 phase\n\
+             float64[] position_accepted    # the position that the arm last accepted as desired [rad]\n\
+             float64[] acceleration_desired # [rad/s2]\n\
+             float64[] torque_at_rest       # what of the model's torque holds the arm still [Nm]\n"
+                .to_string(),
+        ),
+        EVENTS => (
+            "plumbline_msgs/msg/Event",
+            "uint64 cycle      # number of the cycle it happened in\n\
+             uint64 seq        # the arm's own counter in it\n\
+             uint64 stamp_ns   # CLOCK_MONOTONIC when that cycle's state had been read\n\
+             uint64 model      # of `serving` and `distrusted`\n\
+             uint64 lost       # of `lost-states`\n\
+             uint32 orders     # orders taken out of the queue so far\n\
+             uint32 motion     # number of the motion\n\
+             uint32 joint      # joint of the reason, from 1; 0 for none\n\
+             float64 value     # what was found\n\
+             float64 bound     # what it was held against\n\
+             string kind\n\
+             string reason     # of `stopping`\n\
+             string limit      # of the reason `guard`\n\
+             string text       # for people\n"
+                .to_string(),
+        ),
+        _ => (
+            "rcl_interfaces/msg/Log",
+            format!(
+                "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\n\
+                 builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\nuint32 line\n{time}"
+            ),
+        ),
+    }
+}
+
+/// What can be wrong with a message beside its bytes.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum MessageError {
+    /// Its bytes.
+    #[error(transparent)]
+    Cdr(#[from] CdrError),
+    /// A word that this program does not know.
+    #[error("`{found}`, where {expected} was expected")]
+    Word {
+        /// The word.
+        found: String,
+        /// What it should have been.
+        expected: &'static str,
+    },
+}
+
+fn unknown(found: impl ToString, expected: &'static str) -> MessageError {
+    MessageError::Word { found: found.to_string(), expected }
+}
+
+fn stamp(message: &mut Encoder, log_ns: u64) {
+    message.i32((log_ns / 1_000_000_000).min(i32::MAX as u64) as i32).u32((log_ns % 1_000_000_000) as u32);
+}
+
+/// State, command and the rest of one cycle.
+pub(super) fn cycle(record: &Record, names: &[String], log_ns: u64) -> [(&'static str, Vec<u8>); 3] {
+    let n = names.len().min(MAX_JOINTS);
+    let joints = |position: &[f64], velocity: &[f64], effort: &[f64]| {
+        let mut message = Encoder::default();
+        stamp(&mut message, log_ns);
+        message.string("").strings(&names[..n]).f64s(&position[..n]).f64s(&velocity[..n]).f64s(&effort[..n]);
+        message.finish()
+    };
+    let (state, command) = (&record.state, &record.command);
+    let mut rest = Encoder::default();
+    rest.u64(record.cycle).u64(state.seq).f64(state.time);
+    rest.u64(record.stamp_ns).u64(record.wake_ns).u64(record.work_ns).u64(record.model).u64(record.tick);
+    rest.u32(record.motion).u8(record.phase as u8);
+    rest.f64s(&state.q_d[..n]).f64s(&command.desired.ddq[..n]).f64s(&command.tau_rest.0[..n]);
+    [
+        (STATES, joints(&state.q, &state.dq, &state.tau)),
+        (COMMANDS, joints(&command.desired.q, &command.desired.dq, &command.tau_ff.0)),
+        (CYCLES, rest.finish()),
+    ]
+}
+
+/// Puts one of the three messages of a cycle into the record that it belongs to.
+pub(super) fn read_cycle(topic: &str, bytes: &[u8], record: &mut Record) -> Result<(), MessageError> {
+    let mut message = Decoder::new(bytes)?;
+    if topic == CYCLES {
+        record.cycle = message.u64()?;
+        record.state.seq = message.u64()?;
+        record.command.seq = record.state.seq;
+        record.state.time = message.f64()?;
+        record.stamp_ns = message.u64()?;
+        record.wake_ns = message.u64()?;
+        record.work_ns = message.u64()?;
+        record.model = message.u64()?;
+        record.tick = message.u64()?;
+        record.motion = message.u32()?;
+        let phase = message.u8()?;
+        record.phase = Phase::from_u32(phase.into()).ok_or_else(|| unknown(phase, "a phase from 0 to 5"))?;
+        message.f64s(&mut record.state.q_d)?;
+        message.f64s(&mut record.command.desired.ddq)?;
+        message.f64s(&mut record.command.tau_rest.0)?;
+        return Ok(());
+    }
+    message.i32()?;
+    message.u32()?;
+    message.string()?;
+    message.skip_strings()?;
+    let [position, velocity, effort] = if topic == STATES {
+        let state = &mut record.state;
+        [&mut state.q, &mut state.dq, &mut state.tau]
+    } else {
+        let command = &mut record.command;
+        [&mut command.desired.q, &mut command.desired.dq, &mut command.tau_ff.0]
+    };
+    for values in [position, velocity, effort] {
+        message.f64s(values)?;
+    }
+    Ok(())
+}
+
+/// Every limit with its name in recordings.
+const LIMITS: [(Limit, &str); 17] = [
+    (Limit::NotFinite, "not-finite"),
+    (Limit::TorqueNotFinite, "torque-not-finite"),
+    (Limit::MeasuredNotFinite, "measured-not-finite"),
+    (Limit::Position, "position"),
+    (Limit::StoppingPosition, "stopping-position"),
+    (Limit::Velocity, "velocity"),
+    (Limit::VelocityAhead, "velocity-ahead"),
+    (Limit::Acceleration, "acceleration"),
+    (Limit::Jerk, "jerk"),
+    (Limit::StatedVelocity, "stated-velocity"),
+    (Limit::StatedAcceleration, "stated-acceleration"),
+    (Limit::Torque, "torque"),
+    (Limit::TorqueRate, "torque-rate"),
+    (Limit::EndEffectorBox, "end-effector-box"),
+    (Limit::BaseSphere, "base-sphere"),
+    (Limit::Tracking, "tracking"),
+    (Limit::MeasuredTorque, "measured-torque"),
+];
+
+/// Name of a limit in recordings.
+pub fn limit_name(limit: Limit) -> &'static str {
+    LIMITS.iter().find(|(one, _)| *one == limit).map_or("another", |(_, name)| name)
+}
+
+/// What happened, for people.
+pub fn words(event: &Event) -> String {
+    match event {
+        Event::Started { motion } => format!("motion {motion} has started"),
+        Event::Ended { motion } => format!("motion {motion} has ended"),
+        Event::Stopping { reason, .. } => format!("the arm is being stopped: {reason}"),
+        Event::Stopped => "the arm is at rest and waits for an operator".to_string(),
+        Event::Resumed => "an operator has allowed motion again".to_string(),
+        Event::Discarded { motion } => format!("order {motion} was discarded"),
+        Event::Serving { model } => format!("model {model:016x} serves"),
+        Event::Distrusted { model } => format!("the torque of model {model:016x} broke a limit; it serves no more"),
+    }
+}
+
+/// An event's fields as they stand in its message.
+#[derive(Default)]
+struct Flat {
+    kind: &'static str,
+    motion: u32,
+    model: u64,
+    reason: &'static str,
+    limit: &'static str,
+    joint: u32,
+    value: f64,
+    bound: f64,
+    lost: u64,
+}
+
+fn flat(event: &Event) -> Flat {
+    let of = |kind, motion| Flat { kind, motion, ..Flat::default() };
+    match *event {
+        Event::Started { motion } => of("started", motion),
+        Event::Ended { motion } => of("ended", motion),
+        Event::Stopped => of("stopped", 0),
+        Event::Resumed => of("resumed", 0),
+        Event::Discarded { motion } => of("discarded", motion),
+        Event::Serving { model } => Flat { model, ..of("serving", 0) },
+        Event::Distrusted { model } => Flat { model, ..of("distrusted", 0) },
+        Event::Stopping { motion, reason } => {
+            let of = |reason| Flat { reason, ..of("stopping", motion) };
+            match reason {
+                StopReason::Guard(Violation { limit, joint, value, bound }) => {
+                    Flat { limit: limit_name(limit), joint: joint as u32 + 1, value, bound, ..of("guard") }
+                }
+                StopReason::Requested => of("requested"),
+                StopReason::Quit => of("quit"),
+                StopReason::LostStates { lost } => Flat { lost, ..of("lost-states") },
+                StopReason::NotAtStart { joint, distance, .. } => {
+                    Flat { joint: joint as u32 + 1, value: distance, ..of("not-at-start") }
+                }
+                StopReason::NoPath { .. } => of("no-path"),
+            }
+        }
+    }
+}
+
+/// One event.
+pub(super) fn event(told: &Told) -> Vec<u8> {
+    let Flat { kind, motion, model, reason, limit, joint, value, bound, lost } = flat(&told.event);
+    let mut message = Encoder::default();
+    message.u64(told.cycle).u64(told.seq).u64(told.stamp_ns).u64(model).u64(lost);
+    message.u32(told.orders).u32(motion).u32(joint).f64(value).f64(bound);
+    message.string(kind).string(reason).string(limit).string(&words(&told.event));
+    message.finish()
+}
+
+/// The event of a message.
+pub(super) fn read_event(bytes: &[u8]) -> Result<Told, MessageError> {
+    let mut message = Decoder::new(bytes)?;
+    let (cycle, seq, stamp_ns) = (message.u64()?, message.u64()?, message.u64()?);
+    let (model, lost, orders) = (message.u64()?, message.u64()?, message.u32()?);
+    let (motion, joint) = (message.u32()?, message.u32()?.saturating_sub(1) as usize);
+    let (value, bound) = (message.f64()?, message.f64()?);
+    let (kind, reason, limit) = (message.string()?, message.string()?, message.string()?);
+    let event = match kind.as_str() {
+        "started" => Event::Started { motion },
+        "ended" => Event::Ended { motion },
+        "stopped" => Event::Stopped,
+        "resumed" => Event::Resumed,
+        "discarded" => Event::Discarded { motion },
+        "serving" => Event::Serving { model },
+        "distrusted" => Event::Distrusted { model },
+        "stopping" => {
+            let reason = match reason.as_str() {
+                "guard" => {
+                    let found = LIMITS.iter().find(|(_, name)| *name == limit);
+                    let limit = found.ok_or_else(|| unknown(&limit, "the name of a limit"))?.0;
+                    StopReason::Guard(Violation { limit, joint, value, bound })
+                }
+                "requested" => StopReason::Requested,
+                "quit" => StopReason::Quit,
+                "lost-states" => StopReason::LostStates { lost },
+                "not-at-start" => StopReason::NotAtStart { motion, joint, distance: value },
+                "no-path" => StopReason::NoPath { motion },
+                other => return Err(unknown(other, "the reason of a stop")),
+            };
+            Event::Stopping { motion, reason }
+        }
+        other => return Err(unknown(other, "a kind of event")),
+    };
+    Ok(Told { cycle, seq, stamp_ns, orders, event })
+}
+
+/// A line for a viewer's log; `level` as in `rcl_interfaces/Log`.
+pub(super) fn log(text: &str, level: u8, source: &str, log_ns: u64) -> Vec<u8> {
+    let mut message = Encoder::default();
+    stamp(&mut message, log_ns);
+    message.u8(level).string(source).string(text).string("").string("").u32(0);
+    message.finish()
+}

@@ -1,0 +1,160 @@
+//! A recording to bytes, and to disk.
+
+use super::messages::{self, CYCLES, EVENTS, LOG};
+use super::{Recording, about::About};
+use crate::rt::order::{Event, StopReason};
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{Attachment, McapError, WriteOptions, Writer};
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::io::{self, Cursor};
+use std::path::Path;
+
+/// Bytes of messages between two checksums: 50 cycles or so, the most that a cut costs.
+const CHUNK: u64 = 48 << 10;
+
+/// Levels of a viewer's log.
+const INFO: u8 = 20;
+const WARN: u8 = 30;
+const ERROR: u8 = 40;
+
+impl Recording {
+    /// Writes the recording to `path`, aside and then renamed; the number of bytes.
+    ///
+    /// # Errors
+    /// Those of the file system, with the path: a full disk, a read-only one.
+    pub fn write(&self, path: &Path) -> io::Result<usize> {
+        let bytes = self.to_bytes()?;
+        crate::atomic::write_file(path, &bytes)?;
+        Ok(bytes.len())
+    }
+
+    /// The file's bytes.
+    ///
+    /// # Errors
+    /// Nothing in memory fails but numbers that JSON can't hold.
+    pub fn to_bytes(&self) -> io::Result<Vec<u8>> {
+        let options = WriteOptions::new()
+            .compression(None)
+            .profile("ros2")
+            .library(format!("plumbline {}", env!("CARGO_PKG_VERSION")))
+            .chunk_size(Some(CHUNK));
+        let mut bytes = Cursor::new(Vec::new());
+        let mut writer = Writer::with_options(&mut bytes, options).map_err(failed)?;
+        // First what the rest can't be understood without: a cut takes the end.
+        self.put_texts(&mut writer)?;
+        self.put_messages(&mut writer)?;
+        writer.finish().map_err(failed)?;
+        drop(writer);
+        Ok(bytes.into_inner())
+    }
+
+    fn put_texts(&self, writer: &mut Writer<&mut Cursor<Vec<u8>>>) -> io::Result<()> {
+        writer
+            .write_metadata(&Metadata { name: "plumbline".into(), metadata: summary(&self.about) })
+            .map_err(failed)?;
+        let about = serde_json::to_string_pretty(&self.about).map_err(io::Error::other)?;
+        let start = self.records.first().map_or(0, |first| self.about.clock.at(first.state.seq, first.stamp_ns));
+        let texts = self.texts.iter().map(|(name, text)| (name.as_str(), text.as_str()));
+        for (name, text) in std::iter::once(("about.json", about.as_str())).chain(texts) {
+            let media = if name.ends_with(".json") { "application/json" } else { "application/toml" };
+            let data = Cow::Borrowed(text.as_bytes());
+            let (name, media_type) = (name.to_string(), media.to_string());
+            writer
+                .attach(&Attachment { log_time: start, create_time: start, name, media_type, data })
+                .map_err(failed)?;
+        }
+        Ok(())
+    }
+
+    fn put_messages(&self, writer: &mut Writer<&mut Cursor<Vec<u8>>>) -> io::Result<()> {
+        let mut channels = BTreeMap::new();
+        for topic in [messages::STATES, messages::COMMANDS, CYCLES, EVENTS, LOG] {
+            let (name, definition) = messages::schema(topic);
+            let schema = writer.add_schema(name, "ros2msg", definition.as_bytes()).map_err(failed)?;
+            channels.insert(topic, writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).map_err(failed)?);
+        }
+        let names: Vec<String> = (1..=self.about.joints).map(|j| format!("{}_joint{j}", self.about.robot)).collect();
+        let at = |seq, stamp_ns| self.about.clock.at(seq, stamp_ns);
+        let mut put = |topic: &str, sequence: u64, log_time: u64, data: &[u8]| {
+            let channel_id = channels.get(topic).copied().unwrap_or_default();
+            let header = MessageHeader { channel_id, sequence: sequence as u32, log_time, publish_time: log_time };
+            writer.write_to_known_channel(&header, data).map_err(failed)
+        };
+        // In the order of time: a cycle's events are told before its record.
+        let mut events = self.events.iter().peekable();
+        let mut notes = self.about.notes.iter().peekable();
+        for record in &self.records {
+            let log_ns = at(record.state.seq, record.stamp_ns);
+            while let Some(note) = notes.next_if(|note| note.stamp_ns <= record.stamp_ns) {
+                put(LOG, 0, at(note.seq, note.stamp_ns), &messages::log(&note.text, WARN, "daemon", log_ns))?;
+            }
+            while let Some(told) = events.next_if(|told| told.cycle <= record.cycle) {
+                let (log_ns, words) = (at(told.seq, told.stamp_ns), messages::words(&told.event));
+                put(EVENTS, told.cycle, log_ns, &messages::event(told))?;
+                put(LOG, told.cycle, log_ns, &messages::log(&words, level(&told.event), "loop", log_ns))?;
+            }
+            for (topic, data) in messages::cycle(record, &names, log_ns) {
+                put(topic, record.cycle, log_ns, &data)?;
+            }
+        }
+        for told in events {
+            let (log_ns, words) = (at(told.seq, told.stamp_ns), messages::words(&told.event));
+            put(EVENTS, told.cycle, log_ns, &messages::event(told))?;
+            put(LOG, told.cycle, log_ns, &messages::log(&words, level(&told.event), "loop", log_ns))?;
+        }
+        for note in notes {
+            let log_ns = at(note.seq, note.stamp_ns);
+            put(LOG, 0, log_ns, &messages::log(&note.text, WARN, "daemon", log_ns))?;
+        }
+        if let Some(record) = &self.unanswered {
+            let log_ns = at(record.state.seq, record.stamp_ns);
+            for (topic, data) in messages::cycle(record, &names, log_ns) {
+                // A cycle without a command is one that was never answered.
+                if topic != messages::COMMANDS {
+                    put(topic, record.cycle, log_ns, &data)?;
+                }
+            }
+        }
+        if let Some(end) = &self.about.end {
+            let last = self.unanswered.as_ref().or(self.records.last());
+            let log_ns = last.map_or(0, |last| at(last.state.seq, last.stamp_ns));
+            put(LOG, 0, log_ns, &messages::log(&format!("the loop ended: {end}"), ERROR, "loop", log_ns))?;
+        }
+        Ok(())
+    }
+}
+
+fn level(event: &Event) -> u8 {
+    match event {
+        Event::Stopping { reason: StopReason::Requested | StopReason::Quit, .. } => WARN,
+        Event::Stopping { .. } | Event::Distrusted { .. } => ERROR,
+        Event::Stopped | Event::Resumed => WARN,
+        _ => INFO,
+    }
+}
+
+/// What a viewer shows of the whole recording.
+fn summary(about: &About) -> BTreeMap<String, String> {
+    let serving = about.models.last().map_or("none".to_string(), |model| format!("{:016x}", model.id));
+    let rows = [
+        ("robot", about.robot.clone()),
+        ("id", about.id.clone()),
+        ("mounting", about.mounting.clone()),
+        ("job", about.job.clone()),
+        ("job-sha256", about.job_sha256.clone()),
+        ("plumbline", about.plumbline.clone()),
+        ("model", serving),
+        ("reason", about.reason.text.clone()),
+        ("end", about.end.clone().unwrap_or_default()),
+        ("recorded", about.recorded.clone()),
+    ];
+    rows.into_iter().map(|(key, value)| (key.to_string(), value)).collect()
+}
+
+fn failed(error: McapError) -> io::Error {
+    match error {
+        McapError::Io(error) => error,
+        other => io::Error::other(other),
+    }
+}
