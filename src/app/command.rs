@@ -47,7 +47,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         What::Reject => Request::Reject {},
         What::Status => Request::Status {},
     };
-    let mut client = Client::connect(&id, PATIENCE).map_err(Failure::job)?;
+    let mut client = Client::connect(&id, PATIENCE).map_err(super::unreachable)?;
     match client.send(&request, PATIENCE).map_err(Failure::job)? {
         Response::Status(status) => {
             println!("{}", serde_json::to_string_pretty(&status).map_err(Failure::job)?);

@@ -9,7 +9,8 @@ mod script;
 mod session;
 
 use super::programme::Programme;
-use super::{Failure, JobOptions};
+use super::service::{self, Service};
+use super::{Failure, JobOptions, journal};
 use crate::ipc::{Progress, Server, ServerSettings};
 use crate::joint::Record;
 use crate::model::gravity::Mounting;
@@ -34,10 +35,14 @@ pub struct Options {
     model: Option<PathBuf>,
 }
 
+/// The longest that connecting to a robot, or its recovery, takes before it fails by itself; the watchdog waits for it.
+const CONNECTION: Duration = Duration::from_secs(90);
+
 /// What the bridge thread owns.
 pub struct Daemon {
     server: Server,
     desk: Desk,
+    service: Service,
 }
 
 /// How a session was seen through.
@@ -53,6 +58,7 @@ enum Seen {
 pub fn run(options: Options) -> Result<(), Failure> {
     let (job, robot, out) = options.job.load()?;
     let id = super::robot_id(&job)?;
+    let _about = journal::about(id.as_str());
     // Before anything else is touched: nobody else may drive this robot.
     let _lock = super::lock(&id)?;
     let programme = super::plan::programme(&job, &robot, &out)?;
@@ -81,16 +87,19 @@ pub fn run(options: Options) -> Result<(), Failure> {
         robot,
     };
     if let Some(path) = options.model {
+        super::service::trusted(&path)?;
         desk.accept_file(&path)?;
     }
     let server = Server::open(&id, ServerSettings::default()).map_err(Failure::job)?;
-    let mut daemon = Daemon { server, desk };
+    let mut daemon = Daemon { server, desk, service: Service::of_environment() };
     tracing::info!("the daemon of robot `{id}` is ready; the arm moves after `plumbline command start`");
+    daemon.service.ready("ready; the arm moves after `plumbline command start`");
     daemon.hold(daemon.desk.mounting)?;
     if daemon.desk.start && !daemon.desk.must_quit() {
         daemon.drive(&programme)?;
         daemon.hold(daemon.desk.mounting)?;
     }
+    daemon.service.stopping();
     tracing::info!("the daemon ends; it has published {} samples", daemon.server.served().published);
     Ok(())
 }
@@ -102,13 +111,16 @@ impl Daemon {
         if self.desk.job.backend.is_fast() {
             while !self.desk.must_leave() {
                 self.talk(None);
+                self.service.beat(service::Progress::Waiting);
                 std::thread::sleep(Duration::from_millis(1));
             }
             return Ok(());
         }
         // Whoever has ended the job in mid-motion does not want another connection.
         while !self.desk.must_quit() {
+            self.service.long_step(CONNECTION);
             let session = Session::open(&self.desk, "hold".into(), mounting, Purpose::Hold, Script::hold())?;
+            self.service.status("the arm holds");
             if self.see_through(session)? == Seen::Through {
                 break;
             }
@@ -124,7 +136,9 @@ impl Daemon {
             tracing::info!("the arm is mounted {place}; {} motions", stage.motions.len());
             loop {
                 let script = Script::of(stage, self.desk.rest, &self.desk.ended).map_err(Failure::job)?;
+                self.service.long_step(CONNECTION);
                 let session = Session::open(&self.desk, place.clone(), stage.mounting, Purpose::Drive, script)?;
+                self.service.status(&format!("driving, mounted {place}"));
                 if self.see_through(session)? == Seen::Through {
                     break;
                 }
@@ -152,6 +166,7 @@ impl Daemon {
             End::Fault(fault) if arm::may_go_on(&self.desk, &fault, self.desk.recoveries) => {
                 self.desk.recoveries += 1;
                 tracing::warn!("{words}; going on by itself, time {}, as the job allows", self.desk.recoveries);
+                self.service.long_step(CONNECTION);
                 arm::recover(&self.desk)?;
                 Ok(Seen::Interrupted)
             }
@@ -161,7 +176,7 @@ impl Daemon {
 
     /// Answers the requests that are waiting.
     fn talk(&mut self, controls: Option<&crate::rt::order::Controls>) {
-        let Daemon { server, desk } = self;
+        let Daemon { server, desk, .. } = self;
         server.poll(|request, served| desk.answer(request, served, controls));
         while let Some(news) = server.take_news() {
             desk.news(&news, controls);

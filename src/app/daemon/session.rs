@@ -5,6 +5,7 @@ use super::arm::{Connected, Purpose, Robot, connect};
 use super::desk::Desk;
 use super::script::{Next, Script};
 use crate::app::served::{Reach, ServedModel};
+use crate::app::service;
 use crate::app::{Failure, programme};
 use crate::backend::sim::Gate;
 use crate::config::job;
@@ -123,6 +124,7 @@ impl Session {
                 robot.watch();
             }
             daemon.talk(Some(&self.handles.controls));
+            daemon.service.beat(self.progress());
             if daemon.desk.must_leave() {
                 self.handles.controls.quit();
                 self.open_gate();
@@ -137,6 +139,14 @@ impl Session {
         self.handle_events(&mut daemon.desk);
         self.handles.free_retired();
         Ok((self.statistics(&outcome), outcome.end))
+    }
+
+    /// What the watchdog goes by: the cycles, where the arm keeps wall-clock time. Simulated time may stand still on purpose.
+    fn progress(&self) -> service::Progress {
+        match self.gate {
+            Some(_) => service::Progress::Waiting,
+            None => service::Progress::Count(self.handles.controls.cycles()),
+        }
     }
 
     /// Moves records from the ring to shared memory; whether there were any.
