@@ -93,7 +93,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let server = Server::open(&id, ServerSettings::default()).map_err(Failure::job)?;
     let mut daemon = Daemon { server, desk, service: Service::of_environment() };
     tracing::info!("the daemon of robot `{id}` is ready; the arm moves after `plumbline command start`");
-    daemon.service.ready("ready; the arm moves after `plumbline command start`");
+    daemon.service.ready("at rest; the arm moves after `plumbline command start`");
     daemon.hold(daemon.desk.mounting)?;
     if daemon.desk.start && !daemon.desk.must_quit() {
         daemon.drive(&programme)?;
@@ -120,7 +120,7 @@ impl Daemon {
         while !self.desk.must_quit() {
             self.service.long_step(CONNECTION);
             let session = Session::open(&self.desk, "hold".into(), mounting, Purpose::Hold, Script::hold())?;
-            self.service.status("the arm holds");
+            self.service.status("at rest; the arm holds");
             if self.see_through(session)? == Seen::Through {
                 break;
             }
@@ -138,7 +138,7 @@ impl Daemon {
                 let script = Script::of(stage, self.desk.rest, &self.desk.ended).map_err(Failure::job)?;
                 self.service.long_step(CONNECTION);
                 let session = Session::open(&self.desk, place.clone(), stage.mounting, Purpose::Drive, script)?;
-                self.service.status(&format!("driving, mounted {place}"));
+                self.service.status(&format!("moving; mounted {place}"));
                 if self.see_through(session)? == Seen::Through {
                     break;
                 }
