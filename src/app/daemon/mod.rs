@@ -87,7 +87,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
         robot,
     };
     if let Some(path) = options.model {
-        super::service::trusted(&path)?;
+        if options.job.root_owned {
+            service::trusted(&path)?;
+        }
         desk.accept_file(&path)?;
     }
     let server = Server::open(&id, ServerSettings::default()).map_err(Failure::job)?;
