@@ -5,13 +5,13 @@ set -euo pipefail
 
 root=$(cd "$(dirname "$0")/../.." && pwd)
 cache=${PLUMBLINE_CACHE:-$root/target/robot-pc}
-packages=systemd,systemd-sysv,dbus,iproute2,util-linux,procps,can-utils,kmod,python3-minimal
+packages=systemd,systemd-sysv,dbus,iproute2,util-linux,procps,can-utils,kmod
 image=$cache/bookworm-$(printf '%s' "$packages" | sha256sum | cut -c 1-12).tar
 mkdir -p "$cache"
 exec 9>"$cache/lock"
 flock 9
 if [ ! -s "$image" ]; then
-    mmdebstrap --quiet --variant=minbase --include="$packages" bookworm "$image.new" >&2
+    mmdebstrap --quiet --format=tar --variant=minbase --include="$packages" bookworm "$image.new" >&2
     mv "$image.new" "$image"
 fi
 echo "$image"

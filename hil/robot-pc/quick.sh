@@ -33,13 +33,14 @@ ln -sf ../robot-pc-checks.service "$machine/etc/systemd/system/multi-user.target
 begin=$SECONDS
 timeout 600 systemd-nspawn --quiet --directory="$machine" --register=no --keep-unit --boot --console=pipe --private-network \
     --capability=CAP_SYS_NICE,CAP_IPC_LOCK --hostname=robot-pc >"$machine.console" 2>&1 </dev/null || true
-grep -aE '^(HELD|FAILED|seed|robot-pc:)' "$machine.console" | tr -d '\r' || true
+cat "$machine/var/lib/robot-pc/log" || true
 table=$machine/var/lib/robot-pc/table.tsv
 failed=$(grep -c ^FAILED "$table" 2>/dev/null || true)
 echo "robot-pc, quick form: $((SECONDS - begin)) s in the container"
-if ! grep -q 'robot-pc: end' "$machine.console" || [ "${failed:-1}" != 0 ]; then
+if ! grep -q 'robot-pc: end' "$machine/var/lib/robot-pc/log" || [ "${failed:-1}" != 0 ]; then
     echo "--- the container's console and journal: $machine.console, $machine.journal"
     journalctl --directory="$machine/var/log/journal" --no-pager >"$machine.journal" 2>&1 || true
+    cat "$machine"/var/lib/robot-pc/*.log >>"$machine.journal" 2>/dev/null || true
     exit 1
 fi
 rm -f "$machine.console"

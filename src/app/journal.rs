@@ -25,9 +25,9 @@ pub fn start() {
     // Colours are for people; a log file gets plain text.
     let colours = std::io::stderr().is_terminal();
     let words = debug_fn(|to, field, value| match field.name() {
-        "message" => write!(to, "{value:?} "),
+        "message" => write!(to, "{value:?}"),
         name if name.starts_with(FIELD) => Ok(()),
-        name => write!(to, "{name}={value:?} "),
+        name => write!(to, " {name}={value:?}"),
     });
     let lines = fmt::layer().with_writer(std::io::stderr).with_target(false).with_ansi(colours).fmt_fields(words);
     registry.with(lines).init();

@@ -3,7 +3,12 @@
 TABLE=${TABLE:-/var/lib/robot-pc/table.tsv}
 mkdir -p "$(dirname "$TABLE")"
 
-say() { printf '%s\n' "$*" >/dev/console 2>/dev/null || printf '%s\n' "$*"; }
+LOG=$(dirname "$TABLE")/log
+# To a file, which a container's owner reads, and to the console, which a virtual machine's owner sees.
+say() {
+    printf '%s\n' "$*" >>"$LOG"
+    { printf '%s\n' "$*" >/dev/console; } 2>/dev/null || true
+}
 row() { printf '%s\t%s\t%s\n' "$1" "$2" "$3" >>"$TABLE"; say "$(printf '%-7s %-62s %s' "$1" "$2" "$3")"; }
 
 # check WHAT MEASURED COMMAND...: held when the command succeeds.
@@ -36,4 +41,8 @@ pid_of() { systemctl show --property=MainPID --value "$1"; }
 other_pid() { local now; now=$(pid_of "$1"); [ "$now" != 0 ] && [ "$now" != "$2" ]; }
 answers() { [ -n "$(status)" ]; }
 up_again() { other_pid plumbline "$1" && answers; }
-journal_says() { journalctl -u plumbline -u plumbline-estimator --no-pager -o cat | grep -qF -- "$1"; }
+# What the services have said since the last `mark`.
+MARK=
+mark() { MARK=$(journalctl --no-pager --quiet -n 0 --show-cursor | sed -n 's/^-- cursor: //p'); }
+journal() { journalctl -u plumbline -u plumbline-estimator --no-pager -o cat ${MARK:+--after-cursor="$MARK"}; }
+journal_says() { journal | grep -qF -- "$1"; }

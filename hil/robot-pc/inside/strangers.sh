@@ -17,7 +17,7 @@ check "also when pointed at the daemon's folder" "exit $code" test $code = 1 -a 
 said=$(alice env PLUMBLINE_RUNTIME_DIR=/run/plumbline plumbline torque); code=$?
 check "another user reads no torque" "exit $code" test $code = 1
 alice cat /dev/shm/plumbline_"${uid}"_* >/tmp/stolen 2>/dev/null
-check "nor a byte of any segment" "$(stat -c %s /tmp/stolen) bytes" test "$(grep -vc 'Permission denied' /tmp/stolen)" = 0
+check "nor a byte of any segment" "$(grep -vc 'Permission denied' /tmp/stolen) read of $all" test "$(grep -vc 'Permission denied' /tmp/stolen)" = 0
 alice sh -c ': > /run/plumbline/panda.lock' >/dev/null
 check "nor touches the lock" "process $(sed -n 's/process //p' /run/plumbline/panda.lock)" grep -q "$(pid_of plumbline)" /run/plumbline/panda.lock
 
@@ -27,6 +27,7 @@ for kind in file link; do
     squat=/dev/shm/plumbline_${uid}_squat
     [ $kind = file ] && alice sh -c "echo x > $squat; chmod 666 $squat"
     [ $kind = link ] && alice ln -s /etc/shadow $squat
+    mark
     systemctl start --no-block plumbline
     refused=$(within 5000 journal_says "$squat belongs to user $(id -u alice)")
     check "a squatter's $kind in shared memory is refused by name" "after $refused ms, $(systemctl is-active plumbline)" \
@@ -36,7 +37,6 @@ for kind in file link; do
     recovered=$(within 8000 answers)
     check "without it the daemon comes up by itself" "after $recovered ms" answers
     systemctl stop plumbline
-    journalctl --rotate --vacuum-time=1s >/dev/null 2>&1
 done
 # The folder of names laid out by a stranger where a person without the service would have it.
 alice sh -c 'mkdir -p /tmp/plumbline-65533; chmod 777 /tmp/plumbline-65533' >/dev/null
