@@ -141,6 +141,10 @@ fn files_that_others_can_change_set_no_limits_of_a_service() {
     };
     // Root is told of the mode, anybody else of the owner.
     let refused = daemon(&file).expect_code(2);
-    assert!(refused.err.contains(file.to_str().unwrap()) && refused.err.contains("belong to root"), "{}", refused.said());
+    assert!(
+        refused.err.contains(file.to_str().unwrap()) && refused.err.contains("belong to root"),
+        "{}",
+        refused.said()
+    );
     assert!(refused.err.contains("(mode 646)") || refused.err.contains("belongs to user"), "{}", refused.said());
 }
