@@ -59,8 +59,7 @@ fn the_watchdog_is_fed_while_the_loop_turns_and_not_when_it_stands() {
     let place = Place::new("watchdog");
     let systemd = FakeSystemd::listen(&place);
     let daemon = as_service(&place, "daemon", &[]);
-    systemd.await_word("READY=1");
-    systemd.await_word("STATUS=at rest");
+    systemd.await_word("READY=1\nSTATUS=at rest");
     // Four times per limit at least, as long as the loop turns.
     let fed = beats(&systemd.hear(2 * WATCHDOG));
     assert!((4..=40).contains(&fed), "{fed} beats in two limits");
@@ -117,9 +116,12 @@ fn an_estimator_is_ready_before_there_is_a_daemon_and_survives_its_end() {
     let systemd = FakeSystemd::listen(&place);
     let mut estimator = as_service(&place, "estimator", &[]);
     systemd.await_word("READY=1");
-    let daemon = Running::start(place.job("daemon", &short(&["backend.pace=wall-clock"])));
+    let mut daemon = Running::start(place.job("daemon", &short(&["backend.pace=wall-clock"])));
     systemd.await_word("STATUS=follows the samples");
     assert!(beats(&systemd.hear(2 * WATCHDOG)) >= 2);
+    if !daemon.runs() {
+        panic!("the daemon has ended: {}", daemon.end().said());
+    }
     place.command("quit").expect_code(0);
     daemon.end().expect_code(0);
     assert!(estimator.runs());

@@ -44,5 +44,5 @@ up_again() { other_pid plumbline "$1" && answers; }
 # What the services have said since the last `mark`.
 MARK=
 mark() { MARK=$(journalctl --no-pager --quiet -n 0 --show-cursor | sed -n 's/^-- cursor: //p'); }
-journal() { journalctl -u plumbline -u plumbline-estimator --no-pager -o cat ${MARK:+--after-cursor="$MARK"}; }
+journal() { journalctl --sync; journalctl -u plumbline -u plumbline-estimator --no-pager -o cat ${MARK:+--after-cursor="$MARK"}; }
 journal_says() { journal | grep -qF -- "$1"; }
