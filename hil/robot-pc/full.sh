@@ -4,7 +4,7 @@
 #
 #   hil/robot-pc/full.sh [FOLDER]        FOLDER: holds the programs plumbline and fci-emulator, default target/debug
 #
-# Prints what held as a table; exit code 0 when all of it did. Needs root, qemu-system-x86, mmdebstrap: else it says SKIPPED.
+# Prints what held as a table; exit code 0 when all of it did. Needs root, qemu-system-x86, mmdebstrap and cpio: else it says SKIPPED.
 set -euo pipefail
 
 here=$(cd "$(dirname "$0")" && pwd)
@@ -14,9 +14,10 @@ export PLUMBLINE_CACHE=${PLUMBLINE_CACHE:-$root/target/robot-pc}
 skip() { echo "SKIPPED: the virtual robot PC, full form: $1"; exit 0; }
 
 [ "$(id -u)" = 0 ] || skip "it needs root"
-if ! command -v qemu-system-x86_64 >/dev/null || ! command -v mmdebstrap >/dev/null; then
-    apt-get install -qq -y qemu-system-x86 mmdebstrap >/dev/null 2>&1 || skip "qemu-system-x86 and mmdebstrap could not be installed"
-fi
+for tool in qemu-system-x86_64 mmdebstrap cpio mke2fs depmod; do
+    command -v $tool >/dev/null && continue
+    apt-get install -qq -y qemu-system-x86 mmdebstrap cpio e2fsprogs kmod >/dev/null 2>&1 || skip "$tool is missing and could not be installed"
+done
 [ -x "$programs/plumbline" ] && [ -x "$programs/fci-emulator" ] || skip "plumbline and fci-emulator are not built in $programs"
 image=$("$here/image.sh") || skip "the image could not be built"
 begin=$SECONDS
@@ -59,8 +60,8 @@ chmod +x "$machine/first/init"
 # --- the disk
 mkdir -p "$machine/root"
 tar -C "$machine/root" -xf "$image" --exclude=./dev
-mkdir -p "$machine/root"/{dev,robot-pc,lib/modules/"$version"/kernel}
-for part in drivers/net kernel/drivers/net/can kernel/net/can kernel/drivers/net/veth.ko; do
+mkdir -p "$machine/root"/{dev,robot-pc}
+for part in kernel/drivers/net/can kernel/net/can kernel/drivers/net/veth.ko; do
     [ -e "$modules/$part" ] || continue
     mkdir -p "$machine/root/usr/lib/modules/$version/$(dirname "$part")"
     cp -r "$modules/$part" "$machine/root/usr/lib/modules/$version/$(dirname "$part")/"
