@@ -41,7 +41,8 @@ static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 #[test]
 fn emulator_child() {
     let Ok(address) = std::env::var(ADDRESS) else { return };
-    let settings = emulator::Settings::new(address.parse().unwrap(), Protocol::V5);
+    let address: IpAddr = address.parse().unwrap();
+    let settings = emulator::Settings::new(address, Protocol::V5);
     let patience = Duration::from_millis(10);
     let _emulator = emulator::Emulator::start(emulator::Settings { patience, ..settings }).unwrap();
     loop {

@@ -41,7 +41,7 @@ depmod -b "$kernel/root" "$version"
 machine=$(mktemp -d "${TMPDIR:-/tmp}/robot-pc.XXXXXX")
 trap 'rm -rf "$machine"' EXIT
 mkdir -p "$machine"/first/{bin,dev,proc,sys,new,lib/modules}
-cp "$(find "$kernel/root" -name busybox -type f | head -n 1)" "$machine/first/bin/busybox"
+install -m 755 "$(find "$kernel/root" -path '*/bin/busybox' -type f | head -n 1)" "$machine/first/bin/busybox"
 order=$(modprobe -d "$kernel/root" -S "$version" --show-depends -a virtio_pci virtio_blk ext4 crc32c_generic | sed -n 's/^insmod \([^ ]*\).*/\1/p' | awk '!seen[$0]++')
 {
     echo '#!/bin/busybox sh'
@@ -80,7 +80,7 @@ rm -rf "$machine/root"
 accelerator=tcg,thread=multi
 [ -w /dev/kvm ] && qemu-system-x86_64 -accel help | grep -q kvm && [ "${KVM:-0}" = 1 ] && accelerator=kvm
 timeout 900 qemu-system-x86_64 -accel "$accelerator" -cpu max -machine q35 -m 2048 -smp 2 -nodefaults -display none -no-reboot \
-    -kernel "$vmlinuz" -initrd "$machine/first.gz" -append "console=ttyS0 quiet systemd.show_status=0 mitigations=off" \
+    -kernel "$vmlinuz" -initrd "$machine/first.gz" -append "console=ttyS0 quiet systemd.show_status=0 mitigations=off panic=-1" \
     -drive "file=$machine/disk,format=raw,if=virtio" -serial stdio </dev/null >"$machine.console" 2>&1 || true
 tr -d '\r' <"$machine.console" | grep -aE '^(HELD|FAILED|SKIPPED|seed|robot-pc:)' || true
 echo "robot-pc, full form: $((SECONDS - begin)) s"
