@@ -74,6 +74,26 @@ printf 'QUICK=0\nSEED=%s\nROUNDS=%s\n' "${SEED:-1}" "${ROUNDS:-3}" >"$machine/ro
 install -m 644 "$here/inside/checks.service" "$machine/root/etc/systemd/system/robot-pc-checks.service"
 mkdir -p "$machine/root/etc/systemd/system/multi-user.target.wants"
 ln -sf ../robot-pc-checks.service "$machine/root/etc/systemd/system/multi-user.target.wants/"
+
+# Motions are searched here: inside, without KVM, that alone would take minutes. The programs inside find them planned, and check them anew.
+. "$here/inside/fci-job.sh"
+cat "$root/config/daemon.toml" "$here/inside/short.toml" >"$machine/daemon.toml"
+plan() { # FOLDER JOB ARGUMENT...: a daemon plans before it does anything else; this one has no time to do more.
+    local folder=$machine/root/robot-pc/$1
+    shift
+    PLUMBLINE_RUNTIME_DIR=$machine/runtime "$programs/plumbline" daemon "$@" --out "$folder" >"$machine/plan.log" 2>&1 &
+    local planner=$! waited=0
+    until [ -s "$folder/plans/planned-for" ] || [ $waited -gt 1200 ]; do sleep 0.2; waited=$((waited + 1)); done
+    kill $planner 2>/dev/null || true
+    wait $planner 2>/dev/null || true
+    [ -s "$folder/plans/planned-for" ] || { cat "$machine/plan.log"; exit 1; }
+}
+plan results "$machine/daemon.toml"
+mapfile -t arguments < <(fci_job 3)
+plan job "$root/config/panda-emulator-wall.toml" "${arguments[@]}" --set backend.franka.address=127.0.0.1
+mapfile -t arguments < <(fci_job 50)
+plan job2 "$root/config/panda-emulator-wall.toml" "${arguments[@]}" --set backend.franka.address=127.0.0.1
+
 mke2fs -q -t ext4 -d "$machine/root" "$machine/disk" 3G
 rm -rf "$machine/root"
 

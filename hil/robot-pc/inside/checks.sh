@@ -18,8 +18,11 @@ for unit in plumbline plumbline-estimator; do
     check "systemd-analyze security of $unit, at most 2.5" "$(printf '%s' "$exposure" | sed -n 's/.*service: \([0-9.]*\).*/\1/p')" test $good = 0
 done
 
-# A short programme, so that the checks end within a minute.
-printf '\n[excitation]\nperiod = "4 s"\nperiods = 3\nstarts = 1\nrounds = 0\n\n[diagnosis]\nenabled = false\n' >>/etc/plumbline/daemon.toml
+# A short programme, so that the checks end within a minute; planned on the host where this machine is slow.
+cat ./short.toml >>/etc/plumbline/daemon.toml
+for planned in results job job2; do
+    [ -d /robot-pc/$planned ] && cp -r /robot-pc/$planned /var/lib/plumbline/ && chown -R plumbline:plumbline /var/lib/plumbline/$planned
+done
 
 # The units take limits, no capabilities. A container on a machine that lets nobody raise a limit gets the two capabilities instead.
 expected=0000000000000000

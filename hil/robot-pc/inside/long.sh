@@ -31,19 +31,20 @@ ip netns exec robot /robot-pc/fci-emulator --address 172.16.0.2 --protocol 5 --r
 emulator=$!
 sleep 3
 begin=$(ms)
-(cd /var/lib/plumbline && operator run /usr/share/plumbline/config/panda-emulator-wall.toml --out /var/lib/plumbline/job \
-    --set backend.franka.address=172.16.0.2 --set backend.franka.recovery=automatic --set "excitation.period=4 s" --set excitation.periods=3 \
-    --set excitation.starts=1 --set excitation.rounds=0 --set validation.trajectories=1 --set diagnosis.enabled=false) >/tmp/job.log 2>&1
+. ./fci-job.sh
+job() { # FOLDER PERIODS
+    mapfile -t arguments < <(fci_job "$2")
+    (cd /var/lib/plumbline && operator run /usr/share/plumbline/config/panda-emulator-wall.toml --out "/var/lib/plumbline/$1" "${arguments[@]}") >"/tmp/$1.log" 2>&1
+}
+job job 3
 code=$?
 check "the main job over FCI" "exit $code, $(($(ms) - begin)) ms: $(grep -m 1 'RMS wall' /tmp/job.log)" test $code = 0
 [ $code = 0 ] || tail -n 5 /tmp/job.log >/dev/console
 # The emulator dies in mid-motion: the daemon's own word for it, and an end.
-(cd /var/lib/plumbline && operator run /usr/share/plumbline/config/panda-emulator-wall.toml --out /var/lib/plumbline/job2 \
-    --set backend.franka.address=172.16.0.2 --set "excitation.period=4 s" --set excitation.periods=50 --set excitation.starts=1 \
-    --set excitation.rounds=0 --set validation.trajectories=1 --set diagnosis.enabled=false) >/tmp/job2.log 2>&1 &
-job=$!
+job job2 50 &
+run=$!
 within 60000 is phase excite >/dev/null
 kill -KILL $emulator
-wait $job; code=$?
+wait $run; code=$?
 check "the robot dies in mid-motion: the job ends and says so" "exit $code: $(tail -n 1 /tmp/job2.log | cut -c 1-80)" test $code = 1
 systemctl start plumbline plumbline-estimator
