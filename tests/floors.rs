@@ -13,8 +13,13 @@ const FLOORS: &[&[&str]] = &[
 ];
 
 /// What has one home: the text that gives it away, and the path prefix that may hold it.
-const HOMES: &[(&str, &str)] =
-    &[("iceoryx2", "ipc"), ("unsafe {", "rt/os.rs"), ("rsruckig", "rt"), ("socketcan::", "inclinometer/socket.rs"), ("mcap::", "recording")];
+const HOMES: &[(&str, &str)] = &[
+    ("iceoryx2", "ipc"),
+    ("unsafe {", "rt/os.rs"),
+    ("rsruckig", "rt"),
+    ("socketcan::", "inclinometer/socket.rs"),
+    ("mcap::", "recording"),
+];
 
 /// Modules without input, output, clock or randomness of their own.
 const PURE: &[&str] = &["model", "excite", "estimate", "diagnose"];

@@ -1,7 +1,7 @@
 //! `plumbline command`: one request to the daemon, for operators and scripts.
 
 use super::Failure;
-use crate::ipc::{Client, Request, Response, RobotId};
+use crate::ipc::{Client, IpcError, Request, Response, RobotId};
 use clap::{Args, ValueEnum};
 use std::time::Duration;
 
@@ -50,8 +50,13 @@ pub fn run(options: Options) -> Result<(), Failure> {
         What::Record => Request::Record {},
         What::Status => Request::Status {},
     };
-    let mut client = Client::connect(&id, PATIENCE).map_err(Failure::job)?;
-    match client.send(&request, PATIENCE).map_err(Failure::job)? {
+    let mut client = Client::connect(&id, PATIENCE).map_err(super::unreachable)?;
+    let answer = match client.send(&request, PATIENCE) {
+        // It was there a moment ago and has ended, which is what was asked for: its answer may have gone with it.
+        Err(IpcError::NoDaemon { .. }) if request == (Request::Quit {}) => Response::Accepted {},
+        answer => answer.map_err(Failure::job)?,
+    };
+    match answer {
         Response::Status(status) => {
             println!("{}", serde_json::to_string_pretty(&status).map_err(Failure::job)?);
             Ok(())

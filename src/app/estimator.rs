@@ -4,9 +4,11 @@ use super::collector::{Collector, Recorded};
 use super::live::{Live, Offer};
 use super::programme::{Programme, Role};
 use super::results::Results;
-use super::{Failure, JobOptions, robot_id};
+use super::service::Service;
+use super::{Failure, JobOptions, journal, robot_id};
 use crate::ipc::{
-    Client, Delivery, Progress, Request, Response, RobotId, SampleStream, Status, StreamCounters, StreamSettings,
+    Client, Delivery, IpcError, Progress, Request, Response, RobotId, SampleStream, Status, StreamCounters,
+    StreamSettings,
 };
 use crate::model::gravity::Mounting;
 use clap::Args;
@@ -33,15 +35,30 @@ const STEP: Duration = Duration::from_millis(200);
 pub fn run(options: Options) -> Result<(), Failure> {
     let (job, robot, out) = options.job.load()?;
     let id = robot_id(&job)?;
+    let _about = journal::about(id.as_str());
+    let mut service = Service::of_environment();
+    service.ready("waits for a daemon");
     loop {
-        let mut stream = SampleStream::connect(&id, StreamSettings::default(), PATIENCE).map_err(Failure::job)?;
+        let mut stream = match SampleStream::connect(&id, StreamSettings::default(), PATIENCE) {
+            Ok(stream) => stream,
+            // A service is there before the daemon, and after it.
+            Err(IpcError::NoDaemon { .. }) if !options.once => {
+                service.turned();
+                continue;
+            }
+            Err(error) => return Err(Failure::job(error)),
+        };
         let programme = Programme::load(&job, &robot, &out.join("plans"))?;
         let results = Results::new(&job, &robot, &programme, &out);
         let live = Live::new(&job, results.joints(), &out);
-        match follow(&id, &mut stream, &programme, results, live)? {
+        service.status("follows the samples");
+        match follow(&id, &mut stream, &programme, results, live, &mut service)? {
             Outcome::Written if options.once => return Ok(()),
-            Outcome::Written => {
-                while !matches!(stream.next(STEP).map_err(Failure::job)?, Delivery::Restarted { .. }) {}
+            Outcome::Written => await_next_daemon(&mut stream, &mut service, "the results are written")?,
+            Outcome::Stopped { why } if options.once => return Err(Failure::job(no_results(&why))),
+            Outcome::Stopped { why } => {
+                tracing::error!("{}", no_results(&why));
+                await_next_daemon(&mut stream, &mut service, "the arm was stopped; waits for the daemon's next start")?;
             }
             Outcome::DaemonGone if options.once => return Err(Failure::job("the daemon is gone; its samples with it")),
             Outcome::DaemonGone => {}
@@ -51,7 +68,25 @@ pub fn run(options: Options) -> Result<(), Failure> {
 
 enum Outcome {
     Written,
+    /// The programme can't come to its end any more.
+    Stopped {
+        /// What the daemon says about it.
+        why: String,
+    },
     DaemonGone,
+}
+
+fn no_results(why: &str) -> String {
+    format!("the arm was stopped, so there are no complete results: {why}")
+}
+
+/// There is nothing left to do in this start of the daemon.
+fn await_next_daemon(stream: &mut SampleStream, service: &mut Service, status: &str) -> Result<(), Failure> {
+    service.status(status);
+    while !matches!(stream.next(STEP).map_err(Failure::job)?, Delivery::Restarted { .. }) {
+        service.turned();
+    }
+    Ok(())
 }
 
 /// Follows one start of the daemon.
@@ -61,10 +96,12 @@ fn follow(
     programme: &Programme,
     mut results: Results,
     mut live: Option<Live>,
+    service: &mut Service,
 ) -> Result<Outcome, Failure> {
     let mut collector = Collector::new(programme, results.joints());
     let mut looked = Instant::now();
     loop {
+        service.turned();
         match stream.next(STEP).map_err(Failure::job)? {
             Delivery::Records { records, .. } => {
                 for record in &records {
@@ -113,8 +150,7 @@ fn follow(
             return Ok(Outcome::Written);
         }
         if status.progress == Progress::Stopped {
-            let why = status.stopped.unwrap_or_default();
-            return Err(Failure::job(format!("the arm was stopped, so there are no complete results: {why}")));
+            return Ok(Outcome::Stopped { why: status.stopped.unwrap_or_default() });
         }
     }
 }

@@ -15,6 +15,7 @@ mod export;
 mod failure;
 mod identify;
 mod inclinometer;
+mod journal;
 mod live;
 mod pipeline;
 mod plan;
@@ -25,6 +26,7 @@ mod progress;
 mod results;
 mod run;
 mod served;
+mod service;
 mod sessions;
 mod torque;
 
@@ -35,7 +37,7 @@ use crate::config::job::Job;
 use crate::config::robot::Robot;
 use crate::excite::limits::{Bounds, Margins, check_pose};
 use crate::input::BadInput;
-use crate::ipc::{Lock, LockError, RobotId};
+use crate::ipc::{IpcError, Lock, LockError, RobotId, place};
 use crate::joint::{JointVec, MAX_JOINTS};
 use crate::model::base::Reduction;
 use crate::model::conditioning::Conditions;
@@ -44,7 +46,6 @@ use crate::model::structure::Structure;
 use crate::report::Condition;
 use crate::store::Provenance;
 use clap::{Args, Parser, Subcommand};
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -101,12 +102,15 @@ pub struct JobOptions {
     /// Folder for the results instead of the one that the job names
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Refuse a job, robot or model file that anybody but root can change, as the services do
+    #[arg(long)]
+    pub root_owned: bool,
 }
 
 /// Runs the command line and turns its outcome into an exit code: 0 success, 1 a failed job, 2 bad input.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    logging();
+    journal::start();
     let outcome = match cli.verb {
         Verb::Plan(options) => plan::run(options),
         Verb::Run(options) => run::run(options),
@@ -133,16 +137,6 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// Log lines go to standard error; `PLUMBLINE_LOG` takes a tracing filter such as `plumbline=debug`.
-fn logging() {
-    let filter = tracing_subscriber::EnvFilter::try_from_env("PLUMBLINE_LOG")
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,plumbline=info"));
-    // Colours are for people; a log file or a journal gets plain text.
-    let colours = std::io::stderr().is_terminal();
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_target(false);
-    log.with_ansi(colours).init();
-}
-
 /// Two gravity directions closer than this are one mounting \[rad\].
 const SAME_MOUNTING: f64 = 1e-3;
 
@@ -156,7 +150,13 @@ const ARMS: [(&str, &str); 3] = [
 impl JobOptions {
     /// The job, its robot, and the folder for the results.
     fn load(&self) -> Result<(Job, Robot, PathBuf), Failure> {
+        if self.root_owned {
+            service::trusted(&self.config)?;
+        }
         let job = Job::load(&self.config, &self.sets)?;
+        if self.root_owned && job.robot.ends_with(".toml") {
+            service::trusted(&job.dir().join(&job.robot))?;
+        }
         let robot = Robot::load(&job.robot, Some(job.dir()))?;
         let out = self.out.clone().unwrap_or_else(|| job.output.dir.clone());
         Ok((job, robot, out))
@@ -167,6 +167,16 @@ impl JobOptions {
 fn robot_id(job: &Job) -> Result<RobotId, Failure> {
     let name = job.serve.id.as_ref().unwrap_or(&job.robot);
     Ok(RobotId::parse(&job.file.display().to_string(), "key `serve.id`", name)?)
+}
+
+/// A daemon that can't be reached; says so where it may be another user's.
+fn unreachable(error: IpcError) -> Failure {
+    match (&error, place::served_by_another()) {
+        (IpcError::NoDaemon { .. }, Some(owner)) => Failure::job(format!(
+            "{error}; the service on this machine belongs to user {owner}, and only that user may talk to it: `sudo -u plumbline plumbline ...`"
+        )),
+        _ => Failure::job(error),
+    }
 }
 
 /// Takes the robot for this process.

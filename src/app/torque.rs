@@ -33,7 +33,8 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// Prints the latest value, or one after another.
 pub fn run(options: Options) -> Result<(), Failure> {
     let id = RobotId::parse("command line", "--robot", &options.robot)?;
-    let mut client = FeedForwardClient::connect(&id, FeedForwardSettings::default(), PATIENCE).map_err(Failure::job)?;
+    let mut client =
+        FeedForwardClient::connect(&id, FeedForwardSettings::default(), PATIENCE).map_err(super::unreachable)?;
     let count = if options.follow { options.count.unwrap_or(u64::MAX) } else { options.count.unwrap_or(1) };
     let mut out = std::io::stdout();
     // A fresh subscriber sees its first value with the daemon's next cycle.

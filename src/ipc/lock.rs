@@ -2,8 +2,10 @@
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Seek, Write};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
+use super::place::{self, PlaceError};
 use super::robot::RobotId;
 
 /// Why the lock could not be had.
@@ -19,6 +21,9 @@ pub enum LockError {
         /// The lock file.
         path: PathBuf,
     },
+    /// There is no folder to trust.
+    #[error(transparent)]
+    Place(#[from] PlaceError),
     /// The lock file could not be used.
     #[error("lock file {}: {source}", path.display())]
     Io {
@@ -39,9 +44,9 @@ pub struct Lock {
 }
 
 impl Lock {
-    /// Takes the lock of `robot` in [`Lock::directory`].
+    /// Takes the lock of `robot` in the user's own folder, [`place::directory`].
     pub fn take(robot: &RobotId) -> Result<Lock, LockError> {
-        Lock::take_in(&Lock::directory(), robot)
+        Lock::take_in(&place::directory()?, robot)
     }
 
     /// Takes the lock of `robot` in `directory`, which is made if it is missing.
@@ -49,8 +54,9 @@ impl Lock {
         let path = directory.join(format!("{robot}.lock"));
         let failed = |source: io::Error| LockError::Io { path: path.clone(), source };
         fs::create_dir_all(directory).map_err(failed)?;
-        let mut file =
-            OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path).map_err(failed)?;
+        let mut open = OpenOptions::new();
+        open.read(true).write(true).create(true).truncate(false).mode(0o600).custom_flags(libc::O_NOFOLLOW);
+        let mut file = open.open(&path).map_err(failed)?;
         match file.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
@@ -67,16 +73,6 @@ impl Lock {
         writeln!(file, "process {}", std::process::id()).map_err(failed)?;
         file.flush().map_err(failed)?;
         Ok(Lock { path, _file: file })
-    }
-
-    /// `$XDG_RUNTIME_DIR/plumbline`, else `/run/plumbline` where systemd made it, else `plumbline` in the temporary directory.
-    pub fn directory() -> PathBuf {
-        let under_run = Path::new("/run/plumbline");
-        match std::env::var_os("XDG_RUNTIME_DIR") {
-            Some(runtime) if !runtime.is_empty() => Path::new(&runtime).join("plumbline"),
-            _ if under_run.is_dir() => under_run.to_path_buf(),
-            _ => std::env::temp_dir().join("plumbline"),
-        }
     }
 
     /// The lock file.

@@ -11,7 +11,8 @@
 //! does not do, blocks the server: what does not fit into a client's buffer is discarded, and a follower of the samples
 //! fetches it from the daemon's [`RetainedLog`] afterwards. So the stream is complete without waiting for anyone.
 //!
-//! The trust boundary is the operating system's user: iceoryx2 opens its shared memory to the daemon's own user only. What
+//! The trust boundary is the operating system's user: shared memory and the folder of names ([`place`]) are open to the daemon's own
+//! user only. What
 //! arrives from that user is still checked; no value of a message can make the daemon panic.
 
 mod client;
@@ -21,6 +22,7 @@ mod feed_forward;
 mod followers;
 mod lock;
 mod messages;
+pub mod place;
 mod retain;
 mod robot;
 mod server;

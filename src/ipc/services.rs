@@ -1,6 +1,7 @@
 //! The iceoryx2 services: their names, sizes, and how they are opened by the daemon and by clients.
 
 use std::fmt::Display;
+use std::path::Path;
 use std::sync::Once;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -12,6 +13,7 @@ use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
 use super::error::IpcError;
 use super::messages::{FeedForwardMessage, FollowRequest, ReplayHeader, SampleMessage};
+use super::place;
 use super::robot::RobotId;
 
 /// Records in one batch of the stream.
@@ -49,9 +51,26 @@ pub(super) fn node() -> Result<ServiceNode, IpcError> {
     // ordinary here and reported by plumbline itself. IOX2_LOG_LEVEL turns them on.
     static QUIET: Once = Once::new();
     QUIET.call_once(|| set_log_level_from_env_or(LogLevel::Error));
+    let failed = |error: String| transport("making a node for", "plumbline", error);
+    let root = place::directory().map_err(|error| failed(error.to_string()))?;
+    place::no_squatters().map_err(|error| failed(error.to_string()))?;
+    let config = config(&root).map_err(failed)?;
     // Signals belong to the program, not to this library.
-    let builder = NodeBuilder::new().signal_handling_mode(SignalHandlingMode::Disabled);
-    builder.create().map_err(|error| transport("making a node for", "plumbline", error))
+    let builder = NodeBuilder::new().config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
+    let node = builder.create().map_err(|error| failed(error.to_string()))?;
+    place::close_to_others();
+    Ok(node)
+}
+
+/// iceoryx2 in the folder `root`. No configuration file is read: one that lies about must not change where the arm is served.
+fn config(root: &Path) -> Result<Config, String> {
+    let names = root.join("iceoryx2");
+    let text = names.to_str().ok_or_else(|| format!("{} is not UTF-8", names.display()))?;
+    let refused = |error| format!("{text}: {error:?}");
+    let mut config = Config::default();
+    config.global.set_root_path(&iceoryx2::prelude::Path::new(text.as_bytes()).map_err(refused)?);
+    config.global.prefix = FileName::new(place::prefix(place::user()).as_bytes()).map_err(refused)?;
+    Ok(config)
 }
 
 pub(super) fn samples_name(robot: &RobotId) -> String {

@@ -13,8 +13,8 @@
     clippy::unimplemented
 )]
 
-pub mod controls;
 pub mod checkpoint;
+pub mod controls;
 pub mod cycle;
 pub mod guard;
 pub mod motion;

@@ -6,7 +6,10 @@ is marked STALE, and its torque must not be used. Ctrl-C ends it.
 """
 
 import argparse
+import contextlib
 import ctypes
+import os
+import stat
 import sys
 import time
 
@@ -42,10 +45,45 @@ class FeedForwardMessage(ctypes.Structure):
 assert ctypes.sizeof(FeedForwardMessage) == 320
 
 
+def place() -> str:
+    """The folder that this user's daemon and clients share, chosen as in plumbline's src/ipc/place.rs."""
+    uid = os.geteuid()
+
+    def ours(path: str) -> bool:
+        try:
+            found = os.lstat(path)
+        except OSError:
+            return False
+        return stat.S_ISDIR(found.st_mode) and found.st_uid == uid
+
+    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
+    if path := os.environ.get("PLUMBLINE_RUNTIME_DIR"):
+        pass
+    elif ours("/run/plumbline"):
+        path = "/run/plumbline"
+    elif runtime and ours(runtime):
+        path = os.path.join(runtime, "plumbline")
+    else:
+        path = os.path.join(os.environ.get("TMPDIR", "/tmp"), f"plumbline-{uid}")
+    with contextlib.suppress(FileExistsError):
+        os.mkdir(path, 0o700)
+    if not ours(path) or os.lstat(path).st_mode & 0o022:
+        sys.exit(f"{path}: expected a directory of user {uid} that nobody else can write to")
+    return path
+
+
+def settings():
+    """iceoryx2 as plumbline configures it: in the user's own folder, under names of the user's own."""
+    config = iox2.config.default()
+    config.global_cfg.root_path = iox2.Path.new(os.path.join(place(), "iceoryx2"))
+    config.global_cfg.prefix = iox2.FileName.new(f"plumbline_{os.geteuid()}_")
+    return config
+
+
 def connect(robot: str, patience: float):
     """Subscribes to the feed-forward of `robot`, waiting up to `patience` seconds for its daemon."""
     iox2.set_log_level(iox2.LogLevel.Error)
-    node = iox2.NodeBuilder.new().signal_handling_mode(iox2.SignalHandlingMode.Disabled)
+    node = iox2.NodeBuilder.new().config(settings()).signal_handling_mode(iox2.SignalHandlingMode.Disabled)
     node = node.create(iox2.ServiceType.Ipc)
     name = iox2.ServiceName.new(f"plumbline/{robot}/feed-forward")
     end = time.monotonic() + patience

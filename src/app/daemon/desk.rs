@@ -210,7 +210,7 @@ impl Desk {
     /// Serves a model that was checked.
     fn serve(&mut self, checked: Accepted) -> u64 {
         let id = checked.id;
-        tracing::info!("model {id:016x} ({}) is served from now on", checked.model.kind());
+        tracing::info!(plumbline_event = "serving", "model {id:016x} ({}) is served from now on", checked.model.kind());
         self.model = Some(checked);
         if self.progress == Progress::AwaitingModel {
             self.progress = Progress::Driving;
@@ -245,32 +245,39 @@ impl Desk {
         match event {
             Event::Started { motion } => {
                 self.names.iter().filter(|(number, _)| number == motion).for_each(|(_, name)| {
-                    tracing::info!("{name} has started");
+                    tracing::info!(plumbline_event = "started", "{name} has started");
                 })
             }
             Event::Ended { motion } => {
                 self.names.iter().filter(|(number, _)| number == motion).for_each(|(_, name)| {
-                    tracing::info!("{name} has ended");
+                    tracing::info!(plumbline_event = "ended", "{name} has ended");
                 })
             }
             Event::Stopping { reason, .. } => {
                 let cause = self.gravity.cause().filter(|_| *reason == StopReason::Requested);
                 let reason = cause.map_or_else(|| reason.to_string(), str::to_string);
-                tracing::error!("the arm is being stopped: {reason}");
+                tracing::error!(plumbline_event = "stopping", "the arm is being stopped: {reason}");
                 self.stopped = Some(reason);
             }
             Event::Stopped if self.progress == Progress::Stopped => tracing::error!(
+                plumbline_event = "stopped",
                 "the arm is at rest, and what was left of the programme is not driven; see to the cause, start the daemon again, and \
                  give `plumbline command start`"
             ),
             Event::Stopped => {
-                tracing::error!("the arm is at rest; it moves again only after `plumbline command resume`");
+                tracing::error!(
+                    plumbline_event = "stopped",
+                    "the arm is at rest; it moves again only after `plumbline command resume`"
+                );
             }
-            Event::Resumed => tracing::info!("an operator has allowed motion again"),
+            Event::Resumed => tracing::info!(plumbline_event = "resumed", "an operator has allowed motion again"),
             Event::Discarded { motion } => tracing::debug!("order {motion} was discarded"),
             Event::Serving { model } => tracing::debug!("the loop serves model {model:016x}"),
             Event::Distrusted { model } => {
-                tracing::error!("the torque of model {model:016x} broke a limit; it is not served any more");
+                tracing::error!(
+                    plumbline_event = "distrusted",
+                    "the torque of model {model:016x} broke a limit; it is not served any more"
+                );
             }
         }
     }

@@ -5,15 +5,16 @@
 
 mod arm;
 mod desk;
-mod rhythm;
 mod gravity;
-mod rest;
 mod recorder;
+mod rest;
+mod rhythm;
 mod script;
 mod session;
 
 use super::programme::Programme;
-use super::{Failure, JobOptions};
+use super::service::{self, Service};
+use super::{Failure, JobOptions, journal};
 use crate::ipc::{Progress, Server, ServerSettings, Session as SessionStatistics, Times};
 use crate::joint::Record;
 use crate::model::gravity::Mounting;
@@ -39,10 +40,14 @@ pub struct Options {
     model: Option<PathBuf>,
 }
 
+/// The longest that connecting to a robot, or its recovery, takes before it fails by itself; the watchdog waits for it.
+const CONNECTION: Duration = Duration::from_secs(90);
+
 /// What the bridge thread owns.
 pub struct Daemon {
     server: Server,
     desk: Desk,
+    service: Service,
 }
 
 /// How a session was seen through.
@@ -58,6 +63,7 @@ enum Seen {
 pub fn run(options: Options) -> Result<(), Failure> {
     let (job, robot, out) = options.job.load()?;
     let id = super::robot_id(&job)?;
+    let _about = journal::about(id.as_str());
     // Before anything else is touched: nobody else may drive this robot.
     let _lock = super::lock(&id)?;
     let programme = super::plan::programme(&job, &robot, &out)?;
@@ -91,16 +97,21 @@ pub fn run(options: Options) -> Result<(), Failure> {
         robot,
     };
     if let Some(path) = options.model {
+        if options.job.root_owned {
+            service::trusted(&path)?;
+        }
         desk.accept_file(&path)?;
     }
     let server = Server::open(&id, ServerSettings::default()).map_err(Failure::job)?;
-    let mut daemon = Daemon { server, desk };
+    let mut daemon = Daemon { server, desk, service: Service::of_environment() };
     tracing::info!("the daemon of robot `{id}` is ready; the arm moves after `plumbline command start`");
+    daemon.service.ready("at rest; the arm moves after `plumbline command start`");
     daemon.hold(daemon.desk.mounting)?;
     if daemon.desk.start && !daemon.desk.must_quit() {
         daemon.drive(&programme)?;
         daemon.hold(daemon.desk.mounting)?;
     }
+    daemon.service.stopping();
     tracing::info!("the daemon ends; it has published {} samples", daemon.server.served().published);
     Ok(())
 }
@@ -112,13 +123,16 @@ impl Daemon {
         if self.desk.job.backend.is_fast() {
             while !self.desk.must_leave() {
                 self.talk(None);
+                self.service.beat(service::Progress::Waiting);
                 std::thread::sleep(Duration::from_millis(1));
             }
             return Ok(());
         }
         // Whoever has ended the job in mid-motion does not want another connection.
         while !self.desk.must_quit() {
+            self.service.long_step(CONNECTION);
             let session = Session::open(&mut self.desk, "hold".into(), mounting, Purpose::Hold, Script::hold())?;
+            self.service.status("at rest; the arm holds");
             if self.see_through(session)? == Seen::Through {
                 break;
             }
@@ -134,7 +148,9 @@ impl Daemon {
             tracing::info!("the arm is mounted {place}; {} motions", stage.motions.len());
             loop {
                 let script = Script::of(stage, self.desk.rest, &self.desk.ended).map_err(Failure::job)?;
+                self.service.long_step(CONNECTION);
                 let session = Session::open(&mut self.desk, place.clone(), stage.mounting, Purpose::Drive, script)?;
+                self.service.status(&format!("moving; mounted {place}"));
                 if self.see_through(session)? == Seen::Through {
                     break;
                 }
@@ -160,6 +176,7 @@ impl Daemon {
             End::Fault(fault) if arm::may_go_on(&self.desk, &fault, self.desk.recoveries) => {
                 self.desk.recoveries += 1;
                 tracing::warn!("{words}; going on by itself, time {}, as the job allows", self.desk.recoveries);
+                self.service.long_step(CONNECTION);
                 arm::recover(&self.desk)?;
                 Ok(Seen::Interrupted)
             }
@@ -173,7 +190,7 @@ impl Daemon {
 
     /// Answers the requests that are waiting.
     fn talk(&mut self, controls: Option<&crate::rt::order::Controls>) {
-        let Daemon { server, desk } = self;
+        let Daemon { server, desk, .. } = self;
         server.poll(|request, served| desk.answer(request, served, controls));
         while let Some(news) = server.take_news() {
             desk.news(&news, controls);

@@ -8,6 +8,7 @@ use super::recorder::{Left, Tape};
 use super::rhythm::Rhythm;
 use super::script::{Next, Planned, Script};
 use crate::app::served::{NoModel, Reach, ServedModel};
+use crate::app::service;
 use crate::app::{Failure, programme};
 use crate::backend::sim::Gate;
 use crate::config::job::{self, OnRefusal};
@@ -152,6 +153,7 @@ impl Session {
                 robot.watch();
             }
             daemon.talk(Some(&self.handles.controls));
+            daemon.service.beat(self.progress());
             if daemon.desk.must_leave() {
                 self.handles.controls.quit();
                 self.open_gate();
@@ -195,6 +197,14 @@ impl Session {
         match self.records_due.next_look(now_ns()).filter(|_| self.gate.is_none()) {
             Some(at_ns) => os::sleep_until(at_ns),
             None => std::thread::sleep(PAUSE),
+        }
+    }
+
+    /// What the watchdog goes by: the cycles, where the arm keeps wall-clock time. Simulated time may stand still on purpose.
+    fn progress(&self) -> service::Progress {
+        match self.gate {
+            Some(_) => service::Progress::Waiting,
+            None => service::Progress::Count(self.handles.controls.cycles()),
         }
     }
 

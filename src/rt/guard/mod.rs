@@ -9,9 +9,7 @@ mod history;
 use super::motion::seconds;
 use super::moves::stop_distances;
 use super::{Kinematics, PERIOD};
-use crate::joint::{
-    Command, JointVec, Limits, MAX_JOINTS, Record, Setpoint, SpeedEnvelope, State, Torque, Workspace,
-};
+use crate::joint::{Command, JointVec, Limits, MAX_JOINTS, Record, Setpoint, SpeedEnvelope, State, Torque, Workspace};
 use history::History;
 use std::fmt;
 

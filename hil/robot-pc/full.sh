@@ -1,0 +1,111 @@
+#!/usr/bin/env bash
+# The virtual robot PC in its full form: Debian's PREEMPT_RT kernel in QEMU with systemd, the package, CAN, and the emulator of Franka's
+# control unit on a network of its own.
+#
+#   hil/robot-pc/full.sh [FOLDER]        FOLDER: holds the programs plumbline and fci-emulator, default target/debug
+#
+# Prints what held as a table; exit code 0 when all of it did. Needs root, qemu-system-x86, mmdebstrap and cpio: else it says SKIPPED.
+set -euo pipefail
+
+here=$(cd "$(dirname "$0")" && pwd)
+root=$(cd "$here/../.." && pwd)
+programs=${1:-$root/target/debug}
+export PLUMBLINE_CACHE=${PLUMBLINE_CACHE:-$root/target/robot-pc}
+skip() { echo "SKIPPED: the virtual robot PC, full form: $1"; exit 0; }
+
+[ "$(id -u)" = 0 ] || skip "it needs root"
+for tool in qemu-system-x86_64 mmdebstrap cpio mke2fs depmod; do
+    command -v $tool >/dev/null && continue
+    apt-get install -qq -y qemu-system-x86 mmdebstrap cpio e2fsprogs kmod >/dev/null 2>&1 || skip "$tool is missing and could not be installed"
+done
+[ -x "$programs/plumbline" ] && [ -x "$programs/fci-emulator" ] || skip "plumbline and fci-emulator are not built in $programs"
+image=$("$here/image.sh") || skip "the image could not be built"
+begin=$SECONDS
+package=$("$here/package.sh" "$programs/plumbline") || { echo "the package could not be built"; exit 1; }
+
+# --- the kernel and a busybox that brings the disk up: from Debian's packages, unpacked and not installed
+kernel=$PLUMBLINE_CACHE/kernel
+if [ ! -e "$kernel/ready" ]; then
+    rm -rf "$kernel"; mkdir -p "$kernel/debs" "$kernel/root"
+    name=$(apt-cache depends linux-image-rt-amd64 | sed -n 's/.*Depends: \(linux-image-[0-9].*rt-amd64\).*/\1/p' | head -n 1)
+    (cd "$kernel/debs" && apt-get download -qq "$name" busybox-static >/dev/null) || skip "Debian's real-time kernel could not be fetched"
+    for deb in "$kernel"/debs/*.deb; do dpkg-deb -x "$deb" "$kernel/root"; done
+    touch "$kernel/ready"
+fi
+vmlinuz=$(echo "$kernel"/root/boot/vmlinuz-*)
+version=${vmlinuz##*/vmlinuz-}
+modules=$kernel/root/lib/modules/$version
+depmod -b "$kernel/root" "$version"
+
+# --- a first root that loads the disk's modules and hands over
+machine=$(mktemp -d "${TMPDIR:-/tmp}/robot-pc.XXXXXX")
+trap 'rm -rf "$machine"' EXIT
+mkdir -p "$machine"/first/{bin,dev,proc,sys,new,lib/modules}
+install -m 755 "$(find "$kernel/root" -path '*/bin/busybox' -type f | head -n 1)" "$machine/first/bin/busybox"
+order=$(modprobe -d "$kernel/root" -S "$version" --show-depends -a virtio_pci virtio_blk ext4 crc32c_generic | sed -n 's/^insmod \([^ ]*\).*/\1/p' | awk '!seen[$0]++')
+{
+    echo '#!/bin/busybox sh'
+    echo '/bin/busybox mount -t proc proc /proc; /bin/busybox mount -t sysfs sys /sys; /bin/busybox mount -t devtmpfs dev /dev'
+    for module in $order; do
+        cp "$module" "$machine/first/lib/modules/"
+        echo "/bin/busybox insmod /lib/modules/$(basename "$module")"
+    done
+    echo 'while [ ! -b /dev/vda ]; do /bin/busybox usleep 50000; done'
+    echo '/bin/busybox mount -t ext4 /dev/vda /new; /bin/busybox mount --move /dev /new/dev'
+    echo '/bin/busybox umount /sys; /bin/busybox umount /proc; exec /bin/busybox switch_root /new /sbin/init'
+} >"$machine/first/init"
+chmod +x "$machine/first/init"
+(cd "$machine/first" && find . | cpio --quiet -o -H newc | gzip -1) >"$machine/first.gz"
+
+# --- the disk
+mkdir -p "$machine/root"
+tar -C "$machine/root" -xf "$image" --exclude=./dev
+mkdir -p "$machine/root"/{dev,robot-pc}
+for part in kernel/drivers/net/can kernel/net/can kernel/drivers/net/veth.ko; do
+    [ -e "$modules/$part" ] || continue
+    mkdir -p "$machine/root/usr/lib/modules/$version/$(dirname "$part")"
+    cp -r "$modules/$part" "$machine/root/usr/lib/modules/$version/$(dirname "$part")/"
+done
+cp "$modules"/modules.{order,builtin,builtin.modinfo} "$machine/root/usr/lib/modules/$version/" 2>/dev/null || true
+depmod -b "$machine/root/usr" "$version" 2>/dev/null || depmod -b "$machine/root" "$version"
+cp "$here"/inside/* "$package" "$programs/fci-emulator" "$machine/root/robot-pc/"
+strip --strip-debug "$machine/root/robot-pc/fci-emulator"
+printf 'QUICK=0\nSEED=%s\nROUNDS=%s\n' "${SEED:-1}" "${ROUNDS:-3}" >"$machine/root/robot-pc/environment"
+install -m 644 "$here/inside/checks.service" "$machine/root/etc/systemd/system/robot-pc-checks.service"
+mkdir -p "$machine/root/etc/systemd/system/multi-user.target.wants"
+ln -sf ../robot-pc-checks.service "$machine/root/etc/systemd/system/multi-user.target.wants/"
+
+# Motions are searched here: inside, without KVM, that alone would take minutes. The programs inside find them planned, and check them anew.
+. "$here/inside/fci-job.sh"
+cat "$root/config/daemon.toml" "$here/inside/short.toml" >"$machine/daemon.toml"
+plan() { # FOLDER JOB ARGUMENT...: a daemon plans before it does anything else; this one has no time to do more.
+    local folder=$machine/root/robot-pc/$1
+    shift
+    PLUMBLINE_RUNTIME_DIR=$machine/runtime "$programs/plumbline" daemon "$@" --out "$folder" >"$machine/plan.log" 2>&1 &
+    local planner=$! waited=0
+    until [ -s "$folder/plans/planned-for" ] || [ $waited -gt 1200 ]; do sleep 0.2; waited=$((waited + 1)); done
+    kill $planner 2>/dev/null || true
+    wait $planner 2>/dev/null || true
+    [ -s "$folder/plans/planned-for" ] || { cat "$machine/plan.log"; exit 1; }
+}
+plan results "$machine/daemon.toml"
+mapfile -t arguments < <(fci_job 3)
+plan job "$root/config/panda-emulator-wall.toml" "${arguments[@]}" --set backend.franka.address=127.0.0.1
+mapfile -t arguments < <(fci_job 50)
+plan job2 "$root/config/panda-emulator-wall.toml" "${arguments[@]}" --set backend.franka.address=127.0.0.1
+
+mke2fs -q -t ext4 -d "$machine/root" "$machine/disk" 3G
+rm -rf "$machine/root"
+
+accelerator=tcg,thread=multi
+[ -w /dev/kvm ] && qemu-system-x86_64 -accel help | grep -q kvm && [ "${KVM:-0}" = 1 ] && accelerator=kvm
+timeout 900 qemu-system-x86_64 -accel "$accelerator" -cpu max -machine q35 -m 2048 -smp 2 -nodefaults -display none -no-reboot \
+    -kernel "$vmlinuz" -initrd "$machine/first.gz" -append "console=ttyS0 quiet systemd.show_status=0 mitigations=off panic=-1" \
+    -drive "file=$machine/disk,format=raw,if=virtio" -serial stdio </dev/null >"$machine.console" 2>&1 || true
+tr -d '\r' <"$machine.console" | grep -aE '^(HELD|FAILED|SKIPPED|seed|robot-pc:)' || true
+echo "robot-pc, full form: $((SECONDS - begin)) s"
+if ! grep -aq 'robot-pc: end' "$machine.console" || grep -aq '^FAILED' "$machine.console"; then
+    echo "--- the machine's console: $machine.console"
+    exit 1
+fi
+rm -f "$machine.console"

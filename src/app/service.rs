@@ -1,0 +1,193 @@
+//! What a process tells systemd, when it runs as a service: that it is ready, what it is at, and that it gets on.
+//!
+//! The watchdog is fed by progress alone. A bridge thread that still turns while the real-time loop hangs says nothing, and systemd
+//! ends the process; the arm then stops by its own means.
+
+use super::Failure;
+use crate::input::BadInput;
+use sd_notify::NotifyState;
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// What a process has got on with since it was asked last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progress {
+    /// Nothing has to move: there is no connection to an arm, or the arm's time stands still on purpose.
+    Waiting,
+    /// The count of the loop that has to go on.
+    Count(u64),
+}
+
+/// Decides when the watchdog is fed. Time is an argument, sending is somebody else's business.
+#[derive(Clone, Copy, Debug)]
+struct Pulse {
+    /// At most this often; `None` where no watchdog runs.
+    every: Option<Duration>,
+    fed: Option<Instant>,
+    seen: Option<Progress>,
+}
+
+impl Pulse {
+    /// A quarter of the time after which systemd would act.
+    fn new(watchdog: Option<Duration>) -> Pulse {
+        Pulse { every: watchdog.map(|limit| limit / 4), fed: None, seen: None }
+    }
+
+    /// Whether to feed the watchdog now.
+    fn beats(&mut self, progress: Progress, now: Instant) -> bool {
+        let Some(every) = self.every else { return false };
+        if self.fed.is_some_and(|fed| now.saturating_duration_since(fed) < every) {
+            return false;
+        }
+        let stuck = matches!(progress, Progress::Count(_)) && self.seen == Some(progress);
+        if !stuck {
+            (self.fed, self.seen) = (Some(now), Some(progress));
+        }
+        !stuck
+    }
+}
+
+/// This process as systemd sees it; silent where it runs otherwise.
+pub struct Service {
+    watchdog: Option<Duration>,
+    pulse: Pulse,
+    /// Turns of a loop that counts nothing else.
+    turns: u64,
+    /// The watchdog waits longer for now.
+    extended: bool,
+}
+
+impl Service {
+    /// Looks at what systemd has set up.
+    pub fn of_environment() -> Service {
+        let watchdog = sd_notify::watchdog_enabled();
+        Service { watchdog, pulse: Pulse::new(watchdog), turns: 0, extended: false }
+    }
+
+    /// The process is up; units that wait for it may start.
+    pub fn ready(&self, status: &str) {
+        tell(&[NotifyState::Ready, NotifyState::Status(status)]);
+    }
+
+    /// What `systemctl status` shows.
+    pub fn status(&self, status: &str) {
+        tell(&[NotifyState::Status(status)]);
+    }
+
+    /// The process is about to end by itself.
+    pub fn stopping(&self) {
+        tell(&[NotifyState::Stopping]);
+    }
+
+    /// Feeds the watchdog where something has got on since it was fed last.
+    pub fn beat(&mut self, progress: Progress) {
+        if !self.pulse.beats(progress, Instant::now()) {
+            return;
+        }
+        if std::mem::take(&mut self.extended) {
+            self.limit(self.watchdog);
+        }
+        tell(&[NotifyState::Watchdog]);
+    }
+
+    /// The process's own loop has come round once more.
+    pub fn turned(&mut self) {
+        self.turns += 1;
+        self.beat(Progress::Count(self.turns));
+    }
+
+    /// One step that may take `longest` begins, such as a connection over a network; the next beat brings the usual limit back.
+    pub fn long_step(&mut self, longest: Duration) {
+        if let Some(watchdog) = self.watchdog {
+            self.extended = true;
+            self.pulse = Pulse::new(self.watchdog);
+            self.limit(Some(watchdog.max(longest)));
+            tell(&[NotifyState::Watchdog]);
+        }
+    }
+
+    fn limit(&self, limit: Option<Duration>) {
+        let micros = limit.and_then(|limit| u32::try_from(limit.as_micros()).ok());
+        tell(&micros.map(NotifyState::WatchdogUsec).into_iter().collect::<Vec<_>>());
+    }
+}
+
+/// systemd is not needed for anything: what it does not take is not an error of the job.
+fn tell(state: &[NotifyState]) {
+    if !state.is_empty()
+        && let Err(error) = sd_notify::notify(state)
+    {
+        tracing::debug!("systemd was not told: {error}");
+    }
+}
+
+/// Refuses a file that sets limits where another user could change it: the file and its folder have to belong to root and to be closed
+/// to writing by others. The services ask for this with `--root-owned`; elsewhere the files are a person's own.
+pub fn trusted(file: &Path) -> Result<(), Failure> {
+    let folder = file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    for path in [file, folder] {
+        let found = std::fs::metadata(path)
+            .map_err(|error| BadInput::new(file.display().to_string(), "file", error, "a file that can be read"))?;
+        if let Some(wrong) = distrusted(found.uid(), found.mode()) {
+            let value = format!("{} that {wrong}", path.display());
+            let expected = "a file and a folder that belong to root and that nobody else can write to, as it sets the arm's limits";
+            return Err(BadInput::new(file.display().to_string(), "file", value, expected).into());
+        }
+    }
+    Ok(())
+}
+
+/// What is wrong with the owner or the mode of a file that sets limits.
+fn distrusted(owner: u32, mode: u32) -> Option<String> {
+    match (owner, mode & 0o022) {
+        (0, 0) => None,
+        (0, _) => Some(format!("others can write to (mode {:o})", mode & 0o7777)),
+        (owner, _) => Some(format!("belongs to user {owner}")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMIT: Duration = Duration::from_secs(8);
+
+    #[test]
+    fn progress_alone_feeds_the_watchdog() {
+        let start = Instant::now();
+        let at = |seconds| start + Duration::from_secs(seconds);
+        let mut pulse = Pulse::new(Some(LIMIT));
+        assert!(pulse.beats(Progress::Count(1), at(0)));
+        // Not more often than needed.
+        assert!(!pulse.beats(Progress::Count(900), at(1)));
+        assert!(pulse.beats(Progress::Count(2000), at(2)));
+        // The loop hangs: not another word, however often it is asked.
+        assert!((3..40).all(|second| !pulse.beats(Progress::Count(2000), at(second))));
+        assert!(pulse.beats(Progress::Count(2001), at(40)));
+    }
+
+    #[test]
+    fn waiting_on_purpose_feeds_it_too() {
+        let start = Instant::now();
+        let mut pulse = Pulse::new(Some(LIMIT));
+        assert!((0..10).all(|n| pulse.beats(Progress::Waiting, start + n * LIMIT / 4)));
+        // The first count after it is progress, the same one again is not.
+        assert!(pulse.beats(Progress::Count(0), start + 10 * LIMIT));
+        assert!(!pulse.beats(Progress::Count(0), start + 11 * LIMIT));
+    }
+
+    #[test]
+    fn without_a_watchdog_there_is_nothing_to_feed() {
+        assert!(!Pulse::new(None).beats(Progress::Count(1), Instant::now()));
+    }
+
+    #[test]
+    fn files_that_set_limits_belong_to_root() {
+        assert_eq!(distrusted(0, 0o100_644), None);
+        assert_eq!(distrusted(0, 0o40_755), None);
+        assert!(distrusted(0, 0o100_664).unwrap().contains("mode 664"));
+        assert!(distrusted(0, 0o100_646).is_some());
+        assert!(distrusted(1000, 0o100_600).unwrap().contains("user 1000"));
+    }
+}

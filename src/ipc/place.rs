@@ -1,0 +1,192 @@
+//! The folder that holds the daemon's lock and iceoryx2's names: it belongs to one user, and nobody else may write there.
+//!
+//! iceoryx2's own default is `/tmp/iceoryx2`, which whoever comes first may make and own. Here every user has a folder that others
+//! can't have prepared: what is not a plain directory of one's own, closed to others, is refused with a reason and never used.
+
+use std::fs::{self, DirBuilder};
+use std::io;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+
+/// Names the folder explicitly, where none of the usual places fits.
+pub const VARIABLE: &str = "PLUMBLINE_RUNTIME_DIR";
+/// The service's folder, made by systemd-tmpfiles.
+const SERVICE: &str = "/run/plumbline";
+/// Where POSIX shared memory appears as files on Linux.
+const SHARED_MEMORY: &str = "/dev/shm";
+/// How iceoryx2 names the one segment that it opens to every user.
+const GLOBAL: &str = ".global_mgmt";
+
+/// Why the folder can't be used.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PlaceError {
+    /// Somebody else made it, or opened it to others.
+    #[error("{} {what}; expected a directory of user {uid} that nobody else can write to: remove it, or set {VARIABLE}", path.display())]
+    Foreign {
+        /// The folder, or the file in the way.
+        path: PathBuf,
+        /// What is wrong with it.
+        what: String,
+        /// The user that this program runs as.
+        uid: u32,
+    },
+    /// It could not be made or looked at.
+    #[error("{}: {reason}", path.display())]
+    Io {
+        /// The folder.
+        path: PathBuf,
+        /// What the operating system says.
+        reason: String,
+    },
+}
+
+/// The folder of this process's user, made if it is missing and checked in any case.
+///
+/// In this order: `$PLUMBLINE_RUNTIME_DIR`; `/run/plumbline` where it belongs to this user; `plumbline` in `$XDG_RUNTIME_DIR` where
+/// that belongs to this user; `plumbline-UID` in the temporary directory.
+///
+/// # Errors
+/// [`PlaceError::Foreign`] for anything that another user could have prepared, [`PlaceError::Io`].
+pub fn directory() -> Result<PathBuf, PlaceError> {
+    let uid = user();
+    let path = chosen(uid);
+    secure(&path, uid)?;
+    Ok(path)
+}
+
+/// The user that serves robots on this machine, where it is another than this process's.
+pub fn served_by_another() -> Option<u32> {
+    let owner = fs::symlink_metadata(SERVICE).ok()?.uid();
+    (owner != user()).then_some(owner)
+}
+
+/// The effective user of this process.
+pub(super) fn user() -> u32 {
+    rustix::process::geteuid().as_raw()
+}
+
+fn chosen(uid: u32) -> PathBuf {
+    let ours = |path: &Path| fs::symlink_metadata(path).is_ok_and(|found| found.is_dir() && found.uid() == uid);
+    let named = |variable| std::env::var_os(variable).filter(|value| !value.is_empty()).map(PathBuf::from);
+    if let Some(path) = named(VARIABLE) {
+        return path;
+    }
+    let service = PathBuf::from(SERVICE);
+    if ours(&service) {
+        return service;
+    }
+    match named("XDG_RUNTIME_DIR") {
+        Some(runtime) if ours(&runtime) => runtime.join("plumbline"),
+        _ => std::env::temp_dir().join(format!("plumbline-{uid}")),
+    }
+}
+
+/// Makes `path` if it is missing, and refuses it unless it is a directory of `uid` that others can't write to.
+fn secure(path: &Path, uid: u32) -> Result<(), PlaceError> {
+    let failed = |error: io::Error| PlaceError::Io { path: path.to_path_buf(), reason: error.to_string() };
+    match DirBuilder::new().mode(0o700).create(path) {
+        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(failed(error)),
+        _ => {}
+    }
+    // Not `metadata`: a link that somebody laid here must not be followed.
+    let found = fs::symlink_metadata(path).map_err(failed)?;
+    let foreign = |what: String| Err(PlaceError::Foreign { path: path.to_path_buf(), what, uid });
+    if !found.is_dir() {
+        return foreign("is not a directory".into());
+    }
+    if found.uid() != uid {
+        return foreign(format!("belongs to user {}", found.uid()));
+    }
+    if found.mode() & 0o022 != 0 {
+        return foreign(format!("can be written to by others (mode {:o})", found.mode() & 0o7777));
+    }
+    Ok(())
+}
+
+/// Refuses to go on where somebody has laid files of our names into shared memory.
+pub(super) fn no_squatters() -> Result<(), PlaceError> {
+    squatters(Path::new(SHARED_MEMORY), user())
+}
+
+fn squatters(shared_memory: &Path, uid: u32) -> Result<(), PlaceError> {
+    for (path, found) in ours_by_name(shared_memory, uid) {
+        if found.uid() != uid || !found.is_file() {
+            let what = format!("belongs to user {} and has a name of ours", found.uid());
+            return Err(PlaceError::Foreign { path, what, uid });
+        }
+    }
+    Ok(())
+}
+
+/// Closes the segment that iceoryx2 opens to everyone: only programs of this user have business there.
+pub(super) fn close_to_others() {
+    let uid = user();
+    for (path, found) in ours_by_name(Path::new(SHARED_MEMORY), uid) {
+        let global = path.to_string_lossy().ends_with(GLOBAL);
+        if global && found.uid() == uid && found.mode() & 0o077 != 0 {
+            // Another process of ours may have done it, or ended, meanwhile.
+            let _ = fs::set_permissions(&path, fs::Permissions::from_mode(0o600));
+        }
+    }
+}
+
+/// How the names of this user's files in shared memory begin: told from those of other users and of other iceoryx2 programs.
+pub(super) fn prefix(uid: u32) -> String {
+    format!("plumbline_{uid}_")
+}
+
+/// Files in `shared_memory` whose names begin as this user's do.
+fn ours_by_name(shared_memory: &Path, uid: u32) -> Vec<(PathBuf, fs::Metadata)> {
+    let start = prefix(uid);
+    let Ok(entries) = fs::read_dir(shared_memory) else { return Vec::new() };
+    let named = entries.filter_map(Result::ok).filter(|entry| entry.file_name().to_string_lossy().starts_with(&start));
+    named.filter_map(|entry| Some((entry.path(), fs::symlink_metadata(entry.path()).ok()?))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::symlink;
+
+    #[test]
+    fn a_folder_of_one_s_own_is_made_closed_and_taken_again() {
+        let place = tempfile::tempdir().unwrap();
+        let path = place.path().join("own");
+        secure(&path, user()).unwrap();
+        assert_eq!(fs::metadata(&path).unwrap().mode() & 0o777, 0o700);
+        secure(&path, user()).unwrap();
+    }
+
+    #[test]
+    fn what_another_user_could_have_prepared_is_refused() {
+        let place = tempfile::tempdir().unwrap();
+        let path = |name: &str| place.path().join(name);
+        let refusal = |name: &str, uid| secure(&path(name), uid).unwrap_err().to_string();
+
+        fs::create_dir(path("target")).unwrap();
+        symlink(path("target"), path("link")).unwrap();
+        assert!(refusal("link", user()).contains("is not a directory"));
+        fs::write(path("file"), "").unwrap();
+        assert!(refusal("file", user()).contains("is not a directory"));
+        fs::set_permissions(path("target"), fs::Permissions::from_mode(0o777)).unwrap();
+        assert!(refusal("target", user()).contains("can be written to by others (mode 777)"));
+        fs::set_permissions(path("target"), fs::Permissions::from_mode(0o700)).unwrap();
+        assert!(refusal("target", user() + 1).contains(&format!("belongs to user {}", user())));
+        assert!(matches!(secure(&path("no/such/parent"), user()), Err(PlaceError::Io { .. })));
+    }
+
+    #[test]
+    fn a_foreign_file_of_our_name_in_shared_memory_is_named() {
+        let memory = tempfile::tempdir().unwrap();
+        let (uid, other) = (user(), user() + 1);
+        fs::write(memory.path().join("iox2_abc"), "").unwrap();
+        fs::write(memory.path().join(format!("{}abc", prefix(uid))), "").unwrap();
+        squatters(memory.path(), uid).unwrap();
+        // As a process of the other user sees it.
+        fs::write(memory.path().join(format!("{}abc", prefix(other))), "").unwrap();
+        let error = squatters(memory.path(), other).unwrap_err().to_string();
+        assert!(error.contains(&prefix(other)) && error.contains(&format!("belongs to user {uid}")), "{error}");
+        symlink("/etc/passwd", memory.path().join(format!("{}link", prefix(uid)))).unwrap();
+        assert!(squatters(memory.path(), uid).is_err());
+    }
+}
