@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 pub fn write_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let parent = parent_of(path);
     fs::create_dir_all(&parent).map_err(|error| named(&parent, error))?;
+    sweep(&parent, path);
     let aside = aside_of(path)?;
     let written = (|| {
         let mut file = File::create(&aside)?;
@@ -31,6 +32,7 @@ pub fn write_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
 pub fn write_folder(path: &Path, fill: impl FnOnce(&Path) -> io::Result<()>) -> io::Result<()> {
     let parent = parent_of(path);
     fs::create_dir_all(&parent).map_err(|error| named(&parent, error))?;
+    sweep(&parent, path);
     let aside = aside_of(path)?;
     let written = (|| {
         fs::create_dir(&aside)?;
@@ -73,6 +75,23 @@ fn aside_of(path: &Path) -> io::Result<PathBuf> {
     let name = path.file_name().ok_or_else(|| named(path, io::Error::other("has no file name")))?;
     let call = CALLS.fetch_add(1, Ordering::Relaxed);
     Ok(parent_of(path).join(format!(".{}.{}-{call}.aside", name.to_string_lossy(), std::process::id())))
+}
+
+/// Removes what processes that died in the midst of writing `path` have left in its folder. What can't be removed stays: it is in nobody's
+/// way.
+fn sweep(folder: &Path, path: &Path) {
+    let Some(name) = path.file_name().map(|name| format!(".{}.", name.to_string_lossy())) else { return };
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let found = entry.file_name().to_string_lossy().into_owned();
+        let writer = found.strip_prefix(&name).and_then(|rest| rest.split_once('-')).and_then(|(pid, rest)| {
+            rest.split_once('.')
+                .is_some_and(|(_, kind)| matches!(kind, "aside" | "old"))
+                .then(|| pid.parse::<u32>().ok())?
+        });
+        if writer.is_some_and(|pid| !Path::new("/proc").join(pid.to_string()).exists()) {
+            let _ = fs::remove_file(entry.path()).or_else(|_| fs::remove_dir_all(entry.path()));
+        }
+    }
 }
 
 fn parent_of(path: &Path) -> PathBuf {
@@ -121,6 +140,23 @@ mod tests {
         let error = write_file(&path, b"x").unwrap_err();
         assert!(error.to_string().contains("taken"), "{error}");
         assert_eq!(names(room.path()), ["taken"]);
+    }
+
+    #[test]
+    fn what_the_dead_left_aside_goes_and_what_the_living_write_stays() {
+        let room = tempfile::tempdir().unwrap();
+        let (dead, alive) = ("2000000000", std::process::id());
+        for name in
+            [format!(".model.toml.{dead}-0.aside"), format!(".model.toml.{alive}-900.aside"), ".other.1-0.aside".into()]
+        {
+            fs::write(room.path().join(name), "half").unwrap();
+        }
+        fs::create_dir(room.path().join(format!(".model.toml.{dead}-1.old"))).unwrap();
+        write_file(&room.path().join("model.toml"), b"new").unwrap();
+        assert_eq!(
+            names(room.path()),
+            [format!(".model.toml.{alive}-900.aside"), ".other.1-0.aside".into(), "model.toml".into()]
+        );
     }
 
     #[test]
