@@ -324,7 +324,7 @@ fn emulators(rounds: u32, seed: u64, kill: bool) -> Row {
     };
     let mut row = Row { name: format!("robot (emulator), {}", word(kill)), ..Row::default() };
     let (mut arm, mut daemon) = (Some(emulator()), robot.process("daemon"));
-    within(PATIENCE, || robot.status().is_some()).expect("a daemon");
+    assert!(serves(&robot, &mut daemon), "no daemon: {}", daemon.said());
     let witnesses = Witnesses::watch(&robot.id);
     for round in 0..rounds {
         let outcome = (|| {
@@ -333,6 +333,7 @@ fn emulators(rounds: u32, seed: u64, kill: bool) -> Row {
                 drop(arm.take());
                 arm = Some(emulator());
                 daemon = robot.process("daemon");
+                serves(&robot, &mut daemon);
                 return Ok(None);
             }
             std::thread::sleep(Duration::from_millis(random.random_range(0..600)));
@@ -341,6 +342,7 @@ fn emulators(rounds: u32, seed: u64, kill: bool) -> Row {
                 drop(arm.take());
                 arm = Some(emulator());
                 daemon = robot.process("daemon");
+                serves(&robot, &mut daemon);
                 return Ok(None);
             }
             match blow(&mut random, kill) {
@@ -366,13 +368,26 @@ fn emulators(rounds: u32, seed: u64, kill: bool) -> Row {
             drop(arm.take());
             arm = Some(emulator());
             daemon = robot.process("daemon");
-            Ok(Some(Outcome { went_on: false, up: Some(comes_up_holding(&robot, daemon.started)?) }))
+            let since = daemon.started;
+            serves(&robot, &mut daemon);
+            Ok(Some(Outcome { went_on: false, up: Some(comes_up_holding(&robot, since)?) }))
         })();
         row.take(round, outcome);
         complaints(&mut row, round, &witnesses);
     }
     (row.samples, row.torques) = witnesses.end();
     row
+}
+
+/// Waits until the robot is served; a daemon that finds the robot busy ends, and is started again as a service would be.
+fn serves(robot: &Robot, daemon: &mut Process) -> bool {
+    let served = within(PATIENCE, || {
+        if daemon.ended().is_some() {
+            *daemon = robot.process("daemon");
+        }
+        robot.status().is_some()
+    });
+    served.is_some()
 }
 
 fn word(kill: bool) -> &'static str {
@@ -401,12 +416,23 @@ fn complaints(row: &mut Row, round: u32, witnesses: &Witnesses) {
     row.broken.extend(told.into_iter().map(|words| format!("round {round}: {words}")));
 }
 
+/// The load average over five minutes, as the kernel prints it.
+fn load() -> String {
+    let text = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    text.split_whitespace().nth(1).unwrap_or("unknown").to_string()
+}
+
 /// All kinds of blows, `rounds` each.
 fn campaign(rounds: u32, seed: u64) -> Vec<Row> {
     let _turn = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let kinds: [fn(u32, u64, bool) -> Row; 4] = [estimators, clients, daemons, emulators];
+    // `ONLY=3` plays the robot alone.
+    let only = std::env::var("ONLY").ok();
     let mut rows = Vec::new();
     for (kind, number) in kinds.into_iter().zip(0u64..) {
+        if only.as_ref().is_some_and(|only| *only != number.to_string()) {
+            continue;
+        }
         for kill in [true, false] {
             let row = kind(rounds, seed + 2 * number + u64::from(kill), kill);
             eprintln!("{}", row.line());
@@ -431,6 +457,7 @@ fn a_few_of_each() {
 fn the_whole_campaign() {
     let number = |variable, default| std::env::var(variable).ok().and_then(|text| text.parse().ok()).unwrap_or(default);
     let (rounds, seed) = (number("ROUNDS", 50) as u32, number("SEED", 1));
+    let before = load();
     let mut rows = campaign(rounds, seed);
     // Here alone: the tests that run everywhere set no limit to a time.
     for row in &mut rows {
@@ -442,10 +469,12 @@ fn the_whole_campaign() {
     let mut text = format!(
         "# Killed at random moments\n\n`hil/kill-campaign/run.sh` writes this file: {rounds} of each kind, seeds {seed} to {}, at random moments of a \
          motion that is being driven at 1 kHz by the clock. SIGSTOP lasts 1 to 1500 ms. Two witnesses read along: one every sample, one the \
-         newest torque.\n\n\
+         newest torque. Load of the machine before and after: {before}, {}; it has {} processors.\n\n\
          | killed | counted | the arm went on | the arm stopped, by rule | successor up, median / worst \\[ms\\] | samples witnessed, none \
          lost or twice | torques witnessed | promises broken |\n|---|---|---|---|---|---|---|---|\n",
-        seed + 7
+        seed + 7,
+        load(),
+        std::thread::available_parallelism().map_or(0, usize::from)
     );
     for row in &rows {
         writeln!(text, "{}", row.line()).unwrap();
