@@ -416,7 +416,11 @@ impl Deck {
         let last = close.flight.last().or(self.history.newest()).map_or(0, |record| record.cycle);
         let stop = self.pending.take();
         let reason = match (&close.reason, stop) {
-            (Some(reason), _) => Some((reason.clone(), last)),
+            (Some(Reason { kind, text }), Some((stop, _))) => {
+                let text = format!("{text}; the arm was being stopped then: {}", stop.text);
+                Some((Reason::new(kind.as_str(), text), last))
+            }
+            (Some(reason), None) => Some((reason.clone(), last)),
             (None, stop) => stop,
         };
         if let Some((reason, cycle)) = reason {
