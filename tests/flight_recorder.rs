@@ -167,7 +167,8 @@ fn an_estimator_that_is_gone_a_recording_on_demand_and_an_end_that_is_none() {
     assert!(refused.err.contains("nothing to record"), "{}", refused.said());
     place.command("start").expect_code(0);
     wait_for("the motion", || (status(&place)?.cycles > 2_000).then_some(()));
-    place.command("quit").expect_code(0);
+    // A loaded machine may end the daemon before its answer has been read.
+    place.command("quit");
     daemon.end().expect_code(0);
     assert!(recordings(&place.out().join("flight")).is_empty());
 }
