@@ -72,7 +72,7 @@ pub enum Left {
         /// The last cycles, oldest first.
         flight: Vec<Record>,
         /// The state that was not answered.
-        unanswered: Option<State>,
+        unanswered: Option<Box<State>>,
     },
 }
 
@@ -261,7 +261,7 @@ impl Tape {
         let (end, reason, untold, flight, unanswered) = match left {
             Left::Panicked { message, flight, unanswered } => {
                 let text = format!("the loop's thread panicked: {message}");
-                (text.clone(), Some(Reason::new("panic", text)), 0, flight, *unanswered)
+                (text.clone(), Some(Reason::new("panic", text)), 0, flight, unanswered.as_deref().copied())
             }
             Left::Ended(outcome) => {
                 let reason = kind_of_end(&outcome.end).map(|kind| Reason::new(kind, words));
