@@ -42,10 +42,11 @@ fn story(file: &Path) -> Value {
     command.arg("postmortem").arg(file).args(["--replay", "--json"]);
     let done = Done::of(command).expect_code(0);
     let page = std::fs::read_to_string(file.with_extension("html")).unwrap();
-    assert!(
-        page.contains("<svg") && page.contains("What to do next") && !page.contains("src=") && !page.contains("href=")
-    );
-    serde_json::from_str(&done.out).unwrap()
+    assert!(page.contains("<svg") && !page.contains("src=") && !page.contains("href="));
+    let story: Value = serde_json::from_str(&done.out).unwrap();
+    let steps = story["next"].as_array().unwrap();
+    assert_eq!(page.contains("What to do next"), !steps.is_empty());
+    story
 }
 
 /// A simulated arm with more in its truth file.
@@ -120,7 +121,7 @@ fn a_guard_stop_in_mid_motion() {
 #[test]
 fn lost_states_and_a_reflex() {
     for (name, keys, set, kind) in [
-        ("lost", "drop-probability = 0.0004\ndrop-burst = 12", "safety.max-lost=8", "lost-states"),
+        ("lost", "drop-probability = 0.0004\ndrop-burst = 4", "safety.max-lost=3", "lost-states"),
         ("reflex", "drop-probability = 0.0004\ndrop-burst = 40", "safety.max-lost=1000", "reflex"),
     ] {
         let place = Place::new(&format!("flight-{name}"));
@@ -129,8 +130,8 @@ fn lost_states_and_a_reflex() {
         let story = story(&recording(&place));
         assert_eq!(story["kind"].as_str(), Some(kind), "{story}");
         if kind == "lost-states" {
-            assert!(story["timing"]["lost"].as_u64().unwrap() >= 12 && story["end"].is_null(), "{story}");
-            assert!(story["timing"]["outliers"].to_string().contains("12 states lost"), "{story}");
+            assert!(story["timing"]["lost"].as_u64().unwrap() >= 4 && story["end"].is_null(), "{story}");
+            assert!(story["timing"]["outliers"].to_string().contains("4 states lost"), "{story}");
         } else {
             assert!(story["end"].as_str().unwrap().contains("code 25"), "{story}");
             assert!(texts(&story, "text").last().unwrap().contains("the loop ended"), "{story}");
@@ -166,7 +167,8 @@ fn an_estimator_that_is_gone_a_recording_on_demand_and_an_end_that_is_none() {
     assert!(refused.err.contains("nothing to record"), "{}", refused.said());
     place.command("start").expect_code(0);
     wait_for("the motion", || (status(&place)?.cycles > 2_000).then_some(()));
-    place.command("quit").expect_code(0);
+    // A loaded machine may end the daemon before its answer has been read.
+    place.command("quit");
     daemon.end().expect_code(0);
     assert!(recordings(&place.out().join("flight")).is_empty());
 }

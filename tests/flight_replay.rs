@@ -73,6 +73,9 @@ struct Told {
     models: Vec<u64>,
 }
 
+/// Something that the outside does.
+type Act = fn(&mut Handles);
+
 /// A job with orders and models from the start, tricks, and things that the outside does in mid-run: orders and models given there are
 /// listed by the caller in `later`.
 fn told(
@@ -81,7 +84,7 @@ fn told(
     orders: Vec<Given>,
     models: Vec<u64>,
     later: (Vec<Given>, Vec<u64>),
-    outside: Vec<(u64, fn(&mut Handles))>,
+    outside: Vec<(u64, Act)>,
 ) -> Told {
     let mut job = Job::on(arm, quit);
     for given in &orders {
@@ -205,7 +208,7 @@ fn none() -> (Vec<Given>, Vec<u64>) {
 #[test]
 fn a_whole_job_with_models_and_lost_states() {
     let arm = FakeArm::new(JOINTS, READY).at(500, Trick::Lose(3)).at(4_000, Trick::Lose(9)).at(4_003, Trick::Lose(1));
-    let swap: fn(&mut Handles) = |handles| assert!(handles.models.serve(model(2)).is_ok());
+    let swap: Act = |handles| assert!(handles.models.serve(model(2)).is_ok());
     let of = told(arm, 12_000, whole_job(), vec![1], (Vec::new(), vec![2]), vec![(3_900, swap)]);
     assert_eq!((of.run.outcome.end, of.run.outcome.stops), (End::Quit, 0));
     assert!(of.run.records.iter().any(|r| r.phase == Phase::Excite && r.model == 2));
@@ -216,8 +219,8 @@ fn a_whole_job_with_models_and_lost_states() {
 fn a_guard_stop_a_permission_and_another_motion() {
     // Somebody holds joint 2, the guard stops the arm; an operator allows motion and it goes on elsewhere.
     let arm = FakeArm::new(JOINTS, READY).at(4_500, Trick::Push(1, -0.11));
-    let resume: fn(&mut Handles) = |handles| assert!(handles.controls.resume());
-    let give: fn(&mut Handles) = |handles| {
+    let resume: Act = |handles| assert!(handles.controls.resume());
+    let give: Act = |handles| {
         assert!(handles.orders.give(order(&move_to(9, READY))).is_ok());
     };
     let later = (vec![move_to(9, READY)], Vec::new());
@@ -241,7 +244,7 @@ fn states_lost_in_every_motion() {
 
 #[test]
 fn a_stop_that_is_asked_for_and_a_program_that_ends_in_mid_motion() {
-    let stop: fn(&mut Handles) = |handles| handles.controls.stop();
+    let stop: Act = |handles| handles.controls.stop();
     for (read, quit) in [(200, 2_000), (3_950, 5_000), (9_000, 4_400)] {
         let of = told(FakeArm::new(JOINTS, READY), quit, whole_job(), Vec::new(), none(), vec![(read, stop)]);
         assert_eq!((of.run.outcome.stops, of.run.outcome.end), (1, End::Quit));
@@ -251,7 +254,7 @@ fn a_stop_that_is_asked_for_and_a_program_that_ends_in_mid_motion() {
 
 #[test]
 fn a_model_that_is_not_trusted_and_one_that_takes_its_place() {
-    let good: fn(&mut Handles) = |handles| assert!(handles.models.serve(model(5)).is_ok());
+    let good: Act = |handles| assert!(handles.models.serve(model(5)).is_ok());
     let of =
         told(FakeArm::new(JOINTS, READY), 4_000, whole_job(), vec![66], (Vec::new(), vec![5]), vec![(2_500, good)]);
     assert!(of.run.events.contains(&Event::Distrusted { model: 66 }), "{:?}", of.run.events);

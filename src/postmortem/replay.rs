@@ -87,12 +87,15 @@ impl Replayed {
     }
 }
 
+/// A model that is ready to serve, or why there is none.
+pub type Built = Result<Box<dyn FeedForward>, String>;
+
 /// What the replay needs beside the recording.
 pub struct Parts<'p> {
     /// Where the end effector is, for the guard.
     pub kinematics: Option<Box<dyn Kinematics>>,
     /// A model that the loop was given, ready to serve.
-    pub model: &'p mut dyn FnMut(&Handed) -> Result<Box<dyn FeedForward>, String>,
+    pub model: &'p mut dyn FnMut(&Handed) -> Built,
 }
 
 /// Runs the recording again.
@@ -168,10 +171,7 @@ const LEAD: usize = 3;
 
 impl Start {
     /// The earliest place in the last piece of the recording without gaps at which everything is known.
-    fn find(
-        recording: &Recording,
-        model: &mut dyn FnMut(&Handed) -> Result<Box<dyn FeedForward>, String>,
-    ) -> Result<Start, ReplayError> {
+    fn find(recording: &Recording, model: &mut dyn FnMut(&Handed) -> Built) -> Result<Start, ReplayError> {
         let records = &recording.records;
         let piece = records.windows(2).rposition(|pair| pair[1].cycle != pair[0].cycle + 1).map_or(0, |gap| gap + 1);
         let too_short = ReplayError::TooShort { cycles: records.len() - piece, needed: LEAD + 1 };
@@ -267,7 +267,7 @@ fn serving(
     recording: &Recording,
     before: &Fold,
     id: u64,
-    model: &mut dyn FnMut(&Handed) -> Result<Box<dyn FeedForward>, String>,
+    model: &mut dyn FnMut(&Handed) -> Built,
 ) -> Result<Option<Box<dyn FeedForward>>, ReplayError> {
     if id == 0 {
         return Ok(None);
@@ -279,10 +279,7 @@ fn serving(
     }
 }
 
-fn build(
-    handed: &Handed,
-    model: &mut dyn FnMut(&Handed) -> Result<Box<dyn FeedForward>, String>,
-) -> Result<Box<dyn FeedForward>, ReplayError> {
+fn build(handed: &Handed, model: &mut dyn FnMut(&Handed) -> Built) -> Result<Box<dyn FeedForward>, ReplayError> {
     model(handed).map_err(|why| ReplayError::Unusable { what: format!("model {:016x}", handed.id), why })
 }
 
@@ -304,7 +301,7 @@ impl Handing {
     fn plan(
         recording: &Recording,
         start: &Start,
-        model: &mut dyn FnMut(&Handed) -> Result<Box<dyn FeedForward>, String>,
+        model: &mut dyn FnMut(&Handed) -> Built,
     ) -> Result<Handing, ReplayError> {
         let first = recording.records.get(start.at).map_or(0, |record| record.cycle);
         let (mut orders, mut models) = (start.before.orders, start.before.models as usize);

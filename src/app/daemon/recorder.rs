@@ -72,7 +72,7 @@ pub enum Left {
         /// The last cycles, oldest first.
         flight: Vec<Record>,
         /// The state that was not answered.
-        unanswered: Option<State>,
+        unanswered: Option<Box<State>>,
     },
 }
 
@@ -261,7 +261,7 @@ impl Tape {
         let (end, reason, untold, flight, unanswered) = match left {
             Left::Panicked { message, flight, unanswered } => {
                 let text = format!("the loop's thread panicked: {message}");
-                (text.clone(), Some(Reason::new("panic", text)), 0, flight, *unanswered)
+                (text.clone(), Some(Reason::new("panic", text)), 0, flight, unanswered.as_deref().copied())
             }
             Left::Ended(outcome) => {
                 let reason = kind_of_end(&outcome.end).map(|kind| Reason::new(kind, words));
@@ -416,7 +416,11 @@ impl Deck {
         let last = close.flight.last().or(self.history.newest()).map_or(0, |record| record.cycle);
         let stop = self.pending.take();
         let reason = match (&close.reason, stop) {
-            (Some(reason), _) => Some((reason.clone(), last)),
+            (Some(Reason { kind, text }), Some((stop, _))) => {
+                let text = format!("{text}; the arm was being stopped then: {}", stop.text);
+                Some((Reason::new(kind.as_str(), text), last))
+            }
+            (Some(reason), None) => Some((reason.clone(), last)),
             (None, stop) => stop,
         };
         if let Some((reason, cycle)) = reason {

@@ -383,7 +383,7 @@ fn see_through<B: Backend, S: Sink>(cycle: &mut Cycle<B, S>) -> Left {
             let (flight, unanswered) = cycle.after_panic();
             let text = panic.downcast_ref::<&str>().map(|text| text.to_string());
             let message = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
-            Left::Panicked { message, flight, unanswered }
+            Left::Panicked { message, flight, unanswered: unanswered.map(Box::new) }
         }
     }
 }
