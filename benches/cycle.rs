@@ -84,6 +84,10 @@ impl FeedForward for Served {
         let &Setpoint { q, dq, ddq } = desired;
         self.0.torque(&Sample { q, dq, ddq })
     }
+
+    fn rest(&self, q: &JointVec) -> Torque {
+        self.0.rest(q)
+    }
 }
 
 struct Reach(Chain);

@@ -54,8 +54,8 @@ pub struct Command {
     pub desired: Setpoint,
     /// Feed-forward torque of the served model at `desired`; zero while no model is served \[Nm\].
     pub tau_ff: Torque,
-    /// What of it the arm needs to stand still at `desired.q`: the same model at rest, gravity above all. An arm that
-    /// compensates gravity by itself wants `tau_ff - tau_rest` \[Nm\].
+    /// What of it the rigid body needs to stand still at `desired.q`. An arm that compensates gravity by itself wants
+    /// `tau_ff - tau_rest` \[Nm\].
     pub tau_rest: Torque,
 }
 

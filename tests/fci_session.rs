@@ -14,7 +14,7 @@ use plumbline::backend::franka::{
     ConnectError, Connection, FrankaArm, Interface, REFLEX_MODE, RobotKind, Settings, Source, connect, explain, recover,
 };
 use plumbline::backend::sim::Truth;
-use plumbline::joint::{Command, Setpoint, State, Torque};
+use plumbline::joint::{Command, JointVec, Setpoint, State, Torque};
 use plumbline::model::chain::Chain;
 use plumbline::model::gravity::Mounting;
 use plumbline::model::rnea::{LinkParameters, rnea};
@@ -130,6 +130,12 @@ impl FeedForward for Links {
     fn torque(&mut self, desired: &Setpoint) -> Torque {
         let mut torque = Torque::default();
         rnea(&self.chain, &self.links, &self.gravity, &desired.q, &desired.dq, &desired.ddq, &mut torque.0);
+        torque
+    }
+
+    fn rest(&self, q: &JointVec) -> Torque {
+        let mut torque = Torque::default();
+        rnea(&self.chain, &self.links, &self.gravity, q, &[0.0; 8], &[0.0; 8], &mut torque.0);
         torque
     }
 }

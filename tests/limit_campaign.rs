@@ -135,11 +135,9 @@ fn run(how: How, phase: Phase, at: u64) -> Option<Run> {
     job = job.order(back);
     Some(match how {
         How::Torque(torque) => {
-            // The model is asked twice in a cycle, for the motion and for rest.
-            let mut asked = 0;
+            let mut cycle = 0;
             let model = move |_: &Setpoint| {
-                asked += 1;
-                let cycle = asked / 2;
+                cycle += 1;
                 [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, if cycle < at { 0.5 } else { torque(cycle - at) }, 0.0]
             };
             job.model(Model(5, model)).run()

@@ -87,8 +87,8 @@ fn two_models_never_mix_and_the_old_one_is_freed_outside() {
 #[test]
 fn an_allocation_in_a_model_is_seen() {
     let run = Job::new(50).model(Model(1, |d: &Setpoint| std::hint::black_box(d.q.to_vec()).try_into().unwrap())).run();
-    // One allocation and one release in each of 51 cycles, for the motion and for rest.
-    assert_eq!(run.outcome.allocations, Some(204));
+    // One allocation and one release in each of 51 cycles.
+    assert_eq!(run.outcome.allocations, Some(102));
 }
 
 /// A controlled stop ends at rest, stays there, and kept every limit on the way.

@@ -27,7 +27,7 @@ pub struct Options {
 pub fn run(options: Options) -> Result<(), Failure> {
     let wanted = match &options.config {
         Some(config) => {
-            let job = JobOptions { config: config.clone(), sets: options.sets.clone(), out: None };
+            let job = JobOptions { config: config.clone(), sets: options.sets.clone(), out: None, root_owned: false };
             wanted_by(&job.load()?.0)
         }
         None => Wanted { rights: Rights::default(), robot: None },

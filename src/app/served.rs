@@ -34,6 +34,10 @@ impl FeedForward for ServedModel {
         let &Setpoint { q, dq, ddq } = desired;
         self.evaluator.torque(&Sample { q, dq, ddq })
     }
+
+    fn rest(&self, q: &JointVec) -> Torque {
+        self.evaluator.rest(q)
+    }
 }
 
 /// In the place of a model that may not be served any more: identity 0 and no torque, as before the first model.
@@ -45,6 +49,10 @@ impl FeedForward for NoModel {
     }
 
     fn torque(&mut self, _: &Setpoint) -> Torque {
+        Torque::default()
+    }
+
+    fn rest(&self, _: &JointVec) -> Torque {
         Torque::default()
     }
 }

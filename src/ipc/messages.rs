@@ -73,7 +73,7 @@ pub struct SampleMessage {
     pub wake_ns: u64,
     /// See [`Record::work_ns`] \[ns\].
     pub work_ns: u64,
-    /// What of `tau_ff` the arm needs to stand still at `desired_q` \[Nm\].
+    /// What of `tau_ff` the rigid body needs to stand still at `desired_q` \[Nm\].
     pub tau_rest: JointVec,
 }
 
@@ -155,7 +155,7 @@ pub struct FeedForwardMessage {
     pub tau_ff: JointVec,
     /// Gravitational acceleration in the base frame that the model was evaluated with \[m/s2\].
     pub gravity: [f64; 3],
-    /// What of `tau_ff` the arm needs to stand still at `q_d`. An arm that compensates gravity by itself wants
+    /// What of `tau_ff` the rigid body needs to stand still at `q_d`. An arm that compensates gravity by itself wants
     /// `tau_ff - tau_rest` \[Nm\].
     pub tau_rest: JointVec,
 }

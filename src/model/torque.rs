@@ -270,6 +270,12 @@ impl Evaluator {
         }
         Torque(tau)
     }
+
+    /// What of it the rigid body needs to stand still at `q`, with the offsets of the sensors: what an arm that compensates gravity carries by
+    /// itself. Terms that are neither stay with the motion, and those that remember hear nothing of it \[Nm\].
+    pub fn rest(&self, q: &JointVec) -> Torque {
+        Torque(self.closed.torque(&Sample { q: *q, ..Sample::default() }))
+    }
 }
 
 impl NamedTerm {

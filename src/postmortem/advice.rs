@@ -36,6 +36,14 @@ pub(super) fn next(story: &Story, about: &About) -> Vec<String> {
              `safety.max-lost` says how many are borne."
                 .to_string(),
         ),
+        ("unattended", _) => steps.push(
+            "The daemon's own thread stood still while the arm moved: was the machine suspended, overloaded, or the process stopped? Run \
+             `plumbline doctor`."
+                .to_string(),
+        ),
+        ("not-real-time", _) => steps.push(
+            "The machine did not grant what `[realtime]` asks: run `plumbline doctor`, it names what to change.".to_string(),
+        ),
         ("silent" | "disconnected", _) if about.next.is_empty() => {
             steps.push("Look at the cable and at the arm's power.".to_string());
         }

@@ -319,7 +319,10 @@ impl Handing {
                 orders = told.orders;
             }
             match told.event {
-                Event::Stopping { reason: StopReason::Requested | StopReason::Quit, .. } => hand(Hand::Stop),
+                Event::Stopping {
+                    reason: StopReason::Requested | StopReason::Quit | StopReason::Unattended { .. },
+                    ..
+                } => hand(Hand::Stop),
                 Event::Resumed => hand(Hand::Resume),
                 Event::Serving { model: id } => {
                     let missing = || ReplayError::Missing { what: format!("model {id:016x}") };
@@ -412,8 +415,8 @@ impl Sink for Kept {
     }
 }
 
-fn same_bits(a: &JointVec, b: &JointVec) -> bool {
-    (0..MAX_JOINTS).all(|j| a[j].to_bits() == b[j].to_bits())
+fn same_bits(a: &[f64], b: &[f64]) -> bool {
+    a.iter().map(|x| x.to_bits()).eq(b.iter().map(|x| x.to_bits()))
 }
 
 /// What of a cycle came out otherwise; `None` when nothing did.
@@ -450,7 +453,8 @@ fn compare(were: &[Record], are: &[Record], from_the_start: bool) -> Replayed {
         let differs = match are.get(place) {
             Some(is) => {
                 result.compared += 1;
-                if !same_bits(&was.command.tau_ff.0, &is.command.tau_ff.0) {
+                let torques = |of: &Record| [of.command.tau_ff.0, of.command.tau_rest.0].concat();
+                if !same_bits(&torques(was), &torques(is)) {
                     result.torque_different += 1;
                     result.last_torque_difference = Some(was.cycle);
                 }
@@ -471,7 +475,7 @@ fn compare(were: &[Record], are: &[Record], from_the_start: bool) -> Replayed {
 fn same_events(recording: &Recording, told: &[Told], first: u64) -> bool {
     let plain = |told: &Told| match told.event {
         Event::Discarded { .. } => None,
-        Event::Stopping { motion, reason: StopReason::Quit } => {
+        Event::Stopping { motion, reason: StopReason::Quit | StopReason::Unattended { .. } } => {
             Some((told.cycle, Event::Stopping { motion, reason: StopReason::Requested }))
         }
         event => Some((told.cycle, event)),

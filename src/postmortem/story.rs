@@ -241,6 +241,8 @@ impl Story {
             "guard" => "The guard stopped the arm",
             "lost-states" => "The arm was stopped because states were lost",
             "requested" => "Somebody stopped the arm",
+            "unattended" => "The arm was stopped because the program around the loop was silent",
+            "not-real-time" => "The loop did not begin, for the machine is not real-time",
             "estimator-lost" => "The arm was stopped because the estimator was gone",
             "not-at-start" | "no-path" => "A motion could not begin",
             "reflex" => "The arm stopped by itself",

@@ -308,18 +308,20 @@ impl Settings {
     pub fn for_replay(&self, queue: usize) -> CycleSettings {
         let [velocity, acceleration, jerk, brake] = self.moves;
         let space = |(box_min, box_max, base_radius)| Workspace { box_min, box_max, base_radius };
+        let guard = GuardSettings {
+            limits: self.limits(),
+            envelope: self.envelope.map(|[offset, deceleration]| SpeedEnvelope { offset, deceleration }),
+            workspace: self.workspace.map(space),
+            tracking: self.tracking,
+        };
+        // Nobody is silent in a replay: what came of silence is handed over as the stop that it was.
         CycleSettings {
-            guard: GuardSettings {
-                limits: self.limits(),
-                envelope: self.envelope.map(|[offset, deceleration]| SpeedEnvelope { offset, deceleration }),
-                workspace: self.workspace.map(space),
-                tracking: self.tracking,
-            },
             moves: MoveFactors { velocity, acceleration, jerk, brake },
             max_consecutive_lost: self.max_lost,
             queue,
             flight: 1,
             rights: Rights::NONE,
+            ..CycleSettings::new(guard)
         }
     }
 }

@@ -56,7 +56,7 @@ pub(super) fn schema(topic: &str) -> (&'static str, String) {
              uint64 seq        # the arm's own counter in it\n\
              uint64 stamp_ns   # CLOCK_MONOTONIC when that cycle's state had been read\n\
              uint64 model      # of `serving` and `distrusted`\n\
-             uint64 lost       # of `lost-states`\n\
+             uint64 lost       # states of `lost-states`, cycles of `unattended`\n\
              uint32 orders     # orders taken out of the queue so far\n\
              uint32 motion     # number of the motion\n\
              uint32 joint      # joint of the reason, from 1; 0 for none\n\
@@ -235,6 +235,7 @@ fn flat(event: &Event) -> Flat {
                 StopReason::Requested => of("requested"),
                 StopReason::Quit => of("quit"),
                 StopReason::LostStates { lost } => Flat { lost, ..of("lost-states") },
+                StopReason::Unattended { cycles } => Flat { lost: cycles, ..of("unattended") },
                 StopReason::NotAtStart { joint, distance, .. } => {
                     Flat { joint: joint as u32 + 1, value: distance, ..of("not-at-start") }
                 }
@@ -280,6 +281,7 @@ pub(super) fn read_event(bytes: &[u8]) -> Result<Told, MessageError> {
                 "requested" => StopReason::Requested,
                 "quit" => StopReason::Quit,
                 "lost-states" => StopReason::LostStates { lost },
+                "unattended" => StopReason::Unattended { cycles: lost },
                 "not-at-start" => StopReason::NotAtStart { motion, joint, distance: value },
                 "no-path" => StopReason::NoPath { motion },
                 other => return Err(unknown(other, "the reason of a stop")),

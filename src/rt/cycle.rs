@@ -232,7 +232,11 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         let mut command = self.answer(state.seq);
         // Guard: a command that breaks a limit is not sent; the first sample of the stop takes its place.
         if self.motion.is_stopping() {
-            self.guard.check_brake(seconds(gap), &command, Some(&state)).map_err(End::Unsafe)?;
+            if let Err(violation) = self.guard.check_brake(seconds(gap), &command, Some(&state)) {
+                // A stop goes on without a model that breaks limits; anything else it can't answer.
+                command = self.without_model(violation, state.seq).ok_or(End::Unsafe(violation))?;
+                self.guard.check_brake(seconds(gap), &command, Some(&state)).map_err(End::Unsafe)?;
+            }
         } else if let Err(violation) = self.guard.check(seconds(gap), &command, &state) {
             self.brake(StopReason::Guard(violation), gap)?;
             command = self.answer(state.seq);
@@ -379,41 +383,43 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         self.stops = self.stops.saturating_add(1);
         self.last_stop = Some(reason);
         self.tell(Event::Stopping { motion: self.motion.number(), reason });
-        if let (StopReason::Guard(violation), Some(model)) = (reason, &self.model)
-            && violation.blames_model()
-        {
-            let model = model.id();
-            self.distrust(model);
+        if let StopReason::Guard(violation) = reason {
+            self.distrust(violation);
         }
         let reference = self.motion.brake(gap).map_err(|_| End::NoBrake)?;
         self.retire(reference);
         Ok(())
     }
 
-    /// The model is not asked again; the next one starts afresh.
-    fn distrust(&mut self, model: u64) {
+    /// A model to blame is not asked again; the next one starts afresh.
+    fn distrust(&mut self, violation: Violation) {
+        let Some(model) = self.model.as_ref().filter(|_| violation.blames_model()) else { return };
+        let model = model.id();
         self.model_trusted = false;
         self.guard.model_changed();
         self.tell(Event::Distrusted { model });
     }
 
+    /// The same command without the torque of the model that is to blame for `violation`; nothing where none is.
+    fn without_model(&mut self, violation: Violation, seq: u64) -> Option<Command> {
+        if !(violation.blames_model() && self.model_trusted) {
+            return None;
+        }
+        self.distrust(violation);
+        Some(self.answer(seq))
+    }
+
     /// The present sample of the motion, and what the served model says of it.
     fn answer(&mut self, seq: u64) -> Command {
         let desired = self.motion.sample();
-        let still = Setpoint { q: desired.q, ..Setpoint::default() };
-        Command { seq, desired, tau_ff: self.torque(&desired), tau_rest: self.torque(&still) }
-    }
-
-    /// Torque of the served model; zero while there is none.
-    fn torque(&mut self, desired: &Setpoint) -> Torque {
-        let mut torque = match &mut self.model {
-            Some(model) if self.model_trusted => model.torque(desired),
-            _ => Torque::default(),
+        let (mut tau_ff, mut tau_rest) = match &mut self.model {
+            Some(model) if self.model_trusted => (model.torque(&desired), model.rest(&desired.q)),
+            _ => (Torque::default(), Torque::default()),
         };
         for j in self.joints..MAX_JOINTS {
-            torque.0[j] = 0.0;
+            (tau_ff.0[j], tau_rest.0[j]) = (0.0, 0.0);
         }
-        torque
+        Command { seq, desired, tau_ff, tau_rest }
     }
 
     fn record(&mut self, state: State, command: Command, stamp_ns: u64) {

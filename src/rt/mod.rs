@@ -98,6 +98,9 @@ pub trait FeedForward: Send {
 
     /// Torque the arm needs at `desired` \[Nm\].
     fn torque(&mut self, desired: &Setpoint) -> Torque;
+
+    /// What of it an arm takes upon itself that compensates gravity: the rigid body's torque at rest at position `q` \[Nm\].
+    fn rest(&self, q: &JointVec) -> Torque;
 }
 
 /// Forward kinematics for the guard.

@@ -205,6 +205,10 @@ impl FeedForward for Served {
         let &Setpoint { q, dq, ddq } = desired;
         self.1.torque(&Sample { q, dq, ddq })
     }
+
+    fn rest(&self, q: &JointVec) -> Torque {
+        self.1.rest(q)
+    }
 }
 
 fn model(id: u64) -> Box<dyn FeedForward> {

@@ -97,6 +97,10 @@ impl<F: FnMut(&Setpoint) -> JointVec + Send> FeedForward for Model<F> {
     fn torque(&mut self, desired: &Setpoint) -> Torque {
         Torque(self.1(desired))
     }
+
+    fn rest(&self, q: &JointVec) -> Torque {
+        Torque(*q)
+    }
 }
 
 /// Kinematics of any function of the position.

@@ -288,6 +288,7 @@ fn kind_of_end(end: &End) -> Option<&'static str> {
         End::Fault(Fault::Disconnected) => "disconnected",
         End::Unsafe(_) => "unsafe",
         End::NoBrake => "no-brake",
+        End::NotRealTime => "not-real-time",
         End::Clock { .. } => "clock",
     })
 }
@@ -299,6 +300,7 @@ fn kind_of_stop(reason: &StopReason) -> Option<&'static str> {
         StopReason::Guard(_) => "guard",
         StopReason::Requested => "requested",
         StopReason::LostStates { .. } => "lost-states",
+        StopReason::Unattended { .. } => "unattended",
         StopReason::NotAtStart { .. } => "not-at-start",
         StopReason::NoPath { .. } => "no-path",
     })
