@@ -133,7 +133,7 @@ impl FeedForward for Links {
         torque
     }
 
-    fn rest(&self, q: &JointVec) -> Torque {
+    fn rest(&mut self, q: &JointVec) -> Torque {
         let mut torque = Torque::default();
         rnea(&self.chain, &self.links, &self.gravity, q, &[0.0; 8], &[0.0; 8], &mut torque.0);
         torque

@@ -35,7 +35,7 @@ impl FeedForward for ServedModel {
         self.evaluator.torque(&Sample { q, dq, ddq })
     }
 
-    fn rest(&self, q: &JointVec) -> Torque {
+    fn rest(&mut self, q: &JointVec) -> Torque {
         self.evaluator.rest(q)
     }
 }
@@ -52,7 +52,7 @@ impl FeedForward for NoModel {
         Torque::default()
     }
 
-    fn rest(&self, _: &JointVec) -> Torque {
+    fn rest(&mut self, _: &JointVec) -> Torque {
         Torque::default()
     }
 }

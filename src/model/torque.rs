@@ -8,7 +8,7 @@ use super::structure::{ModelError, Structure};
 use super::term::effect::{self, Setting, Site, Spec};
 use super::term::subset::Subset;
 use super::term::{self, Column, FixedTerm, Motion, Sample, Term, rigid_body};
-use crate::joint::Torque;
+use crate::joint::{JointVec, Torque};
 use nalgebra::{DMatrix, Vector3};
 use std::ops::Range;
 use std::sync::Arc;
@@ -273,7 +273,7 @@ impl Evaluator {
 
     /// What of it the rigid body needs to stand still at `q`, with the offsets of the sensors: what an arm that compensates gravity carries by
     /// itself. Terms that are neither stay with the motion, and those that remember hear nothing of it \[Nm\].
-    pub fn rest(&self, q: &JointVec) -> Torque {
+    pub fn rest(&mut self, q: &JointVec) -> Torque {
         Torque(self.closed.torque(&Sample { q: *q, ..Sample::default() }))
     }
 }

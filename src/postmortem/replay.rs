@@ -9,7 +9,7 @@
 //! remember (hysteresis, delay) begins without its memory, so its torque may differ until it has forgotten, and only its torque.
 
 use crate::excite::fourier::{Fourier, PeriodicMotion};
-use crate::joint::{Command, JointVec, MAX_JOINTS, Record, Setpoint, State};
+use crate::joint::{Command, MAX_JOINTS, Record, Setpoint, State};
 use crate::recording::Recording;
 use crate::recording::about::{Given, Handed, LogClock, Series, UnderWay};
 use crate::recording::history::Fold;

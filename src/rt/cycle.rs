@@ -21,7 +21,7 @@ use super::rights::{Granted, Rights, become_realtime};
 use super::settings::{CycleSettings, SetupError};
 use super::stats::{NotForward, Summary, Tally};
 use super::{Backend, Fault, FeedForward, Kinematics, Reference, Sink};
-use crate::joint::{Command, JointVec, MAX_JOINTS, Record, Setpoint, State, Torque};
+use crate::joint::{Command, JointVec, MAX_JOINTS, Record, State, Torque};
 use assert_no_alloc::{assert_no_alloc, reset_violation_count, violation_count};
 
 /// How the loop ended.

@@ -100,7 +100,7 @@ pub trait FeedForward: Send {
     fn torque(&mut self, desired: &Setpoint) -> Torque;
 
     /// What of it an arm takes upon itself that compensates gravity: the rigid body's torque at rest at position `q` \[Nm\].
-    fn rest(&self, q: &JointVec) -> Torque;
+    fn rest(&mut self, q: &JointVec) -> Torque;
 }
 
 /// Forward kinematics for the guard.

@@ -206,7 +206,7 @@ impl FeedForward for Served {
         self.1.torque(&Sample { q, dq, ddq })
     }
 
-    fn rest(&self, q: &JointVec) -> Torque {
+    fn rest(&mut self, q: &JointVec) -> Torque {
         self.1.rest(q)
     }
 }
