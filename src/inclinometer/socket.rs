@@ -21,6 +21,8 @@ use std::time::Duration;
 const PATIENCE: Duration = Duration::from_millis(5);
 /// From one attempt to open the interface to the next.
 const REOPEN: Duration = Duration::from_millis(500);
+/// Frames that are taken in before time passes for the device again.
+const BACKLOG: usize = 64;
 /// Least time between two reports \[ns\].
 const REPORT: u64 = 4_000_000;
 /// Silence after which the thread counts as gone \[ns\].
@@ -146,27 +148,36 @@ impl Thread {
         }
     }
 
-    /// Waits for a frame, or for [`PATIENCE`].
+    /// Waits for a frame, or for [`PATIENCE`], and takes in what else has come: after a time without the processor, what waits in the
+    /// socket is not silence.
     fn listen(&mut self) {
-        let Some(socket) = &self.socket else { return };
-        match socket.read_frame() {
-            Ok(CanFrame::Data(data)) => {
-                let frame = match data.id() {
-                    socketcan::Id::Standard(id) => Frame::new(id.as_raw(), data.data()),
-                    socketcan::Id::Extended(_) => None,
-                };
-                if self.bus != BusState::Active && now_ns().saturating_sub(self.troubled) > WELL {
-                    self.bus_is(BusState::Active);
-                }
-                if let Some(frame) = frame {
-                    self.sensor.hear(now_ns(), &Heard::Frame(frame));
-                }
+        let mut patience = PATIENCE;
+        for _ in 0..BACKLOG {
+            let Some(socket) = &self.socket else { return };
+            match socket.read_frame_timeout(patience) {
+                Ok(frame) => self.hear(&frame),
+                Err(error) if error.should_retry() => return,
+                Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => return,
+                // ENETDOWN, ENODEV, and whatever else makes this socket useless.
+                Err(_) => return self.close(),
             }
-            Ok(CanFrame::Remote(_)) => {}
-            Ok(CanFrame::Error(frame)) => self.trouble(&CanError::from(frame)),
-            Err(error) if error.should_retry() || error.kind() == ErrorKind::Interrupted => {}
-            // ENETDOWN, ENODEV, and whatever else makes this socket useless.
-            Err(_) => self.close(),
+            patience = Duration::ZERO;
+        }
+    }
+
+    fn hear(&mut self, frame: &CanFrame) {
+        let data = match frame {
+            CanFrame::Data(data) => data,
+            CanFrame::Remote(_) => return,
+            CanFrame::Error(error) => return self.trouble(&CanError::from(*error)),
+        };
+        if self.bus != BusState::Active && now_ns().saturating_sub(self.troubled) > WELL {
+            self.bus_is(BusState::Active);
+        }
+        if let socketcan::Id::Standard(id) = data.id()
+            && let Some(frame) = Frame::new(id.as_raw(), data.data())
+        {
+            self.sensor.hear(now_ns(), &Heard::Frame(frame));
         }
     }
 

@@ -254,8 +254,8 @@ impl Desk {
                 })
             }
             Event::Stopping { reason, .. } => {
-                let cause = self.gravity.cause().filter(|_| *reason == StopReason::Requested);
-                let reason = cause.map_or_else(|| reason.to_string(), str::to_string);
+                let cause = self.gravity.take_cause().filter(|_| *reason == StopReason::Requested);
+                let reason = cause.unwrap_or_else(|| reason.to_string());
                 tracing::error!(plumbline_event = "stopping", "the arm is being stopped: {reason}");
                 self.stopped = Some(reason);
             }

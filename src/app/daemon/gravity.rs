@@ -153,9 +153,14 @@ impl Watch {
         self.inclinometer.as_ref().and_then(|own| own.decision.refusal).map(|refusal| refusal.to_string())
     }
 
-    /// Why the arm was stopped from here, if it was.
-    pub fn cause(&self) -> Option<&str> {
-        self.cause.as_deref()
+    /// The arm is being stopped for this.
+    pub fn stopping(&mut self, why: String) {
+        self.cause = Some(why);
+    }
+
+    /// Why the arm was stopped from here, if it was; said once, for the next stop has a reason of its own.
+    pub fn take_cause(&mut self) -> Option<String> {
+        self.cause.take()
     }
 
     /// A base that moves while parameters are measured makes the samples those of no mounting.
@@ -229,10 +234,7 @@ impl Watch {
                 None
             }
             Verdict::Wait(why) => Some(format!("model {:016x} is not served yet: {why}", model.id)),
-            Verdict::Refuse(why) => {
-                self.cause = Some(why.clone());
-                Some(format!("model {:016x} is not served: {why}", model.id))
-            }
+            Verdict::Refuse(why) => Some(format!("model {:016x} is not served: {why}", model.id)),
         };
         // Numbers in the words change with every rest: what is said again is another kind of refusal.
         let kind = |words: &Option<String>| {

@@ -304,19 +304,22 @@ impl Session {
                 }
             }
             Verdict::Serve(_) | Verdict::Wait(_) => {}
-            Verdict::Refuse(_) => self.withdraw(),
+            Verdict::Refuse(why) => self.withdraw(desk, why),
         }
     }
 
     /// Ends the service of a model: an arm that moves is stopped first, and then has none.
-    fn withdraw(&mut self) {
+    fn withdraw(&mut self, desk: &mut Desk, why: String) {
         let controls = &self.handles.controls;
         if self.model == 0 {
             return;
         }
         match controls.phase() {
             // Orders that wait would go on without a model.
-            Phase::Hold if self.purpose == Purpose::Drive => controls.stop(),
+            Phase::Hold if self.purpose == Purpose::Drive => {
+                desk.gravity.stopping(why);
+                controls.stop();
+            }
             Phase::Hold | Phase::Stopped => {
                 if self.handles.models.serve(Box::new(NoModel)).is_ok() {
                     self.model = 0;
@@ -324,7 +327,10 @@ impl Session {
                 }
             }
             Phase::Stop => {}
-            Phase::Approach | Phase::Excite | Phase::Return => controls.stop(),
+            Phase::Approach | Phase::Excite | Phase::Return => {
+                desk.gravity.stopping(why);
+                controls.stop();
+            }
         }
     }
 
