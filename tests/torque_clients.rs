@@ -43,12 +43,13 @@ fn account(done: &Done) -> (String, Vec<f64>) {
 /// Holds for a while with whatever `beside` starts; what it said, and its status before the end.
 fn hold<T>(test: &str, beside: impl FnOnce(&Place) -> T, during: impl FnOnce(&Place, &mut T)) -> (Done, Status) {
     let place = Place::new(test);
-    let daemon = Running::start(place.job("daemon", &HOLD));
+    let mut daemon = Running::start(place.job("daemon", &HOLD));
     wait_for("the loop", || status(&place).filter(|status| status.cycles > 200));
     let begin = Instant::now();
     let mut others = beside(&place);
     during(&place, &mut others);
     std::thread::sleep(HELD.saturating_sub(begin.elapsed()));
+    assert!(daemon.runs(), "the daemon ended by itself: {}", daemon.end().said());
     let last = wait_for("an answer", || status(&place));
     place.command("quit").expect_code(0);
     let done = daemon.end().expect_code(0);
