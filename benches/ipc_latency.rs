@@ -41,16 +41,23 @@ struct Shared {
     stop: AtomicBool,
     /// When the bridge took record number `k`, at `k % TIMES` \[ns\].
     taken: Vec<AtomicU64>,
+    /// The same for the record of which feed-forward value `k` was made.
+    valued: Vec<AtomicU64>,
 }
 
 impl Shared {
     fn stopped(&self) -> bool {
         self.stop.load(Ordering::Acquire)
     }
+}
 
-    fn since_taken(&self, number: u64) -> u64 {
-        now_ns().saturating_sub(self.taken[number as usize % TIMES].load(Ordering::Acquire)).max(1)
-    }
+/// Time since the bridge took what `number` stands for \[ns\].
+fn since(times: &[AtomicU64], number: u64) -> u64 {
+    now_ns().saturating_sub(times[number as usize % TIMES].load(Ordering::Acquire)).max(1)
+}
+
+fn times() -> Vec<AtomicU64> {
+    (0..TIMES).map(|_| AtomicU64::new(0)).collect()
 }
 
 /// One record per millisecond, stamped when its state would have been read.
@@ -72,7 +79,7 @@ fn bridge(shared: &Shared, robot: &RobotId, mut drain: Drain) -> Spread {
     let mut server = Server::open(robot, ServerSettings::default()).expect("a robot of this program's own");
     let mut wake_up = spread();
     let mut records = Vec::with_capacity(512);
-    let mut last_ns = now_ns();
+    let (mut last_ns, mut values) = (now_ns(), 0_usize);
     while !shared.stopped() {
         records.clear();
         if drain.take_into(&mut records, 512) == 0 {
@@ -87,6 +94,8 @@ fn bridge(shared: &Shared, robot: &RobotId, mut drain: Drain) -> Spread {
         }
         let last = records[records.len() - 1];
         last_ns = last.stamp_ns;
+        values += 1;
+        shared.valued[values % TIMES].store(now, Ordering::Release);
         server.publish(&records);
         server.feed_forward(FeedForwardMessage::new(&last, 7, [0.0; 3]));
         server.poll(|_, _| unreachable!("nobody sends commands"));
@@ -100,18 +109,14 @@ fn torque_client(shared: &Shared, robot: &RobotId) -> (Spread, Spread) {
         FeedForwardClient::connect(robot, FeedForwardSettings::default(), Duration::from_secs(20)).expect("the bridge");
     let (mut published, mut whole) = (spread(), spread());
     let mut seen = 0;
-    let mut first_stamp = None;
     while !shared.stopped() {
         if let Some(latest) = client.latest().expect("shared memory").filter(|latest| latest.message.sequence > seen) {
-            seen = latest.message.sequence;
-            let stamp = latest.message.stamp_ns;
-            // The bridge has kept when it took the record of this stamp: the newest one.
-            let first = *first_stamp.get_or_insert(stamp);
-            if stamp > first {
-                whole.saturating_record(now_ns().saturating_sub(stamp).max(1));
-                let number = shared.taken.iter().map(|at| at.load(Ordering::Acquire)).filter(|&at| at >= stamp).min();
-                published.saturating_record(number.map_or(1, |at| now_ns().saturating_sub(at)).max(1));
+            // What was there before this reader came is nobody's latency.
+            if seen > 0 {
+                whole.saturating_record(now_ns().saturating_sub(latest.message.stamp_ns).max(1));
+                published.saturating_record(since(&shared.valued, latest.message.sequence));
             }
+            seen = latest.message.sequence;
         }
         std::thread::sleep(POLL);
     }
@@ -128,7 +133,7 @@ fn estimator(shared: &Shared, robot: &RobotId) -> (Spread, Spread) {
         if let Delivery::Records { records, .. } = stream.next(Duration::ZERO).expect("shared memory") {
             // What had piled up before this reader came is nobody's latency.
             for record in records.iter().filter(|_| records.len() < 4) {
-                published.saturating_record(shared.since_taken(record.cycle));
+                published.saturating_record(since(&shared.taken, record.cycle));
                 whole.saturating_record(now_ns().saturating_sub(record.stamp_ns).max(1));
             }
         }
@@ -211,8 +216,7 @@ fn verdict(what: &str, ours: &Spread, bare: &Spread) {
 fn main() {
     let seconds = if std::env::args().any(|arg| arg == "--quick") { 2 } else { 30 };
     let robot = RobotId::parse("bench", "robot", &format!("bench-{}", std::process::id())).expect("a name");
-    let shared =
-        Arc::new(Shared { stop: AtomicBool::new(false), taken: (0..TIMES).map(|_| AtomicU64::new(0)).collect() });
+    let shared = Arc::new(Shared { stop: AtomicBool::new(false), taken: times(), valued: times() });
     let (sink, drain) = ring(8192);
     let (wake_up, client, follower, bare_samples, bare_values) = std::thread::scope(|scope| {
         let bridging = scope.spawn(|| bridge(&shared, &robot, drain));

@@ -149,7 +149,7 @@ fn a_daemon_that_was_stopped_and_goes_on_has_skipped_and_counted_what_it_slept_t
         "excitation.rounds=0",
         "validation.trajectories=1",
     ];
-    let daemon = Running::start(place.job("daemon", &sets));
+    let mut daemon = Running::start(place.job("daemon", &sets));
     let cycles = || {
         let done = place.command("status");
         (done.code == Some(0)).then(|| serde_json::from_str::<Status>(&done.out).unwrap().cycles)
@@ -161,6 +161,7 @@ fn a_daemon_that_was_stopped_and_goes_on_has_skipped_and_counted_what_it_slept_t
         signal(daemon.pid(), "CONT");
         std::thread::sleep(Duration::from_millis(200));
     }
+    assert!(daemon.runs(), "the daemon ended by itself: {}", daemon.end().said());
     place.command("quit").expect_code(0);
     let done = daemon.end().expect_code(0);
     let [periods, cycles, skipped, clock] = account(&done);

@@ -18,6 +18,8 @@ use crate::joint::Record;
 
 /// Requests handled in one [`Server::poll`] per service, so that a flood of them does not hold up the samples.
 const REQUESTS_PER_POLL: usize = 8;
+/// Time after which one [`Server::poll`] takes no further request \[ns\]: long ones are dear to read.
+const TIME_PER_POLL_NS: u64 = 500_000;
 /// First size of an answer's memory; it grows when an answer needs more \[bytes\].
 const RESPONSE_BYTES: usize = 4096;
 /// Pause between two looks at silent followers.
@@ -157,7 +159,11 @@ impl Server {
         self.poll_replay();
         self.look_after_followers();
         let mut handled = 0;
+        let begin = now_ns();
         for _ in 0..REQUESTS_PER_POLL {
+            if now_ns().saturating_sub(begin) > TIME_PER_POLL_NS {
+                break;
+            }
             let active = match self.commands.receive() {
                 Ok(Some(active)) => active,
                 Ok(None) => break,

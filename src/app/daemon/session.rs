@@ -37,6 +37,8 @@ const FLIGHT: usize = 2048;
 const DRAIN: usize = 512;
 /// Pause of the bridge thread when there is nothing to do.
 const PAUSE: Duration = Duration::from_micros(200);
+/// So many times as long as answering took, nothing is answered: a fifth of the time goes to requests at most.
+const RESTS_PER_TALK: u64 = 4;
 /// Silence of this thread after which the loop brakes an arm that moves \[ms\]: this thread is the one that hears a stop.
 const SILENCE: u64 = 1000;
 /// Records that simulated time may run ahead of an estimator that watches it: two seconds.
@@ -62,6 +64,8 @@ pub struct Session {
     model: u64,
     /// It was said what the loop's thread was granted.
     judged: bool,
+    /// Requests wait until then.
+    deaf_until_ns: u64,
     /// When the next record is due.
     records_due: Rhythm,
     /// Gravity that it was handed over with \[m/s2\].
@@ -123,6 +127,7 @@ impl Session {
             purpose,
             model: 0,
             judged: false,
+            deaf_until_ns: 0,
             records_due: Rhythm::default(),
             gravity: mounting.gravity(),
             waiting: false,
@@ -152,7 +157,7 @@ impl Session {
             if let (Purpose::Hold, Some(robot)) = (self.purpose, &mut self.robot) {
                 robot.watch();
             }
-            daemon.talk(Some(&self.handles.controls));
+            self.talk(daemon);
             daemon.service.beat(self.progress());
             if daemon.desk.must_leave() {
                 self.handles.controls.quit();
@@ -189,6 +194,18 @@ impl Session {
             (End::Fault(fault), Some(robot)) => vec![robot.next_step(fault)],
             _ => Vec::new(),
         }
+    }
+
+    /// Answers requests, but for a small share of the time: this thread is a real-time one, and a flood of long requests that kept it busy would
+    /// use up what the kernel leaves to real-time threads (`kernel.sched_rt_runtime_us`), the loop's part included.
+    fn talk(&mut self, daemon: &mut Daemon) {
+        let begin = now_ns();
+        if begin < self.deaf_until_ns {
+            return;
+        }
+        daemon.talk(Some(&self.handles.controls));
+        let end = now_ns();
+        self.deaf_until_ns = end.saturating_add(RESTS_PER_TALK * end.saturating_sub(begin));
     }
 
     /// Sleeps until the next record is due. An arm that keeps the clock's time makes one every millisecond: this thread then wakes up right behind
