@@ -163,8 +163,8 @@ fn measure(what: &str, paced: bool, periods: u32, robot: &Robot) -> bool {
     while !looping.is_finished() {
         while drain.pop().is_some() {}
         while let Ok(event) = handles.events.pop() {
-            assert!(!matches!(event, Event::Stopping { .. }), "the motion was stopped: {event:?}");
-            if matches!(event, Event::Ended { .. }) {
+            assert!(!matches!(event.event, Event::Stopping { .. }), "the motion was stopped: {event:?}");
+            if matches!(event.event, Event::Ended { .. }) {
                 ended = true;
                 handles.controls.quit();
             }

@@ -224,7 +224,9 @@ fn commands_are_answered_and_garbage_is_refused() {
                 }
                 // Far longer than an answer may be.
                 Request::Resume {} => Response::Refused { reason: "x".repeat(1 << 20) },
-                Request::Start {} | Request::Stop {} | Request::Adopt {} | Request::Reject {} => Response::Accepted {},
+                Request::Start {} | Request::Stop {} | Request::Adopt {} | Request::Reject {} | Request::Record {} => {
+                    Response::Accepted {}
+                }
                 Request::ProposeModel { .. } => Response::Refused { reason: "not asked for".into() },
                 Request::Quit {} => {
                     quit = true;

@@ -13,7 +13,7 @@ error-passive | bus-off | error-active              an error frame, as a control
 quit";
 
 /// An order.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug)]
 pub enum Order {
     /// Slopes \[deg\], reached after so many seconds.
     Tilt([f64; 2], f64),
