@@ -192,7 +192,7 @@ const SAME_BASE: f64 = 4.0;
 /// since the `first` run has one mounting, not one per reading: otherwise noise would pass for several mountings.
 fn as_measured(status: &Status, first: Option<Mounting>, recorded: &mut Recorded) {
     let motions = status.gravity.iter().flat_map(|gravity| &gravity.motions);
-    match motions.filter(|own| own.motion == recorded.number).last() {
+    match motions.rev().find(|own| own.motion == recorded.number) {
         Some(own) => {
             let measured = Mounting { rho: own.rho, phi: own.phi };
             let unmoved = first.filter(|first| first.angle_to(&measured) <= SAME_BASE * own.std);

@@ -58,8 +58,8 @@ impl Pair {
     }
 
     fn disagree(&self, tolerance: f64) -> bool {
-        // Also where an angle is no number.
-        !(self.angle <= tolerance + SPREAD * self.std)
+        let within = tolerance + SPREAD * self.std;
+        self.angle.is_nan() || within.is_nan() || self.angle > within
     }
 }
 

@@ -133,7 +133,7 @@ fn horizon(a: f64, b: f64, s: f64) -> Option<(Vector3<f64>, Matrix3x2<f64>)> {
     let (x, y) = (a.sin(), b.sin());
     let rest = 1.0 - x * x - y * y;
     // Two axes at right angles can't both stand on end.
-    if !(rest > 1e-6) {
+    if rest.is_nan() || rest <= 1e-6 {
         return None;
     }
     let z = s * rest.sqrt();

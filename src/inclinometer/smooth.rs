@@ -73,7 +73,7 @@ impl Smoother {
             return Ok(None);
         };
         let by = (0..2).map(|axis| (slopes[axis] - last[axis]).abs()).fold(0.0, f64::max);
-        if !(by <= self.settings.jump) {
+        if by.is_nan() || by > self.settings.jump {
             self.reset();
             self.last = Some((now, slopes));
             (self.calm, self.since, self.still_since) = (slopes, now, now);
@@ -82,10 +82,10 @@ impl Smoother {
         let dt = now.saturating_sub(before) as f64 * 1e-9;
         let share = 1.0 - (-dt / self.settings.time_constant).exp();
         let mut deviation = 0f64;
-        for axis in 0..2 {
-            let rest = slopes[axis] - self.calm[axis];
-            self.calm[axis] += share * rest;
-            self.variance[axis] += share * (rest * rest - self.variance[axis]);
+        for ((slope, calm), variance) in slopes.iter().zip(&mut self.calm).zip(&mut self.variance) {
+            let rest = slope - *calm;
+            *calm += share * rest;
+            *variance += share * (rest * rest - *variance);
             deviation = deviation.max(rest.abs());
         }
         if deviation > self.settings.still {

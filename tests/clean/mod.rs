@@ -170,9 +170,11 @@ impl<B: Backend> Backend for SealedArm<B> {
     fn stop(&mut self) {
         self.arm.stop();
         self.stopped.store(true, Ordering::Release);
-        while self.sealed {
-            // The run is over. What the loop leaves behind is made outside of the filter's run, in other tests.
-            sleep_until(u64::MAX);
+        if self.sealed {
+            // The run is over; what the loop leaves behind is made by calls that are not the cycle's. The test ends the program.
+            loop {
+                sleep_until(u64::MAX);
+            }
         }
     }
 
@@ -254,15 +256,12 @@ pub struct Interrupted {
 }
 
 /// Drives the loop from this thread until it has ended.
-fn whole<B: Backend>(
+fn whole<B: Backend + 'static>(
     arm: SealedArm<B>,
     gate: Option<Arc<Gate>>,
     guard: GuardSettings,
     name: &str,
-) -> Result<Outcome, Interrupted>
-where
-    B: 'static,
-{
+) -> Result<Outcome, Interrupted> {
     // A stalled test machine is for the arm to judge, not for the loop.
     let rights = Rights { priority: Some(10), ..Rights::NONE };
     let settings = CycleSettings { guard, rights, max_consecutive_lost: 1000, ..settings() };

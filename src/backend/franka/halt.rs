@@ -10,7 +10,6 @@
     clippy::todo,
     clippy::unimplemented
 )]
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
 
 use super::arm::{FrankaArm, Phase};
 use super::settings::{Interface, Purpose};

@@ -10,7 +10,6 @@
     clippy::todo,
     clippy::unimplemented
 )]
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
 
 use super::arm::{FrankaArm, Phase, answer_to};
 use super::codes::{REFLEX_MODE, REFUSED_MOVE, REFUSED_NO_START, REFUSED_NOT_FINITE};
