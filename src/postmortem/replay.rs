@@ -12,7 +12,7 @@ use crate::excite::fourier::{Fourier, PeriodicMotion};
 use crate::joint::{Command, MAX_JOINTS, Record, Setpoint, State};
 use crate::recording::Recording;
 use crate::recording::about::{Given, Handed, LogClock, Series, UnderWay};
-use crate::recording::history::Fold;
+use crate::recording::history::{Fold, begun_from};
 use crate::rt::checkpoint::{Checkpoint, Doing};
 use crate::rt::cycle::{self, Cycle, End};
 use crate::rt::order::{Event, Handles, Order, OrderKind, StopReason, Told};
@@ -211,15 +211,16 @@ fn fold(recording: &Recording, cycle: u64) -> Fold {
     let mut fold =
         Fold { under_way: about.under_way.clone(), orders: about.orders_before, models: about.models_before };
     for told in recording.events.iter().filter(|told| told.cycle > begin && told.cycle <= cycle) {
-        fold.after(told, desired_before(&recording.records, told.cycle));
+        fold.after(told, begun_before(&recording.records, told));
     }
     fold
 }
 
-/// The setpoint that was sent in the cycle before this one.
-fn desired_before(records: &[Record], cycle: u64) -> Option<Setpoint> {
-    let place = records.binary_search_by_key(&cycle.checked_sub(1)?, |record| record.cycle).ok()?;
-    Some(records[place].command.desired)
+/// The setpoint that what an event speaks of began from.
+fn begun_before(records: &[Record], told: &Told) -> Option<Setpoint> {
+    let find =
+        |cycle: u64| records.binary_search_by_key(&cycle, |record| record.cycle).ok().map(|place| &records[place]);
+    Some(begun_from(&told.event, find(told.cycle.checked_sub(1)?)?, find(told.cycle)))
 }
 
 fn doing(recording: &Recording, before: &Fold) -> Result<Doing, ReplayError> {

@@ -5,6 +5,7 @@
 
 use super::about::{Given, Handed, Note, Point, UnderWay};
 use crate::joint::{JointVec, Record, Setpoint, State};
+use crate::rt::motion::braked_from;
 use crate::rt::order::{Event, Told};
 use std::collections::VecDeque;
 
@@ -44,6 +45,18 @@ pub struct Fold {
     pub orders: u32,
     /// Models taken.
     pub models: u32,
+}
+
+/// The setpoint that what `event` speaks of began from: the one of the cycle before, `last`, or where the arm had gone on alone to when
+/// states were lost and a stop began in cycle `own`.
+pub fn begun_from(event: &Event, last: &Record, own: Option<&Record>) -> Setpoint {
+    match (event, own) {
+        (Event::Stopping { .. }, Some(own)) => {
+            let gap = own.state.seq.saturating_sub(last.state.seq);
+            braked_from(&last.command.desired, gap, own.tick)
+        }
+        _ => last.command.desired,
+    }
 }
 
 impl Fold {
@@ -170,12 +183,13 @@ impl History {
     /// Notes for every event whose cycle is here what had been sent before it.
     fn settle(&mut self) {
         let Some(newest) = self.newest().map(|record| record.cycle) else { return };
-        while let Some(cycle) = self.events.get(self.settled).map(|waiting| waiting.told.cycle) {
+        while let Some(told) = self.events.get(self.settled).map(|waiting| waiting.told) {
+            let cycle = told.cycle;
             if cycle > newest {
                 return;
             }
             let from = match cycle.checked_sub(1) {
-                Some(before) => self.find(before).map(|record| record.command.desired),
+                Some(before) => self.find(before).map(|last| begun_from(&told.event, last, self.find(cycle))),
                 None => self.find(0).map(|record| start(&record.state, self.joints, &self.tracking)),
             };
             if let Some(waiting) = self.events.get_mut(self.settled) {

@@ -217,6 +217,12 @@ impl Motion {
     }
 }
 
+/// The setpoint that a stop began from whose first sample was number `tick`, `gap` cycles of the arm after `last` had been sent.
+pub fn braked_from(last: &Setpoint, gap: u64, tick: u64) -> Setpoint {
+    let alone = gap.saturating_sub(1).min(LONGEST_ALONE);
+    if tick + alone == gap { gone_on(last, seconds(alone)) } else { *last }
+}
+
 /// Where a setpoint leads at constant acceleration in `t` seconds.
 fn gone_on(from: &Setpoint, t: f64) -> Setpoint {
     let mut to = *from;
