@@ -4,7 +4,8 @@
 //! A thread stands for the loop: one record per millisecond into the ring. The bridge takes it from there as the daemon's does, and
 //! publishes samples and feed-forward. What the bridge adds by waking up (state read to record taken) is measured by itself, "the bridge's
 //! wake-up"; the rest (record taken to value in the reader's hands) is held against a bare publisher and subscriber of messages of the same
-//! size, sent by a thread with the same wake-up. All readers poll every [`POLL`].
+//! size, sent by a thread with the same wake-up. All readers pause for [`POLL`] on
+//! average between two looks.
 
 use hdrhistogram::Histogram;
 use iceoryx2::prelude::*;
@@ -17,6 +18,7 @@ use plumbline::rt::PERIOD_NS;
 use plumbline::rt::Sink;
 use plumbline::rt::os::{now_ns, sleep_until};
 use plumbline::rt::recorder::{Drain, RingSink, ring};
+use std::num::NonZeroU64;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
@@ -58,6 +60,21 @@ fn since(times: &[AtomicU64], number: u64) -> u64 {
 
 fn times() -> Vec<AtomicU64> {
     (0..TIMES).map(|_| AtomicU64::new(0)).collect()
+}
+
+/// Makes this thread's sleeps as long as they are asked to be; where a reader's pauses begin.
+fn first_turn() -> u64 {
+    // Without this the kernel adds 50 us to every pause of an ordinary thread.
+    rustix::thread::set_current_timer_slack(NonZeroU64::new(1)).expect("a thread may set its own slack");
+    1
+}
+
+/// A pause of half to one and a half of [`POLL`], never the same twice: readers at a fixed pace would keep whatever distance to their sender they
+/// happened to begin with, and measure that.
+fn pause(turn: &mut u64) {
+    *turn = turn.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+    let share = (*turn >> 33) as f64 / (1_u64 << 31) as f64;
+    std::thread::sleep(POLL.mul_f64(0.5 + share));
 }
 
 /// One record per millisecond, stamped when its state would have been read.
@@ -108,6 +125,7 @@ fn torque_client(shared: &Shared, robot: &RobotId) -> (Spread, Spread) {
     let mut client =
         FeedForwardClient::connect(robot, FeedForwardSettings::default(), Duration::from_secs(20)).expect("the bridge");
     let (mut published, mut whole) = (spread(), spread());
+    let mut turn = first_turn();
     let mut seen = 0;
     while !shared.stopped() {
         if let Some(latest) = client.latest().expect("shared memory").filter(|latest| latest.message.sequence > seen) {
@@ -118,7 +136,7 @@ fn torque_client(shared: &Shared, robot: &RobotId) -> (Spread, Spread) {
             }
             seen = latest.message.sequence;
         }
-        std::thread::sleep(POLL);
+        pause(&mut turn);
     }
     (published, whole)
 }
@@ -128,6 +146,7 @@ fn estimator(shared: &Shared, robot: &RobotId) -> (Spread, Spread) {
     let mut stream =
         SampleStream::connect(robot, StreamSettings::default(), Duration::from_secs(20)).expect("the bridge");
     let (mut published, mut whole) = (spread(), spread());
+    let mut turn = first_turn();
     while !shared.stopped() {
         // No waiting inside: the pause is this reader's own, as everybody's here.
         if let Delivery::Records { records, .. } = stream.next(Duration::ZERO).expect("shared memory") {
@@ -137,7 +156,7 @@ fn estimator(shared: &Shared, robot: &RobotId) -> (Spread, Spread) {
                 whole.saturating_record(now_ns().saturating_sub(record.stamp_ns).max(1));
             }
         }
-        std::thread::sleep(POLL);
+        pause(&mut turn);
     }
     (published, whole)
 }
@@ -183,12 +202,13 @@ fn bare<T: Copy + Default + std::fmt::Debug + ZeroCopySend + 'static>(
             let service = service(&node);
             let subscriber = service.subscriber_builder().buffer_size(4).create().expect("a subscriber");
             let mut latency = spread();
+            let mut turn = first_turn();
             while !shared.stopped() {
                 while let Some(sample) = subscriber.receive().expect("shared memory") {
                     let mut message = *sample.payload();
                     latency.saturating_record(now_ns().saturating_sub(*stamp(&mut message)).max(1));
                 }
-                std::thread::sleep(POLL);
+                pause(&mut turn);
             }
             latency
         })
