@@ -122,7 +122,7 @@ fn a_guard_stop_in_mid_motion() {
 fn lost_states_and_a_reflex() {
     for (name, keys, set, kind) in [
         ("lost", "drop-probability = 0.0004\ndrop-burst = 4", "safety.max-lost=3", "lost-states"),
-        ("reflex", "drop-probability = 0.0004\ndrop-burst = 40", "safety.max-lost=1000", "reflex"),
+        ("reflex", "drop-probability = 0.0004\ndrop-burst = 40", "safety.max-lost=25", "reflex"),
     ] {
         let place = Place::new(&format!("flight-{name}"));
         let arm = arm_with(&place, keys);

@@ -261,9 +261,8 @@ fn daemons(rounds: u32, seed: u64, kill: bool) -> Row {
     let witnesses = Witnesses::watch(&robot.id);
     for round in 0..rounds {
         let outcome = (|| {
-            if robot.status().is_some_and(|now| now.progress == Progress::Stopped) {
-                daemon.signal("KILL");
-                daemon = robot.process("daemon");
+            if daemon.ended().is_some() || robot.status().is_some_and(|now| now.progress == Progress::Stopped) {
+                drop(std::mem::replace(&mut daemon, robot.process("daemon")));
             }
             if !set_in_motion(&robot)? {
                 return Ok(None);
@@ -286,11 +285,20 @@ fn daemons(rounds: u32, seed: u64, kill: bool) -> Row {
             }
             daemon.signal("CONT");
             let went_on = within(Duration::from_millis(400), || {
-                robot.status().is_some_and(|now| now.progress == Progress::Stopped)
+                daemon.ended().is_some() || robot.status().is_some_and(|now| now.progress == Progress::Stopped)
             })
             .is_none();
+            // An arm that missed too many commands stops by itself; the daemon says so and ends, as with a robot.
+            if let Some(code) = daemon.ended() {
+                let said = daemon.said();
+                return if code == 1 && said.contains("the arm stopped by itself") {
+                    Ok(Some(Outcome { went_on: false, up: None }))
+                } else {
+                    Err(format!("after {lasts:?} the daemon ended with {code}: {said}"))
+                };
+            }
             let now = robot.status().ok_or("the daemon does not answer after SIGCONT")?;
-            // The simulated arm's time may stand still with its loop; where it counts lost states, it stops and the status says why.
+            // Where the loop counts lost states, it stops and the status says why.
             if !went_on && now.stopped.is_none() {
                 return Err(format!("after {lasts:?} the arm is {:?} without a reason", now.progress));
             }

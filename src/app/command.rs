@@ -1,6 +1,7 @@
 //! `plumbline command`: one request to the daemon, for operators and scripts.
 
 use super::Failure;
+use super::say::say;
 use crate::ipc::{Client, IpcError, Request, Response, RobotId};
 use clap::{Args, ValueEnum};
 use std::time::Duration;
@@ -58,12 +59,12 @@ pub fn run(options: Options) -> Result<(), Failure> {
     };
     match answer {
         Response::Status(status) => {
-            println!("{}", serde_json::to_string_pretty(&status).map_err(Failure::job)?);
+            say!("{}", serde_json::to_string_pretty(&status).map_err(Failure::job)?);
             Ok(())
         }
         Response::Refused { reason } => Err(Failure::job(reason)),
         Response::Accepted {} | Response::ModelAccepted { .. } | Response::ModelHeld { .. } => {
-            println!("accepted");
+            say!("accepted");
             Ok(())
         }
     }

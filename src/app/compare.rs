@@ -2,6 +2,7 @@
 
 use super::changed::{self, Stored};
 use super::identify::{cut, quiet_settings};
+use super::say::say;
 use super::{Failure, diagnosed, pipeline, progress};
 use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Role, Run};
@@ -144,9 +145,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let figures = Figures { runs: drawn.collect::<Result<_, _>>()?, ..Figures::default() };
     report.write(&options.out, &figures).map_err(Failure::job)?;
     for line in report.summary() {
-        println!("{line}");
+        say!("{line}");
     }
-    println!("report: {}", options.out.join("report.html").display());
+    say!("report: {}", options.out.join("report.html").display());
     Ok(())
 }
 

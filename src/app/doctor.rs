@@ -1,5 +1,6 @@
 //! `plumbline doctor`: is this machine fit for 1 kHz, and what to change.
 
+use super::say::say;
 use super::{Failure, JobOptions};
 use crate::config::job::Job;
 use crate::machine::{self, Finding, Tree, Verdict, Wanted};
@@ -38,14 +39,14 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let unfit: Vec<&str> = findings.iter().filter(|one| one.verdict == Verdict::Unfit).map(|one| one.name).collect();
     if options.json {
         let report = serde_json::json!({ "fit": unfit.is_empty(), "unfit": unfit, "findings": findings });
-        println!("{}", serde_json::to_string_pretty(&report).map_err(Failure::job)?);
+        say!("{}", serde_json::to_string_pretty(&report).map_err(Failure::job)?);
     } else {
         findings.iter().for_each(show);
     }
     match unfit.is_empty() {
         true if options.json => Ok(()),
         true => {
-            println!("fit for 1 kHz");
+            say!("fit for 1 kHz");
             Ok(())
         }
         false => Err(Failure::job(format!("unfit for 1 kHz: {}", unfit.join(", ")))),
@@ -72,8 +73,8 @@ fn show(finding: &Finding) {
         Verdict::Advice => "advice",
         Verdict::Unfit => "UNFIT",
     };
-    println!("{mark:<7} {:<16} {}", finding.name, finding.found);
+    say!("{mark:<7} {:<16} {}", finding.name, finding.found);
     if let Some(change) = &finding.change {
-        println!("{:<7} {:<16} change: {change}", "", "");
+        say!("{:<7} {:<16} change: {change}", "", "");
     }
 }

@@ -2,6 +2,7 @@
 
 use super::Failure;
 use super::pipeline::Identified;
+use super::say::say;
 use crate::config::robot::Robot;
 use crate::estimate::consistency::{Nearest, Prior, Uncertainty, Weights, nearest};
 use crate::input::BadInput;
@@ -82,8 +83,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
         c::write(model)
     } else {
         let (bodies, notes) = bodies(&file, &robot, &name, options.prior.as_deref())?;
-        println!("{}", facts(model, &bodies).sentence());
-        notes.iter().for_each(|note| println!("note: {note}"));
+        say!("{}", facts(model, &bodies).sentence());
+        notes.iter().for_each(|note| say!("note: {note}"));
         let bodies = effects::with_payload(model, &bodies).map_err(|link| {
             let expected = "a payload that makes a body of the last link: positive mass and moments";
             BadInput::new(&name, "term `payload`", format!("a last link with {link:?}"), expected)
@@ -100,12 +101,12 @@ pub fn run(options: Options) -> Result<(), Failure> {
     };
     super::write(&options.out, exported.text.as_bytes())?;
     for note in &exported.notes {
-        println!("note: {note}");
+        say!("note: {note}");
     }
     if options.format == Format::C {
-        println!("{}: void {}(q, dq, ddq, gravity, tau)", options.out.display(), c::function_name(model.robot()));
+        say!("{}: void {}(q, dq, ddq, gravity, tau)", options.out.display(), c::function_name(model.robot()));
     } else {
-        println!("{}", options.out.display());
+        say!("{}", options.out.display());
     }
     Ok(())
 }

@@ -2,6 +2,7 @@
 
 use super::pipeline::{self, Identified, Judged};
 use super::results::report_of;
+use super::say::say;
 use super::{Failure, SAME_MOUNTING, export, progress};
 use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Role, Run};
@@ -164,9 +165,9 @@ impl Done<'_> {
         let runs = runs.into_iter().collect::<Result<_, _>>()?;
         report.write(out, &Figures { runs, plan: None, diagnosis }).map_err(Failure::job)?;
         for line in report.summary() {
-            println!("{line}");
+            say!("{line}");
         }
-        println!("report: {}", out.join("report.html").display());
+        say!("report: {}", out.join("report.html").display());
         Ok(())
     }
 }

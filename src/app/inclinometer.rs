@@ -1,6 +1,7 @@
 //! `plumbline inclinometer`: listens to the inclinometer of a job and prints what it says; no arm is touched.
 
 use super::Failure;
+use super::say::say;
 use crate::config::job::Job;
 use crate::config::job::inclinometer::Inclinometer;
 use crate::inclinometer::attitude::angle_between;
@@ -77,7 +78,7 @@ fn once(listener: &mut Listener, start: u64, declared: &Mounting) -> Result<(), 
         let now = now_ns();
         match listener.health(now) {
             Health::Good(reading) => {
-                println!("{}", words(&reading, declared));
+                say!("{}", words(&reading, declared));
                 return Ok(());
             }
             Health::Bad(fault) if now.saturating_sub(start) > PATIENCE => return Err(Failure::job(fault)),

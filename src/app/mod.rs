@@ -25,6 +25,7 @@ mod programme;
 mod progress;
 mod results;
 mod run;
+mod say;
 mod served;
 mod service;
 mod sessions;

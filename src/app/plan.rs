@@ -1,6 +1,7 @@
 //! `plumbline plan`, and the planning of a job's motions.
 
 use super::programme::Programme;
+use super::say::say;
 use super::{Failure, friction_structure, progress};
 use crate::config::job::Job;
 use crate::config::robot::Robot;
@@ -196,10 +197,10 @@ impl Options {
     /// Writes a plan and says how good it is.
     fn leave(&self, plan: &Plan, path: &Path, set: &[Fourier], task: &Task) -> Result<(), Failure> {
         save_plan(plan, path).map_err(Failure::job)?;
-        println!("{}: condition {}", path.display(), super::conditions_text(&plan.conditions));
+        say!("{}: condition {}", path.display(), super::conditions_text(&plan.conditions));
         if set.len() > 1 {
             let together = task.with_problem(|problem| search::together(problem, set));
-            println!("  with the {} before it: condition {}", set.len() - 1, super::conditions_text(&together));
+            say!("  with the {} before it: condition {}", set.len() - 1, super::conditions_text(&together));
         }
         Ok(())
     }

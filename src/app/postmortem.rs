@@ -1,6 +1,7 @@
 //! `plumbline postmortem`: what happened before a fault, from its recording.
 
 use super::Failure;
+use super::say::say;
 use super::served::{NoModel, Reach, ServedModel};
 use crate::config::robot::Robot;
 use crate::input::BadInput;
@@ -39,14 +40,14 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let identical = replayed.as_ref().is_none_or(Replayed::is_identical);
     let story = Story::of(&file, &recording, replayed);
     if options.json {
-        println!("{}", serde_json::to_string_pretty(&story).map_err(Failure::job)?);
+        say!("{}", serde_json::to_string_pretty(&story).map_err(Failure::job)?);
     } else {
-        print!("{}", text(&story));
+        say!("{}", text(&story).trim_end());
     }
     let path = options.out.unwrap_or_else(|| options.file.with_extension("html"));
     super::write(&path, page(&story, &recording).map_err(Failure::job)?.as_bytes())?;
     if !options.json {
-        println!("page: {}", path.display());
+        say!("page: {}", path.display());
     }
     if identical { Ok(()) } else { Err(Failure::job("the replay gave other commands than the recording")) }
 }

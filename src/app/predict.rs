@@ -1,5 +1,6 @@
 //! `plumbline predict`: torques of a model along a recorded motion.
 
+use super::say::say;
 use super::{Failure, pipeline};
 use crate::config::robot::Robot;
 use crate::config::units::parse_mounting;
@@ -68,13 +69,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
     super::write(&options.out, text.as_bytes())?;
     if let Some(rms) = rms {
         let list = |values: &[f64]| values.iter().map(|value| format!("{value:.3}")).collect::<Vec<_>>().join(" ");
-        println!(
-            "RMS of measured minus predicted torque [Nm]: raw {} | filtered {}",
-            list(&rms.raw),
-            list(&rms.filtered)
-        );
+        say!("RMS of measured minus predicted torque [Nm]: raw {} | filtered {}", list(&rms.raw), list(&rms.filtered));
     }
-    println!("{}: {} samples", options.out.display(), run.samples());
+    say!("{}: {} samples", options.out.display(), run.samples());
     Ok(())
 }
 

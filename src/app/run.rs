@@ -1,6 +1,7 @@
 //! `plumbline run`: daemon, estimator and report on one machine, for people without systemd.
 
 use super::estimator::status;
+use super::say::say;
 use super::{Failure, JobOptions, plan, progress, robot_id};
 use crate::ipc::{Client, Request, RobotId};
 use crate::report::Report;
@@ -172,8 +173,8 @@ fn summarise(out: &Path) -> Result<(), Failure> {
     let text = std::fs::read_to_string(&path).map_err(|error| Failure::job(format!("{}: {error}", path.display())))?;
     let report: Report = serde_json::from_str(&text).map_err(Failure::job)?;
     for line in report.summary() {
-        println!("{line}");
+        say!("{line}");
     }
-    println!("report: {}", out.join("report.html").display());
+    say!("report: {}", out.join("report.html").display());
     Ok(())
 }
