@@ -39,6 +39,9 @@ pub enum Purpose {
     Drive,
 }
 
+/// Missing commands that end the standing of a simulated arm: those of a minute.
+const STANDING: u32 = 60_000;
+
 /// A connected arm.
 pub struct Connected {
     /// The arm itself.
@@ -74,8 +77,11 @@ pub fn connect(desk: &Desk, mounting: Mounting, purpose: Purpose) -> Result<Conn
     let gate = job.backend.is_fast().then(|| Arc::new(Gate::new(RING as u64 / 2)));
     let pace = gate.clone().map_or_else(|| Pace::WallClock(Box::new(Monotonic)), Pace::Fast);
     let arm = SimArm::new(&robot.chain, truth, mounting, desk.rest, job.backend.seed, pace).map_err(Failure::job)?;
-    // As patient as a Franka, or as the job where that allows more.
-    let arm = arm.with_patience(job.safety.max_lost.max(FRANKA_PATIENCE));
+    // As patient as a Franka, or as the job where that allows more. An arm that only stands needs no commands: it is left alone for a minute.
+    let arm = arm.with_patience(match purpose {
+        Purpose::Drive => job.safety.max_lost.max(FRANKA_PATIENCE),
+        Purpose::Hold => STANDING,
+    });
     Ok(Connected { arm: Box::new(arm), gate, robot: None })
 }
 
