@@ -453,7 +453,7 @@ fn campaign(rounds: u32, seed: u64) -> Vec<Row> {
 
 #[test]
 fn a_few_of_each() {
-    for row in campaign(2, 1) {
+    for row in campaign(1, 1) {
         assert!(row.broken.is_empty(), "{}: {:#?}", row.name, row.broken);
         assert!(row.went_on + row.stopped > 0, "{}: this machine let no round count", row.name);
     }
