@@ -51,11 +51,14 @@ fn calls_in(command: &Command, call: &str, folder: &Path, trace: &Path) -> Vec<u
     let text = String::from_utf8_lossy(&std::fs::read(trace).unwrap()).into_owned();
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     let mut found = Vec::new();
+    // Descriptors are shown with their paths; what is printed about the folder is no call that concerns it.
+    let folder = folder.display().to_string();
+    let concerns = if matches!(call, "write" | "fsync") { format!("<{folder}") } else { folder };
     for line in text.lines().filter(|line| line.contains(&format!("{call}("))) {
         let thread = line.split_whitespace().next().unwrap_or_default();
         let count = counts.entry(thread).or_default();
         *count += 1;
-        if line.contains(&folder.display().to_string()) && !line.contains("O_RDONLY") {
+        if line.contains(&concerns) && !line.contains("O_RDONLY") {
             found.push(*count);
         }
     }
