@@ -7,14 +7,14 @@ mod device;
 
 use device::Device;
 use nalgebra::{Rotation3, Vector3};
-use plumbline::inclinometer::attitude::{Seat, SeatError, Slopes, angle_between, mounting_along};
+use plumbline::inclinometer::attitude::{Seat, SeatError, Slopes};
 use plumbline::inclinometer::canopen::{self, Entry, Width};
 use plumbline::inclinometer::follow::{FollowSettings, Follower, OnLoss, Refusal, Source};
 use plumbline::inclinometer::frame::{BusState, Frame, Heard};
 use plumbline::inclinometer::node::{Fault, NodeSettings};
 use plumbline::inclinometer::sensor::{Health, Note, Reading, Sensor, SensorSettings};
 use plumbline::inclinometer::smooth::SmoothSettings;
-use plumbline::model::gravity::{G, Mounting};
+use plumbline::model::gravity::{G, Mounting, angle_between};
 use proptest::prelude::*;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -286,7 +286,7 @@ fn angles_and_their_uncertainty_follow_from_the_direction() {
     // Along axis 1 phi means nothing, and says so.
     let upright = World::new(settings, [0.0, 0.0]).up().good().attitude;
     assert_eq!(upright.std_of_angles()[1], std::f64::consts::PI);
-    assert_eq!(mounting_along(&Mounting::CEILING.gravity()), Mounting::CEILING);
+    assert_eq!(Mounting::along(&Mounting::CEILING.gravity()), Mounting::CEILING);
 }
 
 #[test]

@@ -157,7 +157,7 @@ fn projected(a: f64, b: f64, s: f64) -> Option<(Vector3<f64>, Matrix3x2<f64>)> {
 impl Attitude {
     /// As angles of paper eq. 3.
     pub fn mounting(&self) -> Mounting {
-        mounting_along(&self.gravity)
+        Mounting::along(&self.gravity)
     }
 
     /// Standard deviation of the direction: the larger one across it \[rad\].
@@ -174,16 +174,4 @@ impl Attitude {
         let std = |along: Vector3<f64>| (along.transpose() * self.covariance * along).x.max(0.0).sqrt();
         [std(along_rho), (std(along_phi) / sin_rho.abs().max(1e-12)).min(std::f64::consts::PI)]
     }
-}
-
-/// A gravity vector as angles of paper eq. 3; its strength is left aside, and along axis 1 `phi` is 0.
-pub fn mounting_along(gravity: &Vector3<f64>) -> Mounting {
-    let across = gravity.x.hypot(gravity.y);
-    let phi = if across <= 1e-9 * gravity.norm() { 0.0 } else { gravity.y.atan2(gravity.x) };
-    Mounting { rho: across.atan2(gravity.z), phi }
-}
-
-/// Angle between two vectors \[rad\].
-pub fn angle_between(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
-    a.cross(b).norm().atan2(a.dot(b))
 }

@@ -3,10 +3,9 @@
 //! The measured direction is followed at a bounded rate and in steps that are worth a hand-over; every step makes the served torque
 //! step by at most `step` times the arm's gravity torque. Without a reading the configured fall-back decides.
 
-use super::attitude::angle_between;
 use super::node::Fault;
 use super::sensor::{Health, Reading};
-use crate::model::gravity::Mounting;
+use crate::model::gravity::{Mounting, angle_between};
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 
 /// What is served while the inclinometer is not.

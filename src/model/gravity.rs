@@ -32,7 +32,7 @@ impl Mounting {
     pub fn along(gravity: &Vector3<f64>) -> Mounting {
         let (x, y, z) = (gravity.x, gravity.y, gravity.z);
         let across = x.hypot(y);
-        Mounting { rho: across.atan2(z), phi: if across < 1e-9 * gravity.norm() { 0.0 } else { y.atan2(x) } }
+        Mounting { rho: across.atan2(z), phi: if across <= 1e-9 * gravity.norm() { 0.0 } else { y.atan2(x) } }
     }
 
     /// Gravitational acceleration in the base frame, `a_g = g [sin rho cos phi, sin rho sin phi, cos rho]` (paper eq. 3) \[m/s2\].
@@ -49,9 +49,13 @@ impl Mounting {
 
     /// Angle between the gravity directions of two mountings \[rad\].
     pub fn angle_to(&self, other: &Mounting) -> f64 {
-        let (a, b) = (self.gravity(), other.gravity());
-        a.cross(&b).norm().atan2(a.dot(&b))
+        angle_between(&self.gravity(), &other.gravity())
     }
+}
+
+/// Angle between two vectors \[rad\].
+pub fn angle_between(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
+    a.cross(b).norm().atan2(a.dot(b))
 }
 
 /// `upright`, `ceiling`, `wall` (base x axis down), or the two angles in rad.

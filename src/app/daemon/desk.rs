@@ -6,7 +6,6 @@ use crate::app::Failure;
 use crate::backend::sim::Truth;
 use crate::config::job::{Adopt, Job, OnLoss};
 use crate::config::robot::Robot;
-use crate::inclinometer::attitude::mounting_along;
 use crate::input::BadInput;
 use crate::ipc::{
     Held, Mounting as MountingMessage, News, Progress, Proposal, Request, Response, Served,
@@ -286,7 +285,7 @@ impl Desk {
         let name = self.names.iter().find(|(number, _)| *number == self.last.motion).map(|(_, name)| name.as_str());
         let place = self.mounting.to_string();
         let gravity = self.gravity.served();
-        let Mounting { rho, phi } = mounting_along(&gravity);
+        let Mounting { rho, phi } = Mounting::along(&gravity);
         let mut status = Status {
             robot: self.robot.name.clone(),
             joints: self.robot.chain.len(),

@@ -7,13 +7,12 @@ use crate::app::Failure;
 use crate::config::job::inclinometer::BaseMotion;
 use crate::config::job::{Job, MountingCheck};
 use crate::estimate::mounting_check::{Implied, Side, cross_check, implied};
-use crate::inclinometer::attitude::{angle_between, mounting_along};
 use crate::inclinometer::follow::{Decision, FollowSettings, Follower, Source};
 use crate::inclinometer::sensor::{Health, Reading, Sensor};
 use crate::inclinometer::socket::Listener;
 use crate::ipc::{Gravity as GravityMessage, MotionGravity};
 use crate::joint::{Phase, Record};
-use crate::model::gravity::Mounting;
+use crate::model::gravity::{Mounting, angle_between};
 use nalgebra::Vector3;
 
 /// Events that the status keeps, the latest ones.
@@ -259,7 +258,7 @@ impl Watch {
     fn decide(&mut self, model: &Accepted) -> Verdict {
         let gravity = self.gravity();
         // What is measured decides here, not what was declared: a vertical model holds within one degree.
-        if let Err(refused) = model.model.valid_in(&mounting_along(&gravity)) {
+        if let Err(refused) = model.model.valid_in(&Mounting::along(&gravity)) {
             return Verdict::Refuse(refused.to_string());
         }
         if let Some(Inclinometer { decision: Decision { refusal: Some(refusal), .. }, .. }) = &self.inclinometer {
@@ -351,7 +350,7 @@ impl Watch {
         let sensor = self.inclinometer.as_ref();
         let reading = sensor.and_then(|own| own.follower.last());
         let angles = |gravity: &Vector3<f64>| {
-            let Mounting { rho, phi } = mounting_along(gravity);
+            let Mounting { rho, phi } = Mounting::along(gravity);
             [rho, phi]
         };
         GravityMessage {
