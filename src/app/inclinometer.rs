@@ -17,7 +17,7 @@ use std::time::Duration;
 /// Options of `plumbline inclinometer`.
 #[derive(Args)]
 pub struct Options {
-    /// The job whose [inclinometer] is listened to
+    /// The job whose inclinometer is listened to
     config: PathBuf,
     /// Override one key of the job, as in --set inclinometer.interface=vcan0 (repeatable)
     #[arg(long = "set", value_name = "KEY.PATH=VALUE")]
