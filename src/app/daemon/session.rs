@@ -230,10 +230,11 @@ impl Session {
         self.records.clear();
         let taken = self.drain.take_into(&mut self.records, DRAIN);
         let Some(last) = self.records.last() else { return false };
-        daemon.server.publish(&self.records);
-        self.tape.keep(&self.records);
+        // The torque first: whoever waits for it drives something.
         let gravity = self.gravity.into();
         daemon.server.feed_forward(FeedForwardMessage::new(last, daemon.desk.robot.chain.len(), gravity));
+        daemon.server.publish(&self.records);
+        self.tape.keep(&self.records);
         if daemon.desk.gravity.take(&self.records) {
             self.handles.controls.stop();
         }
