@@ -135,7 +135,10 @@ fn what_is_served_is_the_regressor_times_the_parameters() {
                 let own = columns(&ground(&model), &spec, &motion);
                 assert!(own.iter().all(|value| value.is_finite()), "{spec:?}");
                 // A one-sided spring may not be reached, and a small arm does not feel every force, tilt or parameter.
-                let may_be = ["above", "below"].contains(&spec.form) || (robot != "panda" && own.ncols() > 1);
+                // Nor does anything depend on where a sliding joint is.
+                let sliding = family.id.starts_with("encoder") && robot == "scara";
+                let may_be =
+                    ["above", "below"].contains(&spec.form) || (robot != "panda" && own.ncols() > 1) || sliding;
                 assert!(
                     may_be || own.column_iter().all(|column| column.amax() > 0.0),
                     "an empty column: {spec:?}, {robot}"
@@ -399,22 +402,28 @@ fn a_position_error_shifts_the_motion() {
         // Small torques, so that a gap of a few Nm is wide against the steps of the motion.
         let model = model_within(robot, &mut rng, 0.02);
         let (ground, n) = (ground(&model), model.structure().chain().len());
-        let motion = sampled_motion(&mut rng, n, true, 4000);
+        // Friction turns within milliseconds.
+        let motion = sampled_motion(&mut rng, n, true, 40_000);
         let torque = load(&model, &motion);
         let i = rng.random_range(0..n);
         let q: Vec<f64> = motion.q.column(i).iter().copied().collect();
         let own: Vec<f64> = torque.column(i).iter().copied().collect();
+        let through: Vec<f64> = own.iter().zip(&friction(&ground, &motion, i)).map(|(own, tau)| own + tau).collect();
         let width = (0.5 * torque.column(i).amax()).min(5.0);
-        let cases: [(&str, Vec<f64>, usize, Vec<f64>); 5] = [
-            ("encoder-offset", vec![], 0, vec![1.0; q.len()]),
-            ("encoder-eccentricity", vec![], 0, q.iter().map(|q| q.sin()).collect()),
-            ("encoder-eccentricity", vec![], 1, q.iter().map(|q| q.cos()).collect()),
-            ("joint-elasticity", vec![], 0, own.iter().map(|tau| -tau).collect()),
-            ("backlash", vec![width], 0, own.iter().map(|tau| -(tau / width).tanh()).collect()),
+        let twist = |load: &[f64]| load.iter().map(|tau| -tau).collect();
+        let gap = |load: &[f64]| load.iter().map(|tau| -(tau / width).tanh()).collect();
+        let cases: [(&str, &str, Vec<f64>, usize, Vec<f64>); 7] = [
+            ("encoder-offset", "", vec![], 0, vec![1.0; q.len()]),
+            ("encoder-eccentricity", "", vec![], 0, q.iter().map(|q| q.sin()).collect()),
+            ("encoder-eccentricity", "", vec![], 1, q.iter().map(|q| q.cos()).collect()),
+            ("joint-elasticity", "", vec![], 0, twist(&own)),
+            ("joint-elasticity", "link-friction", vec![], 0, twist(&through)),
+            ("backlash", "", vec![width], 0, gap(&own)),
+            ("backlash", "link-friction", vec![width], 0, gap(&through)),
         ];
-        for (id, settings, c, error) in cases {
+        for (id, form, settings, c, error) in cases {
             let family = FAMILIES.iter().find(|family| family.id == id).unwrap();
-            let spec = Spec { family: family.id, form: "", site: Site::Joint(i), settings };
+            let spec = Spec { family: family.id, form, site: Site::Joint(i), settings };
             let found = column_of(&ground, &spec, &motion, c);
             let a = 1e-5;
             let (first, second) = differences(&error, motion.dt);
@@ -429,24 +438,38 @@ fn a_position_error_shifts_the_motion() {
             };
             let expected = (shifted(a) - shifted(-a)) / (2.0 * a);
             let (difference, scale) = ((&found - &expected).amax(), expected.amax());
-            assert!(scale > 1e-3 && difference < 2e-3 * scale, "{id} of {robot}: {difference:e} of {scale:e}");
+            // Differences across the moments in which a joint turns, some ten samples, are coarse.
+            let precision = if form.is_empty() { 2e-3 } else { 0.1 };
+            assert!(
+                scale > 1e-3 && difference < precision * scale,
+                "{id} {form} of {robot}: {difference:e} of {scale:e}"
+            );
         }
     }
+}
+
+/// `fv dq + fc tanh(100 dq)` of one joint \[Nm\].
+fn friction(ground: &Ground, motion: &Motion, joint: usize) -> Vec<f64> {
+    let [fv, fc] = ground.friction[joint];
+    motion.dq.column(joint).iter().map(|dq| fv * dq + fc * (100.0 * dq).tanh()).collect()
 }
 
 #[test]
 fn a_delay_is_the_slope_of_the_torque() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let model = rigid_model("panda", &mut rng);
-    let motion = sampled_motion(&mut rng, 7, true, 4000);
+    let ground = ground(&model);
+    let motion = sampled_motion(&mut rng, 7, true, 40_000);
     let torque = load(&model, &motion);
     let spec = Spec { family: "delay", form: "", site: Site::Arm, settings: vec![] };
-    let found = column_of(&ground(&model), &spec, &motion, 0);
+    let found = column_of(&ground, &spec, &motion, 0);
     for j in 0..7 {
-        let (slope, _) = differences(torque.column(j).clone_owned().as_slice(), motion.dt);
+        let friction = friction(&ground, &motion, j);
+        let whole: Vec<f64> = torque.column(j).iter().zip(&friction).map(|(body, friction)| body + friction).collect();
+        let (slope, _) = differences(&whole, motion.dt);
         let expected = -DVector::from_vec(slope);
         let (difference, scale) = ((found.column(j) - &expected).amax(), expected.amax());
-        assert!(difference < 1e-3 * scale, "joint {}: {difference:e} of {scale:e}", j + 1);
+        assert!(difference < 0.03 * scale, "joint {}: {difference:e} of {scale:e}", j + 1);
     }
 }
 

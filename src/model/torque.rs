@@ -108,7 +108,7 @@ impl TorqueModel {
     /// A model from names, as a model file holds it: per term its identity and its parameters.
     ///
     /// The rigid body has to be complete; any other term may lack columns (they are zero) but can't have foreign ones. Effects stand
-    /// upon the rigid body of this very model.
+    /// upon the rigid body and the friction of this very model.
     pub fn from_named(
         robot: impl Into<String>,
         chain: Chain,
@@ -125,10 +125,10 @@ impl TorqueModel {
         let ids: Vec<&str> = arm.iter().map(|named| named.id.as_str()).collect();
         let full = Structure::of(chain, reduction, &ids)?;
         let rigid = arm.iter().find(|named| named.id == rigid_body::ID);
-        let mut beta = Vec::new();
         for column in &full.columns()[..full.reduction().len()] {
-            let value = rigid.and_then(|named| named.parameters.iter().find(|own| own.0 == column.name));
-            beta.push(value.ok_or_else(|| ModelError::MissingColumn { name: column.name.clone() })?.1);
+            if !rigid.is_some_and(|named| named.parameters.iter().any(|own| own.0 == column.name)) {
+                return Err(ModelError::MissingColumn { name: column.name.clone() });
+            }
         }
         for named in &arm {
             let term = full.terms().iter().find(|term| term.id() == named.id);
@@ -136,7 +136,9 @@ impl TorqueModel {
         }
         let all: Vec<&NamedValue> = terms.iter().flat_map(|named| &named.parameters).collect();
         let mut structure = full.restricted(|column| all.iter().any(|(name, _, _)| *name == column.name));
-        // What effects are built upon is the rigid body's alone.
+        let value = |column: &Column| all.iter().find(|named| named.0 == column.name).map(|named| (named.1, named.2));
+        let beta: Vec<f64> =
+            structure.columns().iter().map(|column| value(column).map_or(0.0, |(value, _)| value)).collect();
         let ground = structure.ground(&beta);
         let mut built = Vec::new();
         for named in effects {
@@ -145,7 +147,6 @@ impl TorqueModel {
             built.extend(Subset::of(term, |column| named.parameters.iter().any(|(name, _, _)| *name == column.name)));
         }
         structure = structure.with(built)?;
-        let value = |column: &Column| all.iter().find(|named| named.0 == column.name).map(|named| (named.1, named.2));
         let missing = |column: &Column| ModelError::MissingColumn { name: column.name.clone() };
         let values = structure.columns().iter().map(|column| value(column).ok_or_else(|| missing(column)));
         let values = values.collect::<Result<Vec<_>, _>>()?;

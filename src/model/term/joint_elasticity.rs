@@ -1,6 +1,7 @@
 //! A gear that twists under its load.
 
 use super::all_rows::{AllRows, Clock, Law, Past};
+use super::carried::CarriedFriction;
 use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
@@ -19,12 +20,20 @@ pub static FAMILY: Family = Family {
     id: ID,
     physics: "The encoder sits on the motor's side, and the gear (or the torque sensor) behind it twists under the joint's load.",
     place: Place::Joint,
-    forms: &[Form {
-        name: "",
-        equation: "tau = c_i lin_i(-tau_rb_i), lin_i(e) = K_i e + V_i e' + M_i e'' in all rows",
-        settings: &[],
-        build,
-    }],
+    forms: &[
+        Form {
+            name: "",
+            equation: "tau = c_i lin_i(-tau_rb_i), lin_i(e) = K_i e + V_i e' + M_i e'' in all rows",
+            settings: &[],
+            build: of_body,
+        },
+        Form {
+            name: "link-friction",
+            equation: "tau = c_i lin_i(-(tau_rb_i + fv_i dq_i + fc_i tanh(100 dq_i))): friction behind the gear",
+            settings: &[],
+            build: with_friction,
+        },
+    ],
     stratum: Stratum::Repeatable,
     served: true,
     typical: "5e-5 to 2e-4 rad/Nm",
@@ -38,24 +47,39 @@ pub static FAMILY: Family = Family {
     reference: "Albu-Schaeffer, Ott, Hirzinger, Int. J. Robotics Research 26 (2007)",
 };
 
-fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+fn of_body(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    build(ground, "", CarriedFriction::default(), site, settings)
+}
+
+fn with_friction(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    build(ground, "link-friction", CarriedFriction::of(ground), site, settings)
+}
+
+fn build(
+    ground: &Ground,
+    form: &'static str,
+    friction: CarriedFriction,
+    site: Site,
+    settings: &[f64],
+) -> Arc<dyn Term> {
     let joint = joint(site);
     let columns = vec![column("compliance", site, "", unit(ground, joint, "rad/Nm", "m/N"))];
     let load = Arc::clone(&ground.load);
-    AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
+    AllRows::term(&FAMILY, form, site, settings, columns, move |gravity| {
         let error = PositionError { joint, load: load.under(gravity) };
-        Box::new(Twist { error, past: Past::default() })
+        Box::new(Twist { error, friction, past: Past::default() })
     })
 }
 
 struct Twist {
     error: PositionError,
+    friction: CarriedFriction,
     past: Past,
 }
 
 impl Law for Twist {
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
-        let e = -self.error.own(sample);
+        let e = -(self.error.own(sample) + self.friction.torque(sample, self.error.joint));
         let [de, dde] = self.past.derivatives(e, clock.dt);
         if let Some(column) = columns.first_mut() {
             *column = self.error.signature(sample, [e, de, dde]);

@@ -8,6 +8,7 @@ pub mod asymmetric_coulomb;
 pub mod asymmetric_viscous;
 pub mod backlash;
 pub mod base_motion;
+mod carried;
 pub mod contact;
 pub mod delay;
 pub mod effect;
