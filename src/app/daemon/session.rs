@@ -332,23 +332,15 @@ impl Session {
         if self.model == 0 {
             return;
         }
-        match controls.phase() {
-            // Orders that wait would go on without a model.
-            Phase::Hold if self.purpose == Purpose::Drive => {
-                desk.gravity.stopping(why);
-                controls.stop();
-            }
-            Phase::Hold | Phase::Stopped => {
-                if self.handles.models.serve(Box::new(NoModel)).is_ok() {
-                    self.model = 0;
-                    self.tape.handed(Handed { id: 0, gravity: [0.0; 3] }, "");
-                }
-            }
-            Phase::Stop => {}
-            Phase::Approach | Phase::Excite | Phase::Return => {
-                desk.gravity.stopping(why);
-                controls.stop();
-            }
+        let phase = controls.phase();
+        let moving = matches!(phase, Phase::Approach | Phase::Excite | Phase::Return);
+        // Also where it holds between two motions: orders that wait would go on without a model.
+        if moving || (phase == Phase::Hold && self.purpose == Purpose::Drive) {
+            desk.gravity.stopping(why);
+            controls.stop();
+        } else if phase != Phase::Stop && self.handles.models.serve(Box::new(NoModel)).is_ok() {
+            self.model = 0;
+            self.tape.handed(Handed { id: 0, gravity: [0.0; 3] }, "");
         }
     }
 

@@ -1,0 +1,293 @@
+//! The flight recorder: keeps the last seconds of the running loop, and writes them to disk after a fault.
+//!
+//! It has a thread of its own, started before anything asks for priority. The bridge thread copies every record into a ring of that thread's
+//! and never waits for it, unless simulated time does; a disk that is slow, full or read-only costs the recording and nothing else.
+
+mod deck;
+mod folder;
+
+use super::desk::Desk;
+use crate::config::job::Job;
+use crate::config::robot::Robot;
+use crate::input::BadInput;
+use crate::ipc::RobotId;
+use crate::joint::{Record, State};
+use crate::model::gravity::Mounting;
+use crate::recording::about::{About, FORMAT, Given, Handed, LogClock, Reason, Settings};
+use crate::recording::history::History;
+use crate::rt::Fault;
+use crate::rt::cycle::{End, Outcome};
+use crate::rt::order::{Controls, Told};
+use crate::rt::settings::CycleSettings;
+use deck::{Deck, work};
+use folder::Folder;
+use rtrb::{Producer, RingBuffer};
+use sha2::{Digest, Sha256};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::mpsc::{Sender, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// Records between the bridge thread and the recorder's: four seconds.
+const RING: usize = 4096;
+/// How often the recorder looks after its ring.
+const PAUSE: Duration = Duration::from_millis(5);
+/// Room behind the fault: no stop takes this long \[cycles\].
+const STOP: usize = 5000;
+
+/// What the recorder's thread hears.
+enum Message {
+    Open(Box<Deck>),
+    Told(Told),
+    Order(Given),
+    Model(Handed, String),
+    Note(String),
+    /// The next stop that is asked for has this reason.
+    Blame(Reason),
+    Write(Reason),
+    Close(Box<Close>),
+}
+
+/// The end of a loop.
+struct Close {
+    /// `None` when there is nothing to tell.
+    reason: Option<Reason>,
+    end: String,
+    next: Vec<String>,
+    untold: u64,
+    flight: Vec<Record>,
+    unanswered: Option<State>,
+}
+
+/// What was left behind by the loop's thread.
+pub enum Left {
+    /// The loop ended by itself.
+    Ended(Box<Outcome>),
+    /// It panicked; its last cycles and the state that was not answered.
+    Panicked {
+        /// What the panic said.
+        message: String,
+        /// The last cycles, oldest first.
+        flight: Vec<Record>,
+        /// The state that was not answered.
+        unanswered: Option<Box<State>>,
+    },
+}
+
+/// The recorder's handle, on the bridge thread.
+pub struct Recorder {
+    inbox: Option<Sender<Message>>,
+    thread: Option<JoinHandle<()>>,
+    span: f64,
+    /// What is the same in every recording.
+    about: Sheet,
+}
+
+/// What is known before a connection is.
+struct Sheet {
+    id: String,
+    job: String,
+    job_text: String,
+    robot_text: String,
+}
+
+impl Recorder {
+    /// Starts the recorder's thread, which inherits the ordinary scheduling of its caller: call it before anything asks for more.
+    ///
+    /// # Errors
+    /// A job or robot description that can't be read a second time.
+    pub fn start(job: &Job, id: &RobotId, out: &Path) -> Result<Recorder, BadInput> {
+        let (_, robot_text) = Robot::description(&job.robot, Some(job.dir()))?;
+        let file = job.file.display().to_string();
+        let job_text = std::fs::read_to_string(&job.file)
+            .map_err(|error| BadInput::new(&file, "file", error, "a readable configuration"))?;
+        let about = Sheet { id: id.to_string(), job: file, job_text, robot_text };
+        let mut recorder = Recorder { inbox: None, thread: None, span: job.recorder.span, about };
+        if job.recorder.span > 0.0 {
+            let folder = Folder {
+                dir: job.recorder.dir.clone().unwrap_or_else(|| out.join("flight")),
+                id: id.to_string(),
+                keep: job.recorder.keep,
+            };
+            let (inbox, messages) = channel();
+            let thread = std::thread::Builder::new().name("plumbline-flight".into());
+            match thread.spawn(move || work(&messages, &folder)) {
+                Ok(thread) => (recorder.inbox, recorder.thread) = (Some(inbox), Some(thread)),
+                Err(error) => tracing::error!("there is no flight recorder: {error}"),
+            }
+        }
+        Ok(recorder)
+    }
+
+    /// A tape for a loop that is about to begin. Its memory is allocated here.
+    pub fn tape(
+        &self,
+        desk: &Desk,
+        mounting: Mounting,
+        session: &str,
+        settings: &CycleSettings,
+        controls: &Arc<Controls>,
+    ) -> Tape {
+        let waits = desk.job.backend.is_fast();
+        let Some(inbox) = &self.inbox else { return Tape { inbox: None, ring: RingBuffer::new(1).0, waits, lost: 0 } };
+        let (ring, records) = RingBuffer::new(RING);
+        let joints = desk.robot.chain.len();
+        let depth = (self.span * 1e3) as usize + STOP;
+        let Sheet { id, job, job_text, robot_text } = &self.about;
+        let about = About {
+            format: FORMAT,
+            plumbline: env!("CARGO_PKG_VERSION").into(),
+            robot: desk.robot.name.clone(),
+            id: id.clone(),
+            joints,
+            mounting: mounting.to_string(),
+            rho: mounting.rho,
+            phi: mounting.phi,
+            session: session.into(),
+            job: job.clone(),
+            job_sha256: format!("{:x}", Sha256::digest(job_text.as_bytes())),
+            recorded: String::new(),
+            reason: Reason::default(),
+            end: None,
+            next: Vec::new(),
+            clock: LogClock::Wall { epoch_ns: 0 },
+            lost: 0,
+            late: 0,
+            untold: 0,
+            motions: desk.names.clone(),
+            notes: Vec::new(),
+            settings: Settings::from(settings),
+            under_way: Default::default(),
+            orders_before: 0,
+            models_before: 0,
+            orders: Vec::new(),
+            models: Vec::new(),
+        };
+        let texts = vec![("robot.toml".into(), robot_text.clone()), ("job.toml".into(), job_text.clone())];
+        let deck = Deck {
+            records,
+            history: History::new(depth, joints, settings.guard.tracking),
+            about,
+            texts,
+            before: (self.span * 1e3) as u64,
+            simulated: waits,
+            controls: Arc::clone(controls),
+            blame: None,
+            pending: None,
+        };
+        let opened = inbox.send(Message::Open(Box::new(deck))).is_ok();
+        Tape { inbox: opened.then(|| inbox.clone()), ring, waits, lost: 0 }
+    }
+
+    /// Keeps a remark of the daemon's.
+    pub fn note(&self, text: impl Into<String>) {
+        self.send(Message::Note(text.into()));
+    }
+
+    /// The stop that is asked for next has this reason.
+    pub fn blame(&self, reason: Reason) {
+        self.send(Message::Blame(reason));
+    }
+
+    /// Writes what is there now; whether there is a recorder.
+    pub fn write(&self, reason: Reason) -> bool {
+        self.send(Message::Write(reason));
+        self.inbox.is_some()
+    }
+
+    fn send(&self, message: Message) {
+        if let Some(inbox) = &self.inbox {
+            // A recorder that is gone has said so in the log.
+            let _ = inbox.send(message);
+        }
+    }
+}
+
+/// What has not been written yet is, before the program ends.
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        self.inbox = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// The bridge thread's end of the recorder, for one loop.
+pub struct Tape {
+    inbox: Option<Sender<Message>>,
+    ring: Producer<Record>,
+    /// Simulated time waits for the recorder; a real arm does not.
+    waits: bool,
+    lost: u64,
+}
+
+impl Tape {
+    /// Keeps records.
+    pub fn keep(&mut self, records: &[Record]) {
+        if self.inbox.is_none() {
+            return;
+        }
+        for record in records {
+            while self.waits && self.ring.is_full() && !self.ring.is_abandoned() {
+                std::thread::sleep(Duration::from_micros(50));
+            }
+            self.lost += u64::from(self.ring.push(*record).is_err());
+        }
+    }
+
+    /// Keeps an event.
+    pub fn tell(&self, told: Told) {
+        self.send(|| Message::Told(told));
+    }
+
+    /// The loop was given an order.
+    pub fn ordered(&self, given: Given) {
+        self.send(|| Message::Order(given));
+    }
+
+    /// The loop was given a model.
+    pub fn handed(&self, model: Handed, text: &str) {
+        self.send(|| Message::Model(model, text.to_string()));
+    }
+
+    /// The loop has ended; `words` are the backend's own for a fault, `next` what an operator does about it.
+    pub fn close(&mut self, left: &Left, words: &str, next: Vec<String>) {
+        if self.lost > 0 {
+            tracing::warn!("{} records did not reach the flight recorder in time", self.lost);
+        }
+        let (end, reason, untold, flight, unanswered) = match left {
+            Left::Panicked { message, flight, unanswered } => {
+                let text = format!("the loop's thread panicked: {message}");
+                (text.clone(), Some(Reason::new("panic", text)), 0, flight, unanswered.as_deref().copied())
+            }
+            Left::Ended(outcome) => {
+                let reason = kind_of_end(&outcome.end).map(|kind| Reason::new(kind, words));
+                (outcome.end.to_string(), reason, outcome.summary.untold, &outcome.flight, outcome.unanswered)
+            }
+        };
+        self.send(|| Message::Close(Box::new(Close { reason, end, next, untold, flight: flight.clone(), unanswered })));
+    }
+
+    fn send(&self, message: impl FnOnce() -> Message) {
+        if let Some(inbox) = &self.inbox {
+            let _ = inbox.send(message());
+        }
+    }
+}
+
+/// One word for an end that is a fault.
+fn kind_of_end(end: &End) -> Option<&'static str> {
+    Some(match end {
+        End::Quit => return None,
+        End::Fault(Fault::Silent { .. }) => "silent",
+        End::Fault(Fault::Reflex { .. }) => "reflex",
+        End::Fault(Fault::Refused { .. }) => "refused",
+        End::Fault(Fault::Disconnected) => "disconnected",
+        End::Unsafe(_) => "unsafe",
+        End::NoBrake => "no-brake",
+        End::NotRealTime => "not-real-time",
+        End::Clock { .. } => "clock",
+    })
+}
