@@ -1,9 +1,7 @@
 //! The job at wall-clock pace: every millisecond is accounted for, and clients follow the served torque while the arm moves.
 
-use crate::job_support;
+use crate::job_support::*;
 use crate::peers;
-
-use job_support::*;
 use plumbline::ipc::Status;
 use std::path::Path;
 

@@ -1,12 +1,10 @@
 //! The daemon's shared memory as its clients see it: samples complete and in order, the feed-forward fresh, commands answered.
 
-use crate::ipc_support;
-
 use std::sync::atomic::Ordering;
 use std::sync::mpsc;
 use std::time::Duration;
 
-use ipc_support::*;
+use crate::ipc_support::*;
 use plumbline::ipc::{
     Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, IpcError, Lock, MAX_REQUEST_BYTES,
     News, Presence, Request, Response, SampleStream, Server, ServerSettings, Status, StreamSettings,

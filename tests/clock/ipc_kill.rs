@@ -2,8 +2,6 @@
 //!
 //! The child processes are this test binary again, with [`ROLE`] telling it what to be.
 
-use crate::ipc_support;
-
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -11,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use ipc_support::*;
+use crate::ipc_support::*;
 use plumbline::ipc::{
     Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, Lock, News, Presence, Request,
     Response, RobotId, SampleStream, Server, ServerSettings, Status, StreamSettings,

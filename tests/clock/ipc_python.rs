@@ -1,16 +1,13 @@
 //! The Python client against a Rust daemon: the same bytes, the same rules, in another language.
 
-use crate::ipc_support;
-use crate::peers;
-
 use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use ipc_support::*;
-use peers::interpreter;
+use crate::ipc_support::*;
+use crate::peers::interpreter;
 use plumbline::ipc::{FeedForwardMessage, RobotId, Server, ServerSettings};
 
 /// Runs the client and returns its standard output.

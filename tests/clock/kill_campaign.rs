@@ -6,15 +6,13 @@
 
 use crate::emulator;
 use crate::job_support;
-use crate::kill_support;
-
 use std::fmt::Write as _;
 use std::net::{IpAddr, Ipv4Addr};
 use std::process::Command;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use kill_support::*;
+use crate::kill_support::*;
 use plumbline::backend::franka::wire::Protocol;
 use plumbline::ipc::{Progress, Request, Response};
 use plumbline::joint::Phase;

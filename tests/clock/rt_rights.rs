@@ -1,9 +1,7 @@
 //! Real-time rights as the kernel has them: which threads of a running daemon are real-time, that a refusal is said everywhere, and that a
 //! job which wants all of it or nothing gets nothing.
 
-use crate::job_support;
-
-use job_support::*;
+use crate::job_support::*;
 use plumbline::ipc::Status;
 use std::collections::BTreeMap;
 

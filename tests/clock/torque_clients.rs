@@ -1,8 +1,6 @@
 //! Sixteen torque clients of one daemon, some of them slow, stopped, killed or hostile: the loop does not notice.
 
-use crate::job_support;
-
-use job_support::*;
+use crate::job_support::*;
 use plumbline::ipc::{Client, RobotId, Status};
 use std::process::Command;
 use std::time::{Duration, Instant};

@@ -1,8 +1,6 @@
 //! The adapter of Franka arms against a fake control unit that does things wrong, one known pain per test.
 
-use crate::fci_fake;
-
-use fci_fake::{Fake, READY, World};
+use crate::fci_fake::{Fake, READY, World};
 use plumbline::backend::franka::wire::{
     ErrorBit, Errors, MAX_STATE, MotionGeneratorMode, MoveStatus, Protocol, Request, Response, RobotMode,
 };

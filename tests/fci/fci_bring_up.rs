@@ -1,12 +1,11 @@
 //! The first hour with an arm, on the emulator: each step passes where all is well, and fails or refuses for the reason that there is.
 #![allow(dead_code)] // the emulator and the rig are whole programs
 
-use crate::emulator;
 #[path = "../../hil/rig/steps/mod.rs"]
 mod steps;
 
+use crate::emulator::{Emulator, Settings as Emulated};
 use clap::Parser;
-use emulator::{Emulator, Settings as Emulated};
 use plumbline::backend::franka::wire::Protocol;
 use plumbline::model::gravity::Mounting;
 use std::net::Ipv4Addr;

@@ -1,8 +1,7 @@
 //! Clients of other origin, libfranka 0.9 and 0.21 in Python, believe the emulator. More of them: `hil/fci-peers/run.sh`.
 
-use crate::{emulator, peers};
-
-use emulator::{Emulator, Fault, Hand, Settings};
+use crate::emulator::{Emulator, Fault, Hand, Settings};
+use crate::peers;
 use plumbline::backend::franka::wire::Protocol;
 use serde::Deserialize;
 use std::io::{BufRead, BufReader, Read};

@@ -1,7 +1,6 @@
 //! What changed since a model was identified, on simulated recordings whose truth is known.
 
-use crate::scene;
-
+use crate::scene::lab::{Noise, Period, period, plans};
 use plumbline::backend::sim::Truth;
 use plumbline::config::robot::Robot;
 use plumbline::diagnose::Settings;
@@ -15,7 +14,6 @@ use plumbline::model::chain::Chain;
 use plumbline::model::gravity::Mounting;
 use plumbline::model::structure::Structure;
 use plumbline::model::torque::TorqueModel;
-use scene::lab::{Noise, Period, period, plans};
 use std::sync::OnceLock;
 
 const PAYLOAD: &str = "[[effect]]\nid = \"payload\"\nmass = 0.73\ncom = [0.0, 0.0, 0.15]\n\

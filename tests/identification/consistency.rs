@@ -1,10 +1,7 @@
 //! Physical consistency: what real bodies can have is reproduced, what they can't is moved to the nearest, and how far is said.
 
-use crate::arms;
-use crate::export_support;
-
-use arms::{all, chain, random_chain};
-use export_support::random_body;
+use crate::arms::{all, chain, random_chain};
+use crate::export_support::random_body;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline::backend::sim::Truth;
 use plumbline::config::robot::Robot;

@@ -1,9 +1,9 @@
 //! The nearest consistent parameters against those of a general solver for semidefinite programs.
 
-use crate::peers;
 #[path = "../peers/nearest.rs"]
 mod sdp;
 
+use crate::peers;
 use plumbline::estimate::consistency::{Uncertainty, nearest};
 
 /// Clarabel goes all the way to the least distance; ours keeps a trace of its prior, which may cost some hundredths of a standard

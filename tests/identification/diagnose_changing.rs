@@ -1,7 +1,8 @@
 //! What differs from period to period, put into simulated recordings by hand: drifts, a base that moves, contacts, single samples.
 
 use crate::scene;
-
+use crate::scene::DT;
+use crate::scene::lab::{Noise, Period, of_force, window};
 use nalgebra::{DMatrix, DVector, Vector3};
 use plumbline::backend::sim::Truth;
 use plumbline::config::robot::Robot;
@@ -18,8 +19,6 @@ use plumbline::model::structure::Structure;
 use plumbline::model::term::effect::Ground;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use scene::DT;
-use scene::lab::{Noise, Period, of_force, window};
 use std::f64::consts::TAU;
 use std::sync::OnceLock;
 

@@ -1,7 +1,7 @@
 //! Residuals that no catalogue explains: disturbances added to simulated torques have to be traced to the variables that they are made of.
 
 use crate::scene;
-
+use crate::scene::lab::{Noise, Period};
 use nalgebra::DMatrix;
 use plumbline::backend::sim::Truth;
 use plumbline::config::robot::Robot;
@@ -19,7 +19,6 @@ use plumbline::model::chain::Chain;
 use plumbline::model::structure::Structure;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use scene::lab::{Noise, Period};
 use std::sync::OnceLock;
 use std::time::Instant;
 

@@ -6,7 +6,6 @@
 //! `cargo test --test identification diagnose_real_logs -- --ignored --nocapture`.
 
 use crate::logs;
-
 use assert_cmd::cargo::cargo_bin;
 use std::path::Path;
 use std::process::Command;

@@ -3,11 +3,11 @@
 #[path = "../../benches/diagnosis/case.rs"]
 #[allow(dead_code)]
 mod case;
-use crate::scene;
 #[path = "../../benches/diagnosis/trial.rs"]
 #[allow(dead_code)]
 mod trial;
 
+use crate::scene;
 use case::{Case, Injected, What};
 use plumbline::diagnose::outcome::Verdict;
 use plumbline::model::gravity::Mounting;

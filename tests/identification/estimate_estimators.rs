@@ -1,13 +1,12 @@
 //! The estimators against each other and against simulated truth, each where it is made for.
 
 use crate::scene;
-
+use crate::scene::{Extra, Scene};
 use nalgebra::DVector;
 use plumbline::estimate::EstimateError;
 use plumbline::estimate::experiment::{Experiment, Settings};
 use plumbline::estimate::run::Run;
 use plumbline::estimate::solve::{Estimator, Identification, Options, Outcome, identify_with};
-use scene::{Extra, Scene};
 use std::sync::LazyLock;
 
 static SCENE: LazyLock<Scene> = LazyLock::new(Scene::panda_on_the_wall);

@@ -5,7 +5,6 @@
 //! package) and say so when they are not there.
 
 use crate::logs;
-
 use nalgebra::DMatrix;
 use plumbline::estimate::experiment::{Experiment, Settings};
 use plumbline::estimate::run::Run;

@@ -1,8 +1,6 @@
 //! The C function computes what the model does, on any compiler that takes C99.
 
-use crate::export_support;
-
-use export_support::{ROBOTS, cases, model, robot, with_effects};
+use crate::export_support::{ROBOTS, cases, model, robot, with_effects};
 use plumbline::model::term::effect::{FAMILIES, Spec};
 use plumbline::model::torque::TorqueModel;
 use plumbline::store::export::{c, effects};

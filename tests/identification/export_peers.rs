@@ -1,9 +1,7 @@
 //! URDF and MJCF give other programs the arm that was identified: torques of Pinocchio and MuJoCo are the model's.
 
-use crate::export_support;
+use crate::export_support::{Case, ROBOTS, bodies, cases, model, robot};
 use crate::peers;
-
-use export_support::{Case, ROBOTS, bodies, cases, model, robot};
 use plumbline::model::gravity::Mounting;
 use plumbline::store::export::{Arm, mjcf, splice, tree, urdf};
 use serde::{Deserialize, Serialize};

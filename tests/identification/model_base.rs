@@ -1,8 +1,7 @@
 //! Base parameters: how many, which, and what they are made of.
 
 use crate::arms;
-
-use arms::{all, any_mounting, chain, draw, random_chain, torque};
+use crate::arms::{all, any_mounting, chain, draw, random_chain, torque};
 use nalgebra::{DMatrix, DVector};
 use plumbline::model::base::{BaseKind, Reduction};
 use plumbline::model::chain::{Chain, Joint, JointKind, Placement};

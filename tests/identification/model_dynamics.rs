@@ -1,8 +1,6 @@
 //! Dynamics and kinematics as identities between two routes.
 
-use crate::arms;
-
-use arms::{all, any_mounting, chain, draw, random_chain, torque};
+use crate::arms::{all, any_mounting, chain, draw, random_chain, torque};
 use nalgebra::{DMatrix, DVector, Matrix4, Vector3};
 use plumbline::model::chain::{Chain, Joint, JointKind, Placement, StandardDh};
 use plumbline::model::gravity::{G, Mounting};

@@ -1,8 +1,7 @@
 //! The fast routes against the plain ones, on every arm that the tests know and on arms with random geometry.
 
 use crate::arms;
-
-use arms::{all, any_mounting, draw, links, random_chain};
+use crate::arms::{all, any_mounting, draw, links, random_chain};
 use nalgebra::{DMatrix, Vector3};
 use plumbline::joint::JointVec;
 use plumbline::model::base::{BaseKind, Reduction};

@@ -5,7 +5,6 @@
 //! package) and say so when they are not there.
 
 use crate::logs;
-
 use assert_cmd::cargo::cargo_bin;
 use std::path::Path;
 use std::process::Command;

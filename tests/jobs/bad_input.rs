@@ -1,8 +1,6 @@
 //! Bad input ends with exit code 2 and one error that names the place, the value and what was expected; nothing is left behind.
 
-use crate::job_support;
-
-use job_support::*;
+use crate::job_support::*;
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::process::Command;

@@ -1,7 +1,7 @@
 //! `plumbline diagnose` on recordings in which something changes from period to period, the real binary on a dataset in its folder form.
 
-use crate::scene;
-
+use crate::scene::DT;
+use crate::scene::lab::{Noise, of_force, period, plans, window};
 use nalgebra::Vector3;
 use plumbline::backend::sim::Truth;
 use plumbline::config::robot::Robot;
@@ -9,8 +9,6 @@ use plumbline::dataset::{Dataset, Role, Run};
 use plumbline::model::gravity::Mounting;
 use plumbline::report::Report;
 use plumbline::report::diagnosis::{Occurrence, Verdict};
-use scene::DT;
-use scene::lab::{Noise, of_force, period, plans, window};
 use std::path::Path;
 use std::process::Command;
 

@@ -1,13 +1,11 @@
 //! `plumbline compare`, the real binary on datasets in their folder form.
 
-use crate::scene;
-
+use crate::scene::lab::{Noise, period, plans};
 use plumbline::backend::sim::Truth;
 use plumbline::config::robot::Robot;
 use plumbline::dataset::{Dataset, Role, Run};
 use plumbline::model::gravity::Mounting;
 use plumbline::report::Report;
-use scene::lab::{Noise, period, plans};
 use std::path::Path;
 use std::process::{Command, Output};
 

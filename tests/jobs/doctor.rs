@@ -1,8 +1,6 @@
 //! `plumbline doctor`: every finding against a machine of the test's own making, and the command on this one.
 
-use crate::job_support;
-
-use job_support::*;
+use crate::job_support::*;
 use plumbline::machine::{Finding, Tree, Verdict, Wanted, look};
 use plumbline::rt::rights::Rights;
 use std::net::IpAddr;

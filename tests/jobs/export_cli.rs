@@ -1,10 +1,7 @@
 //! `plumbline export` as people call it: what it writes, says and refuses.
 
-use crate::export_support;
-use crate::job_support;
-
-use export_support::{bodies, model, random_body, robot, with_effects};
-use job_support::{Done, plumbline};
+use crate::export_support::{bodies, model, random_body, robot, with_effects};
+use crate::job_support::{Done, plumbline};
 use nalgebra::DVector;
 use plumbline::estimate::consistency::Nearest;
 use plumbline::model::base::Reduction;

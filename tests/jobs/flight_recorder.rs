@@ -1,10 +1,8 @@
 //! The daemon's flight recorder, in whole jobs: every kind of fault leaves a file that tells what happened and runs again bit for bit; a
 //! disk that does not take it is said, and a kill while writing leaves whole files.
 
-use crate::job_support;
+use crate::job_support::*;
 use crate::peers;
-
-use job_support::*;
 use plumbline::ipc::Status;
 use plumbline::recording::Recording;
 use serde_json::Value;

@@ -1,9 +1,8 @@
 //! Processes that die in the middle of a job: the arm goes on or stops by rule, it is said, and nothing lingers.
 
-use crate::job_support;
 use crate::turns::Turns;
 
-use job_support::*;
+use crate::job_support::*;
 use plumbline::ipc::Status;
 
 /// Each job has three processes that compute as fast as they can, one of them waiting for another most of the time.

@@ -1,8 +1,6 @@
 //! The main job, in a short form: one command identifies the arm on the wall, serves the model, and predicts both mountings.
 
-use crate::job_support;
-
-use job_support::*;
+use crate::job_support::*;
 use plumbline::config::robot::Robot;
 use plumbline::report::Report;
 use plumbline::store::ModelFile;

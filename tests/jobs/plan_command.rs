@@ -1,8 +1,6 @@
 //! `plumbline plan`: several motions that differ, a nominal model, ctrl-C, and a job whose plan leads the arm into itself.
 
-use crate::job_support;
-
-use job_support::*;
+use crate::job_support::*;
 use plumbline::excite::plan::Plan;
 use plumbline::store::{load_plan, plan_text};
 use std::path::Path;

@@ -1,8 +1,6 @@
 //! `plumbline plan` finds a feasible motion for every robot that ships with it.
 
-use crate::job_support;
-
-use job_support::*;
+use crate::job_support::*;
 use plumbline::config::robot::Robot;
 use plumbline::excite::limits::{Bounds, Margins, verify};
 use plumbline::store::load_plan;

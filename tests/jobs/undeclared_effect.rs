@@ -1,9 +1,7 @@
 //! The whole program on an arm that holds something which nobody declared: drawn by seed, written into the arm's own truth file, and
 //! compared with what the report says at the very end.
 
-use crate::job_support;
-
-use job_support::Place;
+use crate::job_support::Place;
 use plumbline::report::Report;
 use plumbline::report::diagnosis::{Diagnosis, Verdict};
 use rand::seq::IndexedRandom;

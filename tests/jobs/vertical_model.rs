@@ -1,8 +1,6 @@
 //! A model identified upright lacks two parameters on the wall: it is refused there, and forced it fails in joint 1 alone.
 
-use crate::job_support;
-
-use job_support::*;
+use crate::job_support::*;
 use std::path::PathBuf;
 
 /// A job that leaves a vertical model and runs of both mountings behind.

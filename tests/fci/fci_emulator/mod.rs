@@ -14,9 +14,8 @@ mod manners;
 mod motions;
 mod program;
 
-use crate::emulator;
+use crate::emulator::{self, Emulator, Settings};
 use client::Client;
-use emulator::{Emulator, Settings};
 use plumbline::backend::franka::wire::Protocol;
 use std::net::{IpAddr, Ipv4Addr};
 use std::sync::atomic::{AtomicU8, Ordering};
