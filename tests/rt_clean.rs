@@ -9,11 +9,12 @@ mod clean;
 mod common;
 #[path = "../hil/fci-emulator/emulator/mod.rs"]
 mod emulator;
+mod turns;
 
 use clean::{ARMS, Seal, run};
 use std::os::unix::process::ExitStatusExt;
 use std::process::{Command, ExitStatus};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use turns::Turns;
 
 #[global_allocator]
 static WATCH: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
@@ -24,15 +25,12 @@ const SIGSYS: i32 = 31;
 /// An emulated robot may stop by itself where this machine stalls; one run of so many must come through.
 const TRIES: usize = 6;
 
-/// These runs keep the clock's time: they don't disturb each other.
-fn one_at_a_time() -> MutexGuard<'static, ()> {
-    static ALONE: Mutex<()> = Mutex::new(());
-    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
-}
+/// These runs keep the clock's time: no more at a time than a small machine has processors.
+static RUNS: Turns = Turns::new(2);
 
 #[test]
 fn whole_runs_on_every_arm_allocate_nothing() {
-    let _alone = one_at_a_time();
+    let _turn = RUNS.take();
     for arm in ARMS {
         let mut runs = (0..TRIES).map(|_| run(arm, Seal::Open));
         let outcome = runs.find_map(|run| run.inspect_err(|why| println!("{arm}: {why:?}")).ok());
@@ -64,7 +62,7 @@ fn a_sealed_run() {
 #[test]
 #[cfg_attr(feature = "rtsan", ignore = "RTSan ends the program before the filter does")]
 fn whole_runs_on_every_arm_make_no_stray_system_call() {
-    let _alone = one_at_a_time();
+    let _turn = RUNS.take();
     for arm in ARMS {
         // However it ends, no run may be killed by the filter; and one of them is a whole one.
         let whole = (0..TRIES).any(|_| {
@@ -79,7 +77,7 @@ fn whole_runs_on_every_arm_make_no_stray_system_call() {
 #[test]
 #[cfg_attr(feature = "rtsan", ignore = "RTSan ends the program before the filter does")]
 fn the_filter_would_notice() {
-    let _alone = one_at_a_time();
+    let _turn = RUNS.take();
     // One call of getpid, a growing heap, a line of output, a file: each of them in one cycle of the middle of a run.
     for stray in ["getpid", "mmap", "print", "file"] {
         let (status, said) = alone(ARMS[0], &format!("stray-{stray}"));
@@ -90,7 +88,7 @@ fn the_filter_would_notice() {
 /// Under RTSan every run above is watched by it; here it must object. Without it, the same runs pass: they are what the filter is for.
 #[test]
 fn rtsan_would_notice() {
-    let _alone = one_at_a_time();
+    let _turn = RUNS.take();
     for stray in ["mmap", "print"] {
         let (status, said) = alone(ARMS[0], &format!("loose-{stray}"));
         let objected = said.contains("RealtimeSanitizer") && !status.success();

@@ -1,4 +1,4 @@
-//! The paper's experiments as functions: what `cargo run --example paper` shows and `cargo test --test paper` holds.
+//! The paper's experiments as functions: what `cargo run --example paper` shows and `cargo test --test identification paper::` holds.
 //!
 //! Torques of the arms that are identified come from Newton-Euler with the true parameters, never from the regressor that identifies.
 

@@ -1,6 +1,6 @@
 //! The figures of docs/paper.md as SVG.
 
-use crate::experiment::{self, Figure};
+use super::experiment::{self, Figure};
 use plotters::prelude::*;
 
 const SIZE: (u32, u32) = (900, 520);

@@ -1,6 +1,6 @@
 //! Reproduces the paper's tables and figures in simulation: `cargo run --release --example paper`.
 //!
-//! Writes the tables into docs/paper.md, between its markers, and the figures into docs/figures. `cargo test --test paper` holds the
+//! Writes the tables into docs/paper.md, between its markers, and the figures into docs/figures. `cargo test --test identification paper::` holds the
 //! same results, and that the page says what the program says.
 
 mod experiment;

@@ -1,6 +1,6 @@
 //! The tables of docs/paper.md as text.
 
-use crate::experiment::{self, Panda};
+use super::experiment::{self, Panda};
 use plumbline::estimate::experiment::Settings;
 
 /// Name and content of every block of the page.

@@ -6,4 +6,4 @@
 # Takes about half an hour. Best as a user who may use SCHED_FIFO.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
-exec cargo test --test kill_campaign -- --ignored --nocapture --exact the_whole_campaign
+exec cargo test --test clock -- --ignored --nocapture --exact kill_campaign::the_whole_campaign

@@ -1,0 +1,112 @@
+//! The job at wall-clock pace: every millisecond is accounted for, and clients follow the served torque while the arm moves.
+
+use crate::job_support::*;
+use crate::peers;
+use plumbline::ipc::Status;
+use std::path::Path;
+
+/// A few seconds of motion. How late a cycle may come is the machine's business, not this test's: no loss stops the arm.
+const JOB: [&str; 9] = [
+    "backend.pace=wall-clock",
+    "excitation.period=2 s",
+    "excitation.periods=3",
+    "excitation.starts=1",
+    "excitation.rounds=0",
+    "validation.trajectories=3",
+    "validation.mountings=[\"wall\"]",
+    "output.dataset=false",
+    "safety.max-lost=1000",
+];
+
+fn status(place: &Place) -> Option<Status> {
+    let done = place.command("status");
+    (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
+}
+
+/// Lines of `plumbline torque --follow`.
+fn follow(place: &Place, count: usize) -> Vec<String> {
+    let mut command = plumbline();
+    command.args(["torque", "--follow", "--rate", "50", "--robot", &place.id, "--count", &count.to_string()]);
+    let lines: Vec<String> = Done::of(command).expect_code(0).out.lines().map(str::to_string).collect();
+    assert_eq!(lines.len(), count);
+    // The first line may come before the daemon has sent this client anything.
+    let values: Vec<String> = lines.into_iter().filter(|line| line != "no value yet").collect();
+    assert!(values.len() + 1 >= count, "{values:?}");
+    values
+}
+
+/// Sequence number at the head of a line.
+fn sequence(line: &str) -> u64 {
+    line.split_whitespace().next().and_then(|first| first.parse().ok()).unwrap_or_else(|| panic!("{line}"))
+}
+
+#[test]
+fn every_millisecond_is_accounted_for_and_clients_follow() {
+    let python = peers::interpreter();
+    let place = Place::new("clock");
+    let run = Running::start(place.job("run", &JOB));
+
+    // Before there is a model every value says so.
+    wait_for("motion", || status(&place).filter(|status| status.cycles > 0 && status.motion > 0));
+    let before = follow(&place, 6);
+    assert!(before.iter().all(|line| line.contains("NO MODEL") || line.contains("STALE")), "{before:?}");
+    assert!(before.windows(2).all(|pair| sequence(&pair[0]) < sequence(&pair[1])), "{before:?}");
+
+    let model = wait_for("a model", || status(&place).map(|status| status.model).filter(|&model| model != 0));
+    let identity = format!("model {model:016x}");
+    let values = wait_for("values of the model", || {
+        let values = follow(&place, 5);
+        values.iter().all(|line| line.contains(&identity)).then_some(values)
+    });
+    let fresh: Vec<&String> = values.iter().filter(|line| line.ends_with(" Nm")).collect();
+    assert!(!fresh.is_empty(), "no value that may be used: {values:?}");
+    for line in fresh {
+        let torques: Vec<f64> = line
+            .split("tau_ff")
+            .nth(1)
+            .unwrap()
+            .trim_end_matches("Nm")
+            .split_whitespace()
+            .map(|v| v.parse().unwrap())
+            .collect();
+        assert_eq!(torques.len(), 7, "{line}");
+        assert!(torques.iter().any(|tau| tau.abs() > 1.0) && torques.iter().all(|tau| tau.abs() < 87.0), "{line}");
+    }
+    if let Some(python) = python {
+        let mut command = std::process::Command::new(python);
+        command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/clients/python/torque_follow.py"));
+        command.args(["--robot", &place.id, "--wait", "20", "--count", "5"]);
+        let done = Done::of(command).expect_code(0);
+        assert_eq!(done.out.lines().filter(|line| line.contains("tau")).count(), 5, "{}", done.said());
+    }
+
+    let done = run.end().expect_code(0);
+    let report = place.report();
+    assert_eq!(report.base.count, 59);
+    let cycle = report.cycle.unwrap();
+    assert_eq!(
+        (cycle.pace.as_str(), cycle.records_lost, cycle.allocations),
+        ("wall-clock", 0, Some(0)),
+        "{}",
+        done.said()
+    );
+    let wake = cycle.wake_us.expect("wake-ups of the loop");
+    assert!(wake.p50 > 0.0 && wake.p50 <= wake.p99 && wake.p99 <= wake.p999 && wake.p999 <= wake.max, "{wake:?}");
+    assert!(cycle.work_us.is_some_and(|work| work.p50 > 0.0));
+    // Held until told to start, which may be at once, then driven for as long as the motions take; each of its milliseconds was either a cycle or is counted as lost.
+    assert_eq!(report.sessions.len(), 2);
+    let driven = &report.sessions[1];
+    assert!(driven.elapsed > 14_000 && driven.wake_us.is_some(), "{driven:?}");
+    for session in &report.sessions {
+        assert_eq!(session.elapsed, session.cycles + session.lost, "{session:?}");
+        // By two clocks: the arm's counter and this machine's own.
+        assert!(session.accounted && session.clock == Some(session.elapsed), "{session:?}");
+    }
+    // Of the hold that follows, the report has what had passed when the daemon was asked.
+    let in_sessions: u64 = report.sessions.iter().map(|session| session.cycles).sum();
+    assert!((in_sessions..in_sessions + 2_000).contains(&cycle.cycles), "{in_sessions} {}", cycle.cycles);
+    let ipc = report.ipc.unwrap();
+    assert_eq!((ipc.received, ipc.missed), (ipc.sent, 0), "{ipc:?}");
+    assert!(done.out.contains("loop (wall-clock): "), "{}", done.said());
+    assert!(anyone_with(&place.id).is_empty(), "a process lingers");
+}

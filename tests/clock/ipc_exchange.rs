@@ -1,0 +1,303 @@
+//! The daemon's shared memory as its clients see it: samples complete and in order, the feed-forward fresh, commands answered.
+
+use std::sync::atomic::Ordering;
+use std::sync::mpsc;
+use std::time::Duration;
+
+use crate::ipc_support::*;
+use plumbline::ipc::{
+    Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, IpcError, Lock, MAX_REQUEST_BYTES,
+    News, Presence, Request, Response, SampleStream, Server, ServerSettings, Status, StreamSettings,
+};
+use rand::{Rng, RngCore, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+fn settings() -> StreamSettings {
+    StreamSettings::default()
+}
+
+#[test]
+fn a_reader_with_pauses_gets_every_record_once_and_in_order() {
+    const TOTAL: u64 = 60_000;
+    let robot = robot("pauses");
+    let (go, started) = mpsc::channel();
+    let daemon = Daemon::start(&robot, ServerSettings::default(), move |server, stop| {
+        started.recv().unwrap();
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        let mut next = 0;
+        while next < TOTAL {
+            let end = (next + random.random_range(1..100)).min(TOTAL);
+            server.publish(&(next..end).map(record).collect::<Vec<_>>());
+            next = end;
+            server.poll(|_, _| unreachable!());
+            if random.random_range(0..20) == 0 {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        }
+        poll_until(server, stop);
+        server.served()
+    });
+    let mut stream = SampleStream::connect(&robot, settings(), PATIENCE).unwrap();
+    go.send(()).unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(2);
+    // Pauses of 60 ms: far more than the buffer holds is published meanwhile.
+    let missed = read_until(&mut stream, TOTAL, || {
+        if random.random_range(0..10) == 0 {
+            std::thread::sleep(Duration::from_millis(60));
+        }
+    });
+    let counters = stream.counters();
+    assert!(missed.is_empty());
+    assert_eq!((counters.received, counters.missed, counters.restarts), (TOTAL, 0, 0));
+    assert!(counters.gaps > 0 && counters.replayed > 0 && counters.replayed < TOTAL, "{counters:?}");
+
+    let epoch = stream.epoch();
+    drop(stream);
+    std::thread::sleep(Duration::from_millis(50));
+    let served = daemon.stop();
+    assert_eq!((served.published, served.acknowledged, served.epoch), (TOTAL, TOTAL, epoch));
+    assert_eq!((served.given_up_unacknowledged, served.unsent_batches, served.trouble), (0, 0, None));
+    assert!(served.followers.is_empty());
+}
+
+#[test]
+fn a_follower_that_comes_late_and_one_that_stops_reading_miss_nothing() {
+    let robot = robot("late");
+    let (more, wanted) = mpsc::channel::<u64>();
+    let daemon = Daemon::start(&robot, ServerSettings::default(), move |server, stop| {
+        let mut next = 0;
+        while !stop.load(Ordering::Relaxed) {
+            if let Ok(count) = wanted.try_recv() {
+                let records: Vec<_> = (next..next + count).map(record).collect();
+                server.publish(&records);
+                next += count;
+            }
+            server.poll(|_, _| unreachable!());
+            std::thread::sleep(Duration::from_micros(200));
+        }
+        (server.served(), std::iter::from_fn(|| server.take_news()).collect::<Vec<_>>())
+    });
+    more.send(10_000).unwrap();
+    let mut late = SampleStream::connect(&robot, settings(), PATIENCE).unwrap();
+    assert!(read_until(&mut late, 10_000, || ()).is_empty());
+
+    // More than its buffer holds, and nothing after it: the loss is at the very end, where no later batch shows it.
+    more.send(20_000).unwrap();
+    std::thread::sleep(Duration::from_millis(300));
+    assert!(read_until(&mut late, 30_000, || ()).is_empty());
+
+    // A second one from the middle on.
+    let mut middle = SampleStream::connect(&robot, StreamSettings { from: 29_000, ..settings() }, PATIENCE).unwrap();
+    assert!(read_until(&mut middle, 30_000, || ()).is_empty());
+    assert_eq!(middle.counters().received, 1000);
+
+    drop((late, middle));
+    std::thread::sleep(Duration::from_millis(50));
+    let (served, news) = daemon.stop();
+    assert_eq!((served.published, served.acknowledged), (30_000, 30_000));
+    let left = |news: &&News| matches!(news, News::Left { acknowledged: 30_000, .. });
+    assert_eq!(news.iter().filter(left).count(), 2, "{news:?}");
+}
+
+#[test]
+fn what_the_daemon_gave_up_is_counted_and_named() {
+    let robot = robot("given-up");
+    let daemon = Daemon::start(&robot, ServerSettings { retain: 2048, ..Default::default() }, |server, stop| {
+        server.publish(&(0..20_000).map(record).collect::<Vec<_>>());
+        poll_until(server, stop);
+        server.served()
+    });
+    let mut stream = SampleStream::connect(&robot, settings(), PATIENCE).unwrap();
+    let missed = read_until(&mut stream, 20_000, || ());
+    let counters = stream.counters();
+    let served = daemon.stop();
+    assert_eq!(missed, [(0, served.first_retained)]);
+    assert_eq!(counters.missed, served.first_retained);
+    assert_eq!(counters.received + counters.missed, 20_000);
+    assert!(counters.received >= 2048);
+    assert_eq!(served.given_up_unacknowledged, served.first_retained);
+}
+
+#[test]
+fn clients_that_never_read_cost_nothing() {
+    const TOTAL: u64 = 20_000;
+    let robot = robot("never-read");
+    let (go, started) = mpsc::channel();
+    let daemon = Daemon::start(&robot, ServerSettings::default(), move |server, stop| {
+        started.recv().unwrap();
+        for cycle in 0..TOTAL {
+            let record = record(cycle);
+            server.publish(&[record]);
+            server.feed_forward(FeedForwardMessage::new(&record, 7, [0.0; 3]));
+            if cycle % 8 == 0 {
+                server.poll(|_, _| unreachable!());
+            }
+        }
+        poll_until(server, stop);
+        server.served()
+    });
+    // Two followers and 24 feed-forward clients that are connected and do nothing.
+    let idle: Vec<_> = (0..2).map(|_| SampleStream::connect(&robot, settings(), PATIENCE).unwrap()).collect();
+    let connect = || FeedForwardClient::connect(&robot, FeedForwardSettings::default(), PATIENCE).unwrap();
+    let mut clients: Vec<_> = (0..24).map(|_| connect()).collect();
+    let mut reader = SampleStream::connect(&robot, settings(), PATIENCE).unwrap();
+    go.send(()).unwrap();
+    assert!(read_until(&mut reader, TOTAL, || ()).is_empty());
+
+    // Whoever looks only now finds the last value, not the first.
+    for client in &mut clients {
+        wait_for("the last value", || client.latest().unwrap().is_some_and(|value| value.message.sequence == TOTAL));
+    }
+    drop(idle);
+    let served = daemon.stop();
+    assert_eq!((served.published, served.feed_forward, served.unsent_batches), (TOTAL, TOTAL, 0));
+    assert_eq!(served.trouble, None);
+}
+
+#[test]
+fn a_feed_forward_value_turns_stale_and_the_daemon_s_end_is_seen() {
+    let robot = robot("stale");
+    let (value, values) = mpsc::channel::<FeedForwardMessage>();
+    let daemon = Daemon::start(&robot, ServerSettings::default(), move |server, stop| {
+        while !stop.load(Ordering::Relaxed) {
+            if let Ok(message) = values.recv_timeout(Duration::from_millis(5)) {
+                server.feed_forward(message);
+            }
+        }
+        server.epoch()
+    });
+    // An hour: this machine may be slow, the test is about the rule.
+    let hour = FeedForwardSettings { stale_after_ms: 3_600_000 };
+    let mut client = FeedForwardClient::connect(&robot, hour, PATIENCE).unwrap();
+    let mut strict = FeedForwardClient::connect(&robot, FeedForwardSettings::default(), PATIENCE).unwrap();
+    assert_eq!(client.latest().unwrap(), None);
+    assert_eq!(client.daemon(), Presence::Running);
+
+    for cycle in 1..=100 {
+        let sent = FeedForwardMessage::new(&record(cycle), 7, [0.0, 9.81, 0.0]);
+        value.send(sent).unwrap();
+        wait_for("the value", || client.latest().unwrap().is_some_and(|seen| seen.message.sequence == cycle));
+        let seen = client.latest().unwrap().unwrap();
+        assert_eq!(FeedForwardMessage { sequence: 0, epoch: 0, ..seen.message }, sent);
+        assert!(!seen.stale);
+    }
+    std::thread::sleep(Duration::from_millis(6));
+    let old = strict.latest().unwrap().unwrap();
+    assert!(old.stale && old.age_ns > 5_000_000);
+    assert_eq!(old.message.sequence, 100);
+
+    let last = client.latest().unwrap().unwrap();
+    assert_eq!(daemon.stop(), last.message.epoch);
+    assert_eq!(client.daemon(), Presence::Gone);
+
+    // The next daemon is heard without connecting again.
+    let next = Daemon::start(&robot, ServerSettings::default(), |server, stop| {
+        server.feed_forward(FeedForwardMessage::new(&record(1), 7, [0.0; 3]));
+        poll_until(server, stop);
+        server.epoch()
+    });
+    wait_for("the next daemon", || {
+        client.latest().unwrap().is_some_and(|seen| seen.message.epoch != last.message.epoch)
+    });
+    let first = client.latest().unwrap().unwrap().message;
+    assert_eq!((first.sequence, first.epoch), (1, next.stop()));
+    assert_eq!(client.rejected(), 0);
+}
+
+#[test]
+fn commands_are_answered_and_garbage_is_refused() {
+    let robot = robot("commands");
+    let model = "# rho \u{3c1}\n".repeat(60_000);
+    let expected = model.clone();
+    let daemon = Daemon::start(&robot, ServerSettings::default(), move |server, stop| {
+        let mut quit = false;
+        while !(quit && stop.load(Ordering::Relaxed)) {
+            server.poll(|request, served| match request {
+                Request::Status {} => {
+                    Response::Status(Box::new(Status { cycles: 5, served: served.clone(), ..Status::default() }))
+                }
+                Request::OfferModel { toml } if toml == expected => Response::ModelAccepted { model: 77 },
+                Request::OfferModel { toml } => {
+                    Response::Refused { reason: format!("{} bytes of another model", toml.len()) }
+                }
+                // Far longer than an answer may be.
+                Request::Resume {} => Response::Refused { reason: "x".repeat(1 << 20) },
+                Request::Start {} | Request::Stop {} | Request::Adopt {} | Request::Reject {} | Request::Record {} => {
+                    Response::Accepted {}
+                }
+                Request::ProposeModel { .. } => Response::Refused { reason: "not asked for".into() },
+                Request::Quit {} => {
+                    quit = true;
+                    Response::Accepted {}
+                }
+            });
+            std::thread::sleep(Duration::from_micros(200));
+        }
+        server.served()
+    });
+    let mut client = Client::connect(&robot, PATIENCE).unwrap();
+    assert_eq!(client.send(&Request::Stop {}, PATIENCE).unwrap(), Response::Accepted {});
+    let offer = |toml: String| Request::OfferModel { toml };
+    assert_eq!(client.send(&offer(model), PATIENCE).unwrap(), Response::ModelAccepted { model: 77 });
+    let refused = Response::Refused { reason: "3 bytes of another model".into() };
+    assert_eq!(client.send(&offer("a=1".into()), PATIENCE).unwrap(), refused);
+    let error = client.send(&offer("x".repeat(MAX_REQUEST_BYTES)), PATIENCE).unwrap_err();
+    assert!(matches!(error, IpcError::TooLong { .. }), "{error}");
+    let Response::Refused { reason } = client.send(&Request::Resume {}, PATIENCE).unwrap() else { panic!() };
+    assert!(reason.contains("the limit is"), "{reason}");
+
+    // Bytes that are no request, of all lengths, from several clients.
+    let mut others: Vec<_> = (0..4).map(|_| Client::connect(&robot, PATIENCE).unwrap()).collect();
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    for round in 0..200 {
+        let mut bytes = vec![0; random.random_range(1..5000)];
+        random.fill_bytes(&mut bytes);
+        let answer = others[round % 4].send_bytes(&bytes, PATIENCE).unwrap();
+        assert!(matches!(answer, Response::Refused { .. }), "{answer:?}");
+    }
+    let huge = vec![b'['; MAX_REQUEST_BYTES + 1];
+    assert!(matches!(client.send_bytes(&huge, PATIENCE).unwrap(), Response::Refused { .. }));
+    let Response::Status(status) = client.send(&Request::Status {}, PATIENCE).unwrap() else { panic!() };
+    assert_eq!((status.cycles, status.served.garbled_requests), (5, 201));
+
+    assert_eq!(client.send(&Request::Quit {}, PATIENCE).unwrap(), Response::Accepted {});
+    assert_eq!(daemon.stop().trouble, None);
+    let error = client.send(&Request::Status {}, Duration::from_millis(20)).unwrap_err();
+    assert!(matches!(error, IpcError::NoDaemon { .. }), "{error}");
+}
+
+#[test]
+fn a_missing_a_busy_and_a_second_daemon_are_told_apart() {
+    let robot = robot("absent");
+    let absent = [
+        Client::connect(&robot, Duration::ZERO).err().unwrap(),
+        SampleStream::connect(&robot, settings(), Duration::ZERO).err().unwrap(),
+        FeedForwardClient::connect(&robot, FeedForwardSettings::default(), Duration::from_millis(20)).err().unwrap(),
+    ];
+    for error in absent {
+        assert!(matches!(error, IpcError::NoDaemon { .. }), "{error}");
+    }
+
+    let directory = tempfile::tempdir().unwrap();
+    let _lock = Lock::take_in(directory.path(), &robot).unwrap();
+    assert!(Lock::take_in(directory.path(), &robot).is_err());
+
+    // Without the lock, shared memory itself refuses a second daemon. This one is alive, but answers nobody.
+    let busy = Daemon::start(&robot, ServerSettings::default(), |_, stop| {
+        wait_for("the end of the test", || stop.load(Ordering::Relaxed));
+    });
+    let mut client = Client::connect(&robot, PATIENCE).unwrap();
+    for _ in 0..5 {
+        let error = client.send(&Request::Status {}, Duration::from_millis(20)).unwrap_err();
+        assert!(matches!(error, IpcError::NoAnswer { .. }), "{error}");
+    }
+    let hasty = StreamSettings { answer_within: Duration::from_millis(20), heartbeat: Duration::ZERO, ..settings() };
+    let mut stream = SampleStream::connect(&robot, hasty, PATIENCE).unwrap();
+    for _ in 0..5 {
+        assert_eq!(stream.next(Duration::from_millis(40)).unwrap(), Delivery::Idle);
+    }
+    let error = Server::open(&robot, ServerSettings::default()).err().unwrap();
+    assert!(matches!(error, IpcError::Full { .. }), "{error}");
+    busy.stop();
+    wait_for("word of its end", || stream.next(Duration::from_millis(1)).unwrap() == Delivery::Gone);
+}

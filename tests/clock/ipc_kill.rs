@@ -1,0 +1,197 @@
+//! Processes that are killed in the middle: nothing is lost that can be kept, and the next start is clean.
+//!
+//! The child processes are this test binary again, with [`ROLE`] telling it what to be.
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use crate::ipc_support::*;
+use plumbline::ipc::{
+    Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, Lock, News, Presence, Request,
+    Response, RobotId, SampleStream, Server, ServerSettings, Status, StreamSettings,
+};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+const ROLE: &str = "PLUMBLINE_TEST_ROLE";
+const ROBOT: &str = "PLUMBLINE_TEST_ROBOT";
+const LOCKS: &str = "PLUMBLINE_TEST_LOCKS";
+
+/// Not a test of its own: what a child process runs. Without a role there is nothing to do.
+#[test]
+fn child() {
+    let Ok(role) = std::env::var(ROLE) else { return };
+    let robot = RobotId::parse("test", "robot", &std::env::var(ROBOT).unwrap()).unwrap();
+    match role.as_str() {
+        "follower" => follow(&robot),
+        "daemon" => serve(&robot, Path::new(&std::env::var(LOCKS).unwrap())),
+        other => panic!("no role {other}"),
+    }
+}
+
+/// Reads for ever and prints how far it is.
+fn follow(robot: &RobotId) {
+    let mut stream = SampleStream::connect(robot, StreamSettings::default(), PATIENCE).unwrap();
+    loop {
+        let goal = stream.position() + 100;
+        read_until(&mut stream, goal, || ());
+        println!("at {}", stream.position());
+    }
+}
+
+/// Publishes for ever, the sequence numbers counting from 0.
+fn serve(robot: &RobotId, locks: &Path) {
+    let _lock = Lock::take_in(locks, robot).unwrap();
+    let mut server = Server::open(robot, ServerSettings::default()).unwrap();
+    println!("at {}", server.epoch());
+    for cycle in 0.. {
+        let record = record(cycle);
+        server.publish(&[record]);
+        server.feed_forward(FeedForwardMessage::new(&record, 7, [0.0; 3]));
+        server.poll(|_, served| Response::Status(Box::new(Status { served: served.clone(), ..Status::default() })));
+        std::thread::sleep(Duration::from_micros(200));
+    }
+}
+
+/// A child process that is killed without a warning when it goes out of scope.
+struct Process {
+    child: Child,
+    at: Arc<AtomicU64>,
+}
+
+impl Process {
+    fn start(role: &str, robot: &RobotId, locks: &Path) -> Process {
+        let mut child = Command::new(std::env::current_exe().unwrap())
+            .args(["ipc_kill::child", "--exact", "--nocapture"])
+            .env(ROLE, role)
+            .env(ROBOT, robot.as_str())
+            .env(LOCKS, locks)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let at = Arc::new(AtomicU64::new(0));
+        let (lines, seen) = (BufReader::new(child.stdout.take().unwrap()), at.clone());
+        std::thread::spawn(move || {
+            for line in lines.lines().map_while(Result::ok) {
+                if let Some(number) = line.rsplit("at ").next().and_then(|number| number.parse().ok()) {
+                    seen.store(number, Ordering::Relaxed);
+                }
+            }
+        });
+        Process { child, at }
+    }
+
+    /// The last number that it printed.
+    fn at(&self) -> u64 {
+        self.at.load(Ordering::Relaxed)
+    }
+}
+
+impl Drop for Process {
+    /// SIGKILL, and wait for the end. A child that has ended by itself had something to complain about.
+    fn drop(&mut self) {
+        let ended = self.child.try_wait().unwrap();
+        assert!(ended.is_none() || std::thread::panicking(), "the child ended by itself: {ended:?}");
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+}
+
+#[test]
+fn a_killed_follower_s_successor_gets_everything_and_the_daemon_never_waits() {
+    let robot = robot("killed-follower");
+    let directory = tempfile::tempdir().unwrap();
+    let published = Arc::new(AtomicU64::new(0));
+    let news = Arc::new(Mutex::new(Vec::new()));
+    let (count, told) = (published.clone(), news.clone());
+    let daemon = Daemon::start(&robot, ServerSettings { silent_ms: 300, ..Default::default() }, move |server, stop| {
+        let mut next = 0;
+        while !stop.load(Ordering::Relaxed) {
+            server.publish(&(next..next + 10).map(record).collect::<Vec<_>>());
+            next += 10;
+            count.store(next, Ordering::Relaxed);
+            server.poll(|_, _| unreachable!());
+            told.lock().unwrap().extend(std::iter::from_fn(|| server.take_news()));
+            std::thread::sleep(Duration::from_micros(500));
+        }
+        poll_until(server, stop);
+        server.served()
+    });
+
+    let mut random = ChaCha8Rng::seed_from_u64(4);
+    for round in 1..=5 {
+        let follower = Process::start("follower", &robot, directory.path());
+        wait_for("the follower's progress", || follower.at() > 1000);
+        std::thread::sleep(Duration::from_millis(random.random_range(0..30)));
+        let pid = follower.child.id();
+        drop(follower);
+        let at_death = published.load(Ordering::Relaxed);
+        let died = |news: &&News| matches!(news, News::Died { pid: dead, .. } if *dead == pid);
+        wait_for("word of its death", || news.lock().unwrap().iter().find(died).is_some());
+        // The daemon went on meanwhile.
+        assert!(published.load(Ordering::Relaxed) > at_death, "round {round}");
+    }
+
+    let mut successor = SampleStream::connect(&robot, StreamSettings::default(), PATIENCE).unwrap();
+    let end = published.load(Ordering::Relaxed) + 5000;
+    assert!(read_until(&mut successor, end, || ()).is_empty());
+    let counters = successor.counters();
+    assert!(counters.received >= end && counters.missed == 0 && counters.replayed > 0, "{counters:?}");
+    drop(successor);
+    let served = daemon.stop();
+    assert_eq!((served.unsent_batches, served.given_up_unacknowledged), (0, 0));
+}
+
+#[test]
+fn after_a_killed_daemon_the_next_start_is_clean() {
+    let robot = robot("killed-daemon");
+    let directory = tempfile::tempdir().unwrap();
+    let locks = directory.path();
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    let mut daemon = Process::start("daemon", &robot, locks);
+    let mut stream = SampleStream::connect(&robot, StreamSettings::default(), PATIENCE).unwrap();
+    let mut client = FeedForwardClient::connect(&robot, FeedForwardSettings::default(), PATIENCE).unwrap();
+
+    for round in 1..=5 {
+        wait_for("the daemon's start", || daemon.at() != 0);
+        let epoch = daemon.at();
+        read_until(&mut stream, 500, || ());
+        assert_eq!(stream.epoch(), epoch);
+        wait_for("a value", || client.latest().unwrap().is_some_and(|value| value.message.epoch == epoch));
+        assert_eq!(client.daemon(), Presence::Running);
+        assert!(Lock::take_in(locks, &robot).is_err());
+
+        std::thread::sleep(Duration::from_millis(random.random_range(0..20)));
+        drop(daemon);
+        assert_eq!(client.daemon(), Presence::Gone, "round {round}");
+        drop(Lock::take_in(locks, &robot).expect("a killed daemon leaves no lock"));
+        // The follower takes what is left, then sees that nobody is there.
+        wait_for("word of the daemon's end", || {
+            matches!(stream.next(Duration::from_millis(20)).unwrap(), Delivery::Gone)
+        });
+
+        daemon = Process::start("daemon", &robot, locks);
+        let mut restarted = None;
+        wait_for("word of the next daemon", || {
+            if let Delivery::Restarted { epoch } = stream.next(Duration::from_millis(20)).unwrap() {
+                restarted = Some(epoch);
+            }
+            restarted.is_some()
+        });
+        wait_for("the daemon's start", || daemon.at() != 0);
+        assert_eq!(restarted, Some(daemon.at()));
+        assert_eq!(stream.position(), 0);
+        assert_eq!(stream.counters().restarts, round);
+    }
+    assert_eq!(stream.counters().missed, 0);
+
+    // Whoever connects now finds the living one alone.
+    let mut commands = Client::connect(&robot, PATIENCE).unwrap();
+    let Response::Status(status) = commands.send(&Request::Status {}, PATIENCE).unwrap() else { panic!() };
+    assert_eq!(status.served.epoch, daemon.at());
+    assert_eq!(status.served.trouble, None);
+}

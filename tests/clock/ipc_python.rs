@@ -1,0 +1,75 @@
+//! The Python client against a Rust daemon: the same bytes, the same rules, in another language.
+
+use std::path::Path;
+use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
+
+use crate::ipc_support::*;
+use crate::peers::interpreter;
+use plumbline::ipc::{FeedForwardMessage, RobotId, Server, ServerSettings};
+
+/// Runs the client and returns its standard output.
+fn torque_follow(python: &str, robot: &RobotId, options: &[&str]) -> String {
+    let client = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/clients/python/torque_follow.py");
+    let out = Command::new(python)
+        .arg(client)
+        .args(["--robot", robot.as_str(), "--wait", "20"])
+        .args(options)
+        .output()
+        .unwrap();
+    let (stdout, stderr) = (String::from_utf8_lossy(&out.stdout), String::from_utf8_lossy(&out.stderr));
+    assert!(out.status.success(), "{stdout}{stderr}");
+    stdout.into_owned()
+}
+
+/// The numbers after `word` on each line that tells a value.
+fn column(text: &str, word: &str) -> Vec<f64> {
+    let after = |line: &str| line.split(word).nth(1).and_then(|rest| rest.split_whitespace().next()?.parse().ok());
+    text.lines()
+        .filter(|line| line.contains("tau"))
+        .map(|line| after(line).unwrap_or_else(|| panic!("{line}")))
+        .collect()
+}
+
+/// Serves a value every millisecond whose torque follows from its number.
+fn serve(server: &mut Server, stop: &AtomicBool, sent: &AtomicU64) {
+    while !stop.load(Ordering::Relaxed) {
+        let cycle = sent.load(Ordering::Relaxed) + 1;
+        server.feed_forward(FeedForwardMessage::new(&record(cycle), 7, [0.0, 0.0, -9.81]));
+        sent.store(cycle, Ordering::Relaxed);
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+#[test]
+fn python_reads_what_rust_serves() {
+    let Some(python) = interpreter() else { return };
+    let robot = robot("python");
+    let sent = Arc::new(AtomicU64::new(0));
+    let counter = sent.clone();
+    let daemon = Daemon::start(&robot, ServerSettings::default(), move |server, stop| serve(server, stop, &counter));
+
+    let text = torque_follow(&python, &robot, &["--count", "50", "--stale-ms", "60000"]);
+    let (seq, tau) = (column(&text, "seq"), column(&text, "tau"));
+    assert_eq!(seq.len(), 50);
+    assert!(seq.windows(2).all(|pair| pair[0] < pair[1]), "{text}");
+    for (seq, tau) in seq.iter().zip(&tau) {
+        assert_eq!(*tau, -seq, "{text}");
+    }
+    assert!(text.lines().all(|line| line.contains("  excite  ") && !line.contains("STALE")), "{text}");
+    assert!(column(&text, "age").iter().all(|age| (0.0..60_000.0).contains(age)), "{text}");
+
+    // A slow one skips values and gets the newest each time; the daemon goes on.
+    let before = sent.load(Ordering::Relaxed);
+    let text = torque_follow(&python, &robot, &["--count", "4", "--slow", "0.1"]);
+    let seq = column(&text, "seq");
+    assert!(seq.windows(2).all(|pair| pair[1] > pair[0] + 1.0), "{text}");
+    assert!(seq[0] > before as f64);
+
+    // Nothing can be younger than no time at all: every value is marked.
+    let text = torque_follow(&python, &robot, &["--count", "3", "--stale-ms", "0"]);
+    assert_eq!(text.lines().filter(|line| line.ends_with("STALE")).count(), 3, "{text}");
+    daemon.stop();
+}

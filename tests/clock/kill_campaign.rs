@@ -1,0 +1,503 @@
+//! SIGKILL, and SIGSTOP with SIGCONT, at random moments of a motion: estimator, torque client, daemon, and the robot itself (the emulator of
+//! Franka's control unit). The arm goes on or stops by its rule, the successor is up in time and finds nothing stale, no sample that was
+//! delivered is lost, and nobody reads an old torque without knowing.
+//!
+//! A few of each run with the tests; `hil/kill-campaign/run.sh` plays a hundred of each and writes docs/kill-campaign.md.
+
+use crate::emulator;
+use crate::job_support;
+use std::fmt::Write as _;
+use std::net::{IpAddr, Ipv4Addr};
+use std::process::Command;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use crate::kill_support::*;
+use plumbline::backend::franka::wire::Protocol;
+use plumbline::ipc::{Progress, Request, Response};
+use plumbline::joint::Phase;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+const ADDRESS: &str = "PLUMBLINE_TEST_EMULATOR";
+/// A programme that does not end while things are killed.
+const LONG: [&str; 9] = [
+    "excitation.period=4 s",
+    "excitation.periods=400",
+    "excitation.trajectories=1",
+    "excitation.starts=1",
+    "excitation.rounds=0",
+    "validation.trajectories=1",
+    "validation.mountings=[\"wall\"]",
+    "output.dataset=false",
+    "diagnosis.enabled=false",
+];
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
+/// Not a test of its own: the emulator's process, which the campaign kills. Without an address there is nothing to do.
+#[test]
+fn emulator_child() {
+    let Ok(address) = std::env::var(ADDRESS) else { return };
+    let address: IpAddr = address.parse().unwrap();
+    let settings = emulator::Settings::new(address, Protocol::V5);
+    let patience = Duration::from_millis(10);
+    let _emulator = emulator::Emulator::start(emulator::Settings { patience, ..settings }).unwrap();
+    loop {
+        std::thread::sleep(Duration::from_secs(60));
+    }
+}
+
+/// What is done to a process.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Blow {
+    Kill,
+    /// SIGSTOP, and SIGCONT after this many milliseconds.
+    Stop(u64),
+}
+
+/// What came of one blow.
+#[derive(Debug, Default)]
+struct Outcome {
+    /// Whether the arm went on; otherwise it stopped, by rule.
+    went_on: bool,
+    /// How long the successor took \[ms\].
+    up: Option<f64>,
+}
+
+/// The outcomes of one kind of blow.
+#[derive(Default)]
+struct Row {
+    name: String,
+    went_on: u32,
+    stopped: u32,
+    void: u32,
+    up: Vec<f64>,
+    samples: u64,
+    torques: u64,
+    broken: Vec<String>,
+}
+
+impl Row {
+    fn take(&mut self, round: u32, outcome: Result<Option<Outcome>, String>) {
+        match outcome {
+            Ok(None) => self.void += 1,
+            Ok(Some(Outcome { went_on, up })) => {
+                *(if went_on { &mut self.went_on } else { &mut self.stopped }) += 1;
+                self.up.extend(up);
+            }
+            Err(broken) => self.broken.push(format!("round {round}: {broken}")),
+        }
+    }
+
+    fn line(&self) -> String {
+        let mut up = self.up.clone();
+        up.sort_by(f64::total_cmp);
+        let at = |share: f64| up.get(((up.len() - 1) as f64 * share) as usize).copied().unwrap_or(f64::NAN);
+        let times = if up.is_empty() { "-".into() } else { format!("{:.0} / {:.0}", at(0.5), at(1.0)) };
+        format!(
+            "| {} | {} | {} | {} | {times} | {} | {} | {} |",
+            self.name,
+            self.went_on + self.stopped,
+            self.went_on,
+            self.stopped,
+            self.samples,
+            self.torques,
+            self.broken.len()
+        )
+    }
+}
+
+fn blow(random: &mut ChaCha8Rng, kill: bool) -> Blow {
+    if kill { Blow::Kill } else { Blow::Stop(random.random_range(1..1500)) }
+}
+
+/// Starts the programme where it does not run; `false` when this machine would not let it.
+fn set_in_motion(robot: &Robot) -> Result<bool, String> {
+    let answered = within(PATIENCE, || robot.status().is_some());
+    answered.ok_or("the daemon does not answer")?;
+    if robot.status().is_some_and(|now| now.progress == Progress::Idle) {
+        match robot.ask(&Request::Start {}) {
+            Some(Response::Accepted {}) | None => {}
+            other => return Err(format!("start was answered with {other:?}")),
+        }
+    }
+    Ok(within(Duration::from_secs(10), || robot.status().is_some_and(|now| driving(&now))).is_some())
+}
+
+/// Waits until the daemon that was started at `since` answers, and looks that it holds.
+fn comes_up_holding(robot: &Robot, since: Instant) -> Result<f64, String> {
+    within(PATIENCE, || robot.status().is_some()).ok_or("no successor answers")?;
+    let up = since.elapsed();
+    let now = robot.status().ok_or("the successor went silent")?;
+    let still = now.progress == Progress::Idle && now.motion == 0 && now.phase == Phase::Hold;
+    if !still || now.served.trouble.is_some() {
+        return Err(format!(
+            "the successor does not just hold: {:?} {:?} {:?}",
+            now.progress, now.phase, now.served.trouble
+        ));
+    }
+    Ok(up.as_secs_f64() * 1e3)
+}
+
+/// A simulated arm that keeps wall-clock time, with whatever is killed beside it.
+fn simulated(name: &str) -> Robot {
+    let mut sets = LONG.to_vec();
+    sets.extend(["backend.arm=arms/sim-panda.toml", "backend.pace=wall-clock", "validation.counter-experiment=false"]);
+    // A machine that stands still for a moment is not what is tried here.
+    sets.push("safety.max-lost=200");
+    Robot::new(name, job_support::WALL, &sets)
+}
+
+fn estimators(rounds: u32, seed: u64, kill: bool) -> Row {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let robot = simulated("kill-estimator");
+    let mut row = Row { name: format!("estimator, {}", word(kill)), ..Row::default() };
+    let mut daemon = robot.process("daemon");
+    within(PATIENCE, || robot.status().is_some()).expect("a daemon");
+    let witnesses = Witnesses::watch(&robot.id);
+    let mut estimator = robot.process("estimator");
+    for round in 0..rounds {
+        if daemon.ended().is_some() || robot.status().is_some_and(|now| now.progress == Progress::Stopped) {
+            daemon.kill();
+            daemon = robot.process("daemon");
+        }
+        let outcome = (|| {
+            if !set_in_motion(&robot)? {
+                return Ok(None);
+            }
+            within(PATIENCE, || followed_by(&robot, estimator.pid())).ok_or("the estimator does not follow")?;
+            std::thread::sleep(Duration::from_millis(random.random_range(0..600)));
+            let mut up = None;
+            match blow(&mut random, kill) {
+                Blow::Kill => {
+                    estimator.signal("KILL");
+                    estimator = robot.process("estimator");
+                    let took =
+                        within(PATIENCE, || followed_by(&robot, estimator.pid())).ok_or("no successor follows")?;
+                    up = Some(took.as_secs_f64() * 1e3);
+                }
+                Blow::Stop(ms) => {
+                    estimator.signal("STOP");
+                    std::thread::sleep(Duration::from_millis(ms));
+                    estimator.signal("CONT");
+                }
+            }
+            // It has, or fetches, everything that was published.
+            let published = robot.status().ok_or("the daemon does not answer")?.served.published;
+            within(PATIENCE, || acknowledged(&robot, estimator.pid()) >= published).ok_or("samples do not arrive")?;
+            let now = robot.status().ok_or("the daemon does not answer")?;
+            if now.served.given_up_unacknowledged > 0 {
+                return Err(format!("{} samples given up", now.served.given_up_unacknowledged));
+            }
+            Ok(Some(Outcome { went_on: driving(&now), up }))
+        })();
+        row.take(round, outcome);
+        complaints(&mut row, round, &witnesses);
+    }
+    if row.stopped > 0 {
+        row.broken.push(format!("the arm stopped {} times, although the rule is `finish`", row.stopped));
+    }
+    (row.samples, row.torques) = witnesses.end();
+    row
+}
+
+fn clients(rounds: u32, seed: u64, kill: bool) -> Row {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let robot = simulated("kill-client");
+    let mut row = Row { name: format!("torque client, {}", word(kill)), ..Row::default() };
+    let _daemon = robot.process("daemon");
+    within(PATIENCE, || robot.status().is_some()).expect("a daemon");
+    let witnesses = Witnesses::watch(&robot.id);
+    let mut client = robot.torque_client();
+    for round in 0..rounds {
+        let outcome = (|| {
+            if !set_in_motion(&robot)? {
+                return Ok(None);
+            }
+            within(PATIENCE, || client.said().lines().count() > 2).ok_or("the client says nothing")?;
+            std::thread::sleep(Duration::from_millis(random.random_range(0..400)));
+            let mut up = None;
+            match blow(&mut random, kill) {
+                Blow::Kill => {
+                    client.signal("KILL");
+                    let said = client.said();
+                    no_unmarked(&said)?;
+                    client = robot.torque_client();
+                    let took = within(PATIENCE, || client.said().contains("tau_ff")).ok_or("no successor reads")?;
+                    up = Some(took.as_secs_f64() * 1e3);
+                }
+                Blow::Stop(ms) => {
+                    client.signal("STOP");
+                    std::thread::sleep(Duration::from_millis(ms));
+                    let before = client.said().lines().count();
+                    client.signal("CONT");
+                    within(PATIENCE, || client.said().lines().count() > before + 3)
+                        .ok_or("the client does not go on")?;
+                    no_unmarked(&client.said())?;
+                }
+            }
+            let now = robot.status().ok_or("the daemon does not answer")?;
+            Ok(Some(Outcome { went_on: driving(&now), up }))
+        })();
+        row.take(round, outcome);
+        complaints(&mut row, round, &witnesses);
+    }
+    if row.stopped > 0 {
+        row.broken.push(format!("the arm stopped {} times because of a client", row.stopped));
+    }
+    (row.samples, row.torques) = witnesses.end();
+    row
+}
+
+fn daemons(rounds: u32, seed: u64, kill: bool) -> Row {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let robot = simulated("kill-daemon");
+    let mut row = Row { name: format!("daemon, {}", word(kill)), ..Row::default() };
+    let mut daemon = robot.process("daemon");
+    within(PATIENCE, || robot.status().is_some()).expect("a daemon");
+    let witnesses = Witnesses::watch(&robot.id);
+    for round in 0..rounds {
+        let outcome = (|| {
+            if daemon.ended().is_some() || robot.status().is_some_and(|now| now.progress == Progress::Stopped) {
+                drop(std::mem::replace(&mut daemon, robot.process("daemon")));
+            }
+            if !set_in_motion(&robot)? {
+                return Ok(None);
+            }
+            std::thread::sleep(Duration::from_millis(random.random_range(0..600)));
+            let blow = blow(&mut random, kill);
+            daemon.signal(if blow == Blow::Kill { "KILL" } else { "STOP" });
+            let struck = Instant::now();
+            let lasts = if let Blow::Stop(ms) = blow { Duration::from_millis(ms) } else { Duration::from_millis(60) };
+            std::thread::sleep(lasts);
+            // The witness's own thread may be late by a slice of this machine's time.
+            let known =
+                within(Duration::from_millis(50), || witnesses.stale.load(std::sync::atomic::Ordering::Relaxed));
+            if lasts > Duration::from_millis(55) && known.is_none() {
+                return Err(format!("{:?} after the blow the torque is not stale", struck.elapsed()));
+            }
+            if blow == Blow::Kill {
+                daemon = robot.process("daemon");
+                return Ok(Some(Outcome { went_on: false, up: Some(comes_up_holding(&robot, daemon.started)?) }));
+            }
+            daemon.signal("CONT");
+            let went_on = within(Duration::from_millis(400), || {
+                daemon.ended().is_some() || robot.status().is_some_and(|now| now.progress == Progress::Stopped)
+            })
+            .is_none();
+            // An arm that missed too many commands stops by itself; the daemon says so and ends, as with a robot.
+            if let Some(code) = daemon.ended() {
+                let said = daemon.said();
+                return if code == 1 && said.contains("the arm stopped by itself") {
+                    Ok(Some(Outcome { went_on: false, up: None }))
+                } else {
+                    Err(format!("after {lasts:?} the daemon ended with {code}: {said}"))
+                };
+            }
+            let now = robot.status().ok_or("the daemon does not answer after SIGCONT")?;
+            // Where the loop counts lost states, it stops and the status says why.
+            if !went_on && now.stopped.is_none() {
+                return Err(format!("after {lasts:?} the arm is {:?} without a reason", now.progress));
+            }
+            if went_on {
+                let more =
+                    within(Duration::from_secs(2), || robot.status().is_some_and(|later| later.cycles > now.cycles));
+                more.ok_or(format!("after {lasts:?} the loop neither stops nor turns"))?;
+            }
+            Ok(Some(Outcome { went_on, up: None }))
+        })();
+        row.take(round, outcome);
+        complaints(&mut row, round, &witnesses);
+    }
+    (row.samples, row.torques) = witnesses.end();
+    row
+}
+
+fn emulators(rounds: u32, seed: u64, kill: bool) -> Row {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let address: IpAddr = Ipv4Addr::new(127, 45, (std::process::id() % 250) as u8, 1 + u8::from(kill)).into();
+    let at = format!("backend.franka.address={address}");
+    let mut sets = LONG.to_vec();
+    sets.push(&at);
+    let robot = Robot::new("kill-robot", "config/panda-emulator-wall.toml", &sets);
+    let emulator = || {
+        let mut command = Command::new(std::env::current_exe().unwrap());
+        command.args(["kill_campaign::emulator_child", "--exact", "--nocapture"]).env(ADDRESS, address.to_string());
+        let process = Process::start(command, &robot.place, "emulator");
+        within(PATIENCE, || std::net::TcpStream::connect((address, 1337)).is_ok()).expect("an emulator");
+        process
+    };
+    let mut row = Row { name: format!("robot (emulator), {}", word(kill)), ..Row::default() };
+    let (mut arm, mut daemon) = (Some(emulator()), robot.process("daemon"));
+    assert!(serves(&robot, &mut daemon), "no daemon: {}", daemon.said());
+    let witnesses = Witnesses::watch(&robot.id);
+    for round in 0..rounds {
+        let outcome = (|| {
+            if !set_in_motion(&robot)? {
+                // The old one has to go before the new one can have its address.
+                drop(arm.take());
+                arm = Some(emulator());
+                daemon = robot.process("daemon");
+                serves(&robot, &mut daemon);
+                return Ok(None);
+            }
+            std::thread::sleep(Duration::from_millis(random.random_range(0..600)));
+            if daemon.ended().is_some() {
+                // The old one has to go before the new one can have its address.
+                drop(arm.take());
+                arm = Some(emulator());
+                daemon = robot.process("daemon");
+                serves(&robot, &mut daemon);
+                return Ok(None);
+            }
+            match blow(&mut random, kill) {
+                Blow::Kill => arm.iter().for_each(|arm| arm.signal("KILL")),
+                Blow::Stop(ms) => {
+                    arm.iter().for_each(|arm| arm.signal("STOP"));
+                    std::thread::sleep(Duration::from_millis(ms));
+                    arm.iter().for_each(|arm| arm.signal("CONT"));
+                    if within(Duration::from_millis(300), || daemon.ended().is_some()).is_none() {
+                        let now = robot.status().ok_or("the daemon does not answer")?;
+                        if now.progress == Progress::Driving {
+                            return Ok(Some(Outcome { went_on: true, up: None }));
+                        }
+                    }
+                }
+            }
+            // The daemon says what happened and ends; as a service it would be started again.
+            within(PATIENCE, || daemon.ended().is_some()).ok_or("the daemon does not notice")?;
+            let said = daemon.said();
+            if daemon.ended() != Some(1) || !said.contains("the loop ended") {
+                return Err(format!("the daemon ended with {:?}: {said}", daemon.ended()));
+            }
+            drop(arm.take());
+            arm = Some(emulator());
+            daemon = robot.process("daemon");
+            let since = daemon.started;
+            serves(&robot, &mut daemon);
+            Ok(Some(Outcome { went_on: false, up: Some(comes_up_holding(&robot, since)?) }))
+        })();
+        row.take(round, outcome);
+        complaints(&mut row, round, &witnesses);
+    }
+    (row.samples, row.torques) = witnesses.end();
+    row
+}
+
+/// Waits until the robot is served; a daemon that finds the robot busy ends, and is started again as a service would be.
+fn serves(robot: &Robot, daemon: &mut Process) -> bool {
+    let served = within(PATIENCE, || {
+        if daemon.ended().is_some() {
+            *daemon = robot.process("daemon");
+        }
+        robot.status().is_some()
+    });
+    served.is_some()
+}
+
+fn word(kill: bool) -> &'static str {
+    if kill { "SIGKILL" } else { "SIGSTOP, SIGCONT" }
+}
+
+fn followed_by(robot: &Robot, pid: u32) -> bool {
+    robot.status().is_some_and(|now| now.served.followers.iter().any(|follower| follower.pid == pid))
+}
+
+fn acknowledged(robot: &Robot, pid: u32) -> u64 {
+    let of = |status: plumbline::ipc::Status| status.served.followers.into_iter().find(|follower| follower.pid == pid);
+    robot.status().and_then(of).map_or(0, |follower| follower.acknowledged)
+}
+
+fn no_unmarked(said: &str) -> Result<(), String> {
+    match unmarked(said).first() {
+        Some(line) => Err(format!("an old torque was printed without a mark: {line}")),
+        None => Ok(()),
+    }
+}
+
+/// What the witnesses have seen since the round before.
+fn complaints(row: &mut Row, round: u32, witnesses: &Witnesses) {
+    let told = std::mem::take(&mut *witnesses.complaints.lock().unwrap_or_else(PoisonError::into_inner));
+    row.broken.extend(told.into_iter().map(|words| format!("round {round}: {words}")));
+}
+
+/// The load average over five minutes, as the kernel prints it.
+fn load() -> String {
+    let text = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    text.split_whitespace().nth(1).unwrap_or("unknown").to_string()
+}
+
+/// All kinds of blows, `rounds` each.
+fn campaign(rounds: u32, seed: u64) -> Vec<Row> {
+    let _turn = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let kinds: [fn(u32, u64, bool) -> Row; 4] = [estimators, clients, daemons, emulators];
+    // `ONLY=3` plays the robot alone.
+    let only = std::env::var("ONLY").ok();
+    let mut rows = Vec::new();
+    for (kind, number) in kinds.into_iter().zip(0u64..) {
+        if only.as_ref().is_some_and(|only| *only != number.to_string()) {
+            continue;
+        }
+        for kill in [true, false] {
+            let row = kind(rounds, seed + 2 * number + u64::from(kill), kill);
+            eprintln!("{}", row.line());
+            row.broken.iter().for_each(|broken| eprintln!("    {broken}"));
+            rows.push(row);
+        }
+    }
+    rows
+}
+
+#[test]
+fn a_few_of_each() {
+    for row in campaign(1, 1) {
+        assert!(row.broken.is_empty(), "{}: {:#?}", row.name, row.broken);
+        assert!(row.went_on + row.stopped > 0, "{}: this machine let no round count", row.name);
+    }
+}
+
+/// Writes docs/kill-campaign.md; hil/kill-campaign/run.sh runs it.
+#[test]
+#[ignore = "takes half an hour"]
+fn the_whole_campaign() {
+    let number = |variable, default| std::env::var(variable).ok().and_then(|text| text.parse().ok()).unwrap_or(default);
+    let (rounds, seed) = (number("ROUNDS", 50) as u32, number("SEED", 1));
+    let before = load();
+    let mut rows = campaign(rounds, seed);
+    // Here alone: the tests that run everywhere set no limit to a time.
+    for row in &mut rows {
+        let slow = row.up.iter().filter(|&&up| up > RESTART.as_secs_f64() * 1e3).count();
+        if slow > 0 {
+            row.broken.push(format!("{slow} of {} successors took longer than {RESTART:?}", row.up.len()));
+        }
+    }
+    let mut text = format!(
+        "# Killed at random moments\n\n`hil/kill-campaign/run.sh` writes this file: {rounds} of each kind, seeds {seed} to {}, at random moments of a \
+         motion that is being driven at 1 kHz by the clock. SIGSTOP lasts 1 to 1500 ms. Two witnesses read along: one every sample, one the \
+         newest torque. Load of the machine before and after: {before}, {}; it has {} processors.\n\n\
+         | killed | counted | the arm went on | the arm stopped, by rule | successor up, median / worst \\[ms\\] | samples witnessed, none \
+         lost or twice | torques witnessed | promises broken |\n|---|---|---|---|---|---|---|---|\n",
+        seed + 7,
+        load(),
+        std::thread::available_parallelism().map_or(0, usize::from)
+    );
+    for row in &rows {
+        writeln!(text, "{}", row.line()).unwrap();
+    }
+    text.push_str(include_str!("../kill_support/promises.md"));
+    for row in &rows {
+        for broken in &row.broken {
+            writeln!(text, "- {}: {broken}", row.name).unwrap();
+        }
+        if row.void > 0 {
+            writeln!(
+                text,
+                "- {}: {} rounds did not count, for this machine stopped the motion before the blow.",
+                row.name, row.void
+            )
+            .unwrap();
+        }
+    }
+    std::fs::write("docs/kill-campaign.md", text).unwrap();
+    assert!(rows.iter().all(|row| row.broken.is_empty()));
+}

@@ -1,0 +1,52 @@
+//! The emulator of Franka's control interface against a scripted client: it gives what a robot gives and refuses what a robot
+//! refuses, by name. Clients of other origin are in `hil/fci-peers`.
+
+mod client;
+#[path = "../../../hil/fci-emulator/control.rs"]
+#[allow(dead_code)] // standard input is the program's
+mod control;
+#[path = "../../../hil/fci-emulator/options.rs"]
+mod options;
+
+mod faults;
+mod limits;
+mod manners;
+mod motions;
+mod program;
+
+use crate::emulator::{self, Emulator, Settings};
+use client::Client;
+use plumbline::backend::franka::wire::Protocol;
+use std::net::{IpAddr, Ipv4Addr};
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::time::Duration;
+
+/// An address of its own for every emulator of this process.
+fn address() -> IpAddr {
+    static NEXT: AtomicU8 = AtomicU8::new(1);
+    // The port is fixed, so every process has a network of its own.
+    let [.., high, low] = std::process::id().to_be_bytes();
+    Ipv4Addr::new(127, 64 | high >> 2, low, NEXT.fetch_add(1, Ordering::Relaxed)).into()
+}
+
+/// A robot whose time waits for the client: a machine that stalls must not decide these tests.
+fn patient(protocol: Protocol) -> Settings {
+    Settings { patience: Duration::from_secs(2), ..Settings::new(address(), protocol) }
+}
+
+/// An emulator, and a client that is connected to it.
+fn session(settings: Settings) -> (Emulator, Client) {
+    let (address, protocol) = (settings.address, settings.protocol);
+    let emulator = Emulator::start(settings).unwrap_or_else(|error| panic!("{error}"));
+    (emulator, Client::connect(address, protocol))
+}
+
+/// The same test at every version, at once: a motion takes its time.
+fn each_protocol(test: impl Fn(Protocol) + Sync) {
+    std::thread::scope(|scope| {
+        for protocol in Protocol::ALL {
+            let test = &test;
+            scope.spawn(move || test(protocol));
+        }
+    });
+}

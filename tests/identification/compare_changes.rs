@@ -1,0 +1,203 @@
+//! What changed since a model was identified, on simulated recordings whose truth is known.
+
+use crate::scene::lab::{Noise, Period, period, plans};
+use plumbline::backend::sim::Truth;
+use plumbline::config::robot::Robot;
+use plumbline::diagnose::Settings;
+use plumbline::diagnose::evidence::Trial;
+use plumbline::diagnose::reference::{Change, Changes, between_sessions, changes, extended};
+use plumbline::estimate::experiment::{self, Experiment};
+use plumbline::estimate::solve::identify;
+use plumbline::estimate::validate::validate;
+use plumbline::model::base::{BaseKind, Reduction};
+use plumbline::model::chain::Chain;
+use plumbline::model::gravity::Mounting;
+use plumbline::model::structure::Structure;
+use plumbline::model::torque::TorqueModel;
+use std::sync::OnceLock;
+
+const PAYLOAD: &str = "[[effect]]\nid = \"payload\"\nmass = 0.73\ncom = [0.0, 0.0, 0.15]\n\
+    inertia = [0.001, 0.0, 0.0, 0.0025, 0.0, 0.0017]\n";
+const NOISE: Noise = Noise { coloured: 0.05 };
+const PERIODS: usize = 6;
+
+fn chain() -> &'static Chain {
+    static CHAIN: OnceLock<Chain> = OnceLock::new();
+    CHAIN.get_or_init(|| Robot::load("panda", None).unwrap().chain)
+}
+
+/// The shipped arm with more in its file.
+fn truth(more: &str) -> Truth {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/config/arms/sim-panda.toml");
+    Truth::parse("truth", &format!("{}\n{more}", std::fs::read_to_string(path).unwrap())).unwrap()
+}
+
+/// Recordings of that arm: motions that identify, or others.
+fn record(truth: &Truth, others: bool, count: usize, mounting: Mounting, seed: u64) -> Vec<Experiment> {
+    let [identify, validate] = plans();
+    let plans = if others { validate } else { identify };
+    let one = |(k, plan)| {
+        let period: Period = period(chain(), truth, plan, mounting, &format!("run {k}"));
+        Experiment::prepare(&period.record(truth, PERIODS, NOISE, seed + k as u64), &experiment::Settings::default())
+            .unwrap()
+    };
+    plans.iter().take(count).enumerate().map(one).collect()
+}
+
+fn model_from(kind: BaseKind, experiments: &[Experiment], mounting: Mounting) -> TorqueModel {
+    let structure = Structure::of(chain().clone(), Reduction::of_kind(chain(), kind), &["friction"]).unwrap();
+    let found = identify(&structure, experiments).unwrap();
+    TorqueModel::new("panda", structure, vec![mounting], &found.values()).unwrap()
+}
+
+/// The arm as it was, identified on the wall.
+fn stored() -> &'static TorqueModel {
+    static MODEL: OnceLock<TorqueModel> = OnceLock::new();
+    MODEL.get_or_init(|| {
+        let experiments = record(&truth(""), false, 2, Mounting::WALL, 7);
+        model_from(BaseKind::Gbs, &experiments, Mounting::WALL)
+    })
+}
+
+fn trials(experiments: &[Experiment], session: u32) -> Vec<Trial<'_>> {
+    experiments.iter().map(|experiment| Trial { experiment, session }).collect()
+}
+
+fn settings() -> Settings {
+    Settings { threads: 2, ..Settings::default() }
+}
+
+fn found(model: &TorqueModel, experiments: &[Experiment]) -> Changes {
+    changes(model, &trials(experiments, 1), &settings(), &|_| {})
+}
+
+fn names(found: &Changes) -> Vec<String> {
+    found.effects.iter().map(|one| format!("{} {}", one.spec.family, one.spec.site)).collect()
+}
+
+/// Distance of a parameter from the truth in its standard deviations.
+fn z(change: &Change, name: &str, truth: f64) -> f64 {
+    let own = change.parameters.iter().find(|own| own.column.name == name).unwrap_or_else(|| panic!("no {name}"));
+    (own.value - truth) / own.std.unwrap()
+}
+
+#[test]
+fn a_payload_is_found_with_its_mass_and_the_model_that_carries_it_predicts() {
+    let new = record(&truth(PAYLOAD), true, 2, Mounting::WALL, 107);
+    let found = found(stored(), &new);
+    assert_eq!(names(&found), ["payload the arm"]);
+    let body = found.effects[0].body.unwrap();
+    println!("payload of 0.73 kg at 0.15 m, 2 trajectories x {PERIODS} periods: {body:.5?}");
+    let close = |estimate: plumbline::diagnose::reference::Estimate, truth: f64, widest: f64| {
+        let std = estimate.std.unwrap();
+        assert!(std < widest && (estimate.value - truth).abs() < 4.0 * std, "{estimate:?} for {truth}");
+    };
+    close(body.mass, 0.73, 0.01);
+    for (com, truth) in body.com.iter().zip([0.0, 0.0, 0.15]) {
+        close(*com, truth, 0.005);
+    }
+    for (inertia, truth) in body.inertia.iter().zip([0.001, 0.0, 0.0, 0.0025, 0.0, 0.0017]) {
+        close(*inertia, truth, 0.01);
+    }
+    assert!(found.doubt.parameters.is_empty() && found.doubt.runs.is_empty());
+
+    // Folded into the rigid bodies: as many parameters as before, and the error on unseen runs is that of a model of this very arm.
+    let carrying = extended(stored(), &found.effects).unwrap();
+    assert_eq!(carrying.parameters().len(), stored().parameters().len());
+    let unseen = record(&truth(PAYLOAD), false, 1, Mounting::UPRIGHT, 207);
+    let rms = |model: &TorqueModel| validate(&unseen[0], |motion| model.predict(motion)).filtered_mean();
+    let (before, after) = (rms(stored()), rms(&carrying));
+    println!("upright, unseen, mean over joints in the 5 Hz band: {before:.3} -> {after:.3} Nm");
+    assert!(before > 0.8 && after < 0.04, "{before} -> {after}");
+}
+
+#[test]
+fn nothing_changed_is_nothing_significant_and_says_how_little_would_have_been_seen() {
+    let new = record(&truth(""), true, 2, Mounting::WALL, 307);
+    let found = found(stored(), &new);
+    assert!(found.effects.is_empty(), "{:?}", names(&found));
+    assert!(found.lack_of_fit.unwrap().iter().all(|both| both[0] < 2.0 && both[1] == both[0]));
+    let offsets = &found.least.iter().find(|(id, _)| *id == "torque-offset").unwrap().1;
+    assert!(offsets.iter().all(|rms| (0.005..0.2).contains(rms)), "{offsets:?}");
+}
+
+#[test]
+fn each_kind_of_change_is_named() {
+    // A tilt of half a degree about the axis that the arm stands on when it is upright, as the base frame has it.
+    let tilt = 0.5_f64.to_radians();
+    let mut slippery = truth("");
+    (slippery.joints[3].fc, slippery.joints[3].fv) = (slippery.joints[3].fc * 2.0, slippery.joints[3].fv * 1.5);
+    let cases = [
+        ("mounting the arm", truth(&format!("[[effect]]\nid = \"mounting\"\ntilt = [0.0, {tilt}, 0.0]\n"))),
+        ("friction-change joint 4", slippery),
+        ("torque-offset joint 2", truth("[[effect]]\nid = \"torque-offset\"\njoint = 2\noffset = 0.3\n")),
+        ("torque-gain joint 1", truth("[[effect]]\nid = \"torque-gain\"\njoint = 1\ngain = 1.03\n")),
+        ("spring joint 4", truth("[[effect]]\nid = \"spring\"\njoint = 4\nstiffness = 0.5\nrest = -2.0\n")),
+    ];
+    for (expected, arm) in cases {
+        let new = record(&arm, true, 1, Mounting::WALL, 407);
+        let found = found(stored(), &new);
+        let said: Vec<String> = found
+            .effects
+            .iter()
+            .flat_map(|one| &one.parameters)
+            .map(|own| format!("{} {:.4} +- {:.4}", own.column.name, own.value, own.std.unwrap_or(f64::NAN)))
+            .collect();
+        println!("{expected}: {:?} {said:?}", names(&found));
+        assert_eq!(names(&found), [expected]);
+        let change = &found.effects[0];
+        match expected {
+            "mounting the arm" => {
+                let size = change.parameters[0].value.hypot(change.parameters[1].value);
+                assert!((size / tilt - 1.0).abs() < 0.1, "{size} rad for {tilt}");
+            }
+            "friction-change joint 4" => {
+                assert!(z(change, "dfc4", 0.1604).abs() < 4.0 && z(change, "dfv4", 0.0262).abs() < 4.0);
+                let model = extended(stored(), &found.effects).unwrap();
+                let of = |model: &TorqueModel| {
+                    model.parameters().iter().find(|own| own.column.name == "fc4").map(|own| own.value).unwrap()
+                };
+                assert!((of(&model) - of(stored()) - change.parameters[1].value).abs() < 1e-12);
+            }
+            "torque-offset joint 2" => assert!(z(change, "offset2", 0.3).abs() < 4.0),
+            "torque-gain joint 1" => assert!(z(change, "gain1", 0.03).abs() < 4.0),
+            _ => assert!((change.parameters[0].value - 0.5).abs() < 0.1, "{:?}", change.parameters),
+        }
+    }
+}
+
+#[test]
+fn what_was_never_identified_is_doubted_and_no_effect_is_blamed() {
+    // A generalized structure identified upright: two of its parameters are anything.
+    let upright = record(&truth(""), false, 2, Mounting::UPRIGHT, 507);
+    let model = model_from(BaseKind::Gbs, &upright, Mounting::UPRIGHT);
+    assert!(model.parameters().iter().any(|own| own.std.is_none()));
+    let wall = record(&truth(""), true, 2, Mounting::WALL, 607);
+    let found = found(&model, &wall);
+    assert!(found.effects.is_empty(), "{:?}", names(&found));
+    assert!(!found.doubt.parameters.is_empty(), "{:?}", found.doubt);
+    for name in &found.doubt.parameters {
+        let own = model.parameters().iter().find(|own| own.column.name == *name).unwrap();
+        assert!(own.std.is_none(), "{name} was identified");
+    }
+    assert_eq!(found.doubt.runs, ["run 0", "run 1"]);
+    // Where it was identified, it can be asked.
+    let again = record(&truth(""), true, 2, Mounting::UPRIGHT, 707);
+    let found = self::found(&model, &again);
+    assert!(found.effects.is_empty() && found.doubt == Default::default(), "{:?} {:?}", names(&found), found.doubt);
+}
+
+#[test]
+fn sessions_tell_a_payload_without_a_stored_model() {
+    let first = record(&truth(""), false, 2, Mounting::WALL, 807);
+    let second = record(&truth(PAYLOAD), true, 2, Mounting::WALL, 907);
+    let all: Vec<Trial> = trials(&first, 1).into_iter().chain(trials(&second, 2)).collect();
+    let structure = stored().structure();
+    let found = between_sessions(structure, &all, &settings(), &|_| {});
+    assert_eq!(names(&found), ["payload the arm"]);
+    assert_eq!(found.effects[0].since, Some(2));
+    let mass = found.effects[0].body.unwrap().mass;
+    assert!((mass.value - 0.73).abs() < 4.0 * mass.std.unwrap() && mass.std.unwrap() < 0.01, "{mass:?}");
+    // In one session it can't be seen.
+    assert!(between_sessions(structure, &trials(&second, 2), &settings(), &|_| {}).effects.is_empty());
+}

@@ -1,0 +1,398 @@
+//! What differs from period to period, put into simulated recordings by hand: drifts, a base that moves, contacts, single samples.
+
+use crate::scene;
+use crate::scene::DT;
+use crate::scene::lab::{Noise, Period, of_force, window};
+use nalgebra::{DMatrix, DVector, Vector3};
+use plumbline::backend::sim::Truth;
+use plumbline::config::robot::Robot;
+use plumbline::diagnose::changing::{Changing, Course, Drifting, changing};
+use plumbline::diagnose::evidence::Trial;
+use plumbline::estimate::experiment::{Experiment, LeftOut, Settings};
+use plumbline::estimate::run::Run;
+use plumbline::estimate::signal::spectral::Spectral;
+use plumbline::excite::fourier::PeriodicMotion;
+use plumbline::model::base::Reduction;
+use plumbline::model::chain::{Chain, Placement};
+use plumbline::model::rnea::rnea;
+use plumbline::model::structure::Structure;
+use plumbline::model::term::effect::Ground;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::f64::consts::TAU;
+use std::sync::OnceLock;
+
+const PERIODS: usize = 10;
+
+/// The arm, what is known of it, and one period of each trajectory with its velocities.
+struct Stage {
+    chain: Chain,
+    truth: Truth,
+    ground: Ground,
+    friction: Vec<[f64; 2]>,
+    periods: Vec<(Period, DMatrix<f64>)>,
+}
+
+fn stage() -> &'static Stage {
+    static STAGE: OnceLock<Stage> = OnceLock::new();
+    STAGE.get_or_init(|| {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/config/arms/sim-panda.toml");
+        let truth = Truth::parse(path, &std::fs::read_to_string(path).unwrap()).unwrap();
+        let chain = Robot::load("panda", None).unwrap().chain;
+        let [plans, _] = scene::lab::plans();
+        let of = |k: usize| {
+            let plan = &plans[k];
+            let period = scene::lab::period(&chain, &truth, plan, plan.mounting(), &format!("run{k}"));
+            let mut spectral = Spectral::new(period.q.nrows(), DT);
+            let mut velocity = |q: &[f64]| {
+                let [_, dq, _] = spectral.derivatives(q, |f| if f < 80.0 { 1.0 } else { 0.0 });
+                DVector::from_vec(dq)
+            };
+            let columns: Vec<_> = period.q.column_iter().map(|q| velocity(q.as_slice())).collect();
+            (period, DMatrix::from_columns(&columns))
+        };
+        let periods = vec![of(0), of(1)];
+        let reduction = Reduction::in_mounting(&chain, &plans[0].mounting());
+        let structure = Structure::of(chain.clone(), reduction, &["friction"]).unwrap();
+        let delta = DVector::from_iterator(10 * chain.len(), truth.link_parameters().into_iter().flatten());
+        let base = structure.reduction().base_of(&delta);
+        let beta: Vec<f64> = base.iter().copied().chain(vec![0.0; 2 * chain.len()]).collect();
+        let friction: Vec<[f64; 2]> = truth.joints.iter().map(|joint| [joint.fv, joint.fc]).collect();
+        let ground = Ground { friction: friction.clone(), ..structure.ground(&beta) };
+        Stage { ground, chain, truth, friction, periods }
+    })
+}
+
+/// One sample of a recording.
+struct At {
+    /// Since the first sample \[s\].
+    t: f64,
+    q: Vec<f64>,
+    dq: Vec<f64>,
+}
+
+/// Recordings of the first `count` trajectories with something added to the torques.
+fn recorded(count: usize, seed: u64, added: impl FnMut(&At, &mut [f64])) -> Vec<Run> {
+    recorded_periods(count, PERIODS, seed, added)
+}
+
+/// The same of so many periods each.
+fn recorded_periods(count: usize, periods: usize, seed: u64, mut added: impl FnMut(&At, &mut [f64])) -> Vec<Run> {
+    let stage = stage();
+    let mut runs = Vec::new();
+    for (k, (period, dq)) in stage.periods.iter().take(count).enumerate() {
+        let mut run = period.record(&stage.truth, periods, Noise { coloured: 0.05 }, 17 * seed + k as u64);
+        let samples = period.q.nrows();
+        let mut tau = vec![0.0; run.tau.ncols()];
+        for row in 0..run.tau.nrows() {
+            let at = At {
+                t: row as f64 * DT,
+                q: period.q.row(row % samples).iter().copied().collect(),
+                dq: dq.row(row % samples).iter().copied().collect(),
+            };
+            tau.fill(0.0);
+            added(&at, &mut tau);
+            tau.iter().enumerate().for_each(|(j, tau)| run.tau[(row, j)] += tau);
+        }
+        runs.push(run);
+    }
+    runs
+}
+
+fn prepared(runs: &[Run], settings: &Settings) -> Vec<Experiment> {
+    runs.iter().map(|run| Experiment::prepare(run, settings).unwrap()).collect()
+}
+
+fn kept() -> Settings {
+    Settings { keep_periods: true, ..Settings::default() }
+}
+
+fn found(runs: &[Run]) -> Changing {
+    let stage = stage();
+    let experiments = prepared(runs, &kept());
+    let trials: Vec<Trial> = experiments.iter().map(|experiment| Trial { experiment, session: 1 }).collect();
+    changing(&stage.ground, &trials)
+}
+
+#[test]
+fn an_offset_that_drifts_is_found_within_its_deviation() {
+    let runs = recorded(2, 1, |at, tau| tau[3] += 0.2 * at.t / 60.0);
+    let found = found(&runs);
+    assert_eq!(found.drifts.len(), 1, "{:?}", found.drifts);
+    let drift = &found.drifts[0];
+    assert_eq!((drift.what, drift.course), (Drifting::Offset(3), Course::Linear), "{drift:?}");
+    assert!(drift.common && drift.score > 0.0);
+    let error = drift.values[0][0] - 0.2;
+    assert!(error.abs() < 3.0 * drift.std[0][0] && drift.std[0][0] < 0.02, "{drift:?}");
+    assert!(found.contacts.is_empty() && found.transients.is_empty() && found.base_motions.is_empty(), "{found:?}");
+}
+
+#[test]
+fn friction_that_falls_as_the_arm_warms_is_found_with_its_time() {
+    let stage = stage();
+    let course = |t: f64| 1.0 - (-t / 80.0).exp();
+    let one = recorded(2, 2, |at, tau| {
+        tau[1] += course(at.t) * (-0.25 * (100.0 * at.dq[1]).tanh() - 0.2 * at.dq[1]);
+    });
+    let of_one = found(&one);
+    assert_eq!(of_one.drifts.len(), 1, "{:?}", of_one.drifts);
+    let drift = &of_one.drifts[0];
+    assert_eq!(drift.what, Drifting::Friction(1), "{drift:?}");
+    let Course::Saturating { time } = drift.course else { panic!("{drift:?}") };
+    assert!((50.0..130.0).contains(&time), "{drift:?}");
+    for (value, truth) in drift.values[0].iter().zip([-0.25, -0.2]) {
+        // The time constant is not exact either.
+        assert!((value - truth).abs() < 0.25 * truth.abs(), "{drift:?}");
+    }
+    let all = recorded(2, 3, |at, tau| {
+        for (j, [fv, fc]) in stage.friction.iter().enumerate() {
+            tau[j] -= 0.4 * course(at.t) * (fc * (100.0 * at.dq[j]).tanh() + fv * at.dq[j]);
+        }
+    });
+    let of_all = found(&all);
+    assert_eq!(of_all.drifts.len(), 1, "{:?}", of_all.drifts);
+    let drift = &of_all.drifts[0];
+    assert_eq!((drift.what, drift.common), (Drifting::AllFriction, true), "{drift:?}");
+    assert!((drift.values[0][0] + 0.4).abs() < 0.1, "{drift:?}");
+    // The first period is far from the others, and yet nothing happened in it.
+    assert!(of_all.contacts.is_empty() && of_all.transients.is_empty() && of_all.leave_out.is_empty(), "{of_all:?}");
+    assert!(of_one.contacts.is_empty() && of_one.transients.is_empty() && of_one.leave_out.is_empty(), "{of_one:?}");
+}
+
+#[test]
+fn noise_alone_raises_no_alarm() {
+    for seed in 100..140 {
+        let found = found(&recorded(1, seed, |_, _| {}));
+        assert!(found.is_empty(), "seed {seed}: {found:?}");
+    }
+}
+
+#[test]
+fn noise_of_few_periods_raises_no_alarm_either() {
+    let mut alarms = Vec::new();
+    for seed in 200..205 {
+        for (runs, periods) in [(1, 2), (1, 4), (2, 3)] {
+            let found = found(&recorded_periods(runs, periods, seed, |_, _| {}));
+            if !found.is_empty() {
+                alarms.push(format!("seed {seed}, {runs} runs of {periods}: {found:?}"));
+            }
+        }
+    }
+    assert!(alarms.is_empty(), "{}: {}", alarms.len(), alarms.join("\n\n"));
+}
+
+/// Torque of all joints while the base accelerates by `a`, the arm being slow.
+fn of_base(stage: &Stage, q: &[f64], a: Vector3<f64>) -> Vec<f64> {
+    let zero = vec![0.0; q.len()];
+    let mut tau = vec![0.0; q.len()];
+    rnea(&stage.chain, &stage.truth.link_parameters(), &-a, q, &zero, &zero, &mut tau);
+    tau
+}
+
+#[test]
+fn a_base_that_shakes_is_found_with_frequency_direction_and_amplitude() {
+    let stage = stage();
+    let direction = Vector3::new(0.6, 0.0, 0.8);
+    let runs = recorded(1, 4, |at, tau| {
+        let a = direction * 0.05 * (TAU * 7.33 * at.t + 0.4).sin();
+        of_base(stage, &at.q, a).iter().zip(tau).for_each(|(own, tau)| *tau += own);
+    });
+    let found = found(&runs);
+    assert_eq!(found.base_motions.len(), 1, "{:?}", found.base_motions);
+    let line = &found.base_motions[0];
+    assert!((line.frequency - 7.33).abs() < 0.002, "{line:?}");
+    assert!((line.amplitude - 0.05).abs() < 3.5 * line.std && line.std < 0.005, "{line:?}");
+    assert!(line.direction.dot(&direction).abs() > 0.98, "{line:?}");
+    assert!(line.explained > 0.7 && line.ratio > 12.0, "{line:?}");
+    assert!(found.drifts.is_empty() && found.leave_out.is_empty(), "{found:?}");
+    // A motor that hums in one joint is no base motion.
+    let hum = recorded(1, 5, |at, tau| tau[2] += 0.3 * (TAU * 7.33 * at.t).sin());
+    let found = self::found(&hum);
+    assert!(found.base_motions.is_empty(), "{:?}", found.base_motions);
+}
+
+/// A push at link 6 for 0.8 s of the fourth period.
+fn pushed(seed: u64) -> (Vec<Run>, Vector3<f64>, Vector3<f64>) {
+    let (point, force) = (Vector3::new(0.05, -0.04, 0.02), Vector3::new(4.0, -7.0, 5.0));
+    let chain = &stage().chain;
+    let runs = recorded(1, seed, |at, tau| {
+        let share = window(at.t, 34.2, 35.0);
+        if share > 0.0 {
+            of_force(chain, &at.q, 5, point, force * share).iter().zip(tau).for_each(|(own, tau)| *tau += own);
+        }
+    });
+    (runs, point, force)
+}
+
+#[test]
+fn a_contact_is_found_with_time_link_point_and_force() {
+    let (runs, point, force) = pushed(6);
+    let found = found(&runs);
+    assert_eq!((found.contacts.len(), found.transients.len()), (1, 0), "{found:?}");
+    let contact = &found.contacts[0];
+    assert!((contact.from - 34.2).abs() < 0.2 && (contact.to - 35.0).abs() < 0.2, "{contact:?}");
+    assert_eq!((contact.link, contact.periods.as_slice()), (5, [3].as_slice()), "{contact:?}");
+    assert!((contact.force - force).norm() < 0.15 * force.norm(), "{contact:?}");
+    assert!(contact.explained > 0.95 && contact.explained > contact.control + 0.05, "{contact:?}");
+    // Of the point only the part across the force is known.
+    let stage = stage();
+    let row = ((contact.from + contact.to) / 2.0 / DT) as usize % stage.periods[0].0.q.nrows();
+    let q: Vec<f64> = stage.periods[0].0.q.row(row).iter().copied().collect();
+    let mut frame = Placement::identity();
+    stage.chain.joints()[..6].iter().zip(&q).for_each(|(joint, &q)| frame = frame.then(&joint.placement(q)));
+    let along = frame.rotation.transpose() * force.normalize();
+    let off = contact.point.unwrap() - point;
+    assert!((off - along * off.dot(&along)).norm() < 0.02, "{contact:?}");
+    assert!(found.drifts.is_empty() && found.base_motions.is_empty(), "{found:?}");
+}
+
+#[test]
+fn what_no_force_explains_stays_a_transient() {
+    // Joints 1, 4 and 7 against each other, in a way of their own.
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let shape: Vec<f64> = (0..7).map(|_| rng.random_range(-2.0..2.0)).collect();
+    let runs = recorded(1, 7, |at, tau| {
+        let share = window(at.t, 52.0, 54.0);
+        for (j, tau) in tau.iter_mut().enumerate() {
+            *tau += share * shape[j] * (TAU * (1.0 + 0.7 * j as f64) * at.t).sin();
+        }
+    });
+    let found = found(&runs);
+    assert_eq!((found.contacts.len(), found.transients.len()), (0, 1), "{found:?}");
+    let event = &found.transients[0];
+    assert!((event.from - 52.0).abs() < 0.2 && (event.to - 54.0).abs() < 0.2 && event.period == 5, "{event:?}");
+    assert!(event.joints.len() >= 5, "{event:?}");
+}
+
+#[test]
+fn a_contact_that_is_left_out_leaves_no_trace_in_the_mean() {
+    let (runs, _, _) = pushed(9);
+    let clean = prepared(&recorded(1, 9, |_, _| {}), &kept());
+    let touched = prepared(&runs, &kept());
+    let difference = |other: &Experiment| (&other.tau - &clean[0].tau).amax();
+    assert!(difference(&touched[0]) > 0.2, "{}", difference(&touched[0]));
+    let found = found(&runs);
+    let left_out = prepared(&runs, &Settings { leave_out: found.leave_out.clone(), ..kept() });
+    // Nine periods instead of ten have a little more noise: 0.15 Nm over the root of 90 or so.
+    let off = &left_out[0].tau - &clean[0].tau;
+    let at = off.iamax_full();
+    assert!(off.amax() < 0.12, "{} at {at:?}, left out {:?}", off[at], found.leave_out);
+    let std = |experiment: &Experiment| experiment.scatter.as_ref().unwrap().std.clone();
+    for ((touched, left_out), clean) in std(&touched[0]).iter().zip(std(&left_out[0])).zip(std(&clean[0])) {
+        assert!((left_out / clean - 1.0).abs() < 0.01 && *touched > left_out, "{touched} {left_out} {clean}");
+    }
+    // The spectrum of the noise is the same either way.
+    let scatter = found.scatter[0].as_ref().unwrap();
+    for (a, b) in scatter.std.iter().zip(std(&clean[0])) {
+        assert!((a / b - 1.0).abs() < 0.01, "{a} {b}");
+    }
+    // A whole period that is left out is no period; the others are the mean.
+    let period = LeftOut::period(&runs[0].name, 3, 10.0);
+    let fewer = prepared(&runs, &Settings { leave_out: vec![period], ..kept() });
+    let repeats = fewer[0].repeats.as_ref().unwrap();
+    assert_eq!(repeats.periods, [0, 1, 2, 4, 5, 6, 7, 8, 9]);
+    assert_eq!(fewer[0].scatter.as_ref().unwrap().periods, 9);
+    let mean = |k: usize, j: usize| {
+        (0..PERIODS).filter(|p| *p != 3).map(|p| runs[0].tau[(p * 10_000 + k, j)]).sum::<f64>() / 9.0
+    };
+    for (k, j) in [(0, 0), (4567, 3), (9999, 6)] {
+        assert!((fewer[0].tau[(k, j)] - mean(k, j)).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn a_stretch_of_a_free_run_that_is_left_out_does_not_count() {
+    let run = Run { period: None, ..recorded(1, 10, |_, _| {}).remove(0) };
+    let leave_out = vec![LeftOut { run: run.name.clone(), from: 20.0, to: 25.0 }];
+    let whole = Experiment::prepare(&run, &Settings::default()).unwrap();
+    let less = Experiment::prepare(&run, &Settings { leave_out, ..Settings::default() }).unwrap();
+    assert_eq!(less.resting().iter().filter(|left_out| **left_out).count(), 5000);
+    let share = less.kept().len() as f64 / whole.kept().len() as f64;
+    assert!((share - 0.95).abs() < 0.005, "{share}");
+}
+
+#[test]
+fn single_samples_that_are_off_are_counted_and_left_out() {
+    let mut runs = recorded(1, 11, |_, _| {});
+    for (row, joint) in [(12_345, 0), (40_000, 2), (77_001, 2)] {
+        runs[0].tau[(row, joint)] += 4.0;
+    }
+    // What every period does is no outlier.
+    for period in 0..PERIODS {
+        runs[0].tau[(period * 10_000 + 555, 5)] += 4.0;
+    }
+    runs[0].q[(23_456, 1)] += 1e-3;
+    let found = found(&runs);
+    let hygiene = &found.hygiene[0];
+    assert_eq!(hygiene.torques, [1, 0, 2, 0, 0, 0, 0], "{hygiene:?}");
+    assert_eq!(hygiene.positions, [0, 1, 0, 0, 0, 0, 0], "{hygiene:?}");
+    assert_eq!(found.leave_out.len(), 4, "{:?}", found.leave_out);
+    assert!(found.leave_out.iter().any(|one| one.from < 12.345 && one.to > 12.345 && one.to - one.from < 0.02));
+    assert!(found.drifts.is_empty() && found.contacts.is_empty() && found.transients.is_empty());
+}
+
+/// Ten periods of the simulated arm with effects of its own, after one that nobody records.
+fn driven(effects: &str, seed: u64) -> Run {
+    let stage = stage();
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/config/arms/sim-panda.toml");
+    let text = std::fs::read_to_string(path).unwrap() + effects;
+    let truth = Truth::parse("truth", &text).unwrap();
+    let [plans, _] = scene::lab::plans();
+    let plan = &plans[0];
+    let mut arm = scene::still(&stage.chain, &truth, plan.mounting(), &plan.q0, seed);
+    let reference = PeriodicMotion::new(&plan.fourier().unwrap(), PERIODS as u32 + 1).unwrap();
+    let samples = (plan.period / DT).round() as usize;
+    let (rows, n) = (PERIODS * samples, stage.chain.len());
+    let (mut q, mut tau) = (DMatrix::zeros(rows, n), DMatrix::zeros(rows, n));
+    scene::drive(&mut arm, &reference, rows + samples, |tick, state, _| {
+        let Some(k) = tick.checked_sub(samples) else { return };
+        for j in 0..n {
+            (q[(k, j)], tau[(k, j)]) = (state.q[j], state.tau[j]);
+        }
+    });
+    let t = (0..rows).map(|k| k as f64 * DT).collect();
+    Run { name: "driven".into(), t, q, dq: None, tau, gravity: plan.mounting().gravity(), period: Some(plan.period) }
+}
+
+#[test]
+fn three_changes_of_the_simulated_arm_at_once_are_told_apart() {
+    // The arm's clock runs ten seconds ahead of the recording's.
+    let run = driven(
+        r#"
+[[effect]]
+id = "offset-drift"
+joint = 3
+drift = 0.3
+time = 60.0
+trend = "linear"
+
+[[effect]]
+id = "base-motion"
+frequency = 6.37
+amplitude = 0.06
+direction = [1.0, 1.0, 0.0]
+
+[[effect]]
+id = "contact"
+link = 7
+point = [0.0, 0.05, 0.1]
+force = [6.0, -3.0, 8.0]
+from = 62.3
+to = 63.3
+"#,
+        5,
+    );
+    let found = found(&[run]);
+    assert_eq!(found.drifts.len(), 1, "{:?}", found.drifts);
+    let offset = &found.drifts[0];
+    assert_eq!(offset.what, Drifting::Offset(2), "{offset:?}");
+    assert!((offset.values[0][0] - 0.3).abs() < 3.0 * offset.std[0][0], "{offset:?}");
+    let line = &found.base_motions[0];
+    assert!(found.base_motions.len() == 1 && (line.frequency - 6.37).abs() < 0.005, "{:?}", found.base_motions);
+    assert!((line.amplitude / 0.06 - 1.0).abs() < 0.1, "{line:?}");
+    assert!(line.direction.dot(&Vector3::new(1.0, 1.0, 0.0).normalize()).abs() > 0.97, "{line:?}");
+    let contact = &found.contacts[0];
+    assert!(found.contacts.len() == 1 && found.transients.is_empty(), "{:?} {:?}", found.contacts, found.transients);
+    assert!((contact.from - 52.3).abs() < 0.2 && (contact.to - 53.3).abs() < 0.2, "{contact:?}");
+    assert!((contact.force - Vector3::new(6.0, -3.0, 8.0)).norm() < 2.0 && contact.link == 6, "{contact:?}");
+}

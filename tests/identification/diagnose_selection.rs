@@ -1,0 +1,71 @@
+//! The study of benches/diagnosis in short: what nobody declared about drawn arms is found, and nothing besides.
+
+#[path = "../../benches/diagnosis/case.rs"]
+#[allow(dead_code)]
+mod case;
+#[path = "../../benches/diagnosis/trial.rs"]
+#[allow(dead_code)]
+mod trial;
+
+use crate::scene;
+use case::{Case, Injected, What};
+use plumbline::diagnose::outcome::Verdict;
+use plumbline::model::gravity::Mounting;
+use plumbline::model::term::effect::Site;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use trial::{Bench, Judged};
+
+/// Diagnoses an arm that is drawn by seed and has these effects, from two trajectories.
+fn diagnosed(seed: u64, effects: &[(&'static str, Site, &str)]) -> Judged {
+    let bench = Bench::new();
+    let (arm, _) = case::arm(&mut ChaCha8Rng::seed_from_u64(seed), &bench.base);
+    let injected = |&(family, site, text): &(&'static str, Site, &str)| Injected {
+        family,
+        site,
+        text: format!("id = \"{family}\"\n{text}\n"),
+        variables: Vec::new(),
+    };
+    let effects: Vec<Injected> = effects.iter().map(injected).collect();
+    let truth = effects.iter().fold(arm, |text, one| text + "\n[[effect]]\n" + &one.text);
+    let case = Case {
+        what: What::Single,
+        number: 0,
+        truth,
+        effects,
+        background: None,
+        mounting: Mounting::WALL,
+        trajectories: 2,
+        noise: 1000 * seed,
+    };
+    bench.judge(&case, 1)
+}
+
+/// One effect, found where it is, and nothing besides; the worst joint then errs near its noise.
+#[track_caller]
+fn found(seed: u64, family: &'static str, site: Site, text: &str) {
+    let judged = diagnosed(seed, &[(family, site, text)]);
+    let said = format!("{:?}: {:?}, rivals {:?}", judged.verdict, judged.found, judged.others);
+    assert!(judged.ratio > 1.0, "the base parameters hide it: {}", judged.ratio);
+    assert_eq!((judged.right.as_slice(), judged.extra), ([true].as_slice(), 0), "{said}");
+    assert!(matches!(judged.verdict, Verdict::Diagnosed | Verdict::Ambiguous), "{said}");
+    let [before, after] = judged.held_out;
+    // Parameters from two trajectories alone have errors of their own.
+    assert!(after < 2.0 && after < 0.8 * before, "held-out RMS over the floor {before} before, {after} after");
+}
+
+#[test]
+fn a_torque_offset() {
+    found(11, "torque-offset", Site::Joint(4), "joint = 5\noffset = 0.3");
+}
+
+#[test]
+fn a_ripple() {
+    found(14, "position-ripple", Site::Joint(5), "joint = 6\norder = 23.0\nsine = 0.1\ncosine = 0.1");
+}
+
+#[test]
+fn a_sensor_that_feels_another_joint() {
+    let site = Site::Pair { row: 5, cause: 3 };
+    found(15, "torque-crosstalk", site, "joint = 6\nother = 4\nshare = 0.03");
+}

@@ -1,0 +1,37 @@
+//! The statistics of docs/statistics.md in short: intervals hold the truth as often as they say, errors are near the best possible.
+//! `cargo bench --bench statistics` is the long form.
+
+use crate::scene::Scene;
+use crate::scene::campaign::Campaign;
+use plumbline::estimate::experiment::{Experiment, Method, Settings};
+use plumbline::estimate::solve::identify;
+
+const RUNS: usize = 16;
+const PERIODS: usize = 10;
+
+fn campaign(scene: &Scene, runs: usize, settings: &Settings) -> Campaign {
+    Campaign::of(scene, runs, &scene.bound(PERIODS), |seed| {
+        let experiment = Experiment::prepare(&scene.record(PERIODS, 1000 + seed), settings).unwrap();
+        identify(&scene.structure, &[experiment]).unwrap()
+    })
+}
+
+#[test]
+fn intervals_hold_the_truth_and_errors_are_near_the_bound() {
+    let scene = Scene::panda_on_the_wall();
+    let usual = campaign(&scene, RUNS, &Settings::default());
+    println!("{}", usual.line());
+    // 944 correlated intervals: their share scatters by about 1.5 % round 95 %.
+    assert!((0.915..0.98).contains(&usual.coverage()), "{}", usual.coverage());
+    assert!(usual.over_bound() < 1.1, "{}", usual.over_bound());
+    // No parameter is off by itself: its mean error over the runs is what chance makes of it.
+    for (c, name) in usual.names.iter().enumerate() {
+        let bias = usual.bias[c] / usual.bound[c] * (RUNS as f64).sqrt();
+        assert!(bias.abs() < 4.0, "{name}: mean error {bias:.2} of its standard deviations");
+    }
+
+    // The paper's signal processing takes the reversals of friction out of the motion, and so is biased.
+    let paper = campaign(&scene, 4, &Method::Paper.settings());
+    println!("paper: {}", paper.line());
+    assert!(paper.over_bound() > 1.5 * usual.over_bound(), "{} {}", paper.over_bound(), usual.over_bound());
+}

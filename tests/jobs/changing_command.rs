@@ -1,0 +1,131 @@
+//! `plumbline diagnose` on recordings in which something changes from period to period, the real binary on a dataset in its folder form.
+
+use crate::scene::DT;
+use crate::scene::lab::{Noise, of_force, period, plans, window};
+use nalgebra::Vector3;
+use plumbline::backend::sim::Truth;
+use plumbline::config::robot::Robot;
+use plumbline::dataset::{Dataset, Role, Run};
+use plumbline::model::gravity::Mounting;
+use plumbline::report::Report;
+use plumbline::report::diagnosis::{Occurrence, Verdict};
+use std::path::Path;
+use std::process::Command;
+
+const PERIODS: usize = 6;
+
+/// Two runs to identify from and one to judge by; `added` puts more into the torques of the first two: run, time, positions, torques.
+fn write(dir: &Path, seed: u64, added: impl Fn(usize, f64, &[f64], &mut [f64])) {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/config/arms/sim-panda.toml");
+    let arm = Truth::parse(path, &std::fs::read_to_string(path).unwrap()).unwrap();
+    let chain = Robot::load("panda", None).unwrap().chain;
+    let mut runs = Vec::new();
+    let [identify, validate] = plans();
+    let plans = identify.iter().take(2).map(|plan| (Role::Identify, plan));
+    for (k, (role, plan)) in plans.chain([(Role::Validate, &validate[0])]).enumerate() {
+        let name = format!("run-{k}.csv");
+        let one = period(&chain, &arm, plan, Mounting::WALL, &name);
+        let mut run = one.record(&arm, PERIODS, Noise { coloured: 0.05 }, seed + k as u64);
+        if role == Role::Identify {
+            for row in 0..run.tau.nrows() {
+                let q: Vec<f64> = one.q.row(row % one.q.nrows()).iter().copied().collect();
+                let mut tau = vec![0.0; q.len()];
+                added(k, row as f64 * DT, &q, &mut tau);
+                tau.iter().enumerate().for_each(|(j, tau)| run.tau[(row, j)] += tau);
+            }
+        }
+        runs.push(Run {
+            file: name,
+            role,
+            note: String::new(),
+            period: run.period,
+            session: 1,
+            mounting: Mounting::WALL,
+            t: run.t,
+            q: run.q,
+            dq: None,
+            tau: run.tau,
+            extra: Vec::new(),
+        });
+    }
+    let source = toml::Table::new();
+    let dataset = Dataset { name: "test".into(), robot: "panda".into(), mounting: Mounting::WALL, source, runs };
+    dataset.write(dir).unwrap();
+}
+
+/// The report, what was printed, and the page.
+fn diagnosed(dir: &Path) -> (Report, String, String) {
+    let path = |name: &str| dir.join(name).display().to_string();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_plumbline"));
+    command.current_dir(env!("CARGO_MANIFEST_DIR"));
+    let output = command.args(["diagnose", &path("data"), "--out", &path("out")]).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let read = |name: &str| std::fs::read_to_string(dir.join("out").join(name)).unwrap();
+    let report = serde_json::from_str(&read("report.json")).unwrap();
+    (report, String::from_utf8(output.stdout).unwrap(), read("report.html"))
+}
+
+#[test]
+fn a_drift_and_a_contact_are_reported_and_kept_out_of_the_model() {
+    let place = tempfile::tempdir().unwrap();
+    let chain = Robot::load("panda", None).unwrap().chain;
+    let force = Vector3::new(4.0, -7.0, 5.0);
+    write(&place.path().join("data"), 7, |run, t, q, tau| {
+        // About zero, so that the mean period has no offset of its own.
+        tau[3] += 0.4 * (t - 30.0) / 60.0;
+        if run == 1 && (34.2..35.0).contains(&t) {
+            let push = of_force(&chain, q, 5, Vector3::new(0.05, -0.04, 0.02), force * window(t, 34.2, 35.0));
+            push.iter().zip(tau).for_each(|(own, tau)| *tau += own);
+        }
+    });
+    let (report, printed, page) = diagnosed(place.path());
+    let found = report.diagnosis.unwrap();
+    let ids: Vec<&str> = found.effects.iter().map(|effect| effect.id.as_str()).collect();
+    assert_eq!(
+        (ids.as_slice(), found.verdict),
+        (["offset-drift", "contact"].as_slice(), Verdict::Diagnosed),
+        "{printed}"
+    );
+    assert!(
+        found.effects.iter().all(|effect| effect.stratum == Occurrence::Changing && !effect.in_model),
+        "{found:#?}"
+    );
+    assert!(found.unexplained.is_empty(), "{printed}");
+    let [drift, contact] = &found.effects[..] else { panic!("{printed}") };
+    let of = |effect: &plumbline::report::diagnosis::Effect, name: &str| {
+        let own = effect.parameters.0.iter().find(|own| own.name == name);
+        own.unwrap_or_else(|| panic!("{name}: {effect:?}")).clone()
+    };
+    let slope = of(drift, "offset");
+    assert!(drift.joints == [4] && slope.unit == "Nm/min", "{drift:?}");
+    assert!((slope.value - 0.4).abs() < 3.0 * slope.std.unwrap() && slope.std.unwrap() < 0.05, "{slope:?}");
+    assert!(contact.joints == [6] && contact.label.contains("run-1.csv"), "{contact:?}");
+    assert!((of(contact, "from").value - 34.2).abs() < 0.2 && (of(contact, "to").value - 35.0).abs() < 0.2);
+    for (axis, force) in ["force_x", "force_y", "force_z"].iter().zip(force.iter()) {
+        assert!((of(contact, axis).value - force).abs() < 0.2 * 9.5, "{contact:?}");
+    }
+    // Nothing of it reaches the parameters, and the noise is that of a recording without it.
+    assert_eq!(report.base.parameters.len(), 59);
+    let plain = tempfile::tempdir().unwrap();
+    write(&plain.path().join("data"), 7, |_, _, _, _| {});
+    let (without, nothing, _) = diagnosed(plain.path());
+    let none = without.diagnosis.unwrap();
+    assert!(none.verdict == Verdict::NothingSignificant && none.effects.is_empty(), "{nothing}");
+    assert!(!none.notes.iter().any(|note| note.contains("transient") || note.contains("contact")), "{nothing}");
+    for (j, (with, without)) in found.joints.iter().zip(&none.joints).enumerate() {
+        let ratio = with.floor_of_mean.unwrap() / without.floor_of_mean.unwrap();
+        assert!((ratio - 1.0).abs() < 0.05, "joint {}: {ratio}", j + 1);
+    }
+    for (with, without) in report.base.parameters.iter().zip(&without.base.parameters) {
+        let apart = (with.value - without.value).abs();
+        assert!(apart < 3.0 * without.std.unwrap(), "{with:?} {without:?}");
+    }
+
+    assert!(printed.contains("diagnosis: 2 effects found"), "{printed}");
+    assert!(printed.contains("offset drift in joint 4 (offset 0.4"), "{printed}");
+    assert_eq!(printed.matches("changes from period to period; not in the model").count(), 2, "{printed}");
+    let note = found.notes.iter().find(|note| note.contains("contact on link 6"));
+    assert!(note.is_some_and(|note| note.starts_with("run run-1.csv, 34.") && note.ends_with("left out")), "{printed}");
+    assert!(page.contains("contact on link 6 in run-1.csv") && page.contains(">not in the model<"));
+    assert!(!page.contains("not added to the model") && nothing.contains("diagnosis: nothing significant"));
+}

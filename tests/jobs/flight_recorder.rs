@@ -1,0 +1,247 @@
+//! The daemon's flight recorder, in whole jobs: every kind of fault leaves a file that tells what happened and runs again bit for bit; a
+//! disk that does not take it is said, and a kill while writing leaves whole files.
+
+use crate::job_support::*;
+use crate::peers;
+use plumbline::ipc::Status;
+use plumbline::recording::Recording;
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// One second before the fault: the window begins in the middle of a motion.
+const SPAN: &str = "recorder.span=1 s";
+
+fn status(place: &Place) -> Option<Status> {
+    let done = place.command("status");
+    (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
+}
+
+fn recordings(dir: &Path) -> Vec<PathBuf> {
+    let mut found: Vec<PathBuf> =
+        std::fs::read_dir(dir).map(|entries| entries.map(|entry| entry.unwrap().path()).collect()).unwrap_or_default();
+    found.retain(|path| path.extension().is_some_and(|extension| extension == "mcap"));
+    found.sort();
+    found
+}
+
+/// The one recording of a place.
+#[track_caller]
+fn recording(place: &Place) -> PathBuf {
+    let found = recordings(&place.out().join("flight"));
+    assert_eq!(found.len(), 1, "{found:?}");
+    found[0].clone()
+}
+
+/// What `plumbline postmortem --replay --json` says of it; the replay gave the same commands, or this fails.
+#[track_caller]
+fn story(file: &Path) -> Value {
+    let mut command = plumbline();
+    command.arg("postmortem").arg(file).args(["--replay", "--json"]);
+    let done = Done::of(command).expect_code(0);
+    let page = std::fs::read_to_string(file.with_extension("html")).unwrap();
+    assert!(page.contains("<svg") && !page.contains("src=") && !page.contains("href="));
+    let story: Value = serde_json::from_str(&done.out).unwrap();
+    let steps = story["next"].as_array().unwrap();
+    assert_eq!(page.contains("What to do next"), !steps.is_empty());
+    story
+}
+
+/// A simulated arm with more in its truth file.
+fn arm_with(place: &Place, keys: &str) -> String {
+    let plain = std::fs::read_to_string("config/arms/sim-panda.toml").unwrap();
+    let path = place.path().join("arm.toml");
+    let plain: Vec<&str> = plain.lines().filter(|line| !line.starts_with("drop-")).collect();
+    std::fs::write(&path, format!("{keys}\n{}", plain.join("\n"))).unwrap();
+    format!("backend.arm={}", path.display())
+}
+
+fn texts<'v>(story: &'v Value, key: &str) -> Vec<&'v str> {
+    story["timeline"].as_array().unwrap().iter().map(|line| line[key].as_str().unwrap()).collect()
+}
+
+#[test]
+fn a_guard_stop_in_mid_motion() {
+    let place = Place::new("flight-guard");
+    let done = place.run(&short(&[SPAN, "safety.tracking-error=0.1 deg"])).expect_code(1);
+    let file = recording(&place);
+    assert!(done.err.contains(&format!("plumbline postmortem {}", file.display())), "{}", done.said());
+    let story = story(&file);
+    assert_eq!((story["kind"].as_str(), story["first-limit"]["limit"].as_str()), (Some("guard"), Some("tracking")));
+    assert!(story["during"].as_str().unwrap().contains("identify-wall"), "{story}");
+    assert_eq!(
+        (story["stop"]["at-rest"].as_bool(), story["replay"]["from-the-start"].as_bool()),
+        (Some(true), Some(false))
+    );
+    assert!(story["stop"]["seconds"].as_f64().unwrap() < 1.0);
+    // In order, with the cause before the effect and the end at zero.
+    let what = texts(&story, "text");
+    let place_of =
+        |part: &str| what.iter().position(|text| text.contains(part)).unwrap_or_else(|| panic!("{part}: {what:?}"));
+    assert!(
+        place_of("recording begins") < place_of("is being stopped")
+            && place_of("is being stopped") < place_of("at rest")
+    );
+    assert!(story["next"].as_array().unwrap().iter().any(|step| step.as_str().unwrap().contains("command resume")));
+    let before = story["first-limit"]["before"].as_f64().unwrap();
+    let seconds = story["timing"]["seconds"].as_f64().unwrap();
+    assert!((seconds - 1.0 - before).abs() < 0.005, "one second before the fault, and the stop: {seconds} {before}");
+
+    // What plumbline wrote, it also takes as a run.
+    let data = place.path().join("data");
+    std::fs::create_dir(&data).unwrap();
+    std::fs::copy(&file, data.join("run.mcap")).unwrap();
+    let run =
+        plumbline::dataset::Run::read_csv(&data.join("run.mcap"), plumbline::model::gravity::Mounting::WALL).unwrap();
+    let cycles = Recording::read(&file).unwrap().records.len();
+    assert_eq!((run.samples(), run.joints(), run.tau.ncols()), (cycles, 7, 7));
+
+    // Other people's reader finds every message.
+    if let Some(python) = peers::interpreter_in("flight", &["mcap-ros2-support==0.5.*"]) {
+        let script = "import sys, collections\n\
+                      from mcap_ros2.reader import read_ros2_messages\n\
+                      count = collections.Counter()\n\
+                      for m in read_ros2_messages(sys.argv[1]):\n\
+                      \x20   count[m.channel.topic] += 1\n\
+                      \x20   last = m.ros_msg if m.channel.topic == '/joint_states' else None or (last if count else None)\n\
+                      print(count['/joint_states'], count['/command'], count['/plumbline/cycle'], len(last.position), repr(last.position[6]))\n";
+        let done = Done::of({
+            let mut command = Command::new(python);
+            command.args(["-c", script]).arg(&file);
+            command
+        })
+        .expect_code(0);
+        let last = Recording::read(&file).unwrap().records[cycles - 1];
+        assert_eq!(done.out.trim(), format!("{cycles} {cycles} {cycles} 7 {:?}", last.state.q[6]), "{}", done.said());
+    }
+}
+
+#[test]
+fn lost_states_and_a_reflex() {
+    for (name, keys, set, kind) in [
+        ("lost", "drop-probability = 0.0004\ndrop-burst = 4", "safety.max-lost=3", "lost-states"),
+        ("reflex", "drop-probability = 0.0004\ndrop-burst = 40", "safety.max-lost=25", "reflex"),
+    ] {
+        let place = Place::new(&format!("flight-{name}"));
+        let arm = arm_with(&place, keys);
+        place.run(&short(&[SPAN, &arm, set])).expect_code(1);
+        let story = story(&recording(&place));
+        assert_eq!(story["kind"].as_str(), Some(kind), "{story}");
+        if kind == "lost-states" {
+            assert!(story["timing"]["lost"].as_u64().unwrap() >= 4 && story["end"].is_null(), "{story}");
+            assert!(story["timing"]["outliers"].to_string().contains("4 states lost"), "{story}");
+        } else {
+            assert!(story["end"].as_str().unwrap().contains("code 25"), "{story}");
+            assert!(texts(&story, "text").last().unwrap().contains("the loop ended"), "{story}");
+        }
+    }
+}
+
+#[test]
+fn an_estimator_that_is_gone_a_recording_on_demand_and_an_end_that_is_none() {
+    let place = Place::new("flight-estimator");
+    let sets = ["safety.on-estimator-loss=stop", "excitation.periods=500", SPAN, "excitation.starts=1"];
+    let run = Running::start(place.job("run", &short(&sets)));
+    let estimator = wait_for("the estimator", || children(run.pid(), "estimator").first().copied());
+    wait_for("the motion", || (status(&place)?.cycles > 6_000).then_some(()));
+    place.command("record").expect_code(0);
+    let first = wait_for("a recording", || recordings(&place.out().join("flight")).first().cloned());
+    assert_eq!(story(&first)["kind"].as_str(), Some("on-demand"));
+    signal(estimator, "KILL");
+    run.end().expect_code(1);
+    let found = recordings(&place.out().join("flight"));
+    assert_eq!(found.len(), 2, "{found:?}");
+    let second =
+        found.iter().find(|path| path.to_string_lossy().contains("estimator-lost")).expect("its reason is its name");
+    let story = story(second);
+    assert!(story["reason"].as_str().unwrap().contains("by safety.on-estimator-loss, the arm stops"), "{story}");
+    assert!(texts(&story, "text").iter().any(|text| text.contains("died")), "{story}");
+
+    // A program that is asked to end leaves none.
+    let place = Place::new("flight-quit");
+    let daemon = Running::start(place.job("daemon", &short(&[SPAN])));
+    wait_for("the daemon", || status(&place));
+    let refused = place.command("record").expect_code(1);
+    assert!(refused.err.contains("nothing to record"), "{}", refused.said());
+    place.command("start").expect_code(0);
+    wait_for("the motion", || (status(&place)?.cycles > 2_000).then_some(()));
+    // A loaded machine may end the daemon before its answer has been read.
+    place.command("quit");
+    daemon.end().expect_code(0);
+    assert!(recordings(&place.out().join("flight")).is_empty());
+}
+
+#[test]
+fn a_disk_that_does_not_take_it_is_said_and_changes_nothing() {
+    let place = Place::new("flight-disk");
+    let not_a_folder = place.path().join("file");
+    std::fs::write(&not_a_folder, "x").unwrap();
+    let dir = format!("recorder.dir={}", not_a_folder.join("flight").display());
+    let done = place.run(&short(&[SPAN, &dir, "safety.tracking-error=0.1 deg"])).expect_code(1);
+    assert!(done.err.contains("recording of the fault could not be written"), "{}", done.said());
+    assert!(done.err.contains(&not_a_folder.display().to_string()), "{}", done.said());
+    assert!(done.err.contains("the arm is at rest"), "{}", done.said());
+
+    // A disk that is full: a file system of 64 KiB, where this may make one.
+    let tiny = place.path().join("tiny");
+    std::fs::create_dir(&tiny).unwrap();
+    let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", "size=64k", "tmpfs"]).arg(&tiny).status();
+    if !mounted.is_ok_and(|status| status.success()) {
+        return eprintln!("SKIPPED: no small file system could be mounted");
+    }
+    let dir = format!("recorder.dir={}", tiny.display());
+    let done = place.run(&short(&[SPAN, &dir, "safety.tracking-error=0.1 deg"]));
+    let left: Vec<_> = std::fs::read_dir(&tiny).unwrap().map(|entry| entry.unwrap().path()).collect();
+    assert!(Command::new("umount").arg(&tiny).status().unwrap().success());
+    let done = done.expect_code(1);
+    assert!(done.err.contains("could not be written") && done.err.contains("No space left"), "{}", done.said());
+    assert!(left.is_empty(), "{left:?}");
+}
+
+#[test]
+fn a_kill_while_it_writes_leaves_whole_files_and_old_ones_go() {
+    let place = Place::new("flight-kill");
+    let dir = place.out().join("flight");
+    for round in 0..4 {
+        let sets = ["excitation.periods=500", "recorder.span=1 s", "recorder.keep=3"];
+        let daemon = Running::start(place.job("daemon", &short(&sets)));
+        wait_for("the daemon", || status(&place));
+        place.command("start").expect_code(0);
+        wait_for("the motion", || (status(&place)?.cycles > 2_000).then_some(()));
+        for _ in 0..2 + round {
+            place.command("record").expect_code(0);
+        }
+        std::thread::sleep(std::time::Duration::from_millis(3 * round));
+        signal(daemon.pid(), "KILL");
+        daemon.end();
+        for file in recordings(&dir) {
+            let whole = Recording::read(&file).unwrap();
+            assert!(whole.cut.is_none() && whole.records.len() > 900, "{}: {:?}", file.display(), whole.cut);
+        }
+        // A kill between the new file and the removal of the oldest leaves one more.
+        assert!(recordings(&dir).len() <= 4);
+    }
+    assert!(!recordings(&dir).is_empty());
+}
+
+#[test]
+fn files_that_are_no_recordings_are_refused() {
+    let place = Place::new("flight-bad");
+    for (name, bytes, parts) in [
+        ("none.mcap", None, &["none.mcap", "No such file"][..]),
+        ("empty.mcap", Some(&b""[..]), &["empty.mcap: byte 0", "empty"]),
+        ("text.mcap", Some(b"hello, world"), &["byte 0", "68 65 6c 6c 6f", "89 4d 43 41 50"]),
+    ] {
+        let path = place.path().join(name);
+        if let Some(bytes) = bytes {
+            std::fs::write(&path, bytes).unwrap();
+        }
+        let mut command = plumbline();
+        command.arg("postmortem").arg(&path);
+        let done = Done::of(command).expect_code(2);
+        for part in parts {
+            assert!(done.err.contains(part), "no `{part}`: {}", done.said());
+        }
+        assert!(done.out.is_empty() && !path.with_extension("html").exists(), "{}", done.said());
+    }
+}

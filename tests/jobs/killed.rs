@@ -1,0 +1,135 @@
+//! Processes that die in the middle of a job: the arm goes on or stops by rule, it is said, and nothing lingers.
+
+use crate::turns::Turns;
+
+use crate::job_support::*;
+use plumbline::ipc::Status;
+
+/// Each job has three processes that compute as fast as they can, one of them waiting for another most of the time.
+static JOBS: Turns = Turns::new(2);
+
+/// Overrides that make the identification last some seconds of simulated time at the fast pace, and the planning none.
+const LONG: [&str; 5] = [
+    "excitation.periods=60",
+    "excitation.starts=1",
+    "excitation.rounds=0",
+    "validation.mountings=[\"wall\"]",
+    "backend.seed=3",
+];
+
+/// For jobs that are not meant to come to their end.
+const ENDLESS: &str = "excitation.periods=500";
+
+/// A run in its first motion, with the process ids of its daemon and its estimator.
+fn in_mid_run(place: &Place, more: &[&str]) -> (Running, u32, u32) {
+    let sets: Vec<&str> = SHORT.into_iter().chain(LONG).chain(more.iter().copied()).collect();
+    let run = Running::start(place.job("run", &sets));
+    let daemon = wait_for("the daemon", || children(run.pid(), "daemon").first().copied());
+    let estimator = wait_for("the estimator", || children(run.pid(), "estimator").first().copied());
+    wait_for("the motion", || (status(place)?.cycles > 5_000).then_some(()));
+    (run, daemon, estimator)
+}
+
+/// The daemon's own words, where it answers.
+fn status(place: &Place) -> Option<Status> {
+    let done = place.command("status");
+    (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
+}
+
+/// Nothing that belongs to this test runs any more.
+#[track_caller]
+fn nobody_lingers(place: &Place) {
+    wait_for("the end of every process", || anyone_with(&place.id).is_empty().then_some(()));
+}
+
+#[test]
+fn a_killed_estimator_is_replaced_and_nothing_is_lost() {
+    let _turn = JOBS.take();
+    let place = Place::new("estimator");
+    let (run, _, estimator) = in_mid_run(&place, &[]);
+    signal(estimator, "KILL");
+    let done = run.end().expect_code(0);
+
+    let report = place.report();
+    let ipc = report.ipc.unwrap();
+    assert_eq!((ipc.received, ipc.missed), (ipc.sent, 0), "{ipc:?}");
+    assert!(ipc.replayed > 0, "a successor has to ask for what it never saw: {ipc:?}");
+    assert_eq!((report.base.count, report.cycle.unwrap().lost), (59, 0));
+    // Both say so: the daemon with its rule, the job with what it did about it.
+    assert!(done.err.contains(&format!("estimator (process {estimator}) died after")), "{}", done.said());
+    assert!(done.err.contains("by safety.on-estimator-loss, the arm "), "{}", done.said());
+    assert!(done.err.contains("and the samples are kept"), "{}", done.said());
+    assert!(done.err.contains("the estimator was killed"), "{}", done.said());
+    assert!(done.out.contains("none missing"), "{}", done.said());
+    nobody_lingers(&place);
+}
+
+#[test]
+fn a_killed_estimator_stops_the_arm_where_that_is_the_rule() {
+    let _turn = JOBS.take();
+    let place = Place::new("stop-rule");
+    let (run, _, estimator) = in_mid_run(&place, &["safety.on-estimator-loss=stop", ENDLESS]);
+    signal(estimator, "KILL");
+    let done = run.end().expect_code(1);
+    assert!(done.err.contains("by safety.on-estimator-loss, the arm stops"), "{}", done.said());
+    assert!(done.err.contains("the arm is being stopped"), "{}", done.said());
+    let last = done.err.lines().rfind(|line| line.starts_with("plumbline: ")).unwrap();
+    assert!(last.contains("the arm was stopped"), "{}", done.said());
+    assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.said());
+    nobody_lingers(&place);
+}
+
+#[test]
+fn a_killed_daemon_ends_the_run_and_the_next_one_is_clean() {
+    let _turn = JOBS.take();
+    let place = Place::new("daemon");
+    let (run, daemon, _) = in_mid_run(&place, &[ENDLESS]);
+    signal(daemon, "KILL");
+    let done = run.end().expect_code(1);
+    assert!(done.err.contains("the daemon ended in mid-job") && done.err.contains("signal: 9"), "{}", done.said());
+    assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.said());
+    nobody_lingers(&place);
+
+    place.run(&short(&[])).expect_code(0);
+    let ipc = place.report().ipc.unwrap();
+    assert_eq!((ipc.received, ipc.missed), (ipc.sent, 0), "{ipc:?}");
+    nobody_lingers(&place);
+}
+
+#[test]
+fn an_interrupt_ends_everything() {
+    let _turn = JOBS.take();
+    for name in ["INT", "TERM"] {
+        let place = Place::new(&format!("sig-{}", name.to_lowercase()));
+        let (run, ..) = in_mid_run(&place, &[ENDLESS]);
+        signal(run.pid(), name);
+        let done = run.end().expect_code(1);
+        assert!(done.err.contains("interrupted"), "{}", done.said());
+        assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.said());
+        nobody_lingers(&place);
+    }
+}
+
+#[test]
+fn a_daemon_takes_orders_and_refuses_what_it_can_not_do() {
+    let _turn = JOBS.take();
+    let place = Place::new("orders");
+    let daemon = Running::start(place.job("daemon", &short(&[])));
+    let idle = wait_for("the daemon", || status(&place));
+    assert_eq!((idle.robot.as_str(), idle.joints, idle.cycles, idle.model), ("panda", 7, 0, 0));
+
+    let refused = place.command("stop").expect_code(1);
+    assert!(refused.err.contains("nothing moves"), "{}", refused.said());
+    let refused = place.command("resume").expect_code(1);
+    assert!(refused.err.contains("nothing waits"), "{}", refused.said());
+    assert_eq!(place.command("start").expect_code(0).out, "accepted\n");
+    wait_for("motion", || (status(&place)?.cycles > 0).then_some(()));
+    let again = place.command("start").expect_code(1);
+    assert!(again.err.contains("started before"), "{}", again.said());
+    place.command("quit").expect_code(0);
+    daemon.end().expect_code(0);
+    nobody_lingers(&place);
+
+    let gone = place.command("status").expect_code(1);
+    assert!(gone.err.contains(&place.id), "{}", gone.said());
+}

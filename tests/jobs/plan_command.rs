@@ -1,0 +1,91 @@
+//! `plumbline plan`: several motions that differ, a nominal model, ctrl-C, and a job whose plan leads the arm into itself.
+
+use crate::job_support::*;
+use plumbline::excite::plan::Plan;
+use plumbline::store::{load_plan, plan_text};
+use std::path::Path;
+use std::process::Command;
+use std::time::Duration;
+
+fn plan(out: &Path, more: &[&str]) -> Command {
+    let mut command = plumbline();
+    command.args(["plan", "--robot", "panda", "--mounting", "wall", "--starts", "1", "--out"]).arg(out).args(more);
+    command
+}
+
+#[test]
+fn motions_for_identification_and_validation_differ_and_repeat_by_seed() {
+    let place = Place::new("plan-set");
+    let out = place.path().join("plan.toml");
+    let model = "config/models/panda-paper-table3.toml";
+    let more =
+        ["--rounds", "0", "--trajectories", "2", "--validate", "1", "--model", model, "--criterion", "equilibrated"];
+    let done = Done::of(plan(&out, &more)).expect_code(0);
+    assert!(done.out.contains("with the 1 before it: condition raw"), "{}", done.said());
+    assert!(!out.exists());
+    let load = |name: &str| load_plan(&place.path().join(name)).unwrap();
+    let plans: Vec<Plan> = ["plan-1.toml", "plan-2.toml", "plan-validate-1.toml"].map(load).into();
+    assert!(plans[0].a != plans[1].a && plans[1].a != plans[2].a && plans[0].q0 != plans[1].q0);
+    assert!(plans.iter().all(|plan| plan.constraints.tau.is_some()));
+    assert!(plans[0].conditions.equilibrated < plans[2].conditions.equilibrated);
+
+    let again = place.path().join("again.toml");
+    Done::of(plan(&again, &["--rounds", "0", "--model", model, "--criterion", "equilibrated"])).expect_code(0);
+    assert_eq!(load("again.toml"), plans[0]);
+}
+
+#[test]
+fn an_interrupted_search_keeps_the_best() {
+    let place = Place::new("plan-stop");
+    let out = place.path().join("plan.toml");
+    let running = Running::start(plan(&out, &["--rounds", "10000"]));
+    std::thread::sleep(Duration::from_secs(3));
+    signal(running.pid(), "INT");
+    let done = running.end().expect_code(0);
+    assert!(done.err.contains("interrupted; the best motion so far is kept"), "{}", done.said());
+    assert!(load_plan(&out).unwrap().conditions.raw < 1000.0);
+}
+
+#[test]
+fn the_clock_ends_a_search() {
+    let place = Place::new("plan-clock");
+    let out = place.path().join("plan.toml");
+    let done = Done::of(plan(&out, &["--seconds", "1"])).expect_code(0);
+    assert!(done.out.contains("condition raw") && !done.err.contains("interrupted"), "{}", done.said());
+}
+
+#[test]
+fn bad_options_are_named() {
+    let place = Place::new("plan-bad");
+    let out = place.path().join("plan.toml");
+    let model = place.path().join("none.toml");
+    let model = model.to_str().unwrap();
+    for (more, parts) in [
+        (["--seconds", "0"], ["--seconds", "got 0"]),
+        (["--period", "1.00005"], ["--period", "whole milliseconds"]),
+        (["--harmonics", "2"], ["2 harmonics", "3 to 16"]),
+        (["--model", model], ["none.toml", "file"]),
+    ] {
+        let done = Done::of(plan(&out, &more)).expect_code(2);
+        assert!(parts.iter().all(|part| done.err.contains(part)), "{}", done.said());
+    }
+    assert!(!out.exists());
+}
+
+/// A plan file whose motion, or whose way there, brings the arm into itself is refused with the links by name.
+#[test]
+fn a_plan_that_touches_the_arm_itself_is_refused() {
+    let place = Place::new("plan-touch");
+    let out = place.path().join("plan.toml");
+    Done::of(plan(&out, &["--rounds", "0"])).expect_code(0);
+    let mut touching = load_plan(&out).unwrap();
+    // Folded over its own base, at rest.
+    touching.q0 = vec![0.0, 1.6, 0.0, -2.8, 0.0, 2.0, 0.0];
+    touching.a.iter_mut().chain(&mut touching.b).for_each(|row| row.fill(0.0));
+    std::fs::write(&out, plan_text(&touching).unwrap()).unwrap();
+    let set = format!("excitation.plan={}", out.display());
+    // The box is set wide, so that only the bodies object.
+    let space = "workspace={ box-min = [-2.0, -2.0, -2.0], box-max = [2.0, 2.0, 2.0], base-radius = 0.0 }";
+    let done = Done::of(place.job("run", &[&set, space])).expect_code(2);
+    assert!(done.err.contains("plan.toml") && done.err.contains("distance of link"), "{}", done.said());
+}
