@@ -2,9 +2,15 @@
 # The virtual robot PC in its full form: Debian's PREEMPT_RT kernel in QEMU with systemd, the package, CAN, and the emulator of Franka's
 # control unit on a network of its own.
 #
-#   hil/robot-pc/full.sh [FOLDER]        FOLDER: holds the programs plumbline and fci-emulator, default target/debug
+#   hil/robot-pc/full.sh [FOLDER]        FOLDER: holds plumbline, fci-emulator, sim-inclinometer and examples/forger, default target/debug
+#
+#   cargo build --features fci-emulator,sim-inclinometer --bins --example forger
 #
 # Prints what held as a table; exit code 0 when all of it did. Needs root, qemu-system-x86, mmdebstrap and cpio: else it says SKIPPED.
+#
+# An emulated processor is too slow for 1 kHz by the host's clock. The machine therefore has a clock of its own, which counts instructions: one
+# is a nanosecond, and a time in which nothing has to be done is over at once. So nothing starves, whatever else the host does; and a time inside is no
+# time of any real machine. TCG=1 gives it the host's clock instead.
 set -euo pipefail
 
 here=$(cd "$(dirname "$0")" && pwd)
@@ -20,6 +26,7 @@ for tool in qemu-system-x86_64 mmdebstrap cpio mke2fs depmod; do
 done
 [ -x "$programs/plumbline" ] && [ -x "$programs/fci-emulator" ] || skip "plumbline and fci-emulator are not built in $programs"
 image=$("$here/image.sh") || skip "the image could not be built"
+echo "image: $SECONDS s"
 begin=$SECONDS
 package=$("$here/package.sh" "$programs/plumbline") || { echo "the package could not be built"; exit 1; }
 
@@ -68,8 +75,11 @@ for part in kernel/drivers/net/can kernel/net/can kernel/drivers/net/veth.ko; do
 done
 cp "$modules"/modules.{order,builtin,builtin.modinfo} "$machine/root/usr/lib/modules/$version/" 2>/dev/null || true
 depmod -b "$machine/root/usr" "$version" 2>/dev/null || depmod -b "$machine/root" "$version"
-cp "$here"/inside/* "$package" "$programs/fci-emulator" "$machine/root/robot-pc/"
-strip --strip-debug "$machine/root/robot-pc/fci-emulator"
+cp "$here"/inside/* "$package" "$machine/root/robot-pc/"
+install -m 644 "$root/config/models/panda-paper-table3.toml" "$machine/root/robot-pc/model.toml"
+for program in fci-emulator sim-inclinometer examples/forger; do
+    [ ! -x "$programs/$program" ] || strip --strip-debug -o "$machine/root/robot-pc/$(basename $program)" "$programs/$program"
+done
 printf 'QUICK=0\nSEED=%s\nROUNDS=%s\n' "${SEED:-1}" "${ROUNDS:-3}" >"$machine/root/robot-pc/environment"
 install -m 644 "$here/inside/checks.service" "$machine/root/etc/systemd/system/robot-pc-checks.service"
 mkdir -p "$machine/root/etc/systemd/system/multi-user.target.wants"
@@ -97,13 +107,16 @@ plan job2 "$root/config/panda-emulator-wall.toml" "${arguments[@]}" --set backen
 mke2fs -q -t ext4 -d "$machine/root" "$machine/disk" 3G
 rm -rf "$machine/root"
 
-accelerator=tcg,thread=multi
-[ -w /dev/kvm ] && qemu-system-x86_64 -accel help | grep -q kvm && [ "${KVM:-0}" = 1 ] && accelerator=kvm
-timeout 900 qemu-system-x86_64 -accel "$accelerator" -cpu max -machine q35 -m 2048 -smp 2 -nodefaults -display none -no-reboot \
+echo "package, kernel, plans and disk: $((SECONDS - begin)) s"
+boot=$SECONDS
+clock=(-accel tcg,thread=single -icount shift=0,sleep=off -rtc clock=vm)
+[ "${TCG:-0}" = 1 ] && clock=(-accel tcg,thread=multi)
+[ -w /dev/kvm ] && qemu-system-x86_64 -accel help | grep -q kvm && [ "${KVM:-0}" = 1 ] && clock=(-accel kvm)
+timeout "${TIMEOUT:-1500}" qemu-system-x86_64 "${clock[@]}" -cpu max -machine q35 -m 2048 -smp 2 -nodefaults -display none -no-reboot \
     -kernel "$vmlinuz" -initrd "$machine/first.gz" -append "console=ttyS0 quiet systemd.show_status=0 mitigations=off panic=-1" \
-    -drive "file=$machine/disk,format=raw,if=virtio" -serial stdio </dev/null >"$machine.console" 2>&1 || true
-tr -d '\r' <"$machine.console" | grep -aE '^(HELD|FAILED|SKIPPED|seed|robot-pc:)' || true
-echo "robot-pc, full form: $((SECONDS - begin)) s"
+    -drive "file=$machine/disk,format=raw,if=virtio" -serial stdio </dev/null 2>&1 | tee "$machine.console" | stdbuf -oL tr -d '\r' |
+    stdbuf -oL grep -aE '^(HELD|FAILED|SKIPPED|NOT SHOWN HERE|seed|robot-pc:)' || true
+echo "robot-pc, full form: $((SECONDS - begin)) s with the image, $((SECONDS - boot)) s of them in the machine"
 if ! grep -aq 'robot-pc: end' "$machine.console" || grep -aq '^FAILED' "$machine.console"; then
     echo "--- the machine's console: $machine.console"
     exit 1
