@@ -20,12 +20,18 @@ use std::io::{Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 const NODE: u8 = 10;
 const MODEL: &str = "config/models/panda-paper-table3.toml";
+
+/// Each test has a loop at 1 kHz: one after the other.
+fn alone() -> MutexGuard<'static, ()> {
+    static ONE: Mutex<()> = Mutex::new(());
+    ONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// A device and the socket that plays its bus.
 struct SimulatedBus {
@@ -114,13 +120,7 @@ fn job(place: &Place, subcommand: &str, bus: &SimulatedBus, sets: &[&str]) -> st
     command.args([subcommand, "config/daemon-inclinometer.toml", "--out"]).arg(place.out());
     let own = [format!("serve.id={}", place.id), format!("inclinometer.interface=simulated:{}", bus.path)];
     // A test machine is busy: what it does to the listener is not the matter here.
-    let all = [
-        "realtime.priority=0",
-        "realtime.lock-memory=false",
-        "safety.max-lost=1000",
-        "inclinometer.heartbeat=1 s",
-        "inclinometer.rate=10 Hz",
-    ];
+    let all = ["safety.max-lost=1000", "inclinometer.heartbeat=1 s", "inclinometer.rate=10 Hz"];
     for set in own.iter().map(String::as_str).chain(all).chain(SHORT).chain(sets.iter().copied()) {
         command.arg("--set").arg(set);
     }
@@ -168,6 +168,7 @@ fn tilt_of(message: &FeedForwardMessage) -> f64 {
 
 #[test]
 fn a_tilt_turns_the_models_gravity_between_two_cycles_at_a_bounded_rate() {
+    let _alone = alone();
     let place = Place::new("tilt");
     let bus = SimulatedBus::new(&place, [1.0, 0.0]);
     let daemon = daemon(&place, &bus, &[]);
@@ -212,12 +213,20 @@ fn a_tilt_turns_the_models_gravity_between_two_cycles_at_a_bounded_rate() {
         }
     }
     let said = becomes(&place, "4 deg", |gravity| (gravity.furthest.to_degrees() - 4.0).abs() < 0.3);
-    assert!(said.simulated && said.hand_overs >= 10 && said.losses == 0 && said.events.is_empty(), "{said:?}");
+    assert!(
+        said.simulated
+            && said.hand_overs >= 10
+            && said.losses == 0
+            && !said.events.iter().any(|event| event.contains("is lost")),
+        "{said:?}"
+    );
 
     // Beyond the tolerance nothing is served; back within it, the model is.
     bus.tilt([10.0, 0.0], 3.0);
     let said = becomes(&place, "the refusal", |gravity| gravity.refused.is_some());
-    assert!(said.refused.unwrap().contains("off the declared"), "{:?}", said.events);
+    // Which side is off can't be said while the torques at rest are as vague as the tilt is large.
+    let refused = said.refused.unwrap();
+    assert!(refused.contains("the inclinometer") && refused.contains("5.00 deg are allowed"), "{refused}");
     settles(&mut client, "no model", |message| message.model == 0 && message.tau_ff == [0.0; 8]);
     bus.tilt([1.0, 0.0], 3.0);
     becomes(&place, "the model again", |gravity| gravity.refused.is_none());
@@ -228,6 +237,7 @@ fn a_tilt_turns_the_models_gravity_between_two_cycles_at_a_bounded_rate() {
 
 /// A base at 2 deg whose sensor is unplugged, and plugged in again.
 fn loss(test: &str, on_loss: &str, while_gone: impl Fn(&Place, &mut FeedForwardClient)) {
+    let _alone = alone();
     let place = Place::new(test);
     let bus = SimulatedBus::new(&place, [2.0, 0.0]);
     let daemon = daemon(&place, &bus, &[&format!("inclinometer.on-loss={on_loss}")]);
@@ -288,22 +298,25 @@ fn a_loss_with_declared_goes_back_to_the_declared_direction_no_faster_than_allow
 
 #[test]
 fn a_runs_report_says_what_the_inclinometer_did() {
+    let _alone = alone();
     let place = Place::new("report");
     let bus = SimulatedBus::new(&place, [1.5, -0.5]);
-    let sets = [
-        "inclinometer.on-loss=hold",
-        "excitation.period=2 s",
-        "excitation.periods=4",
-        "safety.on-estimator-loss=finish",
-    ];
-    let mut running = Running::start(job(&place, "run", &bus, &sets));
-    wait_for("a motion", || gravity(&place)?.motions.first().map(|_| ()));
+    let sets = ["inclinometer.on-loss=hold", "safety.on-estimator-loss=finish"];
+    let mut running = Some(Running::start(job(&place, "run", &bus, &sets)));
+    let mut comes = |what: &str, is: fn(&Gravity) -> bool| {
+        wait_for(what, || {
+            if !running.as_mut().unwrap().runs() {
+                panic!("{what} did not come before the end: {}", running.take().unwrap().end().said());
+            }
+            gravity(&place).filter(is)
+        })
+    };
+    comes("a motion", |gravity| !gravity.motions.is_empty());
     bus.device(|device, _| device.faults.unplugged = true);
-    becomes(&place, "the loss", |gravity| gravity.losses == 1);
+    comes("the loss", |gravity| gravity.losses == 1);
     bus.device(|device, _| device.faults.unplugged = false);
-    becomes(&place, "its return", |gravity| gravity.source == "measured");
-    assert!(running.runs(), "the run went on through the loss");
-    let done = running.end().expect_code(0);
+    comes("its return", |gravity| gravity.source == "measured");
+    let done = running.unwrap().end().expect_code(0);
 
     let facts = place.report().gravity.unwrap();
     let tilt = 1.5f64.hypot(0.5);

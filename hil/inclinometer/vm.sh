@@ -67,10 +67,10 @@ INIT
 chmod +x "$root/init"
 (cd "$root" && find . | cpio -o -H newc --quiet | gzip -1) > "$work/initrd"
 
-clock="-accel tcg,thread=single -icount shift=0,sleep=off -rtc clock=vm"
-[ "${TCG:-0}" = 1 ] && clock="-accel tcg,thread=multi"
+clock="-accel tcg,thread=single -icount shift=0,sleep=off -rtc clock=vm -smp 1"
+[ "${TCG:-0}" = 1 ] && clock="-accel tcg,thread=multi -smp 2"
 # shellcheck disable=SC2086
-timeout "${TIMEOUT:-540}" qemu-system-x86_64 $clock -cpu max -smp 2 -machine q35 -m 1536 -nodefaults -display none -no-reboot \
+timeout "${TIMEOUT:-540}" qemu-system-x86_64 $clock -cpu max -machine q35 -m 1536 -nodefaults -display none -no-reboot \
     -kernel "$kernel/boot/vmlinuz-$version" -initrd "$work/initrd" -append "console=ttyS0 quiet loglevel=3 panic=1" -serial stdio < /dev/null |
     tee "$work/log" || true
 tr -d '\r' < "$work/log" | grep -qx "scenario: exit 0"

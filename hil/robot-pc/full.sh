@@ -20,9 +20,9 @@ export PLUMBLINE_CACHE=${PLUMBLINE_CACHE:-$root/target/robot-pc}
 skip() { echo "SKIPPED: the virtual robot PC, full form: $1"; exit 0; }
 
 [ "$(id -u)" = 0 ] || skip "it needs root"
-for tool in qemu-system-x86_64 mmdebstrap cpio mke2fs depmod; do
+for tool in qemu-system-x86_64 mmdebstrap cpio depmod; do
     command -v $tool >/dev/null && continue
-    apt-get install -qq -y qemu-system-x86 mmdebstrap cpio e2fsprogs kmod >/dev/null 2>&1 || skip "$tool is missing and could not be installed"
+    apt-get install -qq -y qemu-system-x86 mmdebstrap cpio kmod >/dev/null 2>&1 || skip "$tool is missing and could not be installed"
 done
 [ -x "$programs/plumbline" ] && [ -x "$programs/fci-emulator" ] || skip "plumbline and fci-emulator are not built in $programs"
 image=$("$here/image.sh") || skip "the image could not be built"
@@ -44,27 +44,10 @@ version=${vmlinuz##*/vmlinuz-}
 modules=$kernel/root/lib/modules/$version
 depmod -b "$kernel/root" "$version"
 
-# --- a first root that loads the disk's modules and hands over
 machine=$(mktemp -d "${TMPDIR:-/tmp}/robot-pc.XXXXXX")
 trap 'rm -rf "$machine"' EXIT
-mkdir -p "$machine"/first/{bin,dev,proc,sys,new,lib/modules}
-install -m 755 "$(find "$kernel/root" -path '*/bin/busybox' -type f | head -n 1)" "$machine/first/bin/busybox"
-order=$(modprobe -d "$kernel/root" -S "$version" --show-depends -a virtio_pci virtio_blk ext4 crc32c_generic | sed -n 's/^insmod \([^ ]*\).*/\1/p' | awk '!seen[$0]++')
-{
-    echo '#!/bin/busybox sh'
-    echo '/bin/busybox mount -t proc proc /proc; /bin/busybox mount -t sysfs sys /sys; /bin/busybox mount -t devtmpfs dev /dev'
-    for module in $order; do
-        cp "$module" "$machine/first/lib/modules/"
-        echo "/bin/busybox insmod /lib/modules/$(basename "$module")"
-    done
-    echo 'while [ ! -b /dev/vda ]; do /bin/busybox usleep 50000; done'
-    echo '/bin/busybox mount -t ext4 /dev/vda /new; /bin/busybox mount --move /dev /new/dev'
-    echo '/bin/busybox umount /sys; /bin/busybox umount /proc; exec /bin/busybox switch_root /new /sbin/init'
-} >"$machine/first/init"
-chmod +x "$machine/first/init"
-(cd "$machine/first" && find . | cpio --quiet -o -H newc | gzip -1) >"$machine/first.gz"
 
-# --- the disk
+# --- what the machine's memory holds instead of a disk: a clock that does not wait would run away from a disk of the host's
 mkdir -p "$machine/root"
 tar -C "$machine/root" -xf "$image" --exclude=./dev
 mkdir -p "$machine/root"/{dev,robot-pc}
@@ -104,17 +87,33 @@ plan job "$root/config/panda-emulator-wall.toml" "${arguments[@]}" --set backend
 mapfile -t arguments < <(fci_job 50)
 plan job2 "$root/config/panda-emulator-wall.toml" "${arguments[@]}" --set backend.franka.address=127.0.0.1
 
-mke2fs -q -t ext4 -d "$machine/root" "$machine/disk" 3G
+# --- a first root that unpacks it into a tmpfs and hands over
+mkdir -p "$machine"/first/{bin,dev,proc,sys,new}
+install -m 755 "$(find "$kernel/root" -path '*/bin/busybox' -type f | head -n 1)" "$machine/first/bin/busybox"
+tar -C "$machine/root" -cf "$machine/first/root.tar" .
 rm -rf "$machine/root"
+cat >"$machine/first/init" <<'INIT'
+#!/bin/busybox sh
+/bin/busybox mount -t devtmpfs dev /dev
+/bin/busybox mount -t tmpfs -o mode=755,size=80% root /new
+/bin/busybox tar -xf /root.tar -C /new
+/bin/busybox rm /root.tar
+/bin/busybox mount --move /dev /new/dev
+exec /bin/busybox switch_root /new /sbin/init
+INIT
+chmod +x "$machine/first/init"
+(cd "$machine/first" && find . | cpio --quiet -o -H newc) >"$machine/first.cpio"
+rm -rf "$machine/first"
 
-echo "package, kernel, plans and disk: $((SECONDS - begin)) s"
+echo "package, kernel, plans and memory: $((SECONDS - begin)) s"
 boot=$SECONDS
-clock=(-accel tcg,thread=single -icount shift=0,sleep=off -rtc clock=vm)
-[ "${TCG:-0}" = 1 ] && clock=(-accel tcg,thread=multi)
-[ -w /dev/kvm ] && qemu-system-x86_64 -accel help | grep -q kvm && [ "${KVM:-0}" = 1 ] && clock=(-accel kvm)
-timeout "${TIMEOUT:-1500}" qemu-system-x86_64 "${clock[@]}" -cpu max -machine q35 -m 2048 -smp 2 -nodefaults -display none -no-reboot \
-    -kernel "$vmlinuz" -initrd "$machine/first.gz" -append "console=ttyS0 quiet systemd.show_status=0 mitigations=off panic=-1" \
-    -drive "file=$machine/disk,format=raw,if=virtio" -serial stdio </dev/null 2>&1 | tee "$machine.console" | stdbuf -oL tr -d '\r' |
+# One processor: with two, one that waits for the other would count on alone.
+clock=(-accel tcg,thread=single -icount shift=0,sleep=off -rtc clock=vm -smp 1)
+[ "${TCG:-0}" = 1 ] && clock=(-accel tcg,thread=multi -smp 2)
+[ -w /dev/kvm ] && qemu-system-x86_64 -accel help | grep -q kvm && [ "${KVM:-0}" = 1 ] && clock=(-accel kvm -smp 2)
+timeout "${TIMEOUT:-1500}" qemu-system-x86_64 "${clock[@]}" -cpu max -machine q35 -m 4096 -nodefaults -display none -no-reboot \
+    -kernel "$vmlinuz" -initrd "$machine/first.cpio" -append "console=ttyS0 quiet systemd.show_status=0 mitigations=off panic=-1" \
+    -serial stdio </dev/null 2>&1 | tee "$machine.console" | stdbuf -oL tr -d '\r' |
     stdbuf -oL grep -aE '^(HELD|FAILED|SKIPPED|NOT SHOWN HERE|seed|robot-pc:)' || true
 echo "robot-pc, full form: $((SECONDS - begin)) s with the image, $((SECONDS - boot)) s of them in the machine"
 if ! grep -aq 'robot-pc: end' "$machine.console" || grep -aq '^FAILED' "$machine.console"; then
