@@ -63,7 +63,7 @@ install -m 644 "$root/config/models/panda-paper-table3.toml" "$machine/root/robo
 for program in fci-emulator sim-inclinometer examples/forger; do
     [ ! -x "$programs/$program" ] || strip --strip-debug -o "$machine/root/robot-pc/$(basename $program)" "$programs/$program"
 done
-printf 'QUICK=0\nSEED=%s\nROUNDS=%s\n' "${SEED:-1}" "${ROUNDS:-3}" >"$machine/root/robot-pc/environment"
+printf 'QUICK=0\nSEED=%s\nROUNDS=%s\n' "${SEED:-1}" "${ROUNDS:-1}" >"$machine/root/robot-pc/environment"
 install -m 644 "$here/inside/checks.service" "$machine/root/etc/systemd/system/robot-pc-checks.service"
 mkdir -p "$machine/root/etc/systemd/system/multi-user.target.wants"
 ln -sf ../robot-pc-checks.service "$machine/root/etc/systemd/system/multi-user.target.wants/"

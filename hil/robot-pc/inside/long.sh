@@ -51,3 +51,4 @@ systemctl start plumbline plumbline-estimator
 ip netns delete robot
 not_shown "errors on a CAN bus: bus-off, error-passive, noise on the wire" "vcan has no controller"
 not_shown "a robot's own control unit, its reflexes and its network" "the emulator stands for it: hil/rig"
+within 20000 answers >/dev/null
