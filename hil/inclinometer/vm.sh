@@ -7,6 +7,9 @@
 #     hil/inclinometer/vm.sh target/debug [SCENARIO]
 #
 # Exits 0 when the scenario does; its output is printed.
+#
+# With ICOUNT=1 the machine's clock counts instructions, a nanosecond each, and skips idle time, whatever else the host does. A time inside is one of
+# that machine alone.
 set -eu
 
 here=$(cd "$(dirname "$0")/../.." && pwd)
@@ -64,7 +67,10 @@ INIT
 chmod +x "$root/init"
 (cd "$root" && find . | cpio -o -H newc --quiet | gzip -1) > "$work/initrd"
 
-timeout "${TIMEOUT:-540}" qemu-system-x86_64 -accel tcg,thread=multi -cpu max -smp 2 -machine q35 -m 1536 -nodefaults -display none -no-reboot \
+clock="-accel tcg,thread=multi -smp 2"
+[ "${ICOUNT:-0}" = 1 ] && clock="-accel tcg,thread=single -icount shift=0,sleep=off -rtc clock=vm -smp 1"
+# shellcheck disable=SC2086
+timeout "${TIMEOUT:-540}" qemu-system-x86_64 $clock -cpu max -machine q35 -m 1536 -nodefaults -display none -no-reboot \
     -kernel "$kernel/boot/vmlinuz-$version" -initrd "$work/initrd" -append "console=ttyS0 quiet loglevel=3 panic=1" -serial stdio < /dev/null |
     tee "$work/log" || true
 tr -d '\r' < "$work/log" | grep -qx "scenario: exit 0"

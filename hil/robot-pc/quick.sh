@@ -25,6 +25,9 @@ trap 'rm -rf "$machine"' EXIT
 tar -C "$machine" -xf "$image" --exclude=./dev
 mkdir -p "$machine/dev" "$machine/robot-pc"
 cp "$here"/inside/* "$package" "$machine/robot-pc/"
+install -m 644 "$root/config/models/panda-paper-table3.toml" "$machine/robot-pc/model.toml"
+forger=$(dirname "$program")/examples/forger
+[ ! -x "$forger" ] || strip --strip-debug -o "$machine/robot-pc/forger" "$forger"
 printf 'QUICK=1\nSEED=%s\nROUNDS=%s\n' "${SEED:-1}" "${ROUNDS:-3}" >"$machine/robot-pc/environment"
 install -m 644 "$here/inside/checks.service" "$machine/etc/systemd/system/robot-pc-checks.service"
 mkdir -p "$machine/etc/systemd/system/multi-user.target.wants"

@@ -17,6 +17,7 @@ mod identify;
 mod inclinometer;
 mod journal;
 mod live;
+mod owned;
 mod pipeline;
 mod plan;
 mod postmortem;
@@ -152,11 +153,11 @@ impl JobOptions {
     /// The job, its robot, and the folder for the results.
     fn load(&self) -> Result<(Job, Robot, PathBuf), Failure> {
         if self.root_owned {
-            service::trusted(&self.config)?;
+            owned::trusted(&self.config)?;
         }
         let job = Job::load(&self.config, &self.sets)?;
         if self.root_owned && job.robot.ends_with(".toml") {
-            service::trusted(&job.dir().join(&job.robot))?;
+            owned::trusted(&job.dir().join(&job.robot))?;
         }
         let robot = Robot::load(&job.robot, Some(job.dir()))?;
         let out = self.out.clone().unwrap_or_else(|| job.output.dir.clone());

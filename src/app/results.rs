@@ -16,8 +16,8 @@ use crate::model::gravity::Mounting;
 use crate::parallel::threads;
 use crate::report::figures::{Figures, PlanFigure};
 use crate::report::{
-    Base, CounterExperiment, EstimatorFacts, Fit, Identifiability, IpcFacts, LoopFacts, Quantiles, Report,
-    SessionFacts, Validation,
+    Base, CounterExperiment, EstimatorFacts, Fit, GravityFacts, Identifiability, IpcFacts, LoopFacts, Quantiles,
+    Report, SessionFacts, Validation,
 };
 use crate::store::{ModelFile, Provenance, Validated};
 use std::path::{Path, PathBuf};
@@ -128,6 +128,10 @@ impl Results {
         report.validate = judged.iter().map(|(run, judged)| validation(run, judged)).collect();
         report.consistency = model.consistent.as_ref().map(|found| super::export::facts(&model.model, found));
         report.counter_experiment = counter.map(|(facts, _)| facts);
+        report.gravity = status.gravity.as_ref().and_then(|said| {
+            let runs = self.recorded.iter().map(|own| (own.number, own.run.file.as_str(), own.run.mounting));
+            GravityFacts::of(said, self.job.mounting, runs)
+        });
         report.cycle = Some(self.loop_facts(status));
         let wall_clock = self.wall_clock();
         report.sessions = status.sessions.iter().map(|session| SessionFacts::of(session, wall_clock)).collect();

@@ -3,7 +3,7 @@
 use super::estimator::status;
 use super::say::say;
 use super::{Failure, JobOptions, plan, progress, robot_id};
-use crate::ipc::{Client, Request, RobotId};
+use crate::ipc::{Client, Request, Response, RobotId};
 use crate::report::Report;
 use clap::Args;
 use std::path::Path;
@@ -72,7 +72,7 @@ fn drive(
     let mut estimator = Process::start("estimator", job, out, &["--once"])?;
     let outcome = (|| {
         await_follower(id, daemon, &mut estimator)?;
-        client.send(&Request::Start {}, PATIENCE).map_err(Failure::job)?;
+        start(&mut client, interrupted)?;
         let bar = progress::bar("running");
         let mut restarts = 0;
         loop {
@@ -142,6 +142,21 @@ fn await_follower(id: &RobotId, daemon: &mut Process, estimator: &mut Process) -
         std::thread::sleep(LOOK);
     }
     Err(Failure::job("the estimator did not find the daemon"))
+}
+
+/// Starts the programme. A daemon that refuses may still be on its way up, as its inclinometer is; it says what it waits for.
+fn start(client: &mut Client, interrupted: &AtomicBool) -> Result<(), Failure> {
+    let begin = Instant::now();
+    loop {
+        match client.send(&Request::Start {}, PATIENCE).map_err(Failure::job)? {
+            Response::Accepted {} => return Ok(()),
+            Response::Refused { .. } if begin.elapsed() < PATIENCE && !interrupted.load(Ordering::Relaxed) => {
+                std::thread::sleep(LOOK);
+            }
+            Response::Refused { reason } => return Err(Failure::job(format!("the daemon does not start: {reason}"))),
+            other => return Err(Failure::job(format!("the daemon answered a start with {other:?}"))),
+        }
+    }
 }
 
 /// A process of this program.

@@ -3,11 +3,7 @@
 //! The watchdog is fed by progress alone. A bridge thread that still turns while the real-time loop hangs says nothing, and systemd
 //! ends the process; the arm then stops by its own means.
 
-use super::Failure;
-use crate::input::BadInput;
 use sd_notify::NotifyState;
-use std::os::unix::fs::MetadataExt;
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// What a process has got on with since it was asked last.
@@ -122,31 +118,6 @@ fn tell(state: &[NotifyState]) {
     }
 }
 
-/// Refuses a file that sets limits where another user could change it: the file and its folder have to belong to root and to be closed
-/// to writing by others. The services ask for this with `--root-owned`; elsewhere the files are a person's own.
-pub fn trusted(file: &Path) -> Result<(), Failure> {
-    let folder = file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    for path in [file, folder] {
-        let found = std::fs::metadata(path)
-            .map_err(|error| BadInput::new(file.display().to_string(), "file", error, "a file that can be read"))?;
-        if let Some(wrong) = distrusted(found.uid(), found.mode()) {
-            let value = format!("{} that {wrong}", path.display());
-            let expected = "a file and a folder that belong to root and that nobody else can write to, as it sets the arm's limits";
-            return Err(BadInput::new(file.display().to_string(), "file", value, expected).into());
-        }
-    }
-    Ok(())
-}
-
-/// What is wrong with the owner or the mode of a file that sets limits.
-fn distrusted(owner: u32, mode: u32) -> Option<String> {
-    match (owner, mode & 0o022) {
-        (0, 0) => None,
-        (0, _) => Some(format!("others can write to (mode {:o})", mode & 0o7777)),
-        (owner, _) => Some(format!("belongs to user {owner}")),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -180,14 +151,5 @@ mod tests {
     #[test]
     fn without_a_watchdog_there_is_nothing_to_feed() {
         assert!(!Pulse::new(None).beats(Progress::Count(1), Instant::now()));
-    }
-
-    #[test]
-    fn files_that_set_limits_belong_to_root() {
-        assert_eq!(distrusted(0, 0o100_644), None);
-        assert_eq!(distrusted(0, 0o40_755), None);
-        assert!(distrusted(0, 0o100_664).unwrap().contains("mode 664"));
-        assert!(distrusted(0, 0o100_646).is_some());
-        assert!(distrusted(1000, 0o100_600).unwrap().contains("user 1000"));
     }
 }

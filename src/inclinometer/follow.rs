@@ -20,6 +20,16 @@ pub enum OnLoss {
     Declared,
 }
 
+impl std::fmt::Display for OnLoss {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            OnLoss::Refuse => "refuse",
+            OnLoss::Hold => "hold",
+            OnLoss::Declared => "declared",
+        })
+    }
+}
+
 /// Settings of the following.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FollowSettings {

@@ -3,11 +3,15 @@
 //! Bit rate and restart after bus-off belong to the interface and are set where it is brought up (`ip link set can0 up type can bitrate
 //! 250000 restart-ms 100`), not here. Only the device's own identifiers pass the kernel's filter, so a babbling bus costs nothing.
 //! What is learned leaves over a lock-free ring; nobody waits for anybody.
+//!
+//! `simulated:PATH` in place of an interface is no bus: a Unix socket stands for it, for machines without CAN. A job may name one only
+//! beside a simulated arm.
 
 use super::frame::{BusState, Frame, Heard};
 use super::node::Fault;
 use super::sensor::{Health, Note, Sensor, SensorSettings};
 use crate::rt::os::now_ns;
+use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType};
 use socketcan::errors::{ControllerProblems, ErrorCause};
 use socketcan::{CanDataFrame, CanError, CanFilter, CanFrame, CanSocket, EmbeddedFrame, StandardId};
 use socketcan::{ShouldRetry, Socket, SocketOptions};
@@ -17,6 +21,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+/// What stands before the path of the Unix socket (`SOCK_SEQPACKET`, one `struct can_frame` per packet) that plays a bus.
+pub const SIMULATED: &str = "simulated:";
 /// How long the thread waits for a frame, and with it how often time passes for the device.
 const PATIENCE: Duration = Duration::from_millis(5);
 /// From one attempt to open the interface to the next.
@@ -72,6 +78,9 @@ impl Listener {
     pub fn start(interface: &str, sensor: Sensor, settings: &SensorSettings) -> Result<Listener, ListenError> {
         let named = |error| ListenError::Open { interface: interface.to_string(), error };
         let socket = open(interface, settings.node.node).map_err(named)?;
+        if let Some(path) = interface.strip_prefix(SIMULATED) {
+            tracing::warn!("the inclinometer is simulated: `{path}` stands for a CAN bus");
+        }
         let (outlet, reports) = rtrb::RingBuffer::new(REPORTS);
         let quit = Arc::new(AtomicBool::new(false));
         let last = Report { at: now_ns(), health: sensor.health() };
@@ -257,19 +266,37 @@ impl Thread {
 
 /// A socket that hears the device and the controller's errors alone.
 fn open(interface: &str, node: u8) -> std::io::Result<CanSocket> {
+    let socket = match interface.strip_prefix(SIMULATED) {
+        Some(path) => simulated(path)?,
+        None => bus(interface, node)?,
+    };
+    socket.set_read_timeout(PATIENCE)?;
+    socket.set_write_timeout(PATIENCE)?;
+    Ok(socket)
+}
+
+fn bus(interface: &str, node: u8) -> std::io::Result<CanSocket> {
     let socket = CanSocket::open(interface)?;
     // The flags are part of the mask: frames with 29-bit identifiers and remote requests are none of the device's.
     let mask = libc::CAN_SFF_MASK | libc::CAN_EFF_FLAG | libc::CAN_RTR_FLAG;
     let filter = |base: u32| CanFilter::new(base + u32::from(node), mask);
     socket.set_filters(&[0x080, 0x180, 0x580, 0x700].map(filter))?;
     socket.set_error_filter_accept_all()?;
-    socket.set_read_timeout(PATIENCE)?;
-    socket.set_write_timeout(PATIENCE)?;
     Ok(socket)
+}
+
+/// Frames go over this socket as they go over a bus's; the kernel's filter is missing.
+fn simulated(path: &str) -> std::io::Result<CanSocket> {
+    let socket = rustix::net::socket_with(AddressFamily::UNIX, SocketType::SEQPACKET, SocketFlags::CLOEXEC, None)?;
+    rustix::net::connect(&socket, &SocketAddrUnix::new(path)?)?;
+    Ok(CanSocket::from(socket))
 }
 
 /// `IFF_UP`, by the kernel's own table.
 fn is_up(interface: &str) -> bool {
+    if let Some(path) = interface.strip_prefix(SIMULATED) {
+        return std::path::Path::new(path).exists();
+    }
     let flags = std::fs::read_to_string(format!("/sys/class/net/{interface}/flags")).unwrap_or_default();
     let flags = u32::from_str_radix(flags.trim().trim_start_matches("0x"), 16).unwrap_or(0);
     flags & libc::IFF_UP as u32 != 0

@@ -287,6 +287,9 @@ pub struct Gravity {
     pub measured: Option<[f64; 2]>,
     /// Standard deviations of that.
     pub std: Option<[f64; 2]>,
+    /// Standard deviation of its direction \[rad\].
+    #[serde(default)]
+    pub uncertainty: Option<f64>,
     /// What the robot's own accelerometers say.
     pub robot: Option<[f64; 2]>,
     /// What the torques at rest imply under the model.
@@ -295,8 +298,29 @@ pub struct Gravity {
     pub refused: Option<String>,
     /// What has happened, the latest last.
     pub events: Vec<String>,
+    /// Events that there was no room for any more, the oldest ones.
+    #[serde(default)]
+    pub forgotten: u64,
     /// What the inclinometer measured when each motion began.
     pub motions: Vec<MotionGravity>,
+    /// No bus is listened to, but a socket that plays one.
+    #[serde(default)]
+    pub simulated: bool,
+    /// What is served without a reading: `refuse`, `hold` or `declared`; absent without an inclinometer.
+    #[serde(default)]
+    pub on_loss: Option<String>,
+    /// How often the inclinometer was lost after it had been there.
+    #[serde(default)]
+    pub losses: u64,
+    /// How long it was gone, all together \[s\].
+    #[serde(default)]
+    pub lost_s: f64,
+    /// How often the model got another gravity.
+    #[serde(default)]
+    pub hand_overs: u64,
+    /// Largest angle between the gravity that the model had and the declared one \[rad\].
+    #[serde(default)]
+    pub furthest: f64,
 }
 
 /// Direction of gravity at the beginning of a motion, as measured.

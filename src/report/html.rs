@@ -1,7 +1,7 @@
 //! `report.html`: figures formatted here, laid out by the template. minijinja escapes every text; only our own SVG goes in as it is.
 
 use super::summary::{self, Group, against_floor, digits, groups, mean};
-use super::{Band, Figures, Quantiles, Report, diagnosis, plot};
+use super::{Band, Figures, GravityFacts, MotionGravityFacts, Quantiles, Report, diagnosis, plot};
 use minijinja::{AutoEscape, Environment, Value, context};
 use std::io;
 
@@ -32,6 +32,7 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
         parameters => parameters(report),
         runs => runs(figures),
         plan => plan(figures),
+        gravity => report.gravity.as_ref().map(gravity),
         cycle => report.cycle.as_ref().map(summary::cycle),
         fast => report.cycle.as_ref().is_some_and(|cycle| cycle.pace == "fast"),
         sessions => sessions(report),
@@ -212,6 +213,31 @@ fn counter(report: &Report) -> Option<Value> {
         general => cells(&of.general_rms),
         changes => of.forced_rms.iter().zip(&of.general_rms).map(change).collect::<Vec<_>>(),
     })
+}
+
+/// What the inclinometer did, angles in degrees.
+fn gravity(of: &GravityFacts) -> Value {
+    let angle = |rad: f64| format!("{:.3}", rad.to_degrees());
+    let row = |motion: &MotionGravityFacts| {
+        context! {
+            run => name(&motion.run),
+            source => &motion.source,
+            rho => angle(motion.used.rho),
+            phi => angle(motion.used.phi),
+            tilt => angle(motion.tilt),
+            std => motion.std.map_or("-".to_string(), angle),
+        }
+    };
+    context! {
+        sentence => of.sentence(),
+        inclinometer => &of.inclinometer,
+        on_loss => &of.on_loss,
+        hand_overs => of.hand_overs,
+        furthest => angle(of.furthest),
+        motions => of.motions.iter().map(row).collect::<Vec<_>>(),
+        events => &of.events,
+        forgotten => of.forgotten,
+    }
 }
 
 fn parameters(report: &Report) -> Vec<Value> {

@@ -5,6 +5,7 @@
 mod consistency;
 pub mod diagnosis;
 pub mod figures;
+mod gravity;
 mod html;
 mod plot;
 mod summary;
@@ -13,6 +14,7 @@ mod timing;
 pub use consistency::{Consistency, Moved};
 pub use diagnosis::Diagnosis;
 pub use figures::Figures;
+pub use gravity::{GravityFacts, MotionGravityFacts};
 pub use timing::{IpcFacts, LinkFacts, LoopFacts, Quantiles, SessionFacts};
 
 use crate::atomic;
@@ -58,6 +60,9 @@ pub struct Report {
     /// Whether real bodies have these parameters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub consistency: Option<Consistency>,
+    /// What the inclinometer did; absent where none was there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gravity: Option<GravityFacts>,
     /// How the real-time loop did; absent for recorded data.
     #[serde(default, rename = "loop", skip_serializing_if = "Option::is_none")]
     pub cycle: Option<LoopFacts>,

@@ -89,6 +89,7 @@ pub(super) fn without_diagnosis(report: &Report) -> Vec<String> {
     errors(report, &mut lines);
     lines.extend(report.consistency.as_ref().map(|facts| facts.sentence()));
     lines.extend(report.counter_experiment.as_ref().map(|of| format!("counter-experiment: {}", counter(of))));
+    lines.extend(report.gravity.as_ref().map(|facts| format!("gravity: {}", facts.sentence())));
     lines.extend(report.cycle.as_ref().map(cycle));
     if let Some(ipc) = &report.ipc {
         let verdict = if ipc.sent == ipc.received { "none missing" } else { "NOT EQUAL" };

@@ -1,7 +1,7 @@
 //! The report: the promised schema, everything inside one HTML file, text from files escaped.
 
 use plumbline::config::robot::Robot;
-use plumbline::ipc::{Link, Session, Times};
+use plumbline::ipc::{Gravity, Link, MotionGravity, Session, Times};
 use plumbline::joint::Workspace;
 use plumbline::model::gravity::Mounting;
 use plumbline::report::figures::{PlanFigure, TorqueFigure};
@@ -65,6 +65,7 @@ fn report() -> Report {
             condition("noise-weighted", 148.0, 139.5),
         ],
         estimator: None,
+        gravity: None,
         cycle: Some(LoopFacts {
             pace: "wall-clock".into(),
             cycles: 131_072,
@@ -369,4 +370,54 @@ fn a_motion_that_excites_too_little_and_restricted_parameters_come_back_from_jso
     assert!(summary.contains("estimator: huber, whose weights did not settle"), "{summary}");
     assert!(summary.contains("restricted to zero, not to be told from it in this data: Lxy3, Lyz2"), "{summary}");
     assert!(back.base.parameters.iter().all(|p| p.relative_std.is_some() == (p.std.is_some() && p.value != 0.0)));
+}
+
+/// What a daemon says whose inclinometer was lost once between two motions.
+fn tilted() -> Gravity {
+    Gravity {
+        source: "held".into(),
+        inclinometer: Some("no slopes from the inclinometer for 84 ms".into()),
+        measured: Some([Mounting::WALL.rho + 0.02, Mounting::WALL.phi]),
+        uncertainty: Some(0.0035),
+        on_loss: Some("hold".into()),
+        losses: 2,
+        lost_s: 3.25,
+        hand_overs: 12,
+        furthest: 0.02,
+        events: vec!["the inclinometer is lost: <no slopes>".into()],
+        forgotten: 4,
+        motions: vec![MotionGravity { motion: 1, rho: Mounting::WALL.rho + 0.01, phi: Mounting::WALL.phi, std: 0.003 }],
+        ..Gravity::default()
+    }
+}
+
+#[test]
+fn what_the_inclinometer_did_stands_in_both_files() {
+    let seen = Mounting { rho: Mounting::WALL.rho + 0.01, ..Mounting::WALL };
+    let runs = [(1, "identify-1.csv", seen), (2, "wall-1.csv", Mounting::WALL)];
+    let facts = GravityFacts::of(&tilted(), Mounting::WALL, runs).unwrap();
+    assert!((facts.tilt.unwrap() - 0.02).abs() < 1e-9 && (facts.motions[0].tilt - 0.01).abs() < 1e-9);
+    assert_eq!((facts.motions[0].source.as_str(), facts.motions[0].std), ("measured", Some(0.003)));
+    assert_eq!((facts.motions[1].source.as_str(), facts.motions[1].std), ("declared", None));
+    let sentence = facts.sentence();
+    for part in [
+        "1.15 +- 0.20 deg off",
+        "lost 2 times, for 3.2 s in all (on-loss = \"hold\")",
+        "1 of 2 motions began without it",
+    ] {
+        assert!(sentence.contains(part), "{sentence}");
+    }
+    let report = Report { gravity: Some(facts), ..report() };
+    let html = report.to_html(&figures(20)).unwrap();
+    for part in ["Direction of gravity", "4 older events", "is lost: &lt;no slopes&gt;", "0.573", "0.172", "12 times"] {
+        assert!(html.contains(part), "{part}");
+    }
+    let read: Report = serde_json::from_str(&report.to_json().unwrap()).unwrap();
+    assert_eq!(read, report);
+    assert!(report.summary().iter().any(|line| line.starts_with("gravity: the inclinometer measured")));
+
+    // A socket that plays the bus is named as what it is; without an inclinometer nothing is said of one.
+    let simulated = GravityFacts::of(&Gravity { simulated: true, ..tilted() }, Mounting::WALL, []).unwrap();
+    assert!(simulated.sentence().starts_with("a SIMULATED inclinometer"));
+    assert_eq!(GravityFacts::of(&Gravity { inclinometer: None, ..tilted() }, Mounting::WALL, []), None);
 }

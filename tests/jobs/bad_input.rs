@@ -173,9 +173,10 @@ fn a_file_that_is_not_there() {
     refused(&place, place.job("run", &["backend.arm=arms/no-arm.toml"]), &["no-arm.toml", "backend.arm"]);
     refused(&place, place.job("run", &["backend.arm=no-arm"]), &["backend.arm", "`no-arm`", "sim-panda"]);
     refused(&place, place.job("run", &["excitation.plan=no-plan.toml"]), &["no-plan.toml"]);
+    refused(&place, place.job("daemon", &["excitation.plan=no-plan.toml"]), &["no-plan.toml"]);
     let mut daemon = place.job("daemon", &["excitation.plan=no-plan.toml"]);
     daemon.arg("--model").arg(missing("model.toml"));
-    refused(&place, daemon, &["no-plan.toml"]);
+    refused(&place, daemon, &["model.toml", "readable"]);
 }
 
 #[test]

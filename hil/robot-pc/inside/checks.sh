@@ -20,6 +20,7 @@ done
 
 # A short programme, so that the checks end within a minute; planned on the host where this machine is slow.
 cat ./short.toml >>/etc/plumbline/daemon.toml
+[ -d /robot-pc/results ] && cp -r /robot-pc/results /tmp/alice-out
 for planned in results job job2; do
     [ -d /robot-pc/$planned ] && cp -r /robot-pc/$planned /var/lib/plumbline/ && chown -R plumbline:plumbline /var/lib/plumbline/$planned
 done
@@ -59,8 +60,14 @@ check "it holds and moves nothing before a start" "phase $(field phase), progres
 event=$(journalctl -u plumbline --no-pager -o json PLUMBLINE_ROBOT=panda | wc -l)
 check "the journal has structured fields" "$event lines with PLUMBLINE_ROBOT" test "$event" -gt 0
 
-# --- another local user
-. ./strangers.sh
+# --- another local user, or what needs the real-time kernel and CAN: an emulated processor has not the time for both
+if [ "$QUICK" = 1 ]; then
+    . ./strangers.sh
+    not_shown "CAN, and the job over FCI" "hil/robot-pc/full.sh"
+else
+    . ./long.sh
+    not_shown "another local user's attempts" "hil/robot-pc/quick.sh"
+fi
 
 # --- moving
 check "an operator's start moves the arm" "$(operator command start 2>&1)" within 20000 is progress driving >/dev/null
@@ -106,8 +113,7 @@ check "and the refusal names file and mode" "mode 666" journal_says "/etc/plumbl
 chmod 0644 /etc/plumbline/daemon.toml
 systemctl restart plumbline
 
-# --- what belongs to the long form
-[ "$QUICK" = 1 ] || . ./long.sh
+not_shown "latency under load, and any figure of time" "another machine's clock and caches: plumbline doctor on the robot's PC"
 
 # --- leaving
 within 5000 answers >/dev/null
@@ -124,5 +130,5 @@ left=$(find /etc/plumbline /var/lib/plumbline /run/plumbline /dev/shm/plumbline_
 check "a purge leaves nothing" "${left:-no file}, user $(id -u plumbline 2>/dev/null || echo gone)" test -z "$left"
 
 cp /tmp/*.log /var/lib/robot-pc/ 2>/dev/null
-say "robot-pc: $(grep -c ^HELD "$TABLE") held, $(grep -c ^FAILED "$TABLE") failed"
+say "robot-pc: $(grep -c ^HELD "$TABLE") held, $(grep -c ^FAILED "$TABLE") failed, $(grep -c '^NOT SHOWN' "$TABLE") not shown here"
 say "robot-pc: end"

@@ -18,8 +18,8 @@ sleep 1
 sandbox cansend can0 18A#0100020003000400; wait $listener
 check "CAN reaches the bus from inside the unit's sandbox" "$(cat /tmp/candump.log)" grep -q '18A' /tmp/candump.log
 
-# --- the base tilts: /robot-pc/tilt.sh plays the inclinometer where this build has one
-if [ -f ./tilt.sh ]; then . ./tilt.sh; else row SKIPPED "the base tilts by CAN" "no tilt.sh in hil/robot-pc/inside"; fi
+# --- the base tilts
+if [ -x ./sim-inclinometer ]; then . ./tilt.sh; else row SKIPPED "the base tilts by CAN" "sim-inclinometer is not built"; fi
 
 # --- the main job over FCI, against the emulator on a second virtual host
 systemctl stop plumbline-estimator plumbline
@@ -48,3 +48,7 @@ kill -KILL $emulator
 wait $run; code=$?
 check "the robot dies in mid-motion: the job ends and says so" "exit $code: $(tail -n 1 /tmp/job2.log | cut -c 1-80)" test $code = 1
 systemctl start plumbline plumbline-estimator
+ip netns delete robot
+not_shown "errors on a CAN bus: bus-off, error-passive, noise on the wire" "vcan has no controller"
+not_shown "a robot's own control unit, its reflexes and its network" "the emulator stands for it: hil/rig"
+within 20000 answers >/dev/null

@@ -21,6 +21,54 @@ check "nor a byte of any segment" "$(grep -vc 'Permission denied' /tmp/stolen) r
 alice sh -c ': > /run/plumbline/panda.lock' >/dev/null
 check "nor touches the lock" "process $(sed -n 's/process //p' /run/plumbline/panda.lock)" grep -q "$(pid_of plumbline)" /run/plumbline/panda.lock
 
+# Forging: what is on the disk, then straight through shared memory, with no care of plumbline's own in the way.
+modeldir=/var/lib/plumbline/results
+mkdir -p $modeldir && chown plumbline:plumbline $modeldir
+[ -e $modeldir/model.toml ] || runuser -u plumbline -- sh -c "echo genuine > $modeldir/model.toml"
+before=$(sha256sum $modeldir/model.toml)
+for attempt in "echo forged > $modeldir/model.toml" "echo forged > $modeldir/forged.toml" "mv /etc/hostname $modeldir/model.toml" \
+    "rm -f $modeldir/model.toml" "ln -sf /tmp/forged.toml $modeldir/model.toml" "echo forged > /etc/plumbline/model.toml" \
+    "echo '[limits]' >> /etc/plumbline/daemon.toml"; do
+    alice sh -c "$attempt" >/dev/null
+    code=$?
+    # `rm -f` of what can't be seen succeeds: what counts is what is there afterwards.
+    case $attempt in rm*) code=1 ;; esac
+    check "another user's \`$(printf '%s' "$attempt" | sed "s|$modeldir|MODELS|" | cut -c 1-44)\` fails" "exit $code" \
+        test $code != 0 -a "$(sha256sum $modeldir/model.toml)" = "$before"
+done
+opened=0 objects=0
+for object in /dev/shm/plumbline_"${uid}"_* $(find /run/plumbline 2>/dev/null); do
+    objects=$((objects + 1))
+    # Opening for writing, and for directories the making of a name.
+    if [ -d "$object" ]; then alice sh -c ": > $object/forged" >/dev/null; else alice sh -c ": >> $object" >/dev/null; fi && opened=$((opened + 1))
+done
+check "another user opens nothing of the daemon's for writing" "$opened of $objects objects" test $opened = 0 -a $objects -gt 6
+if [ -x ./forger ]; then
+    said=$(alice ./forger /run/plumbline plumbline_"${uid}"_ panda); code=$?
+    check "a forger of another user reaches no service" "exit $code, $(grep -c refused <<<"$said") of 3 refused" test $code = 1
+    # A folder of names of the stranger's own, and the daemon's prefix: the segments themselves are met then.
+    runuser -u alice -- mkdir -p /tmp/alice
+    said=$(alice ./forger /tmp/alice plumbline_"${uid}"_ panda); code=$?
+    rival=$(grep -c '^rival: LET IN' <<<"$said")
+    check "nor with names of its own" "$(grep -c refused <<<"$said") of 3 refused, $rival rival apart from it" test "$(grep -cE '^(model|feed-forward): LET IN' <<<"$said")" = 0
+    find /dev/shm -maxdepth 1 -user alice -delete
+    said=$(runuser -u plumbline -- ./forger /run/plumbline plumbline_"${uid}"_ panda 2>&1); code=$?
+    check "the same forger as the daemon's own user is let in: it is a real one" "$(grep -m 1 'LET IN' <<<"$said" | cut -c 1-60)" test $code = 0
+else
+    row SKIPPED "a forger at the services" "forger is not built: cargo build --example forger"
+fi
+# A daemon of the stranger's own for the same robot, in a place of its own: nobody else ever hears of it.
+genuine=$(field epoch)
+[ -d /tmp/alice-out ] && chown -R alice: /tmp/alice-out
+(cd /tmp && exec runuser -u alice -- env PLUMBLINE_RUNTIME_DIR=/tmp/alice-plumbline plumbline daemon /etc/plumbline/daemon.toml --out /tmp/alice-out) >/tmp/alice.log 2>&1 &
+rival=$!
+alice_sees() { [ -n "$(alice env PLUMBLINE_RUNTIME_DIR=/tmp/alice-plumbline plumbline command status | grep '"epoch"')" ]; }
+up=$(within 60000 alice_sees)
+check "a rival daemon of another user changes nothing for the operator" "it was up after $up ms; same start of the genuine one" \
+    test -n "$genuine" -a "$(field epoch)" = "$genuine"
+runuser -u alice -- env PLUMBLINE_RUNTIME_DIR=/tmp/alice-plumbline plumbline command quit >/dev/null 2>&1
+wait $rival 2>/dev/null
+
 # Squatting: files of the daemon's names in shared memory before it starts, plain and as a link.
 systemctl stop plumbline-estimator plumbline
 for kind in file link; do
@@ -38,6 +86,32 @@ for kind in file link; do
     check "without it the daemon comes up by itself" "after $recovered ms" answers
     systemctl stop plumbline
 done
+# A model file that somebody else made or can change is not taken, whoever asks for it; root's and the daemon's own are.
+take() { # FILE: the daemon's own words
+    runuser -u plumbline -- env PLUMBLINE_RUNTIME_DIR=/run/plumbline timeout 60 plumbline daemon /etc/plumbline/daemon.toml --model "$1" --out $modeldir 2>&1 &
+    local taker=$!
+    # One that takes it goes on until it is told.
+    within 30000 sh -c "! kill -0 $taker 2>/dev/null || [ -n \"\$(runuser -u plumbline -- env PLUMBLINE_RUNTIME_DIR=/run/plumbline plumbline command status 2>/dev/null)\" ]" >/dev/null
+    operator command quit >/dev/null 2>&1
+    wait $taker
+}
+if [ -f ./model.toml ]; then
+    mkdir -p /srv/models && chmod 755 /srv/models
+    install -m 644 ./model.toml /srv/models/root.toml
+    install -m 600 -o plumbline ./model.toml /srv/models/own.toml
+    install -m 644 -o alice ./model.toml /srv/models/alice.toml
+    install -m 664 -o plumbline -g alice ./model.toml /srv/models/group.toml
+    for file in alice:"belongs to user $(id -u alice) (owner $(id -u alice), mode 644)" group:"others can write to (owner $uid, mode 664)"; do
+        name=/srv/models/${file%%:*}.toml
+        said=$(take "$name"); code=$?
+        check "a model file that ${file#*:} is refused" "exit $code" grep -qF "$name that ${file#*:}" <<<"$said"
+        [ $code = 2 ] || row FAILED "and it is bad input, exit code 2" "exit $code"
+    done
+    for name in root own; do
+        said=$(take /srv/models/$name.toml); code=$?
+        check "the same model as $name's file is taken" "exit $code" grep -q 'is served from now on' <<<"$said"
+    done
+fi
 # The folder of names laid out by a stranger where a person without the service would have it.
 alice sh -c 'mkdir -p /tmp/plumbline-65533; chmod 777 /tmp/plumbline-65533' >/dev/null
 said=$(setpriv --reuid=65533 --regid=65533 --clear-groups plumbline command status 2>&1)

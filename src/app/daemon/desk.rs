@@ -9,7 +9,7 @@ use crate::config::robot::Robot;
 use crate::input::BadInput;
 use crate::ipc::{
     Held, Mounting as MountingMessage, News, Progress, Proposal, Request, Response, Served,
-    Session as SessionStatistics, Status,
+    Session as SessionStatistics, Status, now_ns,
 };
 use crate::joint::{JointVec, Record};
 use crate::model::gravity::Mounting;
@@ -173,12 +173,9 @@ impl Desk {
         Response::ModelAccepted { model: self.serve(held) }
     }
 
-    /// Takes a model from a file that a person named.
-    pub fn accept_file(&mut self, path: &Path) -> Result<u64, Failure> {
-        let file = path.display().to_string();
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| BadInput::new(&file, "file", error, "a readable model file"))?;
-        Ok(self.accept(&file, &text)?)
+    /// Takes a model from a file that a person named, by its text.
+    pub fn accept_text(&mut self, path: &Path, text: &str) -> Result<u64, Failure> {
+        Ok(self.accept(&path.display().to_string(), text)?)
     }
 
     /// Checks a model's text and serves it from one of the next cycles on. What was proposed before is about another model.
@@ -298,7 +295,7 @@ impl Desk {
             model: self.model.as_ref().map_or(0, |accepted| accepted.id),
             offered: self.held.as_ref().map(|(held, proposal)| Held { model: held.id, proposal: proposal.clone() }),
             mounting: Some(MountingMessage { rho, phi, gravity: gravity.into() }),
-            gravity: Some(self.gravity.message()),
+            gravity: Some(self.gravity.message(now_ns())),
             progress: self.progress,
             driven: self.driven,
             stopped: self.stopped.clone(),

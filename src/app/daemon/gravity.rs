@@ -7,7 +7,7 @@ use crate::app::Failure;
 use crate::config::job::inclinometer::BaseMotion;
 use crate::config::job::{Job, MountingCheck};
 use crate::estimate::mounting_check::{Implied, Side, cross_check, implied};
-use crate::inclinometer::follow::{Decision, FollowSettings, Follower, Source};
+use crate::inclinometer::follow::{Decision, FollowSettings, Follower, OnLoss, Source};
 use crate::inclinometer::sensor::{Health, Reading, Sensor};
 use crate::inclinometer::socket::Listener;
 use crate::ipc::{Gravity as GravityMessage, MotionGravity};
@@ -35,10 +35,31 @@ pub enum Verdict {
 struct Inclinometer {
     listener: Listener,
     follower: Follower,
+    on_loss: OnLoss,
     on_motion: BaseMotion,
     still: f64,
     health: Health,
     decision: Decision,
+    simulated: bool,
+    losses: Losses,
+}
+
+/// How often and how long the inclinometer was gone after it had been there.
+#[derive(Clone, Copy, Debug, Default)]
+struct Losses {
+    count: u64,
+    /// Since when it is gone \[ns\].
+    since: Option<u64>,
+    /// How long it was gone before \[ns\].
+    before: u64,
+}
+
+impl Losses {
+    /// Seconds up to `now` \[ns\].
+    fn seconds(&self, now: u64) -> f64 {
+        let present = self.since.map_or(0, |since| now.saturating_sub(since));
+        (self.before + present) as f64 * 1e-9
+    }
 }
 
 /// The base during a motion.
@@ -78,11 +99,15 @@ pub struct Watch {
     during: During,
     motions: Vec<MotionGravity>,
     events: Vec<String>,
+    forgotten: u64,
     /// What was said last of serving, so that it is said once.
     said: Option<String>,
     /// The model that lacks parameters for the mounting, and which.
     lacking: Option<(u64, String)>,
     served: Vector3<f64>,
+    hand_overs: u64,
+    /// Largest angle between gravity served and declared \[rad\].
+    furthest: f64,
     /// Why the arm was stopped from here.
     cause: Option<String>,
 }
@@ -97,8 +122,17 @@ impl Watch {
             let listener = Listener::start(&own.interface, sensor, &settings).map_err(Failure::job)?;
             let follow: FollowSettings = own.follow(job.mounting, &job.mounting_check);
             let decision = Decision { gravity: job.mounting.gravity(), source: Source::Declared, refusal: None };
-            let (follower, on_motion, still) = (Follower::new(follow), own.on_base_motion, own.still);
-            Ok::<_, Failure>(Inclinometer { listener, follower, on_motion, still, health, decision })
+            Ok::<_, Failure>(Inclinometer {
+                listener,
+                follower: Follower::new(follow),
+                on_loss: own.on_loss.into(),
+                on_motion: own.on_base_motion,
+                still: own.still,
+                health,
+                decision,
+                simulated: own.is_simulated(),
+                losses: Losses::default(),
+            })
         });
         Ok(Watch {
             declared: job.mounting,
@@ -111,9 +145,12 @@ impl Watch {
             during: During { motion: 0, reading: None, moved: false },
             motions: Vec::new(),
             events: Vec::new(),
+            forgotten: 0,
             said: None,
             lacking: None,
             served: job.mounting.gravity(),
+            hand_overs: 0,
+            furthest: 0.0,
             cause: None,
         })
     }
@@ -146,8 +183,30 @@ impl Watch {
         if !serving {
             own.follower.restart();
         }
-        own.health = own.listener.health(now);
+        let before = std::mem::replace(&mut own.health, own.listener.health(now));
         own.decision = own.follower.decide(now, &own.health);
+        match (before, own.health) {
+            (Health::Good(_), Health::Bad(fault)) => {
+                own.losses.count += 1;
+                own.losses.since = Some(now);
+                let rule = match own.on_loss {
+                    OnLoss::Refuse => "no torque is served",
+                    OnLoss::Hold => "the direction measured last holds",
+                    OnLoss::Declared => "the declared direction holds",
+                };
+                let rule = format!("by inclinometer.on-loss = \"{}\", {rule}", own.on_loss);
+                self.event(format!("the inclinometer is lost: {fault}; {rule}"));
+            }
+            (Health::Bad(_), Health::Good(_)) => {
+                let Some(since) = own.losses.since.take() else { return };
+                let gone = now.saturating_sub(since);
+                own.losses.before += gone;
+                let back = format!("the inclinometer is back after {:.1} s", gone as f64 * 1e-9);
+                tracing::info!("{back}");
+                self.keep(back);
+            }
+            _ => {}
+        }
     }
 
     /// Why nothing may move by the inclinometer's word, if so.
@@ -216,8 +275,13 @@ impl Watch {
 
     fn event(&mut self, event: String) {
         tracing::error!("{event}");
+        self.keep(event);
+    }
+
+    fn keep(&mut self, event: String) {
         if self.events.len() >= EVENTS {
             self.events.remove(0);
+            self.forgotten += 1;
         }
         self.events.push(event);
     }
@@ -232,7 +296,11 @@ impl Watch {
         let verdict = self.decide(model);
         let words = match &verdict {
             Verdict::Serve(gravity) => {
+                if self.served != *gravity {
+                    self.hand_overs += 1;
+                }
                 self.served = *gravity;
+                self.furthest = self.furthest.max(angle_between(gravity, &self.declared.gravity()));
                 None
             }
             Verdict::Wait(why) => Some(format!("model {:016x} is not served yet: {why}", model.id)),
@@ -361,8 +429,8 @@ impl Watch {
         judged.answer()
     }
 
-    /// Mounting and what is known of it, for the status.
-    pub fn message(&self) -> GravityMessage {
+    /// Mounting and what is known of it at `now` \[ns\], for the status.
+    pub fn message(&self, now: u64) -> GravityMessage {
         let sensor = self.inclinometer.as_ref();
         let reading = sensor.and_then(|own| own.follower.last());
         let angles = |gravity: &Vector3<f64>| {
@@ -378,6 +446,7 @@ impl Watch {
             }),
             measured: reading.map(|reading| angles(&reading.attitude.gravity)),
             std: reading.map(|reading| reading.attitude.std_of_angles()),
+            uncertainty: reading.map(|reading| reading.attitude.std()),
             robot: self.robot.map(|side| angles(&side.gravity)),
             torques: self
                 .judged
@@ -386,7 +455,14 @@ impl Watch {
                 .map(|implied| angles(&implied.side.gravity)),
             refused: self.said.clone(),
             events: self.events.clone(),
+            forgotten: self.forgotten,
             motions: self.motions.clone(),
+            simulated: sensor.is_some_and(|own| own.simulated),
+            on_loss: sensor.map(|own| own.on_loss.to_string()),
+            losses: sensor.map_or(0, |own| own.losses.count),
+            lost_s: sensor.map_or(0.0, |own| own.losses.seconds(now)),
+            hand_overs: self.hand_overs,
+            furthest: self.furthest,
         }
     }
 

@@ -6,6 +6,7 @@
 mod arm;
 mod desk;
 mod gravity;
+mod labels;
 mod recorder;
 mod rest;
 mod rhythm;
@@ -14,7 +15,7 @@ mod session;
 
 use super::programme::Programme;
 use super::service::{self, Service};
-use super::{Failure, JobOptions, journal};
+use super::{Failure, JobOptions, journal, owned};
 use crate::ipc::{Progress, Server, ServerSettings, Session as SessionStatistics, Times};
 use crate::joint::Record;
 use crate::model::gravity::Mounting;
@@ -62,6 +63,7 @@ enum Seen {
 /// Runs until it is told to quit.
 pub fn run(options: Options) -> Result<(), Failure> {
     let (job, robot, out) = options.job.load()?;
+    let model = options.model.map(|path| model(path, options.job.root_owned)).transpose()?;
     let id = super::robot_id(&job)?;
     let _about = journal::about(id.as_str());
     // Before anything else is touched: nobody else may drive this robot.
@@ -96,11 +98,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
         job,
         robot,
     };
-    if let Some(path) = options.model {
-        if options.job.root_owned {
-            service::trusted(&path)?;
-        }
-        desk.accept_file(&path)?;
+    if let Some((path, text)) = model {
+        desk.accept_text(&path, &text)?;
     }
     let server = Server::open(&id, ServerSettings::default()).map_err(Failure::job)?;
     let mut daemon = Daemon { server, desk, service: Service::of_environment() };
@@ -114,6 +113,15 @@ pub fn run(options: Options) -> Result<(), Failure> {
     daemon.service.stopping();
     tracing::info!("the daemon ends; it has published {} samples", daemon.server.served().published);
     Ok(())
+}
+
+/// A model file that a person named, with its text.
+fn model(path: PathBuf, root_owned: bool) -> Result<(PathBuf, String), Failure> {
+    if root_owned {
+        owned::trusted(&path)?;
+    }
+    let text = owned::read_model(&path)?;
+    Ok((path, text))
 }
 
 impl Daemon {

@@ -4,6 +4,7 @@ use super::Daemon;
 use super::arm::{Connected, Purpose, Robot, connect};
 use super::desk::Desk;
 use super::gravity::Verdict;
+use super::labels::Labels;
 use super::recorder::{Left, Tape};
 use super::rhythm::Rhythm;
 use super::script::{Next, Planned, Script};
@@ -18,13 +19,14 @@ use crate::model::gravity::Mounting;
 use crate::recording::about::Handed;
 use crate::rt::cycle::{self, Cycle, End, Outcome};
 use crate::rt::guard::GuardSettings;
-use crate::rt::order::{Event, Handles};
+use crate::rt::order::{Event, Handles, Told};
 use crate::rt::os::{self, Rights};
 use crate::rt::recorder::{self, Drain};
 use crate::rt::settings::CycleSettings;
 use crate::rt::{Backend, Sink};
 use hdrhistogram::Histogram;
 use nalgebra::Vector3;
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -70,6 +72,10 @@ pub struct Session {
     records_due: Rhythm,
     /// Gravity that it was handed over with \[m/s2\].
     gravity: Vector3<f64>,
+    /// What the records are computed with, which are behind.
+    labels: Labels,
+    /// Events that were taken out and not looked at yet.
+    told: VecDeque<Told>,
     /// Simulated time waits for the estimator.
     waiting: bool,
     /// From state read to shared memory \[ns\].
@@ -130,6 +136,8 @@ impl Session {
             deaf_until_ns: 0,
             records_due: Rhythm::default(),
             gravity: mounting.gravity(),
+            labels: Labels::new(mounting.gravity()),
+            told: VecDeque::new(),
             waiting: false,
             bridged: Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("constant bounds"),
             records: Vec::with_capacity(DRAIN),
@@ -229,16 +237,17 @@ impl Session {
     fn bridge(&mut self, daemon: &mut Daemon) -> bool {
         self.records.clear();
         let taken = self.drain.take_into(&mut self.records, DRAIN);
-        let Some(last) = self.records.last() else { return false };
+        let Some(&last) = self.records.last() else { return false };
+        self.hear();
         // The torque first: whoever waits for it drives something.
-        let gravity = self.gravity.into();
-        daemon.server.feed_forward(FeedForwardMessage::new(last, daemon.desk.robot.chain.len(), gravity));
+        let gravity = self.labels.at(last.cycle).into();
+        daemon.server.feed_forward(FeedForwardMessage::new(&last, daemon.desk.robot.chain.len(), gravity));
         daemon.server.publish(&self.records);
         self.tape.keep(&self.records);
         if daemon.desk.gravity.take(&self.records) {
             self.handles.controls.stop();
         }
-        daemon.desk.last = *last;
+        daemon.desk.last = last;
         self.records_due.saw(last.stamp_ns, last.work_ns);
         let now = now_ns();
         for record in &self.records {
@@ -275,8 +284,19 @@ impl Session {
         }
     }
 
-    fn handle_events(&mut self, desk: &mut Desk) {
+    /// Takes the events out. That of a model's first cycle is there before that cycle's record.
+    fn hear(&mut self) {
         while let Ok(told) = self.handles.events.pop() {
+            if let Event::Serving { .. } = told.event {
+                self.labels.serving(told.cycle);
+            }
+            self.told.push_back(told);
+        }
+    }
+
+    fn handle_events(&mut self, desk: &mut Desk) {
+        self.hear();
+        while let Some(told) = self.told.pop_front() {
             let event = told.event;
             self.tape.tell(told);
             desk.log(&event);
@@ -317,6 +337,7 @@ impl Session {
                 let evaluator = accepted.model.evaluator(&gravity);
                 if self.handles.models.serve(Box::new(ServedModel { id: accepted.id, evaluator })).is_ok() {
                     (self.model, self.gravity) = (accepted.id, gravity);
+                    self.labels.handed(gravity);
                     self.tape.handed(Handed { id: accepted.id, gravity: gravity.into() }, &accepted.text);
                     self.open_gate();
                 }
@@ -340,6 +361,7 @@ impl Session {
             controls.stop();
         } else if phase != Phase::Stop && self.handles.models.serve(Box::new(NoModel)).is_ok() {
             self.model = 0;
+            self.labels.handed(self.gravity);
             self.tape.handed(Handed { id: 0, gravity: [0.0; 3] }, "");
         }
     }

@@ -122,6 +122,10 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     }
     if let Some(inclinometer) = &job.inclinometer {
         inclinometer.check(&file, &job.mounting)?;
+        if inclinometer.is_simulated() && backend.kind != BackendKind::Sim {
+            let expected = "the name of a CAN interface: a simulated bus goes with a simulated arm alone";
+            return bad("inclinometer.interface", &format!("`{}`", inclinometer.interface), expected);
+        }
         if job.backend.is_fast() {
             let expected = "a wall-clock pace: an inclinometer does not live in simulated time";
             return bad("backend.pace", &"`fast`", expected);

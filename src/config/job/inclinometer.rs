@@ -7,6 +7,7 @@ use crate::inclinometer::follow::{FollowSettings, OnLoss};
 use crate::inclinometer::node::NodeSettings;
 use crate::inclinometer::sensor::SensorSettings;
 use crate::inclinometer::smooth::SmoothSettings;
+use crate::inclinometer::socket::SIMULATED;
 use crate::input::BadInput;
 use crate::model::gravity::Mounting;
 use serde::Deserialize;
@@ -33,7 +34,8 @@ impl Default for MountingCheck {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Inclinometer {
-    /// CAN interface, such as `can0`. Its bit rate is set where it is brought up (`ip link`), not here.
+    /// CAN interface, such as `can0`. Its bit rate is set where it is brought up (`ip link`), not here. `simulated:PATH` is a Unix socket
+    /// that stands for a bus, beside a simulated arm alone.
     pub interface: String,
     /// CANopen node id of the device, 1 to 127.
     pub node: u8,
@@ -218,7 +220,12 @@ impl Inclinometer {
         };
         let name = &self.interface;
         let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
-        if name.is_empty() || name.len() > 15 || !name.chars().all(plain) || name.starts_with('.') {
+        if let Some(path) = name.strip_prefix(SIMULATED) {
+            // What fits into sun_path.
+            if path.is_empty() || path.len() > 107 {
+                return bad("interface", format!("`{name}`"), "a path of 1 to 107 bytes after `simulated:`");
+            }
+        } else if name.is_empty() || name.len() > 15 || !name.chars().all(plain) || name.starts_with('.') {
             return bad("interface", format!("`{name}`"), "the name of a CAN interface, such as can0");
         }
         if !(1..=127).contains(&self.node) {
@@ -263,6 +270,11 @@ impl Inclinometer {
         }
     }
 
+    /// Whether no bus is listened to, but a socket that plays one.
+    pub fn is_simulated(&self) -> bool {
+        self.interface.starts_with(SIMULATED)
+    }
+
     fn seat(&self, mut seat: Seat) -> Seat {
         seat.zero = self.zero;
         seat.range = self.range;
@@ -304,11 +316,17 @@ impl Inclinometer {
             tolerance: check.tolerance,
             step: self.step,
             rate: self.turn,
-            on_loss: match self.on_loss {
-                Loss::Refuse => OnLoss::Refuse,
-                Loss::Hold => OnLoss::Hold,
-                Loss::Declared => OnLoss::Declared,
-            },
+            on_loss: self.on_loss.into(),
+        }
+    }
+}
+
+impl From<Loss> for OnLoss {
+    fn from(loss: Loss) -> OnLoss {
+        match loss {
+            Loss::Refuse => OnLoss::Refuse,
+            Loss::Hold => OnLoss::Hold,
+            Loss::Declared => OnLoss::Declared,
         }
     }
 }
