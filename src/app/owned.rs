@@ -3,13 +3,15 @@
 
 use super::Failure;
 use crate::input::BadInput;
-use std::fs::OpenOptions;
+use std::fs::{Metadata, OpenOptions};
 use std::io::Read;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::Path;
 
 /// Bits of a mode by which somebody besides the owner can write.
 const WRITABLE: u32 = 0o022;
+/// The one of them for the owner's group.
+const GROUP_WRITABLE: u32 = 0o020;
 /// Names in such a folder can be taken away or replaced by their owners alone, as in `/tmp`.
 const STICKY: u32 = 0o1000;
 
@@ -37,13 +39,14 @@ fn distrusted(owner: u32, mode: u32) -> Option<String> {
     }
 }
 
-/// Text of a model file that nobody but root and this process's user can have written or can put another one in place of.
+/// Text of a model file that nobody but root and this process's user can have written or can put another one in place of. The process's own
+/// group counts as the user: where a user has a group to himself, as on Debian and its kin, new files are open to it.
 ///
 /// # Errors
 /// A file that can't be read; one of another user, or that others can write to, by its owner and mode.
 pub fn read_model(path: &Path) -> Result<String, BadInput> {
     let file = path.display().to_string();
-    let own = rustix::process::geteuid().as_raw();
+    let own = (rustix::process::geteuid().as_raw(), rustix::process::getegid().as_raw());
     let unreadable = |error: std::io::Error| BadInput::new(&file, "file", error, "a readable model file");
     // A pipe that somebody has laid there must not be waited for.
     let mut opened = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(unreadable)?;
@@ -54,15 +57,16 @@ pub fn read_model(path: &Path) -> Result<String, BadInput> {
     }
     let folder = folder_of(path);
     let around = std::fs::metadata(folder).map_err(unreadable)?;
-    let wrong = forgeable(own, found.uid(), found.mode()).map(|wrong| (path, wrong)).or_else(|| {
-        let sheltered = around.mode() & STICKY != 0 && [0, own].contains(&around.uid());
-        forgeable(own, around.uid(), around.mode()).filter(|_| !sheltered).map(|wrong| (folder, wrong))
+    let wrong = forgeable(own, &found).map(|wrong| (path, wrong)).or_else(|| {
+        let sheltered = around.mode() & STICKY != 0 && [0, own.0].contains(&around.uid());
+        forgeable(own, &around).filter(|_| !sheltered).map(|wrong| (folder, wrong))
     });
     if let Some((what, wrong)) = wrong {
         let value = format!("{} {wrong}", what.display());
         let expected = format!(
-            "a model file, in a folder, of root's or of user {own}'s, this process's own, and neither open to writing by others: \
-             `chown` and `chmod go-w` after a look at what stands in it"
+            "a model file, in a folder, of root's or of user {}'s, this process's own, and neither open to writing by others: \
+             `chown` and `chmod go-w` after a look at what stands in it",
+            own.0
         );
         return Err(BadInput::new(&file, "file", value, expected));
     }
@@ -71,10 +75,15 @@ pub fn read_model(path: &Path) -> Result<String, BadInput> {
     Ok(text)
 }
 
-/// By whom something could have been made or changed besides root and user `own`, in words; `None` where by nobody.
-fn forgeable(own: u32, owner: u32, mode: u32) -> Option<String> {
-    let found = format!("(owner {owner}, mode {:o})", mode & 0o7777);
-    match (owner == 0 || owner == own, mode & WRITABLE) {
+/// By whom something could have been made or changed besides root and `own`, a user and its group, in words; `None` where by nobody.
+fn forgeable(own: (u32, u32), found: &Metadata) -> Option<String> {
+    judged(own, (found.uid(), found.gid()), found.mode())
+}
+
+fn judged(own: (u32, u32), (owner, group): (u32, u32), mode: u32) -> Option<String> {
+    let found = format!("(owner {owner}, group {group}, mode {:o})", mode & 0o7777);
+    let others = mode & if group == own.1 { WRITABLE & !GROUP_WRITABLE } else { WRITABLE };
+    match (owner == 0 || owner == own.0, others) {
         (true, 0) => None,
         (true, _) => Some(format!("that others can write to {found}")),
         (false, _) => Some(format!("that belongs to user {owner} {found}")),
@@ -102,17 +111,22 @@ mod tests {
 
     #[test]
     fn a_model_is_of_root_or_of_ones_own_and_closed_to_others() {
+        let own = (998, 990);
         for owner in [0, 998] {
-            assert_eq!(forgeable(998, owner, 0o100_644), None);
+            assert_eq!(judged(own, (owner, 0), 0o100_644), None);
             assert_eq!(
-                forgeable(998, owner, 0o100_666).unwrap(),
-                format!("that others can write to (owner {owner}, mode 666)")
+                judged(own, (owner, 0), 0o100_666).unwrap(),
+                format!("that others can write to (owner {owner}, group 0, mode 666)")
             );
-            assert!(forgeable(998, owner, 0o100_620).is_some());
+            // A group to oneself.
+            assert_eq!(judged(own, (owner, 990), 0o100_664), None);
+            assert!(judged(own, (owner, 991), 0o100_664).is_some());
+            assert!(judged(own, (owner, 990), 0o100_602).is_some());
         }
-        assert_eq!(forgeable(998, 1001, 0o100_600).unwrap(), "that belongs to user 1001 (owner 1001, mode 600)");
+        let foreign = judged(own, (1001, 990), 0o100_600).unwrap();
+        assert_eq!(foreign, "that belongs to user 1001 (owner 1001, group 990, mode 600)");
         // Root takes none of a user's.
-        assert!(forgeable(0, 998, 0o100_600).is_some());
+        assert!(judged((0, 0), (998, 990), 0o100_600).is_some());
     }
 
     /// A folder of the test's own with a model file of this mode in it.
@@ -132,12 +146,12 @@ mod tests {
         // As in /tmp, where nobody can take another one's name away.
         let (_place, path) = laid(0o600, 0o1777);
         assert_eq!(read_model(&path).unwrap(), "text");
-        let own = rustix::process::geteuid().as_raw();
-        for (file, folder, named, mode) in [(0o666, 0o700, "model.toml", "666"), (0o640, 0o770, "", "770")] {
+        let own = (rustix::process::geteuid().as_raw(), rustix::process::getegid().as_raw());
+        for (file, folder, named, mode) in [(0o666, 0o700, "model.toml", "666"), (0o640, 0o707, "", "707")] {
             let (place, path) = laid(file, folder);
             let error = read_model(&path).unwrap_err().to_string();
             let what = place.path().join(named);
-            let wrong = format!("that others can write to (owner {own}, mode {mode})");
+            let wrong = format!("that others can write to (owner {}, group {}, mode {mode})", own.0, own.1);
             assert!(error.contains(wrong.as_str()) && error.contains(path.to_str().unwrap()), "{error}");
             assert!(error.contains(what.to_str().unwrap().trim_end_matches('/')), "{error}");
         }

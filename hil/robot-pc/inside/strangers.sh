@@ -101,7 +101,7 @@ if [ -f ./model.toml ]; then
     install -m 600 -o plumbline ./model.toml /srv/models/own.toml
     install -m 644 -o alice ./model.toml /srv/models/alice.toml
     install -m 664 -o plumbline -g alice ./model.toml /srv/models/group.toml
-    for file in alice:"belongs to user $(id -u alice) (owner $(id -u alice), mode 644)" group:"others can write to (owner $uid, mode 664)"; do
+    for file in alice:"belongs to user $(id -u alice) (owner $(id -u alice), group 0, mode 644)" group:"others can write to (owner $uid, group $(id -g alice), mode 664)"; do
         name=/srv/models/${file%%:*}.toml
         said=$(take "$name"); code=$?
         check "a model file that ${file#*:} is refused" "exit $code" grep -qF "$name that ${file#*:}" <<<"$said"
