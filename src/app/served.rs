@@ -35,6 +35,7 @@ impl FeedForward for ServedModel {
         self.evaluator.torque(&Sample { q, dq, ddq })
     }
 
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn rest(&mut self, q: &JointVec) -> Torque {
         self.evaluator.rest(q)
     }
@@ -61,6 +62,7 @@ impl FeedForward for NoModel {
 pub struct Reach(pub Chain);
 
 impl Kinematics for Reach {
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn end_effector(&self, q: &JointVec) -> [f64; 3] {
         self.0.end_effector(q).into()
     }

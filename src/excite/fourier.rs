@@ -5,6 +5,7 @@ use crate::joint::{JointVec, MAX_JOINTS, Setpoint};
 use crate::rt::Reference;
 use nalgebra::DMatrix;
 use std::f64::consts::PI;
+use std::num::NonZeroU64;
 
 /// Room for harmonics in a [`PeriodicMotion`].
 pub const MAX_HARMONICS: usize = 16;
@@ -167,7 +168,7 @@ pub struct PeriodicMotion {
     joints: usize,
     harmonics: usize,
     omega: f64,
-    period_ticks: u64,
+    period_ticks: NonZeroU64,
     ticks: u64,
 }
 
@@ -176,9 +177,10 @@ impl PeriodicMotion {
     /// not start at rest within 1e-6 rad, rad/s and rad/s2.
     pub fn new(fourier: &Fourier, periods: u32) -> Result<PeriodicMotion, ExciteError> {
         let period_ticks = (fourier.period * TICKS_PER_SECOND).round();
-        if (period_ticks / TICKS_PER_SECOND - fourier.period).abs() > 1e-9 || period_ticks < 1.0 || periods == 0 {
+        let whole = (period_ticks / TICKS_PER_SECOND - fourier.period).abs() <= 1e-9;
+        let Some(period_ticks) = NonZeroU64::new(period_ticks as u64).filter(|_| whole && periods > 0) else {
             return Err(ExciteError::Ticks { period: fourier.period, periods });
-        }
+        };
         let error = fourier.boundary_error();
         if error.iter().any(|&e| e > 1e-6) {
             return Err(ExciteError::Boundary { error });
@@ -190,8 +192,8 @@ impl PeriodicMotion {
             joints: fourier.joints(),
             harmonics: fourier.harmonics(),
             omega: fourier.omega(),
-            period_ticks: period_ticks as u64,
-            ticks: period_ticks as u64 * u64::from(periods) + 1,
+            period_ticks,
+            ticks: period_ticks.get() * u64::from(periods) + 1,
         };
         for joint in 0..motion.joints {
             motion.q0[joint] = fourier.q0[joint];
@@ -205,7 +207,7 @@ impl PeriodicMotion {
 
     /// Samples of one period.
     pub fn period_ticks(&self) -> u64 {
-        self.period_ticks
+        self.period_ticks.get()
     }
 }
 
@@ -215,15 +217,17 @@ impl Reference for PeriodicMotion {
     }
 
     /// Past the last sample the motion rests where it ended.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn at(&self, tick: u64) -> Setpoint {
-        let phase = tick.min(self.ticks - 1) % self.period_ticks;
+        let phase = tick.min(self.ticks.saturating_sub(1)) % self.period_ticks;
         let angle = self.omega * (phase as f64 / TICKS_PER_SECOND);
         let mut point = Setpoint { q: self.q0, ..Setpoint::default() };
-        for k in 0..self.harmonics {
+        // The second bounds are there for the compiler: behind them no index is out of bounds.
+        for k in 0..self.harmonics.min(MAX_HARMONICS) {
             let order = (k + 1) as f64;
             let kw = order * self.omega;
             let (sin, cos) = (order * angle).sin_cos();
-            for joint in 0..self.joints {
+            for joint in 0..self.joints.min(MAX_JOINTS) {
                 let (a, b) = (self.a[joint][k], self.b[joint][k]);
                 let even = a * sin + b * cos;
                 point.q[joint] += even;

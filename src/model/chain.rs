@@ -134,6 +134,7 @@ impl Chain {
     }
 
     /// Position of the end effector in the base frame \[m\]; `q` has at least `len()` entries \[rad\].
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn end_effector(&self, q: &[f64]) -> Vector3<f64> {
         self.end_effector_placement(q).origin
     }

@@ -12,16 +12,22 @@ pub const LINK_COLUMNS: usize = 10;
 /// `gravity` is the gravitational acceleration in the base frame \[m/s2\]. Rows past `chain.len()` are left alone.
 /// It shares the outward recursion's formulas with no one: `rnea` is the second route to the same number.
 pub fn regressor(chain: &Chain, gravity: &Vector3<f64>, q: &[f64], dq: &[f64], ddq: &[f64], y: &mut DMatrix<f64>) {
-    let n = chain.len();
+    let height = y.nrows();
+    debug_assert!(height >= chain.len() && y.ncols() >= chain.len() * LINK_COLUMNS);
+    debug_assert!([q.len(), dq.len(), ddq.len()].iter().all(|&len| len >= chain.len()));
     y.fill(0.0);
+    // The columns of one link are one piece of memory.
+    let links = y.as_mut_slice().chunks_exact_mut((height * LINK_COLUMNS).max(1));
     let mut placements = [Placement::identity(); MAX_JOINTS];
     let mut w = Vector3::zeros();
     let mut dw = Vector3::zeros();
     let mut a = -gravity;
-    for i in 0..n {
-        let joint = &chain.joints()[i];
-        let placement = joint.placement(q[i]);
-        placements[i] = placement;
+    let given = q.iter().zip(dq).zip(ddq);
+    for (i, ((joint, link), ((&q, &dq), &ddq))) in chain.joints().iter().zip(links).zip(given).enumerate() {
+        let placement = joint.placement(q);
+        if let Some(slot) = placements.get_mut(i) {
+            *slot = placement;
+        }
         let r_t = placement.rotation.transpose();
         a = r_t * (a + (skew(&dw) + skew(&w) * skew(&w)) * placement.origin);
         w = r_t * w;
@@ -29,10 +35,10 @@ pub fn regressor(chain: &Chain, gravity: &Vector3<f64>, q: &[f64], dq: &[f64], d
         let z = Vector3::z();
         match joint.kind {
             JointKind::Revolute => {
-                dw += w.cross(&z) * dq[i] + z * ddq[i];
-                w += z * dq[i];
+                dw += w.cross(&z) * dq + z * ddq;
+                w += z * dq;
             }
-            JointKind::Prismatic => a += w.cross(&z) * (2.0 * dq[i]) + z * ddq[i],
+            JointKind::Prismatic => a += w.cross(&z) * (2.0 * dq) + z * ddq,
         }
 
         // Wrench of link i per unit of each of its parameters: force (3 x 10) over moment (3 x 10).
@@ -50,19 +56,19 @@ pub fn regressor(chain: &Chain, gravity: &Vector3<f64>, q: &[f64], dq: &[f64], d
         force[9] = a;
 
         // Carry it inward; each joint takes the component along its axis.
-        for j in (0..=i).rev() {
-            let kind = chain.joints()[j].kind;
-            for c in 0..LINK_COLUMNS {
-                y[(j, i * LINK_COLUMNS + c)] = match kind {
-                    JointKind::Revolute => moment[c].z,
-                    JointKind::Prismatic => force[c].z,
-                };
+        for (j, (joint, up)) in chain.joints().iter().zip(&placements).enumerate().take(i + 1).rev() {
+            for (column, (force, moment)) in link.chunks_exact_mut(height.max(1)).zip(force.iter().zip(&moment)) {
+                if let Some(entry) = column.get_mut(j) {
+                    *entry = match joint.kind {
+                        JointKind::Revolute => moment.z,
+                        JointKind::Prismatic => force.z,
+                    };
+                }
             }
             if j > 0 {
-                let up = &placements[j];
-                for c in 0..LINK_COLUMNS {
-                    force[c] = up.rotation * force[c];
-                    moment[c] = up.rotation * moment[c] + up.origin.cross(&force[c]);
+                for (force, moment) in force.iter_mut().zip(&mut moment) {
+                    *force = up.rotation * *force;
+                    *moment = up.rotation * *moment + up.origin.cross(force);
                 }
             }
         }

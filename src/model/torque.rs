@@ -195,16 +195,8 @@ impl TorqueModel {
     }
 
     /// Whether the model knows everything that a mounting needs: a GBS always, a VBS only with gravity along axis 1.
-    pub fn holds_in(&self, mounting: &Mounting) -> bool {
-        self.kind() == BaseKind::Gbs || mounting.is_along_axis_1(VERTICAL_TOLERANCE)
-    }
-
-    /// [`TorqueModel::holds_in`] with what is missing where it does not. Finding that takes milliseconds.
-    ///
-    /// # Errors
-    /// The parameters that the mounting needs and the model lacks.
     pub fn valid_in(&self, mounting: &Mounting) -> Result<(), MountingRefused> {
-        if self.holds_in(mounting) {
+        if self.kind() == BaseKind::Gbs || mounting.is_along_axis_1(VERTICAL_TOLERANCE) {
             return Ok(());
         }
         let own = self.structure.reduction().independent();
@@ -282,6 +274,7 @@ impl Evaluator {
 
     /// What of it the rigid body needs to stand still at `q`, with the offsets of the sensors: what an arm that compensates gravity carries by
     /// itself. Terms that are neither stay with the motion, and those that remember hear nothing of it \[Nm\].
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn rest(&mut self, q: &JointVec) -> Torque {
         Torque(self.closed.torque(&Sample { q: *q, ..Sample::default() }))
     }

@@ -79,26 +79,32 @@ impl Controls {
         self.unrecorded.load(Ordering::Relaxed)
     }
 
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub(in crate::rt) fn take_stop(&self) -> bool {
         self.stop.swap(false, Ordering::AcqRel)
     }
 
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub(in crate::rt) fn pulse(&self) -> u64 {
         self.pulse.load(Ordering::Relaxed)
     }
 
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub(in crate::rt) fn wants_quit(&self) -> bool {
         self.quit.load(Ordering::Acquire)
     }
 
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub(in crate::rt) fn wait_for_permission(&self) {
         self.waiting.store(true, Ordering::Release);
     }
 
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub(in crate::rt) fn permission(&self) -> u32 {
         self.permission.load(Ordering::Acquire)
     }
 
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub(in crate::rt) fn show(&self, phase: Phase, cycles: u64, lost: u64, late: u64, unrecorded: u64) {
         self.phase.store(phase as u32, Ordering::Relaxed);
         self.cycles.store(cycles, Ordering::Relaxed);

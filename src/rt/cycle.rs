@@ -261,7 +261,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         if first {
             // The arm's own desired position, unless it does not go with where the arm is.
             let agrees = |j: usize| (state.q_d[j] - state.q[j]).abs() <= self.tracking[j];
-            self.motion.start(if (0..self.joints).all(agrees) { state.q_d } else { state.q });
+            self.motion.start(if (0..self.joints.min(MAX_JOINTS)).all(agrees) { state.q_d } else { state.q });
             self.guard.start(self.motion.sample().q);
         }
         Ok(gap)
@@ -445,6 +445,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         self.inlets.controls.show(record.phase, cycles, lost, late, unrecorded);
     }
 
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn can_retire(&self) -> bool {
         self.leaving.is_none() && self.inlets.retired.slots() > 1
     }
@@ -459,6 +460,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         }
     }
 
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn tell(&mut self, event: Event) {
         let cycle = self.tally.summary.cycles.saturating_sub(1);
         let told = Told { cycle, seq: self.tally.last(), stamp_ns: self.stamp_ns, orders: self.orders, event };

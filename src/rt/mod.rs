@@ -16,6 +16,7 @@
 pub mod checkpoint;
 pub mod controls;
 pub mod cycle;
+mod durations;
 pub mod guard;
 pub mod motion;
 pub mod moves;

@@ -14,10 +14,18 @@ const LONGEST_ALONE: u64 = 20;
 enum Doing {
     Hold,
     Move { phase: Phase },
-    Follow(Box<dyn Reference>),
+    Follow { reference: Box<dyn Reference>, last_tick: u64 },
     Dwell { ticks: u64 },
     Brake,
     Stopped,
+}
+
+impl Doing {
+    /// The number of samples is asked for once, and not in every cycle.
+    fn follow(reference: Box<dyn Reference>) -> Doing {
+        let last_tick = reference.ticks().saturating_sub(1);
+        Doing::Follow { reference, last_tick }
+    }
 }
 
 /// The end of a motion, noticed in the first cycle after its last sample.
@@ -61,7 +69,7 @@ impl Motion {
                 self.planner.move_to(&from, &target)?;
                 Doing::Move { phase }
             }
-            checkpoint::Doing::Follow(reference) => Doing::Follow(reference),
+            checkpoint::Doing::Follow(reference) => Doing::follow(reference),
             checkpoint::Doing::Dwell { ticks } => Doing::Dwell { ticks },
             checkpoint::Doing::Brake { from } => {
                 self.planner.stop(&from)?;
@@ -73,6 +81,7 @@ impl Motion {
     }
 
     /// Moves on by `gap` cycles of the arm. A motion whose last sample has been sent ends here.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn advance(&mut self, gap: u64) -> Option<Finished> {
         if self.is_moving() && self.tick >= self.last_tick() {
             return Some(match std::mem::replace(&mut self.doing, Doing::Hold) {
@@ -80,7 +89,7 @@ impl Motion {
                     self.doing = Doing::Stopped;
                     Finished::Brake
                 }
-                Doing::Follow(reference) => Finished::Order { motion: self.number, reference: Some(reference) },
+                Doing::Follow { reference, .. } => Finished::Order { motion: self.number, reference: Some(reference) },
                 _ => Finished::Order { motion: self.number, reference: None },
             });
         }
@@ -103,7 +112,7 @@ impl Motion {
             OrderKind::Dwell { ticks } => self.doing = Doing::Dwell { ticks },
             OrderKind::Follow(reference) => {
                 let first = reference.at(0).q;
-                self.doing = Doing::Follow(reference);
+                self.doing = Doing::follow(reference);
                 for (joint, (first, last)) in first.iter().zip(&self.last.q).enumerate().take(self.joints) {
                     let distance = first - last;
                     if distance.is_nan() || distance.abs() > START_TOLERANCE {
@@ -132,13 +141,14 @@ impl Motion {
             }
         };
         let reference = match std::mem::replace(&mut self.doing, Doing::Brake) {
-            Doing::Follow(reference) => Some(reference),
+            Doing::Follow { reference, .. } => Some(reference),
             _ => None,
         };
         planned.map(|()| reference)
     }
 
     /// Allows orders again after a stop.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn resume(&mut self) {
         if matches!(self.doing, Doing::Stopped) {
             self.doing = Doing::Hold;
@@ -150,22 +160,24 @@ impl Motion {
         let sample = match &self.doing {
             Doing::Hold | Doing::Dwell { .. } | Doing::Stopped => Setpoint { q: self.last.q, ..Setpoint::default() },
             Doing::Move { .. } | Doing::Brake => self.planner.at(self.tick),
-            Doing::Follow(reference) => reference.at(self.tick.min(self.last_tick())),
+            Doing::Follow { reference, last_tick } => reference.at(self.tick.min(*last_tick)),
         };
         self.only_own_joints(sample)
     }
 
     /// Notes what was sent.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn sent(&mut self, desired: &Setpoint) {
         self.last = *desired;
     }
 
     /// How records of this cycle are marked.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn phase(&self) -> Phase {
         match &self.doing {
             Doing::Hold | Doing::Dwell { .. } => Phase::Hold,
             Doing::Move { phase } => *phase,
-            Doing::Follow(_) => Phase::Excite,
+            Doing::Follow { .. } => Phase::Excite,
             Doing::Brake => Phase::Stop,
             Doing::Stopped => Phase::Stopped,
         }
@@ -204,14 +216,15 @@ impl Motion {
         match &self.doing {
             Doing::Hold | Doing::Stopped => 0,
             Doing::Move { .. } | Doing::Brake => self.planner.last_tick(),
-            Doing::Follow(reference) => reference.ticks().saturating_sub(1),
+            Doing::Follow { last_tick, .. } => *last_tick,
             Doing::Dwell { ticks } => ticks.saturating_sub(1),
         }
     }
 
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn only_own_joints(&self, mut setpoint: Setpoint) -> Setpoint {
-        for j in self.joints..MAX_JOINTS {
-            (setpoint.q[j], setpoint.dq[j], setpoint.ddq[j]) = (0.0, 0.0, 0.0);
+        for values in [&mut setpoint.q, &mut setpoint.dq, &mut setpoint.ddq] {
+            values.iter_mut().skip(self.joints).for_each(|value| *value = 0.0);
         }
         setpoint
     }
@@ -224,6 +237,7 @@ pub fn braked_from(last: &Setpoint, gap: u64, tick: u64) -> Setpoint {
 }
 
 /// Where a setpoint leads at constant acceleration in `t` seconds.
+#[cfg_attr(no_panic, no_panic::no_panic)]
 fn gone_on(from: &Setpoint, t: f64) -> Setpoint {
     let mut to = *from;
     for j in 0..MAX_JOINTS {

@@ -7,9 +7,9 @@ use super::PERIOD;
 use crate::joint::{JointVec, Limits, MAX_JOINTS, Setpoint};
 use rsruckig::brake::stop_distance_third_order;
 use rsruckig::prelude::{
-    ControlInterface, DataArrayOrVec, InputParameter, Ruckig, RuckigResult, Synchronization, ThrowErrorHandler,
-    Trajectory,
+    ControlInterface, InputParameter, Profile, Ruckig, RuckigResult, Synchronization, ThrowErrorHandler, Trajectory,
 };
+use rsruckig::util::integrate;
 
 /// Which part of the joint limits the loop's own motions use.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,8 +37,6 @@ impl Default for MoveFactors {
 #[error("ruckig found no motion")]
 pub struct NoMotion;
 
-type Dof<T> = DataArrayOrVec<T, MAX_JOINTS>;
-
 /// Plans one motion at a time and gives its samples. Joints past the arm's own take no part and stay at zero.
 pub struct Planner {
     joints: usize,
@@ -47,7 +45,6 @@ pub struct Planner {
     otg: Ruckig<MAX_JOINTS, ThrowErrorHandler>,
     input: InputParameter<MAX_JOINTS>,
     trajectory: Trajectory<MAX_JOINTS>,
-    sample: [Dof<f64>; 3],
     last_tick: u64,
     end: JointVec,
 }
@@ -69,7 +66,6 @@ impl Planner {
             otg: Ruckig::new(None, PERIOD),
             input,
             trajectory: Trajectory::new(None),
-            sample: std::array::from_fn(|_| Dof::new(None, 0.0)),
             last_tick: 0,
             end: JointVec::default(),
         }
@@ -100,11 +96,7 @@ impl Planner {
             self.input.target_position[j] = 0.0;
         }
         self.plan(from, 1.0, brake, brake)?;
-        self.evaluate(self.trajectory.get_duration());
-        for j in 0..self.joints {
-            self.end[j] = self.sample[0][j];
-        }
-        self.mask_end();
+        self.end = self.evaluate(self.trajectory.get_duration()).q;
         Ok(())
     }
 
@@ -114,16 +106,12 @@ impl Planner {
     }
 
     /// Sample `tick`, `tick` ms after the start; past the end the arm rests.
-    pub fn at(&mut self, tick: u64) -> Setpoint {
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    pub fn at(&self, tick: u64) -> Setpoint {
         if tick >= self.last_tick {
             return Setpoint { q: self.end, ..Setpoint::default() };
         }
-        self.evaluate(tick as f64 * PERIOD);
-        let mut out = Setpoint::default();
-        for j in 0..self.joints {
-            (out.q[j], out.dq[j], out.ddq[j]) = (self.sample[0][j], self.sample[1][j], self.sample[2][j]);
-        }
-        out
+        self.evaluate(tick as f64 * PERIOD)
     }
 
     fn plan(&mut self, from: &Setpoint, velocity: f64, acceleration: f64, jerk: f64) -> Result<(), NoMotion> {
@@ -152,15 +140,43 @@ impl Planner {
         Ok(())
     }
 
-    fn evaluate(&mut self, time: f64) {
-        let [q, dq, ddq] = &mut self.sample;
-        self.trajectory.at_time(time, &mut Some(q), &mut Some(dq), &mut Some(ddq), &mut None, &mut None);
+    /// The planned motion `time` \[s\] after its start. Not by ruckig, whose indices the compiler can't show to be in range.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    fn evaluate(&self, time: f64) -> Setpoint {
+        let mut out = Setpoint::default();
+        let Some(profiles) = self.trajectory.profiles.first() else { return out };
+        let joints = out.q.iter_mut().zip(&mut out.dq).zip(&mut out.ddq);
+        for (((q, dq), ddq), profile) in joints.zip(profiles.iter()).take(self.joints) {
+            (*q, *dq, *ddq) = sample(profile, time);
+        }
+        out
     }
 
     fn mask_end(&mut self) {
         for j in self.joints..MAX_JOINTS {
             self.end[j] = 0.0;
         }
+    }
+}
+
+/// Position, velocity and acceleration of one joint `time` \[s\] after the start of its profile: up to two pieces that bring it inside its limits
+/// (ruckig's own brake), up to seven pieces of constant jerk, and the rest after them.
+fn sample(profile: &Profile, time: f64) -> (f64, f64, f64) {
+    let (brake, mut t) = (&profile.brake, time);
+    if t < brake.duration {
+        let [first, _] = brake.t;
+        let k = usize::from(t >= first);
+        t -= if k > 0 { first } else { 0.0 };
+        return integrate(t, brake.p[k], brake.v[k], brake.a[k], brake.j[k]);
+    }
+    t -= brake.duration.max(0.0);
+    let ends = &profile.t_sum;
+    match ends.iter().position(|end| *end > t) {
+        Some(k) => {
+            let begin = k.checked_sub(1).map_or(0.0, |before| ends[before]);
+            integrate(t - begin, profile.p[k], profile.v[k], profile.a[k], profile.j[k])
+        }
+        None => integrate(t - ends[6], profile.p[7], profile.v[7], profile.a[7], 0.0),
     }
 }
 
@@ -238,6 +254,44 @@ mod tests {
                 assert_abs_diff_eq!(-lowest, down, epsilon = 1e-5);
             }
         }
+    }
+
+    #[test]
+    fn samples_are_those_of_ruckigs_own_evaluation() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let mut corrected = 0;
+        for case in 0..400 {
+            let mut planner = Planner::new(7, LIMITS, MoveFactors::default());
+            let mut from = Setpoint { q: random(&mut rng, 7, 2.0), ..Setpoint::default() };
+            if case % 2 == 0 {
+                planner.move_to(&from, &random(&mut rng, 7, 2.0)).unwrap();
+            } else {
+                for j in 0..7 {
+                    from.dq[j] = rng.random_range(-1.0..1.0) * LIMITS.dq[j];
+                    // Past what the stop may use, too: such a stop begins with ruckig's own brake.
+                    from.ddq[j] = rng.random_range(-1.2..1.2) * LIMITS.ddq[j];
+                }
+                planner.stop(&from).unwrap();
+                corrected +=
+                    planner.trajectory.profiles[0].iter().filter(|profile| profile.brake.duration > 0.0).count();
+            }
+            let end = planner.trajectory.get_duration();
+            for time in (0..200).map(|_| rng.random_range(0.0..1.0) * end).chain([0.0, end, end + PERIOD]) {
+                let own = planner.evaluate(time);
+                let new = || rsruckig::prelude::DataArrayOrVec::<f64, MAX_JOINTS>::new(None, 0.0);
+                let (mut q, mut dq, mut ddq) = (new(), new(), new());
+                let to = (&mut Some(&mut q), &mut Some(&mut dq), &mut Some(&mut ddq));
+                planner.trajectory.at_time(time, to.0, to.1, to.2, &mut None, &mut None);
+                for j in 0..7 {
+                    if time < end {
+                        assert_eq!((own.q[j], own.dq[j], own.ddq[j]), (q[j], dq[j], ddq[j]), "{case}: {time} of {end}");
+                    }
+                    // Behind the end ruckig subtracts in another order.
+                    assert_abs_diff_eq!(own.q[j], q[j], epsilon = 1e-14);
+                }
+            }
+        }
+        assert!(corrected > 100, "{corrected}");
     }
 
     #[test]

@@ -16,6 +16,7 @@ pub struct RingSink {
 }
 
 impl Sink for RingSink {
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn put(&mut self, record: &Record) -> bool {
         self.producer.push(*record).is_ok()
     }
@@ -63,6 +64,7 @@ impl Flight {
     }
 
     /// Keeps a record in place of the oldest.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn keep(&mut self, record: &Record) {
         if self.records.len() < self.records.capacity() {
             self.records.push(*record);

@@ -1,23 +1,10 @@
 //! Deadline statistics of the loop, in memory that is allocated before it starts.
 
-use super::PERIOD_NS;
-use crate::joint::Record;
-use hdrhistogram::Histogram;
+pub use super::durations::Distribution;
 
-/// Distribution of one duration \[ns\]; all zero when nothing was measured.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Distribution {
-    /// Number of values.
-    pub count: u64,
-    /// Median.
-    pub p50: u64,
-    /// 99th percentile.
-    pub p99: u64,
-    /// 99.9th percentile.
-    pub p999: u64,
-    /// Largest value, exact.
-    pub max: u64,
-}
+use super::PERIOD_NS;
+use super::durations::Durations;
+use crate::joint::Record;
 
 /// What the loop did and how well it kept its time.
 ///
@@ -94,6 +81,7 @@ impl Tally {
     }
 
     /// Counts a state that was read at `now_ns`; the number of cycles of the arm since the one before, at least 1.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn arrived(&mut self, seq: u64, now_ns: u64) -> Result<u64, NotForward> {
         let gap = match self.first {
             None => {
@@ -129,17 +117,20 @@ impl Tally {
     }
 
     /// Adds a wake-up latency \[ns\].
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn woke(&mut self, late_ns: u64) {
         self.wake.add(late_ns);
     }
 
     /// Notes the deadline of the state that arrived last, on the clock \[ns\].
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn due(&mut self, deadline_ns: u64) {
         let first = *self.first_due_ns.get_or_insert(deadline_ns);
         self.summary.clock = (deadline_ns.saturating_sub(first) + PERIOD_NS / 2) / PERIOD_NS + 1;
     }
 
     /// Adds a work time \[ns\].
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn worked(&mut self, ns: u64) {
         self.work.add(ns);
     }
@@ -152,36 +143,6 @@ impl Tally {
             period: self.period.distribution(),
             ..self.summary
         }
-    }
-}
-
-/// A histogram of durations to 0.1 % up to [`CLAMP_NS`], and the exact maximum.
-struct Durations {
-    histogram: Option<Histogram<u64>>,
-    max: u64,
-}
-
-/// Longer durations count as this one in the percentiles.
-const CLAMP_NS: u64 = 10_000_000_000;
-
-impl Durations {
-    fn new() -> Durations {
-        // Fixed bounds: the histogram has its final size from the start and never resizes.
-        Durations { histogram: Histogram::new_with_bounds(1, CLAMP_NS, 3).ok(), max: 0 }
-    }
-
-    fn add(&mut self, ns: u64) {
-        if let Some(histogram) = &mut self.histogram {
-            // Values inside the bounds always fit.
-            let _ = histogram.record(ns.min(CLAMP_NS));
-        }
-        self.max = self.max.max(ns);
-    }
-
-    fn distribution(&self) -> Distribution {
-        let Some(histogram) = self.histogram.as_ref().filter(|h| !h.is_empty()) else { return Distribution::default() };
-        let at = |quantile| histogram.value_at_quantile(quantile).min(self.max);
-        Distribution { count: histogram.len(), p50: at(0.5), p99: at(0.99), p999: at(0.999), max: self.max }
     }
 }
 

@@ -184,6 +184,7 @@ impl FrankaArm {
     }
 
     /// Whether `state` is newer than what was taken before; counts it otherwise.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn takes(&self, state: &RobotState) -> bool {
         match state.message_id.cmp(&self.state.message_id) {
             std::cmp::Ordering::Greater => true,
@@ -199,6 +200,7 @@ impl FrankaArm {
     }
 
     /// Keeps the first state that no longer shows the running motion: its reasons are the ones to report.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn look_for_an_end(&mut self, state: &RobotState) {
         if self.phase == Phase::Moving && self.changed.is_none() && !self.motion.is_shown_by(state) {
             self.changed = Some(*state);
@@ -216,6 +218,7 @@ impl FrankaArm {
     }
 
     /// The newest state as the loop takes it.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn report(&self) -> State {
         let state = &self.state;
         let q_d = if self.phase == Phase::Moving { self.motion.position(&self.followed) } else { state.q_d };
@@ -246,6 +249,7 @@ impl FrankaArm {
     }
 
     /// Finds out where the arm goes on from.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub(super) fn follow(&mut self) {
         self.followed = self.motion.follow(&self.state);
         let arrived_ns = self.arrived_ns.unwrap_or(self.read_ns);

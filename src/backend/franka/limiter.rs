@@ -62,6 +62,7 @@ impl Limiter {
     }
 
     /// Whether `desired` may be commanded at all when the arm goes on from `from`.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn objection(&self, from: &Point, desired: &[f64; 7]) -> Option<Objection> {
         if desired.iter().any(|q| !q.is_finite()) || !from.is_finite() {
             return Some(Objection::NotFinite);
@@ -81,6 +82,7 @@ impl Limiter {
 
     /// The command that leads from `from`, where the arm is now, towards `desired`, `ticks` cycles after the last one. `own` says
     /// that the arm has done what it was told, and nothing else, since then.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn step(&mut self, from: &Point, desired: &[f64; 7], ticks: u64, own: bool) -> Limited {
         let last = self.target_before(desired, ticks);
         let target = last.step_to(desired);
@@ -114,6 +116,7 @@ impl Limiter {
     }
 
     /// The command that brakes the arm as the limits allow; at rest it stays where it is.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn brake(&self, from: &Point) -> Point {
         let mut q = [0.0; 7];
         for (j, q) in q.iter_mut().enumerate() {

@@ -79,6 +79,7 @@ impl Motion {
     }
 
     /// Whether `state` shows this motion running.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn is_shown_by(&self, state: &RobotState) -> bool {
         let generator: MotionGeneratorMode = self.request.generator.shown().shown_at(self.protocol);
         let controller: ControllerMode = self.request.controller.shown();
@@ -88,6 +89,7 @@ impl Motion {
     }
 
     /// Takes in the arm's word.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn heard(&mut self, status: MoveStatus) {
         if status != MoveStatus::MotionStarted {
             self.end = Some(status);
@@ -100,6 +102,7 @@ impl Motion {
     }
 
     /// Where the arm is in `state`, by what was sent.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn follow(&mut self, state: &RobotState) -> Followed {
         let said = Point { q: state.q_d, dq: state.dq_d, ddq: state.ddq_d };
         match self.interface {
@@ -123,6 +126,7 @@ impl Motion {
     }
 
     /// The next point towards `desired`. The first is where the arm says that it is, to the bit.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn step(&mut self, from: &Point, desired: &[f64; 7], ticks: u64, own: bool) -> Limited {
         let first = self.sent.answered().is_none();
         let limited = self.limiter.step(from, desired, ticks, own && !first);
@@ -130,6 +134,7 @@ impl Motion {
     }
 
     /// The command that answers `state` with `point`.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn command(&self, state: &RobotState, point: &Point, tau: [f64; 7], finished: bool) -> RobotCommand {
         let mut command = answer_to(state);
         match self.interface {
@@ -159,6 +164,7 @@ impl Motion {
     }
 
     /// Takes in that a command left.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn sent(&mut self, id: u64, at_ns: u64, point: Point) {
         self.sent.push(id, at_ns, point);
         self.cycles += 1;

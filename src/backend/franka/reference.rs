@@ -121,6 +121,7 @@ impl Commands {
     }
 
     /// Takes in a command that left.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn push(&mut self, id: u64, at_ns: u64, point: Point) {
         if let Some(slot) = self.ring.get_mut(self.count % KEPT) {
             *slot = Sent { id, at_ns, point, seen: false };
@@ -134,6 +135,7 @@ impl Commands {
 
     /// Which of the commands the arm is following in state `id`, newest first: each of them predicts where the arm is now, if it was
     /// the last one to arrive. `state` is the arm's own word, the point of last resort.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn follow(&mut self, id: u64, state: &Point) -> Followed {
         let Some(newest) = self.back(0).copied() else {
             let own = self.agrees(&self.start, state);

@@ -47,12 +47,14 @@ impl TorqueLaw {
     }
 
     /// Whether the desired point is too far from the measured one.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn out_of_reach(&self, tracking: &Tracking) -> bool {
         // Written so that a NaN is out of reach.
         !tracking.q_d.iter().zip(&tracking.q).all(|(desired, q)| (desired - q).abs() <= self.control.reach)
     }
 
     /// The torque, without gravity, and whether a limit had to be held. `feed_forward` counts only where the settings say so.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn torque(&mut self, tracking: &Tracking, feed_forward: &[f64; 7]) -> ([f64; 7], bool) {
         let mut held = false;
         for (j, last) in self.last.iter_mut().enumerate() {

@@ -74,6 +74,7 @@ impl ClosedForm {
     }
 
     /// The torque of all that joined at a sample \[Nm\].
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn torque(&mut self, sample: &Sample) -> JointVec {
         let mut tau = [0.0; MAX_JOINTS];
         let level = self.level;

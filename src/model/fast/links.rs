@@ -57,11 +57,13 @@ impl LinkColumns {
         match &mut self.0 {
             Route::Fast(fast) => fast.fill(sample, out),
             Route::Plain { chain, slots, gravity, standard } => {
-                assert_eq!(out.len(), slots.len(), "one element per column");
+                debug_assert_eq!(out.len(), slots.len(), "one element per column");
                 regressor(chain, gravity, &sample.q, &sample.dq, &sample.ddq, standard);
+                let height = standard.nrows();
                 for (column, &slot) in out.iter_mut().zip(slots.iter()) {
                     *column = [0.0; MAX_JOINTS];
-                    column.iter_mut().zip(standard.column(slot).iter()).for_each(|(entry, value)| *entry = *value);
+                    let standard = standard.as_slice().get(slot * height..).unwrap_or_default();
+                    column.iter_mut().zip(standard).take(height).for_each(|(entry, value)| *entry = *value);
                 }
             }
         }

@@ -77,7 +77,7 @@ impl LinkRegressor {
     /// Writes the columns at a sample, each with one entry per joint; entries past the arm's joints, and of joints that a link does not
     /// move, are zero. `out` has one element per column.
     pub fn fill(&mut self, sample: &Sample, out: &mut [[f64; 8]]) {
-        assert_eq!(out.len(), self.columns, "one element per column");
+        debug_assert_eq!(out.len(), self.columns, "one element per column");
         let level = self.level;
         dispatch!(level, simd => self.fill_with(simd, sample, out));
     }

@@ -102,9 +102,10 @@ impl RigidTorque {
         let fma = |a: f64, b: f64, c: f64| fused(simd, a, b, c);
         let own = |lanes: &[Lanes; 3], i: usize| [lanes[0].0[i], lanes[1].0[i], lanes[2].0[i]];
         let frames = &self.carrier.frames;
-        let last = frames.len.min(MAX_JOINTS) - 1;
+        let count = frames.len.min(MAX_JOINTS);
+        let Some(last) = count.checked_sub(1) else { return };
         let (mut f, mut m) = (own(&work.f, last), own(&work.m, last));
-        for i in (1..=last).rev() {
+        for i in (1..count).rev() {
             tau[i] += m[2];
             let frame = &frames.frames[i];
             let (s, c) = (work.motion.sin.0[i], work.motion.cos.0[i]);

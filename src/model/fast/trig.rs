@@ -78,7 +78,7 @@ fn flip<S: Simd>(value: f64x8<S>, sign: u64x8<S>) -> f64x8<S> {
 #[inline(never)]
 fn far_sin_cos<S: Simd>(simd: S, x: f64x8<S>) -> (f64x8<S>, f64x8<S>) {
     let x = x.to_array();
-    (f64x8::from_fn(simd, |lane| x[lane].sin()), f64x8::from_fn(simd, |lane| x[lane].cos()))
+    (f64x8::from_slice(simd, &x.map(f64::sin)), f64x8::from_slice(simd, &x.map(f64::cos)))
 }
 
 /// Beyond it the hyperbolic tangent is 1 to the last place.

@@ -24,24 +24,25 @@ pub(super) struct Clock {
     pub dt: f64,
 }
 
-/// Columns of an effect, sample after sample. Neither allocates nor panics.
-pub(super) trait Law: Send {
+/// Columns of an effect, sample after sample. Neither allocates nor panics: a [`FixedRows`] holds its law by value, so that the compiler sees
+/// which one it calls.
+pub(super) trait Law: Send + 'static {
     /// Writes the columns at a sample, the torques of all joints in each; they are zero on entry, and as many as the term has.
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]);
 }
 
 /// A law under a gravity vector in the base frame \[m/s2\], with nothing remembered.
-type Start = dyn Fn(&Vector3<f64>) -> Box<dyn Law> + Send + Sync;
+type Start<L> = dyn Fn(&Vector3<f64>) -> L + Send + Sync;
 
 /// An effect in all rows, `tau = sum of beta_c law_c(sample)`.
-pub(super) struct AllRows {
+pub(super) struct AllRows<L> {
     family: &'static Family,
     spec: Spec,
     columns: Vec<Column>,
-    start: Box<Start>,
+    start: Box<Start<L>>,
 }
 
-impl AllRows {
+impl<L: Law> AllRows<L> {
     /// The term of a law.
     pub fn term(
         family: &'static Family,
@@ -49,7 +50,7 @@ impl AllRows {
         site: Site,
         settings: &[f64],
         columns: Vec<Column>,
-        start: impl Fn(&Vector3<f64>) -> Box<dyn Law> + Send + Sync + 'static,
+        start: impl Fn(&Vector3<f64>) -> L + Send + Sync + 'static,
     ) -> Arc<dyn Term> {
         assert!(columns.len() <= WIDTH, "{} is too wide", family.id);
         let spec = Spec { family: family.id, form, site, settings: settings.to_vec() };
@@ -57,7 +58,7 @@ impl AllRows {
     }
 }
 
-impl Term for AllRows {
+impl<L: Law> Term for AllRows<L> {
     fn id(&self) -> &'static str {
         self.family.id
     }
@@ -108,8 +109,8 @@ impl Term for AllRows {
     }
 }
 
-struct FixedRows {
-    law: Box<dyn Law>,
+struct FixedRows<L> {
+    law: L,
     /// Columns, at most [`WIDTH`].
     width: usize,
     beta: [f64; WIDTH],
@@ -117,7 +118,8 @@ struct FixedRows {
     dt: f64,
 }
 
-impl FixedTerm for FixedRows {
+impl<L: Law> FixedTerm for FixedRows<L> {
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn torque(&mut self, sample: &Sample, tau: &mut JointVec) {
         let Some(columns) = self.columns.get_mut(..self.width) else { return };
         columns.fill(JointVec::default());

@@ -71,7 +71,7 @@ fn build(
     let load = Arc::clone(&ground.load);
     AllRows::term(&FAMILY, form, site, settings, columns, move |gravity| {
         let error = PositionError { joint, load: load.under(gravity) };
-        Box::new(Gap { error, friction, width, past: Past::default() })
+        Gap { error, friction, width, past: Past::default() }
     })
 }
 

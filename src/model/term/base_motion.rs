@@ -47,7 +47,7 @@ fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = waves.iter().flatten().map(|tail| column("base", site, tail, "m/s2")).collect();
     AllRows::term(&FAMILY, "", site, settings, columns, move |_| {
         let axes = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| load.under(&axis));
-        Box::new(Shaking { axes, f })
+        Shaking { axes, f }
     })
 }
 

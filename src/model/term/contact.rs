@@ -69,7 +69,7 @@ fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     };
     let units = [("fx", "N"), ("fy", "N"), ("fz", "N"), ("mx", "Nm"), ("my", "Nm"), ("mz", "Nm")];
     let columns = units.map(|(what, unit)| column("contact", site, &tail(what), unit)).to_vec();
-    AllRows::term(&FAMILY, "", site, settings, columns, move |_| Box::new(Touch { chain: chain.clone(), link, window }))
+    AllRows::term(&FAMILY, "", site, settings, columns, move |_| Touch { chain: chain.clone(), link, window })
 }
 
 struct Touch {
@@ -84,22 +84,25 @@ impl Law for Touch {
         if !(from..to).contains(&clock.time) {
             return;
         }
-        let joints = || self.chain.joints().iter().enumerate().take(self.link + 1);
+        let joints = || self.chain.joints().iter().take(self.link + 1);
         let mut frames = [Placement::identity(); MAX_JOINTS];
         let mut frame = Placement::identity();
-        for ((j, joint), q) in joints().zip(sample.q) {
-            frame = frame.then(&joint.placement(q));
-            frames[j] = frame;
+        for ((at, joint), q) in frames.iter_mut().zip(joints()).zip(&sample.q) {
+            frame = frame.then(&joint.placement(*q));
+            *at = frame;
         }
-        for (j, joint) in joints() {
-            let axis: Vector3<f64> = frames[j].rotation.column(2).into();
+        for (j, (joint, at)) in joints().zip(&frames).enumerate() {
+            let axis = Vector3::new(at.rotation.m13, at.rotation.m23, at.rotation.m33);
             let (forces, moments) = match joint.kind {
                 // axis . (lever x f + m)
-                JointKind::Revolute => (axis.cross(&(frame.origin - frames[j].origin)), axis),
+                JointKind::Revolute => (axis.cross(&(frame.origin - at.origin)), axis),
                 JointKind::Prismatic => (axis, Vector3::zeros()),
             };
-            for (column, value) in columns.iter_mut().zip(forces.iter().chain(moments.iter())) {
-                column[j] = *value;
+            let values = [forces.x, forces.y, forces.z, moments.x, moments.y, moments.z];
+            for (column, value) in columns.iter_mut().zip(values) {
+                if let Some(entry) = column.get_mut(j) {
+                    *entry = value;
+                }
             }
         }
     }

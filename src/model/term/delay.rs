@@ -42,8 +42,10 @@ pub static FAMILY: Family = Family {
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let load = Arc::clone(&ground.load);
     let friction = CarriedFriction::of(ground);
-    AllRows::term(&FAMILY, "", site, settings, vec![column("delay", site, "", "s")], move |gravity| {
-        Box::new(Late { load: load.under(gravity), friction, past: PastOfJoints::default() })
+    AllRows::term(&FAMILY, "", site, settings, vec![column("delay", site, "", "s")], move |gravity| Late {
+        load: load.under(gravity),
+        friction,
+        past: PastOfJoints::default(),
     })
 }
 

@@ -41,7 +41,7 @@ fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = ["_sin", "_cos"].map(|wave| column("eccentricity", site, wave, unit)).to_vec();
     let load = Arc::clone(&ground.load);
     AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
-        Box::new(Eccentricity(PositionError { joint, load: load.under(gravity) }))
+        Eccentricity(PositionError { joint, load: load.under(gravity) })
     })
 }
 

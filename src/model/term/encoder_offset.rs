@@ -38,7 +38,7 @@ fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("zero", site, "", unit(ground, joint, "rad", "m"))];
     let load = Arc::clone(&ground.load);
     AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
-        Box::new(Zero(PositionError { joint, load: load.under(gravity) }))
+        Zero(PositionError { joint, load: load.under(gravity) })
     })
 }
 

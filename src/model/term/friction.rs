@@ -76,6 +76,7 @@ struct FixedFriction {
 }
 
 impl FixedTerm for FixedFriction {
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn torque(&mut self, sample: &Sample, tau: &mut JointVec) {
         for (j, tau) in tau.iter_mut().enumerate() {
             *tau += self.fv[j] * sample.dq[j] + self.fc[j] * (SHARPNESS * sample.dq[j]).tanh();

@@ -3,7 +3,7 @@
 use super::Term;
 use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
 use super::offset_drift::{WARMING, warmed};
-use super::one_row::{Law, OneRow, column, smooth_sign, unit};
+use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
 use std::sync::Arc;
 
 /// Identity.
@@ -44,7 +44,7 @@ fn linear(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
         column("fcdrift", site, "", unit(ground, joint, "Nm/min", "N/min")),
         column("fvdrift", site, "", unit(ground, joint, "Nms/rad/min", "Ns/m/min")),
     ];
-    let law: Law = |at, _| scaled(at.own.dq, at.time / 60.0);
+    let law = |at: &At, _: &Settings| scaled(at.own.dq, at.time / 60.0);
     OneRow::new(&FAMILY, "linear", site, settings, columns, law).term()
 }
 
@@ -54,7 +54,7 @@ fn exponential(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
         column("fcdrift", site, "_exponential", unit(ground, joint, "Nm", "N")),
         column("fvdrift", site, "_exponential", unit(ground, joint, "Nms/rad", "Ns/m")),
     ];
-    let law: Law = |at, settings| scaled(at.own.dq, warmed(at.time, settings[0]));
+    let law = |at: &At, settings: &Settings| scaled(at.own.dq, warmed(at.time, settings[0]));
     OneRow::new(&FAMILY, "exponential", site, settings, columns, law).term()
 }
 

@@ -67,7 +67,7 @@ fn build(
     let load = Arc::clone(&ground.load);
     AllRows::term(&FAMILY, form, site, settings, columns, move |gravity| {
         let error = PositionError { joint, load: load.under(gravity) };
-        Box::new(Twist { error, friction, past: Past::default() })
+        Twist { error, friction, past: Past::default() }
     })
 }
 

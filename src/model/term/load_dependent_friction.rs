@@ -2,7 +2,7 @@
 
 use super::Term;
 use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
-use super::one_row::{Law, OneRow, column, smooth_sign, unit};
+use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
 use std::sync::Arc;
 
 /// Identity.
@@ -32,12 +32,12 @@ pub static FAMILY: Family = Family {
 
 fn coulomb(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("fl", site, "_coulomb", "1")];
-    let law: Law = |at, _| [at.load.abs() * smooth_sign(at.own.dq), 0.0, 0.0];
+    let law = |at: &At, _: &Settings| [at.load.abs() * smooth_sign(at.own.dq), 0.0, 0.0];
     OneRow::new(&FAMILY, "coulomb", site, settings, columns, law).loaded(ground).term()
 }
 
 fn viscous(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("fl", site, "_viscous", unit(ground, joint(site), "s/rad", "s/m"))];
-    let law: Law = |at, _| [at.load.abs() * at.own.dq, 0.0, 0.0];
+    let law = |at: &At, _: &Settings| [at.load.abs() * at.own.dq, 0.0, 0.0];
     OneRow::new(&FAMILY, "viscous", site, settings, columns, law).loaded(ground).term()
 }

@@ -54,7 +54,7 @@ fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
         // Without gravity there is nothing to tilt.
         let turned = |axis: Vector3<f64>| load.under(&axis.cross(gravity));
         let tilts = if gravity.norm() > 0.0 { axes(gravity).map(turned).to_vec() } else { Vec::new() };
-        Box::new(Tilt(tilts))
+        Tilt(tilts)
     })
 }
 

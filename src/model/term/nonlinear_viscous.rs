@@ -2,7 +2,7 @@
 
 use super::Term;
 use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
-use super::one_row::{Law, OneRow, column, unit};
+use super::one_row::{At, OneRow, Settings, column, unit};
 use std::sync::Arc;
 
 /// Identity.
@@ -51,7 +51,7 @@ pub static FAMILY: Family = Family {
 
 fn sigmoid(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("fn", site, "_sigmoid", unit(ground, joint(site), "Nm", "N"))];
-    let law: Law = |at, settings| [(at.own.dq / settings[0]).tanh(), 0.0, 0.0];
+    let law = |at: &At, settings: &Settings| [(at.own.dq / settings[0]).tanh(), 0.0, 0.0];
     OneRow::new(&FAMILY, "sigmoid", site, settings, columns, law).term()
 }
 

@@ -2,7 +2,7 @@
 
 use super::Term;
 use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
-use super::one_row::{Law, OneRow, column, unit};
+use super::one_row::{At, OneRow, Settings, column, unit};
 use std::sync::Arc;
 
 /// Identity.
@@ -58,6 +58,6 @@ fn linear(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
 
 fn exponential(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("drift", site, "_exponential", unit(ground, joint(site), "Nm", "N"))];
-    let law: Law = |at, settings| [warmed(at.time, settings[0]), 0.0, 0.0];
+    let law = |at: &At, settings: &Settings| [warmed(at.time, settings[0]), 0.0, 0.0];
     OneRow::new(&FAMILY, "exponential", site, settings, columns, law).term()
 }

@@ -38,8 +38,14 @@ pub(super) struct At {
     pub time: f64,
 }
 
-/// The columns at a sample, by the settings; those past the term's own are ignored.
-pub(super) type Law = fn(&At, &[f64]) -> [f64; WIDTH];
+/// Nonlinear parameters; zero past those that there are.
+pub(super) type Settings = [f64; SETTINGS];
+
+/// The columns at a sample, by the settings; those past the term's own are ignored. Every law is a type of its own and no pointer, so that the
+/// compiler sees which law a [`FixedRow`] calls, and that it can't panic.
+pub(super) trait Law: Fn(&At, &Settings) -> [f64; WIDTH] + Copy + Send + Sync + 'static {}
+
+impl<L: Fn(&At, &Settings) -> [f64; WIDTH] + Copy + Send + Sync + 'static> Law for L {}
 
 /// `tanh(100 dq)`, the sign of a velocity as friction has it (paper eq. 2).
 pub(super) fn smooth_sign(dq: f64) -> f64 {
@@ -63,16 +69,17 @@ pub(super) fn unit(ground: &Ground, joint: usize, turning: &'static str, sliding
 }
 
 /// An effect in one row, `tau_row = sum of beta_c law_c(sample)`.
-pub(super) struct OneRow {
+pub(super) struct OneRow<L> {
     family: &'static Family,
     spec: Spec,
-    law: Law,
+    law: L,
+    settings: Settings,
     columns: Vec<Column>,
     load: Option<Arc<Load>>,
     smooth: bool,
 }
 
-impl OneRow {
+impl<L: Law> OneRow<L> {
     /// A law of the motion alone.
     pub fn new(
         family: &'static Family,
@@ -80,20 +87,22 @@ impl OneRow {
         site: Site,
         settings: &[f64],
         columns: Vec<Column>,
-        law: Law,
-    ) -> OneRow {
+        law: L,
+    ) -> OneRow<L> {
         assert!(columns.len() <= WIDTH && settings.len() <= SETTINGS, "{} is too wide for one row", family.id);
         let spec = Spec { family: family.id, form, site, settings: settings.to_vec() };
-        OneRow { family, spec, law, columns, load: None, smooth: false }
+        let mut own = [0.0; SETTINGS];
+        own[..settings.len()].copy_from_slice(settings);
+        OneRow { family, spec, law, settings: own, columns, load: None, smooth: false }
     }
 
     /// One that looks at the rigid-body torque, too.
-    pub fn loaded(self, ground: &Ground) -> OneRow {
+    pub fn loaded(self, ground: &Ground) -> OneRow<L> {
         OneRow { load: Some(Arc::clone(&ground.load)), ..self }
     }
 
     /// One without a step where a joint turns back.
-    pub fn smooth(self) -> OneRow {
+    pub fn smooth(self) -> OneRow<L> {
         OneRow { smooth: true, ..self }
     }
 
@@ -111,7 +120,7 @@ impl OneRow {
     }
 }
 
-impl Term for OneRow {
+impl<L: Law> Term for OneRow<L> {
     fn smooth(&self) -> bool {
         self.smooth
     }
@@ -139,7 +148,7 @@ impl Term for OneRow {
                 load: load.as_ref().map_or(0.0, |load| load[(k, cause)]),
                 time: motion.start + k as f64 * motion.dt,
             };
-            let values = (self.law)(&at, &self.spec.settings);
+            let values = (self.law)(&at, &self.settings);
             for (c, value) in values[..self.columns.len()].iter().enumerate() {
                 y[(row * samples + k, first + c)] = *value;
             }
@@ -156,24 +165,24 @@ impl Term for OneRow {
         }
         let (row, cause) = self.joints();
         let load = self.load.as_ref().map(|load| load.under(gravity));
-        let (mut own, mut settings) = ([0.0; WIDTH], [0.0; SETTINGS]);
+        let mut own = [0.0; WIDTH];
         own[..beta.len()].copy_from_slice(beta);
-        settings[..self.spec.settings.len()].copy_from_slice(&self.spec.settings);
-        Box::new(FixedRow { row, cause, law: self.law, settings, beta: own, load })
+        Box::new(FixedRow { row, cause, law: self.law, settings: self.settings, beta: own, load })
     }
 }
 
-struct FixedRow {
+struct FixedRow<L> {
     row: usize,
     cause: usize,
-    law: Law,
-    settings: [f64; SETTINGS],
+    law: L,
+    settings: Settings,
     /// Zero past the columns that there are.
     beta: [f64; WIDTH],
     load: Option<LoadUnder>,
 }
 
-impl FixedTerm for FixedRow {
+impl<L: Law> FixedTerm for FixedRow<L> {
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn torque(&mut self, sample: &Sample, tau: &mut JointVec) {
         let point = |j: usize| {
             let value = |all: &JointVec| all.get(j).copied().unwrap_or_default();

@@ -62,7 +62,7 @@ fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
         let first = LINK_COLUMNS * (chain.len() - 1);
         let slots: Vec<usize> = (first..first + LINK_COLUMNS).collect();
-        Box::new(Body(LinkColumns::new(&chain, &slots, gravity)))
+        Body(LinkColumns::new(&chain, &slots, gravity))
     })
 }
 

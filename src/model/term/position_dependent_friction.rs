@@ -2,7 +2,7 @@
 
 use super::Term;
 use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
-use super::one_row::{Law, OneRow, column, smooth_sign, unit};
+use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
 use super::position_ripple::order;
 use std::sync::Arc;
 
@@ -41,7 +41,7 @@ pub static FAMILY: Family = Family {
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let (unit, n) = (unit(ground, joint(site), "Nm", "N"), order(settings[0]));
     let columns = ["sin", "cos"].map(|wave| column("frictionwave", site, &format!("_{n}_{wave}"), unit)).to_vec();
-    let law: Law = |at, settings| {
+    let law = |at: &At, settings: &Settings| {
         let ((sin, cos), s) = ((settings[0] * at.own.q).sin_cos(), smooth_sign(at.own.dq));
         [sin * s, cos * s, 0.0]
     };

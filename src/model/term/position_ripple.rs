@@ -2,7 +2,7 @@
 
 use super::Term;
 use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
-use super::one_row::{Law, OneRow, column, unit};
+use super::one_row::{At, OneRow, Settings, column, unit};
 use std::sync::Arc;
 
 /// Identity.
@@ -43,7 +43,7 @@ pub static FAMILY: Family = Family {
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let (unit, n) = (unit(ground, joint(site), "Nm", "N"), order(settings[0]));
     let columns = ["sin", "cos"].map(|wave| column("ripple", site, &format!("_{n}_{wave}"), unit)).to_vec();
-    let law: Law = |at, settings| {
+    let law = |at: &At, settings: &Settings| {
         let (sin, cos) = (settings[0] * at.own.q).sin_cos();
         [sin, cos, 0.0]
     };

@@ -117,6 +117,7 @@ struct FixedPresliding {
 }
 
 impl FixedTerm for FixedPresliding {
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn torque(&mut self, sample: &Sample, tau: &mut JointVec) {
         let (Some(&q), Some(tau)) = (sample.q.get(self.joint), tau.get_mut(self.joint)) else { return };
         if let Some(before) = self.before {

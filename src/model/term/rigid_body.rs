@@ -93,6 +93,7 @@ struct FixedRigidBody {
 }
 
 impl FixedTerm for FixedRigidBody {
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn torque(&mut self, sample: &Sample, tau: &mut JointVec) {
         let mut own = JointVec::default();
         rnea(&self.chain, &self.links, &self.gravity, &sample.q, &sample.dq, &sample.ddq, &mut own);

@@ -87,6 +87,7 @@ impl Term for RotorInertia {
 struct FixedRotors(JointVec);
 
 impl FixedTerm for FixedRotors {
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn torque(&mut self, sample: &Sample, tau: &mut JointVec) {
         for ((tau, ia), ddq) in tau.iter_mut().zip(&self.0).zip(&sample.ddq) {
             *tau += ia * ddq;

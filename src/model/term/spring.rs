@@ -2,7 +2,7 @@
 
 use super::Term;
 use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
-use super::one_row::{Law, OneRow, column, unit};
+use super::one_row::{At, OneRow, Settings, column, unit};
 use std::sync::Arc;
 
 /// Identity.
@@ -58,12 +58,12 @@ fn straight(ground: &Ground, site: Site) -> Vec<super::Column> {
 
 fn above(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("spring", site, "_above", unit(ground, joint(site), "Nm/rad", "N/m"))];
-    let law: Law = |at, settings| [(at.own.q - settings[0]).max(0.0), 0.0, 0.0];
+    let law = |at: &At, settings: &Settings| [(at.own.q - settings[0]).max(0.0), 0.0, 0.0];
     OneRow::new(&FAMILY, "above", site, settings, columns, law).term()
 }
 
 fn below(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("spring", site, "_below", unit(ground, joint(site), "Nm/rad", "N/m"))];
-    let law: Law = |at, settings| [(settings[0] - at.own.q).max(0.0), 0.0, 0.0];
+    let law = |at: &At, settings: &Settings| [(settings[0] - at.own.q).max(0.0), 0.0, 0.0];
     OneRow::new(&FAMILY, "below", site, settings, columns, law).term()
 }

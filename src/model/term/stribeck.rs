@@ -2,7 +2,7 @@
 
 use super::Term;
 use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
-use super::one_row::{At, Law, OneRow, column, smooth_sign, unit};
+use super::one_row::{At, Law, OneRow, Settings, column, smooth_sign, unit};
 use std::sync::Arc;
 
 /// Identity.
@@ -50,15 +50,15 @@ const SPEED: Setting = Setting {
     scale: Scale::Logarithmic,
 };
 
-fn build(ground: &Ground, site: Site, settings: &[f64], form: &'static str, law: Law) -> Arc<dyn Term> {
+fn build(ground: &Ground, site: Site, settings: &[f64], form: &'static str, law: impl Law) -> Arc<dyn Term> {
     let columns = vec![column("fs", site, &format!("_{form}"), unit(ground, joint(site), "Nm", "N"))];
     OneRow::new(&FAMILY, form, site, settings, columns, law).term()
 }
 
-fn gaussian(at: &At, settings: &[f64]) -> [f64; 3] {
+fn gaussian(at: &At, settings: &Settings) -> [f64; 3] {
     [(-(at.own.dq / settings[0]).powi(2)).exp() * smooth_sign(at.own.dq), 0.0, 0.0]
 }
 
-fn exponential(at: &At, settings: &[f64]) -> [f64; 3] {
+fn exponential(at: &At, settings: &Settings) -> [f64; 3] {
     [(-at.own.dq.abs() / settings[0]).exp() * smooth_sign(at.own.dq), 0.0, 0.0]
 }

@@ -83,6 +83,7 @@ impl Term for TorqueOffset {
 struct FixedOffset(JointVec);
 
 impl FixedTerm for FixedOffset {
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn torque(&mut self, _sample: &Sample, tau: &mut JointVec) {
         for (tau, offset) in tau.iter_mut().zip(&self.0) {
             *tau += offset;

@@ -2,7 +2,7 @@
 
 use super::Term;
 use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
-use super::one_row::{Law, OneRow, column, smooth_sign, unit};
+use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
 use crate::model::chain::JointKind::{Prismatic, Revolute};
 use std::sync::Arc;
 
@@ -55,13 +55,13 @@ fn friction(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let unit = unit(ground, joint(site), "Nm", "N");
     let slope = per_motion(ground, site, ["Nms/rad", "Ns", "Ns/rad", "Ns/m"]);
     let columns = vec![column("cfc", site, "", unit), column("cfv", site, "", slope)];
-    let law: Law = |at, _| [smooth_sign(at.cause.dq), at.cause.dq, 0.0];
+    let law = |at: &At, _: &Settings| [smooth_sign(at.cause.dq), at.cause.dq, 0.0];
     OneRow::new(&FAMILY, "friction", site, settings, columns, law).term()
 }
 
 fn sum(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("cfs", site, "", unit(ground, joint(site), "Nm", "N"))];
-    let law: Law = |at, settings| [smooth_sign(at.own.dq + settings[0] * at.cause.dq), 0.0, 0.0];
+    let law = |at: &At, settings: &Settings| [smooth_sign(at.own.dq + settings[0] * at.cause.dq), 0.0, 0.0];
     OneRow::new(&FAMILY, "sum", site, settings, columns, law).term()
 }
 

@@ -39,6 +39,7 @@ impl History {
     }
 
     /// Derivatives of joint `j` if `q` is sent `dt` after the last sample.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn differences(&self, j: usize, q: f64, dt: f64) -> Differences {
         let [q1, q2, q3] = [self.q[0][j], self.q[1][j], self.q[2][j]];
         let [dt1, dt2] = self.dt;
@@ -48,6 +49,7 @@ impl History {
     }
 
     /// Adds the sample that was sent.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn push(&mut self, q: JointVec, dt: f64) {
         self.q = [q, self.q[0], self.q[1]];
         self.dt = [dt, self.dt[0]];

@@ -12,6 +12,7 @@ use super::{Kinematics, PERIOD};
 use crate::joint::{Command, JointVec, Limits, MAX_JOINTS, Record, Setpoint, SpeedEnvelope, State, Torque, Workspace};
 use history::History;
 use std::fmt;
+use std::ops::Range;
 
 /// What a command or a state can break.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -178,29 +179,38 @@ impl Guard {
     /// Checks the command that is to be sent `dt` \[s\] after the last one, and the state that it answers. A command that passes
     /// becomes part of the history.
     pub fn check(&mut self, dt: f64, command: &Command, state: &State) -> Result<(), Violation> {
-        let Command { desired, tau_ff, .. } = command;
-        self.finite_command(command)?;
-        self.finite_state(state)?;
-        self.measured(state)?;
-        for j in 0..self.joints {
-            self.position(j, desired.q[j])?;
-            self.derivatives(j, desired, dt)?;
-            self.can_stop(j, desired)?;
+        self.limits(dt, command, state)?;
+        if let (Some(space), Some(kinematics)) = (&self.settings.workspace, &self.kinematics) {
+            inside(space, kinematics.end_effector(&command.desired.q))?;
         }
-        self.torque(tau_ff, Some(dt))?;
-        self.end_effector(&desired.q)?;
         self.sent(dt, command);
         Ok(())
     }
 
+    /// All of [`check`](Guard::check) but the workspace.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    fn limits(&self, dt: f64, command: &Command, state: &State) -> Result<(), Violation> {
+        let Command { desired, tau_ff, .. } = command;
+        self.finite_command(command)?;
+        self.finite_state(state)?;
+        self.measured(state)?;
+        for j in self.own_joints() {
+            self.position(j, desired.q[j])?;
+            self.derivatives(j, desired, dt)?;
+            self.can_stop(j, desired)?;
+        }
+        self.torque(tau_ff, Some(dt))
+    }
+
     /// Checks a sample of the controlled stop, or of the rest after it: finite numbers, positions and torques. The other limits have just
     /// been broken or are kept by the stop's own plan. `state` is `None` where it is what began the stop.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn check_brake(&mut self, dt: f64, command: &Command, state: Option<&State>) -> Result<(), Violation> {
         self.finite_command(command)?;
         if let Some(state) = state {
             self.finite_state(state)?;
         }
-        for j in 0..self.joints {
+        for j in self.own_joints() {
             self.position(j, command.desired.q[j])?;
         }
         self.torque(&command.tau_ff, None)?;
@@ -208,6 +218,7 @@ impl Guard {
         Ok(())
     }
 
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     fn sent(&mut self, dt: f64, command: &Command) {
         self.history.push(command.desired.q, dt);
         self.tau_last = Some(command.tau_ff.0);
@@ -215,7 +226,7 @@ impl Guard {
 
     fn finite_command(&self, command: &Command) -> Result<(), Violation> {
         let Command { desired, tau_ff, tau_rest, .. } = command;
-        for j in 0..self.joints {
+        for j in self.own_joints() {
             finite(Limit::NotFinite, j, [desired.q[j], desired.dq[j], desired.ddq[j]])?;
             finite(Limit::TorqueNotFinite, j, [tau_ff.0[j], tau_rest.0[j]])?;
         }
@@ -223,11 +234,11 @@ impl Guard {
     }
 
     fn finite_state(&self, state: &State) -> Result<(), Violation> {
-        (0..self.joints).try_for_each(|j| finite(Limit::MeasuredNotFinite, j, [state.q[j], state.dq[j], state.tau[j]]))
+        self.own_joints().try_for_each(|j| finite(Limit::MeasuredNotFinite, j, [state.q[j], state.dq[j], state.tau[j]]))
     }
 
     fn measured(&self, state: &State) -> Result<(), Violation> {
-        for j in 0..self.joints {
+        for j in self.own_joints() {
             within(Limit::MeasuredTorque, j, state.tau[j], self.settings.limits.tau[j])?;
             within(Limit::Tracking, j, state.q[j] - self.history.last()[j], self.settings.tracking[j])?;
         }
@@ -235,8 +246,9 @@ impl Guard {
     }
 
     /// Whether a motion may be aimed at `target` \[rad\].
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn check_target(&self, target: &JointVec) -> Result<(), Violation> {
-        (0..self.joints).try_for_each(|j| self.position(j, target[j]))
+        self.own_joints().try_for_each(|j| self.position(j, target[j]))
     }
 
     fn position(&self, joint: usize, q: f64) -> Result<(), Violation> {
@@ -299,7 +311,7 @@ impl Guard {
 
     fn torque(&self, tau_ff: &Torque, dt: Option<f64>) -> Result<(), Violation> {
         let limits = &self.settings.limits;
-        for j in 0..self.joints {
+        for j in self.own_joints() {
             within(Limit::Torque, j, tau_ff.0[j], limits.tau[j])?;
             if let (Some(last), Some(dt)) = (&self.tau_last, dt) {
                 within(Limit::TorqueRate, j, (tau_ff.0[j] - last[j]) / dt, limits.dtau[j])?;
@@ -308,23 +320,28 @@ impl Guard {
         Ok(())
     }
 
-    fn end_effector(&self, q: &JointVec) -> Result<(), Violation> {
-        let (Some(space), Some(kinematics)) = (&self.settings.workspace, &self.kinematics) else { return Ok(()) };
-        let x = kinematics.end_effector(q);
-        for (axis, &value) in x.iter().enumerate() {
-            let (low, high) = (space.box_min[axis], space.box_max[axis]);
-            // Written so that a NaN fails too.
-            if !(value >= low && value <= high) {
-                let bound = if value > high { high } else { low };
-                return Err(Violation { limit: Limit::EndEffectorBox, joint: axis, value, bound });
-            }
-        }
-        let distance = x.iter().map(|c| c * c).sum::<f64>().sqrt();
-        if distance < space.base_radius {
-            return Err(Violation { limit: Limit::BaseSphere, joint: 0, value: distance, bound: space.base_radius });
-        }
-        Ok(())
+    /// The arm's own joints. The second bound is there for the compiler: behind it no index is out of bounds.
+    fn own_joints(&self) -> Range<usize> {
+        0..self.joints.min(MAX_JOINTS)
     }
+}
+
+/// Whether an end effector at `x` in the base frame \[m\] is where it may be.
+#[cfg_attr(no_panic, no_panic::no_panic)]
+fn inside(space: &Workspace, x: [f64; 3]) -> Result<(), Violation> {
+    for (axis, &value) in x.iter().enumerate() {
+        let (low, high) = (space.box_min[axis], space.box_max[axis]);
+        // Written so that a NaN fails too.
+        if !(value >= low && value <= high) {
+            let bound = if value > high { high } else { low };
+            return Err(Violation { limit: Limit::EndEffectorBox, joint: axis, value, bound });
+        }
+    }
+    let distance = x.iter().map(|c| c * c).sum::<f64>().sqrt();
+    if distance < space.base_radius {
+        return Err(Violation { limit: Limit::BaseSphere, joint: 0, value: distance, bound: space.base_radius });
+    }
+    Ok(())
 }
 
 fn finite<const N: usize>(limit: Limit, joint: usize, values: [f64; N]) -> Result<(), Violation> {

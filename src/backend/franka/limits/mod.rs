@@ -96,7 +96,8 @@ impl RobotLimits {
             return Some((-most, most));
         }
         let [low, high] = &self.dq_ends;
-        let speed = |room: f64| ((2.0 * dec * room).max(0.0).sqrt() - offset).clamp(0.0, most);
+        // Not `clamp`, which panics where `most` is negative or no number.
+        let speed = |room: f64| ((2.0 * dec * room).max(0.0).sqrt() - offset).max(0.0).min(most);
         Some((-speed(q - low.get(j)?), speed(high.get(j)? - q)))
     }
 

@@ -214,6 +214,7 @@ impl Telemetry {
         self.mode.store(u64::from(mode.code()), Relaxed);
     }
 
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub(super) fn took(&self, arrivals: &Arrivals, mode: RobotMode) {
         add(&self.states, 1);
         add(&self.skipped, arrivals.skipped);
@@ -246,6 +247,7 @@ impl Telemetry {
         add(&self.foreign, 1);
     }
 
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub(super) fn sent(&self, work_ns: u64, slow: bool, held: bool, returning: bool) {
         add(&self.commands, 1);
         add(&self.slow, u64::from(slow));
@@ -258,6 +260,7 @@ impl Telemetry {
         add(&self.unsent, 1);
     }
 
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub(super) fn followed(&self, late: bool, own: bool, round_trip_ns: Option<u64>) {
         add(&self.late, u64::from(late));
         add(&self.foreign_points, u64::from(!own));
@@ -266,6 +269,7 @@ impl Telemetry {
         }
     }
 
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub(super) fn rate(&self, rate: f64) {
         if !rate.is_finite() {
             return;
@@ -323,6 +327,7 @@ impl Default for Recent {
 
 impl Recent {
     /// A state was read.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn read(&mut self, wake_ns: u64, interval_ns: u64, lost: u64) {
         self.at = (self.at + 1) % RECENT;
         if let Some(slot) = self.ring.get_mut(self.at) {
@@ -332,6 +337,7 @@ impl Recent {
     }
 
     /// Its command left.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn sent(&mut self, work_ns: u64) {
         if let Some(slot) = self.ring.get_mut(self.at) {
             slot.work_ns = work_ns;
