@@ -412,7 +412,7 @@ fn a_position_error_shifts_the_motion() {
         let width = (0.5 * torque.column(i).amax()).min(5.0);
         let twist = |load: &[f64]| load.iter().map(|tau| -tau).collect();
         let gap = |load: &[f64]| load.iter().map(|tau| -(tau / width).tanh()).collect();
-        let cases: [(&str, &str, Vec<f64>, usize, Vec<f64>); 7] = [
+        let cases = [
             ("encoder-offset", "", vec![], 0, vec![1.0; q.len()]),
             ("encoder-eccentricity", "", vec![], 0, q.iter().map(|q| q.sin()).collect()),
             ("encoder-eccentricity", "", vec![], 1, q.iter().map(|q| q.cos()).collect()),
