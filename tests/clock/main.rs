@@ -11,8 +11,11 @@ mod job_support;
 mod kill_support;
 #[path = "../peers/mod.rs"]
 mod peers;
+#[path = "../turns/mod.rs"]
+mod turns;
 
 mod every_millisecond;
+mod inclinometer_daemon;
 mod ipc_exchange;
 mod ipc_kill;
 mod ipc_python;

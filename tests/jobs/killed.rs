@@ -10,7 +10,7 @@ static JOBS: Turns = Turns::new(2);
 
 /// Overrides that make the identification last some seconds of simulated time at the fast pace, and the planning none.
 const LONG: [&str; 5] = [
-    "excitation.periods=60",
+    "excitation.periods=30",
     "excitation.starts=1",
     "excitation.rounds=0",
     "validation.mountings=[\"wall\"]",

@@ -2,13 +2,12 @@
 //! driver. What the kernel's own CAN does is `hil/inclinometer/vm.sh`'s business. The arm is the simulated Panda, upright whatever the
 //! base does: what is shown is what the daemon makes of the sensor.
 
-mod job_support;
-
-#[path = "../hil/inclinometer/device.rs"]
+#[path = "../../hil/inclinometer/device.rs"]
 mod device;
 
+use crate::job_support::*;
+use crate::turns::Turns;
 use device::Device;
-use job_support::*;
 use nalgebra::Vector3;
 use plumbline::config::robot::Robot;
 use plumbline::ipc::{FeedForwardClient, FeedForwardMessage, FeedForwardSettings, Gravity, RobotId, Status};
@@ -20,18 +19,15 @@ use std::io::{Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 const NODE: u8 = 10;
 const MODEL: &str = "config/models/panda-paper-table3.toml";
 
-/// Each test has a loop at 1 kHz: one after the other.
-fn alone() -> MutexGuard<'static, ()> {
-    static ONE: Mutex<()> = Mutex::new(());
-    ONE.lock().unwrap_or_else(PoisonError::into_inner)
-}
+/// Each test has a loop at 1 kHz: no more at a time than a small machine has processors.
+static LOOPS: Turns = Turns::new(2);
 
 /// A device and the socket that plays its bus.
 struct SimulatedBus {
@@ -168,7 +164,7 @@ fn tilt_of(message: &FeedForwardMessage) -> f64 {
 
 #[test]
 fn a_tilt_turns_the_models_gravity_between_two_cycles_at_a_bounded_rate() {
-    let _alone = alone();
+    let _turn = LOOPS.take();
     let place = Place::new("tilt");
     let bus = SimulatedBus::new(&place, [1.0, 0.0]);
     let daemon = daemon(&place, &bus, &[]);
@@ -237,7 +233,7 @@ fn a_tilt_turns_the_models_gravity_between_two_cycles_at_a_bounded_rate() {
 
 /// A base at 2 deg whose sensor is unplugged, and plugged in again.
 fn loss(test: &str, on_loss: &str, while_gone: impl Fn(&Place, &mut FeedForwardClient)) {
-    let _alone = alone();
+    let _turn = LOOPS.take();
     let place = Place::new(test);
     let bus = SimulatedBus::new(&place, [2.0, 0.0]);
     let daemon = daemon(&place, &bus, &[&format!("inclinometer.on-loss={on_loss}")]);
@@ -298,7 +294,7 @@ fn a_loss_with_declared_goes_back_to_the_declared_direction_no_faster_than_allow
 
 #[test]
 fn a_runs_report_says_what_the_inclinometer_did() {
-    let _alone = alone();
+    let _turn = LOOPS.take();
     let place = Place::new("report");
     let bus = SimulatedBus::new(&place, [1.5, -0.5]);
     let sets = ["inclinometer.on-loss=hold", "safety.on-estimator-loss=finish"];
