@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 
-RECORD_BYTES = 608          # one record of the daemon's replay log
+RECORD_BYTES = 672          # one record of the daemon's replay log (`SampleMessage`)
 RETAINED = 600_000          # records that it keeps
 FLAT_KIB = 4096             # growth of memory, the replay log apart, that still counts as flat
 

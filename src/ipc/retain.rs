@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use super::messages::SampleMessage;
 
-/// Records per block of memory: 608 KiB.
+/// Records per block of memory: 672 KiB.
 const BLOCK: usize = 1024;
 
 /// The newest records in order of `seq`, in blocks that are allocated once and used again.

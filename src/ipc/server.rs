@@ -29,7 +29,7 @@ const CHECK_EVERY_NS: u64 = 250_000_000;
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case", default)]
 pub struct ServerSettings {
-    /// Records kept for replay, 608 bytes each; the default holds ten minutes at 1 kHz (365 MB when full).
+    /// Records kept for replay, 672 bytes each; the default holds ten minutes at 1 kHz (403 MB when full).
     pub retain: usize,
     /// A follower that says nothing for this long is looked after \[ms\].
     pub silent_ms: u64,
