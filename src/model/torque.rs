@@ -195,8 +195,16 @@ impl TorqueModel {
     }
 
     /// Whether the model knows everything that a mounting needs: a GBS always, a VBS only with gravity along axis 1.
+    pub fn holds_in(&self, mounting: &Mounting) -> bool {
+        self.kind() == BaseKind::Gbs || mounting.is_along_axis_1(VERTICAL_TOLERANCE)
+    }
+
+    /// [`TorqueModel::holds_in`] with what is missing where it does not. Finding that takes milliseconds.
+    ///
+    /// # Errors
+    /// The parameters that the mounting needs and the model lacks.
     pub fn valid_in(&self, mounting: &Mounting) -> Result<(), MountingRefused> {
-        if self.kind() == BaseKind::Gbs || mounting.is_along_axis_1(VERTICAL_TOLERANCE) {
+        if self.holds_in(mounting) {
             return Ok(());
         }
         let own = self.structure.reduction().independent();

@@ -102,6 +102,8 @@ pub struct Watch {
     forgotten: u64,
     /// What was said last of serving, so that it is said once.
     said: Option<String>,
+    /// The model that lacks parameters for the mounting, and which.
+    lacking: Option<(u64, String)>,
     served: Vector3<f64>,
     hand_overs: u64,
     /// Largest angle between gravity served and declared \[rad\].
@@ -145,6 +147,7 @@ impl Watch {
             events: Vec::new(),
             forgotten: 0,
             said: None,
+            lacking: None,
             served: job.mounting.gravity(),
             hand_overs: 0,
             furthest: 0.0,
@@ -326,8 +329,8 @@ impl Watch {
     fn decide(&mut self, model: &Accepted) -> Verdict {
         let gravity = self.gravity();
         // What is measured decides here, not what was declared: a vertical model holds within one degree.
-        if let Err(refused) = model.model.valid_in(&Mounting::along(&gravity)) {
-            return Verdict::Refuse(refused.to_string());
+        if let Some(refusal) = self.lacks(model, &Mounting::along(&gravity)) {
+            return Verdict::Refuse(refusal);
         }
         if let Some(Inclinometer { decision: Decision { refusal: Some(refusal), .. }, .. }) = &self.inclinometer {
             return Verdict::Refuse(refusal.to_string());
@@ -339,6 +342,19 @@ impl Watch {
             }
             Ok(()) => Verdict::Serve(gravity),
         }
+    }
+
+    /// What `model` lacks for a mounting. Asked in every turn of a real-time thread, and the words take milliseconds to find: they are those of
+    /// the first such mounting.
+    fn lacks(&mut self, model: &Accepted, mounting: &Mounting) -> Option<String> {
+        if model.model.holds_in(mounting) {
+            self.lacking = None;
+            return None;
+        }
+        if self.lacking.as_ref().is_none_or(|(id, _)| *id != model.id) {
+            self.lacking = model.model.valid_in(mounting).err().map(|refused| (model.id, refused.to_string()));
+        }
+        self.lacking.as_ref().map(|(_, words)| words.clone())
     }
 
     /// Whether the torques are still to be asked, of an arm that somebody may stand beside.

@@ -329,7 +329,7 @@ impl Session {
     /// Gives the loop the model that the daemon has accepted, for the gravity of now; takes it away where it may not be served.
     fn hand_over_model(&mut self, desk: &mut Desk) {
         let Some(accepted) = &desk.model else { return };
-        if accepted.model.valid_in(&self.mounting).is_err() {
+        if !accepted.model.holds_in(&self.mounting) {
             return;
         }
         match desk.gravity.verdict(accepted) {
