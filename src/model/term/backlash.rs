@@ -1,7 +1,7 @@
 //! Play in a gear.
 
 use super::all_rows::{AllRows, Clock, Law, Past};
-use super::carried::CarriedFriction;
+use super::carried::{CarriedFriction, LINK_FRICTION};
 use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
@@ -25,7 +25,7 @@ pub static FAMILY: Family = Family {
             build: of_body,
         },
         Form {
-            name: "link-friction",
+            name: LINK_FRICTION,
             equation: "tau = gap_i lin_i(-tanh((tau_rb_i + fv_i dq_i + fc_i tanh(100 dq_i)) / width)): friction behind the gear",
             settings: &[WIDTH],
             build: with_friction,
@@ -52,20 +52,15 @@ const WIDTH: Setting = Setting {
 };
 
 fn of_body(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    build(ground, "", CarriedFriction::default(), site, settings)
+    build(ground, "", site, settings)
 }
 
 fn with_friction(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    build(ground, "link-friction", CarriedFriction::of(ground), site, settings)
+    build(ground, LINK_FRICTION, site, settings)
 }
 
-fn build(
-    ground: &Ground,
-    form: &'static str,
-    friction: CarriedFriction,
-    site: Site,
-    settings: &[f64],
-) -> Arc<dyn Term> {
+fn build(ground: &Ground, form: &'static str, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let friction = CarriedFriction::through_gear(ground, form);
     let (joint, width) = (joint(site), settings[0]);
     let columns = vec![column("gap", site, "", unit(ground, joint, "rad", "m"))];
     let load = Arc::clone(&ground.load);

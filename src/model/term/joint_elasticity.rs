@@ -1,7 +1,7 @@
 //! A gear that twists under its load.
 
 use super::all_rows::{AllRows, Clock, Law, Past};
-use super::carried::CarriedFriction;
+use super::carried::{CarriedFriction, LINK_FRICTION};
 use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
@@ -28,7 +28,7 @@ pub static FAMILY: Family = Family {
             build: of_body,
         },
         Form {
-            name: "link-friction",
+            name: LINK_FRICTION,
             equation: "tau = c_i lin_i(-(tau_rb_i + fv_i dq_i + fc_i tanh(100 dq_i))): friction behind the gear",
             settings: &[],
             build: with_friction,
@@ -48,20 +48,15 @@ pub static FAMILY: Family = Family {
 };
 
 fn of_body(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    build(ground, "", CarriedFriction::default(), site, settings)
+    build(ground, "", site, settings)
 }
 
 fn with_friction(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    build(ground, "link-friction", CarriedFriction::of(ground), site, settings)
+    build(ground, LINK_FRICTION, site, settings)
 }
 
-fn build(
-    ground: &Ground,
-    form: &'static str,
-    friction: CarriedFriction,
-    site: Site,
-    settings: &[f64],
-) -> Arc<dyn Term> {
+fn build(ground: &Ground, form: &'static str, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let friction = CarriedFriction::through_gear(ground, form);
     let joint = joint(site);
     let columns = vec![column("compliance", site, "", unit(ground, joint, "rad/Nm", "m/N"))];
     let load = Arc::clone(&ground.load);
