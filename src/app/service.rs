@@ -4,7 +4,14 @@
 //! ends the process; the arm then stops by its own means.
 
 use sd_notify::NotifyState;
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+
+/// Words that may be on their way at a time; what comes on top of them is lost.
+const WORDS: usize = 64;
+/// How long the last words of a process may take.
+const FAREWELL: Duration = Duration::from_secs(1);
 
 /// What a process has got on with since it was asked last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,28 +59,30 @@ pub struct Service {
     turns: u64,
     /// The watchdog waits longer for now.
     extended: bool,
+    messenger: Option<Messenger>,
 }
 
 impl Service {
-    /// Looks at what systemd has set up.
+    /// Looks at what systemd has set up. Begins a thread where it listens: to be called before this one asks for priority.
     pub fn of_environment() -> Service {
         let watchdog = sd_notify::watchdog_enabled();
-        Service { watchdog, pulse: Pulse::new(watchdog), turns: 0, extended: false }
+        let messenger = std::env::var_os("NOTIFY_SOCKET").and_then(|_| Messenger::start());
+        Service { watchdog, pulse: Pulse::new(watchdog), turns: 0, extended: false, messenger }
     }
 
     /// The process is up; units that wait for it may start.
     pub fn ready(&self, status: &str) {
-        tell(&[NotifyState::Ready, NotifyState::Status(status)]);
+        self.tell(&[NotifyState::Ready, NotifyState::Status(status)]);
     }
 
     /// What `systemctl status` shows.
     pub fn status(&self, status: &str) {
-        tell(&[NotifyState::Status(status)]);
+        self.tell(&[NotifyState::Status(status)]);
     }
 
     /// The process is about to end by itself.
     pub fn stopping(&self) {
-        tell(&[NotifyState::Stopping]);
+        self.tell(&[NotifyState::Stopping]);
     }
 
     /// Feeds the watchdog where something has got on since it was fed last.
@@ -84,7 +93,7 @@ impl Service {
         if std::mem::take(&mut self.extended) {
             self.limit(self.watchdog);
         }
-        tell(&[NotifyState::Watchdog]);
+        self.tell(&[NotifyState::Watchdog]);
     }
 
     /// The process's own loop has come round once more.
@@ -99,22 +108,64 @@ impl Service {
             self.extended = true;
             self.pulse = Pulse::new(self.watchdog);
             self.limit(Some(watchdog.max(longest)));
-            tell(&[NotifyState::Watchdog]);
+            self.tell(&[NotifyState::Watchdog]);
         }
     }
 
     fn limit(&self, limit: Option<Duration>) {
         let micros = limit.and_then(|limit| u32::try_from(limit.as_micros()).ok());
-        tell(&micros.map(NotifyState::WatchdogUsec).into_iter().collect::<Vec<_>>());
+        self.tell(&micros.map(NotifyState::WatchdogUsec).into_iter().collect::<Vec<_>>());
+    }
+
+    /// systemd is not needed for anything: what it does not take is not an error of the job.
+    fn tell(&self, state: &[NotifyState]) {
+        if let Some(messenger) = self.messenger.as_ref().filter(|_| !state.is_empty()) {
+            messenger.tell(state.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"));
+        }
     }
 }
 
-/// systemd is not needed for anything: what it does not take is not an error of the job.
-fn tell(state: &[NotifyState]) {
-    if !state.is_empty()
-        && let Err(error) = sd_notify::notify(state)
-    {
-        tracing::debug!("systemd was not told: {error}");
+/// Carries words to systemd. A socket that nobody reads makes its sender wait, and that must be this thread: an arm does not stop turning
+/// because the first process of its machine has died.
+struct Messenger {
+    words: Option<SyncSender<String>>,
+    thread: JoinHandle<()>,
+}
+
+impl Messenger {
+    fn start() -> Option<Messenger> {
+        let (words, to_send) = sync_channel::<String>(WORDS);
+        let thread = std::thread::Builder::new().name("plumbline-notify".into()).spawn(move || {
+            for word in to_send {
+                if let Err(error) = sd_notify::notify(&[NotifyState::Custom(&word)]) {
+                    tracing::debug!("systemd was not told: {error}");
+                }
+            }
+        });
+        match thread {
+            Ok(thread) => Some(Messenger { words: Some(words), thread }),
+            Err(error) => {
+                tracing::warn!("systemd will not be told how this process does: {error}");
+                None
+            }
+        }
+    }
+
+    fn tell(&self, word: String) {
+        if self.words.as_ref().is_some_and(|words| words.try_send(word).is_err()) {
+            tracing::debug!("systemd does not read what it is told");
+        }
+    }
+}
+
+impl Drop for Messenger {
+    /// The last words get some time to arrive.
+    fn drop(&mut self) {
+        self.words = None;
+        let deadline = Instant::now() + FAREWELL;
+        while !self.thread.is_finished() && Instant::now() < deadline {
+            std::thread::sleep(Duration::from_millis(1));
+        }
     }
 }
 

@@ -79,6 +79,26 @@ fn the_watchdog_is_fed_while_the_loop_turns_and_not_when_it_stands() {
 }
 
 #[test]
+fn a_systemd_that_has_died_does_not_hold_up_the_daemon() {
+    let place = Place::new("deaf");
+    // A socket that nobody reads takes some messages, then its senders wait.
+    let _deaf = UnixDatagram::bind(place.path().join("notify")).unwrap();
+    let mut command =
+        place.job("daemon", &short(&["backend.pace=wall-clock", "realtime.lock-memory=false", "safety.max-lost=1000"]));
+    command.env("NOTIFY_SOCKET", place.path().join("notify"));
+    command.env("WATCHDOG_USEC", "20000").env_remove("WATCHDOG_PID");
+    let daemon = Running::start(command);
+    let cycles = || {
+        let done = place.command("status");
+        (done.code == Some(0)).then(|| serde_json::from_str::<plumbline::ipc::Status>(&done.out).unwrap().cycles)
+    };
+    // A beat per 5 ms: in this time a few hundred, many more than a socket holds.
+    wait_for("two seconds of cycles", || cycles().filter(|&cycles| cycles > 2_000));
+    place.command("quit").expect_code(0);
+    daemon.end().expect_code(0);
+}
+
+#[test]
 fn a_restarted_daemon_only_holds() {
     let place = Place::new("holds");
     let systemd = FakeSystemd::listen(&place);

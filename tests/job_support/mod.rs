@@ -1,8 +1,11 @@
 //! What the whole-program tests share: the real binary, a job of its own for every test, the truth to hold results against.
 #![allow(dead_code, reason = "each test binary uses its own part of this")]
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use nalgebra::DVector;
@@ -149,45 +152,82 @@ impl From<Output> for Done {
 }
 
 /// A process of the test's own, killed when the test ends before it does.
-pub struct Running(Option<Child>);
+pub struct Running(Option<Process>);
+
+struct Process {
+    child: Child,
+    out: Said,
+    err: Said,
+}
 
 impl Running {
     pub fn start(mut command: Command) -> Running {
-        Running(Some(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()))
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let (out, err) = (Said::through(child.stdout.take().unwrap()), Said::through(child.stderr.take().unwrap()));
+        Running(Some(Process { child, out, err }))
     }
 
     pub fn pid(&self) -> u32 {
-        self.0.as_ref().unwrap().id()
+        self.0.as_ref().unwrap().child.id()
     }
 
     /// Whether it still runs.
     pub fn runs(&mut self) -> bool {
-        self.0.as_mut().unwrap().try_wait().unwrap().is_none()
+        self.0.as_mut().unwrap().child.try_wait().unwrap().is_none()
     }
 
     /// Waits for its end, which must come within [`PATIENCE`].
     pub fn end(mut self) -> Done {
-        let (child, start) = (self.0.take().unwrap(), Instant::now());
-        let pid = child.id();
-        // The pipes are read all the time: a process that talks a lot must not wait for its reader.
-        let reader = std::thread::spawn(move || child.wait_with_output().unwrap());
-        while !reader.is_finished() {
-            if start.elapsed() > PATIENCE {
-                signal(pid, "KILL");
-                panic!("process {pid} did not end; it said\n{}", Done::from(reader.join().unwrap()).said());
-            }
+        let start = Instant::now();
+        while self.runs() {
+            assert!(start.elapsed() < PATIENCE, "process {} did not end", self.pid());
             std::thread::sleep(Duration::from_millis(10));
         }
-        Done::from(reader.join().unwrap())
+        let mut process = self.0.take().unwrap();
+        let code = process.child.wait().unwrap().code();
+        Done { code, out: process.out.whole(), err: process.err.whole() }
     }
 }
 
 impl Drop for Running {
     fn drop(&mut self) {
-        if let Some(child) = &mut self.0 {
-            let _ = child.kill();
-            let _ = child.wait();
+        let Some(process) = &mut self.0 else { return };
+        let _ = process.child.kill();
+        let _ = process.child.wait();
+        if std::thread::panicking() {
+            // Whoever reads that the test failed needs to know what its process was at.
+            eprintln!("--- stdout until then\n{}--- stderr until then\n{}", process.out.so_far(), process.err.so_far());
         }
+    }
+}
+
+/// What a process says, read all the time: one that talks a lot must not wait for its reader.
+struct Said {
+    bytes: Arc<Mutex<Vec<u8>>>,
+    reader: JoinHandle<()>,
+}
+
+impl Said {
+    fn through(mut pipe: impl Read + Send + 'static) -> Said {
+        let bytes = Arc::new(Mutex::new(Vec::new()));
+        let heard = Arc::clone(&bytes);
+        let reader = std::thread::spawn(move || {
+            let mut some = [0; 4096];
+            while let Ok(length @ 1..) = pipe.read(&mut some) {
+                heard.lock().unwrap().extend_from_slice(&some[..length]);
+            }
+        });
+        Said { bytes, reader }
+    }
+
+    fn so_far(&self) -> String {
+        String::from_utf8_lossy(&self.bytes.lock().unwrap()).into_owned()
+    }
+
+    /// Waits for those who hold the other end.
+    fn whole(self) -> String {
+        self.reader.join().unwrap();
+        String::from_utf8(std::mem::take(&mut *self.bytes.lock().unwrap())).unwrap()
     }
 }
 
