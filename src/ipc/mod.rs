@@ -20,6 +20,7 @@ mod command;
 mod error;
 mod feed_forward;
 mod followers;
+mod half_made;
 mod lock;
 mod messages;
 pub mod place;

@@ -13,7 +13,7 @@ pub const VARIABLE: &str = "PLUMBLINE_RUNTIME_DIR";
 /// The service's folder, made by systemd-tmpfiles.
 const SERVICE: &str = "/run/plumbline";
 /// Where POSIX shared memory appears as files on Linux.
-const SHARED_MEMORY: &str = "/dev/shm";
+pub(super) const SHARED_MEMORY: &str = "/dev/shm";
 /// How iceoryx2 names the one segment that it opens to every user.
 const GLOBAL: &str = ".global_mgmt";
 
@@ -136,7 +136,7 @@ pub(super) fn prefix(uid: u32) -> String {
 }
 
 /// Files in `shared_memory` whose names begin as this user's do.
-fn ours_by_name(shared_memory: &Path, uid: u32) -> Vec<(PathBuf, fs::Metadata)> {
+pub(super) fn ours_by_name(shared_memory: &Path, uid: u32) -> Vec<(PathBuf, fs::Metadata)> {
     let start = prefix(uid);
     let Ok(entries) = fs::read_dir(shared_memory) else { return Vec::new() };
     let named = entries.filter_map(Result::ok).filter(|entry| entry.file_name().to_string_lossy().starts_with(&start));

@@ -12,6 +12,7 @@ use iceoryx2::service::builder::{publish_subscribe as pubsub, request_response a
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
 use super::error::IpcError;
+use super::half_made;
 use super::messages::{FeedForwardMessage, FollowRequest, ReplayHeader, SampleMessage};
 use super::place;
 use super::robot::RobotId;
@@ -55,6 +56,7 @@ pub(super) fn node() -> Result<ServiceNode, IpcError> {
     let root = place::directory().map_err(|error| failed(error.to_string()))?;
     place::no_squatters().map_err(|error| failed(error.to_string()))?;
     let config = config(&root).map_err(failed)?;
+    half_made::look_after();
     // Signals belong to the program, not to this library.
     let builder = NodeBuilder::new().config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
     let node = builder.create().map_err(|error| failed(error.to_string()))?;

@@ -3,7 +3,8 @@
 //! The child processes are this test binary again, with [`ROLE`] telling it what to be.
 
 use std::io::{BufRead, BufReader};
-use std::path::Path;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -65,7 +66,18 @@ struct Process {
 
 impl Process {
     fn start(role: &str, robot: &RobotId, locks: &Path) -> Process {
-        let mut child = Command::new(std::env::current_exe().unwrap())
+        Process::of(Command::new(std::env::current_exe().unwrap()), role, robot, locks)
+    }
+
+    /// With iceoryx2's names in a folder of its own: nobody else tidies up behind it.
+    fn apart(role: &str, robot: &RobotId, place: &Path) -> Process {
+        let mut command = Command::new(std::env::current_exe().unwrap());
+        command.env(plumbline::ipc::place::VARIABLE, place);
+        Process::of(command, role, robot, place)
+    }
+
+    fn of(mut command: Command, role: &str, robot: &RobotId, locks: &Path) -> Process {
+        let mut child = command
             .args(["ipc_kill::child", "--exact", "--nocapture"])
             .env(ROLE, role)
             .env(ROBOT, robot.as_str())
@@ -194,4 +206,41 @@ fn after_a_killed_daemon_the_next_start_is_clean() {
     let Response::Status(status) = commands.send(&Request::Status {}, PATIENCE).unwrap() else { panic!() };
     assert_eq!(status.served.epoch, daemon.at());
     assert_eq!(status.served.trouble, None);
+}
+
+/// Connections in shared memory of which a process has one end. Their names have both ends' ids, and an id the process
+/// in its third 32 bits.
+fn connections_of(pid: u32) -> Vec<PathBuf> {
+    let of = |path: &Path| {
+        let Some(ends) = path.file_name().and_then(|name| name.to_str()?.strip_suffix(".connection")) else {
+            return false;
+        };
+        ends.split('_').filter_map(|id| id.parse::<u128>().ok()).any(|id| (id >> 64) as u32 == pid)
+    };
+    let files = std::fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
+    files.filter(|path| of(path)).collect()
+}
+
+#[test]
+fn what_was_killed_while_it_made_a_connection_holds_nobody_up() {
+    let robot = robot("half-made");
+    let place = tempfile::tempdir().unwrap();
+    let daemon = Process::apart("daemon", &robot, place.path());
+    wait_for("the daemon", || daemon.at() > 0);
+    let follower = Process::apart("follower", &robot, place.path());
+    wait_for("the follower's progress", || follower.at() > 100);
+    let pid = follower.child.id();
+    drop(follower);
+    drop(daemon);
+
+    // As they are between the call that makes a file and the one that gives it a size.
+    let half_made = connections_of(pid);
+    assert!(!half_made.is_empty());
+    for path in &half_made {
+        std::fs::File::options().write(true).open(path).unwrap().set_len(0).unwrap();
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o200)).unwrap();
+    }
+    let next = Process::apart("daemon", &robot, place.path());
+    wait_for("the next daemon", || next.at() > 0);
+    assert!(half_made.iter().all(|path| !path.exists()));
 }
