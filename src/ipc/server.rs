@@ -123,14 +123,12 @@ impl Server {
     /// Keeps `records` and sends them to the followers.
     pub fn publish(&mut self, records: &[Record]) {
         for chunk in records.chunks(BATCH) {
-            let first_before = self.log.first();
-            for (slot, record) in self.batch.iter_mut().zip(chunk) {
-                *slot = SampleMessage::new(self.epoch, self.log.end(), record);
-                self.log.push(*slot);
+            let end = self.log.end();
+            for (number, (slot, record)) in (end..).zip(self.batch.iter_mut().zip(chunk)) {
+                *slot = SampleMessage::new(self.epoch, number, record);
             }
-            let unacknowledged_from = first_before.max(self.followers.furthest());
-            self.counters.given_up_unacknowledged += self.log.first().saturating_sub(unacknowledged_from);
             let Some(batch) = self.batch.get(..chunk.len()) else { continue };
+            // Sent before they are kept: the followers need not wait for the log's fresh pages. Who asks for them again does so by `poll`.
             let loan = self.samples.loan_slice_uninit(batch.len());
             let sent = loan.map_err(|error| error.to_string()).and_then(|memory| {
                 memory.write_from_slice(batch).send().map(|_followers| ()).map_err(|error| error.to_string())
@@ -139,7 +137,18 @@ impl Server {
                 self.counters.unsent_batches += 1;
                 self.trouble("samples", trouble);
             }
+            self.keep(chunk.len());
         }
+    }
+
+    /// Puts the first `count` messages of the batch into the log.
+    fn keep(&mut self, count: usize) {
+        let first_before = self.log.first();
+        for message in self.batch.iter().take(count) {
+            self.log.push(*message);
+        }
+        let unacknowledged_from = first_before.max(self.followers.furthest());
+        self.counters.given_up_unacknowledged += self.log.first().saturating_sub(unacknowledged_from);
     }
 
     /// Replaces the latest feed-forward value; sets its `sequence` and `epoch`.
