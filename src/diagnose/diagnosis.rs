@@ -2,22 +2,23 @@
 
 use super::Settings;
 use super::curves;
+use super::delivery::Delivery;
 use super::detectable;
 use super::evidence::{Evidence, Trial};
 use super::fallback::{self, Unexplained};
 use super::fit::{LEAST, Problem, group};
 use super::gates;
 use super::library::{Candidate, library, repeatable};
-use super::moments::Columns;
 use super::outcome::{Confirmation, Effect, Estimate, Fitted, JointFacts, Outcome, Verdict};
 use super::parts;
-use super::select::{Found, Search, Selected, Step};
-use super::state::{State, every, mean_square};
+use super::select::{Search, Selected, Step};
+use super::state::{State, every};
+use super::unseen::{Unseen, columns_of, explained};
 use crate::estimate::EstimateError;
 use crate::estimate::experiment::Experiment;
-use crate::estimate::solve::{self, Estimator, identify_weighted, identify_with};
+use crate::estimate::solve::{self, identify_with};
 use crate::model::structure::Structure;
-use crate::model::term::effect::{self, Ground, Spec};
+use crate::model::term::effect::{self, Ground};
 use crate::model::term::torque_offset;
 use nalgebra::DVector;
 
@@ -35,20 +36,27 @@ pub struct Input<'a> {
     pub options: &'a solve::Options,
 }
 
+impl<'a> Input<'a> {
+    /// Runs that the model was not fitted to, where there are any.
+    pub(super) fn unseen(&self) -> &'a [Trial<'a>] {
+        [self.judge, self.veto].into_iter().find(|runs| !runs.is_empty()).unwrap_or(self.identify)
+    }
+}
+
 /// What a joint's effects have to explain of what was unmodelled there, to be called an explanation.
 const EXPLAINED: f64 = 0.9;
 /// Times the noise of the mean period that an explanation may leave.
 const LEFT_OVER: f64 = 2.5;
-/// And to be put into the model at all.
-const HELPFUL: f64 = 0.5;
 /// Share of what is left over that has to follow some variables to be called unexplained, where the noise is not known.
 const FOLLOWS: f64 = 0.25;
 /// Lack of fit from which on a residual is unexplained that follows no variable.
 const FLAT: f64 = 2.0;
-/// Parameters that moved by less than this, times their standard deviation, are those that the load was computed with.
-const SETTLED: f64 = 0.1;
+/// Times that the load is computed anew with the parameters of the model with effects,
+const GROUNDS: usize = 4;
+/// and twice the gain in log likelihood from which on it is worth another time.
+const GROUND_GAIN: f64 = 4.0;
 /// What is unmodelled counts from this share of the noise of the mean period on.
-const THRESHOLD: f64 = 0.75;
+pub(super) const THRESHOLD: f64 = 0.75;
 
 /// Diagnoses a set of runs of one arm. `progress` hears of every step.
 ///
@@ -67,13 +75,16 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let problem = Problem { evidence: &evidence, prior: None };
     let search = Search { problem, ground: &ground, library: &candidates, settings };
     let seeds = seeds(&search, &base);
-    let selected = search.select(base.clone(), &seeds, progress);
+    let mut draft = search.forward(base.clone(), &seeds, progress);
+    let settled = settled(structure, &search, &mut draft.state);
+    let ground = settled.as_ref().unwrap_or(&ground);
+    let search = search.upon(ground);
+    let selected = search.finish(draft, progress);
     let selected = vetoed(&search, selected, input, settings);
 
-    let adequacy = adequacy(input, settings, &base, &selected.state, &ground);
-    let helpful = |found: &Found| adequacy[found.relevance.joint].is_none_or(|share| share >= HELPFUL);
-    let kept: Vec<bool> = selected.found.iter().map(helpful).collect();
-    let after = extended(input, &experiments, &selected.state, &kept, &before, &seeds)?;
+    let adequacy = adequacy(input, settings, &base, &selected.state, ground);
+    let delivery = Delivery { input, settings, experiments: &experiments, before: &before, seeds: &seeds };
+    let (after, kept) = delivery.of(&base, &selected, &adequacy)?;
     let effects = effects_of(&search, &selected, &kept, &adequacy, &after);
     // What the delivered model leaves over.
     let left = if kept.iter().any(|kept| *kept) { &selected.state } else { &base };
@@ -103,6 +114,25 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     })
 }
 
+/// Effects that follow the load were found upon the parameters of the plain model, which their lack has bent: brings them upon those of the model with
+/// the effects, until the likelihood has settled. The ground that they stand on then; `None` where the old one is as good.
+fn settled(structure: &Structure, search: &Search, state: &mut State) -> Option<Ground> {
+    let mut settled = None;
+    for _ in 0..GROUNDS {
+        let ground = structure.ground(state.fit.theta.as_slice());
+        let Some(moved) = search.upon(&ground).upon_ground(state) else { break };
+        let gain = 2.0 * (moved.fit.likelihood - state.fit.likelihood);
+        if gain <= 0.0 {
+            break;
+        }
+        (*state, settled) = (moved, Some(ground));
+        if gain < GROUND_GAIN {
+            break;
+        }
+    }
+    settled
+}
+
 /// Every torque sensor has an offset. Where nothing tells the noise, the model starts with all of them, and they have to hold: left to
 /// the search, a spring or another joint's load would take the place of one that it had not yet found.
 fn seeds(search: &Search, base: &State) -> Vec<Candidate> {
@@ -116,44 +146,11 @@ fn seeds(search: &Search, base: &State) -> Vec<Candidate> {
     search.library.iter().filter(offset).cloned().collect()
 }
 
-fn columns_of(evidence: &Evidence, structure: &Structure, trials: &[Trial]) -> Columns {
-    Columns { m: evidence.regressor(structure, trials), r: evidence.torques(trials) }
-}
-
 fn confirmation(evidence: &Evidence) -> Confirmation {
     match (evidence.repeats(), evidence.folds().len()) {
         (true, 1) => Confirmation::OneTrajectory,
         (true, trajectories) => Confirmation::Full { trajectories },
         (false, blocks) => Confirmation::NoRepeats { blocks },
-    }
-}
-
-/// Torques and columns of a state on other runs than those it was fitted to.
-struct Unseen {
-    evidence: Evidence,
-    columns: Columns,
-}
-
-impl Unseen {
-    fn of(structure: &Structure, trials: &[Trial], state: &State, ground: &Ground, settings: &Settings) -> Unseen {
-        let evidence = Evidence::of(structure.chain(), trials, settings.band);
-        let mut columns = columns_of(&evidence, structure, trials);
-        for item in &state.items {
-            if let Ok(term) = item.spec.build(ground) {
-                columns.push(&evidence.columns(&*term, item.since));
-            }
-        }
-        Unseen { evidence, columns }
-    }
-
-    /// Residual of a joint, divided by the noise there.
-    fn residual(&self, joint: usize, theta: &DVector<f64>) -> DVector<f64> {
-        &self.columns.r[joint] - self.columns.m[joint].columns(0, theta.len()) * theta
-    }
-
-    /// Mean square of a joint's residual \[Nm2\].
-    fn mean_square(&self, joint: usize, theta: &DVector<f64>) -> f64 {
-        mean_square(&self.evidence, joint, &self.residual(joint, theta))
     }
 }
 
@@ -197,78 +194,8 @@ fn vetoed(search: &Search, mut selected: Selected, input: &Input, settings: &Set
 /// Share of what was unmodelled in each joint that the effects explain, on unseen runs where there are any; `None` where nothing was
 /// unmodelled or the noise is not known.
 fn adequacy(input: &Input, settings: &Settings, base: &State, state: &State, ground: &Ground) -> Vec<Option<f64>> {
-    let runs = [input.judge, input.veto, input.identify].into_iter().find(|runs| !runs.is_empty());
-    let unseen = Unseen::of(input.structure, runs.unwrap_or(input.identify), state, ground, settings);
-    let share = |joint: usize| {
-        let floor = unseen.evidence.floor(joint)?.powi(2);
-        let before = (unseen.mean_square(joint, &base.fit.theta) - floor).max(0.0);
-        let after = (unseen.mean_square(joint, &state.fit.theta) - floor).max(0.0);
-        (before > (THRESHOLD * THRESHOLD) * floor).then(|| 1.0 - after / before)
-    };
-    (0..unseen.evidence.joints()).map(share).collect()
-}
-
-/// Standard deviation of each joint's residual under the model that the search starts from.
-///
-/// The weights of the joints stay as they are there: a joint that an effect repairs would weigh more otherwise, and the parameters that
-/// it shares with the others would follow what it still lacks.
-fn weights(
-    input: &Input,
-    experiments: &[Experiment],
-    seeds: &[Candidate],
-    beta: &[f64],
-    before: &solve::Identification,
-) -> Result<Vec<f64>, EstimateError> {
-    let specs: Vec<Spec> = seeds.iter().map(|seed| seed.spec.clone()).collect();
-    let terms = effect::assemble(&specs, &input.structure.ground(beta)).ok().filter(|_| !specs.is_empty());
-    match terms.and_then(|terms| input.structure.clone().with(terms).ok()) {
-        Some(structure) => Ok(identify_with(&structure, experiments, input.options)?.sigma),
-        None => Ok(before.sigma.clone()),
-    }
-}
-
-/// The model with the effects that help, identified as a whole.
-fn extended(
-    input: &Input,
-    experiments: &[Experiment],
-    state: &State,
-    kept: &[bool],
-    before: &solve::Identification,
-    seeds: &[Candidate],
-) -> Result<Fitted, EstimateError> {
-    let plain = || Fitted { structure: input.structure.clone(), identification: before.clone() };
-    let specs: Vec<Spec> =
-        state.items.iter().zip(kept).filter(|(_, kept)| **kept).map(|(item, _)| item.spec.clone()).collect();
-    if specs.is_empty() {
-        return Ok(plain());
-    }
-    let mut beta = state.fit.theta.as_slice().to_vec();
-    let mut fitted = plain();
-    let known = experiments.iter().all(|experiment| experiment.scatter.is_some());
-    let own_weights = input.options.estimator == Estimator::Wls && !known;
-    let sigma = own_weights.then(|| weights(input, experiments, seeds, &beta, before)).transpose()?;
-    // Once more with the load of the parameters just found.
-    for _ in 0..2 {
-        let ground = input.structure.ground(&beta);
-        let terms = effect::assemble(&specs, &ground).ok();
-        let Some(structure) = terms.and_then(|terms| input.structure.clone().with(terms).ok()) else {
-            return Ok(plain());
-        };
-        let identification = match &sigma {
-            Some(sigma) => identify_weighted(&structure, experiments, sigma)?,
-            None => identify_with(&structure, experiments, input.options)?,
-        };
-        let plain = 0..input.structure.columns().len();
-        let near = plain
-            .into_iter()
-            .all(|c| identification.std[c].is_none_or(|std| (identification.beta[c] - beta[c]).abs() <= SETTLED * std));
-        beta.clone_from(&identification.beta);
-        fitted = Fitted { structure, identification };
-        if near {
-            break;
-        }
-    }
-    Ok(fitted)
+    let unseen = Unseen::of(input.structure, input.unseen(), state, ground, settings);
+    explained(&unseen, base, &state.fit.theta)
 }
 
 fn effects_of(
@@ -334,7 +261,7 @@ fn settings_of(search: &Search, state: &State, index: usize) -> Vec<Estimate> {
     let estimate = |(which, setting): (usize, &effect::Setting)| {
         let value = item.spec.settings[which];
         let share = setting.share(value);
-        let h = 0.25 / (setting.steps.max(2) - 1) as f64;
+        let h = 0.25 * setting.spacing();
         let std = (|| {
             let (low, high) = ((share - h).max(0.0), (share + h).min(1.0));
             let middle = 0.5 * (low + high);

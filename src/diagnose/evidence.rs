@@ -77,7 +77,7 @@ pub struct Cell {
 }
 
 /// Coefficients of columns; joints that are not listed have none.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Rows {
     /// Number of columns.
     pub width: usize,

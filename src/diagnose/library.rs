@@ -24,6 +24,20 @@ impl Candidate {
         (finite && !rows.parts.is_empty()).then_some(Candidate { spec, since, rows })
     }
 
+    /// The same effect in the forms that grow out of this one, which was fitted with `parameters`.
+    pub fn grown(&self, parameters: &[f64]) -> Vec<Spec> {
+        let (Ok(family), &[parameter]) = (self.spec.family(), parameters) else { return Vec::new() };
+        let own_grown = family.form(self.spec.form).is_none_or(Form::grown);
+        let grown = family.forms.iter().filter(|form| form.grown() && !own_grown);
+        let start = |form: &Form| {
+            let values = std::iter::once(&parameter).chain(&self.spec.settings);
+            let settings =
+                form.settings.iter().zip(values).map(|(setting, value)| value.clamp(setting.low, setting.high));
+            Spec { form: form.name, settings: settings.collect(), ..self.spec.clone() }
+        };
+        grown.map(start).collect()
+    }
+
     /// Number of parameters: linear and nonlinear.
     pub fn parameters(&self) -> usize {
         self.rows.width + self.spec.settings.len()

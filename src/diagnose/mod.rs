@@ -8,6 +8,7 @@
 
 pub mod changing;
 pub mod curves;
+mod delivery;
 mod detectable;
 pub mod diagnosis;
 pub mod errors;
@@ -23,6 +24,7 @@ mod parts;
 pub mod reference;
 pub mod select;
 pub mod state;
+mod unseen;
 
 /// How a diagnosis is done.
 #[derive(Clone, Debug, PartialEq)]

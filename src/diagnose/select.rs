@@ -14,8 +14,12 @@ use crate::parallel::parallel;
 
 /// Candidates that are tried with all care at each step.
 const SHORTLIST: usize = 16;
-/// Evaluations of a search for a setting.
+/// Of those, the best that are tried in a form that grows out of theirs.
+const SEEDLINGS: usize = 4;
+/// Evaluations of a search for a setting, where it is the only one,
 const EVALUATIONS: usize = 12;
+/// and where there are others: these of each in turn, twice, the second time within a third as far.
+const EVALUATIONS_OF_EACH: usize = 8;
 /// Where nothing tells the noise: candidates with this share of the best score are nearly as good,
 const NEARLY: f64 = 0.8;
 /// an effect has to show in so many of the blocks that were left out,
@@ -91,6 +95,14 @@ pub struct Step {
     pub unmodelled: f64,
 }
 
+/// What the forward selection came to.
+pub struct Draft {
+    /// The model.
+    pub state: State,
+    path: Vec<Step>,
+    first: Vec<Scored>,
+}
+
 /// What the selection ended with.
 pub struct Selected {
     /// The model.
@@ -103,7 +115,16 @@ pub struct Selected {
     pub first: Vec<Scored>,
 }
 
-impl Search<'_> {
+impl<'a> Search<'a> {
+    /// The same look upon another ground. The candidates' columns stay those of the old one until they are tried with care.
+    pub fn upon<'b>(&self, ground: &'b Ground) -> Search<'b>
+    where
+        'a: 'b,
+    {
+        let Problem { evidence, prior } = self.problem;
+        Search { problem: Problem { evidence, prior }, ground, library: self.library, settings: self.settings }
+    }
+
     fn evidence(&self) -> &Evidence {
         self.problem.evidence
     }
@@ -140,6 +161,21 @@ impl Search<'_> {
         let tried = parallel(&short, threads, |item| self.score(state, &self.refined(state, item)));
         let mut scored: Vec<Scored> = tried.into_iter().flatten().collect();
         scored.sort_by(|a, b| b.score.total_cmp(&a.score));
+        let mut seedlings: Vec<Candidate> = Vec::new();
+        for one in scored.iter().filter(|one| one.score > 0.0) {
+            let theta = &one.tried.fit.theta;
+            let parameters = theta.rows(theta.len() - one.item.rows.width, one.item.rows.width);
+            for spec in one.item.grown(parameters.as_slice()) {
+                let seedling = Candidate { spec, since: one.item.since, rows: one.item.rows.clone() };
+                let known = state.items.iter().chain(&seedlings).any(|own| own.alike(&seedling));
+                if !known && wanted(&seedling) && seedlings.len() < SEEDLINGS {
+                    seedlings.push(seedling);
+                }
+            }
+        }
+        let grown = parallel(&seedlings, threads, |item| self.score(state, &self.refined(state, item)));
+        scored.extend(grown.into_iter().flatten());
+        scored.sort_by(|a, b| b.score.total_cmp(&a.score));
         scored
     }
 
@@ -160,8 +196,12 @@ impl Search<'_> {
         };
         let mut best = self.rebuilt(item);
         let mut best_gain = gain(&best);
-        for (which, setting) in form.settings.iter().enumerate() {
-            let step = 1.0 / (setting.steps.max(2) - 1) as f64;
+        let (reaches, evaluations): (&[f64], _) =
+            if form.settings.len() == 1 { (&[1.0], EVALUATIONS) } else { (&[1.0, 1.0 / 3.0], EVALUATIONS_OF_EACH) };
+        for (reach, (which, setting)) in
+            reaches.iter().flat_map(|reach| form.settings.iter().enumerate().map(move |one| (reach, one)))
+        {
+            let step = reach * setting.spacing();
             let centre = setting.share(best.spec.settings[which]);
             let mut at = |share: f64| {
                 let mut spec = best.spec.clone();
@@ -169,7 +209,7 @@ impl Search<'_> {
                 let moved = Candidate::of(self.evidence(), self.ground, spec, item.since);
                 moved.map(|moved| (gain(&moved), moved))
             };
-            let found = golden((centre - step).max(0.0), (centre + step).min(1.0), &mut at);
+            let found = golden((centre - step).max(0.0), (centre + step).min(1.0), evaluations, &mut at);
             if let Some((found_gain, found)) = found.filter(|(found_gain, _)| *found_gain > best_gain) {
                 (best, best_gain) = (found, found_gain);
             }
@@ -182,8 +222,13 @@ impl Search<'_> {
         Candidate::of(self.evidence(), self.ground, item.spec.clone(), item.since).unwrap_or_else(|| item.clone())
     }
 
-    /// Adds effects as long as one is worth it, each time with everything fitted again. It starts from `seeds`, as far as they hold.
+    /// [`Search::forward`] and [`Search::finish`].
     pub fn select(&self, base: State, seeds: &[Candidate], progress: &dyn Fn(&Step)) -> Selected {
+        self.finish(self.forward(base, seeds, progress), progress)
+    }
+
+    /// Adds effects as long as one is worth it, each time with everything fitted again. It starts from `seeds`, as far as they hold.
+    pub fn forward(&self, base: State, seeds: &[Candidate], progress: &dyn Fn(&Step)) -> Draft {
         let mut state = base;
         let mut path: Vec<Step> = Vec::new();
         let mut tabu: Vec<Candidate> = Vec::new();
@@ -212,8 +257,30 @@ impl Search<'_> {
                 tabu.push(gone);
             }
         }
+        Draft { state, path, first }
+    }
+
+    /// Holds every effect of a draft against its rivals.
+    pub fn finish(&self, draft: Draft, progress: &dyn Fn(&Step)) -> Selected {
+        let Draft { state, mut path, first } = draft;
         let (state, found) = self.judge(state, &mut path, progress);
         Selected { state, found, path, first }
+    }
+
+    /// The same effects upon the present ground, which is another one than they were found on; those that it changes are searched for their settings
+    /// again. `None` when it changes none.
+    pub fn upon_ground(&self, state: &State) -> Option<State> {
+        let mut now = state.clone();
+        let mut changed = false;
+        for item in &state.items {
+            // The first goes, and comes in again as the last: after one round the order is the same.
+            let rest = now.without(&self.problem, 0);
+            let rebuilt = self.rebuilt(item);
+            let same = rebuilt.rows == item.rows;
+            changed |= !same;
+            now = rest.with(&self.problem, if same { rebuilt } else { self.refined(&rest, &rebuilt) });
+        }
+        changed.then_some(now)
     }
 
     fn record(
@@ -350,13 +417,13 @@ fn inside(setting: &Setting, share: f64) -> f64 {
 }
 
 /// Golden-section search for the largest first component of `at`.
-fn golden<T>(low: f64, high: f64, at: &mut dyn FnMut(f64) -> Option<(f64, T)>) -> Option<(f64, T)> {
+fn golden<T>(low: f64, high: f64, evaluations: usize, at: &mut dyn FnMut(f64) -> Option<(f64, T)>) -> Option<(f64, T)> {
     let ratio = (5.0_f64.sqrt() - 1.0) / 2.0;
     let value = |one: &Option<(f64, T)>| one.as_ref().map_or(f64::NEG_INFINITY, |(value, _)| *value);
     let (mut low, mut high) = (low, high);
     let (mut left, mut right) = (high - ratio * (high - low), low + ratio * (high - low));
     let (mut at_left, mut at_right) = (at(left), at(right));
-    for _ in 2..EVALUATIONS {
+    for _ in 2..evaluations {
         if value(&at_left) > value(&at_right) {
             (high, right, at_right) = (right, left, at_left);
             left = high - ratio * (high - low);

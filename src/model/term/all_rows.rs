@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 /// Columns that a law can have.
 const WIDTH: usize = 10;
-/// Samples that a law may remember.
+/// Samples that a law remembers for its derivatives.
 const MEMORY: usize = 3;
 /// Time between the samples of the loop \[s\].
 const CYCLE: f64 = 1e-3;
@@ -27,6 +27,9 @@ pub(super) struct Clock {
 /// Columns of an effect, sample after sample. Neither allocates nor panics: a [`FixedRows`] holds its law by value, so that the compiler sees
 /// which one it calls.
 pub(super) trait Law: Send + 'static {
+    /// Samples that it remembers.
+    const MEMORY: usize = MEMORY;
+
     /// Writes the columns at a sample, the torques of all joints in each; they are zero on entry, and as many as the term has.
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]);
 }
@@ -82,7 +85,7 @@ impl<L: Law> Term for AllRows<L> {
         };
         if motion.periodic {
             // What the period before has left behind.
-            (samples.saturating_sub(MEMORY)..samples).for_each(|k| at(k, &mut now[..width]));
+            (samples.saturating_sub(L::MEMORY)..samples).for_each(|k| at(k, &mut now[..width]));
         }
         for k in 0..samples {
             at(k, &mut now[..width]);
@@ -146,20 +149,34 @@ impl Past {
     /// First and second derivative at the sample `now`, by backward differences of second order (Fornberg, Mathematics of
     /// Computation 51 (1988)); zero, or of first order, as long as too little has been seen.
     pub fn derivatives(&mut self, now: f64, dt: f64) -> [f64; 2] {
-        let [a, b, c] = self.values;
-        let first = match self.seen {
-            0 => 0.0,
-            1 => (now - a) / dt,
-            _ => (3.0 * now - 4.0 * a + b) / (2.0 * dt),
-        };
-        let second = match self.seen {
-            0 | 1 => 0.0,
-            2 => (now - 2.0 * a + b) / (dt * dt),
-            _ => (2.0 * now - 5.0 * a + 4.0 * b - c) / (dt * dt),
-        };
+        let derivatives = self.with(now, dt);
+        let [a, b, _] = self.values;
         self.values = [now, a, b];
         self.seen = (self.seen + 1).min(MEMORY);
-        [first, second]
+        derivatives
+    }
+
+    /// What they would be with the sample `now`.
+    pub fn with(&self, now: f64, dt: f64) -> [f64; 2] {
+        let [a, b, c] = self.values;
+        let [first, second] = match self.seen {
+            0 => [0.0, 0.0],
+            1 => [now - a, 0.0],
+            2 => [1.5 * now - 2.0 * a + 0.5 * b, now - 2.0 * a + b],
+            _ => [1.5 * now - 2.0 * a + 0.5 * b, 2.0 * now - 5.0 * a + 4.0 * b - c],
+        };
+        [first / dt, second / (dt * dt)]
+    }
+
+    /// How fast they grow with the sample `now`.
+    pub fn slopes(&self, dt: f64) -> [f64; 2] {
+        let [first, second] = match self.seen {
+            0 => [0.0, 0.0],
+            1 => [1.0, 0.0],
+            2 => [1.5, 1.0],
+            _ => [1.5, 2.0],
+        };
+        [first / dt, second / (dt * dt)]
     }
 }
 

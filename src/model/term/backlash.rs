@@ -1,11 +1,12 @@
 //! Play in a gear.
 
 use super::all_rows::{AllRows, Clock, Law, Past};
-use super::carried::{CarriedFriction, LINK_FRICTION};
+use super::carried::CarriedFriction;
 use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
-use super::{Sample, Term};
+use super::swing::{Gear, SWINGING, Swing};
+use super::{Column, Sample, Term};
 use crate::joint::JointVec;
 use std::sync::Arc;
 
@@ -25,10 +26,10 @@ pub static FAMILY: Family = Family {
             build: of_body,
         },
         Form {
-            name: LINK_FRICTION,
-            equation: "tau = gap_i lin_i(-tanh((tau_rb_i + fv_i dq_i + fc_i tanh(100 dq_i)) / width)): friction behind the gear",
-            settings: &[WIDTH],
-            build: with_friction,
+            name: SWINGING,
+            equation: "tau = gap_i lin_i(-theta / g), theta = g tanh(tau_i / width), tau_i = tau_rb_i(q - theta) + f_i(dq_i - dtheta): the link's inertia swings in the gap",
+            settings: &[HALF, WIDTH],
+            build: swinging,
         },
     ],
     stratum: Stratum::Repeatable,
@@ -39,6 +40,16 @@ pub static FAMILY: Family = Family {
         Confounded { with: "joint-elasticity", decided_by: "pass through poses without load in several runs" },
     ],
     reference: "Nordin, Gutman, Automatica 38 (2002)",
+};
+
+const HALF: Setting = Setting {
+    name: "g",
+    unit: "rad",
+    what: "half of the gap in which the link swings",
+    low: 1e-4,
+    high: 3e-3,
+    steps: 3,
+    scale: Scale::Logarithmic,
 };
 
 const WIDTH: Setting = Setting {
@@ -52,35 +63,36 @@ const WIDTH: Setting = Setting {
 };
 
 fn of_body(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    build(ground, "", site, settings)
-}
-
-fn with_friction(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    build(ground, LINK_FRICTION, site, settings)
-}
-
-fn build(ground: &Ground, form: &'static str, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let friction = CarriedFriction::through_gear(ground, form);
     let (joint, width) = (joint(site), settings[0]);
-    let columns = vec![column("gap", site, "", unit(ground, joint, "rad", "m"))];
     let load = Arc::clone(&ground.load);
-    AllRows::term(&FAMILY, form, site, settings, columns, move |gravity| {
+    AllRows::term(&FAMILY, "", site, settings, columns(ground, site), move |gravity| {
         let error = PositionError { joint, load: load.under(gravity) };
-        Gap { error, friction, width, past: Past::default() }
+        Gap { error, width, past: Past::default() }
     })
+}
+
+fn swinging(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let friction = CarriedFriction::of(ground);
+    let (joint, gear) = (joint(site), Gear::Gap(settings[0], settings[1]));
+    let load = Arc::clone(&ground.load);
+    AllRows::term(&FAMILY, SWINGING, site, settings, columns(ground, site), move |gravity| {
+        Swing::new(PositionError { joint, load: load.under(gravity) }, friction, gear)
+    })
+}
+
+fn columns(ground: &Ground, site: Site) -> Vec<Column> {
+    vec![column("gap", site, "", unit(ground, joint(site), "rad", "m"))]
 }
 
 struct Gap {
     error: PositionError,
-    friction: CarriedFriction,
     width: f64,
     past: Past,
 }
 
 impl Law for Gap {
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
-        let carried = self.error.own(sample) + self.friction.torque(sample, self.error.joint);
-        let e = -(carried / self.width).tanh();
+        let e = -(self.error.own(sample) / self.width).tanh();
         let [de, dde] = self.past.derivatives(e, clock.dt);
         if let Some(column) = columns.first_mut() {
             *column = self.error.signature(sample, [e, de, dde]);

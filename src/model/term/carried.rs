@@ -2,11 +2,9 @@
 
 use super::Sample;
 use super::effect::Ground;
+use super::friction::SHARPNESS;
 use super::one_row::smooth_sign;
 use crate::joint::{JointVec, MAX_JOINTS};
-
-/// Name of the forms of an effect of a gear for friction that acts behind it, on the link's side, and so goes through it.
-pub(super) const LINK_FRICTION: &str = "link-friction";
 
 /// `fv_j dq_j + fc_j tanh(100 dq_j)` of every joint with the numbers of the model that an effect is built upon; 0 where it has none.
 #[derive(Clone, Copy, Debug, Default)]
@@ -22,11 +20,6 @@ impl CarriedFriction {
         CarriedFriction { parameters }
     }
 
-    /// What of that of a model goes through a gear in a form of its effect: all for [`LINK_FRICTION`], nothing otherwise.
-    pub fn through_gear(ground: &Ground, form: &str) -> CarriedFriction {
-        if form == LINK_FRICTION { CarriedFriction::of(ground) } else { CarriedFriction::default() }
-    }
-
     /// Of all joints \[Nm\].
     pub fn torques(&self, sample: &Sample) -> JointVec {
         let mut tau = JointVec::default();
@@ -38,7 +31,17 @@ impl CarriedFriction {
 
     /// Of one joint \[Nm\].
     pub fn torque(&self, sample: &Sample, joint: usize) -> f64 {
-        let Some(([fv, fc], dq)) = self.parameters.get(joint).zip(sample.dq.get(joint)) else { return 0.0 };
-        fv * dq + fc * smooth_sign(*dq)
+        sample.dq.get(joint).map_or(0.0, |dq| self.at(*dq, joint))
+    }
+
+    /// Of one joint at a velocity \[Nm\].
+    pub fn at(&self, dq: f64, joint: usize) -> f64 {
+        self.parameters.get(joint).map_or(0.0, |[fv, fc]| fv * dq + fc * smooth_sign(dq))
+    }
+
+    /// How fast that grows with the velocity \[Nms/rad\].
+    pub fn slope(&self, dq: f64, joint: usize) -> f64 {
+        let bend = 1.0 - smooth_sign(dq) * smooth_sign(dq);
+        self.parameters.get(joint).map_or(0.0, |[fv, fc]| fv + fc * SHARPNESS * bend)
     }
 }

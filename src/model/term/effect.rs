@@ -101,7 +101,7 @@ pub struct Setting {
     pub low: f64,
     /// Largest value that makes sense.
     pub high: f64,
-    /// Values that a search starts from.
+    /// Values that a search starts from; 0 where it starts from the parameter that another form of the family has found.
     pub steps: usize,
     /// How they are spread.
     pub scale: Scale,
@@ -126,8 +126,12 @@ impl Setting {
 
     /// The values that a search starts from.
     pub fn grid(&self) -> Vec<f64> {
-        let last = (self.steps.max(2) - 1) as f64;
-        (0..self.steps.max(1)).map(|step| self.at(step as f64 / last)).collect()
+        (0..self.steps).map(|step| self.at(step as f64 * self.spacing())).collect()
+    }
+
+    /// Distance between two of them, as a share of the range: a search looks as far to either side.
+    pub fn spacing(&self) -> f64 {
+        if self.steps == 0 { 0.5 } else { 1.0 / (self.steps.max(2) - 1) as f64 }
     }
 }
 
@@ -152,6 +156,14 @@ pub struct Form {
     pub settings: &'static [Setting],
     /// Puts it together. The site is of the family's place and in the arm, the settings are as many as listed and in their ranges.
     pub build: fn(&Ground, Site, &[f64]) -> Arc<dyn Term>,
+}
+
+impl Form {
+    /// Whether it starts where another form of the family ends, with that one's only parameter as the first of its settings and that one's settings
+    /// behind.
+    pub fn grown(&self) -> bool {
+        self.settings.first().is_some_and(|setting| setting.steps == 0)
+    }
 }
 
 /// What looks alike.

@@ -1,20 +1,24 @@
 //! A gear that twists under its load.
 
 use super::all_rows::{AllRows, Clock, Law, Past};
-use super::carried::{CarriedFriction, LINK_FRICTION};
-use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
+use super::carried::CarriedFriction;
+use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
-use super::{Sample, Term};
+use super::swing::{Gear, SWINGING, Swing};
+use super::{Column, Sample, Term};
 use crate::joint::JointVec;
 use std::sync::Arc;
 
 /// Identity.
 pub const ID: &str = "joint-elasticity";
 
+/// Name of the form for friction that acts behind the gear, on the link's side, and so goes through it.
+const LINK_FRICTION: &str = "link-friction";
+
 /// The twist of one joint's gear, as long as the motion is slow against its resonance.
 ///
-/// The link is at `q_i - c_i tau_rb_i`, first order in the compliance; `e'` and `e''` are differences of the torques before, so
+/// Without memory the link is at `q_i - c_i tau_rb_i`, first order in the compliance; `e'` and `e''` are differences of the torques before, so
 /// that a regressor needs a motion on a grid that is fine against it (20 samples per period of its highest harmonic).
 pub static FAMILY: Family = Family {
     id: ID,
@@ -33,6 +37,12 @@ pub static FAMILY: Family = Family {
             settings: &[],
             build: with_friction,
         },
+        Form {
+            name: SWINGING,
+            equation: "tau = c_i lin_i(-theta / c), theta = c tau_i, tau_i = tau_rb_i(q - theta) + f_i(dq_i - dtheta): with the resonance of the link",
+            settings: &[COMPLIANCE],
+            build: swinging,
+        },
     ],
     stratum: Stratum::Repeatable,
     served: true,
@@ -47,20 +57,47 @@ pub static FAMILY: Family = Family {
     reference: "Albu-Schaeffer, Ott, Hirzinger, Int. J. Robotics Research 26 (2007)",
 };
 
+const COMPLIANCE: Setting = Setting {
+    name: "c",
+    unit: "rad/Nm",
+    what: "compliance on which the link swings",
+    low: 1e-5,
+    high: 1e-3,
+    steps: 0,
+    scale: Scale::Logarithmic,
+};
+
 fn of_body(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    build(ground, "", site, settings)
+    build(ground, "", CarriedFriction::default(), site, settings)
 }
 
 fn with_friction(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    build(ground, LINK_FRICTION, site, settings)
+    build(ground, LINK_FRICTION, CarriedFriction::of(ground), site, settings)
 }
 
-fn build(ground: &Ground, form: &'static str, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let friction = CarriedFriction::through_gear(ground, form);
-    let joint = joint(site);
-    let columns = vec![column("compliance", site, "", unit(ground, joint, "rad/Nm", "m/N"))];
+fn swinging(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let friction = CarriedFriction::of(ground);
+    let (joint, compliance) = (joint(site), settings[0]);
     let load = Arc::clone(&ground.load);
-    AllRows::term(&FAMILY, form, site, settings, columns, move |gravity| {
+    AllRows::term(&FAMILY, SWINGING, site, settings, columns(ground, site), move |gravity| {
+        Swing::new(PositionError { joint, load: load.under(gravity) }, friction, Gear::Spring(compliance))
+    })
+}
+
+fn columns(ground: &Ground, site: Site) -> Vec<Column> {
+    vec![column("compliance", site, "", unit(ground, joint(site), "rad/Nm", "m/N"))]
+}
+
+fn build(
+    ground: &Ground,
+    form: &'static str,
+    friction: CarriedFriction,
+    site: Site,
+    settings: &[f64],
+) -> Arc<dyn Term> {
+    let joint = joint(site);
+    let load = Arc::clone(&ground.load);
+    AllRows::term(&FAMILY, form, site, settings, columns(ground, site), move |gravity| {
         let error = PositionError { joint, load: load.under(gravity) };
         Twist { error, friction, past: Past::default() }
     })

@@ -34,6 +34,7 @@ pub mod rotor_inertia;
 pub mod spring;
 pub mod stribeck;
 pub mod subset;
+mod swing;
 pub mod torque_crosstalk;
 pub mod torque_gain;
 pub mod torque_offset;
