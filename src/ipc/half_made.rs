@@ -15,10 +15,12 @@ use super::place;
 
 /// Mode of a segment that is being made.
 const UNFINISHED: u32 = 0o200;
-/// iceoryx2 itself gives up on whoever takes longer (`creation_timeout`).
-const LONGEST: Duration = Duration::from_millis(500);
+/// A connection of which one end is dead is of no use to the other.
+const OF_THE_DEAD: Duration = Duration::from_millis(100);
+/// Whoever lives and takes longer will not finish: iceoryx2 itself gives up on him ten times earlier (`creation_timeout`).
+const LONGEST: Duration = Duration::from_secs(5);
 /// Pause between two looks.
-const LOOK: Duration = Duration::from_millis(100);
+const LOOK: Duration = Duration::from_millis(50);
 
 /// Begins to look after such files, once in a process. To be called before anything asks for priority.
 pub(super) fn look_after() {
@@ -41,13 +43,24 @@ pub(super) fn look_after() {
 
 /// Removes the half-made files of a user; how many there were.
 fn sweep(shared_memory: &Path, uid: u32, now: SystemTime) -> usize {
-    let given_up = |found: &Metadata| {
+    let given_up = |path: &Path, found: &Metadata| {
         let age = found.modified().ok().and_then(|made| now.duration_since(made).ok());
         let empty = found.is_file() && found.len() == 0 && found.permissions().mode() & 0o777 == UNFINISHED;
-        empty && found.uid() == uid && age.is_some_and(|age| age > LONGEST)
+        let longest = || if ends(path).any(|pid| !runs(pid)) { OF_THE_DEAD } else { LONGEST };
+        empty && found.uid() == uid && age.is_some_and(|age| age > longest())
     };
-    let files = place::ours_by_name(shared_memory, uid).into_iter().filter(|(_, found)| given_up(found));
+    let files = place::ours_by_name(shared_memory, uid).into_iter().filter(|(path, found)| given_up(path, found));
     files.filter(|(path, _)| std::fs::remove_file(path).is_ok()).count()
+}
+
+/// Processes at the ends of a connection: the third 32 bits of the ids in its name, `PREFIX_ID_ID.connection`. None of other files.
+fn ends(path: &Path) -> impl Iterator<Item = u32> {
+    let name = path.file_name().and_then(|name| name.to_str()?.strip_suffix(".connection")).unwrap_or_default();
+    name.rsplit('_').take(2).filter_map(|id| Some((id.parse::<u128>().ok()? >> 64) as u32))
+}
+
+fn runs(pid: u32) -> bool {
+    Path::new("/proc").join(pid.to_string()).exists()
 }
 
 #[cfg(test)]
@@ -65,12 +78,21 @@ mod tests {
             std::fs::set_permissions(&path, Permissions::from_mode(mode)).unwrap();
             path
         };
-        let half_made = make("a.connection", 0, UNFINISHED);
-        let others = [make("b.connection", 0, 0o600), make("c.connection", 4096, UNFINISHED)];
+        let id = |pid: u32| (u128::from(pid) << 64) + (7 << 96) + 1234;
+        // No process has the largest number.
+        let (own, dead) = (id(std::process::id()), id(u32::MAX));
+        let of_the_dead = make(&format!("0a_{own}_{dead}.connection"), 0, UNFINISHED);
+        let of_the_slow = make(&format!("0a_{own}_{own}.connection"), 0, UNFINISHED);
+        let others = [
+            make(&format!("0b_{dead}_{dead}.connection"), 0, 0o600),
+            make(&format!("0c_{dead}_{dead}.connection"), 4096, UNFINISHED),
+        ];
         let now = SystemTime::now();
-        assert_eq!(sweep(memory.path(), uid, now), 0, "somebody may be at it");
-        assert_eq!(sweep(memory.path(), uid, now + 2 * LONGEST), 1);
-        assert!(!half_made.exists() && others.iter().all(|path| path.exists()));
         assert_eq!(sweep(memory.path(), uid + 1, now + 2 * LONGEST), 0);
+        assert_eq!(sweep(memory.path(), uid, now), 0, "somebody may be at it");
+        assert_eq!(sweep(memory.path(), uid, now + 2 * OF_THE_DEAD), 1);
+        assert!(!of_the_dead.exists() && of_the_slow.exists());
+        assert_eq!(sweep(memory.path(), uid, now + 2 * LONGEST), 1);
+        assert!(!of_the_slow.exists() && others.iter().all(|path| path.exists()));
     }
 }
