@@ -34,7 +34,8 @@ pub struct Delivery<'a> {
 
 impl Delivery<'_> {
     /// The model with the effects that help, and which they are. They have to help in the selection's fit, of which `adequacy` tells each joint's
-    /// share, and in the model that is delivered: identified once more upon its own load, an effect near a resonance may come out as another one.
+    /// share, and must do no harm in the model that is delivered: identified once more upon its own load, an effect near a resonance may come out
+    /// as another one.
     ///
     /// # Errors
     /// As [`identify_with`].
@@ -44,9 +45,10 @@ impl Delivery<'_> {
         selected: &Selected,
         adequacy: &[Option<f64>],
     ) -> Result<(Fitted, Vec<bool>), EstimateError> {
-        let helps =
-            |share: &[Option<f64>], found: &Found| share[found.relevance.joint].is_none_or(|share| share >= HELPFUL);
-        let mut kept: Vec<bool> = selected.found.iter().map(|found| helps(adequacy, found)).collect();
+        let explains = |share: &[Option<f64>], found: &Found, least: f64| {
+            share[found.relevance.joint].is_none_or(|share| share >= least)
+        };
+        let mut kept: Vec<bool> = selected.found.iter().map(|found| explains(adequacy, found, HELPFUL)).collect();
         loop {
             let after = self.extended(&selected.state, &kept)?;
             if !kept.contains(&true) {
@@ -54,7 +56,7 @@ impl Delivery<'_> {
             }
             let unseen = Unseen::of_model(self.input, &after, self.settings);
             let share = explained(&unseen, base, &DVector::from_column_slice(&after.identification.beta));
-            let still = kept.iter().zip(&selected.found).map(|(kept, found)| *kept && helps(&share, found));
+            let still = kept.iter().zip(&selected.found).map(|(kept, found)| *kept && explains(&share, found, 0.0));
             let still: Vec<bool> = still.collect();
             if still == kept {
                 return Ok((after, kept));
