@@ -68,15 +68,11 @@ fn rms(of: &serde_json::Value) -> Vec<f64> {
 
 /// Bounds and the page's lines of one row.
 fn check(data: &Path, row: &Row) {
-    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/real-data.md")).unwrap();
     let diagnosis = diagnose(&data.join(row.dataset), row.options);
     let (before, after) = (rms(&diagnosis["before"]), rms(&diagnosis["after"]));
     for (when, rms) in [("before", &before), ("after", &after)] {
-        let shown: Vec<String> = rms.iter().map(|rms| format!("{rms:.3}")).collect();
-        let line = format!("| {} | `{}` | {when} | {} |", row.dataset, row.options, shown.join(" | "));
-        let line = line.replace("``", "defaults");
-        println!("{line}");
-        assert!(page.contains(&line), "docs/real-data.md lacks the line\n{line}");
+        let head = format!("| {} | `{}` | {when} |", row.dataset, row.options).replace("``", "defaults");
+        logs::page_says(&head, rms);
     }
     let joint = |joint: usize| (before[joint - 1], after[joint - 1]);
     for &(j, most) in row.most {

@@ -13,3 +13,18 @@ pub fn data() -> Option<PathBuf> {
     eprintln!("SKIPPED: no measured data in {}", data.display());
     None
 }
+
+/// Asserts that the line of docs/real-data.md that begins with `head` has these figures, one per joint.
+///
+/// Which instructions a processor has moves their last digit: 0.002 and half a percent are let pass.
+pub fn page_says(head: &str, figures: &[f64]) {
+    let shown: Vec<String> = figures.iter().map(|figure| format!("{figure:.3}")).collect();
+    println!("{head} {} |", shown.join(" | "));
+    let page = std::fs::read_to_string(PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("docs/real-data.md")).unwrap();
+    let line = page.lines().find_map(|line| line.strip_prefix(head));
+    let line = line.unwrap_or_else(|| panic!("docs/real-data.md lacks a line that begins with\n{head}"));
+    let said: Vec<f64> = line.split('|').map_while(|cell| cell.trim().parse().ok()).collect();
+    let near = |(said, figure): (&f64, &f64)| (said - figure).abs() <= 0.002 + 0.005 * said;
+    let agrees = said.len() == figures.len() && said.iter().zip(figures).all(near);
+    assert!(agrees, "docs/real-data.md has {said:?} after\n{head}");
+}
