@@ -12,7 +12,6 @@ use common::drive::{Job, Model, READY, Wave, dwell, follow, move_to, panda_limit
 use job_support::{Done, Place, Running, signal, wait_for};
 use plumbline::backend::Clock;
 use plumbline::backend::sim::{Pace, REFLEX_COMMUNICATION};
-use plumbline::ipc::Status;
 use plumbline::joint::{JointVec, Phase, Record, Setpoint};
 use plumbline::rt::cycle::{self, End, Outcome};
 use plumbline::rt::order::{Controls, StopReason};
@@ -150,10 +149,7 @@ fn a_daemon_that_was_stopped_and_goes_on_has_skipped_and_counted_what_it_slept_t
         "validation.trajectories=1",
     ];
     let mut daemon = Running::start(place.job("daemon", &sets));
-    let cycles = || {
-        let done = place.command("status");
-        (done.code == Some(0)).then(|| serde_json::from_str::<Status>(&done.out).unwrap().cycles)
-    };
+    let cycles = || place.status().map(|status| status.cycles);
     wait_for("the loop", || cycles().filter(|&cycles| cycles > 200));
     for _ in 0..3 {
         signal(daemon.pid(), "STOP");

@@ -2,7 +2,6 @@
 
 use crate::job_support::*;
 use crate::peers;
-use plumbline::ipc::Status;
 use std::path::Path;
 
 /// A few seconds of motion. How late a cycle may come is the machine's business, not this test's: no loss stops the arm.
@@ -17,11 +16,6 @@ const JOB: [&str; 9] = [
     "output.dataset=false",
     "safety.max-lost=1000",
 ];
-
-fn status(place: &Place) -> Option<Status> {
-    let done = place.command("status");
-    (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
-}
 
 /// Lines of `plumbline torque --follow`.
 fn follow(place: &Place, count: usize) -> Vec<String> {
@@ -47,12 +41,12 @@ fn every_millisecond_is_accounted_for_and_clients_follow() {
     let run = Running::start(place.job("run", &JOB));
 
     // Before there is a model every value says so.
-    wait_for("motion", || status(&place).filter(|status| status.cycles > 0 && status.motion > 0));
+    wait_for("motion", || place.status().filter(|status| status.cycles > 0 && status.motion > 0));
     let before = follow(&place, 6);
     assert!(before.iter().all(|line| line.contains("NO MODEL") || line.contains("STALE")), "{before:?}");
     assert!(before.windows(2).all(|pair| sequence(&pair[0]) < sequence(&pair[1])), "{before:?}");
 
-    let model = wait_for("a model", || status(&place).map(|status| status.model).filter(|&model| model != 0));
+    let model = wait_for("a model", || place.status().map(|status| status.model).filter(|&model| model != 0));
     let identity = format!("model {model:016x}");
     let values = wait_for("values of the model", || {
         let values = follow(&place, 5);

@@ -2,7 +2,6 @@
 //! job which wants all of it or nothing gets nothing.
 
 use crate::job_support::*;
-use plumbline::ipc::Status;
 use std::collections::BTreeMap;
 
 /// A daemon that holds its arm at the pace of the clock. How late a cycle may come is this machine's business.
@@ -16,11 +15,6 @@ const HOLD: [&str; 5] = [
 
 /// A processor that no machine has.
 const NO_CPU: &str = "realtime.cpu=1000";
-
-fn status(place: &Place) -> Option<Status> {
-    let done = place.command("status");
-    (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
-}
 
 /// Scheduling policy and real-time priority of every thread of `pid`, by the thread's number, with its name.
 fn threads(pid: u32) -> BTreeMap<u32, (String, u32, u32)> {
@@ -46,7 +40,7 @@ const SCHED_FIFO: u32 = 1;
 fn only_the_loop_and_its_bridge_are_real_time_and_the_daemon_says_what_it_lacks() {
     let place = Place::new("rights");
     let daemon = Running::start(place.job("daemon", &HOLD));
-    let running = wait_for("the loop", || status(&place).filter(|status| status.cycles > 200));
+    let running = wait_for("the loop", || place.status().filter(|status| status.cycles > 200));
     // A client has come and gone by now, and the programme is planned: every helper that there will be has been there.
     let threads = threads(daemon.pid());
     let of = |name: &str| threads.values().find(|thread| thread.0 == name).unwrap_or_else(|| panic!("{threads:?}"));
@@ -78,7 +72,7 @@ fn a_refusal_is_run_with_and_said_or_refused_as_the_job_says() {
     // Degraded: it runs, and says what it lacks while it runs.
     let place = Place::new("degraded");
     let daemon = Running::start(place.job("daemon", &[&HOLD[..], &[NO_CPU]].concat()));
-    let running = wait_for("the loop", || status(&place).filter(|status| status.cycles > 100));
+    let running = wait_for("the loop", || place.status().filter(|status| status.cycles > 100));
     assert!(running.degraded.iter().any(|line| line.contains("CPU 1000")), "{:?}", running.degraded);
     quit(&place, daemon);
 
@@ -97,7 +91,7 @@ fn a_refusal_is_run_with_and_said_or_refused_as_the_job_says() {
         "realtime.on-refusal=refuse",
     ];
     let daemon = Running::start(place.job("daemon", &[&HOLD[..], &nothing].concat()));
-    let running = wait_for("the loop", || status(&place).filter(|status| status.cycles > 100));
+    let running = wait_for("the loop", || place.status().filter(|status| status.cycles > 100));
     assert_eq!(running.degraded, Vec::<String>::new());
     quit(&place, daemon);
 

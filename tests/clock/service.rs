@@ -47,12 +47,17 @@ fn beats(heard: &[String]) -> usize {
 
 /// A process that believes that systemd started it. The watchdog's variables name no process, as where a shell is in between.
 fn as_service(place: &Place, subcommand: &str, more: &[&str]) -> Running {
+    as_watched(place, subcommand, WATCHDOG, more)
+}
+
+/// The same with another WatchdogSec=.
+fn as_watched(place: &Place, subcommand: &str, watchdog: Duration, more: &[&str]) -> Running {
     // How late a cycle may come is the machine's business, not this test's: no loss stops the arm.
     let mut sets = vec!["backend.pace=wall-clock", "realtime.lock-memory=false", "safety.max-lost=1000"];
     sets.extend(more);
     let mut command = place.job(subcommand, &short(&sets));
     command.env("NOTIFY_SOCKET", place.path().join("notify"));
-    command.env("WATCHDOG_USEC", WATCHDOG.as_micros().to_string()).env_remove("WATCHDOG_PID");
+    command.env("WATCHDOG_USEC", watchdog.as_micros().to_string()).env_remove("WATCHDOG_PID");
     Running::start(command)
 }
 
@@ -83,15 +88,8 @@ fn a_systemd_that_has_died_does_not_hold_up_the_daemon() {
     let place = Place::new("deaf");
     // A socket that nobody reads takes some messages, then its senders wait.
     let _deaf = UnixDatagram::bind(place.path().join("notify")).unwrap();
-    let mut command =
-        place.job("daemon", &short(&["backend.pace=wall-clock", "realtime.lock-memory=false", "safety.max-lost=1000"]));
-    command.env("NOTIFY_SOCKET", place.path().join("notify"));
-    command.env("WATCHDOG_USEC", "20000").env_remove("WATCHDOG_PID");
-    let daemon = Running::start(command);
-    let cycles = || {
-        let done = place.command("status");
-        (done.code == Some(0)).then(|| serde_json::from_str::<plumbline::ipc::Status>(&done.out).unwrap().cycles)
-    };
+    let daemon = as_watched(&place, "daemon", Duration::from_millis(20), &[]);
+    let cycles = || place.status().map(|status| status.cycles);
     // A beat per 5 ms: in this time a few hundred, many more than a socket holds.
     wait_for("two seconds of cycles", || cycles().filter(|&cycles| cycles > 2_000));
     place.command("quit").expect_code(0);
@@ -102,10 +100,7 @@ fn a_systemd_that_has_died_does_not_hold_up_the_daemon() {
 fn a_restarted_daemon_only_holds() {
     let place = Place::new("holds");
     let systemd = FakeSystemd::listen(&place);
-    let status = || {
-        let done = place.command("status");
-        (done.code == Some(0)).then(|| serde_json::from_str::<plumbline::ipc::Status>(&done.out).unwrap())
-    };
+    let status = || place.status();
     let mut daemon = as_service(&place, "daemon", &[]);
     for round in 0..2 {
         systemd.await_word("READY=1");

@@ -15,11 +15,6 @@ const HOLD: [&str; 5] = [
 /// How long the daemon holds with nobody there, and with everybody.
 const HELD: Duration = Duration::from_secs(6);
 
-fn status(place: &Place) -> Option<Status> {
-    let done = place.command("status");
-    (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
-}
-
 fn client(place: &Place, rate: &str) -> Running {
     let mut command: Command = plumbline();
     command.args(["torque", "--follow", "--robot", &place.id, "--rate", rate, "--count", "100000"]);
@@ -39,13 +34,13 @@ fn account(done: &Done) -> (String, Vec<f64>) {
 fn hold<T>(test: &str, beside: impl FnOnce(&Place) -> T, during: impl FnOnce(&Place, &mut T)) -> (Done, Status) {
     let place = Place::new(test);
     let mut daemon = Running::start(place.job("daemon", &HOLD));
-    wait_for("the loop", || status(&place).filter(|status| status.cycles > 200));
+    wait_for("the loop", || place.status().filter(|status| status.cycles > 200));
     let begin = Instant::now();
     let mut others = beside(&place);
     during(&place, &mut others);
     std::thread::sleep(HELD.saturating_sub(begin.elapsed()));
     assert!(daemon.runs(), "the daemon ended by itself: {}", daemon.end().said());
-    let last = wait_for("an answer", || status(&place));
+    let last = wait_for("an answer", || place.status());
     place.command("quit").expect_code(0);
     let done = daemon.end().expect_code(0);
     drop(others);

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use nalgebra::DVector;
 use plumbline::backend::sim::Truth;
 use plumbline::config::robot::Robot;
+use plumbline::ipc::Status;
 use plumbline::model::base::Reduction;
 use plumbline::report::Report;
 use tempfile::TempDir;
@@ -87,6 +88,12 @@ impl Place {
         let mut command = plumbline();
         command.args(["command", what, "--robot", &self.id]);
         Done::of(command)
+    }
+
+    /// What the daemon says of itself, where it answers.
+    pub fn status(&self) -> Option<Status> {
+        let done = self.command("status");
+        (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
     }
 
     /// The report that the job left behind.

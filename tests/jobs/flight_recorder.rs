@@ -3,7 +3,6 @@
 
 use crate::job_support::*;
 use crate::peers;
-use plumbline::ipc::Status;
 use plumbline::recording::Recording;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -11,11 +10,6 @@ use std::process::Command;
 
 /// One second before the fault: the window begins in the middle of a motion.
 const SPAN: &str = "recorder.span=1 s";
-
-fn status(place: &Place) -> Option<Status> {
-    let done = place.command("status");
-    (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
-}
 
 fn recordings(dir: &Path) -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> =
@@ -143,7 +137,7 @@ fn an_estimator_that_is_gone_a_recording_on_demand_and_an_end_that_is_none() {
     let sets = ["safety.on-estimator-loss=stop", "excitation.periods=500", SPAN, "excitation.starts=1"];
     let run = Running::start(place.job("run", &short(&sets)));
     let estimator = wait_for("the estimator", || children(run.pid(), "estimator").first().copied());
-    wait_for("the motion", || (status(&place)?.cycles > 6_000).then_some(()));
+    wait_for("the motion", || (place.status()?.cycles > 6_000).then_some(()));
     place.command("record").expect_code(0);
     let first = wait_for("a recording", || recordings(&place.out().join("flight")).first().cloned());
     assert_eq!(story(&first)["kind"].as_str(), Some("on-demand"));
@@ -160,11 +154,11 @@ fn an_estimator_that_is_gone_a_recording_on_demand_and_an_end_that_is_none() {
     // A program that is asked to end leaves none.
     let place = Place::new("flight-quit");
     let daemon = Running::start(place.job("daemon", &short(&[SPAN])));
-    wait_for("the daemon", || status(&place));
+    wait_for("the daemon", || place.status());
     let refused = place.command("record").expect_code(1);
     assert!(refused.err.contains("nothing to record"), "{}", refused.said());
     place.command("start").expect_code(0);
-    wait_for("the motion", || (status(&place)?.cycles > 2_000).then_some(()));
+    wait_for("the motion", || (place.status()?.cycles > 2_000).then_some(()));
     // A loaded machine may end the daemon before its answer has been read.
     place.command("quit");
     daemon.end().expect_code(0);
@@ -205,9 +199,9 @@ fn a_kill_while_it_writes_leaves_whole_files_and_old_ones_go() {
     for round in 0..4 {
         let sets = ["excitation.periods=500", "recorder.span=1 s", "recorder.keep=3"];
         let daemon = Running::start(place.job("daemon", &short(&sets)));
-        wait_for("the daemon", || status(&place));
+        wait_for("the daemon", || place.status());
         place.command("start").expect_code(0);
-        wait_for("the motion", || (status(&place)?.cycles > 2_000).then_some(()));
+        wait_for("the motion", || (place.status()?.cycles > 2_000).then_some(()));
         for _ in 0..2 + round {
             place.command("record").expect_code(0);
         }

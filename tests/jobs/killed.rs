@@ -3,7 +3,6 @@
 use crate::turns::Turns;
 
 use crate::job_support::*;
-use plumbline::ipc::Status;
 
 /// Each job has three processes that compute as fast as they can, one of them waiting for another most of the time.
 static JOBS: Turns = Turns::new(2);
@@ -26,14 +25,8 @@ fn in_mid_run(place: &Place, more: &[&str]) -> (Running, u32, u32) {
     let run = Running::start(place.job("run", &sets));
     let daemon = wait_for("the daemon", || children(run.pid(), "daemon").first().copied());
     let estimator = wait_for("the estimator", || children(run.pid(), "estimator").first().copied());
-    wait_for("the motion", || (status(place)?.cycles > 5_000).then_some(()));
+    wait_for("the motion", || (place.status()?.cycles > 5_000).then_some(()));
     (run, daemon, estimator)
-}
-
-/// The daemon's own words, where it answers.
-fn status(place: &Place) -> Option<Status> {
-    let done = place.command("status");
-    (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
 }
 
 /// Nothing that belongs to this test runs any more.
@@ -115,7 +108,7 @@ fn a_daemon_takes_orders_and_refuses_what_it_can_not_do() {
     let _turn = JOBS.take();
     let place = Place::new("orders");
     let daemon = Running::start(place.job("daemon", &short(&[])));
-    let idle = wait_for("the daemon", || status(&place));
+    let idle = wait_for("the daemon", || place.status());
     assert_eq!((idle.robot.as_str(), idle.joints, idle.cycles, idle.model), ("panda", 7, 0, 0));
 
     let refused = place.command("stop").expect_code(1);
@@ -123,7 +116,7 @@ fn a_daemon_takes_orders_and_refuses_what_it_can_not_do() {
     let refused = place.command("resume").expect_code(1);
     assert!(refused.err.contains("nothing waits"), "{}", refused.said());
     assert_eq!(place.command("start").expect_code(0).out, "accepted\n");
-    wait_for("motion", || (status(&place)?.cycles > 0).then_some(()));
+    wait_for("motion", || (place.status()?.cycles > 0).then_some(()));
     let again = place.command("start").expect_code(1);
     assert!(again.err.contains("started before"), "{}", again.said());
     place.command("quit").expect_code(0);
