@@ -1,7 +1,6 @@
 //! Play in a gear.
 
 use super::all_rows::{AllRows, Clock, Law, Past};
-use super::carried::CarriedFriction;
 use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
@@ -72,12 +71,8 @@ fn of_body(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
 }
 
 fn swinging(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let friction = CarriedFriction::of(ground);
-    let (joint, gear) = (joint(site), Gear::Gap(settings[0], settings[1]));
-    let load = Arc::clone(&ground.load);
-    AllRows::term(&FAMILY, SWINGING, site, settings, columns(ground, site), move |gravity| {
-        Swing::new(PositionError { joint, load: load.under(gravity) }, friction, gear)
-    })
+    let gear = Gear::Gap(settings[0], settings[1]);
+    Swing::term(&FAMILY, ground, site, settings, columns(ground, site), gear)
 }
 
 fn columns(ground: &Ground, site: Site) -> Vec<Column> {

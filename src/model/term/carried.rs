@@ -23,8 +23,8 @@ impl CarriedFriction {
     /// Of all joints \[Nm\].
     pub fn torques(&self, sample: &Sample) -> JointVec {
         let mut tau = JointVec::default();
-        for ((tau, [fv, fc]), dq) in tau.iter_mut().zip(&self.parameters).zip(&sample.dq) {
-            *tau = fv * dq + fc * smooth_sign(*dq);
+        for (joint, (tau, dq)) in tau.iter_mut().zip(&sample.dq).enumerate() {
+            *tau = self.at(*dq, joint);
         }
         tau
     }

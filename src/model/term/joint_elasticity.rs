@@ -76,12 +76,7 @@ fn with_friction(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term>
 }
 
 fn swinging(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let friction = CarriedFriction::of(ground);
-    let (joint, compliance) = (joint(site), settings[0]);
-    let load = Arc::clone(&ground.load);
-    AllRows::term(&FAMILY, SWINGING, site, settings, columns(ground, site), move |gravity| {
-        Swing::new(PositionError { joint, load: load.under(gravity) }, friction, Gear::Spring(compliance))
-    })
+    Swing::term(&FAMILY, ground, site, settings, columns(ground, site), Gear::Spring(settings[0]))
 }
 
 fn columns(ground: &Ground, site: Site) -> Vec<Column> {

@@ -43,6 +43,7 @@ impl PositionError {
         let torque = self.load.torque(sample);
         torque.get(self.joint).copied().unwrap_or_default()
     }
+
     /// `M_ii`: what the joint's own torque, here `own`, grows by with its acceleration \[Nm s2/rad\]. Exact, as it is linear.
     pub fn inertia(&mut self, sample: &Sample, own: f64) -> f64 {
         let mut faster = *sample;

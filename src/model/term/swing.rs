@@ -1,10 +1,12 @@
 //! A link that swings on a gear that gives way.
 
-use super::Sample;
-use super::all_rows::{Clock, Law, Past};
+use super::all_rows::{AllRows, Clock, Law, Past};
 use super::carried::CarriedFriction;
+use super::effect::{Family, Ground, Site, joint};
 use super::position_error::PositionError;
+use super::{Column, Sample, Term};
 use crate::joint::JointVec;
+use std::sync::Arc;
 
 /// Name of the forms of an effect of a gear for a link that swings on it, by its own inertia.
 pub(super) const SWINGING: &str = "swinging";
@@ -16,7 +18,7 @@ const STEP: f64 = 1.1e-3;
 const STEPS: u8 = 20;
 /// Tries to solve one step.
 const TRIES: u8 = 20;
-/// Damping ratio of the link on its gear: what joints with harmonic drives and torque sensors have at the least.
+/// Damping ratio of the link on its gear: an assumption (docs/effects.md).
 const DAMPING: f64 = 0.2;
 /// A step is solved to so much of a torque \[Nm\].
 const EXACT: f64 = 1e-9;
@@ -57,8 +59,8 @@ impl Gear {
 ///       = tau_rb_i(q) - K_i theta - V_i dtheta - M_ii ddtheta + f_i(dq_i - dtheta),
 ///
 /// with the friction `f_i` behind the gear and a damping `d` in it. Without that the law would divide by nothing at the link's resonance on a motor
-/// that stands still: there the measured motion is next to nothing, and its noise would be all that is left. The one column is what that changes in all rows, per gap or compliance. For a small one it tends to the
-/// law without memory, `theta = twist(tau_rb_i + f_i)`.
+/// that stands still: there the measured motion is next to nothing, and its noise would be all that is left. The one column is what the twist
+/// changes in all rows, per gap or compliance.
 ///
 /// Backward differences of second order make each step one scalar equation in `tau`, whose left side rises with a slope of at least one.
 /// `K_i theta + V_i dtheta` are those of the sample before: next to `M_ii ddtheta` they are small, and slow.
@@ -76,9 +78,20 @@ pub(super) struct Swing {
 }
 
 impl Swing {
-    /// At rest without load.
-    pub fn new(error: PositionError, friction: CarriedFriction, gear: Gear) -> Swing {
-        Swing { error, friction, gear, past: Past::default(), tau: 0.0, slow: 0.0, before: None }
+    /// The term of an effect with one column, at rest and without load to begin with.
+    pub fn term(
+        family: &'static Family,
+        ground: &Ground,
+        site: Site,
+        settings: &[f64],
+        columns: Vec<Column>,
+        gear: Gear,
+    ) -> Arc<dyn Term> {
+        let (joint, friction, load) = (joint(site), CarriedFriction::of(ground), Arc::clone(&ground.load));
+        AllRows::term(family, SWINGING, site, settings, columns, move |gravity| {
+            let error = PositionError { joint, load: load.under(gravity) };
+            Swing { error, friction, gear, past: Past::default(), tau: 0.0, slow: 0.0, before: None }
+        })
     }
 
     /// One step: `[theta, dtheta, ddtheta]` where the rigid body asks for `load` \[Nm\] at the velocity `dq`.
@@ -90,26 +103,27 @@ impl Swing {
             let carried = self.friction.at(dq - dtheta, self.error.joint) - damping * dtheta;
             (tau + self.slow + inertia * ddtheta - load - carried, bend, [theta, dtheta, ddtheta])
         };
-        // The left side rises at least as fast as tau: the solution is no farther away than what is wrong.
-        let mut tau = self.tau;
-        let (wrong, ..) = at(tau);
-        let (mut low, mut high) = (tau - wrong.max(0.0), tau - wrong.min(0.0));
         let [first, second] = self.past.slopes(dt);
+        let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
+        let mut now = at(self.tau);
+        let mut tau = self.tau;
         for _ in 0..TRIES {
-            let (wrong, bend, [_, dtheta, _]) = at(tau);
+            let (wrong, bend, [_, dtheta, _]) = now;
             if wrong.abs() < EXACT {
                 break;
             }
+            // The left side rises at least as fast as tau: the solution is no farther away than what is wrong.
             if wrong > 0.0 {
-                high = tau
+                (low, high) = (low.max(tau - wrong), tau)
             } else {
-                low = tau
+                (low, high) = (tau, high.min(tau - wrong))
             }
             let carried = self.friction.slope(dq - dtheta, self.error.joint) + damping;
             let newton = tau - wrong / (1.0 + bend * (inertia * second + carried * first));
             tau = if low < newton && newton < high { newton } else { 0.5 * (low + high) };
+            now = at(tau);
         }
-        let (.., theta) = at(tau);
+        let (.., theta) = now;
         self.tau = tau;
         self.past.derivatives(theta[0], dt);
         theta
