@@ -1,7 +1,7 @@
 //! The model that is delivered: the plain one with the effects that help.
 
-use super::Settings;
 use super::diagnosis::Input;
+use super::evidence::Evidence;
 use super::library::Candidate;
 use super::outcome::Fitted;
 use super::select::{Found, Selected};
@@ -22,8 +22,8 @@ const SETTLED: f64 = 0.1;
 pub struct Delivery<'a> {
     /// What is diagnosed.
     pub input: &'a Input<'a>,
-    /// How.
-    pub settings: &'a Settings,
+    /// Its unseen runs.
+    pub unseen: &'a Evidence,
     /// The runs to identify from.
     pub experiments: &'a [Experiment],
     /// The plain model.
@@ -54,7 +54,7 @@ impl Delivery<'_> {
             if !kept.contains(&true) {
                 return Ok((after, kept));
             }
-            let unseen = Unseen::of_model(self.input, &after, self.settings);
+            let unseen = Unseen::of_model(self.unseen, &after, self.input.unseen());
             let share = explained(&unseen, base, &DVector::from_column_slice(&after.identification.beta));
             let still = kept.iter().zip(&selected.found).map(|(kept, found)| *kept && explains(&share, found, 0.0));
             let still: Vec<bool> = still.collect();

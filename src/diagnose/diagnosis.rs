@@ -82,8 +82,12 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let selected = search.finish(draft, progress);
     let selected = vetoed(&search, selected, input, settings);
 
-    let adequacy = adequacy(input, settings, &base, &selected.state, ground);
-    let delivery = Delivery { input, settings, experiments: &experiments, before: &before, seeds: &seeds };
+    let unseen = Evidence::of(structure.chain(), input.unseen(), settings.band);
+    let adequacy = {
+        let model = Unseen::of(&unseen, structure, input.unseen(), &selected.state, ground);
+        explained(&model, &base, &selected.state.fit.theta)
+    };
+    let delivery = Delivery { input, unseen: &unseen, experiments: &experiments, before: &before, seeds: &seeds };
     let (after, kept) = delivery.of(&base, &selected, &adequacy)?;
     let effects = effects_of(&search, &selected, &kept, &adequacy, &after);
     // What the delivered model leaves over.
@@ -156,13 +160,14 @@ fn confirmation(evidence: &Evidence) -> Confirmation {
 
 /// Takes out every effect without which the unseen runs are predicted no worse.
 fn vetoed(search: &Search, mut selected: Selected, input: &Input, settings: &Settings) -> Selected {
-    if input.veto.is_empty() {
+    if input.veto.is_empty() || selected.state.items.is_empty() {
         return selected;
     }
+    let evidence = Evidence::of(input.structure.chain(), input.veto, settings.band);
     let mut item = 0;
     while item < selected.state.items.len() {
         let state = &selected.state;
-        let unseen = Unseen::of(input.structure, input.veto, state, search.ground, settings);
+        let unseen = Unseen::of(&evidence, input.structure, input.veto, state, search.ground);
         let rest = state.without(&search.problem, item);
         // The parameters without it, at their places among the columns with it.
         let gone = state.range(item);
@@ -189,13 +194,6 @@ fn vetoed(search: &Search, mut selected: Selected, input: &Input, settings: &Set
         item = 0;
     }
     selected
-}
-
-/// Share of what was unmodelled in each joint that the effects explain, on unseen runs where there are any; `None` where nothing was
-/// unmodelled or the noise is not known.
-fn adequacy(input: &Input, settings: &Settings, base: &State, state: &State, ground: &Ground) -> Vec<Option<f64>> {
-    let unseen = Unseen::of(input.structure, input.unseen(), state, ground, settings);
-    explained(&unseen, base, &state.fit.theta)
 }
 
 fn effects_of(

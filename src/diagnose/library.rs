@@ -27,8 +27,7 @@ impl Candidate {
     /// The same effect in the forms that grow out of this one, which was fitted with `parameters`.
     pub fn grown(&self, parameters: &[f64]) -> Vec<Spec> {
         let (Ok(family), &[parameter]) = (self.spec.family(), parameters) else { return Vec::new() };
-        let own_grown = family.form(self.spec.form).is_none_or(Form::grown);
-        let grown = family.forms.iter().filter(|form| form.grown() && !own_grown);
+        let grown = family.forms.iter().filter(|form| form.grown());
         let start = |form: &Form| {
             let values = std::iter::once(&parameter).chain(&self.spec.settings);
             let settings =
@@ -50,8 +49,13 @@ impl Candidate {
 
     /// Whether the other is the same effect but for its settings.
     pub fn alike(&self, other: &Candidate) -> bool {
-        let key = |one: &Candidate| (one.spec.family, one.spec.form, one.spec.site, one.since);
-        key(self) == key(other)
+        self.is_of(&other.spec, other.since)
+    }
+
+    /// Whether it is this effect but for its settings.
+    pub fn is_of(&self, spec: &Spec, since: Option<u32>) -> bool {
+        let key = |spec: &Spec, since| (spec.family, spec.form, spec.site, since);
+        key(&self.spec, self.since) == key(spec, since)
     }
 
     /// Whether the other is of the same family, at the same place.

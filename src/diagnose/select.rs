@@ -158,7 +158,7 @@ impl<'a> Search<'a> {
                 break;
             }
         }
-        let tried = parallel(&short, threads, |item| self.score(state, &self.refined(state, item)));
+        let tried = parallel(&short, threads, |item| self.score(state, &self.refined(state, self.rebuilt(item))));
         let mut scored: Vec<Scored> = tried.into_iter().flatten().collect();
         scored.sort_by(|a, b| b.score.total_cmp(&a.score));
         let mut seedlings: Vec<Candidate> = Vec::new();
@@ -166,14 +166,15 @@ impl<'a> Search<'a> {
             let theta = &one.tried.fit.theta;
             let parameters = theta.rows(theta.len() - one.item.rows.width, one.item.rows.width);
             for spec in one.item.grown(parameters.as_slice()) {
-                let seedling = Candidate { spec, since: one.item.since, rows: one.item.rows.clone() };
-                let known = state.items.iter().chain(&seedlings).any(|own| own.alike(&seedling));
-                if !known && wanted(&seedling) && seedlings.len() < SEEDLINGS {
-                    seedlings.push(seedling);
+                let since = one.item.since;
+                let known = state.items.iter().chain(&seedlings).any(|own| own.is_of(&spec, since));
+                if !known && seedlings.len() < SEEDLINGS {
+                    let seedling = Candidate::of(self.evidence(), self.ground, spec, since);
+                    seedlings.extend(seedling.filter(|seedling| wanted(seedling)));
                 }
             }
         }
-        let grown = parallel(&seedlings, threads, |item| self.score(state, &self.refined(state, item)));
+        let grown = parallel(&seedlings, threads, |item| self.score(state, &self.refined(state, item.clone())));
         scored.extend(grown.into_iter().flatten());
         scored.sort_by(|a, b| b.score.total_cmp(&a.score));
         scored
@@ -186,15 +187,15 @@ impl<'a> Search<'a> {
         Some(Scored { score: tried.evidence - penalty, penalty, tried, item: item.clone() })
     }
 
-    /// The candidate with its settings where the likelihood is largest, near where they are.
-    pub fn refined(&self, state: &State, item: &Candidate) -> Candidate {
+    /// A candidate on the present ground with its settings where the likelihood is largest, near where they are.
+    pub fn refined(&self, state: &State, item: Candidate) -> Candidate {
         let form = item.spec.family().ok().and_then(|family| family.form(item.spec.form));
-        let Some(form) = form.filter(|form| !form.settings.is_empty()) else { return self.rebuilt(item) };
+        let Some(form) = form.filter(|form| !form.settings.is_empty()) else { return item };
         let gain = |item: &Candidate| {
             let cross = state.columns.cross(self.evidence(), &item.rows);
             self.problem.gain(&state.fit, &cross, &every, None).map_or(f64::NEG_INFINITY, |gain| gain.evidence)
         };
-        let mut best = self.rebuilt(item);
+        let mut best = item;
         let mut best_gain = gain(&best);
         let (reaches, evaluations): (&[f64], _) =
             if form.settings.len() == 1 { (&[1.0], EVALUATIONS) } else { (&[1.0, 1.0 / 3.0], EVALUATIONS_OF_EACH) };
@@ -206,7 +207,7 @@ impl<'a> Search<'a> {
             let mut at = |share: f64| {
                 let mut spec = best.spec.clone();
                 spec.settings[which] = inside(setting, share);
-                let moved = Candidate::of(self.evidence(), self.ground, spec, item.since);
+                let moved = Candidate::of(self.evidence(), self.ground, spec, best.since);
                 moved.map(|moved| (gain(&moved), moved))
             };
             let found = golden((centre - step).max(0.0), (centre + step).min(1.0), evaluations, &mut at);
@@ -270,17 +271,18 @@ impl<'a> Search<'a> {
     /// The same effects upon the present ground, which is another one than they were found on; those that it changes are searched for their settings
     /// again. `None` when it changes none.
     pub fn upon_ground(&self, state: &State) -> Option<State> {
+        let rebuilt: Vec<Candidate> = state.items.iter().map(|item| self.rebuilt(item)).collect();
+        let changed: Vec<bool> = rebuilt.iter().zip(&state.items).map(|(new, old)| new.rows != old.rows).collect();
+        if !changed.contains(&true) {
+            return None;
+        }
         let mut now = state.clone();
-        let mut changed = false;
-        for item in &state.items {
+        for (item, changed) in rebuilt.into_iter().zip(changed) {
             // The first goes, and comes in again as the last: after one round the order is the same.
             let rest = now.without(&self.problem, 0);
-            let rebuilt = self.rebuilt(item);
-            let same = rebuilt.rows == item.rows;
-            changed |= !same;
-            now = rest.with(&self.problem, if same { rebuilt } else { self.refined(&rest, &rebuilt) });
+            now = rest.with(&self.problem, if changed { self.refined(&rest, item) } else { item });
         }
-        changed.then_some(now)
+        Some(now)
     }
 
     fn record(
@@ -342,7 +344,7 @@ impl<'a> Search<'a> {
                 continue;
             }
             let rest = state.without(&self.problem, item);
-            let better = self.refined(&rest, &state.items[item]);
+            let better = self.refined(&rest, self.rebuilt(&state.items[item]));
             let moved = rest.with(&self.problem, better);
             if moved.fit.likelihood > state.fit.likelihood {
                 // It is the last one now; the loop goes on with its neighbour next time.

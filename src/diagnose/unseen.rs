@@ -1,7 +1,6 @@
 //! Models on runs that they were not fitted to.
 
-use super::Settings;
-use super::diagnosis::{Input, THRESHOLD};
+use super::diagnosis::THRESHOLD;
 use super::evidence::{Evidence, Trial};
 use super::moments::Columns;
 use super::outcome::Fitted;
@@ -16,17 +15,22 @@ pub fn columns_of(evidence: &Evidence, structure: &Structure, trials: &[Trial]) 
 }
 
 /// Torques and columns of a state on other runs than those it was fitted to.
-pub struct Unseen {
+pub struct Unseen<'a> {
     /// The runs.
-    pub evidence: Evidence,
+    pub evidence: &'a Evidence,
     columns: Columns,
 }
 
-impl Unseen {
+impl<'a> Unseen<'a> {
     /// With the columns of a state.
-    pub fn of(structure: &Structure, trials: &[Trial], state: &State, ground: &Ground, settings: &Settings) -> Unseen {
-        let evidence = Evidence::of(structure.chain(), trials, settings.band);
-        let mut columns = columns_of(&evidence, structure, trials);
+    pub fn of(
+        evidence: &'a Evidence,
+        structure: &Structure,
+        trials: &[Trial],
+        state: &State,
+        ground: &Ground,
+    ) -> Unseen<'a> {
+        let mut columns = columns_of(evidence, structure, trials);
         for item in &state.items {
             if let Ok(term) = item.spec.build(ground) {
                 columns.push(&evidence.columns(&*term, item.since));
@@ -36,10 +40,8 @@ impl Unseen {
     }
 
     /// With the columns of a whole model.
-    pub fn of_model(input: &Input, fitted: &Fitted, settings: &Settings) -> Unseen {
-        let evidence = Evidence::of(input.structure.chain(), input.unseen(), settings.band);
-        let columns = columns_of(&evidence, &fitted.structure, input.unseen());
-        Unseen { evidence, columns }
+    pub fn of_model(evidence: &'a Evidence, fitted: &Fitted, trials: &[Trial]) -> Unseen<'a> {
+        Unseen { evidence, columns: columns_of(evidence, &fitted.structure, trials) }
     }
 
     /// Residual of a joint, divided by the noise there.
@@ -49,11 +51,12 @@ impl Unseen {
 
     /// Mean square of a joint's residual \[Nm2\].
     pub fn mean_square(&self, joint: usize, theta: &DVector<f64>) -> f64 {
-        mean_square(&self.evidence, joint, &self.residual(joint, theta))
+        mean_square(self.evidence, joint, &self.residual(joint, theta))
     }
 }
 
-/// Share of what the plain model leaves unmodelled in each joint that the parameters `theta` of all columns take away.
+/// Share of what the plain model leaves unmodelled in each joint that the parameters `theta` of all columns take away; `None` where nothing was
+/// unmodelled or the noise is not known.
 pub fn explained(unseen: &Unseen, base: &State, theta: &DVector<f64>) -> Vec<Option<f64>> {
     let share = |joint: usize| {
         let floor = unseen.evidence.floor(joint)?.powi(2);
