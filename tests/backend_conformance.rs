@@ -17,7 +17,9 @@ fn simulated_arm_at_full_speed() {
 
 #[test]
 fn simulated_arm_on_the_wall_clock() {
-    conformance(|| sim(&arm_file("sim-panda.toml"), 2, Pace::WallClock(Box::new(TestClock(Instant::now())))));
+    // A machine that is busy with other tests stalls for longer than a robot waits.
+    let clock = || Pace::WallClock(Box::new(TestClock(Instant::now())));
+    conformance(|| sim(&arm_file("sim-panda.toml"), 2, clock()).with_patience(1000));
 }
 
 #[test]
