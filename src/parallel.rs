@@ -1,5 +1,6 @@
 //! Floor 0: the same work on many things, on all processors.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
 /// Threads that long work may use: all that the machine has.
@@ -16,17 +17,20 @@ pub fn parallel<T: Sync, R: Send>(items: &[T], threads: usize, work: impl Fn(&T)
     if threads == 1 {
         return items.iter().map(work).collect();
     }
-    // Neighbours cost alike: dealt out one by one, every thread gets its share of the dear ones.
-    let work = &work;
-    let shares: Vec<Vec<R>> = thread::scope(|scope| {
-        let share = |first: usize| scope.spawn(move || items[first..].iter().step_by(threads).map(work).collect());
-        let running: Vec<_> = (0..threads).map(share).collect();
+    // Items cost what they cost, and threads are held up by others: whoever is done takes the next.
+    let (work, next) = (&work, &AtomicUsize::new(0));
+    let share = || -> Vec<(usize, R)> {
+        let mine = std::iter::from_fn(|| Some(next.fetch_add(1, Ordering::Relaxed)));
+        mine.map_while(|index| Some((index, work(items.get(index)?)))).collect()
+    };
+    let mut done: Vec<(usize, R)> = thread::scope(|scope| {
+        let running: Vec<_> = (0..threads).map(|_| scope.spawn(share)).collect();
         let join =
-            |one: thread::ScopedJoinHandle<Vec<R>>| one.join().unwrap_or_else(|cause| std::panic::resume_unwind(cause));
-        running.into_iter().map(join).collect()
+            |one: thread::ScopedJoinHandle<_>| one.join().unwrap_or_else(|cause| std::panic::resume_unwind(cause));
+        running.into_iter().flat_map(join).collect()
     });
-    let mut shares: Vec<_> = shares.into_iter().map(Vec::into_iter).collect();
-    (0..items.len()).filter_map(|index| shares[index % threads].next()).collect()
+    done.sort_unstable_by_key(|(index, _)| *index);
+    done.into_iter().map(|(_, result)| result).collect()
 }
 
 #[cfg(test)]
