@@ -474,7 +474,11 @@ fn a_link_swings_on_its_gear() {
         // Flanks that are wide against the load: between sharp ones the link jumps.
         let width = (0.5 * torque.column(i).amax()).min(5.0);
         let (compliance, gap) = (5e-4, 5e-4 * width);
-        let cases = [("joint-elasticity", vec![compliance], compliance), ("backlash", vec![gap, width], gap / width)];
+        let quality = 4.0;
+        let cases = [
+            ("joint-elasticity", vec![compliance, quality], compliance),
+            ("backlash", vec![gap, width, quality], gap / width),
+        ];
         for (id, settings, slack) in cases {
             let (size, gapped) = (settings[0], id == "backlash");
             let twist = |tau: f64| if gapped { gap * (tau / width).tanh() } else { compliance * tau };
@@ -484,7 +488,7 @@ fn a_link_swings_on_its_gear() {
             let still = friction(&ground, &motion, i);
             let tau: Vec<f64> = (0..motion.samples()).map(|k| torque[(k, i)] + still[k] + added[k]).collect();
             // theta = twist(tau - d dtheta), by the implicit Euler method and bisection: another way than the law's.
-            let damping = 2.0 * 0.2 * (inertia / slack).sqrt();
+            let damping = (inertia / slack).sqrt() / quality;
             let mut theta = vec![0.0; motion.samples()];
             for k in 0..2 * motion.samples() {
                 let (now, before) = (k % motion.samples(), theta[(k + motion.samples() - 1) % motion.samples()]);

@@ -52,7 +52,7 @@ const FOLLOWS: f64 = 0.25;
 /// Lack of fit from which on a residual is unexplained that follows no variable.
 const FLAT: f64 = 2.0;
 /// Times that the load is computed anew with the parameters of the model with effects,
-const GROUNDS: usize = 4;
+const GROUNDS: usize = 8;
 /// and twice the gain in log likelihood from which on it is worth another time.
 const GROUND_GAIN: f64 = 4.0;
 /// What is unmodelled counts from this share of the noise of the mean period on.

@@ -116,20 +116,22 @@ enum Thinning {
     Middle(usize),
     /// The mean of every so many, so that nothing sharp falls between two of them.
     Mean(usize),
+    /// The mean of so many up to the middle one of every so many.
+    MeanBefore(usize),
 }
 
 impl Thinning {
     fn step(self) -> usize {
         match self {
             Thinning::None => 1,
-            Thinning::Middle(step) | Thinning::Mean(step) => step,
+            Thinning::Middle(step) | Thinning::Mean(step) | Thinning::MeanBefore(step) => step,
         }
     }
 
     /// What a wave that turns by `angle` from sample to sample keeps of its height.
     fn gain(self, angle: f64) -> f64 {
         match self {
-            Thinning::Mean(step) if angle > 0.0 => {
+            Thinning::Mean(step) | Thinning::MeanBefore(step) if angle > 0.0 => {
                 (0.5 * angle * step as f64).sin() / (step as f64 * (0.5 * angle).sin())
             }
             _ => 1.0,
@@ -237,6 +239,15 @@ impl Evidence {
     ///
     /// Terms that are smooth in time are computed for some of the samples alone.
     pub fn columns(&self, term: &dyn Term, since: Option<u32>) -> Rows {
+        self.look(term, since, false)
+    }
+
+    /// Nearly the same in a fraction of the time, for terms that integrate in time.
+    pub fn sketch(&self, term: &dyn Term, since: Option<u32>) -> Rows {
+        self.look(term, since, true)
+    }
+
+    fn look(&self, term: &dyn Term, since: Option<u32>, rough: bool) -> Rows {
         let width = term.columns().len();
         let mut parts: Vec<Option<DMatrix<f64>>> = vec![None; self.joints];
         // One piece of memory for all motions: fresh pages cost more than what is computed into them.
@@ -246,14 +257,22 @@ impl Evidence {
             if !own.iter().any(|fold| since.is_none_or(|since| fold.session >= since)) {
                 continue;
             }
-            let thinning = if term.smooth() { Thinning::Middle(*step) } else { Thinning::Mean(*step) };
-            let motion = if term.smooth() { few } else { whole };
+            let means = rough && whole.periodic && term.integrates();
+            let (thinning, motion) = match (term.smooth(), means) {
+                (true, _) => (Thinning::Middle(*step), few),
+                (false, true) => (Thinning::MeanBefore(*step), few),
+                (false, false) => (Thinning::Mean(*step), whole),
+            };
             let samples = motion.samples();
             buffer.clear();
             buffer.resize(samples * self.joints * width, 0.0);
             let mut y = DMatrix::from_vec(samples * self.joints, width, std::mem::take(&mut buffer));
-            term.fill(&self.chain, motion, &mut y, 0);
-            let mut means = Vec::new();
+            if means {
+                term.fill_means(&self.chain, motion, &mut y, 0);
+            } else {
+                term.fill(&self.chain, motion, &mut y, 0);
+            }
+            let mut blocks = Vec::new();
             for (joint, part) in parts.iter_mut().enumerate() {
                 for column in 0..width {
                     let mut x = &y.as_slice()[column * y.nrows() + joint * samples..][..samples];
@@ -261,9 +280,9 @@ impl Evidence {
                         continue;
                     }
                     if let Thinning::Mean(step) = thinning {
-                        means.clear();
-                        means.extend(x.chunks_exact(step).map(|piece| piece.iter().sum::<f64>() / step as f64));
-                        x = &means;
+                        blocks.clear();
+                        blocks.extend(x.chunks_exact(step).map(|piece| piece.iter().sum::<f64>() / step as f64));
+                        x = &blocks;
                     }
                     let part = part.get_or_insert_with(|| DMatrix::zeros(self.per_joint(), width));
                     let mut part = part.column_mut(column);
@@ -382,7 +401,7 @@ impl Fold {
             Waves::Periodic { bins, all, few, thinned } => {
                 let spectrum = match thinning {
                     Thinning::None => all.transform(x),
-                    Thinning::Middle(_) | Thinning::Mean(_) => few.transform(x),
+                    _ => few.transform(x),
                 };
                 // As if all samples had been there: each stands for `step` of them, and the first is late by half of that.
                 let scale = step as f64 / n.sqrt();
@@ -392,6 +411,8 @@ impl Fold {
                         Thinning::None => ((0.0, 1.0), 1.0),
                         Thinning::Middle(_) => (thinned[bin].late, 1.0),
                         Thinning::Mean(_) => (thinned[bin].late, thinned[bin].gain),
+                        // As late as the middle one, less half of what the mean goes back.
+                        Thinning::MeanBefore(_) => ((0.0, 1.0), thinned[bin].gain),
                     };
                     let (re, im) = (spectrum[bin].re, spectrum[bin].im);
                     let scale = scale * 2.0_f64.sqrt() / gain;

@@ -2,6 +2,7 @@
 
 use super::evidence::{Evidence, Rows};
 use crate::model::term::effect::{Family, Form, Ground, Site, Spec, Stratum};
+use crate::model::term::{Expected, Term};
 use crate::parallel::parallel;
 
 /// An effect that may be missing from the model.
@@ -13,15 +14,43 @@ pub struct Candidate {
     pub since: Option<u32>,
     /// Its columns on the evidence.
     pub rows: Rows,
+    /// What its only parameter can be.
+    expected: Expected,
 }
+
+/// Times that a parameter may come out larger or smaller than what its column was computed for.
+const OFF: f64 = 2.0;
 
 impl Candidate {
     /// Computes the columns; `None` when they can't be built or are nothing in this data.
     pub fn of(evidence: &Evidence, ground: &Ground, spec: Spec, since: Option<u32>) -> Option<Candidate> {
         let term = spec.build(ground).ok()?;
-        let rows = evidence.columns(&*term, since);
+        Candidate::with(&*term, evidence.columns(&*term, since), spec, since)
+    }
+
+    /// The same in a fraction of the time for effects that are integrated in time: good enough to tell where to look with care.
+    pub fn sketch(evidence: &Evidence, ground: &Ground, spec: Spec, since: Option<u32>) -> Option<Candidate> {
+        let term = spec.build(ground).ok()?;
+        Candidate::with(&*term, evidence.sketch(&*term, since), spec, since)
+    }
+
+    fn with(term: &dyn Term, rows: Rows, spec: Spec, since: Option<u32>) -> Option<Candidate> {
         let finite = rows.parts.iter().all(|(_, part)| part.iter().all(|value| value.is_finite()));
-        (finite && !rows.parts.is_empty()).then_some(Candidate { spec, since, rows })
+        (finite && !rows.parts.is_empty()).then_some(Candidate { spec, since, rows, expected: term.expects() })
+    }
+
+    /// How far the parameter can be believed, 0 to 1: a gap below zero is none, and one that is not the gap that the link swings in explains less.
+    pub fn truth(&self, parameters: &[f64]) -> f64 {
+        match (self.expected, parameters) {
+            (Expected::NotNegative, &[parameter]) if parameter < 0.0 => 0.0,
+            (Expected::About(value), &[parameter]) => (parameter / value).min(value / parameter).max(0.0),
+            _ => 1.0,
+        }
+    }
+
+    /// Whether it may be taken with these parameters.
+    pub fn allows(&self, parameters: &[f64]) -> bool {
+        self.truth(parameters) * OFF >= 1.0
     }
 
     /// The same effect in the forms that grow out of this one, which was fitted with `parameters`.
@@ -29,9 +58,11 @@ impl Candidate {
         let (Ok(family), &[parameter]) = (self.spec.family(), parameters) else { return Vec::new() };
         let grown = family.forms.iter().filter(|form| form.grown());
         let start = |form: &Form| {
-            let values = std::iter::once(&parameter).chain(&self.spec.settings);
-            let settings =
-                form.settings.iter().zip(values).map(|(setting, value)| value.clamp(setting.low, setting.high));
+            let mut values = std::iter::once(parameter).chain(self.spec.settings.iter().copied());
+            let settings = form
+                .settings
+                .iter()
+                .map(|setting| values.next().unwrap_or_else(|| setting.at(0.0)).clamp(setting.low, setting.high));
             Spec { form: form.name, settings: settings.collect(), ..self.spec.clone() }
         };
         grown.map(start).collect()
@@ -65,7 +96,7 @@ impl Candidate {
     }
 }
 
-/// Every candidate that these families have, computed on `threads` threads; in the order of the families whatever their number.
+/// A sketch of every candidate that these families have, computed on `threads` threads; in the order of the families whatever their number.
 pub fn library(
     evidence: &Evidence,
     ground: &Ground,
@@ -81,7 +112,7 @@ pub fn library(
             }
         }
     }
-    parallel(&specs, threads, |spec| Candidate::of(evidence, ground, spec.clone(), since))
+    parallel(&specs, threads, |spec| Candidate::sketch(evidence, ground, spec.clone(), since))
         .into_iter()
         .flatten()
         .collect()

@@ -22,6 +22,7 @@ pub mod moments;
 pub mod outcome;
 mod parts;
 pub mod reference;
+mod search;
 pub mod select;
 pub mod state;
 mod unseen;

@@ -8,18 +8,17 @@ use super::evidence::Evidence;
 use super::fit::Problem;
 use super::gates::{self, Folds, Relevance};
 use super::library::Candidate;
+use super::search;
 use super::state::{State, Tried, every};
-use crate::model::term::effect::{Ground, Setting};
+use crate::model::term::effect::{Ground, Setting, Spec};
 use crate::parallel::parallel;
 
 /// Candidates that are tried with all care at each step.
 const SHORTLIST: usize = 16;
 /// Of those, the best that are tried in a form that grows out of theirs.
 const SEEDLINGS: usize = 4;
-/// Evaluations of a search for a setting, where it is the only one,
-const EVALUATIONS: usize = 12;
-/// and where there are others: these of each in turn, twice, the second time within a third as far.
-const EVALUATIONS_OF_EACH: usize = 8;
+/// Share of what an effect has to bring that it brings at the start of a search for several settings.
+const HOPE: f64 = 0.5;
 /// Where nothing tells the noise: candidates with this share of the best score are nearly as good,
 const NEARLY: f64 = 0.8;
 /// an effect has to show in so many of the blocks that were left out,
@@ -145,7 +144,9 @@ impl<'a> Search<'a> {
             }
             let cross = state.columns.cross(self.evidence(), &item.rows);
             let gain = self.problem.gain(&state.fit, &cross, &every, Some(&item.joints()));
-            gain.map_or(f64::NEG_INFINITY, |gain| gain.evidence - self.penalty(item))
+            gain.map_or(f64::NEG_INFINITY, |gain| {
+                item.truth(gain.gamma.as_slice()) * gain.evidence - self.penalty(item)
+            })
         });
         let mut order: Vec<usize> = (0..self.library.len()).filter(|&k| screened[k].is_finite()).collect();
         order.sort_by(|&a, &b| screened[b].total_cmp(&screened[a]));
@@ -183,6 +184,10 @@ impl<'a> Search<'a> {
     /// A candidate's score in a state.
     pub fn score(&self, state: &State, item: &Candidate) -> Option<Scored> {
         let tried = state.try_in(&self.problem, item)?;
+        let parameters = &tried.fit.theta.as_slice()[state.fit.theta.len()..];
+        if !item.allows(parameters) {
+            return None;
+        }
         let penalty = self.penalty(item);
         Some(Scored { score: tried.evidence - penalty, penalty, tried, item: item.clone() })
     }
@@ -193,29 +198,31 @@ impl<'a> Search<'a> {
         let Some(form) = form.filter(|form| !form.settings.is_empty()) else { return item };
         let gain = |item: &Candidate| {
             let cross = state.columns.cross(self.evidence(), &item.rows);
-            self.problem.gain(&state.fit, &cross, &every, None).map_or(f64::NEG_INFINITY, |gain| gain.evidence)
+            let gain = self.problem.gain(&state.fit, &cross, &every, None);
+            gain.map_or(f64::NEG_INFINITY, |gain| item.truth(gain.gamma.as_slice()) * gain.evidence)
         };
-        let mut best = item;
-        let mut best_gain = gain(&best);
-        let (reaches, evaluations): (&[f64], _) =
-            if form.settings.len() == 1 { (&[1.0], EVALUATIONS) } else { (&[1.0, 1.0 / 3.0], EVALUATIONS_OF_EACH) };
-        for (reach, (which, setting)) in
-            reaches.iter().flat_map(|reach| form.settings.iter().enumerate().map(move |one| (reach, one)))
-        {
-            let step = reach * setting.spacing();
-            let centre = setting.share(best.spec.settings[which]);
-            let mut at = |share: f64| {
-                let mut spec = best.spec.clone();
-                spec.settings[which] = inside(setting, share);
-                let moved = Candidate::of(self.evidence(), self.ground, spec, best.since);
-                moved.map(|moved| (gain(&moved), moved))
-            };
-            let found = golden((centre - step).max(0.0), (centre + step).min(1.0), evaluations, &mut at);
-            if let Some((found_gain, found)) = found.filter(|(found_gain, _)| *found_gain > best_gain) {
-                (best, best_gain) = (found, found_gain);
-            }
+        // A search in several dimensions is dear, and leads to nothing from where there is nothing.
+        if form.settings.len() > 1 && gain(&item) < HOPE * self.penalty(&item) {
+            return item;
         }
-        best
+        let spec_at = |shares: &[f64]| {
+            let setting = |(setting, share): (&Setting, &f64)| inside(setting, *share);
+            Spec { settings: form.settings.iter().zip(shares).map(setting).collect(), ..item.spec.clone() }
+        };
+        let at = |shares: &[f64]| {
+            let sketch = Candidate::sketch(self.evidence(), self.ground, spec_at(shares), item.since);
+            sketch.map_or(f64::NEG_INFINITY, |sketch| gain(&sketch))
+        };
+        let start: Vec<f64> =
+            form.settings.iter().zip(&item.spec.settings).map(|(own, value)| own.share(*value)).collect();
+        let steps: Vec<f64> = form.settings.iter().map(Setting::spacing).collect();
+        let found = search::largest(&start, &steps, &at);
+        // Sketches only tell where to look.
+        let found = Candidate::of(self.evidence(), self.ground, spec_at(&found), item.since);
+        match found {
+            Some(found) if gain(&found) > gain(&item) => found,
+            _ => item,
+        }
     }
 
     /// The same effect on the present ground.
@@ -416,25 +423,4 @@ impl<'a> Search<'a> {
 /// A value between the setting's limits, whatever rounding does.
 fn inside(setting: &Setting, share: f64) -> f64 {
     setting.at(share.clamp(0.0, 1.0)).clamp(setting.low, setting.high)
-}
-
-/// Golden-section search for the largest first component of `at`.
-fn golden<T>(low: f64, high: f64, evaluations: usize, at: &mut dyn FnMut(f64) -> Option<(f64, T)>) -> Option<(f64, T)> {
-    let ratio = (5.0_f64.sqrt() - 1.0) / 2.0;
-    let value = |one: &Option<(f64, T)>| one.as_ref().map_or(f64::NEG_INFINITY, |(value, _)| *value);
-    let (mut low, mut high) = (low, high);
-    let (mut left, mut right) = (high - ratio * (high - low), low + ratio * (high - low));
-    let (mut at_left, mut at_right) = (at(left), at(right));
-    for _ in 2..evaluations {
-        if value(&at_left) > value(&at_right) {
-            (high, right, at_right) = (right, left, at_left);
-            left = high - ratio * (high - low);
-            at_left = at(left);
-        } else {
-            (low, left, at_left) = (left, right, at_right);
-            right = low + ratio * (high - low);
-            at_right = at(right);
-        }
-    }
-    if value(&at_left) > value(&at_right) { at_left } else { at_right }
 }

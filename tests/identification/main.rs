@@ -21,6 +21,7 @@ mod diagnose_changing;
 mod diagnose_fallback;
 mod diagnose_real_logs;
 mod diagnose_selection;
+mod diagnose_sketch;
 mod estimate_direction;
 mod estimate_estimators;
 mod estimate_real_logs;

@@ -2,7 +2,7 @@
 
 use super::effect::{Family, Site, Spec};
 use super::one_row::Nothing;
-use super::{Column, FixedTerm, Motion, Sample, Term};
+use super::{Column, Expected, FixedTerm, Motion, Sample, Term};
 use crate::joint::{JointVec, MAX_JOINTS};
 use crate::model::chain::Chain;
 use nalgebra::{DMatrix, Vector3};
@@ -22,13 +22,20 @@ pub(super) struct Clock {
     pub time: f64,
     /// To the sample before \[s\].
     pub dt: f64,
+    /// Whether the columns are to be the means since then, not what they are now.
+    pub means: bool,
 }
 
 /// Columns of an effect, sample after sample. Neither allocates nor panics: a [`FixedRows`] holds its law by value, so that the compiler sees
 /// which one it calls.
 pub(super) trait Law: Send + 'static {
-    /// Samples that it remembers.
-    const MEMORY: usize = MEMORY;
+    /// Whether it goes on by itself between two samples, and knows its means.
+    const INTEGRATES: bool = false;
+
+    /// Samples that it remembers, where one comes every `dt` \[s\].
+    fn memory(_dt: f64) -> usize {
+        MEMORY
+    }
 
     /// Writes the columns at a sample, the torques of all joints in each; they are zero on entry, and as many as the term has.
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]);
@@ -42,12 +49,14 @@ pub(super) struct AllRows<L> {
     family: &'static Family,
     spec: Spec,
     columns: Vec<Column>,
+    expected: Expected,
     start: Box<Start<L>>,
 }
 
 impl<L: Law> AllRows<L> {
-    /// The term of a law.
-    pub fn term(
+    /// The term of a law whose only parameter can't be everything.
+    pub fn expecting(
+        expected: Expected,
         family: &'static Family,
         form: &'static str,
         site: Site,
@@ -57,7 +66,19 @@ impl<L: Law> AllRows<L> {
     ) -> Arc<dyn Term> {
         assert!(columns.len() <= WIDTH, "{} is too wide", family.id);
         let spec = Spec { family: family.id, form, site, settings: settings.to_vec() };
-        Arc::new(AllRows { family, spec, columns, start: Box::new(start) })
+        Arc::new(AllRows { family, spec, columns, expected, start: Box::new(start) })
+    }
+
+    /// The term of a law.
+    pub fn term(
+        family: &'static Family,
+        form: &'static str,
+        site: Site,
+        settings: &[f64],
+        columns: Vec<Column>,
+        start: impl Fn(&Vector3<f64>) -> L + Send + Sync + 'static,
+    ) -> Arc<dyn Term> {
+        AllRows::expecting(Expected::Any, family, form, site, settings, columns, start)
     }
 }
 
@@ -75,26 +96,19 @@ impl<L: Law> Term for AllRows<L> {
     }
 
     fn fill(&self, _chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
-        let (n, samples, width) = (motion.joints(), motion.samples(), self.columns.len());
-        let mut law = (self.start)(&motion.gravity);
-        let mut now = [JointVec::default(); WIDTH];
-        let mut at = |k: usize, columns: &mut [JointVec]| {
-            columns.fill(JointVec::default());
-            let clock = Clock { time: motion.start + k as f64 * motion.dt, dt: motion.dt };
-            law.at(&motion.sample(k), &clock, columns);
-        };
-        if motion.periodic {
-            // What the period before has left behind.
-            (samples.saturating_sub(L::MEMORY)..samples).for_each(|k| at(k, &mut now[..width]));
-        }
-        for k in 0..samples {
-            at(k, &mut now[..width]);
-            for (c, column) in now[..width].iter().enumerate() {
-                for (j, value) in column[..n].iter().enumerate() {
-                    y[(j * samples + k, first + c)] = *value;
-                }
-            }
-        }
+        self.write(motion, y, first, false);
+    }
+
+    fn integrates(&self) -> bool {
+        L::INTEGRATES
+    }
+
+    fn fill_means(&self, _chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
+        self.write(motion, y, first, true);
+    }
+
+    fn expects(&self) -> Expected {
+        self.expected
     }
 
     fn spec(&self) -> Option<Spec> {
@@ -112,6 +126,31 @@ impl<L: Law> Term for AllRows<L> {
     }
 }
 
+impl<L: Law> AllRows<L> {
+    fn write(&self, motion: &Motion, y: &mut DMatrix<f64>, first: usize, means: bool) {
+        let (n, samples, width) = (motion.joints(), motion.samples(), self.columns.len());
+        let mut law = (self.start)(&motion.gravity);
+        let mut now = [JointVec::default(); WIDTH];
+        let mut at = |k: usize, columns: &mut [JointVec]| {
+            columns.fill(JointVec::default());
+            let clock = Clock { time: motion.start + k as f64 * motion.dt, dt: motion.dt, means };
+            law.at(&motion.sample(k), &clock, columns);
+        };
+        if motion.periodic {
+            // What the period before has left behind.
+            (samples.saturating_sub(L::memory(motion.dt))..samples).for_each(|k| at(k, &mut now[..width]));
+        }
+        for k in 0..samples {
+            at(k, &mut now[..width]);
+            for (c, column) in now[..width].iter().enumerate() {
+                for (j, value) in column[..n].iter().enumerate() {
+                    y[(j * samples + k, first + c)] = *value;
+                }
+            }
+        }
+    }
+}
+
 struct FixedRows<L> {
     law: L,
     /// Columns, at most [`WIDTH`].
@@ -126,7 +165,7 @@ impl<L: Law> FixedTerm for FixedRows<L> {
     fn torque(&mut self, sample: &Sample, tau: &mut JointVec) {
         let Some(columns) = self.columns.get_mut(..self.width) else { return };
         columns.fill(JointVec::default());
-        self.law.at(sample, &Clock { time: 0.0, dt: self.dt }, columns);
+        self.law.at(sample, &Clock { time: 0.0, dt: self.dt, means: false }, columns);
         for (column, beta) in columns.iter().zip(&self.beta) {
             tau.iter_mut().zip(column).for_each(|(tau, value)| *tau += beta * value);
         }

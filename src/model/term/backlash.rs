@@ -4,8 +4,8 @@ use super::all_rows::{AllRows, Clock, Law, Past};
 use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
-use super::swing::{Gear, SWINGING, Swing};
-use super::{Column, Sample, Term};
+use super::swing::{Gear, QUALITY, SWINGING, Swing};
+use super::{Column, Expected, Sample, Term};
 use crate::joint::JointVec;
 use std::sync::Arc;
 
@@ -27,7 +27,7 @@ pub static FAMILY: Family = Family {
         Form {
             name: SWINGING,
             equation: "tau = gap_i lin_i(-theta / g), theta = g tanh(tau_i / width), tau_i = tau_rb_i(q - theta) + f_i(dq_i - dtheta): the link's inertia swings in the gap",
-            settings: &[HALF, WIDTH],
+            settings: &[HALF, WIDTH, QUALITY],
             build: swinging,
         },
     ],
@@ -64,7 +64,8 @@ const WIDTH: Setting = Setting {
 fn of_body(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let (joint, width) = (joint(site), settings[0]);
     let load = Arc::clone(&ground.load);
-    AllRows::term(&FAMILY, "", site, settings, columns(ground, site), move |gravity| {
+    let gap = columns(ground, site);
+    AllRows::expecting(Expected::NotNegative, &FAMILY, "", site, settings, gap, move |gravity| {
         let error = PositionError { joint, load: load.under(gravity) };
         Gap { error, width, past: Past::default() }
     })
@@ -72,7 +73,7 @@ fn of_body(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
 
 fn swinging(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let gear = Gear::Gap(settings[0], settings[1]);
-    Swing::term(&FAMILY, ground, site, settings, columns(ground, site), gear)
+    Swing::term(&FAMILY, ground, site, settings, columns(ground, site), gear, settings[2])
 }
 
 fn columns(ground: &Ground, site: Site) -> Vec<Column> {

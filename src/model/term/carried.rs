@@ -39,9 +39,10 @@ impl CarriedFriction {
         self.parameters.get(joint).map_or(0.0, |[fv, fc]| fv * dq + fc * smooth_sign(dq))
     }
 
-    /// How fast that grows with the velocity \[Nms/rad\].
-    pub fn slope(&self, dq: f64, joint: usize) -> f64 {
-        let bend = 1.0 - smooth_sign(dq) * smooth_sign(dq);
-        self.parameters.get(joint).map_or(0.0, |[fv, fc]| fv + fc * SHARPNESS * bend)
+    /// The same, and how fast it grows with the velocity \[Nms/rad\].
+    pub fn with_slope(&self, dq: f64, joint: usize) -> (f64, f64) {
+        let sign = smooth_sign(dq);
+        let both = |[fv, fc]: &[f64; 2]| (fv * dq + fc * sign, fv + fc * SHARPNESS * (1.0 - sign * sign));
+        self.parameters.get(joint).map_or((0.0, 0.0), both)
     }
 }

@@ -5,8 +5,8 @@ use super::carried::CarriedFriction;
 use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
-use super::swing::{Gear, SWINGING, Swing};
-use super::{Column, Sample, Term};
+use super::swing::{Gear, QUALITY, SWINGING, Swing};
+use super::{Column, Expected, Sample, Term};
 use crate::joint::JointVec;
 use std::sync::Arc;
 
@@ -40,7 +40,7 @@ pub static FAMILY: Family = Family {
         Form {
             name: SWINGING,
             equation: "tau = c_i lin_i(-theta / c), theta = c tau_i, tau_i = tau_rb_i(q - theta) + f_i(dq_i - dtheta): with the resonance of the link",
-            settings: &[COMPLIANCE],
+            settings: &[COMPLIANCE, QUALITY],
             build: swinging,
         },
     ],
@@ -76,7 +76,8 @@ fn with_friction(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term>
 }
 
 fn swinging(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    Swing::term(&FAMILY, ground, site, settings, columns(ground, site), Gear::Spring(settings[0]))
+    let gear = Gear::Spring(settings[0]);
+    Swing::term(&FAMILY, ground, site, settings, columns(ground, site), gear, settings[1])
 }
 
 fn columns(ground: &Ground, site: Site) -> Vec<Column> {
@@ -92,7 +93,8 @@ fn build(
 ) -> Arc<dyn Term> {
     let joint = joint(site);
     let load = Arc::clone(&ground.load);
-    AllRows::term(&FAMILY, form, site, settings, columns(ground, site), move |gravity| {
+    let compliance = columns(ground, site);
+    AllRows::expecting(Expected::NotNegative, &FAMILY, form, site, settings, compliance, move |gravity| {
         let error = PositionError { joint, load: load.under(gravity) };
         Twist { error, friction, past: Past::default() }
     })

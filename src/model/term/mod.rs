@@ -150,6 +150,21 @@ pub trait Term: Send + Sync {
         false
     }
 
+    /// Whether it integrates in time with steps of its own, and so may be looked at roughly, at few samples.
+    fn integrates(&self) -> bool {
+        false
+    }
+
+    /// As [`Term::fill`], where it integrates the means of its columns between each sample and the one before.
+    fn fill_means(&self, chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
+        self.fill(chain, motion, y, first);
+    }
+
+    /// What its only parameter can be.
+    fn expects(&self) -> Expected {
+        Expected::Any
+    }
+
     /// What its columns are at one sample, in their order; `None` when they depend on more than that sample.
     fn entries(&self) -> Option<Vec<Entry>> {
         None
@@ -167,6 +182,17 @@ pub trait Term: Send + Sync {
 
     /// The term with its parameters fixed, for the real-time loop.
     fn fix(&self, chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm>;
+}
+
+/// What the only parameter of a term can be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Expected {
+    /// Any number.
+    Any,
+    /// None below zero.
+    NotNegative,
+    /// About the one that its column was computed for.
+    About(f64),
 }
 
 /// A column that depends on one sample alone. Joints are counted from 0; all but a link's column have that joint's row alone.

@@ -1,7 +1,7 @@
 //! A term with some of its columns left out.
 
 use super::effect::Spec;
-use super::{Column, Entry, FixedTerm, Motion, Term};
+use super::{Column, Entry, Expected, FixedTerm, Motion, Term};
 use crate::model::chain::Chain;
 use nalgebra::{DMatrix, Vector3};
 use std::sync::Arc;
@@ -56,6 +56,10 @@ impl Term for Subset {
     fn entries(&self) -> Option<Vec<Entry>> {
         let entries = self.inner.entries()?;
         Some(self.kept.iter().map(|&c| entries[c]).collect())
+    }
+
+    fn expects(&self) -> Expected {
+        self.inner.expects()
     }
 
     fn spec(&self) -> Option<Spec> {

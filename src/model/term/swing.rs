@@ -2,14 +2,26 @@
 
 use super::all_rows::{AllRows, Clock, Law, Past};
 use super::carried::CarriedFriction;
-use super::effect::{Family, Ground, Site, joint};
+use super::effect::{Family, Ground, Scale, Setting, Site, joint};
 use super::position_error::PositionError;
-use super::{Column, Sample, Term};
+use super::{Column, Expected, Sample, Term};
 use crate::joint::JointVec;
 use std::sync::Arc;
 
 /// Name of the forms of an effect of a gear for a link that swings on it, by its own inertia.
 pub(super) const SWINGING: &str = "swinging";
+
+/// How sharp the resonance of the link on its gear is, `1 / (2 zeta)`. A search begins where it is well damped: there its answer to a wrong
+/// compliance is still much like that to the right one.
+pub(super) const QUALITY: Setting = Setting {
+    name: "quality",
+    unit: "1",
+    what: "quality factor of the link's resonance on its gear",
+    low: 2.5,
+    high: 50.0,
+    steps: 1,
+    scale: Scale::Logarithmic,
+};
 
 /// Longest step of the integration \[s\]: a link of 1 kg m2 on a gap of 0.75 mrad per 0.05 Nm swings at 1.3 Hz, one of 0.05 kg m2 per 5 Nm
 /// at 60 Hz.
@@ -17,11 +29,11 @@ const STEP: f64 = 1.1e-3;
 /// Steps between two samples at most.
 const STEPS: u8 = 20;
 /// Tries to solve one step.
-const TRIES: u8 = 20;
-/// Damping ratio of the link on its gear: an assumption (docs/effects.md).
-const DAMPING: f64 = 0.2;
+const TRIES: u8 = 50;
 /// A step is solved to so much of a torque \[Nm\].
-const EXACT: f64 = 1e-9;
+const EXACT: f64 = 1e-7;
+/// A link's swinging dies away in this time at the latest \[s\], or is kept up by every period alike.
+const DIES_AWAY: f64 = 2.0;
 
 /// How a gear gives way.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,7 +66,7 @@ impl Gear {
 
 /// The twist as a state that is integrated in time. The encoder sits on the motor's side and shows `q_i`; the link is at `q_i - theta`:
 ///
-///   theta = twist(tau - d dtheta),
+///   theta = twist(tau - d dtheta),   d = sqrt(M_ii / compliance) / quality,
 ///   tau = tau_rb_i(q - theta) + f_i(dq_i - dtheta)
 ///       = tau_rb_i(q) - K_i theta - V_i dtheta - M_ii ddtheta + f_i(dq_i - dtheta),
 ///
@@ -68,9 +80,12 @@ pub(super) struct Swing {
     error: PositionError,
     friction: CarriedFriction,
     gear: Gear,
+    quality: f64,
     past: Past,
     /// Torque that twists the gear \[Nm\].
     tau: f64,
+    /// What it has grown by in the last step \[Nm\]: the next begins where that leads.
+    rise: f64,
     /// `K_i theta + V_i dtheta` \[Nm\].
     slow: f64,
     /// Rigid-body torque and velocity at the sample before.
@@ -86,29 +101,44 @@ impl Swing {
         settings: &[f64],
         columns: Vec<Column>,
         gear: Gear,
+        quality: f64,
     ) -> Arc<dyn Term> {
         let (joint, friction, load) = (joint(site), CarriedFriction::of(ground), Arc::clone(&ground.load));
-        AllRows::term(family, SWINGING, site, settings, columns, move |gravity| {
+        AllRows::expecting(Expected::About(gear.size()), family, SWINGING, site, settings, columns, move |gravity| {
             let error = PositionError { joint, load: load.under(gravity) };
-            Swing { error, friction, gear, past: Past::default(), tau: 0.0, slow: 0.0, before: None }
+            Swing {
+                error,
+                friction,
+                gear,
+                quality,
+                past: Past::default(),
+                tau: 0.0,
+                rise: 0.0,
+                slow: 0.0,
+                before: None,
+            }
         })
     }
 
     /// One step: `[theta, dtheta, ddtheta]` where the rigid body asks for `load` \[Nm\] at the velocity `dq`.
     fn step(&mut self, load: f64, dq: f64, inertia: f64, dt: f64) -> [f64; 3] {
-        let damping = 2.0 * DAMPING * (inertia / self.gear.under(0.0).1).sqrt();
+        let damping = (inertia / self.gear.under(0.0).1).sqrt() / self.quality;
+        let [first, second] = self.past.slopes(dt);
+        // What the left side has too much, how fast that grows with tau, and the twist.
         let at = |tau: f64| {
             let (theta, bend) = self.gear.under(tau);
             let [dtheta, ddtheta] = self.past.with(theta, dt);
-            let carried = self.friction.at(dq - dtheta, self.error.joint) - damping * dtheta;
-            (tau + self.slow + inertia * ddtheta - load - carried, bend, [theta, dtheta, ddtheta])
+            let (friction, drag) = self.friction.with_slope(dq - dtheta, self.error.joint);
+            let wrong = tau + self.slow + inertia * ddtheta - load - friction + damping * dtheta;
+            let slope = 1.0 + bend * (inertia * second + (drag + damping) * first);
+            (wrong, slope, [theta, dtheta, ddtheta])
         };
-        let [first, second] = self.past.slopes(dt);
         let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
-        let mut now = at(self.tau);
-        let mut tau = self.tau;
+        let mut tau = self.tau + self.rise;
+        let mut now = at(tau);
+        let mut went = f64::INFINITY;
         for _ in 0..TRIES {
-            let (wrong, bend, [_, dtheta, _]) = now;
+            let (wrong, slope, _) = now;
             if wrong.abs() < EXACT {
                 break;
             }
@@ -118,21 +148,26 @@ impl Swing {
             } else {
                 (low, high) = (tau, high.min(tau - wrong))
             }
-            let carried = self.friction.slope(dq - dtheta, self.error.joint) + damping;
-            let newton = tau - wrong / (1.0 + bend * (inertia * second + carried * first));
-            tau = if low < newton && newton < high { newton } else { 0.5 * (low + high) };
+            // From a flank Newton's step may be far too long, and between the flanks too short again and again.
+            let newton = tau - wrong / slope;
+            let good = low < newton && newton < high && (newton - tau).abs() < 0.5 * went;
+            let next = if good { newton } else { 0.5 * (low + high) };
+            (went, tau) = ((next - tau).abs(), next);
             now = at(tau);
         }
         let (.., theta) = now;
-        self.tau = tau;
+        (self.tau, self.rise) = (tau, tau - self.tau);
         self.past.derivatives(theta[0], dt);
         theta
     }
 }
 
 impl Law for Swing {
-    /// A link's swinging dies away in this time at the latest, or is kept up by every period alike.
-    const MEMORY: usize = 2000;
+    const INTEGRATES: bool = true;
+
+    fn memory(dt: f64) -> usize {
+        (DIES_AWAY / dt).ceil() as usize
+    }
 
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
         let (joint, size) = (self.error.joint, self.gear.size());
@@ -141,22 +176,25 @@ impl Law for Swing {
         let inertia = self.error.inertia(sample, load);
         let [load_before, dq_before] = self.before.replace([load, dq]).unwrap_or([load, dq]);
         let steps = ((clock.dt / STEP).ceil() as u8).clamp(1, STEPS);
+        let friction = self.friction;
+        let rub = |dq: f64, dtheta: f64| friction.at(dq - dtheta, joint) - friction.at(dq, joint);
         let mut theta = [0.0; 3];
+        let (mut mean, mut rubbed) = ([0.0; 3], 0.0);
         for step in 1..=steps {
             let share = f64::from(step) / f64::from(steps);
             let between = |before: f64, now: f64| before + share * (now - before);
+            let (load, dq) = (between(load_before, load), between(dq_before, dq));
             // An inertia that was identified below nothing would let the torque run away.
-            theta = self.step(
-                between(load_before, load),
-                between(dq_before, dq),
-                inertia.max(0.0),
-                clock.dt / f64::from(steps),
-            );
+            theta = self.step(load, dq, inertia.max(0.0), clock.dt / f64::from(steps));
+            mean.iter_mut().zip(theta).for_each(|(sum, value)| *sum += value / f64::from(steps));
+            rubbed += rub(dq, theta[1]) / f64::from(steps);
         }
-        *column = self.error.signature(sample, theta.map(|value| -value / size));
+        if !clock.means {
+            (mean, rubbed) = (theta, rub(dq, theta[1]));
+        }
+        *column = self.error.signature(sample, mean.map(|value| -value / size));
         let Some(own) = column.get_mut(joint) else { return };
-        self.slow = -size * *own - inertia * theta[2];
-        let friction = |dq: f64| self.friction.at(dq, joint);
-        *own += (friction(dq - theta[1]) - friction(dq)) / size;
+        self.slow = -size * *own - inertia * mean[2];
+        *own += rubbed / size;
     }
 }

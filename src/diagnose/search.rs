@@ -1,0 +1,120 @@
+//! Searches for the settings of an effect: the largest value of a function of a few variables, each within `0 ..= 1`.
+
+/// Evaluations of [`golden`]
+const ON_A_LINE: usize = 12;
+/// and of [`simplex`].
+const IN_SPACE: usize = 120;
+/// Sides of the first simplex, as a share of the distance to the next place that a search starts from: what several settings decide together may
+/// be a ridge, narrow against that.
+const SIDE: f64 = 0.2;
+
+/// Where `at` is largest near `start`, no farther than about `steps`.
+pub fn largest(start: &[f64], steps: &[f64], at: &dyn Fn(&[f64]) -> f64) -> Vec<f64> {
+    match (start, steps) {
+        (&[start], &[step]) => {
+            vec![golden((start - step).max(0.0), (start + step).min(1.0), &|x| at(&[x]))]
+        }
+        _ => simplex(start, steps, at),
+    }
+}
+
+/// Golden-section search between two places.
+fn golden(mut low: f64, mut high: f64, at: &dyn Fn(f64) -> f64) -> f64 {
+    let ratio = (5.0_f64.sqrt() - 1.0) / 2.0;
+    let (mut left, mut right) = (high - ratio * (high - low), low + ratio * (high - low));
+    let (mut at_left, mut at_right) = (at(left), at(right));
+    for _ in 2..ON_A_LINE {
+        if at_left > at_right {
+            (high, right, at_right) = (right, left, at_left);
+            left = high - ratio * (high - low);
+            at_left = at(left);
+        } else {
+            (low, left, at_left) = (left, right, at_right);
+            right = low + ratio * (high - low);
+            at_right = at(right);
+        }
+    }
+    if at_left > at_right { left } else { right }
+}
+
+/// The simplex method of Nelder and Mead (Computer Journal 7, 1965), with corners outside put on the border.
+fn simplex(start: &[f64], steps: &[f64], at: &dyn Fn(&[f64]) -> f64) -> Vec<f64> {
+    let n = start.len();
+    let corner = |x: Vec<f64>| {
+        let x: Vec<f64> = x.into_iter().map(|x| x.clamp(0.0, 1.0)).collect();
+        (at(&x), x)
+    };
+    let mut corners = vec![corner(start.to_vec())];
+    for (k, step) in steps.iter().enumerate() {
+        let mut x = start.to_vec();
+        x[k] += if x[k] + SIDE * step <= 1.0 { SIDE * step } else { -SIDE * step };
+        corners.push(corner(x));
+    }
+    let mut evaluations = n + 1;
+    while evaluations < IN_SPACE {
+        corners.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let (worst, others) = (corners[n].clone(), &corners[..n]);
+        let middle: Vec<f64> = (0..n).map(|k| others.iter().map(|(_, x)| x[k]).sum::<f64>() / n as f64).collect();
+        // From the worst corner through the middle of the others: 1 is its mirror image.
+        let through =
+            |t: f64| corner(middle.iter().zip(&worst.1).map(|(middle, x)| middle + t * (middle - x)).collect());
+        let mirrored = through(1.0);
+        evaluations += 1;
+        let better = if mirrored.0 > corners[0].0 {
+            evaluations += 1;
+            let farther = through(2.0);
+            if farther.0 > mirrored.0 { farther } else { mirrored }
+        } else if mirrored.0 > corners[n - 1].0 {
+            mirrored
+        } else {
+            evaluations += 1;
+            through(if mirrored.0 > worst.0 { 0.5 } else { -0.5 })
+        };
+        if better.0 > worst.0 {
+            corners[n] = better;
+            continue;
+        }
+        let best = corners[0].1.clone();
+        for (value, x) in &mut corners[1..] {
+            let nearer = x.iter().zip(&best).map(|(x, best)| 0.5 * (x + best)).collect();
+            (*value, *x) = corner(nearer);
+            evaluations += 1;
+        }
+    }
+    let best = corners.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+    best.map_or_else(|| start.to_vec(), |(_, x)| x)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_hill_is_climbed_on_a_line() {
+        let found = largest(&[0.4], &[0.25], &|x| -(x[0] - 0.53).powi(2));
+        assert!((found[0] - 0.53).abs() < 0.01, "{found:?}");
+        let border = largest(&[0.1], &[0.5], &|x| -x[0]);
+        assert!(border[0] < 0.01, "{border:?}");
+    }
+
+    #[test]
+    fn a_narrow_ridge_is_followed_to_its_top() {
+        // Ten times as steep across as along it, with its top at (0.6, 0.5, 0.8).
+        let ridge = |x: &[f64]| {
+            let (across, along) = (x[0] - 0.6 - (x[1] - 0.5), x[0] - 0.6 + (x[1] - 0.5));
+            -100.0 * across * across - along * along - (x[2] - 0.8).powi(2)
+        };
+        let found = largest(&[0.4, 0.33, 0.0], &[0.5, 0.33, 1.0], &ridge);
+        assert!(ridge(&found) > -1e-3, "{found:?}");
+    }
+
+    #[test]
+    fn nothing_outside_is_looked_at() {
+        let inside = |x: &[f64]| {
+            assert!(x.iter().all(|x| (0.0..=1.0).contains(x)), "{x:?}");
+            x[0] + x[1]
+        };
+        let found = largest(&[1.0, 0.9], &[0.5, 0.5], &inside);
+        assert!(found[0] + found[1] > 1.95, "{found:?}");
+    }
+}
