@@ -22,17 +22,25 @@ job() { # FOLDER PERIODS
     (cd /var/lib/plumbline && runuser -u plumbline -- env PLUMBLINE_RUNTIME_DIR=/run/plumbline plumbline run \
         /usr/share/plumbline/config/panda-emulator-wall.toml --out "/var/lib/plumbline/$1" "${arguments[@]}") >"/tmp/$1.log" 2>&1
 }
-job job 3
-code=$?
-check "the main job over FCI" "exit $code, $(($(ms) - begin)) ms: $(grep -m 1 'RMS wall' /tmp/job.log)" test $code = 0
-if [ $code = 0 ]; then say "$(grep -m 1 '^loop' /tmp/job.log)"; else say "$(tail -n 5 /tmp/job.log)"; fi
-[ "$PATIENCE" = 1 ] || not_shown "FCI at 1 kHz by the clock on the wall" "the emulator's time stands still while it waits for a command"
+if [ "$PATIENCE" = 1 ]; then
+    job job 3
+    code=$?
+    check "the main job over FCI" "exit $code, $(($(ms) - begin)) ms: $(grep -m 1 'RMS wall' /tmp/job.log)" test $code = 0
+    [ $code = 0 ] || say "$(tail -n 5 /tmp/job.log)"
+else
+    not_shown "the main job over FCI, to its end" "an emulated processor has not the time for 40 s of motion and an identification: README.md has the two commands for a real one"
+    not_shown "FCI at 1 kHz by the clock on the wall" "the emulator's time stands still while it waits for a command"
+fi
 # The emulator dies in mid-motion: the daemon's own word for it, and an end.
 job job2 50 &
 run=$!
-within 60000 is phase excite >/dev/null
+took=$(within 60000 is phase excite)
+sleep 3
+read -r phase cycles lost <<<"$(fields phase cycles lost)"
+check "a job moves the arm over FCI" "$phase after $took ms, $cycles cycles, $lost skipped" test "$phase" = excite
 kill -KILL $emulator
 wait $run; code=$?
+say "$(grep -m 1 -o 'session `wall`.*allocations' /tmp/job2.log)"
 check "the robot dies in mid-motion: the job ends and says so" "exit $code: $(tail -n 1 /tmp/job2.log | cut -c 1-80)" test $code = 1
 ip netns delete robot
 systemctl start plumbline plumbline-estimator

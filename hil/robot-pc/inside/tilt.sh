@@ -71,11 +71,16 @@ device 2,0
 took=$(within 20000 good)
 check "another one in its place: brought up and served" "after $took ms, lost $(field losses) times, $(field lost-s) s in all" good
 check "every loss is in the daemon's status and journal" "$(field losses) losses" test "$(field losses)" -ge 5 -a "$(journal | grep -c 'the inclinometer is lost')" -ge 5
-operator command start >/dev/null
-within 20000 is phase excite >/dev/null
-echo unplug >&3
-took=$(within 10000 is progress stopped)
-check "lost in mid-motion: the arm is braked" "after $took ms: $(field stopped | cut -c 1-80)" is progress stopped
+if [ "$PATIENCE" = 1 ]; then
+    check "with it an operator's start moves the arm" "$(operator command start 2>&1)" within 20000 is progress driving >/dev/null
+    took=$(within 20000 is phase excite)
+    check "motion under way" "after $took ms: $(fields phase progress motion stopped)" is phase excite
+    echo unplug >&3
+    took=$(within 10000 is progress stopped)
+    check "lost in mid-motion: the arm is braked" "after $took ms: $(field stopped | cut -c 1-80)" is progress stopped
+else
+    not_shown "the inclinometer lost in mid-motion: the arm is braked" "a motion by the clock on the wall needs 1 kHz"
+fi
 echo quit >&3
 exec 3>&-
 systemctl stop plumbline
