@@ -18,6 +18,7 @@ use plumbline::model::rnea::rnea;
 use plumbline::rt::{Backend, Fault};
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 const N: usize = 7;
@@ -249,6 +250,30 @@ fn the_wall_clock_has_absolute_deadlines_and_goes_on_without_a_late_reader() {
         last = state.seq;
     }
     assert!(slept >= 12, "12 ms were slept through, {slept} states went by");
+}
+
+/// A machine that needs a millisecond and a half for a millisecond of the arm's life: its clock goes on whenever it is looked at.
+struct SlowMachine(AtomicU64);
+
+impl Clock for SlowMachine {
+    fn now_ns(&self) -> u64 {
+        self.0.fetch_add(1_500_000, Ordering::Relaxed)
+    }
+
+    fn sleep_until(&self, ns: u64) {
+        self.0.fetch_max(ns, Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn on_a_machine_that_is_too_slow_for_it_the_arms_time_stands_still() {
+    let mut arm = sim(&silent_panda(), 0, Pace::WallClock(Box::new(SlowMachine(AtomicU64::new(0)))));
+    let mut last = arm.read().unwrap().seq;
+    for _ in 0..50 {
+        let seq = arm.read().unwrap().seq;
+        assert!(seq > last && seq - last <= 25, "{seq} after {last}");
+        last = seq;
+    }
 }
 
 #[test]

@@ -1,7 +1,5 @@
 # SIGKILL and SIGSTOP at random moments of a motion. Sourced by checks.sh.
-ROUNDS=${ROUNDS:-3}
 pause() { sleep "$(printf '0.%03d' $((RANDOM % 900)))"; }
-epoch() { status | sed -n 's/^ *"epoch": \([0-9]*\),\{0,1\}$/\1/p'; }
 
 worst_daemon=0 worst_estimator=0 still=0 tried=0
 for round in $(seq "$ROUNDS"); do
@@ -20,10 +18,11 @@ for round in $(seq "$ROUNDS"); do
     # For a second and more the new daemon only holds.
     tried=$((tried + 1))
     sleep 1.2
-    [ "$(field phase)$(field progress)$(field motion)" = holdidle0 ] && still=$((still + 1))
+    holds && still=$((still + 1))
 done
-check "$ROUNDS killed estimators: the next one is up within 2 s" "worst $worst_estimator ms" test "$worst_estimator" -lt 2000
-check "$ROUNDS killed daemons: the next one answers within 2 s" "worst $worst_daemon ms" test "$worst_daemon" -lt 2000
+limit=$((2 * PATIENCE))
+check "$ROUNDS killed estimators: the next one is up within $limit s" "worst $worst_estimator ms" test "$worst_estimator" -lt ${limit}000
+check "$ROUNDS killed daemons: the next one answers within $limit s" "worst $worst_daemon ms" test "$worst_daemon" -lt ${limit}000
 check "$ROUNDS killed daemons: the next one only holds" "$still of $tried" test "$still" = "$tried"
 uid=$(id -u plumbline)
 running=$(find /run/plumbline/iceoryx2/nodes -maxdepth 1 -name '*.node_monitor' | wc -l)

@@ -1,8 +1,9 @@
 # The base tilts, its inclinometer is lost and comes back: the real unit in its own sandbox, SocketCAN on a virtual bus, a simulated device after
-# CiA 410 and the simulated arm, which stands upright whatever the base does. Sourced by long.sh; can0 is there.
+# CiA 410 and the simulated arm, which stands upright whatever the base does. Sourced by checks.sh; can0 is there.
 systemctl stop plumbline-estimator plumbline
-cp /etc/plumbline/daemon.toml /tmp/daemon.toml.before
 cat ./inclinometer.toml >>/etc/plumbline/daemon.toml
+# Four slopes that don't come are a loss, as are three heartbeats: an emulated processor is late by more than 80 ms now and then.
+[ "$PATIENCE" = 1 ] || printf 'rate = "10 Hz"\nheartbeat = "500 ms"\n' >>/etc/plumbline/daemon.toml
 install -m 644 ./model.toml /etc/plumbline/model.toml
 mkdir -p /etc/systemd/system/plumbline.service.d
 printf '[Service]\nExecStart=\nExecStart=/usr/bin/plumbline daemon --root-owned --model /etc/plumbline/model.toml /etc/plumbline/daemon.toml\n' \
@@ -18,10 +19,12 @@ device() { # TILT: the device, with its orders on descriptor 3
 # Degrees between the gravity that the model has and upright.
 tilt() { status | awk '/"rho":/ {gsub(/[^0-9.]/, "", $2); printf "%.2f", 180 - $2 * 57.29578; exit}'; }
 near() { awk -v is="$(tilt)" -v want="$1" 'BEGIN {exit !(is > want - 0.25 && is < want + 0.25)}'; }
-refused() { [ "$(field refused)" != null ]; }
-good() { [ "$(field refused)" = null ] && [ "$(field source)" = measured ]; }
-serves() { ! operator torque | grep -q 'NO MODEL'; }
-serves_not() { operator torque | grep -q 'NO MODEL'; }
+refused() { local why; why=$(field refused); [ "${why:-null}" != null ]; }
+good() { [ "$(fields refused source)" = "null measured" ]; }
+# A value that is old by the time that it is read says `STALE` instead of `NO MODEL`: what counts is whose torque it is.
+serves() { operator torque | grep -q 'model [0-9a-f]*[1-9a-f][0-9a-f]* '; }
+serves_not() { operator torque | grep -q 'model 0* '; }
+torque() { operator torque | sed 's/.*tau_ff//'; }
 why() { field refused | cut -c 1-90; }
 
 mark
@@ -33,17 +36,17 @@ took=$(within 10000 near 1)
 check "a base at 1 deg: the model has the measured gravity" "$(tilt) deg after $took ms" near 1
 within 5000 serves >/dev/null
 check "and is served" "$(operator torque | cut -c 1-60)" serves
-before=$(operator torque | sed 's/.*tau_ff//')
+before=$(torque)
 echo "tilt 4 0 1" >&3
 took=$(within 15000 near 4)
-check "the base tilts to 4 deg in a second: the model follows at 1 deg/s" "$(tilt) deg after $took ms" test "$took" -gt 2000 -a "$took" -lt 10000
-after=$(operator torque | sed 's/.*tau_ff//')
+check "the base tilts to 4 deg in a second: the model follows at 1 deg/s" "$(tilt) deg after $took ms" test "$took" -gt 2000 -a "$took" -lt $((10000 * PATIENCE))
+after=$(torque)
 check "and its torque with it" "$(printf '%s' "$before" | cut -c 1-32) ->$(printf '%s' "$after" | cut -c 1-32)" test "$before" != "$after"
 echo "tilt 10 0 3" >&3
 took=$(within 15000 refused)
 check "10 deg are beyond the tolerance: refused, by angle" "after $took ms: $(why)" grep -q 'deg off the declared' <<<"$(field refused)"
 within 5000 serves_not >/dev/null
-check "and the model is withdrawn" "$(operator torque | grep -o 'NO MODEL')" serves_not
+check "and the model is withdrawn" "$(operator torque | grep -oE 'NO MODEL|STALE')" serves_not
 echo "tilt 1 0 3" >&3
 took=$(within 20000 good)
 check "back at 1 deg it is served again" "after $took ms" good
@@ -66,18 +69,23 @@ took=$(within 10000 refused)
 check "the device dies: refused" "after $took ms: $(why)" refused
 device 2,0
 took=$(within 20000 good)
-check "another one in its place: brought up and served" "after $took ms, lost $(field losses) times, $(field lost_s) s in all" good
+check "another one in its place: brought up and served" "after $took ms, lost $(field losses) times, $(field lost-s) s in all" good
 check "every loss is in the daemon's status and journal" "$(field losses) losses" test "$(field losses)" -ge 5 -a "$(journal | grep -c 'the inclinometer is lost')" -ge 5
-operator command start >/dev/null
-within 20000 is phase excite >/dev/null
-echo unplug >&3
-took=$(within 10000 is progress stopped)
-check "lost in mid-motion: the arm is braked" "after $took ms: $(field stopped | cut -c 1-80)" is progress stopped
+if [ "$PATIENCE" = 1 ]; then
+    check "with it an operator's start moves the arm" "$(operator command start 2>&1)" within 20000 is progress driving >/dev/null
+    took=$(within 20000 is phase excite)
+    check "motion under way" "after $took ms: $(fields phase progress motion stopped)" is phase excite
+    echo unplug >&3
+    took=$(within 10000 is progress stopped)
+    check "lost in mid-motion: the arm is braked" "after $took ms: $(field stopped | cut -c 1-80)" is progress stopped
+else
+    not_shown "the inclinometer lost in mid-motion: the arm is braked" "a motion by the clock on the wall needs 1 kHz"
+fi
 echo quit >&3
 exec 3>&-
 systemctl stop plumbline
 rm /etc/systemd/system/plumbline.service.d/tilt.conf
 systemctl daemon-reload
-cp /tmp/daemon.toml.before /etc/plumbline/daemon.toml
+install -m 644 /tmp/daemon.toml.before /etc/plumbline/daemon.toml
 systemctl start plumbline plumbline-estimator
 within 20000 answers >/dev/null

@@ -59,10 +59,14 @@ pub const REFLEX_COMMUNICATION: u32 = 25;
 /// Missing commands in a row that end a motion, unless [`SimArm::with_patience`] says otherwise.
 const MISSING: u32 = 20;
 
+/// Milliseconds that a late reader is led through before it counts whether they take longer than they last.
+const LED: u64 = 20;
+
 /// How a simulated arm keeps time.
 pub enum Pace {
     /// One state per millisecond of this clock, on absolute deadlines. The arm goes on without whoever comes late: he gets the newest state
-    /// that is due, the ones before it are lost, and nothing is caught up in a burst.
+    /// that is due, the ones before it are lost, and nothing is caught up in a burst. On a machine that needs longer than a millisecond for
+    /// a millisecond of the arm's life no state is ever the newest: the arm's time then stands still instead.
     WallClock(Box<dyn Clock>),
     /// As fast as the gate lets states through.
     Fast(Arc<Gate>),
@@ -243,6 +247,28 @@ impl SimArm {
         clock.now_ns() >= origin.saturating_add((self.seq + 1) * 1_000_000)
     }
 
+    /// Lives through what nobody came for in time, and through states that are lost; the one that is due now.
+    fn catch_up(&mut self, mut state: State) -> State {
+        let (first, begin) = (self.seq, self.now_ns());
+        while self.losses.next() || self.is_overdue() {
+            state = self.tick();
+            let lived = self.seq - first;
+            if lived >= LED && self.now_ns().saturating_sub(begin) > lived * 1_000_000 {
+                self.origin_ns = Some(self.now_ns().saturating_sub(self.seq * 1_000_000));
+                break;
+            }
+        }
+        state
+    }
+
+    /// The clock that this arm keeps; stands still where it keeps none.
+    fn now_ns(&self) -> u64 {
+        match &self.pace {
+            Pace::WallClock(clock) => clock.now_ns(),
+            Pace::Fast(_) => 0,
+        }
+    }
+
     /// Waits for the moment of the present state.
     fn keep_pace(&mut self) {
         if let Pace::WallClock(clock) = &self.pace {
@@ -262,10 +288,8 @@ impl Backend for SimArm {
         if let Pace::Fast(gate) = &self.pace {
             gate.pass().map_err(|_| Fault::Disconnected)?;
         }
-        let mut state = self.tick();
-        while self.losses.next() || self.is_overdue() {
-            state = self.tick();
-        }
+        let state = self.tick();
+        let state = self.catch_up(state);
         self.keep_pace();
         match self.mode {
             Mode::Reflex => {
