@@ -15,6 +15,9 @@ use nalgebra::DVector;
 
 /// What a joint's effects have to explain of what was unmodelled there, to be put into the model.
 const HELPFUL: f64 = 0.5;
+/// Times the noise that the unseen runs may show of what the plain model lacks, for an effect that hardly comes in there: the errors of the parameters
+/// are as large, and it has to do no harm alone.
+const FAINT: f64 = 1.5;
 /// Parameters that moved by less than this, times their standard deviation, are those that the load was computed with.
 const SETTLED: f64 = 0.1;
 
@@ -34,8 +37,8 @@ pub struct Delivery<'a> {
 
 impl Delivery<'_> {
     /// The model with the effects that help, and which they are. They have to help in the selection's fit, of which `adequacy` tells each joint's
-    /// share, and must do no harm in the model that is delivered: identified once more upon its own load, an effect near a resonance may come out
-    /// as another one.
+    /// share (as far as the unseen runs show what the plain model lacks: `shown`, in times the noise), and must do no harm in the model that is
+    /// delivered: identified once more upon its own load, an effect near a resonance may come out as another one.
     ///
     /// # Errors
     /// As [`identify_with`].
@@ -44,11 +47,16 @@ impl Delivery<'_> {
         base: &State,
         selected: &Selected,
         adequacy: &[Option<f64>],
+        shown: &[Option<f64>],
     ) -> Result<(Fitted, Vec<bool>), EstimateError> {
         let explains = |share: &[Option<f64>], found: &Found, least: f64| {
             share[found.relevance.joint].is_none_or(|share| share >= least)
         };
-        let mut kept: Vec<bool> = selected.found.iter().map(|found| explains(adequacy, found, HELPFUL)).collect();
+        let least = |found: &Found| {
+            let faint = shown[found.relevance.joint].is_some_and(|shown| shown <= FAINT);
+            if faint { 0.0 } else { HELPFUL }
+        };
+        let mut kept: Vec<bool> = selected.found.iter().map(|found| explains(adequacy, found, least(found))).collect();
         loop {
             let after = self.extended(&selected.state, &kept)?;
             if !kept.contains(&true) {

@@ -13,7 +13,7 @@ use super::outcome::{Confirmation, Effect, Estimate, Fitted, JointFacts, Outcome
 use super::parts;
 use super::select::{Search, Selected, Step};
 use super::state::{State, every};
-use super::unseen::{Unseen, columns_of, explained};
+use super::unseen::{Unseen, columns_of, explained, shown};
 use crate::estimate::EstimateError;
 use crate::estimate::experiment::Experiment;
 use crate::estimate::solve::{self, identify_with};
@@ -83,12 +83,12 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let selected = vetoed(&search, selected, input, settings);
 
     let unseen = Evidence::of(structure.chain(), input.unseen(), settings.band);
-    let adequacy = {
+    let (adequacy, shown) = {
         let model = Unseen::of(&unseen, structure, input.unseen(), &selected.state, ground);
-        explained(&model, &base, &selected.state.fit.theta)
+        (explained(&model, &base, &selected.state.fit.theta), shown(&model, &base))
     };
     let delivery = Delivery { input, unseen: &unseen, experiments: &experiments, before: &before, seeds: &seeds };
-    let (after, kept) = delivery.of(&base, &selected, &adequacy)?;
+    let (after, kept) = delivery.of(&base, &selected, &adequacy, &shown)?;
     let effects = effects_of(&search, &selected, &kept, &adequacy, &after);
     // What the delivered model leaves over.
     let left = if kept.iter().any(|kept| *kept) { &selected.state } else { &base };

@@ -137,3 +137,22 @@ fn grid(family: &'static Family, form: &'static Form, site: Site) -> Vec<Spec> {
     }
     settings.into_iter().map(|settings| Spec { family: family.id, form: form.name, site, settings }).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_parameter_has_to_be_what_the_effect_can_have() {
+        let of = |expected| {
+            let spec = Spec { family: "backlash", form: "", site: Site::Joint(0), settings: vec![1.0] };
+            Candidate { spec, since: None, rows: Rows { width: 1, parts: Vec::new() }, expected }
+        };
+        assert!(of(Expected::Any).allows(&[-1.0]));
+        assert!(of(Expected::NotNegative).allows(&[1e-4]) && !of(Expected::NotNegative).allows(&[-1e-4]));
+        let swinging = of(Expected::About(1e-3));
+        assert!(swinging.allows(&[0.6e-3]) && swinging.allows(&[1.9e-3]));
+        assert!([0.4e-3, 2.1e-3, -1e-3, 0.0].iter().all(|gap| !swinging.allows(&[*gap])));
+        assert!((swinging.truth(&[0.5e-3]) - 0.5).abs() < 1e-12 && swinging.truth(&[1e-3]) == 1.0);
+    }
+}

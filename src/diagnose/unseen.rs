@@ -55,6 +55,15 @@ impl<'a> Unseen<'a> {
     }
 }
 
+/// What the plain model leaves unmodelled in each joint, over the noise; nothing where the noise is not known.
+pub fn shown(unseen: &Unseen, base: &State) -> Vec<Option<f64>> {
+    let over = |joint: usize| {
+        let floor = unseen.evidence.floor(joint)?;
+        Some((unseen.mean_square(joint, &base.fit.theta) / (floor * floor) - 1.0).max(0.0).sqrt())
+    };
+    (0..unseen.evidence.joints()).map(over).collect()
+}
+
 /// Share of what the plain model leaves unmodelled in each joint that the parameters `theta` of all columns take away; `None` where nothing was
 /// unmodelled or the noise is not known.
 pub fn explained(unseen: &Unseen, base: &State, theta: &DVector<f64>) -> Vec<Option<f64>> {

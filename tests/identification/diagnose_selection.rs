@@ -69,3 +69,9 @@ fn a_sensor_that_feels_another_joint() {
     let site = Site::Pair { row: 5, cause: 3 };
     found(15, "torque-crosstalk", site, "joint = 6\nother = 4\nshare = 0.03");
 }
+
+/// A link that falls from flank to flank swings there.
+#[test]
+fn a_gap_that_a_link_swings_in() {
+    found(16, "backlash", Site::Joint(5), "joint = 6\ngap = 0.0015");
+}
