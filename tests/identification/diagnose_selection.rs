@@ -73,5 +73,5 @@ fn a_sensor_that_feels_another_joint() {
 /// A link that falls from flank to flank swings there.
 #[test]
 fn a_gap_that_a_link_swings_in() {
-    found(16, "backlash", Site::Joint(5), "joint = 6\ngap = 0.0015");
+    found(16, "backlash", Site::Joint(5), "joint = 6\ngap = 0.0025");
 }

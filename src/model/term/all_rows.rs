@@ -33,7 +33,7 @@ pub(super) trait Law: Send + 'static {
     const INTEGRATES: bool = false;
 
     /// Samples that it remembers, where one comes every `dt` \[s\].
-    fn memory(_dt: f64) -> usize {
+    fn memory(&self, _dt: f64) -> usize {
         MEMORY
     }
 
@@ -130,6 +130,8 @@ impl<L: Law> AllRows<L> {
     fn write(&self, motion: &Motion, y: &mut DMatrix<f64>, first: usize, means: bool) {
         let (n, samples, width) = (motion.joints(), motion.samples(), self.columns.len());
         let mut law = (self.start)(&motion.gravity);
+        // The whole period tells how a law that integrates begins; a rough look makes do with what has not died away.
+        let memory = if L::INTEGRATES && !means { samples } else { law.memory(motion.dt) };
         let mut now = [JointVec::default(); WIDTH];
         let mut at = |k: usize, columns: &mut [JointVec]| {
             columns.fill(JointVec::default());
@@ -138,7 +140,7 @@ impl<L: Law> AllRows<L> {
         };
         if motion.periodic {
             // What the period before has left behind.
-            (samples.saturating_sub(L::memory(motion.dt))..samples).for_each(|k| at(k, &mut now[..width]));
+            (samples.saturating_sub(memory)..samples).for_each(|k| at(k, &mut now[..width]));
         }
         for k in 0..samples {
             at(k, &mut now[..width]);

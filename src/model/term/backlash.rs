@@ -26,7 +26,7 @@ pub static FAMILY: Family = Family {
         },
         Form {
             name: SWINGING,
-            equation: "tau = gap_i lin_i(-theta / g), theta = g tanh(tau_i / width), tau_i = tau_rb_i(q - theta) + f_i(dq_i - dtheta): the link's inertia swings in the gap",
+            equation: "tau = gap_i lin_i(-theta / g), theta = g tanh((tau_i - sqrt(M_ii width / g) / quality dtheta) / width), tau_i = tau_rb_i(q - theta) + f_i(dq_i - dtheta): the link's inertia swings in the gap",
             settings: &[HALF, WIDTH, QUALITY],
             build: swinging,
         },

@@ -39,7 +39,7 @@ pub static FAMILY: Family = Family {
         },
         Form {
             name: SWINGING,
-            equation: "tau = c_i lin_i(-theta / c), theta = c tau_i, tau_i = tau_rb_i(q - theta) + f_i(dq_i - dtheta): with the resonance of the link",
+            equation: "tau = c_i lin_i(-theta / c), theta = c (tau_i - sqrt(M_ii / c) / quality dtheta), tau_i = tau_rb_i(q - theta) + f_i(dq_i - dtheta): with the resonance of the link",
             settings: &[COMPLIANCE, QUALITY],
             build: swinging,
         },

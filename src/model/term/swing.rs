@@ -31,9 +31,9 @@ const STEPS: u8 = 20;
 /// Tries to solve one step.
 const TRIES: u8 = 50;
 /// A step is solved to so much of a torque \[Nm\].
-const EXACT: f64 = 1e-7;
-/// A link's swinging dies away in this time at the latest \[s\], or is kept up by every period alike.
-const DIES_AWAY: f64 = 2.0;
+const EXACT: f64 = 1e-9;
+/// A link's swinging dies away in this time for each one of its quality \[s\], or is kept up by every period alike.
+const DIES_AWAY: f64 = 0.8;
 
 /// How a gear gives way.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -165,8 +165,8 @@ impl Swing {
 impl Law for Swing {
     const INTEGRATES: bool = true;
 
-    fn memory(dt: f64) -> usize {
-        (DIES_AWAY / dt).ceil() as usize
+    fn memory(&self, dt: f64) -> usize {
+        (DIES_AWAY * self.quality / dt).ceil() as usize
     }
 
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
