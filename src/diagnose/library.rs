@@ -41,9 +41,9 @@ impl Candidate {
 
     /// How far the parameter can be believed, 0 to 1: a gap below zero is none, and one that is not the gap that the link swings in explains less.
     pub fn truth(&self, parameters: &[f64]) -> f64 {
-        match (self.expected, parameters) {
-            (Expected::NotNegative, &[parameter]) if parameter < 0.0 => 0.0,
-            (Expected::About(value), &[parameter]) => (parameter / value).min(value / parameter).max(0.0),
+        match (self.expected, parameters, self.spec.settings.first()) {
+            (Expected::NotNegative, &[parameter], _) if parameter < 0.0 => 0.0,
+            (Expected::FirstSetting, &[parameter], Some(value)) => (parameter / value).min(value / parameter).max(0.0),
             _ => 1.0,
         }
     }
@@ -145,12 +145,12 @@ mod tests {
     #[test]
     fn a_parameter_has_to_be_what_the_effect_can_have() {
         let of = |expected| {
-            let spec = Spec { family: "backlash", form: "", site: Site::Joint(0), settings: vec![1.0] };
+            let spec = Spec { family: "backlash", form: "", site: Site::Joint(0), settings: vec![1e-3] };
             Candidate { spec, since: None, rows: Rows { width: 1, parts: Vec::new() }, expected }
         };
         assert!(of(Expected::Any).allows(&[-1.0]));
         assert!(of(Expected::NotNegative).allows(&[1e-4]) && !of(Expected::NotNegative).allows(&[-1e-4]));
-        let swinging = of(Expected::About(1e-3));
+        let swinging = of(Expected::FirstSetting);
         assert!(swinging.allows(&[0.6e-3]) && swinging.allows(&[1.9e-3]));
         assert!([0.4e-3, 2.1e-3, -1e-3, 0.0].iter().all(|gap| !swinging.allows(&[*gap])));
         assert!((swinging.truth(&[0.5e-3]) - 0.5).abs() < 1e-12 && swinging.truth(&[1e-3]) == 1.0);

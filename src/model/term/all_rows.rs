@@ -32,6 +32,9 @@ pub(super) trait Law: Send + 'static {
     /// Whether it goes on by itself between two samples, and knows its means.
     const INTEGRATES: bool = false;
 
+    /// What its only parameter can be.
+    const EXPECTS: Expected = Expected::Any;
+
     /// Samples that it remembers, where one comes every `dt` \[s\].
     fn memory(&self, _dt: f64) -> usize {
         MEMORY
@@ -49,26 +52,10 @@ pub(super) struct AllRows<L> {
     family: &'static Family,
     spec: Spec,
     columns: Vec<Column>,
-    expected: Expected,
     start: Box<Start<L>>,
 }
 
 impl<L: Law> AllRows<L> {
-    /// The term of a law whose only parameter can't be everything.
-    pub fn expecting(
-        expected: Expected,
-        family: &'static Family,
-        form: &'static str,
-        site: Site,
-        settings: &[f64],
-        columns: Vec<Column>,
-        start: impl Fn(&Vector3<f64>) -> L + Send + Sync + 'static,
-    ) -> Arc<dyn Term> {
-        assert!(columns.len() <= WIDTH, "{} is too wide", family.id);
-        let spec = Spec { family: family.id, form, site, settings: settings.to_vec() };
-        Arc::new(AllRows { family, spec, columns, expected, start: Box::new(start) })
-    }
-
     /// The term of a law.
     pub fn term(
         family: &'static Family,
@@ -78,7 +65,9 @@ impl<L: Law> AllRows<L> {
         columns: Vec<Column>,
         start: impl Fn(&Vector3<f64>) -> L + Send + Sync + 'static,
     ) -> Arc<dyn Term> {
-        AllRows::expecting(Expected::Any, family, form, site, settings, columns, start)
+        assert!(columns.len() <= WIDTH, "{} is too wide", family.id);
+        let spec = Spec { family: family.id, form, site, settings: settings.to_vec() };
+        Arc::new(AllRows { family, spec, columns, start: Box::new(start) })
     }
 }
 
@@ -108,7 +97,7 @@ impl<L: Law> Term for AllRows<L> {
     }
 
     fn expects(&self) -> Expected {
-        self.expected
+        L::EXPECTS
     }
 
     fn spec(&self) -> Option<Spec> {

@@ -64,8 +64,7 @@ const WIDTH: Setting = Setting {
 fn of_body(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let (joint, width) = (joint(site), settings[0]);
     let load = Arc::clone(&ground.load);
-    let gap = columns(ground, site);
-    AllRows::expecting(Expected::NotNegative, &FAMILY, "", site, settings, gap, move |gravity| {
+    AllRows::term(&FAMILY, "", site, settings, columns(ground, site), move |gravity| {
         let error = PositionError { joint, load: load.under(gravity) };
         Gap { error, width, past: Past::default() }
     })
@@ -87,6 +86,8 @@ struct Gap {
 }
 
 impl Law for Gap {
+    const EXPECTS: Expected = Expected::NotNegative;
+
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
         let e = -(self.error.own(sample) / self.width).tanh();
         let [de, dde] = self.past.derivatives(e, clock.dt);

@@ -36,7 +36,7 @@ impl CarriedFriction {
 
     /// Of one joint at a velocity \[Nm\].
     pub fn at(&self, dq: f64, joint: usize) -> f64 {
-        self.parameters.get(joint).map_or(0.0, |[fv, fc]| fv * dq + fc * smooth_sign(dq))
+        self.with_slope(dq, joint).0
     }
 
     /// The same, and how fast it grows with the velocity \[Nms/rad\].

@@ -93,8 +93,7 @@ fn build(
 ) -> Arc<dyn Term> {
     let joint = joint(site);
     let load = Arc::clone(&ground.load);
-    let compliance = columns(ground, site);
-    AllRows::expecting(Expected::NotNegative, &FAMILY, form, site, settings, compliance, move |gravity| {
+    AllRows::term(&FAMILY, form, site, settings, columns(ground, site), move |gravity| {
         let error = PositionError { joint, load: load.under(gravity) };
         Twist { error, friction, past: Past::default() }
     })
@@ -107,6 +106,8 @@ struct Twist {
 }
 
 impl Law for Twist {
+    const EXPECTS: Expected = Expected::NotNegative;
+
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
         let e = -(self.error.own(sample) + self.friction.torque(sample, self.error.joint));
         let [de, dde] = self.past.derivatives(e, clock.dt);

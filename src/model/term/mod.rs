@@ -185,14 +185,14 @@ pub trait Term: Send + Sync {
 }
 
 /// What the only parameter of a term can be.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Expected {
     /// Any number.
     Any,
     /// None below zero.
     NotNegative,
-    /// About the one that its column was computed for.
-    About(f64),
+    /// About the first of its settings, which its column was computed for.
+    FirstSetting,
 }
 
 /// A column that depends on one sample alone. Joints are counted from 0; all but a link's column have that joint's row alone.

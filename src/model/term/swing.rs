@@ -104,7 +104,7 @@ impl Swing {
         quality: f64,
     ) -> Arc<dyn Term> {
         let (joint, friction, load) = (joint(site), CarriedFriction::of(ground), Arc::clone(&ground.load));
-        AllRows::expecting(Expected::About(gear.size()), family, SWINGING, site, settings, columns, move |gravity| {
+        AllRows::term(family, SWINGING, site, settings, columns, move |gravity| {
             let error = PositionError { joint, load: load.under(gravity) };
             Swing {
                 error,
@@ -164,6 +164,7 @@ impl Swing {
 
 impl Law for Swing {
     const INTEGRATES: bool = true;
+    const EXPECTS: Expected = Expected::FirstSetting;
 
     fn memory(&self, dt: f64) -> usize {
         (DIES_AWAY * self.quality / dt).ceil() as usize
