@@ -6,7 +6,7 @@ use super::library::Candidate;
 use super::outcome::Fitted;
 use super::select::{Found, Selected};
 use super::state::State;
-use super::unseen::{Unseen, explained};
+use super::unseen::Unseen;
 use crate::estimate::EstimateError;
 use crate::estimate::experiment::Experiment;
 use crate::estimate::solve::{Estimator, Identification, identify_weighted, identify_with};
@@ -37,23 +37,22 @@ pub struct Delivery<'a> {
 
 impl Delivery<'_> {
     /// The model with the effects that help, and which they are. They have to help in the selection's fit, of which `adequacy` tells each joint's
-    /// share (as far as the unseen runs show what the plain model lacks: `shown`, in times the noise), and must do no harm in the model that is
+    /// share (as far as the unseen runs show what the plain model `lacks`), and must do no harm in the model that is
     /// delivered: identified once more upon its own load, an effect near a resonance may come out as another one.
     ///
     /// # Errors
     /// As [`identify_with`].
     pub fn of(
         &self,
-        base: &State,
         selected: &Selected,
+        lacks: &[Option<f64>],
         adequacy: &[Option<f64>],
-        shown: &[Option<f64>],
     ) -> Result<(Fitted, Vec<bool>), EstimateError> {
         let explains = |share: &[Option<f64>], found: &Found, least: f64| {
             share[found.relevance.joint].is_none_or(|share| share >= least)
         };
         let least = |found: &Found| {
-            let faint = shown[found.relevance.joint].is_some_and(|shown| shown <= FAINT);
+            let faint = lacks[found.relevance.joint].is_some_and(|lack| lack <= FAINT * FAINT);
             if faint { 0.0 } else { HELPFUL }
         };
         let mut kept: Vec<bool> = selected.found.iter().map(|found| explains(adequacy, found, least(found))).collect();
@@ -63,7 +62,7 @@ impl Delivery<'_> {
                 return Ok((after, kept));
             }
             let unseen = Unseen::of_model(self.unseen, &after, self.input.unseen());
-            let share = explained(&unseen, base, &DVector::from_column_slice(&after.identification.beta));
+            let share = unseen.explained(lacks, &DVector::from_column_slice(&after.identification.beta));
             let still = kept.iter().zip(&selected.found).map(|(kept, found)| *kept && explains(&share, found, 0.0));
             let still: Vec<bool> = still.collect();
             if still == kept {

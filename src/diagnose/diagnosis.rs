@@ -13,7 +13,7 @@ use super::outcome::{Confirmation, Effect, Estimate, Fitted, JointFacts, Outcome
 use super::parts;
 use super::select::{Search, Selected, Step};
 use super::state::{State, every};
-use super::unseen::{Unseen, columns_of, explained, shown};
+use super::unseen::{Unseen, columns_of};
 use crate::estimate::EstimateError;
 use crate::estimate::experiment::Experiment;
 use crate::estimate::solve::{self, identify_with};
@@ -83,12 +83,14 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let selected = vetoed(&search, selected, input, settings);
 
     let unseen = Evidence::of(structure.chain(), input.unseen(), settings.band);
-    let (adequacy, shown) = {
+    let (lacks, adequacy) = {
         let model = Unseen::of(&unseen, structure, input.unseen(), &selected.state, ground);
-        (explained(&model, &base, &selected.state.fit.theta), shown(&model, &base))
+        let lacks = model.lacks(&base.fit.theta);
+        let adequacy = model.explained(&lacks, &selected.state.fit.theta);
+        (lacks, adequacy)
     };
     let delivery = Delivery { input, unseen: &unseen, experiments: &experiments, before: &before, seeds: &seeds };
-    let (after, kept) = delivery.of(&base, &selected, &adequacy, &shown)?;
+    let (after, kept) = delivery.of(&selected, &lacks, &adequacy)?;
     let effects = effects_of(&search, &selected, &kept, &adequacy, &after);
     // What the delivered model leaves over.
     let left = if kept.iter().any(|kept| *kept) { &selected.state } else { &base };

@@ -201,8 +201,9 @@ impl<'a> Search<'a> {
             let gain = self.problem.gain(&state.fit, &cross, &every, None);
             gain.map_or(f64::NEG_INFINITY, |gain| item.truth(gain.gamma.as_slice()) * gain.evidence)
         };
+        let before = gain(&item);
         // A search in several dimensions is dear, and leads to nothing from where there is nothing.
-        if form.settings.len() > 1 && gain(&item) < HOPE * self.penalty(&item) {
+        if form.settings.len() > 1 && before < HOPE * self.penalty(&item) {
             return item;
         }
         let spec_at = |shares: &[f64]| {
@@ -220,7 +221,7 @@ impl<'a> Search<'a> {
         // Sketches only tell where to look.
         let found = Candidate::of(self.evidence(), self.ground, spec_at(&found), item.since);
         match found {
-            Some(found) if gain(&found) > gain(&item) => found,
+            Some(found) if gain(&found) > before => found,
             _ => item,
         }
     }

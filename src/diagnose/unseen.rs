@@ -49,29 +49,25 @@ impl<'a> Unseen<'a> {
         &self.columns.r[joint] - self.columns.m[joint].columns(0, theta.len()) * theta
     }
 
-    /// Mean square of a joint's residual \[Nm2\].
-    pub fn mean_square(&self, joint: usize, theta: &DVector<f64>) -> f64 {
-        mean_square(self.evidence, joint, &self.residual(joint, theta))
+    /// Mean square of what a model lacks in a joint, over that of the noise; nothing where that is not known.
+    fn lack(&self, joint: usize, theta: &DVector<f64>) -> Option<f64> {
+        let floor = self.evidence.floor(joint)?.powi(2);
+        let square = mean_square(self.evidence, joint, &self.residual(joint, theta));
+        Some((square - floor).max(0.0) / floor)
     }
-}
 
-/// What the plain model leaves unmodelled in each joint, over the noise; nothing where the noise is not known.
-pub fn shown(unseen: &Unseen, base: &State) -> Vec<Option<f64>> {
-    let over = |joint: usize| {
-        let floor = unseen.evidence.floor(joint)?;
-        Some((unseen.mean_square(joint, &base.fit.theta) / (floor * floor) - 1.0).max(0.0).sqrt())
-    };
-    (0..unseen.evidence.joints()).map(over).collect()
-}
+    /// [`Unseen::lack`] of every joint.
+    pub fn lacks(&self, theta: &DVector<f64>) -> Vec<Option<f64>> {
+        (0..self.evidence.joints()).map(|joint| self.lack(joint, theta)).collect()
+    }
 
-/// Share of what the plain model leaves unmodelled in each joint that the parameters `theta` of all columns take away; `None` where nothing was
-/// unmodelled or the noise is not known.
-pub fn explained(unseen: &Unseen, base: &State, theta: &DVector<f64>) -> Vec<Option<f64>> {
-    let share = |joint: usize| {
-        let floor = unseen.evidence.floor(joint)?.powi(2);
-        let before = (unseen.mean_square(joint, &base.fit.theta) - floor).max(0.0);
-        let after = (unseen.mean_square(joint, theta) - floor).max(0.0);
-        (before > (THRESHOLD * THRESHOLD) * floor).then(|| 1.0 - after / before)
-    };
-    (0..unseen.evidence.joints()).map(share).collect()
+    /// Share of what another model `lacks` in each joint that the parameters `theta` of all columns take away; `None` where nothing was unmodelled
+    /// or the noise is not known.
+    pub fn explained(&self, lacks: &[Option<f64>], theta: &DVector<f64>) -> Vec<Option<f64>> {
+        let share = |(joint, before): (usize, &Option<f64>)| {
+            let before = before.filter(|before| *before > THRESHOLD * THRESHOLD)?;
+            Some(1.0 - self.lack(joint, theta)? / before)
+        };
+        lacks.iter().enumerate().map(share).collect()
+    }
 }
