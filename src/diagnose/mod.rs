@@ -15,6 +15,7 @@ pub mod errors;
 pub mod evidence;
 pub mod fallback;
 pub mod fit;
+pub mod fold;
 pub mod gates;
 pub mod library;
 pub mod live;
