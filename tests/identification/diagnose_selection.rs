@@ -5,7 +5,7 @@
 mod case;
 #[path = "../../benches/diagnosis/trial.rs"]
 #[allow(dead_code)]
-mod trial;
+pub mod trial;
 
 use crate::scene;
 use case::{Case, Injected, What};

@@ -1,8 +1,7 @@
 //! A rough look at an effect that is integrated in time is nearly the careful one.
 
+use crate::diagnose_selection::trial::Bench;
 use crate::scene::lab::{self, Noise};
-use plumbline::backend::sim::Truth;
-use plumbline::config::robot::Robot;
 use plumbline::diagnose::evidence::{Evidence, Trial};
 use plumbline::diagnose::library::Candidate;
 use plumbline::estimate::experiment::{self, Experiment};
@@ -13,12 +12,9 @@ use plumbline::model::term::effect::{Site, Spec};
 
 #[test]
 fn a_sketch_of_a_swinging_link_is_nearly_its_columns() {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/config/arms/sim-panda.toml");
-    let truth = Truth::parse(path, &std::fs::read_to_string(path).unwrap()).unwrap();
-    let chain = Robot::load("panda", None).unwrap().chain;
-    let [plans, _] = lab::plans();
+    let Bench { chain, base, identify, .. } = Bench::new();
     let run =
-        lab::period(&chain, &truth, &plans[0], Mounting::WALL, "one").record(&truth, 4, Noise { coloured: 0.05 }, 1);
+        lab::period(&chain, &base, &identify[0], Mounting::WALL, "one").record(&base, 4, Noise { coloured: 0.05 }, 1);
     let experiment = Experiment::prepare(&run, &experiment::Settings::default()).unwrap();
     let trials = [Trial { experiment: &experiment, session: 1 }];
     let evidence = Evidence::of(&chain, &trials, 10.0);

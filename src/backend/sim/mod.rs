@@ -243,8 +243,7 @@ impl SimArm {
 
     /// Whether the state after the present one is due, too: nobody came for the present one in time.
     fn is_overdue(&self) -> bool {
-        let (Pace::WallClock(clock), Some(origin)) = (&self.pace, self.origin_ns) else { return false };
-        clock.now_ns() >= origin.saturating_add((self.seq + 1) * 1_000_000)
+        self.origin_ns.is_some_and(|origin| self.now_ns() >= origin.saturating_add((self.seq + 1) * 1_000_000))
     }
 
     /// Lives through what nobody came for in time, and through states that are lost; the one that is due now.
