@@ -10,8 +10,8 @@ cd "$(dirname "$0")/../.."
 
 emulator=${FCI_EMULATOR:-}
 if [ -z "$emulator" ]; then
-    cargo build --release --locked --features fci-emulator --bin fci-emulator
-    emulator=${CARGO_TARGET_DIR:-target}/release/fci-emulator
+    cargo build --release --locked --example fci-emulator
+    emulator=${CARGO_TARGET_DIR:-target}/release/examples/fci-emulator
 fi
 
 library=$(mktemp -d)
