@@ -52,7 +52,6 @@ pub struct Server {
     followers: Followers,
     counters: Served,
     checked_ns: u64,
-    batch: Box<[SampleMessage; BATCH]>,
     // The ports go before the services, the services before their node.
     samples: Publisher<ipc::Service, [SampleMessage], ()>,
     feed_forward: Publisher<ipc::Service, FeedForwardMessage, ()>,
@@ -105,7 +104,6 @@ impl Server {
             followers: Followers::default(),
             counters: Served { epoch, ..Served::default() },
             checked_ns: now_ns(),
-            batch: Box::new([SampleMessage::default(); BATCH]),
             samples,
             feed_forward,
             replay,
@@ -123,30 +121,25 @@ impl Server {
     /// Keeps `records` and sends them to the followers.
     pub fn publish(&mut self, records: &[Record]) {
         for chunk in records.chunks(BATCH) {
-            let end = self.log.end();
-            for (number, (slot, record)) in (end..).zip(self.batch.iter_mut().zip(chunk)) {
-                *slot = SampleMessage::new(self.epoch, number, record);
-            }
-            let Some(batch) = self.batch.get(..chunk.len()) else { continue };
+            let (epoch, end) = (self.epoch, self.log.end());
+            let message = |i: usize| SampleMessage::new(epoch, end + i as u64, &chunk[i]);
             // Sent before they are kept: the followers need not wait for the log's fresh pages. Who asks for them again does so by `poll`.
-            let loan = self.samples.loan_slice_uninit(batch.len());
+            let loan = self.samples.loan_slice_uninit(chunk.len());
             let sent = loan.map_err(|error| error.to_string()).and_then(|memory| {
-                memory.write_from_slice(batch).send().map(|_followers| ()).map_err(|error| error.to_string())
+                memory.write_from_fn(message).send().map(|_followers| ()).map_err(|error| error.to_string())
             });
             if let Err(trouble) = sent {
                 self.counters.unsent_batches += 1;
                 self.trouble("samples", trouble);
             }
-            self.keep(chunk.len());
+            self.keep((0..chunk.len()).map(message));
         }
     }
 
-    /// Puts the first `count` messages of the batch into the log.
-    fn keep(&mut self, count: usize) {
+    /// Puts `messages` into the log.
+    fn keep(&mut self, messages: impl Iterator<Item = SampleMessage>) {
         let first_before = self.log.first();
-        for message in self.batch.iter().take(count) {
-            self.log.push(*message);
-        }
+        messages.for_each(|message| self.log.push(message));
         let unacknowledged_from = first_before.max(self.followers.furthest());
         self.counters.given_up_unacknowledged += self.log.first().saturating_sub(unacknowledged_from);
     }
