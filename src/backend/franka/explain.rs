@@ -100,9 +100,11 @@ fn reflex(code: u32, telemetry: &Statistics) -> Explanation {
 fn stalled(stall: &Stall, telemetry: &Statistics) -> String {
     let ms = |ns: u64| ns as f64 * 1e-6;
     let Stall { work_ns, wake_ns, network_ns, lost } = *stall;
-    let worst = work_ns.max(wake_ns).max(network_ns);
+    // A state that comes while our thread is at work lies in the socket for as long: that much of the wake-up is the work's.
+    let woken_late_ns = wake_ns.saturating_sub(work_ns);
+    let worst = work_ns.max(woken_late_ns).max(network_ns);
     let rate = telemetry.success_rate;
-    if worst < 1_000_000 && lost == 0 {
+    if wake_ns.max(worst) < 1_000_000 && lost == 0 {
         return format!(
             "states came and commands left in time (work {:.2} ms, wake-up {:.2} ms at most), so commands were lost between here and the \
              arm; it counted {:.0} % of them",
@@ -114,7 +116,7 @@ fn stalled(stall: &Stall, telemetry: &Statistics) -> String {
     if worst == work_ns {
         return format!("our own work took {:.2} ms in one cycle, from a state to its command", ms(work_ns));
     }
-    if worst == wake_ns {
+    if worst == woken_late_ns {
         return format!(
             "a state lay in the socket for {:.2} ms: the real-time thread was not woken in time, or was still busy",
             ms(wake_ns)

@@ -14,10 +14,12 @@ use crate::turns::Turns;
 use case::{Case, Ending, Trouble, When};
 use plumbline::backend::franka::wire::RobotMode;
 
-/// Arms answer within a millisecond: no more at a time than a small machine has processors.
-static MOTIONS: Turns = Turns::new(2);
+/// Arms answer within a millisecond, and daemon and emulator are a processor's work each: one at a time on a small machine.
+static MOTIONS: Turns = Turns::new(1);
+/// How often a case is played at most.
+const TRIES: u32 = 6;
 
-/// Plays a case until `is_right`, or three times. It is played again only where the arm missed commands or the daemon states: a machine
+/// Plays a case until `is_right`, or [`TRIES`] times. It is played again only where the arm missed commands or the daemon states: a machine
 /// without real-time kernel that has other work stalls for the 20 ms that a robot waits, and that is no fault of the case's. Whatever
 /// else is wrong counts at once.
 fn play(case: &Case, is_right: impl Fn(&Ending) -> bool) -> Ending {
@@ -29,7 +31,7 @@ fn play(case: &Case, is_right: impl Fn(&Ending) -> bool) -> Ending {
         if is_right(&ending) {
             return ending;
         }
-        assert!(ending.stalled() && attempt < 3, "{case:?}, try {attempt}: {}", ending.words());
+        assert!(ending.stalled() && attempt < TRIES, "{case:?}, try {attempt}: {}", ending.words());
         eprintln!("RETRY {attempt} of {case:?}: {}", ending.last_words());
     }
     unreachable!("the loop returns")
