@@ -285,10 +285,12 @@ fn daemons(rounds: u32, seed: u64, kill: bool) -> Row {
                 daemon.ended().is_some() || robot.status().is_some_and(|now| now.progress == Progress::Stopped)
             })
             .is_none();
-            // An arm that missed too many commands stops by itself; the daemon says so and ends, as with a robot.
+            // An arm that missed too many commands stops by itself, and so does one that is not where a stop could begin: it refuses the
+            // jump and brakes. The daemon says so and ends, as with a robot.
             if let Some(code) = daemon.ended() {
                 let said = daemon.said();
-                return if code == 1 && said.contains("the arm stopped by itself") {
+                let by_itself = ["the arm stopped by itself", "the arm refused a command"];
+                return if code == 1 && by_itself.iter().any(|words| said.contains(words)) {
                     Ok(Some(Outcome { went_on: false, up: None }))
                 } else {
                     Err(format!("after {lasts:?} the daemon ended with {code}: {said}"))
