@@ -1,7 +1,10 @@
 //! Sixteen torque clients of one daemon, some of them slow, stopped, killed or hostile: the loop does not notice.
+//!
+//! With the tests runs what any machine can decide. `hil/torque-clients/run.sh` compares the loop's statistics and writes docs/torque-clients.md.
 
 use crate::job_support::*;
 use plumbline::ipc::{Client, RobotId, Status};
+use std::fmt::Write as _;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
@@ -30,6 +33,29 @@ fn account(done: &Done) -> (String, Vec<f64>) {
     (text.trim().to_string(), numbers)
 }
 
+/// Sixteen of them, at work until they are dropped.
+struct Crowd {
+    _healthy: Vec<Running>,
+    frozen: Vec<Running>,
+    killed: Vec<Running>,
+}
+
+impl Crowd {
+    fn of(place: &Place) -> Crowd {
+        let rates = ["100", "100", "100", "100", "100", "100", "1", "1", "0.1", "0.1"];
+        let some = |rates: &[&str]| rates.iter().map(|rate| client(place, rate)).collect();
+        Crowd { _healthy: some(&rates), frozen: some(&rates[..3]), killed: some(&rates[..3]) }
+    }
+
+    /// Three are stopped in mid-read for good, three go without a word, and somebody talks nonsense as fast as he can and never reads an answer.
+    fn misbehave(&self, place: &Place) {
+        std::thread::sleep(Duration::from_secs(1));
+        self.frozen.iter().for_each(|client| signal(client.pid(), "STOP"));
+        self.killed.iter().for_each(|client| signal(client.pid(), "KILL"));
+        babble(&RobotId::parse("test", "robot", &place.id).unwrap(), Duration::from_secs(2));
+    }
+}
+
 /// Holds for a while with whatever `beside` starts; what it said, and its status before the end.
 fn hold<T>(test: &str, beside: impl FnOnce(&Place) -> T, during: impl FnOnce(&Place, &mut T)) -> (Done, Status) {
     let place = Place::new(test);
@@ -47,35 +73,23 @@ fn hold<T>(test: &str, beside: impl FnOnce(&Place) -> T, during: impl FnOnce(&Pl
     (done, last)
 }
 
+/// The numbers of [`account`], where the session kept its promises.
+fn checked(what: &str, done: &Done) -> Vec<f64> {
+    let (line, numbers) = account(done);
+    // periods = cycles + skipped (longest run), clock; late, records lost, allocations; ...
+    let [periods, cycles, skipped, _, clock, _, lost, allocations] = numbers[..8] else { panic!("{line}") };
+    assert_eq!((periods, clock), (cycles + skipped, periods), "{what}: {line}");
+    assert_eq!((lost, allocations), (0.0, 0.0), "{what}: {line}");
+    numbers
+}
+
 #[test]
 fn sixteen_clients_of_which_some_are_slow_dead_or_hostile_cost_the_loop_nothing() {
     let (alone, _) = hold("alone", |_| (), |_, _| ());
-    let (crowded, last) = hold(
-        "crowd",
-        |place| {
-            let rates = ["100", "100", "100", "100", "100", "100", "1", "1", "0.1", "0.1"];
-            let healthy: Vec<Running> = rates.iter().map(|rate| client(place, rate)).collect();
-            let frozen: Vec<Running> = (0..3).map(|_| client(place, "100")).collect();
-            let killed: Vec<Running> = (0..3).map(|_| client(place, "100")).collect();
-            (healthy, frozen, killed)
-        },
-        |place, (_, frozen, killed)| {
-            std::thread::sleep(Duration::from_secs(1));
-            // Three in mid-read for good, three gone without a word; their memory stays theirs.
-            frozen.iter().for_each(|client| signal(client.pid(), "STOP"));
-            killed.iter().for_each(|client| signal(client.pid(), "KILL"));
-            // And somebody who talks nonsense as fast as he can, and never reads an answer.
-            babble(&RobotId::parse("test", "robot", &place.id).unwrap(), Duration::from_secs(2));
-        },
-    );
+    let (crowded, last) = hold("crowd", Crowd::of, |place, crowd| crowd.misbehave(place));
     for (what, done) in [("alone", &alone), ("with sixteen clients and nonsense", &crowded)] {
-        let (line, numbers) = account(done);
-        println!("{what}: {line}");
-        // periods = cycles + skipped (longest run), clock; late, records lost, allocations; ...
-        let [periods, cycles, skipped, _, clock, _, lost, allocations] = numbers[..8] else { panic!("{line}") };
-        assert_eq!((periods, clock), (cycles + skipped, periods), "{what}: {line}");
-        assert_eq!((lost, allocations), (0.0, 0.0), "{what}: {line}");
-        assert!(periods >= 5_000.0, "{what}: {line}");
+        println!("{what}: {}", account(done).0);
+        assert!(checked(what, done)[0] >= 5_000.0, "{what}: {}", done.said());
     }
     assert!(last.served.garbled_requests > 0, "no nonsense arrived: {:?}", last.served);
     assert_eq!(last.stopped, None);
@@ -102,4 +116,97 @@ fn nonsense(k: u64) -> Vec<u8> {
         2 => vec![b'['; 60_000],
         _ => vec![b' '; 2 << 20],
     }
+}
+
+/// What is compared, and where [`account`] has it.
+const COMPARED: [(&str, usize); 7] = [
+    ("work p50 \\[us\\]", 16),
+    ("work p99", 18),
+    ("work p99.9", 20),
+    ("wake-up p50 \\[us\\]", 9),
+    ("wake-up p99", 11),
+    ("wake-up p99.9", 13),
+    ("skipped", 2),
+];
+
+/// Two daemons hold side by side. The measured one has nobody, or the sixteen are the other one's, or its own: what differs between the last two is not
+/// the machine's load, but whose memory they read.
+struct Pair {
+    measured: Place,
+    other: Place,
+}
+
+impl Pair {
+    fn hold(&self, whose: Option<&Place>, long: Duration) -> Vec<f64> {
+        let [mut measured, mut other] = [&self.measured, &self.other].map(|place| {
+            let daemon = Running::start(place.job("daemon", &HOLD));
+            wait_for("the loop", || place.status().filter(|status| status.cycles > 200));
+            daemon
+        });
+        let begin = Instant::now();
+        let crowd = whose.map(Crowd::of);
+        if let (Some(crowd), Some(place)) = (&crowd, whose) {
+            crowd.misbehave(place);
+        }
+        std::thread::sleep(long.saturating_sub(begin.elapsed()));
+        assert!(measured.runs() && other.runs(), "a daemon ended by itself");
+        for place in [&self.measured, &self.other] {
+            place.command("quit").expect_code(0);
+        }
+        checked("the other", &other.end().expect_code(0));
+        checked("the measured one", &measured.end().expect_code(0))
+    }
+}
+
+/// Writes docs/torque-clients.md; hil/torque-clients/run.sh runs it.
+#[test]
+#[ignore = "takes a quarter of an hour"]
+fn the_loop_with_clients_and_without() {
+    let number = |variable, default| std::env::var(variable).ok().and_then(|text| text.parse().ok()).unwrap_or(default);
+    let (rounds, seconds) = (number("ROUNDS", 10_usize), number("SECONDS", 20_usize));
+    let long = Duration::from_secs(seconds as u64);
+    let pair = Pair { measured: Place::new("measured"), other: Place::new("other") };
+    // By turns, each round in another order.
+    let mut found: [Vec<Vec<f64>>; 3] = Default::default();
+    for round in 0..rounds {
+        for turn in 0..3 {
+            let who = (round + turn) % 3;
+            let numbers = pair.hold([None, Some(&pair.other), Some(&pair.measured)][who], long);
+            eprintln!(
+                "round {round}, {who}: {}",
+                COMPARED.map(|(what, at)| format!("{what} {}", numbers[at])).join(", ")
+            );
+            found[who].push(numbers);
+        }
+    }
+    let mut text = format!(
+        "# Sixteen torque clients, and the loop beside them\n\n`hil/torque-clients/run.sh` writes this file: {rounds} rounds of {seconds} s for each column, by \
+         turns, on a machine with {} processors. Two daemons hold side by side at 1 kHz. Sixteen clients (6 that read at 100 Hz, 4 slow, 3 \
+         stopped for good, 3 killed) and two seconds of nonsense are nobody's, the other daemon's, or those of the one that is measured: median of the \
+         rounds, least and largest. The last two columns compare a round's figure with clients of its own to its figure with clients of the other.\n\n\
+         | the loop's own account | nobody | clients of the other | clients of its own | ratio, median (range) | larger, smaller in |\n\
+         |---|---|---|---|---|---|\n",
+        std::thread::available_parallelism().map_or(0, usize::from)
+    );
+    for (what, at) in COMPARED {
+        let [alone, others, own] =
+            [0, 1, 2].map(|who| found[who].iter().map(|numbers| numbers[at]).collect::<Vec<f64>>());
+        let pairs = || own.iter().zip(&others);
+        // Skipped periods may be none: then the ratio of one more.
+        let none = if what == "skipped" { 1.0 } else { 0.0 };
+        let ratios: Vec<f64> = pairs().map(|(own, other)| (own + none) / (other + none)).collect();
+        let [larger, smaller] = [pairs().filter(|(a, b)| a > b).count(), pairs().filter(|(a, b)| a < b).count()];
+        let columns = [alone, others, own].map(|values| spread(&values, 1)).join(" | ");
+        writeln!(text, "| {what} | {columns} | {} | {larger}, {smaller} of {rounds} |", spread(&ratios, 2)).unwrap();
+    }
+    text.push_str(include_str!("torque_clients.md"));
+    std::fs::write("docs/torque-clients.md", text).unwrap();
+}
+
+/// Median, least and largest.
+fn spread(values: &[f64], digits: usize) -> String {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let middle = 0.5 * (sorted[(sorted.len() - 1) / 2] + sorted[sorted.len() / 2]);
+    format!("{middle:.digits$} ({:.digits$} to {:.digits$})", sorted[0], sorted[sorted.len() - 1])
 }
