@@ -3,7 +3,7 @@
 # plumbline on it. Needs Debian's qemu-system-x86, cpio and xz-utils; kernel and busybox are fetched with `apt-get download`, or found in
 # the folder KERNEL as `dpkg-deb -x` leaves them.
 #
-#     cargo build --features sim-inclinometer --bin plumbline --bin sim-inclinometer
+#     cargo build --bin plumbline --example sim-inclinometer
 #     hil/inclinometer/vm.sh target/debug [SCENARIO]
 #
 # Exits 0 when the scenario does; its output is printed.
@@ -35,7 +35,7 @@ for module in net/can/can net/can/can-raw drivers/net/can/dev/can-dev drivers/ne
     file=$kernel/lib/modules/$version/kernel/$module.ko
     if [ -f "$file.xz" ]; then xz -dc "$file.xz" > "$root/modules/${module##*/}.ko"; else cp "$file" "$root/modules/"; fi
 done
-for program in "${PLUMBLINE:-$bins/plumbline}" "${SIMULATOR:-$bins/sim-inclinometer}"; do
+for program in "${PLUMBLINE:-$bins/plumbline}" "${SIMULATOR:-$bins/examples/sim-inclinometer}"; do
     cp "$program" "$root/bin/"
     ldd "$program" | awk '/\// {for (i = 1; i <= NF; i++) if ($i ~ /^\//) print $i}' | while read -r library; do
         mkdir -p "$root$(dirname "$library")"

@@ -2,9 +2,9 @@
 # The virtual robot PC in its full form: Debian's PREEMPT_RT kernel in QEMU with systemd, the package, CAN, and the emulator of Franka's
 # control unit on a network of its own.
 #
-#   hil/robot-pc/full.sh [FOLDER]        FOLDER: holds plumbline, fci-emulator and sim-inclinometer, default target/release
+#   hil/robot-pc/full.sh [FOLDER]        FOLDER: what cargo has built into, default target/release
 #
-#   cargo build --release --features fci-emulator,sim-inclinometer --bins
+#   cargo build --release --bin plumbline --example fci-emulator --example sim-inclinometer
 #
 # Prints what held as a table; exit code 0 when all of it did. Needs root, qemu-system-x86, mmdebstrap and cpio: else it says SKIPPED.
 #
@@ -23,7 +23,7 @@ for tool in qemu-system-x86_64 mmdebstrap cpio depmod; do
     command -v $tool >/dev/null && continue
     apt-get install -qq -y qemu-system-x86 mmdebstrap cpio kmod >/dev/null 2>&1 || skip "$tool is missing and could not be installed"
 done
-[ -x "$programs/plumbline" ] && [ -x "$programs/fci-emulator" ] || skip "plumbline and fci-emulator are not built in $programs"
+[ -x "$programs/plumbline" ] && [ -x "$programs/examples/fci-emulator" ] || skip "plumbline and fci-emulator are not built in $programs"
 image=$("$here/image.sh") || skip "the image could not be built"
 echo "image: $SECONDS s"
 begin=$SECONDS
@@ -60,7 +60,7 @@ depmod -b "$machine/root/usr" "$version" 2>/dev/null || depmod -b "$machine/root
 cp "$here"/inside/* "$package" "$machine/root/robot-pc/"
 install -m 644 "$root/config/models/panda-paper-table3.toml" "$machine/root/robot-pc/model.toml"
 for program in fci-emulator sim-inclinometer; do
-    [ ! -x "$programs/$program" ] || strip -o "$machine/root/robot-pc/$program" "$programs/$program"
+    [ ! -x "$programs/examples/$program" ] || strip -o "$machine/root/robot-pc/$program" "$programs/examples/$program"
 done
 sed 's/^substeps = .*/substeps = 1/' "$root/config/arms/sim-panda.toml" >"$machine/root/robot-pc/arm.toml"
 limit=${TIMEOUT:-1500}
@@ -115,6 +115,7 @@ echo "package, kernel, plans and disk: $((SECONDS - begin)) s"
 boot=$SECONDS
 # Four processors on whatever the host has: real-time threads that take two of them leave the others to the rest.
 processor=(-accel tcg,thread=multi -smp 4 -cpu max,la57=off)
+[ "${ICOUNT:-0}" = 1 ] && processor=(-accel tcg,thread=single -icount shift=0,sleep=off -rtc clock=vm -smp 1 -cpu max,la57=off)
 [ -w /dev/kvm ] && qemu-system-x86_64 -accel help | grep -q kvm && [ "${KVM:-0}" = 1 ] && processor=(-accel kvm -smp 2 -cpu max)
 # getty_auto=0: nobody logs in, and without udev systemd would wait 90 s for the line. tsc=reliable: else an emulated kernel asks a timer chip for
 # each look at the clock, which costs more than the loop's own work.

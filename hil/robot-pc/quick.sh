@@ -1,9 +1,11 @@
 #!/usr/bin/env bash
 # The virtual robot PC in its quick form: the package under Debian's own systemd in a container, on this machine's kernel.
 #
-#   hil/robot-pc/quick.sh [PROGRAM]      PROGRAM: the plumbline to package, default target/debug/plumbline
+#   hil/robot-pc/quick.sh [PROGRAM]      PROGRAM: the plumbline to package, default target/debug/plumbline;
+#                                        examples are looked for beside it
 #
 # Prints what held as a table; exit code 0 when all of it did. Needs root and systemd-container: else it says SKIPPED.
+# The robot of the job over FCI is the emulator in a network of its own: cargo build --example fci-emulator --example forger.
 # No CAN and no real-time kernel here: hil/robot-pc/full.sh has both.
 set -euo pipefail
 
@@ -26,8 +28,10 @@ tar -C "$machine" -xf "$image" --exclude=./dev
 mkdir -p "$machine/dev" "$machine/robot-pc"
 cp "$here"/inside/* "$package" "$machine/robot-pc/"
 install -m 644 "$root/config/models/panda-paper-table3.toml" "$machine/robot-pc/model.toml"
-forger=$(dirname "$program")/examples/forger
-[ ! -x "$forger" ] || strip --strip-debug -o "$machine/robot-pc/forger" "$forger"
+for example in forger fci-emulator; do
+    built=$(dirname "$program")/examples/$example
+    [ ! -x "$built" ] || strip --strip-debug -o "$machine/robot-pc/$example" "$built"
+done
 printf 'QUICK=1\nSEED=%s\nROUNDS=%s\n' "${SEED:-1}" "${ROUNDS:-3}" >"$machine/robot-pc/environment"
 install -m 644 "$here/inside/checks.service" "$machine/etc/systemd/system/robot-pc-checks.service"
 mkdir -p "$machine/etc/systemd/system/multi-user.target.wants"

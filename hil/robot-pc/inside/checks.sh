@@ -200,7 +200,8 @@ part start 60
 # Another local user, or what needs the real-time kernel and CAN: an emulated processor has not the time for both.
 if [ "$QUICK" = 1 ]; then
     part strangers 300
-    not_shown "CAN, and the job over FCI" "hil/robot-pc/full.sh"
+    part fci 240
+    not_shown "CAN, and a tilting base" "hil/robot-pc/full.sh"
 else
     part kernel_and_can 30
     part tilt 120
