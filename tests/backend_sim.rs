@@ -177,6 +177,33 @@ fn twenty_missing_commands_are_a_reflex() {
 }
 
 #[test]
+fn an_arm_with_patience_joins_the_motion_where_it_has_got_to() {
+    let truth = silent_panda();
+    let whole = follow(&mut sim(&truth, 0, fast()), 3000);
+    for gap in [15, 46, 90] {
+        let mut arm = sim(&truth, 0, fast()).with_patience(1000);
+        follow(&mut arm, 2000);
+        for missing in 0..gap {
+            arm.read().unwrap_or_else(|fault| panic!("after {missing} missing commands: {fault}"));
+        }
+        // Somewhere that no arm reaches in that time is refused as ever.
+        let away = Setpoint { q: READY.map(|q| q + 1.5), ..Setpoint::default() };
+        assert_eq!(arm.write(&command(2000, away)), Err(Fault::Refused { code: REFUSED_JUMP }));
+        let run = follow(&mut arm, 400);
+        let largest = |of: &dyn Fn(&(State, Exact), &(State, Exact)) -> f64| {
+            run.iter().map(|here| of(here, &whole[here.0.seq as usize - 1])).fold(0.0, f64::max)
+        };
+        let apart = |values: &[f64], others: &[f64]| (0..N).map(|j| (values[j] - others[j]).abs()).fold(0.0, f64::max);
+        let (q, tau) = (largest(&|a, b| apart(&a.0.q, &b.0.q)), largest(&|a, b| apart(&a.0.tau, &b.0.tau)));
+        assert!(q > 1e-6, "after {gap} ms it is where it would have been");
+        // A step of the velocity would be some 60 Nm.
+        assert!(tau < 30.0, "{gap} ms: {q} rad off gave {tau} Nm");
+        let last = run.last().expect("400 of them");
+        assert!(apart(&last.0.q, &whole[last.0.seq as usize - 1].0.q) < 1e-4, "after {gap} ms it never came back");
+    }
+}
+
+#[test]
 fn refuses_what_a_robot_refuses_and_goes_on() {
     let mut arm = sim(&silent_panda(), 0, fast());
     let state = arm.read().unwrap();

@@ -29,22 +29,10 @@ check() {
 # What a form of this machine can't show; said, so that nobody takes it for held.
 not_shown() { row "NOT SHOWN HERE" "$1" "$2"; }
 
-# How many times longer than on a robot's PC everything may take: 1 where the processor is a real one.
+# How many times longer than on a robot's PC everything may take.
 PATIENCE=${PATIENCE:-1}
-# A check of time alone: an emulated processor that is too late says nothing, and that is what the table says then.
-check_of_time() {
-    local what=$1 measured=$2
-    shift 2
-    if [ "$PATIENCE" = 1 ]; then
-        check "$what" "$measured" "$@"
-    elif "$@"; then
-        row HELD "$what" "$measured"
-    else
-        not_shown "$what" "$measured: too slow, on an emulated processor"
-    fi
-}
-
-# within MS COMMAND...: tries for PATIENCE times as long, until it succeeds; prints the milliseconds that it took.
+# within MS COMMAND...: tries for PATIENCE times as long, every POLL seconds, until it succeeds; prints the milliseconds that it took.
+POLL=${POLL:-0.02}
 within() {
     local limit=$(($1 * PATIENCE)) start now
     shift
@@ -52,7 +40,7 @@ within() {
     until "$@"; do
         now=$(ms)
         if [ $((now - start)) -gt "$limit" ]; then echo $((now - start)); return 1; fi
-        sleep 0.02
+        sleep $POLL
     done
     echo $(($(ms) - start))
 }

@@ -2,8 +2,6 @@
 # CiA 410 and the simulated arm, which stands upright whatever the base does. Sourced by checks.sh; can0 is there.
 systemctl stop plumbline-estimator plumbline
 cat ./inclinometer.toml >>/etc/plumbline/daemon.toml
-# Four slopes that don't come are a loss, as are three heartbeats: an emulated processor is late by more than 80 ms now and then.
-[ "$PATIENCE" = 1 ] || printf 'rate = "10 Hz"\nheartbeat = "500 ms"\n' >>/etc/plumbline/daemon.toml
 install -m 644 ./model.toml /etc/plumbline/model.toml
 mkdir -p /etc/systemd/system/plumbline.service.d
 printf '[Service]\nExecStart=\nExecStart=/usr/bin/plumbline daemon --root-owned --model /etc/plumbline/model.toml /etc/plumbline/daemon.toml\n' \
@@ -43,8 +41,10 @@ check "the base tilts to 4 deg in a second: the model follows at 1 deg/s" "$(til
 after=$(torque)
 check "and its torque with it" "$(printf '%s' "$before" | cut -c 1-32) ->$(printf '%s' "$after" | cut -c 1-32)" test "$before" != "$after"
 echo "tilt 10 0 3" >&3
-took=$(within 15000 refused)
-check "10 deg are beyond the tolerance: refused, by angle" "after $took ms: $(why)" grep -q 'deg off the declared' <<<"$(field refused)"
+# While it tilts, three sides may disagree in other ways.
+by_angle() { grep -q 'deg off the declared' <<<"$(field refused)"; }
+took=$(within 15000 by_angle)
+check "10 deg are beyond the tolerance: refused, by angle" "after $took ms: $(why)" by_angle
 within 5000 serves_not >/dev/null
 check "and the model is withdrawn" "$(operator torque | grep -oE 'NO MODEL|STALE')" serves_not
 echo "tilt 1 0 3" >&3
@@ -71,16 +71,12 @@ device 2,0
 took=$(within 20000 good)
 check "another one in its place: brought up and served" "after $took ms, lost $(field losses) times, $(field lost-s) s in all" good
 check "every loss is in the daemon's status and journal" "$(field losses) losses" test "$(field losses)" -ge 5 -a "$(journal | grep -c 'the inclinometer is lost')" -ge 5
-if [ "$PATIENCE" = 1 ]; then
-    check "with it an operator's start moves the arm" "$(operator command start 2>&1)" within 20000 is progress driving >/dev/null
-    took=$(within 20000 is phase excite)
-    check "motion under way" "after $took ms: $(fields phase progress motion stopped)" is phase excite
-    echo unplug >&3
-    took=$(within 10000 is progress stopped)
-    check "lost in mid-motion: the arm is braked" "after $took ms: $(field stopped | cut -c 1-80)" is progress stopped
-else
-    not_shown "the inclinometer lost in mid-motion: the arm is braked" "a motion by the clock on the wall needs 1 kHz"
-fi
+check "with it an operator's start moves the arm" "$(operator command start 2>&1)" within 20000 is progress driving >/dev/null
+took=$(within 20000 is phase excite)
+check "motion under way" "after $took ms: $(fields phase progress motion stopped)" is phase excite
+echo unplug >&3
+took=$(within 10000 is progress stopped)
+check "lost in mid-motion: the arm is braked" "after $took ms: $(field stopped | cut -c 1-80)" is progress stopped
 echo quit >&3
 exec 3>&-
 systemctl stop plumbline

@@ -33,23 +33,27 @@ pub(super) enum Objection {
     Jump,
 }
 
-/// The last four commands, oldest first.
+/// The last four commands, oldest first, and the last one that came from outside.
 #[derive(Clone, Debug)]
 pub(super) struct Commands {
     n: usize,
     last: [JointVec; 4],
+    heard: JointVec,
+    /// Its step from the one before it \[rad\].
+    pace: JointVec,
 }
 
 impl Commands {
     pub fn at_rest(n: usize, q: &JointVec) -> Commands {
-        Commands { n, last: [*q; 4] }
+        Commands { n, last: [*q; 4], heard: *q, pace: [0.0; MAX_JOINTS] }
     }
 
     /// Commands of joints that pass `q` with velocity `dq`.
     pub fn passing(n: usize, q: &JointVec, dq: &JointVec) -> Commands {
         let back = |ticks: f64| std::array::from_fn(|j| q[j] - ticks * TICK * dq[j]);
         // At the end of its millisecond the spline passes the command before the newest.
-        Commands { n, last: [back(2.0), back(1.0), *q, back(-1.0)] }
+        let pace = std::array::from_fn(|j| TICK * dq[j]);
+        Commands { n, last: [back(2.0), back(1.0), *q, back(-1.0)], heard: back(-1.0), pace }
     }
 
     /// The newest command.
@@ -70,8 +74,47 @@ impl Commands {
         (0..self.n).any(jumps).then_some(Objection::Jump)
     }
 
+    /// What an arm that forgives a gap would say against `q`, which comes `gap` milliseconds after the command before it: it can only judge the
+    /// mean velocity since then.
+    pub fn objection_after(&self, q: &JointVec, gap: u32) -> Option<Objection> {
+        if q[..self.n].iter().any(|value| !value.is_finite()) {
+            return Some(Objection::NotFinite);
+        }
+        let most = STEP * f64::from(gap);
+        (0..self.n).any(|j| (q[j] - self.heard[j]).abs() > most).then_some(Objection::Jump)
+    }
+
+    /// The next millisecond goes towards `q`, `gap` milliseconds after the command before it: wherever the commands have gone on to alone, they
+    /// are on the parabola through what was heard. The position steps, the velocity hardly.
+    pub fn join(&mut self, q: &JointVec, gap: u32) {
+        let gap = f64::from(gap);
+        let mut last = [[0.0; MAX_JOINTS]; 4];
+        for j in 0..self.n {
+            let acceleration = 2.0 * (q[j] - self.heard[j] - gap * self.pace[j]) / (gap * gap);
+            let pace = self.pace[j] + gap * acceleration;
+            for (k, command) in last.iter_mut().enumerate() {
+                let ticks = k as f64 - 3.0;
+                command[j] = q[j] + ticks * (pace + 0.5 * ticks * acceleration);
+            }
+        }
+        self.last = last;
+        self.remember();
+    }
+
     /// The next millisecond goes towards `q`.
     pub fn push(&mut self, q: &JointVec) {
+        self.shift(q);
+        self.remember();
+    }
+
+    /// The newest command is one that was heard.
+    fn remember(&mut self) {
+        let [_, _, before, newest] = &self.last;
+        self.pace = std::array::from_fn(|j| newest[j] - before[j]);
+        self.heard = *newest;
+    }
+
+    fn shift(&mut self, q: &JointVec) {
         self.last.rotate_left(1);
         self.last[3] = [0.0; MAX_JOINTS];
         self.last[3][..self.n].copy_from_slice(&q[..self.n]);
@@ -80,14 +123,14 @@ impl Commands {
     /// No command came: go on with constant acceleration, as the FCI does.
     pub fn extrapolate(&mut self) {
         let [_, a, b, c] = self.last;
-        self.push(&std::array::from_fn(|j| 3.0 * (c[j] - b[j]) + a[j]));
+        self.shift(&std::array::from_fn(|j| 3.0 * (c[j] - b[j]) + a[j]));
     }
 
     /// Brake, every joint by itself.
     pub fn brake(&mut self) {
         let [_, _, b, c] = self.last;
         let most = BRAKE * TICK * TICK;
-        self.push(&std::array::from_fn(|j| {
+        self.shift(&std::array::from_fn(|j| {
             let step = c[j] - b[j];
             c[j] + step - step.clamp(-most, most)
         }));

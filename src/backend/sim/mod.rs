@@ -13,6 +13,7 @@
 //!
 //! It takes positions: `desired.q` of a command, nothing else. A motion begins with the first command, which must be where the arm stands.
 //! Where a command is missing the arm goes on at constant acceleration; 20 in a row are a reflex, and only `stop` ends that.
+//! An arm [with patience](SimArm::with_patience) forgives more, and joins the motion where it finds it.
 //! After a stop the arm brakes, keeps reporting, and takes no command any more.
 //!
 //! The same truth, seed and commands give the same states bit by bit.
@@ -203,9 +204,15 @@ impl SimArm {
         })
     }
 
-    /// An arm that ends a motion only after so many missing commands in a row: for machines that stall more than a robot allows.
+    /// An arm that ends a motion only after so many missing commands in a row. More than 20 are for machines that stall more than a robot
+    /// allows: such an arm takes the next command wherever the motion has got to meanwhile, at 10 rad/s at most. No real arm does.
     pub fn with_patience(self, missing: u32) -> SimArm {
         SimArm { patience: missing.max(1), ..self }
+    }
+
+    /// Whether it has missed commands and forgives that.
+    fn forgives(&self) -> bool {
+        self.patience > MISSING && self.missing > 0 && self.mode == Mode::Moving
     }
 
     /// The arm's exact motion at the state read last, for comparisons; no real arm has this.
@@ -217,8 +224,11 @@ impl SimArm {
     fn tick(&mut self) -> State {
         match (self.mode, self.pending.take()) {
             (Mode::Moving, Some(q)) => {
+                match self.forgives() {
+                    true => self.commands.join(&q, self.missing + 1),
+                    false => self.commands.push(&q),
+                }
                 self.missing = 0;
-                self.commands.push(&q);
             }
             (Mode::Moving, None) => {
                 self.missing += 1;
@@ -306,12 +316,17 @@ impl Backend for SimArm {
         if matches!(self.mode, Mode::Reflex | Mode::Stopped) {
             return Err(Fault::Refused { code: REFUSED_STOPPED });
         }
-        match self.commands.objection(&command.desired.q) {
+        let q = &command.desired.q;
+        let objection = match self.forgives() {
+            true => self.commands.objection_after(q, self.missing + 1),
+            false => self.commands.objection(q),
+        };
+        match objection {
             Some(Objection::NotFinite) => Err(Fault::Refused { code: REFUSED_NOT_FINITE }),
             Some(Objection::Jump) => Err(Fault::Refused { code: REFUSED_JUMP }),
             None => {
                 self.mode = Mode::Moving;
-                self.pending = Some(command.desired.q);
+                self.pending = Some(*q);
                 Ok(())
             }
         }
