@@ -88,7 +88,9 @@ def main():
         step = max(5, seconds // 60)
         while time.monotonic() - begin < seconds:
             if daemon.poll() is not None:
-                problems.append(f"the daemon ended with {daemon.returncode} in the middle")
+                problems.append(f"the daemon ended with {daemon.returncode} in the middle, after {time.monotonic() - begin:.0f} s")
+                # It prints what it has counted so far.
+                measuring.terminate()
                 break
             answer = command(program, "status", robot)
             if answer.returncode == 0:
