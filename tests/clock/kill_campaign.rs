@@ -285,8 +285,8 @@ fn daemons(rounds: u32, seed: u64, kill: bool) -> Row {
                 daemon.ended().is_some() || robot.status().is_some_and(|now| now.progress == Progress::Stopped)
             })
             .is_none();
-            // An arm that missed too many commands stops by itself, and so does one that is not where a stop could begin: it refuses the
-            // jump and brakes. The daemon says so and ends, as with a robot.
+            // An arm that missed too many commands stops by itself, and so does one that is told to jump: it refuses and brakes. The daemon
+            // says so and ends, as with a robot.
             if let Some(code) = daemon.ended() {
                 let said = daemon.said();
                 let by_itself = ["the arm stopped by itself", "the arm refused a command"];
