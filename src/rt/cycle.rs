@@ -232,15 +232,11 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         let mut command = self.answer(state.seq);
         // Guard: a command that breaks a limit is not sent; the first sample of the stop takes its place.
         if self.motion.is_stopping() {
-            if let Err(violation) = self.guard.check_brake(seconds(gap), &command, Some(&state)) {
-                // A stop goes on without a model that breaks limits; anything else it can't answer.
-                command = self.without_model(violation, state.seq).ok_or(End::Unsafe(violation))?;
-                self.guard.check_brake(seconds(gap), &command, Some(&state)).map_err(End::Unsafe)?;
-            }
+            command = self.check_brake(gap, command, Some(&state))?;
         } else if let Err(violation) = self.guard.check(seconds(gap), &command, &state) {
             self.brake(StopReason::Guard(violation), gap)?;
-            command = self.answer(state.seq);
-            self.guard.check_brake(seconds(gap), &command, None).map_err(End::Unsafe)?;
+            let first = self.answer(state.seq);
+            command = self.check_brake(gap, first, None)?;
         }
         // Write and record.
         let written = self.backend.write(&command);
@@ -248,6 +244,14 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         self.record(state, command, stamp_ns);
         self.unanswered = None;
         written.map_err(End::Fault)
+    }
+
+    /// The sample of a stop that is sent. A stop goes on without a model that breaks limits; anything else it can't answer.
+    fn check_brake(&mut self, gap: u64, command: Command, state: Option<&State>) -> Result<Command, End> {
+        let Err(violation) = self.guard.check_brake(seconds(gap), &command, state) else { return Ok(command) };
+        let command = self.without_model(violation, command.seq).ok_or(End::Unsafe(violation))?;
+        self.guard.check_brake(seconds(gap), &command, state).map_err(End::Unsafe)?;
+        Ok(command)
     }
 
     /// Counts the state; the first one says where the arm holds.
@@ -286,6 +290,9 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         if let Some(reference) = self.leaving.take() {
             self.retire(Some(reference));
         }
+        // The stop is looked at before the permission: one that was given after a permission would else meet an arm that still waits for it,
+        // count as carried out, and the arm would go on.
+        let stop = self.inlets.controls.take_stop();
         let permission = self.inlets.controls.permission();
         if self.motion.is_stopped() && permission != self.permission {
             self.permission = permission;
@@ -297,7 +304,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
             self.brake(StopReason::LostStates { lost }, gap)?;
         }
         self.heed_silence(gap)?;
-        if self.inlets.controls.take_stop() {
+        if stop {
             self.brake(StopReason::Requested, gap)?;
         }
         if self.inlets.controls.wants_quit() {

@@ -3,6 +3,9 @@
 use crate::turns::Turns;
 
 use crate::job_support::*;
+use plumbline::ipc::{Progress, RobotId, SampleStream, StreamSettings};
+use plumbline::joint::Phase;
+use std::time::Duration;
 
 /// Each job has three processes that compute as fast as they can, one of them waiting for another most of the time.
 static JOBS: Turns = Turns::new(2);
@@ -73,6 +76,29 @@ fn a_killed_estimator_stops_the_arm_where_that_is_the_rule() {
 }
 
 #[test]
+fn whoever_follows_and_takes_leave_in_mid_motion_is_lost_too() {
+    let _turn = JOBS.take();
+    let place = Place::new("leave");
+    let sets = ["backend.pace=wall-clock", "safety.max-lost=1000", "safety.on-estimator-loss=stop"];
+    let daemon = Running::start(place.job("daemon", &short(&sets)));
+    wait_for("the daemon", || place.status());
+    let robot = RobotId::parse("test", "robot", &place.id).unwrap();
+    let mut stream = SampleStream::connect(&robot, StreamSettings::default(), PATIENCE).unwrap();
+    place.command("start").expect_code(0);
+    wait_for("motion", || {
+        let _ = stream.next(Duration::from_millis(5)).unwrap();
+        place.status().filter(|now| now.progress == Progress::Driving && now.phase == Phase::Excite)
+    });
+    // As an estimator whose disk is full does: it ends with an error, and says goodbye.
+    drop(stream);
+    wait_for("the stop", || place.status().filter(|now| now.progress == Progress::Stopped));
+    place.command("quit").expect_code(0);
+    let done = daemon.end().expect_code(0);
+    assert!(done.err.contains("by safety.on-estimator-loss, the arm stops"), "{}", done.said());
+    nobody_lingers(&place);
+}
+
+#[test]
 fn a_killed_daemon_ends_the_run_and_the_next_one_is_clean() {
     let _turn = JOBS.take();
     let place = Place::new("daemon");
@@ -101,6 +127,30 @@ fn an_interrupt_ends_everything() {
         assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.said());
         nobody_lingers(&place);
     }
+}
+
+#[test]
+fn a_stop_stands_until_an_operator_lifts_it() {
+    let _turn = JOBS.take();
+    let place = Place::new("stop-stands");
+    let daemon = Running::start(place.job("daemon", &short(&["backend.pace=wall-clock", "safety.max-lost=1000"])));
+    wait_for("the loop", || place.status().filter(|now| now.cycles > 100));
+    // While the arm only holds, too: a new connection would know nothing of the stop.
+    place.command("stop").expect_code(0);
+    let refused = place.command("start").expect_code(1);
+    assert!(refused.err.contains("plumbline command resume"), "{}", refused.said());
+    wait_for("the stop", || place.status().filter(|now| now.phase == Phase::Stopped));
+    place.command("start").expect_code(1);
+    place.command("resume").expect_code(0);
+    place.command("start").expect_code(0);
+    wait_for("motion", || place.status().filter(|now| now.progress == Progress::Driving && now.phase == Phase::Excite));
+    place.command("stop").expect_code(0);
+    wait_for("the stop", || place.status().filter(|now| now.progress == Progress::Stopped));
+    let refused = place.command("start").expect_code(1);
+    assert!(refused.err.contains("started before"), "{}", refused.said());
+    place.command("quit").expect_code(0);
+    daemon.end().expect_code(0);
+    nobody_lingers(&place);
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! The arm that a job drives, connected.
 
+use super::Daemon;
 use super::desk::Desk;
 use super::session::RING;
 use crate::app::Failure;
@@ -8,7 +9,7 @@ use crate::backend::franka::{self, Info, Telemetry};
 use crate::backend::sim::{Gate, Pace, SimArm};
 use crate::config::job::franka::Recovery;
 use crate::estimate::mounting_check::Side;
-use crate::ipc::{Link, Progress, Times};
+use crate::ipc::{Link, Times};
 use crate::joint::JointVec;
 use crate::model::gravity::Mounting;
 use crate::rt::{Backend, Fault, os};
@@ -61,22 +62,24 @@ pub struct Robot {
 }
 
 /// Connects to the arm of a job, mounted as given.
-pub fn connect(desk: &Desk, mounting: Mounting, purpose: Purpose) -> Result<Connected, Failure> {
-    let Desk { job, robot, .. } = desk;
+pub fn connect(daemon: &mut Daemon, mounting: Mounting, purpose: Purpose) -> Result<Connected, Failure> {
+    let Desk { job, robot, .. } = &daemon.desk;
     if let Some(franka) = &job.backend.franka {
         let purpose = match purpose {
             Purpose::Hold => franka::Purpose::Watch,
             Purpose::Drive => franka::Purpose::Drive,
         };
         let settings = franka.settings(job, purpose)?;
-        let (arm, franka::Connection { info, telemetry }) = franka::connect(&settings).map_err(Failure::job)?;
+        let connected = daemon.meanwhile(|| franka::connect(&settings))?;
+        let (arm, franka::Connection { info, telemetry }) = connected.map_err(Failure::job)?;
         tracing::info!("connected to {}", words(&info));
         return Ok(Connected { arm: Box::new(arm), gate: None, robot: Some(Robot::new(info, telemetry)) });
     }
-    let truth = desk.truth.as_ref().ok_or_else(|| Failure::job("there is no simulated arm to drive"))?;
+    let truth = daemon.desk.truth.as_ref().ok_or_else(|| Failure::job("there is no simulated arm to drive"))?;
     let gate = job.backend.is_fast().then(|| Arc::new(Gate::new(RING as u64 / 2)));
     let pace = gate.clone().map_or_else(|| Pace::WallClock(Box::new(Monotonic)), Pace::Fast);
-    let arm = SimArm::new(&robot.chain, truth, mounting, desk.rest, job.backend.seed, pace).map_err(Failure::job)?;
+    let arm =
+        SimArm::new(&robot.chain, truth, mounting, daemon.desk.rest, job.backend.seed, pace).map_err(Failure::job)?;
     // As patient as a Franka, or as the job where that allows more. An arm that only stands needs no commands: it is left alone for a minute.
     let arm = arm.with_patience(match purpose {
         Purpose::Drive => job.safety.max_lost.max(FRANKA_PATIENCE),
@@ -162,14 +165,15 @@ pub fn may_go_on(desk: &Desk, fault: &Fault, before: u32) -> bool {
         Fault::Silent { .. } | Fault::Disconnected => true,
         Fault::Refused { .. } => false,
     };
-    let wanted = !desk.must_quit() && desk.progress != Progress::Stopped;
-    wanted && franka.recovery == Recovery::Automatic && before < franka.max_recoveries && lost_communication
+    !desk.is_over() && franka.recovery == Recovery::Automatic && before < franka.max_recoveries && lost_communication
 }
 
-/// Lets a robot that stopped by itself move again. Only where [`may_go_on`] says so, or an operator.
-pub fn recover(desk: &Desk) -> Result<(), Failure> {
-    let Some(franka) = &desk.job.backend.franka else { return Ok(()) };
-    franka::recover(&franka.settings(&desk.job, franka::Purpose::Watch)?).map_err(Failure::job)
+/// Lets a robot that stopped by itself move again. Only where [`may_go_on`] says so.
+pub fn recover(daemon: &mut Daemon) -> Result<(), Failure> {
+    let job = &daemon.desk.job;
+    let Some(franka) = &job.backend.franka else { return Ok(()) };
+    let settings = franka.settings(job, franka::Purpose::Watch)?;
+    daemon.meanwhile(|| franka::recover(&settings))?.map_err(Failure::job)
 }
 
 fn words(info: &Info) -> String {

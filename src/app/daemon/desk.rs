@@ -69,6 +69,10 @@ pub struct Desk {
     pub degraded: Vec<String>,
     /// Why the arm was stopped last, if it was.
     pub stopped: Option<String>,
+    /// A stop stands, whatever has become of the connection that it was given on: nothing moves before an operator allows it.
+    pub barred: bool,
+    /// The model whose torque broke a limit: it is not handed to another loop.
+    pub distrusted: Option<u64>,
     /// The last cycle seen.
     pub last: Record,
     /// SIGINT or SIGTERM arrived.
@@ -85,6 +89,11 @@ impl Desk {
         self.quit || self.signalled.load(Ordering::Relaxed)
     }
 
+    /// Whether the programme is not to go on, whatever it was interrupted by.
+    pub fn is_over(&self) -> bool {
+        self.must_quit() || self.barred || self.progress == Progress::Stopped
+    }
+
     /// Whether the present connection is to end: for good, or to start the programme.
     pub fn must_leave(&self) -> bool {
         self.must_quit() || (self.start && self.progress == Progress::Idle)
@@ -98,6 +107,9 @@ impl Desk {
             Request::Start {} if self.progress != Progress::Idle => {
                 refused("the programme was started before; restart the daemon to drive it again")
             }
+            Request::Start {} if self.barred => {
+                refused("the arm was stopped; it moves again only after `plumbline command resume`")
+            }
             Request::Start {} => match self.gravity.refusal() {
                 Some(refusal) => refused(&refusal),
                 None => {
@@ -109,14 +121,20 @@ impl Desk {
                 self.quit = true;
                 Response::Accepted {}
             }
-            Request::Stop {} => controls.map_or(refused("the arm is not connected, so nothing moves"), |controls| {
-                controls.stop();
+            Request::Stop {} if controls.is_none() && !self.is_under_way() => {
+                refused("the arm is not connected, so nothing moves")
+            }
+            Request::Stop {} => {
+                self.stop(controls);
                 Response::Accepted {}
-            }),
-            Request::Resume {} => match controls {
-                Some(controls) if controls.resume() => Response::Accepted {},
-                _ => refused("nothing waits for a permission to go on"),
-            },
+            }
+            Request::Resume {} => {
+                if controls.is_some_and(Controls::resume) || self.barred {
+                    self.barred = false;
+                    return Response::Accepted {};
+                }
+                refused("nothing waits for a permission to go on")
+            }
             Request::Record {} if controls.is_none() => {
                 refused("the arm is not connected, so there is nothing to record")
             }
@@ -144,6 +162,25 @@ impl Desk {
                 None => refused("no model was proposed"),
             },
         }
+    }
+
+    /// Brakes the arm. The stop stands until an operator lifts it, also where no loop is there to hear it or the one that is hears no more.
+    pub fn stop(&mut self, controls: Option<&Controls>) {
+        self.barred = true;
+        if let Some(controls) = controls {
+            controls.stop();
+        } else if self.is_under_way() {
+            // Between two connections: what was interrupted is not gone on with.
+            self.progress = Progress::Stopped;
+        }
+        if self.progress == Progress::Idle {
+            self.start = false;
+        }
+    }
+
+    /// Whether the programme was begun and has not ended.
+    fn is_under_way(&self) -> bool {
+        matches!(self.progress, Progress::Driving | Progress::AwaitingModel)
     }
 
     /// Holds a proposed model, or serves it where the job says so.
@@ -207,7 +244,7 @@ impl Desk {
     fn serve(&mut self, checked: Accepted) -> u64 {
         let id = checked.id;
         tracing::info!(plumbline_event = "serving", "model {id:016x} ({}) is served from now on", checked.model.kind());
-        self.model = Some(checked);
+        (self.model, self.distrusted) = (Some(checked), None);
         if self.progress == Progress::AwaitingModel {
             self.progress = Progress::Driving;
         }
@@ -215,14 +252,17 @@ impl Desk {
     }
 
     /// Says what became of a follower of the samples, and stops the arm where the job wants that.
-    pub fn news(&self, news: &News, controls: Option<&Controls>) {
+    pub fn news(&mut self, news: &News, controls: Option<&Controls>) {
         // Simulated time waits for an estimator that watches: its silence is no loss.
         let waited_for = self.job.live.watch && self.job.backend.is_fast();
         let silent = matches!(news, News::Silent { .. });
         let stop = self.job.safety.on_estimator_loss == OnLoss::Stop && !(silent && waited_for);
         let rule = match (news, self.progress) {
-            (News::Died { .. } | News::Silent { .. }, Progress::Driving) if stop => "the arm stops",
-            (News::Died { .. } | News::Silent { .. }, Progress::Driving) => "the arm goes on and the samples are kept",
+            // One that leaves in mid-motion is gone, too: it may have failed, and taken leave on its way out.
+            (News::Died { .. } | News::Left { .. } | News::Silent { .. }, Progress::Driving) if stop => "the arm stops",
+            (News::Died { .. } | News::Left { .. } | News::Silent { .. }, Progress::Driving) => {
+                "the arm goes on and the samples are kept"
+            }
             (News::Died { .. }, Progress::AwaitingModel) => "the arm waits for a model and the samples are kept",
             // Nothing moves, so nothing is decided. An estimator that computes is silent, too.
             _ => return tracing::info!("{news}"),
@@ -230,9 +270,9 @@ impl Desk {
         let words = format!("{news}; by safety.on-estimator-loss, {rule}");
         tracing::warn!("{words}");
         self.recorder.note(&words);
-        if let (true, Progress::Driving, Some(controls)) = (stop, self.progress, controls) {
+        if stop && self.progress == Progress::Driving {
             self.recorder.blame(Reason::new("estimator-lost", words));
-            controls.stop();
+            self.stop(controls);
         }
     }
 
@@ -254,6 +294,7 @@ impl Desk {
                 let reason = cause.unwrap_or_else(|| reason.to_string());
                 tracing::error!(plumbline_event = "stopping", "the arm is being stopped: {reason}");
                 self.stopped = Some(reason);
+                self.barred = true;
             }
             Event::Stopped if self.progress == Progress::Stopped => tracing::error!(
                 plumbline_event = "stopped",
@@ -266,7 +307,10 @@ impl Desk {
                     "the arm is at rest; it moves again only after `plumbline command resume`"
                 );
             }
-            Event::Resumed => tracing::info!(plumbline_event = "resumed", "an operator has allowed motion again"),
+            Event::Resumed => {
+                tracing::info!(plumbline_event = "resumed", "an operator has allowed motion again");
+                self.barred = false;
+            }
             Event::Discarded { motion } => tracing::debug!("order {motion} was discarded"),
             Event::Serving { model } => tracing::debug!("the loop serves model {model:016x}"),
             Event::Distrusted { model } => {
@@ -274,6 +318,7 @@ impl Desk {
                     plumbline_event = "distrusted",
                     "the torque of model {model:016x} broke a limit; it is not served any more"
                 );
+                self.distrusted = Some(*model);
             }
         }
     }
@@ -292,7 +337,12 @@ impl Desk {
             lost: self.sessions.iter().map(|session| session.lost).sum(),
             late: self.sessions.iter().map(|session| session.late).sum(),
             dropped: self.sessions.iter().map(|session| session.unrecorded).sum(),
-            model: self.model.as_ref().map_or(0, |accepted| accepted.id),
+            model: self
+                .model
+                .as_ref()
+                .map(|accepted| accepted.id)
+                .filter(|&id| self.distrusted != Some(id))
+                .unwrap_or(0),
             offered: self.held.as_ref().map(|(held, proposal)| Held { model: held.id, proposal: proposal.clone() }),
             mounting: Some(MountingMessage { rho, phi, gravity: gravity.into() }),
             gravity: Some(self.gravity.message(now_ns())),

@@ -91,6 +91,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
         degraded: Vec::new(),
         driven: None,
         stopped: None,
+        barred: false,
+        distrusted: None,
         last: Record::default(),
         signalled,
         start: false,
@@ -136,14 +138,12 @@ impl Daemon {
             }
             return Ok(());
         }
-        // Whoever has ended the job in mid-motion does not want another connection.
-        while !self.desk.must_quit() {
+        // Whoever has ended the job in mid-motion does not want another connection. A start may be taken back by a stop until the last moment.
+        while !self.desk.must_leave() {
             self.service.long_step(CONNECTION);
-            let session = Session::open(&mut self.desk, "hold".into(), mounting, Purpose::Hold, Script::hold())?;
+            let session = Session::open(self, "hold".into(), mounting, Purpose::Hold, Script::hold())?;
             self.service.status("at rest; the arm holds");
-            if self.see_through(session)? == Seen::Through {
-                break;
-            }
+            self.see_through(session)?;
         }
         Ok(())
     }
@@ -157,13 +157,17 @@ impl Daemon {
             loop {
                 let script = Script::of(stage, self.desk.rest, &self.desk.ended).map_err(Failure::job)?;
                 self.service.long_step(CONNECTION);
-                let session = Session::open(&mut self.desk, place.clone(), stage.mounting, Purpose::Drive, script)?;
+                let session = Session::open(self, place.clone(), stage.mounting, Purpose::Drive, script)?;
                 self.service.status(&format!("moving; mounted {place}"));
-                if self.see_through(session)? == Seen::Through {
+                // Interrupted: once more, unless somebody has stopped it meanwhile.
+                if self.see_through(session)? == Seen::Through || self.desk.is_over() {
                     break;
                 }
             }
-            if self.desk.progress == Progress::Stopped || self.desk.must_quit() {
+            if self.desk.is_over() {
+                if self.desk.barred {
+                    self.desk.progress = Progress::Stopped;
+                }
                 return Ok(());
             }
         }
@@ -185,7 +189,7 @@ impl Daemon {
                 self.desk.recoveries += 1;
                 tracing::warn!("{words}; going on by itself, time {}, as the job allows", self.desk.recoveries);
                 self.service.long_step(CONNECTION);
-                arm::recover(&self.desk)?;
+                arm::recover(self)?;
                 Ok(Seen::Interrupted)
             }
             End::NotRealTime => {
@@ -194,6 +198,18 @@ impl Daemon {
             }
             _ => Err(Failure::job(format!("the loop ended: {words}"))),
         }
+    }
+
+    /// Does what takes a robot seconds on a thread of its own, and answers requests meanwhile: a stop is heard then, too.
+    fn meanwhile<T: Send>(&mut self, work: impl FnOnce() -> T + Send) -> Result<T, Failure> {
+        std::thread::scope(|scope| {
+            let thread = scope.spawn(work);
+            while !thread.is_finished() {
+                self.talk(None);
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            thread.join().map_err(|_panic| Failure::job("the thread that connects to the arm panicked"))
+        })
     }
 
     /// Answers the requests that are waiting.

@@ -13,6 +13,8 @@ const FRESH: u32 = 1000;
 const POSES: usize = 8;
 /// Two rests closer than this are one pose \[rad\].
 const SAME: f64 = 1e-3;
+/// An arm that goes further than this while it is told to stand is in somebody's hands \[rad\].
+const STILL: f64 = 5e-3;
 
 /// A pose at rest and its number since the start.
 #[derive(Clone, Copy, Debug)]
@@ -27,6 +29,8 @@ pub struct Rests {
     /// Commanded position of the present rest.
     at: Option<JointVec>,
     count: u32,
+    /// Where it stood when it had swung out \[rad\].
+    stood: JointVec,
     q: JointVec,
     tau: JointVec,
     poses: Vec<Numbered>,
@@ -46,6 +50,13 @@ impl Rests {
         }
         self.count += 1;
         if self.count <= SETTLE {
+            return false;
+        }
+        if self.count == SETTLE + 1 {
+            self.stood = record.state.q;
+        }
+        if self.stood.iter().zip(&record.state.q).any(|(stood, q)| (stood - q).abs() > STILL) {
+            (self.count, self.q, self.tau) = (0, [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
             return false;
         }
         for j in 0..MAX_JOINTS {
@@ -110,6 +121,18 @@ mod tests {
         assert_eq!((poses.len(), poses[0].q[0]), (1, 0.5), "the same rest is one pose");
         assert!((poses[0].tau[3] - 3.0).abs() < 1e-9);
         assert!(rests.since(rests.completed()).is_empty());
+    }
+
+    #[test]
+    fn an_arm_in_somebodys_hands_does_not_rest() {
+        let mut rests = Rests::default();
+        let guided = |k: u32| {
+            let mut record = record(0.5, 1.0, Phase::Hold);
+            record.state.q[2] += 5e-5 * f64::from(k);
+            record
+        };
+        assert!(!(0..5000).any(|k| rests.take(&guided(k))));
+        assert!((0..400).any(|_| rests.take(&guided(5000))), "it was let go");
     }
 
     #[test]

@@ -41,6 +41,8 @@ const DRAIN: usize = 512;
 const PAUSE: Duration = Duration::from_micros(200);
 /// So many times as long as answering took, nothing is answered: a fifth of the time goes to requests at most.
 const RESTS_PER_TALK: u64 = 4;
+/// But no longer than this, or a stop would wait behind one long request \[ns\].
+const LONGEST_REST_NS: u64 = 250_000_000;
 /// Silence of this thread after which the loop brakes an arm that moves \[ms\]: this thread is the one that hears a stop.
 const SILENCE: u64 = 1000;
 /// Records that simulated time may run ahead of an estimator that watches it: two seconds.
@@ -85,14 +87,19 @@ pub struct Session {
 
 impl Session {
     /// Connects to the arm in `mounting` and starts the loop. The loop asks for real-time rights when the arm keeps wall-clock time.
+    ///
+    /// Where somebody stops or ends everything while the robot is being reached, the loop gets no order and ends at once.
     pub fn open(
-        desk: &mut Desk,
+        daemon: &mut Daemon,
         name: String,
         mounting: Mounting,
         purpose: Purpose,
         script: Script,
     ) -> Result<Session, Failure> {
-        let Connected { arm, gate, robot: connected } = connect(desk, mounting, purpose)?;
+        let Connected { arm, gate, robot: connected } = connect(daemon, mounting, purpose)?;
+        let desk = &mut daemon.desk;
+        let unwanted = purpose == Purpose::Drive && desk.is_over();
+        let script = if unwanted { Script::hold() } else { script };
         desk.gravity.connect(mounting, connected.as_ref().and_then(Robot::side));
         let (job, robot) = (&desk.job, &desk.robot);
         // A real arm stands wherever somebody left it.
@@ -104,7 +111,11 @@ impl Session {
             limits,
             envelope: robot.envelope,
             workspace: Some(job.workspace(&robot.workspace)),
-            tracking: [job.safety.tracking_error; MAX_JOINTS],
+            // An arm that is only watched may be guided by hand.
+            tracking: match (purpose, &connected) {
+                (Purpose::Hold, Some(_)) => [std::f64::consts::TAU; MAX_JOINTS],
+                _ => [job.safety.tracking_error; MAX_JOINTS],
+            },
         });
         settings.max_consecutive_lost = u64::from(job.safety.max_lost);
         settings.queue = 3 * desk.names.len() + 8;
@@ -145,6 +156,9 @@ impl Session {
         // The model and the first orders are there before the first cycle, so that a seed gives the same motion every time.
         session.hand_over_model(desk);
         session.give_orders();
+        if unwanted {
+            session.handles.controls.quit();
+        }
         let thread = std::thread::Builder::new().name("plumbline-loop".into());
         session.thread = Some(thread.spawn(move || see_through(&mut cycle)).map_err(Failure::job)?);
         Ok(session)
@@ -154,7 +168,6 @@ impl Session {
     pub fn run(mut self, daemon: &mut Daemon) -> Result<(SessionStatistics, End), Failure> {
         daemon.desk.mounting = self.mounting;
         while !self.thread.as_ref().is_none_or(JoinHandle::is_finished) {
-            self.handles.controls.alive();
             let busy = self.bridge(daemon);
             self.hear_of_rights(&mut daemon.desk);
             self.handle_events(&mut daemon.desk);
@@ -211,9 +224,17 @@ impl Session {
         if begin < self.deaf_until_ns {
             return;
         }
+        // Somebody is there only where a stop would be heard.
+        self.handles.controls.alive();
+        let waited = self.handles.controls.is_waiting();
         daemon.talk(Some(&self.handles.controls));
+        if waited && !self.handles.controls.is_waiting() {
+            // The loop hears of its permission by its next state.
+            self.open_gate();
+        }
         let end = now_ns();
-        self.deaf_until_ns = end.saturating_add(RESTS_PER_TALK * end.saturating_sub(begin));
+        let rest = (RESTS_PER_TALK * end.saturating_sub(begin)).min(LONGEST_REST_NS);
+        self.deaf_until_ns = end.saturating_add(rest);
     }
 
     /// Sleeps until the next record is due. An arm that keeps the clock's time makes one every millisecond: this thread then wakes up right behind
@@ -245,7 +266,7 @@ impl Session {
         daemon.server.publish(&self.records);
         self.tape.keep(&self.records);
         if daemon.desk.gravity.take(&self.records) {
-            self.handles.controls.stop();
+            daemon.desk.stop(Some(&self.handles.controls));
         }
         daemon.desk.last = last;
         self.records_due.saw(last.stamp_ns, last.work_ns);
@@ -329,7 +350,7 @@ impl Session {
     /// Gives the loop the model that the daemon has accepted, for the gravity of now; takes it away where it may not be served.
     fn hand_over_model(&mut self, desk: &mut Desk) {
         let Some(accepted) = &desk.model else { return };
-        if !accepted.model.holds_in(&self.mounting) {
+        if !accepted.model.holds_in(&self.mounting) || desk.distrusted == Some(accepted.id) {
             return;
         }
         match desk.gravity.verdict(accepted) {
@@ -358,7 +379,7 @@ impl Session {
         // Also where it holds between two motions: orders that wait would go on without a model.
         if moving || (phase == Phase::Hold && self.purpose == Purpose::Drive) {
             desk.gravity.stopping(why);
-            controls.stop();
+            desk.stop(Some(controls));
         } else if phase != Phase::Stop && self.handles.models.serve(Box::new(NoModel)).is_ok() {
             self.model = 0;
             self.labels.handed(self.gravity);
