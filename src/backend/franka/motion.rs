@@ -20,8 +20,8 @@ use super::settings::{Controller, Interface, Settings};
 use super::tcp::Gone;
 use super::torque::TorqueLaw;
 use super::wire::{
-    ControllerMode, Errors, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol, Request,
-    RobotCommand, RobotMode, RobotState,
+    ControllerMode, ErrorBit, Errors, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol,
+    Request, RobotCommand, RobotMode, RobotState,
 };
 use crate::rt::Fault;
 use crate::rt::os::now_ns;
@@ -228,13 +228,20 @@ impl FrankaArm {
         self.telemetry.motion_ended(state.reflex_reason, state.errors, state.robot_mode, &stall);
         // A user stop leaves the reasons of an earlier end where they were.
         let named = state.robot_mode == RobotMode::Reflex || state.reflex_reason != self.motion.old_reasons;
-        match (state.reflex_reason.iter().next(), self.motion.end) {
+        match (gravest(state.reflex_reason), self.motion.end) {
             (Some(bit), _) if named => Fault::Reflex { code: bit as u32 },
             // Ended in order, though not by us.
             (_, Some(status)) if state.robot_mode == RobotMode::Idle => refused(status),
             _ => Fault::Reflex { code: REFLEX_MODE + u32::from(state.robot_mode.code()) },
         }
     }
+}
+
+/// The reason that stands for all of them: the first, but lost communication only where there is no other. It is the one that a job may
+/// recover from by itself.
+fn gravest(reasons: Errors) -> Option<ErrorBit> {
+    let lost = ErrorBit::CommunicationConstraintsViolation;
+    reasons.iter().find(|bit| *bit != lost).or(reasons.iter().next())
 }
 
 /// The fault of a motion that the arm ended or did not begin.
