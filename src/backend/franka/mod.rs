@@ -50,7 +50,7 @@ pub use connect::{Connection, Info, connect, recover, recover_communication};
 pub use error::{ConnectError, next_step};
 pub use explain::{Explanation, explain};
 pub use gravity::{Gravity, Source};
-pub use limits::{RobotLimits, from_urdf as limits_from_urdf};
+pub use limits::{RobotLimits, from_urdf as limits_from_urdf, guard_envelope, guard_limits};
 pub use settings::{
     BadSetting, Collision, Controller, Interface, Load, Purpose, RobotKind, Settings, SocketOptions, TorqueControl,
 };
