@@ -7,6 +7,7 @@ use plumbline::backend::franka::wire::{
 use plumbline::backend::franka::{
     ConnectError, Connection, FrankaArm, Interface, Purpose, REFLEX_MODE, REFUSED_JUMP, REFUSED_MOVE, REFUSED_NO_START,
     REFUSED_NOT_FINITE, REFUSED_POSITION, REFUSED_STOPPED, RobotKind, Settings, Source, connect, explain, recover,
+    recover_communication,
 };
 use plumbline::joint::{Command, JointVec, Setpoint, State};
 use plumbline::rt::{Backend, Fault};
@@ -274,6 +275,66 @@ fn a_reflex_in_motion_is_the_one_of_the_first_state_that_shows_it() {
             && words.next.contains("recovery"),
         "{words}"
     );
+}
+
+#[test]
+fn a_program_recovers_by_itself_from_lost_communication_alone() {
+    use ErrorBit::{CommunicationConstraintsViolation as Communication, ControllerTorqueDiscontinuity, JointReflex};
+    let asked = |fake: &Fake| fake.with(|world| world.requests.contains(&Request::AutomaticErrorRecovery));
+    for (more, recovers) in [(None, true), (Some(JointReflex), false), (Some(ControllerTorqueDiscontinuity), false)] {
+        let reasons = more.into_iter().fold(Errors::NONE.with(Communication), Errors::with);
+        let fake = Fake::start(Protocol::V10, move |world| {
+            if world.ticks == 200 && world.motion.is_some() {
+                world.end(RobotMode::Reflex, reasons, Some(MoveStatus::ReflexAborted));
+            }
+        });
+        let (mut arm, _) = open(&fake, Protocol::V10);
+        let fault = drive(&mut arm, 1000).unwrap_err();
+        arm.stop();
+        drop(arm);
+        // Any reason besides it stands before lost communication, whatever its number.
+        assert_eq!(fault, Fault::Reflex { code: more.unwrap_or(Communication) as u32 });
+        let settings = settings(&fake, Protocol::V10);
+        match recover_communication(&settings) {
+            Ok(()) => assert!(recovers && asked(&fake), "{more:?}"),
+            Err(error) => {
+                assert!(!recovers && !asked(&fake), "{error}");
+                assert!(matches!(error, ConnectError::NotByItself { reasons: named } if named == reasons), "{error}");
+                let text = error.to_string();
+                assert!(text.contains(more.unwrap().name()) && text.contains("Desk"), "{text}");
+                assert_eq!(fake.with(|world| world.state.robot_mode), RobotMode::Reflex);
+                // A person who has looked at it may.
+                recover(&settings).unwrap();
+                assert!(asked(&fake));
+            }
+        }
+        assert_eq!(fake.with(|world| world.state.robot_mode), RobotMode::Idle, "{more:?}");
+    }
+}
+
+#[test]
+fn a_collision_behind_a_broken_network_is_left_to_a_person() {
+    // Nothing is heard of the arm while it stops; it is in its reflex when it comes back.
+    let mut dark = 0;
+    let fake = Fake::start(Protocol::V5, move |world| {
+        if world.ticks == 200 && world.motion.is_some() {
+            world.end(RobotMode::Reflex, Errors::NONE.with(ErrorBit::CartesianReflex), None);
+            (world.closes, dark) = (true, 200);
+        }
+        dark -= i32::from(dark > 0);
+        world.sends = dark == 0;
+    });
+    let (mut arm, _) = open(&fake, Protocol::V5);
+    let fault = drive(&mut arm, 1000).unwrap_err();
+    assert!(matches!(fault, Fault::Disconnected | Fault::Silent { .. }), "{fault:?}");
+    arm.stop();
+    drop(arm);
+    let error = recover_communication(&settings(&fake, Protocol::V5)).expect_err("it has met something");
+    assert!(
+        matches!(error, ConnectError::NotByItself { .. }) && error.to_string().contains("cartesian_reflex"),
+        "{error}"
+    );
+    assert!(fake.with(|world| !world.requests.contains(&Request::AutomaticErrorRecovery)));
 }
 
 #[test]

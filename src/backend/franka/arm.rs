@@ -17,9 +17,9 @@ use super::codes::{
 };
 use super::connect::Info;
 use super::error::ConnectError;
-use super::limiter::Objection;
+use super::limiter::{Limited, Objection};
 use super::limits::{RobotLimits, narrow, widen};
-use super::motion::Motion;
+use super::motion::{Answer, Motion};
 use super::reference::{Followed, Point};
 use super::session::Session;
 use super::settings::{Interface, Purpose, Settings};
@@ -257,16 +257,9 @@ impl FrankaArm {
         self.telemetry.followed(self.followed.late, self.followed.own, round_trip_ns);
     }
 
-    /// Sends what leads to `point`, and remembers it.
-    pub(super) fn send(
-        &mut self,
-        point: Point,
-        tau: [f64; 7],
-        finished: bool,
-        held: bool,
-        returning: bool,
-    ) -> Result<(), Fault> {
-        let command = self.motion.command(&self.state, &point, tau, finished);
+    /// Sends `answer`, and remembers it if it has left.
+    pub(super) fn send(&mut self, answer: &Answer) -> Result<(), Fault> {
+        let command = self.motion.command(&self.state, answer);
         let sent = self.states.send(&command);
         let now = now_ns();
         if !sent {
@@ -275,10 +268,10 @@ impl FrankaArm {
             return if self.unsent >= MOST_UNSENT { Err(Fault::Refused { code: REFUSED_UNSENT }) } else { Ok(()) };
         }
         self.unsent = 0;
-        self.motion.sent(self.state.message_id, now, point);
+        self.motion.sent(self.state.message_id, now, answer);
         let work_ns = now.saturating_sub(self.read_ns);
         let slow = now.saturating_sub(self.arrived_ns.unwrap_or(self.read_ns)) > PERIOD_NS;
-        self.telemetry.sent(work_ns, slow, held, returning);
+        self.telemetry.sent(work_ns, slow, answer.held, answer.returning);
         self.recent.sent(work_ns);
         Ok(())
     }
@@ -306,16 +299,18 @@ impl FrankaArm {
             return Ok(());
         }
         if self.settings.interface == Interface::Torque {
-            let tracking = Tracking { q_d: desired, dq_d, q: self.state.q, dq: self.state.dq };
+            let RobotState { q, dq, tau_j_d: tau, .. } = self.state;
+            let tracking = Tracking { q_d: desired, dq_d, q, dq, tau };
             if self.motion.torque.out_of_reach(&tracking) {
                 return refused(REFUSED_REACH);
             }
             let (tau, held) = self.motion.torque.torque(&tracking, &ahead);
-            return self.send(Point { q: desired, dq: dq_d, ddq: [0.0; 7] }, tau, false, held, false);
+            let point = Point { q: desired, dq: dq_d, ddq: [0.0; 7] };
+            return self.send(&Answer { point, tau, held, ..Answer::default() });
         }
         let own = self.followed.own && self.followed.alone == 0;
-        let limited = self.motion.step(&from, &desired, ticks, own);
-        self.send(limited.point, [0.0; 7], false, limited.held, limited.returning)
+        let Limited { point, held, returning, aim } = self.motion.step(&from, &desired, ticks, own);
+        self.send(&Answer { point, held, returning, aim: Some(aim), ..Answer::default() })
     }
 }
 

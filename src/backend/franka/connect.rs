@@ -7,7 +7,7 @@ use super::limits::{self, RobotLimits, widen};
 use super::session::Session;
 use super::settings::{Purpose, RobotKind, Settings};
 use super::telemetry::Telemetry;
-use super::wire::{Protocol, RecoveryStatus, Request, Response, RobotMode, RobotState};
+use super::wire::{ErrorBit, Errors, Protocol, RecoveryStatus, Request, Response, RobotMode, RobotState};
 use crate::joint::JointVec;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -100,13 +100,42 @@ pub fn connect(settings: &Settings) -> Result<(FrankaArm, Connection), ConnectEr
 
 /// Asks an arm that was stopped by a reflex to recover, and waits until it is idle. An arm that is idle already is left alone.
 ///
-/// It may move a little, back into its range. Never called by the arm itself: the operator decides, or a rule of the operator's.
+/// It may move a little, back into its range. Whatever the reflex was of: for an operator who has looked at the arm. A program that goes on
+/// by itself has [`recover_communication`].
 ///
 /// # Errors
 ///
 /// [`ConnectError::Mode`] in any other mode, [`ConnectError::Recovery`] when the arm can't, and what [`connect()`] has.
 pub fn recover(settings: &Settings) -> Result<(), ConnectError> {
-    let mut session = reach(settings)?;
+    let session = reach(settings)?;
+    recover_in(session, settings)
+}
+
+/// The same for a program that goes on by itself: only from a reflex of `communication_constraints_violation` and nothing else, by the
+/// arm's own state at this moment. The fault that the loop saw is not enough: while states were lost the arm may have met something.
+///
+/// # Errors
+///
+/// [`ConnectError::NotByItself`] where something else led to the reflex, too, or holds by now; otherwise those of [`recover`].
+pub fn recover_communication(settings: &Settings) -> Result<(), ConnectError> {
+    let session = reach(settings)?;
+    for_communication_alone(&session.first)?;
+    recover_in(session, settings)
+}
+
+/// Whether a reflex, if there is one, came of lost communication alone. Reasons that the arm does not tell are no such reasons.
+fn for_communication_alone(state: &RobotState) -> Result<(), ConnectError> {
+    const ALONE: Errors = Errors::NONE.with(ErrorBit::CommunicationConstraintsViolation);
+    // The errors of the moment may have cleared; where they have not they tell no less than the reasons.
+    let alone = state.reflex_reason == ALONE && (state.errors == ALONE || state.errors.is_empty());
+    if state.robot_mode != RobotMode::Reflex || alone {
+        return Ok(());
+    }
+    let reasons = state.reflex_reason.iter().chain(state.errors.iter()).collect();
+    Err(ConnectError::NotByItself { reasons })
+}
+
+fn recover_in(mut session: Session, settings: &Settings) -> Result<(), ConnectError> {
     // The mode decides: the errors of a reflex clear by themselves as soon as the arm stands.
     match session.first.robot_mode {
         RobotMode::Reflex => {}
@@ -193,4 +222,37 @@ fn estimate_gravity(session: &mut Session, first: &RobotState) -> Option<Gravity
         estimate.add(&state);
     }
     estimate.gravity()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reflex_of_lost_communication_alone_is_the_only_one_to_recover_from_unasked() {
+        use ErrorBit::{CommunicationConstraintsViolation as Communication, JointReflex, PowerLimitViolation};
+        let none: &[ErrorBit] = &[];
+        let judge = |robot_mode, reasons: &[ErrorBit], errors: &[ErrorBit]| {
+            let of = |bits: &[ErrorBit]| bits.iter().copied().collect::<Errors>();
+            let state =
+                RobotState { robot_mode, reflex_reason: of(reasons), errors: of(errors), ..RobotState::default() };
+            for_communication_alone(&state).map_err(|error| error.to_string())
+        };
+        assert_eq!(judge(RobotMode::Reflex, &[Communication], none), Ok(()));
+        assert_eq!(judge(RobotMode::Reflex, &[Communication], &[Communication]), Ok(()));
+        for bit in ErrorBit::ALL.into_iter().filter(|bit| *bit != Communication) {
+            for (reasons, errors) in [
+                (&[bit][..], none),
+                (&[bit, Communication][..], none),
+                (&[Communication][..], &[bit][..]),
+                (none, &[bit][..]),
+            ] {
+                let text = judge(RobotMode::Reflex, reasons, errors).expect_err(bit.name());
+                assert!(text.contains(bit.name()) && text.contains("start again"), "{text}");
+            }
+        }
+        assert!(judge(RobotMode::Reflex, none, none).is_err(), "a reflex without a reason");
+        // An arm that is idle has nothing to recover from, whatever ended the motion before.
+        assert_eq!(judge(RobotMode::Idle, &[JointReflex, PowerLimitViolation], none), Ok(()));
+    }
 }

@@ -118,6 +118,16 @@ pub enum ConnectError {
         /// What the operator does next.
         next: &'static str,
     },
+    /// The reflex is not one to recover from without a person.
+    #[error(
+        "the arm is in a reflex because of {}: after anything but lost communication alone a person has to judge. Look at what \
+         happened, clear the workspace, unlock the arm in Desk, then start again.",
+        or_unknown(.reasons)
+    )]
+    NotByItself {
+        /// The errors that led to it or hold.
+        reasons: Errors,
+    },
     /// Recovery was granted, but the arm did not become idle.
     #[error("the arm says that it has recovered, but after {waited:?} its mode is still `{mode}`")]
     StillNotIdle {
@@ -130,6 +140,10 @@ pub enum ConnectError {
 
 fn because(errors: &Errors) -> String {
     if errors.is_empty() { String::new() } else { format!(" because of {errors}") }
+}
+
+fn or_unknown(errors: &Errors) -> String {
+    if errors.is_empty() { "errors that it no longer names".into() } else { errors.to_string() }
 }
 
 fn version_words(robot: u16, tried: u16) -> String {

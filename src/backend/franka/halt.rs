@@ -12,9 +12,10 @@
 )]
 
 use super::arm::{FrankaArm, Phase};
+use super::motion::Answer;
 use super::settings::{Interface, Purpose};
 use super::torque::Tracking;
-use super::wire::{ControllerMode, MotionGeneratorMode, Request};
+use super::wire::{ControllerMode, MotionGeneratorMode, Request, RobotState};
 use crate::rt::Fault;
 use crate::rt::os::now_ns;
 use std::time::Duration;
@@ -82,10 +83,11 @@ impl FrankaArm {
         };
         let mut tau = [0.0; 7];
         if self.settings.interface == Interface::Torque {
-            let tracking = Tracking { q_d: point.q, dq_d: point.dq, q: self.state.q, dq: self.state.dq };
+            let RobotState { q, dq, tau_j_d, .. } = self.state;
+            let tracking = Tracking { q_d: point.q, dq_d: point.dq, q, dq, tau: tau_j_d };
             (tau, _) = self.motion.torque.torque(&tracking, &[0.0; 7]);
         }
-        self.send(point, tau, finished, false, false)
+        self.send(&Answer { point, tau, finished, ..Answer::default() })
     }
 
     /// Asks the arm to stop by itself and waits until it shows that it has.

@@ -43,6 +43,17 @@ pub(super) struct Limited {
     pub held: bool,
     /// Whether it is on its way back to the motion.
     pub returning: bool,
+    /// What the limiter goes on from once it has left.
+    pub aim: Aim,
+}
+
+/// What a limiter goes by from one command to the next.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Aim {
+    /// The desired motion at its last sample, which need not be where the arm is.
+    target: Point,
+    /// Whether the next command leads back to the motion, too.
+    returning: bool,
 }
 
 /// The limits, and the motion as it was desired so far.
@@ -50,15 +61,13 @@ pub(super) struct Limited {
 pub(super) struct Limiter {
     limits: RobotLimits,
     share: f64,
-    /// The desired motion at its last sample, which need not be where the arm is.
-    target: Point,
-    returning: bool,
+    aim: Aim,
 }
 
 impl Limiter {
     /// For a motion that begins at rest at `q`, held to `share` of `limits`.
     pub fn new(limits: RobotLimits, share: f64, q: [f64; 7]) -> Limiter {
-        Limiter { limits, share, target: Point::at_rest(q), returning: false }
+        Limiter { limits, share, aim: Aim { target: Point::at_rest(q), returning: false } }
     }
 
     /// Whether `desired` may be commanded at all when the arm goes on from `from`.
@@ -80,20 +89,17 @@ impl Limiter {
         None
     }
 
-    /// The command that leads from `from`, where the arm is now, towards `desired`, `ticks` cycles after the last one. `own` says
-    /// that the arm has done what it was told, and nothing else, since then.
+    /// The command that leads from `from`, where the arm is now, towards `desired`, `ticks` cycles after the last one that left. `own`
+    /// says that the arm has done what it was told, and nothing else, since then. It changes nothing before it is [`sent`](Limiter::sent).
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    pub fn step(&mut self, from: &Point, desired: &[f64; 7], ticks: u64, own: bool) -> Limited {
+    pub fn step(&self, from: &Point, desired: &[f64; 7], ticks: u64, own: bool) -> Limited {
         let last = self.target_before(desired, ticks);
         let target = last.step_to(desired);
-        self.target = target;
-        self.returning |= !own;
 
         let direct = from.step_to(desired);
-        if !self.returning && self.fits(from, &direct) {
-            return Limited { point: direct, held: false, returning: false };
+        if own && !self.aim.returning && self.fits(from, &direct) {
+            return Limited { point: direct, held: false, returning: false, aim: Aim { target, returning: false } };
         }
-        self.returning = true;
         let mut q = [0.0; 7];
         let mut held = false;
         for j in 0..7 {
@@ -111,8 +117,14 @@ impl Limiter {
             q[j] = from.q[j] + TICK * (from.dq[j] + TICK * allowed);
         }
         let point = from.step_to(&q);
-        self.returning = (0..7).any(|j| (q[j] - desired[j]).abs() > ARRIVED);
-        Limited { point, held, returning: true }
+        let returning = (0..7).any(|j| (q[j] - desired[j]).abs() > ARRIVED);
+        Limited { point, held, returning: true, aim: Aim { target, returning } }
+    }
+
+    /// Takes in that the command of a step has left.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    pub fn sent(&mut self, aim: Aim) {
+        self.aim = aim;
     }
 
     /// The command that brakes the arm as the limits allow; at rest it stays where it is.
@@ -141,14 +153,14 @@ impl Limiter {
     /// The desired motion one cycle before `desired`, which comes `ticks` cycles after the last sample.
     fn target_before(&self, desired: &[f64; 7], ticks: u64) -> Point {
         if ticks <= 1 {
-            return self.target;
+            return self.aim.target;
         }
         // Velocity between the samples, brought forward to the last cycle by the acceleration of before.
         let n = ticks as f64;
-        let mut before = self.target;
+        let mut before = self.aim.target;
         for (j, desired) in desired.iter().enumerate() {
-            let ddq = self.target.ddq[j];
-            let dq = (desired - self.target.q[j]) / (n * TICK) + 0.5 * (n - 1.0) * TICK * ddq;
+            let ddq = self.aim.target.ddq[j];
+            let dq = (desired - self.aim.target.q[j]) / (n * TICK) + 0.5 * (n - 1.0) * TICK * ddq;
             before.q[j] = desired - TICK * dq;
             before.dq[j] = dq - TICK * ddq;
         }

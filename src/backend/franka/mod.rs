@@ -21,7 +21,8 @@
 //!   from there and comes back to the motion smoothly, inside [`Settings::limits_share`] of the limits.
 //! - Errors are read from `reflex_reason` of the first state that shows the end of the motion, and the arm's final word is always
 //!   read, within a time limit.
-//! - Nothing recovers by itself: [`recover`] is for the operator, or for a rule that the operator has set.
+//! - Nothing recovers by itself: [`recover`] is for the operator; a rule that the operator has set has [`recover_communication`], which
+//!   leaves a collision, a limit, and whatever else is a person's to judge as it is.
 
 mod arm;
 mod codes;
@@ -45,11 +46,11 @@ pub mod wire;
 
 pub use arm::FrankaArm;
 pub use codes::*;
-pub use connect::{Connection, Info, connect, recover};
+pub use connect::{Connection, Info, connect, recover, recover_communication};
 pub use error::{ConnectError, next_step};
 pub use explain::{Explanation, explain};
 pub use gravity::{Gravity, Source};
-pub use limits::{RobotLimits, from_urdf as limits_from_urdf};
+pub use limits::{RobotLimits, from_urdf as limits_from_urdf, guard_envelope, guard_limits};
 pub use settings::{
     BadSetting, Collision, Controller, Interface, Load, Purpose, RobotKind, Settings, SocketOptions, TorqueControl,
 };

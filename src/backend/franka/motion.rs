@@ -13,15 +13,15 @@
 
 use super::arm::{FrankaArm, Phase, answer_to};
 use super::codes::{REFLEX_MODE, REFUSED_MOVE, REFUSED_NO_START, REFUSED_NOT_FINITE};
-use super::limiter::{Limited, Limiter};
+use super::limiter::{Aim, Limited, Limiter};
 use super::limits::RobotLimits;
 use super::reference::{Commands, Followed, Point};
 use super::settings::{Controller, Interface, Settings};
 use super::tcp::Gone;
 use super::torque::TorqueLaw;
 use super::wire::{
-    ControllerMode, Errors, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol, Request,
-    RobotCommand, RobotMode, RobotState,
+    ControllerMode, ErrorBit, Errors, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol,
+    Request, RobotCommand, RobotMode, RobotState,
 };
 use crate::rt::Fault;
 use crate::rt::os::now_ns;
@@ -49,6 +49,23 @@ pub(super) struct Motion {
     sent: Commands,
     pub limiter: Limiter,
     pub torque: TorqueLaw,
+}
+
+/// What answers a state.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Answer {
+    /// Where it leads.
+    pub point: Point,
+    /// The torque, for a motion of torques \[Nm\].
+    pub tau: [f64; 7],
+    /// Whether the motion ends with it.
+    pub finished: bool,
+    /// Whether a limit had to be held.
+    pub held: bool,
+    /// Whether it is on its way back to the motion.
+    pub returning: bool,
+    /// What the limiter goes on from, where it has made the point.
+    pub aim: Option<Aim>,
 }
 
 impl Motion {
@@ -127,24 +144,28 @@ impl Motion {
 
     /// The next point towards `desired`. The first is where the arm says that it is, to the bit.
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    pub fn step(&mut self, from: &Point, desired: &[f64; 7], ticks: u64, own: bool) -> Limited {
+    pub fn step(&self, from: &Point, desired: &[f64; 7], ticks: u64, own: bool) -> Limited {
         let first = self.sent.answered().is_none();
         let limited = self.limiter.step(from, desired, ticks, own && !first);
-        if first { Limited { point: Point::at_rest(from.q), held: false, returning: false } } else { limited }
+        if first {
+            Limited { point: Point::at_rest(from.q), held: false, returning: false, ..limited }
+        } else {
+            limited
+        }
     }
 
-    /// The command that answers `state` with `point`.
+    /// The command that answers `state`.
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    pub fn command(&self, state: &RobotState, point: &Point, tau: [f64; 7], finished: bool) -> RobotCommand {
+    pub fn command(&self, state: &RobotState, answer: &Answer) -> RobotCommand {
         let mut command = answer_to(state);
         match self.interface {
-            Interface::JointPosition => command.q_c = point.q,
-            Interface::JointVelocity => command.dq_c = point.dq,
-            Interface::Torque => command.tau_j_d = tau,
+            Interface::JointPosition => command.q_c = answer.point.q,
+            Interface::JointVelocity => command.dq_c = answer.point.dq,
+            Interface::Torque => command.tau_j_d = answer.tau,
         }
         let torque_only = self.interface == Interface::Torque && self.protocol.has_torque_only();
-        command.motion_generation_finished = finished && !torque_only;
-        command.torque_command_finished = finished && torque_only;
+        command.motion_generation_finished = answer.finished && !torque_only;
+        command.torque_command_finished = answer.finished && torque_only;
         command
     }
 
@@ -163,10 +184,16 @@ impl Motion {
         self.limiter.brake(from)
     }
 
-    /// Takes in that a command left.
+    /// Takes in that a command left. Nothing of it is remembered before: the next one goes on from what the arm can have got.
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    pub fn sent(&mut self, id: u64, at_ns: u64, point: Point) {
-        self.sent.push(id, at_ns, point);
+    pub fn sent(&mut self, id: u64, at_ns: u64, answer: &Answer) {
+        self.sent.push(id, at_ns, answer.point);
+        if let Some(aim) = answer.aim {
+            self.limiter.sent(aim);
+        }
+        if self.interface == Interface::Torque {
+            self.torque.sent(answer.tau);
+        }
         self.cycles += 1;
     }
 }
@@ -228,13 +255,20 @@ impl FrankaArm {
         self.telemetry.motion_ended(state.reflex_reason, state.errors, state.robot_mode, &stall);
         // A user stop leaves the reasons of an earlier end where they were.
         let named = state.robot_mode == RobotMode::Reflex || state.reflex_reason != self.motion.old_reasons;
-        match (state.reflex_reason.iter().next(), self.motion.end) {
+        match (gravest(state.reflex_reason), self.motion.end) {
             (Some(bit), _) if named => Fault::Reflex { code: bit as u32 },
             // Ended in order, though not by us.
             (_, Some(status)) if state.robot_mode == RobotMode::Idle => refused(status),
             _ => Fault::Reflex { code: REFLEX_MODE + u32::from(state.robot_mode.code()) },
         }
     }
+}
+
+/// The reason that stands for all of them: the first, but lost communication only where there is no other. It is the one that a job may
+/// recover from by itself.
+fn gravest(reasons: Errors) -> Option<ErrorBit> {
+    let lost = ErrorBit::CommunicationConstraintsViolation;
+    reasons.iter().find(|bit| *bit != lost).or(reasons.iter().next())
 }
 
 /// The fault of a motion that the arm ended or did not begin.

@@ -4,8 +4,10 @@
 //! `rate_limiting.h` of libfranka. An arm of protocol version 9 or 10 serves its own as URDF ([`from_urdf`]), which are the ones to
 //! go by: the offsets of the tables differ between sources.
 
+mod guard;
 mod urdf;
 
+pub use guard::{guard_envelope, guard_limits};
 pub use urdf::{UrdfError, from_urdf};
 
 use crate::joint::{JointVec, Limits, SpeedEnvelope};
