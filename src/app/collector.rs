@@ -14,7 +14,8 @@ pub struct Recorded {
     pub role: Role,
     /// The samples after the lead-in; the served torque is in the further columns `tau_ff1` to `tau_ffn`.
     pub run: Run,
-    /// Whether every sample of the motion is there, states that the arm lost apart.
+    /// Whether every sample of the motion is there, states that the arm lost apart: none before its first one, after its last one, or
+    /// in between has been given up by the daemon.
     pub complete: bool,
 }
 
@@ -22,7 +23,25 @@ pub struct Recorded {
 pub struct Collector {
     joints: usize,
     motions: Vec<Motion>,
-    present: Option<(Motion, Vec<Record>)>,
+    present: Option<Present>,
+    /// Records before the next one are gone.
+    gap: bool,
+}
+
+/// The motion that is being recorded.
+struct Present {
+    motion: Motion,
+    records: Vec<Record>,
+    /// Records of it are gone.
+    broken: bool,
+}
+
+impl Present {
+    /// Whether `record` goes on with it. The same motion driven once more begins at its first tick again.
+    fn goes_on(&self, record: &Record) -> bool {
+        let forward = self.records.last().is_none_or(|last| last.tick < record.tick);
+        record.phase == Phase::Excite && record.motion == self.motion.number && forward
+    }
 }
 
 impl Collector {
@@ -30,27 +49,39 @@ impl Collector {
     pub fn new(programme: &Programme, joints: usize) -> Collector {
         // A live motion may last for days; the watch has a window of its own.
         let recorded = programme.motions().filter(|motion| motion.role != Role::Live);
-        Collector { joints, motions: recorded.cloned().collect(), present: None }
+        Collector { joints, motions: recorded.cloned().collect(), present: None, gap: false }
     }
 
     /// Takes the next record; gives the motion that it ends.
     pub fn take(&mut self, record: &Record) -> Option<Recorded> {
-        let of_present = |(motion, _): &(Motion, Vec<Record>)| motion.number == record.motion;
-        let excited = record.phase == Phase::Excite;
-        let ended = self.present.take_if(|present| !excited || !of_present(present));
-        if excited {
+        let gap = std::mem::take(&mut self.gap);
+        let ended = self.present.take_if(|present| !present.goes_on(record));
+        if record.phase == Phase::Excite {
             if self.present.is_none() {
                 let motion = self.motions.iter().find(|motion| motion.number == record.motion);
-                self.present = motion.map(|motion| (motion.clone(), Vec::with_capacity(motion.ticks())));
+                self.present = motion.map(|motion| Present {
+                    motion: motion.clone(),
+                    records: Vec::with_capacity(motion.ticks()),
+                    // What is gone may have been its beginning.
+                    broken: gap && record.tick > 0,
+                });
             }
-            if let Some((_, records)) = &mut self.present {
-                records.push(*record);
+            if let Some(present) = &mut self.present {
+                present.records.push(*record);
             }
         }
-        ended.map(|(motion, records)| self.recorded(&motion, &records))
+        ended.map(|present| self.recorded(&present))
     }
 
-    fn recorded(&self, motion: &Motion, records: &[Record]) -> Recorded {
+    /// Records are gone between the last one and the next; gives the name of the motion that is incomplete for it.
+    pub fn missed(&mut self) -> Option<&str> {
+        self.gap = true;
+        let present = self.present.as_mut()?;
+        present.broken = true;
+        Some(&present.motion.name)
+    }
+
+    fn recorded(&self, Present { motion, records, broken }: &Present) -> Recorded {
         let lead_in = (motion.lead_in * motion.period_ticks()) as u64;
         let kept: Vec<&Record> = records.iter().filter(|record| record.tick >= lead_in).collect();
         let matrix =
@@ -79,7 +110,81 @@ impl Collector {
             extra,
         };
         // The last sample of a motion is one tick behind its last period.
-        let complete = records.last().is_some_and(|record| record.tick + 1 >= motion.ticks() as u64);
+        let complete = !broken && records.last().is_some_and(|record| record.tick + 1 >= motion.ticks() as u64);
         Recorded { number: motion.number, role: motion.role, run, complete }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::gravity::Mounting;
+    use crate::store::load_plan;
+    use std::path::Path;
+
+    /// Ticks of the motion: two periods of 10 ms after one of lead-in.
+    const TICKS: u64 = 30;
+
+    fn collector() -> Collector {
+        let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/plans/panda-wall.toml");
+        let mut plan = load_plan(&shipped).unwrap();
+        plan.period = 0.01;
+        let motion = Motion {
+            number: 3,
+            name: "identify-wall".into(),
+            role: Role::Identify,
+            mounting: Mounting::WALL,
+            fourier: crate::app::plan::motion(&plan).unwrap(),
+            plan,
+            periods: 2,
+            lead_in: 1,
+        };
+        Collector { joints: 2, motions: vec![motion], present: None, gap: false }
+    }
+
+    fn feed(collector: &mut Collector, phase: Phase, ticks: std::ops::Range<u64>) -> Option<Recorded> {
+        let record = |tick| Record { phase, motion: 3, tick, ..Record::default() };
+        ticks.filter_map(|tick| collector.take(&record(tick))).last()
+    }
+
+    /// Whether the motion is complete after what has been fed.
+    fn complete(collector: &mut Collector) -> bool {
+        feed(collector, Phase::Hold, 0..1).unwrap().complete
+    }
+
+    #[test]
+    fn a_motion_is_complete_with_all_its_records_only() {
+        let mut collector = collector();
+        feed(&mut collector, Phase::Excite, 0..TICKS);
+        assert!(complete(&mut collector));
+        feed(&mut collector, Phase::Excite, 0..TICKS - 1);
+        assert!(!complete(&mut collector));
+        // A state that the arm lost is no record that the daemon gave up.
+        feed(&mut collector, Phase::Excite, 0..5);
+        feed(&mut collector, Phase::Excite, 6..TICKS);
+        assert!(complete(&mut collector));
+    }
+
+    #[test]
+    fn records_that_were_given_up_make_their_motion_incomplete_and_no_other() {
+        let mut collector = collector();
+        // Its beginning.
+        assert_eq!(collector.missed(), None);
+        feed(&mut collector, Phase::Excite, 12..TICKS);
+        assert!(!complete(&mut collector));
+        // Something within.
+        feed(&mut collector, Phase::Excite, 0..12);
+        assert_eq!(collector.missed(), Some("identify-wall"));
+        feed(&mut collector, Phase::Excite, 14..TICKS);
+        assert!(!complete(&mut collector));
+        // All up to its first record.
+        collector.missed();
+        feed(&mut collector, Phase::Excite, 0..TICKS);
+        assert!(complete(&mut collector));
+        // Its end, and whatever was between it and the same motion once more.
+        feed(&mut collector, Phase::Excite, 0..20);
+        collector.missed();
+        assert!(!feed(&mut collector, Phase::Excite, 0..TICKS).unwrap().complete);
+        assert!(complete(&mut collector));
     }
 }

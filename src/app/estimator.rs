@@ -52,7 +52,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let results = Results::new(&job, &robot, &programme, &out);
         let live = Live::new(&job, results.joints(), &out);
         service.status("follows the samples");
-        match follow(&id, &mut stream, &programme, results, live, &mut service)? {
+        let outcome = follow(&id, &mut stream, &programme, results, live, &mut service);
+        match outcome.map_err(Failure::of_own_data)? {
             Outcome::Written if options.once => return Ok(()),
             Outcome::Written => await_next_daemon(&mut stream, &mut service, "the results are written")?,
             Outcome::Stopped { why } if options.once => return Err(Failure::job(no_results(&why))),
@@ -118,6 +119,9 @@ fn follow(
             Delivery::Missed { from, to } => {
                 live.iter_mut().for_each(Live::clear);
                 tracing::warn!("samples {from} to {} are gone: the daemon no longer had them", to - 1);
+                if let Some(motion) = collector.missed() {
+                    tracing::warn!("some of them were of {motion}, which is incomplete for it");
+                }
             }
             Delivery::Restarted { .. } if stream.counters().received == 0 => {}
             Delivery::Restarted { .. } | Delivery::Gone => return Ok(Outcome::DaemonGone),

@@ -420,21 +420,13 @@ pub enum OnLoss {
     Stop,
 }
 
-/// The served feed-forward torque.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+/// The served feed-forward torque. From which age on a value is stale, each client says itself
+/// (`FeedForwardSettings::stale_after_ms`).
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Serve {
     /// Name under which the robot is found in shared memory; the robot's own where absent. Two arms of one kind need two names.
     pub id: Option<String>,
-    /// Age from which a client calls a value stale \[s\].
-    #[serde(deserialize_with = "units::duration")]
-    pub stale_after: f64,
-}
-
-impl Default for Serve {
-    fn default() -> Serve {
-        Serve { id: None, stale_after: 0.005 }
-    }
 }
 
 /// The watch over the served model: whether it still holds, and what is done when it does not.

@@ -2,7 +2,7 @@
 //!
 //! Bit rate and restart after bus-off belong to the interface and are set where it is brought up (`ip link set can0 up type can bitrate
 //! 250000 restart-ms 100`), not here. Only the device's own identifiers pass the kernel's filter, so a babbling bus costs nothing.
-//! What is learned leaves over a lock-free ring; nobody waits for anybody.
+//! What is learned last lies where the daemon looks for it; the daemon never waits.
 //!
 //! `simulated:PATH` in place of an interface is no bus: a Unix socket stands for it, for machines without CAN. A job may name one only
 //! beside a simulated arm.
@@ -16,8 +16,8 @@ use socketcan::errors::{ControllerProblems, ErrorCause};
 use socketcan::{CanDataFrame, CanError, CanFilter, CanFrame, CanSocket, EmbeddedFrame, StandardId};
 use socketcan::{ShouldRetry, Socket, SocketOptions};
 use std::io::{Error, ErrorKind};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -33,8 +33,6 @@ const BACKLOG: usize = 64;
 const REPORT: u64 = 4_000_000;
 /// Silence after which the thread counts as gone \[ns\].
 const GONE: u64 = 500_000_000;
-/// Reports that wait to be read; more than a second of them.
-const REPORTS: usize = 256;
 /// Frames flow without an error for so long: the controller is well again \[ns\].
 const WELL: u64 = 1_000_000_000;
 
@@ -61,9 +59,25 @@ struct Report {
     health: Health,
 }
 
+/// The newest report alone: a daemon that was busy for seconds, with connecting to its arm, has no use for the older ones.
+#[derive(Clone)]
+struct Board(Arc<Mutex<Report>>);
+
+impl Board {
+    fn put(&self, report: Report) {
+        // Held for a copy and nothing else, so nobody can have panicked with it.
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = report;
+    }
+
+    /// `None` while a report is being put there: the one read before is as good.
+    fn look(&self) -> Option<Report> {
+        self.0.try_lock().ok().map(|report| *report)
+    }
+}
+
 /// This side of the thread that listens.
 pub struct Listener {
-    reports: rtrb::Consumer<Report>,
+    board: Board,
     last: Report,
     quit: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -81,9 +95,9 @@ impl Listener {
         if let Some(path) = interface.strip_prefix(SIMULATED) {
             tracing::warn!("the inclinometer is simulated: `{path}` stands for a CAN bus");
         }
-        let (outlet, reports) = rtrb::RingBuffer::new(REPORTS);
         let quit = Arc::new(AtomicBool::new(false));
         let last = Report { at: now_ns(), health: sensor.health() };
+        let board = Board(Arc::new(Mutex::new(last)));
         let thread = Thread {
             interface: interface.to_string(),
             node: settings.node.node,
@@ -91,20 +105,18 @@ impl Listener {
             sensor,
             bus: BusState::Active,
             troubled: 0,
-            outlet,
+            board: board.clone(),
             reported: 0,
             quit: Arc::clone(&quit),
         };
         let builder = std::thread::Builder::new().name("plumbline-can".into());
         let thread = builder.spawn(move || thread.run()).map_err(ListenError::Thread)?;
-        Ok(Listener { reports, last, quit, thread: Some(thread) })
+        Ok(Listener { board, last, quit, thread: Some(thread) })
     }
 
     /// How the sensor is at `now` \[ns\]; never waits.
     pub fn health(&mut self, now: u64) -> Health {
-        while let Ok(report) = self.reports.pop() {
-            self.last = report;
-        }
+        self.last = self.board.look().unwrap_or(self.last);
         let silent = now.saturating_sub(self.last.at);
         if silent > GONE { Health::Bad(Fault::NoListener { silent_ms: silent / 1_000_000 }) } else { self.last.health }
     }
@@ -128,7 +140,7 @@ struct Thread {
     bus: BusState,
     /// When the bus was last in trouble \[ns\].
     troubled: u64,
-    outlet: rtrb::Producer<Report>,
+    board: Board,
     reported: u64,
     quit: Arc<AtomicBool>,
 }
@@ -254,12 +266,11 @@ impl Thread {
         }
     }
 
-    /// A full ring means that nobody reads: the next report is as good.
     fn report(&mut self) {
         let at = now_ns();
         if at.saturating_sub(self.reported) >= REPORT {
             self.reported = at;
-            let _ = self.outlet.push(Report { at, health: self.sensor.health() });
+            self.board.put(Report { at, health: self.sensor.health() });
         }
     }
 }
@@ -300,4 +311,37 @@ fn is_up(interface: &str) -> bool {
     let flags = std::fs::read_to_string(format!("/sys/class/net/{interface}/flags")).unwrap_or_default();
     let flags = u32::from_str_radix(flags.trim().trim_start_matches("0x"), 16).unwrap_or(0);
     flags & libc::IFF_UP as u32 != 0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A listener whose thread is played by the test.
+    fn listener() -> Listener {
+        let last = Report { at: 0, health: Health::Bad(Fault::NoListener { silent_ms: 0 }) };
+        let board = Board(Arc::new(Mutex::new(last)));
+        Listener { board, last, quit: Arc::new(AtomicBool::new(false)), thread: None }
+    }
+
+    #[test]
+    fn after_a_pause_of_the_reader_the_newest_report_is_what_counts() {
+        let mut listener = listener();
+        // Ten seconds in which the daemon connects to its arm and looks at nothing.
+        let of = |at: u64| Health::Bad(Fault::NoListener { silent_ms: at });
+        for at in (0..=10_000_000_000).step_by(REPORT as usize) {
+            listener.board.put(Report { at, health: of(at) });
+        }
+        assert_eq!(listener.health(10_000_000_000), of(10_000_000_000));
+    }
+
+    #[test]
+    fn a_report_that_is_being_written_is_not_waited_for() {
+        let mut listener = listener();
+        let board = listener.board.clone();
+        let held = board.0.lock().unwrap();
+        assert_eq!(listener.health(GONE), listener.last.health);
+        assert_eq!(listener.health(GONE + 5_000_000), Health::Bad(Fault::NoListener { silent_ms: 505 }));
+        drop(held);
+    }
 }

@@ -31,7 +31,7 @@ impl Client {
     /// [`IpcError::NoDaemon`], [`IpcError::Full`], [`IpcError::Incompatible`], [`IpcError::Transport`].
     pub fn connect(robot: &RobotId, patience: Duration) -> Result<Client, IpcError> {
         let start = Instant::now();
-        let node = services::node()?;
+        let node = services::joining_node()?;
         let service = services::join_commands(&node, robot, patience)?;
         while service.dynamic_config().number_of_servers() == 0 {
             if start.elapsed() >= patience {

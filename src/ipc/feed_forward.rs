@@ -70,7 +70,7 @@ impl FeedForwardClient {
         patience: Duration,
     ) -> Result<FeedForwardClient, IpcError> {
         let start = Instant::now();
-        let node = services::node()?;
+        let node = services::joining_node()?;
         let service = services::join_feed_forward(&node, robot, patience)?;
         while service.dynamic_config().number_of_publishers() == 0 {
             if start.elapsed() >= patience {

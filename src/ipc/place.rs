@@ -103,19 +103,48 @@ fn secure(path: &Path, uid: u32) -> Result<(), PlaceError> {
     Ok(())
 }
 
-/// Refuses to go on where somebody has laid files of our names into shared memory.
+/// Whether nobody has laid files of our names into shared memory.
+///
+/// # Errors
+/// [`PlaceError::Foreign`] names the first one.
 pub(super) fn no_squatters() -> Result<(), PlaceError> {
     squatters(Path::new(SHARED_MEMORY), user())
 }
 
 fn squatters(shared_memory: &Path, uid: u32) -> Result<(), PlaceError> {
-    for (path, found) in ours_by_name(shared_memory, uid) {
-        if found.uid() != uid || !found.is_file() {
-            let what = format!("belongs to user {} and has a name of ours", found.uid());
-            return Err(PlaceError::Foreign { path, what, uid });
+    ours_by_name(shared_memory, uid).into_iter().try_for_each(|(path, found)| genuine(path, &found, uid))
+}
+
+fn genuine(path: PathBuf, found: &fs::Metadata, uid: u32) -> Result<(), PlaceError> {
+    if found.uid() == uid && found.is_file() {
+        return Ok(());
+    }
+    let what = format!("belongs to user {} and has a name of ours", found.uid());
+    Err(PlaceError::Foreign { path, what, uid })
+}
+
+/// Whether the shared memory that this process has opened by our names is this user's. While a daemon runs nobody can put another file
+/// in the place of its own; after its end a stranger could, and wait there for a client.
+///
+/// # Errors
+/// [`PlaceError::Foreign`] names the first segment that is somebody else's.
+pub(super) fn only_ours_mapped() -> Result<(), PlaceError> {
+    let maps = PathBuf::from("/proc/self/maps");
+    let text = fs::read_to_string(&maps).map_err(|error| PlaceError::Io { path: maps, reason: error.to_string() })?;
+    let uid = user();
+    for path in mapped(&text, &format!("{SHARED_MEMORY}/{}", prefix(uid))) {
+        // One that is gone by now was removed by its owner.
+        if let Ok(found) = fs::symlink_metadata(path) {
+            genuine(PathBuf::from(path), &found, uid)?;
         }
     }
     Ok(())
+}
+
+/// Files in the text of `/proc/PID/maps` whose paths begin with `start`.
+fn mapped<'t>(maps: &'t str, start: &'t str) -> impl Iterator<Item = &'t str> {
+    let paths = maps.lines().filter_map(|line| line.find('/').map(|at| &line[at..]));
+    paths.filter(move |path| path.starts_with(start))
 }
 
 /// Closes the segment that iceoryx2 opens to everyone: only programs of this user have business there.
@@ -188,5 +217,15 @@ mod tests {
         assert!(error.contains(&prefix(other)) && error.contains(&format!("belongs to user {uid}")), "{error}");
         symlink("/etc/passwd", memory.path().join(format!("{}link", prefix(uid)))).unwrap();
         assert!(squatters(memory.path(), uid).is_err());
+    }
+
+    #[test]
+    fn segments_that_are_mapped_are_found_by_their_names() {
+        let maps = "7f00-7f01 rw-s 00000000 00:19 12 /dev/shm/plumbline_7_a.dynamic\n\
+            7f01-7f02 r--p 00000000 08:01 13 /usr/lib/libc.so.6\n7f02-7f03 rw-p 00000000 00:00 0\n\
+            7f03-7f04 rw-s 00000000 00:19 14 /dev/shm/plumbline_70_b.data\n";
+        let found: Vec<_> = mapped(maps, "/dev/shm/plumbline_7_").collect();
+        assert_eq!(found, ["/dev/shm/plumbline_7_a.dynamic"]);
+        only_ours_mapped().unwrap();
     }
 }

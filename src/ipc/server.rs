@@ -68,7 +68,7 @@ impl Server {
     /// [`IpcError::Full`] when another daemon serves this robot, [`IpcError::Incompatible`] when a client of another version
     /// keeps the services alive, [`IpcError::Transport`] when shared memory is not usable.
     pub fn open(robot: &RobotId, settings: ServerSettings) -> Result<Server, IpcError> {
-        let node = services::node()?;
+        let node = services::serving_node()?;
         node.blocking_cleanup_dead_nodes(Duration::from_secs(1));
 
         let samples_service = services::serve_samples(&node, robot)?;

@@ -46,15 +46,32 @@ pub fn now_ns() -> u64 {
     (now.tv_sec as u64).saturating_mul(1_000_000_000).saturating_add(now.tv_nsec as u64)
 }
 
+/// The node of a daemon, which makes the services: nothing is made beside a stranger's files of our names.
+pub(super) fn serving_node() -> Result<ServiceNode, IpcError> {
+    place::no_squatters().map_err(|error| transport("making a node for", "plumbline", error))?;
+    node()
+}
+
+/// The node of a client. A stranger can lay files of our names beside a daemon that runs; that must not keep anybody from stopping the arm.
+pub(super) fn joining_node() -> Result<ServiceNode, IpcError> {
+    // Once: a client may connect for every question that it asks.
+    static SAID: Once = Once::new();
+    if let Err(squatter) = place::no_squatters() {
+        SAID.call_once(|| {
+            tracing::warn!("{squatter}; a daemon that runs is not touched, but the next one will not start")
+        });
+    }
+    node()
+}
+
 /// A node of this process; making it removes what killed processes left behind.
-pub(super) fn node() -> Result<ServiceNode, IpcError> {
+fn node() -> Result<ServiceNode, IpcError> {
     // Errors only, on standard error: its warnings are about missing configuration files and dead peers, which are
     // ordinary here and reported by plumbline itself. IOX2_LOG_LEVEL turns them on.
     static QUIET: Once = Once::new();
     QUIET.call_once(|| set_log_level_from_env_or(LogLevel::Error));
     let failed = |error: String| transport("making a node for", "plumbline", error);
     let root = place::directory().map_err(|error| failed(error.to_string()))?;
-    place::no_squatters().map_err(|error| failed(error.to_string()))?;
     let config = config(&root).map_err(failed)?;
     half_made::look_after();
     // Signals belong to the program, not to this library.
@@ -259,12 +276,14 @@ fn classify(service: &str, reason: &str) -> IpcError {
     }
 }
 
-/// A service that does not exist means that there is no daemon.
+/// A service that does not exist means that there is no daemon; one whose memory is a stranger's is not believed.
 fn joined<T>(robot: &RobotId, patience: Duration, result: Result<T, IpcError>) -> Result<T, IpcError> {
-    result.map_err(|error| match error {
+    let opened = result.map_err(|error| match error {
         IpcError::Transport { reason, .. } if reason.contains("DoesNotExist") => no_daemon(robot, patience),
         other => other,
-    })
+    })?;
+    place::only_ours_mapped().map_err(|error| transport("joining", robot.as_str(), error))?;
+    Ok(opened)
 }
 
 /// Whether the process behind a node still runs. A node that is not there any more was cleaned up after its end.

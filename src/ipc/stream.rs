@@ -128,7 +128,7 @@ impl SampleStream {
     pub fn connect(robot: &RobotId, settings: StreamSettings, patience: Duration) -> Result<SampleStream, IpcError> {
         let start = Instant::now();
         let left = || patience.saturating_sub(start.elapsed());
-        let node = services::node()?;
+        let node = services::joining_node()?;
         let samples_service = services::join_samples(&node, robot, patience)?;
         let replay_service = services::join_replay(&node, robot, left())?;
         while replay_service.dynamic_config().number_of_servers() == 0 {

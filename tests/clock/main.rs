@@ -22,4 +22,5 @@ mod ipc_python;
 mod kill_campaign;
 mod rt_rights;
 mod service;
+mod squatters;
 mod torque_clients;

@@ -52,13 +52,12 @@ fn the_least_job_has_every_default() {
 #[test]
 fn quantities_are_read_in_their_units() {
     let text = LEAST.replace("\"wall\"", "{ rho = \"60 deg\", phi = \"0.5 rad\" }")
-        + "[excitation]\nperiod = \"2500 ms\"\nq0 = [\"90 deg\", \"0.1 m\"]\n[serve]\nstale-after = \"20 ms\"\n\
+        + "[excitation]\nperiod = \"2500 ms\"\nq0 = [\"90 deg\", \"0.1 m\"]\n\
            [estimator]\ntorque-cutoff = \"5 Hz\"\n[safety]\ntracking-error = \"3 deg\"\n";
     let job = parse(&text, &[]).unwrap();
     assert_eq!(job.mounting, Mounting { rho: 60_f64.to_radians(), phi: 0.5 });
     assert_eq!(job.excitation.period, 2.5);
     assert_eq!(job.excitation.q0, Some(vec![90_f64.to_radians(), 0.1]));
-    assert_eq!(job.serve.stale_after, 0.02);
     assert_eq!(job.estimator.torque_cutoff, Some(5.0));
     assert_eq!((job.settings().torque_cutoff, job.settings().order), (5.0, Settings::default().order));
     assert!((job.safety.tracking_error - 3_f64.to_radians()).abs() < 1e-15);
@@ -109,7 +108,7 @@ fn every_bad_value_is_named() {
         ("[safety]\ntracking-error = \"0 rad\"\n", "key `safety.tracking-error`"),
         ("[safety]\nmax-lost = 0\n", "key `safety.max-lost`"),
         ("[safety]\non-estimator-loss = \"pray\"\n", "key `safety.on-estimator-loss`"),
-        ("[serve]\nstale-after = \"1 min\"\n", "key `serve.stale-after`: got 60 s"),
+        ("[serve]\nstale-after = \"5 ms\"\n", "line 7, key `serve.stale-after`"),
         ("[output]\ndir = \"\"\n", "key `output.dir`"),
         ("pace = \"slow\"\n", "key `backend.pace`: got `\"slow\"`"),
         ("pace = ", "line 6"),

@@ -66,9 +66,20 @@ impl Losses {
 #[derive(Clone, Copy, Debug)]
 struct During {
     motion: u32,
-    /// What was measured when it began.
+    /// What was measured when it began; the first reading after that where the inclinometer was lost then.
     reading: Option<Reading>,
     moved: bool,
+}
+
+impl During {
+    /// By how much the base has turned beyond what is `still` and what the sensor does not know \[rad\].
+    fn turned(&mut self, reading: Option<Reading>, still: f64) -> Option<f64> {
+        let now = reading?;
+        let first = *self.reading.get_or_insert(now);
+        let by = angle_between(&first.attitude.gravity, &now.attitude.gravity);
+        let allowed = still.max(MOVED * first.attitude.std().hypot(now.attitude.std()));
+        (by > allowed).then_some(by)
+    }
 }
 
 /// What the torques said of a model.
@@ -83,6 +94,8 @@ struct Judged {
     outcome: Result<(), String>,
     /// The torques have agreed once; what the arm picks up later is no matter of the mounting.
     passed: bool,
+    /// The poses up to now told nothing: nothing waits for more of them, and the next one is asked all the same.
+    blind: bool,
 }
 
 /// What is known of gravity.
@@ -251,12 +264,7 @@ impl Watch {
             self.event(format!("the arm stops in motion {}: {refusal}", record.motion));
             return true;
         }
-        let (Some(first), Some(now)) = (self.during.reading, reading) else { return false };
-        let by = angle_between(&first.attitude.gravity, &now.attitude.gravity);
-        let allowed = own.still.max(MOVED * first.attitude.std().hypot(now.attitude.std()));
-        if by <= allowed {
-            return false;
-        }
+        let Some(by) = self.during.turned(reading, own.still) else { return false };
         // Said once per motion.
         self.during.moved = true;
         let stop = own.on_motion == BaseMotion::Stop;
@@ -289,6 +297,12 @@ impl Watch {
     /// Gravity by which a model is evaluated now.
     fn gravity(&self) -> Vector3<f64> {
         self.inclinometer.as_ref().map_or(self.declared.gravity(), |own| own.decision.gravity)
+    }
+
+    /// What was measured last, unless the declared direction has taken its place.
+    fn measured(&self) -> Option<Vector3<f64>> {
+        let own = self.inclinometer.as_ref().filter(|own| own.decision.source != Source::Declared)?;
+        own.follower.last().map(|reading| reading.attitude.gravity)
     }
 
     /// Whether `model` may be served.
@@ -328,8 +342,10 @@ impl Watch {
 
     fn decide(&mut self, model: &Accepted) -> Verdict {
         let gravity = self.gravity();
-        // What is measured decides here, not what was declared: a vertical model holds within one degree.
-        if let Some(refusal) = self.lacks(model, &Mounting::along(&gravity)) {
+        // What is measured decides here, not what was declared: a vertical model holds within one degree. What is served may still be on its
+        // way there, and the model has to hold for that, too.
+        let mountings = [self.measured().unwrap_or(gravity), gravity].map(|gravity| Mounting::along(&gravity));
+        if let Some(refusal) = self.lacks(model, &mountings) {
             return Verdict::Refuse(refusal);
         }
         if let Some(Inclinometer { decision: Decision { refusal: Some(refusal), .. }, .. }) = &self.inclinometer {
@@ -344,13 +360,13 @@ impl Watch {
         }
     }
 
-    /// What `model` lacks for a mounting. Asked in every turn of a real-time thread, and the words take milliseconds to find: they are those of
-    /// the first such mounting.
-    fn lacks(&mut self, model: &Accepted, mounting: &Mounting) -> Option<String> {
-        if model.model.holds_in(mounting) {
+    /// What `model` lacks for one of the `mountings`. Asked in every turn of a real-time thread, and the words take milliseconds to find: they
+    /// are those of the first such mounting.
+    fn lacks(&mut self, model: &Accepted, mountings: &[Mounting]) -> Option<String> {
+        let Some(mounting) = mountings.iter().find(|mounting| !model.model.holds_in(mounting)) else {
             self.lacking = None;
             return None;
-        }
+        };
         if self.lacking.as_ref().is_none_or(|(id, _)| *id != model.id) {
             self.lacking = model.model.valid_in(mounting).err().map(|refused| (model.id, refused.to_string()));
         }
@@ -360,7 +376,7 @@ impl Watch {
     /// Whether the torques are still to be asked, of an arm that somebody may stand beside.
     fn must_rest_first(&self) -> bool {
         // A model that follows another one in mid-motion has to wait for no rest: the mounting was checked with the first one.
-        let asked = self.judged.as_ref().is_some_and(|judged| judged.passed || judged.after > 0);
+        let asked = self.judged.as_ref().is_some_and(|judged| judged.passed || judged.blind || judged.after > 0);
         self.check.torques && !self.simulated_time && !asked
     }
 
@@ -421,9 +437,11 @@ impl Watch {
             }
             Ok(Err(wrong)) => (judged.implied, judged.outcome) = (None, Err(wrong.to_string())),
             Err(blind) => {
-                tracing::warn!("{blind}; the mounting is checked without them");
+                if !judged.blind {
+                    tracing::warn!("{blind}; the mounting is checked without them until another pose tells more");
+                }
                 // Nothing more will come of this pose: the others decide.
-                (judged.implied, judged.outcome, judged.passed) = (None, Ok(()), true);
+                (judged.implied, judged.outcome, judged.blind) = (None, Ok(()), true);
             }
         }
         judged.answer()
@@ -474,7 +492,7 @@ impl Watch {
 
 impl Judged {
     fn new(model: u64, after: u64) -> Judged {
-        Judged { model, after, seen: 0, implied: None, outcome: Ok(()), passed: false }
+        Judged { model, after, seen: 0, implied: None, outcome: Ok(()), passed: false, blind: false }
     }
 
     /// The side that the torques take, or why they can't be right.
@@ -484,5 +502,81 @@ impl Judged {
             (None, Err(wrong)) => Err(wrong.clone()),
             (found, _) => Ok(found.as_ref().map(|found| found.side)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::robot::Robot;
+    use crate::inclinometer::attitude::Attitude;
+    use crate::joint::JointVec;
+    use crate::model::term::Sample;
+    use crate::store::ModelFile;
+    use nalgebra::Matrix3;
+    use std::path::Path;
+
+    const STILL: f64 = 2e-3;
+
+    /// A base that leans by `tilt` \[rad\].
+    fn leaning(tilt: f64) -> Option<Reading> {
+        let gravity = Vector3::new(tilt.sin(), 0.0, -tilt.cos()) * 9.80665;
+        let attitude = Attitude { gravity, covariance: Matrix3::identity() * 1e-8 };
+        Some(Reading { at: 0, attitude, raw: attitude, still: true })
+    }
+
+    #[test]
+    fn a_base_turns_against_what_was_measured_first_in_its_motion() {
+        let mut during = During { motion: 1, reading: leaning(0.0), moved: false };
+        assert_eq!(during.turned(leaning(0.9 * STILL), STILL), None);
+        assert_eq!(during.turned(None, STILL), None);
+        let by = during.turned(leaning(1.5 * STILL), STILL).unwrap();
+        assert!((by - 1.5 * STILL).abs() < 1e-9, "{by}");
+    }
+
+    #[test]
+    fn a_motion_that_began_without_a_reading_is_watched_from_the_first_one_on() {
+        let mut during = During { motion: 1, reading: None, moved: false };
+        assert_eq!(during.turned(None, STILL), None);
+        assert_eq!(during.turned(leaning(0.1), STILL), None);
+        assert!(during.turned(leaning(0.1 + 1.5 * STILL), STILL).is_some());
+    }
+
+    const JOB: &str = "robot = \"panda\"\nmounting = \"upright\"\n[backend]\nkind = \"sim\"\narm = \"sim-panda\"\npace = \"wall-clock\"\n";
+    /// Stretched straight up: the torques say next to nothing of gravity.
+    const STRAIGHT: JointVec = [0.0, 0.0, 0.0, -0.07, 0.0, 0.0, 0.0, 0.0];
+    const READY: JointVec = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785, 0.0];
+
+    /// The Panda's model from the paper, with noise in which a straight arm is blind.
+    fn accepted() -> Accepted {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/config/models/panda-paper-table3.toml");
+        let text = std::fs::read_to_string(path).unwrap();
+        let chain = |_: &str| Ok(Robot::load("panda", None).unwrap().chain);
+        Accepted { id: 1, model: ModelFile::parse(path, &text, chain).unwrap().model, text, noise: vec![20.0; 7] }
+    }
+
+    /// The arm rests at `q` as it does in `mounting`.
+    fn rest(watch: &mut Watch, model: &Accepted, mounting: &Mounting, q: JointVec) {
+        let tau = model.model.evaluator(&mounting.gravity()).torque(&Sample { q, ..Sample::default() }).0;
+        let mut record = Record { phase: Phase::Hold, ..Record::default() };
+        (record.state.q, record.state.tau, record.command.desired.q) = (q, tau, q);
+        watch.take(&vec![record; 400]);
+    }
+
+    #[test]
+    fn torques_that_tell_nothing_end_the_wait_and_not_the_questions() {
+        let job = Job::parse(Path::new("job.toml"), JOB, &[]).unwrap();
+        let (mut watch, model) = (Watch::open(&job).unwrap(), accepted());
+        assert!(matches!(watch.verdict(&model), Verdict::Wait(_)));
+        rest(&mut watch, &model, &Mounting::UPRIGHT, STRAIGHT);
+        assert!(matches!(watch.verdict(&model), Verdict::Serve(_)), "{:?}", watch.said);
+        // An arm that hangs on a wall, as its next poses tell.
+        for k in 0..8 {
+            let mut q = READY;
+            q[0] += 0.1 * f64::from(k);
+            rest(&mut watch, &model, &Mounting::WALL, q);
+        }
+        let verdict = watch.verdict(&model);
+        assert!(matches!(&verdict, Verdict::Refuse(why) if why.contains("torques at rest")), "{verdict:?}");
     }
 }

@@ -151,9 +151,6 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     if !(1..=1000).contains(&job.safety.max_lost) {
         return bad("safety.max-lost", &job.safety.max_lost, "1 to 1000 states");
     }
-    if !(0.001..=10.0).contains(&job.serve.stale_after) {
-        return bad("serve.stale-after", &format!("{} s", job.serve.stale_after), "1 ms to 10 s");
-    }
     let live = &job.live;
     if !(4.0..=600.0).contains(&live.window) {
         return bad("live.window", &format!("{} s", live.window), "4 s to 600 s");
