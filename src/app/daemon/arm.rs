@@ -7,10 +7,11 @@ use crate::app::Failure;
 use crate::backend::Clock;
 use crate::backend::franka::{self, Info, Telemetry};
 use crate::backend::sim::{Gate, Pace, SimArm};
+use crate::config::job::Job;
 use crate::config::job::franka::Recovery;
 use crate::estimate::mounting_check::Side;
 use crate::ipc::{Link, Times};
-use crate::joint::JointVec;
+use crate::joint::{JointVec, Limits, SpeedEnvelope};
 use crate::model::gravity::Mounting;
 use crate::rt::{Backend, Fault, os};
 use std::sync::Arc;
@@ -108,6 +109,13 @@ impl Robot {
         }
     }
 
+    /// The job's limits, inside those that the connected arm and its adapter hold commands to.
+    pub fn narrow(&self, job: &Job, limits: &mut Limits, envelope: &mut Option<SpeedEnvelope>) {
+        let Some(franka) = &job.backend.franka else { return };
+        *envelope = franka::guard_envelope(&self.info, envelope.as_ref(), franka.limits_share);
+        *limits = franka::guard_limits(&self.info, limits, franka.limits_share);
+    }
+
     /// Where the arm stood when it was connected \[rad\].
     pub fn pose(&self) -> JointVec {
         self.info.pose()
@@ -173,7 +181,7 @@ pub fn recover(daemon: &mut Daemon) -> Result<(), Failure> {
     let job = &daemon.desk.job;
     let Some(franka) = &job.backend.franka else { return Ok(()) };
     let settings = franka.settings(job, franka::Purpose::Watch)?;
-    daemon.meanwhile(|| franka::recover(&settings))?.map_err(Failure::job)
+    daemon.meanwhile(|| franka::recover_communication(&settings))?.map_err(Failure::job)
 }
 
 fn words(info: &Info) -> String {

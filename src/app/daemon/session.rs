@@ -106,10 +106,13 @@ impl Session {
         if let (Some(connected), Some(target)) = (&connected, script.first_target()) {
             programme::free_way(job, robot, &connected.pose(), &target)?;
         }
-        let limits = job.guard_limits(&robot.limits, robot.chain.len())?;
+        let (mut limits, mut envelope) = (job.guard_limits(&robot.limits, robot.chain.len())?, robot.envelope);
+        if let Some(connected) = &connected {
+            connected.narrow(job, &mut limits, &mut envelope);
+        }
         let mut settings = CycleSettings::new(GuardSettings {
             limits,
-            envelope: robot.envelope,
+            envelope,
             workspace: Some(job.workspace(&robot.workspace)),
             // An arm that is only watched may be guided by hand.
             tracking: match (purpose, &connected) {
