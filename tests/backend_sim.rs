@@ -303,6 +303,38 @@ fn on_a_machine_that_is_too_slow_for_it_the_arms_time_stands_still() {
     }
 }
 
+/// A machine that is held up twice, the second time while it catches up with the first.
+struct HeldUp {
+    now: AtomicU64,
+    looks: AtomicU64,
+}
+
+impl Clock for HeldUp {
+    fn now_ns(&self) -> u64 {
+        let passes = match self.looks.fetch_add(1, Ordering::Relaxed) {
+            300 => 300_000_000,
+            360 => 400_000_000,
+            _ => 1_000,
+        };
+        self.now.fetch_add(passes, Ordering::Relaxed) + passes
+    }
+
+    fn sleep_until(&self, ns: u64) {
+        self.now.fetch_max(ns, Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn a_machine_that_is_held_up_while_it_catches_up_loses_none_of_the_arms_time() {
+    let clock = HeldUp { now: AtomicU64::new(0), looks: AtomicU64::new(0) };
+    let mut arm = sim(&silent_panda(), 0, Pace::WallClock(Box::new(clock)));
+    let first = arm.read().unwrap().seq;
+    let origin = arm.deadline_ns().unwrap() - first * 1_000_000;
+    let seqs: Vec<u64> = (0..200).map(|_| arm.read().unwrap().seq).collect();
+    assert!(seqs.windows(2).any(|pair| pair[1] - pair[0] > 650), "it was not held up at all");
+    assert_eq!(arm.deadline_ns(), Some(origin + seqs.last().unwrap() * 1_000_000));
+}
+
 #[test]
 fn says_what_does_not_fit() {
     let truth = silent_panda();
