@@ -10,6 +10,8 @@ use crate::rt::{Backend, Fault};
 const HOLD: f64 = 2e-3;
 /// How far an arm that moves slowly may be behind \[rad\].
 const TRACK: f64 = 5e-3;
+/// States that may be lost in a row before it counts as late: an arm that is told nothing for longer stops by itself.
+const ALONE: u64 = 20;
 /// Distance and duration of the small motion \[rad\], \[ms\].
 const DISTANCE: f64 = 0.03;
 const DURATION: u64 = 800;
@@ -67,8 +69,12 @@ fn follows_a_small_motion(mut arm: impl Backend) {
     while last.seq < start.seq + DURATION + 100 {
         let desired = small_motion(&start.q_d, last.seq + 1 - start.seq, joints);
         send(&mut arm, &last, desired).expect("a slow motion is not refused");
-        last = next(&mut arm);
-        assert_near(&last.q, &desired.q, TRACK, joints, "following");
+        let state = next(&mut arm);
+        // Whoever comes late by more finds the arm further on, where nobody had told it to be.
+        if state.seq - last.seq <= ALONE {
+            assert_near(&state.q, &desired.q, TRACK, joints, "following");
+        }
+        last = state;
         farthest = farthest.max((last.q[joints - 1] - start.q_d[joints - 1]).abs());
     }
     assert!(farthest > DISTANCE - TRACK, "the arm moved by {farthest} rad instead of {DISTANCE}");

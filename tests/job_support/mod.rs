@@ -17,7 +17,7 @@ use plumbline::report::Report;
 use tempfile::TempDir;
 
 /// Long enough for a loaded machine; nothing waits this long when it works.
-pub const PATIENCE: Duration = Duration::from_secs(90);
+pub const PATIENCE: Duration = Duration::from_secs(300);
 
 /// The shipped job that every test is a variant of.
 pub const WALL: &str = "config/sim-panda-wall.toml";
