@@ -33,7 +33,6 @@ check "model and report are there, the daemon's user's own" "$(stat -c '%U %a %n
     test -s /var/lib/plumbline/job/report.json -a -s /var/lib/plumbline/job/model.toml
 check "every millisecond of the robot was a cycle or counted as skipped" "$(grep -c 'periods = ' /tmp/job.log) sessions" \
     test "$(grep -c 'periods = ' /tmp/job.log)" -gt 0 -a "$(grep -c 'periods DIFFERS FROM' /tmp/job.log)" = 0
-say "$(ps -eo time,cls,comm --sort=-time | head -n 12)"
 # The emulator dies in mid-motion: the daemon's own word for it, and an end.
 job job2 50 &
 run=$!
