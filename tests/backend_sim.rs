@@ -190,11 +190,12 @@ fn an_arm_with_patience_joins_the_motion_where_it_has_got_to() {
         let away = Setpoint { q: READY.map(|q| q + 1.5), ..Setpoint::default() };
         assert_eq!(arm.write(&command(2000, away)), Err(Fault::Refused { code: REFUSED_JUMP }));
         let run = follow(&mut arm, 400);
-        let largest = |of: &dyn Fn(&(State, Exact), &(State, Exact)) -> f64| {
-            run.iter().map(|here| of(here, &whole[here.0.seq as usize - 1])).fold(0.0, f64::max)
-        };
         let apart = |values: &[f64], others: &[f64]| (0..N).map(|j| (values[j] - others[j]).abs()).fold(0.0, f64::max);
-        let (q, tau) = (largest(&|a, b| apart(&a.0.q, &b.0.q)), largest(&|a, b| apart(&a.0.tau, &b.0.tau)));
+        let (mut q, mut tau) = (0.0_f64, 0.0_f64);
+        for (here, _) in &run {
+            let undisturbed = &whole[here.seq as usize - 1].0;
+            (q, tau) = (q.max(apart(&here.q, &undisturbed.q)), tau.max(apart(&here.tau, &undisturbed.tau)));
+        }
         assert!(q > 1e-6, "after {gap} ms it is where it would have been");
         // A step of the velocity would be some 60 Nm.
         assert!(tau < 30.0, "{gap} ms: {q} rad off gave {tau} Nm");
