@@ -143,6 +143,12 @@ pub struct SpeedEnvelope {
 }
 
 impl SpeedEnvelope {
+    /// The envelope, where it falls faster than a stop with `ddq` \[rad/s2\], brought down to that: from under it such a stop stays under it.
+    pub fn braked_with(&self, ddq: &JointVec) -> SpeedEnvelope {
+        let deceleration = std::array::from_fn(|j| self.deceleration[j].min(ddq[j]));
+        SpeedEnvelope { deceleration, ..*self }
+    }
+
     /// Highest speed of joint `j` (from 0) at `room` \[rad\] before the end of its range that it moves towards, at most `dq_max`, and
     /// its derivative with respect to `room`.
     pub fn at(&self, j: usize, room: f64, dq_max: f64) -> (f64, f64) {

@@ -15,9 +15,10 @@ use crate::excite::optimiser::optimise;
 use crate::excite::plan::Plan;
 use crate::excite::search::{self, Problem, Progress, Search, Watch, verdict};
 use crate::input::BadInput;
-use crate::joint::{Limits, Workspace};
+use crate::joint::{Limits, SpeedEnvelope, Workspace};
 use crate::model::gravity::Mounting;
 use crate::parallel::threads;
+use crate::rt::moves::MoveFactors;
 use crate::store::{ModelFile, load_plan, save_plan};
 use clap::{Args, ValueEnum};
 use sha2::{Digest, Sha256};
@@ -113,8 +114,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let task = Task {
         robot: &robot,
         mounting,
-        limits: robot.limits,
-        workspace: robot.workspace,
+        room: Room::of(&robot, robot.limits, robot.workspace),
         margins: Margins::default(),
         nominal: nominal.as_ref(),
         q0: None,
@@ -254,8 +254,7 @@ fn fingerprint(job: &Job, robot: &Robot) -> Result<String, Failure> {
 pub struct Planner<'a> {
     job: &'a Job,
     robot: &'a Robot,
-    limits: Limits,
-    workspace: Workspace,
+    room: Room,
     nominal: Option<Nominal>,
 }
 
@@ -264,7 +263,8 @@ impl<'a> Planner<'a> {
     pub fn of(job: &'a Job, robot: &'a Robot) -> Result<Planner<'a>, Failure> {
         let limits = job.guard_limits(&robot.limits, robot.chain.len())?;
         let nominal = job.excitation.model.as_deref().map(|path| nominal(path, robot)).transpose()?;
-        Ok(Planner { job, robot, limits, workspace: job.workspace(&robot.workspace), nominal })
+        let room = Room::of(robot, limits, job.workspace(&robot.workspace));
+        Ok(Planner { job, robot, room, nominal })
     }
 
     /// The motion to identify from: the job's own plan file, or the best that a search finds.
@@ -306,15 +306,14 @@ impl<'a> Planner<'a> {
 
     /// What the arm is held to on the ways between motions: everything to its full.
     pub fn bounds(&self) -> Bounds<'_> {
-        bounds(self.robot, &self.limits, &self.workspace, Margins::none())
+        self.room.bounds(self.robot, Margins::none())
     }
 
     fn task(&self, mounting: &Mounting, margins: Margins) -> Task<'_> {
         Task {
             robot: self.robot,
             mounting: *mounting,
-            limits: self.limits,
-            workspace: self.workspace,
+            room: self.room,
             margins,
             nominal: self.nominal.as_ref(),
             q0: self.job.excitation.q0.as_deref(),
@@ -343,12 +342,28 @@ fn infeasible(file: &str, error: &ExciteError) -> Failure {
     BadInput::new(file, "excitation", error, "a start pose and limits that leave room for a motion").into()
 }
 
-fn bounds<'a>(robot: &'a Robot, limits: &'a Limits, workspace: &'a Workspace, margins: Margins) -> Bounds<'a> {
-    Bounds {
-        workspace: Some(workspace),
-        shape: Some(&robot.shape),
-        envelope: robot.envelope.as_ref(),
-        ..Bounds::new(&robot.chain, limits, margins)
+/// Where an arm may move, and how fast.
+#[derive(Clone, Copy)]
+struct Room {
+    limits: Limits,
+    workspace: Workspace,
+    envelope: Option<SpeedEnvelope>,
+}
+
+impl Room {
+    /// The robot's speed envelope goes with it, as the loop's guard holds motions to it: a stop has to stay under it, too.
+    fn of(robot: &Robot, limits: Limits, workspace: Workspace) -> Room {
+        let ddq = limits.ddq.map(|ddq| MoveFactors::default().brake * ddq);
+        Room { limits, workspace, envelope: robot.envelope.map(|envelope| envelope.braked_with(&ddq)) }
+    }
+
+    fn bounds<'a>(&'a self, robot: &'a Robot, margins: Margins) -> Bounds<'a> {
+        Bounds {
+            workspace: Some(&self.workspace),
+            shape: Some(&robot.shape),
+            envelope: self.envelope.as_ref(),
+            ..Bounds::new(&robot.chain, &self.limits, margins)
+        }
     }
 }
 
@@ -356,8 +371,7 @@ fn bounds<'a>(robot: &'a Robot, limits: &'a Limits, workspace: &'a Workspace, ma
 struct Task<'a> {
     robot: &'a Robot,
     mounting: Mounting,
-    limits: Limits,
-    workspace: Workspace,
+    room: Room,
     margins: Margins,
     nominal: Option<&'a Nominal>,
     q0: Option<&'a [f64]>,
@@ -376,12 +390,12 @@ impl Task<'_> {
         let n = self.robot.chain.len();
         let structure = friction_structure(self.robot, &self.mounting);
         // Before anything is measured, the torque range of a joint stands for the size of its noise.
-        let sigma: Vec<f64> = self.limits.tau[..n].iter().map(|tau| tau * 1e-3).collect();
+        let sigma: Vec<f64> = self.room.limits.tau[..n].iter().map(|tau| tau * 1e-3).collect();
         find(&Problem {
             robot: &self.robot.name,
             structure: &structure,
             mounting: self.mounting,
-            bounds: bounds(self.robot, &self.limits, &self.workspace, self.margins),
+            bounds: self.room.bounds(self.robot, self.margins),
             nominal: self.nominal,
             sigma: &sigma,
             q0: self.q0,

@@ -145,7 +145,14 @@ pub struct Guard {
 impl Guard {
     /// A guard for an arm that rests at zero until [`start`](Guard::start) says where. `brake` is the share of the acceleration
     /// and jerk limits that the controlled stop uses.
-    pub fn new(joints: usize, settings: GuardSettings, brake: f64, kinematics: Option<Box<dyn Kinematics>>) -> Guard {
+    pub fn new(
+        joints: usize,
+        mut settings: GuardSettings,
+        brake: f64,
+        kinematics: Option<Box<dyn Kinematics>>,
+    ) -> Guard {
+        let ddq = settings.limits.ddq.map(|ddq| brake * ddq);
+        settings.envelope = settings.envelope.map(|envelope| envelope.braked_with(&ddq));
         Guard {
             joints: joints.min(MAX_JOINTS),
             settings,
@@ -290,8 +297,8 @@ impl Guard {
         Ok(())
     }
 
-    /// Highest speed of joint `j` at position `q` in the direction of `dq`. The stop itself brakes harder than the envelope supposes,
-    /// and so stays under it.
+    /// Highest speed of joint `j` at position `q` in the direction of `dq`. The stop brakes at least as hard as the envelope falls, and so stays
+    /// under it.
     fn speed(&self, j: usize, q: f64, dq: f64) -> f64 {
         let limits = &self.settings.limits;
         let room = if dq > 0.0 { limits.q_max[j] - q } else { q - limits.q_min[j] };
@@ -304,7 +311,9 @@ impl Guard {
         let (q, dq, ddq) = (desired.q[j], desired.dq[j], desired.ddq[j]);
         let (ddq_brake, jerk_brake) = (self.brake * limits.ddq[j], self.brake * limits.jerk[j]);
         let ahead = dq + ddq * ddq.abs() / (2.0 * jerk_brake);
-        within(Limit::VelocityAhead, j, ahead, self.speed(j, q, ahead))?;
+        // Until the stop brakes with all it has, the joint goes on with no more than that speed.
+        let way = ahead * (ddq_brake + ddq.abs()) / jerk_brake;
+        within(Limit::VelocityAhead, j, ahead, self.speed(j, q + way, ahead))?;
         let (up, down) = stop_distances(dq, ddq, ddq_brake, jerk_brake);
         self.between(Limit::StoppingPosition, j, q - down, q + up)
     }
