@@ -4,14 +4,12 @@
 //! and says which. The arm moves by a few hundredths of a radian about where it stands. At 1 kHz the suite takes about three seconds.
 
 use crate::joint::{Command, JointVec, Setpoint, State};
-use crate::rt::{Backend, Fault};
+use crate::rt::{Backend, Fault, LONGEST_ALONE};
 
 /// How far an arm that holds still may be off \[rad\].
 const HOLD: f64 = 2e-3;
 /// How far an arm that moves slowly may be behind \[rad\].
 const TRACK: f64 = 5e-3;
-/// States that may be lost in a row before it counts as late: an arm that is told nothing for longer stops by itself.
-const ALONE: u64 = 20;
 /// Distance and duration of the small motion \[rad\], \[ms\].
 const DISTANCE: f64 = 0.03;
 const DURATION: u64 = 800;
@@ -71,7 +69,7 @@ fn follows_a_small_motion(mut arm: impl Backend) {
         send(&mut arm, &last, desired).expect("a slow motion is not refused");
         let state = next(&mut arm);
         // Whoever comes late by more finds the arm further on, where nobody had told it to be.
-        if state.seq - last.seq <= ALONE {
+        if state.seq - last.seq <= u64::from(LONGEST_ALONE) {
             assert_near(&state.q, &desired.q, TRACK, joints, "following");
         }
         last = state;

@@ -397,7 +397,8 @@ pub struct Safety {
     /// Largest distance of a joint from its desired position \[rad\].
     #[serde(deserialize_with = "units::angle")]
     pub tracking_error: f64,
-    /// Most states that may be lost in a row.
+    /// Most states that may be lost in a row. A Franka stops by itself after 20 missing commands, and more abruptly: half of that leaves room for
+    /// a controlled stop.
     pub max_lost: u32,
     /// What the arm does when the estimator is gone in mid-run.
     pub on_estimator_loss: OnLoss,
@@ -405,7 +406,7 @@ pub struct Safety {
 
 impl Default for Safety {
     fn default() -> Safety {
-        Safety { tracking_error: 0.1, max_lost: 20, on_estimator_loss: OnLoss::Finish }
+        Safety { tracking_error: 0.1, max_lost: 10, on_estimator_loss: OnLoss::Finish }
     }
 }
 

@@ -2,14 +2,11 @@
 
 use super::moves::{NoMotion, Planner};
 use super::order::{Order, OrderKind, StopReason};
-use super::{PERIOD, Reference, checkpoint};
+use super::{LONGEST_ALONE, PERIOD, Reference, checkpoint};
 use crate::joint::{JointVec, MAX_JOINTS, Phase, Record, Setpoint};
 
 /// A reference may start this far from where the arm rests \[rad\]; more would be a step that no arm can follow.
 const START_TOLERANCE: f64 = 1e-6;
-
-/// States in a row after which an arm has stopped by itself: it goes on alone for no longer.
-const LONGEST_ALONE: u64 = 20;
 
 enum Doing {
     Hold,
@@ -129,7 +126,7 @@ impl Motion {
     /// Where states were lost the arm has gone on alone, at constant acceleration, as the FCI's does: the stop begins where that has brought
     /// it, or the first sample would be a jump. Where no stop can begin there, it begins at what was sent, as if it had begun then.
     pub fn brake(&mut self, gap: u64) -> Result<Option<Box<dyn Reference>>, NoMotion> {
-        let alone = gap.saturating_sub(1).min(LONGEST_ALONE);
+        let alone = gap.saturating_sub(1).min(u64::from(LONGEST_ALONE));
         let planned = match self.planner.stop(&gone_on(&self.last, seconds(alone))) {
             Ok(()) => {
                 self.tick = gap - alone;
@@ -232,7 +229,7 @@ impl Motion {
 
 /// The setpoint that a stop began from whose first sample was number `tick`, `gap` cycles of the arm after `last` had been sent.
 pub fn braked_from(last: &Setpoint, gap: u64, tick: u64) -> Setpoint {
-    let alone = gap.saturating_sub(1).min(LONGEST_ALONE);
+    let alone = gap.saturating_sub(1).min(u64::from(LONGEST_ALONE));
     if tick + alone == gap { gone_on(last, seconds(alone)) } else { *last }
 }
 

@@ -136,6 +136,8 @@ fn a_franka_needs_an_address_and_has_defaults_for_the_rest() {
     assert_eq!(franka.address.to_string(), "172.16.0.2");
     assert_eq!((franka.interface, franka.recovery), (Interface::JointPosition, Recovery::Operator));
     assert_eq!((franka.max_recoveries, franka.state_timeout), (2, 0.1));
+    let patient = format!("{FRANKA}[backend.franka]\naddress = \"172.16.0.2\"\n[safety]\nmax-lost = 20\n");
+    assert!(refusal(&patient, &[]).contains("key `safety.max-lost`: got 20, expected 1 to 19 states"));
 
     let address = "[backend.franka]\naddress = \"172.16.0.2\"\n";
     let elsewhere = refusal(&format!("{}{address}", FRANKA.replace("[\"wall\"]", "[\"wall\", \"upright\"]")), &[]);

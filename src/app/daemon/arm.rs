@@ -13,7 +13,7 @@ use crate::estimate::mounting_check::Side;
 use crate::ipc::{Link, Times};
 use crate::joint::{JointVec, Limits, SpeedEnvelope};
 use crate::model::gravity::Mounting;
-use crate::rt::{Backend, Fault, os};
+use crate::rt::{Backend, Fault, LONGEST_ALONE, os};
 use std::sync::Arc;
 
 /// `CLOCK_MONOTONIC` for arms that keep wall-clock time.
@@ -28,9 +28,6 @@ impl Clock for Monotonic {
         os::sleep_until(deadline_ns);
     }
 }
-
-/// Missing commands in a row that a Franka tolerates (FCI: `communication_constraints_violation`).
-const FRANKA_PATIENCE: u32 = 20;
 
 /// What an arm is connected for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,7 +80,7 @@ pub fn connect(daemon: &mut Daemon, mounting: Mounting, purpose: Purpose) -> Res
         SimArm::new(&robot.chain, truth, mounting, daemon.desk.rest, job.backend.seed, pace).map_err(Failure::job)?;
     // As patient as a Franka, or as the job where that allows more. An arm that only stands needs no commands: it is left alone for a minute.
     let arm = arm.with_patience(match purpose {
-        Purpose::Drive => job.safety.max_lost.max(FRANKA_PATIENCE),
+        Purpose::Drive => job.safety.max_lost.max(LONGEST_ALONE),
         Purpose::Hold => STANDING,
     });
     Ok(Connected { arm: Box::new(arm), gate, robot: None })
@@ -110,10 +107,15 @@ impl Robot {
     }
 
     /// The job's limits, inside those that the connected arm and its adapter hold commands to.
-    pub fn narrow(&self, job: &Job, limits: &mut Limits, envelope: &mut Option<SpeedEnvelope>) {
-        let Some(franka) = &job.backend.franka else { return };
-        *envelope = franka::guard_envelope(&self.info, envelope.as_ref(), franka.limits_share);
-        *limits = franka::guard_limits(&self.info, limits, franka.limits_share);
+    pub fn narrow(
+        &self,
+        job: &Job,
+        limits: &Limits,
+        envelope: Option<&SpeedEnvelope>,
+    ) -> (Limits, Option<SpeedEnvelope>) {
+        let Some(franka) = &job.backend.franka else { return (*limits, envelope.copied()) };
+        let share = franka.limits_share;
+        (franka::guard_limits(&self.info, limits, share), franka::guard_envelope(&self.info, envelope, share))
     }
 
     /// Where the arm stood when it was connected \[rad\].

@@ -106,10 +106,11 @@ impl Session {
         if let (Some(connected), Some(target)) = (&connected, script.first_target()) {
             programme::free_way(job, robot, &connected.pose(), &target)?;
         }
-        let (mut limits, mut envelope) = (job.guard_limits(&robot.limits, robot.chain.len())?, robot.envelope);
-        if let Some(connected) = &connected {
-            connected.narrow(job, &mut limits, &mut envelope);
-        }
+        let limits = job.guard_limits(&robot.limits, robot.chain.len())?;
+        let (limits, envelope) = match &connected {
+            Some(connected) => connected.narrow(job, &limits, robot.envelope.as_ref()),
+            None => (limits, robot.envelope),
+        };
         let mut settings = CycleSettings::new(GuardSettings {
             limits,
             envelope,

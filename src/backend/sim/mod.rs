@@ -40,7 +40,7 @@ use crate::input::BadInput;
 use crate::joint::{Command, JointVec, State};
 use crate::model::chain::Chain;
 use crate::model::gravity::Mounting;
-use crate::rt::{Backend, Fault};
+use crate::rt::{Backend, Fault, LONGEST_ALONE};
 use commands::{Commands, Objection, TICK};
 use effect::Effect;
 use nalgebra::Vector3;
@@ -56,9 +56,6 @@ pub const REFUSED_JUMP: u32 = 2;
 pub const REFUSED_STOPPED: u32 = 3;
 /// `Fault::Reflex`: 20 commands in a row did not come (`communication_constraints_violation` of the FCI).
 pub const REFLEX_COMMUNICATION: u32 = 25;
-
-/// Missing commands in a row that end a motion, unless [`SimArm::with_patience`] says otherwise.
-const MISSING: u32 = 20;
 
 /// Milliseconds that a late reader is led through before it counts whether they take longer than they last.
 const LED: u64 = 20;
@@ -199,7 +196,7 @@ impl SimArm {
             mode: Mode::Idle,
             pending: None,
             missing: 0,
-            patience: MISSING,
+            patience: LONGEST_ALONE,
             seq: 0,
             exact: Exact::default(),
             origin_ns: None,
@@ -214,7 +211,7 @@ impl SimArm {
 
     /// Whether it has missed commands and forgives that.
     fn forgives(&self) -> bool {
-        self.patience > MISSING && self.missing > 0 && self.mode == Mode::Moving
+        self.patience > LONGEST_ALONE && self.missing > 0 && self.mode == Mode::Moving
     }
 
     /// The arm's exact motion at the state read last, for comparisons; no real arm has this.

@@ -237,7 +237,9 @@ impl Ending {
 
     /// Whether the machine itself may have made it end: the arm missed commands, or none of its states came.
     pub fn stalled(&self) -> bool {
-        ["communication_constraints_violation", "no state came"].iter().any(|words| self.said.contains(words))
+        ["communication_constraints_violation", "no state came", "states were lost"]
+            .iter()
+            .any(|words| self.said.contains(words))
     }
 
     /// How often the daemon went on by itself.
