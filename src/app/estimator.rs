@@ -52,14 +52,23 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let results = Results::new(&job, &robot, &programme, &out);
         let live = Live::new(&job, results.joints(), &out);
         service.status("follows the samples");
-        let outcome = follow(&id, &mut stream, &programme, results, live, &mut service);
-        match outcome.map_err(Failure::of_own_data)? {
+        let outcome = match follow(&id, &mut stream, &programme, results, live, &mut service) {
+            Err(Failure::Input(bad)) => Outcome::Unusable { why: bad.to_string() },
+            outcome => outcome?,
+        };
+        match outcome {
             Outcome::Written if options.once => return Ok(()),
             Outcome::Written => await_next_daemon(&mut stream, &mut service, "the results are written")?,
             Outcome::Stopped { why } if options.once => return Err(Failure::job(no_results(&why))),
             Outcome::Stopped { why } => {
                 tracing::error!("{}", no_results(&why));
                 await_next_daemon(&mut stream, &mut service, "the arm was stopped; waits for the daemon's next start")?;
+            }
+            Outcome::Unusable { why } if options.once => return Err(Failure::job(why)),
+            // Another try would find the same.
+            Outcome::Unusable { why } => {
+                tracing::error!("no results: {why}");
+                await_next_daemon(&mut stream, &mut service, "no results; waits for the daemon's next start")?;
             }
             Outcome::DaemonGone if options.once => return Err(Failure::job("the daemon is gone; its samples with it")),
             Outcome::DaemonGone => {}
@@ -72,6 +81,12 @@ enum Outcome {
     /// The programme can't come to its end any more.
     Stopped {
         /// What the daemon says about it.
+        why: String,
+    },
+    /// What was recorded, or the model that comes of it, can't be used. Nobody wrote it, so it is no bad input, after which a service would
+    /// stay down.
+    Unusable {
+        /// What was found, and expected; or the daemon's reason.
         why: String,
     },
     DaemonGone,
@@ -106,8 +121,10 @@ fn follow(
         match stream.next(STEP).map_err(Failure::job)? {
             Delivery::Records { records, .. } => {
                 for record in &records {
-                    if let Some(recorded) = collector.take(record) {
-                        take(id, &mut results, &mut live, recorded)?;
+                    if let Some(recorded) = collector.take(record)
+                        && let Some(why) = take(id, &mut results, &mut live, recorded)?
+                    {
+                        return Ok(Outcome::Unusable { why: format!("the daemon refused the model: {why}") });
                     }
                     if let Some(live) = &mut live
                         && let Some(offer) = live.take(record)?
@@ -159,11 +176,16 @@ fn follow(
     }
 }
 
-/// Takes one motion in; offers the model when it was the one to identify from.
-fn take(id: &RobotId, results: &mut Results, live: &mut Option<Live>, mut recorded: Recorded) -> Result<(), Failure> {
+/// Takes one motion in; offers the model when it was the one to identify from. Why the daemon does not want it, if so.
+fn take(
+    id: &RobotId,
+    results: &mut Results,
+    live: &mut Option<Live>,
+    mut recorded: Recorded,
+) -> Result<Option<String>, Failure> {
     if !recorded.complete {
         tracing::warn!("{} is incomplete and left out", recorded.run.file);
-        return Ok(());
+        return Ok(None);
     }
     let role = recorded.role;
     if results.has_inclinometer() {
@@ -171,7 +193,7 @@ fn take(id: &RobotId, results: &mut Results, live: &mut Option<Live>, mut record
     }
     results.take(recorded);
     if role != Role::Identify {
-        return Ok(());
+        return Ok(None);
     }
     let text = results.identify()?;
     if let (Some(live), Some((identified, run))) = (live.as_mut(), results.identified()) {
@@ -182,9 +204,9 @@ fn take(id: &RobotId, results: &mut Results, live: &mut Option<Live>, mut record
     match client(id)?.send(&offer, ANSWER).map_err(Failure::job)? {
         Response::ModelAccepted { model } => {
             tracing::info!("the daemon serves model {model:016x}");
-            Ok(())
+            Ok(None)
         }
-        Response::Refused { reason } => Err(Failure::job(format!("the daemon refused the model: {reason}"))),
+        Response::Refused { reason } => Ok(Some(reason)),
         other => Err(Failure::job(format!("the daemon answered a model with {other:?}"))),
     }
 }

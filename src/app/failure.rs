@@ -18,15 +18,6 @@ impl Failure {
         Failure::Job(what.to_string())
     }
 
-    /// The same failure over data that the programs recorded themselves: nobody wrote them, so they are no bad input, after which a service
-    /// would stay down.
-    pub fn of_own_data(self) -> Failure {
-        match self {
-            Failure::Input(bad) => Failure::job(bad),
-            job => job,
-        }
-    }
-
     /// The exit code of the process.
     pub fn code(&self) -> u8 {
         match self {
@@ -48,18 +39,5 @@ impl fmt::Display for Failure {
 impl From<BadInput> for Failure {
     fn from(bad: BadInput) -> Failure {
         Failure::Input(bad)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_was_recorded_here_is_no_bad_input() {
-        let bad = BadInput::new("identify-wall.csv", "samples", "12", "a run that is long enough");
-        let (of_a_person, own) = (Failure::from(bad.clone()), Failure::from(bad).of_own_data());
-        assert_eq!((of_a_person.code(), own.code()), (2, 1));
-        assert_eq!(of_a_person.to_string(), own.to_string());
     }
 }

@@ -99,6 +99,28 @@ fn whoever_follows_and_takes_leave_in_mid_motion_is_lost_too() {
 }
 
 #[test]
+fn an_estimator_in_service_waits_where_the_data_can_not_be_used() {
+    let _turn = JOBS.take();
+    let place = Place::new("unusable");
+    // One second, for a filter that needs eight.
+    let sets =
+        ["excitation.period=1 s", "excitation.periods=1", "excitation.lead-in=0", "estimator.torque-cutoff=0.1 Hz"];
+    let daemon = Running::start(place.job("daemon", &short(&sets)));
+    wait_for("the daemon", || place.status());
+    let mut estimator = Running::start(place.job("estimator", &short(&sets)));
+    place.command("start").expect_code(0);
+    wait_for("the wait for a model", || place.status().filter(|now| now.progress == Progress::AwaitingModel));
+    std::thread::sleep(Duration::from_secs(2));
+    assert!(estimator.runs(), "{}", estimator.end().said());
+    signal(estimator.pid(), "TERM");
+    let done = estimator.end();
+    assert!(done.err.contains("no results: ") && done.err.contains("expected at least"), "{}", done.said());
+    place.command("quit").expect_code(0);
+    daemon.end().expect_code(0);
+    nobody_lingers(&place);
+}
+
+#[test]
 fn a_killed_daemon_ends_the_run_and_the_next_one_is_clean() {
     let _turn = JOBS.take();
     let place = Place::new("daemon");
