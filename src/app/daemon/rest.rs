@@ -44,7 +44,7 @@ impl Rests {
         let desired = &record.command.desired;
         let resting = matches!(record.phase, Phase::Hold | Phase::Stopped) && desired.dq.iter().all(|&dq| dq == 0.0);
         if !resting || self.at.is_none_or(|at| at != desired.q) {
-            (self.count, self.q, self.tau) = (0, [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+            self.measure_from(0);
             self.at = resting.then_some(desired.q);
             return false;
         }
@@ -56,7 +56,7 @@ impl Rests {
             self.stood = record.state.q;
         }
         if self.stood.iter().zip(&record.state.q).any(|(stood, q)| (stood - q).abs() > STILL) {
-            (self.count, self.q, self.tau) = (0, [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+            self.measure_from(0);
             return false;
         }
         for j in 0..MAX_JOINTS {
@@ -70,9 +70,14 @@ impl Rests {
             self.complete(f64::from(measured));
         }
         if measured == FRESH {
-            (self.count, self.q, self.tau) = (SETTLE, [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+            self.measure_from(SETTLE);
         }
         complete
+    }
+
+    /// Begins a mean, as if the rest were `count` records old.
+    fn measure_from(&mut self, count: u32) {
+        (self.count, self.q, self.tau) = (count, [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
     }
 
     fn complete(&mut self, measured: f64) {

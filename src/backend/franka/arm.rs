@@ -299,8 +299,7 @@ impl FrankaArm {
             return Ok(());
         }
         if self.settings.interface == Interface::Torque {
-            let RobotState { q, dq, tau_j_d: tau, .. } = self.state;
-            let tracking = Tracking { q_d: desired, dq_d, q, dq, tau };
+            let tracking = Tracking::of(desired, dq_d, &self.state);
             if self.motion.torque.out_of_reach(&tracking) {
                 return refused(REFUSED_REACH);
             }

@@ -15,7 +15,7 @@ use super::arm::{FrankaArm, Phase};
 use super::motion::Answer;
 use super::settings::{Interface, Purpose};
 use super::torque::Tracking;
-use super::wire::{ControllerMode, MotionGeneratorMode, Request, RobotState};
+use super::wire::{ControllerMode, MotionGeneratorMode, Request};
 use crate::rt::Fault;
 use crate::rt::os::now_ns;
 use std::time::Duration;
@@ -83,8 +83,7 @@ impl FrankaArm {
         };
         let mut tau = [0.0; 7];
         if self.settings.interface == Interface::Torque {
-            let RobotState { q, dq, tau_j_d, .. } = self.state;
-            let tracking = Tracking { q_d: point.q, dq_d: point.dq, q, dq, tau: tau_j_d };
+            let tracking = Tracking::of(point.q, point.dq, &self.state);
             (tau, _) = self.motion.torque.torque(&tracking, &[0.0; 7]);
         }
         self.send(&Answer { point, tau, finished, ..Answer::default() })

@@ -14,6 +14,7 @@
 use super::limits::RobotLimits;
 use super::reference::TICK;
 use super::settings::TorqueControl;
+use super::wire::RobotState;
 
 /// Law, limits, and the torque sent last.
 ///
@@ -40,6 +41,13 @@ pub(super) struct Tracking {
     pub dq: [f64; 7],
     /// The torque that the arm holds, `tau_J_d` of the state \[Nm\].
     pub tau: [f64; 7],
+}
+
+impl Tracking {
+    /// The desired point against what `state` shows.
+    pub fn of(q_d: [f64; 7], dq_d: [f64; 7], state: &RobotState) -> Tracking {
+        Tracking { q_d, dq_d, q: state.q, dq: state.dq, tau: state.tau_j_d }
+    }
 }
 
 impl TorqueLaw {

@@ -64,24 +64,24 @@ impl Commands {
     /// What a robot would say against tracking `q` next.
     pub fn objection(&self, q: &JointVec) -> Option<Objection> {
         let [_, _, before, newest] = &self.last;
-        if q[..self.n].iter().any(|value| !value.is_finite()) {
-            return Some(Objection::NotFinite);
-        }
-        let jumps = |j: usize| {
+        self.object(q, |j| {
             let step = q[j] - newest[j];
             step.abs() > STEP || (step - (newest[j] - before[j])).abs() > VELOCITY_STEP
-        };
-        (0..self.n).any(jumps).then_some(Objection::Jump)
+        })
     }
 
     /// What an arm that forgives a gap would say against `q`, which comes `gap` milliseconds after the command before it: it can only judge the
     /// mean velocity since then.
     pub fn objection_after(&self, q: &JointVec, gap: u32) -> Option<Objection> {
+        let most = STEP * f64::from(gap);
+        self.object(q, |j| (q[j] - self.heard[j]).abs() > most)
+    }
+
+    fn object(&self, q: &JointVec, jumps: impl Fn(usize) -> bool) -> Option<Objection> {
         if q[..self.n].iter().any(|value| !value.is_finite()) {
             return Some(Objection::NotFinite);
         }
-        let most = STEP * f64::from(gap);
-        (0..self.n).any(|j| (q[j] - self.heard[j]).abs() > most).then_some(Objection::Jump)
+        (0..self.n).any(jumps).then_some(Objection::Jump)
     }
 
     /// The next millisecond goes towards `q`, `gap` milliseconds after the command before it: wherever the commands have gone on to alone, they

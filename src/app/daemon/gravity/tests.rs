@@ -1,0 +1,72 @@
+use super::*;
+use crate::config::robot::Robot;
+use crate::inclinometer::attitude::Attitude;
+use crate::joint::JointVec;
+use crate::model::term::Sample;
+use crate::store::ModelFile;
+use nalgebra::Matrix3;
+use std::path::Path;
+
+const STILL: f64 = 2e-3;
+
+/// A base that leans by `tilt` \[rad\].
+fn leaning(tilt: f64) -> Option<Reading> {
+    let gravity = Vector3::new(tilt.sin(), 0.0, -tilt.cos()) * 9.80665;
+    let attitude = Attitude { gravity, covariance: Matrix3::identity() * 1e-8 };
+    Some(Reading { at: 0, attitude, raw: attitude, still: true })
+}
+
+#[test]
+fn a_base_turns_against_what_was_measured_first_in_its_motion() {
+    let mut during = During { motion: 1, reading: leaning(0.0), moved: false };
+    assert_eq!(during.turned(leaning(0.9 * STILL), STILL), None);
+    assert_eq!(during.turned(None, STILL), None);
+    let by = during.turned(leaning(1.5 * STILL), STILL).unwrap();
+    assert!((by - 1.5 * STILL).abs() < 1e-9, "{by}");
+}
+
+#[test]
+fn a_motion_that_began_without_a_reading_is_watched_from_the_first_one_on() {
+    let mut during = During { motion: 1, reading: None, moved: false };
+    assert_eq!(during.turned(None, STILL), None);
+    assert_eq!(during.turned(leaning(0.1), STILL), None);
+    assert!(during.turned(leaning(0.1 + 1.5 * STILL), STILL).is_some());
+}
+
+const JOB: &str = "robot = \"panda\"\nmounting = \"upright\"\n[backend]\nkind = \"sim\"\narm = \"sim-panda\"\npace = \"wall-clock\"\n";
+/// Stretched straight up: the torques say next to nothing of gravity.
+const STRAIGHT: JointVec = [0.0, 0.0, 0.0, -0.07, 0.0, 0.0, 0.0, 0.0];
+const READY: JointVec = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785, 0.0];
+
+/// The Panda's model from the paper, with noise in which a straight arm is blind.
+fn accepted() -> Accepted {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/config/models/panda-paper-table3.toml");
+    let text = std::fs::read_to_string(path).unwrap();
+    let chain = |_: &str| Ok(Robot::load("panda", None).unwrap().chain);
+    Accepted { id: 1, model: ModelFile::parse(path, &text, chain).unwrap().model, text, noise: vec![20.0; 7] }
+}
+
+/// The arm rests at `q` as it does in `mounting`.
+fn rest(watch: &mut Watch, model: &Accepted, mounting: &Mounting, q: JointVec) {
+    let tau = model.model.evaluator(&mounting.gravity()).torque(&Sample { q, ..Sample::default() }).0;
+    let mut record = Record { phase: Phase::Hold, ..Record::default() };
+    (record.state.q, record.state.tau, record.command.desired.q) = (q, tau, q);
+    watch.take(&vec![record; 400]);
+}
+
+#[test]
+fn torques_that_tell_nothing_end_the_wait_and_not_the_questions() {
+    let job = Job::parse(Path::new("job.toml"), JOB, &[]).unwrap();
+    let (mut watch, model) = (Watch::open(&job).unwrap(), accepted());
+    assert!(matches!(watch.verdict(&model), Verdict::Wait(_)));
+    rest(&mut watch, &model, &Mounting::UPRIGHT, STRAIGHT);
+    assert!(matches!(watch.verdict(&model), Verdict::Serve(_)), "{:?}", watch.said);
+    // An arm that hangs on a wall, as its next poses tell.
+    for k in 0..8 {
+        let mut q = READY;
+        q[0] += 0.1 * f64::from(k);
+        rest(&mut watch, &model, &Mounting::WALL, q);
+    }
+    let verdict = watch.verdict(&model);
+    assert!(matches!(&verdict, Verdict::Refuse(why) if why.contains("torques at rest")), "{verdict:?}");
+}
