@@ -4,3 +4,5 @@
 #[allow(dead_code)]
 pub mod joint;
 pub mod rt;
+#[cfg(test)]
+mod rings;
