@@ -12,8 +12,10 @@ use plumbline::postmortem::replay::{Parts, ReplayError, Replayed, replay};
 use plumbline::postmortem::story::Story;
 use plumbline::postmortem::{page, text};
 use plumbline::recording::Recording;
-use plumbline::recording::about::{About, FORMAT, Given, Handed, LogClock, Reason, Series, Settings};
-use plumbline::recording::history::History;
+use plumbline::recording::about::{
+    About, FORMAT, Given, Handed, LogClock, Reason, Series, Settings, panic_message, panicked,
+};
+use plumbline::recording::history::{History, Window};
 use plumbline::rt::cycle::End;
 use plumbline::rt::order::{Event, Handles, Order, OrderKind, StopReason};
 use plumbline::rt::{Fault, FeedForward, Sink};
@@ -97,6 +99,41 @@ fn told(
     Told { run: job.run(), orders: [orders, later.0].concat(), models: [models, later.1].concat() }
 }
 
+/// What the daemon would have said beside a window.
+fn about(window: &Window, end: String, untold: u64) -> About {
+    let last = window.records.last().unwrap();
+    About {
+        format: FORMAT,
+        plumbline: "test".into(),
+        robot: "panda".into(),
+        id: "panda".into(),
+        joints: JOINTS,
+        mounting: "upright".into(),
+        rho: 3.1,
+        phi: 0.0,
+        session: "test".into(),
+        job: "none".into(),
+        job_sha256: String::new(),
+        recorded: "2026-01-01T00:00:00Z".into(),
+        reason: Reason::new("guard", "a test"),
+        end: Some(end),
+        next: Vec::new(),
+        goes_on: false,
+        clock: LogClock::Arm { seq: last.state.seq, epoch_ns: 1_700_000_000_000_000_000 },
+        lost: 0,
+        late: 0,
+        untold,
+        motions: vec![(1, "first".into())],
+        notes: Vec::new(),
+        settings: Settings::from(&settings()),
+        under_way: window.before.under_way.clone(),
+        orders_before: window.before.orders,
+        models_before: window.before.models,
+        orders: window.orders.clone(),
+        models: window.models.clone(),
+    }
+}
+
 /// The recording that the daemon would have written from cycle `first` on; near the start, through the file's bytes.
 fn recording(of: &Told, first: u64, lose: Option<u64>) -> Recording {
     let mut history = History::new(60_000, JOINTS, settings().guard.tracking);
@@ -113,35 +150,7 @@ fn recording(of: &Told, first: u64, lose: Option<u64>) -> Recording {
     events.for_each(|told| history.tell(*told));
     let window = history.window(first, &[]);
     let last = *window.records.last().unwrap();
-    let about = About {
-        format: FORMAT,
-        plumbline: "test".into(),
-        robot: "panda".into(),
-        id: "panda".into(),
-        joints: JOINTS,
-        mounting: "upright".into(),
-        rho: 3.1,
-        phi: 0.0,
-        session: "test".into(),
-        job: "none".into(),
-        job_sha256: String::new(),
-        recorded: "2026-01-01T00:00:00Z".into(),
-        reason: Reason::new("guard", "a test"),
-        end: Some(of.run.outcome.end.to_string()),
-        next: Vec::new(),
-        clock: LogClock::Arm { seq: last.state.seq, epoch_ns: 1_700_000_000_000_000_000 },
-        lost: 0,
-        late: 0,
-        untold: of.run.outcome.summary.untold,
-        motions: vec![(1, "first".into())],
-        notes: Vec::new(),
-        settings: Settings::from(&settings()),
-        under_way: window.before.under_way,
-        orders_before: window.before.orders,
-        models_before: window.before.models,
-        orders: window.orders,
-        models: window.models,
-    };
+    let about = about(&window, of.run.outcome.end.to_string(), of.run.outcome.summary.untold);
     let unanswered =
         of.run.outcome.unanswered.map(|state| Record { cycle: last.cycle + 1, state, ..Record::default() });
     let texts = vec![("robot.toml".to_string(), "name = \"x\"".to_string())];
@@ -229,6 +238,29 @@ fn a_guard_stop_a_permission_and_another_motion() {
     assert_eq!((stops.count(), of.run.outcome.end), (1, End::Quit));
     assert!(of.run.events.contains(&Event::Started { motion: 9 }) && of.run.events.contains(&Event::Resumed));
     replays_from_everywhere(&of);
+}
+
+#[test]
+fn the_limit_is_that_of_the_stop_which_the_recording_is_about() {
+    // Somebody holds joint 2, an operator allows motion again, and somebody holds joint 5.
+    let arm = FakeArm::new(JOINTS, READY).at(4_500, Trick::Push(1, -0.11)).at(6_200, Trick::Push(4, 0.12));
+    let resume: Act = |handles| assert!(handles.controls.resume());
+    let give: Act = |handles| assert!(handles.orders.give(order(&move_to(9, READY))).is_ok());
+    let later = (vec![move_to(9, READY)], Vec::new());
+    let of = told(arm, 9_000, whole_job(), vec![3], later, vec![(5_500, resume), (5_600, give)]);
+    let stops: Vec<u64> =
+        of.run.told.iter().filter(|t| matches!(t.event, Event::Stopping { .. })).map(|t| t.cycle).collect();
+    assert_eq!(stops.len(), 2, "{:?}", of.run.told);
+    let story = |last: u64| {
+        let mut recording = recording(&of, 4_000, None);
+        recording.records.retain(|record| record.cycle <= last);
+        recording.events.retain(|told| told.cycle <= last);
+        Story::of("two", &recording, None)
+    };
+    let (first, second) = (story(stops[1] - 700).first_limit, story(u64::MAX).first_limit);
+    assert_eq!((first.map(|limit| limit.joint), second.map(|limit| limit.joint)), (Some(2), Some(5)));
+    // Between the permission and the second stop nothing is crossed.
+    assert_eq!(story(stops[1] - 1).first_limit, None);
 }
 
 #[test]
@@ -349,21 +381,36 @@ fn a_panic_in_the_loop_leaves_its_last_cycles_and_stops_the_arm() {
     let arm = FakeArm::new(JOINTS, READY);
     let seen = std::sync::Arc::clone(&arm.seen);
     let mut settings = settings();
-    settings.flight = 300;
+    settings.flight = 1_000;
     let (mut cycle, mut handles) = plumbline::rt::cycle::new(arm, Nobody, None, settings).unwrap();
-    let mut calls = 0;
-    let faulty = Model(7, move |d: &Setpoint| {
-        calls += 1;
-        assert!(calls < 900, "a defect, on purpose");
-        d.q
-    });
-    assert!(handles.models.serve(Box::new(faulty)).is_ok());
+    let faulty = || -> Box<dyn FeedForward> {
+        let mut calls = 0;
+        Box::new(Model(7, move |d: &Setpoint| {
+            calls += 1;
+            assert!(calls < 900, "a defect, on purpose");
+            d.q
+        }))
+    };
+    assert!(handles.models.serve(faulty()).is_ok());
     assert!(handles.orders.give(order(&move_to(1, AWAY))).is_ok());
-    let panic = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| cycle.run()));
-    assert!(panic.is_err());
+    let panic = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| cycle.run())).unwrap_err();
     let (flight, unanswered) = cycle.after_panic();
     assert!(seen.get().2 > 0, "the arm was stopped");
-    assert_eq!((flight.len(), flight[299].cycle, unanswered.map(|state| state.seq)), (300, 898, Some(1900)));
+    assert_eq!((flight.len(), flight[898].cycle, unanswered.map(|state| state.seq)), (899, 898, Some(1900)));
+
+    // Run again it panics again, which is the answer and not the end of whoever asked.
+    let mut history = History::new(2_000, JOINTS, [0.1; MAX_JOINTS]);
+    history.ordered(move_to(1, AWAY));
+    history.handed(Handed { id: 7, gravity: [0.0, 0.0, -9.81] });
+    std::iter::from_fn(|| handles.events.pop().ok()).for_each(|told| history.tell(told));
+    let window = history.window(0, &flight);
+    let about = about(&window, panicked(&panic_message(&*panic)), 0);
+    let unanswered = unanswered.map(|state| Record { cycle: 899, state, ..Record::default() });
+    let recording =
+        Recording { about, records: window.records, unanswered, events: window.events, texts: Vec::new(), cut: None };
+    let replayed = replay(&recording, Parts { kinematics: None, model: &mut |_| Ok(faulty()) }).unwrap();
+    assert!(replayed.is_identical() && replayed.same_end == Some(true), "{replayed:?}");
+    assert!(replayed.end.unwrap().ends_with("panicked: a defect, on purpose"));
 }
 
 /// A recording of a few cycles with one of everything in it.
@@ -411,15 +458,32 @@ fn a_file_that_was_cut_reads_up_to_the_cut() {
     assert!(part.cut.is_some_and(|cut| cut.to_lowercase().contains("crc")) && part.records.len() < 3_000);
 }
 
+/// The file without the checksums of its chunks, which the format allows: what is changed in it then is read.
+fn without_checksums(sound: &[u8]) -> Vec<u8> {
+    let mut bytes = sound.to_vec();
+    let number = |at: usize| u64::from_le_bytes(sound[at..at + 8].try_into().unwrap()) as usize;
+    let mut at = 8;
+    while at + 9 < sound.len() {
+        // Opcode, length; of a chunk: begin, end, size, checksum.
+        if sound[at] == 0x06 {
+            bytes[at + 9 + 24..at + 9 + 28].fill(0);
+        }
+        at += 9 + number(at + 1);
+    }
+    assert_ne!(bytes, sound);
+    bytes
+}
+
 /// Seeded mutations of a recording; more with PLUMBLINE_FUZZ_CASES.
 #[test]
 fn no_bytes_make_it_panic() {
     let cases: u64 = std::env::var("PLUMBLINE_FUZZ_CASES").ok().and_then(|n| n.parse().ok()).unwrap_or(100_000);
-    let seed = small();
-    assert!(try_everything(&seed, true), "the seed itself is sound");
+    let seeds = [small(), without_checksums(&small())];
+    assert!(seeds.iter().all(|seed| try_everything(seed, true)), "the seeds themselves are sound");
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let mut read = 0;
     for case in 0..cases {
+        let seed = &seeds[(case / 5 % 2) as usize];
         let mut bytes = seed.clone();
         match case % 5 {
             0 => bytes.truncate(rng.random_range(0..=seed.len())),
@@ -450,19 +514,23 @@ fn no_bytes_make_it_panic() {
     // Many cuts and changes are read as far as they are sound.
     assert!(read > cases / 20, "only {read} of {cases} were read at all");
     // The messages' own fields, with checksums that fit: every value but the bytes around them.
-    let sound = Recording::parse("seed", &seed).unwrap();
+    let sound = Recording::parse("seed", &seeds[0]).unwrap();
     for _ in 0..(cases / 1000).min(2_000) {
         let mut one = sound.clone();
         let place = rng.random_range(0..one.records.len());
         let record = &mut one.records[place];
         let any = f64::from_bits(rng.random());
-        match rng.random_range(0..6) {
+        let number = [u64::MAX, u64::MAX - 1, 0, rng.random()][rng.random_range(0..4)];
+        match rng.random_range(0..9) {
             0 => record.state.q[0] = any,
             1 => record.command.desired.q[1] = any,
-            2 => record.state.seq = rng.random(),
-            3 => record.cycle = rng.random(),
-            4 => record.stamp_ns = rng.random(),
-            _ => one.about.orders_before = rng.random(),
+            2 => record.state.seq = number,
+            3 => record.cycle = number,
+            4 => record.stamp_ns = number,
+            5 => record.tick = number,
+            6 => record.motion = number as u32,
+            7 => one.about.motions = vec![(number as u32, "last".into())],
+            _ => one.about.orders_before = number as u32,
         }
         if let Ok(bytes) = one.to_bytes() {
             try_everything(&bytes, true);

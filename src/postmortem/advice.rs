@@ -8,8 +8,14 @@ const RESUME: &str =
 const AGAIN: &str =
     "The daemon has ended. When it is safe to move, start it again; nothing moves before `plumbline command start`.";
 
+const STAND_CLEAR: &str = "Stay clear of the arm: the daemon recovers it and drives the interrupted motion again by itself, as the job allows \
+     (`backend.franka.recovery`), unless `plumbline command stop` keeps it from that.";
+
 /// Steps, first things first.
 pub(super) fn next(story: &Story, about: &About) -> Vec<String> {
+    if about.goes_on {
+        return vec![STAND_CLEAR.to_string()];
+    }
     let mut steps = about.next.clone();
     let joint = story.first_limit.as_ref().map_or(0, |crossing| crossing.joint);
     match (story.kind.as_str(), story.first_limit.as_ref().map(|crossing| crossing.limit.as_str())) {
@@ -51,6 +57,9 @@ pub(super) fn next(story: &Story, about: &About) -> Vec<String> {
             steps.push("Look at the arm's own log for its reason; the code is the arm's.".to_string());
         }
         ("clock", _) => steps.push("The arm or the network repeats states: restart the arm's controller.".to_string()),
+        ("mounting", _) => steps.push(
+            "Look at the base, and at the inclinometer and its cable; `plumbline command status` says what each side of the mounting check tells.".to_string(),
+        ),
         ("estimator-lost", _) => {
             steps.push("Look at the estimator's log for why it ended; the samples are kept for the next one.".to_string());
         }

@@ -11,7 +11,7 @@
 use crate::excite::fourier::{Fourier, PeriodicMotion};
 use crate::joint::{Command, MAX_JOINTS, Record, Setpoint, State};
 use crate::recording::Recording;
-use crate::recording::about::{Given, Handed, LogClock, Series, UnderWay};
+use crate::recording::about::{Given, Handed, LogClock, Series, UnderWay, panic_message, panicked};
 use crate::recording::history::{Fold, begun_from};
 use crate::rt::checkpoint::{Checkpoint, Doing};
 use crate::rt::cycle::{self, Cycle, End};
@@ -19,6 +19,8 @@ use crate::rt::order::{Event, Handles, Order, OrderKind, StopReason, Told};
 use crate::rt::{Backend, Fault, FeedForward, Kinematics, Reference, Sink};
 use nalgebra::DMatrix;
 use serde::Serialize;
+use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Why a recording can't be run again.
@@ -112,7 +114,9 @@ pub fn replay(recording: &Recording, parts: Parts) -> Result<Replayed, ReplayErr
     let records = &recording.records[start.at..];
     let settings = about.settings.for_replay(about.orders.len() + about.models.len() + 16);
     let shared: Shared = Arc::default();
-    let unanswered = recording.unanswered.filter(|one| records.last().is_none_or(|last| one.cycle == last.cycle + 1));
+    let unanswered = recording
+        .unanswered
+        .filter(|one| records.last().is_none_or(|last| last.cycle.checked_add(1) == Some(one.cycle)));
     let playback = Playback {
         joints: about.joints,
         states: records.iter().chain(&unanswered).map(|record| (record.cycle, record.state)).collect(),
@@ -130,7 +134,11 @@ pub fn replay(recording: &Recording, parts: Parts) -> Result<Replayed, ReplayErr
     if let Some(checkpoint) = start.checkpoint {
         again.restore(checkpoint).map_err(|error| unusable("the motion under way", &error))?;
     }
-    let outcome = Cycle::run(&mut again);
+    // A loop that panicked does so again.
+    let end = match catch_unwind(AssertUnwindSafe(|| Cycle::run(&mut again))) {
+        Ok(outcome) => Ended::By(outcome.end),
+        Err(panic) => Ended::Panicked(panic_message(&*panic)),
+    };
     drop(again);
     let mut handles = lock(&shared).take().ok_or_else(|| ReplayError::Missing { what: "the loop's end".into() })?;
     let told: Vec<Told> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
@@ -139,15 +147,28 @@ pub fn replay(recording: &Recording, parts: Parts) -> Result<Replayed, ReplayErr
     let mut result = compare(records, &kept, from_the_start);
     result.same_events = same_events(recording, &told, result.first);
     if unanswered.is_some() {
-        result.end = Some(outcome.end.to_string());
+        let text = end.to_string();
         // A fault of the arm came from the arm, and is not the loop's doing.
-        result.same_end = about
-            .end
-            .as_ref()
-            .filter(|_| !matches!(outcome.end, End::Fault(_)))
-            .map(|end| *end == outcome.end.to_string());
+        result.same_end =
+            about.end.as_ref().filter(|_| !matches!(end, Ended::By(End::Fault(_)))).map(|end| *end == text);
+        result.end = Some(text);
     }
     Ok(result)
+}
+
+/// How the loop ended the second time.
+enum Ended {
+    By(End),
+    Panicked(String),
+}
+
+impl fmt::Display for Ended {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Ended::By(end) => end.fmt(f),
+            Ended::Panicked(message) => f.write_str(&panicked(message)),
+        }
+    }
 }
 
 type Shared = Arc<Mutex<Option<Handles>>>;

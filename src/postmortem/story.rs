@@ -7,7 +7,7 @@ use crate::recording::Recording;
 use crate::recording::about::Given;
 use crate::recording::messages::{limit_name, words};
 use crate::rt::guard::{Limit, Violation};
-use crate::rt::order::{Event, StopReason};
+use crate::rt::order::{Event, StopReason, Told};
 use crate::rt::{PERIOD, PERIOD_NS};
 use serde::Serialize;
 
@@ -243,6 +243,7 @@ impl Story {
             "requested" => "Somebody stopped the arm",
             "unattended" => "The arm was stopped because the program around the loop was silent",
             "not-real-time" => "The loop did not begin, for the machine is not real-time",
+            "mounting" => "The arm was stopped because its mounting was in doubt",
             "estimator-lost" => "The arm was stopped because the estimator was gone",
             "not-at-start" | "no-path" => "A motion could not begin",
             "reflex" => "The arm stopped by itself",
@@ -279,18 +280,19 @@ fn during(recording: &Recording) -> Option<String> {
 }
 
 fn first_limit(recording: &Recording, before: &Before) -> Option<Crossing> {
-    recording.events.iter().find_map(|told| {
-        let Event::Stopping { reason: StopReason::Guard(violation), .. } = told.event else { return None };
-        let Violation { limit, joint, value, bound } = violation;
-        Some(Crossing {
-            limit: limit_name(limit).to_string(),
-            joint: joint + 1,
-            value,
-            bound,
-            before: before.at(told.seq),
-            cycle: told.cycle,
-            text: violation.to_string(),
-        })
+    // Of the stop that this is about: one that an operator has lifted is another story.
+    let of_a_stop = |told: &&Told| matches!(told.event, Event::Stopping { .. } | Event::Resumed);
+    let told = recording.events.iter().rfind(of_a_stop)?;
+    let Event::Stopping { reason: StopReason::Guard(violation), .. } = told.event else { return None };
+    let Violation { limit, joint, value, bound } = violation;
+    Some(Crossing {
+        limit: limit_name(limit).to_string(),
+        joint: joint + 1,
+        value,
+        bound,
+        before: before.at(told.seq),
+        cycle: told.cycle,
+        text: violation.to_string(),
     })
 }
 
@@ -299,7 +301,8 @@ fn stop(recording: &Recording, before: &Before) -> Option<Stop> {
     let rest = recording.events.iter().find(|told| told.event == Event::Stopped && told.cycle >= began.cycle);
     let records = &recording.records;
     let last = rest.map_or_else(|| records.last().map_or(began.seq, |last| last.state.seq), |told| told.seq);
-    let within: Vec<&Record> = records.iter().filter(|r| r.cycle + 1 >= began.cycle && r.state.seq <= last).collect();
+    let within: Vec<&Record> =
+        records.iter().filter(|r| r.cycle.saturating_add(1) >= began.cycle && r.state.seq <= last).collect();
     let joints = recording.about.joints;
     let (mut speed, mut travelled) = ((0.0, 1), (0.0, 1));
     if let (Some(first), Some(end)) = (within.first(), within.last()) {
@@ -328,7 +331,7 @@ fn timeline(recording: &Recording, before: &Before) -> Vec<Line> {
         for (number, name) in &recording.about.motions {
             for (from, to) in [
                 (format!("motion {number} has"), format!("{name} has")),
-                (format!("motion {} has", number + (1 << 16)), format!("the way to {name} has")),
+                (format!("motion {} has", number.saturating_add(1 << 16)), format!("the way to {name} has")),
             ] {
                 text = text.replace(&from, &to);
             }

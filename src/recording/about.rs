@@ -6,6 +6,7 @@ use crate::rt::moves::MoveFactors;
 use crate::rt::os::Rights;
 use crate::rt::settings::CycleSettings;
 use serde::{Deserialize, Serialize};
+use std::any::Any;
 
 /// The format that this program writes and reads.
 pub const FORMAT: u32 = 1;
@@ -45,6 +46,9 @@ pub struct About {
     /// What the operator does next, in the backend's own words.
     #[serde(default)]
     pub next: Vec<String>,
+    /// Whether the daemon was about to go on by itself: to recover the arm, and to drive what was interrupted.
+    #[serde(default)]
+    pub goes_on: bool,
     /// How the time stamps of the file's messages follow from the loop's.
     pub clock: LogClock,
     /// Cycles that the arm has lost since the loop started, as far as known.
@@ -70,7 +74,7 @@ pub struct About {
     /// Every order that the loop was given since it started, in order.
     #[serde(default)]
     pub orders: Vec<Given>,
-    /// Every model that the loop was given since it started, in order.
+    /// Every model that the loop was given since it started, in order, but for those long before the recording; `models_before` counts these alone.
     #[serde(default)]
     pub models: Vec<Handed>,
 }
@@ -89,6 +93,17 @@ impl Reason {
     pub fn new(kind: impl Into<String>, text: impl Into<String>) -> Reason {
         Reason { kind: kind.into(), text: text.into() }
     }
+}
+
+/// How a loop ended that a panic ended.
+pub fn panicked(message: &str) -> String {
+    format!("the loop's thread panicked: {message}")
+}
+
+/// What a panic said.
+pub fn panic_message(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(|text| text.to_string());
+    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
 }
 
 /// A remark of the daemon: something that did not happen in the loop.

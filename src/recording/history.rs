@@ -25,7 +25,9 @@ pub struct History {
     base: Fold,
     notes: VecDeque<Note>,
     orders: Vec<Given>,
-    models: Vec<Handed>,
+    models: VecDeque<Handed>,
+    /// Models before these, of which no replay has need.
+    forgotten: u32,
     joints: usize,
     tracking: JointVec,
 }
@@ -90,7 +92,7 @@ pub struct Window {
     pub before: Fold,
     /// Every order given to the loop.
     pub orders: Vec<Given>,
-    /// Every model given to the loop.
+    /// Every model given to the loop that a replay may need; `before` counts these alone.
     pub models: Vec<Handed>,
 }
 
@@ -105,7 +107,8 @@ impl History {
             base: Fold::default(),
             notes: VecDeque::new(),
             orders: Vec::new(),
-            models: Vec::new(),
+            models: VecDeque::new(),
+            forgotten: 0,
             joints,
             tracking,
         }
@@ -137,6 +140,10 @@ impl History {
         {
             self.base.after(&oldest.told, oldest.from);
             self.settled = self.settled.saturating_sub(1);
+            // The one that served then is still needed.
+            while self.base.models > self.forgotten + 1 && self.models.pop_front().is_some() {
+                self.forgotten += 1;
+            }
         }
         self.events.push_back(Happened { told, from: None });
         self.settle();
@@ -157,7 +164,7 @@ impl History {
 
     /// The loop was given a model.
     pub fn handed(&mut self, model: Handed) {
-        self.models.push(model);
+        self.models.push_back(model);
     }
 
     /// The newest record.
@@ -228,7 +235,15 @@ impl History {
         }
         let since = records.first().map_or(0, |record| record.stamp_ns);
         let notes = self.notes.iter().filter(|note| note.stamp_ns >= since).cloned().collect();
-        Window { records, events, notes, before, orders: self.orders.clone(), models: self.models.clone() }
+        before.models = before.models.saturating_sub(self.forgotten);
+        Window {
+            records,
+            events,
+            notes,
+            before,
+            orders: self.orders.clone(),
+            models: self.models.iter().cloned().collect(),
+        }
     }
 }
 
@@ -300,9 +315,19 @@ mod tests {
     fn thousands_of_events_change_nothing() {
         let mut history = History::new(4, 1, [0.1; 8]);
         for cycle in 0..3 * EVENTS as u64 {
-            history.tell(told(cycle, cycle as u32 + 1, Event::Started { motion: 1 }));
+            // A base that turns: another model every few cycles.
+            let event = if cycle % 3 == 0 { Event::Serving { model: cycle } } else { Event::Started { motion: 1 } };
+            if cycle % 3 == 0 {
+                history.handed(Handed { id: cycle, gravity: [0.0; 3] });
+            }
+            history.tell(told(cycle, cycle as u32 + 1, event));
             history.keep(&[record(cycle)]);
         }
+        let window = history.window(3 * EVENTS as u64 - 1, &[]);
+        assert!(window.models.len() <= EVENTS / 3 + 2, "{}", window.models.len());
+        // The one that served last is the last that was taken.
+        let serving = &window.models[window.before.models as usize - 1];
+        assert_eq!((window.before.models as usize, serving.id), (window.models.len(), 3 * EVENTS as u64 - 3));
         assert_eq!(history.events.len(), EVENTS);
         let last = 3 * EVENTS as u64 - 1;
         let UnderWay::Order { index, from: Some(from) } = history.window(last, &[]).before.under_way else { panic!() };

@@ -230,7 +230,7 @@ impl Motion {
 /// The setpoint that a stop began from whose first sample was number `tick`, `gap` cycles of the arm after `last` had been sent.
 pub fn braked_from(last: &Setpoint, gap: u64, tick: u64) -> Setpoint {
     let alone = gap.saturating_sub(1).min(u64::from(LONGEST_ALONE));
-    if tick + alone == gap { gone_on(last, seconds(alone)) } else { *last }
+    if tick.saturating_add(alone) == gap { gone_on(last, seconds(alone)) } else { *last }
 }
 
 /// Where a setpoint leads at constant acceleration in `t` seconds.

@@ -10,7 +10,8 @@ use crate::turns::Turns;
 use device::Device;
 use nalgebra::Vector3;
 use plumbline::config::robot::Robot;
-use plumbline::ipc::{FeedForwardClient, FeedForwardMessage, FeedForwardSettings, Gravity, RobotId, Status};
+use plumbline::ipc::{FeedForwardClient, FeedForwardMessage, FeedForwardSettings, Gravity, Progress, RobotId, Status};
+use plumbline::joint::Phase;
 use plumbline::model::gravity::{Mounting, angle_between};
 use plumbline::model::term::Sample;
 use plumbline::store::ModelFile;
@@ -266,6 +267,35 @@ fn a_loss_with_refuse_withdraws_the_model() {
         let start = place.command("start").expect_code(1);
         assert!(start.err.contains("on-loss"), "{}", start.said());
     });
+}
+
+#[test]
+fn a_loss_in_mid_motion_stops_the_arm_and_the_recording_says_why() {
+    let _turn = LOOPS.take();
+    let place = Place::new("loss-moving");
+    let bus = SimulatedBus::new(&place, [2.0, 0.0]);
+    let daemon = daemon(&place, &bus, &["inclinometer.on-loss=refuse", "recorder.span=2 s"]);
+    becomes(&place, "the measured direction", |gravity| gravity.source == "measured" && gravity.refused.is_none());
+    place.command("start").expect_code(0);
+    wait_for("the motion", || place.status().filter(|now| now.phase == Phase::Excite));
+    bus.device(|device, _| device.faults.unplugged = true);
+    wait_for("the stop", || {
+        place.status().filter(|now| now.progress == Progress::Stopped && now.phase == Phase::Stopped)
+    });
+    place.command("quit").expect_code(0);
+    let done = daemon.end().expect_code(0);
+    assert!(done.err.contains("the arm is being stopped: ") && done.err.contains("inclinometer"), "{}", done.said());
+    let dir = place.out().join("flight");
+    let files: Vec<_> = std::fs::read_dir(&dir).unwrap().map(|entry| entry.unwrap().path()).collect();
+    assert!(files.len() == 1 && files[0].to_string_lossy().ends_with("-mounting.mcap"), "{files:?}");
+    let told = Done::of({
+        let mut command = plumbline();
+        command.arg("postmortem").arg(&files[0]);
+        command
+    })
+    .expect_code(0);
+    assert!(told.out.contains("its mounting was in doubt"), "{}", told.said());
+    assert!(told.out.contains("the inclinometer is lost: "), "{}", told.said());
 }
 
 #[test]

@@ -13,6 +13,7 @@ use crate::estimate::mounting_check::Side;
 use crate::ipc::{Link, Times};
 use crate::joint::{JointVec, Limits, SpeedEnvelope};
 use crate::model::gravity::Mounting;
+use crate::rt::cycle::End;
 use crate::rt::{Backend, Fault, LONGEST_ALONE, os};
 use std::sync::Arc;
 
@@ -166,19 +167,20 @@ impl Robot {
     }
 }
 
-/// Whether the daemon may go on by itself after `fault`, of which it has seen `before` already: by the job's own rule, after lost
-/// communication alone, and never where somebody wanted the end or something else had stopped the arm before.
-pub fn may_go_on(desk: &Desk, fault: &Fault, before: u32) -> bool {
-    let Some(franka) = &desk.job.backend.franka else { return false };
+/// Whether the daemon may go on by itself after a loop that ended so: by the job's own rule, after lost communication alone, not more often than
+/// that says, and never where somebody wanted the end or something else had stopped the arm before.
+pub fn goes_on(desk: &Desk, end: &End) -> bool {
+    let (Some(franka), End::Fault(fault)) = (&desk.job.backend.franka, end) else { return false };
     let lost_communication = match fault {
         Fault::Reflex { code } => *code == franka::wire::ErrorBit::CommunicationConstraintsViolation as u32,
         Fault::Silent { .. } | Fault::Disconnected => true,
         Fault::Refused { .. } => false,
     };
-    !desk.is_over() && franka.recovery == Recovery::Automatic && before < franka.max_recoveries && lost_communication
+    let again = franka.recovery == Recovery::Automatic && desk.recoveries < franka.max_recoveries;
+    !desk.is_over() && again && lost_communication
 }
 
-/// Lets a robot that stopped by itself move again. Only where [`may_go_on`] says so.
+/// Lets a robot that stopped by itself move again. Only where [`goes_on`] says so.
 pub fn recover(daemon: &mut Daemon) -> Result<(), Failure> {
     let job = &daemon.desk.job;
     let Some(franka) = &job.backend.franka else { return Ok(()) };

@@ -69,6 +69,8 @@ pub struct Desk {
     pub degraded: Vec<String>,
     /// Why the arm was stopped last, if it was.
     pub stopped: Option<String>,
+    /// Why the daemon itself asks for the stop that comes next.
+    pub cause: Option<String>,
     /// A stop stands, whatever has become of the connection that it was given on: nothing moves before an operator allows it.
     pub barred: bool,
     /// The model whose torque broke a limit: it is not handed to another loop.
@@ -138,7 +140,9 @@ impl Desk {
             Request::Record {} if controls.is_none() => {
                 refused("the arm is not connected, so there is nothing to record")
             }
-            Request::Record {} if self.recorder.write(Reason::new("on-demand", "a recording was asked for")) => {
+            Request::Record {}
+                if self.recorder.write(Reason::new("on-demand", "a recording was asked for"), self.last.cycle) =>
+            {
                 Response::Accepted {}
             }
             Request::Record {} => refused("the job's `recorder.span` is 0 s: nothing is recorded"),
@@ -176,6 +180,18 @@ impl Desk {
         if self.progress == Progress::Idle {
             self.start = false;
         }
+    }
+
+    /// The same, because of what is known of the mounting.
+    pub fn stop_for_mounting(&mut self, why: String, controls: &Controls) {
+        self.recorder.blame(Reason::new("mounting", &why));
+        self.cause = Some(why);
+        self.stop(Some(controls));
+    }
+
+    /// What has happened to gravity goes into the flight recorder, too.
+    pub fn note_gravity(&mut self) {
+        self.gravity.take_untold().into_iter().for_each(|event| self.recorder.note(event));
     }
 
     /// Whether the programme was begun and has not ended.
@@ -290,7 +306,7 @@ impl Desk {
                 })
             }
             Event::Stopping { reason, .. } => {
-                let cause = self.gravity.take_cause().filter(|_| *reason == StopReason::Requested);
+                let cause = self.cause.take().filter(|_| *reason == StopReason::Requested);
                 let reason = cause.unwrap_or_else(|| reason.to_string());
                 tracing::error!(plumbline_event = "stopping", "the arm is being stopped: {reason}");
                 self.stopped = Some(reason);

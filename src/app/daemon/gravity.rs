@@ -121,8 +121,8 @@ pub struct Watch {
     hand_overs: u64,
     /// Largest angle between gravity served and declared \[rad\].
     furthest: f64,
-    /// Why the arm was stopped from here.
-    cause: Option<String>,
+    /// What the flight recorder has not been told yet.
+    untold: Vec<String>,
 }
 
 impl Watch {
@@ -164,7 +164,7 @@ impl Watch {
             served: job.mounting.gravity(),
             hand_overs: 0,
             furthest: 0.0,
-            cause: None,
+            untold: Vec::new(),
         })
     }
 
@@ -178,16 +178,12 @@ impl Watch {
         self.served = self.inclinometer.as_ref().map_or(declared.gravity(), |own| own.decision.gravity);
     }
 
-    /// Takes in what the loop has recorded; whether the base has moved in a motion that has to end for it.
-    pub fn take(&mut self, records: &[Record]) -> bool {
-        let mut must_stop = false;
+    /// Takes in what the loop has recorded; why a motion has to end, where its base has moved.
+    pub fn take(&mut self, records: &[Record]) -> Option<String> {
         for record in records {
             self.rests.take(record);
         }
-        if let Some(last) = records.last() {
-            must_stop = self.base_motion(last);
-        }
-        must_stop
+        self.base_motion(records.last()?)
     }
 
     /// Hears the inclinometer; call it often. While no model is `serving`, nothing has to change slowly.
@@ -227,22 +223,17 @@ impl Watch {
         self.inclinometer.as_ref().and_then(|own| own.decision.refusal).map(|refusal| refusal.to_string())
     }
 
-    /// The arm is being stopped for this.
-    pub fn stopping(&mut self, why: String) {
-        self.cause = Some(why);
-    }
-
-    /// Why the arm was stopped from here, if it was; said once, for the next stop has a reason of its own.
-    pub fn take_cause(&mut self) -> Option<String> {
-        self.cause.take()
+    /// What was kept as an event since this was asked last.
+    pub fn take_untold(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.untold)
     }
 
     /// A base that moves while parameters are measured makes the samples those of no mounting.
-    fn base_motion(&mut self, record: &Record) -> bool {
-        let Some(own) = &self.inclinometer else { return false };
+    fn base_motion(&mut self, record: &Record) -> Option<String> {
+        let own = self.inclinometer.as_ref()?;
         if record.phase != Phase::Excite {
             self.during.motion = 0;
-            return false;
+            return None;
         }
         let reading = match own.health {
             Health::Good(reading) => Some(reading),
@@ -256,15 +247,14 @@ impl Watch {
             }
         }
         if self.during.moved {
-            return false;
+            return None;
         }
         if let Some(refusal) = own.decision.refusal {
             self.during.moved = true;
-            self.cause = Some(refusal.to_string());
             self.event(format!("the arm stops in motion {}: {refusal}", record.motion));
-            return true;
+            return Some(refusal.to_string());
         }
-        let Some(by) = self.during.turned(reading, own.still) else { return false };
+        let by = self.during.turned(reading, own.still)?;
         // Said once per motion.
         self.during.moved = true;
         let stop = own.on_motion == BaseMotion::Stop;
@@ -274,11 +264,8 @@ impl Watch {
             by.to_degrees(),
             record.motion
         );
-        if stop {
-            self.cause = Some(event.clone());
-        }
-        self.event(event);
-        stop
+        self.event(event.clone());
+        stop.then_some(event)
     }
 
     fn event(&mut self, event: String) {
@@ -291,6 +278,7 @@ impl Watch {
             self.events.remove(0);
             self.forgotten += 1;
         }
+        self.untold.push(event.clone());
         self.events.push(event);
     }
 

@@ -91,6 +91,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         degraded: Vec::new(),
         driven: None,
         stopped: None,
+        cause: None,
         barred: false,
         distrusted: None,
         last: Record::default(),
@@ -185,7 +186,7 @@ impl Daemon {
         self.desk.sessions.push(statistics);
         match end {
             End::Quit => Ok(Seen::Through),
-            End::Fault(fault) if arm::may_go_on(&self.desk, &fault, self.desk.recoveries) => {
+            end if arm::goes_on(&self.desk, &end) => {
                 self.desk.recoveries += 1;
                 tracing::warn!("{words}; going on by itself, time {}, as the job allows", self.desk.recoveries);
                 self.service.long_step(CONNECTION);

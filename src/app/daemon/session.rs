@@ -1,7 +1,7 @@
 //! One connection to the arm: builds the loop, runs it on a thread of its own, and bridges it to shared memory meanwhile.
 
 use super::Daemon;
-use super::arm::{Connected, Purpose, Robot, connect};
+use super::arm::{self, Connected, Purpose, Robot, connect};
 use super::desk::Desk;
 use super::gravity::Verdict;
 use super::labels::Labels;
@@ -16,7 +16,7 @@ use crate::config::job::{self, OnRefusal};
 use crate::ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
 use crate::joint::{MAX_JOINTS, Phase, Record};
 use crate::model::gravity::Mounting;
-use crate::recording::about::Handed;
+use crate::recording::about::{Handed, panic_message};
 use crate::rt::cycle::{self, Cycle, End, Outcome};
 use crate::rt::guard::GuardSettings;
 use crate::rt::order::{Event, Handles, Told};
@@ -176,6 +176,7 @@ impl Session {
             self.hear_of_rights(&mut daemon.desk);
             self.handle_events(&mut daemon.desk);
             daemon.desk.gravity.tick(now_ns(), self.model != 0);
+            daemon.desk.note_gravity();
             self.hand_over_model(&mut daemon.desk);
             self.give_orders();
             self.keep_pace_with_the_watch(daemon);
@@ -201,13 +202,15 @@ impl Session {
         match left {
             Left::Panicked { ref message, .. } => {
                 let failure = format!("the loop's thread panicked; the arm was stopped by its own means: {message}");
-                self.tape.close(&left, &failure, Vec::new());
+                self.tape.close(&left, &failure, Vec::new(), false);
                 Err(Failure::job(failure))
             }
             Left::Ended(ref outcome) => {
                 let statistics = self.statistics(outcome);
                 let words = statistics.link.as_ref().and_then(|link| link.fault.clone());
-                self.tape.close(&left, &words.unwrap_or_else(|| outcome.end.to_string()), self.next_step(&outcome.end));
+                let words = words.unwrap_or_else(|| outcome.end.to_string());
+                let goes_on = arm::goes_on(&daemon.desk, &outcome.end);
+                self.tape.close(&left, &words, self.next_step(&outcome.end), goes_on);
                 Ok((statistics, outcome.end))
             }
         }
@@ -269,8 +272,8 @@ impl Session {
         daemon.server.feed_forward(FeedForwardMessage::new(&last, daemon.desk.robot.chain.len(), gravity));
         daemon.server.publish(&self.records);
         self.tape.keep(&self.records);
-        if daemon.desk.gravity.take(&self.records) {
-            daemon.desk.stop(Some(&self.handles.controls));
+        if let Some(why) = daemon.desk.gravity.take(&self.records) {
+            daemon.desk.stop_for_mounting(why, &self.handles.controls);
         }
         daemon.desk.last = last;
         self.records_due.saw(last.stamp_ns, last.work_ns);
@@ -309,9 +312,11 @@ impl Session {
         }
     }
 
-    /// Takes the events out. That of a model's first cycle is there before that cycle's record.
+    /// Takes the events out. That of a model's first cycle is there before that cycle's record, and the flight recorder has those of a cycle before
+    /// its record, too.
     fn hear(&mut self) {
         while let Ok(told) = self.handles.events.pop() {
+            self.tape.tell(told);
             if let Event::Serving { .. } = told.event {
                 self.labels.serving(told.cycle);
             }
@@ -323,7 +328,6 @@ impl Session {
         self.hear();
         while let Some(told) = self.told.pop_front() {
             let event = told.event;
-            self.tape.tell(told);
             desk.log(&event);
             if let Event::Ended { motion } = event {
                 desk.ended.push(motion);
@@ -382,8 +386,7 @@ impl Session {
         let moving = matches!(phase, Phase::Approach | Phase::Excite | Phase::Return);
         // Also where it holds between two motions: orders that wait would go on without a model.
         if moving || (phase == Phase::Hold && self.purpose == Purpose::Drive) {
-            desk.gravity.stopping(why);
-            desk.stop(Some(controls));
+            desk.stop_for_mounting(why, controls);
         } else if phase != Phase::Stop && self.handles.models.serve(Box::new(NoModel)).is_ok() {
             self.model = 0;
             self.labels.handed(self.gravity);
@@ -444,9 +447,7 @@ fn see_through<B: Backend, S: Sink>(cycle: &mut Cycle<B, S>) -> Left {
         Ok(outcome) => Left::Ended(Box::new(outcome)),
         Err(panic) => {
             let (flight, unanswered) = cycle.after_panic();
-            let text = panic.downcast_ref::<&str>().map(|text| text.to_string());
-            let message = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
-            Left::Panicked { message, flight, unanswered: unanswered.map(Box::new) }
+            Left::Panicked { message: panic_message(&*panic), flight, unanswered: unanswered.map(Box::new) }
         }
     }
 }

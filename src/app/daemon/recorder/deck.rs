@@ -81,10 +81,9 @@ impl Deck {
                 self.history.note(Note { stamp_ns: now_ns(), seq, text });
             }
             Message::Blame(reason) => self.blame = Some(reason),
-            Message::Write(reason) => {
+            Message::Write(reason, newest) => {
                 self.drain();
-                let last = self.history.newest().map_or(0, |record| record.cycle);
-                self.write(reason, last, None, folder);
+                self.write(reason, newest, newest, None, folder);
             }
             Message::Close(close) => {
                 self.close(*close, folder);
@@ -107,7 +106,7 @@ impl Deck {
             Event::Stopped => {
                 if let Some((reason, cycle)) = self.pending.take() {
                     self.wait_for(told.cycle);
-                    self.write(reason, cycle, None, folder);
+                    self.write(reason, cycle, told.cycle, None, folder);
                 }
             }
             Event::Resumed => self.blame = None,
@@ -138,14 +137,16 @@ impl Deck {
             (None, stop) => stop,
         };
         if let Some((reason, cycle)) = reason {
-            self.write(reason, cycle, Some(close), folder);
+            self.write(reason, cycle, u64::MAX, Some(close), folder);
         }
     }
 
-    /// Writes the cycles from some time before `cycle` on.
-    fn write(&mut self, reason: Reason, cycle: u64, close: Option<Close>, folder: &Folder) {
+    /// Writes the cycles from some time before `cycle` on up to `newest`. Records of later ones may have overtaken what happened in them.
+    fn write(&mut self, reason: Reason, cycle: u64, newest: u64, close: Option<Close>, folder: &Folder) {
         let flight = close.as_ref().map_or(&[][..], |close| close.flight.as_slice());
-        let window = self.history.window(cycle.saturating_sub(self.before), flight);
+        let mut window = self.history.window(cycle.saturating_sub(self.before), flight);
+        window.records.retain(|record| record.cycle <= newest);
+        window.events.retain(|told| told.cycle <= newest);
         let mut about = self.about.clone();
         about.recorded = utc();
         (about.lost, about.late) = (self.controls.lost(), self.controls.late());
@@ -155,8 +156,8 @@ impl Deck {
         about.under_way = window.before.under_way;
         (about.orders_before, about.models_before) = (window.before.orders, window.before.models);
         let mut unanswered = None;
-        if let Some(Close { end, next, untold, unanswered: state, .. }) = close {
-            (about.end, about.next, about.untold) = (Some(end), next, untold);
+        if let Some(Close { end, next, goes_on, untold, unanswered: state, .. }) = close {
+            (about.end, about.next, about.goes_on, about.untold) = (Some(end), next, goes_on, untold);
             unanswered = state.map(|state| after(window.records.last(), state));
         }
         let kind = about.reason.kind.clone();

@@ -13,7 +13,7 @@ use crate::input::BadInput;
 use crate::ipc::RobotId;
 use crate::joint::{Record, State};
 use crate::model::gravity::Mounting;
-use crate::recording::about::{About, FORMAT, Given, Handed, LogClock, Reason, Settings};
+use crate::recording::about::{About, FORMAT, Given, Handed, LogClock, Reason, Settings, panicked};
 use crate::recording::history::History;
 use crate::rt::Fault;
 use crate::rt::cycle::{End, Outcome};
@@ -45,7 +45,8 @@ enum Message {
     Note(String),
     /// The next stop that is asked for has this reason.
     Blame(Reason),
-    Write(Reason),
+    /// The newest record that was kept before this was sent.
+    Write(Reason, u64),
     Close(Box<Close>),
 }
 
@@ -55,6 +56,7 @@ struct Close {
     reason: Option<Reason>,
     end: String,
     next: Vec<String>,
+    goes_on: bool,
     untold: u64,
     flight: Vec<Record>,
     unanswered: Option<State>,
@@ -151,6 +153,7 @@ impl Recorder {
             reason: Reason::default(),
             end: None,
             next: Vec::new(),
+            goes_on: false,
             clock: LogClock::Wall { epoch_ns: 0 },
             lost: 0,
             late: 0,
@@ -190,9 +193,9 @@ impl Recorder {
         self.send(Message::Blame(reason));
     }
 
-    /// Writes what is there now; whether there is a recorder.
-    pub fn write(&self, reason: Reason) -> bool {
-        self.send(Message::Write(reason));
+    /// Writes what is there up to `newest`, the cycle that was kept last; whether there is a recorder.
+    pub fn write(&self, reason: Reason, newest: u64) -> bool {
+        self.send(Message::Write(reason, newest));
         self.inbox.is_some()
     }
 
@@ -252,14 +255,14 @@ impl Tape {
         self.send(|| Message::Model(model, text.to_string()));
     }
 
-    /// The loop has ended; `words` are the backend's own for a fault, `next` what an operator does about it.
-    pub fn close(&mut self, left: &Left, words: &str, next: Vec<String>) {
+    /// The loop has ended; `words` are the backend's own for a fault, `next` what an operator does about it, unless the daemon `goes_on` by itself.
+    pub fn close(&mut self, left: &Left, words: &str, next: Vec<String>, goes_on: bool) {
         if self.lost > 0 {
             tracing::warn!("{} records did not reach the flight recorder in time", self.lost);
         }
         let (end, reason, untold, flight, unanswered) = match left {
             Left::Panicked { message, flight, unanswered } => {
-                let text = format!("the loop's thread panicked: {message}");
+                let text = panicked(message);
                 (text.clone(), Some(Reason::new("panic", text)), 0, flight, unanswered.as_deref().copied())
             }
             Left::Ended(outcome) => {
@@ -267,7 +270,8 @@ impl Tape {
                 (outcome.end.to_string(), reason, outcome.summary.untold, &outcome.flight, outcome.unanswered)
             }
         };
-        self.send(|| Message::Close(Box::new(Close { reason, end, next, untold, flight: flight.clone(), unanswered })));
+        let flight = flight.clone();
+        self.send(|| Message::Close(Box::new(Close { reason, end, next, goes_on, untold, flight, unanswered })));
     }
 
     fn send(&self, message: impl FnOnce() -> Message) {
