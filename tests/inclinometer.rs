@@ -107,7 +107,8 @@ fn a_device_from_the_factory_is_set_up_and_read() {
     assert!(world.good().still);
     let device = &world.device;
     assert_eq!(device.get(0x1017, 0), Some(&100_u16.to_le_bytes()[..]));
-    assert_eq!(device.get(0x1800, 1), Some(&0x18a_u32.to_le_bytes()[..]));
+    // Without remote requests, as the device came.
+    assert_eq!(device.get(0x1800, 1), Some(&0x4000_018a_u32.to_le_bytes()[..]));
     assert_eq!(device.get(0x1800, 2), Some(&[254][..]));
     assert_eq!(device.get(0x1800, 5), Some(&20_u16.to_le_bytes()[..]));
     let Note::Up(identity) = world.notes[0] else { panic!("{:?}", world.notes) };
@@ -117,6 +118,14 @@ fn a_device_from_the_factory_is_set_up_and_read() {
     let answered = world.device.answered;
     world.pass(5000);
     assert_eq!((world.device.answered, world.notes.len()), (answered, 2));
+}
+
+#[test]
+fn a_device_that_answers_remote_requests_goes_on_doing_so() {
+    let mut device = Device::new(NODE, [0.0, 0.0], 0.0, 1, 0);
+    device.set(0x1800, 1, &0x18a_u32.to_le_bytes());
+    let world = World::with(settings(), device).up();
+    assert_eq!(world.device.get(0x1800, 1), Some(&0x18a_u32.to_le_bytes()[..]));
 }
 
 #[test]

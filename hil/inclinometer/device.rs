@@ -202,6 +202,10 @@ impl Device {
                 if length != object.bytes.len() {
                     return abort(0x0607_0010);
                 }
+                // It answers no remote requests and does not let itself be told to: bit 30 stays.
+                if entry == (0x1800, 1) && object.bytes[3] & 0x40 != 0 && bytes[3] & 0x40 == 0 {
+                    return abort(0x0609_0030);
+                }
                 object.bytes = bytes[..length].to_vec();
                 answer(0x60, [0; 4])
             }
@@ -294,7 +298,7 @@ fn factory(node: u8) -> BTreeMap<(u16, u8), Object> {
     put(0x1018, 3, false, &1_u32.to_le_bytes());
     put(0x1018, 4, false, &4711_u32.to_le_bytes());
     put(0x1800, 0, false, &[5]);
-    put(0x1800, 1, true, &(0x180 + u32::from(node)).to_le_bytes());
+    put(0x1800, 1, true, &(0x4000_0180 + u32::from(node)).to_le_bytes());
     put(0x1800, 2, true, &[1]);
     put(0x1800, 3, true, &0_u16.to_le_bytes());
     put(0x1800, 5, true, &0_u16.to_le_bytes());

@@ -16,8 +16,10 @@ pub const VENDOR: Entry = Entry(0x1018, 1);
 pub const PRODUCT: Entry = Entry(0x1018, 2);
 /// CiA 301: identity object: serial number, unsigned32.
 pub const SERIAL: Entry = Entry(0x1018, 4);
-/// CiA 301: identifier of the first transmit PDO; bit 31 switches it off.
+/// CiA 301: identifier of the first transmit PDO; bit 31 switches it off, [`NO_REMOTE`] refuses remote requests for it.
 pub const TPDO_ID: Entry = Entry(0x1800, 1);
+/// The bit of [`TPDO_ID`] that says that the PDO is not sent on remote requests.
+pub const NO_REMOTE: u32 = 1 << 30;
 /// CiA 301: transmission type of the first transmit PDO, unsigned8.
 pub const TPDO_TYPE: Entry = Entry(0x1800, 2);
 /// CiA 301: event timer of the first transmit PDO \[ms\], unsigned16.

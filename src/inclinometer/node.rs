@@ -234,6 +234,8 @@ pub struct Node {
     identity: Identity,
     /// What the PDO mapping was read to be; it is rewritten only where it is another.
     mapped: [u32; 3],
+    /// The bit of the PDO's identifier that says that it is not asked for by remote requests, as it was read.
+    remote: u32,
     heartbeat: Option<u64>,
     slopes: Option<u64>,
     /// Process data since then.
@@ -252,6 +254,7 @@ impl Node {
             stage: Stage::Waiting { until: 0 },
             identity: Identity::default(),
             mapped: [0; 3],
+            remote: 0,
             heartbeat: None,
             slopes: None,
             counted: (0, 0),
@@ -357,6 +360,7 @@ impl Node {
         (self.heartbeat, self.slopes, self.counted) = (None, None, (now, 0));
         self.identity = Identity::default();
         self.mapped = [0; 3];
+        self.remote = 0;
         self.send(co::nmt(self.settings.node, NmtCommand::PreOperational));
         self.ask(now, 0, 1);
     }
@@ -401,24 +405,26 @@ impl Node {
             // Presets that somebody left in the device would turn gravity unseen. A device without the object has none.
             5 => may(Ask::Write(long, Value::U8(0))),
             6 => may(Ask::Write(lateral, Value::U8(0))),
-            7 => write(co::TPDO_ID, Value::U32(1 << 31 | id)),
-            8 => read(co::MAP_COUNT),
-            9 => read(co::MAP_FIRST),
-            10 => read(co::MAP_SECOND),
+            // A device that answers no remote requests may refuse an identifier that allows them: it keeps that bit.
+            7 => read(co::TPDO_ID),
+            8 => write(co::TPDO_ID, Value::U32(1 << 31 | self.remote | id)),
+            9 => read(co::MAP_COUNT),
+            10 => read(co::MAP_FIRST),
+            11 => read(co::MAP_SECOND),
             // Devices with a fixed mapping refuse to be written to: only another mapping is rewritten.
-            11..=14 if self.is_mapped() => must(Ask::Read(co::MAP_COUNT)),
-            11 => write(co::MAP_COUNT, Value::U8(0)),
-            12 => write(co::MAP_FIRST, Value::U32(width.mapping()[0])),
-            13 => write(co::MAP_SECOND, Value::U32(width.mapping()[1])),
-            14 => write(co::MAP_COUNT, Value::U8(2)),
-            15 => write(co::TPDO_TYPE, Value::U8(254)),
-            16 => write(co::TPDO_TIMER, Value::U16(self.settings.period)),
-            17 => read(co::TPDO_TIMER),
-            18 => write(co::TPDO_ID, Value::U32(id)),
-            19 => write(co::HEARTBEAT_TIME, Value::U16(self.settings.heartbeat)),
-            20 => read(co::HEARTBEAT_TIME),
+            12..=15 if self.is_mapped() => must(Ask::Read(co::MAP_COUNT)),
+            12 => write(co::MAP_COUNT, Value::U8(0)),
+            13 => write(co::MAP_FIRST, Value::U32(width.mapping()[0])),
+            14 => write(co::MAP_SECOND, Value::U32(width.mapping()[1])),
+            15 => write(co::MAP_COUNT, Value::U8(2)),
+            16 => write(co::TPDO_TYPE, Value::U8(254)),
+            17 => write(co::TPDO_TIMER, Value::U16(self.settings.period)),
+            18 => read(co::TPDO_TIMER),
+            19 => write(co::TPDO_ID, Value::U32(self.remote | id)),
+            20 => write(co::HEARTBEAT_TIME, Value::U16(self.settings.heartbeat)),
+            21 => read(co::HEARTBEAT_TIME),
             // Also tells that an emergency is over whose end was not heard.
-            21 => read(co::ERROR_REGISTER),
+            22 => read(co::ERROR_REGISTER),
             _ => None,
         }
     }
@@ -539,11 +545,12 @@ impl Node {
                     return Err(Fault::Foreign { found: self.identity.serial, expected });
                 }
             }
-            8..=10 => self.mapped[number - 8] = found,
-            17 => return expect(u32::from(self.settings.period)),
-            20 => return expect(u32::from(self.settings.heartbeat)),
-            21 if found & 0xff == 0 => self.emergency = None,
-            21 => return Err(Fault::Emergency { code: 0, register: (found & 0xff) as u8 }),
+            7 => self.remote = found & co::NO_REMOTE,
+            9..=11 => self.mapped[number - 9] = found,
+            18 => return expect(u32::from(self.settings.period)),
+            21 => return expect(u32::from(self.settings.heartbeat)),
+            22 if found & 0xff == 0 => self.emergency = None,
+            22 => return Err(Fault::Emergency { code: 0, register: (found & 0xff) as u8 }),
             _ => {}
         }
         Ok(())
