@@ -21,6 +21,9 @@ use rand_chacha::ChaCha8Rng;
 
 const MS: u64 = 1_000_000;
 const NODE: u8 = 10;
+/// NMT commands.
+const START: u8 = 1;
+const STOP: u8 = 2;
 
 fn seat() -> Seat {
     Seat::new([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]).unwrap()
@@ -50,6 +53,16 @@ impl World {
 
     fn with(settings: SensorSettings, device: Device) -> World {
         World { now: 0, device, sensor: Sensor::new(settings).unwrap(), notes: Vec::new() }
+    }
+
+    /// A device that has booted and heard an NMT command before anybody asks it.
+    fn after(settings: SensorSettings, device: Device, command: u8) -> World {
+        let mut world = World::with(settings, device);
+        world.now = 60 * MS;
+        world.device.tick(world.now);
+        while world.device.send().is_some() {}
+        world.device.hear(world.now, 0, &[command, NODE]);
+        world
     }
 
     fn pass(&mut self, ms: u64) {
@@ -175,22 +188,30 @@ fn a_stranger_on_the_bus_is_not_taken_for_the_inclinometer() {
     let world = |change: &dyn Fn(&mut SensorSettings, &mut Device)| {
         let (mut settings, mut device) = (settings(), Device::new(NODE, [0.0, 0.0], 0.0, 1, 0));
         change(&mut settings, &mut device);
-        let mut world = World::with(settings, device);
+        // Somebody else uses it.
+        let mut world = World::after(settings, device, START);
         world.pass(1500);
-        world.bad()
+        (world.bad(), world.device.is_operational())
     };
+    // What is no inclinometer, or not this one, goes on with what it did.
     let encoder = 0x0001_0196;
-    let fault = world(&|_, device| device.set(0x1000, 0, &u32::to_le_bytes(encoder)));
-    assert_eq!(fault, Fault::NoInclinometer { found: encoder });
-    let fault = world(&|settings, _| settings.node.serial = Some(99));
-    assert_eq!(fault, Fault::Foreign { found: 4711, expected: 99 });
-    let fault = world(&|_, device| device.set(0x6000, 0, &7_u16.to_le_bytes()));
-    assert_eq!(fault, Fault::Resolution { found: 7 });
+    let found = world(&|_, device| device.set(0x1000, 0, &u32::to_le_bytes(encoder)));
+    assert_eq!(found, (Fault::NoInclinometer { found: encoder }, true));
+    let found = world(&|settings, _| settings.node.serial = Some(99));
+    assert_eq!(found, (Fault::Foreign { found: 4711, expected: 99 }, true));
+    let found = world(&|_, device| device.set(0x6000, 0, &7_u16.to_le_bytes()));
+    assert_eq!(found, (Fault::Resolution { found: 7 }, true));
     // One axis is not enough.
-    let fault = world(&|_, device| device.set(0x1001, 0, &[0x20]));
-    assert_eq!(fault, Fault::Emergency { code: 0, register: 0x20 });
-    let fault = world(&|_, device| device.faults.unplugged = true);
+    let found = world(&|_, device| device.set(0x1001, 0, &[0x20]));
+    assert_eq!(found, (Fault::Emergency { code: 0, register: 0x20 }, false));
+    let (fault, _) = world(&|_, device| device.faults.unplugged = true);
     assert_eq!(fault, Fault::Unanswered { node: NODE, entry: Entry(0x1000, 0) });
+}
+
+#[test]
+fn a_device_that_somebody_has_stopped_is_brought_up() {
+    let device = Device::new(NODE, [0.0, 0.0], 0.0, 1, 0);
+    World::after(settings(), device, STOP).up();
 }
 
 /// The direction by the test's own mathematics: where up lies in a sensor that sits in the base as `axes` says.

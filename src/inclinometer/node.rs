@@ -1,7 +1,7 @@
 //! One CiA 410 device: how it is brought up, and how its loss is noticed.
 //!
-//! Bring-up: pre-operational, then by SDO: profile and identity, resolution, no inversion or offsets of the device's own, first transmit
-//! PDO with both slopes on its event timer, heartbeat; then started. From then on a missing heartbeat, missing process data, a boot-up
+//! Bring-up, by SDO: profile, identity and resolution are read; a device that is the right one goes to pre-operational, and is told: no
+//! inversion or offsets of its own, first transmit PDO with both slopes on its event timer, heartbeat; then started. From then on a missing heartbeat, missing process data, a boot-up
 //! message, another state or an emergency each end the service, and the device is brought up anew. Time is an argument \[ns\].
 
 use super::canopen::{self as co, Entry, NmtCommand, NmtState, Reply, Said, Value, Width};
@@ -13,6 +13,8 @@ const MS: u64 = 1_000_000;
 const SDO_PATIENCE: u64 = 250 * MS;
 /// How often a request is sent before it counts as unanswered.
 const SDO_TRIES: u32 = 3;
+/// The first step of the bring-up that changes something in the device; before it, it is read who that is.
+const CHANGES: usize = 5;
 /// From a failed bring-up to the next \[ns\].
 const BACK_OFF: u64 = 500 * MS;
 /// Patience for heartbeat and process data after the start \[ns\].
@@ -361,7 +363,6 @@ impl Node {
         self.identity = Identity::default();
         self.mapped = [0; 3];
         self.remote = 0;
-        self.send(co::nmt(self.settings.node, NmtCommand::PreOperational));
         self.ask(now, 0, 1);
     }
 
@@ -372,8 +373,14 @@ impl Node {
     }
 
     /// Sends request `step`; after the last one the device is started.
+    ///
+    /// A node that is none of ours keeps its state: CiA 301 lets it be read in operation, too. In the state "stopped" it answers nobody, and what
+    /// says nothing is taken for that before it is given up.
     fn ask(&mut self, now: u64, step: usize, tries: u32) {
         let node = self.settings.node;
+        if step == CHANGES || (step == 0 && tries == SDO_TRIES) {
+            self.send(co::nmt(node, NmtCommand::PreOperational));
+        }
         match self.step(step) {
             Some(Step { ask: Ask::Read(entry), .. }) => self.send(co::read(node, entry)),
             Some(Step { ask: Ask::Write(entry, value), .. }) => self.send(co::write(node, entry, value)),
