@@ -150,7 +150,9 @@ fn what_somebody_left_in_the_device_does_not_turn_gravity() {
     }
     device.set(0x1a00, 1, &0x6020_0010_u32.to_le_bytes());
     device.set(0x1a00, 2, &0x6010_0010_u32.to_le_bytes());
-    let world = World::with(settings(), device).up();
+    let mut narrow = settings();
+    narrow.seat.range = 30f64.to_radians();
+    let world = World::with(narrow, device).up();
     let up = -world.good().attitude.gravity / G;
     assert!((up.x - 3f64.to_radians().sin()).abs() < 1e-9 && (up.y + 2f64.to_radians().sin()).abs() < 1e-9, "{up}");
 }
@@ -181,6 +183,30 @@ fn slopes_of_32_bits_are_mapped_and_a_fixed_mapping_is_taken_as_it_is() {
         device.lacks(index, sub);
     }
     World::with(settings(), device).up();
+}
+
+#[test]
+fn slopes_of_16_bits_that_end_before_the_range_does_are_not_believed() {
+    let world = |range: f64, width: Width, unit: u16| {
+        let mut settings = settings();
+        (settings.node.width, settings.seat.range) = (width, range.to_radians());
+        let mut device = Device::new(NODE, [1.0, 2.0], 0.0, 1, 0);
+        device.set(0x6000, 0, &unit.to_le_bytes());
+        let mut world = World::with(settings, device);
+        world.pass(3000);
+        world
+    };
+    let fault = world(80.0, Width::Bits16, 1).bad();
+    assert_eq!(fault, Fault::Narrow { resolution: 1, range: 80f64.to_radians() });
+    let said = fault.to_string();
+    for part in ["end at 32.767 deg", "range is 80.0 deg", "`bits = 32`", "`range` of at most 32.7 deg"] {
+        assert!(said.contains(part), "no `{part}` in {said}");
+    }
+    assert!(matches!(world(32.8, Width::Bits16, 1).bad(), Fault::Narrow { .. }));
+    // What the words ask for.
+    world(32.7, Width::Bits16, 1).good();
+    world(80.0, Width::Bits32, 1).good();
+    world(90.0, Width::Bits16, 10).good();
 }
 
 #[test]

@@ -98,6 +98,17 @@ pub enum Fault {
         /// Its resolution.
         found: u32,
     },
+    /// Its slopes end before the range does: what lies beyond would be cut off, or wrapped around.
+    #[error(
+        "the inclinometer's slopes of 16 bits end at {:.3} deg, the range is {:.1} deg: set `bits = 32`, or a `range` of at most \
+         {:.1} deg", end(*.resolution).to_degrees(), .range.to_degrees(), (10.0 * end(*.resolution).to_degrees()).floor() / 10.0
+    )]
+    Narrow {
+        /// Its resolution \[0.001 deg\].
+        resolution: u32,
+        /// The range that is wanted \[rad\].
+        range: f64,
+    },
     /// An object does not hold what was written.
     #[error("{entry} holds {found:08X}h, expected {expected:08X}h")]
     NotTaken {
@@ -178,6 +189,16 @@ pub enum Fault {
     },
 }
 
+/// Largest slope that 16 bits hold in units of `resolution` \[0.001 deg\]; in rad.
+fn end(resolution: u32) -> f64 {
+    f64::from(i16::MAX) * unit(resolution)
+}
+
+/// One unit of the slopes of a device with this resolution \[0.001 deg\]; in rad.
+pub(super) fn unit(resolution: u32) -> f64 {
+    f64::from(resolution) * 1e-3_f64.to_radians()
+}
+
 fn bus_words(state: BusState) -> &'static str {
     match state {
         BusState::Active => "the CAN bus is well",
@@ -232,6 +253,8 @@ enum Stage {
 #[derive(Clone, Debug)]
 pub struct Node {
     settings: NodeSettings,
+    /// Largest slope that is to be measured \[rad\].
+    range: f64,
     stage: Stage,
     identity: Identity,
     /// What the PDO mapping was read to be; it is rewritten only where it is another.
@@ -249,10 +272,11 @@ pub struct Node {
 }
 
 impl Node {
-    /// A device that nobody has spoken to yet.
-    pub fn new(settings: NodeSettings) -> Node {
+    /// A device that nobody has spoken to yet. It has to measure slopes up to `range` \[rad\].
+    pub fn new(settings: NodeSettings, range: f64) -> Node {
         Node {
             settings,
+            range,
             stage: Stage::Waiting { until: 0 },
             identity: Identity::default(),
             mapped: [0; 3],
@@ -550,6 +574,9 @@ impl Node {
                 // Asked here, where a device without a serial number has passed by, too.
                 if let Some(expected) = self.settings.serial.filter(|&serial| serial != self.identity.serial) {
                     return Err(Fault::Foreign { found: self.identity.serial, expected });
+                }
+                if self.settings.width == Width::Bits16 && end(found) < self.range {
+                    return Err(Fault::Narrow { resolution: found, range: self.range });
                 }
             }
             7 => self.remote = found & co::NO_REMOTE,

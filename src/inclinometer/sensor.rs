@@ -2,7 +2,7 @@
 
 use super::attitude::{Attitude, Seat, SeatError};
 use super::frame::{Frame, Heard};
-use super::node::{Fault, Identity, Node, NodeEvent, NodeSettings};
+use super::node::{Fault, Identity, Node, NodeEvent, NodeSettings, unit};
 use super::smooth::{Calm, SmoothSettings, Smoother};
 use crate::model::gravity::Mounting;
 use std::collections::VecDeque;
@@ -80,7 +80,7 @@ impl Sensor {
         Ok(Sensor {
             settings,
             hemisphere: settings.seat.hemisphere(&settings.declared)?,
-            node: Node::new(settings.node),
+            node: Node::new(settings.node, settings.seat.range),
             smoother: Smoother::new(settings.smooth),
             unit: 0.0,
             health: Health::Bad(Fault::Starting),
@@ -124,7 +124,7 @@ impl Sensor {
         while let Some(event) = self.node.event() {
             match event {
                 NodeEvent::Up(identity) => {
-                    self.unit = f64::from(identity.resolution) * 1e-3_f64.to_radians();
+                    self.unit = unit(identity.resolution);
                     self.smoother.reset();
                     self.tell(Note::Up(identity));
                 }
