@@ -34,7 +34,7 @@ pub struct Faults {
     pub no_slopes: bool,
     /// Process data a byte short.
     pub short: bool,
-    /// Process data twice: another node has the same id.
+    /// Heartbeats and process data twice: another node has the same id.
     pub twin: bool,
     /// The PDO mapping can't be written.
     pub fixed_mapping: bool,
@@ -225,7 +225,9 @@ impl Device {
         if self.state != INITIALISING && heartbeat > 0 && now >= self.next_beat {
             self.next_beat = now.max(self.next_beat + heartbeat);
             if !self.faults.no_heartbeat {
-                self.out.push_back((0x700 + u16::from(self.node), vec![self.state]));
+                for _ in 0..self.senders() {
+                    self.out.push_back((0x700 + u16::from(self.node), vec![self.state]));
+                }
             }
         }
         let (timer, id) = (self.number(0x1800, 5) as u64 * MS, self.number(0x1800, 1));
@@ -252,9 +254,14 @@ impl Device {
         if self.faults.short {
             payload.pop();
         }
-        for _ in 0..1 + usize::from(self.faults.twin) {
+        for _ in 0..self.senders() {
             self.out.push_back((id, payload.clone()));
         }
+    }
+
+    /// How many nodes have this id.
+    fn senders(&self) -> usize {
+        1 + usize::from(self.faults.twin)
     }
 
     /// What a slope object shows, in units of the resolution.

@@ -31,8 +31,9 @@ order "emergency 5000" 2
 order "emergency 0" 5
 order "tilt 12 -0.5" 1
 order "tilt 4 -0.5 2" 6
-order "twin" 4
-order "well" 5
+# Ten heartbeats are counted to find it, and ten more until the device is believed again.
+order "twin" 5
+order "well" 8
 order "error-passive" 1
 order "error-active" 5
 order "bus-off" 1

@@ -54,4 +54,6 @@ pub enum Heard {
     Frame(Frame),
     /// The controller's state has changed.
     Bus(BusState),
+    /// Nothing waited to be heard at that time: what is heard later was also sent later. Without it no second sender is noticed.
+    Nothing,
 }

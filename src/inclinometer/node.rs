@@ -1,8 +1,9 @@
 //! One CiA 410 device: how it is brought up, and how its loss is noticed.
 //!
 //! Bring-up, by SDO: profile, identity and resolution are read; a device that is the right one goes to pre-operational, and is told: no
-//! inversion or offsets of its own, first transmit PDO with both slopes on its event timer, heartbeat; then started. From then on a missing heartbeat, missing process data, a boot-up
-//! message, another state or an emergency each end the service, and the device is brought up anew. Time is an argument \[ns\].
+//! inversion or offsets of its own, first transmit PDO with both slopes on its event timer, heartbeat; then started. From then on a missing
+//! heartbeat, missing process data, a boot-up message, another state, an emergency or a second sender each end the service, and the device is
+//! brought up anew. Time is an argument \[ns\].
 
 use super::canopen::{self as co, Entry, NmtCommand, NmtState, Reply, Said, Value, Width};
 use super::frame::{BusState, Frame, Heard};
@@ -23,8 +24,8 @@ const FIRST_PATIENCE: u64 = 1000 * MS;
 const MISSING: u64 = 3;
 /// What a busy machine and a busy bus may add to a silence \[ns\].
 const SLACK: u64 = 20 * MS;
-/// Process data are counted over this time, to notice a second sender \[ns\].
-const COUNTED: u64 = 1000 * MS;
+/// Heartbeats are counted over this many periods of them, to notice a second sender.
+const COUNTED: u64 = 10;
 /// Frames that wait to be sent at most.
 const QUEUE: usize = 4;
 
@@ -148,13 +149,15 @@ pub enum Fault {
         /// Error register.
         register: u8,
     },
-    /// More process data than one device sends.
-    #[error("{count} frames with slopes in a second, expected {expected}: does another node have the same id?")]
+    /// More heartbeats than one device sends.
+    #[error("{count} heartbeats in {passed_ms} ms, expected {expected}: does another node have the same id?")]
     TwoSenders {
-        /// Frames in a second.
+        /// Heartbeats.
         count: u32,
-        /// Frames that the event timer makes.
-        expected: u32,
+        /// Time in which they came \[ms\].
+        passed_ms: u64,
+        /// Heartbeats that one device sends in this time.
+        expected: u64,
     },
     /// Frames that the device can't have sent.
     #[error("frame of {length} bytes under the inclinometer's identifier {id:03X}h")]
@@ -263,8 +266,10 @@ pub struct Node {
     remote: u32,
     heartbeat: Option<u64>,
     slopes: Option<u64>,
-    /// Process data since then.
-    counted: (u64, u32),
+    /// Heartbeats since a time at which none waited to be heard.
+    counted: Option<(u64, u32)>,
+    /// Two senders were heard, and not yet one alone since then.
+    doubted: bool,
     emergency: Option<Fault>,
     bus: BusState,
     outgoing: VecDeque<Frame>,
@@ -283,7 +288,8 @@ impl Node {
             remote: 0,
             heartbeat: None,
             slopes: None,
-            counted: (0, 0),
+            counted: None,
+            doubted: false,
             emergency: None,
             bus: BusState::Active,
             outgoing: VecDeque::with_capacity(QUEUE),
@@ -310,6 +316,9 @@ impl Node {
     pub fn hear(&mut self, now: u64, heard: &Heard) {
         match heard {
             Heard::Bus(state) => self.bus_is(now, *state),
+            Heard::Nothing => {
+                self.counted.get_or_insert((now, 0));
+            }
             Heard::Frame(frame) => {
                 if let Some(said) = co::hear(self.settings.node, frame) {
                     self.said(now, said, frame);
@@ -331,6 +340,8 @@ impl Node {
                 }
             }
             Stage::Asking { .. } => {}
+            // Only the count of heartbeats is awaited still.
+            Stage::Started { .. } if self.doubted && self.has_spoken() => self.notice_silence(now),
             Stage::Started { since } => {
                 let silent_ms = now.saturating_sub(since) / MS;
                 if now.saturating_sub(since) >= FIRST_PATIENCE + self.heartbeat_patience() {
@@ -383,7 +394,7 @@ impl Node {
     }
 
     fn begin(&mut self, now: u64) {
-        (self.heartbeat, self.slopes, self.counted) = (None, None, (now, 0));
+        (self.heartbeat, self.slopes) = (None, None);
         self.identity = Identity::default();
         self.mapped = [0; 3];
         self.remote = 0;
@@ -410,7 +421,7 @@ impl Node {
             Some(Step { ask: Ask::Write(entry, value), .. }) => self.send(co::write(node, entry, value)),
             None => {
                 self.send(co::nmt(node, NmtCommand::Start));
-                self.counted = (now, 0);
+                self.counted = None;
                 self.stage = Stage::Started { since: now };
                 return;
             }
@@ -496,6 +507,11 @@ impl Node {
     }
 
     fn beat(&mut self, now: u64, state: NmtState) {
+        if matches!(self.stage, Stage::Started { .. } | Stage::Up)
+            && let Err(fault) = self.count(now)
+        {
+            return self.fail(now, fault);
+        }
         match self.stage {
             Stage::Started { .. } if state == NmtState::Operational => {
                 self.heartbeat = Some(now);
@@ -507,8 +523,34 @@ impl Node {
         }
     }
 
+    /// Counts heartbeats: two nodes with one id both take the time that was set for them. Slopes may come on events, too, and tell nothing.
+    ///
+    /// The count begins when nothing waited to be heard. A frame may be heard long after it was sent, but what is counted was sent within the
+    /// time that it is counted over: no stall, however long, makes two senders of one.
+    fn count(&mut self, now: u64) -> Result<(), Fault> {
+        let Some((since, before)) = self.counted else { return Ok(()) };
+        let count = before.saturating_add(1);
+        let period = u64::from(self.settings.heartbeat.max(1)) * MS;
+        let passed = now.saturating_sub(since);
+        if passed < COUNTED * period {
+            self.counted = Some((since, count));
+            return Ok(());
+        }
+        self.counted = None;
+        let expected = passed / period;
+        // One sender's timer is good to a few per cent; two send twice as much.
+        self.doubted = 2 * u64::from(count) > 3 * expected;
+        if self.doubted { Err(Fault::TwoSenders { count, passed_ms: passed / MS, expected }) } else { Ok(()) }
+    }
+
+    /// Heartbeat and process data have come.
+    fn has_spoken(&self) -> bool {
+        self.heartbeat.is_some() && self.slopes.is_some()
+    }
+
+    /// A device beside which another one was heard is counted once more before it is believed.
     fn come_up(&mut self) {
-        if self.heartbeat.is_some() && self.slopes.is_some() && self.emergency.is_none() {
+        if self.has_spoken() && self.emergency.is_none() && !self.doubted {
             self.stage = Stage::Up;
             self.events.push_back(NodeEvent::Up(self.identity));
         }
@@ -522,17 +564,6 @@ impl Node {
         self.slopes = Some(now);
         if matches!(self.stage, Stage::Started { .. }) {
             return self.come_up();
-        }
-        let (since, count) = self.counted;
-        self.counted = (since, count.saturating_add(1));
-        let passed = now.saturating_sub(since);
-        if passed >= COUNTED {
-            self.counted = (now, 0);
-            let expected = u32::try_from(passed / MS / u64::from(self.settings.period.max(1))).unwrap_or(u32::MAX);
-            // One sender's timer is good to a few per cent; two send twice as much.
-            if count > expected.saturating_add(expected / 2).saturating_add(2) {
-                return self.fail(now, Fault::TwoSenders { count, expected });
-            }
         }
         self.events.push_back(NodeEvent::Slopes(slopes));
     }

@@ -175,10 +175,15 @@ impl Thread {
         let mut patience = PATIENCE;
         for _ in 0..BACKLOG {
             let Some(socket) = &self.socket else { return };
+            let asked = now_ns();
             match socket.read_frame_timeout(patience) {
                 Ok(frame) => self.hear(&frame),
-                Err(error) if error.should_retry() => return,
-                Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => return,
+                // A signal says nothing of what waits.
+                Err(error) if error.kind() == ErrorKind::Interrupted => return,
+                Err(error) if error.should_retry() || error.kind() == ErrorKind::TimedOut => {
+                    // By the time before the answer: what has come since then, with this thread asleep, was sent later than that.
+                    return self.sensor.hear(asked, &Heard::Nothing);
+                }
                 // ENETDOWN, ENODEV, and whatever else makes this socket useless.
                 Err(_) => return self.close(),
             }
