@@ -8,7 +8,7 @@ mod device;
 use device::Device;
 use nalgebra::{Rotation3, Vector3};
 use plumbline::inclinometer::attitude::{Seat, SeatError, Slopes};
-use plumbline::inclinometer::canopen::{self, Entry, Width};
+use plumbline::inclinometer::canopen::{self, Entry, NmtState, Width};
 use plumbline::inclinometer::follow::{FollowSettings, Follower, OnLoss, Refusal, Source};
 use plumbline::inclinometer::frame::{BusState, Frame, Heard};
 use plumbline::inclinometer::node::{Fault, NodeSettings};
@@ -387,7 +387,7 @@ fn what_the_sensor_cannot_see_is_refused() {
 fn every_loss_is_noticed_in_time_and_named_and_gone_when_it_is_gone() {
     type Case = (&'static str, u64, fn(&mut World), fn(&mut World), fn(&Fault) -> bool);
     // A period is 20 ms, a heartbeat 100 ms; silence counts after three of them and 20 ms.
-    let cases: [Case; 8] = [
+    let cases: [Case; 11] = [
         (
             "unplugged",
             102,
@@ -431,13 +431,31 @@ fn every_loss_is_noticed_in_time_and_named_and_gone_when_it_is_gone() {
             |w| w.device.emergency(0),
             |f| matches!(f, Fault::Emergency { code: 0x5000, register: 1 }),
         ),
-        ("reset", 102, |w| w.device.reset(w.now), |_| {}, |f| matches!(f, Fault::Restarted | Fault::NoSlopes { .. })),
+        // Slopes go on: the frame alone tells.
+        ("boot-up", 2, |w| w.device.say(0x700 + u16::from(NODE), &[0]), |_| {}, |f| *f == Fault::Restarted),
         (
-            "stopped",
-            102,
-            |w| w.device.hear(w.now, 0, &[2, NODE]),
+            "pre-operational",
+            2,
+            |w| w.device.say(0x700 + u16::from(NODE), &[127]),
             |_| {},
-            |f| matches!(f, Fault::State { .. } | Fault::NoSlopes { .. }),
+            |f| *f == Fault::State { state: NmtState::PreOperational },
+        ),
+        (
+            "says that it is stopped",
+            2,
+            |w| w.device.say(0x700 + u16::from(NODE), &[4]),
+            |_| {},
+            |f| *f == Fault::State { state: NmtState::Stopped },
+        ),
+        // Its boot-up message comes before its slopes are missed.
+        ("reset", 52, |w| w.device.reset(w.now), |_| {}, |f| *f == Fault::Restarted),
+        // Its next heartbeat and its missing slopes come at about the same time: what counts here is the way back.
+        (
+            "stopped by another master",
+            102,
+            |w| w.device.hear(w.now, 0, &[STOP, NODE]),
+            |_| {},
+            |f| matches!(f, Fault::State { state: NmtState::Stopped } | Fault::NoSlopes { .. }),
         ),
     ];
     for (name, within, begin, end, right) in cases {
