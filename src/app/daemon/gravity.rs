@@ -10,7 +10,7 @@ use crate::estimate::mounting_check::{Implied, Side, cross_check, implied};
 use crate::inclinometer::follow::{Decision, FollowSettings, Follower, OnLoss, Source};
 use crate::inclinometer::sensor::{Health, Reading, Sensor};
 use crate::inclinometer::socket::Listener;
-use crate::ipc::{Gravity as GravityMessage, MotionGravity};
+use crate::ipc::{Gravity as GravityMessage, MotionGravity, now_ns};
 use crate::joint::{Phase, Record};
 use crate::model::gravity::{Mounting, angle_between};
 use nalgebra::Vector3;
@@ -134,10 +134,12 @@ impl Watch {
             let health = sensor.health();
             let listener = Listener::start(&own.interface, sensor, &settings).map_err(Failure::job)?;
             let follow: FollowSettings = own.follow(job.mounting, &job.mounting_check);
-            let decision = Decision { gravity: job.mounting.gravity(), source: Source::Declared, refusal: None };
+            let mut follower = Follower::new(follow);
+            // Nobody has heard it yet: what holds without a reading holds from the start.
+            let decision = follower.decide(now_ns(), &health);
             Ok::<_, Failure>(Inclinometer {
                 listener,
-                follower: Follower::new(follow),
+                follower,
                 on_loss: own.on_loss.into(),
                 on_motion: own.on_base_motion,
                 still: own.still,

@@ -157,6 +157,8 @@ impl Session {
             bridged: Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("constant bounds"),
             records: Vec::with_capacity(DRAIN),
         };
+        // Connecting took its time: what is handed over goes by the inclinometer of now.
+        desk.gravity.tick(now_ns(), false);
         // The model and the first orders are there before the first cycle, so that a seed gives the same motion every time.
         session.hand_over_model(desk);
         session.give_orders();

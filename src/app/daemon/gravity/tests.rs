@@ -5,6 +5,8 @@ use crate::joint::JointVec;
 use crate::model::term::Sample;
 use crate::store::ModelFile;
 use nalgebra::Matrix3;
+use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType};
+use std::os::fd::OwnedFd;
 use std::path::Path;
 
 const STILL: f64 = 2e-3;
@@ -69,4 +71,41 @@ fn torques_that_tell_nothing_end_the_wait_and_not_the_questions() {
     }
     let verdict = watch.verdict(&model);
     assert!(matches!(&verdict, Verdict::Refuse(why) if why.contains("torques at rest")), "{verdict:?}");
+}
+
+/// A socket that stands for a bus on which nobody answers.
+fn silent_bus(path: &Path) -> OwnedFd {
+    let socket =
+        rustix::net::socket_with(AddressFamily::UNIX, SocketType::SEQPACKET, SocketFlags::CLOEXEC, None).unwrap();
+    rustix::net::bind(&socket, &SocketAddrUnix::new(path).unwrap()).unwrap();
+    rustix::net::listen(&socket, 4).unwrap();
+    socket
+}
+
+#[test]
+fn an_inclinometer_that_is_not_up_yet_decides_as_one_that_is_lost() {
+    let place = tempfile::tempdir().unwrap();
+    for (on_loss, is_served) in [("refuse", false), ("hold", true), ("declared", true)] {
+        let path = place.path().join(on_loss);
+        let _bus = silent_bus(&path);
+        let more = format!(
+            "[validation]\nmountings = [\"upright\"]\n[mounting-check]\ntorques = false\n[inclinometer]\n\
+             interface = \"simulated:{}\"\nnode = 10\nx = \"x\"\nz = \"z\"\non-loss = \"{on_loss}\"\n",
+            path.display()
+        );
+        let job = Job::parse(Path::new("job.toml"), &format!("{JOB}{more}"), &[]).unwrap();
+        let (mut watch, model) = (Watch::open(&job).unwrap(), accepted());
+        // Before the daemon has looked at it for the first time, and after that.
+        for _ in 0..2 {
+            match watch.verdict(&model) {
+                Verdict::Serve(gravity) => assert!(is_served && gravity == Mounting::UPRIGHT.gravity(), "{gravity}"),
+                Verdict::Refuse(why) => {
+                    assert!(!is_served && why.contains("inclinometer.on-loss = \"refuse\""), "{why}")
+                }
+                Verdict::Wait(why) => panic!("{why}"),
+            }
+            assert_eq!(watch.refusal().is_some(), !is_served);
+            watch.tick(now_ns(), false);
+        }
+    }
 }
