@@ -120,14 +120,24 @@ processor=(-accel tcg,thread=single -icount shift=0,sleep=off -rtc clock=vm -smp
 [ "${KVM:-0}" = 1 ] && processor=(-accel kvm -smp 2 -cpu max)
 # getty_auto=0: nobody logs in, and without udev systemd would wait 90 s for the line. tsc=reliable: else an emulated kernel asks a timer chip for
 # each look at the clock, which costs more than the loop's own work.
-timeout "${TIMEOUT:-1500}" qemu-system-x86_64 "${processor[@]}" -machine q35 -m 2048 -nodefaults -display none -no-reboot \
-    -kernel "$vmlinuz" -initrd "$machine/first.cpio" -drive "file=$machine/disk,format=raw,if=virtio,cache=unsafe" \
-    -append "console=ttyS0 quiet systemd.show_status=0 systemd.getty_auto=0 mitigations=off tsc=reliable panic=-1" \
-    -serial stdio </dev/null 2>&1 | tee "$machine.console" | stdbuf -oL tr -d '\r' |
-    stdbuf -oL grep -aE '^(HELD|FAILED|SKIPPED|NOT SHOWN HERE|seed|session|robot-pc:)' || true
-echo "robot-pc, full form: $((SECONDS - begin)) s with the image, $((SECONDS - boot)) s of them in the machine"
-if ! grep -aq 'robot-pc: end' "$machine.console" || grep -aq '^FAILED' "$machine.console"; then
-    echo "--- the machine's console: $machine.console"
+# Two machines side by side share the parts: an emulated one uses a single processor of this one.
+start() { # PARTS
+    local console=$machine.console.${1##*,start,}
+    console=${console%%,*}
+    timeout "${TIMEOUT:-1500}" qemu-system-x86_64 "${processor[@]}" -machine q35 -m 2048 -nodefaults -display none -no-reboot \
+        -kernel "$vmlinuz" -initrd "$machine/first.cpio" -drive "file=$machine/disk,format=raw,if=virtio,cache=unsafe,snapshot=on" \
+        -append "console=ttyS0 quiet systemd.show_status=0 systemd.getty_auto=0 mitigations=off tsc=reliable panic=-1 robot-pc=$1" \
+        -serial stdio </dev/null 2>&1 | tee "$console" | stdbuf -oL tr -d '\r' |
+        stdbuf -oL grep -aE '^(HELD|FAILED|SKIPPED|NOT SHOWN HERE|seed|session|robot-pc: [^e])' || true
+    grep -aq 'robot-pc: end' "$console" || echo "FAILED  the machine with the parts $1 came to no end: $console"
+}
+start install,start,kernel_and_can,tilt,move,hang,upgrade,limits,leave &
+start install,start,fci,kill,leave &
+wait
+count() { cat "$machine".console.* | tr -d '\r' | grep -ac "$1" || true; }
+echo "robot-pc, full form: $(count ^HELD) held, $(count ^FAILED) failed; $((SECONDS - begin)) s with the image, $((SECONDS - boot)) s of them in the machines"
+if [ "$(count '^robot-pc: end')" != 2 ] || [ "$(count ^FAILED)" != 0 ]; then
+    echo "--- the machines' consoles: $machine.console.*"
     exit 1
 fi
-rm -f "$machine.console"
+rm -f "$machine".console.*

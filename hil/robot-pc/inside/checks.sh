@@ -6,6 +6,13 @@ cd "$(dirname "$0")" && . ./common.sh
 QUICK=${QUICK:-1}
 SEED=${SEED:-1}
 ROUNDS=${ROUNDS:-3}
+# The parts, one after the other: by name on the kernel's command line where several machines share them, else all that this form has.
+PARTS=$(sed -n 's/.*robot-pc=\([a-z_,]*\).*/\1/p' /proc/cmdline | tr , ' ')
+[ "$QUICK" = 1 ] && PARTS="install start strangers fci move kill hang upgrade limits leave"
+PARTS=${PARTS:-install start kernel_and_can tilt fci move kill hang upgrade limits leave}
+# How long each may take [s].
+declare -A LIMITS=([install]=60 [start]=60 [strangers]=300 [kernel_and_can]=30 [tilt]=120 [fci]=240 [move]=60 [kill]=$((60 * ROUNDS))
+    [hang]=90 [upgrade]=30 [limits]=30 [leave]=60)
 # All parts together [s]; the table has its last line in any case.
 TOTAL=${TOTAL:-540}
 RANDOM=$SEED
@@ -179,26 +186,14 @@ say "seed $SEED, kernel $(uname -r)"
 begin=$(ms)
 for _ in {1..20}; do /bin/true; done
 say "robot-pc: up after $(cut -d ' ' -f 1 /proc/uptime) s, a process takes $((($(ms) - begin) / 20)) ms, limits of time are taken times $PATIENCE"
-part install 60
-part start 60
+for name in $PARTS; do part "$name" "${LIMITS[$name]}"; done
 # Another local user, or what needs the real-time kernel and CAN: an emulated processor has not the time for both.
 if [ "$QUICK" = 1 ]; then
-    part strangers 300
-    part fci 240
     not_shown "CAN, and a tilting base" "hil/robot-pc/full.sh"
-else
-    part kernel_and_can 30
-    part tilt 120
-    part fci 240
+elif [[ " $PARTS " = *" tilt "* ]]; then
     not_shown "another local user's attempts" "hil/robot-pc/quick.sh"
+    not_shown "latency under load, and any figure of time" "another machine's clock and caches: plumbline doctor on the robot's PC"
 fi
-part move 60
-part kill $((60 * ROUNDS))
-part hang 90
-part upgrade 30
-part limits 30
-part leave 60
-not_shown "latency under load, and any figure of time" "another machine's clock and caches: plumbline doctor on the robot's PC"
 
 cp /tmp/*.log /var/lib/robot-pc/ 2>/dev/null
 say "robot-pc: $(grep -c ^HELD "$TABLE") held, $(grep -c ^FAILED "$TABLE") failed, $(grep -c '^NOT SHOWN' "$TABLE") not shown here, in $SECONDS s"
