@@ -326,6 +326,8 @@ impl Desk {
             Event::Resumed => {
                 tracing::info!(plumbline_event = "resumed", "an operator has allowed motion again");
                 self.barred = false;
+                // Asked for again while that stop had begun already: no reason of the next one.
+                self.cause = None;
             }
             Event::Discarded { motion } => tracing::debug!("order {motion} was discarded"),
             Event::Serving { model } => tracing::debug!("the loop serves model {model:016x}"),

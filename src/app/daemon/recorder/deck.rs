@@ -83,6 +83,8 @@ impl Deck {
             Message::Blame(reason) => self.blame = Some(reason),
             Message::Write(reason, newest) => {
                 self.drain();
+                // Of another loop where this one has none yet.
+                let newest = self.history.newest().map_or(0, |record| record.cycle.min(newest));
                 self.write(reason, newest, newest, None, folder);
             }
             Message::Close(close) => {
