@@ -257,7 +257,7 @@ fn the_limit_is_that_of_the_stop_which_the_recording_is_about() {
         recording.events.retain(|told| told.cycle <= last);
         Story::of("two", &recording, None)
     };
-    let (first, second) = (story(stops[1] - 700).first_limit, story(u64::MAX).first_limit);
+    let (first, second) = (story(stops[0] + 300).first_limit, story(u64::MAX).first_limit);
     assert_eq!((first.map(|limit| limit.joint), second.map(|limit| limit.joint)), (Some(2), Some(5)));
     // Between the permission and the second stop nothing is crossed.
     assert_eq!(story(stops[1] - 1).first_limit, None);
@@ -472,6 +472,46 @@ fn without_checksums(sound: &[u8]) -> Vec<u8> {
     }
     assert_ne!(bytes, sound);
     bytes
+}
+
+#[test]
+fn a_record_that_goes_beyond_its_chunk_and_an_attachment_without_an_end_are_cuts() {
+    let bytes = without_checksums(&small());
+    let all = Recording::parse("seed", &bytes).unwrap();
+    let find = |opcode: u8| {
+        let mut at = 8;
+        while bytes[at] != opcode {
+            at += 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+        }
+        at
+    };
+    // The last record of the first chunk says that it is longer.
+    let chunk = find(0x06);
+    let end = chunk + 9 + u64::from_le_bytes(bytes[chunk + 1..chunk + 9].try_into().unwrap()) as usize;
+    let (mut at, mut last) = (chunk + 9 + 40, 0);
+    while at < end {
+        last = at;
+        at += 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+    }
+    assert_eq!(at, end);
+    let mut longer = bytes.clone();
+    longer[last + 1] = longer[last + 1].wrapping_add(20);
+    let part = Recording::parse("longer", &longer).unwrap();
+    let cut = part.cut.unwrap();
+    assert!(cut.contains(&format!("byte {chunk}")) && cut.contains("beyond the end of its chunk"), "{cut}");
+    assert!(part.records.len() < all.records.len());
+    // An attachment that ends before its checksum.
+    let attachment = find(0x09);
+    let name = u32::from_le_bytes(bytes[attachment + 25..attachment + 29].try_into().unwrap()) as usize;
+    let at = attachment + 29 + name;
+    let media = u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+    let header = at + 4 + media + 8 - (attachment + 9);
+    for more in 0..4 {
+        let mut short = bytes.clone();
+        short[attachment + 1..attachment + 9].copy_from_slice(&((header + more) as u64).to_le_bytes());
+        let error = Recording::parse("short", &short).unwrap_err().to_string();
+        assert!(error.contains("about.json"), "{error}");
+    }
 }
 
 /// Seeded mutations of a recording; more with PLUMBLINE_FUZZ_CASES.
