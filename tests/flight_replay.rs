@@ -458,17 +458,25 @@ fn a_file_that_was_cut_reads_up_to_the_cut() {
     assert!(part.cut.is_some_and(|cut| cut.to_lowercase().contains("crc")) && part.records.len() < 3_000);
 }
 
+/// Opcode, number of the first byte, and number of the byte behind each record from `at` up to `end`.
+fn raw_records(bytes: &[u8], mut at: usize, end: usize) -> Vec<(u8, usize, usize)> {
+    let mut found = Vec::new();
+    while at + 9 < end {
+        let length = u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+        found.push((bytes[at], at, at + 9 + length));
+        at += 9 + length;
+    }
+    found
+}
+
 /// The file without the checksums of its chunks, which the format allows: what is changed in it then is read.
 fn without_checksums(sound: &[u8]) -> Vec<u8> {
     let mut bytes = sound.to_vec();
-    let number = |at: usize| u64::from_le_bytes(sound[at..at + 8].try_into().unwrap()) as usize;
-    let mut at = 8;
-    while at + 9 < sound.len() {
-        // Opcode, length; of a chunk: begin, end, size, checksum.
-        if sound[at] == 0x06 {
+    for (opcode, at, _) in raw_records(sound, 8, sound.len()) {
+        // Of a chunk, after opcode and length: begin, end, size, checksum.
+        if opcode == 0x06 {
             bytes[at + 9 + 24..at + 9 + 28].fill(0);
         }
-        at += 9 + number(at + 1);
     }
     assert_ne!(bytes, sound);
     bytes
@@ -478,22 +486,12 @@ fn without_checksums(sound: &[u8]) -> Vec<u8> {
 fn a_record_that_goes_beyond_its_chunk_and_an_attachment_without_an_end_are_cuts() {
     let bytes = without_checksums(&small());
     let all = Recording::parse("seed", &bytes).unwrap();
-    let find = |opcode: u8| {
-        let mut at = 8;
-        while bytes[at] != opcode {
-            at += 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
-        }
-        at
-    };
+    let file = raw_records(&bytes, 8, bytes.len());
+    let find = |opcode| *file.iter().find(|record| record.0 == opcode).unwrap();
     // The last record of the first chunk says that it is longer.
-    let chunk = find(0x06);
-    let end = chunk + 9 + u64::from_le_bytes(bytes[chunk + 1..chunk + 9].try_into().unwrap()) as usize;
-    let (mut at, mut last) = (chunk + 9 + 40, 0);
-    while at < end {
-        last = at;
-        at += 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
-    }
-    assert_eq!(at, end);
+    let (_, chunk, end) = find(0x06);
+    let (_, last, whole) = *raw_records(&bytes, chunk + 9 + 40, end).last().unwrap();
+    assert_eq!(whole, end);
     let mut longer = bytes.clone();
     longer[last + 1] = longer[last + 1].wrapping_add(20);
     let part = Recording::parse("longer", &longer).unwrap();
@@ -501,7 +499,7 @@ fn a_record_that_goes_beyond_its_chunk_and_an_attachment_without_an_end_are_cuts
     assert!(cut.contains(&format!("byte {chunk}")) && cut.contains("beyond the end of its chunk"), "{cut}");
     assert!(part.records.len() < all.records.len());
     // An attachment that ends before its checksum.
-    let attachment = find(0x09);
+    let (_, attachment, _) = find(0x09);
     let name = u32::from_le_bytes(bytes[attachment + 25..attachment + 29].try_into().unwrap()) as usize;
     let at = attachment + 29 + name;
     let media = u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;

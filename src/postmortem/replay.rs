@@ -19,7 +19,6 @@ use crate::rt::order::{Event, Handles, Order, OrderKind, StopReason, Told};
 use crate::rt::{Backend, Fault, FeedForward, Kinematics, Reference, Sink};
 use nalgebra::DMatrix;
 use serde::Serialize;
-use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -135,10 +134,9 @@ pub fn replay(recording: &Recording, parts: Parts) -> Result<Replayed, ReplayErr
         again.restore(checkpoint).map_err(|error| unusable("the motion under way", &error))?;
     }
     // A loop that panicked does so again.
-    let end = match catch_unwind(AssertUnwindSafe(|| Cycle::run(&mut again))) {
-        Ok(outcome) => Ended::By(outcome.end),
-        Err(panic) => Ended::Panicked(panic_message(&*panic)),
-    };
+    let end = catch_unwind(AssertUnwindSafe(|| Cycle::run(&mut again)))
+        .map(|outcome| outcome.end)
+        .map_err(|panic| panicked(&panic_message(&*panic)));
     drop(again);
     let mut handles = lock(&shared).take().ok_or_else(|| ReplayError::Missing { what: "the loop's end".into() })?;
     let told: Vec<Told> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
@@ -147,28 +145,12 @@ pub fn replay(recording: &Recording, parts: Parts) -> Result<Replayed, ReplayErr
     let mut result = compare(records, &kept, from_the_start);
     result.same_events = same_events(recording, &told, result.first);
     if unanswered.is_some() {
-        let text = end.to_string();
+        let text = end.as_ref().map_or_else(String::clone, End::to_string);
         // A fault of the arm came from the arm, and is not the loop's doing.
-        result.same_end =
-            about.end.as_ref().filter(|_| !matches!(end, Ended::By(End::Fault(_)))).map(|end| *end == text);
+        result.same_end = about.end.as_ref().filter(|_| !matches!(end, Ok(End::Fault(_)))).map(|end| *end == text);
         result.end = Some(text);
     }
     Ok(result)
-}
-
-/// How the loop ended the second time.
-enum Ended {
-    By(End),
-    Panicked(String),
-}
-
-impl fmt::Display for Ended {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Ended::By(end) => end.fmt(f),
-            Ended::Panicked(message) => f.write_str(&panicked(message)),
-        }
-    }
 }
 
 type Shared = Arc<Mutex<Option<Handles>>>;

@@ -6,7 +6,7 @@ use crate::input::{BadInput, expectation};
 use crate::joint::{MAX_JOINTS, Record};
 use crate::rt::order::Told;
 use mcap::parse_record;
-use mcap::records::Record as Raw;
+use mcap::records::{Record as Raw, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use std::collections::{BTreeMap, HashMap};
 use std::io::Read;
@@ -16,6 +16,8 @@ use std::path::Path;
 const LONGEST: u64 = 2 << 30;
 /// Longest single record, or chunk \[bytes\].
 const LONGEST_RECORD: usize = 64 << 20;
+/// How a cut reads that is the file's end.
+const ENDS: &str = "the file ends here";
 
 impl Recording {
     /// Reads a file. One that was cut short is read up to the cut, which `cut` tells.
@@ -90,7 +92,7 @@ fn walk(file: &str, bytes: &[u8], parts: &mut Parts) -> Result<Option<String>, B
                 reader.notify_read(count);
                 left = later;
             }
-            Ok(LinearReadEvent::Record { opcode: ATTACHMENT, data }) if !attachment_fits(data) => {
+            Ok(LinearReadEvent::Record { opcode: op::ATTACHMENT, data }) if !attachment_fits(data) => {
                 return Ok(Some(format!("{}: an attachment of {} bytes has no end", place!(), data.len())));
             }
             Ok(LinearReadEvent::Record { opcode, data }) => {
@@ -115,7 +117,7 @@ fn walk(file: &str, bytes: &[u8], parts: &mut Parts) -> Result<Option<String>, B
 fn sound(bytes: &[u8]) -> usize {
     let mut at = mcap::MAGIC.len();
     while let Some((opcode, data)) = bytes.get(at..).and_then(first_record) {
-        if opcode == CHUNK
+        if opcode == op::CHUNK
             && let Ok(Raw::Chunk { header, data }) = parse_record(opcode, data)
             && header.compression.is_empty()
         {
@@ -145,12 +147,6 @@ fn attachment_fits(data: &[u8]) -> bool {
 
 /// Opcode and length of a record.
 const PREFIX: usize = 9;
-/// The opcode of an attachment.
-const ATTACHMENT: u8 = 0x09;
-/// How a cut reads that is the file's end.
-const ENDS: &str = "the file ends here";
-/// The opcode of a chunk.
-const CHUNK: u8 = 0x06;
 
 /// Opcode and content of the record that `bytes` begin with, if all of it is there.
 fn first_record(bytes: &[u8]) -> Option<(u8, &[u8])> {
