@@ -2,7 +2,7 @@
 
 use super::Failure;
 use super::say::say;
-use crate::ipc::{Client, IpcError, Request, Response, RobotId};
+use crate::ipc::{self, Client, IpcError, Request, Response, RobotId, StopError, Way};
 use clap::{Args, ValueEnum};
 use std::time::Duration;
 
@@ -42,8 +42,8 @@ const PATIENCE: Duration = Duration::from_secs(2);
 pub fn run(options: Options) -> Result<(), Failure> {
     let id = RobotId::parse("command line", "--robot", &options.robot)?;
     let request = match options.what {
+        What::Stop => return stop(&id),
         What::Start => Request::Start {},
-        What::Stop => Request::Stop {},
         What::Resume => Request::Resume {},
         What::Quit => Request::Quit {},
         What::Adopt => Request::Adopt {},
@@ -51,7 +51,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         What::Record => Request::Record {},
         What::Status => Request::Status {},
     };
-    let mut client = Client::connect(&id, PATIENCE).map_err(super::unreachable)?;
+    let mut client = Client::connect_operator(&id, PATIENCE).map_err(super::unreachable)?;
     let answer = match client.send(&request, PATIENCE) {
         // It was there a moment ago and has ended, which is what was asked for: its answer may have gone with it.
         Err(IpcError::NoDaemon { .. }) if request == (Request::Quit {}) => Response::Accepted {},
@@ -68,4 +68,20 @@ pub fn run(options: Options) -> Result<(), Failure> {
             Ok(())
         }
     }
+}
+
+/// Stops the arm by the stop's own way, and says which.
+fn stop(id: &RobotId) -> Result<(), Failure> {
+    let taken = ipc::stop(id).map_err(|error| match error {
+        StopError::NoDaemon { .. } => super::no_daemon(error),
+        other => Failure::job(other),
+    })?;
+    match taken.way {
+        Way::Socket => say!("accepted: the daemon (process {}) has taken the stop", taken.process),
+        Way::Signal { because } => say!(
+            "accepted: the daemon (process {}) has taken the stop by signal SIGUSR2, for its socket failed: {because}",
+            taken.process
+        ),
+    }
+    Ok(())
 }

@@ -122,14 +122,14 @@ fn follow(
             Delivery::Records { records, .. } => {
                 for record in &records {
                     if let Some(recorded) = collector.take(record)
-                        && let Some(why) = take(id, &mut results, &mut live, recorded)?
+                        && let Some(why) = take(id, stream.epoch(), &mut results, &mut live, recorded)?
                     {
                         return Ok(Outcome::Unusable { why: format!("the daemon refused the model: {why}") });
                     }
                     if let Some(live) = &mut live
                         && let Some(offer) = live.take(record)?
                     {
-                        propose(id, offer)?;
+                        propose(id, stream.epoch(), offer)?;
                     }
                 }
             }
@@ -145,7 +145,7 @@ fn follow(
             Delivery::Idle => {}
         }
         if let Some(offer) = live.as_mut().map_or(Ok(None), |live| live.collect(false))? {
-            propose(id, offer)?;
+            propose(id, stream.epoch(), offer)?;
         }
         // The samples alone don't tell the end: an arm that is served goes on sending them.
         if looked.elapsed() < STEP {
@@ -153,6 +153,10 @@ fn follow(
         }
         looked = Instant::now();
         let status = status(id)?;
+        // Of another start, which the stream is about to tell of.
+        if status.served.epoch != stream.epoch() {
+            continue;
+        }
         live.iter_mut().for_each(|live| live.heard(&status));
         if let Some(driven) = status.driven
             && stream.position() >= driven
@@ -163,7 +167,7 @@ fn follow(
             let counters = StreamCounters { received: received.saturating_sub(beyond), ..stream.counters() };
             if let Some(live) = &mut live {
                 if let Some(offer) = live.collect(true)? {
-                    propose(id, offer)?;
+                    propose(id, stream.epoch(), offer)?;
                 }
                 live.finish()?.into_iter().for_each(|note| results.note(note));
             }
@@ -176,9 +180,11 @@ fn follow(
     }
 }
 
-/// Takes one motion in; offers the model when it was the one to identify from. Why the daemon does not want it, if so.
+/// Takes one motion in; offers the model when it was the one to identify from. Why the daemon does not want it, if so. The motion, and so the
+/// model, are those of one start of the daemon, the `epoch`.
 fn take(
     id: &RobotId,
+    epoch: u64,
     results: &mut Results,
     live: &mut Option<Live>,
     mut recorded: Recorded,
@@ -189,7 +195,7 @@ fn take(
     }
     let role = recorded.role;
     if results.has_inclinometer() {
-        as_measured(&status(id)?, results.first_mounting(), &mut recorded);
+        as_measured(&status_of(id, epoch)?, results.first_mounting(), &mut recorded);
     }
     results.take(recorded);
     if role != Role::Identify {
@@ -201,7 +207,7 @@ fn take(
         live.identified(&identified.model, &floor, &text, run)?;
     }
     let offer = Request::OfferModel { toml: text };
-    match client(id)?.send(&offer, ANSWER).map_err(Failure::job)? {
+    match client_of(id, epoch)?.send(&offer, ANSWER).map_err(Failure::job)? {
         Response::ModelAccepted { model } => {
             tracing::info!("the daemon serves model {model:016x}");
             Ok(None)
@@ -236,9 +242,9 @@ fn as_measured(status: &Status, first: Option<Mounting>, recorded: &mut Recorded
 }
 
 /// Proposes a model in place of the one that does not hold any more. A daemon that does not want it says why, and nothing else happens.
-fn propose(id: &RobotId, offer: Offer) -> Result<(), Failure> {
+fn propose(id: &RobotId, epoch: u64, offer: Offer) -> Result<(), Failure> {
     let request = Request::ProposeModel { toml: offer.toml, proposal: offer.proposal };
-    match client(id)?.send(&request, ANSWER).map_err(Failure::job)? {
+    match client_of(id, epoch)?.send(&request, ANSWER).map_err(Failure::job)? {
         Response::ModelAccepted { model } => tracing::info!("the daemon serves model {model:016x}"),
         Response::ModelHeld { model } => tracing::info!("the daemon holds model {model:016x} until somebody adopts it"),
         Response::Refused { reason } => tracing::warn!("the daemon refused the model: {reason}"),
@@ -251,9 +257,25 @@ fn client(id: &RobotId) -> Result<Client, Failure> {
     Client::connect(id, ANSWER).map_err(Failure::job)
 }
 
+/// A client of one start of the daemon alone.
+fn client_of(id: &RobotId, epoch: u64) -> Result<Client, Failure> {
+    let mut client = client(id)?;
+    client.bind(epoch);
+    Ok(client)
+}
+
 /// The daemon's status.
-pub fn status(id: &RobotId) -> Result<Status, Failure> {
-    match client(id)?.send(&Request::Status {}, ANSWER).map_err(Failure::job)? {
+fn status(id: &RobotId) -> Result<Status, Failure> {
+    status_by(client(id)?)
+}
+
+/// The status of one start of the daemon alone.
+fn status_of(id: &RobotId, epoch: u64) -> Result<Status, Failure> {
+    status_by(client_of(id, epoch)?)
+}
+
+fn status_by(mut client: Client) -> Result<Status, Failure> {
+    match client.send(&Request::Status {}, ANSWER).map_err(Failure::job)? {
         Response::Status(status) => Ok(*status),
         other => Err(Failure::job(format!("the daemon answered a question for its status with {other:?}"))),
     }

@@ -48,6 +48,8 @@ use crate::model::structure::Structure;
 use crate::report::Condition;
 use crate::store::Provenance;
 use clap::{Args, Parser, Subcommand};
+use std::fmt::Display;
+use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -173,17 +175,35 @@ fn robot_id(job: &Job) -> Result<RobotId, Failure> {
 
 /// A daemon that can't be reached; says so where it may be another user's.
 fn unreachable(error: IpcError) -> Failure {
-    match (&error, place::served_by_another()) {
-        (IpcError::NoDaemon { .. }, Some(owner)) => Failure::job(format!(
+    match error {
+        IpcError::NoDaemon { .. } => no_daemon(error),
+        _ => Failure::job(error),
+    }
+}
+
+/// There is no daemon for this user.
+fn no_daemon(error: impl Display) -> Failure {
+    match place::served_by_another() {
+        Some(owner) => Failure::job(format!(
             "{error}; the service on this machine belongs to user {owner}, and only that user may talk to it: `sudo -u plumbline plumbline ...`"
         )),
-        _ => Failure::job(error),
+        None => Failure::job(error),
     }
 }
 
 /// Takes the robot for this process.
 fn lock(id: &RobotId) -> Result<Lock, Failure> {
-    Lock::take(id).map_err(|error| match error {
+    locked(id, Lock::take(id))
+}
+
+/// Takes the robot over from the process that has started this one: its lock file is standard input.
+fn adopted_lock(id: &RobotId) -> Result<Lock, Failure> {
+    let file = std::io::stdin().as_fd().try_clone_to_owned().map_err(Failure::job)?;
+    locked(id, Lock::adopt(file.into(), id))
+}
+
+fn locked(id: &RobotId, lock: Result<Lock, LockError>) -> Result<Lock, Failure> {
+    lock.map_err(|error| match error {
         LockError::Held { .. } => {
             let expected = "a robot that no other daemon drives";
             Failure::Input(BadInput::new("command line", format!("robot `{id}`"), error, expected))

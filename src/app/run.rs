@@ -1,11 +1,12 @@
 //! `plumbline run`: daemon, estimator and report on one machine, for people without systemd.
 
-use super::estimator::status;
 use super::say::say;
 use super::{Failure, JobOptions, plan, progress, robot_id};
-use crate::ipc::{Client, Request, Response, RobotId};
+use crate::ipc::{Client, Request, Response, RobotId, Status};
 use crate::report::Report;
 use clap::Args;
+use rustix::process::{Pid, Signal, kill_process};
+use std::fs::File;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus};
 use std::sync::Arc;
@@ -21,6 +22,8 @@ pub struct Options {
 
 /// How long the two processes may take to find each other.
 const PATIENCE: Duration = Duration::from_secs(30);
+/// How long to wait for an answer.
+const ANSWER: Duration = Duration::from_secs(5);
 /// Pause between two looks at them.
 const LOOK: Duration = Duration::from_millis(100);
 /// How often a killed estimator is started again.
@@ -30,8 +33,9 @@ const RESTARTS: usize = 3;
 pub fn run(options: Options) -> Result<(), Failure> {
     let (job, robot, out) = options.job.load()?;
     let id = robot_id(&job)?;
+    // No other daemon comes up for this robot from here on, however long the planning takes: the daemon that is started below gets this very lock.
+    let lock = super::lock(&id)?;
     // What a daemon would refuse is refused here, before anything starts.
-    drop(super::lock(&id)?);
     super::truth(&job)?;
     super::rest(&job, &robot)?;
     std::fs::create_dir_all(&out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
@@ -42,16 +46,11 @@ pub fn run(options: Options) -> Result<(), Failure> {
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, Arc::clone(&interrupted)).map_err(Failure::job)?;
     }
-    let mut daemon = Process::start("daemon", &options.job, &out, &[])?;
+    let shared = lock.share().map_err(Failure::job)?;
+    let mut daemon = Process::start("daemon", &options.job, &out, &["--adopt-lock"], Some(shared))?;
     let outcome = drive(&id, &options.job, &out, &mut daemon, ticks as u64, &interrupted);
     // Whatever happened, the daemon ends by its own rules: it brakes first when the arm moves.
-    if daemon.child.try_wait().map_err(Failure::job)?.is_none() {
-        let quit = Client::connect(&id, LOOK).and_then(|mut client| client.send(&Request::Quit {}, PATIENCE));
-        if quit.is_err() {
-            daemon.child.kill().map_err(Failure::job)?;
-        }
-    }
-    let ended = daemon.child.wait().map_err(Failure::job)?;
+    let ended = daemon.end()?;
     outcome?;
     if !ended.success() {
         return Err(Failure::job(format!("the daemon ended badly: {ended}")));
@@ -69,9 +68,9 @@ fn drive(
     interrupted: &AtomicBool,
 ) -> Result<(), Failure> {
     let mut client = await_daemon(id, daemon)?;
-    let mut estimator = Process::start("estimator", job, out, &["--once"])?;
+    let mut estimator = Process::start("estimator", job, out, &["--once"], None)?;
     let outcome = (|| {
-        await_follower(id, daemon, &mut estimator)?;
+        await_follower(&mut client, daemon, &mut estimator)?;
         start(&mut client, interrupted)?;
         let bar = progress::bar("running");
         let mut restarts = 0;
@@ -88,10 +87,10 @@ fn drive(
                 Some(ended) if ended.code().is_none() && restarts < RESTARTS => {
                     restarts += 1;
                     tracing::warn!("the estimator was killed ({ended}); a new one goes on from what the daemon kept");
-                    estimator = Process::start("estimator", job, out, &["--once"])?;
+                    estimator = Process::start("estimator", job, out, &["--once"], None)?;
                 }
                 Some(ended) => {
-                    let stopped = status(id).ok().and_then(|now| now.stopped);
+                    let stopped = status(&mut client).and_then(|now| now.stopped);
                     let why = stopped
                         .map_or(format!("the estimator ended: {ended}"), |why| format!("the arm was stopped: {why}"));
                     return Err(Failure::job(why));
@@ -99,7 +98,7 @@ fn drive(
                 None => {}
             }
             // A daemon that is busy for a moment is no reason to give up; one that is gone is seen above.
-            if let Ok(now) = status(id) {
+            if let Some(now) = status(&mut client) {
                 bar.at(now.cycles as f64 / (1.3 * ticks as f64), &now.job);
             }
         }
@@ -113,25 +112,45 @@ fn drive(
     outcome
 }
 
+/// Waits for the daemon that this process has started. What is asked from here on is meant for that daemon alone.
 fn await_daemon(id: &RobotId, daemon: &mut Process) -> Result<Client, Failure> {
     let start = Instant::now();
     loop {
         if let Some(ended) = daemon.ended()? {
             return Err(Failure::job(format!("the daemon did not start: {ended}")));
         }
-        match Client::connect(id, LOOK) {
-            Ok(client) => return Ok(client),
+        let found = Client::connect(id, LOOK).and_then(|mut client| {
+            let answer = client.send(&Request::Status {}, ANSWER)?;
+            Ok((client, answer))
+        });
+        match found {
+            Ok((mut client, Response::Status(status))) => {
+                let own = daemon.child.id();
+                if status.process != own {
+                    return Err(Failure::job(format!(
+                        "another daemon (process {}) serves robot `{id}`; nothing was asked of it, and the daemon of this run (process {own}) is \
+                         ended",
+                        status.process
+                    )));
+                }
+                client.bind(status.served.epoch);
+                return Ok(client);
+            }
+            Ok((_, other)) => {
+                return Err(Failure::job(format!("the daemon answered a question for its status with {other:?}")));
+            }
             Err(error) if start.elapsed() > PATIENCE => return Err(Failure::job(error)),
             Err(_) => {}
         }
     }
 }
 
-/// Waits until the daemon has heard of the estimator, so that not even the first sample needs a replay.
-fn await_follower(id: &RobotId, daemon: &mut Process, estimator: &mut Process) -> Result<(), Failure> {
+/// Waits until the daemon has heard of the estimator that this process has started, so that not even the first sample needs a replay.
+fn await_follower(client: &mut Client, daemon: &mut Process, estimator: &mut Process) -> Result<(), Failure> {
     let start = Instant::now();
     while start.elapsed() < PATIENCE {
-        if status(id).is_ok_and(|status| !status.served.followers.is_empty()) {
+        let own = estimator.child.id();
+        if status(client).is_some_and(|status| status.served.followers.iter().any(|follower| follower.pid == own)) {
             return Ok(());
         }
         for process in [&mut *daemon, &mut *estimator] {
@@ -142,6 +161,14 @@ fn await_follower(id: &RobotId, daemon: &mut Process, estimator: &mut Process) -
         std::thread::sleep(LOOK);
     }
     Err(Failure::job("the estimator did not find the daemon"))
+}
+
+/// How the daemon is, where it answers.
+fn status(client: &mut Client) -> Option<Status> {
+    match client.send(&Request::Status {}, ANSWER).ok()? {
+        Response::Status(status) => Some(*status),
+        _ => None,
+    }
 }
 
 /// Starts the programme. A daemon that refuses may still be on its way up, as its inclinometer is; it says what it waits for.
@@ -166,12 +193,21 @@ struct Process {
 }
 
 impl Process {
-    fn start(name: &'static str, job: &JobOptions, out: &Path, more: &[&str]) -> Result<Process, Failure> {
+    fn start(
+        name: &'static str,
+        job: &JobOptions,
+        out: &Path,
+        more: &[&str],
+        input: Option<File>,
+    ) -> Result<Process, Failure> {
         let program = std::env::current_exe().map_err(Failure::job)?;
         let mut command = Command::new(program);
         command.arg(name).arg(&job.config).arg("--out").arg(out).args(more);
         for set in &job.sets {
             command.arg("--set").arg(set);
+        }
+        if let Some(input) = input {
+            command.stdin(input);
         }
         let child = command.spawn().map_err(|error| Failure::job(format!("the {name} can't be started: {error}")))?;
         Ok(Process { name, child })
@@ -179,6 +215,24 @@ impl Process {
 
     fn ended(&mut self) -> Result<Option<ExitStatus>, Failure> {
         self.child.try_wait().map_err(Failure::job)
+    }
+
+    /// Ends it by SIGTERM, which reaches no other process than this child; by force where it takes too long.
+    fn end(&mut self) -> Result<ExitStatus, Failure> {
+        let start = Instant::now();
+        let mut asked = false;
+        loop {
+            if let Some(ended) = self.ended()? {
+                return Ok(ended);
+            }
+            if !std::mem::replace(&mut asked, true) {
+                kill_process(Pid::from_child(&self.child), Signal::TERM).map_err(Failure::job)?;
+            }
+            if start.elapsed() > PATIENCE {
+                self.child.kill().map_err(Failure::job)?;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
     }
 }
 

@@ -49,6 +49,24 @@ pub enum Request {
     Record {},
 }
 
+impl Request {
+    /// Whether it carries a model, which takes long to read and to check.
+    pub(super) fn is_heavy(&self) -> bool {
+        matches!(self, Request::OfferModel { .. } | Request::ProposeModel { .. })
+    }
+}
+
+/// A request, and the start of the daemon that it is meant for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Envelope {
+    /// [`Served::epoch`] of that start; every daemon takes a request that names none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub epoch: Option<u64>,
+    /// What is asked.
+    #[serde(flatten)]
+    pub request: Request,
+}
+
 /// Why a model is proposed while another is served.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -107,6 +125,9 @@ pub enum Response {
 pub struct Status {
     /// The robot served.
     pub robot: String,
+    /// The daemon's process.
+    #[serde(default)]
+    pub process: u32,
     /// Number of joints.
     pub joints: usize,
     /// What the loop is doing.
@@ -454,6 +475,25 @@ mod tests {
             let response = Response::Status(Box::new(status));
             let bytes = encode("answer", &response, MAX_RESPONSE_BYTES).unwrap();
             assert_eq!(decode::<Response>("answer", &bytes, MAX_RESPONSE_BYTES).unwrap(), response);
+        }
+    }
+
+    #[test]
+    fn a_request_may_name_the_daemon_that_it_is_meant_for() {
+        for request in [Request::Start {}, Request::OfferModel { toml: "a = 1".into() }] {
+            for epoch in [None, Some(u64::MAX)] {
+                let envelope = Envelope { epoch, request: request.clone() };
+                let bytes = encode("request", &envelope, MAX_REQUEST_BYTES).unwrap();
+                assert_eq!(decode::<Envelope>("request", &bytes, MAX_REQUEST_BYTES).unwrap(), envelope);
+            }
+            // One that names none is the request alone, as earlier versions sent it.
+            let bytes = encode("request", &request, MAX_REQUEST_BYTES).unwrap();
+            let read = decode::<Envelope>("request", &bytes, MAX_REQUEST_BYTES).unwrap();
+            assert_eq!(read, Envelope { epoch: None, request });
+        }
+        for text in [r#"{"request":"stop","now":1}"#, r#"{"epoch":1}"#, r#"{"epoch":"a","request":"stop"}"#] {
+            let error = decode::<Envelope>("request", text.as_bytes(), MAX_REQUEST_BYTES).unwrap_err();
+            assert!(matches!(error, IpcError::Garbled { .. }), "{text:?}: {error}");
         }
     }
 

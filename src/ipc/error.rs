@@ -24,8 +24,8 @@ pub enum IpcError {
     Full {
         /// Name of the service.
         service: String,
-        /// Kind of port that found no place.
-        port: &'static str,
+        /// Kind of port that found no place, and who has them where that is known.
+        port: String,
     },
     /// A service of that name exists, but was made by another version of plumbline.
     #[error("service `{service}` exists with other types or sizes than this version of plumbline uses: {reason}")]

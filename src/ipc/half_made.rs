@@ -12,6 +12,7 @@ use std::sync::Once;
 use std::time::{Duration, SystemTime};
 
 use super::place;
+use super::services::process;
 
 /// Mode of a segment that is being made.
 const UNFINISHED: u32 = 0o200;
@@ -56,7 +57,7 @@ fn sweep(shared_memory: &Path, uid: u32, now: SystemTime) -> usize {
 /// Processes at the ends of a connection: the third 32 bits of the ids in its name, `PREFIX_ID_ID.connection`. None of other files.
 fn ends(path: &Path) -> impl Iterator<Item = u32> {
     let name = path.file_name().and_then(|name| name.to_str()?.strip_suffix(".connection")).unwrap_or_default();
-    name.rsplit('_').take(2).filter_map(|id| Some((id.parse::<u128>().ok()? >> 64) as u32))
+    name.rsplit('_').take(2).filter_map(|id| Some(process(id.parse().ok()?)))
 }
 
 fn runs(pid: u32) -> bool {

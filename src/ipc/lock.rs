@@ -1,8 +1,10 @@
 //! One daemon per robot, held by an advisory file lock that the kernel drops with the process, however it ends.
+//!
+//! The lock belongs to the open file: a process that passes its open file to a child passes the lock, without a gap.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io::{self, Read, Seek, Write};
-use std::os::unix::fs::OpenOptionsExt;
+use std::io;
+use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use super::place::{self, PlaceError};
@@ -34,13 +36,41 @@ pub enum LockError {
     },
 }
 
+/// What the lock file says, always in the same number of bytes for one process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Entry {
+    /// The process that serves the robot.
+    pub process: u32,
+    /// Stops that this process has taken.
+    pub stops: u64,
+    /// `CLOCK_MONOTONIC` when the last of them was taken, 0 before the first \[ns\].
+    pub stop_ns: u64,
+}
+
+impl Entry {
+    fn text(&self) -> String {
+        format!("process {}\nstops {:020}\nstop-ns {:020}\n", self.process, self.stops, self.stop_ns)
+    }
+
+    fn parse(text: &str) -> Option<Entry> {
+        let number = |key: &str| text.lines().find_map(|line| line.strip_prefix(key)?.trim().parse().ok());
+        let process = u32::try_from(number("process ")?).ok()?;
+        Some(Entry { process, stops: number("stops ").unwrap_or(0), stop_ns: number("stop-ns ").unwrap_or(0) })
+    }
+
+    /// What the file at `path` says; `None` where it does not exist or names no process.
+    pub(super) fn read(path: &Path) -> Option<Entry> {
+        Entry::parse(&fs::read_to_string(path).ok()?)
+    }
+}
+
 /// The right to serve a robot, until it is dropped.
 ///
 /// The file stays when the lock goes: removing it would let two daemons lock two files of the same name.
 #[derive(Debug)]
 pub struct Lock {
     path: PathBuf,
-    _file: File,
+    file: File,
 }
 
 impl Lock {
@@ -51,33 +81,88 @@ impl Lock {
 
     /// Takes the lock of `robot` in `directory`, which is made if it is missing.
     pub fn take_in(directory: &Path, robot: &RobotId) -> Result<Lock, LockError> {
-        let path = directory.join(format!("{robot}.lock"));
+        let path = path_in(directory, robot);
         let failed = |source: io::Error| LockError::Io { path: path.clone(), source };
         fs::create_dir_all(directory).map_err(failed)?;
         let mut open = OpenOptions::new();
         open.read(true).write(true).create(true).truncate(false).mode(0o600).custom_flags(libc::O_NOFOLLOW);
-        let mut file = open.open(&path).map_err(failed)?;
+        let file = open.open(&path).map_err(failed)?;
+        Lock::hold(path, file, robot)
+    }
+
+    /// Takes over the lock of `robot` from the process that opened `file` and passed it on; that process may hold it, too, and keep it.
+    ///
+    /// # Errors
+    /// [`LockError::Io`] where `file` is not the robot's lock file, [`LockError::Held`] where its lock is another process's.
+    pub fn adopt(file: File, robot: &RobotId) -> Result<Lock, LockError> {
+        let path = path_in(&place::directory()?, robot);
+        let failed = |source: io::Error| LockError::Io { path: path.clone(), source };
+        let (own, named) = (file.metadata().map_err(failed)?, fs::symlink_metadata(&path).map_err(failed)?);
+        if (own.dev(), own.ino()) != (named.dev(), named.ino()) {
+            return Err(failed(io::Error::other("the open file that was passed on is not this file")));
+        }
+        Lock::hold(path, file, robot)
+    }
+
+    /// Locks `file`, which this process or the one that passed it on may have done already, and writes who serves the robot.
+    fn hold(path: PathBuf, file: File, robot: &RobotId) -> Result<Lock, LockError> {
+        let failed = |source: io::Error| LockError::Io { path: path.clone(), source };
         match file.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
-                let mut holder = String::new();
-                let known = file.read_to_string(&mut holder).is_ok() && !holder.trim().is_empty();
-                let holder = if known { holder.trim().to_string() } else { "process unknown".to_string() };
+                let holder = match Entry::read(&path) {
+                    Some(entry) => format!("process {}", entry.process),
+                    None => "process unknown".to_string(),
+                };
                 return Err(LockError::Held { robot: robot.to_string(), holder, path });
             }
             Err(TryLockError::Error(source)) => return Err(failed(source)),
         }
-        // Who holds it, for whoever comes second. The lock itself does not depend on this text.
+        // For a second daemon, and for `plumbline command stop`. The lock itself does not depend on this text.
+        let entry = Entry { process: std::process::id(), stops: 0, stop_ns: 0 };
         file.set_len(0).map_err(failed)?;
-        file.rewind().map_err(failed)?;
-        writeln!(file, "process {}", std::process::id()).map_err(failed)?;
-        file.flush().map_err(failed)?;
-        Ok(Lock { path, _file: file })
+        file.write_all_at(entry.text().as_bytes(), 0).map_err(failed)?;
+        Ok(Lock { path, file })
     }
 
     /// The lock file.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// The open file with its lock, for a child process: [`Lock::adopt`] there.
+    ///
+    /// # Errors
+    /// No file descriptor is left.
+    pub fn share(&self) -> io::Result<File> {
+        self.file.try_clone()
+    }
+
+    /// Where stops are counted. Its memory is there already: counting needs no room on any disk.
+    pub(super) fn counter(&self) -> io::Result<StopCounter> {
+        let entry = Entry { process: std::process::id(), stops: 0, stop_ns: 0 };
+        Ok(StopCounter { file: self.file.try_clone()?, entry })
+    }
+}
+
+/// The lock file of `robot` in `directory`.
+pub(super) fn path_in(directory: &Path, robot: &RobotId) -> PathBuf {
+    directory.join(format!("{robot}.lock"))
+}
+
+/// Counts the stops that were taken, in the lock file.
+#[derive(Debug)]
+pub(super) struct StopCounter {
+    file: File,
+    entry: Entry,
+}
+
+impl StopCounter {
+    /// One more, taken at `now_ns`.
+    pub(super) fn count(&mut self, now_ns: u64) -> io::Result<()> {
+        self.entry.stops += 1;
+        self.entry.stop_ns = now_ns;
+        self.file.write_all_at(self.entry.text().as_bytes(), 0)
     }
 }
 
@@ -100,6 +185,40 @@ mod tests {
         assert!(lock.path().is_file());
         drop(lock);
         Lock::take_in(directory.path(), &robot).unwrap();
+    }
+
+    #[test]
+    fn a_lock_that_was_passed_on_outlives_the_process_that_took_it() {
+        let directory = tempfile::tempdir().unwrap();
+        let robot = RobotId::parse("test", "robot", "panda").unwrap();
+        let first = Lock::take_in(directory.path(), &robot).unwrap();
+        let path = first.path().to_path_buf();
+        let passed_on = first.share().unwrap();
+        let adopted = Lock::hold(path.clone(), passed_on, &robot).unwrap();
+        drop(first);
+        assert!(matches!(Lock::take_in(directory.path(), &robot), Err(LockError::Held { .. })));
+        // An open file of one's own has no part in it.
+        let stranger = OpenOptions::new().read(true).write(true).open(&path).unwrap();
+        assert!(matches!(Lock::hold(path, stranger, &robot), Err(LockError::Held { .. })));
+        drop(adopted);
+        Lock::take_in(directory.path(), &robot).unwrap();
+    }
+
+    #[test]
+    fn the_lock_file_counts_the_stops_of_its_process() {
+        let directory = tempfile::tempdir().unwrap();
+        let robot = RobotId::parse("test", "robot", "panda").unwrap();
+        let lock = Lock::take_in(directory.path(), &robot).unwrap();
+        let process = std::process::id();
+        assert_eq!(Entry::read(lock.path()), Some(Entry { process, stops: 0, stop_ns: 0 }));
+        let size = fs::metadata(lock.path()).unwrap().len();
+        let mut counter = lock.counter().unwrap();
+        counter.count(17).unwrap();
+        counter.count(u64::MAX).unwrap();
+        assert_eq!(Entry::read(lock.path()), Some(Entry { process, stops: 2, stop_ns: u64::MAX }));
+        assert_eq!(fs::metadata(lock.path()).unwrap().len(), size, "counting needs no more room");
+        assert_eq!(Entry::parse("process 12\n"), Some(Entry { process: 12, stops: 0, stop_ns: 0 }));
+        assert_eq!(Entry::parse("process -1\n"), None);
     }
 
     #[test]

@@ -7,6 +7,8 @@
 //! | `plumbline/R/feed-forward` | publish-subscribe, latest value | [`FeedForwardMessage`] for any number of clients |
 //! | `plumbline/R/command` | request-response, JSON | [`Request`] and [`Response`] |
 //!
+//! A stop has a way of its own beside them, without shared memory: [`stop`](stop()).
+//!
 //! The daemon's bridge thread owns one [`Server`]; the real-time thread never comes here. Nothing that a client does, or
 //! does not do, blocks the server: what does not fit into a client's buffer is discarded, and a follower of the samples
 //! fetches it from the daemon's [`RetainedLog`] afterwards. So the stream is complete without waiting for anyone.
@@ -24,11 +26,14 @@ mod half_made;
 mod lock;
 mod messages;
 pub mod place;
+mod requests;
 mod retain;
 mod robot;
 mod server;
 mod services;
+mod stop;
 mod stream;
+mod trouble;
 
 pub use client::Client;
 pub use command::{
@@ -40,8 +45,10 @@ pub use feed_forward::{FeedForwardClient, FeedForwardSettings, Latest, Presence}
 pub use followers::News;
 pub use lock::{Lock, LockError};
 pub use messages::{FeedForwardMessage, FollowRequest, MessageError, ReplayHeader, SampleMessage};
+pub use requests::{Asked, Ticket, read};
 pub use retain::RetainedLog;
 pub use robot::RobotId;
 pub use server::{Server, ServerSettings};
 pub use services::now_ns;
+pub use stop::{StopError, StopListener, StopOrder, Taken, Way, stop};
 pub use stream::{Delivery, SampleStream, StreamCounters, StreamSettings};

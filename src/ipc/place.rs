@@ -141,6 +141,48 @@ pub(super) fn only_ours_mapped() -> Result<(), PlaceError> {
     Ok(())
 }
 
+/// Gives every segment that this process has mapped by our names its memory now. A file in `/dev/shm` gets it page by page as it is written
+/// to, and where none is left then, the kernel ends the writer (SIGBUS).
+///
+/// # Errors
+/// [`PlaceError::Io`] names the first segment that there is no room for.
+pub(super) fn reserve_mapped() -> Result<(), PlaceError> {
+    let maps = PathBuf::from("/proc/self/maps");
+    let text = fs::read_to_string(&maps).map_err(|error| PlaceError::Io { path: maps, reason: error.to_string() })?;
+    let start = format!("{SHARED_MEMORY}/{}", prefix(user()));
+    let mut paths: Vec<&str> = mapped(&text, &start).collect();
+    paths.dedup();
+    for path in paths {
+        // One that is gone by now, or that this user may only read, is not written to from here.
+        let Ok(file) = fs::OpenOptions::new().read(true).write(true).open(path) else { continue };
+        let length = file.metadata().map_or(0, |found| found.len());
+        if length > 0 {
+            let reserved = rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, length);
+            reserved
+                .map_err(|error| PlaceError::Io { path: path.into(), reason: format!("{length} bytes: {error}") })?;
+        }
+    }
+    Ok(())
+}
+
+/// Least room in shared memory that a new client may need \[bytes\].
+const ROOM: u64 = 4 << 20;
+
+/// What this machine has run out of, of all that a connection needs.
+pub(super) fn shortage() -> Option<String> {
+    if let Err(error) = rustix::io::fcntl_dupfd_cloexec(std::io::stderr(), 0) {
+        return Some(format!("no file descriptor is left ({error})"));
+    }
+    no_room()
+}
+
+/// Where shared memory is as good as full, in words.
+pub(super) fn no_room() -> Option<String> {
+    let found = rustix::fs::statvfs(SHARED_MEMORY).ok()?;
+    let free = found.f_bavail.saturating_mul(found.f_frsize);
+    (free < ROOM).then(|| format!("{SHARED_MEMORY} is full ({free} bytes free)"))
+}
+
 /// Files in the text of `/proc/PID/maps` whose paths begin with `start`.
 fn mapped<'t>(maps: &'t str, start: &'t str) -> impl Iterator<Item = &'t str> {
     let paths = maps.lines().filter_map(|line| line.find('/').map(|at| &line[at..]));

@@ -1,27 +1,29 @@
 //! The daemon's side: one object on the bridge thread that publishes, keeps, replays and answers.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::server::Server as RequestServer;
+use iceoryx2::port::{DegradationAction, DegradationCause, DegradationFn};
 use iceoryx2::prelude::*;
 use serde::Deserialize;
 
-use super::command::{self, MAX_REQUEST_BYTES, MAX_RESPONSE_BYTES, Request, Response, Served};
+use super::command::{MAX_RESPONSE_BYTES, Request, Response, Served};
 use super::error::IpcError;
 use super::followers::{Followers, News, Word};
 use super::messages::{FeedForwardMessage, FollowRequest, ReplayHeader, SampleMessage};
+use super::place;
+use super::requests::{self, Asked, Requests, Ticket};
 use super::retain::RetainedLog;
 use super::robot::RobotId;
 use super::services::{self, BATCH, REPLAY, SERVER_PATIENCE, ServiceNode, now_ns, patiently};
+use super::trouble::Troubles;
 use crate::joint::Record;
 
-/// Requests handled in one [`Server::poll`] per service, so that a flood of them does not hold up the samples.
-const REQUESTS_PER_POLL: usize = 8;
-/// Time after which one [`Server::poll`] takes no further request \[ns\]: long ones are dear to read.
-const TIME_PER_POLL_NS: u64 = 500_000;
-/// First size of an answer's memory; it grows when an answer needs more \[bytes\].
-const RESPONSE_BYTES: usize = 4096;
+/// Replay requests handled in one [`Server::poll`], so that a flood of them does not hold up the samples.
+const REPLAYS_PER_POLL: usize = 8;
 /// Pause between two looks at silent followers.
 const CHECK_EVERY_NS: u64 = 250_000_000;
 
@@ -51,12 +53,16 @@ pub struct Server {
     log: RetainedLog,
     followers: Followers,
     counters: Served,
+    troubles: Troubles,
+    /// Clients whose connection could not be opened.
+    unconnected: Arc<AtomicU64>,
+    unconnected_said: u64,
     checked_ns: u64,
     // The ports go before the services, the services before their node.
     samples: Publisher<ipc::Service, [SampleMessage], ()>,
     feed_forward: Publisher<ipc::Service, FeedForwardMessage, ()>,
     replay: RequestServer<ipc::Service, FollowRequest, (), [SampleMessage], ReplayHeader>,
-    commands: RequestServer<ipc::Service, [u8], (), [u8], ()>,
+    requests: Requests,
     replay_service: services::Replay,
     node: ServiceNode,
 }
@@ -76,25 +82,35 @@ impl Server {
         let replay_service = services::serve_replay(&node, robot)?;
         let command_service = services::serve_commands(&node, robot)?;
 
+        let unconnected = Arc::new(AtomicU64::new(0));
         let samples = patiently(&services::samples_name(robot), SERVER_PATIENCE, || {
             let builder = samples_service.publisher_builder().initial_max_slice_len(BATCH);
+            let builder = builder.set_degradation_handler(counting(&unconnected));
             Ok(builder.max_loaned_samples(1).backpressure_strategy(BackpressureStrategy::DiscardData).create())
         })?;
         let feed_forward = patiently(&services::feed_forward_name(robot), SERVER_PATIENCE, || {
             let builder = feed_forward_service.publisher_builder().max_loaned_samples(1);
+            let builder = builder.set_degradation_handler(counting(&unconnected));
             Ok(builder.backpressure_strategy(BackpressureStrategy::DiscardData).create())
         })?;
         let replay = patiently(&services::replay_name(robot), SERVER_PATIENCE, || {
-            let builder = replay_service.server_builder().initial_max_slice_len(REPLAY);
+            let builder = replay_service.server_builder().set_request_degradation_handler(counting(&unconnected));
+            let builder = builder.set_response_degradation_handler(counting(&unconnected));
+            let builder = builder.initial_max_slice_len(REPLAY);
             let builder = builder.max_loaned_responses_per_request(1);
             Ok(builder.backpressure_strategy(BackpressureStrategy::DiscardData).create())
         })?;
         let commands = patiently(&services::command_name(robot), SERVER_PATIENCE, || {
-            let builder = command_service.server_builder().initial_max_slice_len(RESPONSE_BYTES);
-            let builder = builder.allocation_strategy(AllocationStrategy::PowerOfTwo);
+            let builder = command_service.server_builder().set_request_degradation_handler(counting(&unconnected));
+            let builder = builder.set_response_degradation_handler(counting(&unconnected));
+            let builder = builder.initial_max_slice_len(MAX_RESPONSE_BYTES);
+            // No memory that grows: shared memory may be full by then.
+            let builder = builder.allocation_strategy(AllocationStrategy::Static);
             let builder = builder.max_loaned_responses_per_request(1);
             Ok(builder.backpressure_strategy(BackpressureStrategy::DiscardData).create())
         })?;
+
+        place::reserve_mapped().map_err(|error| services::transport("reserving memory for", robot.as_str(), error))?;
 
         let epoch = new_epoch();
         Ok(Server {
@@ -103,11 +119,14 @@ impl Server {
             settings,
             followers: Followers::default(),
             counters: Served { epoch, ..Served::default() },
+            troubles: Troubles::default(),
+            unconnected,
+            unconnected_said: 0,
             checked_ns: now_ns(),
             samples,
             feed_forward,
             replay,
-            commands,
+            requests: Requests::of(commands),
             replay_service,
             node,
         })
@@ -154,48 +173,45 @@ impl Server {
         }
     }
 
-    /// Answers what has arrived: replay by itself, commands through `handle`. Returns the number of commands handled.
+    /// Answers what has arrived: replay by itself, commands through `handle`, heavy ones too. Returns the number of commands handled.
     ///
-    /// To be called every few milliseconds; each call handles a bounded number of requests.
+    /// To be called every few milliseconds; each call takes a bounded time, a heavy request's own apart.
     pub fn poll(&mut self, mut handle: impl FnMut(Request, &Served) -> Response) -> usize {
+        let (epoch, mut garbled) = (self.epoch, 0);
+        let handled = self.serve(usize::MAX, |asked, served| {
+            let request = match asked {
+                Asked::Light(request) => Ok(request),
+                Asked::Heavy(_, bytes) => requests::read(bytes, epoch).inspect_err(|_| garbled += 1),
+            };
+            Some(request.map_or_else(|refused| refused, |request| handle(request, served)))
+        });
+        self.counters.garbled_requests += garbled;
+        handled - garbled as usize
+    }
+
+    /// Answers what has arrived: replay by itself, light requests through `answer`, one client as much as any other. As many heavy requests as
+    /// there is `room` for are given to `answer`, too; where it returns `None`, [`Server::answer`] has the answer later. The others wait.
+    pub fn serve(&mut self, room: usize, answer: impl FnMut(Asked, &Served) -> Option<Response>) -> usize {
         self.poll_replay();
         self.look_after_followers();
-        let mut handled = 0;
-        let begin = now_ns();
-        for _ in 0..REQUESTS_PER_POLL {
-            if now_ns().saturating_sub(begin) > TIME_PER_POLL_NS {
-                break;
-            }
-            let active = match self.commands.receive() {
-                Ok(Some(active)) => active,
-                Ok(None) => break,
-                Err(trouble) => {
-                    self.trouble("command", trouble.to_string());
-                    break;
-                }
-            };
-            let response = match command::decode("request", active.payload(), MAX_REQUEST_BYTES) {
-                Ok(request) => {
-                    handled += 1;
-                    handle(request, &self.served())
-                }
-                Err(error) => {
-                    self.counters.garbled_requests += 1;
-                    Response::Refused { reason: error.to_string() }
-                }
-            };
-            let bytes = command::encode("answer", &response, MAX_RESPONSE_BYTES).or_else(|error| {
-                command::encode("answer", &Response::Refused { reason: error.to_string() }, MAX_RESPONSE_BYTES)
-            });
-            let sent = bytes.map_err(|error| error.to_string()).and_then(|bytes| {
-                let memory = active.loan_slice_uninit(bytes.len()).map_err(|error| error.to_string())?;
-                memory.write_from_slice(&bytes).send().map_err(|error| error.to_string())
-            });
-            if let Err(trouble) = sent {
-                self.trouble("command", trouble);
-            }
+        self.look_after_connections();
+        let served = self.served();
+        let outcome = self.requests.serve(self.epoch, &served, room, answer);
+        self.counters.garbled_requests += outcome.garbled;
+        outcome.trouble.into_iter().for_each(|trouble| self.trouble("command", trouble));
+        outcome.handled
+    }
+
+    /// Answers a heavy request.
+    pub fn answer(&mut self, ticket: Ticket, response: &Response) {
+        if let Err(trouble) = self.requests.answer(ticket, response) {
+            self.trouble("command", trouble);
         }
-        handled
+    }
+
+    /// Counts a heavy request that could not be read.
+    pub fn garbled(&mut self) {
+        self.counters.garbled_requests += 1;
     }
 
     /// What has been done so far.
@@ -215,7 +231,7 @@ impl Server {
     }
 
     fn poll_replay(&mut self) {
-        for _ in 0..REQUESTS_PER_POLL {
+        for _ in 0..REPLAYS_PER_POLL {
             let active = match self.replay.receive() {
                 Ok(Some(active)) => active,
                 Ok(None) => return,
@@ -278,9 +294,33 @@ impl Server {
         });
     }
 
+    /// A client that could not be connected does not learn of it: its requests never arrive.
+    fn look_after_connections(&mut self) {
+        let failed = self.unconnected.load(Ordering::Relaxed);
+        for _ in 0..failed.saturating_sub(self.unconnected_said).min(100) {
+            let cause = place::shortage().unwrap_or_else(|| "its shared memory can't be opened".into());
+            self.trouble("a client", format!("not connected: {cause}"));
+        }
+        self.unconnected_said = failed;
+    }
+
     fn trouble(&mut self, service: &str, reason: String) {
-        tracing::debug!(service, reason, "shared memory");
-        self.counters.trouble = Some(format!("{service}: {reason}"));
+        let cause = format!("{service}: {reason}");
+        if let Some(line) = self.troubles.count(&cause) {
+            tracing::warn!("shared memory: {line}");
+        }
+        self.counters.trouble = Some(cause);
+    }
+}
+
+/// Counts the clients that a port can't connect to; the others are served.
+fn counting(unconnected: &Arc<AtomicU64>) -> impl DegradationFn + use<> {
+    let unconnected = Arc::clone(unconnected);
+    move |cause, _| {
+        if matches!(cause, DegradationCause::FailedToEstablishConnection) {
+            unconnected.fetch_add(1, Ordering::Relaxed);
+        }
+        DegradationAction::Ignore
     }
 }
 

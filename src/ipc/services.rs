@@ -1,5 +1,6 @@
 //! The iceoryx2 services: their names, sizes, and how they are opened by the daemon and by clients.
 
+use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::path::Path;
 use std::sync::Once;
@@ -28,7 +29,9 @@ const MAX_FOLLOWERS: usize = 4;
 /// Clients that read the feed-forward.
 const MAX_FEED_FORWARD_CLIENTS: usize = 32;
 /// Clients of the command service.
-const MAX_COMMAND_CLIENTS: usize = 16;
+pub(super) const MAX_COMMAND_CLIENTS: usize = 16;
+/// Those among them that are left to operators.
+pub(super) const OPERATORS: usize = 4;
 /// Nodes beyond the clients: the daemon, and room for dead ones that nobody has cleaned up yet.
 const SPARE_NODES: usize = 16;
 /// Pause between two attempts to open something.
@@ -73,6 +76,10 @@ fn node() -> Result<ServiceNode, IpcError> {
     let failed = |error: String| transport("making a node for", "plumbline", error);
     let root = place::directory().map_err(|error| failed(error.to_string()))?;
     let config = config(&root).map_err(failed)?;
+    // A segment that finds no room ends its maker by a signal (SIGBUS).
+    if let Some(full) = place::no_room() {
+        return Err(failed(full));
+    }
     half_made::look_after();
     // Signals belong to the program, not to this library.
     let builder = NodeBuilder::new().config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
@@ -267,11 +274,11 @@ fn classify(service: &str, reason: &str) -> IpcError {
         return IpcError::Incompatible { service, reason: reason.to_string() };
     }
     match reason.split("ExceedsMax").nth(1) {
-        Some(what) if what.contains("Publisher") => IpcError::Full { service, port: "publisher" },
-        Some(what) if what.contains("Subscriber") => IpcError::Full { service, port: "subscriber" },
-        Some(what) if what.contains("Server") => IpcError::Full { service, port: "server" },
-        Some(what) if what.contains("Client") => IpcError::Full { service, port: "client" },
-        Some(_) => IpcError::Full { service, port: "process" },
+        Some(what) if what.contains("Publisher") => IpcError::Full { service, port: "publisher".into() },
+        Some(what) if what.contains("Subscriber") => IpcError::Full { service, port: "subscriber".into() },
+        Some(what) if what.contains("Server") => IpcError::Full { service, port: "server".into() },
+        Some(what) if what.contains("Client") => IpcError::Full { service, port: "client".into() },
+        Some(_) => IpcError::Full { service, port: "process".into() },
         None => IpcError::Transport { doing: "opening", service, reason: reason.to_string() },
     }
 }
@@ -284,6 +291,24 @@ fn joined<T>(robot: &RobotId, patience: Duration, result: Result<T, IpcError>) -
     })?;
     place::only_ours_mapped().map_err(|error| transport("joining", robot.as_str(), error))?;
     Ok(opened)
+}
+
+/// The error for a command service without a place, with those who have them.
+pub(super) fn full(name: &str, service: &Commands) -> IpcError {
+    let mut processes = BTreeMap::<u32, usize>::new();
+    service.dynamic_config().list_clients(|details| {
+        *processes.entry(process(details.client_id.value())).or_default() += 1;
+        CallbackProgression::Continue
+    });
+    let each = processes.iter().map(|(process, places)| format!("process {process} has {places}"));
+    let holders = each.collect::<Vec<_>>().join(", ");
+    let port = format!("client: of {MAX_COMMAND_CLIENTS} places ({OPERATORS} for operators) {holders}");
+    IpcError::Full { service: name.to_string(), port }
+}
+
+/// The process that made a port or a node: the third 32 bits of its number.
+pub(super) fn process(id: u128) -> u32 {
+    (id >> 64) as u32
 }
 
 /// Whether the process behind a node still runs. A node that is not there any more was cleaned up after its end.
@@ -312,7 +337,7 @@ mod tests {
         let sizes = "RequestResponseOpenError::DoesNotSupportRequestedAmountOfClients";
         assert!(matches!(class(sizes), IpcError::Incompatible { .. }));
         let full = class("PublisherCreateError::ExceedsMaxSupportedPublishers");
-        assert_eq!(full, IpcError::Full { service: "s".into(), port: "publisher" });
+        assert_eq!(full, IpcError::Full { service: "s".into(), port: "publisher".into() });
         assert!(matches!(class("PublishSubscribeOpenError::DoesNotExist"), IpcError::Transport { .. }));
 
         let robot = RobotId::parse("test", "robot", "nobody").unwrap();

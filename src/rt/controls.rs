@@ -80,12 +80,12 @@ impl Controls {
     }
 
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    pub(in crate::rt) fn take_stop(&self) -> bool {
+    pub(crate) fn take_stop(&self) -> bool {
         self.stop.swap(false, Ordering::AcqRel)
     }
 
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    pub(in crate::rt) fn pulse(&self) -> u64 {
+    pub(crate) fn pulse(&self) -> u64 {
         self.pulse.load(Ordering::Relaxed)
     }
 

@@ -267,6 +267,38 @@ fn commands_are_answered_and_garbage_is_refused() {
 }
 
 #[test]
+fn a_request_for_another_start_of_the_daemon_is_not_carried_out() {
+    let robot = robot("bound");
+    let daemon = Daemon::start(&robot, ServerSettings::default(), |server, stop| {
+        let mut started = 0;
+        while !stop.load(Ordering::Relaxed) {
+            server.poll(|request, served| match request {
+                Request::Status {} => {
+                    Response::Status(Box::new(Status { served: served.clone(), ..Status::default() }))
+                }
+                _ => {
+                    started += 1;
+                    Response::Accepted {}
+                }
+            });
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        started
+    });
+    let mut client = Client::connect(&robot, PATIENCE).unwrap();
+    let Response::Status(status) = client.send(&Request::Status {}, PATIENCE).unwrap() else { panic!() };
+    client.bind(status.served.epoch);
+    assert_eq!(client.send(&Request::Start {}, PATIENCE).unwrap(), Response::Accepted {});
+    client.bind(status.served.epoch + 1);
+    // Light and heavy.
+    for request in [Request::Start {}, Request::OfferModel { toml: "x".repeat(20_000) }] {
+        let Response::Refused { reason } = client.send(&request, PATIENCE).unwrap() else { panic!() };
+        assert!(reason.contains(&format!("this is start {}", status.served.epoch)), "{reason}");
+    }
+    assert_eq!(daemon.stop(), 1);
+}
+
+#[test]
 fn a_missing_a_busy_and_a_second_daemon_are_told_apart() {
     let robot = robot("absent");
     let absent = [

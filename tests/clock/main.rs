@@ -23,4 +23,5 @@ mod kill_campaign;
 mod rt_rights;
 mod service;
 mod squatters;
+mod stop_path;
 mod torque_clients;

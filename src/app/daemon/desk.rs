@@ -1,5 +1,6 @@
 //! What the daemon knows and decides: answers requests, accepts models, says what the loop does.
 
+use super::check::{Checked, check};
 use super::gravity::Watch;
 use super::recorder::Recorder;
 use crate::app::Failure;
@@ -9,14 +10,13 @@ use crate::config::robot::Robot;
 use crate::input::BadInput;
 use crate::ipc::{
     Held, Mounting as MountingMessage, News, Progress, Proposal, Request, Response, Served,
-    Session as SessionStatistics, Status, now_ns,
+    Session as SessionStatistics, Status, StopOrder, now_ns,
 };
 use crate::joint::{JointVec, Record};
 use crate::model::gravity::Mounting;
 use crate::model::torque::TorqueModel;
 use crate::recording::about::Reason;
 use crate::rt::order::{Controls, Event, StopReason};
-use crate::store::{ModelFile, model_identity};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -86,6 +86,45 @@ pub struct Desk {
 }
 
 impl Desk {
+    /// Nothing has happened yet. It listens to the inclinometer, where there is one: call it before the priority of this thread goes up.
+    ///
+    /// # Errors
+    /// What the job says of the arm, its pose at rest or its inclinometer can't be used.
+    pub fn new(
+        job: Job,
+        robot: Robot,
+        names: Vec<(u32, String)>,
+        recorder: Recorder,
+        signalled: Arc<AtomicBool>,
+    ) -> Result<Desk, Failure> {
+        Ok(Desk {
+            recorder,
+            truth: crate::app::truth(&job)?,
+            rest: crate::app::rest(&job, &robot)?,
+            model: None,
+            held: None,
+            mounting: job.mounting,
+            gravity: Watch::open(&job)?,
+            progress: Progress::Idle,
+            names,
+            sessions: Vec::new(),
+            ended: Vec::new(),
+            recoveries: 0,
+            degraded: Vec::new(),
+            driven: None,
+            stopped: None,
+            cause: None,
+            barred: false,
+            distrusted: None,
+            last: Record::default(),
+            signalled,
+            start: false,
+            quit: false,
+            job,
+            robot,
+        })
+    }
+
     /// Whether the daemon is to end.
     pub fn must_quit(&self) -> bool {
         self.quit || self.signalled.load(Ordering::Relaxed)
@@ -123,9 +162,6 @@ impl Desk {
                 self.quit = true;
                 Response::Accepted {}
             }
-            Request::Stop {} if controls.is_none() && !self.is_under_way() => {
-                refused("the arm is not connected, so nothing moves")
-            }
             Request::Stop {} => {
                 self.stop(controls);
                 Response::Accepted {}
@@ -146,14 +182,12 @@ impl Desk {
                 Response::Accepted {}
             }
             Request::Record {} => refused("the job's `recorder.span` is 0 s: nothing is recorded"),
-            Request::OfferModel { toml } => match self.accept("offered model", &toml) {
-                Ok(model) => Response::ModelAccepted { model },
-                Err(bad) => Response::Refused { reason: bad.to_string() },
-            },
-            Request::ProposeModel { toml, proposal } => match self.check("proposed model", &toml) {
-                Ok(checked) => self.propose(checked, proposal),
-                Err(bad) => Response::Refused { reason: bad.to_string() },
-            },
+            Request::OfferModel { .. } | Request::ProposeModel { .. } => {
+                match Checked::of(&self.robot, &self.mounting, request) {
+                    Checked::Other(_) => refused("no model"),
+                    checked => self.conclude(checked, served, controls),
+                }
+            }
             Request::Adopt {} => match self.held.take() {
                 Some((held, proposal)) => self.adopt(held, proposal),
                 None => refused("no model was proposed"),
@@ -166,6 +200,29 @@ impl Desk {
                 None => refused("no model was proposed"),
             },
         }
+    }
+
+    /// Answers a request whose model was checked.
+    pub fn conclude(&mut self, checked: Checked, served: &Served, controls: Option<&Controls>) -> Response {
+        let refused = |bad: BadInput| Response::Refused { reason: bad.to_string() };
+        match checked {
+            Checked::Offered(model) => match self.accept("offered model", *model) {
+                Ok(model) => Response::ModelAccepted { model },
+                Err(bad) => refused(bad),
+            },
+            Checked::Proposed(model, proposal) => match self.still_holds("proposed model", &model) {
+                Ok(()) => self.propose(*model, proposal),
+                Err(bad) => refused(bad),
+            },
+            Checked::Other(request) => self.answer(request, served, controls),
+            Checked::Refused(response) | Checked::Garbled(response) => response,
+        }
+    }
+
+    /// Takes note of a stop that the running loop, if any, has been told of already.
+    pub fn take_stop(&mut self, order: StopOrder, controls: Option<&Controls>) {
+        tracing::warn!(plumbline_event = "stop", "a stop was requested by {order}");
+        self.stop(controls);
     }
 
     /// Brakes the arm. The stop stands until an operator lifts it, also where no loop is there to hear it or the one that is hears no more.
@@ -228,12 +285,14 @@ impl Desk {
 
     /// Takes a model from a file that a person named, by its text.
     pub fn accept_text(&mut self, path: &Path, text: &str) -> Result<u64, Failure> {
-        Ok(self.accept(&path.display().to_string(), text)?)
+        let file = path.display().to_string();
+        let checked = check(&self.robot, &self.mounting, &file, text)?;
+        Ok(self.accept(&file, checked)?)
     }
 
-    /// Checks a model's text and serves it from one of the next cycles on. What was proposed before is about another model.
-    fn accept(&mut self, file: &str, text: &str) -> Result<u64, BadInput> {
-        let checked = self.check(file, text)?;
+    /// Serves a model that was checked from one of the next cycles on. What was proposed before is about another model.
+    fn accept(&mut self, file: &str, checked: Accepted) -> Result<u64, BadInput> {
+        self.still_holds(file, &checked)?;
         self.gravity.try_out(&checked).map_err(|off| {
             BadInput::new(file, "mounting", off, "declared, measured and implied directions of gravity that agree")
         })?;
@@ -241,19 +300,20 @@ impl Desk {
         Ok(self.serve(checked))
     }
 
-    /// Checks a model's text: the right robot, a set that holds in this mounting.
-    fn check(&self, file: &str, text: &str) -> Result<Accepted, BadInput> {
-        let offered = ModelFile::parse(file, text, |name| {
-            if name == self.robot.name {
-                return Ok(self.robot.chain.clone());
-            }
-            Err(BadInput::new(file, "key `robot`", name, format!("`{}`, which this daemon drives", self.robot.name)))
-        })?;
-        offered.model.valid_in(&self.mounting).map_err(|refused| {
-            BadInput::new(file, "key `kind`", refused, "a model that holds in the present mounting")
-        })?;
-        let ModelFile { model, noise_floor: noise, .. } = offered;
-        Ok(Accepted { id: model_identity(text), text: text.to_string(), model, noise })
+    /// The arm may have been mounted in another way since the model was checked.
+    fn still_holds(&self, file: &str, checked: &Accepted) -> Result<(), BadInput> {
+        if checked.model.holds_in(&self.mounting) {
+            return Ok(());
+        }
+        let expected = "a model that holds in the present mounting";
+        checked.model.valid_in(&self.mounting).map_err(|refused| BadInput::new(file, "key `kind`", refused, expected))
+    }
+
+    /// Whether the served model may be handed to a loop: it holds in that loop's mounting, and no loop has distrusted it.
+    pub fn may_hand_over(&self, mounting: &Mounting) -> bool {
+        self.model
+            .as_ref()
+            .is_some_and(|accepted| accepted.model.holds_in(mounting) && self.distrusted != Some(accepted.id))
     }
 
     /// Serves a model that was checked.
@@ -348,6 +408,7 @@ impl Desk {
         let Mounting { rho, phi } = Mounting::along(&gravity);
         let mut status = Status {
             robot: self.robot.name.clone(),
+            process: std::process::id(),
             joints: self.robot.chain.len(),
             phase: self.last.phase,
             motion: self.last.motion,
@@ -381,3 +442,6 @@ impl Desk {
         status
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -4,6 +4,7 @@
 //! connection to the arm (`session`), and knows this side only through its rings.
 
 mod arm;
+mod check;
 mod desk;
 mod gravity;
 mod labels;
@@ -12,24 +13,32 @@ mod rest;
 mod rhythm;
 mod script;
 mod session;
+mod stop_line;
 
 use super::programme::Programme;
 use super::service::{self, Service};
 use super::{Failure, JobOptions, journal, owned};
-use crate::ipc::{Progress, Server, ServerSettings, Session as SessionStatistics, Times};
-use crate::joint::Record;
+use crate::config::job::Job;
+use crate::ipc::{
+    Asked, Lock, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener, Times, now_ns,
+};
 use crate::model::gravity::Mounting;
 use crate::rt::cycle::End;
+use crate::rt::order::Controls;
+use crate::rt::os;
 use arm::Purpose;
+use check::{Checked, Checker};
 use clap::Args;
 use desk::Desk;
 use recorder::Recorder;
+use rhythm::RequestShare;
 use script::Script;
 use session::Session;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
+use stop_line::StopLine;
 
 /// Options of `plumbline daemon`.
 #[derive(Args)]
@@ -39,6 +48,9 @@ pub struct Options {
     /// Serve this model from the start
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
+    /// Standard input is the robot's lock file, locked by the process that has started this one
+    #[arg(long, hide = true)]
+    adopt_lock: bool,
 }
 
 /// The longest that connecting to a robot, or its recovery, takes before it fails by itself; the watchdog waits for it.
@@ -46,9 +58,13 @@ const CONNECTION: Duration = Duration::from_secs(90);
 
 /// What the bridge thread owns.
 pub struct Daemon {
+    stops: StopLine,
     server: Server,
+    checker: Checker,
     desk: Desk,
     service: Service,
+    /// When requests are answered next.
+    share: RequestShare,
 }
 
 /// How a session was seen through.
@@ -67,7 +83,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let id = super::robot_id(&job)?;
     let _about = journal::about(id.as_str());
     // Before anything else is touched: nobody else may drive this robot.
-    let _lock = super::lock(&id)?;
+    let lock = if options.adopt_lock { super::adopted_lock(&id)? } else { super::lock(&id)? };
+    // A stop is taken from here on, also while the excitation is planned.
+    let stops = stop_line(&lock, &job)?;
     let programme = super::plan::programme(&job, &robot, &out)?;
     let signalled = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
@@ -75,37 +93,15 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
     // Its thread begins before anything asks for priority.
     let recorder = Recorder::start(&job, &id, &out)?;
-    let mut desk = Desk {
-        recorder,
-        truth: super::truth(&job)?,
-        rest: super::rest(&job, &robot)?,
-        model: None,
-        held: None,
-        mounting: job.mounting,
-        gravity: gravity::Watch::open(&job)?,
-        progress: Progress::Idle,
-        names: programme.motions().map(|motion| (motion.number, motion.name.clone())).collect(),
-        sessions: Vec::new(),
-        ended: Vec::new(),
-        recoveries: 0,
-        degraded: Vec::new(),
-        driven: None,
-        stopped: None,
-        cause: None,
-        barred: false,
-        distrusted: None,
-        last: Record::default(),
-        signalled,
-        start: false,
-        quit: false,
-        job,
-        robot,
-    };
+    let names = programme.motions().map(|motion| (motion.number, motion.name.clone())).collect();
+    let mut desk = Desk::new(job, robot, names, recorder, signalled)?;
     if let Some((path, text)) = model {
         desk.accept_text(&path, &text)?;
     }
     let server = Server::open(&id, ServerSettings::default()).map_err(Failure::job)?;
-    let mut daemon = Daemon { server, desk, service: Service::of_environment() };
+    let checker = Checker::start(desk.robot.clone(), server.epoch()).map_err(Failure::job)?;
+    let (service, share) = (Service::of_environment(), RequestShare::default());
+    let mut daemon = Daemon { stops, server, checker, desk, service, share };
     tracing::info!("the daemon of robot `{id}` is ready; the arm moves after `plumbline command start`");
     daemon.service.ready("at rest; the arm moves after `plumbline command start`");
     daemon.hold(daemon.desk.mounting)?;
@@ -116,6 +112,15 @@ pub fn run(options: Options) -> Result<(), Failure> {
     daemon.service.stopping();
     tracing::info!("the daemon ends; it has published {} samples", daemon.server.served().published);
     Ok(())
+}
+
+/// Begins to listen for stops. The thread's priority is above the bridge thread's, where the arm keeps the clock's time.
+fn stop_line(lock: &Lock, job: &Job) -> Result<StopLine, Failure> {
+    let failed = |error: std::io::Error| Failure::job(format!("stops can't be listened for: {error}"));
+    let listener = StopListener::open(lock).map_err(failed)?;
+    let rights = (!job.backend.is_fast()).then(|| session::listener_rights(&job.realtime));
+    StopLine::start(listener, move || rights.iter().for_each(|rights| drop(os::become_realtime(rights))))
+        .map_err(failed)
 }
 
 /// A model file that a person named, with its text.
@@ -180,7 +185,9 @@ impl Daemon {
 
     /// Runs a session to its end and keeps its figures.
     fn see_through(&mut self, session: Session) -> Result<Seen, Failure> {
-        let (statistics, end) = session.run(self)?;
+        let ended = session.run(self);
+        self.stops.connect(None);
+        let (statistics, end) = ended?;
         tracing::info!("{}", account(&statistics));
         let words = statistics.link.as_ref().and_then(|link| link.fault.clone()).unwrap_or_else(|| end.to_string());
         self.desk.sessions.push(statistics);
@@ -213,13 +220,39 @@ impl Daemon {
         })
     }
 
-    /// Answers the requests that are waiting.
-    fn talk(&mut self, controls: Option<&crate::rt::order::Controls>) {
-        let Daemon { server, desk, .. } = self;
-        server.poll(|request, served| desk.answer(request, served, controls));
+    /// Takes note of a stop that has come. `controls` are the running loop's, where one runs.
+    fn take_stop(&mut self, controls: Option<&Controls>) {
+        if let Some(order) = self.stops.attend(controls) {
+            self.desk.take_stop(order, controls);
+        }
+    }
+
+    /// Takes note of a stop; answers the requests that are waiting, where their share of the time allows that.
+    fn talk(&mut self, controls: Option<&Controls>) {
+        self.take_stop(controls);
+        let begin = now_ns();
+        if !self.share.is_due(begin) {
+            return;
+        }
+        let Daemon { server, desk, checker, .. } = self;
+        while let Some((ticket, checked)) = checker.take() {
+            if matches!(checked, Checked::Garbled(_)) {
+                server.garbled();
+            }
+            let response = desk.conclude(checked, &server.served(), controls);
+            server.answer(ticket, &response);
+        }
+        server.serve(checker.room(begin), |asked, served| match asked {
+            Asked::Light(request) => Some(desk.answer(request, served, controls)),
+            Asked::Heavy(ticket, bytes) => {
+                checker.give(ticket, bytes, desk.mounting, begin);
+                None
+            }
+        });
         while let Some(news) = server.take_news() {
             desk.news(&news, controls);
         }
+        self.share.spent(begin, now_ns());
     }
 }
 

@@ -1,4 +1,4 @@
-//! When the loop's next record is due, so that the bridge thread can sleep until then.
+//! What the bridge thread does when: it sleeps until the loop's next record is due, and answers requests for a share of its time.
 
 use crate::rt::PERIOD_NS;
 
@@ -31,9 +31,56 @@ impl Rhythm {
     }
 }
 
+/// So many times as long as answering took, nothing is answered: a fifth of the time goes to requests at most.
+const RESTS_PER_TALK: u64 = 4;
+/// But no longer than this \[ns\].
+const LONGEST_REST_NS: u64 = 250_000_000;
+
+/// The share of the bridge thread's time that requests get. It is a real-time thread: a flood of requests that kept it busy would use up what the
+/// kernel leaves to real-time threads (`kernel.sched_rt_runtime_us`), the loop's part included. Stops are not requests: they do not wait for it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RequestShare {
+    next_ns: u64,
+}
+
+impl RequestShare {
+    /// Whether requests are answered at `now_ns`.
+    pub fn is_due(&self, now_ns: u64) -> bool {
+        now_ns >= self.next_ns
+    }
+
+    /// Answering took from `begin_ns` to `end_ns`.
+    pub fn spent(&mut self, begin_ns: u64, end_ns: u64) {
+        let rest = RESTS_PER_TALK.saturating_mul(end_ns.saturating_sub(begin_ns)).min(LONGEST_REST_NS);
+        self.next_ns = end_ns.saturating_add(rest);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn requests_get_a_fifth_of_the_time_however_many_there_are() {
+        // Turns of 0.2 ms, in each of which somebody has asked something.
+        for answering in [30_000, 500_000, 3_000_000] {
+            let (mut share, mut now, mut answered) = (RequestShare::default(), 1_000, 0_u64);
+            while now < 10_000_000_000 {
+                if share.is_due(now) {
+                    share.spent(now, now + answering);
+                    now += answering;
+                    answered += answering;
+                }
+                now += 200_000;
+            }
+            let of_all = answered as f64 / now as f64;
+            assert!((0.02..0.201).contains(&of_all), "{of_all} with {answering} ns each");
+        }
+        // One that took very long does not keep the next one waiting as much longer.
+        let mut share = RequestShare::default();
+        share.spent(0, 5_000_000_000);
+        assert!(!share.is_due(5_200_000_000) && share.is_due(5_250_000_000));
+    }
 
     #[test]
     fn looks_right_behind_the_loop_and_soon_again_when_it_is_late() {

@@ -39,11 +39,7 @@ const FLIGHT: usize = 2048;
 const DRAIN: usize = 512;
 /// Pause of the bridge thread when there is nothing to do.
 const PAUSE: Duration = Duration::from_micros(200);
-/// So many times as long as answering took, nothing is answered: a fifth of the time goes to requests at most.
-const RESTS_PER_TALK: u64 = 4;
-/// But no longer than this, or a stop would wait behind one long request \[ns\].
-const LONGEST_REST_NS: u64 = 250_000_000;
-/// Silence of this thread after which the loop brakes an arm that moves \[ms\]: this thread is the one that hears a stop.
+/// Time without a heartbeat after which the loop brakes an arm that moves \[ms\]: either this thread or the one that listens for stops hangs.
 const SILENCE: u64 = 1000;
 /// Records that simulated time may run ahead of an estimator that watches it: two seconds.
 const AHEAD: u64 = 2000;
@@ -68,8 +64,6 @@ pub struct Session {
     model: u64,
     /// It was said what the loop's thread was granted.
     judged: bool,
-    /// Requests wait until then.
-    deaf_until_ns: u64,
     /// When the next record is due.
     records_due: Rhythm,
     /// Gravity that it was handed over with \[m/s2\].
@@ -130,11 +124,18 @@ impl Session {
         settings.flight = FLIGHT;
         let reach = Box::new(Reach(robot.chain.clone()));
         let (mut cycle, handles) = cycle::new(arm, sink, Some(reach), settings.clone()).map_err(Failure::job)?;
-        let tape = desk.recorder.tape(desk, mounting, &name, &settings, &handles.controls);
         // The bridge's own priority goes up before the loop starts, and stays below it.
         if gate.is_none() {
-            os::become_realtime(&rights(&job.realtime, BELOW_LOOP));
+            os::become_realtime(&rights(&desk.job.realtime, BELOW_LOOP));
         }
+        // From here on a stop reaches this loop by itself; one that came before stands.
+        daemon.stops.connect(Some(Arc::clone(&handles.controls)));
+        if let Some(order) = daemon.stops.attend(Some(&handles.controls)) {
+            desk.take_stop(order, Some(&handles.controls));
+        }
+        let unwanted = purpose == Purpose::Drive && desk.is_over();
+        let script = if unwanted { Script::hold() } else { script };
+        let tape = desk.recorder.tape(desk, mounting, &name, &settings, &handles.controls);
         let mut session = Session {
             name,
             mounting,
@@ -148,7 +149,6 @@ impl Session {
             purpose,
             model: 0,
             judged: false,
-            deaf_until_ns: 0,
             records_due: Rhythm::default(),
             gravity: mounting.gravity(),
             labels: Labels::new(mounting.gravity()),
@@ -174,6 +174,7 @@ impl Session {
     pub fn run(mut self, daemon: &mut Daemon) -> Result<(SessionStatistics, End), Failure> {
         daemon.desk.mounting = self.mounting;
         while !self.thread.as_ref().is_none_or(JoinHandle::is_finished) {
+            daemon.take_stop(Some(&self.handles.controls));
             let busy = self.bridge(daemon);
             self.hear_of_rights(&mut daemon.desk);
             self.handle_events(&mut daemon.desk);
@@ -197,6 +198,8 @@ impl Session {
         }
         let joined = self.thread.take().and_then(|thread| thread.join().ok());
         let left = joined.ok_or(Failure::job("the loop's thread is gone"))?;
+        // One that the loop has not heard any more stands all the same.
+        daemon.take_stop(Some(&self.handles.controls));
         while self.bridge(daemon) {}
         self.hear_of_rights(&mut daemon.desk);
         self.handle_events(&mut daemon.desk);
@@ -226,24 +229,14 @@ impl Session {
         }
     }
 
-    /// Answers requests, but for a small share of the time: this thread is a real-time one, and a flood of long requests that kept it busy would
-    /// use up what the kernel leaves to real-time threads (`kernel.sched_rt_runtime_us`), the loop's part included.
+    /// Takes stops, then answers requests.
     fn talk(&mut self, daemon: &mut Daemon) {
-        let begin = now_ns();
-        if begin < self.deaf_until_ns {
-            return;
-        }
-        // Somebody is there only where a stop would be heard.
-        self.handles.controls.alive();
         let waited = self.handles.controls.is_waiting();
         daemon.talk(Some(&self.handles.controls));
         if waited && !self.handles.controls.is_waiting() {
             // The loop hears of its permission by its next state.
             self.open_gate();
         }
-        let end = now_ns();
-        let rest = (RESTS_PER_TALK * end.saturating_sub(begin)).min(LONGEST_REST_NS);
-        self.deaf_until_ns = end.saturating_add(rest);
     }
 
     /// Sleeps until the next record is due. An arm that keeps the clock's time makes one every millisecond: this thread then wakes up right behind
@@ -359,10 +352,7 @@ impl Session {
 
     /// Gives the loop the model that the daemon has accepted, for the gravity of now; takes it away where it may not be served.
     fn hand_over_model(&mut self, desk: &mut Desk) {
-        let Some(accepted) = &desk.model else { return };
-        if !accepted.model.holds_in(&self.mounting) || desk.distrusted == Some(accepted.id) {
-            return;
-        }
+        let Some(accepted) = desk.model.as_ref().filter(|_| desk.may_hand_over(&self.mounting)) else { return };
         match desk.gravity.verdict(accepted) {
             Verdict::Serve(gravity) if accepted.id != self.model || gravity != self.gravity => {
                 let evaluator = accepted.model.evaluator(&gravity);
@@ -452,6 +442,12 @@ fn see_through<B: Backend, S: Sink>(cycle: &mut Cycle<B, S>) -> Left {
             Left::Panicked { message: panic_message(&*panic), flight, unanswered: unanswered.map(Box::new) }
         }
     }
+}
+
+/// What the thread that listens for stops asks of the operating system: it comes before the bridge thread, and never before the loop.
+pub(super) fn listener_rights(realtime: &job::Realtime) -> Rights {
+    let Rights { priority, .. } = rights(realtime, BELOW_LOOP / 2);
+    Rights { priority, ..Rights::NONE }
 }
 
 /// What the job asks of the operating system, `below` levels lower.

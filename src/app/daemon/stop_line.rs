@@ -1,0 +1,176 @@
+//! Carries stops to the running loop by a thread of their own, whatever the bridge thread is at.
+
+use crate::ipc::{StopListener, StopOrder};
+use crate::rt::order::Controls;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// Pause after a stop: a flood of them must not use up what the kernel leaves to real-time threads.
+const REST: Duration = Duration::from_millis(1);
+
+/// The thread that listens for stops, from the bridge thread's side.
+pub struct StopLine {
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+    /// Turns of the thread at the last look.
+    seen: u64,
+}
+
+#[derive(Default)]
+struct Shared {
+    ended: AtomicBool,
+    /// Counts how often the thread has listened.
+    turns: AtomicU64,
+    /// There is an order that the bridge thread has not taken yet.
+    pending: AtomicBool,
+    state: Mutex<State>,
+}
+
+#[derive(Default)]
+struct State {
+    /// Those of the running loop.
+    controls: Option<Arc<Controls>>,
+    order: Option<StopOrder>,
+}
+
+impl Shared {
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Brakes the running loop, and leaves word for the bridge thread.
+    fn stop(&self, order: StopOrder) {
+        let mut state = self.state();
+        if let Some(controls) = &state.controls {
+            controls.stop();
+        }
+        state.order = Some(order);
+        self.pending.store(true, Ordering::Release);
+    }
+}
+
+impl StopLine {
+    /// Starts the thread; `prepare` runs on it first.
+    ///
+    /// # Errors
+    /// The system has no thread left.
+    pub fn start(mut listener: StopListener, prepare: impl FnOnce() + Send + 'static) -> std::io::Result<StopLine> {
+        let shared = Arc::new(Shared::default());
+        let own = Arc::clone(&shared);
+        let thread = std::thread::Builder::new().name("plumbline-stop".into()).spawn(move || {
+            prepare();
+            let mut failed = false;
+            while !own.ended.load(Ordering::Relaxed) {
+                let mut taken = false;
+                let listened = listener.listen(|order| {
+                    own.stop(order);
+                    taken = true;
+                });
+                match listened {
+                    // No turn is counted where nothing can be read: the loop's heartbeat ends with it.
+                    Err(error) if !taken => {
+                        if !std::mem::replace(&mut failed, true) {
+                            tracing::error!("stops can't be read from their socket: {error}");
+                        }
+                        std::thread::sleep(REST);
+                    }
+                    _ => {
+                        failed = false;
+                        own.turns.fetch_add(1, Ordering::Relaxed);
+                    }
+                }
+                if taken {
+                    std::thread::sleep(REST);
+                }
+            }
+        })?;
+        Ok(StopLine { shared, thread: Some(thread), seen: 0 })
+    }
+
+    /// From here on stops go to the loop of these controls, directly; `None` where none runs.
+    pub fn connect(&self, controls: Option<Arc<Controls>>) {
+        self.shared.state().controls = controls;
+    }
+
+    /// What the bridge thread does about stops, first in every turn: the latest one that has come since the last turn. The running loop, if any, learns
+    /// that it can be stopped, where the thread has listened meanwhile.
+    pub fn attend(&mut self, controls: Option<&Controls>) -> Option<StopOrder> {
+        if self.has_listened()
+            && let Some(controls) = controls
+        {
+            controls.alive();
+        }
+        self.take()
+    }
+
+    /// The latest stop that was taken since this was asked last.
+    fn take(&self) -> Option<StopOrder> {
+        if !self.shared.pending.swap(false, Ordering::AcqRel) {
+            return None;
+        }
+        self.shared.state().order.take()
+    }
+
+    /// Whether the thread has listened since this was asked last: it does so 20 times a second.
+    fn has_listened(&mut self) -> bool {
+        let turns = self.shared.turns.load(Ordering::Relaxed);
+        std::mem::replace(&mut self.seen, turns) != turns
+    }
+}
+
+impl Drop for StopLine {
+    fn drop(&mut self) {
+        self.shared.ended.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ipc::{Lock, RobotId};
+
+    const ORDER: StopOrder = StopOrder { process: 7, user: 8 };
+
+    /// A line without a thread.
+    fn silent() -> StopLine {
+        StopLine { shared: Arc::default(), thread: None, seen: 0 }
+    }
+
+    #[test]
+    fn a_stop_reaches_the_loop_while_the_bridge_thread_does_nothing() {
+        let line = silent();
+        let controls = Arc::new(Controls::default());
+        line.connect(Some(Arc::clone(&controls)));
+        line.shared.stop(ORDER);
+        assert!(controls.take_stop());
+        // The bridge thread learns of it once.
+        assert_eq!((line.take(), line.take()), (Some(ORDER), None));
+        // One between two loops is left for the bridge thread.
+        line.connect(None);
+        line.shared.stop(ORDER);
+        assert!(!controls.take_stop());
+        assert_eq!(line.take(), Some(ORDER));
+    }
+
+    #[test]
+    fn the_loop_s_heartbeat_ends_where_no_stop_would_be_read() {
+        let controls = Controls::default();
+        let mut line = silent();
+        (0..3).for_each(|_| assert_eq!(line.attend(Some(&controls)), None));
+        assert_eq!(controls.pulse(), 0, "nobody listens");
+        let place = tempfile::tempdir().unwrap();
+        let lock = Lock::take_in(place.path(), &RobotId::parse("test", "robot", "panda").unwrap()).unwrap();
+        let mut line = StopLine::start(StopListener::open(&lock).unwrap(), || ()).unwrap();
+        let start = std::time::Instant::now();
+        while controls.pulse() < 3 {
+            assert!(start.elapsed() < Duration::from_secs(20));
+            line.attend(Some(&controls));
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! `plumbline run` drives the arm of the daemon that it has started, and no other.
+
+use crate::job_support::*;
+use plumbline::ipc::{Progress, place};
+use std::path::PathBuf;
+use std::process::Command;
+
+/// The lock file of a place's robot.
+fn lock(of: &Place) -> PathBuf {
+    place::directory().unwrap().join(format!("{}.lock", of.id))
+}
+
+fn holder(of: &Place) -> Option<String> {
+    Some(std::fs::read_to_string(lock(of)).ok()?.lines().next()?.to_string())
+}
+
+/// A run that plans for a long time, and has the robot's lock.
+fn planning(place: &Place) -> Running {
+    let run = Running::start(place.job("run", &short(&["excitation.starts=16", "excitation.rounds=400"])));
+    wait_for("the lock", || (holder(place)? == format!("process {}", run.pid())).then_some(()));
+    run
+}
+
+fn other_daemon(place: &Place) -> Command {
+    let mut command = plumbline();
+    command.arg("daemon").arg(WALL).arg("--out").arg(place.path().join("other"));
+    command.arg("--set").arg(format!("serve.id={}", place.id));
+    PLAIN.iter().chain(&SHORT).for_each(|set| {
+        command.arg("--set").arg(set);
+    });
+    command
+}
+
+#[test]
+fn no_daemon_comes_up_while_a_run_plans() {
+    let place = Place::new("run-lock");
+    let run = planning(&place);
+    let refused = Done::of(other_daemon(&place));
+    assert_ne!(refused.code, Some(0), "{}", refused.said());
+    assert!(refused.err.contains(&format!("another daemon (process {})", run.pid())), "{}", refused.said());
+    // There is nothing to stop yet, and the run is not hurt by an attempt.
+    let stop = place.command("stop").expect_code(1);
+    assert!(stop.err.contains("serves no robot yet"), "{}", stop.said());
+    signal(run.pid(), "KILL");
+    run.end();
+    // The lock goes with its process.
+    let daemon = Running::start(other_daemon(&place));
+    wait_for("the daemon", || place.status());
+    place.command("quit").expect_code(0);
+    daemon.end().expect_code(0);
+}
+
+#[test]
+fn a_run_s_daemon_has_the_lock_when_the_run_is_killed() {
+    let place = Place::new("run-heir");
+    let run = Running::start(place.job("run", &short(&["excitation.periods=500"])));
+    let daemon = wait_for("the daemon", || children(run.pid(), "daemon").first().copied());
+    wait_for("its lock", || (holder(&place)? == format!("process {daemon}")).then_some(()));
+    wait_for("the loop", || place.status().filter(|now| now.cycles > 0));
+    signal(run.pid(), "STOP");
+    signal(run.pid(), "KILL");
+    run.end();
+    let refused = Done::of(other_daemon(&place));
+    assert!(refused.err.contains(&format!("another daemon (process {daemon})")), "{}", refused.said());
+    // The process that took the lock is gone; the one that holds it is stopped by a signal all the same.
+    std::fs::remove_file(lock(&place).with_extension("stop")).unwrap();
+    let stopped = place.command("stop").expect_code(0);
+    assert!(stopped.out.contains(&format!("(process {daemon}) has taken the stop by signal SIGUSR2")), "{stopped:?}");
+    place.command("quit");
+    wait_for("the end of every process", || anyone_with(&place.id).is_empty().then_some(()));
+}
+
+#[test]
+fn a_run_asks_nothing_of_a_daemon_that_it_has_not_started() {
+    let place = Place::new("run-other");
+    let run = planning(&place);
+    signal(run.pid(), "STOP");
+    // As a cleaner of temporary files would: the next daemon makes and locks another file of that name.
+    std::fs::remove_file(lock(&place)).unwrap();
+    let other = Running::start(other_daemon(&place));
+    let before = wait_for("the other daemon", || place.status());
+    assert_eq!(before.process, other.pid());
+    signal(run.pid(), "CONT");
+    let done = run.end().expect_code(1);
+    assert!(done.err.contains("the daemon did not start") || done.err.contains("another daemon"), "{}", done.said());
+    let after = wait_for("the other daemon", || place.status());
+    assert_eq!((after.process, after.progress, after.cycles, after.motion), (other.pid(), Progress::Idle, 0, 0));
+    place.command("quit").expect_code(0);
+    let done = other.end().expect_code(0);
+    assert!(!done.err.contains("is mounted"), "{}", done.said());
+}
