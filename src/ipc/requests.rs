@@ -81,7 +81,7 @@ impl Requests {
 
     /// Takes in what has arrived from every client before anything is answered: `receive` begins with the first client each time, so that one
     /// that always has a request outstanding would otherwise be the only one that is served.
-    fn take_in(&mut self, outcome: &mut Outcome) {
+    pub(super) fn take_in(&mut self) -> Result<(), String> {
         while self.waiting.len() + self.under_way.len() < MAX_HELD {
             match self.port.receive() {
                 Ok(Some(active)) => {
@@ -89,13 +89,19 @@ impl Requests {
                     self.waiting.push_back(Held { ticket: Ticket(self.next), active });
                 }
                 // Every client that has sent something has as many under way as it may.
-                Ok(None) | Err(ReceiveError::ExceedsMaxBorrows) => return,
-                Err(trouble) => return outcome.trouble.push(trouble.to_string()),
+                Ok(None) | Err(ReceiveError::ExceedsMaxBorrows) => break,
+                Err(trouble) => return Err(trouble.to_string()),
             }
         }
+        Ok(())
     }
 
-    /// Answers what has arrived through `answer`, the oldest first, for a bounded time; hands over heavy ones as long as there is `room` for them.
+    /// Whether there is anything to answer.
+    pub(super) fn is_empty(&self) -> bool {
+        self.waiting.is_empty()
+    }
+
+    /// Answers what was taken in through `answer`, the oldest first, for a bounded time; hands over heavy ones as long as there is `room` for them.
     pub(super) fn serve(
         &mut self,
         epoch: u64,
@@ -104,7 +110,6 @@ impl Requests {
         mut answer: impl FnMut(Asked, &Served) -> Option<Response>,
     ) -> Outcome {
         let mut outcome = Outcome::default();
-        self.take_in(&mut outcome);
         let begin = now_ns();
         let mut no_room = VecDeque::new();
         while let Some(held) = self.waiting.pop_front() {
@@ -121,6 +126,8 @@ impl Requests {
                 _ => Ok(Asked::Heavy(held.ticket, bytes)),
             };
             let response = match asked {
+                // Whoever has gone waits for nothing: those that stay get the place.
+                Ok(Asked::Heavy(..)) if !held.active.is_connected() => continue,
                 Ok(Asked::Heavy(..)) if room == 0 => {
                     no_room.push_back(held);
                     continue;

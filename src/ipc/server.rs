@@ -195,6 +195,12 @@ impl Server {
         self.poll_replay();
         self.look_after_followers();
         self.look_after_connections();
+        if let Err(trouble) = self.requests.take_in() {
+            self.trouble("command", trouble);
+        }
+        if self.requests.is_empty() {
+            return 0;
+        }
         let served = self.served();
         let outcome = self.requests.serve(self.epoch, &served, room, answer);
         self.counters.garbled_requests += outcome.garbled;

@@ -162,50 +162,48 @@ fn more() -> usize {
         .map_or(2, |rounds| rounds.saturating_sub(1))
 }
 
-/// A client that always has two models on offer.
+/// Clients that always have a model on offer: two that wait for its answer, and one that does not and offers the next.
 struct Flood {
     end: Arc<AtomicBool>,
     sent: Arc<AtomicU64>,
-    thread: Option<std::thread::JoinHandle<()>>,
+    threads: Vec<std::thread::JoinHandle<()>>,
 }
 
 impl Flood {
-    fn of(robot: RobotId) -> Flood {
+    fn of(robot: &RobotId) -> Flood {
         let (end, sent) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
-        let (over, count) = (end.clone(), sent.clone());
         let toml = std::fs::read_to_string("config/models/panda-paper-table3.toml").unwrap();
         let offer = serde_json::to_vec(&Request::OfferModel { toml }).unwrap();
-        let thread = std::thread::spawn(move || {
-            let mut client = Client::connect(&robot, PATIENCE).unwrap();
-            while !over.load(Ordering::Relaxed) {
-                // Nobody waits for an answer: two are on their way at any time, and what comes on top does not leave.
-                if client
-                    .send_bytes(&offer, Duration::ZERO)
-                    .is_err_and(|error| matches!(error, IpcError::NoAnswer { .. }))
-                {
+        let one = |patience: Duration| {
+            let (robot, over, count, offer) = (robot.clone(), end.clone(), sent.clone(), offer.clone());
+            std::thread::spawn(move || {
+                let mut client = Client::connect(&robot, PATIENCE).unwrap();
+                while !over.load(Ordering::Relaxed) {
+                    let _ = client.send_bytes(&offer, patience);
                     count.fetch_add(1, Ordering::Relaxed);
+                    std::thread::sleep(Duration::from_micros(100));
                 }
-                std::thread::sleep(Duration::from_micros(100));
-            }
-        });
-        Flood { end, sent, thread: Some(thread) }
+            })
+        };
+        let threads = [Duration::from_secs(5), Duration::from_secs(5), Duration::ZERO].into_iter().map(one).collect();
+        Flood { end, sent, threads }
     }
 }
 
 impl Drop for Flood {
     fn drop(&mut self) {
         self.end.store(true, Ordering::Relaxed);
-        let _ = self.thread.take().unwrap().join();
+        self.threads.drain(..).for_each(|thread| drop(thread.join()));
     }
 }
 
 #[test]
 fn a_flood_of_models_keeps_no_stop_and_no_other_client_from_the_daemon() {
     let mut scene = Scene::new("flood");
-    let flood = Flood::of(scene.robot());
+    let flood = Flood::of(&scene.robot());
     wait_for("the flood", || (flood.sent.load(Ordering::Relaxed) > 100).then_some(()));
     scene.drive();
-    scene.stops("two offer-model requests outstanding at any time", more());
+    scene.stops("three clients with models on offer all the time", more());
     // Everybody else is served, and the models, too.
     for _ in 0..5 {
         scene.place.command("status").expect_code(0);
