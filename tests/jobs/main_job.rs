@@ -33,11 +33,11 @@ fn predict(place: &Place, run: &str) -> (Vec<Vec<f64>>, Vec<f64>) {
     (csv(&out), raw.split(' ').map(|value| value.parse().unwrap()).collect())
 }
 
-/// Rows of a CSV file of numbers; the header's columns are named `t`, then one `tau` per joint.
+/// Rows of a CSV file of numbers; the header's columns are named `t`, then one `tau` per joint, then `at_end`.
 fn csv(path: &Path) -> Vec<Vec<f64>> {
     let text = std::fs::read_to_string(path).unwrap();
     let mut lines = text.lines();
-    assert_eq!(lines.next(), Some("t,tau1,tau2,tau3,tau4,tau5,tau6,tau7"));
+    assert_eq!(lines.next(), Some("t,tau1,tau2,tau3,tau4,tau5,tau6,tau7,at_end"));
     lines.map(|line| line.split(',').map(|cell| cell.parse().unwrap()).collect()).collect()
 }
 
