@@ -68,6 +68,41 @@ pub fn structure(robot: &Robot, runs: &[&Run], terms: &[&str]) -> Result<Structu
     Ok(Structure::of(chain, reduction, terms).map_err(Failure::job)?.identifiable())
 }
 
+/// Refuses runs to identify from in which a channel does not vary: a torque in any run, a position in all of them.
+pub fn check_channels(runs: &[&Run]) -> Result<(), BadInput> {
+    check_torques(runs)?;
+    let Some(first) = runs.first() else { return Ok(()) };
+    for j in 0..first.joints() {
+        if runs.iter().all(|run| constant(&run.q, j).is_some()) {
+            let expected = "a position that varies in at least one run to identify from: move, or check the encoder of";
+            return Err(not_varying(first, "q", &first.q, j, expected));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses runs in which a torque does not vary: a sensor that measures nothing looks like this, and its noise would be zero, its weight
+/// infinite.
+pub fn check_torques(runs: &[&Run]) -> Result<(), BadInput> {
+    for run in runs {
+        if let Some(j) = (0..run.tau.ncols()).find(|&j| constant(&run.tau, j).is_some()) {
+            return Err(not_varying(run, "tau", &run.tau, j, "a torque that varies: check the torque sensor of"));
+        }
+    }
+    Ok(())
+}
+
+/// The value of a column, where all samples have the same.
+fn constant(channel: &DMatrix<f64>, j: usize) -> Option<f64> {
+    let first = channel.column(j).iter().next().copied()?;
+    channel.column(j).iter().all(|value| *value == first).then_some(first)
+}
+
+fn not_varying(run: &Run, name: &str, channel: &DMatrix<f64>, j: usize, expected: &str) -> BadInput {
+    let found = format!("{} in all {} samples", channel[(0, j)], run.samples());
+    BadInput::new(&run.file, format!("column {name}{}", j + 1), found, format!("{expected} joint {}", j + 1))
+}
+
 /// Averages, filters and differentiates a run.
 pub fn experiment(run: &Run, settings: &Settings) -> Result<Experiment, Failure> {
     let input = estimate::Run {
@@ -110,6 +145,7 @@ pub fn identify(
     settings: &Settings,
     options: &solve::Options,
 ) -> Result<Identified, Failure> {
+    check_channels(runs)?;
     let structure = structure(robot, runs, terms)?;
     let experiments = for_estimator(runs, settings, options)?;
     let identification = identify_with(&structure, &experiments, options).map_err(|error| match error {

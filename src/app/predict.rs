@@ -1,8 +1,8 @@
 //! `plumbline predict`: torques of a model along a recorded motion.
 
-use super::say::say;
-use super::pipeline::{self, Predicted};
 use super::Failure;
+use super::pipeline::{self, Predicted};
+use super::say::say;
 use crate::config::robot::Robot;
 use crate::config::units::parse_mounting;
 use crate::dataset::{Dataset, Run};

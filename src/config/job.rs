@@ -402,11 +402,14 @@ pub struct Safety {
     pub max_lost: u32,
     /// What the arm does when the estimator is gone in mid-run.
     pub on_estimator_loss: OnLoss,
+    /// How long the arm holds for the model after the motions that it is identified from; then the programme ends with a controlled stop \[s\].
+    #[serde(deserialize_with = "units::duration")]
+    pub model_timeout: f64,
 }
 
 impl Default for Safety {
     fn default() -> Safety {
-        Safety { tracking_error: 0.1, max_lost: 10, on_estimator_loss: OnLoss::Finish }
+        Safety { tracking_error: 0.1, max_lost: 10, on_estimator_loss: OnLoss::Finish, model_timeout: 120.0 }
     }
 }
 

@@ -4,6 +4,7 @@
 
 use super::structure::Structure;
 use super::term::friction;
+use crate::decomposition::singular_values;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
@@ -61,11 +62,8 @@ pub fn friction_columns(structure: &Structure) -> Vec<bool> {
 
 /// Condition number by singular values; infinite for fewer rows than columns.
 pub fn condition(w: &DMatrix<f64>) -> f64 {
-    if w.nrows() < w.ncols() || w.ncols() == 0 || w.iter().any(|value| !value.is_finite()) {
-        return f64::INFINITY;
-    }
-    let s = w.singular_values();
-    if s.min() > 0.0 { s.max() / s.min() } else { f64::INFINITY }
+    let values = (w.nrows() >= w.ncols()).then(|| singular_values(w.clone())).flatten();
+    values.filter(|s| s.min() > 0.0).map_or(f64::INFINITY, |s| s.max() / s.min())
 }
 
 fn triangle(w: &DMatrix<f64>) -> DMatrix<f64> {

@@ -18,6 +18,7 @@ mod bad_input;
 mod changing_command;
 mod compare_command;
 mod config_job;
+mod dead_channels;
 mod doctor;
 mod effects_command;
 mod estimate_cli;

@@ -189,6 +189,13 @@ impl Desk {
         self.stop(Some(controls));
     }
 
+    /// The same, because no model came.
+    pub fn stop_without_model(&mut self, why: String, controls: &Controls) {
+        self.recorder.blame(Reason::new("model-timeout", &why));
+        self.cause = Some(why);
+        self.stop(Some(controls));
+    }
+
     /// What has happened to gravity goes into the flight recorder, too.
     pub fn note_gravity(&mut self) {
         self.gravity.take_untold().into_iter().for_each(|event| self.recorder.note(event));

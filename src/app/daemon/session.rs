@@ -80,6 +80,8 @@ pub struct Session {
     told: VecDeque<Told>,
     /// Simulated time waits for the estimator.
     waiting: bool,
+    /// When the arm no longer holds for a model, while it does \[ns\].
+    model_due_ns: Option<u64>,
     /// From state read to shared memory \[ns\].
     bridged: Histogram<u64>,
     records: Vec<Record>,
@@ -154,6 +156,7 @@ impl Session {
             labels: Labels::new(mounting.gravity()),
             told: VecDeque::new(),
             waiting: false,
+            model_due_ns: None,
             bridged: Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("constant bounds"),
             records: Vec::with_capacity(DRAIN),
         };
@@ -181,6 +184,7 @@ impl Session {
             daemon.desk.note_gravity();
             self.hand_over_model(&mut daemon.desk);
             self.give_orders();
+            self.check_model_timeout(&mut daemon.desk);
             self.keep_pace_with_the_watch(daemon);
             if let (Purpose::Hold, Some(robot)) = (self.purpose, &mut self.robot) {
                 robot.watch();
@@ -311,6 +315,23 @@ impl Session {
         } else if self.waiting && (!watched || behind < AHEAD / 2) && !self.handles.controls.is_waiting() {
             self.waiting = false;
             gate.open();
+        }
+    }
+
+    /// Stops an arm that has held for a model for too long. The clock is this machine's: simulated time stands still meanwhile.
+    fn check_model_timeout(&mut self, desk: &mut Desk) {
+        let controls = &self.handles.controls;
+        let holds = desk.model.is_none() && self.script.awaits_model() && controls.phase() == Phase::Hold;
+        if !holds || desk.is_over() {
+            self.model_due_ns = None;
+            return;
+        }
+        let seconds = desk.job.safety.model_timeout;
+        let due = *self.model_due_ns.get_or_insert(now_ns().saturating_add((1e9 * seconds) as u64));
+        if now_ns() >= due {
+            let why = format!("the estimator gave no model within {seconds} s (safety.model-timeout)");
+            desk.stop_without_model(why, controls);
+            self.open_gate();
         }
     }
 

@@ -154,6 +154,9 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     if !(1..=most).contains(&job.safety.max_lost) {
         return bad("safety.max-lost", &job.safety.max_lost, &format!("1 to {most} states"));
     }
+    if !(1.0..=86_400.0).contains(&job.safety.model_timeout) {
+        return bad("safety.model-timeout", &format!("{} s", job.safety.model_timeout), "1 s to 86400 s");
+    }
     let live = &job.live;
     if !(4.0..=600.0).contains(&live.window) {
         return bad("live.window", &format!("{} s", live.window), "4 s to 600 s");
