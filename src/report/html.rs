@@ -296,10 +296,11 @@ fn links(report: &Report) -> Vec<Value> {
         let percent = |share: f64| format!("{:.2} %", 100.0 * share);
         let success =
             link.success.map_or("-".to_string(), |[least, mean]| format!("{} / {}", percent(least), percent(mean)));
-        let gravity = link.gravity.map_or("-".to_string(), |[x, y, z]| format!("[{x:.2}, {y:.2}, {z:.2}]"));
+        let vector = |of: Option<[f64; 3]>| of.map_or("-".to_string(), |[x, y, z]| format!("[{x:.2}, {y:.2}, {z:.2}]"));
+        let (gravity, compensates) = (vector(link.gravity), vector(link.compensates));
         Some(context! {
             name => &s.name, robot => &link.robot, states => link.states, lost => link.lost, passed => link.passed_over, odd => link.odd, late => link.late,
-            limited => link.limited, success, gravity, fault => &link.fault,
+            limited => link.limited, success, gravity, compensates, fault => &link.fault,
         })
     };
     report.sessions.iter().filter_map(row).collect()

@@ -81,6 +81,8 @@ pub struct Settings {
     pub arm: Truth,
     /// How it is mounted.
     pub mounting: Mounting,
+    /// Gravity in the base frame that the firmware adds torque against \[m/s2\]: (0, 0, -9.81) in any mounting, as robots do.
+    pub compensates: [f64; 3],
     /// Where it stands at first \[rad\].
     pub start: Joints,
     /// Decides noise and chance.
@@ -115,6 +117,7 @@ impl Settings {
             robot: RobotKind::of(protocol),
             arm: Truth::parse("sim-panda", text).expect("a shipped file"),
             mounting: Mounting::UPRIGHT,
+            compensates: [0.0, 0.0, -G],
             start: READY,
             seed: 1,
             patience: Duration::ZERO,
@@ -200,7 +203,7 @@ impl Emulator {
             urdf: urdf::write(name, &chain, &limits, &settings.arm),
             base_acceleration: settings.base_acceleration,
         };
-        let body = Body::new(chain, &settings.arm, settings.mounting, &settings.start, settings.seed)?;
+        let body = Body::new(chain, &settings.arm, settings.mounting, settings.compensates, &settings.start, settings.seed)?;
         let before = settings.first_message_id.saturating_sub(1);
         let robot =
             Robot::new(settings.protocol, settings.robot, body, &settings.start, served, settings.finish, before);

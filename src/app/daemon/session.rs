@@ -3,7 +3,7 @@
 use super::Daemon;
 use super::arm::{self, Connected, Purpose, Robot, connect};
 use super::desk::Desk;
-use super::gravity::Verdict;
+use super::gravity::{Verdict, Watch};
 use super::labels::Labels;
 use super::recorder::{Left, Tape};
 use super::rhythm::Rhythm;
@@ -11,6 +11,7 @@ use super::script::{Next, Planned, Script};
 use crate::app::served::{NoModel, Reach, ServedModel};
 use crate::app::service;
 use crate::app::{Failure, programme};
+use crate::backend::franka::Interface;
 use crate::backend::sim::Gate;
 use crate::config::job::{self, OnRefusal};
 use crate::ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
@@ -47,6 +48,8 @@ const LONGEST_REST_NS: u64 = 250_000_000;
 const SILENCE: u64 = 1000;
 /// Records that simulated time may run ahead of an estimator that watches it: two seconds.
 const AHEAD: u64 = 2000;
+/// What the arm compensates may be off by so much \[m/s2\]: half a degree of gravity, some 0.4 Nm in the Panda's shoulder.
+const COMPENSATED: f64 = 0.09;
 /// How many levels the bridge thread's priority lies below the loop's.
 const BELOW_LOOP: u8 = 10;
 
@@ -74,6 +77,8 @@ pub struct Session {
     records_due: Rhythm,
     /// Gravity that it was handed over with \[m/s2\].
     gravity: Vector3<f64>,
+    /// Gravity that the arm's own controller compensates \[m/s2\].
+    vendor: Vector3<f64>,
     /// What the records are computed with, which are behind.
     labels: Labels,
     /// Events that were taken out and not looked at yet.
@@ -98,11 +103,12 @@ impl Session {
         purpose: Purpose,
         script: Script,
     ) -> Result<Session, Failure> {
-        let Connected { arm, gate, robot: connected } = connect(daemon, mounting, purpose)?;
+        let Connected { arm, gate, robot: connected, vendor } = connect(daemon, mounting, purpose)?;
         let desk = &mut daemon.desk;
         let unwanted = purpose == Purpose::Drive && desk.is_over();
         let script = if unwanted { Script::hold() } else { script };
-        desk.gravity.connect(mounting, connected.as_ref().and_then(Robot::side));
+        let uncompensated = purpose == Purpose::Drive && uncompensated(&desk.job, &mounting, &vendor);
+        desk.gravity.connect(mounting, connected.as_ref().and_then(Robot::side), vendor, uncompensated);
         let (job, robot) = (&desk.job, &desk.robot);
         // A real arm stands wherever somebody left it.
         if let (Some(connected), Some(target)) = (&connected, script.first_target()) {
@@ -153,6 +159,7 @@ impl Session {
             deaf_until_ns: 0,
             records_due: Rhythm::default(),
             gravity: mounting.gravity(),
+            vendor,
             labels: Labels::new(mounting.gravity()),
             told: VecDeque::new(),
             waiting: false,
@@ -164,6 +171,10 @@ impl Session {
         desk.gravity.tick(now_ns(), false);
         // The model and the first orders are there before the first cycle, so that a seed gives the same motion every time.
         session.hand_over_model(desk);
+        let feeds = |franka: &job::Franka| franka.torque.feed_forward;
+        if uncompensated && !unwanted && (session.model == 0 || !desk.job.backend.franka.as_ref().is_some_and(feeds)) {
+            return Err(Failure::job(falls(&vendor, &desk.gravity)));
+        }
         session.give_orders();
         if unwanted {
             session.handles.controls.quit();
@@ -275,7 +286,7 @@ impl Session {
         self.hear();
         // The torque first: whoever waits for it drives something.
         let gravity = self.labels.at(last.cycle).into();
-        daemon.server.feed_forward(FeedForwardMessage::new(&last, daemon.desk.robot.chain.len(), gravity));
+        daemon.server.feed_forward(FeedForwardMessage::new(&last, daemon.desk.robot.chain.len(), gravity, self.vendor.into()));
         daemon.server.publish(&self.records);
         self.tape.keep(&self.records);
         if let Some(why) = daemon.desk.gravity.take(&self.records) {
@@ -386,11 +397,12 @@ impl Session {
         }
         match desk.gravity.verdict(accepted) {
             Verdict::Serve(gravity) if accepted.id != self.model || gravity != self.gravity => {
-                let evaluator = accepted.model.evaluator(&gravity);
-                if self.handles.models.serve(Box::new(ServedModel { id: accepted.id, evaluator })).is_ok() {
+                let served = ServedModel::new(accepted.id, &accepted.model, &gravity, &self.vendor);
+                if self.handles.models.serve(Box::new(served)).is_ok() {
                     (self.model, self.gravity) = (accepted.id, gravity);
                     self.labels.handed(gravity);
-                    self.tape.handed(Handed { id: accepted.id, gravity: gravity.into() }, &accepted.text);
+                    let vendor = Some(self.vendor.into());
+                    self.tape.handed(Handed { id: accepted.id, gravity: gravity.into(), vendor }, &accepted.text);
                     self.open_gate();
                 }
             }
@@ -413,7 +425,7 @@ impl Session {
         } else if phase != Phase::Stop && self.handles.models.serve(Box::new(NoModel)).is_ok() {
             self.model = 0;
             self.labels.handed(self.gravity);
-            self.tape.handed(Handed { id: 0, gravity: [0.0; 3] }, "");
+            self.tape.handed(Handed { id: 0, gravity: [0.0; 3], vendor: None }, "");
         }
     }
 
@@ -461,6 +473,22 @@ impl Session {
             }),
         }
     }
+}
+
+/// Whether torques are commanded to an arm that does not carry itself: its own controller compensates another gravity than acts.
+fn uncompensated(job: &job::Job, mounting: &Mounting, vendor: &Vector3<f64>) -> bool {
+    let torques = job.backend.franka.as_ref().is_some_and(|franka| franka.interface == Interface::Torque);
+    torques && (mounting.gravity() - vendor).norm() > COMPENSATED
+}
+
+/// Why such an arm is not driven without a model.
+fn falls(vendor: &Vector3<f64>, gravity: &Watch) -> String {
+    let [x, y, z]: [f64; 3] = (*vendor).into();
+    let why = gravity.said().unwrap_or("it takes `--model`, checked at rest, and `backend.franka.torque.feed-forward`; or command positions");
+    format!(
+        "the arm compensates gravity along [{x:.2}, {y:.2}, {z:.2}] m/s2, which is not the one that acts: commanded by torques it would fall \
+         without a model from the first cycle on ({why})"
+    )
 }
 
 /// Runs the loop to its end, whatever that is. Nothing of a panic is lost: the arm is stopped, and the last cycles come out.

@@ -2,10 +2,10 @@
 
 use super::arm::FrankaArm;
 use super::error::{ConnectError, next_step};
-use super::gravity::{Estimate, Gravity};
+use super::gravity::{Estimate, Gravity, compensated};
 use super::limits::{self, RobotLimits, widen};
 use super::session::Session;
-use super::settings::{Purpose, RobotKind, Settings};
+use super::settings::{Interface, Purpose, RobotKind, Settings};
 use super::telemetry::Telemetry;
 use super::wire::{ErrorBit, Errors, Protocol, RecoveryStatus, Request, Response, RobotMode, RobotState};
 use crate::joint::JointVec;
@@ -34,7 +34,9 @@ pub struct Info {
     pub limits_from_arm: bool,
     /// The description that the arm serves, at versions 9 and 10.
     pub urdf: Option<String>,
-    /// The direction of gravity that the arm believes in; `None` when it was not at rest.
+    /// Gravity in the base frame that the arm's own controller compensates \[m/s2\].
+    pub compensates: [f64; 3],
+    /// The direction of gravity that the arm's sensors show; `None` when it was not at rest.
     pub gravity: Option<Gravity>,
     /// Socket options that the system refused, with its reasons.
     pub refused_options: Vec<String>,
@@ -66,6 +68,8 @@ pub struct Connection {
 pub fn connect(settings: &Settings) -> Result<(FrankaArm, Connection), ConnectError> {
     let mut session = Session::open(settings)?;
     let state = session.first;
+    let commanded = settings.purpose == Purpose::Drive && settings.interface == Interface::Torque;
+    let compensates = compensated(&state, settings.compensates, commanded)?;
     if settings.purpose == Purpose::Drive {
         ready(&state)?;
         configure(&mut session, settings)?;
@@ -91,6 +95,7 @@ pub fn connect(settings: &Settings) -> Result<(FrankaArm, Connection), ConnectEr
         limits,
         limits_from_arm,
         urdf,
+        compensates,
         gravity,
         refused_options: std::mem::take(&mut session.refused),
     };
