@@ -30,6 +30,7 @@ mod say;
 mod served;
 mod service;
 mod sessions;
+mod signals;
 mod torque;
 
 pub use failure::Failure;

@@ -2,6 +2,7 @@
 
 use super::programme::Programme;
 use super::say::say;
+use super::signals::Ending;
 use super::{Failure, friction_structure, progress};
 use crate::config::job::Job;
 use crate::config::robot::Robot;
@@ -23,8 +24,6 @@ use crate::store::{ModelFile, load_plan, save_plan};
 use clap::{Args, ValueEnum};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// Options of `plumbline plan`.
@@ -119,17 +118,14 @@ pub fn run(options: Options) -> Result<(), Failure> {
         nominal: nominal.as_ref(),
         q0: None,
     };
-    let interrupted = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        signal_hook::flag::register(signal, Arc::clone(&interrupted)).map_err(Failure::job)?;
-    }
+    let ending = Ending::watch()?;
     let mut done: Vec<Fourier> = Vec::new();
     for k in 1..=options.trajectories {
         let plan =
-            options.one(&task, &Search { seed: search.seed + (k - 1), ..search.clone() }, &done, &interrupted)?;
+            options.one(&task, &Search { seed: search.seed + (k - 1), ..search.clone() }, &done, &ending)?;
         done.push(motion(&plan)?);
         options.leave(&plan, &options.name("", k, options.trajectories), &done, &task)?;
-        if interrupted.load(Ordering::Relaxed) {
+        if ending.arrived() {
             // Nobody asked for half-searched motions after this one.
             return Ok(());
         }
@@ -161,7 +157,7 @@ impl Options {
     }
 
     /// One search, with a bar, by the clock where asked; ctrl-C ends it with the best so far.
-    fn one(&self, task: &Task, search: &Search, prior: &[Fourier], interrupted: &AtomicBool) -> Result<Plan, Failure> {
+    fn one(&self, task: &Task, search: &Search, prior: &[Fourier], ending: &Ending) -> Result<Plan, Failure> {
         let start = Instant::now();
         let limit = self.seconds.map(Duration::from_secs_f64);
         let bar = progress::bar("planning");
@@ -173,11 +169,11 @@ impl Options {
             let best = if now.best.is_finite() { format!("best {:.2}", now.best) } else { "no motion yet".into() };
             bar.at(share, &best);
         };
-        let stop = || interrupted.load(Ordering::Relaxed) || limit.is_some_and(|limit| start.elapsed() > limit);
+        let stop = || ending.arrived() || limit.is_some_and(|limit| start.elapsed() > limit);
         let watch = Watch { threads: threads(), stop: &stop, progress: &hear };
         let plan = task.best(search, prior, &watch).map_err(|error| infeasible("command line", &error))?;
         bar.done();
-        if interrupted.load(Ordering::Relaxed) {
+        if ending.arrived() {
             eprintln!("plumbline: interrupted; the best motion so far is kept");
         }
         Ok(plan)

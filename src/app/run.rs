@@ -2,14 +2,13 @@
 
 use super::estimator::status;
 use super::say::say;
+use super::signals::Ending;
 use super::{Failure, JobOptions, plan, progress, robot_id};
 use crate::ipc::{Client, Progress, Request, Response, RobotId};
 use crate::report::Report;
 use clap::Args;
 use std::path::Path;
-use std::process::{Child, Command, ExitStatus};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 /// Options of `plumbline run`.
@@ -38,17 +37,15 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let programme = plan::programme(&job, &robot, &out)?;
     let ticks: usize = programme.motions().map(|motion| motion.ticks()).sum();
 
-    let interrupted = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        signal_hook::flag::register(signal, Arc::clone(&interrupted)).map_err(Failure::job)?;
-    }
-    let mut daemon = Process::start("daemon", &options.job, &out, &[])?;
-    let outcome = drive(&id, &options.job, &out, &mut daemon, ticks as u64, &interrupted);
+    let ending = Ending::watch()?;
+    let mut daemon = Process::start("daemon", &options.job, &out, &["--end-with-stdin"])?;
+    let outcome = drive(&id, &options.job, &out, &mut daemon, ticks as u64, &ending);
     // Whatever happened, the daemon ends by its own rules: it brakes first when the arm moves.
     if daemon.child.try_wait().map_err(Failure::job)?.is_none() {
         let quit = Client::connect(&id, LOOK).and_then(|mut client| client.send(&Request::Quit {}, PATIENCE));
         if quit.is_err() {
-            daemon.child.kill().map_err(Failure::job)?;
+            // A daemon that can't be asked brakes and ends when its standard input does.
+            drop(daemon.child.stdin.take());
         }
     }
     let ended = daemon.child.wait().map_err(Failure::job)?;
@@ -66,20 +63,20 @@ fn drive(
     out: &Path,
     daemon: &mut Process,
     ticks: u64,
-    interrupted: &AtomicBool,
+    ending: &Ending,
 ) -> Result<(), Failure> {
     let mut client = await_daemon(id, daemon)?;
     let mut estimator = Process::start("estimator", job, out, &["--once"])?;
     let outcome = (|| {
         await_follower(id, daemon, &mut estimator)?;
-        start(&mut client, interrupted)?;
+        start(&mut client, ending)?;
         let bar = progress::bar("running");
         let mut restarts = 0;
         let mut stopped: Option<Instant> = None;
         loop {
             std::thread::sleep(LOOK);
-            if interrupted.load(Ordering::Relaxed) {
-                return Err(Failure::job("interrupted; the arm was stopped"));
+            if let Some(cause) = ending.cause() {
+                return Err(Failure::job(format!("interrupted, {cause}; the arm was stopped")));
             }
             if let Some(ended) = daemon.ended()? {
                 return Err(Failure::job(format!("the daemon ended in mid-job: {ended}")));
@@ -153,12 +150,12 @@ fn await_follower(id: &RobotId, daemon: &mut Process, estimator: &mut Process) -
 }
 
 /// Starts the programme. A daemon that refuses may still be on its way up, as its inclinometer is; it says what it waits for.
-fn start(client: &mut Client, interrupted: &AtomicBool) -> Result<(), Failure> {
+fn start(client: &mut Client, ending: &Ending) -> Result<(), Failure> {
     let begin = Instant::now();
     loop {
         match client.send(&Request::Start {}, PATIENCE).map_err(Failure::job)? {
             Response::Accepted {} => return Ok(()),
-            Response::Refused { .. } if begin.elapsed() < PATIENCE && !interrupted.load(Ordering::Relaxed) => {
+            Response::Refused { .. } if begin.elapsed() < PATIENCE && !ending.arrived() => {
                 std::thread::sleep(LOOK);
             }
             Response::Refused { reason } => return Err(Failure::job(format!("the daemon does not start: {reason}"))),
@@ -181,6 +178,8 @@ impl Process {
         for set in &job.sets {
             command.arg("--set").arg(set);
         }
+        // The daemon's standard input ends with this process, however that ends.
+        command.stdin(Stdio::piped());
         let child = command.spawn().map_err(|error| Failure::job(format!("the {name} can't be started: {error}")))?;
         Ok(Process { name, child })
     }

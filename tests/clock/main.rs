@@ -22,5 +22,6 @@ mod ipc_python;
 mod kill_campaign;
 mod rt_rights;
 mod service;
+mod signals;
 mod squatters;
 mod torque_clients;

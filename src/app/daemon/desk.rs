@@ -3,6 +3,7 @@
 use super::gravity::Watch;
 use super::recorder::Recorder;
 use crate::app::Failure;
+use crate::app::signals::{Cause, Ending};
 use crate::backend::sim::Truth;
 use crate::config::job::{Adopt, Job, OnLoss};
 use crate::config::robot::Robot;
@@ -18,8 +19,6 @@ use crate::recording::about::Reason;
 use crate::rt::order::{Controls, Event, StopReason};
 use crate::store::{ModelFile, model_identity};
 use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A model that passed every check.
 pub struct Accepted {
@@ -77,8 +76,10 @@ pub struct Desk {
     pub distrusted: Option<u64>,
     /// The last cycle seen.
     pub last: Record,
-    /// SIGINT or SIGTERM arrived.
-    pub signalled: Arc<AtomicBool>,
+    /// Signals, and the end of the parent process.
+    pub ending: Ending,
+    /// The reason to end that was logged last.
+    pub announced: Option<Cause>,
     /// Somebody asked for the programme.
     pub start: bool,
     /// Somebody asked for the end.
@@ -88,7 +89,25 @@ pub struct Desk {
 impl Desk {
     /// Whether the daemon is to end.
     pub fn must_quit(&self) -> bool {
-        self.quit || self.signalled.load(Ordering::Relaxed)
+        self.quit || self.ending.arrived()
+    }
+
+    /// Logs a reason to end, once; the controlled stop and its recording carry the first one.
+    pub fn announce_end(&mut self) {
+        let cause = self.ending.cause();
+        let Some(new) = cause.filter(|_| cause != self.announced) else { return };
+        if self.quit && new == Cause::ParentEnded {
+            // `plumbline run` asks for the end first, then closes the pipe.
+            return;
+        }
+        if self.announced.is_none() {
+            tracing::warn!(plumbline_event = "ending", "{new}: the daemon brakes an arm that moves, then ends");
+            self.cause = Some(new.to_string());
+            self.recorder.blame(Reason::new(new.kind(), new.to_string()));
+        } else {
+            tracing::warn!(plumbline_event = "ending", "{new}: the daemon is ending already; a stop under way goes on");
+        }
+        self.announced = cause;
     }
 
     /// Whether the programme is not to go on, whatever it was interrupted by.
@@ -313,7 +332,7 @@ impl Desk {
                 })
             }
             Event::Stopping { reason, .. } => {
-                let cause = self.cause.take().filter(|_| *reason == StopReason::Requested);
+                let cause = self.cause.take().filter(|_| matches!(reason, StopReason::Requested | StopReason::Quit));
                 let reason = cause.unwrap_or_else(|| reason.to_string());
                 tracing::error!(plumbline_event = "stopping", "the arm is being stopped: {reason}");
                 self.stopped = Some(reason);

@@ -15,6 +15,7 @@ mod session;
 
 use super::programme::Programme;
 use super::service::{self, Service};
+use super::signals::Ending;
 use super::{Failure, JobOptions, journal, owned};
 use crate::ipc::{Progress, Server, ServerSettings, Session as SessionStatistics, Times};
 use crate::joint::Record;
@@ -27,8 +28,6 @@ use recorder::Recorder;
 use script::Script;
 use session::Session;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 /// Options of `plumbline daemon`.
@@ -39,6 +38,9 @@ pub struct Options {
     /// Serve this model from the start
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
+    /// Brake and end when standard input ends: for a program that starts a daemon and may die
+    #[arg(long)]
+    end_with_stdin: bool,
 }
 
 /// The longest that connecting to a robot, or its recovery, takes before it fails by itself; the watchdog waits for it.
@@ -69,9 +71,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
     // Before anything else is touched: nobody else may drive this robot.
     let _lock = super::lock(&id)?;
     let programme = super::plan::programme(&job, &robot, &out)?;
-    let signalled = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        signal_hook::flag::register(signal, Arc::clone(&signalled)).map_err(Failure::job)?;
+    let ending = Ending::watch()?;
+    if options.end_with_stdin {
+        ending.watch_parent()?;
     }
     // Its thread begins before anything asks for priority.
     let recorder = Recorder::start(&job, &id, &out)?;
@@ -95,7 +97,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
         barred: false,
         distrusted: None,
         last: Record::default(),
-        signalled,
+        ending,
+        announced: None,
         start: false,
         quit: false,
         job,
@@ -216,6 +219,7 @@ impl Daemon {
     /// Answers the requests that are waiting.
     fn talk(&mut self, controls: Option<&crate::rt::order::Controls>) {
         let Daemon { server, desk, .. } = self;
+        desk.announce_end();
         server.poll(|request, served| desk.answer(request, served, controls));
         while let Some(news) = server.take_news() {
             desk.news(&news, controls);

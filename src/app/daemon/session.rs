@@ -203,6 +203,8 @@ impl Session {
             self.talk(daemon);
             daemon.service.beat(self.progress());
             if daemon.desk.must_leave() {
+                // Before the loop hears of it: the stop's event and recording carry the reason.
+                daemon.desk.announce_end();
                 self.handles.controls.quit();
                 self.open_gate();
             }
