@@ -68,7 +68,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let _about = journal::about(id.as_str());
     // Before anything else is touched: nobody else may drive this robot.
     let _lock = super::lock(&id)?;
-    let programme = super::plan::programme(&job, &robot, &out)?;
+    let arm_limits = super::plan::arm_limits(&job)?;
+    let programme = super::plan::programme(&job, &robot, &out, arm_limits.as_ref())?;
     let signalled = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, Arc::clone(&signalled)).map_err(Failure::job)?;
@@ -77,6 +78,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let recorder = Recorder::start(&job, &id, &out)?;
     let mut desk = Desk {
         recorder,
+        arm_limits,
         truth: super::truth(&job)?,
         rest: super::rest(&job, &robot)?,
         model: None,
