@@ -98,7 +98,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let report = Report {
         robot: robot.name.clone(),
         mounting: dataset.mounting.into(),
-        base: Base::new(after.kind(), after.parameters()),
+        base: Base::of(&after),
         validate: judge
             .iter()
             .zip(&errors_after)

@@ -51,7 +51,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
             }
             Err(error) => return Err(Failure::job(error)),
         };
-        let programme = Programme::load(&job, &robot, &out.join("plans"))?;
+        let programme = Programme::load(&job, &out.join("plans"))?;
         let results = Results::new(&job, &robot, &programme, &out);
         let live = Live::new(&job, results.joints(), &out);
         service.status("follows the samples");

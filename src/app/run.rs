@@ -34,7 +34,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     super::truth(&job)?;
     super::rest(&job, &robot)?;
     std::fs::create_dir_all(&out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
-    let programme = plan::programme(&job, &robot, &out)?;
+    let programme = plan::programme(&job, &robot, &out, plan::arm_limits(&job)?.as_ref())?;
     let ticks: usize = programme.motions().map(|motion| motion.ticks()).sum();
 
     let ending = Ending::watch()?;

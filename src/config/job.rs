@@ -333,6 +333,10 @@ pub struct Workspace {
     pub box_max: [f64; 3],
     /// Radius of the sphere around the base that the end effector stays out of \[m\].
     pub base_radius: f64,
+    /// Whether planned motions keep the surfaces of the links from link 3 on in the box, too: the elbow, for instance. The paper's box is
+    /// the end effector's alone, and so is the guard's.
+    #[serde(default)]
+    pub links_in_box: bool,
 }
 
 /// Signal processing and estimator; what is absent is left to the estimator's own defaults.

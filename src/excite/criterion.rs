@@ -1,8 +1,9 @@
 //! How well a motion excites the parameters of a model: paper eq. 11 and its other readings.
 
+use super::ExciteError;
 use super::fourier::Fourier;
 use crate::decomposition::singular_values;
-use crate::model::conditioning::{Conditions, conditions, friction_columns};
+use crate::model::conditioning::{Conditions, conditions, dependent_columns, friction_columns};
 use crate::model::structure::Structure;
 use crate::model::term::Motion;
 use nalgebra::{DMatrix, Vector3};
@@ -57,6 +58,22 @@ impl Criterion {
             }
         }
     }
+}
+
+/// Highest condition number of the column-equilibrated regressor of motions to identify from. Torque noise of 1 % leaves an error of
+/// 0.01 % after 10 000 samples (10 s at 1 kHz), and at a condition number of 1e4 that can change the combination of parameters that is
+/// determined worst by its whole size. Usual plans have 5 to 20.
+pub const MAX_CONDITION: f64 = 1e4;
+
+/// Errors when motions together leave parameters undetermined ([`MAX_CONDITION`]), with their names.
+pub fn check_excitation(structure: &Structure, motion: &Motion) -> Result<(), ExciteError> {
+    let (condition, columns) = dependent_columns(&structure.regressor(motion), MAX_CONDITION);
+    // Also where it is not a number.
+    if condition <= MAX_CONDITION {
+        return Ok(());
+    }
+    let parameters = columns.into_iter().map(|c| structure.columns()[c].name.clone()).collect();
+    Err(ExciteError::Unexcited { condition, parameters })
 }
 
 /// One period of a Fourier motion on an even grid of `samples`, in a mounting.

@@ -30,6 +30,8 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
         joints => report.identify.rms.len(),
         counter => counter(report),
         parameters => parameters(report),
+        counts => summary::counts(&report.base),
+        motions => motions(report),
         runs => runs(figures),
         plan => plan(figures),
         gravity => report.gravity.as_ref().map(gravity),
@@ -94,8 +96,11 @@ fn verdicts(report: &Report) -> Vec<Value> {
     };
     let mut tiles = vec![tile(
         report.base.count.to_string(),
-        "parameters",
-        format!("{} of {}", report.base.kind, report.robot),
+        "base parameters",
+        match report.base.effects {
+            0 => format!("{} of {}", report.base.kind, report.robot),
+            effects => format!("{} of {}, and {effects} of effects", report.base.kind, report.robot),
+        },
         None,
     )];
     if let Some(first) = report.conditions.first() {
@@ -276,6 +281,15 @@ fn plan(figures: &Figures) -> Option<Value> {
         side => safe(plot::path(plan, [0, 2], ["x / m", "z / m"])),
         top => safe(plot::path(plan, [0, 1], ["x / m", "y / m"])),
     })
+}
+
+/// What every motion uses of each joint's limits, range and speed in %.
+fn motions(report: &Report) -> Vec<Value> {
+    let cell = |(range, speed): (&f64, &f64)| format!("{:.0} / {:.0}", 100.0 * range, 100.0 * speed);
+    let row = |of: &super::MotionUsage| {
+        context! { name => &of.motion, cells => of.range.iter().zip(&of.speed).map(cell).collect::<Vec<_>>() }
+    };
+    report.motions.iter().map(row).collect()
 }
 
 fn sessions(report: &Report) -> Vec<Value> {

@@ -57,7 +57,12 @@ fn one_command_identifies_serves_and_validates() {
 /// The last lines: parameters, condition, RMS of both mountings against the noise, cycles, samples, where the report lies.
 fn says_what_it_promises(done: &Done, place: &Place) {
     let lines: Vec<&str> = done.out.lines().collect();
-    assert!(lines[0].starts_with("panda, mounting wall: 59 parameters (GBS)"), "{}", done.said());
+    assert_eq!(
+        lines[0],
+        "panda, mounting wall: 59 base parameters (GBS: 45 rigid body, 14 friction)",
+        "{}",
+        done.said()
+    );
     for begin in
         ["condition number: raw ", "noise floor [Nm]: ", "RMS wall [Nm], 2 unseen runs: ", "RMS upright [Nm], 2 "]
     {

@@ -7,11 +7,10 @@ use crate::app::Failure;
 use crate::backend::Clock;
 use crate::backend::franka::{self, Info, Telemetry};
 use crate::backend::sim::{Gate, Pace, SimArm};
-use crate::config::job::Job;
 use crate::config::job::franka::Recovery;
 use crate::estimate::mounting_check::Side;
 use crate::ipc::{Link, Times};
-use crate::joint::{JointVec, Limits, SpeedEnvelope};
+use crate::joint::JointVec;
 use crate::model::gravity::Mounting;
 use crate::rt::cycle::End;
 use crate::rt::{Backend, Fault, LONGEST_ALONE, os};
@@ -111,16 +110,9 @@ impl Robot {
         }
     }
 
-    /// The job's limits, inside those that the connected arm and its adapter hold commands to.
-    pub fn narrow(
-        &self,
-        job: &Job,
-        limits: &Limits,
-        envelope: Option<&SpeedEnvelope>,
-    ) -> (Limits, Option<SpeedEnvelope>) {
-        let Some(franka) = &job.backend.franka else { return (*limits, envelope.copied()) };
-        let share = franka.limits_share;
-        (franka::guard_limits(&self.info, limits, share), franka::guard_envelope(&self.info, envelope, share))
+    /// The limits that the arm and its adapter hold commands to.
+    pub fn limits(&self) -> &franka::RobotLimits {
+        &self.info.limits
     }
 
     /// Where the arm stood when it was connected \[rad\].

@@ -4,6 +4,7 @@ use super::gravity::Watch;
 use super::recorder::Recorder;
 use crate::app::Failure;
 use crate::app::signals::{Cause, Ending};
+use crate::backend::franka::RobotLimits;
 use crate::backend::sim::Truth;
 use crate::config::job::{Adopt, Job, OnLoss};
 use crate::config::robot::Robot;
@@ -40,6 +41,8 @@ pub struct Desk {
     pub job: Job,
     /// The arm's description.
     pub robot: Robot,
+    /// Limits of the connected arm that the programme was checked under; `None` for a simulated arm.
+    pub arm_limits: Option<RobotLimits>,
     /// What the simulated arm is made of, where one is driven.
     pub truth: Option<Truth>,
     /// Where the arm starts and returns to \[rad\].

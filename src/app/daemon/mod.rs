@@ -70,7 +70,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let _about = journal::about(id.as_str());
     // Before anything else is touched: nobody else may drive this robot.
     let _lock = super::lock(&id)?;
-    let programme = super::plan::programme(&job, &robot, &out)?;
+    let arm_limits = super::plan::arm_limits(&job)?;
+    let programme = super::plan::programme(&job, &robot, &out, arm_limits.as_ref())?;
     let ending = Ending::watch()?;
     if options.end_with_stdin {
         ending.watch_parent()?;
@@ -79,6 +80,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let recorder = Recorder::start(&job, &id, &out)?;
     let mut desk = Desk {
         recorder,
+        arm_limits,
         truth: super::truth(&job)?,
         rest: super::rest(&job, &robot)?,
         model: None,

@@ -10,12 +10,12 @@ use super::rhythm::Rhythm;
 use super::script::{Next, Planned, Script};
 use crate::app::served::{NoModel, Reach, ServedModel};
 use crate::app::service;
-use crate::app::{Failure, programme};
+use crate::app::{Failure, plan, programme};
 use crate::backend::franka::Interface;
 use crate::backend::sim::Gate;
-use crate::config::job::{self, OnRefusal};
+use crate::config::job::{self, Job, OnRefusal};
 use crate::ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
-use crate::joint::{MAX_JOINTS, Phase, Record};
+use crate::joint::{Limits, MAX_JOINTS, Phase, Record};
 use crate::model::gravity::Mounting;
 use crate::recording::about::{Handed, panic_message};
 use crate::rt::cycle::{self, Cycle, End, Outcome};
@@ -110,15 +110,18 @@ impl Session {
         let uncompensated = purpose == Purpose::Drive && uncompensated(&desk.job, &mounting, &vendor);
         desk.gravity.connect(mounting, connected.as_ref().and_then(Robot::side), vendor, uncompensated);
         let (job, robot) = (&desk.job, &desk.robot);
-        // A real arm stands wherever somebody left it.
-        if let (Some(connected), Some(target)) = (&connected, script.first_target()) {
-            programme::free_way(job, robot, &connected.pose(), &target)?;
+        let (limits, envelope) = plan::held_to(job, robot, connected.as_ref().map(Robot::limits))?;
+        if let Some(connected) = &connected {
+            // The programme was checked under the limits of the arm that the daemon found when it started.
+            if purpose == Purpose::Drive && desk.arm_limits.as_ref() != Some(connected.limits()) {
+                return Err(other_limits(job));
+            }
+            // A real arm stands wherever somebody left it.
+            stands_inside(&limits, &connected.pose()[..robot.chain.len()])?;
+            if let Some(target) = script.first_target() {
+                programme::free_way(job, robot, connected.limits(), &connected.pose(), &target)?;
+            }
         }
-        let limits = job.guard_limits(&robot.limits, robot.chain.len())?;
-        let (limits, envelope) = match &connected {
-            Some(connected) => connected.narrow(job, &limits, robot.envelope.as_ref()),
-            None => (limits, robot.envelope),
-        };
         let mut settings = CycleSettings::new(GuardSettings {
             limits,
             envelope,
@@ -491,6 +494,26 @@ fn falls(vendor: &Vector3<f64>, gravity: &Watch) -> String {
         "the arm compensates gravity along [{x:.2}, {y:.2}, {z:.2}] m/s2, which is not the one that acts: commanded by torques it would fall \
          without a model from the first cycle on ({why})"
     )
+}
+
+/// The arm is not the one that was there when the daemon started, or was updated since.
+fn other_limits(job: &Job) -> Failure {
+    let job = job.file.display();
+    Failure::job(format!(
+        "the connected arm has other limits than when this daemon started, and the programme was not checked under them; nothing \
+         has moved. Start again, which plans under them: `plumbline run {job}`, or restart the service"
+    ))
+}
+
+/// An arm outside the limits could only be stopped by them, whatever it is told.
+fn stands_inside(limits: &Limits, q: &[f64]) -> Result<(), Failure> {
+    let Some((j, [min, max])) = programme::outside(limits, q) else { return Ok(()) };
+    let joint = j + 1;
+    Err(Failure::job(format!(
+        "joint {joint} stands at {:.4} rad, outside the range of job and arm, {min:.4} to {max:.4} rad; nothing has moved. Move joint {joint} \
+         inside by hand (guiding mode), and start again",
+        q[j]
+    )))
 }
 
 /// Runs the loop to its end, whatever that is. Nothing of a panic is lost: the arm is stopped, and the last cycles come out.

@@ -74,17 +74,7 @@ pub fn connect(settings: &Settings) -> Result<(FrankaArm, Connection), ConnectEr
         ready(&state)?;
         configure(&mut session, settings)?;
     }
-    let urdf = session.description()?;
-    let limits = match (&urdf, settings.robot) {
-        (Some(text), RobotKind::Fr3) => Some(limits::from_urdf(text)),
-        _ => None,
-    };
-    let (limits, limits_from_arm) = match limits {
-        // An arm of version 9 may serve a description without the elements that version 10 has added.
-        Some(Err(_)) if session.protocol == Protocol::V9 => (settings.table(session.protocol), false),
-        Some(found) => (found?, true),
-        None => (settings.table(session.protocol), false),
-    };
+    let (urdf, limits, limits_from_arm) = limits_of(&mut session, settings)?;
     let gravity = estimate_gravity(&mut session, &state);
     let telemetry = Arc::new(Telemetry::default());
     telemetry.in_mode(state.robot_mode);
@@ -101,6 +91,32 @@ pub fn connect(settings: &Settings) -> Result<(FrankaArm, Connection), ConnectEr
     };
     let arm = FrankaArm::new(settings, session, &info, telemetry.clone())?;
     Ok((arm, Connection { info, telemetry }))
+}
+
+/// The limits that an arm serves, or those of its version's table: what motions are planned and checked under before anything moves.
+/// Connects, reads, and ends the connection; nothing is commanded.
+///
+/// # Errors
+///
+/// [`ConnectError`], whose text says what the operator can do.
+pub fn read_limits(settings: &Settings) -> Result<RobotLimits, ConnectError> {
+    limits_of(&mut reach(settings)?, settings).map(|(_, limits, _)| limits)
+}
+
+/// The description that the arm serves, its limits, and whether these are from the description.
+fn limits_of(session: &mut Session, settings: &Settings) -> Result<(Option<String>, RobotLimits, bool), ConnectError> {
+    let urdf = session.description()?;
+    let limits = match (&urdf, settings.robot) {
+        (Some(text), RobotKind::Fr3) => Some(limits::from_urdf(text)),
+        _ => None,
+    };
+    let (limits, from_arm) = match limits {
+        // An arm of version 9 may serve a description without the elements that version 10 has added.
+        Some(Err(_)) if session.protocol == Protocol::V9 => (settings.table(session.protocol), false),
+        Some(found) => (found?, true),
+        None => (settings.table(session.protocol), false),
+    };
+    Ok((urdf, limits, from_arm))
 }
 
 /// Asks an arm that was stopped by a reflex to recover, and waits until it is idle. An arm that is idle already is left alone.

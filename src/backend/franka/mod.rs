@@ -46,7 +46,7 @@ pub mod wire;
 
 pub use arm::FrankaArm;
 pub use codes::*;
-pub use connect::{Connection, Info, connect, recover, recover_communication};
+pub use connect::{Connection, Info, connect, read_limits, recover, recover_communication};
 pub use error::{ConnectError, next_step};
 pub use explain::{Explanation, explain};
 pub use gravity::{Gravity, Source};

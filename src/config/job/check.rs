@@ -93,7 +93,7 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
             return bad(&format!("limits.{name}"), &share, "a share of the robot's limit, above 0 and at most 1");
         }
     }
-    if let Some(Workspace { box_min, box_max, base_radius }) = &job.workspace {
+    if let Some(Workspace { box_min, box_max, base_radius, links_in_box: _ }) = &job.workspace {
         for axis in 0..3 {
             if !(box_min[axis].is_finite() && box_max[axis].is_finite() && box_min[axis] < box_max[axis]) {
                 let found = format!("{} m to {} m", box_min[axis], box_max[axis]);
