@@ -30,6 +30,7 @@ mod say;
 mod served;
 mod service;
 mod sessions;
+mod signals;
 mod torque;
 
 pub use failure::Failure;
@@ -49,7 +50,6 @@ use crate::report::Condition;
 use crate::store::Provenance;
 use clap::{Args, Parser, Subcommand};
 use std::fmt::Display;
-use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -196,10 +196,9 @@ fn lock(id: &RobotId) -> Result<Lock, Failure> {
     locked(id, Lock::take(id))
 }
 
-/// Takes the robot over from the process that has started this one: its lock file is standard input.
+/// Takes the robot over from the process that has started this one and passed its lock on.
 fn adopted_lock(id: &RobotId) -> Result<Lock, Failure> {
-    let file = std::io::stdin().as_fd().try_clone_to_owned().map_err(Failure::job)?;
-    locked(id, Lock::adopt(file.into(), id))
+    locked(id, Lock::adopt(id))
 }
 
 fn locked(id: &RobotId, lock: Result<Lock, LockError>) -> Result<Lock, Failure> {

@@ -1,16 +1,14 @@
 //! `plumbline run`: daemon, estimator and report on one machine, for people without systemd.
 
 use super::say::say;
+use super::signals::Ending;
 use super::{Failure, JobOptions, plan, progress, robot_id};
-use crate::ipc::{Client, Request, Response, RobotId, Status};
+use crate::ipc::{Client, Progress, Request, Response, RobotId, Status};
 use crate::report::Report;
 use clap::Args;
 use rustix::process::{Pid, Signal, kill_process};
-use std::fs::File;
 use std::path::Path;
-use std::process::{Child, Command, ExitStatus};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 /// Options of `plumbline run`.
@@ -39,16 +37,15 @@ pub fn run(options: Options) -> Result<(), Failure> {
     super::truth(&job)?;
     super::rest(&job, &robot)?;
     std::fs::create_dir_all(&out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
-    let programme = plan::programme(&job, &robot, &out)?;
+    let programme = plan::programme(&job, &robot, &out, plan::arm_limits(&job)?.as_ref())?;
     let ticks: usize = programme.motions().map(|motion| motion.ticks()).sum();
 
-    let interrupted = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        signal_hook::flag::register(signal, Arc::clone(&interrupted)).map_err(Failure::job)?;
-    }
-    let shared = lock.share().map_err(Failure::job)?;
-    let mut daemon = Process::start("daemon", &options.job, &out, &["--adopt-lock"], Some(shared))?;
-    let outcome = drive(&id, &options.job, &out, &mut daemon, ticks as u64, &interrupted);
+    let ending = Ending::watch()?;
+    // What is passed on here is closed again before anything else is started.
+    let passed_on = lock.pass_on().map_err(Failure::job)?;
+    let mut daemon = Process::start("daemon", &options.job, &out, &["--end-with-stdin", "--adopt-lock"])?;
+    drop(passed_on);
+    let outcome = drive(&id, &options.job, &out, &mut daemon, ticks as u64, &ending);
     // Whatever happened, the daemon ends by its own rules: it brakes first when the arm moves.
     let ended = daemon.end()?;
     outcome?;
@@ -65,19 +62,20 @@ fn drive(
     out: &Path,
     daemon: &mut Process,
     ticks: u64,
-    interrupted: &AtomicBool,
+    ending: &Ending,
 ) -> Result<(), Failure> {
     let mut client = await_daemon(id, daemon)?;
-    let mut estimator = Process::start("estimator", job, out, &["--once"], None)?;
+    let mut estimator = Process::start("estimator", job, out, &["--once"])?;
     let outcome = (|| {
         await_follower(&mut client, daemon, &mut estimator)?;
-        start(&mut client, interrupted)?;
+        start(&mut client, ending)?;
         let bar = progress::bar("running");
         let mut restarts = 0;
+        let mut stopped: Option<Instant> = None;
         loop {
             std::thread::sleep(LOOK);
-            if interrupted.load(Ordering::Relaxed) {
-                return Err(Failure::job("interrupted; the arm was stopped"));
+            if let Some(cause) = ending.cause() {
+                return Err(Failure::job(format!("interrupted, {cause}; the arm was stopped")));
             }
             if let Some(ended) = daemon.ended()? {
                 return Err(Failure::job(format!("the daemon ended in mid-job: {ended}")));
@@ -87,7 +85,7 @@ fn drive(
                 Some(ended) if ended.code().is_none() && restarts < RESTARTS => {
                     restarts += 1;
                     tracing::warn!("the estimator was killed ({ended}); a new one goes on from what the daemon kept");
-                    estimator = Process::start("estimator", job, out, &["--once"], None)?;
+                    estimator = Process::start("estimator", job, out, &["--once"])?;
                 }
                 Some(ended) => {
                     let stopped = status(&mut client).and_then(|now| now.stopped);
@@ -100,6 +98,13 @@ fn drive(
             // A daemon that is busy for a moment is no reason to give up; one that is gone is seen above.
             if let Some(now) = status(&mut client) {
                 bar.at(now.cycles as f64 / (1.3 * ticks as f64), &now.job);
+                // The estimator ends by itself then, unless it computes on and on.
+                if now.progress == Progress::Stopped && stopped.get_or_insert_with(Instant::now).elapsed() > PATIENCE {
+                    let why = now.stopped.unwrap_or_default();
+                    return Err(Failure::job(format!(
+                        "the arm was stopped: {why}; the estimator did not end by itself"
+                    )));
+                }
             }
         }
         bar.done();
@@ -172,12 +177,12 @@ fn status(client: &mut Client) -> Option<Status> {
 }
 
 /// Starts the programme. A daemon that refuses may still be on its way up, as its inclinometer is; it says what it waits for.
-fn start(client: &mut Client, interrupted: &AtomicBool) -> Result<(), Failure> {
+fn start(client: &mut Client, ending: &Ending) -> Result<(), Failure> {
     let begin = Instant::now();
     loop {
         match client.send(&Request::Start {}, PATIENCE).map_err(Failure::job)? {
             Response::Accepted {} => return Ok(()),
-            Response::Refused { .. } if begin.elapsed() < PATIENCE && !interrupted.load(Ordering::Relaxed) => {
+            Response::Refused { .. } if begin.elapsed() < PATIENCE && !ending.arrived() => {
                 std::thread::sleep(LOOK);
             }
             Response::Refused { reason } => return Err(Failure::job(format!("the daemon does not start: {reason}"))),
@@ -193,22 +198,15 @@ struct Process {
 }
 
 impl Process {
-    fn start(
-        name: &'static str,
-        job: &JobOptions,
-        out: &Path,
-        more: &[&str],
-        input: Option<File>,
-    ) -> Result<Process, Failure> {
+    fn start(name: &'static str, job: &JobOptions, out: &Path, more: &[&str]) -> Result<Process, Failure> {
         let program = std::env::current_exe().map_err(Failure::job)?;
         let mut command = Command::new(program);
         command.arg(name).arg(&job.config).arg("--out").arg(out).args(more);
         for set in &job.sets {
             command.arg("--set").arg(set);
         }
-        if let Some(input) = input {
-            command.stdin(input);
-        }
+        // The daemon's standard input ends with this process, however that ends.
+        command.stdin(Stdio::piped());
         let child = command.spawn().map_err(|error| Failure::job(format!("the {name} can't be started: {error}")))?;
         Ok(Process { name, child })
     }

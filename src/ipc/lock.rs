@@ -4,6 +4,7 @@
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
+use std::os::fd::OwnedFd;
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
@@ -90,38 +91,40 @@ impl Lock {
         Lock::hold(path, file, robot)
     }
 
-    /// Takes over the lock of `robot` from the process that opened `file` and passed it on; that process may hold it, too, and keep it.
+    /// Takes over the lock of `robot` from the process that started this one and passed its open file on ([`Lock::pass_on`]). Both hold the lock; it is
+    /// free when both have ended.
     ///
     /// # Errors
-    /// [`LockError::Io`] where `file` is not the robot's lock file, [`LockError::Held`] where its lock is another process's.
-    pub fn adopt(file: File, robot: &RobotId) -> Result<Lock, LockError> {
-        let path = path_in(&place::directory()?, robot);
-        let failed = |source: io::Error| LockError::Io { path: path.clone(), source };
-        let (own, named) = (file.metadata().map_err(failed)?, fs::symlink_metadata(&path).map_err(failed)?);
-        if (own.dev(), own.ino()) != (named.dev(), named.ino()) {
-            return Err(failed(io::Error::other("the open file that was passed on is not this file")));
-        }
-        Lock::hold(path, file, robot)
+    /// [`LockError::Held`] where this process does not hold the lock: it was not passed on, or another file has taken the place of the one that was.
+    pub fn adopt(robot: &RobotId) -> Result<Lock, LockError> {
+        Lock::adopt_in(&place::directory()?, robot)
     }
 
-    /// Locks `file`, which this process or the one that passed it on may have done already, and writes who serves the robot.
+    fn adopt_in(directory: &Path, robot: &RobotId) -> Result<Lock, LockError> {
+        let path = path_in(directory, robot);
+        let failed = |source: io::Error| LockError::Io { path: path.clone(), source };
+        let file =
+            OpenOptions::new().read(true).write(true).custom_flags(libc::O_NOFOLLOW).open(&path).map_err(failed)?;
+        if !is_held_by(&file.metadata().map_err(failed)?, std::process::id()).map_err(failed)? {
+            return Err(held(&path, robot));
+        }
+        Lock::enter(path.clone(), file).map_err(failed)
+    }
+
     fn hold(path: PathBuf, file: File, robot: &RobotId) -> Result<Lock, LockError> {
         let failed = |source: io::Error| LockError::Io { path: path.clone(), source };
         match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                let holder = match Entry::read(&path) {
-                    Some(entry) => format!("process {}", entry.process),
-                    None => "process unknown".to_string(),
-                };
-                return Err(LockError::Held { robot: robot.to_string(), holder, path });
-            }
-            Err(TryLockError::Error(source)) => return Err(failed(source)),
+            Ok(()) => Lock::enter(path.clone(), file).map_err(failed),
+            Err(TryLockError::WouldBlock) => Err(held(&path, robot)),
+            Err(TryLockError::Error(source)) => Err(failed(source)),
         }
-        // For a second daemon, and for `plumbline command stop`. The lock itself does not depend on this text.
+    }
+
+    /// Writes who serves the robot: for a second daemon, and for `plumbline command stop`. The lock itself does not depend on this text.
+    fn enter(path: PathBuf, file: File) -> io::Result<Lock> {
         let entry = Entry { process: std::process::id(), stops: 0, stop_ns: 0 };
-        file.set_len(0).map_err(failed)?;
-        file.write_all_at(entry.text().as_bytes(), 0).map_err(failed)?;
+        file.set_len(0)?;
+        file.write_all_at(entry.text().as_bytes(), 0)?;
         Ok(Lock { path, file })
     }
 
@@ -130,12 +133,13 @@ impl Lock {
         &self.path
     }
 
-    /// The open file with its lock, for a child process: [`Lock::adopt`] there.
+    /// Opens the lock to child processes that are started while the result lives: [`Lock::adopt`] there.
     ///
     /// # Errors
     /// No file descriptor is left.
-    pub fn share(&self) -> io::Result<File> {
-        self.file.try_clone()
+    pub fn pass_on(&self) -> io::Result<OwnedFd> {
+        // A duplicate is the same open file, and is not closed when a child runs another program.
+        Ok(rustix::io::dup(&self.file)?)
     }
 
     /// Where stops are counted. Its memory is there already: counting needs no room on any disk.
@@ -148,6 +152,28 @@ impl Lock {
 /// The lock file of `robot` in `directory`.
 pub(super) fn path_in(directory: &Path, robot: &RobotId) -> PathBuf {
     directory.join(format!("{robot}.lock"))
+}
+
+fn held(path: &Path, robot: &RobotId) -> LockError {
+    let holder = match Entry::read(path) {
+        Some(entry) => format!("process {}", entry.process),
+        None => "process unknown".to_string(),
+    };
+    LockError::Held { robot: robot.to_string(), holder, path: path.to_path_buf() }
+}
+
+/// Whether `process` has a file open that holds the lock on `lock`, as the kernel says.
+pub(super) fn is_held_by(lock: &fs::Metadata, process: u32) -> io::Result<bool> {
+    let folder = PathBuf::from("/proc").join(process.to_string());
+    for number in fs::read_dir(folder.join("fd"))?.filter_map(|entry| Some(entry.ok()?.file_name())) {
+        let is_lock = fs::metadata(folder.join("fd").join(&number))
+            .is_ok_and(|file| (file.dev(), file.ino()) == (lock.dev(), lock.ino()));
+        let info = || fs::read_to_string(folder.join("fdinfo").join(&number)).unwrap_or_default();
+        if is_lock && info().lines().any(|line| line.starts_with("lock:") && line.contains("FLOCK")) {
+            return Ok(true);
+        }
+    }
+    Ok(false)
 }
 
 /// Counts the stops that were taken, in the lock file.
@@ -192,16 +218,29 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let robot = RobotId::parse("test", "robot", "panda").unwrap();
         let first = Lock::take_in(directory.path(), &robot).unwrap();
-        let path = first.path().to_path_buf();
-        let passed_on = first.share().unwrap();
-        let adopted = Lock::hold(path.clone(), passed_on, &robot).unwrap();
+        let metadata = fs::metadata(first.path()).unwrap();
+        let passed_on = first.pass_on().unwrap();
+        let mut child = std::process::Command::new("sleep").arg("60").spawn().unwrap();
+        drop(passed_on);
+        let mut later = std::process::Command::new("sleep").arg("60").spawn().unwrap();
+        assert!(is_held_by(&metadata, child.id()).unwrap() && is_held_by(&metadata, std::process::id()).unwrap());
+        assert!(!is_held_by(&metadata, later.id()).unwrap(), "passed on to those that are started meanwhile alone");
         drop(first);
         assert!(matches!(Lock::take_in(directory.path(), &robot), Err(LockError::Held { .. })));
-        // An open file of one's own has no part in it.
-        let stranger = OpenOptions::new().read(true).write(true).open(&path).unwrap();
-        assert!(matches!(Lock::hold(path, stranger, &robot), Err(LockError::Held { .. })));
-        drop(adopted);
-        Lock::take_in(directory.path(), &robot).unwrap();
+        // Who does not hold it can't adopt it.
+        assert!(!is_held_by(&metadata, std::process::id()).unwrap());
+        assert!(matches!(Lock::adopt_in(directory.path(), &robot), Err(LockError::Held { .. })));
+        for process in [&mut child, &mut later] {
+            process.kill().unwrap();
+            process.wait().unwrap();
+        }
+        let again = Lock::take_in(directory.path(), &robot).unwrap();
+        Lock::adopt_in(directory.path(), &robot).unwrap();
+        // Not where another file has taken its place.
+        fs::remove_file(again.path()).unwrap();
+        fs::write(again.path(), "process 1\n").unwrap();
+        let error = Lock::adopt_in(directory.path(), &robot).unwrap_err();
+        assert!(error.to_string().contains("another daemon (process 1)"), "{error}");
     }
 
     #[test]

@@ -22,6 +22,7 @@ mod ipc_python;
 mod kill_campaign;
 mod rt_rights;
 mod service;
+mod signals;
 mod squatters;
 mod stop_path;
 mod torque_clients;

@@ -152,31 +152,6 @@ fn an_interrupt_ends_everything() {
 }
 
 #[test]
-fn a_daemon_ends_by_itself_on_a_signal_at_rest_and_in_motion() {
-    let _turn = JOBS.take();
-    for name in ["INT", "TERM"] {
-        for moving in [false, true] {
-            let place = Place::new(&format!("ends-{}-{moving}", name.to_lowercase()));
-            let sets = ["backend.pace=wall-clock", "safety.max-lost=1000"];
-            let mut daemon = Running::start(place.job("daemon", &short(&sets)));
-            wait_for("the loop", || place.status().filter(|now| now.cycles > 100));
-            if moving {
-                place.command("start").expect_code(0);
-                wait_for("motion", || place.status().filter(|now| now.phase == Phase::Excite));
-            }
-            signal(daemon.pid(), name);
-            let begin = std::time::Instant::now();
-            while daemon.runs() {
-                assert!(begin.elapsed() < Duration::from_secs(20), "SIG{name} was ignored");
-                std::thread::sleep(Duration::from_millis(10));
-            }
-            let done = daemon.end().expect_code(0);
-            assert_eq!(done.err.contains("the arm is being stopped: the program is ending"), moving, "{}", done.said());
-        }
-    }
-}
-
-#[test]
 fn a_stop_stands_until_an_operator_lifts_it() {
     let _turn = JOBS.take();
     let place = Place::new("stop-stands");

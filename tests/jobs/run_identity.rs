@@ -51,22 +51,20 @@ fn no_daemon_comes_up_while_a_run_plans() {
 }
 
 #[test]
-fn a_run_s_daemon_has_the_lock_when_the_run_is_killed() {
+fn a_run_s_daemon_has_the_run_s_lock() {
     let place = Place::new("run-heir");
     let run = Running::start(place.job("run", &short(&["excitation.periods=500"])));
     let daemon = wait_for("the daemon", || children(run.pid(), "daemon").first().copied());
     wait_for("its lock", || (holder(&place)? == format!("process {daemon}")).then_some(()));
     wait_for("the loop", || place.status().filter(|now| now.cycles > 0));
-    signal(run.pid(), "STOP");
-    signal(run.pid(), "KILL");
-    run.end();
     let refused = Done::of(other_daemon(&place));
     assert!(refused.err.contains(&format!("another daemon (process {daemon})")), "{}", refused.said());
-    // The process that took the lock is gone; the one that holds it is stopped by a signal all the same.
+    // The run has taken the lock, and its daemon holds it: the daemon is the one that a signal goes to.
     std::fs::remove_file(lock(&place).with_extension("stop")).unwrap();
     let stopped = place.command("stop").expect_code(0);
     assert!(stopped.out.contains(&format!("(process {daemon}) has taken the stop by signal SIGUSR2")), "{stopped:?}");
-    place.command("quit");
+    let done = run.end().expect_code(1);
+    assert!(done.err.contains("the arm was stopped"), "{}", done.said());
     wait_for("the end of every process", || anyone_with(&place.id).is_empty().then_some(()));
 }
 

@@ -4,6 +4,8 @@ use super::check::{Checked, check};
 use super::gravity::Watch;
 use super::recorder::Recorder;
 use crate::app::Failure;
+use crate::app::signals::{Cause, Ending};
+use crate::backend::franka::RobotLimits;
 use crate::backend::sim::Truth;
 use crate::config::job::{Adopt, Job, OnLoss};
 use crate::config::robot::Robot;
@@ -18,8 +20,6 @@ use crate::model::torque::TorqueModel;
 use crate::recording::about::Reason;
 use crate::rt::order::{Controls, Event, StopReason};
 use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A model that passed every check.
 pub struct Accepted {
@@ -41,6 +41,8 @@ pub struct Desk {
     pub job: Job,
     /// The arm's description.
     pub robot: Robot,
+    /// Limits of the connected arm that the programme was checked under; `None` for a simulated arm.
+    pub arm_limits: Option<RobotLimits>,
     /// What the simulated arm is made of, where one is driven.
     pub truth: Option<Truth>,
     /// Where the arm starts and returns to \[rad\].
@@ -77,8 +79,10 @@ pub struct Desk {
     pub distrusted: Option<u64>,
     /// The last cycle seen.
     pub last: Record,
-    /// SIGINT or SIGTERM arrived.
-    pub signalled: Arc<AtomicBool>,
+    /// Signals, and the end of the parent process.
+    pub ending: Ending,
+    /// The reason to end that was logged last.
+    pub announced: Option<Cause>,
     /// Somebody asked for the programme.
     pub start: bool,
     /// Somebody asked for the end.
@@ -95,10 +99,11 @@ impl Desk {
         robot: Robot,
         names: Vec<(u32, String)>,
         recorder: Recorder,
-        signalled: Arc<AtomicBool>,
+        ending: Ending,
     ) -> Result<Desk, Failure> {
         Ok(Desk {
             recorder,
+            arm_limits: None,
             truth: crate::app::truth(&job)?,
             rest: crate::app::rest(&job, &robot)?,
             model: None,
@@ -117,7 +122,8 @@ impl Desk {
             barred: false,
             distrusted: None,
             last: Record::default(),
-            signalled,
+            ending,
+            announced: None,
             start: false,
             quit: false,
             job,
@@ -127,7 +133,25 @@ impl Desk {
 
     /// Whether the daemon is to end.
     pub fn must_quit(&self) -> bool {
-        self.quit || self.signalled.load(Ordering::Relaxed)
+        self.quit || self.ending.arrived()
+    }
+
+    /// Logs a reason to end, once; the controlled stop and its recording carry the first one.
+    pub fn announce_end(&mut self) {
+        let cause = self.ending.cause();
+        let Some(new) = cause.filter(|_| cause != self.announced) else { return };
+        if self.quit && new == Cause::ParentEnded {
+            // `plumbline run` asks for the end first, then closes the pipe.
+            return;
+        }
+        if self.announced.is_none() {
+            tracing::warn!(plumbline_event = "ending", "{new}: the daemon brakes an arm that moves, then ends");
+            self.cause = Some(new.to_string());
+            self.recorder.blame(Reason::new(new.kind(), new.to_string()));
+        } else {
+            tracing::warn!(plumbline_event = "ending", "{new}: the daemon is ending already; a stop under way goes on");
+        }
+        self.announced = cause;
     }
 
     /// Whether the programme is not to go on, whatever it was interrupted by.
@@ -242,6 +266,13 @@ impl Desk {
     /// The same, because of what is known of the mounting.
     pub fn stop_for_mounting(&mut self, why: String, controls: &Controls) {
         self.recorder.blame(Reason::new("mounting", &why));
+        self.cause = Some(why);
+        self.stop(Some(controls));
+    }
+
+    /// The same, because no model came.
+    pub fn stop_without_model(&mut self, why: String, controls: &Controls) {
+        self.recorder.blame(Reason::new("model-timeout", &why));
         self.cause = Some(why);
         self.stop(Some(controls));
     }
@@ -366,7 +397,7 @@ impl Desk {
                 })
             }
             Event::Stopping { reason, .. } => {
-                let cause = self.cause.take().filter(|_| *reason == StopReason::Requested);
+                let cause = self.cause.take().filter(|_| matches!(reason, StopReason::Requested | StopReason::Quit));
                 let reason = cause.unwrap_or_else(|| reason.to_string());
                 tracing::error!(plumbline_event = "stopping", "the arm is being stopped: {reason}");
                 self.stopped = Some(reason);

@@ -17,6 +17,7 @@ mod stop_line;
 
 use super::programme::Programme;
 use super::service::{self, Service};
+use super::signals::Ending;
 use super::{Failure, JobOptions, journal, owned};
 use crate::config::job::Job;
 use crate::ipc::{
@@ -35,8 +36,6 @@ use rhythm::RequestShare;
 use script::Script;
 use session::Session;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 use stop_line::StopLine;
 
@@ -48,9 +47,12 @@ pub struct Options {
     /// Serve this model from the start
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
-    /// Standard input is the robot's lock file, locked by the process that has started this one
+    /// The robot's lock is passed on by the process that has started this one
     #[arg(long, hide = true)]
     adopt_lock: bool,
+    /// Brake and end when standard input ends: for a program that starts a daemon and may die
+    #[arg(long)]
+    end_with_stdin: bool,
 }
 
 /// The longest that connecting to a robot, or its recovery, takes before it fails by itself; the watchdog waits for it.
@@ -86,15 +88,17 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let lock = if options.adopt_lock { super::adopted_lock(&id)? } else { super::lock(&id)? };
     // A stop is taken from here on, also while the excitation is planned.
     let stops = stop_line(&lock, &job)?;
-    let programme = super::plan::programme(&job, &robot, &out)?;
-    let signalled = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        signal_hook::flag::register(signal, Arc::clone(&signalled)).map_err(Failure::job)?;
+    let arm_limits = super::plan::arm_limits(&job)?;
+    let programme = super::plan::programme(&job, &robot, &out, arm_limits.as_ref())?;
+    let ending = Ending::watch()?;
+    if options.end_with_stdin {
+        ending.watch_parent()?;
     }
     // Its thread begins before anything asks for priority.
     let recorder = Recorder::start(&job, &id, &out)?;
     let names = programme.motions().map(|motion| (motion.number, motion.name.clone())).collect();
-    let mut desk = Desk::new(job, robot, names, recorder, signalled)?;
+    let mut desk = Desk::new(job, robot, names, recorder, ending)?;
+    desk.arm_limits = arm_limits;
     if let Some((path, text)) = model {
         desk.accept_text(&path, &text)?;
     }
@@ -230,6 +234,7 @@ impl Daemon {
     /// Takes note of a stop; answers the requests that are waiting, where their share of the time allows that.
     fn talk(&mut self, controls: Option<&Controls>) {
         self.take_stop(controls);
+        self.desk.announce_end();
         let begin = now_ns();
         if !self.share.is_due(begin) {
             return;

@@ -5,6 +5,7 @@ use std::os::fd::OwnedFd;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
+use crate::ipc::lock::is_held_by;
 use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
 
 /// A process that holds the lock and handles SIGUSR2.
@@ -47,16 +48,7 @@ impl Holder {
             let reason = format!("process {pid} belongs to user {owner}, the lock file to user {}", lock.uid());
             return Err(none(reason));
         }
-        let open = fs::read_dir(folder.join("fd")).map_err(|error| unknown(&error))?;
-        let numbers = open.filter_map(Result::ok).map(|entry| entry.file_name());
-        let is_lock = |number: &std::ffi::OsString| {
-            fs::metadata(folder.join("fd").join(number))
-                .is_ok_and(|file| (file.dev(), file.ino()) == (lock.dev(), lock.ino()))
-        };
-        let locked = |number: std::ffi::OsString| {
-            fs::read_to_string(folder.join("fdinfo").join(number)).is_ok_and(|info| holds_lock(&info))
-        };
-        if !numbers.filter(is_lock).any(locked) {
+        if !is_held_by(&lock, pid).map_err(|error| unknown(&error))? {
             return Err(none(format!("process {pid} does not hold the lock")));
         }
         let status = fs::read_to_string(folder.join("status")).map_err(|error| unknown(&error))?;
@@ -71,11 +63,6 @@ impl Holder {
         pidfd_send_signal(&self.process, Signal::USR2)
             .map_err(|error| Refusal { serves_none: false, reason: format!("SIGUSR2: {error}") })
     }
-}
-
-/// Whether an open file has the lock of flock(2), by the text of `/proc/PID/fdinfo/FD`.
-fn holds_lock(fdinfo: &str) -> bool {
-    fdinfo.lines().any(|line| line.starts_with("lock:") && line.contains("FLOCK") && line.contains("WRITE"))
 }
 
 /// Whether a process has a handler for `signal`, by the text of `/proc/PID/status`.

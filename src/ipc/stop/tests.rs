@@ -127,7 +127,9 @@ fn nothing_is_signalled_that_does_not_hold_the_lock() {
     assert!(bystander.try_wait().unwrap().is_none(), "it was signalled");
     // A lock that was passed on is held by whoever has it open, also where another process had taken it.
     let lock = Lock::take_in(place.path(), &robot()).unwrap();
-    let mut heir = std::process::Command::new("sleep").arg("60").stdin(lock.share().unwrap()).spawn().unwrap();
+    let passed_on = lock.pass_on().unwrap();
+    let mut heir = std::process::Command::new("sleep").arg("60").spawn().unwrap();
+    drop(passed_on);
     let refused = holder::Holder::verified(&path, heir.id()).unwrap_err();
     assert!(refused.reason.contains("holds the lock and serves no robot yet"), "{refused:?}");
     for child in [&mut bystander, &mut heir] {

@@ -17,7 +17,7 @@ fn desk() -> (Desk, tempfile::TempDir) {
     let robot = Robot::load(&job.robot, None).unwrap();
     let id = crate::ipc::RobotId::parse("test", "robot", "panda").unwrap();
     let recorder = Recorder::start(&job, &id, place.path()).unwrap();
-    (Desk::new(job, robot, Vec::new(), recorder, Arc::default()).unwrap(), place)
+    (Desk::new(job, robot, Vec::new(), recorder, Ending::default()).unwrap(), place)
 }
 
 fn ask(desk: &mut Desk, request: Request) -> Response {
@@ -79,14 +79,6 @@ fn a_stop_between_two_connections_ends_the_programme() {
 }
 
 #[test]
-fn a_signal_ends_the_daemon() {
-    let (desk, _place) = desk();
-    assert!(!desk.must_quit());
-    desk.signalled.store(true, Ordering::Relaxed);
-    assert!(desk.must_quit() && desk.must_leave() && desk.is_over());
-}
-
-#[test]
 fn a_model_that_a_loop_distrusted_is_handed_to_no_other() {
     let (mut desk, _place) = desk();
     assert!(!desk.may_hand_over(&Mounting::UPRIGHT), "there is none");
@@ -106,13 +98,13 @@ fn a_model_that_a_loop_distrusted_is_handed_to_no_other() {
 fn a_model_is_held_against_the_torques_at_rest_before_it_is_served() {
     let (mut desk, _place) = desk();
     // Declared upright; the arm hangs on a wall.
-    desk.gravity.connect(Mounting::UPRIGHT, None);
+    desk.gravity.connect(Mounting::UPRIGHT, None, Mounting::UPRIGHT.gravity(), false);
     rest(&mut desk, &Mounting::WALL);
     let reason = refusal(ask(&mut desk, offer()));
     assert!(reason.contains("torques at rest"), "{reason}");
     assert!(desk.model.is_none());
 
-    desk.gravity.connect(Mounting::UPRIGHT, None);
+    desk.gravity.connect(Mounting::UPRIGHT, None, Mounting::UPRIGHT.gravity(), false);
     rest(&mut desk, &Mounting::UPRIGHT);
     assert!(matches!(ask(&mut desk, offer()), Response::ModelAccepted { .. }));
 }

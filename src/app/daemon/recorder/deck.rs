@@ -99,11 +99,10 @@ impl Deck {
         self.history.tell(told);
         match told.event {
             Event::Stopping { reason, .. } => {
-                if let Some(kind) = kind_of_stop(&reason) {
-                    let asked = reason == StopReason::Requested;
-                    let blamed = self.blame.take().filter(|_| asked);
-                    self.pending = Some((blamed.unwrap_or_else(|| Reason::new(kind, reason.to_string())), told.cycle));
-                }
+                let asked = matches!(reason, StopReason::Requested | StopReason::Quit);
+                let blamed = self.blame.take().filter(|_| asked);
+                let own = kind_of_stop(&reason).map(|kind| Reason::new(kind, reason.to_string()));
+                self.pending = blamed.or(own).map(|reason| (reason, told.cycle));
             }
             Event::Stopped => {
                 if let Some((reason, cycle)) = self.pending.take() {
@@ -197,7 +196,7 @@ fn after(last: Option<&Record>, state: State) -> Record {
     Record { cycle: last.cycle + 1, state, stamp_ns, wake_ns: 0, work_ns: 0, ..last }
 }
 
-/// One word for a stop that is worth a recording.
+/// One word for a stop that is worth a recording by itself. The end of the program is one where a signal asked for it.
 fn kind_of_stop(reason: &StopReason) -> Option<&'static str> {
     Some(match reason {
         StopReason::Quit => return None,
