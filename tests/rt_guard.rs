@@ -4,7 +4,7 @@ mod common;
 
 use common::drive::{Job, Model, READY, Run, Shape, Tool, Wave, follow, move_to, panda_limits};
 use common::{FakeArm, Trick};
-use plumbline::joint::{JointVec, MAX_JOINTS, Phase, Record, Setpoint, SpeedEnvelope, Workspace};
+use plumbline::joint::{JointVec, MAX_JOINTS, Phase, Record, Setpoint, SpeedEnvelope, Validity, Workspace};
 use plumbline::rt::Reference;
 use plumbline::rt::cycle::End;
 use plumbline::rt::guard::{Limit, Violation};
@@ -226,10 +226,12 @@ fn a_model_that_breaks_a_torque_limit_is_not_asked_again() {
             })
             .run();
         assert_guarded(&run, limit, 0);
-        assert!(run.events.contains(&Event::Distrusted { model: 5 }));
+        assert!(run.events.contains(&Event::Distrusted { model: 5, instead: 0 }));
         for record in run.records.iter().filter(|r| matches!(r.phase, Phase::Stop | Phase::Stopped)) {
-            let expected = if record.cycle < 3_000 { (0, 0.0) } else { (6, 1.5) };
-            assert_eq!((record.model, record.command.tau_ff.0[0]), expected);
+            let (model, tau) = if record.cycle < 3_000 { (0, 0.0) } else { (6, 1.5) };
+            assert_eq!(record.model, model);
+            // Some 12 Nm at 1 Nm per cycle are gone long before the arm rests.
+            assert!(record.phase == Phase::Stop || record.command.tau_ff.0[0] == tau || record.validity == Validity::HandOver);
         }
         let limits = panda_limits();
         assert!(run.records.iter().all(|r| r.command.tau_ff.0[0].abs() <= limits.tau[0]));

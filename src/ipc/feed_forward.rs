@@ -10,6 +10,7 @@ use super::error::IpcError;
 use super::messages::FeedForwardMessage;
 use super::robot::RobotId;
 use super::services::{self, ServiceNode, now_ns};
+use crate::joint::Validity;
 
 /// How far ahead of this process's clock a time stamp may lie before it can't be from this machine \[ns\].
 const CLOCK_SLACK_NS: u64 = 1_000_000;
@@ -36,8 +37,10 @@ pub struct Latest {
     pub message: FeedForwardMessage,
     /// Time since the state that it answers was read \[ns\].
     pub age_ns: u64,
-    /// Whether it is older than [`FeedForwardSettings::stale_after_ms`]: don't use its torque.
+    /// Whether it is older than [`FeedForwardSettings::stale_after_ms`].
     pub stale: bool,
+    /// Whether its torque may be used: not stale, and a model serves ([`FeedForwardMessage::validity`]).
+    pub usable: bool,
 }
 
 /// Whether anyone serves the robot.
@@ -105,7 +108,9 @@ impl FeedForwardClient {
         let now = now_ns();
         Ok(self.newest.map(|message| {
             let age_ns = now.saturating_sub(message.stamp_ns);
-            Latest { message, age_ns, stale: age_ns > self.settings.stale_after_ms.saturating_mul(1_000_000) }
+            let stale = age_ns > self.settings.stale_after_ms.saturating_mul(1_000_000);
+            let served = message.validity().is_ok_and(Validity::is_served);
+            Latest { message, age_ns, stale, usable: served && !stale }
         }))
     }
 

@@ -22,7 +22,7 @@ use crate::model::gravity::Mounting;
 use crate::rt::cycle::End;
 use arm::Purpose;
 use clap::Args;
-use desk::Desk;
+use desk::{Desk, Recent};
 use recorder::Recorder;
 use script::Script;
 use session::Session;
@@ -93,6 +93,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
         stopped: None,
         cause: None,
         barred: false,
+        reserve: None,
+        recent: Recent::default(),
         distrusted: None,
         last: Record::default(),
         signalled,
