@@ -151,6 +151,27 @@ fn acceleration_and_jerk_are_limited() {
 }
 
 #[test]
+fn an_acceleration_that_the_stated_one_hides_is_refused() {
+    // 26 rad/s2 by the positions; stated are 14.9 and the velocity that goes with these.
+    let jerk = 7000.0;
+    let q = move |tick: u64| {
+        let (t, ramp) = (tick as f64 * 1e-3, 26.0 / jerk);
+        let (s, late) = (t.min(ramp), (t - ramp).max(0.0));
+        jerk * s.powi(3) / 6.0 + 0.5 * jerk * ramp * ramp * late + 0.5 * 26.0 * late * late
+    };
+    let hidden = Shape(60, move |tick| {
+        let mut out = Setpoint { q: READY, ..Setpoint::default() };
+        let seen = (q(tick) - q(tick.saturating_sub(1))) / 1e-3;
+        out.ddq[0] = (jerk * tick as f64 * 1e-3).min(14.9);
+        (out.q[0], out.dq[0]) = (READY[0] + q(tick), if tick == 0 { 0.0 } else { seen + 0.5e-3 * out.ddq[0] });
+        out
+    });
+    let run = Job::new(1_000).order(follow(1, hidden)).run();
+    let violation = assert_guarded(&run, Limit::Acceleration, 0);
+    assert!(violation.value > 15.0 && violation.value < 26.0, "{violation}");
+}
+
+#[test]
 fn a_jump_never_leaves() {
     for (what, size) in [(Limit::Velocity, 0.05), (Limit::Position, 4.0)] {
         let jump = Shape(1_501, move |tick| {

@@ -201,6 +201,48 @@ fn a_reference_that_starts_elsewhere_never_begins() {
 }
 
 #[test]
+fn a_reference_that_starts_two_micrometres_per_metre_away_never_begins() {
+    // The guard would take it: 2e-6 rad in a millisecond are 2000 rad/s3 and less than any limit.
+    let mut near = READY;
+    near[3] += 2e-6;
+    let run = Job::new(300).order(follow(1, started_at(near))).run();
+    let Some(StopReason::NotAtStart { motion: 1, joint: 3, distance }) = run.outcome.last_stop else {
+        panic!("{:?}", run.outcome.last_stop)
+    };
+    assert!((distance - 2e-6).abs() < 1e-12, "{distance}");
+    near[3] = READY[3] + 0.5e-6;
+    let run = Job::new(2_000).order(follow(1, started_at(near))).run();
+    assert_eq!(run.outcome.stops, 0);
+}
+
+#[test]
+fn the_arm_is_stopped_by_a_loop_that_ends_one_that_panics_and_one_that_never_ran() {
+    let made = || {
+        let arm = FakeArm::new(7, READY);
+        let seen = std::sync::Arc::clone(&arm.seen);
+        let (cycle, handles) = cycle::new(arm, ring(100).0, None, common::drive::settings()).unwrap();
+        (cycle, handles, seen)
+    };
+    let stops = |seen: &common::Seen| seen.get().2;
+    let (mut ending, handles, seen) = made();
+    handles.controls.quit();
+    assert_eq!((ending.run().end, stops(&seen)), (End::Quit, 1));
+    drop(ending);
+
+    let (mut panicking, mut handles, seen) = made();
+    let model = Model(1, |_: &Setpoint| -> JointVec { panic!("a model that panics") });
+    assert!(handles.models.serve(Box::new(model)).is_ok());
+    let run = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| drop(panicking.run())));
+    assert!(run.is_err() && stops(&seen) == 0);
+    assert!(panicking.after_panic().1.is_some() && stops(&seen) == 1);
+    drop(panicking);
+
+    let (unused, _handles, seen) = made();
+    drop(unused);
+    assert_eq!(stops(&seen), 1);
+}
+
+#[test]
 fn a_fault_in_any_phase_stops_the_arm_at_once() {
     let faults =
         [Fault::Silent { waited_ms: 20 }, Fault::Reflex { code: 25 }, Fault::Refused { code: 3 }, Fault::Disconnected];

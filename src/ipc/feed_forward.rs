@@ -43,6 +43,14 @@ pub struct Latest {
     pub usable: bool,
 }
 
+impl Latest {
+    fn at(message: FeedForwardMessage, age_ns: u64, settings: FeedForwardSettings) -> Latest {
+        let stale = age_ns > settings.stale_after_ms.saturating_mul(1_000_000);
+        let served = message.validity().is_ok_and(Validity::is_served);
+        Latest { message, age_ns, stale, usable: served && !stale }
+    }
+}
+
 /// Whether anyone serves the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Presence {
@@ -108,9 +116,7 @@ impl FeedForwardClient {
         let now = now_ns();
         Ok(self.newest.map(|message| {
             let age_ns = now.saturating_sub(message.stamp_ns);
-            let stale = age_ns > self.settings.stale_after_ms.saturating_mul(1_000_000);
-            let served = message.validity().is_ok_and(Validity::is_served);
-            Latest { message, age_ns, stale, usable: served && !stale }
+            Latest::at(message, age_ns, self.settings)
         }))
     }
 
@@ -146,6 +152,17 @@ fn supersedes(message: &FeedForwardMessage, newest: Option<&FeedForwardMessage>,
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_torque_is_usable_while_it_is_fresh_and_a_model_serves() {
+        let settings = FeedForwardSettings { stale_after_ms: 5 };
+        let usable = |validity: Validity, age_ns| {
+            let message = FeedForwardMessage { validity: validity as u32, ..FeedForwardMessage::default() };
+            Latest::at(message, age_ns, settings).usable
+        };
+        assert!(usable(Validity::Valid, 5_000_000) && usable(Validity::HandOver, 0));
+        assert!(!usable(Validity::Valid, 5_000_001) && !usable(Validity::None, 0) && !usable(Validity::Withdrawn, 0));
+    }
 
     #[test]
     fn only_possible_and_newer_values_are_taken() {

@@ -491,3 +491,6 @@ fn allocations_are_watched() -> bool {
         watched
     })
 }
+
+#[cfg(test)]
+mod tests;
