@@ -52,7 +52,7 @@ pub struct Command {
     pub seq: u64,
     /// Desired motion; a position interface uses `desired.q` alone.
     pub desired: Setpoint,
-    /// Feed-forward torque of the served model at `desired`; zero while no model is served \[Nm\].
+    /// Feed-forward torque of the served model at `desired`, or on its way there; see [`Validity`] \[Nm\].
     pub tau_ff: Torque,
     /// The same model at rest at `desired.q`, under the gravity that the arm's own controller compensates: what that controller adds by
     /// itself. Such an arm is sent `tau_ff - tau_vendor` \[Nm\].
@@ -87,6 +87,35 @@ impl Phase {
     }
 }
 
+/// What stands behind the feed-forward torque of a cycle.
+#[repr(u32)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Validity {
+    /// No model has served yet: the torque is zero and means nothing.
+    #[default]
+    None = 0,
+    /// The served model's torque.
+    Valid = 1,
+    /// On the way from another torque to the served model's, within the torque-rate limit.
+    HandOver = 2,
+    /// The model was withdrawn or broke a limit, and none serves in its place: the torque is on its way to zero, or there.
+    Withdrawn = 3,
+}
+
+impl Validity {
+    /// The validity of a number that crossed shared memory; `None` when the number is none of them.
+    pub fn from_u32(code: u32) -> Option<Validity> {
+        [Validity::None, Validity::Valid, Validity::HandOver, Validity::Withdrawn]
+            .into_iter()
+            .find(|validity| *validity as u32 == code)
+    }
+
+    /// Whether a model serves.
+    pub fn is_served(self) -> bool {
+        matches!(self, Validity::Valid | Validity::HandOver)
+    }
+}
+
 /// Everything about one cycle: what came in, what went out, and how long it took.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -105,6 +134,8 @@ pub struct Record {
     pub tick: u64,
     /// Identity of the served model, 0 while there is none.
     pub model: u64,
+    /// What stands behind the torque.
+    pub validity: Validity,
     /// `CLOCK_MONOTONIC` when the state had been read \[ns\].
     pub stamp_ns: u64,
     /// Wake-up latency: how late the state was read after its deadline, 0 where the arm has no deadline \[ns\].

@@ -166,7 +166,7 @@ fn recording(of: &Told, first: u64, lose: Option<u64>) -> Recording {
             format!("{:?} {:?} {:?}", a.state, a.command, a.tick),
             format!("{:?} {:?} {:?}", b.state, b.command, b.tick)
         );
-        assert_eq!((a.cycle, a.phase, a.motion, a.model), (b.cycle, b.phase, b.motion, b.model));
+        assert_eq!((a.cycle, a.phase, a.motion, a.model, a.validity), (b.cycle, b.phase, b.motion, b.model, b.validity));
         assert_eq!((a.stamp_ns, a.wake_ns, a.work_ns), (b.stamp_ns, b.wake_ns, b.work_ns));
     }
     assert_eq!((read.records.len(), read.texts.len()), (written.records.len(), 1));
@@ -289,8 +289,16 @@ fn a_model_that_is_not_trusted_and_one_that_takes_its_place() {
     let good: Act = |handles| assert!(handles.models.serve(model(5)).is_ok());
     let of =
         told(FakeArm::new(JOINTS, READY), 4_000, whole_job(), vec![66], (Vec::new(), vec![5]), vec![(2_500, good)]);
-    assert!(of.run.events.contains(&Event::Distrusted { model: 66 }), "{:?}", of.run.events);
+    assert!(of.run.events.contains(&Event::Distrusted { model: 66, instead: 0 }), "{:?}", of.run.events);
     assert!(of.run.events.contains(&Event::Serving { model: 5 }));
+    replays_from_everywhere(&of);
+}
+
+#[test]
+fn a_model_that_is_not_trusted_and_the_one_before_it_that_takes_its_place() {
+    let of = told(FakeArm::new(JOINTS, READY), 4_000, whole_job(), vec![4, 66], none(), Vec::new());
+    assert!(of.run.events.contains(&Event::Distrusted { model: 66, instead: 4 }), "{:?}", of.run.events);
+    assert_eq!(of.run.records.last().map(|record| record.model), Some(4));
     replays_from_everywhere(&of);
 }
 

@@ -4,7 +4,7 @@ mod common;
 
 use common::drive::{Job, Model, READY, Run, Shape, Wave, dwell, follow, move_to, panda_limits};
 use common::{FakeArm, Trick};
-use plumbline::joint::{Command, JointVec, Phase, Setpoint, State};
+use plumbline::joint::{Command, JointVec, Phase, Setpoint, State, Validity};
 use plumbline::rt::cycle::{self, End};
 use plumbline::rt::order::{Event, StopReason};
 use plumbline::rt::os::{now_ns, sleep_until};
@@ -61,27 +61,29 @@ fn a_whole_job_runs_in_order_inside_the_limits_and_allocates_nothing() {
 }
 
 #[test]
-fn two_models_never_mix_and_the_old_one_is_freed_outside() {
+fn a_model_is_exact_after_its_hand_over_and_an_old_one_is_freed_outside() {
     let run = Job::new(3_000)
         .order(follow(1, Wave::gentle()))
         .outside(400, |h| assert!(h.models.serve(Box::new(Model(1, |d: &Setpoint| d.q.map(|q| 4.0 * q)))).is_ok()))
         .outside(900, |h| assert!(h.models.serve(Box::new(Model(2, |d: &Setpoint| d.dq.map(|v| -5.0 * v)))).is_ok()))
-        .outside(2_500, |h| assert_eq!(h.free_retired(), 2, "model 1 and the finished reference"))
+        .outside(2_000, |h| assert!(h.models.serve(Box::new(Model(3, |_: &Setpoint| [0.0; 8]))).is_ok()))
+        .outside(2_500, |h| assert_eq!(h.free_retired(), 2, "model 1 and the finished reference; model 2 is in reserve"))
         .run();
     run.assert_sound();
     assert_eq!(run.outcome.stops, 0);
-    let mut cycles_with = [0; 3];
+    let mut cycles_with = [0; 4];
     for record in &run.records {
+        cycles_with[record.model as usize] += 1;
         let desired = &record.command.desired;
         let expected = match record.model {
-            0 => JointVec::default(),
             1 => desired.q.map(|q| 4.0 * q),
-            _ => desired.dq.map(|v| -5.0 * v),
+            2 => desired.dq.map(|v| -5.0 * v),
+            _ => JointVec::default(),
         };
-        assert_eq!(record.command.tau_ff.0, expected);
-        cycles_with[record.model as usize] += 1;
+        assert!(record.command.tau_ff.0 == expected || record.validity == Validity::HandOver, "{record:?}");
     }
-    assert_eq!(cycles_with, [400, 500, 2_101]);
+    assert_eq!(cycles_with, [400, 500, 1_100, 1_001]);
+    assert!(run.records.iter().filter(|record| record.validity == Validity::HandOver).count() < 100);
 }
 
 #[test]
@@ -196,6 +198,48 @@ fn a_reference_that_starts_elsewhere_never_begins() {
     let run = Job::new(200).order(follow(1, started_at(AWAY))).run();
     assert_stopped(&run, StopReason::NotAtStart { motion: 1, joint: 0, distance: 0.4 });
     assert!(run.records.iter().all(|r| r.command.desired.q == READY));
+}
+
+#[test]
+fn a_reference_that_starts_two_micrometres_per_metre_away_never_begins() {
+    // The guard would take it: 2e-6 rad in a millisecond are 2000 rad/s3 and less than any limit.
+    let mut near = READY;
+    near[3] += 2e-6;
+    let run = Job::new(300).order(follow(1, started_at(near))).run();
+    let Some(StopReason::NotAtStart { motion: 1, joint: 3, distance }) = run.outcome.last_stop else {
+        panic!("{:?}", run.outcome.last_stop)
+    };
+    assert!((distance - 2e-6).abs() < 1e-12, "{distance}");
+    near[3] = READY[3] + 0.5e-6;
+    let run = Job::new(2_000).order(follow(1, started_at(near))).run();
+    assert_eq!(run.outcome.stops, 0);
+}
+
+#[test]
+fn the_arm_is_stopped_by_a_loop_that_ends_one_that_panics_and_one_that_never_ran() {
+    let made = || {
+        let arm = FakeArm::new(7, READY);
+        let seen = std::sync::Arc::clone(&arm.seen);
+        let (cycle, handles) = cycle::new(arm, ring(100).0, None, common::drive::settings()).unwrap();
+        (cycle, handles, seen)
+    };
+    let stops = |seen: &common::Seen| seen.get().2;
+    let (mut ending, handles, seen) = made();
+    handles.controls.quit();
+    assert_eq!((ending.run().end, stops(&seen)), (End::Quit, 1));
+    drop(ending);
+
+    let (mut panicking, mut handles, seen) = made();
+    let model = Model(1, |_: &Setpoint| -> JointVec { panic!("a model that panics") });
+    assert!(handles.models.serve(Box::new(model)).is_ok());
+    let run = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| drop(panicking.run())));
+    assert!(run.is_err() && stops(&seen) == 0);
+    assert!(panicking.after_panic().1.is_some() && stops(&seen) == 1);
+    drop(panicking);
+
+    let (unused, _handles, seen) = made();
+    drop(unused);
+    assert_eq!(stops(&seen), 1);
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use super::Failure;
 use crate::ipc::{FeedForwardClient, FeedForwardSettings, Latest, Presence, RobotId};
+use crate::joint::Validity;
 use clap::Args;
 use std::io::Write;
 use std::time::{Duration, Instant};
@@ -59,11 +60,13 @@ pub fn run(options: Options) -> Result<(), Failure> {
 /// Sequence, age, model, torques; and whether the value may still be used.
 fn line(latest: &Latest, daemon: Presence) -> String {
     let torques: Vec<String> = latest.message.torque().iter().map(|tau| format!("{tau:9.4}")).collect();
-    let state = match (daemon, latest.stale, latest.message.model) {
+    let state = match (daemon, latest.stale, latest.message.validity()) {
         (Presence::Gone, ..) => "  DAEMON GONE",
         (_, true, _) => "  STALE",
-        (_, _, 0) => "  NO MODEL",
-        _ => "",
+        (.., Ok(Validity::Valid)) => "",
+        (.., Ok(Validity::HandOver)) => "  HAND-OVER",
+        (.., Ok(Validity::Withdrawn)) => "  WITHDRAWN",
+        (.., Ok(Validity::None) | Err(_)) => "  NO MODEL",
     };
     format!(
         "{:10}  age {:8.3} ms  model {:016x}  tau_ff {} Nm{state}",

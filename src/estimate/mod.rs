@@ -12,6 +12,7 @@ pub mod essential;
 pub mod experiment;
 pub mod mounting_check;
 pub mod periods;
+pub mod plausibility;
 pub mod run;
 pub mod settings;
 pub mod signal;

@@ -7,6 +7,7 @@ use crate::joint::{Command, JointVec, MAX_JOINTS, Setpoint, State};
 use crate::rt::PERIOD;
 use crate::rt::guard::{Guard, GuardSettings, Limit, Violation};
 use crate::rt::moves::MoveFactors;
+use crate::rt::torque::Asked;
 
 /// One period of a motion, from rest: the first rule of the guard that it breaks.
 pub fn rehearse(bounds: &Bounds, fourier: &Fourier) -> Option<Peak> {
@@ -31,7 +32,7 @@ pub fn rehearse_points(bounds: &Bounds, points: impl IntoIterator<Item = Setpoin
             desired.q
         });
         let state = State { q, ..State::default() };
-        if let Err(violation) = guard.check(PERIOD, &Command { desired, ..Command::default() }, &state) {
+        if let Err(violation) = guard.check(PERIOD, &Command { desired, ..Command::default() }, &Asked::default(), &state) {
             return Some(peak(&violation, tick as f64 * PERIOD));
         }
         last = Some(desired.q);

@@ -10,6 +10,7 @@ use super::error::IpcError;
 use super::messages::FeedForwardMessage;
 use super::robot::RobotId;
 use super::services::{self, ServiceNode, now_ns};
+use crate::joint::Validity;
 
 /// How far ahead of this process's clock a time stamp may lie before it can't be from this machine \[ns\].
 const CLOCK_SLACK_NS: u64 = 1_000_000;
@@ -36,8 +37,18 @@ pub struct Latest {
     pub message: FeedForwardMessage,
     /// Time since the state that it answers was read \[ns\].
     pub age_ns: u64,
-    /// Whether it is older than [`FeedForwardSettings::stale_after_ms`]: don't use its torque.
+    /// Whether it is older than [`FeedForwardSettings::stale_after_ms`].
     pub stale: bool,
+    /// Whether its torque may be used: not stale, and a model serves ([`FeedForwardMessage::validity`]).
+    pub usable: bool,
+}
+
+impl Latest {
+    fn at(message: FeedForwardMessage, age_ns: u64, settings: FeedForwardSettings) -> Latest {
+        let stale = age_ns > settings.stale_after_ms.saturating_mul(1_000_000);
+        let served = message.validity().is_ok_and(Validity::is_served);
+        Latest { message, age_ns, stale, usable: served && !stale }
+    }
 }
 
 /// Whether anyone serves the robot.
@@ -105,7 +116,7 @@ impl FeedForwardClient {
         let now = now_ns();
         Ok(self.newest.map(|message| {
             let age_ns = now.saturating_sub(message.stamp_ns);
-            Latest { message, age_ns, stale: age_ns > self.settings.stale_after_ms.saturating_mul(1_000_000) }
+            Latest::at(message, age_ns, self.settings)
         }))
     }
 
@@ -141,6 +152,17 @@ fn supersedes(message: &FeedForwardMessage, newest: Option<&FeedForwardMessage>,
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_torque_is_usable_while_it_is_fresh_and_a_model_serves() {
+        let settings = FeedForwardSettings { stale_after_ms: 5 };
+        let usable = |validity: Validity, age_ns| {
+            let message = FeedForwardMessage { validity: validity as u32, ..FeedForwardMessage::default() };
+            Latest::at(message, age_ns, settings).usable
+        };
+        assert!(usable(Validity::Valid, 5_000_000) && usable(Validity::HandOver, 0));
+        assert!(!usable(Validity::Valid, 5_000_001) && !usable(Validity::None, 0) && !usable(Validity::Withdrawn, 0));
+    }
 
     #[test]
     fn only_possible_and_newer_values_are_taken() {

@@ -5,7 +5,7 @@
 
 use iceoryx2::prelude::ZeroCopySend;
 
-use crate::joint::{Command, JointVec, MAX_JOINTS, Phase, Record, Setpoint, State, Torque};
+use crate::joint::{Command, JointVec, MAX_JOINTS, Phase, Record, Setpoint, State, Torque, Validity};
 
 /// A message held something that it can't hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -13,6 +13,14 @@ pub enum MessageError {
     /// The phase is none of [`Phase`].
     #[error("phase {code} of record {seq} does not exist")]
     Phase {
+        /// Number found.
+        code: u32,
+        /// Number of the record or of the feed-forward.
+        seq: u64,
+    },
+    /// The validity is none of [`Validity`].
+    #[error("validity {code} of record {seq} does not exist")]
+    Validity {
         /// Number found.
         code: u32,
         /// Number of the record or of the feed-forward.
@@ -75,6 +83,10 @@ pub struct SampleMessage {
     pub work_ns: u64,
     /// See [`Command::tau_vendor`] \[Nm\].
     pub tau_vendor: JointVec,
+    /// [`Validity`] as a number.
+    pub validity: u32,
+    /// Always 0.
+    pub reserved: u32,
 }
 
 impl SampleMessage {
@@ -104,12 +116,16 @@ impl SampleMessage {
             wake_ns: record.wake_ns,
             work_ns: record.work_ns,
             tau_vendor: command.tau_vendor.0,
+            validity: record.validity as u32,
+            reserved: 0,
         }
     }
 
     /// The record it carries.
     pub fn record(&self) -> Result<Record, MessageError> {
         let phase = Phase::from_u32(self.phase).ok_or(MessageError::Phase { code: self.phase, seq: self.seq })?;
+        let validity = Validity::from_u32(self.validity)
+            .ok_or(MessageError::Validity { code: self.validity, seq: self.seq })?;
         Ok(Record {
             cycle: self.cycle,
             state: State { seq: self.state_seq, time: self.time, q: self.q, dq: self.dq, tau: self.tau, q_d: self.q_d },
@@ -123,6 +139,7 @@ impl SampleMessage {
             motion: self.motion,
             tick: self.tick,
             model: self.model,
+            validity,
             stamp_ns: self.stamp_ns,
             wake_ns: self.wake_ns,
             work_ns: self.work_ns,
@@ -141,7 +158,7 @@ pub struct FeedForwardMessage {
     pub stamp_ns: u64,
     /// Identity of the daemon's start. [`Server`](super::Server) sets it.
     pub epoch: u64,
-    /// Identity of the model, 0 while none is served and `tau_ff` is zero.
+    /// Identity of the model, 0 while none is served: see `validity`.
     pub model: u64,
     /// Number of joints; entries past it are zero.
     pub n: u32,
@@ -160,6 +177,10 @@ pub struct FeedForwardMessage {
     pub tau_vendor: JointVec,
     /// Gravitational acceleration in the base frame that the arm's own controller compensates \[m/s2\].
     pub gravity_vendor: [f64; 3],
+    /// [`Validity`] as a number.
+    pub validity: u32,
+    /// Always 0.
+    pub reserved: u32,
 }
 
 impl FeedForwardMessage {
@@ -179,6 +200,8 @@ impl FeedForwardMessage {
             gravity,
             tau_vendor: record.command.tau_vendor.0,
             gravity_vendor,
+            validity: record.validity as u32,
+            reserved: 0,
         }
     }
 
@@ -187,7 +210,13 @@ impl FeedForwardMessage {
         if self.n as usize > MAX_JOINTS {
             return Err(MessageError::Joints { joints: self.n });
         }
+        self.validity()?;
         self.phase().map(|_| ())
+    }
+
+    /// The validity that its number stands for.
+    pub fn validity(&self) -> Result<Validity, MessageError> {
+        Validity::from_u32(self.validity).ok_or(MessageError::Validity { code: self.validity, seq: self.sequence })
     }
 
     /// The phase that its number stands for.
@@ -258,6 +287,7 @@ mod tests {
             motion: 4,
             tick: 5,
             model: 6,
+            validity: Validity::HandOver,
             stamp_ns: 7,
             wake_ns: 8,
             work_ns: 9,
@@ -280,6 +310,11 @@ mod tests {
         let mut value = FeedForwardMessage::new(&record(), 7, [9.81, 0.0, 0.0], [0.0, 0.0, -9.81]);
         assert_eq!(value.check(), Ok(()));
         assert_eq!(value.torque(), &record().command.tau_ff.0[..7]);
+        let odd = FeedForwardMessage { validity: 4, ..value };
+        assert_eq!(odd.check(), Err(MessageError::Validity { code: 4, seq: 0 }));
+        sample.phase = 0;
+        sample.validity = 5;
+        assert_eq!(sample.record(), Err(MessageError::Validity { code: 5, seq: 12 }));
         value.n = u32::MAX;
         assert_eq!(value.check(), Err(MessageError::Joints { joints: u32::MAX }));
         assert_eq!(value.torque().len(), MAX_JOINTS);
@@ -287,7 +322,7 @@ mod tests {
 
     #[test]
     fn layouts_are_what_other_languages_expect() {
-        assert_eq!((size_of::<SampleMessage>(), align_of::<SampleMessage>()), (672, 8));
+        assert_eq!((size_of::<SampleMessage>(), align_of::<SampleMessage>()), (680, 8));
         assert_eq!(offset_of!(SampleMessage, q), 40);
         assert_eq!(offset_of!(SampleMessage, dq), 104);
         assert_eq!(offset_of!(SampleMessage, tau), 168);
@@ -305,8 +340,9 @@ mod tests {
         assert_eq!(offset_of!(SampleMessage, wake_ns), 592);
         assert_eq!(offset_of!(SampleMessage, work_ns), 600);
         assert_eq!(offset_of!(SampleMessage, tau_vendor), 608);
+        assert_eq!(offset_of!(SampleMessage, validity), 672);
 
-        assert_eq!((size_of::<FeedForwardMessage>(), align_of::<FeedForwardMessage>()), (344, 8));
+        assert_eq!((size_of::<FeedForwardMessage>(), align_of::<FeedForwardMessage>()), (352, 8));
         assert_eq!(offset_of!(FeedForwardMessage, stamp_ns), 8);
         assert_eq!(offset_of!(FeedForwardMessage, epoch), 16);
         assert_eq!(offset_of!(FeedForwardMessage, model), 24);
@@ -318,6 +354,7 @@ mod tests {
         assert_eq!(offset_of!(FeedForwardMessage, gravity), 232);
         assert_eq!(offset_of!(FeedForwardMessage, tau_vendor), 256);
         assert_eq!(offset_of!(FeedForwardMessage, gravity_vendor), 320);
+        assert_eq!(offset_of!(FeedForwardMessage, validity), 344);
 
         assert_eq!((size_of::<FollowRequest>(), align_of::<FollowRequest>()), (56, 8));
         assert_eq!((size_of::<ReplayHeader>(), align_of::<ReplayHeader>()), (24, 8));

@@ -16,6 +16,7 @@ use crate::recording::history::{Fold, begun_from};
 use crate::rt::checkpoint::{Checkpoint, Doing};
 use crate::rt::cycle::{self, Cycle, End};
 use crate::rt::order::{Event, Handles, Order, OrderKind, StopReason, Told};
+use crate::rt::torque::Succession;
 use crate::rt::{Backend, Fault, FeedForward, Kinematics, Reference, Sink};
 use nalgebra::DMatrix;
 use serde::Serialize;
@@ -197,8 +198,8 @@ impl Start {
             match doing(recording, &before) {
                 Ok(doing) => {
                     let last = [records[at - 3], records[at - 2], records[at - 1]];
-                    let model = serving(recording, &before, last[2].model, model)?;
-                    return Ok(Start { at, checkpoint: Some(Checkpoint { doing, last, model }), before });
+                    let models = serving(recording, last[2].cycle, last[2].model, model)?;
+                    return Ok(Start { at, checkpoint: Some(Checkpoint { doing, last, models }), before });
                 }
                 Err(error) => refused = error,
             }
@@ -266,21 +267,40 @@ fn reference(motion: u32, series: &Series) -> Result<Box<dyn Reference>, ReplayE
     Ok(Box::new(motion))
 }
 
-/// The model that was asked in a cycle.
+/// The model that was asked in `cycle`, which has to be `id`, and the one behind it.
 fn serving(
     recording: &Recording,
-    before: &Fold,
+    cycle: u64,
     id: u64,
     model: &mut dyn FnMut(&Handed) -> Built,
-) -> Result<Option<Box<dyn FeedForward>>, ReplayError> {
-    if id == 0 {
-        return Ok(None);
+) -> Result<Succession<Box<dyn FeedForward>>, ReplayError> {
+    let about = &recording.about;
+    let (begin, first) = recording.records.first().map_or((0, 0), |first| (first.cycle, first.model));
+    let mut left = about.models.iter();
+    let mut models = Succession::default();
+    for handed in left.by_ref().take(about.models_before as usize) {
+        models.serve(handed.id, handed);
     }
-    let handed = (before.models as usize).checked_sub(1).and_then(|place| recording.about.models.get(place));
-    match handed {
-        Some(handed) if handed.id == id => build(handed, model).map(Some),
-        _ => Err(ReplayError::Missing { what: format!("model {id:016x}") }),
+    // Models that broke a limit before the recording began.
+    while models.id() != 0 && models.id() != first {
+        models.fall_back();
     }
+    for told in recording.events.iter().filter(|told| told.cycle > begin && told.cycle <= cycle) {
+        match told.event {
+            Event::Serving { .. } => drop(left.next().map(|handed| models.serve(handed.id, handed))),
+            Event::Distrusted { .. } => drop(models.fall_back()),
+            _ => {}
+        }
+    }
+    if models.id() != id {
+        return Err(ReplayError::Missing { what: format!("model {id:016x}") });
+    }
+    let mut built = Succession::default();
+    let [serving, reserve] = models.into_parts();
+    for (id, handed) in [reserve, serving].into_iter().flatten() {
+        built.serve(id, build(handed, model)?);
+    }
+    Ok(built)
 }
 
 fn build(handed: &Handed, model: &mut dyn FnMut(&Handed) -> Built) -> Result<Box<dyn FeedForward>, ReplayError> {
@@ -436,6 +456,9 @@ fn difference(was: &Record, is: &Record) -> Option<String> {
     }
     if was.phase != is.phase {
         return Some(format!("phase {:?}, then {:?}", is.phase, was.phase));
+    }
+    if was.validity != is.validity {
+        return Some(format!("validity {:?}, then {:?}", is.validity, was.validity));
     }
     (was.model != is.model).then(|| format!("model {:016x}, then {:016x}", is.model, was.model))
 }

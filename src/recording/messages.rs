@@ -4,7 +4,7 @@
 //! viewer draws, and what has no place there as `plumbline_msgs/Cycle`.
 
 use super::cdr::{CdrError, Decoder, Encoder};
-use crate::joint::{MAX_JOINTS, Phase, Record};
+use crate::joint::{MAX_JOINTS, Phase, Record, Validity};
 use crate::rt::guard::{Limit, Violation};
 use crate::rt::order::{Event, StopReason, Told};
 
@@ -47,7 +47,8 @@ pub(super) fn schema(topic: &str) -> (&'static str, String) {
              uint8 phase\n\
              float64[] position_accepted    # the position that the arm last accepted as desired [rad]\n\
              float64[] acceleration_desired # [rad/s2]\n\
-             float64[] torque_vendor        # the model at rest under the gravity that the arm compensates [Nm]\n"
+             float64[] torque_vendor        # the model at rest under the gravity that the arm compensates [Nm]\n\
+             uint8 validity                 # 0 no model yet, 1 the model's torque, 2 on its way there, 3 no model any more\n"
                 .to_string(),
         ),
         EVENTS => (
@@ -65,7 +66,8 @@ pub(super) fn schema(topic: &str) -> (&'static str, String) {
              string kind\n\
              string reason     # of `stopping`\n\
              string limit      # of the reason `guard`\n\
-             string text       # for people\n"
+             string text       # for people\n\
+             uint64 instead    # of `distrusted`: the model in its place, 0 for none\n"
                 .to_string(),
         ),
         _ => (
@@ -117,6 +119,7 @@ pub(super) fn cycle(record: &Record, names: &[String], log_ns: u64) -> [(&'stati
     rest.u64(record.stamp_ns).u64(record.wake_ns).u64(record.work_ns).u64(record.model).u64(record.tick);
     rest.u32(record.motion).u8(record.phase as u8);
     rest.f64s(&state.q_d[..n]).f64s(&command.desired.ddq[..n]).f64s(&command.tau_vendor.0[..n]);
+    rest.u8(record.validity as u8);
     [
         (STATES, joints(&state.q, &state.dq, &state.tau)),
         (COMMANDS, joints(&command.desired.q, &command.desired.dq, &command.tau_ff.0)),
@@ -143,6 +146,9 @@ pub(super) fn read_cycle(topic: &str, bytes: &[u8], record: &mut Record) -> Resu
         message.f64s(&mut record.state.q_d)?;
         message.f64s(&mut record.command.desired.ddq)?;
         message.f64s(&mut record.command.tau_vendor.0)?;
+        // Recordings of version 0.1 end here: there was no hand-over, and a model served or not.
+        let code = message.u8().unwrap_or(if record.model == 0 { 0 } else { 1 });
+        record.validity = Validity::from_u32(code.into()).ok_or_else(|| unknown(code, "a validity from 0 to 3"))?;
         return Ok(());
     }
     message.i32()?;
@@ -198,7 +204,12 @@ pub fn words(event: &Event) -> String {
         Event::Resumed => "an operator has allowed motion again".to_string(),
         Event::Discarded { motion } => format!("order {motion} was discarded"),
         Event::Serving { model } => format!("model {model:016x} serves"),
-        Event::Distrusted { model } => format!("the torque of model {model:016x} broke a limit; it serves no more"),
+        Event::Distrusted { model, instead: 0 } => {
+            format!("the torque of model {model:016x} broke a limit; none serves in its place")
+        }
+        Event::Distrusted { model, instead } => {
+            format!("the torque of model {model:016x} broke a limit; model {instead:016x} serves in its place")
+        }
     }
 }
 
@@ -214,6 +225,7 @@ struct Flat {
     value: f64,
     bound: f64,
     lost: u64,
+    instead: u64,
 }
 
 fn flat(event: &Event) -> Flat {
@@ -225,7 +237,7 @@ fn flat(event: &Event) -> Flat {
         Event::Resumed => of("resumed", 0),
         Event::Discarded { motion } => of("discarded", motion),
         Event::Serving { model } => Flat { model, ..of("serving", 0) },
-        Event::Distrusted { model } => Flat { model, ..of("distrusted", 0) },
+        Event::Distrusted { model, instead } => Flat { model, instead, ..of("distrusted", 0) },
         Event::Stopping { motion, reason } => {
             let of = |reason| Flat { reason, ..of("stopping", motion) };
             match reason {
@@ -247,11 +259,11 @@ fn flat(event: &Event) -> Flat {
 
 /// One event.
 pub(super) fn event(told: &Told) -> Vec<u8> {
-    let Flat { kind, motion, model, reason, limit, joint, value, bound, lost } = flat(&told.event);
+    let Flat { kind, motion, model, reason, limit, joint, value, bound, lost, instead } = flat(&told.event);
     let mut message = Encoder::default();
     message.u64(told.cycle).u64(told.seq).u64(told.stamp_ns).u64(model).u64(lost);
     message.u32(told.orders).u32(motion).u32(joint).f64(value).f64(bound);
-    message.string(kind).string(reason).string(limit).string(&words(&told.event));
+    message.string(kind).string(reason).string(limit).string(&words(&told.event)).u64(instead);
     message.finish()
 }
 
@@ -263,6 +275,9 @@ pub(super) fn read_event(bytes: &[u8]) -> Result<Told, MessageError> {
     let (motion, joint) = (message.u32()?, message.u32()?.saturating_sub(1) as usize);
     let (value, bound) = (message.f64()?, message.f64()?);
     let (kind, reason, limit) = (message.string()?, message.string()?, message.string()?);
+    message.string()?;
+    // Recordings of version 0.1 end here.
+    let instead = message.u64().unwrap_or(0);
     let event = match kind.as_str() {
         "started" => Event::Started { motion },
         "ended" => Event::Ended { motion },
@@ -270,7 +285,7 @@ pub(super) fn read_event(bytes: &[u8]) -> Result<Told, MessageError> {
         "resumed" => Event::Resumed,
         "discarded" => Event::Discarded { motion },
         "serving" => Event::Serving { model },
-        "distrusted" => Event::Distrusted { model },
+        "distrusted" => Event::Distrusted { model, instead },
         "stopping" => {
             let reason = match reason.as_str() {
                 "guard" => {

@@ -3,6 +3,7 @@
 //! Everything that the next command depends on is the motion under way and the last three commands: the planner's motions are planned again
 //! from the setpoint that they began at, and the guard differences three positions. So a checkpoint can be had from any four cycles in a row.
 
+use super::torque::Succession;
 use super::{FeedForward, Reference};
 use crate::joint::{JointVec, Phase, Record, Setpoint};
 
@@ -41,6 +42,6 @@ pub struct Checkpoint {
     pub doing: Doing,
     /// Its last three cycles, oldest first, consecutive.
     pub last: [Record; 3],
-    /// The model that it asks, where it asks one.
-    pub model: Option<Box<dyn FeedForward>>,
+    /// The model that it asks, and the one that takes its place when it breaks a limit.
+    pub models: Succession<Box<dyn FeedForward>>,
 }

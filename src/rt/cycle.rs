@@ -5,8 +5,8 @@
 //! stop, and the loop then holds until an operator says otherwise.
 //!
 //! - The feed-forward torque is the served model's at the desired setpoint, every cycle, at rest too. Models change between two cycles; the
-//!   step from one model's torque to another's is not held against the torque rate, so an arm that is driven by torque must
-//!   blend it. When the torque itself breaks a limit, that model is not asked again: the feed-forward is zero until the next model.
+//!   torque gets from one model's to another's within the torque rate. A model whose torque breaks a limit is not asked again: the
+//!   one before it serves, or the torque goes back to zero ([`torque`](super::torque)).
 //! - A lost state is a cycle of the arm without an answer. Motions keep the arm's time: the next sample is the one that is due by
 //!   the arm's counter, and the guard differences over the time that really passed.
 
@@ -20,8 +20,9 @@ use super::recorder::Flight;
 use super::rights::{Granted, Rights, become_realtime};
 use super::settings::{CycleSettings, SetupError};
 use super::stats::{NotForward, Summary, Tally};
-use super::{Backend, Fault, FeedForward, Kinematics, Reference, Sink};
-use crate::joint::{Command, JointVec, MAX_JOINTS, Record, State, Torque};
+use super::torque::{Answer, TorqueSource, Torques};
+use super::{Backend, Fault, Kinematics, Reference, Sink};
+use crate::joint::{Command, JointVec, MAX_JOINTS, Record, State, Validity};
 use assert_no_alloc::{assert_no_alloc, reset_violation_count, violation_count};
 
 /// How the loop ended.
@@ -96,8 +97,7 @@ pub struct Cycle<B: Backend, S: Sink> {
     /// Orders given under an older permission than this don't run.
     permission: u32,
     motion: Motion,
-    model: Option<Box<dyn FeedForward>>,
-    model_trusted: bool,
+    torque: TorqueSource,
     guard: Guard,
     /// A reference that found the ring full; it goes before anything new comes in.
     leaving: Option<Box<dyn Reference>>,
@@ -112,6 +112,9 @@ pub struct Cycle<B: Backend, S: Sink> {
     stops: u32,
     last_stop: Option<StopReason>,
 }
+
+/// A command with the torque that it comes from.
+type Next = (Command, Answer);
 
 /// Builds the loop and the outside end of its rings.
 pub fn new<B: Backend, S: Sink>(
@@ -137,8 +140,7 @@ pub fn new<B: Backend, S: Sink>(
         inlets,
         permission: 0,
         motion: Motion::new(joints, planner),
-        model: None,
-        model_trusted: false,
+        torque: TorqueSource::new(joints, &settings.guard.limits.dtau),
         guard: Guard::new(joints, settings.guard, settings.moves.brake, kinematics),
         leaving: None,
         tally: Tally::new(),
@@ -195,7 +197,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
     /// # Errors
     /// [`NoMotion`] when the motion under way can't be planned again.
     pub fn restore(&mut self, checkpoint: Checkpoint) -> Result<(), NoMotion> {
-        let Checkpoint { doing, last, model } = checkpoint;
+        let Checkpoint { doing, last, models } = checkpoint;
         let [.., newest] = &last;
         if matches!(doing, super::checkpoint::Doing::Stopped) {
             self.inlets.controls.wait_for_permission();
@@ -203,8 +205,8 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         self.motion.restore(doing, newest)?;
         self.guard.restore(&last);
         self.tally.restore(newest);
-        self.model_trusted = model.is_some();
-        self.model = model;
+        let Command { desired, tau_ff, tau_vendor, .. } = newest.command;
+        self.torque.restore(models, &desired, Torques { tau_ff, tau_vendor }, newest.validity);
         Ok(())
     }
 
@@ -229,29 +231,39 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         self.advance(gap);
         self.listen(gap)?;
         // Feed-forward: the served model at the desired setpoint.
-        let mut command = self.answer(state.seq);
+        let mut next = self.answer(state.seq);
         // Guard: a command that breaks a limit is not sent; the first sample of the stop takes its place.
         if self.motion.is_stopping() {
-            command = self.check_brake(gap, command, Some(&state))?;
-        } else if let Err(violation) = self.guard.check(seconds(gap), &command, &state) {
+            next = self.check_brake(gap, next, Some(&state))?;
+        } else if let Err(violation) = self.guard.check(seconds(gap), &next.0, &next.1.asked, &state) {
             self.brake(StopReason::Guard(violation), gap)?;
             let first = self.answer(state.seq);
-            command = self.check_brake(gap, first, None)?;
+            next = self.check_brake(gap, first, None)?;
         }
         // Write and record.
+        let (command, answer) = next;
         let written = self.backend.write(&command);
         self.motion.sent(&command.desired);
-        self.record(state, command, stamp_ns);
+        self.torque.sent(&answer);
+        self.record(state, command, answer.validity, stamp_ns);
         self.unanswered = None;
         written.map_err(End::Fault)
     }
 
     /// The sample of a stop that is sent. A stop goes on without a model that breaks limits; anything else it can't answer.
-    fn check_brake(&mut self, gap: u64, command: Command, state: Option<&State>) -> Result<Command, End> {
-        let Err(violation) = self.guard.check_brake(seconds(gap), &command, state) else { return Ok(command) };
-        let command = self.without_model(violation, command.seq).ok_or(End::Unsafe(violation))?;
-        self.guard.check_brake(seconds(gap), &command, state).map_err(End::Unsafe)?;
-        Ok(command)
+    fn check_brake(&mut self, gap: u64, next: Next, state: Option<&State>) -> Result<Next, End> {
+        let mut next = next;
+        // The model, the one before it, and none.
+        loop {
+            let (command, answer) = &next;
+            let Err(violation) = self.guard.check_brake(seconds(gap), command, &answer.asked, state) else {
+                return Ok(next);
+            };
+            if !self.distrust(violation) {
+                return Err(End::Unsafe(violation));
+            }
+            next = self.answer(command.seq);
+        }
     }
 
     /// Counts the state; the first one says where the arm holds.
@@ -290,6 +302,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         if let Some(reference) = self.leaving.take() {
             self.retire(Some(reference));
         }
+        self.torque.hand_out(&mut self.inlets.retired);
         // The stop is looked at before the permission: one that was given after a permission would else meet an arm that still waits for it,
         // count as carried out, and the arm would go on.
         let stop = self.inlets.controls.take_stop();
@@ -327,19 +340,14 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         }
     }
 
-    /// Swaps the model between two cycles; the old one leaves over the ring, so nothing is freed here.
+    /// Takes a model over between two cycles; what it replaces leaves over the ring, so nothing is freed here.
     fn take_model(&mut self) {
-        if !self.can_retire() {
+        if self.leaving.is_some() || !self.torque.has_room(&self.inlets.retired) {
             return;
         }
         if let Ok(model) = self.inlets.models.pop() {
             let id = model.id();
-            if let Some(old) = self.model.replace(model) {
-                // There is room: it was asked for above, and this thread alone fills the ring.
-                let _ = self.inlets.retired.push(Retired::Model(old));
-            }
-            self.model_trusted = true;
-            self.guard.model_changed();
+            self.torque.serve(model, &mut self.inlets.retired);
             self.tell(Event::Serving { model: id });
         }
     }
@@ -398,38 +406,25 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         Ok(())
     }
 
-    /// A model to blame is not asked again; the next one starts afresh.
-    fn distrust(&mut self, violation: Violation) {
-        let Some(model) = self.model.as_ref().filter(|_| violation.blames_model()) else { return };
-        let model = model.id();
-        self.model_trusted = false;
-        self.guard.model_changed();
-        self.tell(Event::Distrusted { model });
-    }
-
-    /// The same command without the torque of the model that is to blame for `violation`; nothing where none is.
-    fn without_model(&mut self, violation: Violation, seq: u64) -> Option<Command> {
-        if !(violation.blames_model() && self.model_trusted) {
-            return None;
+    /// A model to blame for `violation` is not asked again; whether there was one.
+    fn distrust(&mut self, violation: Violation) -> bool {
+        if !violation.blames_model() {
+            return false;
         }
-        self.distrust(violation);
-        Some(self.answer(seq))
+        let Some((model, instead)) = self.torque.fall_back() else { return false };
+        self.tell(Event::Distrusted { model, instead });
+        true
     }
 
-    /// The present sample of the motion, and what the served model says of it.
-    fn answer(&mut self, seq: u64) -> Command {
+    /// The present sample of the motion with its torque.
+    fn answer(&mut self, seq: u64) -> Next {
         let desired = self.motion.sample();
-        let (mut tau_ff, mut tau_vendor) = match &mut self.model {
-            Some(model) if self.model_trusted => (model.torque(&desired), model.vendor_torque(&desired.q)),
-            _ => (Torque::default(), Torque::default()),
-        };
-        for j in self.joints..MAX_JOINTS {
-            (tau_ff.0[j], tau_vendor.0[j]) = (0.0, 0.0);
-        }
-        Command { seq, desired, tau_ff, tau_vendor }
+        let answer = self.torque.answer(&desired, self.motion.is_stopping());
+        let Torques { tau_ff, tau_vendor } = answer.served;
+        (Command { seq, desired, tau_ff, tau_vendor }, answer)
     }
 
-    fn record(&mut self, state: State, command: Command, stamp_ns: u64) {
+    fn record(&mut self, state: State, command: Command, validity: Validity, stamp_ns: u64) {
         let record = Record {
             cycle: self.tally.summary.cycles.saturating_sub(1),
             state,
@@ -437,7 +432,8 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
             phase: self.motion.phase(),
             motion: self.motion.number(),
             tick: self.motion.tick(),
-            model: self.model.as_ref().filter(|_| self.model_trusted).map_or(0, |model| model.id()),
+            model: self.torque.id(),
+            validity,
             stamp_ns,
             wake_ns: self.backend.deadline_ns().map_or(0, |deadline_ns| stamp_ns.saturating_sub(deadline_ns)),
             work_ns: self.work_ns,
@@ -495,3 +491,6 @@ fn allocations_are_watched() -> bool {
         watched
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -27,6 +27,7 @@ pub mod rights;
 pub mod settings;
 pub mod stats;
 mod sync;
+pub mod torque;
 
 use crate::joint::{Command, JointVec, Record, Setpoint, State, Torque};
 

@@ -128,10 +128,12 @@ pub enum Event {
         /// Its identity.
         model: u64,
     },
-    /// The model's torque broke a limit: no model serves until the next is handed over.
+    /// The model's torque broke a limit: the one before it serves.
     Distrusted {
         /// Its identity.
         model: u64,
+        /// Identity of the model that serves in its place, 0 for none until the next is handed over.
+        instead: u64,
     },
 }
 

@@ -179,11 +179,11 @@ fn a_feed_forward_value_turns_stale_and_the_daemon_s_end_is_seen() {
         wait_for("the value", || client.latest().unwrap().is_some_and(|seen| seen.message.sequence == cycle));
         let seen = client.latest().unwrap().unwrap();
         assert_eq!(FeedForwardMessage { sequence: 0, epoch: 0, ..seen.message }, sent);
-        assert!(!seen.stale);
+        assert!(!seen.stale && seen.usable);
     }
     std::thread::sleep(Duration::from_millis(6));
     let old = strict.latest().unwrap().unwrap();
-    assert!(old.stale && old.age_ns > 5_000_000);
+    assert!(old.stale && !old.usable && old.age_ns > 5_000_000);
     assert_eq!(old.message.sequence, 100);
 
     let last = client.latest().unwrap().unwrap();

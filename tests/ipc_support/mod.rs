@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use plumbline::ipc::{Delivery, RobotId, SampleStream, Server, ServerSettings, now_ns};
-use plumbline::joint::{Phase, Record};
+use plumbline::joint::{Phase, Record, Validity};
 
 /// Long enough for a loaded machine; nothing waits this long when it works.
 pub const PATIENCE: Duration = Duration::from_secs(20);
@@ -20,6 +20,7 @@ pub fn robot(test: &str) -> RobotId {
 /// Record number `cycle`, every part of which depends on that number.
 pub fn record(cycle: u64) -> Record {
     let mut record = Record { cycle, motion: cycle as u32, tick: !cycle, phase: Phase::Excite, ..Record::default() };
+    record.validity = Validity::Valid;
     record.state.seq = cycle + 7;
     record.state.q = std::array::from_fn(|i| cycle as f64 + i as f64 / 8.0);
     record.command.tau_ff.0 = record.state.q.map(|q| -q);

@@ -2,7 +2,8 @@
 """Follows the feed-forward torque that plumbline serves, over shared memory.
 
 One line per new value: its number, its age, the served model, the torque of each joint. A value that is too old
-is marked STALE, and its torque must not be used. Ctrl-C ends it.
+is marked STALE, one without a model behind it NO MODEL or WITHDRAWN, and their torque must not be used. HAND-OVER:
+the torque is on its way to the model's, within the torque-rate limit. Ctrl-C ends it.
 """
 
 import argparse
@@ -17,10 +18,12 @@ import iceoryx2 as iox2
 
 MAX_JOINTS = 8
 PHASES = ("hold", "approach", "excite", "return", "stop", "stopped")
+# None: no model has served yet. Withdrawn: none serves any more, and the torque is on its way to zero, or there.
+VALIDITIES = ("NO MODEL", "", "HAND-OVER", "WITHDRAWN")
 
 
 class FeedForwardMessage(ctypes.Structure):
-    """The layout of plumbline's FeedForwardMessage (src/ipc/messages.rs), 344 bytes."""
+    """The layout of plumbline's FeedForwardMessage (src/ipc/messages.rs), 352 bytes."""
 
     _fields_ = [
         ("sequence", ctypes.c_uint64),  # number of the value since the daemon's start, from 1
@@ -35,6 +38,8 @@ class FeedForwardMessage(ctypes.Structure):
         ("gravity", ctypes.c_double * 3),  # gravitational acceleration in the base frame [m/s2]
         ("tau_vendor", ctypes.c_double * MAX_JOINTS),  # what the arm's own controller adds: it is sent tau_ff - tau_vendor [Nm]
         ("gravity_vendor", ctypes.c_double * 3),  # gravitational acceleration that the arm's own controller compensates [m/s2]
+        ("validity", ctypes.c_uint32),  # what stands behind the torque, see VALIDITIES
+        ("reserved", ctypes.c_uint32),  # always 0
     ]
 
     @staticmethod
@@ -43,7 +48,7 @@ class FeedForwardMessage(ctypes.Structure):
         return "plumbline::FeedForwardMessage"
 
 
-assert ctypes.sizeof(FeedForwardMessage) == 344
+assert ctypes.sizeof(FeedForwardMessage) == 352
 
 
 def place() -> str:
@@ -130,12 +135,13 @@ def main() -> int:
                     warned = True
             time.sleep(0.0002)
             continue
-        if message.n > MAX_JOINTS or message.phase >= len(PHASES):
+        if message.n > MAX_JOINTS or message.phase >= len(PHASES) or message.validity >= len(VALIDITIES):
             sys.exit("this is not what a plumbline daemon sends")
         if last is not None and message.epoch != last.epoch:
             print("the daemon was started anew", flush=True)
         age_ms = (time.monotonic_ns() - message.stamp_ns) / 1e6
-        mark = "  STALE" if age_ms > options.stale_ms else ""
+        mark = "STALE" if age_ms > options.stale_ms else VALIDITIES[message.validity]
+        mark = f"  {mark}" if mark else ""
         tau = " ".join(f"{value:9.4f}" for value in message.tau_ff[: message.n])
         print(
             f"seq {message.sequence}  age {age_ms:.3f} ms  model {message.model:016x}  {PHASES[message.phase]}  tau {tau}{mark}",

@@ -9,6 +9,7 @@ use crate::backend::franka::RobotLimits;
 use crate::backend::sim::Truth;
 use crate::config::job::{Adopt, Job, OnLoss};
 use crate::config::robot::Robot;
+use crate::estimate::plausibility::{Implausible, plausible};
 use crate::input::BadInput;
 use crate::ipc::{
     Held, Mounting as MountingMessage, News, Progress, Proposal, Request, Response, Served,
@@ -18,8 +19,15 @@ use crate::joint::{JointVec, Record};
 use crate::model::gravity::Mounting;
 use crate::model::torque::TorqueModel;
 use crate::recording::about::Reason;
+use crate::recording::messages::words;
 use crate::rt::order::{Controls, Event, StopReason};
+use std::collections::VecDeque;
 use std::path::Path;
+
+/// Cycles between two that are kept of what the arm did last.
+const EVERY: u64 = 16;
+/// How many are kept.
+const KEPT: usize = 64;
 
 /// A model that passed every check.
 pub struct Accepted {
@@ -31,6 +39,27 @@ pub struct Accepted {
     pub model: TorqueModel,
     /// Noise of the measured torque by its file, per joint \[Nm\]; empty where unknown.
     pub noise: Vec<f64>,
+}
+
+/// What the arm did last: every [`EVERY`]th cycle of the last second.
+#[derive(Default)]
+pub struct Recent(VecDeque<Record>);
+
+impl Recent {
+    /// Takes in what the loop has recorded.
+    pub fn take(&mut self, records: &[Record]) {
+        for record in records.iter().filter(|record| record.cycle.is_multiple_of(EVERY)) {
+            if self.0.len() == KEPT {
+                self.0.pop_front();
+            }
+            self.0.push_back(*record);
+        }
+    }
+
+    /// Another connection to the arm.
+    pub fn clear(&mut self) {
+        self.0.clear();
+    }
 }
 
 /// The daemon without its ports.
@@ -75,6 +104,8 @@ pub struct Desk {
     pub cause: Option<String>,
     /// A stop stands, whatever has become of the connection that it was given on: nothing moves before an operator allows it.
     pub barred: bool,
+    /// The model that was served before it: the loop falls back to it.
+    pub reserve: Option<Accepted>,
     /// The model whose torque broke a limit: it is not handed to another loop.
     pub distrusted: Option<u64>,
     /// The last cycle seen.
@@ -83,6 +114,8 @@ pub struct Desk {
     pub ending: Ending,
     /// The reason to end that was logged last.
     pub announced: Option<Cause>,
+    /// What the arm did last.
+    pub recent: Recent,
     /// Somebody asked for the programme.
     pub start: bool,
     /// Somebody asked for the end.
@@ -120,6 +153,8 @@ impl Desk {
             stopped: None,
             cause: None,
             barred: false,
+            reserve: None,
+            recent: Recent::default(),
             distrusted: None,
             last: Record::default(),
             ending,
@@ -234,7 +269,7 @@ impl Desk {
                 Ok(model) => Response::ModelAccepted { model },
                 Err(bad) => refused(bad),
             },
-            Checked::Proposed(model, proposal) => match self.still_holds("proposed model", &model) {
+            Checked::Proposed(model, proposal) => match self.admit("proposed model", &model) {
                 Ok(()) => self.propose(*model, proposal),
                 Err(bad) => refused(bad),
             },
@@ -306,8 +341,8 @@ impl Desk {
 
     /// Serves what was held, if it holds in the mounting that the arm has by now.
     fn adopt(&mut self, held: Accepted, proposal: Proposal) -> Response {
-        if let Err(reason) = held.model.valid_in(&self.mounting) {
-            let reason = reason.to_string();
+        let holds = held.model.valid_in(&self.mounting).map_err(|refused| refused.to_string());
+        if let Err(reason) = holds.and_then(|()| self.plausible(&held.model).map_err(|why| why.to_string())) {
             self.held = Some((held, proposal));
             return Response::Refused { reason };
         }
@@ -323,7 +358,7 @@ impl Desk {
 
     /// Serves a model that was checked from one of the next cycles on. What was proposed before is about another model.
     fn accept(&mut self, file: &str, checked: Accepted) -> Result<u64, BadInput> {
-        self.still_holds(file, &checked)?;
+        self.admit(file, &checked)?;
         self.gravity.try_out(&checked).map_err(|off| {
             BadInput::new(file, "mounting", off, "declared, measured and implied directions of gravity that agree")
         })?;
@@ -331,13 +366,13 @@ impl Desk {
         Ok(self.serve(checked))
     }
 
-    /// The arm may have been mounted in another way since the model was checked.
-    fn still_holds(&self, file: &str, checked: &Accepted) -> Result<(), BadInput> {
-        if checked.model.holds_in(&self.mounting) {
-            return Ok(());
-        }
-        let expected = "a model that holds in the present mounting";
-        checked.model.valid_in(&self.mounting).map_err(|refused| BadInput::new(file, "key `kind`", refused, expected))
+    /// Checks a model against what the daemon has seen by now: the arm may have been mounted in another way since the model's text was checked,
+    /// and its torques have to go with what the arm did last.
+    fn admit(&mut self, file: &str, checked: &Accepted) -> Result<(), BadInput> {
+        checked.model.valid_in(&self.mounting).map_err(|refused| {
+            BadInput::new(file, "key `kind`", refused, "a model that holds in the present mounting")
+        })?;
+        self.plausible(&checked.model).map_err(|why| BadInput::new(file, "parameters", why, "a model of this arm"))
     }
 
     /// Whether the served model may be handed to a loop: it holds in that loop's mounting, and no loop has distrusted it.
@@ -347,11 +382,22 @@ impl Desk {
             .is_some_and(|accepted| accepted.model.holds_in(mounting) && self.distrusted != Some(accepted.id))
     }
 
+    /// Whether a model can be right, by what the arm did last.
+    fn plausible(&mut self, model: &TorqueModel) -> Result<(), Implausible> {
+        let served = self.model.as_ref().filter(|served| self.distrusted != Some(served.id));
+        let recent = self.recent.0.make_contiguous();
+        plausible(model, served.map(|served| &served.model), &self.gravity.served(), recent, &self.robot.limits)
+    }
+
     /// Serves a model that was checked.
     fn serve(&mut self, checked: Accepted) -> u64 {
         let id = checked.id;
         tracing::info!(plumbline_event = "serving", "model {id:016x} ({}) is served from now on", checked.model.kind());
-        (self.model, self.distrusted) = (Some(checked), None);
+        let before = self.model.replace(checked);
+        if before.as_ref().is_some_and(|before| before.id != id && self.distrusted != Some(before.id)) {
+            self.reserve = before;
+        }
+        self.distrusted = None;
         if self.progress == Progress::AwaitingModel {
             self.progress = Progress::Driving;
         }
@@ -422,13 +468,21 @@ impl Desk {
             }
             Event::Discarded { motion } => tracing::debug!("order {motion} was discarded"),
             Event::Serving { model } => tracing::debug!("the loop serves model {model:016x}"),
-            Event::Distrusted { model } => {
-                tracing::error!(
-                    plumbline_event = "distrusted",
-                    "the torque of model {model:016x} broke a limit; it is not served any more"
-                );
-                self.distrusted = Some(*model);
+            Event::Distrusted { model, instead } => {
+                tracing::error!(plumbline_event = "distrusted", "{}", words(event));
+                self.distrust(*model, *instead);
             }
+        }
+    }
+
+    /// The loop does not ask `model` any more, and falls back to `instead`, 0 for none.
+    fn distrust(&mut self, model: u64, instead: u64) {
+        self.distrusted = Some(model);
+        let reserve = self.reserve.take_if(|reserve| reserve.id == instead || reserve.id == model);
+        if self.model.as_ref().is_some_and(|served| served.id == model)
+            && let Some(reserve) = reserve.filter(|reserve| reserve.id == instead)
+        {
+            self.model = Some(reserve);
         }
     }
 

@@ -102,6 +102,7 @@ impl Session {
         let unwanted = purpose == Purpose::Drive && desk.is_over();
         let script = if unwanted { Script::hold() } else { script };
         let uncompensated = purpose == Purpose::Drive && uncompensated(&desk.job, &mounting, &vendor);
+        desk.recent.clear();
         desk.gravity.connect(mounting, connected.as_ref().and_then(Robot::side), vendor, uncompensated);
         let (job, robot) = (&desk.job, &desk.robot);
         let (limits, envelope) = plan::held_to(job, robot, connected.as_ref().map(Robot::limits))?;
@@ -295,6 +296,7 @@ impl Session {
         if let Some(why) = daemon.desk.gravity.take(&self.records) {
             daemon.desk.stop_for_mounting(why, &self.handles.controls);
         }
+        daemon.desk.recent.take(&self.records);
         daemon.desk.last = last;
         self.records_due.saw(last.stamp_ns, last.work_ns);
         let now = now_ns();
@@ -354,8 +356,16 @@ impl Session {
     fn hear(&mut self) {
         while let Ok(told) = self.handles.events.pop() {
             self.tape.tell(told);
-            if let Event::Serving { .. } = told.event {
-                self.labels.serving(told.cycle);
+            match told.event {
+                Event::Serving { .. } => self.labels.serving(told.cycle),
+                Event::Distrusted { model, instead } => {
+                    let gravity = self.labels.fell_back(told.cycle);
+                    // Unless another has been handed over since.
+                    if let (Some(gravity), true) = (gravity, self.model == model) {
+                        (self.model, self.gravity) = (instead, gravity);
+                    }
+                }
+                _ => {}
             }
             self.told.push_back(told);
         }
@@ -400,7 +410,7 @@ impl Session {
                 let served = ServedModel::new(accepted.id, &accepted.model, &gravity, &self.vendor);
                 if self.handles.models.serve(Box::new(served)).is_ok() {
                     (self.model, self.gravity) = (accepted.id, gravity);
-                    self.labels.handed(gravity);
+                    self.labels.handed(accepted.id, gravity);
                     let vendor = Some(self.vendor.into());
                     self.tape.handed(Handed { id: accepted.id, gravity: gravity.into(), vendor }, &accepted.text);
                     self.open_gate();
@@ -424,7 +434,7 @@ impl Session {
             desk.stop_for_mounting(why, controls);
         } else if phase != Phase::Stop && self.handles.models.serve(Box::new(NoModel)).is_ok() {
             self.model = 0;
-            self.labels.handed(self.gravity);
+            self.labels.handed(0, self.gravity);
             self.tape.handed(Handed { id: 0, gravity: [0.0; 3], vendor: None }, "");
         }
     }
@@ -484,12 +494,11 @@ fn uncompensated(job: &job::Job, mounting: &Mounting, vendor: &Vector3<f64>) -> 
 /// Why such an arm is not driven without a model.
 fn falls(vendor: &Vector3<f64>, gravity: &Watch) -> String {
     let [x, y, z]: [f64; 3] = (*vendor).into();
-    let why = gravity.said().unwrap_or(
-        "it takes `--model`, checked at rest, and `backend.franka.torque.feed-forward`; or command positions",
-    );
+    let why = gravity.said().unwrap_or("no model is there that is checked and used");
     format!(
         "the arm compensates gravity along [{x:.2}, {y:.2}, {z:.2}] m/s2, which is not the one that acts: commanded by torques it would fall \
-         without a model from the first cycle on ({why})"
+         without a model from the first cycle on ({why}). Start the daemon with `--model` and `backend.franka.torque.feed-forward`, let the arm \
+         rest before the start, or command positions"
     )
 }
 

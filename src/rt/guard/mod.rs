@@ -8,8 +8,9 @@ mod history;
 
 use super::motion::seconds;
 use super::moves::stop_distances;
+use super::torque::{Asked, Torques};
 use super::{Kinematics, PERIOD};
-use crate::joint::{Command, JointVec, Limits, MAX_JOINTS, Record, Setpoint, SpeedEnvelope, State, Torque, Workspace};
+use crate::joint::{Command, JointVec, Limits, MAX_JOINTS, Record, Setpoint, SpeedEnvelope, State, Workspace};
 use history::History;
 use std::fmt;
 use std::ops::Range;
@@ -19,7 +20,7 @@ use std::ops::Range;
 pub enum Limit {
     /// A number of the command is NaN or infinite.
     NotFinite,
-    /// The feed-forward torque is NaN or infinite.
+    /// A torque of the model is NaN or infinite.
     TorqueNotFinite,
     /// A number of the measured state is NaN or infinite.
     MeasuredNotFinite,
@@ -39,9 +40,9 @@ pub enum Limit {
     StatedVelocity,
     /// The stated acceleration is not the derivative of the positions.
     StatedAcceleration,
-    /// Feed-forward torque.
+    /// Torque of the model: the feed-forward, or what the arm's own controller adds.
     Torque,
-    /// Rate of the feed-forward torque.
+    /// Rate of the same.
     TorqueRate,
     /// End effector outside its box; the joint is the axis, x first.
     EndEffectorBox,
@@ -67,7 +68,7 @@ pub struct Violation {
 }
 
 impl Violation {
-    /// Whether the feed-forward torque, and so the model, is at fault.
+    /// Whether a torque, and so the model, is at fault.
     pub fn blames_model(&self) -> bool {
         matches!(self.limit, Limit::TorqueNotFinite | Limit::Torque | Limit::TorqueRate)
     }
@@ -139,7 +140,8 @@ pub struct Guard {
     brake: f64,
     kinematics: Option<Box<dyn Kinematics>>,
     history: History,
-    tau_last: Option<JointVec>,
+    /// The torques sent last; none before the first command.
+    last: Option<Torques>,
 }
 
 impl Guard {
@@ -159,14 +161,14 @@ impl Guard {
             brake,
             kinematics,
             history: History::at_rest(JointVec::default(), PERIOD),
-            tau_last: None,
+            last: None,
         }
     }
 
     /// The arm rests at `q` \[rad\].
     pub fn start(&mut self, q: JointVec) {
         self.history = History::at_rest(q, PERIOD);
-        self.tau_last = None;
+        self.last = None;
     }
 
     /// Goes on after the last three cycles, oldest first.
@@ -175,18 +177,13 @@ impl Guard {
         self.history = History::at_rest(last[0].command.desired.q, PERIOD);
         self.history.push(last[1].command.desired.q, dt(&last[0], &last[1]));
         self.history.push(last[2].command.desired.q, dt(&last[1], &last[2]));
-        self.tau_last = Some(last[2].command.tau_ff.0);
+        self.last = Some(torques(&last[2].command));
     }
 
-    /// Another model serves, or none: the step between two models is not a torque rate.
-    pub fn model_changed(&mut self) {
-        self.tau_last = None;
-    }
-
-    /// Checks the command that is to be sent `dt` \[s\] after the last one, and the state that it answers. A command that passes
-    /// becomes part of the history.
-    pub fn check(&mut self, dt: f64, command: &Command, state: &State) -> Result<(), Violation> {
-        self.limits(dt, command, state)?;
+    /// Checks the command that is to be sent `dt` \[s\] after the last one, what the model answered for it, and the state that it answers. A
+    /// command that passes becomes part of the history.
+    pub fn check(&mut self, dt: f64, command: &Command, asked: &Asked, state: &State) -> Result<(), Violation> {
+        self.limits(dt, command, asked, state)?;
         if let (Some(space), Some(kinematics)) = (&self.settings.workspace, &self.kinematics) {
             inside(space, kinematics.end_effector(&command.desired.q))?;
         }
@@ -196,9 +193,9 @@ impl Guard {
 
     /// All of [`check`](Guard::check) but the workspace.
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    fn limits(&self, dt: f64, command: &Command, state: &State) -> Result<(), Violation> {
-        let Command { desired, tau_ff, .. } = command;
-        self.finite_command(command)?;
+    fn limits(&self, dt: f64, command: &Command, asked: &Asked, state: &State) -> Result<(), Violation> {
+        let desired = &command.desired;
+        self.finite_command(desired)?;
         self.finite_state(state)?;
         self.measured(state)?;
         for j in self.own_joints() {
@@ -206,21 +203,29 @@ impl Guard {
             self.derivatives(j, desired, dt)?;
             self.can_stop(j, desired)?;
         }
-        self.torque(tau_ff, Some(dt))
+        self.torques(&asked.now, asked.before.as_ref(), dt)?;
+        self.torques(&torques(command), self.last.as_ref(), dt)
     }
 
-    /// Checks a sample of the controlled stop, or of the rest after it: finite numbers, positions and torques. The other limits have just
-    /// been broken or are kept by the stop's own plan. `state` is `None` where it is what began the stop.
+    /// Checks a sample of the controlled stop, or of the rest after it: finite numbers, positions, torques and the rate of the torques that are
+    /// sent. The other limits have just been broken or are kept by the stop's own plan. `state` is `None` where it is what began the stop.
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    pub fn check_brake(&mut self, dt: f64, command: &Command, state: Option<&State>) -> Result<(), Violation> {
-        self.finite_command(command)?;
+    pub fn check_brake(
+        &mut self,
+        dt: f64,
+        command: &Command,
+        asked: &Asked,
+        state: Option<&State>,
+    ) -> Result<(), Violation> {
+        self.finite_command(&command.desired)?;
         if let Some(state) = state {
             self.finite_state(state)?;
         }
         for j in self.own_joints() {
             self.position(j, command.desired.q[j])?;
         }
-        self.torque(&command.tau_ff, None)?;
+        self.torques(&asked.now, None, dt)?;
+        self.torques(&torques(command), self.last.as_ref(), dt)?;
         self.sent(dt, command);
         Ok(())
     }
@@ -228,16 +233,12 @@ impl Guard {
     #[cfg_attr(no_panic, no_panic::no_panic)]
     fn sent(&mut self, dt: f64, command: &Command) {
         self.history.push(command.desired.q, dt);
-        self.tau_last = Some(command.tau_ff.0);
+        self.last = Some(torques(command));
     }
 
-    fn finite_command(&self, command: &Command) -> Result<(), Violation> {
-        let Command { desired, tau_ff, tau_vendor, .. } = command;
-        for j in self.own_joints() {
-            finite(Limit::NotFinite, j, [desired.q[j], desired.dq[j], desired.ddq[j]])?;
-            finite(Limit::TorqueNotFinite, j, [tau_ff.0[j], tau_vendor.0[j]])?;
-        }
-        Ok(())
+    fn finite_command(&self, desired: &Setpoint) -> Result<(), Violation> {
+        self.own_joints()
+            .try_for_each(|j| finite(Limit::NotFinite, j, [desired.q[j], desired.dq[j], desired.ddq[j]]))
     }
 
     fn finite_state(&self, state: &State) -> Result<(), Violation> {
@@ -318,12 +319,18 @@ impl Guard {
         self.between(Limit::StoppingPosition, j, q - down, q + up)
     }
 
-    fn torque(&self, tau_ff: &Torque, dt: Option<f64>) -> Result<(), Violation> {
+    /// Both torques: finite, within the limit, and within the rate where `before` came `dt` \[s\] earlier.
+    fn torques(&self, now: &Torques, before: Option<&Torques>, dt: f64) -> Result<(), Violation> {
         let limits = &self.settings.limits;
         for j in self.own_joints() {
-            within(Limit::Torque, j, tau_ff.0[j], limits.tau[j])?;
-            if let (Some(last), Some(dt)) = (&self.tau_last, dt) {
-                within(Limit::TorqueRate, j, (tau_ff.0[j] - last[j]) / dt, limits.dtau[j])?;
+            finite(Limit::TorqueNotFinite, j, [now.tau_ff.0[j], now.tau_vendor.0[j]])?;
+            for tau in [now.tau_ff.0[j], now.tau_vendor.0[j]] {
+                within(Limit::Torque, j, tau, limits.tau[j])?;
+            }
+            if let Some(before) = before {
+                for change in [now.tau_ff.0[j] - before.tau_ff.0[j], now.tau_vendor.0[j] - before.tau_vendor.0[j]] {
+                    within(Limit::TorqueRate, j, change / dt, limits.dtau[j])?;
+                }
             }
         }
         Ok(())
@@ -333,6 +340,10 @@ impl Guard {
     fn own_joints(&self) -> Range<usize> {
         0..self.joints.min(MAX_JOINTS)
     }
+}
+
+fn torques(command: &Command) -> Torques {
+    Torques { tau_ff: command.tau_ff, tau_vendor: command.tau_vendor }
 }
 
 /// Whether an end effector at `x` in the base frame \[m\] is where it may be.

@@ -84,9 +84,9 @@ fn a_model_that_a_loop_distrusted_is_handed_to_no_other() {
     assert!(!desk.may_hand_over(&Mounting::UPRIGHT), "there is none");
     let Response::ModelAccepted { model } = ask(&mut desk, offer()) else { panic!() };
     assert!(desk.may_hand_over(&Mounting::UPRIGHT));
-    desk.log(&Event::Distrusted { model: model ^ 1 });
+    desk.log(&Event::Distrusted { model: model ^ 1, instead: 0 });
     assert!(desk.may_hand_over(&Mounting::UPRIGHT), "another one was");
-    desk.log(&Event::Distrusted { model });
+    desk.log(&Event::Distrusted { model, instead: 0 });
     assert!(!desk.may_hand_over(&Mounting::UPRIGHT));
     assert_eq!(desk.status(&Served::default(), None).model, 0);
     // An operator or the estimator who offers it again takes it upon himself.
@@ -116,7 +116,7 @@ fn a_model_that_does_not_hold_any_more_when_its_check_is_done_is_refused() {
     let reason = refusal(ask(&mut desk, request));
     assert!(reason.contains("ur10") && reason.contains("panda"), "{reason}");
     let Checked::Offered(model) = Checked::of(&desk.robot, &desk.mounting, offer()) else { panic!() };
-    assert!(desk.still_holds("offered model", &model).is_ok());
+    assert!(desk.admit("offered model", &model).is_ok());
 }
 
 /// A request of many bytes is read on the other thread, which answers it whatever it is.

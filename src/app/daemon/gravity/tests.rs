@@ -109,3 +109,22 @@ fn an_inclinometer_that_is_not_up_yet_decides_as_one_that_is_lost() {
         }
     }
 }
+
+#[test]
+fn a_vertical_model_is_refused_where_the_arm_compensates_another_gravity_than_along_axis_1() {
+    let job: Job = toml::from_str(JOB).unwrap();
+    let robot = Robot::load("panda", None).unwrap();
+    let reduction = crate::model::base::Reduction::of_kind(&robot.chain, crate::model::base::BaseKind::Vbs);
+    let structure = crate::model::structure::Structure::of(robot.chain, reduction, &["rigid-body"]).unwrap();
+    let values = vec![(0.5, None); structure.columns().len()];
+    let model = crate::model::torque::TorqueModel::new("panda", structure, vec![Mounting::UPRIGHT], &values).unwrap();
+    let model = Accepted { id: 1, model, text: String::new(), noise: vec![20.0; 7] };
+    let mut watch = Watch::open(&job).unwrap();
+    for (vendor, served) in [(Mounting::UPRIGHT, true), (Mounting::CEILING, true), (Mounting::WALL, false)] {
+        watch.connect(Mounting::UPRIGHT, None, vendor.gravity(), false);
+        match watch.verdict(&model) {
+            Verdict::Refuse(why) => assert!(!served && why.contains("VBS") && why.contains("not in the mounting wall"), "{why}"),
+            other => assert!(served, "{other:?}"),
+        }
+    }
+}
