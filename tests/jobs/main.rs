@@ -27,5 +27,6 @@ mod main_job;
 mod plan_command;
 mod plan_robots;
 mod power_cut;
+mod readme;
 mod undeclared_effect;
 mod vertical_model;
