@@ -36,6 +36,7 @@ fn main() {
         let bounds = Bounds {
             workspace: Some(&robot.workspace),
             shape: Some(&robot.shape),
+            links_in_box: true,
             ..Bounds::new(&robot.chain, &robot.limits, margins)
         };
         let problem = Problem {

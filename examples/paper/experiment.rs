@@ -221,7 +221,24 @@ pub struct Panda {
     pub table_4: Vec<Vec<f64>>,
     /// RMS error per trajectory and joint upright \[Nm\].
     pub table_5: Vec<Vec<f64>>,
+    /// Trajectory 3 on the wall and upright: Figs. 7 and 8.
+    pub shown: Vec<Validation>,
 }
+
+/// Measured torques of a validation trajectory against those of the parameters that were found on the wall (Figs. 7 and 8).
+pub struct Validation {
+    pub mounting: &'static str,
+    pub t: Vec<f64>,
+    /// Raw measured torque, N x n \[Nm\].
+    pub measured: DMatrix<f64>,
+    /// Torque of the model, N x n \[Nm\].
+    pub estimated: DMatrix<f64>,
+    /// RMS of the difference per joint, as in the tables \[Nm\].
+    pub rms: Vec<f64>,
+}
+
+/// The trajectory that Figs. 7 and 8 show.
+const SHOWN: u64 = 3;
 
 /// Identifies a Panda that has exactly the parameters of Table III on the wall, by the paper's processing, from 10 periods of an
 /// optimised excitation. The torque noise is white, of the size of the mean of Table IV, and of Table V upright.
@@ -244,18 +261,28 @@ pub fn panda(settings: &Settings) -> Panda {
     let excitation = plan.fourier().expect("the shipped plan");
     let run = arm.drive(&excitation, 10, Mounting::WALL, &TABLE_4_MEAN, 1);
     let found = identify(&structure, &[prepare(&run, settings)]).expect("an exciting motion");
-    let table = |mounting: Mounting, noise: &[f64; 7]| -> Vec<Vec<f64>> {
+    let mut shown = Vec::new();
+    let mut table = |name: &'static str, mounting: Mounting, noise: &[f64; 7]| -> Vec<Vec<f64>> {
         (1..=5)
             .map(|trajectory| {
                 let run =
                     arm.drive(&random_motion(&robot, 0.6, 100 + trajectory), 1, mounting, noise, 200 + trajectory);
-                validate_parameters(&prepare(&run, settings), &structure, &found.beta).raw
+                let experiment = prepare(&run, settings);
+                let rms = validate_parameters(&experiment, &structure, &found.beta).raw;
+                if trajectory == SHOWN {
+                    let along = experiment.judged.as_ref().unwrap_or(&experiment.motion);
+                    let t = (0..along.samples()).map(|k| k as f64 * DT).collect();
+                    let estimated = torques(&structure, &found.beta, along);
+                    let measured = experiment.tau.clone();
+                    shown.push(Validation { mounting: name, t, measured, estimated, rms: rms.clone() });
+                }
+                rms
             })
             .collect()
     };
-    let table_4 = table(Mounting::WALL, &TABLE_4_MEAN);
-    let table_5 = table(Mounting::UPRIGHT, &TABLE_5_MEAN);
-    Panda { found, truth, table_4, table_5 }
+    let table_4 = table("H-BAM", Mounting::WALL, &TABLE_4_MEAN);
+    let table_5 = table("V-BAM", Mounting::UPRIGHT, &TABLE_5_MEAN);
+    Panda { found, truth, table_4, table_5, shown }
 }
 
 /// Fig. 6: positions of the end effector along the shipped excitation of the Panda on the wall \[m\], and the box and sphere of

@@ -1,7 +1,8 @@
 //! The figures of docs/paper.md as SVG.
 
-use super::experiment::{self, Figure};
+use super::experiment::{self, Figure, Validation};
 use plotters::prelude::*;
+use plumbline::estimate::experiment::Settings;
 
 const SIZE: (u32, u32) = (900, 520);
 const TRUE: RGBColor = RGBColor(120, 120, 120);
@@ -18,6 +19,10 @@ pub fn all() -> Vec<(&'static str, String)> {
     let mut all = vec![("paper-fig6-workspace.svg", svg((1000, 322), fig_6))];
     for (name, figure) in ["paper-fig3-vertical.svg", "paper-fig4-horizontal.svg"].into_iter().zip(&two.figures) {
         all.push((name, svg(SIZE, |area| torques(area, figure))));
+    }
+    let panda = experiment::panda(&Settings::paper());
+    for (name, run) in ["paper-fig7-wall.svg", "paper-fig8-upright.svg"].into_iter().zip(&panda.shown) {
+        all.push((name, svg((900, 1190), |area| validation(area, run))));
     }
     all
 }
@@ -56,6 +61,49 @@ fn torques(area: DrawingArea<SVGBackend, plotters::coord::Shift>, figure: &Figur
         let lines = [("simulated", TRUE, 5), ("H-BAM model", HORIZONTAL, 2), ("V-BAM model", VERTICAL, 1)];
         for ((name, colour, width), values) in lines.into_iter().zip(&columns) {
             let points = figure.t.iter().copied().zip(values.iter().copied()).step_by(10);
+            chart
+                .draw_series(LineSeries::new(points, colour.stroke_width(width)))?
+                .label(name)
+                .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(width)));
+        }
+        if j == 0 {
+            chart
+                .configure_series_labels()
+                .position(SeriesLabelPosition::LowerRight)
+                .border_style(TRUE)
+                .background_style(WHITE.mix(0.9))
+                .draw()?;
+        }
+    }
+    area.present()
+}
+
+/// Samples between two points of a drawn curve of Figs. 7 and 8.
+const STEP: usize = 20;
+
+/// Figs. 7 and 8: one panel per joint, the measured torque behind the estimated one.
+fn validation(area: DrawingArea<SVGBackend, plotters::coord::Shift>, run: &Validation) -> Drawn {
+    area.fill(&WHITE)?;
+    let joints = run.rms.len();
+    for (j, panel) in area.split_evenly((joints, 1)).iter().enumerate() {
+        let columns = [&run.measured, &run.estimated].map(|tau| tau.column(j).iter().copied().collect::<Vec<f64>>());
+        let (low, high) = columns.iter().flatten().fold((f64::MAX, f64::MIN), |(l, h), &x| (l.min(x), h.max(x)));
+        let room = 0.1 * (high - low);
+        let last = j + 1 == joints;
+        let mut chart = ChartBuilder::on(panel)
+            .caption(format!("{} robot, joint {}: RMS {:.2} Nm", run.mounting, j + 1, run.rms[j]), ("sans-serif", 15))
+            .margin(6)
+            .x_label_area_size(if last { 32 } else { 16 })
+            .y_label_area_size(56)
+            .build_cartesian_2d(0.0..*run.t.last().expect("samples"), low - room..high + room)?;
+        let mut mesh = chart.configure_mesh();
+        mesh.light_line_style(WHITE).y_desc("torque [Nm]").y_labels(4);
+        if last {
+            mesh.x_desc("t [s]");
+        }
+        mesh.draw()?;
+        for ((name, colour, width), values) in [("measured", TRUE, 2), ("estimated", HORIZONTAL, 2)].into_iter().zip(&columns) {
+            let points = run.t.iter().copied().zip(values.iter().copied()).step_by(STEP);
             chart
                 .draw_series(LineSeries::new(points, colour.stroke_width(width)))?
                 .label(name)

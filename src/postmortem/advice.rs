@@ -35,7 +35,11 @@ pub(super) fn next(story: &Story, about: &About) -> Vec<String> {
         ("guard" | "unsafe", Some("end-effector-box" | "base-sphere")) => steps
             .push("The motion leaves the workspace: compare `[workspace]` of the job with the plan, and plan again.".to_string()),
         ("guard" | "unsafe", Some(_)) => steps.push(
-            "The arm did nothing wrong: the motion itself breaks a limit. Plan it again under the limits of this job.".to_string(),
+            format!(
+                "The arm did nothing wrong: the commanded motion of joint {joint} breaks a limit, although the programme was held to the \
+                 guard's rules before it began. Keep this recording, and start the job again: that reads the arm's limits and plans again \
+                 where the plans do not keep them."
+            ),
         ),
         ("lost-states", _) => steps.push(
             "States were lost between arm and loop: look at the late cycles below. Network, processor load, or priority? \

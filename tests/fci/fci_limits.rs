@@ -118,14 +118,14 @@ fn a_plan_past_the_connected_arms_limits_is_refused_before_anything_moves() {
     }
 }
 
-/// A joint outside the limits of the job can't be driven; what helps is a hand.
+/// A joint outside the limits of the job can't be driven; what helps is a hand. Watched, the arm may stand there.
 #[test]
 fn an_arm_that_stands_outside_the_jobs_limits_is_told_what_to_do() {
     let scene = Scene::new("limits-pose", None, READY);
     // Joint 6 stands at 90 deg.
     let q_max = "limits.override.q-max=[2.9, 1.83, 2.9, -0.12, 2.87, 1.5, 3.05]";
     let start = "backend.start=[\"0 deg\", \"-45 deg\", \"0 deg\", \"-135 deg\", \"0 deg\", \"60 deg\", \"45 deg\"]";
-    let done = Done::of(scene.command("daemon", &[q_max, start])).expect_code(1);
+    let done = Done::of(scene.command("run", &[q_max, start])).expect_code(1);
     let words =
         "joint 6 stands at 1.5708 rad, outside the range of job and arm, 0.4398 to 1.5000 rad; nothing has moved";
     assert!(done.err.contains(words) && done.err.contains("by hand (guiding mode)"), "{}", done.said());

@@ -50,6 +50,7 @@ impl Arm {
         let bounds = Bounds {
             workspace: Some(workspace),
             shape: Some(shape),
+            links_in_box: true,
             envelope: envelope.as_ref(),
             ..Bounds::new(chain, &self.limits, Margins::default())
         };

@@ -31,6 +31,7 @@ mod plan_command;
 mod plan_robots;
 mod power_cut;
 mod predict_command;
+mod readme;
 mod run_identity;
 mod undeclared_effect;
 mod vertical_model;

@@ -28,6 +28,7 @@ use crate::rt::{Backend, Sink};
 use hdrhistogram::Histogram;
 use nalgebra::Vector3;
 use std::collections::VecDeque;
+use std::f64::consts::TAU;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -112,20 +113,18 @@ impl Session {
                 return Err(other_limits(job));
             }
             // A real arm stands wherever somebody left it.
-            stands_inside(&limits, &connected.pose()[..robot.chain.len()])?;
             if let Some(target) = script.first_target() {
+                stands_inside(&limits, &connected.pose()[..robot.chain.len()])?;
                 programme::free_way(job, robot, connected.limits(), &connected.pose(), &target)?;
             }
         }
+        // An arm that is only watched is sent nothing: it may stand outside the job's limits, and be guided by hand.
+        let watched = purpose == Purpose::Hold && connected.is_some();
         let mut settings = CycleSettings::new(GuardSettings {
-            limits,
+            limits: if watched { anywhere(limits) } else { limits },
             envelope,
-            workspace: Some(job.workspace(&robot.workspace)),
-            // An arm that is only watched may be guided by hand.
-            tracking: match (purpose, &connected) {
-                (Purpose::Hold, Some(_)) => [std::f64::consts::TAU; MAX_JOINTS],
-                _ => [job.safety.tracking_error; MAX_JOINTS],
-            },
+            workspace: Some(job.workspace(&robot.workspace)).filter(|_| !watched),
+            tracking: [if watched { TAU } else { job.safety.tracking_error }; MAX_JOINTS],
         });
         settings.max_consecutive_lost = u64::from(job.safety.max_lost);
         settings.queue = 3 * desk.names.len() + 8;
@@ -509,6 +508,11 @@ fn other_limits(job: &Job) -> Failure {
         "the connected arm has other limits than when this daemon started, and the programme was not checked under them; nothing \
          has moved. Start again, which plans under them: `plumbline run {job}`, or restart the service"
     ))
+}
+
+/// The limits for an arm that may stand anywhere.
+fn anywhere(limits: Limits) -> Limits {
+    Limits { q_min: limits.q_min.map(|q| q - TAU), q_max: limits.q_max.map(|q| q + TAU), ..limits }
 }
 
 /// An arm outside the limits could only be stopped by them, whatever it is told.
