@@ -2,7 +2,7 @@
 
 use super::gravity::Watch;
 use super::recorder::Recorder;
-use crate::app::Failure;
+use crate::app::{Failure, models};
 use crate::backend::sim::Truth;
 use crate::config::job::{Adopt, Job, OnLoss};
 use crate::config::robot::Robot;
@@ -250,12 +250,7 @@ impl Desk {
 
     /// Checks a model's text: the right robot, a set that holds in this mounting.
     fn check(&self, file: &str, text: &str) -> Result<Accepted, BadInput> {
-        let offered = ModelFile::parse(file, text, |name| {
-            if name == self.robot.name {
-                return Ok(self.robot.chain.clone());
-            }
-            Err(BadInput::new(file, "key `robot`", name, format!("`{}`, which this daemon drives", self.robot.name)))
-        })?;
+        let offered = models::of_robot(file, text, &self.robot, "which this daemon drives")?;
         offered.model.valid_in(&self.mounting).map_err(|refused| {
             BadInput::new(file, "key `kind`", refused, "a model that holds in the present mounting")
         })?;
