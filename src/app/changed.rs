@@ -46,7 +46,8 @@ impl Stored<'_> {
         runs.iter().map(error).collect()
     }
 
-    /// Changes that lower the error on unseen runs; without unseen runs, all of them.
+    /// Changes that lower the error on unseen runs, in one joint at least for certain; without unseen runs, all of them. What a model lacked
+    /// when it was identified is in every search, and holds on other runs by chance alone.
     pub fn stand_the_test(&self, unseen: &[(&Experiment, u32)]) -> Result<Vec<usize>, Failure> {
         let mut kept: Vec<usize> = (0..self.changes.len()).collect();
         if unseen.is_empty() {
@@ -60,11 +61,23 @@ impl Stored<'_> {
         for k in (0..self.changes.len()).rev() {
             let rest: Vec<usize> = kept.iter().copied().filter(|&other| other != k).collect();
             let without = total(&rest)?;
-            if without <= with {
+            if without <= with || !self.certain(&rest, &kept, unseen)? {
                 (kept, with) = (rest, without);
             }
         }
         Ok(kept)
+    }
+
+    /// Whether the second model is better than the first in a joint, by the whole interval of the difference.
+    fn certain(&self, first: &[usize], second: &[usize], unseen: &[(&Experiment, u32)]) -> Result<bool, Failure> {
+        let mut pairs = Vec::new();
+        for &(experiment, session) in unseen {
+            let (first, second) = (self.with(first, session)?, self.with(second, session)?);
+            let along = |model: &TorqueModel| Modelled::of(experiment, |motion| model.predict(motion));
+            pairs.push((experiment, along(&first), along(&second)));
+        }
+        let compared = errors::compare(&pairs, Of::Filtered).unwrap_or_default();
+        Ok(compared.change.interval.iter().any(|[_, high]| *high < 0.0))
     }
 
     /// Errors without and with them, with intervals, after the low-pass; empty without runs.
@@ -100,8 +113,17 @@ impl<'a> Told<'a> {
     /// The block `diagnosis`.
     pub fn diagnosis(&self, since: &str, runs: &[String], compared: &Compared) -> Diagnosis {
         let changes = self.changes;
-        let one = |(k, change)| effect(change, self.stored, self.declared.as_ref(), self.kept.contains(&k));
-        let effects: Vec<Effect> = changes.effects.iter().enumerate().map(one).collect();
+        let (held, not_held): (Vec<usize>, Vec<usize>) =
+            (0..changes.effects.len()).partition(|k| self.kept.contains(k) || runs.is_empty());
+        let one = |k: usize| {
+            let in_model = self.kept.contains(&k);
+            effect(&changes.effects[k], self.stored, self.declared.as_ref(), in_model)
+        };
+        let effects: Vec<Effect> = held.into_iter().map(one).collect();
+        let not_held = not_held.into_iter().map(|k| {
+            let what = line(&changes.effects[k]);
+            format!("{what} was found and does not hold on the unseen runs, so it counts as no change; what a model lacks is found by `plumbline diagnose`")
+        });
         let errors = |of: &errors::Errors| Errors { validate_rms: of.rms.clone(), intervals: of.interval.clone() };
         let (before, after) = (errors(&compared.before), errors(&compared.after));
         let joints = self.joints();
@@ -142,6 +164,7 @@ impl<'a> Told<'a> {
                 ..diagnosis::Changes::default()
             }],
             effects,
+            notes: not_held.collect(),
             ..Diagnosis::default()
         }
     }
@@ -167,7 +190,10 @@ impl<'a> Told<'a> {
 
     fn scores(&self) -> Vec<Score> {
         let chosen = |spec: &crate::model::term::effect::Spec| {
-            self.changes.effects.iter().any(|one| one.spec.family == spec.family && one.spec.site == spec.site)
+            let same = |k: &&usize| {
+                (self.changes.effects[**k].spec.family, self.changes.effects[**k].spec.site) == (spec.family, spec.site)
+            };
+            self.kept.iter().any(|k| same(&k))
         };
         let score = |one: &crate::diagnose::select::Scored| Score {
             label: label(one.item.spec.family, one.item.spec.site),

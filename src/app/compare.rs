@@ -3,7 +3,7 @@
 use super::changed::{self, Stored};
 use super::identify::{cut, quiet_settings};
 use super::say::say;
-use super::{Failure, diagnosed, pipeline, progress};
+use super::{Failure, diagnosed, models, pipeline, progress};
 use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Role, Run};
 use crate::diagnose::{self, reference};
@@ -115,7 +115,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         noise_floor: Rms::pooled(&errors_after).and_then(|rms| rms.noise_floor).unwrap_or_default(),
         diagnosis: Some(diagnosis),
         identifiability,
-        provenance: provenance(&file.provenance, &dataset),
+        provenance: provenance(&file.provenance, &robot, &dataset),
         ..Report::default()
     };
     std::fs::create_dir_all(&options.out)
@@ -138,7 +138,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
                 })
                 .collect(),
             consistent: None,
-            provenance: Provenance { source: Some(since), ..super::provenance(Some(dataset.content_hash())) },
+            provenance: Provenance { source: Some(since), ..super::provenance(&robot, Some(dataset.content_hash())) },
         }
     };
     super::write(&options.out.join("model.toml"), written.to_toml().as_bytes())?;
@@ -155,17 +155,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
 /// The model, which must be of the robot that the dataset is of.
 fn model_file(options: &Options, robot: &Robot) -> Result<ModelFile, Failure> {
     let name = options.model.display().to_string();
-    Ok(ModelFile::load(&options.model, |of| {
-        if of == robot.name {
-            return Ok(robot.chain.clone());
-        }
-        Err(BadInput::new(
-            &name,
-            "key `robot`",
-            format!("`{of}`"),
-            format!("`{}`, the robot of the dataset", robot.name),
-        ))
-    })?)
+    let text = std::fs::read_to_string(&options.model)
+        .map_err(|error| BadInput::new(&name, "file", error, "a readable model file"))?;
+    Ok(models::of_robot(&name, &text, robot, "the robot of the dataset")?)
 }
 
 fn diagnose_settings(options: &Options) -> Result<diagnose::Settings, Failure> {
@@ -226,8 +218,8 @@ fn since(options: &Options, file: &ModelFile) -> String {
     format!("{name}{date}")
 }
 
-fn provenance(of_model: &Provenance, dataset: &Dataset) -> serde_json::Map<String, serde_json::Value> {
-    let own = super::provenance(Some(dataset.content_hash()));
+fn provenance(of_model: &Provenance, robot: &Robot, dataset: &Dataset) -> serde_json::Map<String, serde_json::Value> {
+    let own = super::provenance(robot, Some(dataset.content_hash()));
     let facts = [
         ("dataset", own.dataset),
         ("plumbline", own.plumbline),

@@ -60,6 +60,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     };
     let Diagnosed { after, mut block, figures: drawn } = diagnosed::run(&question)?;
     let reference = sessions::Reference {
+        robot: &robot,
         model: &after.model,
         noise_floor: after.identification.rms.noise_floor.as_deref().unwrap_or_default(),
         session,
@@ -69,8 +70,15 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let not_valid = reference.compare(&later, &mut block, &given.out)?;
 
     let judged = pipeline::judge_all(&after.model, &trusted, &settings)?;
-    let done =
-        Done { identified: after, runs: identified, judged, mounting: dataset.mounting, hash, settings: &settings };
+    let done = Done {
+        robot: &robot,
+        identified: after,
+        runs: identified,
+        judged,
+        mounting: dataset.mounting,
+        hash,
+        settings: &settings,
+    };
     done.write(&given.out, |report| {
         let untrusted = untrusted.iter().map(|run| run.file.clone());
         report.identifiability.untrusted_runs = untrusted.chain(not_valid).collect();

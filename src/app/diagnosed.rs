@@ -71,7 +71,8 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
         Input { structure: question.structure, identify: &identify_trials, veto, judge, options: question.options };
     bar.at(0.1, "looking for effects");
     let share = std::cell::Cell::new(0.2);
-    let outcome = diagnose(&input, question.diagnosis, &|step| {
+    let settings = diagnose::Settings { judged_by: question.of, ..question.diagnosis.clone() };
+    let outcome = diagnose(&input, &settings, &|step| {
         share.set(share.get() + 0.15 * (0.9 - share.get()));
         bar.at(share.get(), step.item.spec.family);
     })
@@ -134,6 +135,12 @@ fn block(outcome: &Outcome, compared: &Compared, held_out_runs: Vec<String>) -> 
              stood in for trajectories"
         )),
         Confirmation::Full { .. } => {}
+    }
+    for effect in &outcome.effects {
+        if let Some(why) = &effect.withheld {
+            let name = label(effect.spec.family, effect.spec.site);
+            notes.push(format!("{name} was found and is not in the delivered model: {why}"));
+        }
     }
     let full = matches!(outcome.confirmation, Confirmation::Full { .. });
     told::Diagnosis {

@@ -53,7 +53,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         };
         let programme = Programme::load(&job, &out.join("plans"))?;
         let results = Results::new(&job, &robot, &programme, &out);
-        let live = Live::new(&job, results.joints(), &out);
+        let live = Live::new(&job, &robot, &out);
         service.status("follows the samples");
         let outcome = match follow(&id, &mut stream, &programme, results, live, &mut service) {
             Err(Failure::Input(bad)) => Outcome::Unusable { why: bad.to_string() },

@@ -1,8 +1,8 @@
 //! `plumbline export`: the identified arm as URDF, MJCF or C.
 
-use super::Failure;
 use super::pipeline::Identified;
 use super::say::say;
+use super::{Failure, models};
 use crate::config::robot::Robot;
 use crate::estimate::consistency::{Nearest, Prior, Uncertainty, Weights, nearest};
 use crate::input::BadInput;
@@ -36,9 +36,6 @@ pub struct Options {
     /// Export a model that holds only with gravity along axis 1; the file then says so
     #[arg(long)]
     vertical: bool,
-    /// Leave out the effects of the model that the format has no place for; the file then says so
-    #[arg(long)]
-    without_effects: bool,
 }
 
 /// File formats.
@@ -52,31 +49,14 @@ enum Format {
 /// Reads, projects where the file has no bodies yet, writes, and says what the format can't hold.
 pub fn run(options: Options) -> Result<(), Failure> {
     let name = options.model.display().to_string();
-    let robot_of = |name: &str| Robot::load(name, options.model.parent());
-    let file = ModelFile::load(&options.model, |name| Ok(robot_of(name)?.chain))?;
+    let (file, robot) = models::load(&options.model)?;
     let model = &file.model;
-    let robot = robot_of(model.robot())?;
     check(&options)?;
     if let Err(refused) = model.valid_in(&Mounting::WALL)
         && !options.vertical
     {
         let expected = "a model that holds in every mounting, or --vertical";
         return Err(BadInput::new(name, "key `kind`", refused, expected).into());
-    }
-
-    let unheld = match options.format {
-        Format::C => effects::unheld_by_c(model),
-        Format::Urdf | Format::Mjcf => effects::unheld_by_bodies(model),
-    };
-    let lost: Vec<&str> = effects::served(&unheld).collect();
-    if !lost.is_empty() && !options.without_effects {
-        let expected = match options.format {
-            Format::C => "effects that depend on one sample alone, or --without-effects",
-            Format::Urdf | Format::Mjcf => {
-                "no effect but payload, or --without-effects (--format c has a place for more)"
-            }
-        };
-        return Err(BadInput::new(name, "key `term`", lost.join(", "), expected).into());
     }
 
     let exported = if options.format == Format::C {

@@ -93,8 +93,15 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
     bar.done();
 
-    let done =
-        Done { identified, runs: identified_runs, judged, mounting: dataset.mounting, hash, settings: &settings };
+    let done = Done {
+        robot: &robot,
+        identified,
+        runs: identified_runs,
+        judged,
+        mounting: dataset.mounting,
+        hash,
+        settings: &settings,
+    };
     done.write(&options.out, |report| {
         report.identifiability.untrusted_runs = untrusted;
         report.notes = notes;
@@ -104,6 +111,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
 
 /// A model from files, judged, on its way into a folder: what `identify` and `diagnose` leave behind.
 pub(super) struct Done<'a> {
+    /// The arm.
+    pub robot: &'a Robot,
     /// The model.
     pub identified: Identified,
     /// Runs that it was identified from.
@@ -122,8 +131,8 @@ impl Done<'_> {
     /// Writes model.toml, report.json and report.html, and prints what matters. `add` puts more into the report and gives what is drawn
     /// of it.
     pub fn write(self, out: &Path, add: impl FnOnce(&mut Report) -> DiagnosisFigures) -> Result<(), Failure> {
-        let Done { identified, runs, judged, mounting, hash, settings } = self;
-        let provenance = super::provenance(Some(hash));
+        let Done { robot, identified, runs, judged, mounting, hash, settings } = self;
+        let provenance = super::provenance(robot, Some(hash));
         let mut report = report_of(&identified, mounting, &provenance);
         // Recorded data rarely repeats, so there is no noise floor to hold raw samples against: `rms` is that of the filtered band.
         report.band = Band::Filtered { cutoff: settings.torque_cutoff };

@@ -3,6 +3,7 @@
 use super::changed;
 use super::{Failure, pipeline};
 use crate::config::job::{Adopt, Job};
+use crate::config::robot::Robot;
 use crate::dataset::Run;
 use crate::diagnose::live::{self, ENDS, Floor, Found, News, Remedy, STRETCH, Watch};
 use crate::diagnose::{self, reference::Change};
@@ -93,6 +94,7 @@ pub struct Live {
     adopt: Adopt,
     window: f64,
     joints: usize,
+    robot: Robot,
     settings: Settings,
     gravity: nalgebra::Vector3<f64>,
     mounting: Mounting,
@@ -120,11 +122,12 @@ pub struct Live {
 
 impl Live {
     /// A watch that begins when there is a model; `None` where the job wants none.
-    pub fn new(job: &Job, joints: usize, out: &Path) -> Option<Live> {
+    pub fn new(job: &Job, robot: &Robot, out: &Path) -> Option<Live> {
         job.live.watch.then(|| Live {
             adopt: job.live.adopt,
             window: job.live.window,
-            joints,
+            joints: robot.chain.len(),
+            robot: robot.clone(),
             settings: Settings { rest: Some(REST), ..job.settings() },
             gravity: job.mounting.gravity(),
             mounting: job.mounting,
@@ -344,7 +347,7 @@ impl Live {
             noise_floor: self.noise_floor.clone(),
             validation: Vec::new(),
             consistent: None,
-            provenance: Provenance { source: Some(source), ..super::provenance(None) },
+            provenance: Provenance { source: Some(source), ..super::provenance(&self.robot, None) },
         };
         let toml = file.to_toml();
         super::write(&self.out.join("model-live.toml"), toml.as_bytes())?;

@@ -17,6 +17,7 @@ mod identify;
 mod inclinometer;
 mod journal;
 mod live;
+mod models;
 mod owned;
 mod pipeline;
 mod plan;
@@ -290,10 +291,11 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     crate::atomic::write_file(path, bytes).map_err(Failure::job)
 }
 
-/// Where numbers that this program identified come from; `dataset` is the hash of the data's content, where it is known already.
-fn provenance(dataset: Option<String>) -> Provenance {
+/// Where numbers of a `robot` that this program identified come from; `dataset` is the hash of the data's content, where it is known already.
+fn provenance(robot: &Robot, dataset: Option<String>) -> Provenance {
     let plumbline = Some(env!("CARGO_PKG_VERSION").to_string());
-    Provenance { dataset, plumbline, date: Some(today()), source: None }
+    let robot_description = robot.description.clone();
+    Provenance { dataset, plumbline, date: Some(today()), source: None, robot_description }
 }
 
 /// Now in UTC, as in 2026-11-20T08:15:00Z.

@@ -3,7 +3,7 @@
 use super::programme::Programme;
 use super::say::say;
 use super::signals::Ending;
-use super::{Failure, friction_structure, progress};
+use super::{Failure, friction_structure, models, progress};
 use crate::backend::franka::{self, RobotLimits};
 use crate::config::job::Job;
 use crate::config::robot::Robot;
@@ -22,7 +22,7 @@ use crate::joint::{Limits, SpeedEnvelope, Workspace};
 use crate::model::gravity::Mounting;
 use crate::parallel::threads;
 use crate::rt::moves::MoveFactors;
-use crate::store::{ModelFile, load_plan, save_plan};
+use crate::store::{load_plan, save_plan};
 use clap::{Args, ValueEnum};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
@@ -218,13 +218,9 @@ fn usage_text(usage: &PlanUsage) -> String {
 /// The nominal model in a file.
 fn nominal(path: &Path, robot: &Robot) -> Result<Nominal, Failure> {
     let file = path.display().to_string();
-    let model = ModelFile::load(path, |name| {
-        if name == robot.name {
-            return Ok(robot.chain.clone());
-        }
-        Err(BadInput::new(&file, "key `robot`", format!("`{name}`"), format!("a model of `{}`", robot.name)))
-    })?
-    .model;
+    let text =
+        std::fs::read_to_string(path).map_err(|error| BadInput::new(&file, "file", error, "a readable model file"))?;
+    let model = models::of_robot(&file, &text, robot, "the robot that is planned for")?.model;
     let left_out = Nominal::left_out(&model);
     if !left_out.is_empty() {
         tracing::warn!("{file}: a plan's torques are those without {}", left_out.join(", "));

@@ -1,9 +1,8 @@
 //! `plumbline predict`: torques of a model along a recorded motion.
 
-use super::Failure;
 use super::pipeline::{self, Predicted};
 use super::say::say;
-use crate::config::robot::Robot;
+use super::{Failure, models};
 use crate::config::units::parse_mounting;
 use crate::dataset::{Dataset, Run};
 use crate::estimate::experiment::Settings;
@@ -43,7 +42,7 @@ pub struct Options {
 
 /// Predicts, writes, and says how far off the measured torques are where there are any.
 pub fn run(options: Options) -> Result<(), Failure> {
-    let file = ModelFile::load(&options.model, |name| Ok(Robot::load(name, options.model.parent())?.chain))?;
+    let (file, _) = models::load(&options.model)?;
     let model = &chosen(&options, &file)?;
     let run = motion(&options, model)?;
     if let Err(refused) = model.valid_in(&run.mounting)

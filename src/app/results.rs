@@ -211,7 +211,7 @@ impl Results {
             noise_floor: identified.identification.rms.noise_floor.clone().unwrap_or_default(),
             validation,
             consistent: super::export::of_identified(identified),
-            provenance: super::provenance(hash),
+            provenance: super::provenance(&self.robot, hash),
         }
     }
 
@@ -222,7 +222,7 @@ impl Results {
         source.insert("arm".into(), "simulated".into());
         Dataset {
             name,
-            robot: self.job.robot.clone(),
+            robot: self.robot_of_dataset(),
             mounting: self.job.mounting,
             source,
             runs: self
@@ -232,6 +232,16 @@ impl Results {
                 .map(|recorded| recorded.run.clone())
                 .collect(),
         }
+    }
+
+    /// A shipped robot's name; the path of a description, which the job may name relative to its own folder, as an absolute one.
+    fn robot_of_dataset(&self) -> String {
+        let name = &self.job.robot;
+        if !name.ends_with(".toml") {
+            return name.clone();
+        }
+        let path = self.job.dir().join(name);
+        std::path::absolute(&path).unwrap_or(path).display().to_string()
     }
 
     fn wall_clock(&self) -> bool {

@@ -2,6 +2,7 @@
 
 use super::changed::{Stored, Told};
 use super::{Failure, compare, pipeline};
+use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Run};
 use crate::diagnose::{self, evidence::Trial, reference};
 use crate::estimate::experiment::{Experiment, Settings};
@@ -25,6 +26,8 @@ pub fn take_later(dataset: &mut Dataset) -> Vec<(u32, Vec<Run>)> {
 
 /// What a later session is compared with, and how.
 pub struct Reference<'a> {
+    /// The arm.
+    pub robot: &'a Robot,
     /// The model of the first session.
     pub model: &'a TorqueModel,
     /// Its noise floor, per joint; may be empty \[Nm\].
@@ -83,6 +86,7 @@ impl Reference<'_> {
             block.verdict = own.verdict;
         }
         block.effects.append(&mut own.effects);
+        block.notes.append(&mut own.notes);
         block.changes.append(&mut own.changes);
         if kept.is_empty() {
             return Ok(());
@@ -94,7 +98,7 @@ impl Reference<'_> {
             noise_floor: self.noise_floor.to_vec(),
             validation: Vec::new(),
             consistent: None,
-            provenance: Provenance { source: Some(source), ..super::provenance(None) },
+            provenance: Provenance { source: Some(source), ..super::provenance(self.robot, None) },
         };
         block.notes.push(format!("the arm as it is in session {session}: {name}"));
         std::fs::create_dir_all(out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;

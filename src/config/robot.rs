@@ -174,6 +174,8 @@ pub struct Robot {
     pub envelope: Option<SpeedEnvelope>,
     /// Where torques are measured.
     pub torque_sensing: TorqueSensing,
+    /// Text of the description, where it is not that of a built-in robot.
+    pub description: Option<String>,
 }
 
 impl Robot {
@@ -209,12 +211,14 @@ impl Robot {
 
     /// A robot from the text of a description; `file` is only named in errors.
     pub fn parse(file: &str, text: &str) -> Result<Robot, BadInput> {
-        from_toml::<RobotFile>(file, text)?.check(file)
+        let robot = from_toml::<RobotFile>(file, text)?.check(file)?;
+        let built_in = BUILT_IN.iter().any(|(_, known)| *known == text);
+        Ok(Robot { description: (!built_in).then(|| text.to_string()), ..robot })
     }
 }
 
 impl RobotFile {
-    /// Checks everything and puts it into the shape that the rest of the program uses.
+    /// Checks everything and puts it into the shape that the rest of the program uses, without the text.
     pub fn check(&self, file: &str) -> Result<Robot, BadInput> {
         let n = self.joint.len();
         if !(1..=MAX_JOINTS).contains(&n) {
@@ -252,6 +256,7 @@ impl RobotFile {
             shape: self.checked_shape(file)?,
             envelope: self.envelope(),
             torque_sensing: self.torque_sensing,
+            description: None,
         })
     }
 

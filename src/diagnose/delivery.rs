@@ -1,7 +1,9 @@
 //! The model that is delivered: the plain one with the effects that help.
 
+use super::Settings;
 use super::diagnosis::Input;
-use super::evidence::Evidence;
+use super::errors::{self, Compared};
+use super::evidence::{Evidence, Trial};
 use super::library::Candidate;
 use super::outcome::Fitted;
 use super::select::{Found, Selected};
@@ -10,7 +12,10 @@ use super::unseen::Unseen;
 use crate::estimate::EstimateError;
 use crate::estimate::experiment::Experiment;
 use crate::estimate::solve::{Estimator, Identification, identify_weighted, identify_with};
+use crate::estimate::validate::Modelled;
 use crate::model::term::effect::{self, Spec};
+use crate::model::torque::TorqueModel;
+use crate::parallel::parallel;
 use nalgebra::DVector;
 
 /// What a joint's effects have to explain of what was unmodelled there, to be put into the model.
@@ -18,6 +23,9 @@ const HELPFUL: f64 = 0.5;
 /// Times the noise that the unseen runs may show of what the plain model lacks, for an effect that hardly comes in there: the errors of the parameters
 /// are as large, and it has to do no harm alone.
 const FAINT: f64 = 1.5;
+/// Share of the plain model's error by which a joint must get worse for certain to be worse: the joints share the rigid body's parameters, and
+/// each of them moves a little with every effect.
+const WORSE: f64 = 0.01;
 /// Parameters that moved by less than this, times their standard deviation, are those that the load was computed with.
 const SETTLED: f64 = 0.1;
 
@@ -33,12 +41,16 @@ pub struct Delivery<'a> {
     pub before: &'a Identification,
     /// Effects that the search started with.
     pub seeds: &'a [Candidate],
+    /// How the diagnosis is done.
+    pub settings: &'a Settings,
 }
 
 impl Delivery<'_> {
     /// The model with the effects that help, and which they are. They have to help in the selection's fit, of which `adequacy` tells each joint's
     /// share (as far as the unseen runs show what the plain model `lacks`), and must do no harm in the model that is
     /// delivered: identified once more upon its own load, an effect near a resonance may come out as another one.
+    ///
+    /// An effect that passes this is withheld for another reason, which comes with it: see [`Delivery::reason`].
     ///
     /// # Errors
     /// As [`identify_with`].
@@ -47,7 +59,8 @@ impl Delivery<'_> {
         selected: &Selected,
         lacks: &[Option<f64>],
         adequacy: &[Option<f64>],
-    ) -> Result<(Fitted, Vec<bool>), EstimateError> {
+        confirmed: &[bool],
+    ) -> Result<(Fitted, Vec<bool>, Vec<Option<String>>), EstimateError> {
         let explains = |share: &[Option<f64>], found: &Found, least: f64| {
             share[found.relevance.joint].is_none_or(|share| share >= least)
         };
@@ -56,20 +69,80 @@ impl Delivery<'_> {
             if faint { 0.0 } else { HELPFUL }
         };
         let mut kept: Vec<bool> = selected.found.iter().map(|found| explains(adequacy, found, least(found))).collect();
+        let mut withheld = vec![None; kept.len()];
         loop {
             let after = self.extended(&selected.state, &kept)?;
             if !kept.contains(&true) {
-                return Ok((after, kept));
+                return Ok((after, kept, withheld));
             }
             let unseen = Unseen::of_model(self.unseen, &after, self.input.unseen());
             let share = unseen.explained(lacks, &DVector::from_column_slice(&after.identification.beta));
             let still = kept.iter().zip(&selected.found).map(|(kept, found)| *kept && explains(&share, found, 0.0));
             let still: Vec<bool> = still.collect();
-            if still == kept {
-                return Ok((after, kept));
+            if still != kept {
+                kept = still;
+                continue;
             }
-            kept = still;
+            // One at a time, the least first: without it the others come out otherwise.
+            let Some((index, why)) = self.reason(selected, &kept, &after, confirmed) else {
+                return Ok((after, kept, withheld));
+            };
+            (kept[index], withheld[index]) = (false, Some(why));
         }
+    }
+
+    /// The effect that the model `after` must not have, and why: a parameter is below zero that can't be by its physics; a joint is predicted
+    /// worse than by the plain model on unseen runs; or it is unconfirmed, and its joint is not predicted better there.
+    fn reason(
+        &self,
+        selected: &Selected,
+        kept: &[bool],
+        after: &Fitted,
+        confirmed: &[bool],
+    ) -> Option<(usize, String)> {
+        let items = &selected.state.items;
+        let score = |index: &usize| selected.found[*index].score;
+        let mut candidates: Vec<usize> = (0..items.len()).filter(|&index| kept[index]).collect();
+        candidates.sort_by(|a, b| score(a).total_cmp(&score(b)));
+        for &index in &candidates {
+            if let Some((name, value)) = negative(after, &items[index].spec) {
+                return Some((index, format!("{name} came out as {value:.3}, and it can't be below 0")));
+            }
+        }
+        let compared = self.compared(after)?;
+        let change = |joint: usize| (compared.change.rms[joint], compared.change.interval[joint]);
+        let words = |joint: usize| {
+            let (change, [low, high]) = change(joint);
+            format!("{change:+.4} [{low:.4}, {high:.4}] Nm in joint {}", joint + 1)
+        };
+        for joint in 0..compared.before.rms.len() {
+            if change(joint).1[0] > WORSE * compared.before.rms[joint] {
+                let own = candidates.iter().find(|&&index| items[index].spec.site.joints().contains(&joint));
+                let index = *own.or(candidates.first())?;
+                return Some((index, format!("with it, unseen runs are predicted worse: {}", words(joint))));
+            }
+        }
+        candidates.into_iter().filter(|&index| !confirmed[index]).find_map(|index| {
+            let joint = selected.found[index].relevance.joint;
+            let why = || format!("it is unconfirmed, and unseen runs are predicted no better: {}", words(joint));
+            (change(joint).1[1] >= 0.0).then(|| (index, why()))
+        })
+    }
+
+    /// Errors of the plain model and of another one on unseen runs; `None` where there are none.
+    fn compared(&self, after: &Fitted) -> Option<Compared> {
+        let runs = [self.input.judge, self.input.veto].into_iter().find(|runs| !runs.is_empty())?;
+        let plain = Fitted { structure: self.input.structure.clone(), identification: self.before.clone() };
+        // As they are served: a regressor knows more of the samples to come.
+        let model = |fitted: &Fitted| {
+            TorqueModel::new("", fitted.structure.clone(), Vec::new(), &fitted.identification.values()).ok()
+        };
+        let (plain, after) = (model(&plain)?, model(after)?);
+        let along = |model: &TorqueModel, trial: &Trial| Modelled::of(trial.experiment, |motion| model.predict(motion));
+        let each = parallel(runs, self.settings.threads, |trial| (along(&plain, trial), along(&after, trial)));
+        let pairs: Vec<_> =
+            runs.iter().zip(each).map(|(trial, (plain, after))| (trial.experiment, plain, after)).collect();
+        errors::compare(&pairs, self.settings.judged_by)
     }
 
     /// Standard deviation of each joint's residual under the model that the search starts from.
@@ -122,4 +195,14 @@ impl Delivery<'_> {
         }
         Ok(fitted)
     }
+}
+
+/// A parameter of an effect that is below zero and can't be by its physics: name and value.
+fn negative(fitted: &Fitted, spec: &Spec) -> Option<(String, f64)> {
+    let structure = &fitted.structure;
+    let terms = structure.terms().iter().zip(structure.ranges());
+    let own = terms.filter(|(term, _)| term.spec().as_ref() == Some(spec));
+    own.flat_map(|(term, range)| range.clone().map(move |c| (term, c - range.start, c)))
+        .find(|(term, column, c)| term.not_negative(*column) && fitted.identification.beta[*c] < 0.0)
+        .map(|(_, _, c)| (structure.columns()[c].name.clone(), fitted.identification.beta[c]))
 }

@@ -89,9 +89,16 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
         let adequacy = model.explained(&lacks, &selected.state.fit.theta);
         (lacks, adequacy)
     };
-    let delivery = Delivery { input, unseen: &unseen, experiments: &experiments, before: &before, seeds: &seeds };
-    let (after, kept) = delivery.of(&selected, &lacks, &adequacy)?;
-    let effects = effects_of(&search, &selected, &kept, &adequacy, &after);
+    let delivery =
+        Delivery { input, unseen: &unseen, experiments: &experiments, before: &before, seeds: &seeds, settings };
+    let full = matches!(confirmation(&evidence), Confirmation::Full { .. });
+    let confirmed: Vec<bool> = selected.found.iter().map(|found| full && found.folds.confirm() == Some(true)).collect();
+    let (after, kept, withheld) = delivery.of(&selected, &lacks, &adequacy, &confirmed)?;
+    let mut effects = effects_of(&search, &selected, &kept, &adequacy, &after);
+    for effect in &mut effects {
+        let index = selected.state.items.iter().position(|item| item.spec == effect.spec);
+        effect.withheld = index.and_then(|index| withheld[index].clone());
+    }
     // What the delivered model leaves over.
     let left = if kept.iter().any(|kept| *kept) { &selected.state } else { &base };
     let left_out = (evidence.folds().len() > 1).then(|| gates::left_out(&search.problem, &base, left));
@@ -235,6 +242,7 @@ fn effects_of(
             adequacy: adequacy[found.relevance.joint],
             rivals: found.rivals.clone(),
             in_model: kept[index],
+            withheld: None,
         });
     }
     let friction = |joint: usize| {

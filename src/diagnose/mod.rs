@@ -43,6 +43,8 @@ pub struct Settings {
     pub least_share_of_all: f64,
     /// And on blocks that were left out.
     pub least_share_left_out: f64,
+    /// What the errors on unseen runs are taken of that a delivered model is judged by.
+    pub judged_by: errors::Of,
     /// Most steps of the selection.
     pub steps: usize,
     /// Threads to work on.
@@ -58,6 +60,7 @@ impl Default for Settings {
             least_share: 0.15,
             least_share_of_all: 0.03,
             least_share_left_out: 0.2,
+            judged_by: errors::Of::Filtered,
             steps: 12,
             threads: 1,
         }

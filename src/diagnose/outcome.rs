@@ -83,6 +83,8 @@ pub struct Effect {
     pub rivals: Vec<Rival>,
     /// Whether the delivered model has it.
     pub in_model: bool,
+    /// Why it has not, where that is not for what it explains.
+    pub withheld: Option<String>,
 }
 
 /// A number with its standard deviation.

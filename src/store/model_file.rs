@@ -54,6 +54,8 @@ pub struct Provenance {
     pub date: Option<String>,
     /// Where the numbers stand, when they were not identified here.
     pub source: Option<String>,
+    /// Text of the robot's description, where it is not a built-in robot.
+    pub robot_description: Option<String>,
 }
 
 /// `model.toml` as it stands in the file.
@@ -156,6 +158,15 @@ impl ModelFile {
         text: &str,
         chain_of: impl FnOnce(&str) -> Result<Chain, BadInput>,
     ) -> Result<ModelFile, BadInput> {
+        ModelFile::parse_described(file, text, |name, _| chain_of(name))
+    }
+
+    /// As [`ModelFile::parse`]; `chain_of` gets the description that the file holds, too.
+    pub fn parse_described(
+        file: &str,
+        text: &str,
+        chain_of: impl FnOnce(&str, Option<&str>) -> Result<Chain, BadInput>,
+    ) -> Result<ModelFile, BadInput> {
         // The version first: a file of another format shall not be called a bad file of this one.
         let head: toml::Table = from_toml(file, text)?;
         if let Some(format) = head.get("format")
@@ -170,7 +181,7 @@ impl ModelFile {
         }
         let raw: Raw = from_toml(file, text)?;
         debug_assert_eq!(raw.format, FORMAT);
-        let chain = chain_of(&raw.robot)?;
+        let chain = chain_of(&raw.robot, raw.provenance.robot_description.as_deref())?;
         let n = chain.len();
         check_numbers(file, &raw, n)?;
         let kind = match raw.kind {

@@ -55,8 +55,9 @@ pub(super) fn write(file: &ModelFile) -> String {
     }
     line(format_args!("\n[provenance]"));
     let origin = &file.provenance;
-    let keys = ["dataset", "plumbline", "date", "source"];
-    for (key, value) in keys.into_iter().zip([&origin.dataset, &origin.plumbline, &origin.date, &origin.source]) {
+    let keys = ["dataset", "plumbline", "date", "source", "robot-description"];
+    let values = [&origin.dataset, &origin.plumbline, &origin.date, &origin.source, &origin.robot_description];
+    for (key, value) in keys.into_iter().zip(values) {
         if let Some(value) = value {
             line(format_args!("{key} = {}", quoted(value)));
         }

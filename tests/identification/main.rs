@@ -18,6 +18,7 @@ mod consistency_peers;
 mod dataset_form;
 mod dataset_table3;
 mod diagnose_changing;
+mod diagnose_delivery;
 mod diagnose_fallback;
 mod diagnose_real_logs;
 mod diagnose_selection;

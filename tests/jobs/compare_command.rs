@@ -192,3 +192,21 @@ fn wrong_input_is_named() {
     refused(&["compare", &path("other.toml"), &data, "--out", &path("out")], &["key `robot`", "ur10", "panda"]);
     assert!(!dir.join("out").exists());
 }
+
+#[test]
+fn nothing_has_changed_between_a_model_and_its_own_dataset() {
+    let Some(data) = crate::logs::data() else { return };
+    for name in ["panda-gaz2019", "ur10-unisa", "panda-unisa"] {
+        let place = tempfile::tempdir().unwrap();
+        let dir = place.path();
+        let (own, before) = (data.join(name).display().to_string(), dir.join("before").display().to_string());
+        succeed(&["identify", &own, "--out", &before]);
+        let (report, printed) = compare(dir, &own, "after");
+        let diagnosis = report.diagnosis.unwrap();
+        assert!(diagnosis.effects.is_empty() && diagnosis.changes[0].effects.is_empty(), "{name}: {printed}");
+        assert!(printed.contains("nothing changed"), "{name}: {printed}");
+        // The very model that was compared.
+        let model = |folder: &str| std::fs::read_to_string(dir.join(folder).join("model.toml")).unwrap();
+        assert_eq!(model("before"), model("after"), "{name}");
+    }
+}

@@ -188,7 +188,7 @@ fn bodies_in_a_model_file_read_back_bit_by_bit() {
 }
 
 #[test]
-fn effects_are_refused_by_name_left_out_knowingly_or_part_of_the_last_link() {
+fn effects_without_a_place_are_named_and_a_payload_is_part_of_the_last_link() {
     let room = tempfile::tempdir().unwrap();
     let plain = model(&robot("panda"), &["friction"], 12);
     let spec = |family, site, settings| Spec { family, form: "", site, settings };
@@ -201,24 +201,22 @@ fn effects_are_refused_by_name_left_out_knowingly_or_part_of_the_last_link() {
     let full = with_effects(&plain, &specs, |index, c| if index == 0 { load[c] } else { 0.4 });
     let path = put(room.path(), "effects.toml", &file(full.clone(), None).to_toml());
     let out = room.path().join("out");
-    for (format, lost, held) in [
-        ("c", "presliding", "asymmetric-viscous"),
-        ("urdf", "asymmetric-viscous, presliding", "payload"),
-        ("mjcf", "asymmetric-viscous, presliding", "payload"),
+    for (format, lost, held, friction) in [
+        ("c", vec![], "asymmetric-viscous", "tanh(100.0*dq[4])"),
+        ("urdf", vec!["asymmetric-viscous"], "payload", "friction=\"FC\""),
+        ("mjcf", vec!["asymmetric-viscous"], "payload", "frictionloss=\"FC\""),
     ] {
-        let arguments = ["--format", format, "--out", out.to_str().unwrap(), "--without-effects"];
-        let done = export(&path, &arguments[..4]).expect_code(2);
-        for part in ["effects.toml", &format!("got {lost}, expected"), "--without-effects"] {
-            assert!(done.err.contains(part), "`{part}` is not in: {}", done.err);
-        }
-        let found = done.err.split(", expected").next().unwrap();
-        assert!(!found.contains(held) && !out.exists(), "{}", done.said());
-        let done = export(&path, &arguments).expect_code(0);
+        let done = export(&path, &["--format", format, "--out", out.to_str().unwrap()]).expect_code(0);
         let text = std::fs::read_to_string(&out).unwrap();
-        for id in lost.split(", ") {
-            let note = format!("effect `{id}` is left out");
-            assert!(done.out.contains(&note) && text.contains(&note), "{}", done.said());
+        let mut notes: Vec<String> = lost.iter().map(|id| format!("effect `{id}` is left out")).collect();
+        notes.push("effect `presliding` is held as the Coulomb friction that it is in sliding".into());
+        for note in notes {
+            assert!(done.out.contains(&note) && text.contains(&note), "{note}: {}", done.said());
         }
+        assert!(!done.out.contains(&format!("`{held}`")), "{}", done.said());
+        // Coulomb friction and presliding of joint 5 together.
+        let fc = plain.parameters().iter().find(|own| own.column.name == "fc5").unwrap().value;
+        assert!(text.contains(&friction.replace("FC", &format!("{:?}", fc + 0.4))), "{fc}: {text}");
         std::fs::remove_file(&out).unwrap();
     }
 

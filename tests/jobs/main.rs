@@ -27,6 +27,7 @@ mod flight_recorder;
 mod killed;
 mod live_watch;
 mod main_job;
+mod own_robot;
 mod plan_command;
 mod plan_robots;
 mod power_cut;

@@ -1,6 +1,7 @@
 //! Models that are offered or proposed, checked on a thread of their own: reading one takes milliseconds, and the bridge thread has none to spare.
 
 use super::desk::Accepted;
+use crate::app::models;
 use crate::config::robot::Robot;
 use crate::input::BadInput;
 use crate::ipc::{Proposal, Request, Response, Ticket, read};
@@ -18,12 +19,7 @@ const INTERVAL_NS: u64 = 100_000_000;
 /// # Errors
 /// What is wrong with the text, called `file`.
 pub fn check(robot: &Robot, mounting: &Mounting, file: &str, text: &str) -> Result<Accepted, BadInput> {
-    let offered = ModelFile::parse(file, text, |name| {
-        if name == robot.name {
-            return Ok(robot.chain.clone());
-        }
-        Err(BadInput::new(file, "key `robot`", name, format!("`{}`, which this daemon drives", robot.name)))
-    })?;
+    let offered = models::of_robot(file, text, robot, "which this daemon drives")?;
     offered
         .model
         .valid_in(mounting)

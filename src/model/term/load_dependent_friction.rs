@@ -33,11 +33,11 @@ pub static FAMILY: Family = Family {
 fn coulomb(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("fl", site, "_coulomb", "1")];
     let law = |at: &At, _: &Settings| [at.load.abs() * smooth_sign(at.own.dq), 0.0, 0.0];
-    OneRow::new(&FAMILY, "coulomb", site, settings, columns, law).loaded(ground).term()
+    OneRow::new(&FAMILY, "coulomb", site, settings, columns, law).loaded(ground).not_negative().term()
 }
 
 fn viscous(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("fl", site, "_viscous", unit(ground, joint(site), "s/rad", "s/m"))];
     let law = |at: &At, _: &Settings| [at.load.abs() * at.own.dq, 0.0, 0.0];
-    OneRow::new(&FAMILY, "viscous", site, settings, columns, law).loaded(ground).term()
+    OneRow::new(&FAMILY, "viscous", site, settings, columns, law).loaded(ground).not_negative().term()
 }

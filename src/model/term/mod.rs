@@ -165,6 +165,12 @@ pub trait Term: Send + Sync {
         Expected::Any
     }
 
+    /// Whether the parameter of this column can't be below zero by its physics. A search may pass values below zero; a model that is delivered
+    /// has none.
+    fn not_negative(&self, _column: usize) -> bool {
+        self.expects() == Expected::NotNegative
+    }
+
     /// What its columns are at one sample, in their order; `None` when they depend on more than that sample.
     fn entries(&self) -> Option<Vec<Entry>> {
         None

@@ -77,6 +77,7 @@ pub(super) struct OneRow<L> {
     columns: Vec<Column>,
     load: Option<Arc<Load>>,
     smooth: bool,
+    not_negative: bool,
 }
 
 impl<L: Law> OneRow<L> {
@@ -93,7 +94,7 @@ impl<L: Law> OneRow<L> {
         let spec = Spec { family: family.id, form, site, settings: settings.to_vec() };
         let mut own = [0.0; SETTINGS];
         own[..settings.len()].copy_from_slice(settings);
-        OneRow { family, spec, law, settings: own, columns, load: None, smooth: false }
+        OneRow { family, spec, law, settings: own, columns, load: None, smooth: false, not_negative: false }
     }
 
     /// One that looks at the rigid-body torque, too.
@@ -104,6 +105,11 @@ impl<L: Law> OneRow<L> {
     /// One without a step where a joint turns back.
     pub fn smooth(self) -> OneRow<L> {
         OneRow { smooth: true, ..self }
+    }
+
+    /// One whose parameters can't be below zero.
+    pub fn not_negative(self) -> OneRow<L> {
+        OneRow { not_negative: true, ..self }
     }
 
     pub fn term(self) -> Arc<dyn Term> {
@@ -123,6 +129,10 @@ impl<L: Law> OneRow<L> {
 impl<L: Law> Term for OneRow<L> {
     fn smooth(&self) -> bool {
         self.smooth
+    }
+
+    fn not_negative(&self, _column: usize) -> bool {
+        self.not_negative
     }
 
     fn id(&self) -> &'static str {

@@ -98,6 +98,10 @@ impl Term for Presliding {
         }
     }
 
+    fn not_negative(&self, _column: usize) -> bool {
+        true
+    }
+
     fn spec(&self) -> Option<Spec> {
         Some(Spec { family: ID, form: "", site: Site::Joint(self.joint), settings: vec![self.delta] })
     }

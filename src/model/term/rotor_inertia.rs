@@ -75,6 +75,10 @@ impl Term for RotorInertia {
         }
     }
 
+    fn not_negative(&self, _column: usize) -> bool {
+        true
+    }
+
     fn entries(&self) -> Option<Vec<Entry>> {
         Some((0..self.columns.len()).map(|joint| Entry::Acceleration { joint }).collect())
     }

@@ -7,7 +7,7 @@ use crate::model::regressor::LINK_COLUMNS;
 use crate::model::rnea::LinkParameters;
 use crate::model::term::effect::{Site, Spec, family};
 use crate::model::term::friction::SHARPNESS;
-use crate::model::term::payload;
+use crate::model::term::{Term, payload, presliding};
 use crate::model::torque::TorqueModel;
 use std::collections::BTreeSet;
 
@@ -21,14 +21,21 @@ pub fn unheld_by_c(model: &TorqueModel) -> Vec<&'static str> {
     unheld(model, |spec| spec.family == payload::ID || law(spec, 0, &Names::default()).is_some())
 }
 
-/// Those among them that the model serves: leaving them out changes its torques.
-pub fn served<'a>(ids: &'a [&'static str]) -> impl Iterator<Item = &'static str> + 'a {
-    ids.iter().copied().filter(|id| family(id).is_none_or(|family| family.served))
+/// Coulomb friction that a joint's presliding becomes once the joint slides: what a format without memory holds of it \[Nm\].
+pub(super) fn sliding_friction(model: &TorqueModel, joint: usize) -> f64 {
+    let of_joint = |term: &dyn Term| term.spec().is_some_and(|spec| spec.site == Site::Joint(joint));
+    let own = model.terms().into_iter().filter(|(term, _)| term.id() == presliding::ID && of_joint(*term));
+    own.flat_map(|(_, parameters)| parameters).map(|parameter| parameter.value).sum()
 }
 
-/// Notes on effects that are left out.
+/// Notes on effects that are left out, or held in part.
 pub(super) fn notes(ids: &[&'static str]) -> Vec<String> {
     let note = |id: &&'static str| {
+        if *id == presliding::ID {
+            return "effect `presliding` is held as the Coulomb friction that it is in sliding; its memory, which tells where a joint that turns \
+                    back was, is left out"
+                .to_string();
+        }
         let physics = family(id).map_or("", |family| family.physics);
         format!("effect `{id}` is left out: {physics}")
     };
@@ -71,7 +78,7 @@ pub fn with_payload(model: &TorqueModel, bodies: &Nearest) -> Result<Nearest, Li
 }
 
 /// Column `c` of an effect in one row as a value of the program, and that row; `load` holds the rigid-body torques. `None` for an
-/// effect without such a law.
+/// effect without such a law. Presliding is that of a joint that slides.
 pub(super) fn column(program: &mut Program, spec: &Spec, c: usize, load: &[Value]) -> Option<(usize, Value)> {
     let (row, cause) = joints(spec.site);
     let sign = |joint: usize| format!("tanh({SHARPNESS:?}*dq[{joint}])");
@@ -80,7 +87,8 @@ pub(super) fn column(program: &mut Program, spec: &Spec, c: usize, load: &[Value
         other_sign: expression(&program.named(format!("s{cause}"), sign(cause))),
         load: load.get(cause).map_or(String::new(), expression),
     };
-    let text = law(spec, c, &names)?;
+    let sliding = || (spec.family == presliding::ID).then(|| names.sign.clone());
+    let text = law(spec, c, &names).or_else(sliding)?;
     let name = program.fresh("e");
     Some((row, program.named(name, text)))
 }

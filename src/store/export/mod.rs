@@ -55,9 +55,10 @@ impl Arm<'_> {
         columns.iter().position(|column| column.name == name).map_or(0.0, |c| self.bodies.beta[c])
     }
 
-    /// A friction coefficient, or zero and a note where it is negative: no simulator takes friction that drives.
+    /// A friction coefficient, Coulomb's with that of presliding, or zero and a note where it is negative: no simulator takes friction that drives.
     fn friction(&self, stem: &str, joint: usize, notes: &mut Vec<String>) -> f64 {
-        let value = self.value(stem, joint);
+        let sliding = if stem == "fc" { effects::sliding_friction(self.model, joint) } else { 0.0 };
+        let value = self.value(stem, joint) + sliding;
         if value < 0.0 {
             notes.push(format!("{stem}{} = {value:?} is negative and stands as 0", joint + 1));
         }

@@ -1,0 +1,98 @@
+//! The model that a diagnosis delivers: never worse on unseen runs than the plain one, and with no parameter that physics forbids.
+
+use crate::scene::Scene;
+use nalgebra::{DMatrix, DVector};
+use plumbline::diagnose::Settings;
+use plumbline::diagnose::diagnosis::{Input, diagnose};
+use plumbline::diagnose::errors::Of;
+use plumbline::diagnose::evidence::Trial;
+use plumbline::diagnose::outcome::Outcome;
+use plumbline::estimate::experiment::{self, Experiment};
+use plumbline::estimate::run::Run;
+use plumbline::estimate::solve::Options;
+use plumbline::model::term::Motion;
+use plumbline::model::term::effect::{Ground, Site, Spec};
+
+/// Recordings of the arm, the first ones to identify from and the last to judge by, each with a torque of its own on top.
+fn diagnosed(scene: &Scene, identify: usize, extra: impl Fn(usize, &mut Run)) -> Outcome {
+    let prepare = |index: usize| {
+        let mut run = scene.record(4, 31 + index as u64);
+        run.name = format!("run {index}");
+        extra(index, &mut run);
+        let settings = experiment::Settings { keep_periods: true, ..experiment::Settings::default() };
+        Experiment::prepare(&run, &settings).unwrap()
+    };
+    let experiments: Vec<Experiment> = (0..=identify).map(prepare).collect();
+    let trials: Vec<Trial> = experiments.iter().map(|experiment| Trial { experiment, session: 1 }).collect();
+    let (find, judge) = trials.split_at(identify);
+    let input = Input { structure: &scene.structure, identify: find, veto: &[], judge, options: &Options::default() };
+    let settings = Settings { judged_by: Of::Raw, threads: 2, ..Settings::default() };
+    diagnose(&input, &settings, &|_| {}).unwrap()
+}
+
+/// The delivered model is the plain one, and the effect is reported with the reason.
+#[track_caller]
+fn withheld<'o>(outcome: &'o Outcome, family: &str) -> &'o str {
+    let found = outcome.effects.iter().find(|effect| effect.spec.family == family);
+    let found = found.unwrap_or_else(|| panic!("no {family} among {:?}", outcome.effects));
+    assert!(!found.in_model, "{found:?}");
+    assert_eq!(outcome.after.identification.beta, outcome.before.identification.beta);
+    found.withheld.as_deref().unwrap_or_else(|| panic!("{found:?}"))
+}
+
+#[test]
+fn an_effect_that_unseen_runs_do_not_have_is_not_delivered() {
+    let scene = Scene::panda_on_the_wall();
+    for identify in [1, 2] {
+        let outcome = diagnosed(&scene, identify, |index, run| {
+            if index < identify {
+                run.tau.column_mut(4).add_scalar_mut(0.3);
+            }
+        });
+        let why = withheld(&outcome, "torque-offset");
+        println!("{why}");
+        assert!(why.contains("unseen runs are predicted worse: +") && why.contains("Nm in joint 5"), "{why}");
+    }
+}
+
+#[test]
+fn an_effect_that_unseen_runs_have_is_delivered() {
+    let scene = Scene::panda_on_the_wall();
+    let outcome = diagnosed(&scene, 2, |_, run| run.tau.column_mut(4).add_scalar_mut(0.3));
+    assert_eq!(outcome.effects.len(), 1, "{:?}", outcome.effects);
+    let effect = &outcome.effects[0];
+    assert!(effect.in_model && effect.withheld.is_none() && effect.spec.family == "torque-offset", "{effect:?}");
+}
+
+/// Torque of an effect along the arm's true motion, one column per joint.
+fn torque(scene: &Scene, spec: &Spec, parameter: f64) -> DMatrix<f64> {
+    let ground = Ground { friction: Vec::new(), ..scene.structure.ground(&scene.beta) };
+    let term = spec.build(&ground).unwrap();
+    let Motion { q, .. } = &scene.motion;
+    let mut y = DMatrix::zeros(q.len(), 1);
+    term.fill(scene.structure.chain(), &scene.motion, &mut y, 0);
+    DMatrix::from_column_slice(q.nrows(), q.ncols(), (y * DVector::from_element(1, parameter)).as_slice())
+}
+
+#[test]
+fn a_parameter_that_physics_forbids_is_not_delivered() {
+    let scene = Scene::panda_on_the_wall();
+    // Friction with a memory that drives: no joint has that, and all runs show it.
+    let spec = Spec { family: "presliding", form: "", site: Site::Joint(0), settings: vec![0.01] };
+    let torque = torque(&scene, &spec, -0.6);
+    let samples = torque.nrows();
+    let outcome = diagnosed(&scene, 2, |_, run| {
+        for k in 0..run.tau.nrows() {
+            run.tau[(k, 0)] += torque[(k % samples, 0)];
+        }
+    });
+    let said: Vec<_> =
+        outcome.effects.iter().map(|one| (&one.spec, &one.parameters, one.in_model, &one.withheld)).collect();
+    println!("{said:?}");
+    for effect in outcome.effects.iter().filter(|effect| effect.spec.family == "presliding") {
+        let negative = effect.parameters.iter().any(|one| one.value < 0.0);
+        assert!(!negative || (!effect.in_model && effect.withheld.is_some()), "{effect:?}");
+    }
+    let why = outcome.effects.iter().filter_map(|effect| effect.withheld.as_deref());
+    assert!(why.clone().any(|why| why.contains("can't be below 0")), "{said:?}");
+}
