@@ -19,6 +19,7 @@ mod dataset_form;
 mod dataset_table3;
 mod diagnose_changing;
 mod diagnose_fallback;
+mod diagnose_gates;
 mod diagnose_real_logs;
 mod diagnose_selection;
 mod diagnose_sketch;
