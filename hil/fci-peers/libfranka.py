@@ -47,7 +47,20 @@ class Exercises:
         self.binding.positions(self.robot, step)
         end = self.state()
         near(end.q, [q + FAR for q in start], 0.005, "q at the end")
+        self.measured_start()
         return "yes"
+
+    def measured_start(self):
+        # As libfranka's examples since 0.21: from the measured position, which is not quite the desired one.
+        start = []
+
+        def step(state, t):
+            if not start:
+                start.extend(state.q)
+            return [q + 0.02 * quintic(t / 0.5) for q in start], t > 0.5
+
+        self.binding.positions(self.robot, step)
+        near(self.state().q, [q + 0.02 for q in start], 0.005, "q at the end of a motion from the measured position")
 
     def velocity(self):
         start = list(self.state().q_d)
@@ -94,7 +107,9 @@ class Exercises:
         for _, call in self.binding.setters(robot, identity):
             call()
         refused(lambda: robot.set_load(-1.0, [0.0] * 3, [0.0] * 9), "invalid argument")
+        refused(lambda: robot.set_load(20.0, [5.0, 0.0, 0.0], [0.0] * 9), "invalid argument")
         refused(lambda: robot.set_joint_impedance([-1.0] * 7), "invalid argument")
+        refused(lambda: robot.set_joint_impedance([0.0] * 7), "invalid argument")
         return ", ".join(taken + ["load"]) + "; bad ones refused"
 
     def jump(self):

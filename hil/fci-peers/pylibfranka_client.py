@@ -55,6 +55,15 @@ class Binding:
         # Pinocchio on the served description against the torques that the arm's sensors show at rest, up to their friction.
         gravity = model.gravity(state)
         near(gravity, state.tau_J, 1.5, "gravity from the description against the measured torque")
+        # Once more while a motion runs, as joint_impedance_example.py does.
+        start, asked = list(state.q_d), []
+
+        def step(state, t):
+            if t > 0.05 and not asked:
+                asked.append(robot.load_model())
+            return start, t > 0.2
+
+        self.positions(robot, step)
         return "description read, its gravity is the measured torque"
 
 

@@ -85,16 +85,20 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> Folds {
 
 /// RMS of each joint on folds left out in turn \[Nm\], of two models: parameters from all other folds, weights of the first.
 pub fn left_out(problem: &Problem, before: &State, after: &State) -> Vec<[f64; 2]> {
-    let phi = &before.fit.phi;
-    let mut errors = vec![[0.0; 2]; problem.evidence.joints()];
+    let (evidence, phi) = (problem.evidence, &before.fit.phi);
+    let mut errors = vec![[0.0; 2]; evidence.joints()];
     for (which, state) in [before, after].into_iter().enumerate() {
-        for (fold, theta) in problem.left_out(&state.moments, phi).iter().enumerate() {
-            let own = problem.of_fold(&state.moments, theta, fold, phi);
-            errors.iter_mut().zip(own).for_each(|(sum, [_, square])| sum[which] += square);
+        for (fold, theta) in evidence.folds().iter().zip(problem.left_out(&state.moments, phi)) {
+            let (first, count) = (fold.rows.start, fold.rows.len());
+            for (joint, sum) in errors.iter_mut().enumerate() {
+                let columns = state.columns.m[joint].rows(first, count);
+                let residual = state.columns.r[joint].rows(first, count) - columns * &theta;
+                let sigma = &evidence.sigma(joint)[fold.rows.clone()];
+                sum[which] += residual.iter().zip(sigma).map(|(row, sigma)| (row * sigma).powi(2)).sum::<f64>();
+            }
         }
     }
-    let samples = problem.evidence.samples();
-    errors.into_iter().map(|sums| sums.map(|sum| (sum / samples).sqrt())).collect()
+    errors.into_iter().map(|sums| sums.map(|sum| (sum / evidence.samples()).sqrt())).collect()
 }
 
 /// Share of each fold in the energy of what the candidate changes.

@@ -534,6 +534,36 @@ fn a_connection_that_dies_in_motion_ends_it_at_once() {
 }
 
 #[test]
+fn what_is_no_message_over_tcp_is_told_from_a_closed_connection() {
+    let fake = Fake::start(Protocol::V10, |world| {
+        if world.ticks == 100 {
+            world.answers.extend_from_slice(b"HTTP/1.1 400 Bad Request\r\n\r\n");
+        }
+    });
+    let (mut arm, connection) = open(&fake, Protocol::V10);
+    let fault = drive(&mut arm, 5000).expect_err("the connection is of no use");
+    assert_eq!(fault, Fault::Disconnected);
+    let words = explain(&fault, &connection.telemetry.snapshot()).to_string();
+    assert!(words.contains("no message") && words.contains("`HTTP/1.1 400`") && words.contains("1337"), "{words}");
+    assert!(!words.contains("closed"), "{words}");
+}
+
+#[test]
+fn numbers_that_start_again_are_told_from_silence() {
+    let fake = Fake::start(Protocol::V10, |world| {
+        if world.ticks == 100 {
+            world.state.message_id = 7;
+        }
+    });
+    let (mut arm, connection) = open(&fake, Protocol::V10);
+    let fault = drive(&mut arm, 5000).expect_err("no state is newer any more");
+    assert!(matches!(fault, Fault::Silent { .. }), "{fault:?}");
+    let words = explain(&fault, &connection.telemetry.snapshot()).to_string();
+    assert!(words.contains("count from the beginning again") && words.contains(" after 5"), "{words}");
+    assert!(words.contains("started again") && !words.contains("no state came"), "{words}");
+}
+
+#[test]
 fn commands_that_must_not_leave_are_refused_by_name_and_the_arm_brakes() {
     type Spoil = fn(&mut JointVec);
     let cases: [(Spoil, u32); 4] = [

@@ -20,6 +20,7 @@ mod dataset_table3;
 mod diagnose_changing;
 mod diagnose_delivery;
 mod diagnose_fallback;
+mod diagnose_gates;
 mod diagnose_real_logs;
 mod diagnose_selection;
 mod diagnose_sketch;

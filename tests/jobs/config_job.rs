@@ -143,6 +143,11 @@ fn a_franka_needs_an_address_and_has_defaults_for_the_rest() {
     let elsewhere = refusal(&format!("{}{address}", FRANKA.replace("[\"wall\"]", "[\"wall\", \"upright\"]")), &[]);
     assert!(elsewhere.contains("key `validation.mountings`: got `upright`"), "{elsewhere}");
     assert!(refusal(FRANKA, &[]).contains("key `backend.franka`: got nothing, expected a table"));
+    // Before anything is planned: a description of one's own makes no other arm a Franka.
+    for own in ["arms/mine.toml", "ur10"] {
+        let other = refusal(&format!("{}{address}", FRANKA.replace("\"panda\"", &format!("\"{own}\""))), &[]);
+        assert!(other.contains(&format!("key `robot`: got `{own}`, expected panda or fr3")), "{other}");
+    }
     let both = format!("{FRANKA}arm = \"sim-panda\"\n[backend.franka]\naddress = \"172.16.0.2\"\n");
     assert!(refusal(&both, &[]).contains("key `backend.arm`: got a value, expected none"));
     assert!(
@@ -156,8 +161,24 @@ fn a_franka_needs_an_address_and_has_defaults_for_the_rest() {
         ("address = \"172.16.0.2\"\nstate-timeout = \"1 ms\"\n", "key `backend.franka.state-timeout`: got 0.001 s"),
         ("address = \"172.16.0.2\"\njoint-impedance = [1, 2]\n", "key `backend.franka.joint-impedance"),
         (
+            "address = \"172.16.0.2\"\njoint-impedance = [3000, 3000, 3000, 3000, 3000, 3000, 0]\n",
+            "key `backend.franka.joint-impedance`: got 0 Nm/rad, expected above 0",
+        ),
+        (
             "address = \"172.16.0.2\"\n[backend.franka.load]\nmass = -1\ncom = [0, 0, 0]\n",
             "key `backend.franka.load.mass`: got -1 kg",
+        ),
+        (
+            "address = \"172.16.0.2\"\n[backend.franka.load]\nmass = 20\ncom = [0, 0, 0]\n",
+            "key `backend.franka.load.mass`: got 20 kg, expected 0 kg to 3 kg",
+        ),
+        (
+            "address = \"172.16.0.2\"\n[backend.franka.load]\nmass = 2\ncom = [0, 0, 5]\n",
+            "key `backend.franka.load.com`: got [0.0, 0.0, 5.0] m",
+        ),
+        (
+            "address = \"172.16.0.2\"\n[backend.franka.load]\nmass = 2\ncom = [0, 0, 0]\ninertia = [0.03, 0, 0, 0.01, 0, 0.01]\n",
+            "key `backend.franka.load.inertia`",
         ),
         (
             "address = \"172.16.0.2\"\n[backend.franka.socket]\nbusy-poll = 100000\n",

@@ -24,6 +24,7 @@ mod effects_command;
 mod estimate_cli;
 mod export_cli;
 mod flight_recorder;
+mod held_out_errors;
 mod killed;
 mod live_watch;
 mod main_job;

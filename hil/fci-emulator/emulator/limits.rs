@@ -14,8 +14,13 @@ pub const TICK: f64 = 1e-3;
 const ROUNDING: f64 = 1e-6;
 /// A client of version 10 knows the desired position in single precision alone: repeating it is a velocity of up to so much \[rad/s\].
 const SINGLE_PRECISION: f64 = 3e-4;
-/// How far from the desired position a motion may begin \[rad\]. Franka publishes none; nearer starts fail as discontinuities anyhow.
+/// How far from the desired position a motion may begin \[rad\]. Franka publishes none; nearer starts past [`START_AT_MEASURED`] fail as
+/// discontinuities.
 pub const START_POSE: f64 = 0.1;
+/// A first position this close to the desired one is the start of the motion, not a step \[rad\]. Franka publishes none. libfranka's examples
+/// since 0.21 begin at the measured position, and run on real arms: an arm at rest is off its desired position by the friction of a joint
+/// over the stiffness of its controller, some 2 Nm over 2000 Nm/rad, 1 mrad; this is twice that.
+pub const START_AT_MEASURED: f64 = 2e-3;
 /// Measured positions are noisy: this far outside is still inside \[rad\].
 const MEASURED_POSITION: f64 = 1e-3;
 /// The same for measured velocities, as share of the limit and absolutely \[rad/s\].
@@ -269,6 +274,11 @@ pub fn judge_place(limits: &Limits, protocol: Protocol, last: &Step, next: &Step
         }
     }
     errors
+}
+
+/// Whether a first position can be the start of a motion instead of a step from the desired one.
+pub fn is_start(desired: &Joints, commanded: &Joints) -> bool {
+    (0..JOINTS).all(|j| (desired[j] - commanded[j]).abs() <= START_AT_MEASURED)
 }
 
 /// What a robot says against the first position of a motion.

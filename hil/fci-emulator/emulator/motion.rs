@@ -24,6 +24,8 @@ pub struct Motion {
     pub shown: bool,
     /// Whether a command has come.
     pub begun: bool,
+    /// The desired motion where the first position is the start of the motion, at rest, while the commands fit that, too.
+    pub start: Option<Step>,
     /// Commands missing in a row.
     pub missing: u32,
     /// Torques commanded last, where they are commanded \[Nm\].
@@ -72,6 +74,7 @@ impl Motion {
             request: *request,
             shown: false,
             begun: false,
+            start: None,
             missing: 0,
             tau: external.then_some(*tau),
             came: 0,

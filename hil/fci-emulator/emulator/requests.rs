@@ -41,13 +41,10 @@ impl Robot {
                 self.reply(id, &Response::LoadModelLibrary { status, library });
             }
             Request::GetRobotModel => {
+                // It reads and changes nothing, so a running motion is no reason to refuse it: libfranka's example of a joint impedance loads
+                // the model after its motion has begun.
                 let urdf = self.served.urdf.clone();
-                let moving = matches!(self.phase, Phase::Moving(_) | Phase::Ending(..));
-                let (status, urdf) = match moving {
-                    true => (RobotModelStatus::NotPossible, ""),
-                    false => (RobotModelStatus::Success, urdf.as_str()),
-                };
-                self.reply(id, &Response::GetRobotModel { status, urdf });
+                self.reply(id, &Response::GetRobotModel { status: RobotModelStatus::Success, urdf: &urdf });
             }
             setter => {
                 let status = match (idle, setters::is_valid(setter)) {

@@ -6,7 +6,8 @@
 
 use super::body::{Body, Drive};
 use super::limits::{
-    Commanded, JOINTS, Joints, Limits, RobotKind, Step, judge, judge_measured, judge_place, judge_start, judge_torque,
+    Commanded, JOINTS, Joints, Limits, RobotKind, Step, is_start, judge, judge_measured, judge_place, judge_start,
+    judge_torque,
 };
 use super::motion::{Ending, Motion};
 use plumbline::backend::franka::wire::{
@@ -18,6 +19,8 @@ use plumbline::backend::franka::wire::{
 pub const MISSING: u32 = 20;
 /// How long a recovery takes \[ms\].
 pub(super) const RECOVERY: u32 = 50;
+/// How long the inner controller takes from the desired position before a motion to a first position that is its start \[ms\].
+const BLEND: u32 = 200;
 /// How long errors show at least \[ms\].
 const SHOWN: u32 = 100;
 
@@ -85,6 +88,8 @@ pub struct Robot {
     finish: FinishOrder,
     pub(super) collision: CollisionBehavior,
     pub(super) desired: Step,
+    /// What the inner controller still lags behind the start of a motion \[rad\], and for how long \[ms\].
+    blend: (Joints, u32),
     pub(super) phase: Phase,
     pub(super) errors: Errors,
     pub(super) reflex_reason: Errors,
@@ -115,6 +120,7 @@ impl Robot {
             finish,
             collision: thresholds(),
             desired,
+            blend: ([0.0; JOINTS], 0),
             phase: Phase::Idle,
             errors: Errors::NONE,
             reflex_reason: Errors::NONE,
@@ -156,7 +162,8 @@ impl Robot {
             self.desired = self.desired.braked(&self.limits);
             Drive::Track
         });
-        self.body.advance(&self.desired, drive);
+        self.blend.1 = if drive == Drive::Track { self.blend.1.saturating_sub(1) } else { 0 };
+        self.body.advance(&Step { q: self.tracked(), ..self.desired }, drive);
         self.watch();
         self.settle();
         self.message_id += 1;
@@ -194,6 +201,14 @@ impl Robot {
                 };
                 if let (true, Some(commanded)) = (errors.is_empty(), motion.commanded()) {
                     errors = judge(&self.limits, self.protocol, commanded, &self.desired, &next);
+                    let from_start = self.step_from_start(&mut motion, command);
+                    if let (false, Some(from_start)) = (errors.is_empty(), from_start) {
+                        if !motion.begun {
+                            let tracked = self.tracked();
+                            self.blend = (std::array::from_fn(|j| tracked[j] - from_start.q[j]), BLEND);
+                        }
+                        (next, errors, motion.start) = (from_start, Errors::NONE, None);
+                    }
                 }
                 if let Some(tau) = &mut motion.tau {
                     torque_step = std::array::from_fn(|j| command.tau_j_d[j] - tau[j]);
@@ -206,6 +221,7 @@ impl Robot {
             None => {
                 if motion.commanded().is_some() {
                     next = self.desired.extrapolated();
+                    motion.start = motion.start.map(|start| start.extrapolated());
                     errors = judge_place(&self.limits, self.protocol, &self.desired, &next);
                 }
             }
@@ -229,6 +245,33 @@ impl Robot {
         }
         self.phase = Phase::Moving(motion);
         Some(motion.drive())
+    }
+
+    /// Where the inner controller drives the joints to: the desired position, but for a smooth way to the start of a motion.
+    fn tracked(&self) -> Joints {
+        let (lag, left) = self.blend;
+        let s = f64::from(left) / f64::from(BLEND);
+        let share = s * s * s * (10.0 + s * (6.0 * s - 15.0));
+        std::array::from_fn(|j| self.desired.q[j] + share * lag[j])
+    }
+
+    /// The step of a position command where the motion's first position is its start, at rest, and no step from the desired position;
+    /// `None` where the first position is too far for that, or where a step breaks a limit. From the third step on both are the same.
+    fn step_from_start(&self, motion: &mut Motion, command: &RobotCommand) -> Option<Step> {
+        if motion.commanded() != Some(Commanded::Position) {
+            return None;
+        }
+        let step = if motion.begun {
+            let last = motion.start?;
+            let next = last.to_position(&command.q_c);
+            judge(&self.limits, self.protocol, Commanded::Position, &last, &next).is_empty().then_some(next)
+        } else {
+            let start = Step::at_rest(&command.q_c);
+            let errors = judge_place(&self.limits, self.protocol, &start, &start);
+            (is_start(&self.desired.q, &command.q_c) && errors.is_empty()).then_some(start)
+        };
+        motion.start = step;
+        step
     }
 
     /// Looks at what is measured while a motion runs.

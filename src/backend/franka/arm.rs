@@ -38,6 +38,8 @@ use std::time::Duration;
 const MOST_PER_READ: u32 = 4096;
 /// Commands in a row that the system may refuse.
 const MOST_UNSENT: u32 = 20;
+/// States in a row with smaller numbers than the last one before them that are no late ones: the numbers have started again.
+const RESTARTED: u64 = 3;
 /// Cycles of a motion before the arm's count of commands says something.
 const RATE_FROM: u64 = 100;
 
@@ -122,6 +124,8 @@ impl FrankaArm {
         let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
         let before = self.state.message_id;
         let (mut taken, mut oldest_ns, mut interval_ns) = (0u64, None, None);
+        // Of states with a smaller number than the last: how many, and the last of their numbers.
+        let mut older = (0u64, 0u64);
         for _ in 0..MOST_PER_READ {
             match self.states.receive(taken == 0) {
                 Found::State(state, at_ns) => {
@@ -134,6 +138,8 @@ impl FrankaArm {
                         self.arrived_ns = at_ns;
                         self.look_for_an_end(&state);
                         self.state = state;
+                    } else if state.message_id < before && state.message_id > older.1 {
+                        older = (older.0 + 1, state.message_id);
                     }
                 }
                 Found::Bad => self.telemetry.bad(),
@@ -148,6 +154,9 @@ impl FrankaArm {
                 }
                 let waited = now_ns().saturating_sub(begin);
                 if waited >= timeout_ns {
+                    if older.0 >= RESTARTED {
+                        self.telemetry.restarted(before, older.1);
+                    }
                     // An arm that has closed the connection falls silent, too.
                     if self.hear().is_err() {
                         return Err(Fault::Disconnected);
@@ -209,6 +218,14 @@ impl FrankaArm {
 
     /// Hears what the arm says about the motion over TCP.
     pub(super) fn hear(&mut self) -> Result<(), Gone> {
+        let heard = self.take_answers();
+        if let Err(Gone::Garbled(bytes)) = heard {
+            self.telemetry.garbled(&bytes);
+        }
+        heard
+    }
+
+    fn take_answers(&mut self) -> Result<(), Gone> {
         let Some(id) = self.motion.call else { return self.commands.pass_over() };
         while let Some(status) = self.commands.move_answer(self.protocol(), id)? {
             self.motion.heard(status);
@@ -240,7 +257,7 @@ impl FrankaArm {
             return Err(self.conclude());
         }
         taken?;
-        heard.map_err(|Gone| Fault::Disconnected)?;
+        heard.map_err(|_| Fault::Disconnected)?;
         self.follow();
         if self.motion.cycles >= RATE_FROM {
             self.telemetry.rate(self.state.control_command_success_rate);

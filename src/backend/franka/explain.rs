@@ -35,6 +35,7 @@ pub fn explain(fault: &Fault, telemetry: &Statistics) -> Explanation {
         Fault::Reflex { code } => reflex(*code, telemetry),
         Fault::Refused { code } if *code >= REFUSED_MOVE => refused_motion(code - REFUSED_MOVE, telemetry),
         Fault::Refused { code } => refused_command(*code),
+        Fault::Disconnected if telemetry.garbled.is_some() => garbled(&telemetry.garbled.unwrap_or_default()),
         Fault::Disconnected => Explanation {
             what: "the arm closed the command connection, or its network is gone".into(),
             cause: (telemetry.robot_mode == RobotMode::Move.code())
@@ -44,7 +45,30 @@ pub fn explain(fault: &Fault, telemetry: &Statistics) -> Explanation {
     }
 }
 
+/// What came over the command connection was no message.
+fn garbled(bytes: &[u8]) -> Explanation {
+    let hex: Vec<String> = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+    let text: String =
+        bytes.iter().map(|&byte| if matches!(byte, b' '..=b'~') { char::from(byte) } else { '.' }).collect();
+    Explanation {
+        what: format!(
+            "what came over the command connection is no message of the control interface: it begins with {} (`{text}`)",
+            hex.join(" ")
+        ),
+        cause: Some("another program answers at this address and port, or something on the way changes the data".into()),
+        next: "See that the address is that of the control unit and that nothing forwards or filters its TCP port 1337; then start again."
+            .into(),
+    }
+}
+
 fn silent(waited_ms: u32, telemetry: &Statistics) -> Explanation {
+    if let Some([last, number]) = telemetry.restarted {
+        return Explanation {
+            what: format!("the arm's states count from the beginning again: number {number} after {last}"),
+            cause: Some("the control unit was started again, or another one answers at its address".into()),
+            next: "See that one control unit has this address and that it is up and unlocked; then start again.".into(),
+        };
+    }
     let cause = match telemetry.status() {
         _ if telemetry.bad_packets > 0 => Some(format!(
             "{} datagrams of the arm were no states: something on the way changes or cuts them",

@@ -17,7 +17,6 @@ use super::limiter::{Aim, Limited, Limiter};
 use super::limits::RobotLimits;
 use super::reference::{Commands, Followed, Point};
 use super::settings::{Controller, Interface, Settings};
-use super::tcp::Gone;
 use super::torque::TorqueLaw;
 use super::wire::{
     ControllerMode, ErrorBit, Errors, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol,
@@ -205,11 +204,11 @@ impl FrankaArm {
         self.motion = Motion::new(&self.settings, &self.limits, &self.state, self.protocol());
         self.telemetry.motion_began();
         let request = Request::Move(self.motion.request);
-        let call = self.commands.post(self.protocol(), &request).map_err(|Gone| Fault::Disconnected)?;
+        let call = self.commands.post(self.protocol(), &request).map_err(|_| Fault::Disconnected)?;
         self.motion.call = Some(call);
         let begin = now_ns();
         while !self.motion.is_shown_by(&self.state) {
-            self.hear().map_err(|Gone| Fault::Disconnected)?;
+            self.hear().map_err(|_| Fault::Disconnected)?;
             if let Some(status) = self.motion.end {
                 return Err(refused(status));
             }

@@ -24,9 +24,14 @@ pub(super) struct CommandLink {
     skip: usize,
 }
 
-/// The connection is closed, or not to be understood any more.
+/// The connection is of no use any more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Gone;
+pub(super) enum Gone {
+    /// The arm or the network has closed it.
+    Closed,
+    /// What came is no message of the protocol; it began with these bytes.
+    Garbled([u8; HEADER_BYTES]),
+}
 
 impl CommandLink {
     pub fn new(stream: TcpStream) -> CommandLink {
@@ -79,13 +84,13 @@ impl CommandLink {
     pub fn post(&mut self, protocol: Protocol, request: &Request) -> Result<u32, Gone> {
         let id = self.take_id();
         let mut bytes = [0; MAX_REQUEST];
-        let length = request.encode(protocol, id, &mut bytes).map_err(|_| Gone)?;
-        let bytes = bytes.get(..length).ok_or(Gone)?;
+        let length = request.encode(protocol, id, &mut bytes).map_err(|_| Gone::Closed)?;
+        let bytes = bytes.get(..length).ok_or(Gone::Closed)?;
         let flags = SendFlags::DONTWAIT | SendFlags::NOSIGNAL;
         match rustix::net::send(&self.stream, bytes, flags) {
             Ok(sent) if sent == length => Ok(id),
             // Half a request can't be taken back.
-            Ok(_) | Err(_) => Err(Gone),
+            Ok(_) | Err(_) => Err(Gone::Closed),
         }
     }
 
@@ -95,10 +100,10 @@ impl CommandLink {
             if header.command_id != id || Some(header.command) != CommandKind::Move.number(protocol) {
                 continue;
             }
-            let payload = self.message.get(HEADER_BYTES..length).ok_or(Gone)?;
+            let payload = self.message.get(HEADER_BYTES..length).ok_or(Gone::Closed)?;
             match Response::decode(protocol, CommandKind::Move, payload) {
                 Ok(Response::Move(status)) => return Ok(Some(status)),
-                _ => return Err(Gone),
+                _ => return Err(self.garbled()),
             }
         }
         Ok(None)
@@ -116,7 +121,7 @@ impl CommandLink {
             if self.skip > 0 {
                 let mut rest = [0; 256];
                 let most = self.skip.min(rest.len());
-                match self.receive_into(rest.get_mut(..most).ok_or(Gone)?)? {
+                match self.receive_into(rest.get_mut(..most).ok_or(Gone::Closed)?)? {
                     None => return Ok(None),
                     Some(got) => self.skip -= got.min(self.skip),
                 }
@@ -134,29 +139,34 @@ impl CommandLink {
                 }
             }
             let mut bytes = [0; LOOK];
-            let room = wanted.checked_sub(self.filled).and_then(|room| bytes.get_mut(..room)).ok_or(Gone)?;
+            let room = wanted.checked_sub(self.filled).and_then(|room| bytes.get_mut(..room)).ok_or(Gone::Closed)?;
             let Some(got) = self.receive_into(room)? else { return Ok(None) };
-            let fresh = bytes.get(..got).ok_or(Gone)?;
-            let place = self.message.get_mut(self.filled..self.filled + got).ok_or(Gone)?;
+            let fresh = bytes.get(..got).ok_or(Gone::Closed)?;
+            let place = self.message.get_mut(self.filled..self.filled + got).ok_or(Gone::Closed)?;
             place.copy_from_slice(fresh);
             self.filled += got;
         }
     }
 
     fn header(&self) -> Result<Header, Gone> {
-        let head = self.message.first_chunk::<HEADER_BYTES>().ok_or(Gone)?;
-        Header::decode(head, MAX_MESSAGE).map_err(|_| Gone)
+        let head = self.message.first_chunk::<HEADER_BYTES>().ok_or(Gone::Closed)?;
+        Header::decode(head, MAX_MESSAGE).map_err(|_| self.garbled())
+    }
+
+    /// The message that is arriving is none.
+    fn garbled(&self) -> Gone {
+        self.message.first_chunk::<HEADER_BYTES>().map_or(Gone::Closed, |head| Gone::Garbled(*head))
     }
 
     /// Bytes that are there now; `None` when there are none.
     fn receive_into(&self, room: &mut [u8]) -> Result<Option<usize>, Gone> {
         loop {
             return match rustix::net::recv(&self.stream, &mut *room, RecvFlags::DONTWAIT) {
-                Ok((0, _)) => Err(Gone),
+                Ok((0, _)) => Err(Gone::Closed),
                 Ok((got, _)) => Ok(Some(got)),
                 Err(rustix::io::Errno::INTR) => continue,
                 Err(rustix::io::Errno::AGAIN) => Ok(None),
-                Err(_) => Err(Gone),
+                Err(_) => Err(Gone::Closed),
             };
         }
     }
@@ -209,18 +219,18 @@ mod tests {
         assert_eq!(until(&mut link, 7), Ok(MoveStatus::MotionStarted));
         assert_eq!(until(&mut link, 7), Ok(MoveStatus::Success));
         drop(sender.join().unwrap());
-        assert_eq!(until(&mut link, 7), Err(Gone));
+        assert_eq!(until(&mut link, 7), Err(Gone::Closed));
     }
 
     #[test]
-    fn garbage_ends_the_connection_in_words_not_in_panic() {
+    fn garbage_is_told_from_a_closed_connection_by_its_first_bytes() {
         let (mut link, mut server) = pair();
-        server.write_all(&[0xff; 40]).unwrap();
-        assert_eq!(until(&mut link, 0), Err(Gone));
+        server.write_all(b"HTTP/1.1 400 Bad Request").unwrap();
+        assert_eq!(until(&mut link, 0), Err(Gone::Garbled(*b"HTTP/1.1 400")));
         let (mut link, mut server) = pair();
         let header = Header { command: 1, command_id: 0, size: 13 };
         server.write_all(&header.encode()).unwrap();
         server.write_all(&[99]).unwrap();
-        assert_eq!(until(&mut link, 0), Err(Gone));
+        assert_eq!(until(&mut link, 0), Err(Gone::Garbled(header.encode())));
     }
 }

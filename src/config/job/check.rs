@@ -1,6 +1,6 @@
 //! Ranges of a job's values, and the limits that come out of it for one robot.
 
-use super::{BackendKind, Job, Limits, OwnLimits, Workspace};
+use super::{BackendKind, Franka, Job, Limits, OwnLimits, Workspace};
 use crate::estimate::experiment::Settings;
 use crate::estimate::solve;
 use crate::excite::limits::Margins;
@@ -28,6 +28,7 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
         }
         (BackendKind::Sim, Some(_), None) => {}
         (BackendKind::Franka, None, Some(franka)) => {
+            Franka::robot(job)?;
             franka.check(&file)?;
             if let Some(other) = job.validation.mountings.iter().find(|other| other.angle_to(&job.mounting) > 1e-3) {
                 let expected = "`mounting` alone: a real arm is not mounted anew in mid-job";

@@ -2,8 +2,10 @@
 
 use crate::backend::franka::{self, Controller, Interface, RobotKind, TorqueControl};
 use crate::config::units;
+use crate::decomposition::symmetric_eigen;
 use crate::input::BadInput;
 use crate::model::gravity::Mounting;
+use nalgebra::Matrix3;
 use serde::de::value::SeqAccessDeserializer;
 use serde::de::{Error, SeqAccess, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer};
@@ -169,6 +171,18 @@ pub struct Socket {
     pub receive_buffer: Option<usize>,
 }
 
+/// Rated payload of both arms by their data sheets \[kg\].
+const PAYLOAD: f64 = 3.0;
+
+/// Whether some body of `mass` \[kg\] has this inertia about its centre of mass: no principal moment below zero or above the sum of the others.
+fn is_inertia(mass: f64, &[xx, xy, xz, yy, yz, zz]: &[f64; 6]) -> bool {
+    let inertia = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+    let slack = 1e-6 * inertia.amax();
+    let Some(moments) = symmetric_eigen(inertia).map(|eigen| eigen.eigenvalues) else { return false };
+    let of_a_body = |moment: &f64| *moment >= -slack && *moment <= 0.5 * moments.sum() + slack;
+    moments.iter().all(of_a_body) && moments.max() <= mass * 0.25
+}
+
 fn two() -> u32 {
     2
 }
@@ -186,20 +200,25 @@ fn connect_timeout() -> f64 {
 }
 
 impl Franka {
+    /// Which of the arms that speak the interface a job is for.
+    pub(super) fn robot(job: &super::Job) -> Result<RobotKind, BadInput> {
+        match job.robot.as_str() {
+            "panda" => Ok(RobotKind::Panda),
+            "fr3" => Ok(RobotKind::Fr3),
+            other => {
+                let file = job.file.display().to_string();
+                let expected = "panda or fr3, for backend.kind = \"franka\"";
+                Err(BadInput::new(file, "key `robot`", format!("`{other}`"), expected))
+            }
+        }
+    }
+
     /// What a session with the arm is opened with.
     ///
     /// # Errors
     /// A job for a robot that is no Franka.
     pub fn settings(&self, job: &super::Job, purpose: franka::Purpose) -> Result<franka::Settings, BadInput> {
-        let robot = match job.robot.as_str() {
-            "panda" => RobotKind::Panda,
-            "fr3" => RobotKind::Fr3,
-            other => {
-                let file = job.file.display().to_string();
-                let expected = "panda or fr3, for backend.kind = \"franka\"";
-                return Err(BadInput::new(file, "key `robot`", format!("`{other}`"), expected));
-            }
-        };
+        let robot = Franka::robot(job)?;
         let Collision { contact_torque, collision_torque, contact_force, collision_force } = self.collision;
         let Socket { priority, busy_poll, receive_buffer } = self.socket;
         Ok(franka::Settings {
@@ -250,9 +269,9 @@ impl Franka {
             }
         }
         if let Some(stiffness) = self.joint_impedance
-            && let Some(value) = stiffness.iter().find(|value| !(0.0..=14_250.0).contains(*value))
+            && let Some(value) = stiffness.iter().find(|value| !(**value > 0.0 && **value <= 14_250.0))
         {
-            return bad("joint-impedance", format!("{value} Nm/rad"), "0 to 14250 Nm/rad for every joint");
+            return bad("joint-impedance", format!("{value} Nm/rad"), "above 0, at most 14250 Nm/rad for every joint");
         }
         if let Some(Compensates::Along(gravity)) = &self.compensates {
             let norm = gravity.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -288,14 +307,20 @@ impl Franka {
             }
         }
         if let Some(Load { mass, com, inertia }) = &self.load {
-            if !(0.0..=20.0).contains(mass) {
-                return bad("load.mass", format!("{mass} kg"), "0 kg to 20 kg");
+            if !(0.0..=PAYLOAD).contains(mass) {
+                return bad("load.mass", format!("{mass} kg"), "0 kg to 3 kg, the arm's rated payload");
             }
-            if let Some(value) = com.iter().find(|value| !(-1.0..=1.0).contains(*value)) {
-                return bad("load.com", format!("{value} m"), "a centre of mass in the flange frame, within 1 m");
+            if !com.iter().all(|value| value.is_finite()) || com.iter().map(|value| value * value).sum::<f64>() > 0.25 {
+                return bad(
+                    "load.com",
+                    format!("{com:?} m"),
+                    "a centre of mass in the flange frame, within 0.5 m of the flange",
+                );
             }
-            if let Some(value) = inertia.iter().find(|value| !(-10.0..=10.0).contains(*value)) {
-                return bad("load.inertia", format!("{value} kg m2"), "xx, xy, xz, yy, yz, zz in kg m2, within 10");
+            if !is_inertia(*mass, inertia) {
+                let expected =
+                    "xx, xy, xz, yy, yz, zz of a body of that mass, with a radius of gyration of at most 0.5 m";
+                return bad("load.inertia", format!("{inertia:?} kg m2"), expected);
             }
         }
         if let Some(priority) = self.socket.priority.filter(|&priority| priority > 15) {

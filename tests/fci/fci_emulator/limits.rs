@@ -50,6 +50,8 @@ fn push(client: &mut Client, mut jerk: impl FnMut(&Push) -> f64) -> u32 {
     let id = client.start_positions();
     let start = client.state.q_d;
     let mut push = Push { q: start[0], dq: 0.0, ddq: 0.0 };
+    // The first command begins the motion where the arm is: otherwise the first step could count as the place where the motion starts.
+    client.step_to(start);
     for _ in 0..3000 {
         let next = jerk(&push);
         let mut q = start;
@@ -83,6 +85,40 @@ fn a_jump_is_a_discontinuity_and_a_far_start_an_invalid_one() {
         ];
         reflex(&mut client, id, &expected);
         recover(&mut client);
+    });
+}
+
+/// A first command may start the motion a little off the desired position, but neither far off nor in motion.
+#[test]
+fn a_first_command_that_jumps_or_moves_is_a_discontinuity() {
+    let expected =
+        [ErrorBit::JointMotionGeneratorVelocityDiscontinuity, ErrorBit::JointMotionGeneratorAccelerationDiscontinuity];
+    each_protocol(|protocol| {
+        let (_emulator, mut client) = session(patient(protocol));
+        let id = client.start_positions();
+        let mut q = client.state.q_d;
+        q[2] += 0.0021;
+        client.step_to(q);
+        reflex(&mut client, id, &expected);
+        recover(&mut client);
+        // As near as a start may be, and on with 0.5 rad/s.
+        let id = client.start_positions();
+        let mut q = client.state.q_d;
+        q[2] += 0.0005;
+        client.step_to(q);
+        assert_eq!(client.state.robot_mode, RobotMode::Move, "{}", client.state.reflex_reason);
+        q[2] += 0.0005;
+        client.step_to(q);
+        reflex(&mut client, id, &expected);
+        recover(&mut client);
+        // Back to where the desired position was: the motion has started where the first command was.
+        let id = client.start_positions();
+        let before = client.state.q_d;
+        let mut q = before;
+        q[2] += 0.0005;
+        client.step_to(q);
+        client.step_to(before);
+        reflex(&mut client, id, &expected);
     });
 }
 

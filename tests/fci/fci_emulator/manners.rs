@@ -64,6 +64,8 @@ fn setters_set_when_idle_and_refuse_what_makes_no_sense() {
         assert!((client.state.o_t_ee[14] - 0.49).abs() < 0.01, "{:?}", client.state.o_t_ee);
         for bad in [
             Request::SetLoad(Load { mass: -1.0, ..LOAD }),
+            Request::SetLoad(Load { mass: 20.0, com: [5.0, 0.0, 0.0], ..LOAD }),
+            Request::SetJointImpedance([0.0; 7]),
             Request::SetJointImpedance([f64::NAN; 7]),
             Request::SetNeToEe([0.0; 16]),
         ] {
@@ -196,6 +198,27 @@ fn bad_bytes_are_no_commands_and_bad_requests_end_the_session() {
     while matches!(client.poll(), Ok(true)) {
         assert!(start.elapsed() < Duration::from_secs(10), "an unknown command is answered with the end");
         std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// libfranka's example of a joint impedance loads the model when its motion runs.
+#[test]
+fn a_description_is_served_while_a_motion_runs() {
+    for protocol in [Protocol::V9, Protocol::V10] {
+        let (_emulator, mut client) = session(patient(protocol));
+        let motion = client.start_positions();
+        let q = client.state.q_d;
+        let id = client.call(Request::GetRobotModel);
+        let answer = loop {
+            client.step_to(q);
+            assert_eq!(client.state.robot_mode, RobotMode::Move, "{}", client.state.reflex_reason);
+            if let Some(answer) = client.answer(id) {
+                break answer;
+            }
+        };
+        assert!(matches!(answer, Answer::Model(Some(_))), "{protocol}: {answer:?}");
+        let last = RobotCommand { q_c: q, ..RobotCommand::default() };
+        assert_eq!(client.finish(motion, last), Answer::Move(MoveStatus::Success));
     }
 }
 

@@ -76,6 +76,35 @@ fn a_position_motion_arrives_and_ends_as_commanded() {
     });
 }
 
+/// As libfranka's examples since 0.21 do, whose first position is the measured one.
+#[test]
+fn a_motion_may_begin_at_the_measured_position() {
+    each_protocol(|protocol| {
+        let (_emulator, mut client) = session(patient(protocol));
+        // What this arm measures at rest, and up to what a real one is off by: some of it would be a legal step, most would not.
+        for off in [None, Some(1e-6), Some(4e-6), Some(1e-5), Some(1e-4), Some(1.5e-3)] {
+            let id = client.start_positions();
+            let (q, q_d) = (client.state.q, client.state.q_d);
+            let start: [f64; 7] = std::array::from_fn(|j| match off {
+                None => q[j],
+                Some(off) => q_d[j] + if j % 2 == 0 { off } else { -off },
+            });
+            let goal = |tick: u32| start.map(|q| q + 0.03 * quintic(f64::from(tick) / f64::from(TICKS)));
+            for tick in 0..=TICKS {
+                client.step_to(goal(tick));
+                assert_eq!(client.state.robot_mode, RobotMode::Move, "{off:?}, {tick}: {}", client.state.reflex_reason);
+                if tick == 0 {
+                    // No velocity but what a legal step has.
+                    assert!(client.state.dq_d.iter().all(|dq| dq.abs() < 0.01), "{off:?}: {:?}", client.state.dq_d);
+                }
+            }
+            let last = RobotCommand { q_c: goal(TICKS), ..RobotCommand::default() };
+            assert_eq!(client.finish(id, last), Answer::Move(MoveStatus::Success), "{off:?}");
+            client.until(RobotMode::Idle);
+        }
+    });
+}
+
 #[test]
 fn a_velocity_motion_is_integrated() {
     each_protocol(|protocol| {

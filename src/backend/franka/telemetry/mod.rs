@@ -4,7 +4,7 @@ mod buckets;
 
 pub use buckets::Spread;
 
-use super::wire::{Errors, MoveStatus, RobotMode};
+use super::wire::{Errors, HEADER_BYTES, MoveStatus, RobotMode};
 use buckets::Buckets;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
@@ -38,6 +38,8 @@ pub struct Telemetry {
     stall_wake: AtomicU64,
     stall_network: AtomicU64,
     stall_lost: AtomicU64,
+    garbled: [AtomicU64; 3],
+    restarted: [AtomicU64; 2],
     work: Buckets,
     wake: Buckets,
     interval: Buckets,
@@ -100,6 +102,12 @@ pub struct Statistics {
     pub robot_mode: u8,
     /// The arm's last word about the last motion, as an index into [`MoveStatus::ALL`].
     pub move_status: Option<u8>,
+    /// First bytes of what came over TCP and was no message.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub garbled: Option<[u8; HEADER_BYTES]>,
+    /// Number of the last state taken, and a smaller one that the arm counted from then on instead.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub restarted: Option<[u64; 2]>,
     /// The delays of the last cycles before the motion ended.
     pub stall: Stall,
     /// From a state's being read to its command's leaving \[us\].
@@ -191,6 +199,13 @@ impl Telemetry {
             robot_mode: get(&self.mode) as u8,
             // Kept one higher, so that zero is none.
             move_status: get(&self.move_status).checked_sub(1).map(|index| index as u8),
+            garbled: (get(&self.garbled[0]) > 0).then(|| {
+                let mut bytes = [0; HEADER_BYTES];
+                bytes[..8].copy_from_slice(&get(&self.garbled[1]).to_le_bytes());
+                bytes[8..].copy_from_slice(&(get(&self.garbled[2]) as u32).to_le_bytes());
+                bytes
+            }),
+            restarted: Some(self.restarted.each_ref().map(get)).filter(|[last, _]| *last > 0),
             stall: Stall {
                 work_ns: get(&self.stall_work),
                 wake_ns: get(&self.stall_wake),
@@ -229,6 +244,20 @@ impl Telemetry {
             self.wake.add(ns);
         }
         self.in_mode(mode);
+    }
+
+    /// What came over TCP is no message.
+    pub(super) fn garbled(&self, bytes: &[u8; HEADER_BYTES]) {
+        let [a, b, c, d, e, f, g, h, low @ ..] = *bytes;
+        self.garbled[1].store(u64::from_le_bytes([a, b, c, d, e, f, g, h]), Relaxed);
+        self.garbled[2].store(u64::from(u32::from_le_bytes(low)), Relaxed);
+        self.garbled[0].store(1, Relaxed);
+    }
+
+    /// After state `last` the arm's numbers started again; by now they are at `number`.
+    pub(super) fn restarted(&self, last: u64, number: u64) {
+        self.restarted[1].store(number, Relaxed);
+        self.restarted[0].store(last, Relaxed);
     }
 
     pub(super) fn out_of_order(&self) {
