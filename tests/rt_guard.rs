@@ -248,11 +248,13 @@ fn a_model_that_breaks_a_torque_limit_is_not_asked_again() {
             .run();
         assert_guarded(&run, limit, 0);
         assert!(run.events.contains(&Event::Distrusted { model: 5, instead: 0 }));
+        let stopped_in = run.records.iter().find(|record| record.phase == Phase::Stop).unwrap().cycle;
         for record in run.records.iter().filter(|r| matches!(r.phase, Phase::Stop | Phase::Stopped)) {
             let (model, tau) = if record.cycle < 3_000 { (0, 0.0) } else { (6, 1.5) };
             assert_eq!(record.model, model);
-            // Some 12 Nm at 1 Nm per cycle are gone long before the arm rests.
-            assert!(record.phase == Phase::Stop || record.command.tau_ff.0[0] == tau || record.validity == Validity::HandOver);
+            // 87 Nm at most, at 1 Nm per cycle.
+            let under_way = record.cycle < stopped_in + 90 || record.validity == Validity::HandOver;
+            assert!(under_way || record.command.tau_ff.0[0] == tau, "{record:?}");
         }
         let limits = panda_limits();
         assert!(run.records.iter().all(|r| r.command.tau_ff.0[0].abs() <= limits.tau[0]));

@@ -6,9 +6,10 @@ use crate::model::term::Sample;
 use crate::model::torque::TorqueModel;
 use nalgebra::Vector3;
 
-/// Poses between the position limits at which a joint's inertia is looked for.
+/// Poses between the position limits at which the arm's inertia is looked for.
 const POSES: u32 = 16;
-/// A joint that needs no more than this to be accelerated has no inertia in the model: the lightest wrist has a hundred times as much \[kg m2\].
+/// A model whose joints' inertias sum up to no more than this describes no arm. A single joint's may be anything: that of a light wrist is below what
+/// an identification resolves, and comes out negative now and then \[kg m2\].
 const LEAST_INERTIA: f64 = 1e-6;
 /// The offered model's error may be so many times the served one's: a new payload makes both wrong until one is identified.
 const ERROR_RATIO: f64 = 2.0;
@@ -18,12 +19,10 @@ const ERROR_SHARE: f64 = 0.1;
 /// Why an offered model is not served.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Implausible {
-    /// A joint costs no torque to accelerate in any pose.
-    #[error("joint {} has no inertia: at most {inertia:e} kg m2 in {POSES} poses", .joint + 1)]
+    /// The joints cost no torque to accelerate in any pose.
+    #[error("it has no inertia: the joints' sum is at most {inertia:e} kg m2 in {POSES} poses")]
     NoInertia {
-        /// Joint, counted from 0.
-        joint: usize,
-        /// Largest inertia found \[kg m2\].
+        /// Largest sum found \[kg m2\].
         inertia: f64,
     },
     /// Its torque is beyond the arm's limit where the arm is.
@@ -58,7 +57,7 @@ fn beside(served: &Option<f64>) -> String {
 
 /// Whether `offered` may take the place of `served` under `gravity` \[m/s2\], by what the arm did last (`recent`, empty where it is not known).
 ///
-/// Every joint must have inertia. Along `recent` the torque must be inside the limits, and its RMS error against the measured torque at most
+/// The trace of the mass matrix must be positive. Along `recent` the torque must be inside the limits, and its RMS error against the measured torque at most
 /// [`ERROR_RATIO`] times that of the served model, or [`ERROR_SHARE`] of the joint's limit.
 ///
 /// # Errors
@@ -71,11 +70,9 @@ pub fn plausible(
     limits: &Limits,
 ) -> Result<(), Implausible> {
     let n = offered.structure().chain().len().min(MAX_JOINTS);
-    for joint in 0..n {
-        let inertia = largest_inertia(offered, joint, limits);
-        if inertia.is_nan() || inertia <= LEAST_INERTIA {
-            return Err(Implausible::NoInertia { joint, inertia });
-        }
+    let inertia = largest_inertia(offered, n, limits);
+    if inertia.is_nan() || inertia <= LEAST_INERTIA {
+        return Err(Implausible::NoInertia { inertia });
     }
     if recent.is_empty() {
         return Ok(());
@@ -99,10 +96,10 @@ pub fn plausible(
     Ok(())
 }
 
-/// Torque of a unit acceleration of `joint`, the largest over poses all over its range \[kg m2\].
-fn largest_inertia(model: &TorqueModel, joint: usize, limits: &Limits) -> f64 {
+/// Trace of the mass matrix of `n` joints, the largest over poses all over their ranges \[kg m2\].
+fn largest_inertia(model: &TorqueModel, n: usize, limits: &Limits) -> f64 {
     let mut evaluator = model.evaluator(&Vector3::new(0.0, 0.0, -G));
-    let mut torque = |q: JointVec, ddq: f64| {
+    let mut torque = |q: JointVec, joint: usize, ddq: f64| {
         let mut sample = Sample { q, ..Sample::default() };
         sample.ddq[joint] = ddq;
         evaluator.torque(&sample).0[joint]
@@ -111,7 +108,7 @@ fn largest_inertia(model: &TorqueModel, joint: usize, limits: &Limits) -> f64 {
         // Fractions of the golden ratio's powers: poses that no two joints share.
         let place = |j: usize| (f64::from(pose + 1) * 0.618_033_988_75_f64.powi(j as i32 + 1)).fract();
         let q = std::array::from_fn(|j| limits.q_min[j] + place(j) * (limits.q_max[j] - limits.q_min[j]));
-        torque(q, 1.0) - torque(q, 0.0)
+        (0..n).map(|joint| torque(q, joint, 1.0) - torque(q, joint, 0.0)).sum::<f64>()
     };
     (0..POSES).map(inertia).fold(f64::NEG_INFINITY, f64::max)
 }
