@@ -32,7 +32,7 @@ pub struct Period {
     pub joint: usize,
     /// Name of the run.
     pub run: String,
-    /// Time \[s\].
+    /// Time since the start of the period, or of a run that does not repeat \[s\].
     pub t: Vec<f64>,
     /// Of the plain model \[Nm\].
     pub before: Vec<f64>,
@@ -113,7 +113,7 @@ fn periods(evidence: &Evidence, joint: usize, before: &State, after: &State) -> 
     let one = |fold: usize| {
         let own = &evidence.folds()[fold];
         let motion = evidence.motion(own.experiment);
-        let t = evidence.thinned(fold).map(|k| k as f64 * motion.dt).collect();
+        let t = evidence.thinned(fold).map(|k| motion.start + k as f64 * motion.dt).collect();
         let signal = |rows: &DVector<f64>| evidence.signal(fold, &in_fold(evidence, joint, rows, fold));
         let floor = evidence.floor(joint);
         Period { joint, run: own.name.clone(), t, before: signal(&was), after: signal(&is), floor }

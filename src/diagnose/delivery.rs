@@ -46,11 +46,10 @@ pub struct Delivery<'a> {
 }
 
 impl Delivery<'_> {
-    /// The model with the effects that help, and which they are. They have to help in the selection's fit, of which `adequacy` tells each joint's
-    /// share (as far as the unseen runs show what the plain model `lacks`), and must do no harm in the model that is
-    /// delivered: identified once more upon its own load, an effect near a resonance may come out as another one.
-    ///
-    /// An effect that passes this is withheld for another reason, which comes with it: see [`Delivery::reason`].
+    /// The model with the effects that help, and for each effect that it has not the reason. They have to help in the selection's fit, of which
+    /// `adequacy` tells each joint's share (as far as the unseen runs show what the plain model `lacks`), and must do no harm in the model that is
+    /// delivered: identified once more upon its own load, an effect near a resonance may come out as another one. An effect that passes this may
+    /// be withheld for another reason: see [`Delivery::reason`].
     ///
     /// # Errors
     /// As [`identify_with`].
@@ -60,34 +59,41 @@ impl Delivery<'_> {
         lacks: &[Option<f64>],
         adequacy: &[Option<f64>],
         confirmed: &[bool],
-    ) -> Result<(Fitted, Vec<bool>, Vec<Option<String>>), EstimateError> {
-        let explains = |share: &[Option<f64>], found: &Found, least: f64| {
-            share[found.relevance.joint].is_none_or(|share| share >= least)
+    ) -> Result<(Fitted, Vec<Option<String>>), EstimateError> {
+        let too_little = |share: &[Option<f64>], found: &Found, least: f64| {
+            let joint = found.relevance.joint;
+            let share = share[joint].filter(|share| *share < least)?;
+            let share = 100.0 * share;
+            Some(format!(
+                "on unseen runs the effects take {share:.0} % of what the plain model lacks in joint {}",
+                joint + 1
+            ))
         };
         let least = |found: &Found| {
             let faint = lacks[found.relevance.joint].is_some_and(|lack| lack <= FAINT * FAINT);
             if faint { 0.0 } else { HELPFUL }
         };
-        let mut kept: Vec<bool> = selected.found.iter().map(|found| explains(adequacy, found, least(found))).collect();
-        let mut withheld = vec![None; kept.len()];
+        let mut withheld: Vec<Option<String>> =
+            selected.found.iter().map(|found| too_little(adequacy, found, least(found))).collect();
         loop {
+            let kept: Vec<bool> = withheld.iter().map(Option::is_none).collect();
             let after = self.extended(&selected.state, &kept)?;
             if !kept.contains(&true) {
-                return Ok((after, kept, withheld));
+                return Ok((after, withheld));
             }
             let unseen = Unseen::of_model(self.unseen, &after, self.input.unseen());
             let share = unseen.explained(lacks, &DVector::from_column_slice(&after.identification.beta));
-            let still = kept.iter().zip(&selected.found).map(|(kept, found)| *kept && explains(&share, found, 0.0));
-            let still: Vec<bool> = still.collect();
-            if still != kept {
-                kept = still;
+            for (why, found) in withheld.iter_mut().zip(&selected.found).filter(|(why, _)| why.is_none()) {
+                *why = too_little(&share, found, 0.0);
+            }
+            if withheld.iter().zip(&kept).any(|(why, kept)| *kept && why.is_some()) {
                 continue;
             }
             // One at a time, the least first: without it the others come out otherwise.
             let Some((index, why)) = self.reason(selected, &kept, &after, confirmed) else {
-                return Ok((after, kept, withheld));
+                return Ok((after, withheld));
             };
-            (kept[index], withheld[index]) = (false, Some(why));
+            withheld[index] = Some(why);
         }
     }
 

@@ -93,7 +93,8 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
         Delivery { input, unseen: &unseen, experiments: &experiments, before: &before, seeds: &seeds, settings };
     let full = matches!(confirmation(&evidence), Confirmation::Full { .. });
     let confirmed: Vec<bool> = selected.found.iter().map(|found| full && found.folds.confirm() == Some(true)).collect();
-    let (after, kept, withheld) = delivery.of(&selected, &lacks, &adequacy, &confirmed)?;
+    let (after, withheld) = delivery.of(&selected, &lacks, &adequacy, &confirmed)?;
+    let kept: Vec<bool> = withheld.iter().map(Option::is_none).collect();
     let mut effects = effects_of(&search, &selected, &kept, &adequacy, &after);
     for effect in &mut effects {
         let index = selected.state.items.iter().position(|item| item.spec == effect.spec);

@@ -83,7 +83,7 @@ pub struct Effect {
     pub rivals: Vec<Rival>,
     /// Whether the delivered model has it.
     pub in_model: bool,
-    /// Why it has not, where that is not for what it explains.
+    /// Why it has not.
     pub withheld: Option<String>,
 }
 

@@ -43,15 +43,19 @@ fn withheld<'o>(outcome: &'o Outcome, family: &str) -> &'o str {
 #[test]
 fn an_effect_that_unseen_runs_do_not_have_is_not_delivered() {
     let scene = Scene::panda_on_the_wall();
-    for identify in [1, 2] {
+    // Where the noise is known, by what the plain model lacks on unseen runs; else by the errors there.
+    for (identify, repeats, words) in
+        [(2, true, "what the plain model lacks in joint 5"), (2, false, "unseen runs are predicted worse: +")]
+    {
         let outcome = diagnosed(&scene, identify, |index, run| {
+            run.period = run.period.filter(|_| repeats);
             if index < identify {
                 run.tau.column_mut(4).add_scalar_mut(0.3);
             }
         });
         let why = withheld(&outcome, "torque-offset");
         println!("{why}");
-        assert!(why.contains("unseen runs are predicted worse: +") && why.contains("Nm in joint 5"), "{why}");
+        assert!(why.contains(words) && why.contains("joint 5"), "{why}");
     }
 }
 

@@ -97,12 +97,14 @@ impl Signals<'_> {
             let dt = self.dt(fold);
             let count = (signal.len() as f64 * dt / WINDOW).round().max(1.0) as usize;
             let start = self.evidence.thinned(fold).start;
+            let motion = self.evidence.motion(self.evidence.folds()[fold].experiment);
             for window in 0..count {
                 let (first, last) = (window * signal.len() / count, (window + 1) * signal.len() / count);
                 let square: f64 = signal[first..last].iter().map(|value| value * value).sum();
                 windows.push(Window {
                     run: self.evidence.folds()[fold].name.clone(),
-                    from: (start + first) as f64 * dt,
+                    // A sample stands in the middle of its step.
+                    from: (motion.start + ((start + first) as f64 - 0.5) * dt).max(0.0),
                     seconds: (last - first) as f64 * dt,
                     share: square / total.max(f64::MIN_POSITIVE),
                     rms: (square / (last - first).max(1) as f64).sqrt(),

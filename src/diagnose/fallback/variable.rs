@@ -49,7 +49,7 @@ impl Variable {
             Variable::Position(joint) => column(&motion.q, joint),
             Variable::Velocity(joint) => column(&motion.dq, joint),
             Variable::Acceleration(joint) => column(&motion.ddq, joint),
-            Variable::Time => (0..motion.samples()).map(|k| k as f64 * motion.dt).collect(),
+            Variable::Time => (0..motion.samples()).map(|k| motion.start + k as f64 * motion.dt).collect(),
         }
     }
 }
