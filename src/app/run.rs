@@ -31,6 +31,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let id = robot_id(&job)?;
     // What a daemon would refuse is refused here, before anything starts.
     drop(super::lock(&id)?);
+    drop(super::arm_lock(&job)?);
     super::truth(&job)?;
     super::rest(&job, &robot)?;
     std::fs::create_dir_all(&out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;

@@ -15,6 +15,7 @@
 //! user only. What
 //! arrives from that user is still checked; no value of a message can make the daemon panic.
 
+mod arm_lock;
 mod client;
 mod command;
 mod error;
@@ -30,6 +31,7 @@ mod server;
 mod services;
 mod stream;
 
+pub use arm_lock::{ArmLock, ArmLockError};
 pub use client::Client;
 pub use command::{
     Follower, Gravity, Held, Link, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request, Response,
@@ -43,5 +45,5 @@ pub use messages::{FeedForwardMessage, FollowRequest, MessageError, ReplayHeader
 pub use retain::RetainedLog;
 pub use robot::RobotId;
 pub use server::{Server, ServerSettings};
-pub use services::now_ns;
+pub use services::{boot_ns, now_ns};
 pub use stream::{Delivery, SampleStream, StreamCounters, StreamSettings};

@@ -144,11 +144,12 @@ impl Server {
         self.counters.given_up_unacknowledged += self.log.first().saturating_sub(unacknowledged_from);
     }
 
-    /// Replaces the latest feed-forward value; sets its `sequence` and `epoch`.
+    /// Replaces the latest feed-forward value; sets its `sequence` and `epoch`, and turns its stamp from the records' clock into the clients'.
     pub fn feed_forward(&mut self, mut message: FeedForwardMessage) {
         self.counters.feed_forward += 1;
         message.sequence = self.counters.feed_forward;
         message.epoch = self.epoch;
+        message.stamp_ns = message.stamp_ns.saturating_add(services::suspended_ns());
         if let Err(trouble) = self.feed_forward.send_copy(message) {
             self.trouble("feed-forward", trouble.to_string());
         }

@@ -67,9 +67,10 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let (job, robot, out) = options.job.load()?;
     let model = options.model.map(|path| model(path, options.job.root_owned)).transpose()?;
     let id = super::robot_id(&job)?;
-    let _about = journal::about(id.as_str());
+    journal::about(id.as_str());
     // Before anything else is touched: nobody else may drive this robot.
     let _lock = super::lock(&id)?;
+    let _arm = super::arm_lock(&job)?;
     let programme = super::plan::programme(&job, &robot, &out)?;
     let ending = Ending::watch()?;
     if options.end_with_stdin {
@@ -95,6 +96,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         stopped: None,
         cause: None,
         barred: false,
+        braking: false,
         distrusted: None,
         last: Record::default(),
         ending,
@@ -183,7 +185,9 @@ impl Daemon {
 
     /// Runs a session to its end and keeps its figures.
     fn see_through(&mut self, session: Session) -> Result<Seen, Failure> {
-        let (statistics, end) = session.run(self)?;
+        let ended = session.run(self);
+        self.desk.braking = false;
+        let (statistics, end) = ended?;
         tracing::info!("{}", account(&statistics));
         let words = statistics.link.as_ref().and_then(|link| link.fault.clone()).unwrap_or_else(|| end.to_string());
         self.desk.sessions.push(statistics);
