@@ -38,9 +38,9 @@ pub struct Options {
     /// Serve this model from the start
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
-    /// Brake and end when standard input ends: for a program that starts a daemon and may die
-    #[arg(long)]
-    end_with_stdin: bool,
+    /// Brake and end when this process, which has started the daemon, has ended
+    #[arg(long, value_name = "PID")]
+    parent: Option<i32>,
 }
 
 /// The longest that connecting to a robot, or its recovery, takes before it fails by itself; the watchdog waits for it.
@@ -72,10 +72,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let _lock = super::lock(&id)?;
     let _arm = super::arm_lock(&job)?;
     let programme = super::plan::programme(&job, &robot, &out)?;
-    let ending = Ending::watch()?;
-    if options.end_with_stdin {
-        ending.watch_parent()?;
-    }
+    let ending = Ending::watch()?.with_parent(options.parent);
     // Its thread begins before anything asks for priority.
     let recorder = Recorder::start(&job, &id, &out)?;
     let mut desk = Desk {
