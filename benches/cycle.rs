@@ -85,7 +85,7 @@ impl FeedForward for Served {
         self.0.torque(&Sample { q, dq, ddq })
     }
 
-    fn rest(&mut self, q: &JointVec) -> Torque {
+    fn vendor_torque(&mut self, q: &JointVec) -> Torque {
         self.0.rest(q)
     }
 }

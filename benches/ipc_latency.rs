@@ -113,7 +113,7 @@ fn bridge(shared: &Shared, robot: &RobotId, mut drain: Drain) -> Spread {
         last_ns = last.stamp_ns;
         values += 1;
         shared.valued[values % TIMES].store(now, Ordering::Release);
-        server.feed_forward(FeedForwardMessage::new(&last, 7, [0.0; 3]));
+        server.feed_forward(FeedForwardMessage::new(&last, 7, [0.0; 3], [0.0; 3]));
         server.publish(&records);
         server.poll(|_, _| unreachable!("nobody sends commands"));
     }

@@ -54,9 +54,9 @@ pub struct Command {
     pub desired: Setpoint,
     /// Feed-forward torque of the served model at `desired`; zero while no model is served \[Nm\].
     pub tau_ff: Torque,
-    /// What of it the rigid body needs to stand still at `desired.q`. An arm that compensates gravity by itself wants
-    /// `tau_ff - tau_rest` \[Nm\].
-    pub tau_rest: Torque,
+    /// The same model at rest at `desired.q`, under the gravity that the arm's own controller compensates: what that controller adds by
+    /// itself. Such an arm is sent `tau_ff - tau_vendor` \[Nm\].
+    pub tau_vendor: Torque,
 }
 
 /// What the loop was doing in a cycle.

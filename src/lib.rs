@@ -4,7 +4,7 @@
 //!
 //! | floor | modules | what |
 //! |---|---|---|
-//! | 0 | [`joint`], [`input`], [`atomic`], [`parallel`] | fixed-size values with units; how bad input is reported; how files are written; work on all processors |
+//! | 0 | [`joint`], [`input`], [`atomic`], [`parallel`], [`decomposition`] | fixed-size values with units; how bad input is reported; how files are written; work on all processors; eigenvalues and singular values |
 //! | 1 | [`model`], [`rt`] | the arm's dynamics, pure; the real-time loop and its traits |
 //! | 2 | [`excite`], [`estimate`], [`backend`], [`inclinometer`], [`ipc`], [`machine`], [`recording`] | motions that excite; parameters from samples; arms; which way is down; shared memory; whether this computer keeps time; the last seconds before a fault |
 //! | 3 | [`config`], [`dataset`], [`diagnose`], [`postmortem`], [`report`], [`store`] | typed configuration; recorded motions; what a model lacks; what happened before a fault; what a job says; model and plan files |
@@ -19,6 +19,7 @@ pub mod atomic;
 pub mod backend;
 pub mod config;
 pub mod dataset;
+pub mod decomposition;
 pub mod diagnose;
 pub mod estimate;
 pub mod excite;

@@ -138,7 +138,7 @@ fn about(window: &Window, end: String, untold: u64) -> About {
 fn recording(of: &Told, first: u64, lose: Option<u64>) -> Recording {
     let mut history = History::new(60_000, JOINTS, settings().guard.tracking);
     of.orders.iter().for_each(|given| history.ordered(given.clone()));
-    of.models.iter().for_each(|&id| history.handed(Handed { id, gravity: [0.0, 0.0, -9.81] }));
+    of.models.iter().for_each(|&id| history.handed(Handed { id, gravity: [0.0, 0.0, -9.81], vendor: None }));
     // Events overtake their records, as they do in the daemon.
     let mut events = of.run.told.iter().peekable();
     for record in of.run.records.iter().filter(|record| Some(record.cycle) != lose) {
@@ -401,7 +401,7 @@ fn a_panic_in_the_loop_leaves_its_last_cycles_and_stops_the_arm() {
     // Run again it panics again, which is the answer and not the end of whoever asked.
     let mut history = History::new(2_000, JOINTS, [0.1; MAX_JOINTS]);
     history.ordered(move_to(1, AWAY));
-    history.handed(Handed { id: 7, gravity: [0.0, 0.0, -9.81] });
+    history.handed(Handed { id: 7, gravity: [0.0, 0.0, -9.81], vendor: None });
     std::iter::from_fn(|| handles.events.pop().ok()).for_each(|told| history.tell(told));
     let window = history.window(0, &flight);
     let about = about(&window, panicked(&panic_message(&*panic)), 0);

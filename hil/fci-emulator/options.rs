@@ -37,7 +37,10 @@ pub struct Options {
     /// Seven joint positions to start at \[rad\], separated by commas
     #[arg(long, value_parser = pose, allow_hyphen_values = true)]
     start: Option<[f64; 7]>,
-    /// O_ddP_O of every state \[m/s2\], or `mounting` for the true gravity; default 0,0,-9.81
+    /// Gravity that the arm's own controller compensates under torque commands: upright, whatever the mounting, or true, that of the mounting
+    #[arg(long, default_value = "upright", value_parser = ["upright", "true"])]
+    compensates: String,
+    /// O_ddP_O of every state \[m/s2\], or `mounting` for the true gravity; default is what the arm compensates
     #[arg(long, allow_hyphen_values = true, value_name = "X,Y,Z")]
     base_acceleration: Option<String>,
     /// Fault: KIND[=VALUE][,at=SECONDS|motion[+SECONDS]][,for=SECONDS][,of=states|commands], KIND one of loss, delay, jitter,
@@ -115,8 +118,11 @@ pub fn settings(options: Options) -> Result<Settings, Box<dyn Error>> {
     }
     settings.mounting = options.mounting;
     settings.start = options.start.unwrap_or(settings.start);
+    if options.compensates == "true" {
+        settings.compensates = settings.mounting.gravity().into();
+    }
     settings.base_acceleration = match options.base_acceleration.as_deref() {
-        None => settings.base_acceleration,
+        None => settings.compensates,
         Some("mounting") => settings.mounting.gravity().into(),
         Some(text) => numbers(text)?,
     };

@@ -62,6 +62,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let bar = progress::bar("comparing");
     bar.at(0.05, "preparing");
     let find: Vec<&Run> = find.iter().collect();
+    pipeline::check_torques(&find)?;
     let experiments = pipeline::experiments(&find, &settings)?;
     let unseen = pipeline::experiments(&judge.iter().collect::<Vec<_>>(), &settings)?;
     let trials = diagnosed::trials(&experiments, &find);
@@ -97,7 +98,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let report = Report {
         robot: robot.name.clone(),
         mounting: dataset.mounting.into(),
-        base: Base::new(after.kind(), after.parameters()),
+        base: Base::of(&after),
         validate: judge
             .iter()
             .zip(&errors_after)

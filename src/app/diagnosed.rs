@@ -58,6 +58,7 @@ pub struct Diagnosed {
 
 /// Diagnoses runs of one arm, with a progress bar.
 pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
+    pipeline::check_channels(question.identify)?;
     let bar = progress::bar("diagnosing");
     bar.at(0.02, "preparing");
     let looked = Looked::at(question)?;

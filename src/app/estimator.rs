@@ -12,6 +12,7 @@ use crate::ipc::{
 };
 use crate::model::gravity::Mounting;
 use clap::Args;
+use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
 /// Options of `plumbline estimator`.
@@ -28,6 +29,8 @@ pub struct Options {
 const PATIENCE: Duration = Duration::from_secs(30);
 /// How long to wait for an answer.
 const ANSWER: Duration = Duration::from_secs(5);
+/// How long a computation goes on in silence.
+const SLOW: Duration = Duration::from_secs(20);
 /// How long to wait for samples before looking at the daemon again.
 const STEP: Duration = Duration::from_millis(200);
 
@@ -48,7 +51,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
             }
             Err(error) => return Err(Failure::job(error)),
         };
-        let programme = Programme::load(&job, &robot, &out.join("plans"))?;
+        let programme = Programme::load(&job, &out.join("plans"))?;
         let results = Results::new(&job, &robot, &programme, &out);
         let live = Live::new(&job, results.joints(), &out);
         service.status("follows the samples");
@@ -167,7 +170,7 @@ fn follow(
                 }
                 live.finish()?.into_iter().for_each(|note| results.note(note));
             }
-            results.finish(&status, driven, &counters)?;
+            observed("the diagnosis and the report", || results.finish(&status, driven, &counters))?;
             return Ok(Outcome::Written);
         }
         if status.progress == Progress::Stopped {
@@ -195,7 +198,7 @@ fn take(
     if role != Role::Identify {
         return Ok(None);
     }
-    let text = results.identify()?;
+    let text = observed("the identification", || results.identify())?;
     if let (Some(live), Some((identified, run))) = (live.as_mut(), results.identified()) {
         let floor = identified.identification.rms.noise_floor.clone().unwrap_or_default();
         live.identified(&identified.model, &floor, &text, run)?;
@@ -209,6 +212,22 @@ fn take(
         Response::Refused { reason } => Ok(Some(reason)),
         other => Err(Failure::job(format!("the daemon answered a model with {other:?}"))),
     }
+}
+
+/// Computes, and reports it in the log every [`SLOW`].
+fn observed<T>(what: &str, compute: impl FnOnce() -> T) -> T {
+    std::thread::scope(|scope| {
+        let (end, ended) = std::sync::mpsc::channel::<()>();
+        scope.spawn(move || {
+            let begin = Instant::now();
+            while ended.recv_timeout(SLOW) == Err(RecvTimeoutError::Timeout) {
+                tracing::warn!("{what} has been computing for {:.0} s", begin.elapsed().as_secs_f64());
+            }
+        });
+        let found = compute();
+        drop(end);
+        found
+    })
 }
 
 /// How many standard deviations two readings of a base that has not moved may differ by.

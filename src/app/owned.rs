@@ -45,7 +45,9 @@ pub fn plans(out: &Path) -> Result<(), BadInput> {
     let dir = out.join("plans");
     let Ok(entries) = std::fs::read_dir(&dir) else { return Ok(()) };
     let plans = entries.filter_map(|entry| Some(entry.ok()?.path()));
-    plans.filter(|path| path.extension().is_some_and(|end| end == "toml")).try_for_each(|path| open_own(&path, "plan").map(drop))
+    plans
+        .filter(|path| path.extension().is_some_and(|end| end == "toml"))
+        .try_for_each(|path| open_own(&path, "plan").map(drop))
 }
 
 /// Text of a model file that nobody but root and this process's user can have written or can put another one in place of. The process's own
@@ -55,9 +57,9 @@ pub fn plans(out: &Path) -> Result<(), BadInput> {
 /// A file that can't be read; one of another user, or that others can write to, by its owner and mode.
 pub fn read_model(path: &Path) -> Result<String, BadInput> {
     let mut text = String::new();
-    open_own(path, "model")?.read_to_string(&mut text).map_err(|error| {
-        BadInput::new(path.display().to_string(), "file", error, "a readable model file")
-    })?;
+    open_own(path, "model")?
+        .read_to_string(&mut text)
+        .map_err(|error| BadInput::new(path.display().to_string(), "file", error, "a readable model file"))?;
     Ok(text)
 }
 

@@ -11,6 +11,7 @@ use crate::estimate::validate::{Modelled, Rms, compare};
 use crate::input::BadInput;
 use crate::model::base::Reduction;
 use crate::model::structure::Structure;
+use crate::model::term::Motion;
 use crate::model::term::torque_offset;
 use crate::model::torque::TorqueModel;
 use crate::parallel::{parallel, threads};
@@ -67,6 +68,41 @@ pub fn structure(robot: &Robot, runs: &[&Run], terms: &[&str]) -> Result<Structu
     Ok(Structure::of(chain, reduction, terms).map_err(Failure::job)?.identifiable())
 }
 
+/// Refuses runs to identify from in which a channel does not vary: a torque in any run, a position in all of them.
+pub fn check_channels(runs: &[&Run]) -> Result<(), BadInput> {
+    check_torques(runs)?;
+    let Some(first) = runs.first() else { return Ok(()) };
+    for j in 0..first.joints() {
+        if runs.iter().all(|run| constant(&run.q, j).is_some()) {
+            let expected = "a position that varies in at least one run to identify from: move, or check the encoder of";
+            return Err(not_varying(first, "q", &first.q, j, expected));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses runs in which a torque does not vary: a sensor that measures nothing looks like this, and its noise would be zero, its weight
+/// infinite.
+pub fn check_torques(runs: &[&Run]) -> Result<(), BadInput> {
+    for run in runs {
+        if let Some(j) = (0..run.tau.ncols()).find(|&j| constant(&run.tau, j).is_some()) {
+            return Err(not_varying(run, "tau", &run.tau, j, "a torque that varies: check the torque sensor of"));
+        }
+    }
+    Ok(())
+}
+
+/// The value of a column, where all samples have the same.
+fn constant(channel: &DMatrix<f64>, j: usize) -> Option<f64> {
+    let first = channel.column(j).iter().next().copied()?;
+    channel.column(j).iter().all(|value| *value == first).then_some(first)
+}
+
+fn not_varying(run: &Run, name: &str, channel: &DMatrix<f64>, j: usize, expected: &str) -> BadInput {
+    let found = format!("{} in all {} samples", channel[(0, j)], run.samples());
+    BadInput::new(&run.file, format!("column {name}{}", j + 1), found, format!("{expected} joint {}", j + 1))
+}
+
 /// Averages, filters and differentiates a run.
 pub fn experiment(run: &Run, settings: &Settings) -> Result<Experiment, Failure> {
     let input = estimate::Run {
@@ -109,6 +145,7 @@ pub fn identify(
     settings: &Settings,
     options: &solve::Options,
 ) -> Result<Identified, Failure> {
+    check_channels(runs)?;
     let structure = structure(robot, runs, terms)?;
     let experiments = for_estimator(runs, settings, options)?;
     let identification = identify_with(&structure, &experiments, options).map_err(|error| match error {
@@ -195,8 +232,10 @@ fn title(run: &Run) -> String {
     run.file.replace(".csv", "")
 }
 
+/// Times of the samples since the start of the recording, of a periodic run since the start of a period \[s\].
 fn times(experiment: &Experiment) -> Vec<f64> {
-    (0..experiment.motion.samples()).map(|k| k as f64 * experiment.motion.dt).collect()
+    let Motion { start, dt, .. } = experiment.motion;
+    (0..experiment.motion.samples()).map(|k| start + k as f64 * dt).collect()
 }
 
 /// One vector per joint of a matrix that holds its samples joint by joint.
@@ -204,8 +243,19 @@ fn columns(matrix: &DMatrix<f64>, joints: usize) -> Vec<Vec<f64>> {
     matrix.as_slice().chunks(matrix.len() / joints).map(<[f64]>::to_vec).collect()
 }
 
-/// Torques of a model at every sample of a recorded motion, N x n \[Nm\], and the errors where the motion has measured torques.
-pub fn predict(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<(DMatrix<f64>, Option<Rms>), Failure> {
+/// Torques of a model along a recorded motion.
+pub struct Predicted {
+    /// At the time stamps of the recording, N x n \[Nm\].
+    pub torques: DMatrix<f64>,
+    /// Whether each sample is so near to an end of the recording that its acceleration depends on the filter's continuation of the motion
+    /// past that end, N.
+    pub at_end: Vec<bool>,
+    /// Errors without those samples, where the recording has measured torques.
+    pub rms: Option<Rms>,
+}
+
+/// Torques of a model at every sample of a recorded motion.
+pub fn predict(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Predicted, Failure> {
     let measured = run.tau.ncols() > 0;
     // Every sample is wanted, not the mean period.
     let mut whole = Run { period: None, ..run.clone() };
@@ -213,14 +263,19 @@ pub fn predict(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<(D
         whole.tau = DMatrix::zeros(run.samples(), run.joints());
     }
     let experiment = experiment(&whole, settings)?;
-    let modelled = Modelled::of(&experiment, |motion| model.predict(motion));
-    let even = modelled.judged();
-    let rms = measured.then(|| compare(&experiment, &modelled));
-    let (start, dt, last) = (run.t[0], experiment.motion.dt, even.nrows() - 1);
+    let rms = measured.then(|| compare(&experiment, &Modelled::of(&experiment, |motion| model.predict(motion))));
+    let (motion, edge) = experiment.with_ends();
+    let even = model.predict(&motion);
+    let samples = even.nrows();
+    // The grid begins with the recording and may end up to one step before its last sample.
+    let place = |t: f64| ((t - run.t[0]) / motion.dt).clamp(0.0, samples as f64);
     let torques = DMatrix::from_fn(run.samples(), run.joints(), |k, j| {
-        let at = ((run.t[k] - start) / dt).clamp(0.0, last as f64);
-        let (before, share) = (at.floor() as usize, at.fract());
-        even[(before, j)] * (1.0 - share) + even[((before + 1).min(last), j)] * share
+        let at = place(run.t[k]);
+        let before = (at as usize).min(samples - 2);
+        even[(before, j)] + (at - before as f64) * (even[(before + 1, j)] - even[(before, j)])
     });
-    Ok((torques, rms))
+    let kept = edge as f64..=(samples - 1 - edge) as f64;
+    // A time stamp is not exact to the last digit.
+    let at_end = run.t.iter().map(|&t| !kept.contains(&((place(t) * 1e6).round() / 1e6))).collect();
+    Ok(Predicted { torques, at_end, rms })
 }

@@ -4,17 +4,19 @@ use super::programme::Programme;
 use super::say::say;
 use super::signals::Ending;
 use super::{Failure, friction_structure, progress};
+use crate::backend::franka::{self, RobotLimits};
 use crate::config::job::Job;
 use crate::config::robot::Robot;
 use crate::config::units::parse_mounting;
 use crate::excite::ExciteError;
-use crate::excite::criterion::Criterion;
+use crate::excite::criterion::{Criterion, check_excitation};
 use crate::excite::fourier::Fourier;
 use crate::excite::limits::{Bounds, Margins};
 use crate::excite::nominal::Nominal;
 use crate::excite::optimiser::optimise;
-use crate::excite::plan::Plan;
+use crate::excite::plan::{Plan, PlanUsage};
 use crate::excite::search::{self, Problem, Progress, Search, Watch, verdict};
+use crate::excite::usage::{Usage, check_usage, usage};
 use crate::input::BadInput;
 use crate::joint::{Limits, SpeedEnvelope, Workspace};
 use crate::model::gravity::Mounting;
@@ -68,6 +70,9 @@ pub struct Options {
     /// Seed of the search: the same seed finds the same motions
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Keep the surfaces of the links from link 3 on in the robot's box, too, not the end effector alone
+    #[arg(long)]
+    links_in_box: bool,
 }
 
 /// The criteria by their names on the command line.
@@ -113,7 +118,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let task = Task {
         robot: &robot,
         mounting,
-        room: Room::of(&robot, robot.limits, robot.workspace),
+        room: Room::of((robot.limits, robot.envelope), robot.workspace, options.links_in_box),
         margins: Margins::default(),
         nominal: nominal.as_ref(),
         q0: None,
@@ -121,8 +126,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let ending = Ending::watch()?;
     let mut done: Vec<Fourier> = Vec::new();
     for k in 1..=options.trajectories {
-        let plan =
-            options.one(&task, &Search { seed: search.seed + (k - 1), ..search.clone() }, &done, &ending)?;
+        let plan = options.one(&task, &Search { seed: search.seed + (k - 1), ..search.clone() }, &done, &ending)?;
         done.push(motion(&plan)?);
         options.leave(&plan, &options.name("", k, options.trajectories), &done, &task)?;
         if ending.arrived() {
@@ -133,7 +137,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     for k in 1..=options.validate {
         let plan = task
             .random(&Search { seed: search.seed + VALIDATION_SEED + k, ..search.clone() })
-            .map_err(|error| infeasible("command line", &error))?;
+            .map_err(|error| no_plan("command line", error))?;
         options.leave(&plan, &options.name("-validate", k, 100), &[], &task)?;
     }
     Ok(())
@@ -171,7 +175,7 @@ impl Options {
         };
         let stop = || ending.arrived() || limit.is_some_and(|limit| start.elapsed() > limit);
         let watch = Watch { threads: threads(), stop: &stop, progress: &hear };
-        let plan = task.best(search, prior, &watch).map_err(|error| infeasible("command line", &error))?;
+        let plan = task.best(search, prior, &watch).map_err(|error| no_plan("command line", error))?;
         bar.done();
         if ending.arrived() {
             eprintln!("plumbline: interrupted; the best motion so far is kept");
@@ -194,12 +198,21 @@ impl Options {
     fn leave(&self, plan: &Plan, path: &Path, set: &[Fourier], task: &Task) -> Result<(), Failure> {
         save_plan(plan, path).map_err(Failure::job)?;
         say!("{}: condition {}", path.display(), super::conditions_text(&plan.conditions));
+        if let Some(usage) = &plan.usage {
+            say!("  {}", usage_text(usage));
+        }
         if set.len() > 1 {
             let together = task.with_problem(|problem| search::together(problem, set));
             say!("  with the {} before it: condition {}", set.len() - 1, super::conditions_text(&together));
         }
         Ok(())
     }
+}
+
+/// Shares of range and speed per joint, in one line.
+fn usage_text(usage: &PlanUsage) -> String {
+    let percent = |shares: &[f64]| shares.iter().map(|x| format!("{:.0}", 100.0 * x)).collect::<Vec<_>>().join(" ");
+    format!("used per joint [%]: range {}, speed {}", percent(&usage.range), percent(&usage.speed))
 }
 
 /// The nominal model in a file.
@@ -222,67 +235,110 @@ fn nominal(path: &Path, robot: &Robot) -> Result<Nominal, Failure> {
     })
 }
 
-/// The job's programme: the plans of an earlier run of the same job, or new ones, which are then kept in `out/plans`.
-pub fn programme(job: &Job, robot: &Robot, out: &Path) -> Result<Programme, Failure> {
+/// The limits of the arm that a job drives, as it serves them; `None` for a simulated arm, whose limits are those of the robot file. Connects
+/// for a moment; nothing moves.
+pub fn arm_limits(job: &Job) -> Result<Option<RobotLimits>, Failure> {
+    let Some(franka) = &job.backend.franka else { return Ok(None) };
+    let settings = franka.settings(job, franka::Purpose::Watch)?;
+    franka::read_limits(&settings).map(Some).map_err(Failure::job)
+}
+
+/// What motions of a job and the loop's guard are held to: the limits of robot file and job and, inside them, those that the adapter of the
+/// connected `arm` holds commands to.
+pub fn held_to(
+    job: &Job,
+    robot: &Robot,
+    arm: Option<&RobotLimits>,
+) -> Result<(Limits, Option<SpeedEnvelope>), Failure> {
+    let limits = job.guard_limits(&robot.limits, robot.chain.len())?;
+    let (Some(arm), Some(franka)) = (arm, &job.backend.franka) else { return Ok((limits, robot.envelope)) };
+    let share = franka.limits_share;
+    Ok((franka::guard_limits(arm, &limits, share), franka::guard_envelope(arm, robot.envelope.as_ref(), share)))
+}
+
+/// The job's programme, inside the limits of robot, job and the connected `arm`: the plans of an earlier run of the same job where they
+/// are, else new ones, which are then kept in `out/plans`.
+pub fn programme(job: &Job, robot: &Robot, out: &Path, arm: Option<&RobotLimits>) -> Result<Programme, Failure> {
     let dir = out.join("plans");
-    let stamp = fingerprint(job, robot)?;
+    let planner = Planner::of(job, robot, arm)?;
+    let stamp = planner.fingerprint();
     let stamp_file = dir.join("planned-for");
     if std::fs::read_to_string(&stamp_file).is_ok_and(|text| text.trim() == stamp) {
-        return Programme::load(job, robot, &dir);
+        let known = Programme::load(job, &dir)?;
+        match known.check(&planner, &dir) {
+            Ok(()) => return Ok(known),
+            Err(broken) => tracing::warn!("the plans in {} are not driven, new ones are made: {broken}", dir.display()),
+        }
     }
     let bar = progress::bar("planning");
-    let programme = Programme::plan(job, robot, &|name, share| bar.at(share, name))?;
+    let programme = Programme::plan(&planner, &|name, share| bar.at(share, name))?;
     bar.done();
     programme.save(&dir)?;
     crate::atomic::write_file(&stamp_file, stamp.as_bytes()).map_err(Failure::job)?;
     Ok(programme)
 }
 
-/// Hash of everything that the plans depend on.
-fn fingerprint(job: &Job, robot: &Robot) -> Result<String, Failure> {
-    let nominal = Planner::of(job, robot)?.nominal;
-    let parts = (&job.excitation, &job.validation, &job.limits, &job.workspace, &job.mounting, robot, nominal);
-    let version = env!("CARGO_PKG_VERSION");
-    Ok(Sha256::digest(format!("{version} {parts:?}")).iter().map(|byte| format!("{byte:02x}")).collect())
-}
-
 /// What plans the motions of a job.
 pub struct Planner<'a> {
-    job: &'a Job,
-    robot: &'a Robot,
+    /// The job.
+    pub job: &'a Job,
+    /// Its robot.
+    pub robot: &'a Robot,
     room: Room,
     nominal: Option<Nominal>,
 }
 
 impl<'a> Planner<'a> {
-    /// Reads what the job names. Errors on limits that are none, and on a nominal model that can't be read.
-    pub fn of(job: &'a Job, robot: &'a Robot) -> Result<Planner<'a>, Failure> {
-        let limits = job.guard_limits(&robot.limits, robot.chain.len())?;
+    /// Reads what the job names; `arm` is the connected arm. Errors on limits that are none, and on a nominal model that can't be read.
+    pub fn of(job: &'a Job, robot: &'a Robot, arm: Option<&RobotLimits>) -> Result<Planner<'a>, Failure> {
+        let held_to = held_to(job, robot, arm)?;
         let nominal = job.excitation.model.as_deref().map(|path| nominal(path, robot)).transpose()?;
-        let room = Room::of(robot, limits, job.workspace(&robot.workspace));
+        let links_in_box = job.workspace.is_some_and(|own| own.links_in_box);
+        let room = Room::of(held_to, job.workspace(&robot.workspace), links_in_box);
         Ok(Planner { job, robot, room, nominal })
+    }
+
+    /// Hash of everything that the plans depend on.
+    fn fingerprint(&self) -> String {
+        let Planner { job, robot, room, nominal } = self;
+        let parts = (&job.excitation, &job.validation, &job.limits, &job.mounting, robot, room, nominal);
+        let version = env!("CARGO_PKG_VERSION");
+        Sha256::digest(format!("{version} {parts:?}")).iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
     /// The motion to identify from: the job's own plan file, or the best that a search finds.
     pub fn best(&self, mounting: &Mounting, seed: u64, progress: &(dyn Fn(f64) + Sync)) -> Result<Plan, Failure> {
         if let (Some(path), true) = (&self.job.excitation.plan, *mounting == self.job.mounting) {
             let plan = load_plan(path)?;
-            self.check(&plan, path)?;
-            return Ok(plan);
+            self.check(&plan, path).map_err(|broken| self.other_plan(broken))?;
+            let usage = PlanUsage::of(&self.usage(&motion(&plan)?));
+            return Ok(Plan { usage: Some(usage), ..plan });
         }
         let hear = |now: Progress| progress(now.done as f64 / now.of as f64);
         let watch = Watch { threads: threads(), stop: &|| false, progress: &hear };
         self.task(mounting, self.job.margins())
             .best(&self.search(seed), &[], &watch)
-            .map_err(|error| self.infeasible(&error))
+            .map_err(|error| self.no_plan(error))
+    }
+
+    /// Says what to do about a plan that the job names and that can't be driven.
+    fn other_plan(&self, broken: Failure) -> Failure {
+        let job = self.job.file.display();
+        let next = format!(
+            "Without `excitation.plan` in {job}, `plumbline run {job}` plans a motion under the limits of this job and its arm"
+        );
+        match broken {
+            Failure::Input(bad) => Failure::Input(BadInput { expected: format!("{}. {next}", bad.expected), ..bad }),
+            Failure::Job(what) => Failure::Job(format!("{what}. {next}")),
+        }
     }
 
     /// A random motion to judge the model by.
     pub fn random(&self, mounting: &Mounting, seed: u64) -> Result<Plan, Failure> {
-        self.task(mounting, self.job.margins()).random(&self.search(seed)).map_err(|error| self.infeasible(&error))
+        self.task(mounting, self.job.margins()).random(&self.search(seed)).map_err(|error| self.no_plan(error))
     }
 
-    /// Checks that a plan from a file fits the job's robot and keeps every limit, margins apart, at 1 kHz.
+    /// Checks that a plan from a file fits the job's robot, keeps every limit, margins apart, at 1 kHz, passes the guard, and moves every joint.
     pub fn check(&self, plan: &Plan, path: &Path) -> Result<(), Failure> {
         let file = path.display().to_string();
         if plan.robot != self.robot.name {
@@ -294,10 +350,27 @@ impl<'a> Planner<'a> {
             return Err(BadInput::new(&file, "key `q0`", format!("{} joints", fourier.joints()), expected).into());
         }
         let verdict = self.task(&plan.mounting(), Margins::none()).with_problem(|problem| verdict(problem, &fourier));
-        match verdict.violations().next() {
-            Some(peak) => Err(BadInput::new(&file, "motion", peak, "a motion inside every limit of the job").into()),
-            None => Ok(()),
+        if let Some(peak) = verdict.violations().next() {
+            let expected = match self.job.backend.franka {
+                Some(_) => "a motion inside every limit of the job and of the connected arm",
+                None => "a motion inside every limit of the job",
+            };
+            return Err(BadInput::new(&file, "motion", peak, expected).into());
         }
+        check_usage(&self.usage(&fourier), None, 1).map_err(|error| no_plan(&file, error))
+    }
+
+    /// How much of each joint's limits a motion uses.
+    pub fn usage(&self, fourier: &Fourier) -> Vec<Usage> {
+        usage(&self.room.bounds(self.robot, self.job.margins()), fourier)
+    }
+
+    /// Checks that motions in one mounting together determine every parameter.
+    pub fn check_excitation(&self, mounting: &Mounting, motions: &[Fourier]) -> Result<(), Failure> {
+        let task = self.task(mounting, Margins::none());
+        let determined =
+            task.with_problem(|problem| check_excitation(problem.structure, &search::all(problem, motions)));
+        determined.map_err(|error| self.no_plan(error))
     }
 
     /// What the arm is held to on the ways between motions: everything to its full.
@@ -329,8 +402,21 @@ impl<'a> Planner<'a> {
         }
     }
 
-    fn infeasible(&self, error: &ExciteError) -> Failure {
-        infeasible(&self.job.file.display().to_string(), error)
+    fn no_plan(&self, error: ExciteError) -> Failure {
+        no_plan(&self.job.file.display().to_string(), error)
+    }
+}
+
+/// A search without a plan: a failed job where motions were found and none is of use, else bad input.
+fn no_plan(file: &str, error: ExciteError) -> Failure {
+    match error {
+        ExciteError::Frozen { .. } => Failure::job(format!(
+            "{file}: {error}. Give the joint more room: wider limits or box, another start pose, or another period"
+        )),
+        ExciteError::Unexcited { .. } => Failure::job(format!(
+            "{file}: {error}. Search longer (more starts), or give the arm more room: wider limits or box, more speed, a longer period"
+        )),
+        _ => infeasible(file, &error),
     }
 }
 
@@ -339,24 +425,26 @@ fn infeasible(file: &str, error: &ExciteError) -> Failure {
 }
 
 /// Where an arm may move, and how fast.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Room {
     limits: Limits,
     workspace: Workspace,
+    links_in_box: bool,
     envelope: Option<SpeedEnvelope>,
 }
 
 impl Room {
-    /// The robot's speed envelope goes with it, as the loop's guard holds motions to it: a stop has to stay under it, too.
-    fn of(robot: &Robot, limits: Limits, workspace: Workspace) -> Room {
+    /// The speed envelope is that which the loop's guard holds motions to: a stop has to stay under it, too.
+    fn of((limits, envelope): (Limits, Option<SpeedEnvelope>), workspace: Workspace, links_in_box: bool) -> Room {
         let ddq = limits.ddq.map(|ddq| MoveFactors::default().brake * ddq);
-        Room { limits, workspace, envelope: robot.envelope.map(|envelope| envelope.braked_with(&ddq)) }
+        Room { limits, workspace, links_in_box, envelope: envelope.map(|envelope| envelope.braked_with(&ddq)) }
     }
 
     fn bounds<'a>(&'a self, robot: &'a Robot, margins: Margins) -> Bounds<'a> {
         Bounds {
             workspace: Some(&self.workspace),
             shape: Some(&robot.shape),
+            links_in_box: self.links_in_box,
             envelope: self.envelope.as_ref(),
             ..Bounds::new(&robot.chain, &self.limits, margins)
         }

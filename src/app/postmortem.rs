@@ -76,8 +76,8 @@ fn again(file: &str, recording: &Recording) -> Result<Replayed, Failure> {
         }
         let chain = |_: &str| Ok(robot.chain.clone());
         let file = ModelFile::parse(&place(&name), text, chain).map_err(|bad| bad.to_string())?;
-        let evaluator = file.model.evaluator(&Vector3::from(handed.gravity));
-        Ok(Box::new(ServedModel { id: handed.id, evaluator }))
+        let [gravity, vendor] = [handed.gravity, handed.vendor.unwrap_or(handed.gravity)].map(Vector3::from);
+        Ok(Box::new(ServedModel::new(handed.id, &file.model, &gravity, &vendor)))
     };
     let kinematics = Box::new(Reach(robot.chain.clone()));
     replay(recording, Parts { kinematics: Some(kinematics), model: &mut model }).map_err(|error| {

@@ -1,7 +1,8 @@
 //! `plumbline predict`: torques of a model along a recorded motion.
 
+use super::Failure;
+use super::pipeline::{self, Predicted};
 use super::say::say;
-use super::{Failure, pipeline};
 use crate::config::robot::Robot;
 use crate::config::units::parse_mounting;
 use crate::dataset::{Dataset, Run};
@@ -21,7 +22,8 @@ pub struct Options {
     model: PathBuf,
     /// Recorded motion: a CSV file with columns t, q1..qn and, to compare with, tau1..taun
     run: PathBuf,
-    /// CSV file to write: t, tau1..taun, one row per sample
+    /// CSV file to write: t, tau1..taun and at_end, one row per sample. at_end is 1 near both ends of the motion, where the acceleration
+    /// depends on how the filter continues the motion past its end; elsewhere 0
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// Mounting of that motion: upright, wall, ceiling, or RHO,PHI with units; by default the dataset.toml beside the motion says
@@ -53,25 +55,26 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
     let measured_velocities = pipeline::measured_velocities(&options.velocities)?;
     let settings = Settings { measured_velocities, ..Settings::default() };
-    let (torques, rms) = pipeline::predict(model, &run, &settings)?;
+    let Predicted { torques, at_end, rms } = pipeline::predict(model, &run, &settings)?;
     let mut text = String::from("t");
     for j in 1..=run.joints() {
         write!(text, ",tau{j}").expect("a string takes everything");
     }
-    text.push('\n');
+    text.push_str(",at_end\n");
     for (k, t) in run.t.iter().enumerate() {
         write!(text, "{t}").expect("a string takes everything");
         for j in 0..run.joints() {
             write!(text, ",{}", torques[(k, j)]).expect("a string takes everything");
         }
-        text.push('\n');
+        writeln!(text, ",{}", u8::from(at_end[k])).expect("a string takes everything");
     }
     super::write(&options.out, text.as_bytes())?;
     if let Some(rms) = rms {
         let list = |values: &[f64]| values.iter().map(|value| format!("{value:.3}")).collect::<Vec<_>>().join(" ");
         say!("RMS of measured minus predicted torque [Nm]: raw {} | filtered {}", list(&rms.raw), list(&rms.filtered));
     }
-    say!("{}: {} samples", options.out.display(), run.samples());
+    let ends = at_end.iter().filter(|at_end| **at_end).count();
+    say!("{}: {} samples, {ends} of them marked `at_end`", options.out.display(), run.samples());
     Ok(())
 }
 

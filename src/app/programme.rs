@@ -2,13 +2,15 @@
 
 use super::Failure;
 use super::plan::Planner;
+use crate::backend::franka::RobotLimits;
 use crate::config::job::Job;
 use crate::config::robot::Robot;
 use crate::excite::fourier::Fourier;
 use crate::excite::limits::{Bounds, Peak, Quantity, check_pose};
 use crate::excite::plan::Plan;
+use crate::excite::rehearsal::rehearse_points;
 use crate::input::BadInput;
-use crate::joint::{JointVec, Setpoint};
+use crate::joint::{JointVec, Limits, Setpoint};
 use crate::model::gravity::{Mounting, VERTICAL_TOLERANCE};
 use crate::rt::moves::{self, MoveFactors};
 use crate::store::{load_plan, save_plan};
@@ -88,13 +90,13 @@ struct Slot {
 
 impl Programme {
     /// Plans every motion; `progress` hears which one is being planned and how far it is.
-    pub fn plan(job: &Job, robot: &Robot, progress: &(dyn Fn(&str, f64) + Sync)) -> Result<Programme, Failure> {
+    pub fn plan(planner: &Planner, progress: &(dyn Fn(&str, f64) + Sync)) -> Result<Programme, Failure> {
+        let job = planner.job;
         let slots = slots(job);
         let all = slots.len() as f64;
         let mut done = 0.0;
-        let planner = Planner::of(job, robot)?;
-        let mut ways = Ways::new(&planner, job, robot)?;
-        fill(job, slots, |slot| {
+        let mut ways = Ways::new(planner)?;
+        let programme = fill(job, slots, |slot| {
             let given = job.excitation.plan.is_some() && slot.role == Role::Identify && slot.first;
             let attempts = if given { 1 } else { ATTEMPTS };
             let mut broken = None;
@@ -116,21 +118,37 @@ impl Programme {
                 }
             }
             Err(way_blocked(job, &slot.name, broken, attempts))
-        })
+        })?;
+        programme.check_excitation(planner)?;
+        Ok(programme)
     }
 
-    /// Reads the plans that [`Programme::save`] wrote, and holds motions and ways to the limits once more.
-    pub fn load(job: &Job, robot: &Robot, dir: &Path) -> Result<Programme, Failure> {
-        let planner = Planner::of(job, robot)?;
-        let mut ways = Ways::new(&planner, job, robot)?;
-        fill(job, slots(job), |slot| {
-            let plan = load_plan(&file(dir, &slot.name))?;
-            planner.check(&plan, &file(dir, &slot.name))?;
-            match ways.go(&slot.mounting, &plan.q0) {
-                Ok(()) => Ok(plan),
-                Err(peak) => Err(way_blocked(job, &slot.name, Some(peak), 1)),
+    /// Reads the plans that [`Programme::save`] wrote. Whoever drives them checks them first ([`Programme::check`]).
+    pub fn load(job: &Job, dir: &Path) -> Result<Programme, Failure> {
+        fill(job, slots(job), |slot| Ok(load_plan(&file(dir, &slot.name))?))
+    }
+
+    /// Holds every motion, and every way between two of them, to the limits and to the rules of the loop's guard. `dir` holds the plans.
+    pub fn check(&self, planner: &Planner, dir: &Path) -> Result<(), Failure> {
+        let mut ways = Ways::new(planner)?;
+        for motion in self.motions() {
+            planner.check(&motion.plan, &file(dir, &motion.name))?;
+            ways.go(&motion.mounting, &motion.plan.q0)
+                .map_err(|peak| way_blocked(planner.job, &motion.name, Some(peak), 1))?;
+        }
+        Ok(())
+    }
+
+    /// The motions that one model is identified from determine its parameters.
+    fn check_excitation(&self, planner: &Planner) -> Result<(), Failure> {
+        for role in [Role::Identify, Role::Counter] {
+            let motions: Vec<&Motion> = self.motions().filter(|motion| motion.role == role).collect();
+            if let Some(first) = motions.first() {
+                let series: Vec<_> = motions.iter().map(|motion| motion.fourier.clone()).collect();
+                planner.check_excitation(&first.mounting, &series)?;
             }
-        })
+        }
+        Ok(())
     }
 
     /// Writes one plan file per motion.
@@ -166,9 +184,16 @@ struct Ways<'a> {
 }
 
 impl<'a> Ways<'a> {
-    fn new(planner: &'a Planner, job: &Job, robot: &Robot) -> Result<Ways<'a>, Failure> {
-        let rest = super::rest(job, robot)?;
-        Ok(Ways { bounds: planner.bounds(), rest, at: rest, mounting: None })
+    fn new(planner: &'a Planner) -> Result<Ways<'a>, Failure> {
+        let rest = super::rest(planner.job, planner.robot)?;
+        let bounds = planner.bounds();
+        if let Some((j, [min, max])) = outside(bounds.limits, &rest[..bounds.chain.len()]) {
+            // The job's own limits were asked before: these are the connected arm's.
+            let expected = format!("{min} to {max} rad for joint {}, the range of the connected arm", j + 1);
+            let file = planner.job.file.display().to_string();
+            return Err(BadInput::new(file, "key `backend.start`", format!("{} rad", rest[j]), expected).into());
+        }
+        Ok(Ways { bounds, rest, at: rest, mounting: None })
     }
 
     /// Goes to the start of a motion, where the arm can also go home from: it does after the last motion of a mounting, and after a
@@ -185,7 +210,7 @@ impl<'a> Ways<'a> {
         Ok(())
     }
 
-    /// Checks every millisecond of a way against box, sphere, bodies and speeds; range, acceleration and jerk are the way's own.
+    /// Checks every millisecond of a way against box, sphere, bodies and speeds, and by the rules of the guard.
     fn way(&self, from: &JointVec, to: &JointVec) -> Result<(), Peak> {
         let n = self.bounds.chain.len();
         let mut moves = moves::Planner::new(n, *self.bounds.limits, MoveFactors::default());
@@ -209,17 +234,25 @@ impl<'a> Ways<'a> {
                 }
             }
         }
-        Ok(())
+        rehearse_points(&self.bounds, (0..=moves.last_tick()).map(|tick| moves.at(tick))).map_or(Ok(()), Err)
     }
 }
 
-/// Whether the arm can go from where it stands to where a programme begins.
+/// The first joint (from 0) that stands outside its range, and that range \[rad\].
+pub fn outside(limits: &Limits, q: &[f64]) -> Option<(usize, [f64; 2])> {
+    let range = |j: usize| [limits.q_min[j], limits.q_max[j]];
+    // Written so that a NaN is outside, too.
+    let inside = |j: usize| q[j] >= limits.q_min[j] && q[j] <= limits.q_max[j];
+    (0..q.len()).find(|&j| !inside(j)).map(|j| (j, range(j)))
+}
+
+/// Whether the connected `arm` can go from where it stands to where a programme begins.
 ///
 /// # Errors
 /// A way that leaves the workspace or meets the arm itself, with what it breaks.
-pub fn free_way(job: &Job, robot: &Robot, from: &JointVec, to: &JointVec) -> Result<(), Failure> {
-    let planner = Planner::of(job, robot)?;
-    let ways = Ways::new(&planner, job, robot)?;
+pub fn free_way(job: &Job, robot: &Robot, arm: &RobotLimits, from: &JointVec, to: &JointVec) -> Result<(), Failure> {
+    let planner = Planner::of(job, robot, Some(arm))?;
+    let ways = Ways::new(&planner)?;
     ways.way(from, to).map_err(|peak| {
         Failure::job(format!(
             "from where the arm stands, the way to where the job begins is not free: {peak}. Move the arm by hand (guiding mode) to the \

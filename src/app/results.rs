@@ -11,13 +11,14 @@ use crate::dataset::{Dataset, Run};
 use crate::diagnose::{self, errors::Of};
 use crate::estimate::experiment::Settings;
 use crate::estimate::solve::Outcome;
+use crate::excite::plan::PlanUsage;
 use crate::ipc::{Session, Status, StreamCounters};
 use crate::model::gravity::Mounting;
 use crate::parallel::threads;
 use crate::report::figures::{Figures, PlanFigure};
 use crate::report::{
-    Base, CounterExperiment, EstimatorFacts, Fit, GravityFacts, Identifiability, IpcFacts, LoopFacts, Quantiles,
-    Report, SessionFacts, Validation,
+    Base, CounterExperiment, EstimatorFacts, Fit, GravityFacts, Identifiability, IpcFacts, LoopFacts, MotionUsage,
+    Quantiles, Report, SessionFacts, Validation,
 };
 use crate::store::{ModelFile, Provenance, Validated};
 use std::path::{Path, PathBuf};
@@ -32,6 +33,7 @@ pub struct Results {
     settings: Settings,
     out: PathBuf,
     plan: Option<Motion>,
+    motions: Vec<MotionUsage>,
     recorded: Vec<Recorded>,
     model: Option<Identified>,
     notes: Vec<String>,
@@ -46,6 +48,7 @@ impl Results {
             settings: job.settings(),
             out: out.to_path_buf(),
             plan: programme.motions().find(|motion| motion.role == Role::Identify).cloned(),
+            motions: programme.motions().filter_map(usage).collect(),
             recorded: Vec::new(),
             model: None,
             notes: Vec::new(),
@@ -132,6 +135,7 @@ impl Results {
             let runs = self.recorded.iter().map(|own| (own.number, own.run.file.as_str(), own.run.mounting));
             GravityFacts::of(said, self.job.mounting, runs)
         });
+        report.motions = self.motions.clone();
         report.cycle = Some(self.loop_facts(status));
         let wall_clock = self.wall_clock();
         report.sessions = status.sessions.iter().map(|session| SessionFacts::of(session, wall_clock)).collect();
@@ -288,6 +292,12 @@ impl Results {
     }
 }
 
+/// What a motion uses of the joints' limits, as its plan says.
+fn usage(motion: &Motion) -> Option<MotionUsage> {
+    let PlanUsage { range, speed } = motion.plan.usage.clone()?;
+    Some(MotionUsage { motion: motion.name.clone(), range, speed })
+}
+
 /// One line of the paper's Tables IV and V.
 fn validation(run: &Run, judged: &Judged) -> Validation {
     let served: Option<Vec<&[f64]>> = (1..=run.joints()).map(|j| run.extra(&format!("tau_ff{j}"))).collect();
@@ -319,7 +329,7 @@ pub fn report_of(identified: &Identified, mounting: Mounting, provenance: &Prove
     Report {
         robot: identified.model.robot().to_string(),
         mounting: mounting.into(),
-        base: Base::new(identified.model.kind(), identified.model.parameters()),
+        base: Base::of(&identified.model),
         identify: Fit {
             rms: identification.rms.raw.clone(),
             rms_raw: identification.rms.raw.clone(),

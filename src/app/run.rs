@@ -4,7 +4,7 @@ use super::estimator::status;
 use super::say::say;
 use super::signals::Ending;
 use super::{Failure, JobOptions, plan, progress, robot_id};
-use crate::ipc::{Client, Request, Response, RobotId};
+use crate::ipc::{Client, Progress, Request, Response, RobotId};
 use crate::report::Report;
 use clap::Args;
 use rustix::process::{Pid, Signal, kill_process};
@@ -36,7 +36,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     super::truth(&job)?;
     super::rest(&job, &robot)?;
     std::fs::create_dir_all(&out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
-    let programme = plan::programme(&job, &robot, &out)?;
+    let programme = plan::programme(&job, &robot, &out, plan::arm_limits(&job)?.as_ref())?;
     let ticks: usize = programme.motions().map(|motion| motion.ticks()).sum();
 
     let ending = Ending::watch()?;
@@ -74,6 +74,7 @@ fn drive(
         start(&mut client, ending)?;
         let bar = progress::bar("running");
         let mut restarts = 0;
+        let mut stopped: Option<Instant> = None;
         loop {
             std::thread::sleep(LOOK);
             if let Some(cause) = ending.cause() {
@@ -100,6 +101,13 @@ fn drive(
             // A daemon that is busy for a moment is no reason to give up; one that is gone is seen above.
             if let Ok(now) = status(id) {
                 bar.at(now.cycles as f64 / (1.3 * ticks as f64), &now.job);
+                // The estimator ends by itself then, unless it computes on and on.
+                if now.progress == Progress::Stopped && stopped.get_or_insert_with(Instant::now).elapsed() > PATIENCE {
+                    let why = now.stopped.unwrap_or_default();
+                    return Err(Failure::job(format!(
+                        "the arm was stopped: {why}; the estimator did not end by itself"
+                    )));
+                }
             }
         }
         bar.done();

@@ -14,15 +14,22 @@
 use crate::joint::{JointVec, Setpoint, Torque};
 use crate::model::chain::Chain;
 use crate::model::term::Sample;
-use crate::model::torque::Evaluator;
+use crate::model::torque::{Evaluator, TorqueModel};
 use crate::rt::{FeedForward, Kinematics};
+use nalgebra::Vector3;
 
-/// An identified model, ready for one direction of gravity.
+/// An identified model, ready for the gravity that acts and for the one that the arm's own controller compensates.
 pub struct ServedModel {
-    /// Identity of the model file's text.
-    pub id: u64,
-    /// The model.
-    pub evaluator: Evaluator,
+    id: u64,
+    evaluator: Evaluator,
+    vendor: Evaluator,
+}
+
+impl ServedModel {
+    /// `model` of identity `id` under `gravity`, on an arm that compensates `vendor`, both in the base frame \[m/s2\].
+    pub fn new(id: u64, model: &TorqueModel, gravity: &Vector3<f64>, vendor: &Vector3<f64>) -> ServedModel {
+        ServedModel { id, evaluator: model.evaluator(gravity), vendor: model.evaluator(vendor) }
+    }
 }
 
 impl FeedForward for ServedModel {
@@ -36,8 +43,8 @@ impl FeedForward for ServedModel {
     }
 
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    fn rest(&mut self, q: &JointVec) -> Torque {
-        self.evaluator.rest(q)
+    fn vendor_torque(&mut self, q: &JointVec) -> Torque {
+        self.vendor.rest(q)
     }
 }
 
@@ -53,7 +60,7 @@ impl FeedForward for NoModel {
         Torque::default()
     }
 
-    fn rest(&mut self, _: &JointVec) -> Torque {
+    fn vendor_torque(&mut self, _: &JointVec) -> Torque {
         Torque::default()
     }
 }

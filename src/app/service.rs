@@ -135,7 +135,10 @@ impl Messenger {
                 tracing::debug!("systemd was not told: {error}");
             }
         });
-        started.map(Messenger).inspect_err(|error| tracing::warn!("systemd will not be told how this process does: {error}")).ok()
+        started
+            .map(Messenger)
+            .inspect_err(|error| tracing::warn!("systemd will not be told how this process does: {error}"))
+            .ok()
     }
 
     fn tell(&self, word: String) {

@@ -129,7 +129,8 @@ mod tests {
     fn every_signal_that_ends_a_process_is_caught_or_excepted_by_name() {
         // The signals whose default is to stop a process, to go on, or to do nothing: signal(7).
         let harmless = [libc::SIGCHLD, libc::SIGCONT, libc::SIGTTIN, libc::SIGTTOU, libc::SIGURG, libc::SIGWINCH];
-        let broken = [libc::SIGABRT, libc::SIGBUS, libc::SIGFPE, libc::SIGILL, libc::SIGSEGV, libc::SIGSYS, libc::SIGTRAP];
+        let broken =
+            [libc::SIGABRT, libc::SIGBUS, libc::SIGFPE, libc::SIGILL, libc::SIGSEGV, libc::SIGSYS, libc::SIGTRAP];
         let others = [libc::SIGKILL, libc::SIGSTOP, libc::SIGPIPE, libc::SIGUSR2];
         let caught: Vec<i32> = caught(false).collect();
         for signal in 1..=31 {

@@ -333,6 +333,10 @@ pub struct Workspace {
     pub box_max: [f64; 3],
     /// Radius of the sphere around the base that the end effector stays out of \[m\].
     pub base_radius: f64,
+    /// Whether planned motions keep the surfaces of the links from link 3 on in the box, too: the elbow, for instance. The paper's box is
+    /// the end effector's alone, and so is the guard's.
+    #[serde(default)]
+    pub links_in_box: bool,
 }
 
 /// Signal processing and estimator; what is absent is left to the estimator's own defaults.
@@ -402,11 +406,14 @@ pub struct Safety {
     pub max_lost: u32,
     /// What the arm does when the estimator is gone in mid-run.
     pub on_estimator_loss: OnLoss,
+    /// How long the arm holds for the model after the motions that it is identified from; then the programme ends with a controlled stop \[s\].
+    #[serde(deserialize_with = "units::duration")]
+    pub model_timeout: f64,
 }
 
 impl Default for Safety {
     fn default() -> Safety {
-        Safety { tracking_error: 0.1, max_lost: 10, on_estimator_loss: OnLoss::Finish }
+        Safety { tracking_error: 0.1, max_lost: 10, on_estimator_loss: OnLoss::Finish, model_timeout: 120.0 }
     }
 }
 

@@ -11,7 +11,8 @@
 
 use super::evidence::{BANDS, Evidence};
 use super::moments::{Cross, Moments};
-use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use crate::decomposition::symmetric_eigen;
+use nalgebra::{DMatrix, DVector};
 
 /// Directions of the equilibrated normal equations below this share of the largest are left alone.
 const RANK: f64 = 1e-11;
@@ -295,7 +296,7 @@ impl Problem<'_> {
     }
 }
 
-/// Inverse of a symmetric matrix after its diagonal was made one, on the directions that it determines.
+/// Inverse of a symmetric matrix after its diagonal was made one, on the directions that it determines; none where it is not finite.
 pub fn inverse(g: &DMatrix<f64>) -> DMatrix<f64> {
     let scale: Vec<f64> = g.diagonal().iter().map(|d| if *d > 0.0 { 1.0 / d.sqrt() } else { 0.0 }).collect();
     let scaled = DMatrix::from_fn(g.nrows(), g.ncols(), |i, k| g[(i, k)] * scale[i] * scale[k]);
@@ -307,7 +308,7 @@ pub fn inverse(g: &DMatrix<f64>) -> DMatrix<f64> {
     let inverse = match well {
         Some(factor) => factor.inverse(),
         None => {
-            let eigen = SymmetricEigen::new(scaled);
+            let Some(eigen) = symmetric_eigen(scaled) else { return DMatrix::zeros(g.nrows(), g.ncols()) };
             let least = RANK * eigen.eigenvalues.max();
             let weighted = DMatrix::from_fn(g.nrows(), g.ncols(), |i, k| {
                 let value = eigen.eigenvalues[k];
@@ -324,7 +325,7 @@ fn inverse_of_least(alone: &DMatrix<f64>, c: &DMatrix<f64>) -> Option<DMatrix<f6
     let l = c.nrows();
     let scale: Vec<f64> = c.diagonal().iter().map(|d| if *d > 0.0 { 1.0 / d.sqrt() } else { 0.0 }).collect();
     let scaled = DMatrix::from_fn(l, l, |i, k| alone[(i, k)] * scale[i] * scale[k]);
-    let eigen = SymmetricEigen::new(scaled);
+    let eigen = symmetric_eigen(scaled)?;
     let weighted = DMatrix::from_fn(l, l, |i, k| {
         let value = eigen.eigenvalues[k];
         if value > LEAST { eigen.eigenvectors[(i, k)] / value } else { 0.0 }

@@ -55,14 +55,16 @@ impl Differentiator {
         self.cutoff
     }
 
-    /// The motion of positions `q`, N x n \[rad\], without `edge` samples (at least [`Differentiator::edge`]) at both ends.
+    /// The motion of positions `q`, N x n \[rad\], without `edge` samples at both ends. Within [`Differentiator::edge`] samples of an end,
+    /// the accelerations depend on the filter's continuation of the positions past that end.
     pub fn motion(&self, q: &DMatrix<f64>, edge: usize) -> Motion {
         let (samples, n) = q.shape();
         assert!(samples > 2 * edge, "{samples} samples are no more than both edges");
         let count = samples - 2 * edge;
         let zeros = || DMatrix::zeros(count, n);
         let (dt, gravity, periodic) = (self.dt, self.gravity, self.periodic);
-        let mut motion = Motion { dt, q: zeros(), dq: zeros(), ddq: zeros(), gravity, periodic, start: 0.0 };
+        let start = edge as f64 * dt;
+        let mut motion = Motion { dt, q: zeros(), dq: zeros(), ddq: zeros(), gravity, periodic, start };
         let mut spectral = Spectral::new(samples, dt);
         for j in 0..n {
             let [q, dq, ddq] = self.joint(&mut spectral, q.column(j).as_slice());

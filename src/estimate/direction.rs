@@ -10,6 +10,7 @@
 //! `T(q)` are the model's torques under gravity of 1 m/s2 along the base axes. A wrong sign of a torque sensor, a base that hangs where
 //! it was declared to stand, a payload that nobody declared: all of them show here, and nothing has to move for it.
 
+use crate::decomposition::symmetric_eigen;
 use crate::joint::JointVec;
 use crate::model::gravity::{G, Mounting};
 use crate::model::term::Sample;
@@ -72,7 +73,8 @@ impl Direction {
         let along = self.gravity / strength;
         let across = Matrix3::identity() - along * along.transpose();
         let spread = across * self.covariance * across;
-        spread.symmetric_eigenvalues().max().max(0.0).sqrt() / strength
+        let eigen = symmetric_eigen(spread);
+        eigen.map_or(f64::INFINITY, |eigen| eigen.eigenvalues.max().max(0.0).sqrt() / strength)
     }
 
     /// Sum of the squared residuals over the joints' variances; about `n poses - 3` where model and torques agree.
@@ -139,7 +141,9 @@ pub fn direction(model: &TorqueModel, poses: &[Pose], sigma: &[f64]) -> Result<D
         }
     }
     let information: Matrix3<f64> = (a.transpose() * &a).fixed_view::<3, 3>(0, 0).into_owned();
-    let eigen = information.symmetric_eigen();
+    let Some(eigen) = symmetric_eigen(information) else {
+        return Err(DirectionError::Blind { along: Vector3::zeros(), std: f64::INFINITY });
+    };
     let (weakest, least) = eigen.eigenvalues.argmin();
     let std = if least > 0.0 { least.sqrt().recip() } else { f64::INFINITY };
     if std > BLIND {

@@ -57,10 +57,13 @@ pub struct Experiment {
     filter: Butterworth,
     /// Positions on the even grid with the ends, not filtered \[rad\].
     q: DMatrix<f64>,
+    /// Measured velocities on the same grid \[rad/s\], where velocities and accelerations come from them.
+    dq: Option<DMatrix<f64>>,
     differentiator: Differentiator,
+    /// That of the motion along which a model is compared with raw torques.
+    judging: Differentiator,
+    /// Samples of the grid that are cut off both ends.
     edge: usize,
-    /// Whether velocities and accelerations come from measured velocities.
-    measured_velocities: bool,
     /// First sample of the grid after those left out.
     first: usize,
 }
@@ -198,15 +201,7 @@ impl Experiment {
             return Err(SignalError::TooShort { samples, needed: 2 * edge + 2 * step });
         }
         let dq = (values.ncols() > 2 * n).then(|| values.columns(2 * n, n).into_owned());
-        // Behind the filter of the positions, so that all stay in step.
-        let motion = |differentiator: &Differentiator| {
-            let mut motion = differentiator.motion(&q, edge);
-            if let Some(dq) = &dq {
-                let measured = differentiator.motion(dq, edge);
-                (motion.dq, motion.ddq) = (measured.q, measured.dq);
-            }
-            motion
-        };
+        let motion = |differentiator: &Differentiator| motion_of(differentiator, &q, dq.as_ref(), edge);
         let narrower = judging.cutoff() < differentiator.cutoff();
         let of_tau = || deviations.columns(n, n).into_owned();
         let mut experiment = Experiment {
@@ -228,9 +223,10 @@ impl Experiment {
             kept: (0..count).step_by(step).collect(),
             filter,
             q,
+            dq,
             differentiator,
+            judging,
             edge,
-            measured_velocities: dq.is_some(),
             first,
         };
         experiment.leave_out_rests(settings.rest);
@@ -279,10 +275,17 @@ impl Experiment {
         Ok(self)
     }
 
+    /// The motion along which a model is compared with raw torques, with the samples that are cut off both ends of a run that does not
+    /// repeat, and how many those are at each end. There the accelerations depend on the filter's continuation of the motion past its end.
+    pub fn with_ends(&self) -> (Motion, usize) {
+        let differentiator = if self.judged.is_some() { &self.judging } else { &self.differentiator };
+        (motion_of(differentiator, &self.q, self.dq.as_ref(), 0), self.edge)
+    }
+
     /// The motion that other positions on the whole grid would have given: `offset` is added to the measured ones, N x n \[rad\].
     pub fn moved(&self, offset: &DMatrix<f64>) -> Motion {
         let mut moved = self.differentiator.motion(&(&self.q + offset), self.edge);
-        if self.measured_velocities {
+        if self.dq.is_some() {
             moved.dq.copy_from(&self.motion.dq);
             moved.ddq.copy_from(&self.motion.ddq);
         }
@@ -359,6 +362,17 @@ impl Experiment {
     pub fn stacked_tau(&self) -> DMatrix<f64> {
         DMatrix::from_column_slice(self.tau.len(), 1, self.tau.as_slice())
     }
+}
+
+/// The motion of positions and, where they are measured, velocities, without `edge` samples at both ends. Measured velocities pass the filter
+/// of the positions, so that all stay in step.
+fn motion_of(differentiator: &Differentiator, q: &DMatrix<f64>, dq: Option<&DMatrix<f64>>, edge: usize) -> Motion {
+    let mut motion = differentiator.motion(q, edge);
+    if let Some(dq) = dq {
+        let measured = differentiator.motion(dq, edge);
+        (motion.dq, motion.ddq) = (measured.q, measured.dq);
+    }
+    motion
 }
 
 /// Standard deviation of white noise with the power that a record, sampled at `rate` \[Hz\], has between half of the widest position

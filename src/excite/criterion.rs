@@ -1,10 +1,12 @@
 //! How well a motion excites the parameters of a model: paper eq. 11 and its other readings.
 
+use super::ExciteError;
 use super::fourier::Fourier;
-use crate::model::conditioning::{Conditions, conditions, friction_columns};
+use crate::decomposition::singular_values;
+use crate::model::conditioning::{Conditions, conditions, dependent_columns, friction_columns};
 use crate::model::structure::Structure;
 use crate::model::term::Motion;
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// What a search makes small.
@@ -51,11 +53,27 @@ impl Criterion {
                     w.rows_mut(joint * samples, samples).scale_mut(1.0 / (sigma * (samples as f64).sqrt()));
                 }
                 let columns = w.ncols() as f64;
-                let value = -w.singular_values().map(f64::ln).sum() / columns;
-                if value.is_finite() { value } else { f64::INFINITY }
+                let value = singular_values(w).map(|values| -values.map(f64::ln).sum() / columns);
+                value.filter(|value| value.is_finite()).unwrap_or(f64::INFINITY)
             }
         }
     }
+}
+
+/// Highest condition number of the column-equilibrated regressor of motions to identify from. Torque noise of 1 % leaves an error of
+/// 0.01 % after 10 000 samples (10 s at 1 kHz), and at a condition number of 1e4 that can change the combination of parameters that is
+/// determined worst by its whole size. Usual plans have 5 to 20.
+pub const MAX_CONDITION: f64 = 1e4;
+
+/// Errors when motions together leave parameters undetermined ([`MAX_CONDITION`]), with their names.
+pub fn check_excitation(structure: &Structure, motion: &Motion) -> Result<(), ExciteError> {
+    let (condition, columns) = dependent_columns(&structure.regressor(motion), MAX_CONDITION);
+    // Also where it is not a number.
+    if condition <= MAX_CONDITION {
+        return Ok(());
+    }
+    let parameters = columns.into_iter().map(|c| structure.columns()[c].name.clone()).collect();
+    Err(ExciteError::Unexcited { condition, parameters })
 }
 
 /// One period of a Fourier motion on an even grid of `samples`, in a mounting.
@@ -100,10 +118,8 @@ pub fn evaluate(structure: &Structure, motion: &Motion, sigma: &[f64]) -> Condit
 pub fn raw_condition(structure: &Structure, motion: &Motion) -> f64 {
     let w = structure.regressor(motion);
     let gram = w.tr_mul(&w);
-    if gram.iter().any(|value| !value.is_finite()) {
-        return f64::INFINITY;
-    }
-    let eigenvalues: DVector<f64> = gram.symmetric_eigenvalues();
+    // Those of a product `W' W` are its singular values.
+    let Some(eigenvalues) = singular_values(gram) else { return f64::INFINITY };
     let (least, largest) = (eigenvalues.min(), eigenvalues.max());
     if least > 1e-14 * largest { (largest / least).sqrt() } else { f64::INFINITY }
 }

@@ -1,6 +1,8 @@
 //! What keeps a motion from being built or found.
 
+use super::criterion::MAX_CONDITION;
 use super::limits;
+use super::usage::{MIN_USAGE, Usage};
 
 /// Why a motion can't be built or found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -61,19 +63,19 @@ pub enum ExciteError {
         /// The bound it breaks.
         reason: String,
     },
-    /// The start pose needs more torque than a joint has.
+    /// The start pose needs more torque than a joint has, or brings a link where it must not be.
     #[error("start pose: {violation}")]
-    StartTorque {
-        /// What it would take.
+    StartPose {
+        /// The limit that it breaks.
         violation: limits::Peak,
     },
     /// No start pose inside joint limits and workspace was found.
-    #[error("no start pose inside the joint limits and the workspace in {tried} random ones; the last end effector was at [{:.3}, {:.3}, {:.3}] m", last[0], last[1], last[2])]
+    #[error("no start pose that the arm can rest at in {tried} random ones{}", last.as_ref().map_or(String::new(), |last| format!("; the last: {last}")))]
     NoStart {
         /// Poses tried.
         tried: usize,
-        /// End effector of the last one \[m\].
-        last: [f64; 3],
+        /// What was wrong with the last one.
+        last: Option<Box<ExciteError>>,
     },
     /// The limits leave a joint no room.
     #[error("joint {joint}: limits less their margins leave no {what}")]
@@ -97,9 +99,26 @@ pub enum ExciteError {
         /// Joints of the arm.
         expected: usize,
     },
-    /// No motion was found that excites every parameter.
-    #[error("the motions found leave a parameter unexcited")]
-    Unexcited,
+    /// A joint hardly moves.
+    #[error("{}", frozen(*joint, usage, held_by, *draws))]
+    Frozen {
+        /// Joint that moves least, counted from 1.
+        joint: usize,
+        /// What the motion uses of its limits.
+        usage: Usage,
+        /// The limit that kept the motion small, where that is known.
+        held_by: Option<limits::Peak>,
+        /// Random motions that were tried.
+        draws: usize,
+    },
+    /// No motion was found that determines every parameter.
+    #[error("{}", unexcited(*condition, parameters))]
+    Unexcited {
+        /// Condition number of the column-equilibrated regressor; infinite where a parameter is not excited at all.
+        condition: f64,
+        /// Names of the parameters that can't be told apart, or are not excited.
+        parameters: Vec<String>,
+    },
     /// The search was given nothing to spend.
     #[error("{starts} starts on {samples} samples a period: expected at least 1 and 20")]
     Budget {
@@ -122,4 +141,22 @@ pub enum ExciteError {
         /// Harmonics asked for.
         harmonics: usize,
     },
+}
+
+fn frozen(joint: usize, usage: &Usage, held_by: &Option<limits::Peak>, draws: usize) -> String {
+    let held = held_by.as_ref().map_or(String::new(), |peak| format!("; a larger motion breaks: {peak}"));
+    let tried = if draws > 1 { format!(" in the best of {draws} random motions") } else { String::new() };
+    let (range, speed) = (100.0 * usage.range, 100.0 * usage.speed);
+    let least = 100.0 * MIN_USAGE;
+    format!(
+        "joint {joint} is frozen: it uses {range:.1} % of its range and {speed:.1} % of its speed{tried}, expected at least \
+         {least:.0} % of its range, speed, acceleration or jerk{held}"
+    )
+}
+
+fn unexcited(condition: f64, parameters: &[String]) -> String {
+    let names = parameters.join(", ");
+    format!(
+        "the motion does not determine {names}: condition number {condition:.3e} (column-equilibrated), expected at most {MAX_CONDITION}"
+    )
 }

@@ -72,8 +72,11 @@ pub struct Bounds<'a> {
     pub limits: &'a Limits,
     /// Where its end effector may be (paper eq. 14); `None` leaves it free.
     pub workspace: Option<&'a Workspace>,
-    /// Bodies of the links: they are held in the box (from link [`FIRST_BOXED`] on), and off each other; `None` leaves them free.
+    /// Bodies of the links, which are held off each other; `None` leaves them free.
     pub shape: Option<&'a Shape>,
+    /// Whether the bodies, from link [`FIRST_BOXED`] on, are held in the end effector's box, too. The paper asks it of the end effector
+    /// alone (eq. 14).
+    pub links_in_box: bool,
     /// Speed limits that depend on position, on top of those of `limits`.
     pub envelope: Option<&'a SpeedEnvelope>,
     /// What to leave free of each limit.
@@ -81,9 +84,9 @@ pub struct Bounds<'a> {
 }
 
 impl<'a> Bounds<'a> {
-    /// An arm and the limits of its joints; workspace, bodies and speed envelope are left free.
+    /// An arm and the limits of its joints; workspace, bodies and speed envelope are left free, and links may leave the box.
     pub fn new(chain: &'a Chain, limits: &'a Limits, margins: Margins) -> Bounds<'a> {
-        Bounds { chain, limits, workspace: None, shape: None, envelope: None, margins }
+        Bounds { chain, limits, workspace: None, shape: None, links_in_box: false, envelope: None, margins }
     }
 
     /// Highest speeds of joint `j` (from 0) at position `q`, downwards and upwards, both as positive numbers, less their margin
@@ -106,8 +109,14 @@ pub enum Quantity {
     PositionMin,
     /// Upper end of a joint's range \[rad\].
     PositionMax,
+    /// Lowest position at which a stop from here comes to rest \[rad\].
+    StopMin,
+    /// Highest position at which a stop from here comes to rest \[rad\].
+    StopMax,
     /// Speed \[rad/s\].
     Velocity,
+    /// Speed that the acceleration leads to even if a stop takes it back from here on \[rad/s\].
+    VelocityAhead,
     /// Acceleration \[rad/s2\].
     Acceleration,
     /// Jerk \[rad/s3\].
@@ -136,7 +145,9 @@ impl Quantity {
         match self {
             Quantity::PositionMin => ("position".into(), "rad"),
             Quantity::PositionMax => ("position".into(), "rad"),
+            Quantity::StopMin | Quantity::StopMax => ("position after a stop".into(), "rad"),
             Quantity::Velocity => ("velocity".into(), "rad/s"),
+            Quantity::VelocityAhead => ("velocity in a stop".into(), "rad/s"),
             Quantity::Acceleration => ("acceleration".into(), "rad/s2"),
             Quantity::Jerk => ("jerk".into(), "rad/s3"),
             Quantity::Torque => ("torque".into(), "Nm"),
@@ -151,8 +162,14 @@ impl Quantity {
 
     /// Whether the value must stay above the limit rather than below.
     fn is_lower(self) -> bool {
-        use Quantity::{BaseSphere, BoxMin, Clearance, LinkBoxMin, PositionMin};
-        matches!(self, PositionMin | BoxMin(_) | BaseSphere | LinkBoxMin(_) | Clearance(..))
+        use Quantity::{BaseSphere, BoxMin, Clearance, LinkBoxMin, PositionMin, StopMin};
+        matches!(self, PositionMin | StopMin | BoxMin(_) | BaseSphere | LinkBoxMin(_) | Clearance(..))
+    }
+
+    /// Whether the limit is one joint's own: a smaller motion of that joint alone keeps it.
+    pub(super) fn is_of_one_joint(self) -> bool {
+        use Quantity::{Acceleration, Jerk, PositionMax, PositionMin, StopMax, StopMin, Velocity, VelocityAhead};
+        matches!(self, PositionMin | PositionMax | StopMin | StopMax | Velocity | VelocityAhead | Acceleration | Jerk)
     }
 }
 
@@ -241,7 +258,7 @@ impl Check {
         }
         let Some(shape) = bounds.shape else { return };
         let segments = shape.placed(bounds.chain, q);
-        if let Some(workspace) = bounds.workspace {
+        if let Some(workspace) = bounds.workspace.filter(|_| bounds.links_in_box) {
             for (capsule, ends) in shape.capsules().iter().zip(&segments).filter(|(c, _)| c.link >= FIRST_BOXED) {
                 let (low, high) = (ends[0].inf(&ends[1]), ends[0].sup(&ends[1]));
                 let link = Some(capsule.link);
@@ -418,6 +435,7 @@ mod tests {
         let bounds = Bounds {
             workspace: Some(&workspace),
             shape: Some(&shape),
+            links_in_box: true,
             ..Bounds::new(&chain, &wide, Margins { clearance: 0.04, ..Margins::default() })
         };
         let check = verify(&bounds, &fourier, None);
@@ -429,6 +447,9 @@ mod tests {
         assert!(!clearance.is_violation());
         let side = peak(Quantity::LinkBoxMin(1));
         assert!((side.value + 0.05).abs() < 1e-9 && side.joint == Some(3), "{side}");
+        // Nobody asked for it: the paper's box is the end effector's.
+        let free = verify(&Bounds { links_in_box: false, ..bounds }, &fourier, None);
+        assert!(free.peaks.iter().all(|p| !matches!(p.quantity, Quantity::LinkBoxMin(_) | Quantity::LinkBoxMax(_))));
         let near = Bounds { margins: Margins { clearance: 0.09, ..bounds.margins }, ..bounds };
         let text = verify(&near, &fourier, None).violations().next().unwrap().to_string();
         assert!(

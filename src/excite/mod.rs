@@ -7,7 +7,9 @@ pub mod limits;
 pub mod nominal;
 pub mod optimiser;
 pub mod plan;
+pub mod rehearsal;
 pub mod search;
 pub mod shape;
+pub mod usage;
 
 pub use error::ExciteError;

@@ -3,6 +3,7 @@
 use super::ExciteError;
 use super::fourier::Fourier;
 use super::limits::{Bounds, Margins};
+use super::usage::Usage;
 use crate::joint::Workspace;
 use crate::model::conditioning::Conditions;
 use crate::model::gravity::Mounting;
@@ -35,6 +36,27 @@ pub struct Plan {
     pub conditions: Conditions,
     /// What the motion was held to.
     pub constraints: Constraints,
+    /// How much of each joint's limits the motion uses, for people and the report; absent in plans of earlier versions.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub usage: Option<PlanUsage>,
+}
+
+/// Shares of the limits, less their margins, that a motion uses, one entry per joint.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct PlanUsage {
+    /// Distance between the highest and the lowest position, of the range.
+    pub range: Vec<f64>,
+    /// Highest speed, of the highest speed that the joint has anywhere.
+    pub speed: Vec<f64>,
+}
+
+impl PlanUsage {
+    /// The shares of every joint, n, in thousandths.
+    pub fn of(usage: &[Usage]) -> PlanUsage {
+        let rounded = |of: fn(&Usage) -> f64| usage.iter().map(|usage| (of(usage) * 1e3).round() / 1e3).collect();
+        PlanUsage { range: rounded(|usage| usage.range), speed: rounded(|usage| usage.speed) }
+    }
 }
 
 /// The limits that a plan was held to, one entry per joint, and what it left free of them.
@@ -66,6 +88,9 @@ pub struct Constraints {
     /// Radius of the sphere round the base that it stays out of \[m\]; absent when it was left free.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub base_radius: Option<f64>,
+    /// Whether the links were held in the box, too.
+    #[serde(default)]
+    pub links_in_box: bool,
     /// What was left free of each limit.
     pub margins: Margins,
 }
@@ -87,6 +112,7 @@ impl Constraints {
             box_min: space(|workspace| workspace.box_min),
             box_max: space(|workspace| workspace.box_max),
             base_radius: bounds.workspace.map(|workspace| workspace.base_radius),
+            links_in_box: bounds.links_in_box,
             margins: bounds.margins,
         }
     }

@@ -3,14 +3,17 @@
 use super::ExciteError;
 use super::criterion::{Criterion, evaluate, sampled, stacked};
 use super::fourier::{Fourier, MAX_HARMONICS};
-use super::limits::{Bounds, Check, Peak, check, check_pose, verify};
+use super::limits::{Bounds, Check, Peak, Quantity, check, check_pose, verify};
 use super::nominal::Nominal;
 use super::optimiser::FINE;
-use super::plan::{Constraints, Plan};
+use super::plan::{Constraints, Plan, PlanUsage};
+use super::rehearsal::rehearse;
+use super::usage::{WANTED_USAGE, check_usage, least, usage};
 use crate::joint::JointVec;
 use crate::model::conditioning::Conditions;
 use crate::model::gravity::Mounting;
 use crate::model::structure::Structure;
+use crate::model::term::Motion;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -97,15 +100,61 @@ const GENTLE: usize = 8;
 const SHRINKINGS: usize = 80;
 /// Extra room on the coarse grid, whose samples can straddle a peak.
 const COARSE_ROOM: f64 = 0.99;
+/// Random motions that are drawn at most.
+const DRAWS: usize = 50;
+/// Steps of a bisection.
+const BISECTIONS: usize = 30;
 
-/// A random motion that keeps every limit at 1 kHz, for validation. `amplitude` (0 to 1) is the share of each joint's room that it
-/// uses. Only the condition numbers of the plan depend on the structure.
+/// A random motion that keeps every limit at 1 kHz and moves every joint, for validation. `amplitude` (0 to 1) is the share of each joint's
+/// room that it uses. Only the condition numbers of the plan depend on the structure.
+///
+/// A start pose near the box or near another link leaves a motion about it little room: below [`WANTED_USAGE`] another one is drawn. The best
+/// of the draws is taken.
+///
+/// # Errors
+/// [`ExciteError::Frozen`] where even that leaves a joint below [`super::usage::MIN_USAGE`], and what keeps motions from being drawn at all.
 pub fn random(problem: &Problem, search: &Search, amplitude: f64) -> Result<Plan, ExciteError> {
     validate(problem, search)?;
     let mut rng = ChaCha8Rng::seed_from_u64(search.seed);
-    let fourier = random_motion(problem, search, amplitude, &mut rng)?;
-    let fourier = shrink(fourier, |fourier| coarse(problem, fourier, search.samples))?;
-    plan_of(problem, search, shrink(fourier, |fourier| verdict(problem, fourier))?)
+    let mut best: Option<Drawn> = None;
+    let mut trouble = None;
+    for _ in 0..DRAWS {
+        let drawn = random_motion(problem, search, amplitude, &mut rng)?;
+        let held_by = coarse(problem, &drawn, search.samples).violations().next().copied();
+        let kept = shrink(drawn, |fourier| coarse(problem, fourier, search.samples))
+            .and_then(|fourier| shrink(fourier, |fourier| verdict(problem, fourier)));
+        let fourier = match kept {
+            Ok(fourier) => fourier,
+            Err(error) => {
+                trouble = Some(error);
+                continue;
+            }
+        };
+        let least = least(&usage(&problem.bounds, &fourier)).map_or(0.0, |(_, usage)| usage.largest());
+        if best.as_ref().is_none_or(|best| least > best.least) {
+            best = Some(Drawn { fourier, least, held_by });
+        }
+        if least >= WANTED_USAGE {
+            break;
+        }
+    }
+    match (best, trouble) {
+        (Some(Drawn { fourier, held_by, .. }), _) => {
+            check_usage(&usage(&problem.bounds, &fourier), held_by, DRAWS)?;
+            plan_of(problem, search, fourier)
+        }
+        (None, Some(error)) => Err(error),
+        (None, None) => Err(ExciteError::Budget { starts: search.starts, samples: search.samples }),
+    }
+}
+
+/// A random motion inside the limits.
+struct Drawn {
+    fourier: Fourier,
+    /// Usage of the joint that it moves least.
+    least: f64,
+    /// What a larger motion of this form breaks.
+    held_by: Option<Peak>,
 }
 
 pub(super) fn validate(problem: &Problem, search: &Search) -> Result<(), ExciteError> {
@@ -149,13 +198,16 @@ fn can_rest(problem: &Problem, q0: &[f64]) -> Result<(), ExciteError> {
         }
     }
     if let Some(violation) = check_pose(&problem.bounds, q0).violations().next() {
+        if !matches!(violation.quantity, Quantity::BoxMin(_) | Quantity::BoxMax(_) | Quantity::BaseSphere) {
+            return Err(ExciteError::StartPose { violation: *violation });
+        }
         let at = problem.bounds.chain.end_effector(q0).into();
         return Err(ExciteError::StartWorkspace { at, reason: violation.to_string() });
     }
     let still = Fourier::still(1.0, q0.to_vec(), 1)?;
     match coarse(problem, &still, 1).violations().next() {
         None => Ok(()),
-        Some(violation) => Err(ExciteError::StartTorque { violation: *violation }),
+        Some(violation) => Err(ExciteError::StartPose { violation: *violation }),
     }
 }
 
@@ -165,7 +217,7 @@ fn pose(problem: &Problem, rng: &mut ChaCha8Rng) -> Result<Vec<f64>, ExciteError
         return Ok(q0.to_vec());
     }
     let (limits, margin) = (problem.bounds.limits, problem.bounds.margins.position);
-    let mut last = [0.0; 3];
+    let mut last = None;
     for _ in 0..POSES {
         // From the middle two thirds of each range, to leave room for the motion.
         let q0: Vec<f64> = (0..problem.bounds.chain.len())
@@ -176,10 +228,10 @@ fn pose(problem: &Problem, rng: &mut ChaCha8Rng) -> Result<Vec<f64>, ExciteError
             .collect();
         match can_rest(problem, &q0) {
             Ok(()) => return Ok(q0),
-            Err(_) => last = problem.bounds.chain.end_effector(&q0).into(),
+            Err(error) => last = Some(error),
         }
     }
-    Err(ExciteError::NoStart { tried: POSES, last })
+    Err(ExciteError::NoStart { tried: POSES, last: last.map(Box::new) })
 }
 
 /// A random motion about a pose that the arm can rest at, every joint scaled to its own limits. Box, bodies and torques are not asked.
@@ -206,16 +258,19 @@ pub(super) fn random_motion(
     Ok(fourier)
 }
 
-/// Shrinks the whole motion about its start pose until it keeps the limits.
+/// Shrinks a motion about its start pose until it keeps the limits: a joint that breaks a limit of its own alone, else the whole motion.
 pub(super) fn shrink(mut fourier: Fourier, check: impl Fn(&Fourier) -> Check) -> Result<Fourier, ExciteError> {
     let mut broken: Option<Peak> = None;
     for tried in 0..SHRINKINGS {
-        match check(&fourier).violations().next() {
-            None => return Ok(fourier),
-            Some(violation) => broken = Some(*violation),
-        }
+        let check = check(&fourier);
+        let Some(first) = check.violations().next() else { return Ok(fourier) };
+        broken = Some(*first);
+        let own = |peak: &Peak| peak.joint.filter(|_| peak.quantity.is_of_one_joint());
+        let joints: Option<Vec<usize>> = check.violations().map(own).collect();
         for j in 0..fourier.joints() {
-            fourier.scale_joint(j, SHRINK[usize::from(tried >= GENTLE)]);
+            if joints.as_ref().is_none_or(|joints| joints.contains(&(j + 1))) {
+                fourier.scale_joint(j, SHRINK[usize::from(tried >= GENTLE)]);
+            }
         }
     }
     match broken {
@@ -224,25 +279,42 @@ pub(super) fn shrink(mut fourier: Fourier, check: impl Fn(&Fourier) -> Check) ->
     }
 }
 
-/// Largest factor by which joint `j` can be scaled within its range, speed, acceleration and jerk.
+/// Largest factor by which joint `j` can be scaled within its range, speed, acceleration and jerk, all taken along the scaled motion.
 fn room(problem: &Problem, fourier: &Fourier, j: usize, samples: usize) -> f64 {
-    let (limits, margins) = (problem.bounds.limits, &problem.bounds.margins);
+    let (bounds, limits, margins) = (&problem.bounds, problem.bounds.limits, &problem.bounds.margins);
     let q0 = fourier.q0[j];
     let (up, down) = (limits.q_max[j] - margins.position - q0, q0 - limits.q_min[j] - margins.position);
+    let points: Vec<_> = (0..samples).map(|k| fourier.at(j, k as f64 * fourier.period / samples as f64)).collect();
     let mut factor = f64::INFINITY;
-    for k in 0..samples {
-        let point = fourier.at(j, k as f64 * fourier.period / samples as f64);
+    for point in &points {
         let away = point.q - q0;
         let uses = [
             if away > 0.0 { away / up } else { -away / down },
-            point.dq.abs() / problem.bounds.speeds(j, point.q)[usize::from(point.dq > 0.0)].max(1e-3 * limits.dq[j]),
+            point.dq.abs() / (limits.dq[j] * margins.velocity),
             point.ddq.abs() / (limits.ddq[j] * margins.acceleration),
             point.jerk.abs() / (limits.jerk[j] * margins.jerk),
         ];
         factor = uses.into_iter().filter(|&used| used > 0.0).fold(factor, |factor, used| factor.min(1.0 / used));
     }
     // A joint that does not move at all has nothing to scale.
-    if factor.is_finite() { COARSE_ROOM * factor } else { 1.0 }
+    if !factor.is_finite() {
+        return 1.0;
+    }
+    // A speed limit that falls towards the ends of the range is that of the scaled positions. It is concave in them where it is above
+    // zero, so the factors that keep it are those from zero to a largest one.
+    let keeps = |factor: f64| {
+        let speeds = |q: f64| bounds.speeds(j, q0 + factor * (q - q0));
+        points.iter().all(|point| factor * point.dq.abs() <= speeds(point.q)[usize::from(point.dq > 0.0)])
+    };
+    if bounds.envelope.is_some() && !keeps(factor) {
+        let mut low = 0.0;
+        for _ in 0..BISECTIONS {
+            let middle = 0.5 * (low + factor);
+            if keeps(middle) { low = middle } else { factor = middle }
+        }
+        factor = low;
+    }
+    COARSE_ROOM * factor
 }
 
 /// What the motion breaks on a coarse grid.
@@ -250,9 +322,14 @@ fn coarse(problem: &Problem, fourier: &Fourier, samples: usize) -> Check {
     with_torque(problem, |torque| check(&problem.bounds, fourier, samples, torque))
 }
 
-/// What the motion breaks at 1 kHz: the judgement that a plan stands on.
+/// What the motion breaks at 1 kHz, by the limits less their margins and by the rules of the loop's guard: the judgement that a plan stands
+/// on.
 pub fn verdict(problem: &Problem, fourier: &Fourier) -> Check {
-    with_torque(problem, |torque| verify(&problem.bounds, fourier, torque))
+    let mut check = with_torque(problem, |torque| verify(&problem.bounds, fourier, torque));
+    if check.is_feasible() {
+        check.peaks.extend(rehearse(&problem.bounds, fourier));
+    }
+    check
 }
 
 fn with_torque(problem: &Problem, judge: impl Fn(Option<super::limits::NominalTorque>) -> Check) -> Check {
@@ -265,11 +342,15 @@ fn with_torque(problem: &Problem, judge: impl Fn(Option<super::limits::NominalTo
     }
 }
 
+/// One period of each of several motions on a fine grid, one after the other. Panics when there is none.
+pub fn all(problem: &Problem, motions: &[Fourier]) -> Motion {
+    let fine = |fourier: &Fourier| sampled(fourier, &problem.mounting.gravity(), FINE * Search::default().samples);
+    stacked(&motions.iter().map(fine).collect::<Vec<_>>())
+}
+
 /// Condition numbers of several motions together, stacked.
 pub fn together(problem: &Problem, motions: &[Fourier]) -> Conditions {
-    let fine = |fourier: &Fourier| sampled(fourier, &problem.mounting.gravity(), FINE * Search::default().samples);
-    let motions: Vec<_> = motions.iter().map(fine).collect();
-    evaluate(problem.structure, &stacked(&motions), problem.sigma)
+    evaluate(problem.structure, &all(problem, motions), problem.sigma)
 }
 
 /// The plan of a motion that keeps every limit at 1 kHz; an error when it does not.
@@ -291,6 +372,7 @@ pub(super) fn plan_of(problem: &Problem, search: &Search, fourier: Fourier) -> R
         b: rows(&fourier.b),
         conditions: evaluate(problem.structure, &motion, problem.sigma),
         constraints: Constraints::of(&problem.bounds, problem.nominal.is_some()),
+        usage: Some(PlanUsage::of(&usage(&problem.bounds, &fourier))),
     })
 }
 

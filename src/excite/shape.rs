@@ -28,7 +28,7 @@ pub struct Shape {
     pairs: Vec<(usize, usize)>,
 }
 
-/// Links from this one on are held in the box, with their whole surface. The base and the two links of the shoulder stand where the arm
+/// Where links are held in the box, too, those from this one on are, with their whole surface. The base and the two links of the shoulder stand where the arm
 /// is mounted, and reach no farther than link 3 begins.
 pub const FIRST_BOXED: usize = 3;
 

@@ -12,6 +12,7 @@
 //! hangs shows the same slopes as one that stands. The declared mounting decides it, and a declaration that lies too close to the
 //! horizontal for that is refused. Gravity is `-g R u` with the sensor's axes `R` in the base frame.
 
+use crate::decomposition::symmetric_eigen;
 use crate::model::gravity::{G, Mounting};
 use nalgebra::{Matrix3, Matrix3x2, Vector2, Vector3};
 
@@ -162,7 +163,8 @@ impl Attitude {
 
     /// Standard deviation of the direction: the larger one across it \[rad\].
     pub fn std(&self) -> f64 {
-        self.covariance.symmetric_eigenvalues().max().max(0.0).sqrt()
+        let eigen = symmetric_eigen(self.covariance);
+        eigen.map_or(f64::INFINITY, |eigen| eigen.eigenvalues.max().max(0.0).sqrt())
     }
 
     /// Standard deviations of `rho` and `phi` \[rad\]; that of `phi` is at most pi, for along axis 1 it means nothing.

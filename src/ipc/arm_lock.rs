@@ -5,7 +5,9 @@
 //! namespace belongs to the network namespace, as the way to the arm does: processes that share the one share the other. Two network namespaces
 //! that are both routed to one arm are not covered, nor are programs of others; a control unit that takes one client at a time refuses those itself.
 
-use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, bind, connect, listen, socket_with, sockopt};
+use rustix::net::{
+    AddressFamily, SocketAddrUnix, SocketFlags, SocketType, bind, connect, listen, socket_with, sockopt,
+};
 use std::io;
 use std::os::fd::OwnedFd;
 

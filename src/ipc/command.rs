@@ -49,6 +49,24 @@ pub enum Request {
     Record {},
 }
 
+impl Request {
+    /// What this tells the daemon to do, as `plumbline command` calls it; nothing for a question.
+    pub fn order(&self) -> Option<&'static str> {
+        Some(match self {
+            Request::Status {} => return None,
+            Request::Start {} => "start",
+            Request::Stop {} => "stop",
+            Request::Resume {} => "resume",
+            Request::Quit {} => "quit",
+            Request::OfferModel { .. } => "offer-model",
+            Request::ProposeModel { .. } => "propose-model",
+            Request::Adopt {} => "adopt",
+            Request::Reject {} => "reject",
+            Request::Record {} => "record",
+        })
+    }
+}
+
 /// Why a model is proposed while another is served.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -237,8 +255,11 @@ pub struct Link {
     pub round_trip: Times,
     /// From one state's arrival to the next one's.
     pub interval: Times,
-    /// Direction of gravity in the base frame that the robot believes, a unit vector.
+    /// Direction of gravity in the base frame that the robot's sensors show, or its own constant without any; a unit vector.
     pub gravity: Option<[f64; 3]>,
+    /// Gravity in the base frame that the robot's own controller compensates \[m/s2\].
+    #[serde(default)]
+    pub compensates: Option<[f64; 3]>,
     /// What the robot stopped for, by its own names, what that comes from, and what the operator does next.
     pub fault: Option<String>,
 }
@@ -294,6 +315,9 @@ pub struct Gravity {
     pub robot: Option<[f64; 2]>,
     /// What the torques at rest imply under the model.
     pub torques: Option<[f64; 2]>,
+    /// Gravity in the base frame that the arm's own controller compensates \[m/s2\].
+    #[serde(default)]
+    pub vendor: Option<[f64; 3]>,
     /// Why the model is not served, where it is not.
     pub refused: Option<String>,
     /// What has happened, the latest last.

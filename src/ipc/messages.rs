@@ -73,8 +73,8 @@ pub struct SampleMessage {
     pub wake_ns: u64,
     /// See [`Record::work_ns`] \[ns\].
     pub work_ns: u64,
-    /// What of `tau_ff` the rigid body needs to stand still at `desired_q` \[Nm\].
-    pub tau_rest: JointVec,
+    /// See [`Command::tau_vendor`] \[Nm\].
+    pub tau_vendor: JointVec,
 }
 
 impl SampleMessage {
@@ -103,7 +103,7 @@ impl SampleMessage {
             stamp_ns: record.stamp_ns,
             wake_ns: record.wake_ns,
             work_ns: record.work_ns,
-            tau_rest: command.tau_rest.0,
+            tau_vendor: command.tau_vendor.0,
         }
     }
 
@@ -117,7 +117,7 @@ impl SampleMessage {
                 seq: self.command_seq,
                 desired: Setpoint { q: self.desired_q, dq: self.desired_dq, ddq: self.desired_ddq },
                 tau_ff: Torque(self.tau_ff),
-                tau_rest: Torque(self.tau_rest),
+                tau_vendor: Torque(self.tau_vendor),
             },
             phase,
             motion: self.motion,
@@ -156,14 +156,17 @@ pub struct FeedForwardMessage {
     pub tau_ff: JointVec,
     /// Gravitational acceleration in the base frame that the model was evaluated with \[m/s2\].
     pub gravity: [f64; 3],
-    /// What of `tau_ff` the rigid body needs to stand still at `q_d`. An arm that compensates gravity by itself wants
-    /// `tau_ff - tau_rest` \[Nm\].
-    pub tau_rest: JointVec,
+    /// The same model at rest at `q_d` under `gravity_vendor`: what the arm's own controller adds by itself. Such an arm is sent
+    /// `tau_ff - tau_vendor` \[Nm\].
+    pub tau_vendor: JointVec,
+    /// Gravitational acceleration in the base frame that the arm's own controller compensates \[m/s2\].
+    pub gravity_vendor: [f64; 3],
 }
 
 impl FeedForwardMessage {
-    /// The value that `record` stands for, of an arm with `joints` joints (at most [`MAX_JOINTS`]) under `gravity` \[m/s2\].
-    pub fn new(record: &Record, joints: usize, gravity: [f64; 3]) -> FeedForwardMessage {
+    /// The value that `record` stands for, of an arm with `joints` joints (at most [`MAX_JOINTS`]) under `gravity`, whose controller
+    /// compensates `gravity_vendor` \[m/s2\].
+    pub fn new(record: &Record, joints: usize, gravity: [f64; 3], gravity_vendor: [f64; 3]) -> FeedForwardMessage {
         FeedForwardMessage {
             sequence: 0,
             stamp_ns: record.stamp_ns,
@@ -175,7 +178,8 @@ impl FeedForwardMessage {
             dq_d: record.command.desired.dq,
             tau_ff: record.command.tau_ff.0,
             gravity,
-            tau_rest: record.command.tau_rest.0,
+            tau_vendor: record.command.tau_vendor.0,
+            gravity_vendor,
         }
     }
 
@@ -249,7 +253,7 @@ mod tests {
                 seq: 3,
                 desired: Setpoint { q: vec(50.0), dq: vec(60.0), ddq: vec(70.0) },
                 tau_ff: Torque(vec(80.0)),
-                tau_rest: Torque(vec(90.0)),
+                tau_vendor: Torque(vec(90.0)),
             },
             phase: Phase::Excite,
             motion: 4,
@@ -274,7 +278,7 @@ mod tests {
         sample.phase = 77;
         assert_eq!(sample.record(), Err(MessageError::Phase { code: 77, seq: 12 }));
 
-        let mut value = FeedForwardMessage::new(&record(), 7, [0.0, 0.0, -9.81]);
+        let mut value = FeedForwardMessage::new(&record(), 7, [9.81, 0.0, 0.0], [0.0, 0.0, -9.81]);
         assert_eq!(value.check(), Ok(()));
         assert_eq!(value.torque(), &record().command.tau_ff.0[..7]);
         value.n = u32::MAX;
@@ -301,9 +305,9 @@ mod tests {
         assert_eq!(offset_of!(SampleMessage, stamp_ns), 584);
         assert_eq!(offset_of!(SampleMessage, wake_ns), 592);
         assert_eq!(offset_of!(SampleMessage, work_ns), 600);
-        assert_eq!(offset_of!(SampleMessage, tau_rest), 608);
+        assert_eq!(offset_of!(SampleMessage, tau_vendor), 608);
 
-        assert_eq!((size_of::<FeedForwardMessage>(), align_of::<FeedForwardMessage>()), (320, 8));
+        assert_eq!((size_of::<FeedForwardMessage>(), align_of::<FeedForwardMessage>()), (344, 8));
         assert_eq!(offset_of!(FeedForwardMessage, stamp_ns), 8);
         assert_eq!(offset_of!(FeedForwardMessage, epoch), 16);
         assert_eq!(offset_of!(FeedForwardMessage, model), 24);
@@ -313,7 +317,8 @@ mod tests {
         assert_eq!(offset_of!(FeedForwardMessage, dq_d), 104);
         assert_eq!(offset_of!(FeedForwardMessage, tau_ff), 168);
         assert_eq!(offset_of!(FeedForwardMessage, gravity), 232);
-        assert_eq!(offset_of!(FeedForwardMessage, tau_rest), 256);
+        assert_eq!(offset_of!(FeedForwardMessage, tau_vendor), 256);
+        assert_eq!(offset_of!(FeedForwardMessage, gravity_vendor), 320);
 
         assert_eq!((size_of::<FollowRequest>(), align_of::<FollowRequest>()), (56, 8));
         assert_eq!((size_of::<ReplayHeader>(), align_of::<ReplayHeader>()), (24, 8));

@@ -27,6 +27,7 @@ mod messages;
 pub mod place;
 mod retain;
 mod robot;
+mod sender;
 mod server;
 mod services;
 mod stream;

@@ -2,6 +2,7 @@
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use iceoryx2::identifiers::UniqueClientId;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::server::Server as RequestServer;
 use iceoryx2::prelude::*;
@@ -13,6 +14,7 @@ use super::followers::{Followers, News, Word};
 use super::messages::{FeedForwardMessage, FollowRequest, ReplayHeader, SampleMessage};
 use super::retain::RetainedLog;
 use super::robot::RobotId;
+use super::sender::Sender;
 use super::services::{self, BATCH, REPLAY, SERVER_PATIENCE, ServiceNode, now_ns, patiently};
 use crate::joint::Record;
 
@@ -58,6 +60,7 @@ pub struct Server {
     replay: RequestServer<ipc::Service, FollowRequest, (), [SampleMessage], ReplayHeader>,
     commands: RequestServer<ipc::Service, [u8], (), [u8], ()>,
     replay_service: services::Replay,
+    command_service: services::Commands,
     node: ServiceNode,
 }
 
@@ -109,6 +112,7 @@ impl Server {
             replay,
             commands,
             replay_service,
+            command_service,
             node,
         })
     }
@@ -175,10 +179,13 @@ impl Server {
                     break;
                 }
             };
-            let response = match command::decode("request", active.payload(), MAX_REQUEST_BYTES) {
+            let response = match command::decode::<Request>("request", active.payload(), MAX_REQUEST_BYTES) {
                 Ok(request) => {
                     handled += 1;
-                    handle(request, &self.served())
+                    let order = request.order();
+                    let response = handle(request, &self.served());
+                    order.into_iter().for_each(|order| self.log_order(order, active.origin(), &response));
+                    response
                 }
                 Err(error) => {
                     self.counters.garbled_requests += 1;
@@ -197,6 +204,15 @@ impl Server {
             }
         }
         handled
+    }
+
+    /// Says who has given an order. What was refused changes nothing, and comes in floods where a program tries again and again.
+    fn log_order(&self, order: &str, client: UniqueClientId, response: &Response) {
+        let sender = || Sender::of(&self.command_service, client);
+        match response {
+            Response::Refused { reason } => tracing::debug!("`{order}` from {} was refused: {reason}", sender()),
+            _ => tracing::info!(plumbline_event = "order", "`{order}` from {}", sender()),
+        }
     }
 
     /// What has been done so far.

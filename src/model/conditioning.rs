@@ -4,6 +4,7 @@
 
 use super::structure::Structure;
 use super::term::friction;
+use crate::decomposition::{singular_values, svd};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
@@ -53,6 +54,26 @@ pub fn conditions(w: &DMatrix<f64>, friction: &[bool], sigma: &[f64]) -> Conditi
     }
 }
 
+/// Condition number of the column-equilibrated `w`, and the columns that take part in its near dependencies: those with more than half of
+/// their variance in singular directions with `s_max / s_i > most` (Belsley, Kuh and Welsch 1980, section 3.2), and columns of zeros.
+pub fn dependent_columns(w: &DMatrix<f64>, most: f64) -> (f64, Vec<usize>) {
+    let all = || (0..w.ncols()).collect();
+    if w.nrows() < w.ncols() || w.ncols() == 0 || w.iter().any(|value| !value.is_finite()) {
+        return (f64::INFINITY, all());
+    }
+    let Some(decomposed) = svd(equilibrated(&triangle(w))) else { return (f64::INFINITY, all()) };
+    let (Some(v_t), s) = (decomposed.v_t, decomposed.singular_values) else { return (f64::INFINITY, all()) };
+    let (largest, smallest) = (s.max(), s.min());
+    // A direction without any excitation has a finite, very large variance here.
+    let variance = |i: usize, c: usize| (v_t[(i, c)] / s[i].max(f64::EPSILON * largest)).powi(2);
+    let share = |c: usize| {
+        let of = |directions: &mut dyn Iterator<Item = usize>| directions.map(|i| variance(i, c)).sum::<f64>();
+        of(&mut (0..s.len()).filter(|&i| s[i] * most < largest)) / of(&mut (0..s.len()))
+    };
+    let dependent = (0..w.ncols()).filter(|&c| share(c).is_nan() || share(c) > 0.5).collect();
+    (if smallest > 0.0 { largest / smallest } else { f64::INFINITY }, dependent)
+}
+
 /// Which columns of a structure are friction, for [`conditions`].
 pub fn friction_columns(structure: &Structure) -> Vec<bool> {
     let terms = structure.terms().iter().zip(structure.ranges());
@@ -61,11 +82,8 @@ pub fn friction_columns(structure: &Structure) -> Vec<bool> {
 
 /// Condition number by singular values; infinite for fewer rows than columns.
 pub fn condition(w: &DMatrix<f64>) -> f64 {
-    if w.nrows() < w.ncols() || w.ncols() == 0 || w.iter().any(|value| !value.is_finite()) {
-        return f64::INFINITY;
-    }
-    let s = w.singular_values();
-    if s.min() > 0.0 { s.max() / s.min() } else { f64::INFINITY }
+    let values = (w.nrows() >= w.ncols()).then(|| singular_values(w.clone())).flatten();
+    values.filter(|s| s.min() > 0.0).map_or(f64::INFINITY, |s| s.max() / s.min())
 }
 
 fn triangle(w: &DMatrix<f64>) -> DMatrix<f64> {
@@ -112,6 +130,22 @@ mod tests {
         scaled.rows_mut(50, 50).scale_mut(10.0);
         assert!((found.weighted / condition(&scaled) - 1.0).abs() < 1e-10);
         assert!((found.weighted_rigid / condition(&scaled.select_columns(&[0, 1, 2])) - 1.0).abs() < 1e-10);
+    }
+
+    #[test]
+    fn the_columns_of_a_near_dependency_are_found() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let q = DMatrix::from_fn(100, 5, |_, _| rng.random_range(-1.0..1.0)).qr().q();
+        let mut w = q.clone();
+        // Column 3 is nearly column 1, in another unit; column 4 is zero.
+        w.set_column(3, &(q.column(1) * 7.0 + q.column(3) * 7e-5));
+        let (condition, columns) = dependent_columns(&w.columns(0, 4).into_owned(), 1e4);
+        assert!((condition / 2e5 - 1.0).abs() < 1e-6, "{condition}");
+        assert_eq!(columns, [1, 3]);
+        assert_eq!(dependent_columns(&w.columns(0, 4).into_owned(), 1e6).1, [0; 0]);
+        w.column_mut(4).fill(0.0);
+        let (condition, columns) = dependent_columns(&w, 1e6);
+        assert!(condition > 1e12 && columns == [4], "{condition} {columns:?}");
     }
 
     #[test]

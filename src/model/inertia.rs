@@ -7,7 +7,8 @@
 
 use super::chain::Placement;
 use super::rnea::LinkParameters;
-use nalgebra::{Matrix3, Matrix4, SymmetricEigen, Vector3};
+use crate::decomposition::symmetric_eigen;
+use nalgebra::{Matrix3, Matrix4, Vector3};
 
 /// A rigid body as drawings and robot descriptions state it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,13 +74,14 @@ impl Body {
     }
 
     /// Principal moments \[kg m2\] and axes (columns, a right-handed frame) of the inertia about the centre of mass.
-    pub fn principal(&self) -> (Vector3<f64>, Matrix3<f64>) {
-        let eigen = SymmetricEigen::new(self.inertia);
+    /// `None` where the inertia is not finite.
+    pub fn principal(&self) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+        let eigen = symmetric_eigen(self.inertia)?;
         let mut axes = eigen.eigenvectors;
         if axes.determinant() < 0.0 {
             axes.column_mut(0).neg_mut();
         }
-        (eigen.eigenvalues, axes)
+        Some((eigen.eigenvalues, axes))
     }
 }
 
@@ -152,7 +154,7 @@ mod tests {
         let moved: Vec<_> = points.iter().map(|(m, at)| (*m, rotation * at + placement.origin)).collect();
         let (ours, theirs) = (body.seen_from(&placement).link_parameters(), parameters(&moved));
         assert!(ours.iter().zip(theirs).all(|(a, b)| (a - b).abs() < 1e-12), "{ours:?} {theirs:?}");
-        let (moments, axes) = body.principal();
+        let (moments, axes) = body.principal().unwrap();
         assert!((axes * Matrix3::from_diagonal(&moments) * axes.transpose() - body.inertia).amax() < 1e-13);
         assert!((axes.determinant() - 1.0).abs() < 1e-12);
         let halves = Body::of(&parameters(&points[..2])).with(&Body::of(&parameters(&points[2..])));

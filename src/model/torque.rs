@@ -280,8 +280,8 @@ impl Evaluator {
         Torque(tau)
     }
 
-    /// What of it the rigid body needs to stand still at `q`, with the offsets of the sensors: what an arm that compensates gravity carries by
-    /// itself. Terms that are neither stay with the motion, and those that remember hear nothing of it \[Nm\].
+    /// Torque of the rigid body at rest at `q`, with the offsets of the sensors. Terms without a closed form add nothing to it, and those
+    /// with a memory are not asked \[Nm\].
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn rest(&mut self, q: &JointVec) -> Torque {
         Torque(self.closed.torque(&Sample { q: *q, ..Sample::default() }))

@@ -457,7 +457,7 @@ fn compare(were: &[Record], are: &[Record], from_the_start: bool) -> Replayed {
         let differs = match are.get(place) {
             Some(is) => {
                 result.compared += 1;
-                let torques = |of: &Record| [of.command.tau_ff.0, of.command.tau_rest.0].concat();
+                let torques = |of: &Record| [of.command.tau_ff.0, of.command.tau_vendor.0].concat();
                 if !same_bits(&torques(was), &torques(is)) {
                     result.torque_different += 1;
                     result.last_torque_difference = Some(was.cycle);

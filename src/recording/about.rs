@@ -260,8 +260,11 @@ pub struct Series {
 pub struct Handed {
     /// Its identity; its text is the attachment `model-<identity>.toml`.
     pub id: u64,
-    /// The direction of gravity that it was evaluated for, times g \[m/s2\].
+    /// Gravity that it was evaluated for, in the base frame \[m/s2\].
     pub gravity: [f64; 3],
+    /// Gravity that the arm's own controller compensates, in the base frame; that of the model where a recording names none \[m/s2\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vendor: Option<[f64; 3]>,
 }
 
 /// [`CycleSettings`], as data.

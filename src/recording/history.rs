@@ -318,7 +318,7 @@ mod tests {
             // A base that turns: another model every few cycles.
             let event = if cycle % 3 == 0 { Event::Serving { model: cycle } } else { Event::Started { motion: 1 } };
             if cycle % 3 == 0 {
-                history.handed(Handed { id: cycle, gravity: [0.0; 3] });
+                history.handed(Handed { id: cycle, gravity: [0.0; 3], vendor: None });
             }
             history.tell(told(cycle, cycle as u32 + 1, event));
             history.keep(&[record(cycle)]);

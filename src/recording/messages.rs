@@ -47,7 +47,7 @@ pub(super) fn schema(topic: &str) -> (&'static str, String) {
              uint8 phase\n\
              float64[] position_accepted    # the position that the arm last accepted as desired [rad]\n\
              float64[] acceleration_desired # [rad/s2]\n\
-             float64[] torque_at_rest       # what of the model's torque holds the arm still [Nm]\n"
+             float64[] torque_vendor        # the model at rest under the gravity that the arm compensates [Nm]\n"
                 .to_string(),
         ),
         EVENTS => (
@@ -116,7 +116,7 @@ pub(super) fn cycle(record: &Record, names: &[String], log_ns: u64) -> [(&'stati
     rest.u64(record.cycle).u64(state.seq).f64(state.time);
     rest.u64(record.stamp_ns).u64(record.wake_ns).u64(record.work_ns).u64(record.model).u64(record.tick);
     rest.u32(record.motion).u8(record.phase as u8);
-    rest.f64s(&state.q_d[..n]).f64s(&command.desired.ddq[..n]).f64s(&command.tau_rest.0[..n]);
+    rest.f64s(&state.q_d[..n]).f64s(&command.desired.ddq[..n]).f64s(&command.tau_vendor.0[..n]);
     [
         (STATES, joints(&state.q, &state.dq, &state.tau)),
         (COMMANDS, joints(&command.desired.q, &command.desired.dq, &command.tau_ff.0)),
@@ -142,7 +142,7 @@ pub(super) fn read_cycle(topic: &str, bytes: &[u8], record: &mut Record) -> Resu
         record.phase = Phase::from_u32(phase.into()).ok_or_else(|| unknown(phase, "a phase from 0 to 5"))?;
         message.f64s(&mut record.state.q_d)?;
         message.f64s(&mut record.command.desired.ddq)?;
-        message.f64s(&mut record.command.tau_rest.0)?;
+        message.f64s(&mut record.command.tau_vendor.0)?;
         return Ok(());
     }
     message.i32()?;

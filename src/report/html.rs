@@ -30,6 +30,8 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
         joints => report.identify.rms.len(),
         counter => counter(report),
         parameters => parameters(report),
+        counts => summary::counts(&report.base),
+        motions => motions(report),
         runs => runs(figures),
         plan => plan(figures),
         gravity => report.gravity.as_ref().map(gravity),
@@ -94,8 +96,11 @@ fn verdicts(report: &Report) -> Vec<Value> {
     };
     let mut tiles = vec![tile(
         report.base.count.to_string(),
-        "parameters",
-        format!("{} of {}", report.base.kind, report.robot),
+        "base parameters",
+        match report.base.effects {
+            0 => format!("{} of {}", report.base.kind, report.robot),
+            effects => format!("{} of {}, and {effects} of effects", report.base.kind, report.robot),
+        },
         None,
     )];
     if let Some(first) = report.conditions.first() {
@@ -278,6 +283,15 @@ fn plan(figures: &Figures) -> Option<Value> {
     })
 }
 
+/// What every motion uses of each joint's limits, range and speed in %.
+fn motions(report: &Report) -> Vec<Value> {
+    let cell = |(range, speed): (&f64, &f64)| format!("{:.0} / {:.0}", 100.0 * range, 100.0 * speed);
+    let row = |of: &super::MotionUsage| {
+        context! { name => &of.motion, cells => of.range.iter().zip(&of.speed).map(cell).collect::<Vec<_>>() }
+    };
+    report.motions.iter().map(row).collect()
+}
+
 fn sessions(report: &Report) -> Vec<Value> {
     let known = |count: Option<u64>| count.map_or("-".to_string(), |count| count.to_string());
     let row = |s: &super::SessionFacts| {
@@ -296,10 +310,11 @@ fn links(report: &Report) -> Vec<Value> {
         let percent = |share: f64| format!("{:.2} %", 100.0 * share);
         let success =
             link.success.map_or("-".to_string(), |[least, mean]| format!("{} / {}", percent(least), percent(mean)));
-        let gravity = link.gravity.map_or("-".to_string(), |[x, y, z]| format!("[{x:.2}, {y:.2}, {z:.2}]"));
+        let vector = |of: Option<[f64; 3]>| of.map_or("-".to_string(), |[x, y, z]| format!("[{x:.2}, {y:.2}, {z:.2}]"));
+        let (gravity, compensates) = (vector(link.gravity), vector(link.compensates));
         Some(context! {
             name => &s.name, robot => &link.robot, states => link.states, lost => link.lost, passed => link.passed_over, odd => link.odd, late => link.late,
-            limited => link.limited, success, gravity, fault => &link.fault,
+            limited => link.limited, success, gravity, compensates, fault => &link.fault,
         })
     };
     report.sessions.iter().filter_map(row).collect()

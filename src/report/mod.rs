@@ -19,7 +19,7 @@ pub use timing::{IpcFacts, LinkFacts, LoopFacts, Quantiles, SessionFacts};
 
 use crate::atomic;
 use crate::model::gravity::Mounting;
-use crate::model::torque::Parameter;
+use crate::model::torque::{Parameter, TorqueModel};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::io;
 use std::path::Path;
@@ -54,6 +54,9 @@ pub struct Report {
     /// Condition numbers of the stacked regressor.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<Condition>,
+    /// How much of the joints' limits the job's motions use; empty for recorded data.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub motions: Vec<MotionUsage>,
     /// How the parameters were estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub estimator: Option<EstimatorFacts>,
@@ -102,14 +105,54 @@ impl From<Mounting> for MountingFacts {
 pub struct Base {
     /// `GBS` or `VBS`.
     pub kind: String,
-    /// Number of parameters.
+    /// Number of base parameters: those of rigid body, friction and the other terms of the whole arm. Effects are not among them.
     pub count: usize,
-    /// The parameters, in the order of the model.
+    /// Number of parameters of effects that were found beyond those.
+    #[serde(default)]
+    pub effects: usize,
+    /// Base parameters by term, in the order of the model.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub terms: Vec<TermCount>,
+    /// All parameters, in the order of the model.
     pub parameters: Vec<ParameterFacts>,
 }
 
+/// Number of base parameters of a term.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TermCount {
+    /// `rigid-body`, `friction`, `torque-offset`, `rotor-inertia`.
+    pub term: String,
+    /// Number of parameters.
+    pub count: usize,
+}
+
+/// Shares of the joints' limits, less their margins, that a motion uses, one entry per joint.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MotionUsage {
+    /// Name of the motion.
+    pub motion: String,
+    /// Distance between the highest and the lowest position, of the range.
+    pub range: Vec<f64>,
+    /// Highest speed, of the highest speed that the joint has anywhere.
+    pub speed: Vec<f64>,
+}
+
 impl Base {
-    /// The parameters of a model; `kind` is its `GBS` or `VBS`.
+    /// The parameters of a model, counted by term.
+    pub fn of(model: &TorqueModel) -> Base {
+        let mut base = Base::new(model.kind(), model.parameters());
+        for (term, parameters) in model.terms().into_iter().filter(|(_, parameters)| !parameters.is_empty()) {
+            if term.spec().is_some() {
+                base.effects += parameters.len();
+            } else {
+                base.terms.push(TermCount { term: term.id().to_string(), count: parameters.len() });
+            }
+        }
+        base.count -= base.effects;
+        base
+    }
+
+    /// Parameters that are all base parameters; `kind` is `GBS` or `VBS`.
     pub fn new(kind: impl ToString, parameters: &[Parameter]) -> Base {
         let facts = |parameter: &Parameter| ParameterFacts {
             name: parameter.column.name.clone(),
@@ -120,7 +163,8 @@ impl Base {
             relative_std: parameter.std.map(|std| std / parameter.value.abs()).filter(|ratio| ratio.is_finite()),
             unit: parameter.column.unit.to_string(),
         };
-        Base { kind: kind.to_string(), count: parameters.len(), parameters: parameters.iter().map(facts).collect() }
+        let parameters: Vec<ParameterFacts> = parameters.iter().map(facts).collect();
+        Base { kind: kind.to_string(), count: parameters.len(), parameters, ..Base::default() }
     }
 }
 

@@ -1,6 +1,6 @@
 //! The few lines that say how a job went.
 
-use super::{Band, CounterExperiment, LoopFacts, Report, Validation, diagnosis};
+use super::{Band, Base, CounterExperiment, LoopFacts, MotionUsage, Report, TermCount, Validation, diagnosis};
 
 /// Share by which an RMS has to differ before one calls it changed. The scatter of an RMS over ten thousand samples is below 1 %.
 pub(super) const CHANGED: f64 = 0.05;
@@ -69,6 +69,29 @@ pub(super) fn against_floor(report: &Report, raw: &[f64]) -> Option<String> {
     (floor > 0.0 && !raw.is_empty()).then(|| format!("{:.2} of the noise floor", mean(raw) / floor))
 }
 
+/// How many parameters there are, those of effects apart.
+pub(super) fn counts(base: &Base) -> String {
+    let one = |term: &TermCount| format!("{} {}", term.count, term.term.replace('-', " "));
+    let terms = base.terms.iter().map(one).collect::<Vec<_>>().join(", ");
+    let terms = if terms.is_empty() { String::new() } else { format!(": {terms}") };
+    let effects = if base.effects == 0 { String::new() } else { format!(", and {} of effects", base.effects) };
+    format!("{} base parameters ({}{terms}){effects}", base.count, base.kind)
+}
+
+/// What every motion of the job uses at least of each joint's range and speed.
+fn usage(report: &Report) -> Option<String> {
+    let least = |of: fn(&MotionUsage) -> &Vec<f64>| {
+        let joints = report.motions.iter().map(|motion| of(motion).len()).min().unwrap_or(0);
+        let least = |j: usize| report.motions.iter().map(|motion| of(motion)[j]).fold(f64::INFINITY, f64::min);
+        (0..joints).map(|j| format!("{:.0}", 100.0 * least(j))).collect::<Vec<_>>().join(" ")
+    };
+    let count = report.motions.len();
+    (count > 0).then(|| {
+        let (range, speed) = (least(|motion| &motion.range), least(|motion| &motion.speed));
+        format!("{count} motions, each uses per joint at least [%]: range {range}, speed {speed}")
+    })
+}
+
 pub(super) fn lines(report: &Report) -> Vec<String> {
     let mut lines = without_diagnosis(report);
     let diagnosis: Vec<String> = report.diagnosis.iter().flat_map(diagnosis::lines).collect();
@@ -78,14 +101,14 @@ pub(super) fn lines(report: &Report) -> Vec<String> {
 
 /// The lines but those of the diagnosis; the first names the robot.
 pub(super) fn without_diagnosis(report: &Report) -> Vec<String> {
-    let (base, mounting) = (&report.base, &report.mounting.name);
-    let mut lines = vec![format!("{}, mounting {mounting}: {} parameters ({})", report.robot, base.count, base.kind)];
+    let mut lines = vec![format!("{}, mounting {}: {}", report.robot, report.mounting.name, counts(&report.base))];
     if !report.conditions.is_empty() {
         let one = |c: &super::Condition| {
             format!("{} {} (rigid body alone {})", c.definition, digits(c.with_friction), digits(c.without_friction))
         };
         lines.push(format!("condition number: {}", report.conditions.iter().map(one).collect::<Vec<_>>().join(", ")));
     }
+    lines.extend(usage(report));
     errors(report, &mut lines);
     lines.extend(report.consistency.as_ref().map(|facts| facts.sentence()));
     lines.extend(report.counter_experiment.as_ref().map(|of| format!("counter-experiment: {}", counter(of))));

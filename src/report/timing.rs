@@ -97,8 +97,10 @@ pub struct LinkFacts {
     pub round_trip_us: Option<Quantiles>,
     /// From one state's arrival to the next one's \[us\].
     pub interval_us: Option<Quantiles>,
-    /// Direction of gravity in the base frame that the robot believes, a unit vector.
+    /// Direction of gravity in the base frame that the robot's sensors show, or its own constant without any; a unit vector.
     pub gravity: Option<[f64; 3]>,
+    /// Gravity in the base frame that the robot's own controller compensates \[m/s2\].
+    pub compensates: Option<[f64; 3]>,
     /// What the robot stopped for and what to do next.
     pub fault: Option<String>,
 }
@@ -119,6 +121,7 @@ impl LinkFacts {
             round_trip_us: Quantiles::of(&link.round_trip),
             interval_us: Quantiles::of(&link.interval),
             gravity: link.gravity,
+            compensates: link.compensates,
             fault: link.fault.clone(),
         }
     }

@@ -419,14 +419,14 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
     /// The present sample of the motion, and what the served model says of it.
     fn answer(&mut self, seq: u64) -> Command {
         let desired = self.motion.sample();
-        let (mut tau_ff, mut tau_rest) = match &mut self.model {
-            Some(model) if self.model_trusted => (model.torque(&desired), model.rest(&desired.q)),
+        let (mut tau_ff, mut tau_vendor) = match &mut self.model {
+            Some(model) if self.model_trusted => (model.torque(&desired), model.vendor_torque(&desired.q)),
             _ => (Torque::default(), Torque::default()),
         };
         for j in self.joints..MAX_JOINTS {
-            (tau_ff.0[j], tau_rest.0[j]) = (0.0, 0.0);
+            (tau_ff.0[j], tau_vendor.0[j]) = (0.0, 0.0);
         }
-        Command { seq, desired, tau_ff, tau_rest }
+        Command { seq, desired, tau_ff, tau_vendor }
     }
 
     fn record(&mut self, state: State, command: Command, stamp_ns: u64) {

@@ -103,8 +103,8 @@ pub trait FeedForward: Send {
     /// Torque the arm needs at `desired` \[Nm\].
     fn torque(&mut self, desired: &Setpoint) -> Torque;
 
-    /// What of it an arm takes upon itself that compensates gravity: the rigid body's torque at rest at position `q` \[Nm\].
-    fn rest(&mut self, q: &JointVec) -> Torque;
+    /// The rigid body's torque at rest at position `q`, under the gravity that the arm's own controller compensates \[Nm\].
+    fn vendor_torque(&mut self, q: &JointVec) -> Torque;
 }
 
 /// Forward kinematics for the guard.

@@ -208,7 +208,7 @@ impl FeedForward for Served {
         self.1.torque(&Sample { q, dq, ddq })
     }
 
-    fn rest(&mut self, q: &JointVec) -> Torque {
+    fn vendor_torque(&mut self, q: &JointVec) -> Torque {
         self.1.rest(q)
     }
 }

@@ -127,7 +127,9 @@ fn lines_that_waited_for_their_reader_arrive() {
     signal(daemon.0.id(), "TERM");
     assert_eq!(daemon.end(), Some(0));
     let text = text.join().unwrap();
-    for words in ["is ready", "follows the samples", "the arm is being stopped", "signal SIGTERM arrived", "the daemon ends"] {
+    for words in
+        ["is ready", "follows the samples", "the arm is being stopped", "signal SIGTERM arrived", "the daemon ends"]
+    {
         assert!(text.contains(words), "no `{words}`: {text}");
     }
 }
@@ -192,7 +194,10 @@ fn beside_a_stalled_journal() {
     let daemon = daemon.into_motion(&place);
     before += &entries();
     assert!(before.contains("PLUMBLINE_ROBOT") && before.contains(&place.id), "{before}");
-    assert!(before.contains("PLUMBLINE_EVENT") && before.contains("started") && before.contains("is ready"), "{before}");
+    assert!(
+        before.contains("PLUMBLINE_EVENT") && before.contains("started") && before.contains("is ready"),
+        "{before}"
+    );
 
     let stranger = UnixDatagram::unbound().unwrap();
     stranger.set_nonblocking(true).unwrap();

@@ -128,7 +128,7 @@ fn clients_that_never_read_cost_nothing() {
         for cycle in 0..TOTAL {
             let record = record(cycle);
             server.publish(&[record]);
-            server.feed_forward(FeedForwardMessage::new(&record, 7, [0.0; 3]));
+            server.feed_forward(FeedForwardMessage::new(&record, 7, [0.0; 3], [0.0; 3]));
             if cycle % 8 == 0 {
                 server.poll(|_, _| unreachable!());
             }
@@ -174,7 +174,7 @@ fn a_feed_forward_value_turns_stale_and_the_daemon_s_end_is_seen() {
     assert_eq!(client.daemon(), Presence::Running);
 
     for cycle in 1..=100 {
-        let sent = FeedForwardMessage::new(&record(cycle), 7, [0.0, 9.81, 0.0]);
+        let sent = FeedForwardMessage::new(&record(cycle), 7, [0.0, 9.81, 0.0], [0.0, 0.0, -9.81]);
         value.send(sent).unwrap();
         wait_for("the value", || client.latest().unwrap().is_some_and(|seen| seen.message.sequence == cycle));
         let seen = client.latest().unwrap().unwrap();
@@ -192,7 +192,7 @@ fn a_feed_forward_value_turns_stale_and_the_daemon_s_end_is_seen() {
 
     // The next daemon is heard without connecting again.
     let next = Daemon::start(&robot, ServerSettings::default(), |server, stop| {
-        server.feed_forward(FeedForwardMessage::new(&record(1), 7, [0.0; 3]));
+        server.feed_forward(FeedForwardMessage::new(&record(1), 7, [0.0; 3], [0.0; 3]));
         poll_until(server, stop);
         server.epoch()
     });

@@ -52,7 +52,7 @@ fn serve(robot: &RobotId, locks: &Path) {
     for cycle in 0.. {
         let record = record(cycle);
         server.publish(&[record]);
-        server.feed_forward(FeedForwardMessage::new(&record, 7, [0.0; 3]));
+        server.feed_forward(FeedForwardMessage::new(&record, 7, [0.0; 3], [0.0; 3]));
         server.poll(|_, served| Response::Status(Box::new(Status { served: served.clone(), ..Status::default() })));
         std::thread::sleep(Duration::from_micros(200));
     }

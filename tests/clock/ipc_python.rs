@@ -37,7 +37,7 @@ fn column(text: &str, word: &str) -> Vec<f64> {
 fn serve(server: &mut Server, stop: &AtomicBool, sent: &AtomicU64) {
     while !stop.load(Ordering::Relaxed) {
         let cycle = sent.load(Ordering::Relaxed) + 1;
-        server.feed_forward(FeedForwardMessage::new(&record(cycle), 7, [0.0, 0.0, -9.81]));
+        server.feed_forward(FeedForwardMessage::new(&record(cycle), 7, [0.0, 0.0, -9.81], [0.0, 0.0, -9.81]));
         sent.store(cycle, Ordering::Relaxed);
         std::thread::sleep(Duration::from_millis(1));
     }

@@ -262,7 +262,8 @@ fn clients(rounds: u32, seed: u64, kill: bool) -> Row {
 fn daemons(rounds: u32, seed: u64, kill: bool) -> Row {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let (robot, address) = behind_fci("kill-daemon", 3 + u8::from(kill));
-    let settings = emulator::Settings { patience: Duration::from_millis(10), ..emulator::Settings::new(address, Protocol::V5) };
+    let settings =
+        emulator::Settings { patience: Duration::from_millis(10), ..emulator::Settings::new(address, Protocol::V5) };
     let emulator = || emulator::Emulator::start(settings.clone()).unwrap();
     let mut row = Row { name: format!("daemon, {}", word(kill)), ..Row::default() };
     let (mut arm, mut daemon) = (Some(emulator()), robot.process("daemon"));
@@ -294,7 +295,11 @@ fn daemons(rounds: u32, seed: u64, kill: bool) -> Row {
                 let since = daemon.started;
                 serves(&robot, &mut daemon);
                 let up = Some(comes_up_holding(&robot, since)?);
-                return Ok(Some(Outcome { went_on: false, up, rest: Some(rested.as_secs_f64() * 1e3).filter(|_| moving) }));
+                return Ok(Some(Outcome {
+                    went_on: false,
+                    up,
+                    rest: Some(rested.as_secs_f64() * 1e3).filter(|_| moving),
+                }));
             }
             let Blow::Stop(ms) = blow else { unreachable!("the other blow") };
             let lasts = Duration::from_millis(ms);

@@ -52,7 +52,20 @@ fn resume_while_braking_is_refused_and_works_at_rest() {
     let again = place.command("resume").expect_code(1);
     assert!(again.err.contains("nothing waits"), "{}", again.said());
     place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    let done = daemon.end().expect_code(0);
+    // Every order that was carried out is logged with its sender: this process, and the ones of the command line.
+    let user = rustix::process::getuid().as_raw();
+    for order in ["stop", "resume"] {
+        let line =
+            done.err.lines().find(|line| line.contains(&format!("`{order}` from process {} (", std::process::id())));
+        let line = line.unwrap_or_else(|| panic!("no sender of `{order}`: {}", done.said()));
+        assert!(line.contains(&format!(") of user {user}")), "{line}");
+    }
+    for order in ["start", "quit"] {
+        let line = done.err.lines().find(|line| line.contains(&format!("`{order}` from process ")));
+        assert!(line.is_some_and(|line| line.contains("(plumbline) of user")), "{}", done.said());
+    }
+    assert!(!done.err.contains("`status`"), "{}", done.said());
 }
 
 #[test]
@@ -83,7 +96,9 @@ fn one_arm_has_one_daemon_whatever_folder_and_name_it_has() {
         command.args(["daemon", "config/panda-emulator-wall.toml", "--out"]).arg(place.out());
         command.env("PLUMBLINE_RUNTIME_DIR", place.path().join("run"));
         command.arg("--set").arg(format!("serve.id={}", place.id));
-        sets.iter().for_each(|set| drop(command.arg("--set").arg(set)));
+        for set in &sets {
+            command.arg("--set").arg(set);
+        }
         command
     };
     let status = |place: &Place| {
@@ -115,7 +130,9 @@ fn job_of_root(place: &Place, sets: &[&str]) -> Command {
     command.args(["daemon", "--root-owned"]).arg(file).arg("--out").arg(place.out());
     command.arg("--set").arg(format!("serve.id={}", place.id));
     command.arg("--set").arg(format!("backend.arm={}", root.join("config/arms/sim-panda.toml").display()));
-    short(&["excitation.trajectories=1"]).iter().chain(sets).for_each(|set| drop(command.arg("--set").arg(set)));
+    for set in short(&["excitation.trajectories=1"]).iter().chain(sets) {
+        command.arg("--set").arg(set);
+    }
     command
 }
 
@@ -131,7 +148,8 @@ fn a_plan_that_somebody_else_can_change_moves_no_arm_of_a_service() {
     std::fs::create_dir_all(plan.parent().unwrap()).unwrap();
     let named = Place::new("plan-named");
     let own = named.path().join("own.toml");
-    for (place, plan, set) in [(&kept, &plan, None), (&named, &own, Some(format!("excitation.plan={}", own.display())))] {
+    for (place, plan, set) in [(&kept, &plan, None), (&named, &own, Some(format!("excitation.plan={}", own.display())))]
+    {
         let sets: Vec<&str> = set.as_deref().into_iter().collect();
         std::fs::write(plan, &text).unwrap();
         chown(plan, Some(SOMEBODY), None).unwrap();
@@ -161,7 +179,11 @@ fn an_upgrade_gives_no_file_to_root_that_the_daemon_has_refused() {
     for folder in ["etc/plumbline", "lib", "bin"] {
         std::fs::create_dir_all(path(folder)).unwrap();
     }
-    std::fs::write(path("etc/passwd"), "root:x:0:0::/root:/bin/sh\nplumbline:x:998:998::/var/lib/plumbline:/bin/false\n").unwrap();
+    std::fs::write(
+        path("etc/passwd"),
+        "root:x:0:0::/root:/bin/sh\nplumbline:x:998:998::/var/lib/plumbline:/bin/false\n",
+    )
+    .unwrap();
     std::fs::write(path("etc/group"), "root:x:0:\nplumbline:x:998:\n").unwrap();
     std::fs::write(path("etc/nsswitch.conf"), "passwd: files\ngroup: files\n").unwrap();
     for tool in ["systemd-sysusers", "systemd-tmpfiles"] {

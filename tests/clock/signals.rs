@@ -172,7 +172,11 @@ fn a_terminal_that_closes_stops_the_arm_once() {
         signal(pid, "HUP");
     }
     let done = run.end().expect_code(1);
-    assert!(done.err.contains("interrupted, signal SIGHUP arrived") || done.err.contains("ended in mid-job"), "{}", done.said());
+    assert!(
+        done.err.contains("interrupted, signal SIGHUP arrived") || done.err.contains("ended in mid-job"),
+        "{}",
+        done.said()
+    );
     assert_eq!(controlled_stop(&place, "closed terminal").0, "signal");
     assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.said());
     wait_for("the end of every process", || anyone_with(&place.id).is_empty().then_some(()));

@@ -98,7 +98,7 @@ impl<F: FnMut(&Setpoint) -> JointVec + Send> FeedForward for Model<F> {
         Torque(self.1(desired))
     }
 
-    fn rest(&mut self, q: &JointVec) -> Torque {
+    fn vendor_torque(&mut self, q: &JointVec) -> Torque {
         Torque(*q)
     }
 }

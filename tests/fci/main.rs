@@ -17,3 +17,5 @@ mod fci_bring_up;
 mod fci_clients;
 mod fci_emulator;
 mod fci_faults;
+mod fci_limits;
+mod torque_starts;

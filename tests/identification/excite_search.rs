@@ -2,11 +2,13 @@
 
 use plumbline::config::robot::Robot;
 use plumbline::excite::ExciteError;
-use plumbline::excite::criterion::{evaluate, raw_condition, sampled};
+use plumbline::excite::criterion::{MAX_CONDITION, evaluate, raw_condition, sampled};
 use plumbline::excite::limits::{Bounds, Margins};
 use plumbline::excite::nominal::Nominal;
+use plumbline::excite::optimiser::optimise;
 use plumbline::excite::plan::Plan;
-use plumbline::excite::search::{Problem, Search, random, verdict};
+use plumbline::excite::search::{Problem, Search, Watch, random, verdict};
+use plumbline::excite::usage::{MIN_USAGE, least, usage};
 use plumbline::joint::{Limits, Workspace};
 use plumbline::model::base::Reduction;
 use plumbline::model::chain::Chain;
@@ -99,6 +101,71 @@ fn random_motions_are_feasible_and_differ() {
     }
 }
 
+/// Any shipped robot, mounting and seed: every joint moves, and every limit is kept along the motion itself.
+#[test]
+fn random_motions_move_every_joint_of_every_shipped_robot() {
+    let mountings = [Mounting::UPRIGHT, Mounting::WALL, Mounting::CEILING, Mounting { rho: 1.0, phi: 0.4 }];
+    for name in Robot::names() {
+        let robot = Robot::load(name, None).unwrap();
+        let n = robot.chain.len();
+        let reduction = Reduction::any_mounting(&robot.chain);
+        let structure = Structure::of(robot.chain.clone(), reduction, &["friction"]).unwrap();
+        let bounds = Bounds {
+            workspace: Some(&robot.workspace),
+            shape: Some(&robot.shape),
+            envelope: robot.envelope.as_ref(),
+            ..Bounds::new(&robot.chain, &robot.limits, Margins::default())
+        };
+        for seed in 0..12 {
+            let problem = Problem {
+                robot: name,
+                structure: &structure,
+                mounting: mountings[seed % mountings.len()],
+                bounds: Bounds { links_in_box: seed % 3 == 2, ..bounds },
+                nominal: None,
+                sigma: &[0.1; 7][..n],
+                q0: None,
+            };
+            let search = Search { seed: seed as u64, ..Search::default() };
+            let plan = random(&problem, &search, 0.7).unwrap_or_else(|error| panic!("{name}, seed {seed}: {error}"));
+            let fourier = plan.fourier().unwrap();
+            assert!(verdict(&problem, &fourier).is_feasible(), "{name}, seed {seed}");
+            let usage = usage(&problem.bounds, &fourier);
+            let (joint, least) = least(&usage).unwrap();
+            assert!(least.largest() >= MIN_USAGE, "{name}, seed {seed}, joint {}: {least:?}", joint + 1);
+            let told = plan.usage.unwrap();
+            assert_eq!((told.range.len(), told.speed.len()), (n, n));
+            assert!((told.range[joint] - least.range).abs() < 1e-3 && (told.speed[joint] - least.speed).abs() < 1e-3);
+        }
+    }
+}
+
+/// A box that the end effector can hardly move in leaves no motion: the joint is named, and what holds it.
+#[test]
+fn limits_that_leave_a_joint_no_room_are_named_with_the_joint() {
+    let mut arm = Arm::new();
+    let at: [f64; 3] = panda().end_effector(&START).into();
+    arm.workspace = Workspace { box_min: at.map(|x| x - 0.03), box_max: at.map(|x| x + 0.03), base_radius: 0.0 };
+    let error = random(&arm.problem(Some(&START)), &short(), 0.7).unwrap_err();
+    let ExciteError::Frozen { usage, held_by, draws, .. } = &error else { panic!("{error}") };
+    assert!(usage.largest() < MIN_USAGE && *draws > 1);
+    assert!(held_by.is_some_and(|peak| peak.joint.is_none()), "{error}");
+    let words = error.to_string();
+    assert!(words.contains("is frozen") && words.contains("a larger motion breaks: end effector"), "{words}");
+}
+
+/// Speeds so low that the motion stays in one place: the parameters that nothing tells apart are named.
+#[test]
+fn a_motion_that_determines_nothing_is_refused_with_the_parameters() {
+    let mut arm = Arm::new();
+    arm.limits.dq = arm.limits.dq.map(|dq| dq.min(0.001));
+    let search = Search { starts: 1, rounds: 0, ..Search::default() };
+    let error = optimise(&arm.problem(None), &search, &[], &Watch::alone(2)).unwrap_err();
+    let ExciteError::Unexcited { condition, parameters } = &error else { panic!("{error}") };
+    assert!(*condition > MAX_CONDITION && parameters.iter().any(|name| name.starts_with("fv")), "{error}");
+    assert!(error.to_string().contains("does not determine"), "{error}");
+}
+
 #[test]
 fn the_fast_criterion_is_the_raw_condition_number() {
     let arm = Arm::new();
@@ -133,6 +200,22 @@ fn an_infeasible_start_pose_is_named() {
     let error = random(&low.problem(Some(&stretched)), &short(), 0.5).unwrap_err();
     assert!(matches!(error, ExciteError::StartWorkspace { .. }), "{error}");
     assert!(error.to_string().contains("end effector z"), "{error}");
+
+    // A link outside the box is a link, and is one only where links are to be in the box.
+    let shape = Robot::load("panda", None).unwrap().shape;
+    let at: [f64; 3] = panda().end_effector(&START).into();
+    low.workspace = Workspace { box_min: at.map(|x| x - 0.03), box_max: at.map(|x| x + 0.03), base_radius: 0.0 };
+    let mut problem = low.problem(Some(&START));
+    (problem.bounds.shape, problem.bounds.links_in_box) = (Some(&shape), true);
+    let error = random(&problem, &short(), 0.5).unwrap_err();
+    assert!(matches!(error, ExciteError::StartPose { .. }), "{error}");
+    assert!(
+        error.to_string().starts_with("start pose: link ") && !error.to_string().contains("end effector"),
+        "{error}"
+    );
+    problem.bounds.links_in_box = false;
+    let error = random(&problem, &short(), 0.5).unwrap_err();
+    assert!(matches!(error, ExciteError::Frozen { .. }), "{error}");
 
     low.workspace = Workspace { box_min: [2.0; 3], box_max: [3.0; 3], base_radius: 0.0 };
     assert!(matches!(random(&low.problem(None), &short(), 0.5), Err(ExciteError::NoStart { .. })));

@@ -118,7 +118,7 @@ fn report(diagnosis: Diagnosis) -> Report {
     Report {
         robot: "panda".into(),
         mounting: Mounting::WALL.into(),
-        base: Base { kind: "GBS".into(), count: 59, parameters: Vec::new() },
+        base: Base { kind: "GBS".into(), count: 59, ..Base::default() },
         identify: Fit { rms: FLOOR.to_vec(), ..Fit::default() },
         validate: (1..=2).map(run).collect(),
         noise_floor: FLOOR.to_vec(),

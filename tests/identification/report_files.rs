@@ -3,7 +3,11 @@
 use plumbline::config::robot::Robot;
 use plumbline::ipc::{Gravity, Link, MotionGravity, Session, Times};
 use plumbline::joint::Workspace;
+use plumbline::model::base::Reduction;
 use plumbline::model::gravity::Mounting;
+use plumbline::model::structure::Structure;
+use plumbline::model::term::effect::{Site, Spec};
+use plumbline::model::torque::TorqueModel;
 use plumbline::report::figures::{PlanFigure, TorqueFigure};
 use plumbline::report::*;
 use plumbline::store::ModelFile;
@@ -64,6 +68,9 @@ fn report() -> Report {
             condition("column-equilibrated", 34.2, 31.9),
             condition("noise-weighted", 148.0, 139.5),
         ],
+        motions: ["identify-wall", "validate-wall-1"]
+            .map(|motion| MotionUsage { motion: motion.into(), range: vec![0.4; 7], speed: vec![0.875; 7] })
+            .to_vec(),
         estimator: None,
         gravity: None,
         cycle: Some(LoopFacts {
@@ -272,13 +279,39 @@ fn the_counter_experiment_names_the_joints_that_fail() {
     assert!(sentence(&report).contains("changes by at most 2.00 % in any joint"), "{}", sentence(&report));
 }
 
+/// An effect's parameters are none of the base set, on the console, in the file and on the page.
+#[test]
+fn the_parameters_of_effects_are_counted_apart() {
+    let chain = Robot::load("panda", None).unwrap().chain;
+    let structure = Structure::of(chain.clone(), Reduction::any_mounting(&chain), &["friction"]).unwrap();
+    let values = |structure: &Structure| vec![(0.5, None); structure.columns().len()];
+    let plain = TorqueModel::new("panda", structure.clone(), vec![], &values(&structure)).unwrap();
+    let spec = Spec { family: "presliding", form: "", site: Site::Joint(4), settings: vec![0.002] };
+    let term = spec.build(&plain.structure().ground(&plain.beta())).unwrap();
+    let structure = structure.with(vec![term]).unwrap();
+    let with_effect = TorqueModel::new("panda", structure.clone(), vec![], &values(&structure)).unwrap();
+    let said = |model: &TorqueModel| {
+        let report = Report { base: Base::of(model), ..report() };
+        let page = report.to_html(&Figures::default()).unwrap();
+        (report.summary()[0].clone(), report.base.count, report.base.effects, page)
+    };
+    let (line, count, effects, page) = said(&plain);
+    let counts = "59 base parameters (GBS: 45 rigid body, 14 friction)";
+    assert_eq!((line, count, effects), (format!("panda, mounting wall: {counts}"), 59, 0));
+    assert!(page.contains(counts) && page.contains("GBS of panda<"), "{page}");
+    let (line, count, effects, page) = said(&with_effect);
+    assert_eq!((line, count, effects), (format!("panda, mounting wall: {counts}, and 1 of effects"), 59, 1));
+    assert!(page.contains(&format!("{counts}, and 1 of effects")) && page.contains("GBS of panda, and 1 of effects"));
+}
+
 #[test]
 fn the_summary_says_what_the_job_promises() {
     let mut report = report();
     let said = report.summary().join("\n");
     let lines = [
-        "59 parameters (GBS)",
+        "59 base parameters (GBS)",
         "raw 131 (rigid body alone 123)",
+        "2 motions, each uses per joint at least [%]: range 40 40 40 40 40 40 40, speed 88 88",
         "RMS wall [Nm], 5 unseen runs: ",
         "RMS upright [Nm], 5 unseen runs: ",
         "of the noise floor",

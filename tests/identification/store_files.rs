@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use plumbline::config::robot::Robot;
 use plumbline::excite::limits::Margins;
-use plumbline::excite::plan::{Constraints, Plan};
+use plumbline::excite::plan::{Constraints, Plan, PlanUsage};
 use plumbline::input::BadInput;
 use plumbline::model::base::{BaseKind, Reduction};
 use plumbline::model::chain::Chain;
@@ -193,8 +193,10 @@ fn plan() -> Plan {
             box_min: Some([-0.5; 3]),
             box_max: Some([0.5; 3]),
             base_radius: Some(0.2),
+            links_in_box: true,
             margins: Margins::default(),
         },
+        usage: Some(PlanUsage { range: vec![0.5, 0.1, 0.987], speed: vec![1.0, 0.0, 0.123] }),
     }
 }
 

@@ -257,7 +257,8 @@ fn a_flood_of_requests_removes_no_recording_of_a_fault_and_holds_up_no_end() {
 #[test]
 fn stops_of_an_arm_at_rest_leave_no_recordings() {
     let place = Place::new("flight-rest");
-    let daemon = Running::start(place.job("daemon", &short(&[SPAN, "backend.pace=wall-clock", "safety.max-lost=1000"])));
+    let daemon =
+        Running::start(place.job("daemon", &short(&[SPAN, "backend.pace=wall-clock", "safety.max-lost=1000"])));
     wait_for("the loop", || place.status().filter(|now| now.cycles > 100));
     for _ in 0..3 {
         place.command("stop").expect_code(0);

@@ -5,6 +5,8 @@
 mod export_support;
 #[path = "../job_support/mod.rs"]
 mod job_support;
+#[path = "../logs/mod.rs"]
+mod logs;
 #[path = "../peers/mod.rs"]
 mod peers;
 #[path = "../scene/mod.rs"]
@@ -16,6 +18,7 @@ mod bad_input;
 mod changing_command;
 mod compare_command;
 mod config_job;
+mod dead_channels;
 mod doctor;
 mod effects_command;
 mod estimate_cli;
@@ -27,5 +30,6 @@ mod main_job;
 mod plan_command;
 mod plan_robots;
 mod power_cut;
+mod predict_command;
 mod undeclared_effect;
 mod vertical_model;

@@ -33,11 +33,11 @@ fn predict(place: &Place, run: &str) -> (Vec<Vec<f64>>, Vec<f64>) {
     (csv(&out), raw.split(' ').map(|value| value.parse().unwrap()).collect())
 }
 
-/// Rows of a CSV file of numbers; the header's columns are named `t`, then one `tau` per joint.
+/// Rows of a CSV file of numbers; the header's columns are named `t`, then one `tau` per joint, then `at_end`.
 fn csv(path: &Path) -> Vec<Vec<f64>> {
     let text = std::fs::read_to_string(path).unwrap();
     let mut lines = text.lines();
-    assert_eq!(lines.next(), Some("t,tau1,tau2,tau3,tau4,tau5,tau6,tau7"));
+    assert_eq!(lines.next(), Some("t,tau1,tau2,tau3,tau4,tau5,tau6,tau7,at_end"));
     lines.map(|line| line.split(',').map(|cell| cell.parse().unwrap()).collect()).collect()
 }
 
@@ -57,7 +57,12 @@ fn one_command_identifies_serves_and_validates() {
 /// The last lines: parameters, condition, RMS of both mountings against the noise, cycles, samples, where the report lies.
 fn says_what_it_promises(done: &Done, place: &Place) {
     let lines: Vec<&str> = done.out.lines().collect();
-    assert!(lines[0].starts_with("panda, mounting wall: 59 parameters (GBS)"), "{}", done.said());
+    assert_eq!(
+        lines[0],
+        "panda, mounting wall: 59 base parameters (GBS: 45 rigid body, 14 friction)",
+        "{}",
+        done.said()
+    );
     for begin in
         ["condition number: raw ", "noise floor [Nm]: ", "RMS wall [Nm], 2 unseen runs: ", "RMS upright [Nm], 2 "]
     {

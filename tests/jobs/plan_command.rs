@@ -34,6 +34,62 @@ fn motions_for_identification_and_validation_differ_and_repeat_by_seed() {
     assert_eq!(load("again.toml"), plans[0]);
 }
 
+/// The FR3's speed limit falls towards the ends of its ranges: its random motions move every joint all the same, and the plan says how far.
+#[test]
+fn random_motions_of_an_fr3_move_every_joint() {
+    let place = Place::new("plan-fr3");
+    let out = place.path().join("p.toml");
+    let mut command = plumbline();
+    command.args(["plan", "--robot", "fr3", "--mounting", "wall", "--starts", "2", "--rounds", "0", "--validate", "3"]);
+    command.arg("--links-in-box").arg("--out").arg(&out);
+    let done = Done::of(command).expect_code(0);
+    let told = done.out.lines().filter(|line| line.starts_with("  used per joint [%]: range ")).count();
+    assert_eq!(told, 4, "{}", done.said());
+    for name in ["p.toml", "p-validate-1.toml", "p-validate-2.toml", "p-validate-3.toml"] {
+        let plan = load_plan(&place.path().join(name)).unwrap();
+        let usage = plan.usage.as_ref().unwrap();
+        for (range, speed) in usage.range.iter().zip(&usage.speed) {
+            assert!(range.max(*speed) > 0.09, "{name}: {usage:?}");
+        }
+        assert!(plan.conditions.raw < 1e4, "{name}: {:?}", plan.conditions);
+        assert!(plan.constraints.links_in_box);
+    }
+}
+
+/// Nothing can be identified from a motion of a millimetre a second: a failed job that names the parameters, and no file.
+#[test]
+fn a_plan_that_determines_nothing_is_a_failed_job() {
+    let place = Place::new("plan-useless");
+    let text = std::fs::read_to_string("config/robots/panda.toml").unwrap();
+    let slow: Vec<&str> =
+        text.lines().map(|line| if line.starts_with("dq = ") { "dq = 0.001" } else { line }).collect();
+    let robot = place.path().join("slow.toml");
+    std::fs::write(&robot, slow.join("\n")).unwrap();
+    let out = place.path().join("plan.toml");
+    let mut command = plumbline();
+    command.arg("plan").arg("--robot").arg(&robot).args(["--starts", "1", "--rounds", "0", "--out"]).arg(&out);
+    let done = Done::of(command).expect_code(1);
+    assert!(done.err.contains("the motion does not determine ") && done.err.contains("fv"), "{}", done.said());
+    assert!(done.err.contains("expected at most 10000"), "{}", done.said());
+    assert!(!out.exists());
+}
+
+/// A plan file in which a joint stands still is refused with the joint, and with what to do.
+#[test]
+fn a_plan_with_a_frozen_joint_is_refused() {
+    let place = Place::new("plan-frozen");
+    let out = place.path().join("plan.toml");
+    Done::of(plan(&out, &["--rounds", "0"])).expect_code(0);
+    let mut frozen = load_plan(&out).unwrap();
+    frozen.a[3].iter_mut().chain(&mut frozen.b[3]).for_each(|amplitude| *amplitude *= 0.01);
+    std::fs::write(&out, plan_text(&frozen).unwrap()).unwrap();
+    let set = format!("excitation.plan={}", out.display());
+    let space = "workspace={ box-min = [-2.0, -2.0, -2.0], box-max = [2.0, 2.0, 2.0], base-radius = 0.0 }";
+    let done = Done::of(place.job("run", &[&set, space])).expect_code(1);
+    assert!(done.err.contains("plan.toml: joint 4 is frozen"), "{}", done.said());
+    assert!(done.err.contains("Without `excitation.plan` in config/sim-panda-wall.toml"), "{}", done.said());
+}
+
 #[test]
 fn an_interrupted_search_keeps_the_best() {
     let place = Place::new("plan-stop");

@@ -17,6 +17,7 @@ pub fn data() -> Option<PathBuf> {
 /// Asserts that the line of docs/real-data.md that begins with `head` has these figures, one per joint.
 ///
 /// Which instructions a processor has moves their last digit: 0.002 and half a percent are let pass.
+#[allow(dead_code, reason = "not every program of tests compares with the page")]
 pub fn page_says(head: &str, figures: &[f64]) {
     let shown: Vec<String> = figures.iter().map(|figure| format!("{figure:.3}")).collect();
     println!("{head} {} |", shown.join(" | "));

@@ -20,7 +20,7 @@ PHASES = ("hold", "approach", "excite", "return", "stop", "stopped")
 
 
 class FeedForwardMessage(ctypes.Structure):
-    """The layout of plumbline's FeedForwardMessage (src/ipc/messages.rs), 320 bytes."""
+    """The layout of plumbline's FeedForwardMessage (src/ipc/messages.rs), 344 bytes."""
 
     _fields_ = [
         ("sequence", ctypes.c_uint64),  # number of the value since the daemon's start, from 1
@@ -33,7 +33,8 @@ class FeedForwardMessage(ctypes.Structure):
         ("dq_d", ctypes.c_double * MAX_JOINTS),  # desired velocity [rad/s]
         ("tau_ff", ctypes.c_double * MAX_JOINTS),  # feed-forward torque [Nm]
         ("gravity", ctypes.c_double * 3),  # gravitational acceleration in the base frame [m/s2]
-        ("tau_rest", ctypes.c_double * MAX_JOINTS),  # what of tau_ff holds the arm still at q_d [Nm]
+        ("tau_vendor", ctypes.c_double * MAX_JOINTS),  # what the arm's own controller adds: it is sent tau_ff - tau_vendor [Nm]
+        ("gravity_vendor", ctypes.c_double * 3),  # gravitational acceleration that the arm's own controller compensates [m/s2]
     ]
 
     @staticmethod
@@ -42,7 +43,7 @@ class FeedForwardMessage(ctypes.Structure):
         return "plumbline::FeedForwardMessage"
 
 
-assert ctypes.sizeof(FeedForwardMessage) == 320
+assert ctypes.sizeof(FeedForwardMessage) == 344
 
 
 def place() -> str:

@@ -49,6 +49,8 @@ pub struct Body {
     links: Vec<LinkParameters>,
     friction: [(f64, f64); JOINTS],
     gravity: Vector3<f64>,
+    /// What the firmware adds torque against.
+    compensated: Vector3<f64>,
     hardware: Hardware,
     noise: ChaCha8Rng,
     /// What the client has set.
@@ -63,8 +65,15 @@ pub struct Body {
 }
 
 impl Body {
-    /// An arm at rest at `start`.
-    pub fn new(chain: Chain, truth: &Truth, mounting: Mounting, start: &Joints, seed: u64) -> Result<Body, SimError> {
+    /// An arm at rest at `start`, whose firmware compensates gravity `compensates` \[m/s2\].
+    pub fn new(
+        chain: Chain,
+        truth: &Truth,
+        mounting: Mounting,
+        compensates: [f64; 3],
+        start: &Joints,
+        seed: u64,
+    ) -> Result<Body, SimError> {
         let mut hardware = Hardware::new(&chain, truth, mounting, &wide(start), seed)?;
         let sensed = hardware.track(&wide(start));
         let mut friction = [(0.0, 0.0); JOINTS];
@@ -73,6 +82,7 @@ impl Body {
             links: truth.link_parameters(),
             friction,
             gravity: mounting.gravity(),
+            compensated: Vector3::from(compensates),
             chain,
             hardware,
             noise: ChaCha8Rng::seed_from_u64(seed ^ 0xacce1),
@@ -93,7 +103,7 @@ impl Body {
         self.sensed = match drive {
             Drive::Track => self.hardware.track(&wide(&desired.q)),
             Drive::Torque(tau) => {
-                let gravity = self.load(&self.q(), &[0.0; JOINTS], &[0.0; JOINTS]);
+                let gravity = self.compensation(&self.q());
                 self.hardware.hold(&wide(&std::array::from_fn(|j| tau[j] + gravity[j])))
             }
         };
@@ -105,7 +115,7 @@ impl Body {
             Drive::Torque(tau) => tau,
             Drive::Track => {
                 let exact = *self.hardware.exact();
-                let gravity = self.load(&narrow(&exact.q), &[0.0; JOINTS], &[0.0; JOINTS]);
+                let gravity = self.compensation(&narrow(&exact.q));
                 std::array::from_fn(|j| exact.tau[j] - gravity[j])
             }
         };
@@ -212,15 +222,20 @@ impl Body {
         self.end_effector(last).then(&geometry::placement(&self.tool.ee_t_k))
     }
 
-    /// Torque of the rigid bodies that the firmware knows, the client's load among them \[Nm\].
-    fn load(&self, q: &Joints, dq: &Joints, ddq: &Joints) -> Joints {
+    /// Torque that the firmware adds to the client's at `q` \[Nm\].
+    fn compensation(&self, q: &Joints) -> Joints {
+        self.load(&self.compensated, q, &[0.0; JOINTS], &[0.0; JOINTS])
+    }
+
+    /// Torque of the rigid bodies that the firmware knows, the client's load among them, under `gravity` \[Nm\].
+    fn load(&self, gravity: &Vector3<f64>, q: &Joints, dq: &Joints, ddq: &Joints) -> Joints {
         let mut links = [[0.0; 10]; JOINTS];
         links.copy_from_slice(&self.links[..JOINTS]);
         for (own, more) in links[JOINTS - 1].iter_mut().zip(body_at(self.chain.flange(), &self.tool.load)) {
             *own += more;
         }
         let mut tau = [0.0; JOINTS];
-        rnea(&self.chain, &links, &self.gravity, q, dq, ddq, &mut tau);
+        rnea(&self.chain, &links, gravity, q, dq, ddq, &mut tau);
         tau
     }
 
@@ -228,7 +243,8 @@ impl Body {
     fn estimate_external(&mut self) {
         let (q, dq, tau) = (self.q(), self.dq(), self.tau());
         let ddq = std::array::from_fn(|j| (dq[j] - self.before.dq[j]) / TICK);
-        let load = self.load(&q, &dq, &ddq);
+        // What a robot estimates on a wall that it was not told of is not published: here, contact alone.
+        let load = self.load(&self.gravity, &q, &dq, &ddq);
         let gain = TICK * TAU * EXTERNAL_CORNER / (1.0 + TICK * TAU * EXTERNAL_CORNER);
         for j in 0..JOINTS {
             let (fv, fc) = self.friction[j];

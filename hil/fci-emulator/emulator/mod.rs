@@ -77,10 +77,14 @@ pub struct Settings {
     pub protocol: Protocol,
     /// Which arm's limits and name.
     pub robot: RobotKind,
+    /// Limits that it serves and judges by; those of `robot` where absent.
+    pub limits: Option<Limits>,
     /// The simulated arm's truth.
     pub arm: Truth,
     /// How it is mounted.
     pub mounting: Mounting,
+    /// Gravity in the base frame that the firmware adds torque against \[m/s2\]: (0, 0, -9.81) in any mounting, as robots do.
+    pub compensates: [f64; 3],
     /// Where it stands at first \[rad\].
     pub start: Joints,
     /// Decides noise and chance.
@@ -113,8 +117,10 @@ impl Settings {
             port: COMMAND_PORT,
             protocol,
             robot: RobotKind::of(protocol),
+            limits: None,
             arm: Truth::parse("sim-panda", text).expect("a shipped file"),
             mounting: Mounting::UPRIGHT,
+            compensates: [0.0, 0.0, -G],
             start: READY,
             seed: 1,
             patience: Duration::ZERO,
@@ -186,7 +192,7 @@ impl Emulator {
     /// # Errors
     /// [`StartError`].
     pub fn start(settings: Settings) -> Result<Emulator, StartError> {
-        let limits = Limits::of(settings.robot, settings.protocol);
+        let limits = settings.limits.unwrap_or_else(|| Limits::of(settings.robot, settings.protocol));
         for j in 0..JOINTS {
             let (q, least, most) = (settings.start[j], limits.q_min[j], limits.q_max[j]);
             if !limits.inside(j, q) {
@@ -200,10 +206,10 @@ impl Emulator {
             urdf: urdf::write(name, &chain, &limits, &settings.arm),
             base_acceleration: settings.base_acceleration,
         };
-        let body = Body::new(chain, &settings.arm, settings.mounting, &settings.start, settings.seed)?;
+        let body =
+            Body::new(chain, &settings.arm, settings.mounting, settings.compensates, &settings.start, settings.seed)?;
         let before = settings.first_message_id.saturating_sub(1);
-        let robot =
-            Robot::new(settings.protocol, settings.robot, body, &settings.start, served, settings.finish, before);
+        let robot = Robot::new(settings.protocol, limits, body, &settings.start, served, settings.finish, before);
         let address = |error| StartError::Address { address: settings.address, port: settings.port, error };
         let (listener, udp) = server::bind(settings.address, settings.port).map_err(address)?;
         let log = Log::new(settings.speaks, settings.log.as_deref());

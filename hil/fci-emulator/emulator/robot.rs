@@ -99,7 +99,7 @@ impl Robot {
     /// An idle robot that holds `start` \[rad\]. `message_id` is what the state before its first one would have had.
     pub fn new(
         protocol: Protocol,
-        kind: RobotKind,
+        limits: Limits,
         body: Body,
         start: &Joints,
         served: Served,
@@ -109,7 +109,7 @@ impl Robot {
         let desired = Step::at_rest(start);
         Robot {
             protocol,
-            limits: Limits::of(kind, protocol),
+            limits,
             body,
             served,
             finish,

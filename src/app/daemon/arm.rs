@@ -7,14 +7,14 @@ use crate::app::Failure;
 use crate::backend::Clock;
 use crate::backend::franka::{self, Info, Telemetry};
 use crate::backend::sim::{Gate, Pace, SimArm};
-use crate::config::job::Job;
 use crate::config::job::franka::Recovery;
 use crate::estimate::mounting_check::Side;
 use crate::ipc::{Link, Times};
-use crate::joint::{JointVec, Limits, SpeedEnvelope};
+use crate::joint::JointVec;
 use crate::model::gravity::Mounting;
 use crate::rt::cycle::End;
 use crate::rt::{Backend, Fault, LONGEST_ALONE, os};
+use nalgebra::Vector3;
 use std::sync::Arc;
 
 /// `CLOCK_MONOTONIC` for arms that keep wall-clock time.
@@ -50,6 +50,8 @@ pub struct Connected {
     pub gate: Option<Arc<Gate>>,
     /// The robot at the other end of a network.
     pub robot: Option<Robot>,
+    /// Gravity in the base frame that the arm's own controller compensates \[m/s2\]: the robot's; of a simulated arm, that of its mounting.
+    pub vendor: Vector3<f64>,
 }
 
 /// A robot at the other end of a network.
@@ -72,7 +74,8 @@ pub fn connect(daemon: &mut Daemon, mounting: Mounting, purpose: Purpose) -> Res
         let connected = daemon.meanwhile(|| franka::connect(&settings))?;
         let (arm, franka::Connection { info, telemetry }) = connected.map_err(Failure::job)?;
         tracing::info!("connected to {}", words(&info));
-        return Ok(Connected { arm: Box::new(arm), gate: None, robot: Some(Robot::new(info, telemetry)) });
+        let vendor = Vector3::from(info.compensates);
+        return Ok(Connected { arm: Box::new(arm), gate: None, robot: Some(Robot::new(info, telemetry)), vendor });
     }
     let truth = daemon.desk.truth.as_ref().ok_or_else(|| Failure::job("there is no simulated arm to drive"))?;
     let gate = job.backend.is_fast().then(|| Arc::new(Gate::new(RING as u64 / 2)));
@@ -84,7 +87,7 @@ pub fn connect(daemon: &mut Daemon, mounting: Mounting, purpose: Purpose) -> Res
         Purpose::Drive => job.safety.max_lost.max(LONGEST_ALONE),
         Purpose::Hold => STANDING,
     });
-    Ok(Connected { arm: Box::new(arm), gate, robot: None })
+    Ok(Connected { arm: Box::new(arm), gate, robot: None, vendor: mounting.gravity() })
 }
 
 impl Robot {
@@ -107,16 +110,9 @@ impl Robot {
         }
     }
 
-    /// The job's limits, inside those that the connected arm and its adapter hold commands to.
-    pub fn narrow(
-        &self,
-        job: &Job,
-        limits: &Limits,
-        envelope: Option<&SpeedEnvelope>,
-    ) -> (Limits, Option<SpeedEnvelope>) {
-        let Some(franka) = &job.backend.franka else { return (*limits, envelope.copied()) };
-        let share = franka.limits_share;
-        (franka::guard_limits(&self.info, limits, share), franka::guard_envelope(&self.info, envelope, share))
+    /// The limits that the arm and its adapter hold commands to.
+    pub fn limits(&self) -> &franka::RobotLimits {
+        &self.info.limits
     }
 
     /// Where the arm stood when it was connected \[rad\].
@@ -124,7 +120,7 @@ impl Robot {
         self.info.pose()
     }
 
-    /// Direction of gravity in the base frame that the robot believes, a unit vector.
+    /// Direction of gravity in the base frame that the robot's sensors show, or its own constant without any; a unit vector.
     pub fn gravity(&self) -> Option<[f64; 3]> {
         self.info.gravity.as_ref().map(|gravity| gravity.direction)
     }
@@ -162,6 +158,7 @@ impl Robot {
             round_trip: times(&of.round_trip),
             interval: times(&of.interval),
             gravity: self.gravity(),
+            compensates: Some(self.info.compensates),
             fault: fault.map(|fault| franka::explain(fault, &of).to_string()),
         }
     }

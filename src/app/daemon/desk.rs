@@ -4,6 +4,7 @@ use super::gravity::Watch;
 use super::recorder::Recorder;
 use crate::app::Failure;
 use crate::app::signals::{Cause, Ending};
+use crate::backend::franka::RobotLimits;
 use crate::backend::sim::Truth;
 use crate::config::job::{Adopt, Job, OnLoss};
 use crate::config::robot::Robot;
@@ -40,6 +41,8 @@ pub struct Desk {
     pub job: Job,
     /// The arm's description.
     pub robot: Robot,
+    /// Limits of the connected arm that the programme was checked under; `None` for a simulated arm.
+    pub arm_limits: Option<RobotLimits>,
     /// What the simulated arm is made of, where one is driven.
     pub truth: Option<Truth>,
     /// Where the arm starts and returns to \[rad\].
@@ -212,6 +215,13 @@ impl Desk {
     /// The same, because of what is known of the mounting.
     pub fn stop_for_mounting(&mut self, why: String, controls: &Controls) {
         self.recorder.blame(Reason::new("mounting", &why));
+        self.cause = Some(why);
+        self.stop(Some(controls));
+    }
+
+    /// The same, because no model came.
+    pub fn stop_without_model(&mut self, why: String, controls: &Controls) {
+        self.recorder.blame(Reason::new("model-timeout", &why));
         self.cause = Some(why);
         self.stop(Some(controls));
     }

@@ -107,6 +107,8 @@ pub struct Watch {
     inclinometer: Option<Inclinometer>,
     /// What the robot's own accelerometers say.
     robot: Option<Side>,
+    /// What the arm's own controller compensates \[m/s2\]; none before the first connection.
+    vendor: Option<Vector3<f64>>,
     rests: Rests,
     judged: Option<Judged>,
     during: During,
@@ -155,6 +157,7 @@ impl Watch {
             simulated_time: job.backend.is_fast(),
             inclinometer: inclinometer.transpose()?,
             robot: None,
+            vendor: None,
             rests: Rests::default(),
             judged: None,
             during: During { motion: 0, reading: None, moved: false },
@@ -170,13 +173,17 @@ impl Watch {
         })
     }
 
-    /// Another connection to the arm, declared to be mounted so; `robot` is what its own accelerometers say.
-    pub fn connect(&mut self, declared: Mounting, robot: Option<Side>) {
+    /// Another connection to the arm, declared to be mounted so; `robot` is what its own accelerometers show, `vendor` what its own
+    /// controller compensates. `from_the_start`: a model has to serve from the first cycle on, so the torques of the connection before count.
+    pub fn connect(&mut self, declared: Mounting, robot: Option<Side>, vendor: Vector3<f64>, from_the_start: bool) {
         let known = self.judged.as_ref().map(|judged| judged.model);
-        (self.declared, self.robot) = (declared, robot);
-        self.rests = Rests::default();
-        // A model that was served is asked again, by torques of this connection.
-        self.judged = known.map(|model| Judged::new(model, 0));
+        let remounted = self.declared != declared;
+        (self.declared, self.robot, self.vendor) = (declared, robot, Some(vendor));
+        if remounted || !from_the_start {
+            self.rests = Rests::default();
+            // A model that was served is asked again, by torques of this connection.
+            self.judged = known.map(|model| Judged::new(model, 0));
+        }
         self.served = self.inclinometer.as_ref().map_or(declared.gravity(), |own| own.decision.gravity);
     }
 
@@ -334,7 +341,9 @@ impl Watch {
         let gravity = self.gravity();
         // What is measured decides here, not what was declared: a vertical model holds within one degree. What is served may still be on its
         // way there, and the model has to hold for that, too.
-        let mountings = [self.measured().unwrap_or(gravity), gravity].map(|gravity| Mounting::along(&gravity));
+        let acting = [self.measured().unwrap_or(gravity), gravity].into_iter();
+        // What the arm's own controller adds has to be known, too.
+        let mountings: Vec<Mounting> = acting.chain(self.vendor).map(|gravity| Mounting::along(&gravity)).collect();
         if let Some(refusal) = self.lacks(model, &mountings) {
             return Verdict::Refuse(refusal);
         }
@@ -461,6 +470,7 @@ impl Watch {
                 .as_ref()
                 .and_then(|judged| judged.implied.as_ref())
                 .map(|implied| angles(&implied.side.gravity)),
+            vendor: self.vendor.map(Into::into),
             refused: self.said.clone(),
             events: self.events.clone(),
             forgotten: self.forgotten,
@@ -472,6 +482,11 @@ impl Watch {
             hand_overs: self.hand_overs,
             furthest: self.furthest,
         }
+    }
+
+    /// Why the model is not served, in words.
+    pub fn said(&self) -> Option<&str> {
+        self.said.as_deref()
     }
 
     /// Gravity that the model has now \[m/s2\].

@@ -71,12 +71,14 @@ pub fn run(options: Options) -> Result<(), Failure> {
     // Before anything else is touched: nobody else may drive this robot.
     let _lock = super::lock(&id)?;
     let _arm = super::arm_lock(&job)?;
-    let programme = super::plan::programme(&job, &robot, &out)?;
+    let arm_limits = super::plan::arm_limits(&job)?;
+    let programme = super::plan::programme(&job, &robot, &out, arm_limits.as_ref())?;
     let ending = Ending::watch()?.with_parent(options.parent);
     // Its thread begins before anything asks for priority.
     let recorder = Recorder::start(&job, &id, &out)?;
     let mut desk = Desk {
         recorder,
+        arm_limits,
         truth: super::truth(&job)?,
         rest: super::rest(&job, &robot)?,
         model: None,

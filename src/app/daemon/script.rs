@@ -107,6 +107,11 @@ impl Script {
         self.before.pop_front().or_else(|| if model { self.after.pop_front() } else { None })
     }
 
+    /// Whether the only orders left are those that need the model.
+    pub fn awaits_model(&self) -> bool {
+        self.before.is_empty() && !self.after.is_empty()
+    }
+
     /// Where the arm goes first.
     pub fn first_target(&self) -> Option<JointVec> {
         self.before.iter().chain(&self.after).find_map(|planned| match planned.order.kind {

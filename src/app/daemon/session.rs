@@ -3,18 +3,19 @@
 use super::Daemon;
 use super::arm::{self, Connected, Purpose, Robot, connect};
 use super::desk::Desk;
-use super::gravity::Verdict;
+use super::gravity::{Verdict, Watch};
 use super::labels::Labels;
 use super::recorder::{Left, Tape};
 use super::rhythm::Rhythm;
 use super::script::{Next, Planned, Script};
 use crate::app::served::{NoModel, Reach, ServedModel};
 use crate::app::service;
-use crate::app::{Failure, programme};
+use crate::app::{Failure, plan, programme};
+use crate::backend::franka::Interface;
 use crate::backend::sim::Gate;
-use crate::config::job::{self, OnRefusal};
+use crate::config::job::{self, Job, OnRefusal};
 use crate::ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
-use crate::joint::{MAX_JOINTS, Phase, Record};
+use crate::joint::{Limits, MAX_JOINTS, Phase, Record};
 use crate::model::gravity::Mounting;
 use crate::recording::about::{Handed, panic_message};
 use crate::rt::cycle::{self, Cycle, End, Outcome};
@@ -47,6 +48,8 @@ const LONGEST_REST_NS: u64 = 250_000_000;
 const SILENCE: u64 = 1000;
 /// Records that simulated time may run ahead of an estimator that watches it: two seconds.
 const AHEAD: u64 = 2000;
+/// What the arm compensates may be off by so much \[m/s2\]: half a degree of gravity, some 0.4 Nm in the Panda's shoulder.
+const COMPENSATED: f64 = 0.09;
 /// How many levels the bridge thread's priority lies below the loop's.
 const BELOW_LOOP: u8 = 10;
 
@@ -74,12 +77,16 @@ pub struct Session {
     records_due: Rhythm,
     /// Gravity that it was handed over with \[m/s2\].
     gravity: Vector3<f64>,
+    /// Gravity that the arm's own controller compensates \[m/s2\].
+    vendor: Vector3<f64>,
     /// What the records are computed with, which are behind.
     labels: Labels,
     /// Events that were taken out and not looked at yet.
     told: VecDeque<Told>,
     /// Simulated time waits for the estimator.
     waiting: bool,
+    /// When the arm no longer holds for a model, while it does \[ns\].
+    model_due_ns: Option<u64>,
     /// From state read to shared memory \[ns\].
     bridged: Histogram<u64>,
     records: Vec<Record>,
@@ -96,21 +103,25 @@ impl Session {
         purpose: Purpose,
         script: Script,
     ) -> Result<Session, Failure> {
-        let Connected { arm, gate, robot: connected } = connect(daemon, mounting, purpose)?;
+        let Connected { arm, gate, robot: connected, vendor } = connect(daemon, mounting, purpose)?;
         let desk = &mut daemon.desk;
         let unwanted = purpose == Purpose::Drive && desk.is_over();
         let script = if unwanted { Script::hold() } else { script };
-        desk.gravity.connect(mounting, connected.as_ref().and_then(Robot::side));
+        let uncompensated = purpose == Purpose::Drive && uncompensated(&desk.job, &mounting, &vendor);
+        desk.gravity.connect(mounting, connected.as_ref().and_then(Robot::side), vendor, uncompensated);
         let (job, robot) = (&desk.job, &desk.robot);
-        // A real arm stands wherever somebody left it.
-        if let (Some(connected), Some(target)) = (&connected, script.first_target()) {
-            programme::free_way(job, robot, &connected.pose(), &target)?;
+        let (limits, envelope) = plan::held_to(job, robot, connected.as_ref().map(Robot::limits))?;
+        if let Some(connected) = &connected {
+            // The programme was checked under the limits of the arm that the daemon found when it started.
+            if purpose == Purpose::Drive && desk.arm_limits.as_ref() != Some(connected.limits()) {
+                return Err(other_limits(job));
+            }
+            // A real arm stands wherever somebody left it.
+            stands_inside(&limits, &connected.pose()[..robot.chain.len()])?;
+            if let Some(target) = script.first_target() {
+                programme::free_way(job, robot, connected.limits(), &connected.pose(), &target)?;
+            }
         }
-        let limits = job.guard_limits(&robot.limits, robot.chain.len())?;
-        let (limits, envelope) = match &connected {
-            Some(connected) => connected.narrow(job, &limits, robot.envelope.as_ref()),
-            None => (limits, robot.envelope),
-        };
         let mut settings = CycleSettings::new(GuardSettings {
             limits,
             envelope,
@@ -151,9 +162,11 @@ impl Session {
             deaf_until_ns: 0,
             records_due: Rhythm::default(),
             gravity: mounting.gravity(),
+            vendor,
             labels: Labels::new(mounting.gravity()),
             told: VecDeque::new(),
             waiting: false,
+            model_due_ns: None,
             bridged: Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("constant bounds"),
             records: Vec::with_capacity(DRAIN),
         };
@@ -161,6 +174,10 @@ impl Session {
         desk.gravity.tick(now_ns(), false);
         // The model and the first orders are there before the first cycle, so that a seed gives the same motion every time.
         session.hand_over_model(desk);
+        let feeds = |franka: &job::Franka| franka.torque.feed_forward;
+        if uncompensated && !unwanted && (session.model == 0 || !desk.job.backend.franka.as_ref().is_some_and(feeds)) {
+            return Err(Failure::job(falls(&vendor, &desk.gravity)));
+        }
         session.give_orders();
         if unwanted {
             session.handles.controls.quit();
@@ -181,6 +198,7 @@ impl Session {
             daemon.desk.note_gravity();
             self.hand_over_model(&mut daemon.desk);
             self.give_orders();
+            self.check_model_timeout(&mut daemon.desk);
             self.keep_pace_with_the_watch(daemon);
             if let (Purpose::Hold, Some(robot)) = (self.purpose, &mut self.robot) {
                 robot.watch();
@@ -273,7 +291,12 @@ impl Session {
         self.hear();
         // The torque first: whoever waits for it drives something.
         let gravity = self.labels.at(last.cycle).into();
-        daemon.server.feed_forward(FeedForwardMessage::new(&last, daemon.desk.robot.chain.len(), gravity));
+        daemon.server.feed_forward(FeedForwardMessage::new(
+            &last,
+            daemon.desk.robot.chain.len(),
+            gravity,
+            self.vendor.into(),
+        ));
         daemon.server.publish(&self.records);
         self.tape.keep(&self.records);
         if let Some(why) = daemon.desk.gravity.take(&self.records) {
@@ -313,6 +336,23 @@ impl Session {
         } else if self.waiting && (!watched || behind < AHEAD / 2) && !self.handles.controls.is_waiting() {
             self.waiting = false;
             gate.open();
+        }
+    }
+
+    /// Stops an arm that has held for a model for too long. The clock is this machine's: simulated time stands still meanwhile.
+    fn check_model_timeout(&mut self, desk: &mut Desk) {
+        let controls = &self.handles.controls;
+        let holds = desk.model.is_none() && self.script.awaits_model() && controls.phase() == Phase::Hold;
+        if !holds || desk.is_over() {
+            self.model_due_ns = None;
+            return;
+        }
+        let seconds = desk.job.safety.model_timeout;
+        let due = *self.model_due_ns.get_or_insert(now_ns().saturating_add((1e9 * seconds) as u64));
+        if now_ns() >= due {
+            let why = format!("the estimator gave no model within {seconds} s (safety.model-timeout)");
+            desk.stop_without_model(why, controls);
+            self.open_gate();
         }
     }
 
@@ -367,11 +407,12 @@ impl Session {
         }
         match desk.gravity.verdict(accepted) {
             Verdict::Serve(gravity) if accepted.id != self.model || gravity != self.gravity => {
-                let evaluator = accepted.model.evaluator(&gravity);
-                if self.handles.models.serve(Box::new(ServedModel { id: accepted.id, evaluator })).is_ok() {
+                let served = ServedModel::new(accepted.id, &accepted.model, &gravity, &self.vendor);
+                if self.handles.models.serve(Box::new(served)).is_ok() {
                     (self.model, self.gravity) = (accepted.id, gravity);
                     self.labels.handed(gravity);
-                    self.tape.handed(Handed { id: accepted.id, gravity: gravity.into() }, &accepted.text);
+                    let vendor = Some(self.vendor.into());
+                    self.tape.handed(Handed { id: accepted.id, gravity: gravity.into(), vendor }, &accepted.text);
                     self.open_gate();
                 }
             }
@@ -394,7 +435,7 @@ impl Session {
         } else if phase != Phase::Stop && self.handles.models.serve(Box::new(NoModel)).is_ok() {
             self.model = 0;
             self.labels.handed(self.gravity);
-            self.tape.handed(Handed { id: 0, gravity: [0.0; 3] }, "");
+            self.tape.handed(Handed { id: 0, gravity: [0.0; 3], vendor: None }, "");
         }
     }
 
@@ -442,6 +483,44 @@ impl Session {
             }),
         }
     }
+}
+
+/// Whether torques are commanded to an arm that does not carry itself: its own controller compensates another gravity than acts.
+fn uncompensated(job: &job::Job, mounting: &Mounting, vendor: &Vector3<f64>) -> bool {
+    let torques = job.backend.franka.as_ref().is_some_and(|franka| franka.interface == Interface::Torque);
+    torques && (mounting.gravity() - vendor).norm() > COMPENSATED
+}
+
+/// Why such an arm is not driven without a model.
+fn falls(vendor: &Vector3<f64>, gravity: &Watch) -> String {
+    let [x, y, z]: [f64; 3] = (*vendor).into();
+    let why = gravity.said().unwrap_or(
+        "it takes `--model`, checked at rest, and `backend.franka.torque.feed-forward`; or command positions",
+    );
+    format!(
+        "the arm compensates gravity along [{x:.2}, {y:.2}, {z:.2}] m/s2, which is not the one that acts: commanded by torques it would fall \
+         without a model from the first cycle on ({why})"
+    )
+}
+
+/// The arm is not the one that was there when the daemon started, or was updated since.
+fn other_limits(job: &Job) -> Failure {
+    let job = job.file.display();
+    Failure::job(format!(
+        "the connected arm has other limits than when this daemon started, and the programme was not checked under them; nothing \
+         has moved. Start again, which plans under them: `plumbline run {job}`, or restart the service"
+    ))
+}
+
+/// An arm outside the limits could only be stopped by them, whatever it is told.
+fn stands_inside(limits: &Limits, q: &[f64]) -> Result<(), Failure> {
+    let Some((j, [min, max])) = programme::outside(limits, q) else { return Ok(()) };
+    let joint = j + 1;
+    Err(Failure::job(format!(
+        "joint {joint} stands at {:.4} rad, outside the range of job and arm, {min:.4} to {max:.4} rad; nothing has moved. Move joint {joint} \
+         inside by hand (guiding mode), and start again",
+        q[j]
+    )))
 }
 
 /// Runs the loop to its end, whatever that is. Nothing of a panic is lost: the arm is stopped, and the last cycles come out.

@@ -280,9 +280,9 @@ impl FrankaArm {
     fn answer(&mut self, command: &Command) -> Result<(), Fault> {
         let refused = |code| Err(Fault::Refused { code });
         let (desired, dq_d) = (narrow(&command.desired.q), narrow(&command.desired.dq));
-        let (tau_ff, tau_rest) = (narrow(&command.tau_ff.0), narrow(&command.tau_rest.0));
-        // The arm carries its own weight: what is left for us is what the motion takes.
-        let ahead: [f64; 7] = std::array::from_fn(|j| tau_ff[j] - tau_rest[j]);
+        let (tau_ff, tau_vendor) = (narrow(&command.tau_ff.0), narrow(&command.tau_vendor.0));
+        // The arm's own controller adds `tau_vendor`.
+        let ahead: [f64; 7] = std::array::from_fn(|j| tau_ff[j] - tau_vendor[j]);
         if desired.iter().chain(&dq_d).chain(&ahead).any(|value| !value.is_finite()) {
             return refused(REFUSED_NOT_FINITE);
         }

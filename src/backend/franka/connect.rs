@@ -2,10 +2,10 @@
 
 use super::arm::FrankaArm;
 use super::error::{ConnectError, next_step};
-use super::gravity::{Estimate, Gravity};
+use super::gravity::{Estimate, Gravity, compensated};
 use super::limits::{self, RobotLimits, widen};
 use super::session::Session;
-use super::settings::{Purpose, RobotKind, Settings};
+use super::settings::{Interface, Purpose, RobotKind, Settings};
 use super::telemetry::Telemetry;
 use super::wire::{ErrorBit, Errors, Protocol, RecoveryStatus, Request, Response, RobotMode, RobotState};
 use crate::joint::JointVec;
@@ -34,7 +34,9 @@ pub struct Info {
     pub limits_from_arm: bool,
     /// The description that the arm serves, at versions 9 and 10.
     pub urdf: Option<String>,
-    /// The direction of gravity that the arm believes in; `None` when it was not at rest.
+    /// Gravity in the base frame that the arm's own controller compensates \[m/s2\].
+    pub compensates: [f64; 3],
+    /// The direction of gravity that the arm's sensors show; `None` when it was not at rest.
     pub gravity: Option<Gravity>,
     /// Socket options that the system refused, with its reasons.
     pub refused_options: Vec<String>,
@@ -66,21 +68,13 @@ pub struct Connection {
 pub fn connect(settings: &Settings) -> Result<(FrankaArm, Connection), ConnectError> {
     let mut session = Session::open(settings)?;
     let state = session.first;
+    let commanded = settings.purpose == Purpose::Drive && settings.interface == Interface::Torque;
+    let compensates = compensated(&state, settings.compensates, commanded)?;
     if settings.purpose == Purpose::Drive {
         ready(&state)?;
         configure(&mut session, settings)?;
     }
-    let urdf = session.description()?;
-    let limits = match (&urdf, settings.robot) {
-        (Some(text), RobotKind::Fr3) => Some(limits::from_urdf(text)),
-        _ => None,
-    };
-    let (limits, limits_from_arm) = match limits {
-        // An arm of version 9 may serve a description without the elements that version 10 has added.
-        Some(Err(_)) if session.protocol == Protocol::V9 => (settings.table(session.protocol), false),
-        Some(found) => (found?, true),
-        None => (settings.table(session.protocol), false),
-    };
+    let (urdf, limits, limits_from_arm) = limits_of(&mut session, settings)?;
     let gravity = estimate_gravity(&mut session, &state);
     let telemetry = Arc::new(Telemetry::default());
     telemetry.in_mode(state.robot_mode);
@@ -91,11 +85,38 @@ pub fn connect(settings: &Settings) -> Result<(FrankaArm, Connection), ConnectEr
         limits,
         limits_from_arm,
         urdf,
+        compensates,
         gravity,
         refused_options: std::mem::take(&mut session.refused),
     };
     let arm = FrankaArm::new(settings, session, &info, telemetry.clone())?;
     Ok((arm, Connection { info, telemetry }))
+}
+
+/// The limits that an arm serves, or those of its version's table: what motions are planned and checked under before anything moves.
+/// Connects, reads, and ends the connection; nothing is commanded.
+///
+/// # Errors
+///
+/// [`ConnectError`], whose text says what the operator can do.
+pub fn read_limits(settings: &Settings) -> Result<RobotLimits, ConnectError> {
+    limits_of(&mut reach(settings)?, settings).map(|(_, limits, _)| limits)
+}
+
+/// The description that the arm serves, its limits, and whether these are from the description.
+fn limits_of(session: &mut Session, settings: &Settings) -> Result<(Option<String>, RobotLimits, bool), ConnectError> {
+    let urdf = session.description()?;
+    let limits = match (&urdf, settings.robot) {
+        (Some(text), RobotKind::Fr3) => Some(limits::from_urdf(text)),
+        _ => None,
+    };
+    let (limits, from_arm) = match limits {
+        // An arm of version 9 may serve a description without the elements that version 10 has added.
+        Some(Err(_)) if session.protocol == Protocol::V9 => (settings.table(session.protocol), false),
+        Some(found) => (found?, true),
+        None => (settings.table(session.protocol), false),
+    };
+    Ok((urdf, limits, from_arm))
 }
 
 /// Asks an arm that was stopped by a reflex to recover, and waits until it is idle. An arm that is idle already is left alone.

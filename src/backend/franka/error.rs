@@ -96,6 +96,26 @@ pub enum ConnectError {
         /// Why.
         what: String,
     },
+    /// The declared compensation of gravity is not the arm's.
+    #[error(
+        "the settings say that the arm compensates gravity along {declared:?} m/s2, but its state says {shown:?} (`O_ddP_O`). The arm goes by its \
+         own value: leave `backend.franka.compensates` out, or see in Desk what the arm was told of its mounting"
+    )]
+    Compensation {
+        /// As declared \[m/s2\].
+        declared: [f64; 3],
+        /// `O_ddP_O` of the state \[m/s2\].
+        shown: [f64; 3],
+    },
+    /// Torques are to be commanded to an arm whose state shows no gravity.
+    #[error(
+        "the arm's state shows no gravity (`O_ddP_O` is {shown:?} m/s2), so the torque that it adds by itself is not known. Declare it with \
+         `backend.franka.compensates`, or command positions"
+    )]
+    NoCompensation {
+        /// `O_ddP_O` of the state \[m/s2\].
+        shown: [f64; 3],
+    },
     /// The description can't be used.
     #[error(transparent)]
     Urdf(#[from] UrdfError),

@@ -1,5 +1,6 @@
-//! The direction of gravity that the arm believes in, from states at rest.
+//! The gravity that the arm compensates, from its state and the settings; the direction that its sensors show, from states at rest.
 
+use super::error::ConnectError;
 use super::wire::RobotState;
 
 /// States at rest that an estimate needs.
@@ -9,7 +10,7 @@ const REST: f64 = 0.02;
 /// Sensors that are farther apart than this don't mean what is assumed of their frames \[rad\].
 const AGREE: f64 = 0.35;
 /// A reading outside these bounds is no gravity \[m/s2\].
-const PLAUSIBLE: std::ops::Range<f64> = 8.0..12.0;
+pub(super) const PLAUSIBLE: std::ops::Range<f64> = 8.0..12.0;
 
 /// Where a direction comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -38,6 +39,36 @@ pub struct Gravity {
     pub accelerometers: Option<f64>,
     /// States that were averaged.
     pub states: usize,
+}
+
+/// Largest distance of a declared compensation from the one of the state, 3 degrees of gravity \[m/s2\].
+const DECLARED: f64 = 0.5;
+
+/// The documented `O_ddP_O`, whatever the mounting \[m/s2\].
+const UPRIGHT: [f64; 3] = [0.0, 0.0, -9.81];
+
+/// Gravity in the base frame that the arm's own controller adds torque against \[m/s2\]: `O_ddP_O` of `state`, which `declared` must agree
+/// with. Where the state shows no gravity, the declared one, else the documented one.
+///
+/// # Errors
+/// [`ConnectError::Compensation`] where both disagree; [`ConnectError::NoCompensation`] where neither names one and torques are `commanded`.
+pub(super) fn compensated(
+    state: &RobotState,
+    declared: Option<[f64; 3]>,
+    commanded: bool,
+) -> Result<[f64; 3], ConnectError> {
+    let shown = state.o_ddp_o;
+    match (unit(shown), declared) {
+        (Some(_), Some(declared)) => {
+            let off = (0..3).map(|i| (declared[i] - shown[i]).powi(2)).sum::<f64>().sqrt();
+            // Written so that a NaN disagrees.
+            if off <= DECLARED { Ok(shown) } else { Err(ConnectError::Compensation { declared, shown }) }
+        }
+        (Some(_), None) => Ok(shown),
+        (None, Some(declared)) => Ok(declared),
+        (None, None) if commanded => Err(ConnectError::NoCompensation { shown }),
+        (None, None) => Ok(UPRIGHT),
+    }
 }
 
 /// Sums over states at rest.
@@ -196,6 +227,31 @@ mod tests {
         let gravity = estimate(&state).unwrap();
         assert_eq!(gravity.source, Source::Base);
         assert!(gravity.accelerometers.is_some_and(|spread| spread > AGREE));
+    }
+
+    #[test]
+    fn the_states_own_value_is_compensated_and_a_declaration_that_disagrees_is_refused() {
+        let of = |shown| RobotState { o_ddp_o: shown, ..RobotState::default() };
+        let (upright, wall) = ([0.0, 0.0, -9.81], [9.81, 0.0, 0.0]);
+        for commanded in [false, true] {
+            let known =
+                |shown, declared| compensated(&of(shown), declared, commanded).map_err(|error| error.to_string());
+            assert_eq!(known(upright, None), Ok(upright));
+            assert_eq!(known(wall, None), Ok(wall));
+            // The declaration is held against the state, and the state's own value is what counts.
+            assert_eq!(known(upright, Some([0.3, 0.0, -9.8])), Ok(upright));
+            for (shown, declared) in
+                [(upright, wall), (wall, upright), (upright, [0.0, 0.0, 9.81]), (upright, [0.6, 0.0, -9.8])]
+            {
+                let text = known(shown, Some(declared)).unwrap_err();
+                assert!(text.contains("compensates") && text.contains("O_ddP_O"), "{text}");
+            }
+            // A state without a gravity.
+            assert_eq!(known([0.0; 3], Some(wall)), Ok(wall));
+            assert_eq!(known([f64::NAN; 3], None).is_err(), commanded);
+            assert_eq!(known([0.0; 3], None).is_err(), commanded);
+        }
+        assert_eq!(compensated(&of([0.0; 3]), None, false).unwrap(), upright);
     }
 
     #[test]

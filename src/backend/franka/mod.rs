@@ -8,7 +8,7 @@
 //! | [`wire`] | the protocol as bytes |
 //! | `settings`, [`limits`] | what a session is opened with; what the arm holds commands against |
 //! | `session`, `tcp`, `udp`, `hints`, `error` | connecting, and what to do when that fails |
-//! | `gravity` | the direction of gravity that the arm believes in |
+//! | `gravity` | the gravity that the arm compensates, and the direction that its sensors show |
 //! | `arm`, `motion`, `halt` | the arm in the loop: beginning, cycle, end of a motion |
 //! | `reference`, `limiter`, `torque` | what the arm goes by, in double precision; commands inside its limits; the impedance law |
 //! | `telemetry`, `explain` | counters that any thread may look at; faults in words |
@@ -46,7 +46,7 @@ pub mod wire;
 
 pub use arm::FrankaArm;
 pub use codes::*;
-pub use connect::{Connection, Info, connect, recover, recover_communication};
+pub use connect::{Connection, Info, connect, read_limits, recover, recover_communication};
 pub use error::{ConnectError, next_step};
 pub use explain::{Explanation, explain};
 pub use gravity::{Gravity, Source};

@@ -1,5 +1,6 @@
 //! What a session with an arm is opened with.
 
+use super::gravity::PLAUSIBLE;
 use super::wire;
 use serde::Deserialize;
 use std::net::IpAddr;
@@ -58,9 +59,8 @@ pub struct TorqueControl {
     pub stiffness: [f64; 7],
     /// Per joint \[Nms/rad\].
     pub damping: [f64; 7],
-    /// Whether the served model's torque is added. The arm compensates gravity by itself, so it is added **without gravity**: the
-    /// model's torque at the setpoint less its torque at the same position at rest (`tau_ff - tau_rest` of the command). A model that takes
-    /// over in mid-motion does so at the rate of torque that the arm allows.
+    /// Whether the served model's torque is added, less what the arm's own controller adds by itself: `tau_ff - tau_vendor` of the
+    /// command, with `tau_vendor` the model at rest under the gravity that the arm compensates ([`super::Info::compensates`]), not the one that acts.
     pub feed_forward: bool,
     /// Largest distance between desired and measured position \[rad\]; a command beyond is refused.
     pub reach: f64,
@@ -112,6 +112,8 @@ pub struct Settings {
     pub load: Option<Load>,
     /// The impedance law of [`Interface::Torque`].
     pub torque: TorqueControl,
+    /// Gravity that the arm's own controller compensates, in the base frame, as declared \[m/s2\]; `None` takes `O_ddP_O` of the arm's state.
+    pub compensates: Option<[f64; 3]>,
     /// What the sockets are asked for.
     pub socket: SocketOptions,
     /// Longest silence of the arm before a read gives up.
@@ -137,6 +139,7 @@ impl Settings {
             cartesian_impedance: None,
             load: None,
             torque: TorqueControl::default(),
+            compensates: None,
             socket: SocketOptions::default(),
             state_timeout: Duration::from_millis(100),
             connect_timeout: Duration::from_secs(3),
@@ -164,6 +167,12 @@ impl Settings {
         positive("torque stiffness", &self.torque.stiffness)?;
         positive("torque damping", &self.torque.damping)?;
         positive("torque reach", &[self.torque.reach])?;
+        if let Some(gravity) = self.compensates {
+            let norm = gravity.iter().map(|x| x * x).sum::<f64>().sqrt();
+            if !PLAUSIBLE.contains(&norm) {
+                return Err(BadSetting { what: "compensates", value: norm, expected: "a gravity of 8 to 12 m/s2" });
+            }
+        }
         if let Some(load) = &self.load {
             positive("load mass", &[load.mass])?;
             let more = load.com.iter().chain(&load.inertia);

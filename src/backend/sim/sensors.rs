@@ -71,12 +71,14 @@ fn step(value: f64, quantum: f64) -> f64 {
     if quantum > 0.0 { (value / quantum).round() * quantum } else { value }
 }
 
-/// Readings that are wrong: outliers of the torque, and states that say again what the one before said.
+/// Readings that are wrong: torque sensors that are dead, outliers of the torque, and states that say again what the one before said.
 pub(super) struct Faults {
     joints: usize,
     outlier_probability: f64,
     outlier_size: f64,
     repeat_probability: f64,
+    /// Joints from 0.
+    dead: Vec<usize>,
     last: Option<(Reading, f64)>,
     rng: ChaCha8Rng,
 }
@@ -88,6 +90,7 @@ impl Faults {
             outlier_probability: truth.outlier_probability,
             outlier_size: truth.outlier_size,
             repeat_probability: truth.repeat_probability,
+            dead: truth.dead_torque_sensors.iter().map(|joint| joint - 1).collect(),
             last: None,
             rng: stream(seed, 3),
         }
@@ -101,6 +104,9 @@ impl Faults {
                     *tau += if self.rng.random() { self.outlier_size } else { -self.outlier_size };
                 }
             }
+        }
+        for &joint in &self.dead {
+            reading.tau[joint] = 0.0;
         }
         if self.repeat_probability > 0.0 {
             let again = self.rng.random::<f64>() < self.repeat_probability;
@@ -221,12 +227,24 @@ mod tests {
             ("repeat-probability", "-0.1"),
             ("outlier-size", "inf"),
             ("torque-noise-corner", "0.0"),
+            ("dead-torque-sensors", "[2]"),
         ] {
             let text = "robot = 'none'
                 link = [{ mass = 1.0, com = [0, 0, 0], inertia = [1, 0, 0, 1, 0, 1] }]
                 joint = [{ stiffness = 1, damping = 1 }]";
             let error = Truth::parse("test", &format!("{key} = {value}\n{text}")).expect_err(key).to_string();
             assert!(error.starts_with(&format!("test: {key}: got ")), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_dead_torque_sensor_reads_zero() {
+        let mut faults =
+            Faults::new(&truth("dead-torque-sensors = [2]\noutlier-probability = 0.5\noutlier-size = 5.0", ""), 9);
+        for _ in 0..100 {
+            let mut reading = Reading { tau: [3.0; MAX_JOINTS], ..Reading::default() };
+            faults.spoil(&mut reading, &mut 0.0);
+            assert!(reading.tau[0] != 0.0 && reading.tau[1] == 0.0, "{:?}", reading.tau);
         }
     }
 }

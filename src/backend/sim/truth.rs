@@ -2,10 +2,11 @@
 
 use super::effect::{Effect, EffectSpec};
 use super::spatial::Inertia;
+use crate::decomposition::symmetric_eigen;
 use crate::input::{BadInput, from_toml};
 use crate::joint::MAX_JOINTS;
 use crate::model::rnea::LinkParameters;
-use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 
 /// The truth of a simulated arm. Nothing in the estimator ever sees it.
@@ -41,6 +42,9 @@ pub struct Truth {
     /// Chance that a state repeats the readings and the time stamp of the one before.
     #[serde(default)]
     pub repeat_probability: f64,
+    /// Joints whose torque sensor is dead and reads 0 Nm, counted from 1.
+    #[serde(default)]
+    pub dead_torque_sensors: Vec<usize>,
     /// Effects beyond the rigid body, `fv dq + fc tanh(100 dq)` and white noise, in the order in which they act.
     #[serde(default, rename = "effect")]
     pub effects: Vec<EffectSpec>,
@@ -150,6 +154,9 @@ impl Truth {
                 return wrong(name.into(), value.to_string(), &format!("{low} to {high}"));
             }
         }
+        if let Some(joint) = self.dead_torque_sensors.iter().find(|joint| !(1..=n).contains(*joint)) {
+            return wrong("dead-torque-sensors".into(), joint.to_string(), &format!("joints from 1 to {n}"));
+        }
         if !(1..=1000).contains(&self.drop_burst) {
             return wrong("drop-burst".into(), self.drop_burst.to_string(), "1 to 1000");
         }
@@ -247,7 +254,15 @@ pub(super) fn check_body(
     if com.iter().chain(inertia).any(|value| !value.is_finite()) {
         return Err(BadInput::new(file, place, format!("com {com:?}, inertia {inertia:?}"), "finite numbers"));
     }
-    let principal = SymmetricEigen::new(symmetric(inertia)).eigenvalues;
+    let Some(eigen) = symmetric_eigen(symmetric(inertia)) else {
+        return Err(BadInput::new(
+            file,
+            format!("{place}, inertia"),
+            format!("{inertia:?}"),
+            "principal moments that can be computed",
+        ));
+    };
+    let principal = eigen.eigenvalues;
     let room = 1e-9 * principal.amax();
     let spread = 0.5 * principal.sum() - principal.max();
     let positive = inside == Inside::MayBeZero || principal.min() > 0.0;

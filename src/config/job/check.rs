@@ -93,7 +93,7 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
             return bad(&format!("limits.{name}"), &share, "a share of the robot's limit, above 0 and at most 1");
         }
     }
-    if let Some(Workspace { box_min, box_max, base_radius }) = &job.workspace {
+    if let Some(Workspace { box_min, box_max, base_radius, links_in_box: _ }) = &job.workspace {
         for axis in 0..3 {
             if !(box_min[axis].is_finite() && box_max[axis].is_finite() && box_min[axis] < box_max[axis]) {
                 let found = format!("{} m to {} m", box_min[axis], box_max[axis]);
@@ -156,6 +156,9 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     let most = if job.backend.franka.is_some() { LONGEST_ALONE - 1 } else { 1000 };
     if !(1..=most).contains(&job.safety.max_lost) {
         return bad("safety.max-lost", &job.safety.max_lost, &format!("1 to {most} states"));
+    }
+    if !(1.0..=86_400.0).contains(&job.safety.model_timeout) {
+        return bad("safety.model-timeout", &format!("{} s", job.safety.model_timeout), "1 s to 86400 s");
     }
     let live = &job.live;
     if !(4.0..=600.0).contains(&live.window) {

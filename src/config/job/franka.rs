@@ -3,7 +3,10 @@
 use crate::backend::franka::{self, Controller, Interface, RobotKind, TorqueControl};
 use crate::config::units;
 use crate::input::BadInput;
-use serde::Deserialize;
+use crate::model::gravity::Mounting;
+use serde::de::value::SeqAccessDeserializer;
+use serde::de::{Error, SeqAccess, Unexpected, Visitor};
+use serde::{Deserialize, Deserializer};
 use std::net::IpAddr;
 use std::time::Duration;
 
@@ -34,6 +37,10 @@ pub struct Franka {
     /// plumbline's own impedance, with `interface = "torque"`.
     #[serde(default)]
     pub torque: TorqueControl,
+    /// Gravity that the robot's own controller compensates: `"upright"`, `"true"` (the one of `mounting`) or a vector in the base
+    /// frame \[m/s2\]; the robot's own value (`O_ddP_O` of its state) where absent. One that disagrees with the robot's is refused.
+    #[serde(default, deserialize_with = "compensates")]
+    pub compensates: Option<Compensates>,
     /// From which forces on the robot reports a contact, and from which it stops.
     #[serde(default)]
     pub collision: Collision,
@@ -61,6 +68,54 @@ pub enum Recovery {
     /// The daemon, after a lost connection in time alone (`communication_constraints_violation`), `max-recoveries` times in a job:
     /// it drives the interrupted motion again from its beginning. Every other reflex is a person's to judge.
     Automatic,
+}
+
+/// A declared compensation of gravity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Compensates {
+    /// Along the base's negative z axis, whatever the mounting.
+    Upright,
+    /// The gravity of the job's mounting.
+    True,
+    /// This one, in the base frame \[m/s2\].
+    Along([f64; 3]),
+}
+
+const COMPENSATES: &str = "\"upright\", \"true\" or a gravity [x, y, z] in the base frame in m/s2";
+
+fn compensates<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Compensates>, D::Error> {
+    struct Setting;
+    impl<'de> Visitor<'de> for Setting {
+        type Value = Compensates;
+
+        fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+            f.write_str(COMPENSATES)
+        }
+
+        fn visit_str<E: Error>(self, name: &str) -> Result<Compensates, E> {
+            match name {
+                "upright" => Ok(Compensates::Upright),
+                "true" => Ok(Compensates::True),
+                _ => Err(E::invalid_value(Unexpected::Str(name), &self)),
+            }
+        }
+
+        fn visit_seq<S: SeqAccess<'de>>(self, seq: S) -> Result<Compensates, S::Error> {
+            <[f64; 3]>::deserialize(SeqAccessDeserializer::new(seq)).map(Compensates::Along)
+        }
+    }
+    deserializer.deserialize_any(Setting).map(Some)
+}
+
+impl Compensates {
+    /// The gravity itself on an arm in `mounting` \[m/s2\].
+    fn gravity(&self, mounting: &Mounting) -> [f64; 3] {
+        match self {
+            Compensates::Upright => Mounting::UPRIGHT.gravity().into(),
+            Compensates::True => mounting.gravity().into(),
+            Compensates::Along(gravity) => *gravity,
+        }
+    }
 }
 
 /// Thresholds of the robot's own contact and collision detection, while accelerating or not.
@@ -167,6 +222,7 @@ impl Franka {
                 franka::Load { mass: load.mass, com: load.com, inertia: [xx, xy, xz, xy, yy, yz, xz, yz, zz] }
             }),
             torque: self.torque,
+            compensates: self.compensates.map(|compensates| compensates.gravity(&job.mounting)),
             socket: franka::SocketOptions { priority, busy_poll_us: busy_poll, receive_buffer },
             state_timeout: Duration::from_secs_f64(self.state_timeout),
             connect_timeout: Duration::from_secs_f64(self.connect_timeout),
@@ -197,6 +253,12 @@ impl Franka {
             && let Some(value) = stiffness.iter().find(|value| !(0.0..=14_250.0).contains(*value))
         {
             return bad("joint-impedance", format!("{value} Nm/rad"), "0 to 14250 Nm/rad for every joint");
+        }
+        if let Some(Compensates::Along(gravity)) = &self.compensates {
+            let norm = gravity.iter().map(|x| x * x).sum::<f64>().sqrt();
+            if !(8.0..12.0).contains(&norm) {
+                return bad("compensates", format!("{gravity:?}, {norm} m/s2 long"), "a gravity of 8 to 12 m/s2");
+            }
         }
         let TorqueControl { stiffness, damping, reach, feed_forward: _ } = &self.torque;
         for (key, values, most, unit) in

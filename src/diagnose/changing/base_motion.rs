@@ -6,6 +6,7 @@
 //! that of the motion, or every period would repeat it.
 
 use super::record::{Record, median};
+use crate::decomposition::symmetric_eigen;
 use crate::estimate::signal::spectral::Spectral;
 use crate::model::term::Motion;
 use crate::model::term::load::Load;
@@ -158,7 +159,7 @@ fn strongest(record: &Record, gravity: &[DMatrix<f64>], rest: &DMatrix<f64>) -> 
         let line = Line { record, gravity, rest, noise: &noise };
         let width = 1.0 / (length as f64 * record.dt);
         let frequency = line.peak(spectral.frequency(power[k].0), width);
-        Some(line.fit(frequency)?.report(&line, frequency, ratio)).filter(|found| found.explained > EXPLAINED)
+        Some(line.fit(frequency)?.report(&line, frequency, ratio)?).filter(|found| found.explained > EXPLAINED)
     })
 }
 
@@ -195,7 +196,7 @@ fn noise(record: &Record, rest: &DMatrix<f64>) -> Noise {
 
 /// Inverse on the directions in which the arm feels a base motion at all.
 fn weak_inverse(a: &Matrix3<f64>) -> Matrix3<f64> {
-    let eigen = a.symmetric_eigen();
+    let Some(eigen) = symmetric_eigen(*a) else { return Matrix3::zeros() };
     let least = 1e-6 * eigen.eigenvalues.max();
     let values = eigen.eigenvalues.map(|value| if value > least { 1.0 / value } else { 0.0 });
     eigen.eigenvectors * Matrix3::from_diagonal(&values) * eigen.eigenvectors.transpose()
@@ -274,11 +275,11 @@ fn torque(record: &Record, gravity: &[DMatrix<f64>], line: &BaseMotion) -> DMatr
 }
 
 impl Fitted {
-    fn report(&self, line: &Line, frequency: f64, ratio: f64) -> BaseMotion {
+    fn report(&self, line: &Line, frequency: f64, ratio: f64) -> Option<BaseMotion> {
         let cosine = Vector3::new(self.theta[0], self.theta[1], self.theta[2]);
         let sine = Vector3::new(self.theta[3], self.theta[4], self.theta[5]);
         // The largest axis of the ellipse that the base runs through.
-        let eigen = (cosine * cosine.transpose() + sine * sine.transpose()).symmetric_eigen();
+        let eigen = symmetric_eigen(cosine * cosine.transpose() + sine * sine.transpose())?;
         let axis = eigen.eigenvalues.imax();
         let direction: Vector3<f64> = eigen.eigenvectors.column(axis).into();
         let amplitude = eigen.eigenvalues[axis].sqrt();
@@ -300,7 +301,7 @@ impl Fitted {
         let tau = torque(line.record, line.gravity, &found);
         found.rms = tau.column_iter().map(|own| (own.norm_squared() / own.len() as f64).sqrt()).collect();
         found.explained = explained(line, frequency, &tau);
-        found
+        Some(found)
     }
 }
 

@@ -20,11 +20,12 @@ use super::library::{self, Candidate};
 use super::moments::Columns;
 use super::select::{Found, Scored, Search, Selected, Step};
 use super::state::{State, every, mean_square};
+use crate::decomposition::symmetric_eigen;
 use crate::model::structure::Structure;
 use crate::model::term::Column;
 use crate::model::term::effect::{self, Family, Ground, Spec};
 use crate::model::torque::{Parameter, TorqueModel};
-use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
 /// Kinds of effect that may have come or changed since.
@@ -290,7 +291,8 @@ fn unknown(information: &DMatrix<f64>, range: &Range<usize>) -> DMatrix<f64> {
     let (a, c) = (pick(&others, &inside), pick(&inside, &inside));
     let alone = &c - a.tr_mul(&(inverse(&pick(&others, &others)) * &a));
     let scale: Vec<f64> = c.diagonal().iter().map(|d| if *d > 0.0 { 1.0 / d.sqrt() } else { 1.0 }).collect();
-    let eigen = SymmetricEigen::new(DMatrix::from_fn(own, own, |i, k| alone[(i, k)] * scale[i] * scale[k]));
+    let scaled = DMatrix::from_fn(own, own, |i, k| alone[(i, k)] * scale[i] * scale[k]);
+    let Some(eigen) = symmetric_eigen(scaled) else { return DMatrix::identity(own, own) };
     let lost: Vec<usize> = (0..own).filter(|&k| eigen.eigenvalues[k] < RANK).collect();
     eigen.eigenvectors.select_columns(&lost)
 }

@@ -3,7 +3,8 @@
 //! Coordinates of a symmetric matrix `X` are `[X00 X11 X22 X33 r X01 r X02 r X03 r X12 r X13 r X23]` with `r = sqrt(2)`, so that the
 //! product of two coordinate vectors is `tr(X Y)`. A rotor has one coordinate, its inertia over the prior's.
 
-use nalgebra::{DVector, DVectorView, Matrix4, SMatrix, SVector, SymmetricEigen};
+use crate::decomposition::symmetric_eigen;
+use nalgebra::{DVector, DVectorView, Matrix4, SMatrix, SVector};
 use std::f64::consts::SQRT_2;
 
 /// Coordinates of a link.
@@ -143,28 +144,30 @@ impl Inside {
     }
 
     /// Eigenvalues of `B^-1/2 D B^-1/2`, block after block: `B + t D` stays in the cone while `1 + t e > 0` for all of them.
-    pub fn relative_eigenvalues(&self, d: &DVector<f64>) -> Vec<f64> {
+    /// `None` where they are not finite.
+    pub fn relative_eigenvalues(&self, d: &DVector<f64>) -> Option<Vec<f64>> {
         let mut all = Vec::with_capacity(self.shape.order() as usize);
         for (i, (_, inverse)) in self.links.iter().enumerate() {
             let relative = inverse * matrix(link(d, i)) * inverse.transpose();
-            all.extend(relative.symmetric_eigenvalues().iter());
+            all.extend(symmetric_eigen(relative)?.eigenvalues.iter());
         }
         all.extend(self.rotors.iter().zip(&rotors(self.shape, d)).map(|(b, d)| d / b));
-        all
+        Some(all)
     }
 
-    /// The longest step along `d` that stays in the cone; infinite where none leaves it.
+    /// The longest step along `d` that stays in the cone; infinite where none leaves it, 0 where `d` is not finite.
     pub fn longest_step(&self, d: &DVector<f64>) -> f64 {
-        let least = self.relative_eigenvalues(d).into_iter().fold(0.0, f64::min);
+        let Some(eigenvalues) = self.relative_eigenvalues(d) else { return 0.0 };
+        let least = eigenvalues.into_iter().fold(0.0, f64::min);
         if least < 0.0 { -1.0 / least } else { f64::INFINITY }
     }
 
-    /// The Nesterov-Todd scaling of this point and `z`.
-    pub fn scaling(&self, z: &DVector<f64>) -> Scaling {
+    /// The Nesterov-Todd scaling of this point and `z`; `None` where they are not finite.
+    pub fn scaling(&self, z: &DVector<f64>) -> Option<Scaling> {
         let mut links = Vec::with_capacity(self.links.len());
         let mut scaled = Vec::with_capacity(self.shape.order() as usize);
         for (i, (l, _)) in self.links.iter().enumerate() {
-            let eigen = SymmetricEigen::new(l.tr_mul(&matrix(link(z, i))) * l);
+            let eigen = symmetric_eigen(l.tr_mul(&matrix(link(z, i))) * l)?;
             let squared = eigen.eigenvalues.map(|e| e.max(f64::MIN_POSITIVE));
             let root = Matrix4::from_diagonal(&squared.map(|e| e.powf(-0.25)));
             links.push(congruence(&(l * eigen.eigenvectors * root)));
@@ -173,7 +176,7 @@ impl Inside {
         let z = rotors(self.shape, z);
         scaled.extend(self.rotors.iter().zip(&z).map(|(b, z)| (b * z).sqrt()));
         let rotors = self.rotors.iter().zip(&z).map(|(b, z)| (b / z).sqrt()).collect();
-        Scaling { factor: Factor { shape: self.shape, links, rotors }, scaled }
+        Some(Scaling { factor: Factor { shape: self.shape, links, rotors }, scaled })
     }
 }
 

@@ -56,7 +56,8 @@ pub fn exact(problem: &Problem, most: usize) -> Result<(DVector<f64>, usize), us
         if decrement < DECREMENT {
             return Ok((b, iterations));
         }
-        let Some(step) = line_search(&inside.relative_eigenvalues(&d_s), d_nu.dot(target)) else {
+        let eigenvalues = inside.relative_eigenvalues(&d_s).ok_or(iterations)?;
+        let Some(step) = line_search(&eigenvalues, d_nu.dot(target)) else {
             return Err(iterations);
         };
         s.axpy(step, &d_s, 1.0);
@@ -129,7 +130,7 @@ pub fn nearest(problem: &Problem) -> Option<(DVector<f64>, DVector<f64>, usize)>
         if mu <= 1.01 * least && off < CENTRED && open.norm() < OPEN * (1.0 + distance.sqrt()) {
             return Some((b, y, iterations));
         }
-        let scaling = inside.scaling(&z);
+        let scaling = inside.scaling(&z)?;
         let factor = &scaling.factor;
         factor.adjoint_columns(kt, &mut scaled);
         let system = Cholesky::new(gram(&scaled) + c)?;
@@ -283,7 +284,7 @@ mod tests {
             DVector::from_iterator(11, link.iter().copied().chain([rng.random_range(0.1..3.0)]))
         };
         let (b, z, p, q) = (point(), point(), point(), point());
-        let scaling = Inside::new(shape, &b).unwrap().scaling(&z);
+        let scaling = Inside::new(shape, &b).unwrap().scaling(&z).unwrap();
         let scaled = scaling.factor.apply(&z, true);
         assert!((scaling.factor.apply(&scaled, false) - &b).amax() < 1e-10, "W Z W = B");
         let d = matrix(scaled.as_slice());

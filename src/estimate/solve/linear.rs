@@ -1,6 +1,7 @@
 //! What the estimators share: weights, and linear equations solved in the directions that the data determines.
 
 use super::stack::Stack;
+use crate::decomposition::svd;
 use crate::estimate::EstimateError;
 use crate::model::conditioning::ZERO_COLUMN;
 use nalgebra::{Cholesky, DMatrix, DVector};
@@ -11,6 +12,8 @@ const RANK_TOLERANCE: f64 = 1e-7;
 const NORMAL_TOLERANCE: f64 = 1e-12;
 /// A joint's noise is taken as at least this share of its torque, so that exact data has finite weights.
 const LEAST_NOISE: f64 = 1e-7;
+/// The largest torque is taken as at least this, so that the weights of torques that are all zero are finite, and their squares, too \[Nm\].
+const LEAST_TORQUE: f64 = 1e-60;
 
 /// Parameters as a linear map of the torques.
 #[derive(Clone, Debug)]
@@ -102,7 +105,7 @@ impl Weights {
 /// regressor and the singular values of its triangle.
 ///
 /// # Errors
-/// No singular value decomposition, which finite data does not cause.
+/// Equations that are not finite.
 pub fn least_squares(stack: &Stack, weights: &Weights) -> Result<Fit, EstimateError> {
     let (w, scales) = equilibrated(weights.apply(&stack.w));
     let (rows, p) = w.shape();
@@ -161,7 +164,7 @@ impl Inverse {
     fn within(r: DMatrix<f64>, rows: usize, tolerance: f64) -> Result<Inverse, EstimateError> {
         let p = r.ncols();
         let failed = EstimateError::Decomposition { rows, columns: p };
-        let svd = r.try_svd(true, true, f64::EPSILON, 0).ok_or(failed.clone())?;
+        let svd = svd(r).ok_or(failed.clone())?;
         let (Some(u), Some(v_t)) = (&svd.u, &svd.v_t) else { return Err(failed) };
         let s_max = svd.singular_values.max();
         if !s_max.is_finite() {
@@ -195,7 +198,7 @@ pub fn freedom(rows: usize, rank: usize) -> f64 {
 pub fn least_noise(stack: &Stack) -> Vec<f64> {
     let m = stack.per_joint();
     let rms = |j: usize| (stack.tau.rows(j * m, m).norm_squared() / m as f64).sqrt();
-    let largest = (0..stack.joints).map(rms).fold(f64::MIN_POSITIVE.sqrt(), f64::max);
+    let largest = (0..stack.joints).map(rms).fold(LEAST_TORQUE, f64::max);
     (0..stack.joints).map(|j| LEAST_NOISE * rms(j).max(LEAST_NOISE * largest)).collect()
 }
 

@@ -2,6 +2,7 @@
 
 use super::linear::{Fit, Inverse, Weights, equilibrated, scale_rows};
 use super::stack::Stack;
+use crate::decomposition::symmetric_eigen;
 use crate::estimate::EstimateError;
 use nalgebra::{DMatrix, DVector};
 
@@ -45,7 +46,7 @@ pub fn solve(stack: &Stack, errors: &DMatrix<f64>, weights: &Weights) -> Result<
         .solve_lower_triangular(&scaled)
         .and_then(|half| triangle.transpose().solve_lower_triangular(&half.transpose()))
         .ok_or(failed.clone())?;
-    let eigen = ((&whitened + whitened.transpose()) * 0.5).symmetric_eigen();
+    let eigen = symmetric_eigen((&whitened + whitened.transpose()) * 0.5).ok_or(failed.clone())?;
     let largest = eigen.eigenvalues.imax();
     let factor = 1.0 / eigen.eigenvalues[largest];
     let direction =

@@ -1,5 +1,6 @@
 //! Normal equations solved, with what they can't tell.
 
+use crate::decomposition::symmetric_eigen;
 use crate::model::conditioning::ZERO_COLUMN;
 use nalgebra::{DMatrix, DVector};
 
@@ -50,7 +51,7 @@ pub fn solve(m: &DMatrix<f64>, b: &DVector<f64>) -> Option<Solution> {
     let (beta, inverse, null_share, rank, condition) = match exact {
         Some((beta, inverse, condition)) => (beta, inverse, vec![0.0; p], p, condition),
         None => {
-            let eigen = even.try_symmetric_eigen(f64::EPSILON, 0)?;
+            let eigen = symmetric_eigen(even)?;
             let top = eigen.eigenvalues.max();
             let (mut inverse, mut null_share, mut rank) = (DMatrix::zeros(p, p), vec![0.0; p], 0);
             for (k, &value) in eigen.eigenvalues.iter().enumerate() {

@@ -3,6 +3,7 @@
 use super::gram::Gram;
 use super::solve::{CHOLESKY_LIMIT, solve};
 use super::{StreamingError, active};
+use crate::decomposition::svd;
 use crate::joint::{JointVec, MAX_JOINTS};
 use crate::model::fast::sample::SampleRegressor;
 use crate::model::structure::Structure;
@@ -108,7 +109,7 @@ fn orthogonal(structure: &Structure, motion: &Motion, tau: &DMatrix<f64>, sigma:
     let mut projected = right;
     qr.q_tr_mul(&mut projected);
     let p = scale.len();
-    let svd = qr.unpack_r().try_svd(true, true, f64::EPSILON, 0)?;
+    let svd = svd(qr.unpack_r())?;
     let least = f64::EPSILON * samples as f64 * svd.singular_values.max();
     let mut beta = svd.solve(&projected.rows(0, p).into_owned(), least).ok()?;
     beta.iter_mut().zip(&scale).for_each(|(beta, scale)| *beta *= scale);

@@ -73,9 +73,9 @@ impl Caps {
         let share = 1.0 - (OVERSHOOT * excess / peak.limit.abs().max(1e-9) + LEAST).clamp(0.0, 0.3);
         let j = peak.joint.map_or(0, |joint| joint - 1);
         match peak.quantity {
-            Quantity::PositionMin => self.q_min[j] += by,
-            Quantity::PositionMax => self.q_max[j] -= by,
-            Quantity::Velocity => self.speed[j] *= share,
+            Quantity::PositionMin | Quantity::StopMin => self.q_min[j] += by,
+            Quantity::PositionMax | Quantity::StopMax => self.q_max[j] -= by,
+            Quantity::Velocity | Quantity::VelocityAhead => self.speed[j] *= share,
             Quantity::Acceleration => self.ddq[j] *= share,
             Quantity::Jerk => self.jerk[j] *= share,
             Quantity::Torque => self.tau[j] *= share,

@@ -25,10 +25,12 @@ pub mod objective;
 pub mod spectral;
 
 use super::ExciteError;
-use super::criterion::{sampled, stacked};
+use super::criterion::{check_excitation, sampled, stacked};
 use super::fourier::Fourier;
 use super::plan::Plan;
 use super::search::{self, Problem, Search, Watch};
+use super::usage::{check_usage, usage};
+use crate::model::term::Motion;
 use crew::Crew;
 use descent::Descent;
 use grid::Grid;
@@ -70,6 +72,8 @@ const ROUNDS: usize = 5;
 const ROUND_ITERATIONS: usize = 50;
 /// Starts are sketched in groups of so many, so that the first finished motion is there soon.
 const GROUP: usize = 8;
+/// Starts that are added one by one while none has led to a motion.
+const SPARE: usize = 16;
 /// One sketch of so many is seen through; a round of hops has one hop for so many starts.
 const KEPT: usize = 4;
 /// How many of the best motions hops start from.
@@ -102,15 +106,17 @@ pub fn optimise(problem: &Problem, search: &Search, prior: &[Fourier], watch: &W
 
     let mut best: Vec<Found> = Vec::new();
     let mut trouble = None;
-    for first in (0..search.starts).step_by(GROUP) {
-        let count = GROUP.min(search.starts - first);
+    let mut first = 0;
+    while first < search.starts || (best.is_empty() && first < search.starts + SPARE) {
+        let count = GROUP.min(search.starts.saturating_sub(first)).max(1);
         let (mut sketches, errors) = sorted(crew.map(count, 1, |index| task.sketch(first + index)));
         sketches.truncate(count.div_ceil(KEPT));
         let finish = |index: usize| crew.told(task.descend(&sketches[index].fourier, &FINISH));
         let (finished, more) = sorted(crew.map(sketches.len(), 3, finish));
         best.extend(finished);
         trouble = trouble.or(errors).or(more);
-        if (watch.stop)() && !best.is_empty() {
+        first += count;
+        if (watch.stop)() && (!best.is_empty() || first >= search.starts) {
             break;
         }
     }
@@ -130,8 +136,11 @@ pub fn optimise(problem: &Problem, search: &Search, prior: &[Fourier], watch: &W
     }
     best.sort_by(|one, other| one.cost.total_cmp(&other.cost));
     match best.into_iter().next() {
-        Some(found) => search::plan_of(problem, search, found.fourier),
-        None => Err(trouble.unwrap_or(ExciteError::Unexcited)),
+        Some(found) => {
+            check_excitation(problem.structure, &task.with_prior(&found.fourier))?;
+            search::plan_of(problem, search, found.fourier)
+        }
+        None => Err(trouble.unwrap_or(ExciteError::Budget { starts: search.starts, samples: search.samples })),
     }
 }
 
@@ -193,8 +202,13 @@ impl Task<'_> {
             self.leg(&mut objective, &mut descent, leg);
         }
         let fourier = self.settle(&mut objective, &mut descent)?;
-        let cost = self.cost(&fourier);
-        if cost.is_finite() { Ok(Found { cost, fourier }) } else { Err(ExciteError::Unexcited) }
+        check_usage(&usage(&self.problem.bounds, &fourier), None, 1)?;
+        let motion = self.with_prior(&fourier);
+        let cost = self.search.criterion.value(self.problem.structure, &motion, self.problem.sigma);
+        if !cost.is_finite() {
+            check_excitation(self.problem.structure, &motion)?;
+        }
+        Ok(Found { cost, fourier })
     }
 
     fn leg(&self, objective: &mut Objective, descent: &mut Descent, leg: Leg) -> f64 {
@@ -220,12 +234,12 @@ impl Task<'_> {
         search::shrink(objective.unpack(descent.x()), |fourier| search::verdict(self.problem, fourier))
     }
 
-    /// The criterion itself, on a fine grid.
-    fn cost(&self, fourier: &Fourier) -> f64 {
+    /// A motion on a fine grid, after those of `prior`: what the criterion is taken of.
+    fn with_prior(&self, fourier: &Fourier) -> Motion {
         let gravity = self.problem.mounting.gravity();
         let fine = |fourier: &Fourier| sampled(fourier, &gravity, FINE * self.search.samples);
         let motions: Vec<_> = self.prior.iter().chain([fourier]).map(fine).collect();
-        self.search.criterion.value(self.problem.structure, &stacked(&motions), self.problem.sigma)
+        stacked(&motions)
     }
 }
 

@@ -316,7 +316,8 @@ impl<'a> Objective<'a> {
                     let frame = if capsule.link == 0 { Frame::base() } else { frames[capsule.link - 1] };
                     [capsule.from, capsule.to].map(|end| frame.point(&Vector3::from(end)))
                 }));
-                let boxed = |capsule: &Capsule| workspace.is_some() && capsule.link >= FIRST_BOXED;
+                let links_in_box = workspace.is_some() && self.bounds.links_in_box;
+                let boxed = |capsule: &Capsule| links_in_box && capsule.link >= FIRST_BOXED;
                 for (capsule, ends) in shape.capsules().iter().zip(&ends).filter(|(capsule, _)| boxed(capsule)) {
                     for at in ends {
                         keep_in_box(held, &caps.links, capsule.link - 1, at, capsule.radius, &mut pulls);

@@ -5,6 +5,7 @@
 //! `log(b) / p` for `b` columns, and comes down to it as `p` grows.
 
 use super::super::criterion::Criterion;
+use crate::decomposition::symmetric_eigen;
 use nalgebra::DMatrix;
 
 /// Value and gradient `dL/dM` (symmetric) at the information matrix `gram`; `None` when it is not positive definite to rounding.
@@ -29,10 +30,7 @@ const SINGULAR: f64 = 1e-14;
 
 /// `L_p` of a matrix.
 fn spread(gram: DMatrix<f64>, p: f64) -> Option<(f64, DMatrix<f64>)> {
-    if gram.iter().any(|value| !value.is_finite()) {
-        return None;
-    }
-    let eigen = gram.symmetric_eigen();
+    let eigen = symmetric_eigen(gram)?;
     let (least, largest) = (eigen.eigenvalues.min(), eigen.eigenvalues.max());
     if least <= SINGULAR * largest {
         return None;

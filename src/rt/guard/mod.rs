@@ -232,10 +232,10 @@ impl Guard {
     }
 
     fn finite_command(&self, command: &Command) -> Result<(), Violation> {
-        let Command { desired, tau_ff, tau_rest, .. } = command;
+        let Command { desired, tau_ff, tau_vendor, .. } = command;
         for j in self.own_joints() {
             finite(Limit::NotFinite, j, [desired.q[j], desired.dq[j], desired.ddq[j]])?;
-            finite(Limit::TorqueNotFinite, j, [tau_ff.0[j], tau_rest.0[j]])?;
+            finite(Limit::TorqueNotFinite, j, [tau_ff.0[j], tau_vendor.0[j]])?;
         }
         Ok(())
     }

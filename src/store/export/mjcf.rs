@@ -17,7 +17,7 @@ pub fn write(arm: &Arm, gravity: &Vector3<f64>) -> Exported {
     for (j, (kind, placement)) in placements(arm.chain()).enumerate() {
         let (name, pad) = (j + 1, "  ".repeat(j + 2));
         let body = Body::of(&arm.bodies.links[j]);
-        let (moments, axes) = body.principal();
+        let (moments, axes) = body.principal().expect("the bodies of a model file are finite");
         let kind = match kind {
             JointKind::Revolute => "hinge",
             JointKind::Prismatic => "slide",

@@ -35,12 +35,20 @@ fn options_become_settings() {
     .expect("options");
     assert_eq!((rich.robot, rich.start[3], rich.mounting.phi), (RobotKind::Panda, -2.0, 0.2));
     assert_eq!(rich.base_acceleration, <[f64; 3]>::from(rich.mounting.gravity()));
+    // The gravity that the arm compensates shows in its states, and is upright in any mounting unless told otherwise.
+    let upright = [0.0, 0.0, -9.81];
+    let wall = parsed(&["--mounting=wall"]).expect("options");
+    assert_eq!((wall.compensates, wall.base_acceleration), (upright, upright));
+    let told = parsed(&["--mounting=wall", "--compensates=true"]).expect("options");
+    assert_eq!((told.compensates, told.base_acceleration), ([told.mounting.gravity().into(); 2]).into());
+    assert_eq!(rich.compensates, upright);
     assert_eq!((rich.faults[0].kind, rich.faults[1].kind), (Kind::Loss(0.1), Kind::TcpReset));
     assert_eq!((rich.finish, rich.patience), (FinishOrder::AnswerFirst(3), Duration::from_millis(20)));
     for wrong in [
         "--protocol=7",
         "--robot=ur10",
         "--mounting=floor",
+        "--compensates=wall",
         "--start=1,2",
         "--start=0,0,0,0,0,0,NaN",
         "--fault=thunder",

@@ -1,6 +1,5 @@
 //! What the loop's guard holds the commands of a connected arm against.
 
-use super::super::connect::Info;
 use super::RobotLimits;
 use crate::joint::{JointVec, Limits, SpeedEnvelope};
 
@@ -13,15 +12,16 @@ use crate::joint::{JointVec, Limits, SpeedEnvelope};
 /// tau   = min(job, robot)            dtau likewise
 /// ```
 ///
-/// The robot's are those of [`Info::limits`]: served by the arm that is connected, else the table of its version. The adapter multiplies
+/// The robot's are those of [`Info::limits`](super::super::Info::limits): served by the arm that is connected, else the table of its version. The
+/// adapter multiplies
 /// velocity, acceleration and jerk by the share, so a stop that the loop plans inside these limits goes through it as it is; a stop
 /// planned with more would be stretched, and the arm go farther than the guard has reckoned with. Positions are not multiplied. Torque and
 /// its rate are the whole ones, because the guard holds them against torques with gravity in them, measured and fed forward; the adapter's
 /// share is of the torques that it commands, without gravity. Joints that the robot does not have stay as the job has them.
 ///
 /// What depends on position is [`guard_envelope`].
-pub fn guard_limits(info: &Info, job: &Limits, limits_share: f64) -> Limits {
-    info.limits.within(job, limits_share)
+pub fn guard_limits(robot: &RobotLimits, job: &Limits, limits_share: f64) -> Limits {
+    robot.within(job, limits_share)
 }
 
 /// The position-dependent speed limit of the loop's guard, where the job's robot or the connected one has such a limit:
@@ -33,8 +33,8 @@ pub fn guard_limits(info: &Info, job: &Limits, limits_share: f64) -> Limits {
 ///
 /// this is an envelope of its own; of two envelopes it takes the larger offset and the smaller deceleration, which lies below both. It
 /// reckons with the ends of the limits it is used with, those of [`guard_limits`], which lie inside both ranges.
-pub fn guard_envelope(info: &Info, job: Option<&SpeedEnvelope>, limits_share: f64) -> Option<SpeedEnvelope> {
-    info.limits.envelope_within(job, limits_share)
+pub fn guard_envelope(robot: &RobotLimits, job: Option<&SpeedEnvelope>, limits_share: f64) -> Option<SpeedEnvelope> {
+    robot.envelope_within(job, limits_share)
 }
 
 impl RobotLimits {

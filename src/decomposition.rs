@@ -1,0 +1,70 @@
+//! Floor 0: eigenvalues and singular values with a bound on the iterations.
+//!
+//! nalgebra's own `svd`, `singular_values` and `symmetric_eigen` iterate until they converge, and on a matrix with an entry that is not finite they
+//! never do. Everything that decomposes a matrix calls these functions (`tests/floors.rs` holds that).
+
+use nalgebra::allocator::Allocator;
+use nalgebra::{DMatrix, DVector, DefaultAllocator, Dim, DimDiff, DimSub, Dyn, OMatrix, SVD, SymmetricEigen, U1};
+
+/// Most iterations per row or column; two or three are usual, and LAPACK allows 30.
+const ITERATIONS: usize = 100;
+
+/// Eigenvalues, not sorted, and eigenvectors of a symmetric matrix, of which the lower triangle is read. `None` where an entry is not
+/// finite, or where the iterations do not converge.
+pub fn symmetric_eigen<D>(m: OMatrix<f64, D, D>) -> Option<SymmetricEigen<f64, D>>
+where
+    D: Dim + DimSub<U1>,
+    DefaultAllocator: Allocator<D, D> + Allocator<D> + Allocator<DimDiff<D, U1>>,
+{
+    let bound = ITERATIONS * (m.nrows() + 1);
+    let finite = m.iter().all(|value| value.is_finite());
+    finite.then(|| SymmetricEigen::try_new(m, f64::EPSILON, bound)).flatten()
+}
+
+/// Singular values, the largest first, with both sets of singular vectors. `None` as in [`symmetric_eigen`].
+pub fn svd(m: DMatrix<f64>) -> Option<SVD<f64, Dyn, Dyn>> {
+    bounded(m, true)
+}
+
+/// Singular values alone, the largest first. `None` as in [`symmetric_eigen`].
+pub fn singular_values(m: DMatrix<f64>) -> Option<DVector<f64>> {
+    Some(bounded(m, false)?.singular_values)
+}
+
+fn bounded(m: DMatrix<f64>, vectors: bool) -> Option<SVD<f64, Dyn, Dyn>> {
+    let bound = ITERATIONS * (m.nrows().min(m.ncols()) + 1);
+    let sound = !m.is_empty() && m.iter().all(|value| value.is_finite());
+    sound.then(|| SVD::try_new(m, vectors, vectors, f64::EPSILON, bound)).flatten()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Matrix3;
+
+    #[test]
+    fn they_are_nalgebras_for_a_finite_matrix() {
+        let m = DMatrix::from_fn(9, 5, |i, k| ((3 * i + 7 * k) as f64).sin());
+        let found = svd(m.clone()).unwrap();
+        assert!((&found.singular_values - m.singular_values()).amax() < 1e-12);
+        assert!((found.recompose().unwrap() - &m).amax() < 1e-12);
+        assert_eq!(singular_values(m.clone()).unwrap().len(), 5);
+        let gram = m.tr_mul(&m);
+        let eigen = symmetric_eigen(gram.clone()).unwrap();
+        assert!((eigen.recompose() - gram).amax() < 1e-12);
+        assert_eq!(singular_values(DMatrix::zeros(4, 3)).unwrap(), DVector::zeros(3));
+    }
+
+    #[test]
+    fn a_matrix_that_is_not_finite_has_none() {
+        for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            for place in 0..9 {
+                let mut m = Matrix3::new(2.0, 1.0, 0.5, 1.0, 3.0, 0.2, 0.5, 0.2, 1.0);
+                m[place] = value;
+                let many = DMatrix::from_fn(3, 3, |i, k| m[(i, k)]);
+                assert!(symmetric_eigen(m).is_none());
+                assert!(svd(many.clone()).is_none() && singular_values(many).is_none());
+            }
+        }
+    }
+}

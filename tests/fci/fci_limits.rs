@@ -1,0 +1,134 @@
+//! Plans and the limits of the arm that is connected: whatever it serves, motions are checked and planned under it before anything moves.
+
+use crate::emulator::limits::{JOINTS, Limits};
+use crate::emulator::{Emulator, READY, RobotKind, Settings};
+use crate::job_support::{Done, Place, plumbline};
+use plumbline::backend::franka::wire::{Protocol, RobotMode};
+use plumbline::excite::plan::Plan;
+use plumbline::store::load_plan;
+use std::net::{IpAddr, Ipv4Addr};
+use std::process::Command;
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::time::Duration;
+
+/// An FR3 whose description has tighter limits than the robot file: less range and speed in every joint, and a speed that falls earlier.
+fn narrow() -> Limits {
+    let mut limits = Limits::of(RobotKind::Fr3, Protocol::V10);
+    for j in 0..JOINTS {
+        let cut = 0.1 * (limits.q_max[j] - limits.q_min[j]);
+        (limits.q_min[j], limits.q_max[j]) = (limits.q_min[j] + cut, limits.q_max[j] - cut);
+        limits.dq[j] *= 0.5;
+    }
+    if let Some(envelope) = &mut limits.envelope {
+        (envelope.lower, envelope.upper) = (limits.q_min, limits.q_max);
+        envelope.offset = envelope.offset.map(|offset| offset + 0.1);
+        envelope.deceleration = envelope.deceleration.map(|deceleration| 0.5 * deceleration);
+    }
+    limits
+}
+
+/// The emulator and the job for it: one short motion to identify from, one to validate with.
+struct Scene {
+    place: Place,
+    address: IpAddr,
+    emulator: Emulator,
+}
+
+impl Scene {
+    fn new(name: &str, limits: Option<Limits>, start: [f64; JOINTS]) -> Scene {
+        static NEXT: AtomicU8 = AtomicU8::new(1);
+        let address =
+            Ipv4Addr::new(127, 48, (std::process::id() % 250) as u8, NEXT.fetch_add(1, Ordering::Relaxed)).into();
+        // A test machine stalls now and then: this robot's time waits for it.
+        let patience = Duration::from_millis(20);
+        let settings = Settings { limits, start, patience, ..Settings::new(address, Protocol::V10) };
+        let emulator = Emulator::start(settings).unwrap_or_else(|error| panic!("{error}"));
+        Scene { place: Place::new(name), address, emulator }
+    }
+
+    fn command(&self, verb: &str, sets: &[&str]) -> Command {
+        let mut command = plumbline();
+        command.args([verb, "config/fr3.toml", "--out"]).arg(self.place.out());
+        let own = [
+            format!("serve.id={}", self.place.id),
+            format!("backend.franka.address={}", self.address),
+            "backend.franka.state-timeout=1 s".into(),
+            "excitation.period=4 s".into(),
+            "excitation.trajectories=1".into(),
+            "excitation.periods=1".into(),
+            "excitation.lead-in=0".into(),
+            "excitation.starts=1".into(),
+            "excitation.rounds=0".into(),
+            "validation.trajectories=1".into(),
+            "diagnosis.enabled=false".into(),
+            "realtime.lock-memory=false".into(),
+        ];
+        for set in own.iter().map(String::as_str).chain(sets.iter().copied()) {
+            command.args(["--set", set]);
+        }
+        command
+    }
+
+    fn plan(&self, name: &str) -> Plan {
+        load_plan(&self.place.out().join("plans").join(format!("{name}.toml"))).unwrap()
+    }
+
+    /// Nothing was driven: the arm is where it was.
+    fn assert_at_rest(&self, done: &Done) {
+        let state = self.emulator.snapshot().state;
+        assert_eq!((state.robot_mode, state.q_d), (RobotMode::Idle, READY), "{}", done.said());
+    }
+}
+
+#[test]
+fn motions_are_planned_under_the_limits_of_the_connected_arm() {
+    let scene = Scene::new("limits-run", Some(narrow()), READY);
+    let done = Done::of(scene.command("run", &[])).expect_code(0);
+    let narrow = narrow();
+    for name in ["identify-upright", "validate-upright-1"] {
+        let limits = scene.plan(name).constraints;
+        for j in 0..JOINTS {
+            assert!(limits.q_min[j] >= narrow.q_min[j] && limits.q_max[j] <= narrow.q_max[j], "{name}: {limits:?}");
+            assert!(limits.dq[j] <= 0.99 * narrow.dq[j], "{name}: {limits:?}");
+        }
+    }
+    assert!(done.out.contains("2 motions, each uses per joint at least [%]: range "), "{}", done.said());
+}
+
+/// A plan for the robot file's limits, as an earlier version or another arm has left it.
+#[test]
+fn a_plan_past_the_connected_arms_limits_is_refused_before_anything_moves() {
+    let scene = Scene::new("limits-plan", Some(narrow()), READY);
+    let plan = scene.place.path().join("plan.toml");
+    let mut planned = plumbline();
+    planned.args(["plan", "--robot", "fr3", "--starts", "1", "--rounds", "0", "--out"]).arg(&plan);
+    Done::of(planned).expect_code(0);
+    let set = format!("excitation.plan={}", plan.display());
+    for verb in ["run", "daemon"] {
+        let done = Done::of(scene.command(verb, &[&set])).expect_code(2);
+        assert!(done.err.contains("plan.toml: motion: got joint "), "{}", done.said());
+        assert!(
+            done.err.contains("a motion inside every limit of the job and of the connected arm"),
+            "{}",
+            done.said()
+        );
+        let next = "Without `excitation.plan` in config/fr3.toml, `plumbline run config/fr3.toml` plans a motion";
+        assert!(done.err.contains(next), "{}", done.said());
+        scene.assert_at_rest(&done);
+    }
+}
+
+/// A joint outside the limits of the job can't be driven; what helps is a hand.
+#[test]
+fn an_arm_that_stands_outside_the_jobs_limits_is_told_what_to_do() {
+    let scene = Scene::new("limits-pose", None, READY);
+    // Joint 6 stands at 90 deg.
+    let q_max = "limits.override.q-max=[2.9, 1.83, 2.9, -0.12, 2.87, 1.5, 3.05]";
+    let start = "backend.start=[\"0 deg\", \"-45 deg\", \"0 deg\", \"-135 deg\", \"0 deg\", \"60 deg\", \"45 deg\"]";
+    let done = Done::of(scene.command("daemon", &[q_max, start])).expect_code(1);
+    let words =
+        "joint 6 stands at 1.5708 rad, outside the range of job and arm, 0.4398 to 1.5000 rad; nothing has moved";
+    assert!(done.err.contains(words) && done.err.contains("by hand (guiding mode)"), "{}", done.said());
+    assert!(!done.err.contains("while braking"), "{}", done.said());
+    scene.assert_at_rest(&done);
+}

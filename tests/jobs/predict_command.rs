@@ -1,0 +1,138 @@
+//! `plumbline predict`: the torques in its file belong to the time stamps beside them.
+
+use crate::job_support::*;
+use crate::logs;
+use nalgebra::DMatrix;
+use plumbline::config::robot::Robot;
+use plumbline::model::gravity::Mounting;
+use plumbline::model::term::Motion;
+use plumbline::store::ModelFile;
+use rand::{Rng, SeedableRng};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+const MODEL: &str = "config/models/panda-paper-table3.toml";
+const JOINTS: usize = 7;
+
+/// One row of the written file.
+struct Row {
+    t: f64,
+    tau: [f64; JOINTS],
+    at_end: bool,
+}
+
+/// Rows that `plumbline predict` writes for a motion, and the raw errors that the program prints.
+fn predict(place: &Place, run: &Path, more: &[&str]) -> (Vec<Row>, Option<Vec<f64>>) {
+    let out = place.path().join("tau.csv");
+    let mut command = plumbline();
+    command.args(["predict", MODEL]).arg(run).arg("--out").arg(&out).args(more);
+    let done = Done::of(command).expect_code(0);
+    let printed = done.out.split("raw ").nth(1).map(|rest| {
+        let values = rest.split(" |").next().unwrap();
+        values.split(' ').map(|value| value.parse().unwrap()).collect()
+    });
+    (rows(&out), printed)
+}
+
+fn rows(path: &Path) -> Vec<Row> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let mut lines = text.lines();
+    assert_eq!(lines.next(), Some("t,tau1,tau2,tau3,tau4,tau5,tau6,tau7,at_end"));
+    let row = |line: &str| {
+        let cells: Vec<f64> = line.split(',').map(|cell| cell.parse().unwrap()).collect();
+        assert!(cells.iter().all(|cell| cell.is_finite()), "{line}");
+        Row { t: cells[0], tau: cells[1..=JOINTS].try_into().unwrap(), at_end: cells[JOINTS + 1] == 1.0 }
+    };
+    lines.map(row).collect()
+}
+
+/// Position, velocity and acceleration of a joint: two sines, at most 1.3 Hz.
+fn motion(joint: usize, t: f64) -> [f64; 3] {
+    let middle = [0.1, -0.3, 0.2, -1.9, 0.1, 1.8, 0.3][joint];
+    let each = [(0.25, 0.31 + 0.07 * joint as f64, 0.4), (0.05, 0.9 + 0.06 * joint as f64, 1.1)];
+    each.iter().enumerate().fold([middle, 0.0, 0.0], |[q, dq, ddq], (k, (height, frequency, phase))| {
+        let w = std::f64::consts::TAU * frequency;
+        let (sin, cos) = (w * t + phase + (joint + k) as f64).sin_cos();
+        [q + height * sin, dq + height * w * cos, ddq - height * w * w * sin]
+    })
+}
+
+/// Writes the positions at these times, without velocities and torques; gives the true torques.
+fn recorded(path: &PathBuf, t: &[f64]) -> DMatrix<f64> {
+    let mut text = String::from("t,q1,q2,q3,q4,q5,q6,q7\n");
+    for &t in t {
+        let q: Vec<String> = (0..JOINTS).map(|j| motion(j, t)[0].to_string()).collect();
+        writeln!(text, "{t},{}", q.join(",")).unwrap();
+    }
+    std::fs::write(path, text).unwrap();
+    let file = ModelFile::load(Path::new(MODEL), |name| Ok(Robot::load(name, None)?.chain)).unwrap();
+    let of = |what: usize| DMatrix::from_fn(t.len(), JOINTS, |k, j| motion(j, t[k])[what]);
+    // Its terms have no memory: the time between the samples is of no importance.
+    let (gravity, periodic) = (Mounting::WALL.gravity(), false);
+    file.model.predict(&Motion { dt: 1e-3, q: of(0), dq: of(1), ddq: of(2), gravity, periodic, start: 0.0 })
+}
+
+/// RMS of some rows' errors, worst joint \[Nm\].
+fn worst(rows: &[Row], truth: &DMatrix<f64>, counted: impl Fn(&Row) -> bool) -> f64 {
+    let error = |j: usize| {
+        let own = rows.iter().enumerate().filter(|(_, row)| counted(row));
+        let squares: Vec<f64> = own.map(|(k, row)| (row.tau[j] - truth[(k, j)]).powi(2)).collect();
+        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+    };
+    (0..JOINTS).map(error).fold(0.0, f64::max)
+}
+
+#[test]
+fn every_time_stamp_has_its_own_torque() {
+    let place = Place::new("predict-time");
+    let run = place.path().join("run.csv");
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+    // Recordings that begin at 0 and elsewhere, at an even and at an uneven pace, with samples missing.
+    for (name, start, dt, jitter, missing) in [
+        ("even", 0.0, 0.001, 0.0, 0.0),
+        ("even, later", 731.25, 0.001, 0.0, 0.0),
+        ("uneven", 12.5, 0.002, 0.3, 0.0),
+        ("slow, uneven, with gaps", 3.0, 0.005, 0.3, 0.05),
+    ] {
+        let mut t = Vec::new();
+        for k in 0..(8.0 / dt) as usize {
+            let time = start + (k as f64 + jitter * rng.random_range(-1.0..1.0)) * dt;
+            if !rng.random_bool(missing) {
+                t.push(time);
+            }
+        }
+        let truth = recorded(&run, &t);
+        let (rows, _) = predict(&place, &run, &["--mounting", "wall"]);
+        assert_eq!(rows.iter().map(|row| row.t).collect::<Vec<_>>(), t, "{name}");
+        let (inside, ends) = (worst(&rows, &truth, |row| !row.at_end), worst(&rows, &truth, |row| row.at_end));
+        // What 0.05 s too early would be.
+        let early = DMatrix::from_fn(t.len(), JOINTS, |k, j| truth[(k.saturating_sub((0.05 / dt) as usize), j)]);
+        let shifted = worst(&rows, &early, |row| !row.at_end);
+        println!("{name}: {inside:.4} Nm inside, {ends:.4} at the ends, {shifted:.4} where the truth is 0.05 s late");
+        assert!(inside < 0.06 && ends < 0.5 && shifted > 5.0 * inside, "{name}: {inside} {ends} {shifted}");
+        // The marked samples are those within 0.05 s of an end.
+        for row in &rows {
+            let end = (row.t - t[0]).min(t[t.len() - 1] - row.t);
+            assert!((end - 0.05).abs() < 2.0 * dt || row.at_end == (end < 0.05), "{name}: {end} {}", row.at_end);
+        }
+    }
+}
+
+#[test]
+fn the_file_has_the_errors_that_the_program_prints() {
+    let Some(data) = logs::data() else { return };
+    let place = Place::new("predict-file");
+    let path = data.join("panda-gaz2019/excitation_b.csv");
+    let (rows, printed) = predict(&place, &path, &[]);
+    let printed = printed.unwrap();
+    let run = plumbline::dataset::Run::read_csv(&path, Mounting::UPRIGHT).unwrap();
+    assert_eq!(rows.len(), run.samples());
+    for (j, printed) in printed.iter().enumerate() {
+        let inside = || rows.iter().enumerate().filter(|(_, row)| !row.at_end);
+        let square: f64 = inside().map(|(k, row)| (row.tau[j] - run.tau[(k, j)]).powi(2)).sum();
+        let of_file = (square / inside().count() as f64).sqrt();
+        println!("joint {}: {of_file:.3} Nm in the file, {printed} printed", j + 1);
+        // The program counts samples of the even grid, the file those of the recording.
+        assert!((of_file - printed).abs() < 0.01 * printed + 0.002, "joint {}: {of_file} {printed}", j + 1);
+    }
+}
