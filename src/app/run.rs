@@ -7,9 +7,8 @@ use super::{Failure, JobOptions, plan, progress, robot_id};
 use crate::ipc::{Client, Progress, Request, Response, RobotId};
 use crate::report::Report;
 use clap::Args;
-use rustix::process::{Pid, Signal, kill_process};
 use std::path::Path;
-use std::process::{Child, Command, ExitStatus};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 /// Options of `plumbline run`.
@@ -40,14 +39,14 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let ticks: usize = programme.motions().map(|motion| motion.ticks()).sum();
 
     let ending = Ending::watch()?;
-    let mut daemon = Process::start("daemon", &options.job, &out, &["--parent", &std::process::id().to_string()])?;
+    let mut daemon = Process::start("daemon", &options.job, &out, &["--end-with-stdin"])?;
     let outcome = drive(&id, &options.job, &out, &mut daemon, ticks as u64, &ending);
     // Whatever happened, the daemon ends by its own rules: it brakes first when the arm moves.
     if daemon.child.try_wait().map_err(Failure::job)?.is_none() {
         let quit = Client::connect(&id, LOOK).and_then(|mut client| client.send(&Request::Quit {}, PATIENCE));
         if quit.is_err() {
-            // A daemon that can't be asked brakes on a signal, too.
-            kill_process(Pid::from_child(&daemon.child), Signal::TERM).map_err(Failure::job)?;
+            // A daemon that can't be asked brakes and ends when its standard input does.
+            drop(daemon.child.stdin.take());
         }
     }
     let ended = daemon.child.wait().map_err(Failure::job)?;
@@ -180,6 +179,8 @@ impl Process {
         for set in &job.sets {
             command.arg("--set").arg(set);
         }
+        // The daemon's standard input ends with this process, however that ends.
+        command.stdin(Stdio::piped());
         let child = command.spawn().map_err(|error| Failure::job(format!("the {name} can't be started: {error}")))?;
         Ok(Process { name, child })
     }

@@ -4,9 +4,9 @@
 //! it can't cut a controlled stop short.
 
 use super::Failure;
-use rustix::process::{Pid, getppid};
 use signal_hook::low_level::signal_name;
 use std::fmt;
+use std::io::Read;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -34,6 +34,9 @@ const ENDING: [i32; 14] = [
     libc::SIGIO,
     libc::SIGPWR,
 ];
+/// Stored where no signal number can be: the parent process has ended.
+const PARENT_ENDED: usize = usize::MAX;
+
 /// Why a process is to end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
@@ -69,36 +72,45 @@ impl fmt::Display for Cause {
 
 /// The latest reason to end.
 #[derive(Clone, Debug, Default)]
-pub struct Ending {
-    /// Number of the signal that arrived last, 0 before the first.
-    signal: Arc<AtomicUsize>,
-    parent: Option<i32>,
-}
+pub struct Ending(Arc<AtomicUsize>);
 
 impl Ending {
     /// Catches every ending signal from now on.
     pub fn watch() -> Result<Ending, Failure> {
+        Ending::of(caught(ignores_hangup()))
+    }
+
+    /// Catches Ctrl-C and SIGTERM alone, for a computation that leaves the best result so far; no arm depends on it.
+    pub fn interrupts() -> Result<Ending, Failure> {
+        Ending::of([libc::SIGINT, libc::SIGTERM])
+    }
+
+    fn of(signals: impl IntoIterator<Item = i32>) -> Result<Ending, Failure> {
         let ending = Ending::default();
-        for signal in caught(ignores_hangup()) {
-            let stored = Arc::clone(&ending.signal);
-            signal_hook::flag::register_usize(signal, stored, signal as usize).map_err(Failure::job)?;
+        for signal in signals {
+            signal_hook::flag::register_usize(signal, Arc::clone(&ending.0), signal as usize).map_err(Failure::job)?;
         }
         Ok(ending)
     }
 
-    /// The process `parent` has started this one: its end is a reason to end.
-    ///
-    /// The kernel gives an orphan another parent, so a look at the parent's number is enough. Unlike PR_SET_PDEATHSIG it does not depend on the thread
-    /// that started this process, nor on whether that has ended before this call; unlike a pipe it needs no open file in both processes.
-    pub fn with_parent(self, parent: Option<i32>) -> Ending {
-        Ending { parent, ..self }
+    /// The end of standard input counts as the end of the parent process, which holds the other end of that pipe. The kernel closes the pipe with
+    /// the process, whatever thread of it made this one, and also where it died before this call.
+    pub fn watch_parent(&self) -> Result<(), Failure> {
+        let stored = Arc::clone(&self.0);
+        let read = move || {
+            let mut bytes = [0; 64];
+            while matches!(std::io::stdin().read(&mut bytes), Ok(1..)) {}
+            stored.store(PARENT_ENDED, Ordering::SeqCst);
+        };
+        std::thread::Builder::new().name("plumbline-parent".into()).spawn(read).map_err(Failure::job)?;
+        Ok(())
     }
 
     /// Why the process is to end, if it is.
     pub fn cause(&self) -> Option<Cause> {
-        match self.signal.load(Ordering::SeqCst) {
-            0 if self.parent.is_some_and(|parent| Pid::as_raw(getppid()) != parent) => Some(Cause::ParentEnded),
+        match self.0.load(Ordering::SeqCst) {
             0 => None,
+            PARENT_ENDED => Some(Cause::ParentEnded),
             signal => Some(Cause::Signal(signal as i32)),
         }
     }
@@ -129,8 +141,7 @@ mod tests {
     fn every_signal_that_ends_a_process_is_caught_or_excepted_by_name() {
         // The signals whose default is to stop a process, to go on, or to do nothing: signal(7).
         let harmless = [libc::SIGCHLD, libc::SIGCONT, libc::SIGTTIN, libc::SIGTTOU, libc::SIGURG, libc::SIGWINCH];
-        let broken =
-            [libc::SIGABRT, libc::SIGBUS, libc::SIGFPE, libc::SIGILL, libc::SIGSEGV, libc::SIGSYS, libc::SIGTRAP];
+        let broken = [libc::SIGABRT, libc::SIGBUS, libc::SIGFPE, libc::SIGILL, libc::SIGSEGV, libc::SIGSYS, libc::SIGTRAP];
         let others = [libc::SIGKILL, libc::SIGSTOP, libc::SIGPIPE, libc::SIGUSR2];
         let caught: Vec<i32> = caught(false).collect();
         for signal in 1..=31 {
@@ -139,16 +150,6 @@ mod tests {
         }
         assert!((libc::SIGRTMIN()..=libc::SIGRTMAX()).all(|signal| caught.contains(&signal)));
         assert!(!super::caught(true).any(|signal| signal == libc::SIGHUP));
-    }
-
-    #[test]
-    fn a_parent_that_is_not_the_parent_any_more_has_ended() {
-        let parent = Pid::as_raw(getppid());
-        assert_eq!(Ending::default().with_parent(Some(parent)).cause(), None);
-        assert_eq!(Ending::default().with_parent(Some(parent + 1)).cause(), Some(Cause::ParentEnded));
-        let signalled = Ending::default().with_parent(Some(parent + 1));
-        signalled.signal.store(libc::SIGHUP as usize, Ordering::SeqCst);
-        assert_eq!(signalled.cause(), Some(Cause::Signal(libc::SIGHUP)));
     }
 
     #[test]

@@ -192,12 +192,11 @@ fn beside_a_stalled_journal() {
         place.status()
     });
     let daemon = daemon.into_motion(&place);
-    before += &entries();
-    assert!(before.contains("PLUMBLINE_ROBOT") && before.contains(&place.id), "{before}");
-    assert!(
-        before.contains("PLUMBLINE_EVENT") && before.contains("started") && before.contains("is ready"),
-        "{before}"
-    );
+    let words = ["is ready", "has started", "PLUMBLINE_ROBOT", "PLUMBLINE_EVENT", &place.id];
+    wait_for("the entries of the start", || {
+        before += &entries();
+        words.iter().all(|words| before.contains(words)).then_some(())
+    });
 
     let stranger = UnixDatagram::unbound().unwrap();
     stranger.set_nonblocking(true).unwrap();

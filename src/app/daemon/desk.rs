@@ -102,7 +102,7 @@ impl Desk {
         let cause = self.ending.cause();
         let Some(new) = cause.filter(|_| cause != self.announced) else { return };
         if self.quit && new == Cause::ParentEnded {
-            // `plumbline run` asks for the end and does not wait for longer than it must.
+            // `plumbline run` asks for the end first, then closes the pipe.
             return;
         }
         if self.announced.is_none() {

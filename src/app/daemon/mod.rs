@@ -38,9 +38,9 @@ pub struct Options {
     /// Serve this model from the start
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
-    /// Brake and end when this process, which has started the daemon, has ended
-    #[arg(long, value_name = "PID")]
-    parent: Option<i32>,
+    /// Brake and end when standard input ends: for a program that starts a daemon and may die
+    #[arg(long)]
+    end_with_stdin: bool,
 }
 
 /// The longest that connecting to a robot, or its recovery, takes before it fails by itself; the watchdog waits for it.
@@ -73,7 +73,10 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let _arm = super::arm_lock(&job)?;
     let arm_limits = super::plan::arm_limits(&job)?;
     let programme = super::plan::programme(&job, &robot, &out, arm_limits.as_ref())?;
-    let ending = Ending::watch()?.with_parent(options.parent);
+    let ending = Ending::watch()?;
+    if options.end_with_stdin {
+        ending.watch_parent()?;
+    }
     // Its thread begins before anything asks for priority.
     let recorder = Recorder::start(&job, &id, &out)?;
     let mut desk = Desk {

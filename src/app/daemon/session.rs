@@ -291,12 +291,7 @@ impl Session {
         self.hear();
         // The torque first: whoever waits for it drives something.
         let gravity = self.labels.at(last.cycle).into();
-        daemon.server.feed_forward(FeedForwardMessage::new(
-            &last,
-            daemon.desk.robot.chain.len(),
-            gravity,
-            self.vendor.into(),
-        ));
+        daemon.server.feed_forward(FeedForwardMessage::new(&last, daemon.desk.robot.chain.len(), gravity, self.vendor.into()));
         daemon.server.publish(&self.records);
         self.tape.keep(&self.records);
         if let Some(why) = daemon.desk.gravity.take(&self.records) {
@@ -494,9 +489,7 @@ fn uncompensated(job: &job::Job, mounting: &Mounting, vendor: &Vector3<f64>) -> 
 /// Why such an arm is not driven without a model.
 fn falls(vendor: &Vector3<f64>, gravity: &Watch) -> String {
     let [x, y, z]: [f64; 3] = (*vendor).into();
-    let why = gravity.said().unwrap_or(
-        "it takes `--model`, checked at rest, and `backend.franka.torque.feed-forward`; or command positions",
-    );
+    let why = gravity.said().unwrap_or("it takes `--model`, checked at rest, and `backend.franka.torque.feed-forward`; or command positions");
     format!(
         "the arm compensates gravity along [{x:.2}, {y:.2}, {z:.2}] m/s2, which is not the one that acts: commanded by torques it would fall \
          without a model from the first cycle on ({why})"
