@@ -131,7 +131,7 @@ fn torque_client(shared: &Shared, robot: &RobotId) -> (Spread, Spread) {
         if let Some(latest) = client.latest().expect("shared memory").filter(|latest| latest.message.sequence > seen) {
             // What was there before this reader came is nobody's latency.
             if seen > 0 {
-                whole.saturating_record(now_ns().saturating_sub(latest.message.stamp_ns).max(1));
+                whole.saturating_record(plumbline::ipc::boot_ns().saturating_sub(latest.message.stamp_ns).max(1));
                 published.saturating_record(since(&shared.valued, latest.message.sequence));
             }
             seen = latest.message.sequence;

@@ -38,7 +38,7 @@ const STEP: Duration = Duration::from_millis(200);
 pub fn run(options: Options) -> Result<(), Failure> {
     let (job, robot, out) = options.job.load()?;
     let id = robot_id(&job)?;
-    let _about = journal::about(id.as_str());
+    journal::about(id.as_str());
     let mut service = Service::of_environment();
     service.ready("waits for a daemon");
     loop {

@@ -18,6 +18,7 @@ mod inclinometer;
 mod journal;
 mod live;
 mod models;
+mod outbox;
 mod owned;
 mod pipeline;
 mod plan;
@@ -41,7 +42,7 @@ use crate::config::job::Job;
 use crate::config::robot::Robot;
 use crate::excite::limits::{Bounds, Margins, check_pose};
 use crate::input::BadInput;
-use crate::ipc::{IpcError, Lock, LockError, RobotId, place};
+use crate::ipc::{ArmLock, IpcError, Lock, RobotId, place};
 use crate::joint::{JointVec, MAX_JOINTS};
 use crate::model::base::Reduction;
 use crate::model::conditioning::Conditions;
@@ -107,7 +108,7 @@ pub struct JobOptions {
     /// Folder for the results instead of the one that the job names
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Refuse a job, robot or model file that anybody but root can change, as the services do
+    /// Refuse a job, robot, plan or model file that anybody but root can change, as the services do
     #[arg(long)]
     pub root_owned: bool,
 }
@@ -115,7 +116,7 @@ pub struct JobOptions {
 /// Runs the command line and turns its outcome into an exit code: 0 success, 1 a failed job, 2 bad input.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    journal::start();
+    journal::start(matches!(cli.verb, Verb::Run(_) | Verb::Daemon(_) | Verb::Estimator(_)));
     let outcome = match cli.verb {
         Verb::Plan(options) => plan::run(options),
         Verb::Run(options) => run::run(options),
@@ -133,13 +134,8 @@ pub fn main() -> ExitCode {
         Verb::Inclinometer(options) => inclinometer::run(options),
         Verb::Command(options) => command::run(options),
     };
-    match outcome {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            eprintln!("plumbline: {failure}");
-            ExitCode::from(failure.code())
-        }
-    }
+    journal::finish(outcome.as_ref().err().map(|failure| failure as &dyn std::fmt::Display));
+    outcome.map_or_else(|failure| ExitCode::from(failure.code()), |()| ExitCode::SUCCESS)
 }
 
 /// Two gravity directions closer than this are one mounting \[rad\].
@@ -162,8 +158,14 @@ impl JobOptions {
         if self.root_owned && job.robot.ends_with(".toml") {
             owned::trusted(&job.dir().join(&job.robot))?;
         }
+        for file in [&job.excitation.plan, &job.excitation.model].into_iter().flatten().filter(|_| self.root_owned) {
+            owned::trusted(file)?;
+        }
         let robot = Robot::load(&job.robot, Some(job.dir()))?;
         let out = self.out.clone().unwrap_or_else(|| job.output.dir.clone());
+        if self.root_owned {
+            owned::plans(&out)?;
+        }
         Ok((job, robot, out))
     }
 }
@@ -192,24 +194,21 @@ fn no_daemon(error: impl Display) -> Failure {
     }
 }
 
-/// Takes the robot for this process.
+/// Takes the robot for this process. A held lock passes: it is no bad input, after which a service would stay down.
 fn lock(id: &RobotId) -> Result<Lock, Failure> {
-    locked(id, Lock::take(id))
+    Lock::take(id).map_err(Failure::job)
 }
 
 /// Takes the robot over from the process that has started this one and passed its lock on.
 fn adopted_lock(id: &RobotId) -> Result<Lock, Failure> {
-    locked(id, Lock::adopt(id))
+    Lock::adopt(id).map_err(Failure::job)
 }
 
-fn locked(id: &RobotId, lock: Result<Lock, LockError>) -> Result<Lock, Failure> {
-    lock.map_err(|error| match error {
-        LockError::Held { .. } => {
-            let expected = "a robot that no other daemon drives";
-            Failure::Input(BadInput::new("command line", format!("robot `{id}`"), error, expected))
-        }
-        other => Failure::job(other),
-    })
+/// Takes the arm for this process, where there is one: a simulated arm is each daemon's own.
+fn arm_lock(job: &Job) -> Result<Option<ArmLock>, Failure> {
+    let Some(franka) = &job.backend.franka else { return Ok(None) };
+    let arm = format!("franka/{}", franka.address.to_canonical());
+    ArmLock::take(&arm).map(Some).map_err(Failure::job)
 }
 
 /// What the simulated arm is made of.

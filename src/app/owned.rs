@@ -1,9 +1,9 @@
-//! Whose files a process takes. What sets the arm's limits is root's alone (`--root-owned`); a model, which becomes torque, is root's or
-//! the process's own user's.
+//! Whose files a process takes. What sets the arm's limits is root's alone (`--root-owned`), and so are the plans and models that a job names then;
+//! a model that is served and a plan that the process itself has left, which become torque and motion, are root's or the process's own user's.
 
 use super::Failure;
 use crate::input::BadInput;
-use std::fs::{Metadata, OpenOptions};
+use std::fs::{File, Metadata, OpenOptions};
 use std::io::Read;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::Path;
@@ -39,21 +39,41 @@ fn distrusted(owner: u32, mode: u32) -> Option<String> {
     }
 }
 
+/// Refuses plans in `out` that an earlier run has left there, or somebody else: they become motions. Root's and this process's own user's are
+/// taken, as with [`read_model`].
+pub fn plans(out: &Path) -> Result<(), BadInput> {
+    let dir = out.join("plans");
+    let Ok(entries) = std::fs::read_dir(&dir) else { return Ok(()) };
+    let plans = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    plans
+        .filter(|path| path.extension().is_some_and(|end| end == "toml"))
+        .try_for_each(|path| open_own(&path, "plan").map(drop))
+}
+
 /// Text of a model file that nobody but root and this process's user can have written or can put another one in place of. The process's own
 /// group counts as the user: where a user has a group to himself, as on Debian and its kin, new files are open to it.
 ///
 /// # Errors
 /// A file that can't be read; one of another user, or that others can write to, by its owner and mode.
 pub fn read_model(path: &Path) -> Result<String, BadInput> {
+    let mut text = String::new();
+    open_own(path, "model")?
+        .read_to_string(&mut text)
+        .map_err(|error| BadInput::new(path.display().to_string(), "file", error, "a readable model file"))?;
+    Ok(text)
+}
+
+/// Opens a file of a `kind` that becomes torque or motion.
+fn open_own(path: &Path, kind: &str) -> Result<File, BadInput> {
     let file = path.display().to_string();
     let own = (rustix::process::geteuid().as_raw(), rustix::process::getegid().as_raw());
-    let unreadable = |error: std::io::Error| BadInput::new(&file, "file", error, "a readable model file");
+    let unreadable = |error: std::io::Error| BadInput::new(&file, "file", error, format!("a readable {kind} file"));
     // A pipe that somebody has laid there must not be waited for.
-    let mut opened = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(unreadable)?;
+    let opened = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(unreadable)?;
     // The owner of what is read, whatever becomes of its name meanwhile.
     let found = opened.metadata().map_err(unreadable)?;
     if !found.is_file() {
-        return Err(BadInput::new(&file, "file", "no regular file", "a model file"));
+        return Err(BadInput::new(&file, "file", "no regular file", format!("a {kind} file")));
     }
     let folder = folder_of(path);
     let around = std::fs::metadata(folder).map_err(unreadable)?;
@@ -64,15 +84,13 @@ pub fn read_model(path: &Path) -> Result<String, BadInput> {
     if let Some((what, wrong)) = wrong {
         let value = format!("{} {wrong}", what.display());
         let expected = format!(
-            "a model file, in a folder, of root's or of user {}'s, this process's own, and neither open to writing by others: \
+            "a {kind} file, in a folder, of root's or of user {}'s, this process's own, and neither open to writing by others: \
              `chown` and `chmod go-w` after a look at what stands in it",
             own.0
         );
         return Err(BadInput::new(&file, "file", value, expected));
     }
-    let mut text = String::new();
-    opened.read_to_string(&mut text).map_err(unreadable)?;
-    Ok(text)
+    Ok(opened)
 }
 
 /// By whom something could have been made or changed besides root and `own`, a user and its group, in words; `None` where by nobody.

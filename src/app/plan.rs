@@ -123,7 +123,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         nominal: nominal.as_ref(),
         q0: None,
     };
-    let ending = Ending::watch()?;
+    let ending = Ending::interrupts()?;
     let mut done: Vec<Fourier> = Vec::new();
     for k in 1..=options.trajectories {
         let plan = options.one(&task, &Search { seed: search.seed + (k - 1), ..search.clone() }, &done, &ending)?;

@@ -34,6 +34,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     // No other daemon comes up for this robot from here on, however long the planning takes: the daemon that is started below gets this very lock.
     let lock = super::lock(&id)?;
     // What a daemon would refuse is refused here, before anything starts.
+    drop(super::arm_lock(&job)?);
     super::truth(&job)?;
     super::rest(&job, &robot)?;
     std::fs::create_dir_all(&out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;

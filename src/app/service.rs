@@ -3,9 +3,8 @@
 //! The watchdog is fed by progress alone. A bridge thread that still turns while the real-time loop hangs says nothing, and systemd
 //! ends the process; the arm then stops by its own means.
 
+use super::outbox::Outbox;
 use sd_notify::NotifyState;
-use std::sync::mpsc::{SyncSender, sync_channel};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// Words that may be on their way at a time; what comes on top of them is lost.
@@ -125,34 +124,25 @@ impl Service {
     }
 }
 
-/// Carries words to systemd. A socket that nobody reads makes its sender wait, and that must be this thread: an arm does not stop turning
+/// Carries words to systemd. A socket that is not read makes its sender wait, and that must be a thread of its own: an arm does not stop turning
 /// because the first process of its machine has died.
-struct Messenger {
-    words: Option<SyncSender<String>>,
-    thread: JoinHandle<()>,
-}
+struct Messenger(Outbox<String>);
 
 impl Messenger {
     fn start() -> Option<Messenger> {
-        let (words, to_send) = sync_channel::<String>(WORDS);
-        let thread = std::thread::Builder::new().name("plumbline-notify".into()).spawn(move || {
-            for word in to_send {
-                if let Err(error) = sd_notify::notify(&[NotifyState::Custom(&word)]) {
-                    tracing::debug!("systemd was not told: {error}");
-                }
+        let started = Outbox::start("plumbline-notify", WORDS, |_dropped, word: String| {
+            if let Err(error) = sd_notify::notify(&[NotifyState::Custom(&word)]) {
+                tracing::debug!("systemd was not told: {error}");
             }
         });
-        match thread {
-            Ok(thread) => Some(Messenger { words: Some(words), thread }),
-            Err(error) => {
-                tracing::warn!("systemd will not be told how this process does: {error}");
-                None
-            }
-        }
+        started
+            .map(Messenger)
+            .inspect_err(|error| tracing::warn!("systemd will not be told how this process does: {error}"))
+            .ok()
     }
 
     fn tell(&self, word: String) {
-        if self.words.as_ref().is_some_and(|words| words.try_send(word).is_err()) {
+        if !self.0.offer(word) {
             tracing::debug!("systemd does not read what it is told");
         }
     }
@@ -161,11 +151,7 @@ impl Messenger {
 impl Drop for Messenger {
     /// The last words get some time to arrive.
     fn drop(&mut self) {
-        self.words = None;
-        let deadline = Instant::now() + FAREWELL;
-        while !self.thread.is_finished() && Instant::now() < deadline {
-            std::thread::sleep(Duration::from_millis(1));
-        }
+        self.0.flush(FAREWELL);
     }
 }
 

@@ -77,8 +77,17 @@ pub struct Ending(Arc<AtomicUsize>);
 impl Ending {
     /// Catches every ending signal from now on.
     pub fn watch() -> Result<Ending, Failure> {
+        Ending::of(caught(ignores_hangup()))
+    }
+
+    /// Catches Ctrl-C and SIGTERM alone, for a computation that leaves the best result so far; no arm depends on it.
+    pub fn interrupts() -> Result<Ending, Failure> {
+        Ending::of([libc::SIGINT, libc::SIGTERM])
+    }
+
+    fn of(signals: impl IntoIterator<Item = i32>) -> Result<Ending, Failure> {
         let ending = Ending::default();
-        for signal in caught(ignores_hangup()) {
+        for signal in signals {
             signal_hook::flag::register_usize(signal, Arc::clone(&ending.0), signal as usize).map_err(Failure::job)?;
         }
         Ok(ending)

@@ -479,13 +479,15 @@ pub struct Recorder {
     pub span: f64,
     /// Folder of the recordings, relative to the working directory; `flight` in the folder of the results where absent.
     pub dir: Option<PathBuf>,
-    /// How many recordings of this robot are kept there; the oldest go.
+    /// How many recordings of this robot's faults and stops are kept there; the oldest go.
     pub keep: usize,
+    /// How many recordings on demand are kept beside them; the oldest go.
+    pub keep_on_demand: usize,
 }
 
 impl Default for Recorder {
     fn default() -> Recorder {
-        Recorder { span: 10.0, dir: None, keep: 20 }
+        Recorder { span: 10.0, dir: None, keep: 20, keep_on_demand: 10 }
     }
 }
 

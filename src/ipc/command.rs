@@ -54,6 +54,22 @@ impl Request {
     pub(super) fn is_heavy(&self) -> bool {
         matches!(self, Request::OfferModel { .. } | Request::ProposeModel { .. })
     }
+
+    /// What this tells the daemon to do, as `plumbline command` calls it; nothing for a question.
+    pub fn order(&self) -> Option<&'static str> {
+        Some(match self {
+            Request::Status {} => return None,
+            Request::Start {} => "start",
+            Request::Stop {} => "stop",
+            Request::Resume {} => "resume",
+            Request::Quit {} => "quit",
+            Request::OfferModel { .. } => "offer-model",
+            Request::ProposeModel { .. } => "propose-model",
+            Request::Adopt {} => "adopt",
+            Request::Reject {} => "reject",
+            Request::Record {} => "record",
+        })
+    }
 }
 
 /// A request, and the start of the daemon that it is meant for.

@@ -9,7 +9,7 @@ use iceoryx2::prelude::*;
 use super::error::IpcError;
 use super::messages::FeedForwardMessage;
 use super::robot::RobotId;
-use super::services::{self, ServiceNode, now_ns};
+use super::services::{self, ServiceNode, boot_ns};
 use crate::joint::Validity;
 
 /// How far ahead of this process's clock a time stamp may lie before it can't be from this machine \[ns\].
@@ -107,13 +107,13 @@ impl FeedForwardClient {
             let received = received.map_err(|error| services::transport("reading", "feed-forward", error))?;
             let Some(sample) = received else { break };
             let message = *sample.payload();
-            if supersedes(&message, self.newest.as_ref(), now_ns()) {
+            if supersedes(&message, self.newest.as_ref(), boot_ns()) {
                 self.newest = Some(message);
             } else {
                 self.rejected += 1;
             }
         }
-        let now = now_ns();
+        let now = boot_ns();
         Ok(self.newest.map(|message| {
             let age_ns = now.saturating_sub(message.stamp_ns);
             Latest::at(message, age_ns, self.settings)

@@ -154,7 +154,8 @@ impl SampleMessage {
 pub struct FeedForwardMessage {
     /// Number of this value since the daemon's start, from 1; steps may be skipped. [`Server`](super::Server) sets it.
     pub sequence: u64,
-    /// `CLOCK_MONOTONIC` when the state that this value answers had been read \[ns\].
+    /// `CLOCK_BOOTTIME` when the state that this value answers had been read \[ns\]: a value from before a suspend is as old as it is.
+    /// [`Server`](super::Server) turns the record's `CLOCK_MONOTONIC` into it.
     pub stamp_ns: u64,
     /// Identity of the daemon's start. [`Server`](super::Server) sets it.
     pub epoch: u64,

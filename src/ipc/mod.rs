@@ -17,6 +17,7 @@
 //! user only. What
 //! arrives from that user is still checked; no value of a message can make the daemon panic.
 
+mod arm_lock;
 mod client;
 mod command;
 mod error;
@@ -29,12 +30,14 @@ pub mod place;
 mod requests;
 mod retain;
 mod robot;
+mod sender;
 mod server;
 mod services;
 mod stop;
 mod stream;
 mod trouble;
 
+pub use arm_lock::{ArmLock, ArmLockError};
 pub use client::Client;
 pub use command::{
     Follower, Gravity, Held, Link, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request, Response,
@@ -49,6 +52,6 @@ pub use requests::{Asked, Ticket, read};
 pub use retain::RetainedLog;
 pub use robot::RobotId;
 pub use server::{Server, ServerSettings};
-pub use services::now_ns;
+pub use services::{boot_ns, now_ns};
 pub use stop::{StopError, StopListener, StopOrder, Taken, Way, stop};
 pub use stream::{Delivery, SampleStream, StreamCounters, StreamSettings};

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use iceoryx2::active_request::ActiveRequest;
+use iceoryx2::identifiers::UniqueClientId;
 use iceoryx2::port::ReceiveError;
 use iceoryx2::port::server::Server as RequestServer;
 use iceoryx2::prelude::*;
@@ -65,11 +66,37 @@ pub(super) struct Requests {
     port: Port,
 }
 
+/// An order that was answered. A question is none.
+#[derive(Debug)]
+pub(super) struct Order {
+    /// As [`Request::order`]; the two that offer a model share one name here, because their bytes are read elsewhere.
+    pub name: &'static str,
+    /// The client's port.
+    pub client: UniqueClientId,
+    /// Why it was refused, if it was.
+    pub refused: Option<String>,
+}
+
+impl Order {
+    /// Name of an order with a model.
+    const MODEL: &'static str = "offer-model";
+
+    fn answered(name: &'static str, active: &Active, response: &Response) -> Order {
+        let refused = match response {
+            Response::Refused { reason } => Some(reason.clone()),
+            _ => None,
+        };
+        Order { name, client: active.origin(), refused }
+    }
+}
+
 /// What one [`Requests::serve`] has done.
 #[derive(Debug, Default)]
 pub(super) struct Outcome {
     pub handled: usize,
     pub garbled: u64,
+    /// Orders among the requests that were answered.
+    pub orders: Vec<Order>,
     /// What shared memory refused to do.
     pub trouble: Vec<String>,
 }
@@ -125,6 +152,11 @@ impl Requests {
                 }),
                 _ => Ok(Asked::Heavy(held.ticket, bytes)),
             };
+            let order = match &asked {
+                Ok(Asked::Light(request)) => request.order(),
+                Ok(Asked::Heavy(..)) => Some(Order::MODEL),
+                Err(_) => None,
+            };
             let response = match asked {
                 // Whoever has gone waits for nothing: those that stay get the place.
                 Ok(Asked::Heavy(..)) if !held.active.is_connected() => continue,
@@ -143,7 +175,10 @@ impl Requests {
                 }
             };
             match response {
-                Some(response) => outcome.trouble.extend(send(&held.active, &response).err()),
+                Some(response) => {
+                    outcome.orders.extend(order.map(|name| Order::answered(name, &held.active, &response)));
+                    outcome.trouble.extend(send(&held.active, &response).err());
+                }
                 None => self.under_way.push(held),
             }
         }
@@ -152,12 +187,11 @@ impl Requests {
         outcome
     }
 
-    /// Answers a heavy request; what shared memory refused to do, if anything.
-    pub(super) fn answer(&mut self, ticket: Ticket, response: &Response) -> Result<(), String> {
-        match self.under_way.iter().position(|held| held.ticket == ticket) {
-            Some(index) => send(&self.under_way.swap_remove(index).active, response),
-            None => Ok(()),
-        }
+    /// Answers a heavy request: the order, and what shared memory refused to do, if anything. `None` for a ticket that is not waiting.
+    pub(super) fn answer(&mut self, ticket: Ticket, response: &Response) -> Option<(Order, Result<(), String>)> {
+        let index = self.under_way.iter().position(|held| held.ticket == ticket)?;
+        let held = self.under_way.swap_remove(index);
+        Some((Order::answered(Order::MODEL, &held.active, response), send(&held.active, response)))
     }
 }
 

@@ -15,9 +15,10 @@ use super::error::IpcError;
 use super::followers::{Followers, News, Word};
 use super::messages::{FeedForwardMessage, FollowRequest, ReplayHeader, SampleMessage};
 use super::place;
-use super::requests::{self, Asked, Requests, Ticket};
+use super::requests::{self, Asked, Order, Requests, Ticket};
 use super::retain::RetainedLog;
 use super::robot::RobotId;
+use super::sender::Sender;
 use super::services::{self, BATCH, REPLAY, SERVER_PATIENCE, ServiceNode, now_ns, patiently};
 use super::trouble::Troubles;
 use crate::joint::Record;
@@ -64,6 +65,7 @@ pub struct Server {
     replay: RequestServer<ipc::Service, FollowRequest, (), [SampleMessage], ReplayHeader>,
     requests: Requests,
     replay_service: services::Replay,
+    command_service: services::Commands,
     node: ServiceNode,
 }
 
@@ -128,6 +130,7 @@ impl Server {
             replay,
             requests: Requests::of(commands),
             replay_service,
+            command_service,
             node,
         })
     }
@@ -163,11 +166,12 @@ impl Server {
         self.counters.given_up_unacknowledged += self.log.first().saturating_sub(unacknowledged_from);
     }
 
-    /// Replaces the latest feed-forward value; sets its `sequence` and `epoch`.
+    /// Replaces the latest feed-forward value; sets its `sequence` and `epoch`, and turns its stamp from the records' clock into the clients'.
     pub fn feed_forward(&mut self, mut message: FeedForwardMessage) {
         self.counters.feed_forward += 1;
         message.sequence = self.counters.feed_forward;
         message.epoch = self.epoch;
+        message.stamp_ns = message.stamp_ns.saturating_add(services::suspended_ns());
         if let Err(trouble) = self.feed_forward.send_copy(message) {
             self.trouble("feed-forward", trouble.to_string());
         }
@@ -205,12 +209,15 @@ impl Server {
         let outcome = self.requests.serve(self.epoch, &served, room, answer);
         self.counters.garbled_requests += outcome.garbled;
         outcome.trouble.into_iter().for_each(|trouble| self.trouble("command", trouble));
+        outcome.orders.iter().for_each(|order| self.log_order(order));
         outcome.handled
     }
 
     /// Answers a heavy request.
     pub fn answer(&mut self, ticket: Ticket, response: &Response) {
-        if let Err(trouble) = self.requests.answer(ticket, response) {
+        let Some((order, sent)) = self.requests.answer(ticket, response) else { return };
+        self.log_order(&order);
+        if let Err(trouble) = sent {
             self.trouble("command", trouble);
         }
     }
@@ -218,6 +225,15 @@ impl Server {
     /// Counts a heavy request that could not be read.
     pub fn garbled(&mut self) {
         self.counters.garbled_requests += 1;
+    }
+
+    /// Logs an order with its sender. A refused one changes nothing, and comes in floods where a program tries again and again.
+    fn log_order(&self, order: &Order) {
+        let sender = || Sender::of(&self.command_service, order.client);
+        match &order.refused {
+            Some(reason) => tracing::debug!("`{}` from {} was refused: {reason}", order.name, sender()),
+            None => tracing::info!(plumbline_event = "order", "`{}` from {}", order.name, sender()),
+        }
     }
 
     /// What has been done so far.

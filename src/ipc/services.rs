@@ -43,7 +43,19 @@ pub(super) type FeedForward = publish_subscribe::PortFactory<ipc::Service, FeedF
 pub(super) type Replay = request_response::PortFactory<ipc::Service, FollowRequest, (), [SampleMessage], ReplayHeader>;
 pub(super) type Commands = request_response::PortFactory<ipc::Service, [u8], (), [u8], ()>;
 
-/// `CLOCK_MONOTONIC` \[ns\], the clock of every time stamp in plumbline's messages.
+/// `CLOCK_BOOTTIME` \[ns\]: as `CLOCK_MONOTONIC`, and it goes on while the machine is suspended. The clock of what clients reckon ages from.
+pub fn boot_ns() -> u64 {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
+    (now.tv_sec as u64).saturating_mul(1_000_000_000).saturating_add(now.tv_nsec as u64)
+}
+
+/// How long the machine has been suspended since it was started \[ns\]; too little by the time between two looks, never too much.
+pub(super) fn suspended_ns() -> u64 {
+    let boot = boot_ns();
+    boot.saturating_sub(now_ns())
+}
+
+/// `CLOCK_MONOTONIC` \[ns\], the clock of records and of everything inside the daemon.
 pub fn now_ns() -> u64 {
     let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
     (now.tv_sec as u64).saturating_mul(1_000_000_000).saturating_add(now.tv_nsec as u64)
@@ -69,10 +81,13 @@ pub(super) fn joining_node() -> Result<ServiceNode, IpcError> {
 
 /// A node of this process; making it removes what killed processes left behind.
 fn node() -> Result<ServiceNode, IpcError> {
-    // Errors only, on standard error: its warnings are about missing configuration files and dead peers, which are
+    // Errors only: its warnings are about missing configuration files and dead peers, which are
     // ordinary here and reported by plumbline itself. IOX2_LOG_LEVEL turns them on.
     static QUIET: Once = Once::new();
-    QUIET.call_once(|| set_log_level_from_env_or(LogLevel::Error));
+    QUIET.call_once(|| {
+        set_logger(&Logger);
+        set_log_level_from_env_or(LogLevel::Error);
+    });
     let failed = |error: String| transport("making a node for", "plumbline", error);
     let root = place::directory().map_err(|error| failed(error.to_string()))?;
     let config = config(&root).map_err(failed)?;
@@ -86,6 +101,21 @@ fn node() -> Result<ServiceNode, IpcError> {
     let node = builder.create().map_err(|error| failed(error.to_string()))?;
     place::close_to_others();
     Ok(node)
+}
+
+/// iceoryx2's lines go where all others go: its own logger writes to standard error on the calling thread, which then waits for the reader.
+struct Logger;
+
+impl iceoryx2_log::Log for Logger {
+    fn log(&self, level: LogLevel, origin: std::fmt::Arguments, message: std::fmt::Arguments) {
+        match level {
+            LogLevel::Fatal | LogLevel::Error => tracing::error!("iceoryx2: {message}"),
+            LogLevel::Warn => tracing::warn!("iceoryx2: {message}"),
+            LogLevel::Info => tracing::info!("iceoryx2: {message}"),
+            LogLevel::Debug => tracing::debug!("iceoryx2: {origin}: {message}"),
+            LogLevel::Trace => tracing::trace!("iceoryx2: {origin}: {message}"),
+        }
+    }
 }
 
 /// iceoryx2 in the folder `root`. No configuration file is read: one that lies about must not change where the arm is served.

@@ -253,6 +253,8 @@ impl Story {
             "panic" => "The loop's thread panicked",
             "unsafe" | "no-brake" => "No controlled stop was possible: the arm was stopped by its own means",
             "clock" => "The arm's counter did not go forward",
+            "signal" => "A signal ended the program, and the arm was stopped",
+            "parent-ended" => "The program that had started the daemon ended, and the arm was stopped",
             "on-demand" => "A recording was asked for",
             other => return format!("{other}{during}"),
         };

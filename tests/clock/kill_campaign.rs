@@ -32,6 +32,8 @@ const LONG: [&str; 9] = [
     "output.dataset=false",
     "diagnosis.enabled=false",
 ];
+/// Measured speed of an arm at rest, noise included \[rad/s\].
+const AT_REST: f64 = 0.02;
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 /// Not a test of its own: the emulator's process, which the campaign kills. Without an address there is nothing to do.
@@ -58,10 +60,12 @@ enum Blow {
 /// What came of one blow.
 #[derive(Debug, Default)]
 struct Outcome {
-    /// Whether the arm went on; otherwise it stopped, by rule.
+    /// Whether the motion went on; otherwise it ended, by rule.
     went_on: bool,
     /// How long the successor took \[ms\].
     up: Option<f64>,
+    /// When the arm was at rest after the blow, by the arm's own states \[ms\].
+    rest: Option<f64>,
 }
 
 /// The outcomes of one kind of blow.
@@ -72,6 +76,7 @@ struct Row {
     stopped: u32,
     void: u32,
     up: Vec<f64>,
+    rest: Vec<f64>,
     samples: u64,
     torques: u64,
     broken: Vec<String>,
@@ -81,21 +86,25 @@ impl Row {
     fn take(&mut self, round: u32, outcome: Result<Option<Outcome>, String>) {
         match outcome {
             Ok(None) => self.void += 1,
-            Ok(Some(Outcome { went_on, up })) => {
+            Ok(Some(Outcome { went_on, up, rest })) => {
                 *(if went_on { &mut self.went_on } else { &mut self.stopped }) += 1;
                 self.up.extend(up);
+                self.rest.extend(rest);
             }
             Err(broken) => self.broken.push(format!("round {round}: {broken}")),
         }
     }
 
     fn line(&self) -> String {
-        let mut up = self.up.clone();
-        up.sort_by(f64::total_cmp);
-        let at = |share: f64| up.get(((up.len() - 1) as f64 * share) as usize).copied().unwrap_or(f64::NAN);
-        let times = if up.is_empty() { "-".into() } else { format!("{:.0} / {:.0}", at(0.5), at(1.0)) };
+        let times = |of: &[f64]| {
+            let mut of = of.to_vec();
+            of.sort_by(f64::total_cmp);
+            let at = |share: f64| of.get(((of.len() - 1) as f64 * share) as usize).copied().unwrap_or(f64::NAN);
+            if of.is_empty() { "-".into() } else { format!("{:.0} / {:.0}", at(0.5), at(1.0)) }
+        };
+        let (rest, up) = (times(&self.rest), times(&self.up));
         format!(
-            "| {} | {} | {} | {} | {times} | {} | {} | {} |",
+            "| {} | {} | {} | {} | {rest} | {up} | {} | {} | {} |",
             self.name,
             self.went_on + self.stopped,
             self.went_on,
@@ -189,7 +198,7 @@ fn estimators(rounds: u32, seed: u64, kill: bool) -> Row {
             if now.served.given_up_unacknowledged > 0 {
                 return Err(format!("{} samples given up", now.served.given_up_unacknowledged));
             }
-            Ok(Some(Outcome { went_on: driving(&now), up }))
+            Ok(Some(Outcome { went_on: driving(&now), up, rest: None }))
         })();
         row.take(round, outcome);
         complaints(&mut row, round, &witnesses);
@@ -237,7 +246,7 @@ fn clients(rounds: u32, seed: u64, kill: bool) -> Row {
                 }
             }
             let now = robot.status().ok_or("the daemon does not answer")?;
-            Ok(Some(Outcome { went_on: driving(&now), up }))
+            Ok(Some(Outcome { went_on: driving(&now), up, rest: None }))
         })();
         row.take(round, outcome);
         complaints(&mut row, round, &witnesses);
@@ -249,64 +258,82 @@ fn clients(rounds: u32, seed: u64, kill: bool) -> Row {
     row
 }
 
+/// The arm is the emulator's: it is there after the daemon's death, and says itself whether it moves.
 fn daemons(rounds: u32, seed: u64, kill: bool) -> Row {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let robot = simulated("kill-daemon");
+    let (robot, address) = behind_fci("kill-daemon", 3 + u8::from(kill));
+    let settings =
+        emulator::Settings { patience: Duration::from_millis(10), ..emulator::Settings::new(address, Protocol::V5) };
+    let emulator = || emulator::Emulator::start(settings.clone()).unwrap();
     let mut row = Row { name: format!("daemon, {}", word(kill)), ..Row::default() };
-    let mut daemon = robot.process("daemon");
-    within(PATIENCE, || robot.status().is_some()).expect("a daemon");
+    let (mut arm, mut daemon) = (Some(emulator()), robot.process("daemon"));
+    assert!(serves(&robot, &mut daemon), "no daemon: {}", daemon.said());
     let witnesses = Witnesses::watch(&robot.id);
     for round in 0..rounds {
         let outcome = (|| {
-            if daemon.ended().is_some() || robot.status().is_some_and(|now| now.progress == Progress::Stopped) {
-                drop(std::mem::replace(&mut daemon, robot.process("daemon")));
-            }
-            if !set_in_motion(&robot)? {
+            if !set_in_motion(&robot)? || daemon.ended().is_some() {
+                anew(&robot, &mut arm, &mut daemon, &emulator);
                 return Ok(None);
             }
             std::thread::sleep(Duration::from_millis(random.random_range(0..600)));
+            let moving = arm.as_ref().is_some_and(|arm| !at_rest(arm));
             let blow = blow(&mut random, kill);
             daemon.signal(if blow == Blow::Kill { "KILL" } else { "STOP" });
             let struck = Instant::now();
-            let lasts = if let Blow::Stop(ms) = blow { Duration::from_millis(ms) } else { Duration::from_millis(60) };
-            std::thread::sleep(lasts);
-            // The witness's own thread may be late by a slice of this machine's time.
-            let known =
-                within(Duration::from_millis(50), || witnesses.stale.load(std::sync::atomic::Ordering::Relaxed));
-            if lasts > Duration::from_millis(55) && known.is_none() {
-                return Err(format!("{:?} after the blow the torque is not stale", struck.elapsed()));
-            }
+            let rests = || arm.as_ref().is_some_and(at_rest);
             if blow == Blow::Kill {
+                let rested = within(Duration::from_secs(2), rests).ok_or("the arm goes on without a daemon")?;
+                std::thread::sleep(Duration::from_millis(60).saturating_sub(struck.elapsed()));
+                stale(&witnesses, struck)?;
+                if !rests() {
+                    return Err("the arm moves again without a daemon".into());
+                }
+                // A robot that has stopped itself waits for its operator; another one stands for it that has been released.
+                drop(arm.take());
+                arm = Some(emulator());
                 daemon = robot.process("daemon");
-                return Ok(Some(Outcome { went_on: false, up: Some(comes_up_holding(&robot, daemon.started)?) }));
+                let since = daemon.started;
+                serves(&robot, &mut daemon);
+                let up = Some(comes_up_holding(&robot, since)?);
+                return Ok(Some(Outcome {
+                    went_on: false,
+                    up,
+                    rest: Some(rested.as_secs_f64() * 1e3).filter(|_| moving),
+                }));
+            }
+            let Blow::Stop(ms) = blow else { unreachable!("the other blow") };
+            let lasts = Duration::from_millis(ms);
+            let rested = within(lasts, rests);
+            std::thread::sleep(lasts.saturating_sub(struck.elapsed()));
+            if lasts > Duration::from_millis(55) {
+                stale(&witnesses, struck)?;
             }
             daemon.signal("CONT");
-            let went_on = within(Duration::from_millis(400), || {
+            let over = within(Duration::from_millis(400), || {
                 daemon.ended().is_some() || robot.status().is_some_and(|now| now.progress == Progress::Stopped)
-            })
-            .is_none();
-            // An arm that missed too many commands stops by itself, and so does one that is told to jump: it refuses and brakes. The daemon
-            // says so and ends, as with a robot.
+            });
+            // A robot whose commands did not come has stopped by itself: the daemon says so and ends.
             if let Some(code) = daemon.ended() {
                 let said = daemon.said();
-                let by_itself = ["the arm stopped by itself", "the arm refused a command"];
-                return if code == 1 && by_itself.iter().any(|words| said.contains(words)) {
-                    Ok(Some(Outcome { went_on: false, up: None }))
-                } else {
-                    Err(format!("after {lasts:?} the daemon ended with {code}: {said}"))
-                };
+                if code != 1 || !said.contains("the loop ended") {
+                    return Err(format!("after {lasts:?} the daemon ended with {code}: {said}"));
+                }
+                within(Duration::from_secs(2), rests).ok_or("the arm moves although its daemon has ended")?;
+                anew(&robot, &mut arm, &mut daemon, &emulator);
+                let rest = rested.map(|rested| rested.as_secs_f64() * 1e3).filter(|_| moving);
+                return Ok(Some(Outcome { went_on: false, up: None, rest }));
             }
             let now = robot.status().ok_or("the daemon does not answer after SIGCONT")?;
-            // Where the loop counts lost states, it stops and the status says why.
-            if !went_on && now.stopped.is_none() {
-                return Err(format!("after {lasts:?} the arm is {:?} without a reason", now.progress));
+            if over.is_some() {
+                // Where the loop counts lost states, it stops and the status says why.
+                now.stopped.ok_or(format!("after {lasts:?} the arm is {:?} without a reason", now.progress))?;
+                within(Duration::from_secs(2), rests).ok_or("the arm moves although it was stopped")?;
+                anew(&robot, &mut arm, &mut daemon, &emulator);
+                return Ok(Some(Outcome::default()));
             }
-            if went_on {
-                let more =
-                    within(Duration::from_secs(2), || robot.status().is_some_and(|later| later.cycles > now.cycles));
-                more.ok_or(format!("after {lasts:?} the loop neither stops nor turns"))?;
-            }
-            Ok(Some(Outcome { went_on, up: None }))
+            let more = within(Duration::from_secs(2), || robot.status().is_some_and(|later| later.cycles > now.cycles));
+            more.ok_or(format!("after {lasts:?} the loop neither stops nor turns"))?;
+            Ok(Some(Outcome { went_on: true, ..Outcome::default() }))
         })();
         row.take(round, outcome);
         complaints(&mut row, round, &witnesses);
@@ -315,13 +342,48 @@ fn daemons(rounds: u32, seed: u64, kill: bool) -> Row {
     row
 }
 
-fn emulators(rounds: u32, seed: u64, kill: bool) -> Row {
-    let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let address: IpAddr = Ipv4Addr::new(127, 45, (std::process::id() % 250) as u8, 1 + u8::from(kill)).into();
+/// The torque is known to be stale; the witness's own thread may be late by a slice of this machine's time.
+fn stale(witnesses: &Witnesses, struck: Instant) -> Result<(), String> {
+    within(Duration::from_millis(50), || witnesses.stale.load(std::sync::atomic::Ordering::Relaxed))
+        .map(drop)
+        .ok_or_else(|| format!("{:?} after the blow the torque is not stale", struck.elapsed()))
+}
+
+/// A robot and a daemon for the next round. The old ones have to go before the new ones can have their address.
+fn anew(
+    robot: &Robot,
+    arm: &mut Option<emulator::Emulator>,
+    daemon: &mut Process,
+    emulator: &impl Fn() -> emulator::Emulator,
+) {
+    if daemon.ended().is_none() {
+        daemon.signal("KILL");
+        within(PATIENCE, || daemon.ended().is_some());
+    }
+    drop(arm.take());
+    *arm = Some(emulator());
+    *daemon = robot.process("daemon");
+    serves(robot, daemon);
+}
+
+/// A robot that the emulator stands for, and its address.
+fn behind_fci(name: &str, number: u8) -> (Robot, IpAddr) {
+    let address: IpAddr = Ipv4Addr::new(127, 45, (std::process::id() % 250) as u8, number).into();
     let at = format!("backend.franka.address={address}");
     let mut sets = LONG.to_vec();
     sets.push(&at);
-    let robot = Robot::new("kill-robot", "config/panda-emulator-wall.toml", &sets);
+    (Robot::new(name, "config/panda-emulator-wall.toml", &sets), address)
+}
+
+/// Whether the emulator's arm is at rest: what it was told and what it does.
+fn at_rest(arm: &emulator::Emulator) -> bool {
+    let state = arm.snapshot().state;
+    state.dq_d.iter().all(|&dq| dq == 0.0) && state.dq.iter().all(|dq| dq.abs() < AT_REST)
+}
+
+fn emulators(rounds: u32, seed: u64, kill: bool) -> Row {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let (robot, address) = behind_fci("kill-robot", 1 + u8::from(kill));
     let emulator = || {
         let mut command = Command::new(std::env::current_exe().unwrap());
         command.args(["kill_campaign::emulator_child", "--exact", "--nocapture"]).env(ADDRESS, address.to_string());
@@ -361,7 +423,7 @@ fn emulators(rounds: u32, seed: u64, kill: bool) -> Row {
                     if within(Duration::from_millis(300), || daemon.ended().is_some()).is_none() {
                         let now = robot.status().ok_or("the daemon does not answer")?;
                         if now.progress == Progress::Driving {
-                            return Ok(Some(Outcome { went_on: true, up: None }));
+                            return Ok(Some(Outcome { went_on: true, ..Outcome::default() }));
                         }
                     }
                 }
@@ -377,7 +439,7 @@ fn emulators(rounds: u32, seed: u64, kill: bool) -> Row {
             daemon = robot.process("daemon");
             let since = daemon.started;
             serves(&robot, &mut daemon);
-            Ok(Some(Outcome { went_on: false, up: Some(comes_up_holding(&robot, since)?) }))
+            Ok(Some(Outcome { up: Some(comes_up_holding(&robot, since)?), ..Outcome::default() }))
         })();
         row.take(round, outcome);
         complaints(&mut row, round, &witnesses);
@@ -477,8 +539,8 @@ fn the_whole_campaign() {
         "# Killed at random moments\n\n`hil/kill-campaign/run.sh` writes this file: {rounds} of each kind, seeds {seed} to {}, at random moments of a \
          motion that is being driven at 1 kHz by the clock. SIGSTOP lasts 1 to 1500 ms. Two witnesses read along: one every sample, one the \
          newest torque. Load of the machine before and after: {before}, {}; it has {} processors.\n\n\
-         | killed | counted | the arm went on | the arm stopped, by rule | successor up, median / worst \\[ms\\] | samples witnessed, none \
-         lost or twice | torques witnessed | promises broken |\n|---|---|---|---|---|---|---|---|\n",
+         | killed | counted | the motion went on | the motion ended, by rule | the arm at rest after, median / worst \\[ms\\] | successor up, median / worst \\[ms\\] | samples witnessed, none \
+         lost or twice | torques witnessed | promises broken |\n|---|---|---|---|---|---|---|---|---|\n",
         seed + 7,
         load(),
         std::thread::available_parallelism().map_or(0, usize::from)

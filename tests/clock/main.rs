@@ -14,12 +14,14 @@ mod peers;
 #[path = "../turns/mod.rs"]
 mod turns;
 
+mod blocked_log;
 mod every_millisecond;
 mod inclinometer_daemon;
 mod ipc_exchange;
 mod ipc_kill;
 mod ipc_python;
 mod kill_campaign;
+mod orders;
 mod rt_rights;
 mod service;
 mod signals;

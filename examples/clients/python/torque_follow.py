@@ -27,7 +27,7 @@ class FeedForwardMessage(ctypes.Structure):
 
     _fields_ = [
         ("sequence", ctypes.c_uint64),  # number of the value since the daemon's start, from 1
-        ("stamp_ns", ctypes.c_uint64),  # CLOCK_MONOTONIC when the arm's state had been read [ns]
+        ("stamp_ns", ctypes.c_uint64),  # CLOCK_BOOTTIME when the arm's state had been read [ns]
         ("epoch", ctypes.c_uint64),  # identity of the daemon's start
         ("model", ctypes.c_uint64),  # identity of the served model, 0: none
         ("n", ctypes.c_uint32),  # number of joints
@@ -129,7 +129,7 @@ def main() -> int:
         if message is None:
             # Silence is news, too: say once that the last value has gone stale.
             if last is not None and not warned:
-                age_ms = (time.monotonic_ns() - last.stamp_ns) / 1e6
+                age_ms = (time.clock_gettime_ns(time.CLOCK_BOOTTIME) - last.stamp_ns) / 1e6
                 if age_ms > options.stale_ms:
                     print(f"seq {last.sequence} STALE: nothing newer for {age_ms:.1f} ms", flush=True)
                     warned = True
@@ -139,7 +139,7 @@ def main() -> int:
             sys.exit("this is not what a plumbline daemon sends")
         if last is not None and message.epoch != last.epoch:
             print("the daemon was started anew", flush=True)
-        age_ms = (time.monotonic_ns() - message.stamp_ns) / 1e6
+        age_ms = (time.clock_gettime_ns(time.CLOCK_BOOTTIME) - message.stamp_ns) / 1e6
         mark = "STALE" if age_ms > options.stale_ms else VALIDITIES[message.validity]
         mark = f"  {mark}" if mark else ""
         tau = " ".join(f"{value:9.4f}" for value in message.tau_ff[: message.n])

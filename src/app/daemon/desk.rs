@@ -106,6 +106,8 @@ pub struct Desk {
     pub barred: bool,
     /// The model that was served before it: the loop falls back to it.
     pub reserve: Option<Accepted>,
+    /// The running loop was told to stop and has not come to rest since.
+    pub braking: bool,
     /// The model whose torque broke a limit: it is not handed to another loop.
     pub distrusted: Option<u64>,
     /// The last cycle seen.
@@ -153,6 +155,7 @@ impl Desk {
             stopped: None,
             cause: None,
             barred: false,
+            braking: false,
             reserve: None,
             recent: Recent::default(),
             distrusted: None,
@@ -226,8 +229,15 @@ impl Desk {
                 Response::Accepted {}
             }
             Request::Resume {} => {
-                if controls.is_some_and(Controls::resume) || self.barred {
+                if controls.is_some_and(Controls::resume) {
                     self.barred = false;
+                    return Response::Accepted {};
+                }
+                if self.braking {
+                    return refused("the arm is being braked; ask again when it is at rest");
+                }
+                // The stop was given to a loop that has ended.
+                if std::mem::take(&mut self.barred) {
                     return Response::Accepted {};
                 }
                 refused("nothing waits for a permission to go on")
@@ -235,12 +245,10 @@ impl Desk {
             Request::Record {} if controls.is_none() => {
                 refused("the arm is not connected, so there is nothing to record")
             }
-            Request::Record {}
-                if self.recorder.write(Reason::new("on-demand", "a recording was asked for"), self.last.cycle) =>
-            {
-                Response::Accepted {}
-            }
-            Request::Record {} => refused("the job's `recorder.span` is 0 s: nothing is recorded"),
+            Request::Record {} => match self.recorder.on_demand(self.last.cycle, now_ns()) {
+                Ok(()) => Response::Accepted {},
+                Err(reason) => Response::Refused { reason },
+            },
             Request::OfferModel { .. } | Request::ProposeModel { .. } => {
                 match Checked::of(&self.robot, &self.mounting, request) {
                     Checked::Other(_) => refused("no model"),
@@ -289,6 +297,7 @@ impl Desk {
         self.barred = true;
         if let Some(controls) = controls {
             controls.stop();
+            self.braking = true;
         } else if self.is_under_way() {
             // Between two connections: what was interrupted is not gone on with.
             self.progress = Progress::Stopped;
@@ -431,6 +440,7 @@ impl Desk {
 
     /// Says what happened in the loop, and remembers why it stopped.
     pub fn log(&mut self, event: &Event) {
+        self.braking &= *event != Event::Stopped;
         match event {
             Event::Started { motion } => {
                 self.names.iter().filter(|(number, _)| number == motion).for_each(|(_, name)| {
@@ -447,7 +457,7 @@ impl Desk {
                 let reason = cause.unwrap_or_else(|| reason.to_string());
                 tracing::error!(plumbline_event = "stopping", "the arm is being stopped: {reason}");
                 self.stopped = Some(reason);
-                self.barred = true;
+                (self.barred, self.braking) = (true, true);
             }
             Event::Stopped if self.progress == Progress::Stopped => tracing::error!(
                 plumbline_event = "stopped",
@@ -462,7 +472,7 @@ impl Desk {
             }
             Event::Resumed => {
                 tracing::info!(plumbline_event = "resumed", "an operator has allowed motion again");
-                self.barred = false;
+                (self.barred, self.braking) = (false, false);
                 // Asked for again while that stop had begun already: no reason of the next one.
                 self.cause = None;
             }

@@ -83,11 +83,12 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let (job, robot, out) = options.job.load()?;
     let model = options.model.map(|path| model(path, options.job.root_owned)).transpose()?;
     let id = super::robot_id(&job)?;
-    let _about = journal::about(id.as_str());
+    journal::about(id.as_str());
     // Before anything else is touched: nobody else may drive this robot.
     let lock = if options.adopt_lock { super::adopted_lock(&id)? } else { super::lock(&id)? };
     // A stop is taken from here on, also while the excitation is planned.
     let stops = stop_line(&lock, &job)?;
+    let _arm = super::arm_lock(&job)?;
     let arm_limits = super::plan::arm_limits(&job)?;
     let programme = super::plan::programme(&job, &robot, &out, arm_limits.as_ref())?;
     let ending = Ending::watch()?;
@@ -191,6 +192,7 @@ impl Daemon {
     fn see_through(&mut self, session: Session) -> Result<Seen, Failure> {
         let ended = session.run(self);
         self.stops.connect(None);
+        self.desk.braking = false;
         let (statistics, end) = ended?;
         tracing::info!("{}", account(&statistics));
         let words = statistics.link.as_ref().and_then(|link| link.fault.clone()).unwrap_or_else(|| end.to_string());

@@ -144,6 +144,9 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     if !(1..=10_000).contains(&recorder.keep) {
         return bad("recorder.keep", &recorder.keep, "1 to 10000");
     }
+    if !(1..=10_000).contains(&recorder.keep_on_demand) {
+        return bad("recorder.keep-on-demand", &recorder.keep_on_demand, "1 to 10000");
+    }
     if job.realtime.priority > 99 {
         return bad("realtime.priority", &job.realtime.priority, "0 to 99");
     }

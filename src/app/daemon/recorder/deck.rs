@@ -1,7 +1,7 @@
 //! The recorder's thread: what it hears, keeps and writes.
 
-use super::folder::Folder;
-use super::{Close, Message, PAUSE};
+use super::folder::{Folder, ON_DEMAND};
+use super::{Close, Message, PAUSE, Requests};
 use crate::app::utc;
 use crate::joint::{Record, State};
 use crate::recording::about::{About, LogClock, Note, Reason};
@@ -15,6 +15,8 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+/// A stop that somebody asked for.
+const REQUESTED: &str = "requested";
 /// How long a stop's last record may be under way to the recorder.
 const PATIENCE: Duration = Duration::from_secs(2);
 
@@ -34,16 +36,20 @@ pub(super) struct Deck {
 }
 
 /// The recorder's thread.
-pub(super) fn work(messages: &Receiver<Message>, folder: &Folder) {
+pub(super) fn work(messages: &Receiver<Message>, folder: &Folder, requests: &Requests) {
     let mut deck: Option<Box<Deck>> = None;
     loop {
         match messages.recv_timeout(PAUSE) {
             Ok(Message::Open(new)) => deck = Some(new),
             Ok(message) => {
+                let on_demand = matches!(message, Message::OnDemand(_));
                 if let Some(open) = &mut deck
                     && open.hear(message, folder)
                 {
                     deck = None;
+                }
+                if on_demand {
+                    requests.end(now_ns());
                 }
             }
             Err(RecvTimeoutError::Timeout) => {}
@@ -81,8 +87,9 @@ impl Deck {
                 self.history.note(Note { stamp_ns: now_ns(), seq, text });
             }
             Message::Blame(reason) => self.blame = Some(reason),
-            Message::Write(reason, newest) => {
+            Message::OnDemand(newest) => {
                 self.drain();
+                let reason = Reason::new(ON_DEMAND, "a recording was asked for");
                 // Of another loop where this one has none yet.
                 let newest = self.history.newest().map_or(0, |record| record.cycle.min(newest));
                 self.write(reason, newest, newest, None, folder);
@@ -142,12 +149,22 @@ impl Deck {
         }
     }
 
+    /// Whether the arm moved in any cycle from `cycle` on.
+    fn moved(records: &[Record], cycle: u64) -> bool {
+        let speeds = |record: &Record| record.command.desired.dq.iter().any(|&dq| dq != 0.0);
+        records.iter().any(|record| record.cycle.saturating_add(1) >= cycle && speeds(record))
+    }
+
     /// Writes the cycles from some time before `cycle` on up to `newest`. Records of later ones may have overtaken what happened in them.
     fn write(&mut self, reason: Reason, cycle: u64, newest: u64, close: Option<Close>, folder: &Folder) {
         let flight = close.as_ref().map_or(&[][..], |close| close.flight.as_slice());
         let mut window = self.history.window(cycle.saturating_sub(self.before), flight);
         window.records.retain(|record| record.cycle <= newest);
         window.events.retain(|told| told.cycle <= newest);
+        if reason.kind == REQUESTED && !Deck::moved(&window.records, cycle) {
+            // Nothing happened, and whoever stops an arm at rest again and again would have all others removed.
+            return;
+        }
         let mut about = self.about.clone();
         about.recorded = utc();
         (about.lost, about.late) = (self.controls.lost(), self.controls.late());
@@ -201,7 +218,7 @@ fn kind_of_stop(reason: &StopReason) -> Option<&'static str> {
     Some(match reason {
         StopReason::Quit => return None,
         StopReason::Guard(_) => "guard",
-        StopReason::Requested => "requested",
+        StopReason::Requested => REQUESTED,
         StopReason::LostStates { .. } => "lost-states",
         StopReason::Unattended { .. } => "unattended",
         StopReason::NotAtStart { .. } => "not-at-start",

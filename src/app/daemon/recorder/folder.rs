@@ -7,11 +7,17 @@ use std::path::{Path, PathBuf};
 /// The form of the time in a name, with a 0 for every digit: `20261122T011721Z-`.
 const STAMP: &str = "00000000T000000Z-";
 
+/// How the recordings are called that nothing but a request led to.
+pub(super) const ON_DEMAND: &str = "on-demand";
+
 /// Where recordings go.
 pub(super) struct Folder {
     pub dir: PathBuf,
     pub id: String,
+    /// Recordings of faults and stops that are kept.
     pub keep: usize,
+    /// Recordings on demand that are kept beside them.
+    pub keep_on_demand: usize,
 }
 
 impl Folder {
@@ -33,18 +39,23 @@ impl Folder {
         format!("flight-{}-", self.id.chars().map(plain).collect::<String>())
     }
 
-    /// Removes the oldest recordings of this robot beyond those that are kept. The `fresh` one is kept whatever the clock says: after it was
+    /// Removes the oldest recordings of this robot and of the `fresh` one's sort beyond those that are kept: on demand ones never remove what a
+    /// fault has left. The `fresh` one is kept whatever the clock says: after it was
     /// set back, the newest file has the oldest time.
     fn prune(&self, fresh: &Path) -> io::Result<()> {
+        let on_demand = |path: &Path| self.kind(path).is_some_and(|kind| kind.starts_with(ON_DEMAND));
+        let alike = on_demand(fresh);
+        let keep = if alike { self.keep_on_demand } else { self.keep };
         let mut others = Vec::new();
         for entry in std::fs::read_dir(&self.dir)? {
             let entry = entry?;
-            if entry.path() != fresh && self.is_mine(&entry.file_name().to_string_lossy()) {
-                others.push((entry.metadata()?.modified()?, entry.path()));
+            let path = entry.path();
+            if path != fresh && self.kind(&path).is_some() && on_demand(&path) == alike {
+                others.push((entry.metadata()?.modified()?, path));
             }
         }
         others.sort();
-        let surplus = (others.len() + 1).saturating_sub(self.keep);
+        let surplus = (others.len() + 1).saturating_sub(keep);
         for (_, path) in others.iter().take(surplus) {
             std::fs::remove_file(path)?;
             // Its page, where somebody has made one.
@@ -53,11 +64,13 @@ impl Folder {
         Ok(())
     }
 
-    /// Whether a file is a recording of this robot, `panda`, and not of another one that is called `panda-left`.
-    fn is_mine(&self, name: &str) -> bool {
-        let Some(rest) = name.strip_prefix(&self.prefix()).filter(|rest| rest.ends_with(".mcap")) else { return false };
+    /// What the name of a recording says after its time, `guard-2`, where it is one of this robot, `panda`, and not of another one that is
+    /// called `panda-left`.
+    fn kind<'p>(&self, path: &'p Path) -> Option<&'p str> {
+        let name = path.file_name()?.to_str()?;
+        let rest = name.strip_prefix(&self.prefix())?.strip_suffix(".mcap")?;
         let stamp: String = rest.chars().map(|c| if c.is_ascii_digit() { '0' } else { c }).collect();
-        stamp.starts_with(STAMP)
+        stamp.starts_with(STAMP).then(|| &rest[STAMP.len()..])
     }
 }
 
@@ -68,7 +81,7 @@ mod tests {
     use std::time::{Duration, SystemTime};
 
     fn folder(dir: &Path, keep: usize) -> Folder {
-        Folder { dir: dir.to_path_buf(), id: "panda".into(), keep }
+        Folder { dir: dir.to_path_buf(), id: "panda".into(), keep, keep_on_demand: 2 }
     }
 
     /// A file that was written so many hours ago.
@@ -96,6 +109,26 @@ mod tests {
         assert!(!old.exists() && fresh.exists());
         // The page of the recording that went goes with it.
         assert!(others.iter().all(|path| path.exists() != path.ends_with("flight-panda-20261122T011721Z-guard.html")));
+    }
+
+    #[test]
+    fn recordings_on_demand_never_remove_what_a_fault_has_left() {
+        let dir = tempfile::tempdir().unwrap();
+        let fault = laid(dir.path(), "flight-panda-20261122T011721Z-guard.mcap", 9);
+        let asked: Vec<PathBuf> = (0..5)
+            .map(|k| {
+                let fresh = laid(dir.path(), &format!("flight-panda-20261122T02172{k}Z-on-demand.mcap"), 8 - k);
+                folder(dir.path(), 1).prune(&fresh).unwrap();
+                fresh
+            })
+            .collect();
+        assert!(fault.exists());
+        assert_eq!(asked.iter().filter(|path| path.exists()).count(), 2);
+        // And the other way round.
+        let fresh = laid(dir.path(), "flight-panda-20261122T031721Z-signal.mcap", 0);
+        folder(dir.path(), 1).prune(&fresh).unwrap();
+        assert!(!fault.exists() && fresh.exists());
+        assert_eq!(asked.iter().filter(|path| path.exists()).count(), 2);
     }
 
     #[test]

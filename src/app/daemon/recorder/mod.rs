@@ -25,14 +25,19 @@ use rtrb::{Producer, RingBuffer};
 use sha2::{Digest, Sha256};
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Sender, channel};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Records between the bridge thread and the recorder's: four seconds.
 const RING: usize = 4096;
 /// How often the recorder looks after its ring.
 const PAUSE: Duration = Duration::from_millis(5);
+/// Pause after a recording on demand \[ns\].
+const BETWEEN_NS: u64 = 2_000_000_000;
+/// How long the end of the program may take because of recordings: with the stop before it, less than systemd's `TimeoutStopSec`.
+const LAST_WRITE: Duration = Duration::from_secs(8);
 /// Room behind the fault: no stop takes this long \[cycles\].
 const STOP: usize = 5000;
 
@@ -45,8 +50,8 @@ enum Message {
     Note(String),
     /// The next stop that is asked for has this reason.
     Blame(Reason),
-    /// The newest record that was kept before this was sent.
-    Write(Reason, u64),
+    /// A recording on demand, with the newest record that was kept before this was sent.
+    OnDemand(u64),
     Close(Box<Close>),
 }
 
@@ -82,6 +87,7 @@ pub struct Recorder {
     inbox: Option<Sender<Message>>,
     thread: Option<JoinHandle<()>>,
     span: f64,
+    requests: Arc<Requests>,
     /// What is the same in every recording.
     about: Sheet,
 }
@@ -105,16 +111,19 @@ impl Recorder {
         let job_text = std::fs::read_to_string(&job.file)
             .map_err(|error| BadInput::new(&file, "file", error, "a readable configuration"))?;
         let about = Sheet { id: id.to_string(), job: file, job_text, robot_text };
-        let mut recorder = Recorder { inbox: None, thread: None, span: job.recorder.span, about };
+        let requests = Arc::new(Requests::default());
+        let mut recorder =
+            Recorder { inbox: None, thread: None, span: job.recorder.span, requests: Arc::clone(&requests), about };
         if job.recorder.span > 0.0 {
             let folder = Folder {
                 dir: job.recorder.dir.clone().unwrap_or_else(|| out.join("flight")),
                 id: id.to_string(),
                 keep: job.recorder.keep,
+                keep_on_demand: job.recorder.keep_on_demand,
             };
             let (inbox, messages) = channel();
             let thread = std::thread::Builder::new().name("plumbline-flight".into());
-            match thread.spawn(move || work(&messages, &folder)) {
+            match thread.spawn(move || work(&messages, &folder, &requests)) {
                 Ok(thread) => (recorder.inbox, recorder.thread) = (Some(inbox), Some(thread)),
                 Err(error) => tracing::error!("there is no flight recorder: {error}"),
             }
@@ -193,10 +202,17 @@ impl Recorder {
         self.send(Message::Blame(reason));
     }
 
-    /// Writes what is there up to `newest`, the cycle that was kept last; whether there is a recorder.
-    pub fn write(&self, reason: Reason, newest: u64) -> bool {
-        self.send(Message::Write(reason, newest));
-        self.inbox.is_some()
+    /// Writes what is there up to `newest`, the cycle that was kept last, because somebody asks for it at `now_ns`.
+    ///
+    /// # Errors
+    /// Why nothing is written.
+    pub fn on_demand(&self, newest: u64, now_ns: u64) -> Result<(), String> {
+        if self.inbox.is_none() {
+            return Err("the job's `recorder.span` is 0 s: nothing is recorded".into());
+        }
+        self.requests.begin(now_ns)?;
+        self.send(Message::OnDemand(newest));
+        Ok(())
     }
 
     fn send(&self, message: Message) {
@@ -207,13 +223,48 @@ impl Recorder {
     }
 }
 
-/// What has not been written yet is, before the program ends.
+/// What has not been written yet is, before the program ends; a disk that takes nothing any more does not keep it from ending.
 impl Drop for Recorder {
     fn drop(&mut self) {
         self.inbox = None;
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
+        let Some(thread) = self.thread.take() else { return };
+        let deadline = Instant::now() + LAST_WRITE;
+        while !thread.is_finished() && Instant::now() < deadline {
+            std::thread::sleep(PAUSE);
         }
+        if !thread.is_finished() {
+            tracing::error!("the flight recorder was still writing after {LAST_WRITE:?}; its last recording is lost");
+        }
+    }
+}
+
+/// Recordings on demand: one at a time, and a pause between two, so that nobody who asks for them keeps the recorder from anything else.
+#[derive(Debug, Default)]
+struct Requests {
+    /// When the next may be asked for; the end of time while one is queued or being written \[ns\].
+    free_ns: AtomicU64,
+}
+
+impl Requests {
+    /// Takes the place of the one recording, or says why not.
+    fn begin(&self, now_ns: u64) -> Result<(), String> {
+        match self.free_ns.load(Ordering::Acquire) {
+            u64::MAX => Err("a recording on demand is being written; ask again when it is there".into()),
+            free_ns if now_ns < free_ns => {
+                let pause = BETWEEN_NS / 1_000_000_000;
+                Err(format!("the last recording on demand has just been written; there is one in {pause} s at most"))
+            }
+            // The bridge thread alone comes here.
+            _ => {
+                self.free_ns.store(u64::MAX, Ordering::Release);
+                Ok(())
+            }
+        }
+    }
+
+    /// The recording is written, or was found to be of nothing.
+    fn end(&self, now_ns: u64) {
+        self.free_ns.store(now_ns.saturating_add(BETWEEN_NS), Ordering::Release);
     }
 }
 
@@ -294,4 +345,20 @@ fn kind_of_end(end: &End) -> Option<&'static str> {
         End::NotRealTime => "not-real-time",
         End::Clock { .. } => "clock",
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recordings_on_demand_come_one_at_a_time_with_a_pause_between() {
+        let requests = Requests::default();
+        requests.begin(5).unwrap();
+        assert!(requests.begin(6).unwrap_err().contains("is being written"));
+        assert!(requests.begin(u64::MAX - 1).unwrap_err().contains("is being written"));
+        requests.end(100);
+        assert!(requests.begin(99 + BETWEEN_NS).unwrap_err().contains("one in 2 s"));
+        requests.begin(100 + BETWEEN_NS).unwrap();
+    }
 }
