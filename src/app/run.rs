@@ -34,7 +34,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     // No other daemon comes up for this robot from here on, however long the planning takes: the daemon that is started below gets this very lock.
     let lock = super::lock(&id)?;
     // What a daemon would refuse is refused here, before anything starts.
-    drop(super::arm_lock(&job)?);
+    let arm = super::arm_lock(&job)?;
     super::truth(&job)?;
     super::rest(&job, &robot)?;
     std::fs::create_dir_all(&out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
@@ -44,6 +44,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let ending = Ending::watch()?;
     // What is passed on here is closed again before anything else is started.
     let passed_on = lock.pass_on().map_err(Failure::job)?;
+    // The daemon takes it again, or says who has it.
+    drop(arm);
     let mut daemon = Process::start("daemon", &options.job, &out, &["--end-with-stdin", "--adopt-lock"])?;
     drop(passed_on);
     let outcome = drive(&id, &options.job, &out, &mut daemon, ticks as u64, &ending);
