@@ -78,7 +78,7 @@ fn torque_limits_are_kept_with_a_nominal_model() {
     // Rotors alone: 3 kg m2 times the acceleration in every joint.
     let nominal = Nominal { links: vec![[0.0; 10]; 7], rotor: [3.0; 8], ..Nominal::default() };
     let mut problem = arm.problem(Some(&START));
-    problem.bounds.margins.torque = 0.02;
+    problem.bounds.margins.torque = 0.5;
     let free = random(&problem, &short(), 1.0).unwrap();
     problem.nominal = Some(&nominal);
     let check = |plan: &Plan| verdict(&problem, &plan.fourier().unwrap()).is_feasible();
