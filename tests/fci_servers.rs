@@ -162,6 +162,9 @@ fn a_whole_job_on_franka_sim_keeps_the_limits_that_it_serves() {
             "backend.franka.state-timeout=1 s".into(),
             "safety.max-lost=19".into(),
             "safety.tracking-error=0.3 rad".into(),
+            // Its own controller overshoots, and it watches the measured speed, too.
+            "limits.speed=0.5".into(),
+            "limits.acceleration=0.3".into(),
             "excitation.trajectories=1".into(),
             "excitation.periods=1".into(),
             "excitation.lead-in=0".into(),
