@@ -137,3 +137,58 @@ fn franky_sim_takes_a_whole_excitation() {
     let run = drive_patiently(&settings(&server), &plan(0.5), Duration::from_secs(40), 8);
     assert_ended_in_order(&run, "franky-sim 1.0.4", 0.15);
 }
+
+/// What a server written in Python, or a machine with other work, does to a job: stalls. Everything else that ends one is a finding.
+const STALLS: [&str; 3] = ["communication_constraints_violation", "no state came", "states were lost"];
+
+/// The shipped job for an FR3, on a server that serves tighter limits than the robot file: it plans under those and is not stopped by them.
+#[test]
+fn a_whole_job_on_franka_sim_keeps_the_limits_that_it_serves() {
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let Some(python) = peers::interpreter_with(&["franka-sim==1.1.7"]) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    for attempt in 1..=6 {
+        let mut command = Command::new(&python);
+        command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/serve_franka_sim.py"));
+        let address = address(10 + attempt);
+        command.arg(&address).arg(fr3_mjcf());
+        let server = Server::start(command, &address, "franka-sim-job.log");
+        let out = folder.path().join(attempt.to_string());
+        let mut job = Command::new(env!("CARGO_BIN_EXE_plumbline"));
+        job.current_dir(env!("CARGO_MANIFEST_DIR")).args(["run", "config/fr3.toml", "--out"]).arg(&out);
+        for set in [
+            format!("serve.id=franka-sim-job-{}", std::process::id()),
+            format!("backend.franka.address={address}"),
+            "backend.franka.state-timeout=1 s".into(),
+            "safety.max-lost=19".into(),
+            "safety.tracking-error=0.3 rad".into(),
+            // Its own controller overshoots, and it watches the measured speed, too.
+            "limits.speed=0.5".into(),
+            "limits.acceleration=0.3".into(),
+            "excitation.trajectories=1".into(),
+            "excitation.periods=1".into(),
+            "excitation.lead-in=0".into(),
+            "excitation.starts=2".into(),
+            "excitation.rounds=0".into(),
+            "validation.trajectories=1".into(),
+            "diagnosis.enabled=false".into(),
+            "realtime.lock-memory=false".into(),
+        ] {
+            job.args(["--set", &set]);
+        }
+        let done = job.output().unwrap();
+        drop(server);
+        let said = String::from_utf8_lossy(&done.stderr).to_string() + &String::from_utf8_lossy(&done.stdout);
+        assert!(!said.contains("guard: ") && !said.contains("while braking"), "{said}");
+        let plan =
+            plumbline::store::load_plan(&out.join("plans/identify-upright.toml")).unwrap_or_else(|_| panic!("{said}"));
+        // Joint 6 ends at 0.5409 rad there, at 0.4398 rad in the robot file.
+        assert_eq!(plan.constraints.q_min[5], 0.54092, "{said}");
+        if done.status.success() {
+            return;
+        }
+        assert!(STALLS.iter().any(|stall| said.contains(stall)), "{said}");
+        eprintln!("attempt {attempt} met a stall: {}", said.lines().last().unwrap_or(""));
+    }
+    panic!("every attempt met a stall");
+}

@@ -102,7 +102,9 @@ fn validation(area: DrawingArea<SVGBackend, plotters::coord::Shift>, run: &Valid
             mesh.x_desc("t [s]");
         }
         mesh.draw()?;
-        for ((name, colour, width), values) in [("measured", TRUE, 2), ("estimated", HORIZONTAL, 2)].into_iter().zip(&columns) {
+        for ((name, colour, width), values) in
+            [("measured", TRUE, 2), ("estimated", HORIZONTAL, 2)].into_iter().zip(&columns)
+        {
             let points = run.t.iter().copied().zip(values.iter().copied()).step_by(STEP);
             chart
                 .draw_series(LineSeries::new(points, colour.stroke_width(width)))?

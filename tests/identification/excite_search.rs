@@ -78,7 +78,7 @@ fn torque_limits_are_kept_with_a_nominal_model() {
     // Rotors alone: 3 kg m2 times the acceleration in every joint.
     let nominal = Nominal { links: vec![[0.0; 10]; 7], rotor: [3.0; 8], ..Nominal::default() };
     let mut problem = arm.problem(Some(&START));
-    problem.bounds.margins.torque = 0.02;
+    problem.bounds.margins.torque = 0.5;
     let free = random(&problem, &short(), 1.0).unwrap();
     problem.nominal = Some(&nominal);
     let check = |plan: &Plan| verdict(&problem, &plan.fourier().unwrap()).is_feasible();
@@ -162,7 +162,9 @@ fn a_motion_that_determines_nothing_is_refused_with_the_parameters() {
     let search = Search { starts: 1, rounds: 0, ..Search::default() };
     let error = optimise(&arm.problem(None), &search, &[], &Watch::alone(2)).unwrap_err();
     let ExciteError::Unexcited { condition, parameters } = &error else { panic!("{error}") };
-    assert!(*condition > MAX_CONDITION && parameters.iter().any(|name| name.starts_with("fv")), "{error}");
+    assert!(*condition > MAX_CONDITION && !parameters.is_empty(), "{error}");
+    let known = |name: &String| arm.structure.columns().iter().any(|column| column.name == *name);
+    assert!(parameters.iter().all(known), "{error}");
     assert!(error.to_string().contains("does not determine"), "{error}");
 }
 

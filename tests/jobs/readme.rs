@@ -62,7 +62,8 @@ fn other_words_and_other_numbers_are_seen() {
     assert!(!says_the_same(shown, "RMS wall [Nm], 5 unseen runs: 0.154 [0.151 0.152]"));
     assert!(!says_the_same(shown, "RMS roof [Nm], 5 unseen runs: 0.152 [0.151 0.152]"));
     assert!(!says_the_same(shown, "RMS wall [Nm], 5 unseen runs: 0.152 [0.151 0.152"));
-    let cycles = "loop (simulated time, as fast as possible): 799820 cycles, 0 lost, work p50 0.736 p99 3.78 max 5212 us";
+    let cycles =
+        "loop (simulated time, as fast as possible): 799820 cycles, 0 lost, work p50 0.736 p99 3.78 max 5212 us";
     assert!(says_the_same(cycles, &cycles.replace("5212", "1.2").replace("0.736", "20")));
     assert!(!says_the_same(cycles, &cycles.replace("799820", "799840")));
 }
