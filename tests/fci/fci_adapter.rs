@@ -549,6 +549,24 @@ fn what_is_no_message_over_tcp_is_told_from_a_closed_connection() {
 }
 
 #[test]
+fn another_program_at_the_address_is_told_by_what_it_says() {
+    let [.., high, low] = std::process::id().to_be_bytes();
+    let address = std::net::IpAddr::from([127, 5, high, low.max(1)]);
+    let listener = std::net::TcpListener::bind((address, 1337)).unwrap();
+    let server = std::thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        std::io::Write::write_all(&mut stream, b"SSH-2.0-OpenSSH_9.2p1\r\n").unwrap();
+        // Until the other end goes.
+        let _ = std::io::Read::read_to_end(&mut stream, &mut Vec::new());
+    });
+    let error = connect(&Settings::new(address, RobotKind::Fr3)).expect_err("no control unit");
+    assert!(matches!(error, ConnectError::NoMessage { .. }), "{error:?}");
+    let words = error.to_string();
+    assert!(words.contains("53 53 48") && words.contains("`SSH-2.0-Open`") && words.contains("1337"), "{words}");
+    server.join().unwrap();
+}
+
+#[test]
 fn numbers_that_start_again_are_told_from_silence() {
     let fake = Fake::start(Protocol::V10, |world| {
         if world.ticks == 100 {
