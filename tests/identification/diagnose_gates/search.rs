@@ -345,7 +345,7 @@ fn without_repeats_a_better_effect_has_to_be_better_by_twelve() {
             // One step: nothing comes beside it.
             let settings = Settings { steps: 0, ..Settings::default() };
             let search = Search { settings: &settings, ..search.upon(search.ground) };
-            let selected = search.select(base.clone(), &[drag.item.clone()], &|_| {});
+            let selected = search.select(base.clone(), std::slice::from_ref(&drag.item), &|_| {});
             println!("share {share}: gap {gap}, {:?}", taken(&selected));
             let passes = gates::folds(&search.problem, base, &offset.tried).share >= 0.2;
             let expected = if gap > 12.0 && passes { "torque-offset" } else { "asymmetric-viscous" };
