@@ -19,12 +19,8 @@ const SHORTLIST: usize = 16;
 const SEEDLINGS: usize = 4;
 /// Share of what an effect has to bring that it brings at the start of a search for several settings.
 const HOPE: f64 = 0.5;
-/// Where nothing tells the noise: candidates with this share of the best score are nearly as good,
+/// Where nothing tells the noise: candidates with this share of the best score are nearly as good.
 const NEARLY: f64 = 0.8;
-/// an effect has to show in so many of the blocks that were left out,
-const LEAST_FOLDS: usize = 3;
-/// and may not add this share to the mean square of any joint on blocks that were left out.
-const HARM: f64 = 0.3;
 /// A rival within so much of the score can't be told from the chosen one.
 pub const GAP: f64 = 12.0;
 
@@ -318,17 +314,9 @@ impl<'a> Search<'a> {
             return false;
         }
         let folds = gates::folds(&self.problem, state, &one.tried);
-        folds.confirm() != Some(false) && (self.evidence().repeats() || self.holds(one, &folds))
-    }
-
-    /// Whether a candidate holds on blocks that were left out, where nothing but the size of what the model lacks is known: that is no
-    /// noise, and a likelihood on the data of the fit says too much. It has to show in several of them, the same score has to be reached
-    /// there, a good part of one joint's error has to go, and no joint may lose much.
-    fn holds(&self, one: &Scored, folds: &Folds) -> bool {
-        folds.informative >= LEAST_FOLDS.min(self.evidence().folds().len() / 2)
-            && folds.evidence > one.penalty
-            && folds.share >= self.settings.least_share_left_out
-            && folds.worst > -HARM
+        let blocks = self.evidence().folds().len();
+        folds.confirm() != Some(false)
+            && (self.evidence().repeats() || folds.hold(blocks, one.penalty, self.settings.least_share_left_out))
     }
 
     /// Of candidates that pass, the best; of those that are nearly as good the simplest, where the score is no exact measure.

@@ -533,32 +533,55 @@ fn a_connection_that_dies_in_motion_ends_it_at_once() {
     assert!(explain(&fault, &connection.telemetry.snapshot()).to_string().contains("connection"));
 }
 
+/// Drives until the fake has done what its script does 100 ms into the motion; what ended it, in words. A machine that stalls before that ends the
+/// motion otherwise, and says nothing.
+fn ended_by(script: fn(&mut World)) -> (Fault, String) {
+    for _ in 0..20 {
+        let fake = Fake::start(Protocol::V10, move |world| {
+            if world.ticks == 100 {
+                script(world);
+            }
+        });
+        let (mut arm, connection) = open(&fake, Protocol::V10);
+        let fault = drive(&mut arm, 5000).expect_err("the script ends it");
+        let words = explain(&fault, &connection.telemetry.snapshot()).to_string();
+        if fake.with(|world| world.ticks >= 100) && !matches!(fault, Fault::Reflex { .. }) {
+            return (fault, words);
+        }
+    }
+    panic!("the machine stalls each time");
+}
+
 #[test]
 fn what_is_no_message_over_tcp_is_told_from_a_closed_connection() {
-    let fake = Fake::start(Protocol::V10, |world| {
-        if world.ticks == 100 {
-            world.answers.extend_from_slice(b"HTTP/1.1 400 Bad Request\r\n\r\n");
-        }
-    });
-    let (mut arm, connection) = open(&fake, Protocol::V10);
-    let fault = drive(&mut arm, 5000).expect_err("the connection is of no use");
+    let (fault, words) = ended_by(|world| world.answers.extend_from_slice(b"HTTP/1.1 400 Bad Request\r\n\r\n"));
     assert_eq!(fault, Fault::Disconnected);
-    let words = explain(&fault, &connection.telemetry.snapshot()).to_string();
     assert!(words.contains("no message") && words.contains("`HTTP/1.1 400`") && words.contains("1337"), "{words}");
     assert!(!words.contains("closed"), "{words}");
 }
 
 #[test]
-fn numbers_that_start_again_are_told_from_silence() {
-    let fake = Fake::start(Protocol::V10, |world| {
-        if world.ticks == 100 {
-            world.state.message_id = 7;
-        }
+fn another_program_at_the_address_is_told_by_what_it_says() {
+    let [.., high, low] = std::process::id().to_be_bytes();
+    let address = std::net::IpAddr::from([127, 5, high, low.max(1)]);
+    let listener = std::net::TcpListener::bind((address, 1337)).unwrap();
+    let server = std::thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        std::io::Write::write_all(&mut stream, b"SSH-2.0-OpenSSH_9.2p1\r\n").unwrap();
+        // Until the other end goes.
+        let _ = std::io::Read::read_to_end(&mut stream, &mut Vec::new());
     });
-    let (mut arm, connection) = open(&fake, Protocol::V10);
-    let fault = drive(&mut arm, 5000).expect_err("no state is newer any more");
+    let error = connect(&Settings::new(address, RobotKind::Fr3)).expect_err("no control unit");
+    assert!(matches!(error, ConnectError::NoMessage { .. }), "{error:?}");
+    let words = error.to_string();
+    assert!(words.contains("53 53 48") && words.contains("`SSH-2.0-Open`") && words.contains("1337"), "{words}");
+    server.join().unwrap();
+}
+
+#[test]
+fn numbers_that_start_again_are_told_from_silence() {
+    let (fault, words) = ended_by(|world| world.state.message_id = 7);
     assert!(matches!(fault, Fault::Silent { .. }), "{fault:?}");
-    let words = explain(&fault, &connection.telemetry.snapshot()).to_string();
     assert!(words.contains("count from the beginning again") && words.contains(" after 5"), "{words}");
     assert!(words.contains("started again") && !words.contains("no state came"), "{words}");
 }

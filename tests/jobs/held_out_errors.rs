@@ -78,7 +78,7 @@ fn errors(
 ) -> Vec<f64> {
     let file = ModelFile::load(model, |name| Ok(Robot::load(name, None)?.chain)).unwrap();
     let beta = DVector::from_vec(file.model.beta());
-    let mut squares = vec![0.0; 7];
+    let mut squares = [0.0; 7];
     for path in files {
         let mean = mean_period(path, samples);
         let zeros = || DMatrix::zeros(samples, 7);

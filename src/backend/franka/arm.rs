@@ -40,6 +40,8 @@ const MOST_PER_READ: u32 = 4096;
 const MOST_UNSENT: u32 = 20;
 /// States in a row with smaller numbers than the last one before them that are no late ones: the numbers have started again.
 const RESTARTED: u64 = 3;
+/// Milliseconds behind the newest state beyond which none is late.
+const LATEST: u64 = 1000;
 /// Cycles of a motion before the arm's count of commands says something.
 const RATE_FROM: u64 = 100;
 
@@ -154,7 +156,7 @@ impl FrankaArm {
                 }
                 let waited = now_ns().saturating_sub(begin);
                 if waited >= timeout_ns {
-                    if older.0 >= RESTARTED {
+                    if older.0 >= RESTARTED && before.saturating_sub(older.1) > LATEST {
                         self.telemetry.restarted(before, older.1);
                     }
                     // An arm that has closed the connection falls silent, too.

@@ -2,7 +2,9 @@
 
 use super::limits::UrdfError;
 use super::settings::BadSetting;
-use super::wire::{CommandKind, Errors, Protocol, RecoveryStatus, RobotMode, SetterStatus, WireError, images_of};
+use super::wire::{
+    CommandKind, Errors, HEADER_BYTES, Protocol, RecoveryStatus, RobotMode, SetterStatus, WireError, images_of,
+};
 use std::io;
 use std::net::IpAddr;
 use std::time::Duration;
@@ -59,6 +61,19 @@ pub enum ConnectError {
     Closed {
         /// The command.
         command: CommandKind,
+    },
+    /// What came over TCP is no message of the protocol.
+    #[error(
+        "what came instead of an answer to {command} is no message of the control interface: it begins with {}. Another program answers at this \
+         address and port, or something on the way changes the data: see that the address is that of the control unit and that nothing forwards or \
+         filters its TCP port 1337",
+        first_bytes(.bytes)
+    )]
+    NoMessage {
+        /// The command.
+        command: CommandKind,
+        /// The first bytes of what came.
+        bytes: [u8; HEADER_BYTES],
     },
     /// No state came over UDP though the connection stands.
     #[error(
@@ -156,6 +171,14 @@ pub enum ConnectError {
         /// How long was waited.
         waited: Duration,
     },
+}
+
+/// Bytes as numbers and as text: `48 69 (`Hi`)`.
+pub(super) fn first_bytes(bytes: &[u8]) -> String {
+    let hex: Vec<String> = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+    let text: String =
+        bytes.iter().map(|&byte| if matches!(byte, b' '..=b'~') { char::from(byte) } else { '.' }).collect();
+    format!("{} (`{text}`)", hex.join(" "))
 }
 
 fn because(errors: &Errors) -> String {

@@ -1,7 +1,7 @@
 //! A fault in words: what happened, why, and what the operator does next.
 
 use super::codes::*;
-use super::error::next_step;
+use super::error::{first_bytes, next_step};
 use super::telemetry::{Stall, Statistics};
 use super::wire::{ErrorBit, MoveStatus, RobotMode};
 use crate::rt::Fault;
@@ -47,13 +47,10 @@ pub fn explain(fault: &Fault, telemetry: &Statistics) -> Explanation {
 
 /// What came over the command connection was no message.
 fn garbled(bytes: &[u8]) -> Explanation {
-    let hex: Vec<String> = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-    let text: String =
-        bytes.iter().map(|&byte| if matches!(byte, b' '..=b'~') { char::from(byte) } else { '.' }).collect();
     Explanation {
         what: format!(
-            "what came over the command connection is no message of the control interface: it begins with {} (`{text}`)",
-            hex.join(" ")
+            "what came over the command connection is no message of the control interface: it begins with {}",
+            first_bytes(bytes)
         ),
         cause: Some("another program answers at this address and port, or something on the way changes the data".into()),
         next: "See that the address is that of the control unit and that nothing forwards or filters its TCP port 1337; then start again."

@@ -64,7 +64,8 @@ impl CommandLink {
             self.stream.set_read_timeout(Some(left)).map_err(failed)?;
             let mut head = [0; HEADER_BYTES];
             self.stream.read_exact(&mut head).map_err(failed)?;
-            let header = Header::decode(&head, MAX_MESSAGE)?;
+            let garbled = |_| ConnectError::NoMessage { command, bytes: head };
+            let header = Header::decode(&head, MAX_MESSAGE).map_err(garbled)?;
             let mut payload = vec![0; header.payload_bytes()];
             self.stream.read_exact(&mut payload).map_err(failed)?;
             // Whatever answers an earlier call is of no interest any more.

@@ -52,6 +52,9 @@ fn what_unseen_runs_do_not_have_is_taken_out() {
     let held = of(31, (6.0, 0.0), (6.0, 0.0), (6.0, 0.0));
     assert_eq!(labels(&held), [("torque-offset", 2, true)]);
     assert!(held.path.iter().all(|step| step.added));
+    // Beside something larger the error falls by a fifth alone, and that is less.
+    let beside = of(31, (6.0, 0.0), (6.0, 12.0), (6.0, 0.0));
+    assert_eq!(labels(&beside), [("torque-offset", 2, true)]);
     let refuted = of(31, (6.0, 0.0), (0.0, 0.0), (6.0, 0.0));
     assert_eq!(labels(&refuted), []);
     let last = refuted.path.last().unwrap();
@@ -71,6 +74,9 @@ fn an_effect_is_delivered_when_it_explains_half_of_what_unseen_runs_lack() {
         assert!((adequacy - explained).abs() < 0.08, "{adequacy} {explained}");
         let columns = found.before.structure.columns().len() + usize::from(delivered);
         assert_eq!(found.after.structure.columns().len(), columns);
+        // What is stated of the joint is stated of the delivered model.
+        let [before, after] = found.joints[1].rms;
+        assert!(if delivered { after < 0.5 * before } else { after == before }, "{before} {after}");
     }
 }
 
