@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 const HELD: [&str; 4] =
-    ["backend.pace=wall-clock", "realtime.lock-memory=false", "safety.max-lost=1000", "recorder.span=0"];
+    ["backend.pace=wall-clock", "realtime.lock-memory=false", "safety.max-lost=1000", "recorder.span=0 s"];
 /// Far more than a stop may take on any machine that this runs on; the figures are printed.
 const BOUND_MS: f64 = 2000.0;
 

@@ -5,7 +5,7 @@ use crate::model::term::Sample;
 use std::time::{Duration, Instant};
 
 const JOB: &str = "robot = \"panda\"\nmounting = \"upright\"\n[backend]\nkind = \"sim\"\narm = \"sim-panda\"\npace = \"wall-clock\"\n\
-    [recorder]\nspan = 0.0\n";
+    [recorder]\nspan = \"0 s\"\n";
 const MODEL: &str = include_str!("../../../../config/models/panda-paper-table3.toml");
 
 /// A desk and the folder that its files are in.
