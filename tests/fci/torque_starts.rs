@@ -186,7 +186,16 @@ fn under_torque_control_the_arm_stays_where_it_stands_in_any_mounting() {
 #[test]
 #[ignore = "minutes: hil/torque-starts/run.sh"]
 fn ten_starts_in_each_of_ten_mountings() {
-    let tilts = [(165.0, 0.0), (150.0, 45.0), (135.0, 90.0), (120.0, 180.0), (90.0, 90.0), (75.0, -45.0), (60.0, -90.0), (30.0, 135.0)];
+    let tilts = [
+        (165.0, 0.0),
+        (150.0, 45.0),
+        (135.0, 90.0),
+        (120.0, 180.0),
+        (90.0, 90.0),
+        (75.0, -45.0),
+        (60.0, -90.0),
+        (30.0, 135.0),
+    ];
     let mountings: Vec<Mounting> =
         [Mounting::WALL, Mounting::CEILING].into_iter().chain(tilts.map(|(rho, phi)| tilted(rho, phi))).collect();
     let found: Vec<_> = mountings.chunks(2).flat_map(|pair| starts(pair, 10)).collect();

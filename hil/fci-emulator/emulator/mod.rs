@@ -203,7 +203,8 @@ impl Emulator {
             urdf: urdf::write(name, &chain, &limits, &settings.arm),
             base_acceleration: settings.base_acceleration,
         };
-        let body = Body::new(chain, &settings.arm, settings.mounting, settings.compensates, &settings.start, settings.seed)?;
+        let body =
+            Body::new(chain, &settings.arm, settings.mounting, settings.compensates, &settings.start, settings.seed)?;
         let before = settings.first_message_id.saturating_sub(1);
         let robot =
             Robot::new(settings.protocol, settings.robot, body, &settings.start, served, settings.finish, before);

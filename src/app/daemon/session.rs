@@ -283,7 +283,12 @@ impl Session {
         self.hear();
         // The torque first: whoever waits for it drives something.
         let gravity = self.labels.at(last.cycle).into();
-        daemon.server.feed_forward(FeedForwardMessage::new(&last, daemon.desk.robot.chain.len(), gravity, self.vendor.into()));
+        daemon.server.feed_forward(FeedForwardMessage::new(
+            &last,
+            daemon.desk.robot.chain.len(),
+            gravity,
+            self.vendor.into(),
+        ));
         daemon.server.publish(&self.records);
         self.tape.keep(&self.records);
         if let Some(why) = daemon.desk.gravity.take(&self.records) {

@@ -234,12 +234,15 @@ mod tests {
         let of = |shown| RobotState { o_ddp_o: shown, ..RobotState::default() };
         let (upright, wall) = ([0.0, 0.0, -9.81], [9.81, 0.0, 0.0]);
         for commanded in [false, true] {
-            let known = |shown, declared| compensated(&of(shown), declared, commanded).map_err(|error| error.to_string());
+            let known =
+                |shown, declared| compensated(&of(shown), declared, commanded).map_err(|error| error.to_string());
             assert_eq!(known(upright, None), Ok(upright));
             assert_eq!(known(wall, None), Ok(wall));
             // The declaration is held against the state, and the state's own value is what counts.
             assert_eq!(known(upright, Some([0.3, 0.0, -9.8])), Ok(upright));
-            for (shown, declared) in [(upright, wall), (wall, upright), (upright, [0.0, 0.0, 9.81]), (upright, [0.6, 0.0, -9.8])] {
+            for (shown, declared) in
+                [(upright, wall), (wall, upright), (upright, [0.0, 0.0, 9.81]), (upright, [0.6, 0.0, -9.8])]
+            {
                 let text = known(shown, Some(declared)).unwrap_err();
                 assert!(text.contains("compensates") && text.contains("O_ddP_O"), "{text}");
             }
