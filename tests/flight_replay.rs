@@ -166,7 +166,10 @@ fn recording(of: &Told, first: u64, lose: Option<u64>) -> Recording {
             format!("{:?} {:?} {:?}", a.state, a.command, a.tick),
             format!("{:?} {:?} {:?}", b.state, b.command, b.tick)
         );
-        assert_eq!((a.cycle, a.phase, a.motion, a.model, a.validity), (b.cycle, b.phase, b.motion, b.model, b.validity));
+        assert_eq!(
+            (a.cycle, a.phase, a.motion, a.model, a.validity),
+            (b.cycle, b.phase, b.motion, b.model, b.validity)
+        );
         assert_eq!((a.stamp_ns, a.wake_ns, a.work_ns), (b.stamp_ns, b.wake_ns, b.work_ns));
     }
     assert_eq!((read.records.len(), read.texts.len()), (written.records.len(), 1));

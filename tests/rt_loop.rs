@@ -67,7 +67,9 @@ fn a_model_is_exact_after_its_hand_over_and_an_old_one_is_freed_outside() {
         .outside(400, |h| assert!(h.models.serve(Box::new(Model(1, |d: &Setpoint| d.q.map(|q| 4.0 * q)))).is_ok()))
         .outside(900, |h| assert!(h.models.serve(Box::new(Model(2, |d: &Setpoint| d.dq.map(|v| -5.0 * v)))).is_ok()))
         .outside(2_000, |h| assert!(h.models.serve(Box::new(Model(3, |_: &Setpoint| [0.0; 8]))).is_ok()))
-        .outside(2_500, |h| assert_eq!(h.free_retired(), 2, "model 1 and the finished reference; model 2 is in reserve"))
+        .outside(2_500, |h| {
+            assert_eq!(h.free_retired(), 2, "model 1 and the finished reference; model 2 is in reserve")
+        })
         .run();
     run.assert_sound();
     assert_eq!(run.outcome.stops, 0);

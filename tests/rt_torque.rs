@@ -79,7 +79,11 @@ fn assert_no_jump(records: &[Record], most: f64) {
     for pair in records.windows(2) {
         let [before, now] = [&pair[0], &pair[1]].map(torques);
         for (before, now) in before.iter().flatten().zip(now.iter().flatten()) {
-            assert!((now - before).abs() <= most * (1.0 + 1e-9), "{before} Nm, then {now} Nm in cycle {}", pair[1].cycle);
+            assert!(
+                (now - before).abs() <= most * (1.0 + 1e-9),
+                "{before} Nm, then {now} Nm in cycle {}",
+                pair[1].cycle
+            );
         }
     }
 }
@@ -126,10 +130,7 @@ fn the_first_model_and_the_last_come_and_go_without_a_jump() {
         .outside(2_000, hand_over(heavy(2, -40.0)))
         .run();
     run.assert_sound();
-    assert_eq!(
-        validities(&run),
-        [(0, None), (1, HandOver), (1, Valid), (0, Withdrawn), (2, HandOver), (2, Valid)]
-    );
+    assert_eq!(validities(&run), [(0, None), (1, HandOver), (1, Valid), (0, Withdrawn), (2, HandOver), (2, Valid)]);
     assert_no_jump(&run.records, 0.5 * STEP);
     assert_eq!(torques(&run.records[1_990]), [JointVec::default(); 2], "withdrawn for a second");
 }
@@ -182,7 +183,10 @@ fn a_model_that_breaks_a_limit_is_replaced_by_the_one_before_it_or_led_to_zero()
             let end = validities(&run);
             if with_reserve {
                 assert_eq!(end.last_chunk::<3>(), Some(&[(2, Valid), (1, HandOver), (1, Valid)]));
-                assert_eq!(run.records.last().unwrap().command.tau_ff, heavy(1, -12.0).torque(&run.records.last().unwrap().command.desired));
+                assert_eq!(
+                    run.records.last().unwrap().command.tau_ff,
+                    heavy(1, -12.0).torque(&run.records.last().unwrap().command.desired)
+                );
             } else {
                 assert_eq!(end.last_chunk::<2>(), Some(&[(2, Valid), (0, Withdrawn)]));
                 assert_eq!(torques(run.records.last().unwrap()), [JointVec::default(); 2]);
@@ -266,10 +270,7 @@ fn a_model_that_jumps_to_and_fro_is_found_during_its_hand_over() {
         .outside(300, hand_over(Box::new(Model(2, zigzag, |_: &JointVec| JointVec::default()))))
         .run();
     assert!(run.events.contains(&Event::Distrusted { model: 2, instead: 1 }), "{:?}", run.events);
-    assert!(matches!(
-        run.outcome.last_stop,
-        Some(StopReason::Guard(Violation { limit: Limit::TorqueRate, .. }))
-    ));
+    assert!(matches!(run.outcome.last_stop, Some(StopReason::Guard(Violation { limit: Limit::TorqueRate, .. }))));
     assert_no_jump(&run.records, STEP);
 }
 

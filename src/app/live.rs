@@ -390,8 +390,7 @@ impl Live {
 
     /// RMS of measured minus served torque between two moments, per joint \[Nm\].
     fn served(&self, begin: f64, end: f64) -> Vec<f64> {
-        let within =
-            |r: &&Record| (begin..end).contains(&r.state.time) && r.validity == Validity::Valid;
+        let within = |r: &&Record| (begin..end).contains(&r.state.time) && r.validity == Validity::Valid;
         let chosen: Vec<&Record> = self.buffer.iter().filter(within).collect();
         let square = |j: usize| chosen.iter().map(|r| (r.state.tau[j] - r.command.tau_ff.0[j]).powi(2)).sum::<f64>();
         (0..self.joints).map(|j| (square(j) / chosen.len().max(1) as f64).sqrt()).collect()

@@ -124,8 +124,8 @@ impl SampleMessage {
     /// The record it carries.
     pub fn record(&self) -> Result<Record, MessageError> {
         let phase = Phase::from_u32(self.phase).ok_or(MessageError::Phase { code: self.phase, seq: self.seq })?;
-        let validity = Validity::from_u32(self.validity)
-            .ok_or(MessageError::Validity { code: self.validity, seq: self.seq })?;
+        let validity =
+            Validity::from_u32(self.validity).ok_or(MessageError::Validity { code: self.validity, seq: self.seq })?;
         Ok(Record {
             cycle: self.cycle,
             state: State { seq: self.state_seq, time: self.time, q: self.q, dq: self.dq, tau: self.tau, q_d: self.q_d },

@@ -9,8 +9,8 @@ pub(super) use stepped::{AtomicBool, AtomicU32, AtomicU64, Ordering, act_before_
 /// Atomics that run an action before one of this thread's accesses: what another thread may do at that moment.
 #[cfg(test)]
 mod stepped {
-    pub use std::sync::atomic::Ordering;
     use std::cell::RefCell;
+    pub use std::sync::atomic::Ordering;
 
     type Action = Box<dyn FnOnce()>;
 

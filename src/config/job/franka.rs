@@ -102,6 +102,11 @@ fn compensates<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Comp
             }
         }
 
+        // `--set backend.franka.compensates=true` is a truth value in TOML.
+        fn visit_bool<E: Error>(self, is: bool) -> Result<Compensates, E> {
+            if is { Ok(Compensates::True) } else { Err(E::invalid_value(Unexpected::Bool(is), &self)) }
+        }
+
         fn visit_seq<S: SeqAccess<'de>>(self, seq: S) -> Result<Compensates, S::Error> {
             <[f64; 3]>::deserialize(SeqAccessDeserializer::new(seq)).map(Compensates::Along)
         }

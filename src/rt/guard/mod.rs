@@ -237,8 +237,7 @@ impl Guard {
     }
 
     fn finite_command(&self, desired: &Setpoint) -> Result<(), Violation> {
-        self.own_joints()
-            .try_for_each(|j| finite(Limit::NotFinite, j, [desired.q[j], desired.dq[j], desired.ddq[j]]))
+        self.own_joints().try_for_each(|j| finite(Limit::NotFinite, j, [desired.q[j], desired.dq[j], desired.ddq[j]]))
     }
 
     fn finite_state(&self, state: &State) -> Result<(), Violation> {

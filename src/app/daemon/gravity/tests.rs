@@ -123,7 +123,9 @@ fn a_vertical_model_is_refused_where_the_arm_compensates_another_gravity_than_al
     for (vendor, served) in [(Mounting::UPRIGHT, true), (Mounting::CEILING, true), (Mounting::WALL, false)] {
         watch.connect(Mounting::UPRIGHT, None, vendor.gravity(), false);
         match watch.verdict(&model) {
-            Verdict::Refuse(why) => assert!(!served && why.contains("VBS") && why.contains("not in the mounting wall"), "{why}"),
+            Verdict::Refuse(why) => {
+                assert!(!served && why.contains("VBS") && why.contains("not in the mounting wall"), "{why}")
+            }
             other => assert!(served, "{other:?}"),
         }
     }
