@@ -88,7 +88,8 @@ fn usage(report: &Report) -> Option<String> {
     let count = report.motions.len();
     (count > 0).then(|| {
         let (range, speed) = (least(|motion| &motion.range), least(|motion| &motion.speed));
-        format!("{count} motions, each uses per joint at least [%]: range {range}, speed {speed}")
+        let motions = if count == 1 { "1 motion uses".into() } else { format!("{count} motions, each uses") };
+        format!("{motions} per joint at least [%]: range {range}, speed {speed}")
     })
 }
 
