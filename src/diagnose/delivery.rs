@@ -63,11 +63,11 @@ impl Delivery<'_> {
         let too_little = |share: &[Option<f64>], found: &Found, least: f64| {
             let joint = found.relevance.joint;
             let share = share[joint].filter(|share| *share < least)?;
-            let share = 100.0 * share;
-            Some(format!(
-                "on unseen runs the effects take {share:.0} % of what the plain model lacks in joint {}",
-                joint + 1
-            ))
+            let lack = format!("what the plain model lacks in joint {}", joint + 1);
+            Some(match share {
+                share if share < 0.0 => format!("on unseen runs the effects add to {lack}"),
+                share => format!("on unseen runs the effects explain {:.0} % of {lack}", 100.0 * share),
+            })
         };
         let least = |found: &Found| {
             let faint = lacks[found.relevance.joint].is_some_and(|lack| lack <= FAINT * FAINT);
