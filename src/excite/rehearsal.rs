@@ -32,7 +32,9 @@ pub fn rehearse_points(bounds: &Bounds, points: impl IntoIterator<Item = Setpoin
             desired.q
         });
         let state = State { q, ..State::default() };
-        if let Err(violation) = guard.check(PERIOD, &Command { desired, ..Command::default() }, &Asked::default(), &state) {
+        if let Err(violation) =
+            guard.check(PERIOD, &Command { desired, ..Command::default() }, &Asked::default(), &state)
+        {
             return Some(peak(&violation, tick as f64 * PERIOD));
         }
         last = Some(desired.q);
