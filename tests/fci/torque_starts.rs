@@ -99,8 +99,8 @@ fn start(settings: &Settings, mounting: &Mounting) -> Start {
     let stood = records.first().map_or([0.0; 8], |record| record.state.q);
     let (mut way, mut joint) = (0.0, 0);
     for record in &records {
-        for j in 0..7 {
-            let gone = (record.state.q[j] - stood[j]).abs();
+        for (j, (q, stood)) in record.state.q.iter().zip(&stood).enumerate() {
+            let gone = (q - stood).abs();
             if gone > way {
                 (way, joint) = (gone, j + 1);
             }
