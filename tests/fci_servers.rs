@@ -143,7 +143,7 @@ const STALLS: [&str; 3] = ["communication_constraints_violation", "no state came
 
 /// The shipped job for an FR3, on a server that serves tighter limits than the robot file: it plans under those and is not stopped by them.
 #[test]
-fn a_whole_job_on_franka_sim_keeps_the_limits_that_it_serves() {
+fn a_job_on_franka_sim_keeps_the_limits_that_it_serves() {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let Some(python) = peers::interpreter_with(&["franka-sim==1.1.7"]) else { return };
     let folder = tempfile::tempdir().unwrap();
@@ -184,7 +184,9 @@ fn a_whole_job_on_franka_sim_keeps_the_limits_that_it_serves() {
             plumbline::store::load_plan(&out.join("plans/identify-upright.toml")).unwrap_or_else(|_| panic!("{said}"));
         // Joint 6 ends at 0.5409 rad there, at 0.4398 rad in the robot file.
         assert_eq!(plan.constraints.q_min[5], 0.54092, "{said}");
-        if done.status.success() {
+        // The motion was driven to its end. What follows ends the job by name: this server measures no torque, its `tau_J` is 0 throughout.
+        if said.contains("identify-upright has ended") {
+            assert!(said.contains("expected a torque that varies"), "{said}");
             return;
         }
         assert!(STALLS.iter().any(|stall| said.contains(stall)), "{said}");

@@ -276,7 +276,8 @@ fn a_model_that_jumps_to_and_fro_is_found_during_its_hand_over() {
 
 #[test]
 fn what_the_arm_adds_by_itself_is_held_to_the_same_bounds() {
-    let cases: [(Limit, fn(f64) -> f64); 4] = [
+    type Wrong = fn(f64) -> f64;
+    let cases: [(Limit, Wrong); 4] = [
         (Limit::TorqueNotFinite, |_| f64::NAN),
         (Limit::TorqueNotFinite, |_| f64::NEG_INFINITY),
         (Limit::Torque, |_| -87.1),

@@ -25,7 +25,7 @@ const HELPFUL: f64 = 0.5;
 const FAINT: f64 = 1.5;
 /// Share of the plain model's error by which a joint must get worse for certain to be worse: the joints share the rigid body's parameters, and
 /// each of them moves a little with every effect.
-const WORSE: f64 = 0.01;
+const WORSE: f64 = 0.05;
 /// Parameters that moved by less than this, times their standard deviation, are those that the load was computed with.
 const SETTLED: f64 = 0.1;
 
@@ -123,16 +123,28 @@ impl Delivery<'_> {
         };
         for joint in 0..compared.before.rms.len() {
             if change(joint).1[0] > WORSE * compared.before.rms[joint] {
-                let own = candidates.iter().find(|&&index| items[index].spec.site.joints().contains(&joint));
-                let index = *own.or(candidates.first())?;
+                let own = candidates.iter().copied().find(|&index| items[index].spec.site.joints().contains(&joint));
+                let index = own.or_else(|| self.costliest(selected, kept, &candidates, joint))?;
                 return Some((index, format!("with it, unseen runs are predicted worse: {}", words(joint))));
             }
         }
         candidates.into_iter().filter(|&index| !confirmed[index]).find_map(|index| {
             let joint = selected.found[index].relevance.joint;
             let why = || format!("it is unconfirmed, and unseen runs are predicted no better: {}", words(joint));
-            (change(joint).1[1] >= 0.0).then(|| (index, why()))
+            (change(joint).0 >= 0.0).then(|| (index, why()))
         })
+    }
+
+    /// Of effects in other joints, the one without which `joint` is predicted best: the joints share the rigid body's parameters.
+    fn costliest(&self, selected: &Selected, kept: &[bool], candidates: &[usize], joint: usize) -> Option<usize> {
+        let error_without = |&index: &usize| {
+            let mut fewer = kept.to_vec();
+            fewer[index] = false;
+            let after = self.extended(&selected.state, &fewer).ok()?;
+            Some((index, self.compared(&after)?.after.rms[joint]))
+        };
+        let errors = candidates.iter().filter_map(error_without);
+        errors.min_by(|(_, a), (_, b)| a.total_cmp(b)).map(|(index, _)| index)
     }
 
     /// Errors of the plain model and of another one on unseen runs; `None` where there are none.

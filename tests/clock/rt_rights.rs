@@ -37,7 +37,7 @@ const SCHED_OTHER: u32 = 0;
 const SCHED_FIFO: u32 = 1;
 
 #[test]
-fn only_the_loop_and_its_bridge_are_real_time_and_the_daemon_says_what_it_lacks() {
+fn only_loop_stop_listener_and_bridge_are_real_time_and_the_daemon_says_what_it_lacks() {
     let place = Place::new("rights");
     let daemon = Running::start(place.job("daemon", &HOLD));
     let running = wait_for("the loop", || place.status().filter(|status| status.cycles > 200));
@@ -51,8 +51,11 @@ fn only_the_loop_and_its_bridge_are_real_time_and_the_daemon_says_what_it_lacks(
     } else {
         assert_eq!((looping.1, looping.2), (SCHED_FIFO, 80), "{threads:?}");
         assert_eq!((bridge.1, bridge.2), (SCHED_FIFO, 70), "{threads:?}");
+        // A stop is read before requests are, and never delays the loop.
+        let listener = of("plumbline-stop");
+        assert_eq!((listener.1, listener.2), (SCHED_FIFO, 75), "{threads:?}");
         let real_time: Vec<_> = threads.values().filter(|thread| thread.1 != SCHED_OTHER).collect();
-        assert_eq!(real_time.len(), 2, "a helper inherited the loop's priority: {threads:?}");
+        assert_eq!(real_time.len(), 3, "a helper inherited the loop's priority: {threads:?}");
     }
     // What the kernel says of its own kind is what the daemon says, in the status and in the log.
     let preempt_rt = std::fs::read_to_string("/sys/kernel/realtime").is_ok_and(|text| text.trim() == "1");

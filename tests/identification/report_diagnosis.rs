@@ -131,7 +131,7 @@ fn report(diagnosis: Diagnosis) -> Report {
 fn said(diagnosis: Diagnosis) -> Vec<String> {
     let lines = report(diagnosis).summary();
     // Right after the line that names the robot, before everything else.
-    assert!(lines[0].starts_with("panda, mounting wall: 59 parameters"), "{}", lines[0]);
+    assert!(lines[0].starts_with("panda, mounting wall: 59 base parameters"), "{}", lines[0]);
     let end = lines.iter().position(|line| line.starts_with("noise floor [Nm]: ")).unwrap();
     lines[1..end].to_vec()
 }

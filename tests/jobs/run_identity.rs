@@ -14,9 +14,9 @@ fn holder(of: &Place) -> Option<String> {
     Some(std::fs::read_to_string(lock(of)).ok()?.lines().next()?.to_string())
 }
 
-/// A run that plans for a long time, and has the robot's lock.
-fn planning(place: &Place) -> Running {
-    let run = Running::start(place.job("run", &short(&["excitation.starts=16", "excitation.rounds=400"])));
+/// A run that plans, and has the robot's lock.
+fn planning(place: &Place, search: &[&str]) -> Running {
+    let run = Running::start(place.job("run", &short(search)));
     wait_for("the lock", || (holder(place)? == format!("process {}", run.pid())).then_some(()));
     run
 }
@@ -34,7 +34,7 @@ fn other_daemon(place: &Place) -> Command {
 #[test]
 fn no_daemon_comes_up_while_a_run_plans() {
     let place = Place::new("run-lock");
-    let run = planning(&place);
+    let run = planning(&place, &["excitation.starts=16", "excitation.rounds=400"]);
     let refused = Done::of(other_daemon(&place));
     assert_ne!(refused.code, Some(0), "{}", refused.said());
     assert!(refused.err.contains(&format!("another daemon (process {})", run.pid())), "{}", refused.said());
@@ -71,7 +71,7 @@ fn a_run_s_daemon_has_the_run_s_lock() {
 #[test]
 fn a_run_asks_nothing_of_a_daemon_that_it_has_not_started() {
     let place = Place::new("run-other");
-    let run = planning(&place);
+    let run = planning(&place, &["excitation.starts=4", "excitation.rounds=20"]);
     signal(run.pid(), "STOP");
     // As a cleaner of temporary files would: the next daemon makes and locks another file of that name.
     std::fs::remove_file(lock(&place)).unwrap();
