@@ -58,7 +58,7 @@ fn beside(served: &Option<f64>) -> String {
 /// Whether `offered` may take the place of `served` under `gravity` \[m/s2\], by what the arm did last (`recent`, empty where it is not known).
 ///
 /// The trace of the mass matrix must be positive. Along `recent` the torque must be inside the limits, and its RMS error against the measured torque at most
-/// [`ERROR_RATIO`] times that of the served model, or [`ERROR_SHARE`] of the joint's limit.
+/// `ERROR_RATIO` times that of the served model, or `ERROR_SHARE` of the joint's limit.
 ///
 /// # Errors
 /// [`Implausible`] names the joint.

@@ -79,7 +79,7 @@ impl StopListener {
         Ok(StopListener { path, socket, counter: lock.counter()?, signal })
     }
 
-    /// Waits up to [`LISTEN`] for one stop, carries it out, then counts it, so that its sender learns of it.
+    /// Waits up to `LISTEN` for one stop, carries it out, then counts it, so that its sender learns of it.
     ///
     /// # Errors
     /// The socket or the lock file failed; the stop itself was carried out.
