@@ -139,7 +139,7 @@ part_leave() {
     mark
     begin=$(ms)
     dpkg --remove plumbline >/tmp/remove.log 2>&1; removed=$?
-    check "removal brakes the arm and ends the services" "exit $removed, $(($(ms) - begin)) ms" journal_says "the arm is being stopped: the program is ending"
+    check "removal brakes the arm and ends the services" "exit $removed, $(($(ms) - begin)) ms" journal_says "the arm is being stopped: signal SIGTERM arrived"
     check "removal leaves results and configuration" "" test -d /var/lib/plumbline -a -f /etc/plumbline/daemon.toml
     uid=$(id -u plumbline)
     dpkg --purge plumbline >/tmp/purge.log 2>&1
