@@ -12,21 +12,7 @@ use std::path::{Path, PathBuf};
 
 /// Every fourth millisecond of a recording.
 fn run(scene: &Scene, file: &str, role: Role, periodic: bool) -> Run {
-    let recorded = scene.record(3, 7);
-    let rows: Vec<usize> = (0..recorded.t.len()).step_by(4).collect();
-    Run {
-        file: file.into(),
-        role,
-        note: String::new(),
-        period: periodic.then_some(scene.period),
-        session: 1,
-        mounting: scene.mounting,
-        t: rows.iter().map(|&k| recorded.t[k]).collect(),
-        q: recorded.q.select_rows(&rows),
-        dq: None,
-        tau: recorded.tau.select_rows(&rows),
-        extra: Vec::new(),
-    }
+    scene.dataset_run(file, role, (3, 7), 4, periodic)
 }
 
 /// A dataset of two runs to identify from and one to validate with, the second changed by `spoil`.

@@ -11,21 +11,7 @@ use std::process::Command;
 
 /// Every fourth millisecond of a recording, as a dataset would hold it.
 fn run(scene: &Scene, file: &str, role: Role, seed: u64, periodic: bool) -> Run {
-    let recorded = scene.record(3, seed);
-    let rows: Vec<usize> = (0..recorded.t.len()).step_by(4).collect();
-    Run {
-        file: file.into(),
-        role,
-        note: String::new(),
-        period: periodic.then_some(scene.period),
-        session: 1,
-        mounting: scene.mounting,
-        t: rows.iter().map(|&k| recorded.t[k]).collect(),
-        q: recorded.q.select_rows(&rows),
-        dq: None,
-        tau: recorded.tau.select_rows(&rows),
-        extra: Vec::new(),
-    }
+    scene.dataset_run(file, role, (3, seed), 4, periodic)
 }
 
 fn dataset(scene: &Scene, folder: &Path, runs: Vec<Run>) -> PathBuf {

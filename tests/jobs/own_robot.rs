@@ -2,7 +2,7 @@
 
 use crate::job_support::*;
 use crate::scene::Scene;
-use plumbline::dataset::{Dataset, Role, Run};
+use plumbline::dataset::{Dataset, Role};
 use std::path::{Path, PathBuf};
 
 /// The shipped Panda under another name and with a longer upper arm.
@@ -19,21 +19,7 @@ fn description(name: &str, upper_arm: &str) -> String {
 /// A model of the robot in `own.toml`, identified from a dataset beside it: the folder, its dataset and the model file.
 fn identified(place: &Place) -> (PathBuf, PathBuf, PathBuf) {
     let scene = Scene::panda_on_the_wall();
-    let recorded = scene.record(3, 11);
-    let rows: Vec<usize> = (0..recorded.t.len()).step_by(4).collect();
-    let run = |file: &str, role: Role| Run {
-        file: file.into(),
-        role,
-        note: String::new(),
-        period: Some(scene.period),
-        session: 1,
-        mounting: scene.mounting,
-        t: rows.iter().map(|&k| recorded.t[k]).collect(),
-        q: recorded.q.select_rows(&rows),
-        dq: None,
-        tau: recorded.tau.select_rows(&rows),
-        extra: Vec::new(),
-    };
+    let run = |file: &str, role: Role| scene.dataset_run(file, role, (3, 11), 4, true);
     let folder = place.path().join("lab");
     let data = folder.join("data");
     let runs = vec![run("identify.csv", Role::Identify), run("validate.csv", Role::Validate)];

@@ -3,7 +3,7 @@
 
 use crate::job_support::*;
 use crate::scene::Scene;
-use plumbline::dataset::{Dataset, Role, Run};
+use plumbline::dataset::{Dataset, Role};
 use plumbline::report::Report;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -189,23 +189,7 @@ fn refuse(subject: &Subject, place: &Path, call: &str, error: &str, says: &str) 
 /// A second of a recording: enough to identify from, quick to read.
 fn dataset(folder: &Path) -> PathBuf {
     let scene = Scene::panda_on_the_wall();
-    let run = |file: &str, role: Role, seed: u64| {
-        let recorded = scene.record(1, seed);
-        let rows: Vec<usize> = (0..recorded.t.len()).step_by(10).collect();
-        Run {
-            file: file.into(),
-            role,
-            note: String::new(),
-            period: None,
-            session: 1,
-            mounting: scene.mounting,
-            t: rows.iter().map(|&k| recorded.t[k]).collect(),
-            q: recorded.q.select_rows(&rows),
-            dq: None,
-            tau: recorded.tau.select_rows(&rows),
-            extra: Vec::new(),
-        }
-    };
+    let run = |file: &str, role: Role, seed: u64| scene.dataset_run(file, role, (1, seed), 10, false);
     let runs = vec![run("identify.csv", Role::Identify, 1), run("validate.csv", Role::Validate, 2)];
     let dataset = Dataset {
         name: "short".into(),

@@ -8,6 +8,7 @@ pub mod lab;
 use nalgebra::{Cholesky, DMatrix, DVector};
 use plumbline::backend::sim::{Gate, Pace, SimArm, Truth};
 use plumbline::config::robot::Robot;
+use plumbline::dataset::{self, Role};
 use plumbline::estimate::run::Run;
 use plumbline::estimate::signal::spectral::Spectral;
 use plumbline::excite::fourier::PeriodicMotion;
@@ -103,6 +104,33 @@ impl Scene {
     /// A recording of `periods` periods with the noise and the steps of the arm's sensors.
     pub fn record(&self, periods: usize, seed: u64) -> Run {
         self.record_with(periods, seed, Extra::default())
+    }
+
+    /// As [`Scene::record`], every so many samples of it, as a dataset holds it. It repeats with the scene's period where that is `periodic`.
+    pub fn dataset_run(
+        &self,
+        file: &str,
+        role: Role,
+        recorded: (usize, u64),
+        every: usize,
+        periodic: bool,
+    ) -> dataset::Run {
+        let (periods, seed) = recorded;
+        let recorded = self.record(periods, seed);
+        let rows: Vec<usize> = (0..recorded.t.len()).step_by(every).collect();
+        dataset::Run {
+            file: file.into(),
+            role,
+            note: String::new(),
+            period: periodic.then_some(self.period),
+            session: 1,
+            mounting: self.mounting,
+            t: rows.iter().map(|&k| recorded.t[k]).collect(),
+            q: recorded.q.select_rows(&rows),
+            dq: None,
+            tau: recorded.tau.select_rows(&rows),
+            extra: Vec::new(),
+        }
     }
 
     /// As [`Scene::record`], with more on top.
