@@ -7,7 +7,7 @@ mod peers;
 #[path = "../tests/peers/nearest.rs"]
 mod sdp;
 
-use plumbline::estimate::consistency::{Uncertainty, nearest};
+use plumbline_identify::consistency::{Uncertainty, nearest};
 use std::time::Instant;
 
 const REPEATS: usize = 200;

@@ -5,23 +5,23 @@
 //! millisecond by the clock, when the caches hold something else. The arm itself is an echo that costs nothing.
 
 use hdrhistogram::Histogram;
-use plumbline::config::robot::Robot;
-use plumbline::excite::fourier::{Fourier, PeriodicMotion};
-use plumbline::joint::{Command, JointVec, MAX_JOINTS, Setpoint, State, Torque};
-use plumbline::model::base::Reduction;
-use plumbline::model::chain::Chain;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::structure::Structure;
-use plumbline::model::term::Sample;
-use plumbline::model::torque::{Evaluator, TorqueModel};
-use plumbline::rt::cycle;
-use plumbline::rt::guard::GuardSettings;
-use plumbline::rt::order::{Event, Order, OrderKind};
-use plumbline::rt::os::{Rights, now_ns, sleep_until};
-use plumbline::rt::recorder::ring;
-use plumbline::rt::settings::CycleSettings;
-use plumbline::rt::{Backend, Fault, FeedForward, Kinematics, PERIOD_NS, Reference};
 use plumbline::store::ModelFile;
+use plumbline_core::{Backend, Fault, FeedForward, Kinematics, PERIOD_NS, Reference};
+use plumbline_core::{Command, JointVec, MAX_JOINTS, Setpoint, State, Torque};
+use plumbline_excite::fourier::{Fourier, PeriodicMotion};
+use plumbline_model::base::Reduction;
+use plumbline_model::chain::Chain;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::structure::Structure;
+use plumbline_model::term::Sample;
+use plumbline_model::torque::{Evaluator, TorqueModel};
+use plumbline_rt::cycle;
+use plumbline_rt::guard::GuardSettings;
+use plumbline_rt::order::{Event, Order, OrderKind};
+use plumbline_rt::os::{Rights, now_ns, sleep_until};
+use plumbline_rt::recorder::ring;
+use plumbline_rt::settings::CycleSettings;
 use std::sync::Arc;
 use std::sync::Mutex;
 

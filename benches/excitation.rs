@@ -4,16 +4,16 @@
 //! threads of the machine, each definition of the condition number optimised for itself. Once with the margins that plans have by
 //! default, once up to the limits themselves.
 
-use plumbline::config::robot::Robot;
-use plumbline::excite::criterion::Criterion;
-use plumbline::excite::limits::{Bounds, Margins};
-use plumbline::excite::nominal::Nominal;
-use plumbline::excite::optimiser::optimise;
-use plumbline::excite::search::{Problem, Progress, Search, Watch, verdict};
-use plumbline::model::base::Reduction;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::structure::Structure;
 use plumbline::store::ModelFile;
+use plumbline_excite::criterion::Criterion;
+use plumbline_excite::limits::{Bounds, Margins};
+use plumbline_excite::nominal::Nominal;
+use plumbline_excite::optimiser::optimise;
+use plumbline_excite::search::{Problem, Progress, Search, Watch, verdict};
+use plumbline_model::base::Reduction;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::structure::Structure;
 use std::path::Path;
 use std::sync::Mutex;
 use std::time::Instant;

@@ -9,15 +9,15 @@
 
 use hdrhistogram::Histogram;
 use iceoryx2::prelude::*;
-use plumbline::ipc::{
+use plumbline_core::PERIOD_NS;
+use plumbline_core::Record;
+use plumbline_core::Sink;
+use plumbline_ipc::{
     Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, RobotId, SampleMessage, SampleStream, Server,
     ServerSettings, StreamSettings,
 };
-use plumbline::joint::Record;
-use plumbline::rt::PERIOD_NS;
-use plumbline::rt::Sink;
-use plumbline::rt::os::{now_ns, sleep_until};
-use plumbline::rt::recorder::{Drain, RingSink, ring};
+use plumbline_rt::os::{now_ns, sleep_until};
+use plumbline_rt::recorder::{Drain, RingSink, ring};
 use std::num::NonZeroU64;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -131,7 +131,7 @@ fn torque_client(shared: &Shared, robot: &RobotId) -> (Spread, Spread) {
         if let Some(latest) = client.latest().expect("shared memory").filter(|latest| latest.message.sequence > seen) {
             // What was there before this reader came is nobody's latency.
             if seen > 0 {
-                whole.saturating_record(plumbline::ipc::boot_ns().saturating_sub(latest.message.stamp_ns).max(1));
+                whole.saturating_record(plumbline_ipc::boot_ns().saturating_sub(latest.message.stamp_ns).max(1));
                 published.saturating_record(since(&shared.valued, latest.message.sequence));
             }
             seen = latest.message.sequence;

@@ -3,12 +3,12 @@
 //! Time per millisecond of the arm's life along a lively motion of all joints, the shortest of several repeats; and a whole response: six
 //! trajectories of ten periods of ten seconds with noise, as a study of a diagnosis needs for one case.
 
-use plumbline::backend::sim::{Gate, Pace, Response, SimArm, Truth};
-use plumbline::config::robot::Robot;
-use plumbline::excite::fourier::{Fourier, PeriodicMotion};
-use plumbline::joint::{Command, JointVec, Setpoint};
-use plumbline::model::gravity::Mounting;
-use plumbline::rt::{Backend, Reference};
+use plumbline_core::{Backend, Reference};
+use plumbline_core::{Command, JointVec, Setpoint};
+use plumbline_excite::fourier::{Fourier, PeriodicMotion};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_sim::{Gate, Pace, Response, SimArm, Truth};
 use std::hint::black_box;
 use std::sync::Arc;
 use std::time::Instant;

@@ -7,21 +7,21 @@
 //! by `benches/peers/run.sh`; what can't be had is SKIPPED loudly. docs/performance.md says what the figures mean.
 
 use nalgebra::{DMatrix, DVector, Vector3};
-use plumbline::config::robot::Robot;
-use plumbline::estimate::streaming::gram::Gram;
-use plumbline::estimate::streaming::solve::solve;
-use plumbline::estimate::streaming::stack::least_squares;
-use plumbline::estimate::streaming::{Settings, Streaming};
-use plumbline::joint::{JointVec, MAX_JOINTS};
-use plumbline::model::base::Reduction;
-use plumbline::model::fast::sample::SampleRegressor;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::regressor::regressor;
-use plumbline::model::rnea::rnea;
-use plumbline::model::structure::Structure;
-use plumbline::model::term::{Motion, Sample};
-use plumbline::model::torque::{Evaluator, TorqueModel};
 use plumbline::store::ModelFile;
+use plumbline_core::{JointVec, MAX_JOINTS};
+use plumbline_identify::streaming::gram::Gram;
+use plumbline_identify::streaming::solve::solve;
+use plumbline_identify::streaming::stack::least_squares;
+use plumbline_identify::streaming::{Settings, Streaming};
+use plumbline_model::base::Reduction;
+use plumbline_model::fast::sample::SampleRegressor;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::regressor::regressor;
+use plumbline_model::rnea::rnea;
+use plumbline_model::robot::Robot;
+use plumbline_model::structure::Structure;
+use plumbline_model::term::{Motion, Sample};
+use plumbline_model::torque::{Evaluator, TorqueModel};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;

@@ -8,9 +8,9 @@
 #[path = "../tests/scene/mod.rs"]
 mod scene;
 
-use plumbline::estimate::experiment::{Derivative, Experiment, Method, Settings};
-use plumbline::estimate::run::Run;
-use plumbline::estimate::solve::{Estimator, Identification, Options, identify_with};
+use plumbline_identify::experiment::{Derivative, Experiment, Method, Settings};
+use plumbline_identify::run::Run;
+use plumbline_identify::solve::{Estimator, Identification, Options, identify_with};
 use scene::campaign::Campaign;
 use scene::{Extra, Scene};
 use std::time::Instant;

@@ -16,22 +16,11 @@
 
 pub mod app;
 pub mod atomic;
-pub mod backend;
 pub mod config;
 pub mod dataset;
-pub mod decomposition;
-pub mod diagnose;
-pub mod estimate;
-pub mod excite;
 pub mod inclinometer;
-pub mod input;
-pub mod ipc;
-pub mod joint;
 pub mod machine;
-pub mod model;
-pub mod parallel;
 pub mod postmortem;
 pub mod recording;
 pub mod report;
-pub mod rt;
 pub mod store;

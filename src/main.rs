@@ -1,4 +1,4 @@
-//! The `plumbline` program: parses the command line and hands over to `plumbline::app`.
+//! The `plumbline` program: parses the command line and hands over to `crate::app`.
 
 use std::process::ExitCode;
 

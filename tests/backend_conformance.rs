@@ -3,10 +3,10 @@
 mod backend_support;
 
 use backend_support::{READY, TestClock, arm_file, sim};
-use plumbline::backend::conformance::conformance;
-use plumbline::backend::sim::{Gate, Pace};
-use plumbline::joint::{Command, State};
-use plumbline::rt::{Backend, Fault};
+use plumbline_core::{Backend, Fault};
+use plumbline_core::{Command, State};
+use plumbline_sim::{Gate, Pace};
+use plumbline_testkit::conformance::conformance;
 use std::sync::Arc;
 use std::time::Instant;
 

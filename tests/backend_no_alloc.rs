@@ -6,11 +6,11 @@ mod emulator;
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc, violation_count};
 use backend_support::{TestClock, command, excitation, sim};
-use plumbline::backend::franka::wire::Protocol;
-use plumbline::backend::franka::{Interface, Purpose, RobotKind, Settings, connect, explain};
-use plumbline::backend::sim::{Gate, Pace, Truth};
-use plumbline::joint::{Setpoint, State};
-use plumbline::rt::Backend;
+use plumbline_core::Backend;
+use plumbline_core::{Setpoint, State};
+use plumbline_franka::wire::Protocol;
+use plumbline_franka::{Interface, Purpose, RobotKind, Settings, connect, explain};
+use plumbline_sim::{Gate, Pace, Truth};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -76,7 +76,7 @@ fn run(pace: Pace, ticks: u64) -> u32 {
                     arm.stop()
                 }
                 if state.seq > ticks + 50 {
-                    Err(plumbline::rt::Fault::Disconnected)
+                    Err(plumbline_core::Fault::Disconnected)
                 } else {
                     arm.write(&command(state.seq, desired))
                 }

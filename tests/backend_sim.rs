@@ -5,17 +5,17 @@ mod backend_support;
 
 use backend_support::{READY, TestClock, arm_file, command, excitation, panda, silent_panda, sim};
 use nalgebra::DVector;
-use plumbline::backend::Clock;
-use plumbline::backend::sim::truth::Truth;
-use plumbline::backend::sim::{
+use plumbline_core::Clock;
+use plumbline_core::{Backend, Fault};
+use plumbline_core::{MAX_JOINTS, Setpoint, State};
+use plumbline_model::base::Reduction;
+use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::rnea::rnea;
+use plumbline_sim::truth::Truth;
+use plumbline_sim::{
     Exact, Gate, Pace, REFLEX_COMMUNICATION, REFUSED_JUMP, REFUSED_NOT_FINITE, REFUSED_STOPPED, SimArm, SimError,
 };
-use plumbline::joint::{MAX_JOINTS, Setpoint, State};
-use plumbline::model::base::Reduction;
-use plumbline::model::chain::{Chain, Joint, JointKind, Placement};
-use plumbline::model::gravity::Mounting;
-use plumbline::model::rnea::rnea;
-use plumbline::rt::{Backend, Fault};
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -10,11 +10,11 @@ mod fci_support;
 mod peers;
 
 use fci_support::{Run, drive_patiently, plan};
-use plumbline::backend::franka::wire::{MoveStatus, Protocol};
-use plumbline::backend::franka::{RobotKind, Settings};
-use plumbline::model::gravity::Mounting;
-use plumbline::rt::cycle::End;
 use plumbline::store::export::{Arm, mjcf};
+use plumbline_franka::wire::{MoveStatus, Protocol};
+use plumbline_franka::{RobotKind, Settings};
+use plumbline_model::gravity::Mounting;
+use plumbline_rt::cycle::End;
 use std::net::{IpAddr, SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};

@@ -8,18 +8,18 @@ mod fci_support;
 use emulator::{Emulator, Fault as Trouble, Hand, Settings as Emulated};
 use fci_support::{Run, drive, drive_serving, plan, quick_plan};
 use nalgebra::Vector3;
-use plumbline::backend::conformance::conformance;
-use plumbline::backend::franka::wire::{ErrorBit, MoveStatus, Protocol, RobotMode};
-use plumbline::backend::franka::{
+use plumbline_core::{Backend, Fault, FeedForward};
+use plumbline_core::{Command, JointVec, Setpoint, State, Torque};
+use plumbline_franka::wire::{ErrorBit, MoveStatus, Protocol, RobotMode};
+use plumbline_franka::{
     ConnectError, Connection, FrankaArm, Interface, REFLEX_MODE, RobotKind, Settings, Source, connect, explain, recover,
 };
-use plumbline::backend::sim::Truth;
-use plumbline::joint::{Command, JointVec, Setpoint, State, Torque};
-use plumbline::model::chain::Chain;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::rnea::{LinkParameters, rnea};
-use plumbline::rt::cycle::End;
-use plumbline::rt::{Backend, Fault, FeedForward};
+use plumbline_model::chain::Chain;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::rnea::{LinkParameters, rnea};
+use plumbline_rt::cycle::End;
+use plumbline_sim::Truth;
+use plumbline_testkit::conformance::conformance;
 use std::net::{IpAddr, Ipv4Addr};
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
@@ -151,7 +151,7 @@ fn the_served_model_helps_the_torque_interface_and_makes_up_for_what_the_arm_com
     let settings = Settings { interface: Interface::Torque, ..settings };
     let tracking = |moving: bool| {
         let text = include_str!("../config/robots/panda.toml");
-        let robot = plumbline::config::robot::Robot::parse("panda.toml", text).unwrap();
+        let robot = plumbline_model::robot::Robot::parse("panda.toml", text).unwrap();
         let truth = Truth::parse("sim-panda.toml", include_str!("../config/arms/sim-panda.toml")).unwrap();
         let (arm, connection) = open(&settings);
         // The arm compensates as if it were upright.

@@ -6,8 +6,6 @@ mod common;
 use common::drive::{Job, Model, READY, Run, settings};
 use common::{FakeArm, Trick};
 use nalgebra::DMatrix;
-use plumbline::excite::fourier::{Fourier, PeriodicMotion};
-use plumbline::joint::{JointVec, MAX_JOINTS, Phase, Record, Setpoint};
 use plumbline::postmortem::replay::{Parts, ReplayError, Replayed, replay};
 use plumbline::postmortem::story::Story;
 use plumbline::postmortem::{page, text};
@@ -16,9 +14,11 @@ use plumbline::recording::about::{
     About, FORMAT, Given, Handed, LogClock, Reason, Series, Settings, panic_message, panicked,
 };
 use plumbline::recording::history::{History, Window};
-use plumbline::rt::cycle::End;
-use plumbline::rt::order::{Event, Handles, Order, OrderKind, StopReason};
-use plumbline::rt::{Fault, FeedForward, Sink};
+use plumbline_core::{Fault, FeedForward, Sink};
+use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record, Setpoint};
+use plumbline_excite::fourier::{Fourier, PeriodicMotion};
+use plumbline_rt::cycle::End;
+use plumbline_rt::order::{Event, Handles, Order, OrderKind, StopReason};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -393,7 +393,7 @@ fn a_panic_in_the_loop_leaves_its_last_cycles_and_stops_the_arm() {
     let seen = std::sync::Arc::clone(&arm.seen);
     let mut settings = settings();
     settings.flight = 1_000;
-    let (mut cycle, mut handles) = plumbline::rt::cycle::new(arm, Nobody, None, settings).unwrap();
+    let (mut cycle, mut handles) = plumbline_rt::cycle::new(arm, Nobody, None, settings).unwrap();
     let faulty = || -> Box<dyn FeedForward> {
         let mut calls = 0;
         Box::new(Model(7, move |d: &Setpoint| {

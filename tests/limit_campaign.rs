@@ -5,11 +5,11 @@ mod common;
 
 use common::Trick;
 use common::drive::{Job, Model, READY, Run, Shape, Tool, Wave, dwell, follow, move_to, panda_limits};
-use plumbline::joint::{JointVec, Limits, MAX_JOINTS, Phase, Setpoint, Workspace};
-use plumbline::rt::Reference;
-use plumbline::rt::cycle::End;
-use plumbline::rt::guard::Limit;
-use plumbline::rt::order::{Order, OrderKind, StopReason};
+use plumbline_core::Reference;
+use plumbline_core::{JointVec, Limits, MAX_JOINTS, Phase, Setpoint, Workspace};
+use plumbline_rt::cycle::End;
+use plumbline_rt::guard::Limit;
+use plumbline_rt::order::{Order, OrderKind, StopReason};
 use std::fmt::Write;
 
 #[global_allocator]

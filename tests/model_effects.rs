@@ -5,14 +5,14 @@ mod arms;
 use arms::{any_mounting, chain, draw, torque};
 use assert_no_alloc::{AllocDisabler, assert_no_alloc, violation_count};
 use nalgebra::{DMatrix, DVector, Rotation3, Unit, Vector3};
-use plumbline::joint::Torque;
-use plumbline::model::base::Reduction;
-use plumbline::model::chain::Placement;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::structure::Structure;
-use plumbline::model::term::effect::{Confounded, FAMILIES, Family, Ground, Site, Spec, Stratum};
-use plumbline::model::term::{Motion, Sample};
-use plumbline::model::torque::{NamedEffect, NamedTerm, TorqueModel};
+use plumbline_core::Torque;
+use plumbline_model::base::Reduction;
+use plumbline_model::chain::Placement;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::structure::Structure;
+use plumbline_model::term::effect::{Confounded, FAMILIES, Family, Ground, Site, Spec, Stratum};
+use plumbline_model::term::{Motion, Sample};
+use plumbline_model::torque::{NamedEffect, NamedTerm, TorqueModel};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
@@ -70,7 +70,7 @@ fn ground(model: &TorqueModel) -> Ground {
 /// Every form of a family at a random site with random settings.
 fn specs(family: &'static Family, n: usize, rng: &mut ChaCha8Rng) -> Vec<Spec> {
     let sites = family.place.sites(n);
-    let mut spec = |form: &'static plumbline::model::term::effect::Form| Spec {
+    let mut spec = |form: &'static plumbline_model::term::effect::Form| Spec {
         family: family.id,
         form: form.name,
         site: sites[rng.random_range(0..sites.len())],
@@ -540,12 +540,12 @@ fn a_delay_is_the_slope_of_the_torque() {
 #[test]
 fn a_tilt_turns_gravity() {
     let mut rng = ChaCha8Rng::seed_from_u64(10);
-    let up = plumbline::model::term::mounting::axes(&Mounting::UPRIGHT.gravity());
+    let up = plumbline_model::term::mounting::axes(&Mounting::UPRIGHT.gravity());
     assert!((up[0] - Vector3::x()).norm() < 1e-12 && (up[1] - Vector3::y()).norm() < 1e-12);
     let model = rigid_model("panda", &mut rng);
     for _ in 0..4 {
         let motion = sampled_motion(&mut rng, 7, false, 50);
-        for (c, axis) in plumbline::model::term::mounting::axes(&motion.gravity).into_iter().enumerate() {
+        for (c, axis) in plumbline_model::term::mounting::axes(&motion.gravity).into_iter().enumerate() {
             assert!(axis.dot(&motion.gravity).abs() < 1e-12 && (axis.norm() - 1.0).abs() < 1e-12);
             let spec = Spec { family: "mounting", form: "", site: Site::Arm, settings: vec![] };
             let found = column_of(&ground(&model), &spec, &motion, c);

@@ -4,11 +4,11 @@ mod common;
 
 use common::drive::{Job, Model, READY, Run, Shape, Tool, Wave, follow, move_to, panda_limits};
 use common::{FakeArm, Trick};
-use plumbline::joint::{JointVec, MAX_JOINTS, Phase, Record, Setpoint, SpeedEnvelope, Validity, Workspace};
-use plumbline::rt::Reference;
-use plumbline::rt::cycle::End;
-use plumbline::rt::guard::{Limit, Violation};
-use plumbline::rt::order::{Event, StopReason};
+use plumbline_core::Reference;
+use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record, Setpoint, SpeedEnvelope, Validity, Workspace};
+use plumbline_rt::cycle::End;
+use plumbline_rt::guard::{Limit, Violation};
+use plumbline_rt::order::{Event, StopReason};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

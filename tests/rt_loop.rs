@@ -4,13 +4,13 @@ mod common;
 
 use common::drive::{Job, Model, READY, Run, Shape, Wave, dwell, follow, move_to, panda_limits};
 use common::{FakeArm, Trick};
-use plumbline::joint::{Command, JointVec, Phase, Setpoint, State, Validity};
-use plumbline::rt::cycle::{self, End};
-use plumbline::rt::order::{Event, StopReason};
-use plumbline::rt::os::{now_ns, sleep_until};
-use plumbline::rt::recorder::ring;
-use plumbline::rt::settings::{CycleSettings, SetupError};
-use plumbline::rt::{Backend, Fault, PERIOD_NS, Reference};
+use plumbline_core::{Backend, Fault, PERIOD_NS, Reference};
+use plumbline_core::{Command, JointVec, Phase, Setpoint, State, Validity};
+use plumbline_rt::cycle::{self, End};
+use plumbline_rt::order::{Event, StopReason};
+use plumbline_rt::os::{now_ns, sleep_until};
+use plumbline_rt::recorder::ring;
+use plumbline_rt::settings::{CycleSettings, SetupError};
 
 #[global_allocator]
 static WATCH: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;

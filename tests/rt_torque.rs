@@ -3,12 +3,12 @@
 mod common;
 
 use common::drive::{Job, READY, Run, Wave, follow, panda_limits};
-use plumbline::joint::{Command, JointVec, MAX_JOINTS, Phase, Record, Setpoint, State, Torque, Validity};
-use plumbline::rt::FeedForward;
-use plumbline::rt::cycle::End;
-use plumbline::rt::guard::{Guard, Limit, Violation};
-use plumbline::rt::order::{Event, Handles, StopReason};
-use plumbline::rt::torque::{Asked, Torques};
+use plumbline_core::FeedForward;
+use plumbline_core::{Command, JointVec, MAX_JOINTS, Phase, Record, Setpoint, State, Torque, Validity};
+use plumbline_rt::cycle::End;
+use plumbline_rt::guard::{Guard, Limit, Violation};
+use plumbline_rt::order::{Event, Handles, StopReason};
+use plumbline_rt::torque::{Asked, Torques};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -1,10 +1,10 @@
 //! What a case of the study is: an arm, and what nobody declared about it, drawn by seed and number.
 
-use plumbline::backend::sim::Truth;
-use plumbline::diagnose::fallback::Variable;
-use plumbline::excite::plan::Plan;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::term::effect::Site;
+use plumbline_diagnose::fallback::Variable;
+use plumbline_excite::plan::Plan;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::term::effect::Site;
+use plumbline_sim::Truth;
 use rand::Rng;
 use rand::SeedableRng;
 use rand::seq::IndexedRandom;

@@ -2,8 +2,8 @@
 
 use super::case::{Case, FAMILIES, What};
 use super::trial::{Judged, same};
-use plumbline::diagnose::outcome::Verdict;
-use plumbline::model::term::effect::Spec;
+use plumbline_diagnose::outcome::Verdict;
+use plumbline_model::term::effect::Spec;
 use std::collections::BTreeMap;
 use std::fmt;
 
@@ -28,7 +28,7 @@ pub fn line(case: &Case, judged: &Judged) -> String {
     let truth = |text: &str| text.replace("id = ", "").trim_end().replace('\n', " ");
     let truths: Vec<String> = case.effects.iter().map(|one| truth(&one.text)).collect();
     let fallback = judged.fallback.as_ref().map_or(String::new(), |found| {
-        let names = |list: &[plumbline::diagnose::fallback::Variable]| {
+        let names = |list: &[plumbline_diagnose::fallback::Variable]| {
             list.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")
         };
         format!(" | depends on [{}], truly [{}]", names(&found.depends_on), names(&case.effects[0].variables))

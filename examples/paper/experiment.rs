@@ -3,19 +3,19 @@
 //! Torques of the arms that are identified come from Newton-Euler with the true parameters, never from the regressor that identifies.
 
 use nalgebra::{DMatrix, Vector3};
-use plumbline::backend::sim::Truth;
-use plumbline::config::robot::Robot;
-use plumbline::estimate::experiment::{Experiment, Settings};
-use plumbline::estimate::run::Run;
-use plumbline::estimate::solve::{Identification, identify};
-use plumbline::estimate::validate::{torques, validate_parameters};
-use plumbline::excite::fourier::Fourier;
-use plumbline::model::base::{BaseKind, Reduction};
-use plumbline::model::chain::Chain;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::rnea::{LinkParameters, rnea};
-use plumbline::model::structure::Structure;
 use plumbline::store::{ModelFile, load_plan};
+use plumbline_excite::fourier::Fourier;
+use plumbline_identify::experiment::{Experiment, Settings};
+use plumbline_identify::run::Run;
+use plumbline_identify::solve::{Identification, identify};
+use plumbline_identify::validate::{torques, validate_parameters};
+use plumbline_model::base::{BaseKind, Reduction};
+use plumbline_model::chain::Chain;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::rnea::{LinkParameters, rnea};
+use plumbline_model::robot::Robot;
+use plumbline_model::structure::Structure;
+use plumbline_sim::Truth;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -59,7 +59,7 @@ pub fn table_1() -> Vec<Regrouping> {
     let vertical = structure(&chain, BaseKind::Vbs, &["friction"]);
     let same = |name: &str| vertical.columns().iter().find(|column| column.name == name);
     let all = structure(&chain, BaseKind::Gbs, &["friction"]);
-    let row = |column: &plumbline::model::term::Column| Regrouping {
+    let row = |column: &plumbline_model::term::Column| Regrouping {
         symbol: column.symbol.clone(),
         generalized: column.expression.clone(),
         vertical: same(&column.name).map(|column| column.expression.clone()),
@@ -92,7 +92,7 @@ impl Arm {
         let mut row = vec![0.0; n];
         for k in 0..samples {
             let points: Vec<_> = (0..n).map(|j| motion.at(j, k as f64 * DT)).collect();
-            let of = |f: fn(&plumbline::excite::fourier::Point) -> f64| points.iter().map(f).collect::<Vec<_>>();
+            let of = |f: fn(&plumbline_excite::fourier::Point) -> f64| points.iter().map(f).collect::<Vec<_>>();
             self.torque(&gravity, &of(|p| p.q), &of(|p| p.dq), &of(|p| p.ddq), &mut row);
             for p in 0..periods {
                 for j in 0..n {
@@ -287,7 +287,7 @@ pub fn panda(settings: &Settings) -> Panda {
 
 /// Fig. 6: positions of the end effector along the shipped excitation of the Panda on the wall \[m\], and the box and sphere of
 /// eq. 14.
-pub fn workspace() -> (Vec<[f64; 3]>, plumbline::joint::Workspace) {
+pub fn workspace() -> (Vec<[f64; 3]>, plumbline_core::Workspace) {
     let robot = Robot::load("panda", None).expect("a shipped robot");
     let plan = load_plan(&shipped("plans/panda-wall.toml")).expect("the shipped plan");
     let motion = plan.fourier().expect("the shipped plan");

@@ -2,9 +2,9 @@
 
 use crate::emulator::{Fault, FinishOrder, RobotKind, Settings};
 use clap::Parser;
-use plumbline::backend::franka::wire::Protocol;
-use plumbline::backend::sim::Truth;
-use plumbline::model::gravity::Mounting;
+use plumbline_franka::wire::Protocol;
+use plumbline_model::gravity::Mounting;
+use plumbline_sim::Truth;
 use std::error::Error;
 use std::net::IpAddr;
 use std::path::PathBuf;

@@ -7,7 +7,7 @@
 //! daemon's own user it is let in, which shows that the attempts are real ones.
 
 use iceoryx2::prelude::*;
-use plumbline::ipc::FeedForwardMessage;
+use plumbline_ipc::FeedForwardMessage;
 use std::error::Error;
 use std::fmt::Debug;
 use std::process::ExitCode;

@@ -1,20 +1,20 @@
 //! What has changed, as the report has it: shared by `compare` and the live watch.
 
 use super::Failure;
-use crate::diagnose::errors::{self, Compared, Of};
-use crate::diagnose::reference::{self, Change, Changes, NAMES};
-use crate::diagnose::select;
-use crate::estimate::experiment::Experiment;
-use crate::estimate::validate::{Modelled, Rms, validate};
-use crate::model::gravity::Mounting;
-use crate::model::term::effect::{Site, family};
-use crate::model::term::mounting::axes;
-use crate::model::torque::TorqueModel;
 use crate::report::Band;
 use crate::report::diagnosis::{
     self, Action, Alternative, BeforeAfter, Diagnosis, Effect, EffectParameter, Errors, Folds, JointFacts,
     MinimumDetectable, Occurrence, Parameters, Score, Unexplained, Verdict,
 };
+use plumbline_diagnose::errors::{self, Compared, Of};
+use plumbline_diagnose::reference::{self, Change, Changes, NAMES};
+use plumbline_diagnose::select;
+use plumbline_identify::experiment::Experiment;
+use plumbline_identify::validate::{Modelled, Rms, validate};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::term::effect::{Site, family};
+use plumbline_model::term::mounting::axes;
+use plumbline_model::torque::TorqueModel;
 
 /// A joint whose residual power is so many times its noise lacks something.
 const LACKING: f64 = 2.0;
@@ -189,13 +189,13 @@ impl<'a> Told<'a> {
     }
 
     fn scores(&self) -> Vec<Score> {
-        let chosen = |spec: &crate::model::term::effect::Spec| {
+        let chosen = |spec: &plumbline_model::term::effect::Spec| {
             let same = |k: &&usize| {
                 (self.changes.effects[**k].spec.family, self.changes.effects[**k].spec.site) == (spec.family, spec.site)
             };
             self.kept.iter().any(|k| same(&k))
         };
-        let score = |one: &crate::diagnose::select::Scored| Score {
+        let score = |one: &plumbline_diagnose::select::Scored| Score {
             label: label(one.item.spec.family, one.item.spec.site),
             score: one.score,
             chosen: chosen(&one.item.spec),
@@ -211,7 +211,7 @@ pub fn effect(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>
     let form = family(spec.family).and_then(|family| Some((family, family.form(spec.form)?)));
     let mut parameters: Vec<EffectParameter> = Vec::new();
     if let Some(body) = &change.body {
-        let estimate = |((name, unit), estimate): (&(&str, &str), &crate::diagnose::reference::Estimate)| {
+        let estimate = |((name, unit), estimate): (&(&str, &str), &plumbline_diagnose::reference::Estimate)| {
             EffectParameter { name: (*name).into(), value: estimate.value, std: estimate.std, unit: (*unit).into() }
         };
         parameters.extend(NAMES.iter().zip(&body.numbers()).map(estimate));
@@ -260,7 +260,7 @@ pub fn effect(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>
 /// What people ask for besides an effect's own parameters: friction as a factor, a tilt as one angle.
 fn derived(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>) -> Vec<EffectParameter> {
     let of = |name: &str| stored.parameters().iter().find(|own| own.column.name == name);
-    let factor = |own: &crate::model::torque::Parameter| {
+    let factor = |own: &plumbline_model::torque::Parameter| {
         let old = of(own.column.name.trim_start_matches('d')).filter(|old| old.value.abs() > f64::MIN_POSITIVE)?;
         let name = format!("{}_factor", old.column.name);
         let std = own.std.map(|std| std / old.value.abs());

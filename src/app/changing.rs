@@ -3,17 +3,17 @@
 use super::Failure;
 use super::diagnosed::{Question, trials};
 use super::pipeline;
-use crate::diagnose::changing::{
+use crate::report::diagnosis::{Diagnosis, Effect, EffectParameter, Folds, Occurrence, Parameters, Verdict, places};
+use plumbline_diagnose::changing::{
     BaseMotion, Changing, Contact, Course, Drift, Drifting, LEAST_PERIODS, changing, cleaned,
 };
-use crate::diagnose::outcome::JointFacts;
-use crate::estimate::experiment::{Experiment, LeftOut, Settings};
-use crate::estimate::solve::ols;
-use crate::estimate::solve::stack::Stack;
-use crate::model::structure::Structure;
-use crate::model::term::effect::{Ground, family};
-use crate::model::term::{base_motion, contact};
-use crate::report::diagnosis::{Diagnosis, Effect, EffectParameter, Folds, Occurrence, Parameters, Verdict, places};
+use plumbline_diagnose::outcome::JointFacts;
+use plumbline_identify::experiment::{Experiment, LeftOut, Settings};
+use plumbline_identify::solve::ols;
+use plumbline_identify::solve::stack::Stack;
+use plumbline_model::structure::Structure;
+use plumbline_model::term::effect::{Ground, family};
+use plumbline_model::term::{base_motion, contact};
 
 /// A run of which more would be left out keeps everything: what fills half of it is not what happened once.
 const MOST_LEFT_OUT: f64 = 0.5;
@@ -187,7 +187,7 @@ impl Looked {
     }
 
     fn quality(&self, block: &mut Diagnosis) {
-        let sum = |count: &dyn Fn(&crate::diagnose::changing::Hygiene) -> usize| -> u64 {
+        let sum = |count: &dyn Fn(&plumbline_diagnose::changing::Hygiene) -> usize| -> u64 {
             self.found.hygiene.iter().map(|one| count(one) as u64).sum()
         };
         if self.found.hygiene.is_empty() {

@@ -2,8 +2,8 @@
 
 use super::programme::{Motion, Programme, Role};
 use crate::dataset::{self, Run};
-use crate::joint::{JointVec, Phase, Record};
 use nalgebra::DMatrix;
+use plumbline_core::{JointVec, Phase, Record};
 
 /// A motion that was driven, and what was recorded of it.
 #[derive(Clone, Debug)]
@@ -118,8 +118,8 @@ impl Collector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::gravity::Mounting;
     use crate::store::load_plan;
+    use plumbline_model::gravity::Mounting;
     use std::path::Path;
 
     /// Ticks of the motion: two periods of 10 ms after one of lead-in.

@@ -2,8 +2,8 @@
 
 use super::Failure;
 use super::say::say;
-use crate::ipc::{self, Client, IpcError, Request, Response, RobotId, StopError, Way};
 use clap::{Args, ValueEnum};
+use plumbline_ipc::{Client, IpcError, Request, Response, RobotId, StopError, Way};
 use std::time::Duration;
 
 /// Options of `plumbline command`.
@@ -72,7 +72,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
 
 /// Stops the arm by the stop's own way, and says which.
 fn stop(id: &RobotId) -> Result<(), Failure> {
-    let taken = ipc::stop(id).map_err(|error| match error {
+    let taken = plumbline_ipc::stop(id).map_err(|error| match error {
         StopError::NoDaemon { .. } => super::no_daemon(error),
         other => Failure::job(other),
     })?;

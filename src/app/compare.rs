@@ -4,20 +4,21 @@ use super::changed::{self, Stored};
 use super::identify::{cut, quiet_settings};
 use super::say::say;
 use super::{Failure, diagnosed, models, pipeline, progress};
-use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Role, Run};
-use crate::diagnose::{self, reference};
-use crate::estimate::experiment::Experiment;
-use crate::estimate::validate::Rms;
-use crate::input::BadInput;
-use crate::model::base::Reduction;
-use crate::model::term::{Term, rigid_body::RigidBody};
-use crate::model::torque::TorqueModel;
-use crate::parallel::threads;
 use crate::report::figures::Figures;
 use crate::report::{Band, Base, Identifiability, Report, Validation};
 use crate::store::{ModelFile, Provenance, Validated};
 use clap::Args;
+use plumbline_core::BadInput;
+use plumbline_core::threads;
+use plumbline_diagnose::reference;
+use plumbline_identify::experiment::Experiment;
+use plumbline_identify::validate::Rms;
+use plumbline_model::base::Reduction;
+use plumbline_model::robot::Robot;
+use plumbline_model::term::Term;
+use plumbline_model::term::rigid_body::RigidBody;
+use plumbline_model::torque::TorqueModel;
 use std::path::PathBuf;
 
 /// Options of `plumbline compare`.
@@ -160,14 +161,18 @@ fn model_file(options: &Options, robot: &Robot) -> Result<ModelFile, Failure> {
     Ok(models::of_robot(&name, &text, robot, "the robot of the dataset")?)
 }
 
-fn diagnose_settings(options: &Options) -> Result<diagnose::Settings, Failure> {
+fn diagnose_settings(options: &Options) -> Result<plumbline_diagnose::Settings, Failure> {
     if let Some(threshold) = options.threshold
         && !(threshold.is_finite() && threshold >= 0.0)
     {
         return Err(BadInput::new("command line", "--threshold", threshold, "a torque in Nm, 0 or more").into());
     }
     let threads = threads();
-    Ok(diagnose::Settings { threshold: options.threshold, threads, ..diagnose::Settings::default() })
+    Ok(plumbline_diagnose::Settings {
+        threshold: options.threshold,
+        threads,
+        ..plumbline_diagnose::Settings::default()
+    })
 }
 
 /// Runs to find the changes in, and runs to judge them by: those of each role, or the first and the last part of every run.

@@ -3,12 +3,12 @@
 use super::diagnosed::{self, Diagnosed, Question};
 use super::identify::{self, Done, Split};
 use super::{Failure, pipeline, sessions};
-use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Run};
-use crate::diagnose::{self, errors::Of};
-use crate::input::BadInput;
-use crate::parallel::threads;
 use clap::Args;
+use plumbline_core::BadInput;
+use plumbline_core::threads;
+use plumbline_diagnose::errors::Of;
+use plumbline_model::robot::Robot;
 
 /// Options of `plumbline diagnose`.
 #[derive(Args)]
@@ -42,10 +42,10 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let Split { identify, validate, mut notes } = identify::split(&mut dataset, identify::hold_out(given)?)?;
     let identified: Vec<&Run> = identify.iter().collect();
     let structure = pipeline::structure(&robot, &identified, &terms)?;
-    let along_axis_1 = structure.kind() == crate::model::base::BaseKind::Vbs;
+    let along_axis_1 = structure.kind() == plumbline_model::base::BaseKind::Vbs;
     let (trusted, untrusted): (Vec<&Run>, Vec<&Run>) = validate
         .iter()
-        .partition(|run| !along_axis_1 || run.mounting.is_along_axis_1(crate::model::gravity::VERTICAL_TOLERANCE));
+        .partition(|run| !along_axis_1 || run.mounting.is_along_axis_1(plumbline_model::gravity::VERTICAL_TOLERANCE));
     let repeats = identify.iter().all(|run| run.period.is_some());
     let diagnosis = diagnosis_settings(&options, repeats)?;
     let question = Question {
@@ -88,8 +88,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
     })
 }
 
-fn diagnosis_settings(options: &Options, repeats: bool) -> Result<diagnose::Settings, Failure> {
-    let plain = diagnose::Settings { threads: threads(), ..diagnose::Settings::default() };
+fn diagnosis_settings(options: &Options, repeats: bool) -> Result<plumbline_diagnose::Settings, Failure> {
+    let plain = plumbline_diagnose::Settings { threads: threads(), ..plumbline_diagnose::Settings::default() };
     let band = options.band.unwrap_or(if repeats { plain.band } else { BAND_OF_ONE });
     if !(0.5..=200.0).contains(&band) {
         return Err(BadInput::new("command line", "--band", band, "0.5 to 200 Hz").into());
@@ -97,7 +97,7 @@ fn diagnosis_settings(options: &Options, repeats: bool) -> Result<diagnose::Sett
     if let Some(threshold) = options.threshold.filter(|threshold| !(threshold.is_finite() && *threshold > 0.0)) {
         return Err(BadInput::new("command line", "--threshold", threshold, "a torque in Nm, more than 0").into());
     }
-    Ok(diagnose::Settings { band, threshold: options.threshold, ..plain })
+    Ok(plumbline_diagnose::Settings { band, threshold: options.threshold, ..plain })
 }
 
 /// Highest frequency that is looked at where motions do not repeat \[Hz\]: above it their accelerations are noise.

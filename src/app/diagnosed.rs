@@ -4,24 +4,24 @@ use super::changed::{alternatives, joints, label, steps};
 use super::changing::Looked;
 use super::pipeline::{self, Identified};
 use super::{Failure, progress};
-use crate::config::robot::Robot;
 use crate::dataset::Run;
-use crate::diagnose::diagnosis::{Input, diagnose};
-use crate::diagnose::errors::{self, Compared, Of};
-use crate::diagnose::evidence::Trial;
-use crate::diagnose::fallback::Unexplained;
-use crate::diagnose::outcome::{Confirmation, Effect, Fitted, Outcome, Verdict};
-use crate::diagnose::{self, curves};
-use crate::estimate::experiment::{Experiment, Settings};
-use crate::estimate::solve;
-use crate::estimate::validate::Modelled;
-use crate::model::structure::Structure;
-use crate::model::term::effect::{Spec, Stratum};
-use crate::model::torque::TorqueModel;
-use crate::parallel::{parallel, threads};
 use crate::report::Band;
 use crate::report::diagnosis as told;
 use crate::report::figures::{DiagnosisFigures, EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
+use plumbline_core::{parallel, threads};
+use plumbline_diagnose::curves;
+use plumbline_diagnose::diagnosis::{Input, diagnose};
+use plumbline_diagnose::errors::{self, Compared, Of};
+use plumbline_diagnose::evidence::Trial;
+use plumbline_diagnose::fallback::Unexplained;
+use plumbline_diagnose::outcome::{Confirmation, Effect, Fitted, Outcome, Verdict};
+use plumbline_identify::experiment::{Experiment, Settings};
+use plumbline_identify::solve;
+use plumbline_identify::validate::Modelled;
+use plumbline_model::robot::Robot;
+use plumbline_model::structure::Structure;
+use plumbline_model::term::effect::{Spec, Stratum};
+use plumbline_model::torque::TorqueModel;
 
 /// Candidates that the report lists.
 const LISTED: usize = 10;
@@ -41,7 +41,7 @@ pub struct Question<'a> {
     /// How parameters are identified.
     pub options: &'a solve::Options,
     /// How the diagnosis is done.
-    pub diagnosis: &'a diagnose::Settings,
+    pub diagnosis: &'a plumbline_diagnose::Settings,
     /// What the errors before and after are taken of.
     pub of: Of,
 }
@@ -71,7 +71,7 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
         Input { structure: question.structure, identify: &identify_trials, veto, judge, options: question.options };
     bar.at(0.1, "looking for effects");
     let share = std::cell::Cell::new(0.2);
-    let settings = diagnose::Settings { judged_by: question.of, ..question.diagnosis.clone() };
+    let settings = plumbline_diagnose::Settings { judged_by: question.of, ..question.diagnosis.clone() };
     let outcome = diagnose(&input, &settings, &|step| {
         share.set(share.get() + 0.15 * (0.9 - share.get()));
         bar.at(share.get(), step.item.spec.family);
@@ -176,7 +176,7 @@ fn verdict(verdict: Verdict) -> told::Verdict {
 fn effect_of(effect: &Effect, full: bool) -> told::Effect {
     let family = effect.spec.family().ok();
     let form = family.and_then(|family| family.form(effect.spec.form));
-    let estimate = |one: &diagnose::outcome::Estimate| told::EffectParameter {
+    let estimate = |one: &plumbline_diagnose::outcome::Estimate| told::EffectParameter {
         name: one.name.clone(),
         value: one.value,
         std: one.std,
@@ -225,7 +225,7 @@ fn unexplained(one: &Unexplained, outcome: &Outcome) -> told::Unexplained {
 
 fn detectable(outcome: &Outcome) -> std::collections::BTreeMap<String, told::MinimumDetectable> {
     let n = outcome.joints.len();
-    let of = |one: &diagnose::outcome::Detectable| {
+    let of = |one: &plumbline_diagnose::outcome::Detectable| {
         let (mut torque, mut parameter) = (vec![f64::NAN; n], vec![f64::NAN; n]);
         for &(joint, rms, value) in &one.sites {
             // Of several sites in one joint the one that shows best.
@@ -241,7 +241,7 @@ fn detectable(outcome: &Outcome) -> std::collections::BTreeMap<String, told::Min
 }
 
 fn hidden(outcome: &Outcome) -> Vec<told::NotIdentifiable> {
-    let of = |one: &diagnose::outcome::Hidden| told::NotIdentifiable {
+    let of = |one: &plumbline_diagnose::outcome::Hidden| told::NotIdentifiable {
         effect: one.spec.family.into(),
         joints: joints(one.spec.site),
         why: format!(
@@ -253,7 +253,7 @@ fn hidden(outcome: &Outcome) -> Vec<told::NotIdentifiable> {
 }
 
 fn joint_facts(outcome: &Outcome) -> Vec<told::JointFacts> {
-    let fact = |facts: &diagnose::outcome::JointFacts| {
+    let fact = |facts: &plumbline_diagnose::outcome::JointFacts| {
         let both = |pair: Option<[f64; 2]>| told::BeforeAfter {
             before: pair.map(|pair| pair[0]),
             after: pair.map(|pair| pair[1]),

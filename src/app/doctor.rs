@@ -4,8 +4,8 @@ use super::say::say;
 use super::{Failure, JobOptions};
 use crate::config::job::Job;
 use crate::machine::{self, Finding, Tree, Verdict, Wanted};
-use crate::rt::rights::Rights;
 use clap::Args;
+use plumbline_rt::rights::Rights;
 use std::path::PathBuf;
 
 /// Options of `plumbline doctor`.

@@ -1,9 +1,9 @@
 //! `plumbline effects`: the effects that diagnosis knows, for people.
 
 use super::Failure;
-use crate::input::BadInput;
-use crate::model::term::effect::{FAMILIES, Family, Form, Place, Setting, Stratum, family};
 use clap::Args;
+use plumbline_core::BadInput;
+use plumbline_model::term::effect::{FAMILIES, Family, Form, Place, Setting, Stratum, family};
 use std::io::Write;
 
 /// Options of `plumbline effects`.

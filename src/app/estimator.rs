@@ -6,12 +6,12 @@ use super::programme::{Programme, Role};
 use super::results::Results;
 use super::service::Service;
 use super::{Failure, JobOptions, journal, robot_id};
-use crate::ipc::{
+use clap::Args;
+use plumbline_ipc::{
     Client, Delivery, IpcError, Progress, Request, Response, RobotId, SampleStream, Status, StreamCounters,
     StreamSettings,
 };
-use crate::model::gravity::Mounting;
-use clap::Args;
+use plumbline_model::gravity::Mounting;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 

@@ -3,16 +3,16 @@
 use super::pipeline::Identified;
 use super::say::say;
 use super::{Failure, models};
-use crate::config::robot::Robot;
-use crate::estimate::consistency::{Nearest, Prior, Uncertainty, Weights, nearest};
-use crate::input::BadInput;
-use crate::model::gravity::Mounting;
-use crate::model::inertia::is_consistent;
-use crate::model::torque::TorqueModel;
 use crate::report::Consistency;
 use crate::store::ModelFile;
 use crate::store::export::{Arm, Exported, c, effects, mjcf, splice, tree, urdf};
 use clap::{Args, ValueEnum};
+use plumbline_core::BadInput;
+use plumbline_identify::consistency::{Nearest, Prior, Uncertainty, Weights, nearest};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::inertia::is_consistent;
+use plumbline_model::robot::Robot;
+use plumbline_model::torque::TorqueModel;
 use roxmltree::Document;
 use std::path::{Path, PathBuf};
 

@@ -1,6 +1,6 @@
 //! How a command fails: exit code 1 for a job that failed, 2 for input that can't be used.
 
-use crate::input::BadInput;
+use plumbline_core::BadInput;
 use std::fmt;
 
 /// Why a command did not succeed.

@@ -4,17 +4,17 @@ use super::pipeline::{self, Identified, Judged};
 use super::results::report_of;
 use super::say::say;
 use super::{Failure, SAME_MOUNTING, export, progress};
-use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Role, Run};
-use crate::estimate::experiment::{Method, Settings};
-use crate::estimate::solve::{self, Estimator};
-use crate::input::BadInput;
-use crate::model::gravity::Mounting;
-use crate::parallel::{parallel, threads};
 use crate::report::figures::{DiagnosisFigures, Figures};
 use crate::report::{Band, Report, Validation};
 use crate::store::{ModelFile, Validated};
 use clap::Args;
+use plumbline_core::BadInput;
+use plumbline_core::{parallel, threads};
+use plumbline_identify::experiment::{Method, Settings};
+use plumbline_identify::solve::{self, Estimator};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
 use std::path::{Path, PathBuf};
 
 /// Options of `plumbline identify`.
@@ -240,7 +240,7 @@ pub(super) fn solver(options: &Options) -> Result<solve::Options, Failure> {
 
 pub(super) fn terms<'a>(options: &'a Options, robot: &Robot) -> Result<Vec<&'a str>, Failure> {
     let Some(named) = &options.terms else { return Ok(pipeline::usual_terms(robot)) };
-    let known = &crate::model::term::KNOWN[1..];
+    let known = &plumbline_model::term::KNOWN[1..];
     for name in named {
         if !known.contains(&name.as_str()) {
             return Err(BadInput::new("command line", "--terms", format!("`{name}`"), known.join(", ")).into());

@@ -3,19 +3,19 @@
 use super::changed;
 use super::{Failure, pipeline};
 use crate::config::job::{Adopt, Job};
-use crate::config::robot::Robot;
 use crate::dataset::Run;
-use crate::diagnose::live::{self, ENDS, Floor, Found, News, Remedy, STRETCH, Watch};
-use crate::diagnose::{self, reference::Change};
-use crate::estimate::experiment::{Experiment, Settings};
-use crate::estimate::run;
-use crate::ipc::{Proposal, Status};
-use crate::joint::{Phase, Record, Validity};
-use crate::model::gravity::Mounting;
-use crate::model::torque::TorqueModel;
-use crate::parallel::threads;
 use crate::report::diagnosis::Effect;
 use crate::store::{ModelFile, Provenance, model_identity};
+use plumbline_core::threads;
+use plumbline_core::{Phase, Record, Validity};
+use plumbline_diagnose::live::{self, ENDS, Floor, Found, News, Remedy, STRETCH, Watch};
+use plumbline_diagnose::reference::Change;
+use plumbline_identify::experiment::{Experiment, Settings};
+use plumbline_identify::run;
+use plumbline_ipc::{Proposal, Status};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::torque::TorqueModel;
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -307,7 +307,7 @@ impl Live {
         let parts = (self.prepared(after, middle), self.prepared(middle, self.buffer.len()));
         let ((Some(find), Some(judge)), Some(model)) = (parts, self.model()) else { return Ok(None) };
         let threads = threads();
-        let settings = diagnose::Settings { threads, ..diagnose::Settings::default() };
+        let settings = plumbline_diagnose::Settings { threads, ..plumbline_diagnose::Settings::default() };
         let model = model.clone();
         // The samples go on meanwhile: an estimator that is silent counts as lost.
         let found = std::thread::spawn(move || live::search(&model, &find, &judge, &settings));

@@ -1,9 +1,9 @@
 //! Model files and the robots that they are of. A file names its robot; one that was identified with a description of the user's own holds
 //! that description.
 
-use crate::config::robot::Robot;
-use crate::input::BadInput;
 use crate::store::ModelFile;
+use plumbline_core::BadInput;
+use plumbline_model::robot::Robot;
 use std::path::Path;
 
 /// A model file with its robot: the description that the file holds, else the shipped robot of that name.

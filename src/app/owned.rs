@@ -2,7 +2,7 @@
 //! a model that is served and a plan that the process itself has left, which become torque and motion, are root's or the process's own user's.
 
 use super::Failure;
-use crate::input::BadInput;
+use plumbline_core::BadInput;
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::Read;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};

@@ -1,22 +1,22 @@
 //! From recorded runs to a model and its errors: what `identify` and `estimator` share.
 
 use super::Failure;
-use crate::config::robot::{Robot, TorqueSensing};
 use crate::dataset::Run;
-use crate::estimate::EstimateError;
-use crate::estimate::experiment::{Experiment, Settings};
-use crate::estimate::run as estimate;
-use crate::estimate::solve::{self, Identification, identify_with};
-use crate::estimate::validate::{Modelled, Rms, compare};
-use crate::input::BadInput;
-use crate::model::base::Reduction;
-use crate::model::structure::Structure;
-use crate::model::term::Motion;
-use crate::model::term::torque_offset;
-use crate::model::torque::TorqueModel;
-use crate::parallel::{parallel, threads};
 use crate::report::figures::TorqueFigure;
 use nalgebra::DMatrix;
+use plumbline_core::BadInput;
+use plumbline_core::{parallel, threads};
+use plumbline_identify::EstimateError;
+use plumbline_identify::experiment::{Experiment, Settings};
+use plumbline_identify::run as estimate;
+use plumbline_identify::solve::{self, Identification, identify_with};
+use plumbline_identify::validate::{Modelled, Rms, compare};
+use plumbline_model::base::Reduction;
+use plumbline_model::robot::{Robot, TorqueSensing};
+use plumbline_model::structure::Structure;
+use plumbline_model::term::Motion;
+use plumbline_model::term::torque_offset;
+use plumbline_model::torque::TorqueModel;
 
 /// A model and how it came about.
 pub struct Identified {

@@ -4,26 +4,26 @@ use super::programme::Programme;
 use super::say::say;
 use super::signals::Ending;
 use super::{Failure, friction_structure, models, progress};
-use crate::backend::franka::{self, RobotLimits};
 use crate::config::job::Job;
-use crate::config::robot::Robot;
 use crate::config::units::parse_mounting;
-use crate::excite::ExciteError;
-use crate::excite::criterion::{Criterion, check_excitation};
-use crate::excite::fourier::Fourier;
-use crate::excite::limits::{Bounds, Margins};
-use crate::excite::nominal::Nominal;
-use crate::excite::optimiser::optimise;
-use crate::excite::plan::{Plan, PlanUsage};
-use crate::excite::search::{self, Problem, Progress, Search, Watch, verdict};
-use crate::excite::usage::{Usage, check_usage, usage};
-use crate::input::BadInput;
-use crate::joint::{Limits, SpeedEnvelope, Workspace};
-use crate::model::gravity::Mounting;
-use crate::parallel::threads;
-use crate::rt::moves::MoveFactors;
 use crate::store::{load_plan, save_plan};
 use clap::{Args, ValueEnum};
+use plumbline_core::BadInput;
+use plumbline_core::threads;
+use plumbline_core::{Limits, SpeedEnvelope, Workspace};
+use plumbline_excite::ExciteError;
+use plumbline_excite::criterion::{Criterion, check_excitation};
+use plumbline_excite::fourier::Fourier;
+use plumbline_excite::limits::{Bounds, Margins};
+use plumbline_excite::nominal::Nominal;
+use plumbline_excite::optimiser::optimise;
+use plumbline_excite::plan::{Plan, PlanUsage};
+use plumbline_excite::search::{self, Problem, Progress, Search, Watch, verdict};
+use plumbline_excite::usage::{Usage, check_usage, usage};
+use plumbline_franka::RobotLimits;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_rt::moves::MoveFactors;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -235,8 +235,8 @@ fn nominal(path: &Path, robot: &Robot) -> Result<Nominal, Failure> {
 /// for a moment; nothing moves.
 pub fn arm_limits(job: &Job) -> Result<Option<RobotLimits>, Failure> {
     let Some(franka) = &job.backend.franka else { return Ok(None) };
-    let settings = franka.settings(job, franka::Purpose::Watch)?;
-    franka::read_limits(&settings).map(Some).map_err(Failure::job)
+    let settings = franka.settings(job, plumbline_franka::Purpose::Watch)?;
+    plumbline_franka::read_limits(&settings).map(Some).map_err(Failure::job)
 }
 
 /// What motions of a job and the loop's guard are held to: the limits of robot file and job and, inside them, those that the adapter of the
@@ -249,7 +249,10 @@ pub fn held_to(
     let limits = job.guard_limits(&robot.limits, robot.chain.len())?;
     let (Some(arm), Some(franka)) = (arm, &job.backend.franka) else { return Ok((limits, robot.envelope)) };
     let share = franka.limits_share;
-    Ok((franka::guard_limits(arm, &limits, share), franka::guard_envelope(arm, robot.envelope.as_ref(), share)))
+    Ok((
+        plumbline_franka::guard_limits(arm, &limits, share),
+        plumbline_franka::guard_envelope(arm, robot.envelope.as_ref(), share),
+    ))
 }
 
 /// The job's programme, inside the limits of robot, job and the connected `arm`: the plans of an earlier run of the same job where they

@@ -3,17 +3,17 @@
 use super::Failure;
 use super::say::say;
 use super::served::{NoModel, Reach, ServedModel};
-use crate::config::robot::Robot;
-use crate::input::BadInput;
 use crate::postmortem::replay::{Parts, Replayed, replay};
 use crate::postmortem::story::Story;
 use crate::postmortem::{page, text};
 use crate::recording::about::Handed;
 use crate::recording::{Recording, model_name};
-use crate::rt::FeedForward;
 use crate::store::{ModelFile, model_identity};
 use clap::Args;
 use nalgebra::Vector3;
+use plumbline_core::BadInput;
+use plumbline_core::FeedForward;
+use plumbline_model::robot::Robot;
 use std::path::PathBuf;
 
 /// Options of `plumbline postmortem`.

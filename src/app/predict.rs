@@ -5,12 +5,12 @@ use super::say::say;
 use super::{Failure, models};
 use crate::config::units::parse_mounting;
 use crate::dataset::{Dataset, Run};
-use crate::estimate::experiment::Settings;
-use crate::input::BadInput;
-use crate::model::gravity::Mounting;
-use crate::model::torque::TorqueModel;
 use crate::store::ModelFile;
 use clap::Args;
+use plumbline_core::BadInput;
+use plumbline_identify::experiment::Settings;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::torque::TorqueModel;
 use std::fmt::Write;
 use std::path::PathBuf;
 

@@ -2,18 +2,18 @@
 
 use super::Failure;
 use super::plan::Planner;
-use crate::backend::franka::RobotLimits;
 use crate::config::job::Job;
-use crate::config::robot::Robot;
-use crate::excite::fourier::Fourier;
-use crate::excite::limits::{Bounds, Peak, Quantity, check_pose};
-use crate::excite::plan::Plan;
-use crate::excite::rehearsal::rehearse_points;
-use crate::input::BadInput;
-use crate::joint::{JointVec, Limits, Setpoint};
-use crate::model::gravity::{Mounting, VERTICAL_TOLERANCE};
-use crate::rt::moves::{self, MoveFactors};
 use crate::store::{load_plan, save_plan};
+use plumbline_core::BadInput;
+use plumbline_core::{JointVec, Limits, Setpoint};
+use plumbline_excite::fourier::Fourier;
+use plumbline_excite::limits::{Bounds, Peak, Quantity, check_pose};
+use plumbline_excite::plan::Plan;
+use plumbline_excite::rehearsal::rehearse_points;
+use plumbline_franka::RobotLimits;
+use plumbline_model::gravity::{Mounting, VERTICAL_TOLERANCE};
+use plumbline_model::robot::Robot;
+use plumbline_rt::moves::{self, MoveFactors};
 use std::path::Path;
 
 /// What a motion is driven for.

@@ -6,21 +6,21 @@ use super::diagnosed::{self, Diagnosed, Question};
 use super::pipeline::{self, Identified, Judged};
 use super::programme::{Motion, Programme, Role};
 use crate::config::job::{Diagnosis, Job};
-use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Run};
-use crate::diagnose::{self, errors::Of};
-use crate::estimate::experiment::Settings;
-use crate::estimate::solve::Outcome;
-use crate::excite::plan::PlanUsage;
-use crate::ipc::{Session, Status, StreamCounters};
-use crate::model::gravity::Mounting;
-use crate::parallel::threads;
 use crate::report::figures::{Figures, PlanFigure};
 use crate::report::{
     Base, CounterExperiment, EstimatorFacts, Fit, GravityFacts, Identifiability, IpcFacts, LoopFacts, MotionUsage,
     Quantiles, Report, SessionFacts, Validation,
 };
 use crate::store::{ModelFile, Provenance, Validated};
+use plumbline_core::threads;
+use plumbline_diagnose::errors::Of;
+use plumbline_excite::plan::PlanUsage;
+use plumbline_identify::experiment::Settings;
+use plumbline_identify::solve::Outcome;
+use plumbline_ipc::{Session, Status, StreamCounters};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
 use std::path::{Path, PathBuf};
 
 /// Terms of the paper's model, besides the rigid body.
@@ -159,7 +159,12 @@ impl Results {
         let unseen: Vec<&Run> =
             unseen.into_iter().filter(|run| identified.model.valid_in(&run.mounting).is_ok()).collect();
         let Diagnosis { band, threshold, .. } = self.job.diagnosis;
-        let settings = diagnose::Settings { band, threshold, threads: threads(), ..diagnose::Settings::default() };
+        let settings = plumbline_diagnose::Settings {
+            band,
+            threshold,
+            threads: threads(),
+            ..plumbline_diagnose::Settings::default()
+        };
         let question = Question {
             robot: &self.robot,
             structure: identified.model.structure(),
@@ -252,7 +257,7 @@ impl Results {
         let wall_clock = self.wall_clock();
         // Quantiles can't be added up: those of the longest session stand for the whole.
         let longest = status.sessions.iter().max_by_key(|session| session.cycles);
-        let times = |of: fn(&Session) -> &crate::ipc::Times| longest.and_then(|session| Quantiles::of(of(session)));
+        let times = |of: fn(&Session) -> &plumbline_ipc::Times| longest.and_then(|session| Quantiles::of(of(session)));
         let mut realtime: Vec<String> = Vec::new();
         for refusal in status.sessions.iter().flat_map(|session| &session.refusals) {
             if !realtime.contains(refusal) {

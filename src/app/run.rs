@@ -3,9 +3,9 @@
 use super::say::say;
 use super::signals::Ending;
 use super::{Failure, JobOptions, plan, progress, robot_id};
-use crate::ipc::{Client, Progress, Request, Response, RobotId, Status};
 use crate::report::Report;
 use clap::Args;
+use plumbline_ipc::{Client, Progress, Request, Response, RobotId, Status};
 use rustix::process::{Pid, Signal, kill_process};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};

@@ -11,12 +11,12 @@
     clippy::unimplemented
 )]
 
-use crate::joint::{JointVec, Setpoint, Torque};
-use crate::model::chain::Chain;
-use crate::model::term::Sample;
-use crate::model::torque::{Evaluator, TorqueModel};
-use crate::rt::{FeedForward, Kinematics};
 use nalgebra::Vector3;
+use plumbline_core::{FeedForward, Kinematics};
+use plumbline_core::{JointVec, Setpoint, Torque};
+use plumbline_model::chain::Chain;
+use plumbline_model::term::Sample;
+use plumbline_model::torque::{Evaluator, TorqueModel};
 
 /// An identified model, ready for the gravity that acts and for the one that the arm's own controller compensates.
 pub struct ServedModel {

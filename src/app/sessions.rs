@@ -2,14 +2,15 @@
 
 use super::changed::{Stored, Told};
 use super::{Failure, compare, pipeline};
-use crate::config::robot::Robot;
 use crate::dataset::{Dataset, Run};
-use crate::diagnose::{self, evidence::Trial, reference};
-use crate::estimate::experiment::{Experiment, Settings};
-use crate::model::torque::TorqueModel;
 use crate::report::Band;
 use crate::report::diagnosis::{Changes, Diagnosis, Verdict};
 use crate::store::{ModelFile, Provenance};
+use plumbline_diagnose::evidence::Trial;
+use plumbline_diagnose::reference;
+use plumbline_identify::experiment::{Experiment, Settings};
+use plumbline_model::robot::Robot;
+use plumbline_model::torque::TorqueModel;
 use std::path::Path;
 
 /// Runs of the sessions after the first, taken out of the dataset, session by session.
@@ -37,7 +38,7 @@ pub struct Reference<'a> {
     /// How runs are made ready.
     pub settings: &'a Settings,
     /// How the search is done.
-    pub diagnosis: &'a diagnose::Settings,
+    pub diagnosis: &'a plumbline_diagnose::Settings,
 }
 
 impl Reference<'_> {

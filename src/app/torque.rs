@@ -1,9 +1,9 @@
 //! `plumbline torque`: a shared-memory client that prints the served feed-forward torque.
 
 use super::Failure;
-use crate::ipc::{FeedForwardClient, FeedForwardSettings, Latest, Presence, RobotId};
-use crate::joint::Validity;
 use clap::Args;
+use plumbline_core::Validity;
+use plumbline_ipc::{FeedForwardClient, FeedForwardSettings, Latest, Presence, RobotId};
 use std::io::Write;
 use std::time::{Duration, Instant};
 

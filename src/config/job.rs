@@ -12,12 +12,12 @@ pub use franka::Franka;
 pub use inclinometer::{Inclinometer, MountingCheck};
 
 use super::units;
-use crate::estimate::experiment::{Derivative, Method};
-use crate::estimate::solve;
-use crate::excite::criterion::Criterion;
-use crate::excite::limits::Margins;
-use crate::input::BadInput;
-use crate::model::gravity::Mounting;
+use plumbline_core::BadInput;
+use plumbline_excite::criterion::Criterion;
+use plumbline_excite::limits::Margins;
+use plumbline_identify::experiment::{Derivative, Method};
+use plumbline_identify::solve;
+use plumbline_model::gravity::Mounting;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 

@@ -1,8 +1,8 @@
 //! One run's CSV file: columns are found by name, every cell is checked.
 
-use crate::input::BadInput;
-use crate::joint::MAX_JOINTS;
 use nalgebra::DMatrix;
+use plumbline_core::BadInput;
+use plumbline_core::MAX_JOINTS;
 use std::path::Path;
 
 use super::Run;

@@ -2,11 +2,11 @@
 
 use super::Run;
 use super::csv::Columns;
-use crate::input::BadInput;
-use crate::joint::{JointVec, Record};
 use crate::recording::Recording;
-use crate::rt::PERIOD;
 use nalgebra::DMatrix;
+use plumbline_core::BadInput;
+use plumbline_core::PERIOD;
+use plumbline_core::{JointVec, Record};
 use std::path::Path;
 
 pub(super) fn read(path: &Path) -> Result<Columns, BadInput> {

@@ -1,9 +1,9 @@
 //! `dataset.toml`: what it may say, and how a dataset comes together from it and its CSV files.
 
 use super::{Dataset, Run, csv};
-use crate::input::{BadInput, from_toml};
-use crate::model::gravity::Mounting;
-use crate::parallel::{parallel, threads};
+use plumbline_core::{BadInput, from_toml};
+use plumbline_core::{parallel, threads};
+use plumbline_model::gravity::Mounting;
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Component, Path};

@@ -15,9 +15,9 @@ mod write;
 pub use hygiene::Hygiene;
 pub use manifest::Role;
 
-use crate::input::BadInput;
-use crate::model::gravity::Mounting;
 use nalgebra::DMatrix;
+use plumbline_core::BadInput;
+use plumbline_model::gravity::Mounting;
 use std::path::Path;
 
 /// Recorded motions of one arm.

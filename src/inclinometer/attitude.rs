@@ -12,9 +12,9 @@
 //! hangs shows the same slopes as one that stands. The declared mounting decides it, and a declaration that lies too close to the
 //! horizontal for that is refused. Gravity is `-g R u` with the sensor's axes `R` in the base frame.
 
-use crate::decomposition::symmetric_eigen;
-use crate::model::gravity::{G, Mounting};
 use nalgebra::{Matrix3, Matrix3x2, Vector2, Vector3};
+use plumbline_core::symmetric_eigen;
+use plumbline_model::gravity::{G, Mounting};
 
 /// What the angles of a two-axis sensor mean; the data sheet says it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

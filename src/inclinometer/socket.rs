@@ -10,7 +10,7 @@
 use super::frame::{BusState, Frame, Heard};
 use super::node::Fault;
 use super::sensor::{Health, Note, Sensor, SensorSettings};
-use crate::rt::os::now_ns;
+use plumbline_rt::os::now_ns;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType};
 use socketcan::errors::{ControllerProblems, ErrorCause};
 use socketcan::{CanDataFrame, CanError, CanFilter, CanFrame, CanSocket, EmbeddedFrame, StandardId};

@@ -1,10 +1,10 @@
 //! How late a thread with the loop's rights wakes up, for a few seconds.
 
 use super::{Finding, Verdict, Wanted};
-use crate::rt::PERIOD_NS;
-use crate::rt::os::{now_ns, sleep_until};
-use crate::rt::rights::become_realtime;
 use hdrhistogram::Histogram;
+use plumbline_core::PERIOD_NS;
+use plumbline_rt::os::{now_ns, sleep_until};
+use plumbline_rt::rights::become_realtime;
 use serde::Serialize;
 
 /// Classes of the largest delay, after the usual reading of LinuxCNC's latency test

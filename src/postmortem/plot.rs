@@ -3,9 +3,9 @@
 //! As in the report, colours are fixed tints that the page's style sheet maps to ones that suit light and dark.
 
 use super::story::{Before, Story, phase_name, tracking_error};
-use crate::joint::{Phase, Record};
 use crate::recording::Recording;
 use plotters::prelude::*;
+use plumbline_core::{Phase, Record};
 
 const MEASURED: RGBColor = RGBColor(1, 1, 1);
 const DESIRED: RGBColor = RGBColor(2, 2, 2);
@@ -119,7 +119,8 @@ fn colour(j: usize) -> RGBColor {
 /// When the stops of the recording began.
 fn stops(recording: &Recording) -> Vec<f64> {
     let before = Before::of(recording);
-    let stopping = |told: &&crate::rt::order::Told| matches!(told.event, crate::rt::order::Event::Stopping { .. });
+    let stopping =
+        |told: &&plumbline_rt::order::Told| matches!(told.event, plumbline_rt::order::Event::Stopping { .. });
     recording.events.iter().filter(stopping).map(|told| -before.at(told.seq)).collect()
 }
 

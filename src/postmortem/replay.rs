@@ -8,17 +8,17 @@
 //! Honest limits: the same program on the same kind of processor, because sines are not the same everywhere; a model with terms that
 //! remember (hysteresis, delay) begins without its memory, so its torque may differ until it has forgotten, and only its torque.
 
-use crate::excite::fourier::{Fourier, PeriodicMotion};
-use crate::joint::{Command, MAX_JOINTS, Record, Setpoint, State};
 use crate::recording::Recording;
 use crate::recording::about::{Given, Handed, LogClock, Series, UnderWay, panic_message, panicked};
 use crate::recording::history::{Fold, begun_from};
-use crate::rt::checkpoint::{Checkpoint, Doing};
-use crate::rt::cycle::{self, Cycle, End};
-use crate::rt::order::{Event, Handles, Order, OrderKind, StopReason, Told};
-use crate::rt::torque::Succession;
-use crate::rt::{Backend, Fault, FeedForward, Kinematics, Reference, Sink};
 use nalgebra::DMatrix;
+use plumbline_core::{Backend, Fault, FeedForward, Kinematics, Reference, Sink};
+use plumbline_core::{Command, MAX_JOINTS, Record, Setpoint, State};
+use plumbline_excite::fourier::{Fourier, PeriodicMotion};
+use plumbline_rt::checkpoint::{Checkpoint, Doing};
+use plumbline_rt::cycle::{self, Cycle, End};
+use plumbline_rt::order::{Event, Handles, Order, OrderKind, StopReason, Told};
+use plumbline_rt::torque::Succession;
 use serde::Serialize;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};

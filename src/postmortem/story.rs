@@ -2,13 +2,13 @@
 
 use super::advice;
 use super::replay::{Replayed, is_simulated};
-use crate::joint::{Phase, Record};
 use crate::recording::Recording;
 use crate::recording::about::Given;
 use crate::recording::messages::{limit_name, words};
-use crate::rt::guard::{Limit, Violation};
-use crate::rt::order::{Event, StopReason, Told};
-use crate::rt::{PERIOD, PERIOD_NS};
+use plumbline_core::{PERIOD, PERIOD_NS};
+use plumbline_core::{Phase, Record};
+use plumbline_rt::guard::{Limit, Violation};
+use plumbline_rt::order::{Event, StopReason, Told};
 use serde::Serialize;
 
 /// Most lines of the timeline and of the lists of outliers.

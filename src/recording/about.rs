@@ -1,10 +1,10 @@
 //! What a recording says beside its cycles: where it comes from, and everything that the loop was given, so that it can be run again.
 
-use crate::joint::{JointVec, Limits, Phase, Setpoint, SpeedEnvelope, Workspace};
-use crate::rt::guard::GuardSettings;
-use crate::rt::moves::MoveFactors;
-use crate::rt::os::Rights;
-use crate::rt::settings::CycleSettings;
+use plumbline_core::{JointVec, Limits, Phase, Setpoint, SpeedEnvelope, Workspace};
+use plumbline_rt::guard::GuardSettings;
+use plumbline_rt::moves::MoveFactors;
+use plumbline_rt::os::Rights;
+use plumbline_rt::settings::CycleSettings;
 use serde::{Deserialize, Serialize};
 use std::any::Any;
 

@@ -4,9 +4,9 @@
 //! viewer draws, and what has no place there as `plumbline_msgs/Cycle`.
 
 use super::cdr::{CdrError, Decoder, Encoder};
-use crate::joint::{MAX_JOINTS, Phase, Record, Validity};
-use crate::rt::guard::{Limit, Violation};
-use crate::rt::order::{Event, StopReason, Told};
+use plumbline_core::{MAX_JOINTS, Phase, Record, Validity};
+use plumbline_rt::guard::{Limit, Violation};
+use plumbline_rt::order::{Event, StopReason, Told};
 
 const RULE: &str = "================================================================================";
 

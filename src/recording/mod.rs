@@ -17,9 +17,9 @@ pub mod messages;
 mod read;
 mod write;
 
-use crate::joint::Record;
-use crate::rt::order::Told;
 use about::About;
+use plumbline_core::Record;
+use plumbline_rt::order::Told;
 
 /// A recording in memory.
 #[derive(Clone, Debug)]

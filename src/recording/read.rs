@@ -2,12 +2,12 @@
 
 use super::messages::{self, COMMANDS, CYCLES, EVENTS, STATES};
 use super::{Recording, about::About, about::FORMAT};
-use crate::input::{BadInput, expectation};
-use crate::joint::{MAX_JOINTS, Record};
-use crate::rt::order::Told;
 use mcap::parse_record;
 use mcap::records::{Record as Raw, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use plumbline_core::{BadInput, expectation};
+use plumbline_core::{MAX_JOINTS, Record};
+use plumbline_rt::order::Told;
 use std::collections::{BTreeMap, HashMap};
 use std::io::Read;
 use std::path::Path;

@@ -2,9 +2,9 @@
 
 use super::messages::{self, CYCLES, EVENTS, LOG};
 use super::{Recording, about::About};
-use crate::rt::order::{Event, StopReason};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, McapError, WriteOptions, Writer};
+use plumbline_rt::order::{Event, StopReason};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::{self, Cursor};

@@ -1,6 +1,6 @@
 //! Whether real bodies have the identified parameters.
 
-use crate::estimate::consistency::Nearest;
+use plumbline_identify::consistency::Nearest;
 use serde::{Deserialize, Serialize};
 
 /// Parameters named in one sentence.
@@ -63,7 +63,7 @@ impl Consistency {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimate::consistency::Weights;
+    use plumbline_identify::consistency::Weights;
 
     fn found(exact: bool, moved: Vec<f64>) -> Nearest {
         let (links, rotors) = (Vec::new(), Vec::new());

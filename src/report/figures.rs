@@ -2,7 +2,7 @@
 
 pub use super::diagnosis::figures::{DiagnosisFigures, EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
 
-use crate::joint::Workspace;
+use plumbline_core::Workspace;
 
 /// All curves of a report; whatever is absent is not drawn.
 #[derive(Clone, Debug, Default)]

@@ -1,8 +1,8 @@
 //! What was known of the direction of gravity while a job was driven, as it stands in `report.json`. Angles in rad.
 
 use super::MountingFacts;
-use crate::ipc::Gravity;
-use crate::model::gravity::Mounting;
+use plumbline_ipc::Gravity;
+use plumbline_model::gravity::Mounting;
 use serde::{Deserialize, Serialize};
 
 /// What the inclinometer did, and what was made of it.

@@ -18,8 +18,8 @@ pub use gravity::{GravityFacts, MotionGravityFacts};
 pub use timing::{IpcFacts, LinkFacts, LoopFacts, Quantiles, SessionFacts};
 
 use crate::atomic;
-use crate::model::gravity::Mounting;
-use crate::model::torque::{Parameter, TorqueModel};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::torque::{Parameter, TorqueModel};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::io;
 use std::path::Path;

@@ -1,7 +1,7 @@
 //! How the real-time loop and shared memory did, as it stands in `report.json`: times in microseconds, `null` where a figure has no
 //! meaning or nobody measured it.
 
-use crate::ipc::{Link, Session, Times};
+use plumbline_ipc::{Link, Session, Times};
 use serde::{Deserialize, Serialize};
 
 /// How the real-time loop did.

@@ -1,11 +1,11 @@
 //! The `[consistent]` block of `model.toml`: bodies that have the model's parameters, or the nearest to them.
 
 use super::model_text::quoted;
-use crate::estimate::consistency::{Nearest, Weights, parameters_of};
-use crate::input::BadInput;
-use crate::model::inertia::is_consistent;
-use crate::model::rnea::LinkParameters;
-use crate::model::torque::TorqueModel;
+use plumbline_core::BadInput;
+use plumbline_identify::consistency::{Nearest, Weights, parameters_of};
+use plumbline_model::inertia::is_consistent;
+use plumbline_model::rnea::LinkParameters;
+use plumbline_model::torque::TorqueModel;
 use serde::Deserialize;
 
 /// Bodies may differ from the parameters they stand for by this share of the largest.

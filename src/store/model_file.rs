@@ -2,12 +2,12 @@
 
 use super::{consistent, model_text};
 use crate::atomic;
-use crate::estimate::consistency::Nearest;
-use crate::input::{BadInput, from_toml};
-use crate::model::base::BaseKind;
-use crate::model::chain::Chain;
-use crate::model::gravity::Mounting;
-use crate::model::torque::{NamedEffect, NamedTerm, TorqueModel};
+use plumbline_core::{BadInput, from_toml};
+use plumbline_identify::consistency::Nearest;
+use plumbline_model::base::BaseKind;
+use plumbline_model::chain::Chain;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::torque::{NamedEffect, NamedTerm, TorqueModel};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;

@@ -1,7 +1,7 @@
 //! The text of `model.toml`: one line per parameter, for people who read and compare such files.
 
 use super::model_file::{FORMAT, ModelFile, Validated, sealed};
-use crate::model::term::effect::Spec;
+use plumbline_model::term::effect::Spec;
 use std::fmt::Write;
 
 /// Everything in the order in which a reader asks for it; numbers are the shortest text that reads back as the same `f64`.

@@ -1,8 +1,8 @@
 //! `plan.toml`: an excitation that anyone can rebuild the motion from.
 
 use crate::atomic;
-use crate::excite::plan::Plan;
-use crate::input::{BadInput, from_toml};
+use plumbline_core::{BadInput, from_toml};
+use plumbline_excite::plan::Plan;
 use std::path::Path;
 
 /// Text of a plan file; reading it gives the same plan bit by bit.

@@ -2,10 +2,10 @@
 #![allow(dead_code)] // each test file uses its own part
 
 use nalgebra::{DVector, Vector3};
-use plumbline::config::robot::Robot;
-use plumbline::model::chain::{Chain, Joint, JointKind, Placement};
-use plumbline::model::gravity::Mounting;
-use plumbline::model::rnea::{LinkParameters, rnea};
+use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::rnea::{LinkParameters, rnea};
+use plumbline_model::robot::Robot;
 use rand::Rng;
 use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;

@@ -1,11 +1,11 @@
 //! What the tests of the simulated arm share.
 
-use plumbline::backend::Clock;
-use plumbline::backend::sim::{Pace, SimArm, Truth};
-use plumbline::config::robot::Robot;
-use plumbline::joint::{Command, JointVec, MAX_JOINTS, Setpoint};
-use plumbline::model::chain::Chain;
-use plumbline::model::gravity::Mounting;
+use plumbline_core::Clock;
+use plumbline_core::{Command, JointVec, MAX_JOINTS, Setpoint};
+use plumbline_model::chain::Chain;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_sim::{Pace, SimArm, Truth};
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::time::{Duration, Instant};
 

@@ -5,7 +5,7 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use crate::ipc_support::*;
-use plumbline::ipc::{
+use plumbline_ipc::{
     Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, IpcError, Lock, MAX_REQUEST_BYTES,
     News, Presence, Request, Response, SampleStream, Server, ServerSettings, Status, StreamSettings,
 };

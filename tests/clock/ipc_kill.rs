@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use crate::ipc_support::*;
-use plumbline::ipc::{
+use plumbline_ipc::{
     Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, Lock, News, Presence, Request,
     Response, RobotId, SampleStream, Server, ServerSettings, Status, StreamSettings,
 };
@@ -72,7 +72,7 @@ impl Process {
     /// With iceoryx2's names in a folder of its own: nobody else tidies up behind it.
     fn apart(role: &str, robot: &RobotId, place: &Path) -> Process {
         let mut command = Command::new(std::env::current_exe().unwrap());
-        command.env(plumbline::ipc::place::VARIABLE, place);
+        command.env(plumbline_ipc::place::VARIABLE, place);
         Process::of(command, role, robot, place)
     }
 

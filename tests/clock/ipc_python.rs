@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use crate::ipc_support::*;
 use crate::peers::interpreter;
-use plumbline::ipc::{FeedForwardMessage, RobotId, Server, ServerSettings};
+use plumbline_ipc::{FeedForwardMessage, RobotId, Server, ServerSettings};
 
 /// Runs the client and returns its standard output.
 fn torque_follow(python: &str, robot: &RobotId, options: &[&str]) -> String {

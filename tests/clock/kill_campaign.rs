@@ -13,9 +13,9 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::kill_support::*;
-use plumbline::backend::franka::wire::Protocol;
-use plumbline::ipc::{Progress, Request, Response};
-use plumbline::joint::Phase;
+use plumbline_core::Phase;
+use plumbline_franka::wire::Protocol;
+use plumbline_ipc::{Progress, Request, Response};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -468,7 +468,7 @@ fn followed_by(robot: &Robot, pid: u32) -> bool {
 }
 
 fn acknowledged(robot: &Robot, pid: u32) -> u64 {
-    let of = |status: plumbline::ipc::Status| status.served.followers.into_iter().find(|follower| follower.pid == pid);
+    let of = |status: plumbline_ipc::Status| status.served.followers.into_iter().find(|follower| follower.pid == pid);
     robot.status().and_then(of).map_or(0, |follower| follower.acknowledged)
 }
 

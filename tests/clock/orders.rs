@@ -2,9 +2,9 @@
 
 use crate::emulator;
 use crate::job_support::*;
-use plumbline::backend::franka::wire::Protocol;
-use plumbline::ipc::{Client, Progress, Request, Response, RobotId};
-use plumbline::joint::Phase;
+use plumbline_core::Phase;
+use plumbline_franka::wire::Protocol;
+use plumbline_ipc::{Client, Progress, Request, Response, RobotId};
 use std::net::{IpAddr, Ipv4Addr};
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
 use std::path::Path;

@@ -123,8 +123,8 @@ fn a_restarted_daemon_only_holds() {
         let watched = Instant::now();
         while watched.elapsed() < Duration::from_secs(1) {
             let now = wait_for("the daemon", status);
-            assert_eq!((now.phase, now.motion), (plumbline::joint::Phase::Hold, 0), "round {round}, up after {up:?}");
-            assert_eq!(now.progress, plumbline::ipc::Progress::Idle);
+            assert_eq!((now.phase, now.motion), (plumbline_core::Phase::Hold, 0), "round {round}, up after {up:?}");
+            assert_eq!(now.progress, plumbline_ipc::Progress::Idle);
         }
         wait_for("cycles", || (status()?.cycles > 100).then_some(()));
     }

@@ -2,9 +2,9 @@
 //! the log name the signal.
 
 use crate::job_support::*;
-use plumbline::ipc::Progress;
-use plumbline::joint::{Phase, Record};
 use plumbline::recording::Recording;
+use plumbline_core::{Phase, Record};
+use plumbline_ipc::Progress;
 use std::path::PathBuf;
 use std::process::Command;
 use std::time::Duration;

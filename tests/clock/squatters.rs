@@ -8,7 +8,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use crate::ipc_support::*;
-use plumbline::ipc::{
+use plumbline_ipc::{
     Client, FeedForwardClient, FeedForwardSettings, Request, Response, SampleStream, Server, ServerSettings,
     StreamSettings,
 };

@@ -3,7 +3,7 @@
 //! With the tests runs what any machine can decide. `hil/torque-clients/run.sh` compares the loop's statistics and writes docs/torque-clients.md.
 
 use crate::job_support::*;
-use plumbline::ipc::{Client, RobotId, Status};
+use plumbline_ipc::{Client, RobotId, Status};
 use std::fmt::Write as _;
 use std::process::Command;
 use std::time::{Duration, Instant};

@@ -1,14 +1,14 @@
 //! Runs the loop on a fake arm, on the test's own thread, and looks at what was commanded by a route of its own.
 
 use super::{FakeArm, Seen, Trick};
-use plumbline::joint::{JointVec, Limits, MAX_JOINTS, Phase, Record, Setpoint, Torque};
-use plumbline::rt::cycle::{self, Outcome};
-use plumbline::rt::guard::GuardSettings;
-use plumbline::rt::order::{Event, Handles, Order, OrderKind, Told};
-use plumbline::rt::os::Rights;
-use plumbline::rt::recorder::ring;
-use plumbline::rt::settings::CycleSettings;
-use plumbline::rt::{FeedForward, Kinematics, Reference};
+use plumbline_core::{FeedForward, Kinematics, Reference};
+use plumbline_core::{JointVec, Limits, MAX_JOINTS, Phase, Record, Setpoint, Torque};
+use plumbline_rt::cycle::{self, Outcome};
+use plumbline_rt::guard::GuardSettings;
+use plumbline_rt::order::{Event, Handles, Order, OrderKind, Told};
+use plumbline_rt::os::Rights;
+use plumbline_rt::recorder::ring;
+use plumbline_rt::settings::CycleSettings;
 use std::sync::{Arc, Mutex};
 
 /// The Panda's limits (FCI documentation), with joint 8 unused.

@@ -3,8 +3,8 @@
 
 pub mod drive;
 
-use plumbline::joint::{Command, JointVec, MAX_JOINTS, State};
-use plumbline::rt::{Backend, Fault};
+use plumbline_core::{Backend, Fault};
+use plumbline_core::{Command, JointVec, MAX_JOINTS, State};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 

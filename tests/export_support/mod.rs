@@ -2,17 +2,17 @@
 #![allow(dead_code)] // each test file uses its own part
 
 use nalgebra::{DVector, Matrix3, Rotation3, Vector3};
-use plumbline::config::robot::Robot;
-use plumbline::estimate::consistency::{Nearest, Prior, Uncertainty, nearest};
-use plumbline::joint::{MAX_JOINTS, Torque};
-use plumbline::model::base::Reduction;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::inertia::Body;
-use plumbline::model::rnea::LinkParameters;
-use plumbline::model::structure::Structure;
-use plumbline::model::term::Sample;
-use plumbline::model::term::effect::Spec;
-use plumbline::model::torque::TorqueModel;
+use plumbline_core::{MAX_JOINTS, Torque};
+use plumbline_identify::consistency::{Nearest, Prior, Uncertainty, nearest};
+use plumbline_model::base::Reduction;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::inertia::Body;
+use plumbline_model::rnea::LinkParameters;
+use plumbline_model::robot::Robot;
+use plumbline_model::structure::Structure;
+use plumbline_model::term::Sample;
+use plumbline_model::term::effect::Spec;
+use plumbline_model::torque::TorqueModel;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;

@@ -1,16 +1,16 @@
 //! The adapter of Franka arms against a fake control unit that does things wrong, one known pain per test.
 
 use crate::fci_fake::{Fake, READY, World};
-use plumbline::backend::franka::wire::{
+use plumbline_core::{Backend, Fault};
+use plumbline_core::{Command, JointVec, Setpoint, State};
+use plumbline_franka::wire::{
     ErrorBit, Errors, MAX_STATE, MotionGeneratorMode, MoveStatus, Protocol, Request, Response, RobotMode,
 };
-use plumbline::backend::franka::{
+use plumbline_franka::{
     ConnectError, Connection, FrankaArm, Interface, Purpose, REFLEX_MODE, REFUSED_JUMP, REFUSED_MOVE, REFUSED_NO_START,
     REFUSED_NOT_FINITE, REFUSED_POSITION, REFUSED_STOPPED, RobotKind, Settings, Source, connect, explain, recover,
     recover_communication,
 };
-use plumbline::joint::{Command, JointVec, Setpoint, State};
-use plumbline::rt::{Backend, Fault};
 use std::time::{Duration, Instant};
 
 fn settings(fake: &Fake, protocol: Protocol) -> Settings {

@@ -6,8 +6,8 @@ mod steps;
 
 use crate::emulator::{Emulator, Settings as Emulated};
 use clap::Parser;
-use plumbline::backend::franka::wire::Protocol;
-use plumbline::model::gravity::Mounting;
+use plumbline_franka::wire::Protocol;
+use plumbline_model::gravity::Mounting;
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU8, Ordering};

@@ -2,7 +2,7 @@
 
 use crate::emulator::{Emulator, Fault, Hand, Settings};
 use crate::peers;
-use plumbline::backend::franka::wire::Protocol;
+use plumbline_franka::wire::Protocol;
 use serde::Deserialize;
 use std::io::{BufRead, BufReader, Read};
 use std::net::{IpAddr, Ipv4Addr};

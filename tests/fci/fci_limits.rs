@@ -3,9 +3,9 @@
 use crate::emulator::limits::{JOINTS, Limits};
 use crate::emulator::{Emulator, READY, RobotKind, Settings};
 use crate::job_support::{Done, Place, plumbline};
-use plumbline::backend::franka::wire::{Protocol, RobotMode};
-use plumbline::excite::plan::Plan;
 use plumbline::store::load_plan;
+use plumbline_excite::plan::Plan;
+use plumbline_franka::wire::{Protocol, RobotMode};
 use std::net::{IpAddr, Ipv4Addr};
 use std::process::Command;
 use std::sync::atomic::{AtomicU8, Ordering};

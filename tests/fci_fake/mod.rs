@@ -2,12 +2,12 @@
 //! script tells it to do wrong. What a robot really refuses is the emulator's business.
 #![allow(dead_code)] // each test file uses its own part
 
-use plumbline::backend::franka::wire::{
+use plumbline_franka::wire::{
     COMMAND_PORT, CommandKind, Connect, ConnectStatus, Connected, ControllerMode, ErrorBit, Errors, HEADER_BYTES,
     Header, MAX_REQUEST, MAX_STATE, MotionGeneratorMode, MoveStatus, Protocol, RecoveryStatus, Request, Response,
     RobotCommand, RobotMode, RobotModelStatus, RobotState, SetterStatus, StopStatus,
 };
-use plumbline::rt::os::{now_ns, sleep_until};
+use plumbline_rt::os::{now_ns, sleep_until};
 use std::io::{Read, Write};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
@@ -135,7 +135,7 @@ impl World {
 
 /// A description with the limits of the FR3's table, but for joint 1.
 pub fn urdf() -> String {
-    let limits = plumbline::backend::franka::limits::fr3();
+    let limits = plumbline_franka::limits::fr3();
     let joints: String = (0..7)
         .map(|j| {
             format!(

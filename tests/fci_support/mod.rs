@@ -1,19 +1,17 @@
 //! The whole loop on a Franka arm over real sockets: to the start of an excitation, through one period of it, and to an orderly end.
 #![allow(dead_code)] // each test file uses its own part
 
-use plumbline::backend::franka::{
-    ConnectError, Connection, FrankaArm, Settings, Statistics, connect, explain, recover,
-};
-use plumbline::excite::fourier::{Fourier, PeriodicMotion};
-use plumbline::joint::{JointVec, Phase, Record};
-use plumbline::rt::FeedForward;
-use plumbline::rt::cycle::{self, End, Outcome};
-use plumbline::rt::guard::GuardSettings;
-use plumbline::rt::order::{Event, Order, OrderKind, StopReason, Told};
-use plumbline::rt::os::Rights;
-use plumbline::rt::recorder::ring;
-use plumbline::rt::settings::CycleSettings;
 use plumbline::store::load_plan;
+use plumbline_core::FeedForward;
+use plumbline_core::{JointVec, Phase, Record};
+use plumbline_excite::fourier::{Fourier, PeriodicMotion};
+use plumbline_franka::{ConnectError, Connection, FrankaArm, Settings, Statistics, connect, explain, recover};
+use plumbline_rt::cycle::{self, End, Outcome};
+use plumbline_rt::guard::GuardSettings;
+use plumbline_rt::order::{Event, Order, OrderKind, StopReason, Told};
+use plumbline_rt::os::Rights;
+use plumbline_rt::recorder::ring;
+use plumbline_rt::settings::CycleSettings;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -126,7 +124,7 @@ pub fn drive_serving(
 /// right end of 20 ms of it. franka-sim also takes commands that come a few milliseconds late and goes back on what it had extrapolated for
 /// them, where a robot drops them; after that its point is one that no client can know. Everything else that ends a run stands.
 pub fn drive_patiently(settings: &Settings, fourier: &Fourier, most: Duration, tries: u32) -> Run {
-    use plumbline::rt::Fault;
+    use plumbline_core::Fault;
     let mut attempt = 1;
     loop {
         let run = drive(settings, fourier, most).unwrap_or_else(|error| panic!("{error}"));

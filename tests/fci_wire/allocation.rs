@@ -3,7 +3,7 @@
 use std::hint::black_box;
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc, violation_count};
-use plumbline::backend::franka::wire::*;
+use plumbline_franka::wire::*;
 
 use crate::draw::Draws;
 

@@ -1,6 +1,6 @@
 //! Messages with arbitrary content, from a list of arbitrary words: proptest's, which it can shrink, or a random generator's.
 
-use plumbline::backend::franka::wire::*;
+use plumbline_franka::wire::*;
 
 /// Words enough for the longest message.
 pub const WORDS: usize = 420;

@@ -2,8 +2,8 @@
 //!
 //! A case is given by a seed and a number alone. `examples/fuzz_wire.rs` runs the same cases for as long as one likes.
 
-use plumbline::backend::franka::wire::layout::Scalar;
-use plumbline::backend::franka::wire::*;
+use plumbline_franka::wire::layout::Scalar;
+use plumbline_franka::wire::*;
 use rand::{Rng, RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

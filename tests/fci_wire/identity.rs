@@ -1,6 +1,6 @@
 //! There and back: every message at every version is what it was.
 
-use plumbline::backend::franka::wire::*;
+use plumbline_franka::wire::*;
 use proptest::prelude::*;
 
 use crate::draw::{Draws, WORDS};

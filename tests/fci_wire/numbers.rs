@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use plumbline::backend::franka::wire::*;
+use plumbline_franka::wire::*;
 
 fn request(request: Request, protocol: Protocol, id: u32) -> Vec<u8> {
     let mut out = [0; MAX_REQUEST];

@@ -1,7 +1,7 @@
 //! Every field of a state and of a command against its offset and size in the C++ headers, as `offsetof` and `sizeof` print them.
 
-use plumbline::backend::franka::wire::layout::Slot;
-use plumbline::backend::franka::wire::*;
+use plumbline_franka::wire::layout::Slot;
+use plumbline_franka::wire::*;
 
 /// Name, offset and size at versions 5 and 9, the same at version 10, and what is read from there.
 type Row<T> = (&'static str, usize, usize, usize, usize, fn(&T) -> Vec<f64>);

@@ -1,6 +1,6 @@
 //! Bad bytes are refused with what was expected and found, and what a version lacks can't be sent.
 
-use plumbline::backend::franka::wire::*;
+use plumbline_franka::wire::*;
 
 #[test]
 fn packets_of_another_length_are_refused() {

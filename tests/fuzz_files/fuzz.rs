@@ -3,16 +3,16 @@
 //!
 //! A case is given by a seed and a number alone. `examples/fuzz_files.rs` runs the same cases for as long as one likes.
 
-use plumbline::backend::franka::limits_from_urdf;
-use plumbline::backend::sim::Truth;
 use plumbline::config::job::Job;
-use plumbline::config::robot::Robot;
 use plumbline::dataset::{Dataset, Run};
-use plumbline::input::BadInput;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::term::Sample;
 use plumbline::store::export::tree::Tree;
 use plumbline::store::{ModelFile, parse_plan};
+use plumbline_core::BadInput;
+use plumbline_franka::limits_from_urdf;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::term::Sample;
+use plumbline_sim::Truth;
 use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -1,19 +1,19 @@
 //! What changed since a model was identified, on simulated recordings whose truth is known.
 
 use crate::scene::lab::{Noise, Period, period, plans};
-use plumbline::backend::sim::Truth;
-use plumbline::config::robot::Robot;
-use plumbline::diagnose::Settings;
-use plumbline::diagnose::evidence::Trial;
-use plumbline::diagnose::reference::{Change, Changes, between_sessions, changes, extended};
-use plumbline::estimate::experiment::{self, Experiment};
-use plumbline::estimate::solve::identify;
-use plumbline::estimate::validate::validate;
-use plumbline::model::base::{BaseKind, Reduction};
-use plumbline::model::chain::Chain;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::structure::Structure;
-use plumbline::model::torque::TorqueModel;
+use plumbline_diagnose::Settings;
+use plumbline_diagnose::evidence::Trial;
+use plumbline_diagnose::reference::{Change, Changes, between_sessions, changes, extended};
+use plumbline_identify::experiment::{self, Experiment};
+use plumbline_identify::solve::identify;
+use plumbline_identify::validate::validate;
+use plumbline_model::base::{BaseKind, Reduction};
+use plumbline_model::chain::Chain;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::structure::Structure;
+use plumbline_model::torque::TorqueModel;
+use plumbline_sim::Truth;
 use std::sync::OnceLock;
 
 const PAYLOAD: &str = "[[effect]]\nid = \"payload\"\nmass = 0.73\ncom = [0.0, 0.0, 0.15]\n\
@@ -88,7 +88,7 @@ fn a_payload_is_found_with_its_mass_and_the_model_that_carries_it_predicts() {
     assert_eq!(names(&found), ["payload the arm"]);
     let body = found.effects[0].body.unwrap();
     println!("payload of 0.73 kg at 0.15 m, 2 trajectories x {PERIODS} periods: {body:.5?}");
-    let close = |estimate: plumbline::diagnose::reference::Estimate, truth: f64, widest: f64| {
+    let close = |estimate: plumbline_diagnose::reference::Estimate, truth: f64, widest: f64| {
         let std = estimate.std.unwrap();
         assert!(std < widest && (estimate.value - truth).abs() < 4.0 * std, "{estimate:?} for {truth}");
     };

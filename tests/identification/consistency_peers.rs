@@ -4,7 +4,7 @@
 mod sdp;
 
 use crate::peers;
-use plumbline::estimate::consistency::{Uncertainty, nearest};
+use plumbline_identify::consistency::{Uncertainty, nearest};
 
 /// Clarabel goes all the way to the least distance; ours keeps a trace of its prior, which may cost some hundredths of a standard
 /// deviation and never gains any.

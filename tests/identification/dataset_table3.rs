@@ -1,13 +1,13 @@
 //! The paper's Table III, shipped as a model file, predicts another lab's Panda to a few tenths of a Nm.
 
 use nalgebra::DMatrix;
-use plumbline::config::robot::Robot;
 use plumbline::dataset::{Dataset, Run};
-use plumbline::joint::JointVec;
-use plumbline::model::base::BaseKind;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::term::Motion;
 use plumbline::store::ModelFile;
+use plumbline_core::JointVec;
+use plumbline_model::base::BaseKind;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::term::Motion;
 use std::path::{Path, PathBuf};
 
 fn table3() -> ModelFile {

@@ -2,16 +2,16 @@
 
 use crate::scene::Scene;
 use nalgebra::{DMatrix, DVector};
-use plumbline::diagnose::Settings;
-use plumbline::diagnose::diagnosis::{Input, diagnose};
-use plumbline::diagnose::errors::Of;
-use plumbline::diagnose::evidence::Trial;
-use plumbline::diagnose::outcome::Outcome;
-use plumbline::estimate::experiment::{self, Experiment};
-use plumbline::estimate::run::Run;
-use plumbline::estimate::solve::Options;
-use plumbline::model::term::Motion;
-use plumbline::model::term::effect::{Ground, Site, Spec};
+use plumbline_diagnose::Settings;
+use plumbline_diagnose::diagnosis::{Input, diagnose};
+use plumbline_diagnose::errors::Of;
+use plumbline_diagnose::evidence::Trial;
+use plumbline_diagnose::outcome::Outcome;
+use plumbline_identify::experiment::{self, Experiment};
+use plumbline_identify::run::Run;
+use plumbline_identify::solve::Options;
+use plumbline_model::term::Motion;
+use plumbline_model::term::effect::{Ground, Site, Spec};
 
 /// Recordings of the arm, the first ones to identify from and the last to judge by, each with a torque of its own on top.
 fn diagnosed(scene: &Scene, identify: usize, extra: impl Fn(usize, &mut Run)) -> Outcome {

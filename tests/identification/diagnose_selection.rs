@@ -9,9 +9,9 @@ pub mod trial;
 
 use crate::scene;
 use case::{Case, Injected, What};
-use plumbline::diagnose::outcome::Verdict;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::term::effect::Site;
+use plumbline_diagnose::outcome::Verdict;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::term::effect::Site;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use trial::{Bench, Judged};

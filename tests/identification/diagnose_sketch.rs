@@ -2,13 +2,13 @@
 
 use crate::diagnose_selection::trial::Bench;
 use crate::scene::lab::{self, Noise};
-use plumbline::diagnose::evidence::{Evidence, Trial};
-use plumbline::diagnose::library::Candidate;
-use plumbline::estimate::experiment::{self, Experiment};
-use plumbline::model::base::Reduction;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::structure::Structure;
-use plumbline::model::term::effect::{Site, Spec};
+use plumbline_diagnose::evidence::{Evidence, Trial};
+use plumbline_diagnose::library::Candidate;
+use plumbline_identify::experiment::{self, Experiment};
+use plumbline_model::base::Reduction;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::structure::Structure;
+use plumbline_model::term::effect::{Site, Spec};
 
 #[test]
 fn a_sketch_of_a_swinging_link_is_nearly_its_columns() {
@@ -20,7 +20,7 @@ fn a_sketch_of_a_swinging_link_is_nearly_its_columns() {
     let evidence = Evidence::of(&chain, &trials, 10.0);
     let structure =
         Structure::of(chain.clone(), Reduction::in_mounting(&chain, &Mounting::WALL), &["friction"]).unwrap();
-    let beta = plumbline::estimate::solve::identify(&structure, std::slice::from_ref(&experiment)).unwrap().beta;
+    let beta = plumbline_identify::solve::identify(&structure, std::slice::from_ref(&experiment)).unwrap().beta;
     let ground = structure.ground(&beta);
     // Joint 7 flutters in its gap, joint 2 swings slowly.
     for (joint, settings) in [(6, vec![7.5e-4, 0.5, 5.0]), (1, vec![7.5e-4, 0.5, 2.5])] {

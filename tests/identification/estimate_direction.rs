@@ -1,13 +1,13 @@
 //! The direction of gravity by the torques of an arm at rest.
 
 use nalgebra::Vector3;
-use plumbline::config::robot::Robot;
-use plumbline::estimate::direction::{Direction, DirectionError, Pose, direction, wrong_sign};
-use plumbline::joint::JointVec;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::term::Sample;
-use plumbline::model::torque::TorqueModel;
 use plumbline::store::ModelFile;
+use plumbline_core::JointVec;
+use plumbline_identify::direction::{Direction, DirectionError, Pose, direction, wrong_sign};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::term::Sample;
+use plumbline_model::torque::TorqueModel;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

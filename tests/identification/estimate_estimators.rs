@@ -3,10 +3,10 @@
 use crate::scene;
 use crate::scene::{Extra, Scene};
 use nalgebra::DVector;
-use plumbline::estimate::EstimateError;
-use plumbline::estimate::experiment::{Experiment, Settings};
-use plumbline::estimate::run::Run;
-use plumbline::estimate::solve::{Estimator, Identification, Options, Outcome, identify_with};
+use plumbline_identify::EstimateError;
+use plumbline_identify::experiment::{Experiment, Settings};
+use plumbline_identify::run::Run;
+use plumbline_identify::solve::{Estimator, Identification, Options, Outcome, identify_with};
 use std::sync::LazyLock;
 
 static SCENE: LazyLock<Scene> = LazyLock::new(Scene::panda_on_the_wall);
@@ -42,8 +42,8 @@ fn bound(periods: usize) -> Vec<f64> {
 
 #[test]
 fn the_scene_draws_what_the_arms_sensors_draw() {
-    use plumbline::excite::fourier::PeriodicMotion;
     use plumbline::store::parse_plan;
+    use plumbline_excite::fourier::PeriodicMotion;
     // The second of two periods, as in the scene: sensor for sensor the same numbers as the arm's own, once its generator stands there.
     let plan = parse_plan("wall.toml", include_str!("../scene/wall.toml")).unwrap();
     let reference = PeriodicMotion::new(&plan.fourier().unwrap(), 2).unwrap();
@@ -221,11 +221,8 @@ fn aperiodic_runs_with_coloured_noise_have_honest_intervals() {
         run.period = None;
         let found = with(Estimator::Wls, &[prepare(&run)]);
         let z = z(&found);
-        within.0 += z
-            .iter()
-            .zip(&found.freedom)
-            .filter(|(z, f)| z.abs() < plumbline::estimate::solve::student_975(**f))
-            .count();
+        within.0 +=
+            z.iter().zip(&found.freedom).filter(|(z, f)| z.abs() < plumbline_identify::solve::student_975(**f)).count();
         within.1 += z.len();
         all.extend(z);
     }

@@ -6,14 +6,14 @@
 
 use crate::logs;
 use nalgebra::DMatrix;
-use plumbline::estimate::experiment::{Experiment, Settings};
-use plumbline::estimate::run::Run;
-use plumbline::estimate::solve::{Identification, identify};
-use plumbline::estimate::validate::{Rms, validate_parameters};
-use plumbline::model::base::Reduction;
-use plumbline::model::chain::{Chain, Joint, JointKind, Placement};
-use plumbline::model::gravity::Mounting;
-use plumbline::model::structure::Structure;
+use plumbline_identify::experiment::{Experiment, Settings};
+use plumbline_identify::run::Run;
+use plumbline_identify::solve::{Identification, identify};
+use plumbline_identify::validate::{Rms, validate_parameters};
+use plumbline_model::base::Reduction;
+use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::structure::Structure;
 use std::f64::consts::FRAC_PI_2;
 use std::path::PathBuf;
 

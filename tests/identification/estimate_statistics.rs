@@ -3,8 +3,8 @@
 
 use crate::scene::Scene;
 use crate::scene::campaign::Campaign;
-use plumbline::estimate::experiment::{Experiment, Method, Settings};
-use plumbline::estimate::solve::identify;
+use plumbline_identify::experiment::{Experiment, Method, Settings};
+use plumbline_identify::solve::identify;
 
 const RUNS: usize = 16;
 const PERIODS: usize = 10;

@@ -1,19 +1,19 @@
 //! The excitation optimiser on a Panda on a wall: its gradient is exact, and what it finds is good, held to every limit, and repeats.
 
-use plumbline::config::robot::Robot;
-use plumbline::excite::ExciteError;
-use plumbline::excite::criterion::Criterion;
-use plumbline::excite::limits::{Bounds, Margins, Quantity};
-use plumbline::excite::nominal::Nominal;
-use plumbline::excite::optimiser::grid::Grid;
-use plumbline::excite::optimiser::objective::{Objective, Sharpness};
-use plumbline::excite::optimiser::optimise;
-use plumbline::excite::search::{Problem, Progress, Search, Watch, random, together, verdict};
-use plumbline::joint::{Limits, MAX_JOINTS};
-use plumbline::model::base::Reduction;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::structure::Structure;
 use plumbline::store::ModelFile;
+use plumbline_core::{Limits, MAX_JOINTS};
+use plumbline_excite::ExciteError;
+use plumbline_excite::criterion::Criterion;
+use plumbline_excite::limits::{Bounds, Margins, Quantity};
+use plumbline_excite::nominal::Nominal;
+use plumbline_excite::optimiser::grid::Grid;
+use plumbline_excite::optimiser::objective::{Objective, Sharpness};
+use plumbline_excite::optimiser::optimise;
+use plumbline_excite::search::{Problem, Progress, Search, Watch, random, together, verdict};
+use plumbline_model::base::Reduction;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::structure::Structure;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::Path;

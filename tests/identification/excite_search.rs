@@ -1,19 +1,19 @@
 //! Random motions of a Panda on a wall: they keep every limit, and say what is wrong with a start pose.
 
-use plumbline::config::robot::Robot;
-use plumbline::excite::ExciteError;
-use plumbline::excite::criterion::{MAX_CONDITION, evaluate, raw_condition, sampled};
-use plumbline::excite::limits::{Bounds, Margins};
-use plumbline::excite::nominal::Nominal;
-use plumbline::excite::optimiser::optimise;
-use plumbline::excite::plan::Plan;
-use plumbline::excite::search::{Problem, Search, Watch, random, verdict};
-use plumbline::excite::usage::{MIN_USAGE, least, usage};
-use plumbline::joint::{Limits, Workspace};
-use plumbline::model::base::Reduction;
-use plumbline::model::chain::Chain;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::structure::Structure;
+use plumbline_core::{Limits, Workspace};
+use plumbline_excite::ExciteError;
+use plumbline_excite::criterion::{MAX_CONDITION, evaluate, raw_condition, sampled};
+use plumbline_excite::limits::{Bounds, Margins};
+use plumbline_excite::nominal::Nominal;
+use plumbline_excite::optimiser::optimise;
+use plumbline_excite::plan::Plan;
+use plumbline_excite::search::{Problem, Search, Watch, random, verdict};
+use plumbline_excite::usage::{MIN_USAGE, least, usage};
+use plumbline_model::base::Reduction;
+use plumbline_model::chain::Chain;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::structure::Structure;
 
 const START: [f64; 7] = [0.0, -0.4, 0.0, -1.9, 0.0, 1.9, 0.0];
 
@@ -231,7 +231,7 @@ fn a_plan_survives_its_file() {
     let arm = Arm::new();
     let plan = random(&arm.problem(None), &short(), 0.5).unwrap();
     let text = toml::to_string(&plan).unwrap();
-    let back: Plan = plumbline::input::from_toml("plan.toml", &text).unwrap();
+    let back: Plan = plumbline_core::from_toml("plan.toml", &text).unwrap();
     assert_eq!(plan, back);
     assert_eq!(plan.fourier().unwrap(), back.fourier().unwrap());
     let mut short = back;

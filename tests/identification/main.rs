@@ -39,6 +39,7 @@ mod model_fast;
 mod model_golden;
 mod mounting_check;
 mod paper;
+mod plausibility;
 mod real_data;
 mod report_diagnosis;
 mod report_files;

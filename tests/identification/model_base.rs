@@ -3,12 +3,12 @@
 use crate::arms;
 use crate::arms::{all, any_mounting, chain, draw, random_chain, torque};
 use nalgebra::{DMatrix, DVector};
-use plumbline::model::base::{BaseKind, Reduction};
-use plumbline::model::chain::{Chain, Joint, JointKind, Placement};
-use plumbline::model::expression;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::regressor::{LINK_COLUMNS, regressor};
-use plumbline::model::structure::Structure;
+use plumbline_model::base::{BaseKind, Reduction};
+use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
+use plumbline_model::expression;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::regressor::{LINK_COLUMNS, regressor};
+use plumbline_model::structure::Structure;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rstest::rstest;

@@ -2,9 +2,9 @@
 
 use crate::arms::{all, any_mounting, chain, draw, random_chain, torque};
 use nalgebra::{DMatrix, DVector, Matrix4, Vector3};
-use plumbline::model::chain::{Chain, Joint, JointKind, Placement, StandardDh};
-use plumbline::model::gravity::{G, Mounting};
-use plumbline::model::regressor::{LINK_COLUMNS, regressor};
+use plumbline_model::chain::{Chain, Joint, JointKind, Placement, StandardDh};
+use plumbline_model::gravity::{G, Mounting};
+use plumbline_model::regressor::{LINK_COLUMNS, regressor};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -3,17 +3,17 @@
 use crate::arms;
 use crate::arms::{all, any_mounting, draw, links, random_chain};
 use nalgebra::{DMatrix, Vector3};
-use plumbline::joint::JointVec;
-use plumbline::model::base::{BaseKind, Reduction};
-use plumbline::model::chain::{Chain, JointKind};
-use plumbline::model::fast::closed::ClosedForm;
-use plumbline::model::fast::links::LinkColumns;
-use plumbline::model::fast::sample::SampleRegressor;
-use plumbline::model::regressor::regressor;
-use plumbline::model::rnea::{LinkParameters, rnea};
-use plumbline::model::structure::Structure;
-use plumbline::model::term::{FixedTerm, Motion, Sample};
-use plumbline::model::torque::TorqueModel;
+use plumbline_core::JointVec;
+use plumbline_model::base::{BaseKind, Reduction};
+use plumbline_model::chain::{Chain, JointKind};
+use plumbline_model::fast::closed::ClosedForm;
+use plumbline_model::fast::links::LinkColumns;
+use plumbline_model::fast::sample::SampleRegressor;
+use plumbline_model::regressor::regressor;
+use plumbline_model::rnea::{LinkParameters, rnea};
+use plumbline_model::structure::Structure;
+use plumbline_model::term::{FixedTerm, Motion, Sample};
+use plumbline_model::torque::TorqueModel;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -1,9 +1,9 @@
 //! Torques, regressors and kinematics against Pinocchio (`tests/golden/make.py` writes the values).
 
 use nalgebra::{DMatrix, Vector3};
-use plumbline::config::robot::Robot;
-use plumbline::model::regressor::{LINK_COLUMNS, regressor};
-use plumbline::model::rnea::{LinkParameters, rnea};
+use plumbline_model::regressor::{LINK_COLUMNS, regressor};
+use plumbline_model::rnea::{LinkParameters, rnea};
+use plumbline_model::robot::Robot;
 use serde::Deserialize;
 use std::path::Path;
 

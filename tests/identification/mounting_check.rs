@@ -1,14 +1,14 @@
 //! Before anything is served: declared, measured and implied directions of gravity have to agree.
 
 use nalgebra::Vector3;
-use plumbline::config::robot::Robot;
-use plumbline::estimate::direction::Pose;
-use plumbline::estimate::mounting_check::{Disagreement, Side, cross_check, implied};
-use plumbline::joint::JointVec;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::term::Sample;
-use plumbline::model::torque::TorqueModel;
 use plumbline::store::ModelFile;
+use plumbline_core::JointVec;
+use plumbline_identify::direction::Pose;
+use plumbline_identify::mounting_check::{Disagreement, Side, cross_check, implied};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::term::Sample;
+use plumbline_model::torque::TorqueModel;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

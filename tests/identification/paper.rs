@@ -7,10 +7,10 @@ mod figures;
 #[path = "../../examples/paper/tables.rs"]
 mod tables;
 
-use plumbline::config::robot::Robot;
-use plumbline::estimate::experiment::Settings;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::rnea::rnea;
+use plumbline_identify::experiment::Settings;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::rnea::rnea;
+use plumbline_model::robot::Robot;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::Path;

@@ -1,9 +1,9 @@
 //! The diagnosis in the report: the promised keys, the words of every verdict, the page with much, little and odd content.
 
-use plumbline::model::gravity::Mounting;
 use plumbline::report::diagnosis::*;
 use plumbline::report::figures::{DiagnosisFigures, EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
 use plumbline::report::*;
+use plumbline_model::gravity::Mounting;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

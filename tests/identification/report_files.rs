@@ -1,16 +1,16 @@
 //! The report: the promised schema, everything inside one HTML file, text from files escaped.
 
-use plumbline::config::robot::Robot;
-use plumbline::ipc::{Gravity, Link, MotionGravity, Session, Times};
-use plumbline::joint::Workspace;
-use plumbline::model::base::Reduction;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::structure::Structure;
-use plumbline::model::term::effect::{Site, Spec};
-use plumbline::model::torque::TorqueModel;
 use plumbline::report::figures::{PlanFigure, TorqueFigure};
 use plumbline::report::*;
 use plumbline::store::ModelFile;
+use plumbline_core::Workspace;
+use plumbline_ipc::{Gravity, Link, MotionGravity, Session, Times};
+use plumbline_model::base::Reduction;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::structure::Structure;
+use plumbline_model::term::effect::{Site, Spec};
+use plumbline_model::torque::TorqueModel;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::{Path, PathBuf};

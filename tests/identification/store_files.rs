@@ -1,18 +1,18 @@
 //! Model and plan files: bit-exact round trips, and every wrong number refused by name.
 
 use nalgebra::Vector3;
-use plumbline::config::robot::Robot;
-use plumbline::excite::limits::Margins;
-use plumbline::excite::plan::{Constraints, Plan, PlanUsage};
-use plumbline::input::BadInput;
-use plumbline::model::base::{BaseKind, Reduction};
-use plumbline::model::chain::Chain;
-use plumbline::model::conditioning::Conditions;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::structure::Structure;
-use plumbline::model::term::Sample;
-use plumbline::model::torque::TorqueModel;
 use plumbline::store::*;
+use plumbline_core::BadInput;
+use plumbline_excite::limits::Margins;
+use plumbline_excite::plan::{Constraints, Plan, PlanUsage};
+use plumbline_model::base::{BaseKind, Reduction};
+use plumbline_model::chain::Chain;
+use plumbline_model::conditioning::Conditions;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::structure::Structure;
+use plumbline_model::term::Sample;
+use plumbline_model::torque::TorqueModel;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use plumbline::ipc::{Delivery, RobotId, SampleStream, Server, ServerSettings, now_ns};
-use plumbline::joint::{Phase, Record, Validity};
+use plumbline_core::{Phase, Record, Validity};
+use plumbline_ipc::{Delivery, RobotId, SampleStream, Server, ServerSettings, now_ns};
 
 /// Long enough for a loaded machine; nothing waits this long when it works.
 pub const PATIENCE: Duration = Duration::from_secs(20);

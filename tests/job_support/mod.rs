@@ -9,11 +9,11 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use nalgebra::DVector;
-use plumbline::backend::sim::Truth;
-use plumbline::config::robot::Robot;
-use plumbline::ipc::Status;
-use plumbline::model::base::Reduction;
 use plumbline::report::Report;
+use plumbline_ipc::Status;
+use plumbline_model::base::Reduction;
+use plumbline_model::robot::Robot;
+use plumbline_sim::Truth;
 use tempfile::TempDir;
 
 /// Long enough for a loaded machine; nothing waits this long when it works.
@@ -315,9 +315,7 @@ pub fn z_scores(report: &Report, truth: &[(String, f64)]) -> Vec<(String, f64)> 
 
 /// Noise of a raw torque sample of every joint: the sensor's noise and its step's rounding \[Nm\].
 pub fn torque_noise(truth: &Truth) -> Vec<f64> {
-    let one = |joint: &plumbline::backend::sim::truth::JointTruth| {
-        joint.torque_noise.hypot(joint.torque_quantum / 12f64.sqrt())
-    };
+    let one = |joint: &plumbline_sim::truth::JointTruth| joint.torque_noise.hypot(joint.torque_quantum / 12f64.sqrt());
     truth.joints.iter().map(one).collect()
 }
 

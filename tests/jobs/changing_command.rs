@@ -3,12 +3,12 @@
 use crate::scene::DT;
 use crate::scene::lab::{Noise, of_force, period, plans, window};
 use nalgebra::Vector3;
-use plumbline::backend::sim::Truth;
-use plumbline::config::robot::Robot;
 use plumbline::dataset::{Dataset, Role, Run};
-use plumbline::model::gravity::Mounting;
 use plumbline::report::Report;
 use plumbline::report::diagnosis::{Occurrence, Verdict};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_sim::Truth;
 use std::path::Path;
 use std::process::Command;
 

@@ -1,11 +1,11 @@
 //! `plumbline compare`, the real binary on datasets in their folder form.
 
 use crate::scene::lab::{Noise, period, plans};
-use plumbline::backend::sim::Truth;
-use plumbline::config::robot::Robot;
 use plumbline::dataset::{Dataset, Role, Run};
-use plumbline::model::gravity::Mounting;
 use plumbline::report::Report;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_sim::Truth;
 use std::path::Path;
 use std::process::{Command, Output};
 

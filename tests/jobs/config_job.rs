@@ -1,11 +1,10 @@
 //! The job configuration: shipped files load, every bad value is refused by name, overrides win over the file.
 
-use plumbline::backend::franka::Interface;
 use plumbline::config::job::franka::Recovery;
 use plumbline::config::job::{Job, OnLoss, Pace, Resource};
-use plumbline::estimate::experiment::Settings;
-use plumbline::joint;
-use plumbline::model::gravity::Mounting;
+use plumbline_franka::Interface;
+use plumbline_identify::experiment::Settings;
+use plumbline_model::gravity::Mounting;
 use std::path::Path;
 
 const LEAST: &str = "robot = \"panda\"\nmounting = \"wall\"\n[backend]\nkind = \"sim\"\narm = \"sim-panda\"\n";
@@ -291,8 +290,8 @@ fn files_are_found_beside_the_configuration() {
 
 #[test]
 fn own_limits_only_tighten_and_shares_leave_the_guard_alone() {
-    let eight = |value: f64| [value; joint::MAX_JOINTS];
-    let robot = joint::Limits {
+    let eight = |value: f64| [value; plumbline_core::MAX_JOINTS];
+    let robot = plumbline_core::Limits {
         q_min: eight(-2.0),
         q_max: eight(2.0),
         dq: eight(2.0),

@@ -3,11 +3,11 @@
 use crate::job_support::*;
 use crate::scene::Scene;
 use plumbline::dataset::{Dataset, Role, Run};
-use plumbline::ipc::Progress;
-use plumbline::model::base::Reduction;
-use plumbline::model::structure::Structure;
-use plumbline::model::torque::TorqueModel;
 use plumbline::store::{ModelFile, Provenance};
+use plumbline_ipc::Progress;
+use plumbline_model::base::Reduction;
+use plumbline_model::structure::Structure;
+use plumbline_model::torque::TorqueModel;
 use std::path::{Path, PathBuf};
 
 /// Every fourth millisecond of a recording.

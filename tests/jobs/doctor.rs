@@ -2,7 +2,7 @@
 
 use crate::job_support::*;
 use plumbline::machine::{Finding, Tree, Verdict, Wanted, look};
-use plumbline::rt::rights::Rights;
+use plumbline_rt::rights::Rights;
 use std::net::IpAddr;
 use std::path::Path;
 use tempfile::TempDir;

@@ -1,6 +1,6 @@
 //! `plumbline effects`: every effect is listed for people, one can be asked for, and an unknown one is refused by name.
 
-use plumbline::model::term::effect::FAMILIES;
+use plumbline_model::term::effect::FAMILIES;
 use std::process::{Command, Output};
 
 fn effects(arguments: &[&str]) -> Output {

@@ -3,8 +3,8 @@
 
 use crate::job_support::*;
 use crate::peers;
-use plumbline::ipc::{Client, Request, Response, RobotId};
 use plumbline::recording::Recording;
+use plumbline_ipc::{Client, Request, Response, RobotId};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -87,7 +87,7 @@ fn a_guard_stop_in_mid_motion() {
     std::fs::create_dir(&data).unwrap();
     std::fs::copy(&file, data.join("run.mcap")).unwrap();
     let run =
-        plumbline::dataset::Run::read_csv(&data.join("run.mcap"), plumbline::model::gravity::Mounting::WALL).unwrap();
+        plumbline::dataset::Run::read_csv(&data.join("run.mcap"), plumbline_model::gravity::Mounting::WALL).unwrap();
     let cycles = Recording::read(&file).unwrap().records.len();
     assert_eq!((run.samples(), run.joints(), run.tau.ncols()), (cycles, 7, 7));
 

@@ -8,12 +8,12 @@ use crate::job_support::*;
 use crate::scene;
 use crate::scene::lab::{Noise, period, plans};
 use nalgebra::{DMatrix, DVector};
-use plumbline::backend::sim::Truth;
-use plumbline::config::robot::Robot;
 use plumbline::dataset::{Dataset, Role, Run};
-use plumbline::model::term::Motion;
 use plumbline::report::Report;
 use plumbline::store::ModelFile;
+use plumbline_model::robot::Robot;
+use plumbline_model::term::Motion;
+use plumbline_sim::Truth;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
@@ -73,7 +73,7 @@ fn mean_period(file: &Path, samples: usize) -> Vec<Vec<f64>> {
 fn errors(
     model: &Path,
     files: &[std::path::PathBuf],
-    mounting: &plumbline::model::gravity::Mounting,
+    mounting: &plumbline_model::gravity::Mounting,
     samples: usize,
 ) -> Vec<f64> {
     let file = ModelFile::load(model, |name| Ok(Robot::load(name, None)?.chain)).unwrap();

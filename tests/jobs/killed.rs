@@ -3,8 +3,8 @@
 use crate::turns::Turns;
 
 use crate::job_support::*;
-use plumbline::ipc::{Progress, RobotId, SampleStream, StreamSettings};
-use plumbline::joint::Phase;
+use plumbline_core::Phase;
+use plumbline_ipc::{Progress, RobotId, SampleStream, StreamSettings};
 use std::time::Duration;
 
 /// Each job has three processes that compute as fast as they can, one of them waiting for another most of the time.

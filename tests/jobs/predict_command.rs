@@ -3,10 +3,10 @@
 use crate::job_support::*;
 use crate::logs;
 use nalgebra::DMatrix;
-use plumbline::config::robot::Robot;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::term::Motion;
 use plumbline::store::ModelFile;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::term::Motion;
 use rand::{Rng, SeedableRng};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};

@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::job_support::{Place, plumbline, signal};
-use plumbline::ipc::{
+use plumbline_ipc::{
     Client, Delivery, FeedForwardClient, FeedForwardSettings, Progress, Request, Response, RobotId, SampleStream,
     Status, StreamSettings,
 };
@@ -205,7 +205,7 @@ fn follow_torque(robot: &RobotId, stop: &AtomicBool, complaints: &Complaints, co
             Ok(Some(latest)) => {
                 let now = (latest.message.epoch, latest.message.sequence);
                 // The clock is read anew here: this process may have stood still since the value was judged.
-                let age = plumbline::ipc::boot_ns().saturating_sub(latest.message.stamp_ns);
+                let age = plumbline_ipc::boot_ns().saturating_sub(latest.message.stamp_ns);
                 let slack = 50_000_000;
                 if !latest.stale && age > settings.stale_after_ms * 1_000_000 + slack {
                     complaints.lock().unwrap().push(format!("a torque of {age} ns age was not marked"));

@@ -4,11 +4,11 @@
 
 use super::peers;
 use nalgebra::{DMatrix, DVector};
-use plumbline::backend::sim::Truth;
-use plumbline::config::robot::Robot;
-use plumbline::estimate::consistency::{FLOOR, Prior};
-use plumbline::model::base::Reduction;
-use plumbline::model::structure::Structure;
+use plumbline_identify::consistency::{FLOOR, Prior};
+use plumbline_model::base::Reduction;
+use plumbline_model::robot::Robot;
+use plumbline_model::structure::Structure;
+use plumbline_sim::Truth;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;

@@ -3,7 +3,7 @@
 
 use super::Scene;
 use nalgebra::DMatrix;
-use plumbline::estimate::solve::Identification;
+use plumbline_identify::solve::Identification;
 use std::thread;
 
 /// What one run found.

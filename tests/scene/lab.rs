@@ -4,13 +4,13 @@
 
 use super::DT;
 use nalgebra::{DMatrix, Vector3};
-use plumbline::backend::sim::{Response, Truth};
-use plumbline::estimate::run::Run;
-use plumbline::excite::fourier::PeriodicMotion;
-use plumbline::excite::plan::Plan;
-use plumbline::model::chain::{Chain, JointKind, Placement};
-use plumbline::model::gravity::Mounting;
 use plumbline::store::parse_plan;
+use plumbline_excite::fourier::PeriodicMotion;
+use plumbline_excite::plan::Plan;
+use plumbline_identify::run::Run;
+use plumbline_model::chain::{Chain, JointKind, Placement};
+use plumbline_model::gravity::Mounting;
+use plumbline_sim::{Response, Truth};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;

@@ -6,19 +6,19 @@ pub mod campaign;
 pub mod lab;
 
 use nalgebra::{Cholesky, DMatrix, DVector};
-use plumbline::backend::sim::{Gate, Pace, SimArm, Truth};
-use plumbline::config::robot::Robot;
 use plumbline::dataset::{self, Role};
-use plumbline::estimate::run::Run;
-use plumbline::estimate::signal::spectral::Spectral;
-use plumbline::excite::fourier::PeriodicMotion;
-use plumbline::joint::{Command, JointVec, Setpoint, State};
-use plumbline::model::base::Reduction;
-use plumbline::model::gravity::Mounting;
-use plumbline::model::structure::Structure;
-use plumbline::model::term::Motion;
-use plumbline::rt::{Backend, Reference};
 use plumbline::store::parse_plan;
+use plumbline_core::{Backend, Reference};
+use plumbline_core::{Command, JointVec, Setpoint, State};
+use plumbline_excite::fourier::PeriodicMotion;
+use plumbline_identify::run::Run;
+use plumbline_identify::signal::spectral::Spectral;
+use plumbline_model::base::Reduction;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::structure::Structure;
+use plumbline_model::term::Motion;
+use plumbline_sim::{Gate, Pace, SimArm, Truth};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -254,7 +254,7 @@ impl Scene {
 
 /// The arm itself, with its sensors, at rest at the start of the motion.
 pub fn still(
-    chain: &plumbline::model::chain::Chain,
+    chain: &plumbline_model::chain::Chain,
     truth: &Truth,
     mounting: Mounting,
     q0: &[f64],

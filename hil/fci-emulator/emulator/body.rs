@@ -3,12 +3,12 @@
 use super::geometry::{self, IDENTITY, Pose};
 use super::limits::{JOINTS, Joints, Step, TICK};
 use nalgebra::{Matrix3, Vector3};
-use plumbline::backend::franka::wire::{Load, RobotState};
-use plumbline::backend::sim::{Hardware, Sensed, SimError, Truth};
-use plumbline::joint::{JointVec, MAX_JOINTS};
-use plumbline::model::chain::{Chain, Placement};
-use plumbline::model::gravity::Mounting;
-use plumbline::model::rnea::{LinkParameters, rnea};
+use plumbline_core::{JointVec, MAX_JOINTS};
+use plumbline_franka::wire::{Load, RobotState};
+use plumbline_model::chain::{Chain, Placement};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::rnea::{LinkParameters, rnea};
+use plumbline_sim::{Hardware, Sensed, SimError, Truth};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;

@@ -4,7 +4,7 @@
 //! documentation, "Robot and interface specifications" (github.com/frankarobotics/docs) for the Panda and for the FR3 before and from
 //! system image 5.9, and its chapter on errors for which violation has which name.
 
-use plumbline::backend::franka::wire::{ErrorBit, Errors, Protocol};
+use plumbline_franka::wire::{ErrorBit, Errors, Protocol};
 
 /// Joints of a Franka arm.
 pub const JOINTS: usize = 7;

@@ -1,7 +1,7 @@
 //! What the emulator tells: events in words, and cycles as numbers.
 
-use plumbline::backend::franka::wire::RobotState;
-use plumbline::rt::os::now_ns;
+use plumbline_franka::wire::RobotState;
+use plumbline_rt::os::now_ns;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;

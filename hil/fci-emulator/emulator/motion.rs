@@ -2,7 +2,7 @@
 
 use super::body::Drive;
 use super::limits::{Commanded, Joints, Step};
-use plumbline::backend::franka::wire::{Move, MoveController, MoveGenerator, RobotCommand};
+use plumbline_franka::wire::{Move, MoveController, MoveGenerator, RobotCommand};
 
 /// Commands that the success rate looks back on.
 const WINDOW: u32 = 100;

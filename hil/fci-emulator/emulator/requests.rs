@@ -5,7 +5,7 @@ use super::limits::{JOINTS, Step, judge_measured};
 use super::motion::Motion;
 use super::robot::{Phase, RECOVERY, Robot};
 use super::setters;
-use plumbline::backend::franka::wire::{
+use plumbline_franka::wire::{
     Architecture, CartesianLimit, ErrorBit, Errors, LoadModelStatus, MAX_FIXED_RESPONSE, Move, MoveController,
     MoveGenerator, MoveStatus, RecoveryStatus, Request, Response, RobotModelStatus, SetterStatus, StopStatus, System,
 };

@@ -10,7 +10,7 @@ use super::limits::{
     judge_torque,
 };
 use super::motion::{Ending, Motion};
-use plumbline::backend::franka::wire::{
+use plumbline_franka::wire::{
     CollisionBehavior, ControllerMode, ErrorBit, Errors, MotionGeneratorMode, MoveStatus, Protocol, RecoveryStatus,
     Response, RobotCommand, RobotMode, RobotState, StopStatus,
 };

@@ -6,11 +6,11 @@
 use super::faults::{Fault, Injector, Line, Of};
 use super::log::Log;
 use super::robot::{Hand, Robot};
-use plumbline::backend::franka::wire::{
+use plumbline_franka::wire::{
     CommandKind, Connect, ConnectStatus, Connected, HEADER_BYTES, Header, MAX_COMMAND, MAX_FIXED_RESPONSE, MAX_REQUEST,
     MAX_STATE, Protocol, Request, Response, RobotCommand, RobotMode, RobotState,
 };
-use plumbline::rt::os::{now_ns, sleep_until};
+use plumbline_rt::os::{now_ns, sleep_until};
 use std::io::{ErrorKind, Read, Write};
 use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::mpsc::{Receiver, TryRecvError};

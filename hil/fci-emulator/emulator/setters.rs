@@ -8,7 +8,7 @@
 
 use super::geometry::is_rigid;
 use nalgebra::{Matrix3, SymmetricEigen};
-use plumbline::backend::franka::wire::{CollisionBehavior, Load, Request};
+use plumbline_franka::wire::{CollisionBehavior, Load, Request};
 
 /// Highest joint stiffness \[Nm/rad\].
 const JOINT_STIFFNESS: f64 = 14_250.0;
@@ -74,7 +74,7 @@ fn is_body(load: &Load) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use plumbline::backend::franka::wire::Filters;
+    use plumbline_franka::wire::Filters;
 
     #[test]
     fn takes_what_has_a_meaning_and_nothing_else() {

@@ -7,8 +7,8 @@
 
 use super::limits::{JOINTS, Limits};
 use nalgebra::Vector3;
-use plumbline::backend::sim::Truth;
-use plumbline::model::chain::Chain;
+use plumbline_model::chain::Chain;
+use plumbline_sim::Truth;
 use std::fmt::Write;
 
 /// The description of an arm named `name`.

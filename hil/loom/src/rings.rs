@@ -1,4 +1,4 @@
-//! The rings between the loop and the rest of the program, as `plumbline::rt::order` uses them.
+//! The rings between the loop and the rest of the program, as `plumbline_rt::order` uses them.
 //!
 //! What goes through them is a [`Thing`]: loom reports whoever touches it without having seen what its maker wrote.
 

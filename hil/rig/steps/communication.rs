@@ -3,10 +3,10 @@
 use super::verdict::Verdict;
 use super::{Given, Rig};
 use clap::Args;
-use plumbline::backend::franka::{self, Connection, Purpose, Spread, Statistics};
-use plumbline::joint::{Command, Setpoint};
-use plumbline::rt::os::{Rights, become_realtime};
-use plumbline::rt::{Backend, Fault};
+use plumbline_core::{Backend, Fault};
+use plumbline_core::{Command, Setpoint};
+use plumbline_franka::{Connection, Purpose, Spread, Statistics};
+use plumbline_rt::os::{Rights, become_realtime};
 use std::error::Error;
 
 /// Most states that may be missing in a row.
@@ -42,12 +42,13 @@ pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
     let (watched, fault) = session(rig, Purpose::Watch, 1000 * options.watch)?;
     show("watched", &watched);
     if let Some(fault) = fault {
-        return Ok(Verdict::Fail(vec![franka::explain(&fault, &watched).to_string()]));
+        return Ok(Verdict::Fail(vec![plumbline_franka::explain(&fault, &watched).to_string()]));
     }
     println!("holding the present pose under control for {} s; nothing is to move", options.hold);
     let (held, fault) = session(rig, Purpose::Drive, 1000 * options.hold)?;
     show("held", &held);
-    let mut reasons: Vec<String> = fault.iter().map(|fault| franka::explain(fault, &held).to_string()).collect();
+    let mut reasons: Vec<String> =
+        fault.iter().map(|fault| plumbline_franka::explain(fault, &held).to_string()).collect();
     for (what, statistics) in [("watching", &watched), ("holding", &held)] {
         if statistics.longest_gap > LONGEST_GAP {
             reasons.push(format!(
@@ -72,7 +73,8 @@ pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
 
 /// Reads so many states, and answers each with the pose of the first where the arm is driven.
 fn session(rig: &Rig, purpose: Purpose, states: u64) -> Result<(Statistics, Option<Fault>), Box<dyn Error>> {
-    let (mut arm, Connection { info, telemetry }) = franka::connect(&rig.franka.settings(&rig.job, purpose)?)?;
+    let (mut arm, Connection { info, telemetry }) =
+        plumbline_franka::connect(&rig.franka.settings(&rig.job, purpose)?)?;
     println!("connected to {}", info.image);
     let ended = hold(&mut arm, states);
     arm.stop();

@@ -3,13 +3,13 @@
 use super::verdict::Verdict;
 use super::{Given, Rig};
 use clap::Args;
-use plumbline::backend::franka::{self, Connection, Purpose};
-use plumbline::estimate::direction::{Pose, direction, wrong_sign};
-use plumbline::input::BadInput;
-use plumbline::joint::JointVec;
-use plumbline::model::gravity::Mounting;
-use plumbline::rt::Backend;
 use plumbline::store::ModelFile;
+use plumbline_core::Backend;
+use plumbline_core::BadInput;
+use plumbline_core::JointVec;
+use plumbline_franka::{Connection, Purpose};
+use plumbline_identify::direction::{Pose, direction, wrong_sign};
+use plumbline_model::gravity::Mounting;
 use std::error::Error;
 use std::path::PathBuf;
 
@@ -56,7 +56,8 @@ pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
     model.model.valid_in(&rig.job.mounting)?;
 
     println!("reading {} s of states; nothing moves", STATES / 1000);
-    let (mut arm, Connection { info, .. }) = franka::connect(&rig.franka.settings(&rig.job, Purpose::Watch)?)?;
+    let (mut arm, Connection { info, .. }) =
+        plumbline_franka::connect(&rig.franka.settings(&rig.job, Purpose::Watch)?)?;
     println!("connected to {}", info.image);
     let pose = mean(&mut arm)?;
     let declared = rig.job.mounting;
@@ -74,7 +75,7 @@ pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
     let expected = model
         .model
         .evaluator(&declared.gravity())
-        .torque(&plumbline::model::term::Sample { q: pose.q, ..Default::default() })
+        .torque(&plumbline_model::term::Sample { q: pose.q, ..Default::default() })
         .0;
     for (j, (measured, expected)) in pose.tau.iter().zip(expected).take(SIGMA.len()).enumerate() {
         println!("{:>6} {measured:>9.2} Nm {expected:>9.2} Nm {:>9.2} Nm", j + 1, measured - expected);
@@ -102,7 +103,7 @@ pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
         ));
     }
     match info.gravity {
-        Some(own) if own.source == franka::Source::Accelerometers => {
+        Some(own) if own.source == plumbline_franka::Source::Accelerometers => {
             let own = Mounting::along(&own.direction.into());
             println!(
                 "gravity by the robot's accelerometers: {own}, {:.1} degrees from the declared one",

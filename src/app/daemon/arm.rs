@@ -4,17 +4,18 @@ use super::Daemon;
 use super::desk::Desk;
 use super::session::RING;
 use crate::app::Failure;
-use crate::backend::Clock;
-use crate::backend::franka::{self, Info, Telemetry};
-use crate::backend::sim::{Gate, Pace, SimArm};
 use crate::config::job::franka::Recovery;
-use crate::estimate::mounting_check::Side;
-use crate::ipc::{Link, Times};
-use crate::joint::JointVec;
-use crate::model::gravity::Mounting;
-use crate::rt::cycle::End;
-use crate::rt::{Backend, Fault, LONGEST_ALONE, os};
 use nalgebra::Vector3;
+use plumbline_core::Clock;
+use plumbline_core::JointVec;
+use plumbline_core::{Backend, Fault, LONGEST_ALONE};
+use plumbline_franka::{Info, Telemetry};
+use plumbline_identify::mounting_check::Side;
+use plumbline_ipc::{Link, Times};
+use plumbline_model::gravity::Mounting;
+use plumbline_rt::cycle::End;
+use plumbline_rt::os;
+use plumbline_sim::{Gate, Pace, SimArm};
 use std::sync::Arc;
 
 /// `CLOCK_MONOTONIC` for arms that keep wall-clock time.
@@ -59,7 +60,7 @@ pub struct Robot {
     info: Info,
     telemetry: Arc<Telemetry>,
     /// The mode that was spoken of last.
-    mode: franka::wire::RobotMode,
+    mode: plumbline_franka::wire::RobotMode,
 }
 
 /// Connects to the arm of a job, mounted as given.
@@ -67,12 +68,12 @@ pub fn connect(daemon: &mut Daemon, mounting: Mounting, purpose: Purpose) -> Res
     let Desk { job, robot, .. } = &daemon.desk;
     if let Some(franka) = &job.backend.franka {
         let purpose = match purpose {
-            Purpose::Hold => franka::Purpose::Watch,
-            Purpose::Drive => franka::Purpose::Drive,
+            Purpose::Hold => plumbline_franka::Purpose::Watch,
+            Purpose::Drive => plumbline_franka::Purpose::Drive,
         };
         let settings = franka.settings(job, purpose)?;
-        let connected = daemon.meanwhile(|| franka::connect(&settings))?;
-        let (arm, franka::Connection { info, telemetry }) = connected.map_err(Failure::job)?;
+        let connected = daemon.meanwhile(|| plumbline_franka::connect(&settings))?;
+        let (arm, plumbline_franka::Connection { info, telemetry }) = connected.map_err(Failure::job)?;
         tracing::info!("connected to {}", words(&info));
         let vendor = Vector3::from(info.compensates);
         return Ok(Connected { arm: Box::new(arm), gate: None, robot: Some(Robot::new(info, telemetry)), vendor });
@@ -92,7 +93,7 @@ pub fn connect(daemon: &mut Daemon, mounting: Mounting, purpose: Purpose) -> Res
 
 impl Robot {
     fn new(info: Info, telemetry: Arc<Telemetry>) -> Robot {
-        Robot { info, telemetry, mode: franka::wire::RobotMode::Idle }
+        Robot { info, telemetry, mode: plumbline_franka::wire::RobotMode::Idle }
     }
 
     /// Says it when somebody or something has changed the mode of an arm that is only watched: nothing else would.
@@ -100,18 +101,18 @@ impl Robot {
         self.speak_of(self.telemetry.newest_mode());
     }
 
-    fn speak_of(&mut self, mode: franka::wire::RobotMode) {
+    fn speak_of(&mut self, mode: plumbline_franka::wire::RobotMode) {
         if std::mem::replace(&mut self.mode, mode) == mode {
             return;
         }
-        match franka::next_step(mode) {
+        match plumbline_franka::next_step(mode) {
             Some(next) => tracing::warn!("the arm's mode is now `{mode}`, no motion can start. {next}"),
             None => tracing::info!("the arm's mode is now `{mode}`"),
         }
     }
 
     /// The limits that the arm and its adapter hold commands to.
-    pub fn limits(&self) -> &franka::RobotLimits {
+    pub fn limits(&self) -> &plumbline_franka::RobotLimits {
         &self.info.limits
     }
 
@@ -128,7 +129,8 @@ impl Robot {
     /// What the arm's own accelerometers say of gravity, as one side of the mounting check; the constant that the robot believes in is
     /// none.
     pub fn side(&self) -> Option<Side> {
-        let gravity = self.info.gravity.as_ref().filter(|gravity| gravity.source == franka::Source::Accelerometers)?;
+        let gravity =
+            self.info.gravity.as_ref().filter(|gravity| gravity.source == plumbline_franka::Source::Accelerometers)?;
         Some(Side {
             name: "the robot's accelerometers",
             gravity: gravity.direction.into(),
@@ -138,7 +140,7 @@ impl Robot {
 
     /// What an operator does after `fault`.
     pub fn next_step(&self, fault: &Fault) -> String {
-        franka::explain(fault, &self.telemetry.snapshot()).next.to_string()
+        plumbline_franka::explain(fault, &self.telemetry.snapshot()).next.to_string()
     }
 
     /// What the session says of its network; `fault` ended it.
@@ -159,7 +161,7 @@ impl Robot {
             interval: times(&of.interval),
             gravity: self.gravity(),
             compensates: Some(self.info.compensates),
-            fault: fault.map(|fault| franka::explain(fault, &of).to_string()),
+            fault: fault.map(|fault| plumbline_franka::explain(fault, &of).to_string()),
         }
     }
 }
@@ -169,7 +171,7 @@ impl Robot {
 pub fn goes_on(desk: &Desk, end: &End) -> bool {
     let (Some(franka), End::Fault(fault)) = (&desk.job.backend.franka, end) else { return false };
     let lost_communication = match fault {
-        Fault::Reflex { code } => *code == franka::wire::ErrorBit::CommunicationConstraintsViolation as u32,
+        Fault::Reflex { code } => *code == plumbline_franka::wire::ErrorBit::CommunicationConstraintsViolation as u32,
         Fault::Silent { .. } | Fault::Disconnected => true,
         Fault::Refused { .. } => false,
     };
@@ -181,8 +183,8 @@ pub fn goes_on(desk: &Desk, end: &End) -> bool {
 pub fn recover(daemon: &mut Daemon) -> Result<(), Failure> {
     let job = &daemon.desk.job;
     let Some(franka) = &job.backend.franka else { return Ok(()) };
-    let settings = franka.settings(job, franka::Purpose::Watch)?;
-    daemon.meanwhile(|| franka::recover_communication(&settings))?.map_err(Failure::job)
+    let settings = franka.settings(job, plumbline_franka::Purpose::Watch)?;
+    daemon.meanwhile(|| plumbline_franka::recover_communication(&settings))?.map_err(Failure::job)
 }
 
 fn words(info: &Info) -> String {
@@ -190,7 +192,7 @@ fn words(info: &Info) -> String {
 }
 
 /// Microseconds as the nanoseconds of a message.
-fn times(spread: &franka::Spread) -> Times {
+fn times(spread: &plumbline_franka::Spread) -> Times {
     let ns = |us: f64| (us * 1e3) as u64;
     Times { count: spread.count, p50: ns(spread.p50), p99: ns(spread.p99), p999: ns(spread.p999), max: ns(spread.max) }
 }

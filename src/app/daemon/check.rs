@@ -2,12 +2,12 @@
 
 use super::desk::Accepted;
 use crate::app::models;
-use crate::config::robot::Robot;
-use crate::input::BadInput;
-use crate::ipc::{Proposal, Request, Response, Ticket, read};
-use crate::model::gravity::Mounting;
 use crate::recording::about::panic_message;
 use crate::store::{ModelFile, model_identity};
+use plumbline_core::BadInput;
+use plumbline_ipc::{Proposal, Request, Response, Ticket, read};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 

@@ -5,22 +5,22 @@ use super::gravity::Watch;
 use super::recorder::Recorder;
 use crate::app::Failure;
 use crate::app::signals::{Cause, Ending};
-use crate::backend::franka::RobotLimits;
-use crate::backend::sim::Truth;
 use crate::config::job::{Adopt, Job, OnLoss};
-use crate::config::robot::Robot;
-use crate::estimate::plausibility::{Implausible, plausible};
-use crate::input::BadInput;
-use crate::ipc::{
+use crate::recording::about::Reason;
+use crate::recording::messages::words;
+use plumbline_core::BadInput;
+use plumbline_core::{JointVec, Record};
+use plumbline_franka::RobotLimits;
+use plumbline_identify::plausibility::{Implausible, plausible};
+use plumbline_ipc::{
     Held, Mounting as MountingMessage, News, Progress, Proposal, Request, Response, Served,
     Session as SessionStatistics, Status, StopOrder, now_ns,
 };
-use crate::joint::{JointVec, Record};
-use crate::model::gravity::Mounting;
-use crate::model::torque::TorqueModel;
-use crate::recording::about::Reason;
-use crate::recording::messages::words;
-use crate::rt::order::{Controls, Event, StopReason};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::torque::TorqueModel;
+use plumbline_rt::order::{Controls, Event, StopReason};
+use plumbline_sim::Truth;
 use std::collections::VecDeque;
 use std::path::Path;
 

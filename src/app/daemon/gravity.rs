@@ -6,14 +6,14 @@ use super::rest::Rests;
 use crate::app::Failure;
 use crate::config::job::inclinometer::BaseMotion;
 use crate::config::job::{Job, MountingCheck};
-use crate::estimate::mounting_check::{Implied, Side, cross_check, implied};
 use crate::inclinometer::follow::{Decision, FollowSettings, Follower, OnLoss, Source};
 use crate::inclinometer::sensor::{Health, Reading, Sensor};
 use crate::inclinometer::socket::Listener;
-use crate::ipc::{Gravity as GravityMessage, MotionGravity, now_ns};
-use crate::joint::{Phase, Record};
-use crate::model::gravity::{Mounting, angle_between};
 use nalgebra::Vector3;
+use plumbline_core::{Phase, Record};
+use plumbline_identify::mounting_check::{Implied, Side, cross_check, implied};
+use plumbline_ipc::{Gravity as GravityMessage, MotionGravity, now_ns};
+use plumbline_model::gravity::{Mounting, angle_between};
 
 /// Events that the status keeps, the latest ones.
 const EVENTS: usize = 32;

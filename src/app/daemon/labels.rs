@@ -1,8 +1,8 @@
 //! Which gravity a record's torque was computed with. A hand-over goes into the loop at once and its first record comes out some cycles later;
 //! what comes out in between still has the gravity from before.
 
-use crate::rt::torque::Succession;
 use nalgebra::Vector3;
+use plumbline_rt::torque::Succession;
 use std::collections::VecDeque;
 
 /// Gravity by cycle \[m/s2\].

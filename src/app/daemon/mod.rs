@@ -20,17 +20,17 @@ use super::service::{self, Service};
 use super::signals::Ending;
 use super::{Failure, JobOptions, journal, owned};
 use crate::config::job::Job;
-use crate::ipc::{
-    Asked, Lock, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener, Times, now_ns,
-};
-use crate::model::gravity::Mounting;
-use crate::rt::cycle::End;
-use crate::rt::order::Controls;
-use crate::rt::os;
 use arm::Purpose;
 use check::{Checked, Checker};
 use clap::Args;
 use desk::Desk;
+use plumbline_ipc::{
+    Asked, Lock, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener, Times, now_ns,
+};
+use plumbline_model::gravity::Mounting;
+use plumbline_rt::cycle::End;
+use plumbline_rt::order::Controls;
+use plumbline_rt::os;
 use recorder::Recorder;
 use rhythm::RequestShare;
 use script::Script;

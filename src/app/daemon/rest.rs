@@ -1,7 +1,7 @@
 //! Torques of the arm at rest, as the loop's records bring them.
 
-use crate::estimate::direction::Pose;
-use crate::joint::{JointVec, MAX_JOINTS, Phase, Record};
+use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record};
+use plumbline_identify::direction::Pose;
 
 /// Records at the beginning of a rest that the arm swings out in.
 const SETTLE: u32 = 100;
@@ -105,7 +105,7 @@ impl Rests {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::joint::{Command, Setpoint, State};
+    use plumbline_core::{Command, Setpoint, State};
 
     fn record(q: f64, tau: f64, phase: Phase) -> Record {
         let mut record = Record { phase, ..Record::default() };

@@ -1,6 +1,6 @@
 //! What the bridge thread does when: it sleeps until the loop's next record is due, and answers requests for a share of its time.
 
-use crate::rt::PERIOD_NS;
+use plumbline_core::PERIOD_NS;
 
 /// How long after the moment at which a record is due this thread looks for it \[ns\]: a wake-up at that very moment would often come too
 /// early, and cost another one.

@@ -1,11 +1,11 @@
 //! What the loop is told next: decides from events, without doing anything itself.
 
 use crate::app::programme::{Motion, Role, Stage};
-use crate::excite::ExciteError;
-use crate::excite::fourier::{Fourier, PeriodicMotion};
-use crate::joint::{JointVec, MAX_JOINTS, Phase};
 use crate::recording::about::{Given, Series};
-use crate::rt::order::{Event, Order, OrderKind};
+use plumbline_core::{JointVec, MAX_JOINTS, Phase};
+use plumbline_excite::ExciteError;
+use plumbline_excite::fourier::{Fourier, PeriodicMotion};
+use plumbline_rt::order::{Event, Order, OrderKind};
 use std::collections::VecDeque;
 
 /// Orders that bring the arm to a motion's start carry the motion's number plus this.

@@ -1,7 +1,7 @@
 //! Carries stops to the running loop by a thread of their own, whatever the bridge thread is at.
 
-use crate::ipc::{StopListener, StopOrder};
-use crate::rt::order::Controls;
+use plumbline_ipc::{StopListener, StopOrder};
+use plumbline_rt::order::Controls;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -132,7 +132,7 @@ impl Drop for StopLine {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ipc::{Lock, RobotId};
+    use plumbline_ipc::{Lock, RobotId};
 
     const ORDER: StopOrder = StopOrder { process: 7, user: 8 };
 
@@ -147,13 +147,15 @@ mod tests {
         let controls = Arc::new(Controls::default());
         line.connect(Some(Arc::clone(&controls)));
         line.shared.stop(ORDER);
-        assert!(controls.take_stop());
+        assert!(controls.stop_requested());
         // The bridge thread learns of it once.
         assert_eq!((line.take(), line.take()), (Some(ORDER), None));
         // One between two loops is left for the bridge thread.
+        let ended = Arc::new(Controls::default());
+        line.connect(Some(Arc::clone(&ended)));
         line.connect(None);
         line.shared.stop(ORDER);
-        assert!(!controls.take_stop());
+        assert!(!ended.stop_requested());
         assert_eq!(line.take(), Some(ORDER));
     }
 

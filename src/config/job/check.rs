@@ -1,12 +1,12 @@
 //! Ranges of a job's values, and the limits that come out of it for one robot.
 
 use super::{BackendKind, Franka, Job, Limits, OwnLimits, Workspace};
-use crate::estimate::experiment::Settings;
-use crate::estimate::solve;
-use crate::excite::limits::Margins;
-use crate::input::BadInput;
-use crate::joint::{self, JointVec, MAX_JOINTS};
-use crate::rt::LONGEST_ALONE;
+use plumbline_core::BadInput;
+use plumbline_core::LONGEST_ALONE;
+use plumbline_core::{JointVec, MAX_JOINTS};
+use plumbline_excite::limits::Margins;
+use plumbline_identify::experiment::Settings;
+use plumbline_identify::solve;
 
 /// Checks every range.
 pub(super) fn check(job: &Job) -> Result<(), BadInput> {
@@ -179,7 +179,7 @@ impl Job {
     ///
     /// # Errors
     /// A list of another length than the robot has joints (`n`), or a limit that is wider than the robot's.
-    pub fn guard_limits(&self, robot: &joint::Limits, n: usize) -> Result<joint::Limits, BadInput> {
+    pub fn guard_limits(&self, robot: &plumbline_core::Limits, n: usize) -> Result<plumbline_core::Limits, BadInput> {
         let OwnLimits { q_min, q_max, dq, ddq, jerk, tau, dtau } = &self.limits.own;
         let mut limits = *robot;
         let below: fn(f64, f64) -> bool = |own, robots| own > 0.0 && own <= robots;
@@ -231,8 +231,8 @@ impl Job {
     }
 
     /// The workspace: the job's, else the robot's.
-    pub fn workspace(&self, robot: &joint::Workspace) -> joint::Workspace {
-        self.workspace.map_or(*robot, |own| joint::Workspace {
+    pub fn workspace(&self, robot: &plumbline_core::Workspace) -> plumbline_core::Workspace {
+        self.workspace.map_or(*robot, |own| plumbline_core::Workspace {
             box_min: own.box_min,
             box_max: own.box_max,
             base_radius: own.base_radius,

@@ -1,11 +1,11 @@
 //! `[backend.franka]`: how a Franka arm is reached and driven.
 
-use crate::backend::franka::{self, Controller, Interface, RobotKind, TorqueControl};
 use crate::config::units;
-use crate::decomposition::symmetric_eigen;
-use crate::input::BadInput;
-use crate::model::gravity::Mounting;
 use nalgebra::Matrix3;
+use plumbline_core::BadInput;
+use plumbline_core::symmetric_eigen;
+use plumbline_franka::{Controller, Interface, RobotKind, TorqueControl};
+use plumbline_model::gravity::Mounting;
 use serde::de::value::SeqAccessDeserializer;
 use serde::de::{Error, SeqAccess, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer};
@@ -222,15 +222,19 @@ impl Franka {
     ///
     /// # Errors
     /// A job for a robot that is no Franka.
-    pub fn settings(&self, job: &super::Job, purpose: franka::Purpose) -> Result<franka::Settings, BadInput> {
+    pub fn settings(
+        &self,
+        job: &super::Job,
+        purpose: plumbline_franka::Purpose,
+    ) -> Result<plumbline_franka::Settings, BadInput> {
         let robot = Franka::robot(job)?;
         let Collision { contact_torque, collision_torque, contact_force, collision_force } = self.collision;
         let Socket { priority, busy_poll, receive_buffer } = self.socket;
-        Ok(franka::Settings {
+        Ok(plumbline_franka::Settings {
             interface: self.interface,
             purpose,
             controller: self.controller,
-            collision: franka::Collision {
+            collision: plumbline_franka::Collision {
                 lower_torque_acceleration: contact_torque,
                 upper_torque_acceleration: collision_torque,
                 lower_torque_nominal: contact_torque,
@@ -243,15 +247,15 @@ impl Franka {
             joint_impedance: self.joint_impedance,
             load: self.load.as_ref().map(|load| {
                 let [xx, xy, xz, yy, yz, zz] = load.inertia;
-                franka::Load { mass: load.mass, com: load.com, inertia: [xx, xy, xz, xy, yy, yz, xz, yz, zz] }
+                plumbline_franka::Load { mass: load.mass, com: load.com, inertia: [xx, xy, xz, xy, yy, yz, xz, yz, zz] }
             }),
             torque: self.torque,
             compensates: self.compensates.map(|compensates| compensates.gravity(&job.mounting)),
-            socket: franka::SocketOptions { priority, busy_poll_us: busy_poll, receive_buffer },
+            socket: plumbline_franka::SocketOptions { priority, busy_poll_us: busy_poll, receive_buffer },
             state_timeout: Duration::from_secs_f64(self.state_timeout),
             connect_timeout: Duration::from_secs_f64(self.connect_timeout),
             limits_share: self.limits_share,
-            ..franka::Settings::new(self.address, robot)
+            ..plumbline_franka::Settings::new(self.address, robot)
         })
     }
 

@@ -8,8 +8,8 @@ use crate::inclinometer::node::NodeSettings;
 use crate::inclinometer::sensor::SensorSettings;
 use crate::inclinometer::smooth::SmoothSettings;
 use crate::inclinometer::socket::SIMULATED;
-use crate::input::BadInput;
-use crate::model::gravity::Mounting;
+use plumbline_core::BadInput;
+use plumbline_model::gravity::Mounting;
 use serde::Deserialize;
 
 /// What has to agree before anything is served.

@@ -1,6 +1,6 @@
 //! Command-line overrides: `--set key.path=value` laid over the file before it is read as a typed job.
 
-use crate::input::{BadInput, expectation, from_toml};
+use plumbline_core::{BadInput, expectation, from_toml};
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
 

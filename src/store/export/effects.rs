@@ -1,14 +1,14 @@
 //! Effects in exported files: what a format has a place for, and the laws of those in one row as C.
 
 use super::emit::{Program, Value, expression};
-use crate::estimate::consistency::Nearest;
-use crate::model::inertia::is_consistent;
-use crate::model::regressor::LINK_COLUMNS;
-use crate::model::rnea::LinkParameters;
-use crate::model::term::effect::{Site, Spec, family};
-use crate::model::term::friction::SHARPNESS;
-use crate::model::term::{Term, payload, presliding};
-use crate::model::torque::TorqueModel;
+use plumbline_identify::consistency::Nearest;
+use plumbline_model::inertia::is_consistent;
+use plumbline_model::regressor::LINK_COLUMNS;
+use plumbline_model::rnea::LinkParameters;
+use plumbline_model::term::effect::{Site, Spec, family};
+use plumbline_model::term::friction::SHARPNESS;
+use plumbline_model::term::{Term, payload, presliding};
+use plumbline_model::torque::TorqueModel;
 use std::collections::BTreeSet;
 
 /// Effects of a model that URDF and MJCF have no place for: all but a payload, which is part of the last link.
@@ -113,7 +113,7 @@ fn joints(site: Site) -> (usize, usize) {
     }
 }
 
-/// Column `c` as a C expression. The second route to the laws in [`crate::model::term`]; the test of the C function compares the two.
+/// Column `c` as a C expression. The second route to the laws in [`plumbline_model::term`]; the test of the C function compares the two.
 fn law(spec: &Spec, c: usize, names: &Names) -> Option<String> {
     let (row, cause) = joints(spec.site);
     let (q, dq, other) = (format!("q[{row}]"), format!("dq[{row}]"), format!("dq[{cause}]"));

@@ -2,10 +2,10 @@
 
 use super::effects;
 use super::{Arm, Exported, attribute, comment, numbers, offsets, placements, validity};
-use crate::model::chain::{JointKind, Placement};
-use crate::model::inertia::Body;
-use crate::model::term::friction;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use plumbline_model::chain::{JointKind, Placement};
+use plumbline_model::inertia::Body;
+use plumbline_model::term::friction;
 use std::fmt::Write;
 
 /// The arm as a MuJoCo model with one motor per joint; `gravity` is the gravitational acceleration in the base frame \[m/s2\].

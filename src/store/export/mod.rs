@@ -1,6 +1,6 @@
 //! An identified arm for other programs: URDF, MJCF, and a C function.
 //!
-//! URDF and MJCF need standard parameters of real bodies ([`crate::estimate::consistency`]); the C function computes with the base
+//! URDF and MJCF need standard parameters of real bodies ([`plumbline_identify::consistency`]); the C function computes with the base
 //! parameters themselves. Effects are in [`effects`]. What a format has no place for is in [`Exported::notes`] and in a comment of the file.
 
 pub mod c;
@@ -11,13 +11,13 @@ pub mod splice;
 pub mod tree;
 pub mod urdf;
 
-use crate::estimate::consistency::Nearest;
-use crate::joint::Limits;
-use crate::model::base::BaseKind;
-use crate::model::chain::{Chain, JointKind, Placement};
-use crate::model::term::torque_offset;
-use crate::model::torque::TorqueModel;
 use nalgebra::Matrix3;
+use plumbline_core::Limits;
+use plumbline_identify::consistency::Nearest;
+use plumbline_model::base::BaseKind;
+use plumbline_model::chain::{Chain, JointKind, Placement};
+use plumbline_model::term::torque_offset;
+use plumbline_model::torque::TorqueModel;
 
 /// Text of a file and what the reader of it has to know.
 #[derive(Clone, Debug, PartialEq)]

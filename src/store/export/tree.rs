@@ -4,10 +4,10 @@
 //! Link frames may differ: bodies are carried over in the pose that all joints at zero give. Whatever is fixed to a link belongs to it.
 
 use super::numbers;
-use crate::input::BadInput;
-use crate::model::chain::{Chain, JointKind, Placement};
-use crate::model::inertia::Body;
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
+use plumbline_core::BadInput;
+use plumbline_model::chain::{Chain, JointKind, Placement};
+use plumbline_model::inertia::Body;
 use roxmltree::{Document, Node};
 
 /// Axes of the URDF may lie this far from the arm's: descriptions come with four to six digits \[m, rad\].

@@ -1,6 +1,6 @@
 //! A client that does exactly what a test tells it, well-behaved or not, over the codec alone.
 
-use plumbline::backend::franka::wire::{
+use plumbline_franka::wire::{
     CommandKind, Connect, Connected, HEADER_BYTES, Header, MAX_COMMAND, MAX_MESSAGE, MAX_REQUEST, MAX_STATE, Move,
     MoveController, MoveGenerator, MoveStatus, Protocol, RecoveryStatus, Request, Response, RobotCommand, RobotMode,
     RobotState, SetterStatus, StopStatus,
@@ -75,7 +75,7 @@ impl Client {
     }
 
     /// The next datagram that arrives and whether it is a state.
-    pub fn receive(&mut self) -> Result<RobotState, plumbline::backend::franka::wire::WireError> {
+    pub fn receive(&mut self) -> Result<RobotState, plumbline_franka::wire::WireError> {
         let mut buffer = [0; MAX_STATE + 1];
         let (length, from) = self.udp.recv_from(&mut buffer).expect("a state");
         self.robot = Some(from);

@@ -3,7 +3,7 @@
 use super::client::{Answer, knock};
 use super::emulator::{Emulator, Fault, Settings};
 use super::{address, patient, session};
-use plumbline::backend::franka::wire::{
+use plumbline_franka::wire::{
     ConnectStatus, ErrorBit, MoveStatus, Protocol, RecoveryStatus, Request, RobotCommand, RobotMode,
 };
 use std::time::Duration;

@@ -4,7 +4,7 @@ use super::client::{Answer, Client};
 use super::emulator::limits::{Limits, RobotKind};
 use super::emulator::{READY, Settings};
 use super::{address, each_protocol, patient, session};
-use plumbline::backend::franka::wire::{
+use plumbline_franka::wire::{
     ErrorBit, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol, RecoveryStatus, Request,
     RobotCommand, RobotMode, RobotState,
 };

@@ -3,12 +3,12 @@
 use super::client::{Answer, Client};
 use super::emulator::{Hand, READY, Settings};
 use super::{address, each_protocol, patient, session};
-use plumbline::backend::franka::wire::{
+use plumbline_franka::wire::{
     Architecture, CollisionBehavior, CommandKind, Deviation, ErrorBit, Filters, GuidingMode, Header, LibraryTarget,
     Load, Move, MoveController, MoveGenerator, MoveStatus, Protocol, RecoveryStatus, Request, RobotCommand, RobotMode,
     SetterStatus, System,
 };
-use plumbline::model::gravity::Mounting;
+use plumbline_model::gravity::Mounting;
 use std::io::Read;
 use std::time::Duration;
 

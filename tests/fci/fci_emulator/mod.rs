@@ -16,7 +16,7 @@ mod program;
 
 use crate::emulator::{self, Emulator, Settings};
 use client::Client;
-use plumbline::backend::franka::wire::Protocol;
+use plumbline_franka::wire::Protocol;
 use std::net::{IpAddr, Ipv4Addr};
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::Duration;

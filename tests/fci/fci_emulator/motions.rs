@@ -4,7 +4,7 @@ use super::client::{Answer, knock};
 use super::emulator::{FinishOrder, READY};
 use super::{address, each_protocol, patient, session};
 use crate::emulator::{Emulator, Settings};
-use plumbline::backend::franka::wire::{
+use plumbline_franka::wire::{
     ConnectStatus, ControllerMode, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol,
     Request, RobotCommand, RobotMode, StopStatus,
 };

@@ -5,7 +5,7 @@ use super::emulator::{Fault, FinishOrder, Kind, RobotKind, Settings, StartError}
 use super::options::{Options, settings};
 use super::{address, session};
 use clap::Parser;
-use plumbline::backend::franka::wire::{Protocol, RobotMode};
+use plumbline_franka::wire::{Protocol, RobotMode};
 use std::time::Duration;
 
 fn parsed(arguments: &[&str]) -> Result<Settings, String> {

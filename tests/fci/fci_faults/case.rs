@@ -5,11 +5,11 @@ use super::scene::Scene;
 use crate::emulator::limits::JOINTS;
 use crate::emulator::{Emulator, Fault, Hand, Settings};
 use crate::job_support::{Place, Running, plumbline};
-use plumbline::backend::franka::wire::{Protocol, RobotMode};
-use plumbline::backend::franka::{self, RobotKind};
-use plumbline::ipc::Status;
-use plumbline::model::gravity::Mounting;
-use plumbline::rt::Backend;
+use plumbline_core::Backend;
+use plumbline_franka::RobotKind;
+use plumbline_franka::wire::{Protocol, RobotMode};
+use plumbline_ipc::Status;
+use plumbline_model::gravity::Mounting;
 use std::net::{IpAddr, Ipv4Addr};
 use std::process::Command;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -114,8 +114,8 @@ fn prioritise(address: IpAddr) {
 
 /// Another program starts a motion, commands nothing, and goes.
 fn leave_in_reflex(address: IpAddr) {
-    let settings = franka::Settings::new(address, RobotKind::Panda);
-    let (mut arm, _) = franka::connect(&settings).unwrap_or_else(|error| panic!("{error}"));
+    let settings = plumbline_franka::Settings::new(address, RobotKind::Panda);
+    let (mut arm, _) = plumbline_franka::connect(&settings).unwrap_or_else(|error| panic!("{error}"));
     arm.read().unwrap_or_else(|fault| panic!("{fault:?}"));
     // The robot may wait for each of the 20 commands.
     std::thread::sleep(Duration::from_millis(300));

@@ -2,7 +2,7 @@
 
 use crate::emulator::RobotKind;
 use crate::emulator::limits::{JOINTS, Joints, Limits, TICK};
-use plumbline::backend::franka::wire::{Protocol, RobotMode};
+use plumbline_franka::wire::{Protocol, RobotMode};
 use std::path::Path;
 
 /// Measured positions and velocities are noisy: this far beyond a limit is still inside \[rad\], \[rad/s\].

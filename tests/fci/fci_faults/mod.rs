@@ -12,7 +12,7 @@ mod table;
 
 use crate::turns::Turns;
 use case::{Case, Ending, Trouble, When};
-use plumbline::backend::franka::wire::RobotMode;
+use plumbline_franka::wire::RobotMode;
 
 /// Arms answer within a millisecond, and daemon and emulator are a processor's work each: one at a time on a small machine.
 static MOTIONS: Turns = Turns::new(1);

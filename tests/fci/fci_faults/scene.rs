@@ -4,8 +4,8 @@ use super::case::{Case, When};
 use crate::emulator::limits::JOINTS;
 use crate::emulator::{Emulator, Hand};
 use crate::job_support::{Place, Running};
-use plumbline::ipc::{Client, Progress, Request, Response, RobotId, Status};
-use plumbline::joint::Phase;
+use plumbline_core::Phase;
+use plumbline_ipc::{Client, Progress, Request, Response, RobotId, Status};
 use std::time::{Duration, Instant};
 
 /// Longest time that a case may take.

@@ -2,11 +2,11 @@
 
 use super::synthetic::{DT, PERIOD, PERIODS};
 use nalgebra::DMatrix;
-use plumbline::diagnose::errors::{Compared, Of, compare};
-use plumbline::estimate::experiment::{self, Experiment, LeftOut};
-use plumbline::estimate::run::Run;
-use plumbline::estimate::validate::Modelled;
-use plumbline::model::gravity::Mounting;
+use plumbline_diagnose::errors::{Compared, Of, compare};
+use plumbline_identify::experiment::{self, Experiment, LeftOut};
+use plumbline_identify::run::Run;
+use plumbline_identify::validate::Modelled;
+use plumbline_model::gravity::Mounting;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -145,7 +145,7 @@ fn raw_errors_are_taken_along_the_quieter_motion() {
     run.q.apply(|q| *q += 1e-6 * rng.sample::<f64, _>(StandardNormal));
     let experiment = Experiment::prepare(&run, &experiment::Settings::default()).unwrap();
     let judged = experiment.judged.as_ref().expect("a narrower filter").q.clone();
-    let predict = |motion: &plumbline::model::term::Motion| {
+    let predict = |motion: &plumbline_model::term::Motion| {
         let off = if motion.q == judged { 1.0 } else { 2.0 };
         &experiment.tau - DMatrix::from_element(motion.samples(), 2, off)
     };

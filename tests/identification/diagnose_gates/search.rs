@@ -1,13 +1,13 @@
 //! What a candidate has to show before it is taken in.
 
 use super::synthetic::{At, FLOOR, ROWS, Recorded, once, once_with_effect, recorded, scaled, with_effect};
-use plumbline::diagnose::Settings;
-use plumbline::diagnose::gates::{self, Folds, Relevance};
-use plumbline::diagnose::library::Candidate;
-use plumbline::diagnose::select::{Scored, Search, Selected};
-use plumbline::diagnose::state::State;
-use plumbline::model::term::effect::{Family, Site, Spec};
-use plumbline::model::term::{
+use plumbline_diagnose::Settings;
+use plumbline_diagnose::gates::{self, Folds, Relevance};
+use plumbline_diagnose::library::Candidate;
+use plumbline_diagnose::select::{Scored, Search, Selected};
+use plumbline_diagnose::state::State;
+use plumbline_model::term::effect::{Family, Site, Spec};
+use plumbline_model::term::{
     asymmetric_coulomb, asymmetric_viscous, joint_elasticity, position_ripple, spring, torque_offset,
 };
 use std::f64::consts::TAU;

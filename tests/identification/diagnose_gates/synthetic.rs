@@ -1,21 +1,21 @@
 //! Synthetic evidence: a two-joint arm that swings in a vertical plane, with any torque added to that of its model.
 
 use nalgebra::{DMatrix, DVector};
-use plumbline::diagnose::Settings;
-use plumbline::diagnose::evidence::{Evidence, Trial};
-use plumbline::diagnose::fit::Problem;
-use plumbline::diagnose::library::library;
-use plumbline::diagnose::moments::Columns;
-use plumbline::diagnose::select::Search;
-use plumbline::diagnose::state::State;
-use plumbline::estimate::experiment::{self, Experiment};
-use plumbline::estimate::run::Run;
-use plumbline::model::base::Reduction;
-use plumbline::model::chain::{Chain, Joint, JointKind, Placement};
-use plumbline::model::gravity::Mounting;
-use plumbline::model::structure::Structure;
-use plumbline::model::term::Motion;
-use plumbline::model::term::effect::{Family, Spec};
+use plumbline_diagnose::Settings;
+use plumbline_diagnose::evidence::{Evidence, Trial};
+use plumbline_diagnose::fit::Problem;
+use plumbline_diagnose::library::library;
+use plumbline_diagnose::moments::Columns;
+use plumbline_diagnose::select::Search;
+use plumbline_diagnose::state::State;
+use plumbline_identify::experiment::{self, Experiment};
+use plumbline_identify::run::Run;
+use plumbline_model::base::Reduction;
+use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::structure::Structure;
+use plumbline_model::term::Motion;
+use plumbline_model::term::effect::{Family, Spec};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;

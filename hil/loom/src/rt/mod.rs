@@ -1,4 +1,4 @@
-//! Stands where `plumbline::rt` stands, with loom's atomics.
+//! Stands where `plumbline_rt` stands, with loom's atomics.
 
 #[path = "../../../../src/rt/controls.rs"]
 #[allow(dead_code)]

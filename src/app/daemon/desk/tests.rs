@@ -1,7 +1,7 @@
 use super::*;
-use crate::ipc::Ticket;
-use crate::joint::Phase;
-use crate::model::term::Sample;
+use plumbline_core::Phase;
+use plumbline_ipc::Ticket;
+use plumbline_model::term::Sample;
 use std::time::{Duration, Instant};
 
 const JOB: &str = "robot = \"panda\"\nmounting = \"upright\"\n[backend]\nkind = \"sim\"\narm = \"sim-panda\"\npace = \"wall-clock\"\n\
@@ -15,7 +15,7 @@ fn desk() -> (Desk, tempfile::TempDir) {
     std::fs::write(&file, JOB).unwrap();
     let job = Job::load(&file, &[]).unwrap();
     let robot = Robot::load(&job.robot, None).unwrap();
-    let id = crate::ipc::RobotId::parse("test", "robot", "panda").unwrap();
+    let id = plumbline_ipc::RobotId::parse("test", "robot", "panda").unwrap();
     let recorder = Recorder::start(&job, &id, place.path()).unwrap();
     (Desk::new(job, robot, Vec::new(), recorder, Ending::default()).unwrap(), place)
 }
@@ -75,7 +75,7 @@ fn a_stop_between_two_connections_ends_the_programme() {
     desk.progress = Progress::Driving;
     let controls = Controls::default();
     desk.stop(Some(&controls));
-    assert!(controls.take_stop() && desk.barred);
+    assert!(controls.stop_requested() && desk.barred);
 }
 
 #[test]

@@ -3,13 +3,13 @@
 use super::folder::{Folder, ON_DEMAND};
 use super::{Close, Message, PAUSE, Requests};
 use crate::app::utc;
-use crate::joint::{Record, State};
 use crate::recording::about::{About, LogClock, Note, Reason};
 use crate::recording::history::History;
 use crate::recording::{Recording, model_name};
-use crate::rt::PERIOD_NS;
-use crate::rt::order::{Controls, Event, StopReason, Told};
-use crate::rt::os::now_ns;
+use plumbline_core::PERIOD_NS;
+use plumbline_core::{Record, State};
+use plumbline_rt::order::{Controls, Event, StopReason, Told};
+use plumbline_rt::os::now_ns;
 use rtrb::Consumer;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};

@@ -1,0 +1,440 @@
+//! What wanders through a recording: the zero of a torque sensor that warms up, friction that thins.
+//!
+//! A drift multiplies what the mean motion does by a course `g(t)`:
+//!
+//!   offset     `tau_j += a g(t)`
+//!   friction   `tau_j += g(t) (b tanh(100 dq_j) + c dq_j)`, or in all joints `tau_j += s g(t) (fc_j tanh(100 dq_j) + fv_j dq_j)`
+//!   course     `g = t` in minutes, or `g = 1 - exp(-t / T)`
+//!
+//! and shows in the deviations of the periods from their mean, the mean over the periods being taken off both sides. The base parameters
+//! have no part in them. Deviations are judged as spectra of single periods: in each joint and band noise has one variance, which is
+//! estimated with the drift (profile likelihood), for noise at the lowest frequencies is stronger than that of single samples.
+//! Score: twice the gain in log likelihood, less `k ln n` for `k` parameters and `2 ln N` for `N` candidates.
+
+use super::record::Record;
+use nalgebra::{DMatrix, DVector};
+use plumbline_identify::signal::spectral::Spectral;
+use plumbline_model::term::friction::SHARPNESS;
+
+/// Upper edges of the bands \[Hz\].
+const EDGES: [f64; 8] = [0.3, 0.55, 1.05, 2.0, 4.0, 8.0, 16.0, f64::INFINITY];
+/// Highest frequency that counts \[Hz\].
+const HIGHEST: f64 = 16.0;
+/// Time constants that the search starts from \[s\]; it stays between the first and the last.
+const TIMES: [f64; 5] = [60.0, 100.0, 170.0, 290.0, 500.0];
+/// Rounds of weights.
+const ROUNDS: usize = 3;
+/// Evaluations of the search for a time constant.
+const EVALUATIONS: usize = 8;
+
+/// How a drift goes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Course {
+    /// In proportion to the time, in minutes.
+    Linear,
+    /// `1 - exp(-t / time)`.
+    Saturating {
+        /// Time constant \[s\].
+        time: f64,
+    },
+}
+
+impl Course {
+    /// At a time since the first sample of the run \[s\].
+    pub fn at(self, t: f64) -> f64 {
+        match self {
+            Course::Linear => t / 60.0,
+            Course::Saturating { time } => 1.0 - (-t / time).exp(),
+        }
+    }
+
+    fn settings(self) -> usize {
+        usize::from(self != Course::Linear)
+    }
+}
+
+/// What drifts. Joints count from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Drifting {
+    /// The torque offset of a joint; parameters: `offset` \[Nm\].
+    Offset(usize),
+    /// The friction of a joint; parameters: `fc` \[Nm\], `fv` \[Nms/rad\].
+    Friction(usize),
+    /// The friction of all joints alike; parameters: `share` of the model's friction.
+    AllFriction,
+}
+
+impl Drifting {
+    /// Identity of the family.
+    pub fn family(self) -> &'static str {
+        match self {
+            Drifting::Offset(_) => "offset-drift",
+            Drifting::Friction(_) | Drifting::AllFriction => "friction-drift",
+        }
+    }
+
+    /// Names and units of the parameters of a linear course, which are per minute; of the other as they would end.
+    pub fn parameters(self) -> &'static [(&'static str, &'static str)] {
+        match self {
+            Drifting::Offset(_) => &[("offset", "Nm")],
+            Drifting::Friction(_) => &[("fc", "Nm"), ("fv", "Nms/rad")],
+            Drifting::AllFriction => &[("share", "1")],
+        }
+    }
+
+    fn joints(self, n: usize) -> Vec<usize> {
+        match self {
+            Drifting::Offset(joint) | Drifting::Friction(joint) => vec![joint],
+            Drifting::AllFriction => (0..n).collect(),
+        }
+    }
+
+    /// Whether both can't stand side by side.
+    fn excludes(self, other: Drifting) -> bool {
+        self.family() == other.family()
+            && (self == other || self == Drifting::AllFriction || other == Drifting::AllFriction)
+    }
+}
+
+/// A drift that was found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Drift {
+    /// What drifts.
+    pub what: Drifting,
+    /// How.
+    pub course: Course,
+    /// Whether all runs have the same parameters; then there is one set of them.
+    pub common: bool,
+    /// Parameters, one set per run or one for all.
+    pub values: Vec<Vec<f64>>,
+    /// Their standard deviations, alike.
+    pub std: Vec<Vec<f64>>,
+    /// Twice the gain in log likelihood.
+    pub evidence: f64,
+    /// Score.
+    pub score: f64,
+    /// Share of the deviations' mean square in the band that it explains, in its joints.
+    pub explained: f64,
+    /// RMS of what it does about the mean of the periods, per joint, over all runs \[Nm\].
+    pub rms: Vec<f64>,
+}
+
+/// Coefficients of deviations, one vector per run, for one joint.
+type Rows = Vec<Vec<f64>>;
+
+/// A drift under test.
+#[derive(Clone)]
+struct Trial {
+    what: Drifting,
+    course: Course,
+    common: bool,
+    /// Columns of each joint that it touches: joint, then run, then column.
+    columns: Vec<(usize, Vec<Vec<Vec<f64>>>)>,
+}
+
+struct Fitted {
+    theta: DVector<f64>,
+    covariance: DMatrix<f64>,
+    evidence: f64,
+    explained: f64,
+}
+
+/// The runs, and what their deviations are in the band.
+pub(super) struct Deviations<'a> {
+    records: &'a [Record<'a>],
+    /// Viscous and Coulomb friction of each joint; none where it is not known.
+    friction: &'a [[f64; 2]],
+    /// Band of each coefficient, run by run.
+    bands: Vec<Vec<usize>>,
+    /// Per joint.
+    rows: Vec<Rows>,
+}
+
+impl Deviations<'_> {
+    /// Of these runs.
+    pub fn of<'a>(records: &'a [Record<'a>], friction: &'a [[f64; 2]]) -> Deviations<'a> {
+        let joints = records.first().map_or(0, Record::joints);
+        let bands = records.iter().map(bands).collect();
+        let rows = |joint| records.iter().map(|record| coefficients(record, &record.centred(joint))).collect();
+        Deviations { records, friction, bands, rows: (0..joints).map(rows).collect() }
+    }
+
+    /// Drifts that pay for themselves, in the order in which they were found.
+    pub fn drifts(&self) -> Vec<Drift> {
+        if self.records.is_empty() {
+            return Vec::new();
+        }
+        let candidates = self.candidates();
+        let mut taken: Vec<(Trial, Fitted, f64)> = Vec::new();
+        let mut rest = self.rows.clone();
+        // Each kind of drift once in each joint is the most there can be.
+        for _ in 0..2 * self.rows.len() {
+            let open = |trial: &&Trial| !taken.iter().any(|(other, _, _)| other.what.excludes(trial.what));
+            let scored = candidates.iter().filter(open).filter_map(|trial| {
+                let fitted = self.fit(trial, &rest)?;
+                let score = self.score(trial, &fitted, candidates.len());
+                Some((trial, fitted, score))
+            });
+            let Some((trial, fitted, score)) = scored.max_by(|a, b| a.2.total_cmp(&b.2)) else { break };
+            let best = self.refined((trial.clone(), fitted, score), &rest, candidates.len());
+            if best.2 <= 0.0 {
+                break;
+            }
+            taken.push(best);
+            // Each once more beside all others.
+            for k in 0..taken.len() {
+                rest = self.without(taken.iter().enumerate().filter(|(other, _)| *other != k).map(|(_, one)| one));
+                let trial = taken[k].0.clone();
+                if let Some(fitted) = self.fit(&trial, &rest) {
+                    let score = self.score(&trial, &fitted, candidates.len());
+                    taken[k] = (trial, fitted, score);
+                }
+            }
+            taken.retain(|(_, _, score)| *score > 0.0);
+            rest = self.without(taken.iter());
+        }
+        taken.into_iter().map(|(trial, fitted, score)| self.report(&trial, fitted, score)).collect()
+    }
+
+    /// What the drifts do to a run, P N x n at its grid \[Nm\]; the mean over the periods is not taken off.
+    pub fn torque(&self, run: usize, drifts: &[Drift]) -> DMatrix<f64> {
+        let record = &self.records[run];
+        let mut tau = DMatrix::zeros(record.tau.nrows(), record.joints());
+        for drift in drifts {
+            let values = &drift.values[if drift.common { 0 } else { run }];
+            for joint in drift.what.joints(record.joints()) {
+                for (shape, value) in self.shapes(drift.what, joint, record).iter().zip(values) {
+                    for row in 0..tau.nrows() {
+                        tau[(row, joint)] += value * shape[row % record.samples] * drift.course.at(record.time(row));
+                    }
+                }
+            }
+        }
+        tau
+    }
+
+    fn candidates(&self) -> Vec<Trial> {
+        let joints = self.rows.len();
+        let courses: Vec<Course> =
+            [Course::Linear].into_iter().chain(TIMES.map(|time| Course::Saturating { time })).collect();
+        let mut what: Vec<Drifting> = (0..joints).flat_map(|j| [Drifting::Offset(j), Drifting::Friction(j)]).collect();
+        if self.friction.len() == joints {
+            what.push(Drifting::AllFriction);
+        }
+        let mut trials = Vec::new();
+        for what in what {
+            for &course in &courses {
+                let own = self.trial(what, course, true);
+                if self.records.len() > 1 {
+                    trials.push(Trial { common: false, ..own.clone() });
+                }
+                trials.push(own);
+            }
+        }
+        trials
+    }
+
+    fn trial(&self, what: Drifting, course: Course, common: bool) -> Trial {
+        let columns = |joint: usize, record: &Record| -> Vec<Vec<f64>> {
+            let column = |shape: &Vec<f64>| {
+                let at = |row: usize| shape[row % record.samples] * course.at(record.time(row));
+                let mut x: Vec<f64> = (0..record.tau.nrows()).map(at).collect();
+                record.centre(&mut x);
+                coefficients(record, &x)
+            };
+            self.shapes(what, joint, record).iter().map(column).collect()
+        };
+        let of_joint = |joint| (joint, self.records.iter().map(|record| columns(joint, record)).collect());
+        Trial { what, course, common, columns: what.joints(self.rows.len()).into_iter().map(of_joint).collect() }
+    }
+
+    /// What a course multiplies, over one period.
+    fn shapes(&self, what: Drifting, joint: usize, record: &Record) -> Vec<Vec<f64>> {
+        let dq = record.motion.dq.column(joint);
+        let sign = || dq.iter().map(|dq| (SHARPNESS * dq).tanh());
+        match what {
+            Drifting::Offset(_) => vec![vec![1.0; record.samples]],
+            Drifting::Friction(_) => vec![sign().collect(), dq.iter().copied().collect()],
+            Drifting::AllFriction => {
+                let [fv, fc] = self.friction[joint];
+                vec![sign().zip(dq.iter()).map(|(sign, dq)| fc * sign + fv * dq).collect()]
+            }
+        }
+    }
+
+    /// Squares of a joint's coefficients in each band, with how many independent ones there are.
+    fn squares(&self, rows: &Rows) -> [(f64, f64); EDGES.len()] {
+        let mut sums = [(0.0, 0.0); EDGES.len()];
+        for ((values, bands), record) in rows.iter().zip(&self.bands).zip(self.records) {
+            // The mean has taken one period's worth.
+            let free = (record.periods() - 1) as f64 / record.periods() as f64;
+            for (value, &band) in values.iter().zip(bands) {
+                sums[band] = (sums[band].0 + value * value, sums[band].1 + free);
+            }
+        }
+        sums
+    }
+
+    fn fit(&self, trial: &Trial, rows: &[Rows]) -> Option<Fitted> {
+        let width = trial.what.parameters().len();
+        let sets = if trial.common { 1 } else { self.records.len() };
+        let before: Vec<_> = trial.columns.iter().map(|(joint, _)| self.squares(&rows[*joint])).collect();
+        let mut after = before.clone();
+        let (mut theta, mut covariance) = (DVector::zeros(width * sets), DMatrix::zeros(width * sets, width * sets));
+        for _ in 0..ROUNDS {
+            let (mut g, mut b) = (DMatrix::zeros(width * sets, width * sets), DVector::zeros(width * sets));
+            for ((joint, columns), squares) in trial.columns.iter().zip(&after) {
+                let weights = squares.map(|(square, count)| if square > 0.0 { count / square } else { 0.0 });
+                for (run, own) in columns.iter().enumerate() {
+                    let first = if trial.common { 0 } else { run * width };
+                    for (i, left) in own.iter().enumerate() {
+                        let weighed = || left.iter().zip(&self.bands[run]).map(|(value, &band)| weights[band] * value);
+                        b[first + i] += weighed().zip(&rows[*joint][run]).map(|(c, r)| c * r).sum::<f64>();
+                        for (k, right) in own.iter().enumerate() {
+                            g[(first + i, first + k)] += weighed().zip(right).map(|(a, c)| a * c).sum::<f64>();
+                        }
+                    }
+                }
+            }
+            covariance = g.cholesky()?.inverse();
+            theta = &covariance * b;
+            for ((joint, columns), squares) in trial.columns.iter().zip(&mut after) {
+                *squares = self.squares(&less(&rows[*joint], columns, &theta, trial.common));
+            }
+        }
+        let mut evidence = 0.0;
+        let (mut square_before, mut square_after) = (0.0, 0.0);
+        for ((before, count), (after, _)) in before.iter().flatten().zip(after.iter().flatten()) {
+            if *before > 0.0 {
+                evidence += count * (before / after.max(1e-12 * before)).ln();
+            }
+            (square_before, square_after) = (square_before + before, square_after + after);
+        }
+        Some(Fitted {
+            theta,
+            covariance,
+            evidence,
+            explained: 1.0 - square_after / square_before.max(f64::MIN_POSITIVE),
+        })
+    }
+
+    fn score(&self, trial: &Trial, fitted: &Fitted, candidates: usize) -> f64 {
+        let rows: f64 = self.squares(&self.rows[0]).iter().map(|(_, count)| count).sum();
+        let parameters = (fitted.theta.len() + trial.course.settings()) as f64;
+        fitted.evidence - parameters * rows.ln() - 2.0 * (candidates as f64).ln()
+    }
+
+    /// The time constant where the likelihood is largest, near where it is.
+    fn refined(&self, best: (Trial, Fitted, f64), rows: &[Rows], candidates: usize) -> (Trial, Fitted, f64) {
+        let Course::Saturating { time } = best.0.course else { return best };
+        let limit = |time: f64| time.clamp(TIMES[0], TIMES[TIMES.len() - 1]);
+        let (mut low, mut high) = (limit(time / 1.7).ln(), limit(time * 1.7).ln());
+        let mut best = best;
+        let ratio = (5.0_f64.sqrt() - 1.0) / 2.0;
+        let mut at = |log: f64| {
+            let trial = self.trial(best.0.what, Course::Saturating { time: log.exp() }, best.0.common);
+            let Some(fitted) = self.fit(&trial, rows) else { return f64::NEG_INFINITY };
+            let score = self.score(&trial, &fitted, candidates);
+            if score > best.2 {
+                best = (trial, fitted, score);
+            }
+            score
+        };
+        for _ in 0..EVALUATIONS / 2 {
+            let (left, right) = (high - ratio * (high - low), low + ratio * (high - low));
+            if at(left) > at(right) { high = right } else { low = left }
+        }
+        best
+    }
+
+    fn without<'b>(&self, taken: impl Iterator<Item = &'b (Trial, Fitted, f64)>) -> Vec<Rows> {
+        let mut rest = self.rows.clone();
+        for (trial, fitted, _) in taken {
+            for (joint, columns) in &trial.columns {
+                rest[*joint] = less(&rest[*joint], columns, &fitted.theta, trial.common);
+            }
+        }
+        rest
+    }
+
+    fn report(&self, trial: &Trial, fitted: Fitted, score: f64) -> Drift {
+        let width = trial.what.parameters().len();
+        let std: Vec<f64> = fitted.covariance.diagonal().iter().map(|variance| variance.sqrt()).collect();
+        let sets = |values: &[f64]| values.chunks(width).map(<[f64]>::to_vec).collect();
+        let mut drift = Drift {
+            what: trial.what,
+            course: trial.course,
+            common: trial.common,
+            values: sets(fitted.theta.as_slice()),
+            std: sets(&std),
+            evidence: fitted.evidence,
+            score,
+            explained: fitted.explained,
+            rms: Vec::new(),
+        };
+        drift.rms = self.rms(&drift);
+        drift
+    }
+
+    fn rms(&self, drift: &Drift) -> Vec<f64> {
+        let (mut squares, mut rows) = (vec![0.0; self.rows.len()], 0);
+        for (run, record) in self.records.iter().enumerate() {
+            let tau = self.torque(run, std::slice::from_ref(drift));
+            rows += tau.nrows();
+            for (square, column) in squares.iter_mut().zip(tau.column_iter()) {
+                let mut x: Vec<f64> = column.iter().copied().collect();
+                record.centre(&mut x);
+                *square += x.iter().map(|value| value * value).sum::<f64>();
+            }
+        }
+        squares.iter().map(|square| (square / rows.max(1) as f64).sqrt()).collect()
+    }
+}
+
+/// Rows less the columns times their parameters.
+fn less(rows: &Rows, columns: &[Vec<Vec<f64>>], theta: &DVector<f64>, common: bool) -> Rows {
+    let mut rest = rows.clone();
+    for (run, own) in columns.iter().enumerate() {
+        let first = if common { 0 } else { run * own.len() };
+        for (i, column) in own.iter().enumerate() {
+            for (value, c) in rest[run].iter_mut().zip(column) {
+                *value -= theta[first + i] * c;
+            }
+        }
+    }
+    rest
+}
+
+/// Coefficients of orthonormal waves up to the highest frequency, period by period.
+fn coefficients(record: &Record, x: &[f64]) -> Vec<f64> {
+    let spectral = Spectral::new(record.samples, record.dt);
+    let count = bins(record);
+    let scale = 1.0 / (record.samples as f64).sqrt();
+    let mut rows = Vec::with_capacity(record.periods() * (2 * count - 1));
+    for period in x.chunks(record.samples) {
+        let spectrum = spectral.transform(period);
+        rows.push(scale * spectrum[0].re);
+        for value in &spectrum[1..count] {
+            rows.extend([value.re, value.im].map(|part| scale * 2.0_f64.sqrt() * part));
+        }
+    }
+    rows
+}
+
+fn bins(record: &Record) -> usize {
+    let highest = HIGHEST.min(0.4 / record.dt);
+    ((highest * record.samples as f64 * record.dt) as usize + 1).clamp(2, record.samples / 2)
+}
+
+/// Band of each coefficient.
+fn bands(record: &Record) -> Vec<usize> {
+    let width = 1.0 / (record.samples as f64 * record.dt);
+    let one = (0..2 * bins(record) - 1).map(|row| {
+        // The lowest band has more than the mean of a period.
+        let bin = row.div_ceil(2);
+        let frequency = if bin == 1 { 0.0 } else { bin as f64 * width };
+        EDGES.iter().position(|edge| frequency <= *edge).unwrap_or(EDGES.len() - 1)
+    });
+    let one: Vec<usize> = one.collect();
+    one.repeat(record.periods())
+}

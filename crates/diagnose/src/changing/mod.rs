@@ -1,0 +1,251 @@
+//! What differs from period to period: drifts, a base that moves, contacts, and single samples that are off.
+//!
+//! The motion repeats, so the parameters of the model have no part in the deviations of the periods from their mean, and what is found
+//! here needs no fit of them. [`changing`] also says which stretches of which runs should be left out of the mean
+//! ([`plumbline_identify::experiment::Settings::leave_out`]), and what the noise is like without the drifts.
+
+mod base_motion;
+mod contact;
+mod drift;
+mod outlier;
+mod record;
+mod transient;
+
+pub use base_motion::BaseMotion;
+pub use contact::Contact;
+pub use drift::{Course, Drift, Drifting};
+pub use outlier::Hygiene;
+
+use super::evidence::Trial;
+use nalgebra::DMatrix;
+use plumbline_core::{parallel, threads};
+use plumbline_identify::experiment::{Experiment, LeftOut};
+use plumbline_identify::periods::Scatter;
+use plumbline_identify::signal::spectral::Spectral;
+use plumbline_model::term::effect::Ground;
+use record::Record;
+
+/// Time before and after an event that is left out too \[s\].
+const MARGIN: f64 = 0.2;
+
+/// Fewest periods that tell anything. Nobody knows which of two is right, and half of the frequencies of two are harmonics, which the
+/// deviations have none of; the median of three is one of them, and the scale of what differs from it too small: noise made events.
+pub const LEAST_PERIODS: usize = 4;
+
+/// Most times that drifts are fitted again without what only they had made an event.
+const ROUNDS: usize = 2;
+
+/// Something that happened once and is no contact.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Transient {
+    /// Name of the run.
+    pub run: String,
+    /// Begin, since the first sample of the run \[s\].
+    pub from: f64,
+    /// End \[s\].
+    pub to: f64,
+    /// Period that it begins in, from 0.
+    pub period: usize,
+    /// Joints in which it shows, from 0.
+    pub joints: Vec<usize>,
+    /// RMS of the deviation meanwhile, per joint \[Nm\].
+    pub rms: Vec<f64>,
+}
+
+/// What differs from period to period.
+#[derive(Clone, Debug, Default)]
+pub struct Changing {
+    /// Drifts, in the order in which they were found.
+    pub drifts: Vec<Drift>,
+    /// Lines of a base that moves, run by run.
+    pub base_motions: Vec<BaseMotion>,
+    /// Contacts.
+    pub contacts: Vec<Contact>,
+    /// Events that are no contacts.
+    pub transients: Vec<Transient>,
+    /// Single samples, run by run.
+    pub hygiene: Vec<Hygiene>,
+    /// Stretches to be left out of the mean.
+    pub leave_out: Vec<LeftOut>,
+    /// Scatter of each trial's torques without the drifts and the events; `None` without repeats.
+    pub scatter: Vec<Option<Scatter>>,
+}
+
+impl Changing {
+    /// Whether nothing was found.
+    pub fn is_empty(&self) -> bool {
+        self.drifts.is_empty()
+            && self.base_motions.is_empty()
+            && self.contacts.is_empty()
+            && self.transients.is_empty()
+            && self.leave_out.is_empty()
+    }
+}
+
+/// Looks at the deviations of runs that were prepared with [`plumbline_identify::experiment::Settings::keep_periods`].
+///
+/// The ground's friction has `[fv, fc]` of each joint (\[Nms/rad\], \[Nm\]); without it, friction drifts are sought joint by joint alone. Runs without
+/// repeats have no part in it but for their hygiene.
+pub fn changing(ground: &Ground, trials: &[Trial]) -> Changing {
+    let friction = &ground.friction[..];
+    let mut found = Changing::default();
+    let records = trials.iter().filter_map(|trial| Record::of(trial.experiment));
+    let mut records: Vec<Record> = records.filter(|record| record.periods() >= LEAST_PERIODS).collect();
+    // Events are no drift, nor noise: what is far off stays out of the rest.
+    let masked = parallel(&records, threads(), |record| {
+        let x = transient::robust(record, None, true);
+        transient::mask(record, &transient::events(record, &x), MARGIN)
+    });
+    for (record, masked) in records.iter_mut().zip(masked) {
+        record.masked = masked;
+    }
+    found.drifts = drift::Deviations::of(&records, friction).drifts();
+    // A large drift is far off itself where it is fastest, and was fitted to the rest alone: without it fewer samples are masked.
+    for _ in 0..ROUNDS {
+        if found.drifts.is_empty() || !mask_again(&mut records, friction, &found.drifts) {
+            break;
+        }
+        found.drifts = drift::Deviations::of(&records, friction).drifts();
+    }
+    let deviations = drift::Deviations::of(&records, friction);
+    let mut masks = Vec::new();
+    for (run, record) in records.iter().enumerate() {
+        let drifting = deviations.torque(run, &found.drifts);
+        let mut rest = &record.tau - &drifting;
+        let rows = rest.nrows();
+        rest.as_mut_slice().chunks_mut(rows).for_each(|column| record.centre(column));
+        let lines = base_motion::base_motions(record, &ground.load, &rest);
+        let known = drifting + base_motion::torques(record, &ground.load, &lines);
+        found.base_motions.extend(lines);
+
+        let x = transient::robust(record, Some(&known), false);
+        let scale = transient::scales(&x);
+        let events = transient::events(record, &x);
+        for event in &events {
+            match contact::contact(&ground.chain, record, &x, &scale, event) {
+                Some(contact) => found.contacts.push(contact),
+                None => found.transients.push(transient_of(record, &x, event)),
+            }
+        }
+        let masked = transient::mask(record, &events, MARGIN);
+        found.leave_out.extend(left_out(record, &masked));
+        masks.push(masked);
+    }
+    let mut of_run = 0;
+    let mut looks = Vec::new();
+    for trial in trials {
+        let record = records.get(of_run).filter(|record| std::ptr::eq(record.experiment, trial.experiment));
+        match record {
+            Some(record) => {
+                let full: Vec<bool> = masks[of_run].iter().flat_map(|&masked| vec![masked; record.step]).collect();
+                let known = deviations.torque(of_run, &found.drifts);
+                found.scatter.push(Some(scatter(record, &known, &masks[of_run])));
+                of_run += 1;
+                looks.push((trial.experiment, full));
+            }
+            None => {
+                found.scatter.push(None);
+                looks.push((trial.experiment, Vec::new()));
+            }
+        }
+    }
+    for (hygiene, spoiled) in parallel(&looks, threads(), |(experiment, full)| outlier::hygiene(experiment, full)) {
+        found.leave_out.extend(spoiled);
+        found.hygiene.push(hygiene);
+    }
+    found.leave_out = merged(found.leave_out);
+    found
+}
+
+/// Masks the events that are left without the drifts; whether that changed anything.
+fn mask_again(records: &mut [Record], friction: &[[f64; 2]], drifts: &[Drift]) -> bool {
+    let deviations = drift::Deviations::of(records, friction);
+    let mask = |(run, record): (usize, &Record)| {
+        let x = transient::robust(record, Some(&deviations.torque(run, drifts)), true);
+        transient::mask(record, &transient::events(record, &x), MARGIN)
+    };
+    let masks: Vec<Vec<bool>> = records.iter().enumerate().map(mask).collect();
+    let mut changed = false;
+    for (record, masked) in records.iter_mut().zip(masks) {
+        changed |= record.masked != masked;
+        record.masked = masked;
+    }
+    changed
+}
+
+/// Stretches that touch or overlap as one, in the order of runs and time.
+fn merged(mut stretches: Vec<LeftOut>) -> Vec<LeftOut> {
+    stretches.sort_by(|a, b| a.run.cmp(&b.run).then(a.from.total_cmp(&b.from)));
+    let mut out: Vec<LeftOut> = Vec::new();
+    for one in stretches {
+        match out.last_mut() {
+            Some(last) if last.run == one.run && one.from <= last.to + 1e-9 => last.to = last.to.max(one.to),
+            _ => out.push(one),
+        }
+    }
+    out
+}
+
+/// Experiments whose noise spectrum is that of [`Changing::scatter`]. They may have fewer periods by now than those that were looked at.
+pub fn cleaned(experiments: &mut [Experiment], found: &Changing) {
+    for (experiment, scatter) in experiments.iter_mut().zip(&found.scatter) {
+        if let (Some(own), Some(scatter)) = (&mut experiment.scatter, scatter) {
+            *own = Scatter { periods: own.periods, ..scatter.clone() };
+        }
+    }
+}
+
+fn transient_of(record: &Record, x: &DMatrix<f64>, event: &transient::Event) -> Transient {
+    let rms = |column: &[f64]| {
+        let own = &column[event.first..event.last];
+        (own.iter().map(|value| value * value).sum::<f64>() / own.len() as f64).sqrt()
+    };
+    Transient {
+        run: record.experiment.name.clone(),
+        from: record.time(event.first),
+        to: record.time(event.last - 1) + record.dt,
+        period: record.repeats.periods[event.first / record.samples],
+        joints: event.joints.clone(),
+        rms: x.as_slice().chunks(x.nrows()).map(rms).collect(),
+    }
+}
+
+/// Stretches of masked rows in the run's own time.
+fn left_out(record: &Record, masked: &[bool]) -> Vec<LeftOut> {
+    let mut found = Vec::new();
+    for (period, rows) in record.repeats.periods.iter().zip(masked.chunks(record.samples)) {
+        for (first, last) in transient::stretches(rows) {
+            let time = |row: usize| (period * record.samples + row) as f64 * record.dt;
+            found.push(LeftOut { run: record.experiment.name.clone(), from: time(first), to: time(last) });
+        }
+    }
+    found
+}
+
+/// Scatter at the full rate without what is known and without the masked rows of the grid.
+fn scatter(record: &Record, known: &DMatrix<f64>, masked: &[bool]) -> Scatter {
+    let (samples, step) = (record.experiment.motion.samples(), record.step);
+    let (periods, joints) = (record.periods(), record.joints());
+    let dt = record.experiment.motion.dt;
+    let spectral = Spectral::new(samples, dt);
+    let (mut std, mut power) = (vec![0.0; joints], DMatrix::zeros(spectral.bins(), joints));
+    let rows = periods * samples;
+    let told = (rows - masked.iter().filter(|masked| **masked).count() * step).saturating_sub(samples).max(1);
+    for joint in 0..joints {
+        let mut x: Vec<f64> =
+            (0..rows).map(|row| record.repeats.tau[(row, joint)] - known[(row / step, joint)]).collect();
+        for k in 0..samples {
+            let own = (k..rows).step_by(samples);
+            let counted = own.clone().filter(|row| !masked[row / step]);
+            let (sum, count) = counted.fold((0.0, 0.0), |(sum, count), row| (sum + x[row], count + 1.0));
+            own.for_each(|row| x[row] = if masked[row / step] { 0.0 } else { x[row] - sum / f64::max(count, 1.0) });
+        }
+        std[joint] = (x.iter().map(|value| value * value).sum::<f64>() / told as f64).sqrt();
+        for period in x.chunks(samples) {
+            for (bin, value) in spectral.transform(period).iter().enumerate() {
+                power[(bin, joint)] += value.norm_sqr() / told as f64;
+            }
+        }
+    }
+    Scatter { periods, std, power, samples, dt }
+}

@@ -1,0 +1,119 @@
+//! The periods of one run on a grid that is as fine as slow effects need, and what is taken off them.
+
+use nalgebra::DMatrix;
+use plumbline_identify::experiment::{Experiment, Repeats};
+use plumbline_model::term::Motion;
+
+/// Samples of the grid are means over at most this time \[s\].
+const BLOCK: f64 = 0.01;
+
+/// One run.
+pub(super) struct Record<'a> {
+    /// The run.
+    pub experiment: &'a Experiment,
+    /// Its periods' deviations at the full rate.
+    pub repeats: &'a Repeats,
+    /// Samples of the full rate in one of the grid.
+    pub step: usize,
+    /// Time between samples \[s\].
+    pub dt: f64,
+    /// Samples of a period, N.
+    pub samples: usize,
+    /// The mean motion.
+    pub motion: Motion,
+    /// Deviations of the torques from their mean, P N x n \[Nm\].
+    pub tau: DMatrix<f64>,
+    /// Samples that don't count, P N.
+    pub masked: Vec<bool>,
+}
+
+impl Record<'_> {
+    /// Of a run whose periods were kept; `None` without repeats.
+    pub fn of(experiment: &Experiment) -> Option<Record<'_>> {
+        let repeats = experiment.repeats.as_ref()?;
+        let all = experiment.motion.samples();
+        let most = (BLOCK / experiment.motion.dt * 1.001).floor().max(1.0) as usize;
+        let step = (1..=most).rev().find(|step| all.is_multiple_of(*step)).unwrap_or(1);
+        let of = &experiment.motion;
+        let motion = Motion {
+            dt: of.dt * step as f64,
+            q: blocks(&of.q, step),
+            dq: blocks(&of.dq, step),
+            ddq: blocks(&of.ddq, step),
+            ..of.clone()
+        };
+        let tau = blocks(&repeats.tau, step);
+        let masked = vec![false; tau.nrows()];
+        Some(Record { experiment, repeats, step, dt: motion.dt, samples: all / step, motion, tau, masked })
+    }
+
+    /// Number of joints, n.
+    pub fn joints(&self) -> usize {
+        self.tau.ncols()
+    }
+
+    /// Number of periods, P.
+    pub fn periods(&self) -> usize {
+        self.tau.nrows() / self.samples
+    }
+
+    /// Time of a row since the first sample of the run \[s\], in the middle of its block.
+    pub fn time(&self, row: usize) -> f64 {
+        let period = self.repeats.periods[row / self.samples];
+        let middle = (self.step - 1) as f64 / (2.0 * self.step as f64);
+        ((period * self.samples + row % self.samples) as f64 + middle) * self.dt
+    }
+
+    /// Takes the mean over the periods off a signal, P N, without what is masked; that becomes zero.
+    pub fn centre(&self, x: &mut [f64]) {
+        for k in 0..self.samples {
+            let rows = (k..x.len()).step_by(self.samples);
+            let counted = rows.clone().filter(|&row| !self.masked[row]);
+            let (sum, count) = counted.fold((0.0, 0.0), |(sum, count), row| (sum + x[row], count + 1.0));
+            let mean = sum / f64::max(count, 1.0);
+            rows.for_each(|row| x[row] = if self.masked[row] { 0.0 } else { x[row] - mean });
+        }
+    }
+
+    /// Deviations of one joint as [`Record::centre`] leaves them.
+    pub fn centred(&self, joint: usize) -> Vec<f64> {
+        let mut x = self.tau.column(joint).iter().copied().collect::<Vec<f64>>();
+        self.centre(&mut x);
+        x
+    }
+}
+
+/// Every period minus the median of all, P N.
+pub(super) fn from_median(mut x: Vec<f64>, samples: usize) -> Vec<f64> {
+    let mut values = Vec::new();
+    for k in 0..samples {
+        values.clear();
+        values.extend(x[k..].iter().step_by(samples));
+        let middle = median(&mut values);
+        x[k..].iter_mut().step_by(samples).for_each(|value| *value -= middle);
+    }
+    x
+}
+
+/// Median; of an even number of values the mean of the middle two. Changes their order.
+pub(super) fn median(values: &mut [f64]) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let half = values.len() / 2;
+    let even = values.len().is_multiple_of(2);
+    let (below, &mut upper, _) = values.select_nth_unstable_by(half, f64::total_cmp);
+    if even { 0.5 * (upper + below.iter().copied().fold(f64::NEG_INFINITY, f64::max)) } else { upper }
+}
+
+/// Median and median distance from it.
+pub(super) fn spread(values: &[f64]) -> (f64, f64) {
+    let middle = median(&mut values.to_vec());
+    (middle, median(&mut values.iter().map(|value| (value - middle).abs()).collect::<Vec<_>>()))
+}
+
+/// Means of `step` rows each.
+fn blocks(x: &DMatrix<f64>, step: usize) -> DMatrix<f64> {
+    let mean = |k: usize, j: usize| x.view((k * step, j), (step, 1)).sum() / step as f64;
+    DMatrix::from_fn(x.nrows() / step, x.ncols(), mean)
+}

@@ -1,0 +1,201 @@
+//! Residuals as people look at them: over time, over frequency, over the variable of an effect.
+
+use super::evidence::Evidence;
+use super::fallback::Unexplained;
+use super::select::Search;
+use super::state::State;
+use nalgebra::DVector;
+use plumbline_model::term::effect::Spec;
+
+/// Joints that are drawn at most.
+const JOINTS: usize = 4;
+/// Trajectories that are drawn at most.
+const FOLDS: usize = 2;
+/// Bins of a variable.
+const BINS: usize = 30;
+
+/// Everything that is drawn.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Curves {
+    /// Residuals over time.
+    pub periods: Vec<Period>,
+    /// Residuals over frequency.
+    pub spectra: Vec<Spectrum>,
+    /// Residuals over what effects depend on.
+    pub effects: Vec<Effect>,
+}
+
+/// A joint's residual in the band along one trajectory.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Period {
+    /// The joint, from 0.
+    pub joint: usize,
+    /// Name of the run.
+    pub run: String,
+    /// Time since the start of the period, or of a run that does not repeat \[s\].
+    pub t: Vec<f64>,
+    /// Of the plain model \[Nm\].
+    pub before: Vec<f64>,
+    /// Of the model with effects \[Nm\].
+    pub after: Vec<f64>,
+    /// Standard deviation of the mean period; nothing without repeats \[Nm\].
+    pub floor: Option<f64>,
+}
+
+/// A joint's residual as a density, one-sided, of all trajectories together.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Spectrum {
+    /// The joint, from 0.
+    pub joint: usize,
+    /// Frequency \[Hz\].
+    pub f: Vec<f64>,
+    /// Of the plain model \[Nm2/Hz\].
+    pub before: Vec<f64>,
+    /// Of the model with effects \[Nm2/Hz\].
+    pub after: Vec<f64>,
+    /// Of the noise; nothing without repeats \[Nm2/Hz\].
+    pub noise: Vec<f64>,
+}
+
+/// A joint's residual without one effect, over that effect's variable.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Effect {
+    /// The effect.
+    pub spec: Spec,
+    /// The joint, from 0.
+    pub joint: usize,
+    /// What it is drawn over: `dq4 [rad/s]`.
+    pub variable: String,
+    /// Middle of each bin.
+    pub x: Vec<f64>,
+    /// Mean residual \[Nm\].
+    pub mean: Vec<f64>,
+    /// Its standard error \[Nm\].
+    pub error: Vec<f64>,
+    /// Mean of the fitted effect \[Nm\].
+    pub fitted: Vec<f64>,
+}
+
+/// Of the plain model and of what is delivered.
+pub fn of(search: &Search, before: &State, after: &State, unexplained: &[Unexplained]) -> Curves {
+    let evidence = search.problem.evidence;
+    let mut joints: Vec<usize> = Vec::new();
+    let touched = after.items.iter().flat_map(|item| item.spec.site.joints().into_iter().take(1));
+    for joint in touched.chain(unexplained.iter().map(|one| one.joint)) {
+        if !joints.contains(&joint) && joints.len() < JOINTS {
+            joints.push(joint);
+        }
+    }
+    if joints.is_empty() {
+        // Where nothing was found, the joint that comes nearest to it.
+        let lack = |joint: usize| before.residual(joint).norm_squared();
+        joints.extend((0..evidence.joints()).max_by(|&a, &b| lack(a).total_cmp(&lack(b))));
+    }
+    Curves {
+        periods: joints.iter().flat_map(|&joint| periods(evidence, joint, before, after)).collect(),
+        spectra: joints.iter().map(|&joint| spectrum(evidence, joint, before, after)).collect(),
+        effects: (0..after.items.len()).filter_map(|item| effect(search, after, item)).collect(),
+    }
+}
+
+/// Coefficients of one fold in Nm.
+fn in_fold(evidence: &Evidence, joint: usize, rows: &DVector<f64>, fold: usize) -> Vec<f64> {
+    let range = evidence.folds()[fold].rows.clone();
+    rows.rows(range.start, range.len())
+        .iter()
+        .zip(&evidence.sigma(joint)[range])
+        .map(|(row, sigma)| row * sigma)
+        .collect()
+}
+
+fn periods(evidence: &Evidence, joint: usize, before: &State, after: &State) -> Vec<Period> {
+    let (was, is) = (before.residual(joint), after.residual(joint));
+    let one = |fold: usize| {
+        let own = &evidence.folds()[fold];
+        let motion = evidence.motion(own.experiment);
+        let t = evidence.thinned(fold).map(|k| motion.start + k as f64 * motion.dt).collect();
+        let signal = |rows: &DVector<f64>| evidence.signal(fold, &in_fold(evidence, joint, rows, fold));
+        let floor = evidence.floor(joint);
+        Period { joint, run: own.name.clone(), t, before: signal(&was), after: signal(&is), floor }
+    };
+    (0..evidence.folds().len().min(FOLDS)).map(one).collect()
+}
+
+fn spectrum(evidence: &Evidence, joint: usize, before: &State, after: &State) -> Spectrum {
+    let (was, is) = (before.residual(joint), after.residual(joint));
+    let mut lines: Vec<[f64; 5]> = Vec::new();
+    for (index, fold) in evidence.folds().iter().enumerate() {
+        let (was, is) = (in_fold(evidence, joint, &was, index), in_fold(evidence, joint, &is, index));
+        let sigma = &evidence.sigma(joint)[fold.rows.clone()];
+        let dt = evidence.motion(fold.experiment).dt * evidence.thinned(index).len() as f64 / fold.samples.len() as f64;
+        for (k, &f) in fold.frequencies.iter().enumerate() {
+            // Squared coefficients are the power of one sample: a density, one-sided, is twice that times the time between samples.
+            let density = 2.0 * dt;
+            lines.push([f, density * was[k].powi(2), density * is[k].powi(2), density * sigma[k].powi(2), 1.0]);
+        }
+    }
+    lines.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    // Bins of a twentieth of an octave and more, so that scatter does not hide the level.
+    let mut merged: Vec<[f64; 5]> = Vec::new();
+    let mut edge = 0.0;
+    for line in lines {
+        match merged.last_mut() {
+            Some(last) if line[0] < edge => last.iter_mut().zip(line).for_each(|(sum, value)| *sum += value),
+            _ => {
+                edge = (1.1 * line[0]).max(line[0] + 0.05);
+                merged.push(line);
+            }
+        }
+    }
+    let mean = |which: usize| merged.iter().map(|line| line[which] / line[4]).collect::<Vec<f64>>();
+    let noise = if evidence.repeats() { mean(3) } else { Vec::new() };
+    Spectrum { joint, f: mean(0), before: mean(1), after: mean(2), noise }
+}
+
+/// What an effect of each kind is best seen over.
+fn variable(spec: &Spec) -> (&'static str, fn(&[f64; 3]) -> f64) {
+    match spec.family {
+        "torque-offset" | "spring" | "position-ripple" | "position-dependent-friction" => ("q", |state| state[0]),
+        "rotor-inertia" => ("ddq", |state| state[2]),
+        _ => ("dq", |state| state[1]),
+    }
+}
+
+fn effect(search: &Search, state: &State, item: usize) -> Option<Effect> {
+    let evidence = search.problem.evidence;
+    let spec = state.items[item].spec.clone();
+    let joints = spec.site.joints();
+    let (&joint, &cause) = (joints.first()?, joints.last()?);
+    let (_, part) = state.items[item].rows.parts.iter().find(|(own, _)| *own == joint)?;
+    let range = state.range(item);
+    let fitted = part * state.fit.theta.rows(range.start, range.len());
+    let without = state.residual(joint) + &fitted;
+    let (name, of) = variable(&spec);
+    let mut points: Vec<[f64; 3]> = Vec::new();
+    for (index, fold) in evidence.folds().iter().enumerate() {
+        let motion = evidence.motion(fold.experiment);
+        let residual = evidence.signal(index, &in_fold(evidence, joint, &without, index));
+        let effect = evidence.signal(index, &in_fold(evidence, joint, &fitted, index));
+        for ((k, residual), effect) in evidence.thinned(index).zip(residual).zip(effect) {
+            let x = of(&[motion.q[(k, cause)], motion.dq[(k, cause)], motion.ddq[(k, cause)]]);
+            points.push([x, residual, effect]);
+        }
+    }
+    // Bins of equal numbers show what happens where the arm is often.
+    points.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let unit = ["q", "dq", "ddq"].iter().position(|own| *own == name).map_or("", |k| ["rad", "rad/s", "rad/s2"][k]);
+    let variable = format!("{name}{} [{unit}]", cause + 1);
+    let mut curve = Effect { spec, joint, variable, x: vec![], mean: vec![], error: vec![], fitted: vec![] };
+    for bin in points.chunks(points.len().div_ceil(BINS).max(1)) {
+        let count = bin.len() as f64;
+        let mean = |which: usize| bin.iter().map(|point| point[which]).sum::<f64>() / count;
+        let level = mean(1);
+        let variance = bin.iter().map(|point| (point[1] - level).powi(2)).sum::<f64>() / count;
+        curve.x.push(mean(0));
+        curve.mean.push(level);
+        // Neighbours in time are nearly the same sample: one in ten counts.
+        curve.error.push((variance / (count / 10.0).max(1.0)).sqrt());
+        curve.fitted.push(mean(2));
+    }
+    Some(curve)
+}

@@ -1,0 +1,226 @@
+//! The model that is delivered: the plain one with the effects that help.
+
+use super::Settings;
+use super::diagnosis::Input;
+use super::errors::{self, Compared};
+use super::evidence::{Evidence, Trial};
+use super::library::Candidate;
+use super::outcome::Fitted;
+use super::select::{Found, Selected};
+use super::state::State;
+use super::unseen::Unseen;
+use nalgebra::DVector;
+use plumbline_core::parallel;
+use plumbline_identify::EstimateError;
+use plumbline_identify::experiment::Experiment;
+use plumbline_identify::solve::{Estimator, Identification, identify_weighted, identify_with};
+use plumbline_identify::validate::Modelled;
+use plumbline_model::term::effect::{self, Spec};
+use plumbline_model::torque::TorqueModel;
+
+/// What a joint's effects have to explain of what was unmodelled there, to be put into the model.
+const HELPFUL: f64 = 0.5;
+/// Times the noise that the unseen runs may show of what the plain model lacks, for an effect that hardly comes in there: the errors of the parameters
+/// are as large, and it has to do no harm alone.
+const FAINT: f64 = 1.5;
+/// Share of the plain model's error by which a joint must get worse for certain to be worse: the joints share the rigid body's parameters, and
+/// each of them moves a little with every effect.
+const WORSE: f64 = 0.05;
+/// Parameters that moved by less than this, times their standard deviation, are those that the load was computed with.
+const SETTLED: f64 = 0.1;
+
+/// What a delivery is made of.
+pub struct Delivery<'a> {
+    /// What is diagnosed.
+    pub input: &'a Input<'a>,
+    /// Its unseen runs.
+    pub unseen: &'a Evidence,
+    /// The runs to identify from.
+    pub experiments: &'a [Experiment],
+    /// The plain model.
+    pub before: &'a Identification,
+    /// Effects that the search started with.
+    pub seeds: &'a [Candidate],
+    /// How the diagnosis is done.
+    pub settings: &'a Settings,
+}
+
+impl Delivery<'_> {
+    /// The model with the effects that help, and for each effect that it has not the reason. They have to help in the selection's fit, of which
+    /// `adequacy` tells each joint's share (as far as the unseen runs show what the plain model `lacks`), and must do no harm in the model that is
+    /// delivered: identified once more upon its own load, an effect near a resonance may come out as another one. An effect that passes this may
+    /// be withheld for another reason: see [`Delivery::reason`].
+    ///
+    /// # Errors
+    /// As [`identify_with`].
+    pub fn of(
+        &self,
+        selected: &Selected,
+        lacks: &[Option<f64>],
+        adequacy: &[Option<f64>],
+        confirmed: &[bool],
+    ) -> Result<(Fitted, Vec<Option<String>>), EstimateError> {
+        let too_little = |share: &[Option<f64>], found: &Found, least: f64| {
+            let joint = found.relevance.joint;
+            let share = share[joint].filter(|share| *share < least)?;
+            let lack = format!("what the plain model lacks in joint {}", joint + 1);
+            Some(match share {
+                share if share < 0.0 => format!("on unseen runs the effects add to {lack}"),
+                share => format!("on unseen runs the effects explain {:.0} % of {lack}", 100.0 * share),
+            })
+        };
+        let least = |found: &Found| {
+            let faint = lacks[found.relevance.joint].is_some_and(|lack| lack <= FAINT * FAINT);
+            if faint { 0.0 } else { HELPFUL }
+        };
+        let mut withheld: Vec<Option<String>> =
+            selected.found.iter().map(|found| too_little(adequacy, found, least(found))).collect();
+        loop {
+            let kept: Vec<bool> = withheld.iter().map(Option::is_none).collect();
+            let after = self.extended(&selected.state, &kept)?;
+            if !kept.contains(&true) {
+                return Ok((after, withheld));
+            }
+            let unseen = Unseen::of_model(self.unseen, &after, self.input.unseen());
+            let share = unseen.explained(lacks, &DVector::from_column_slice(&after.identification.beta));
+            for (why, found) in withheld.iter_mut().zip(&selected.found).filter(|(why, _)| why.is_none()) {
+                *why = too_little(&share, found, 0.0);
+            }
+            if withheld.iter().zip(&kept).any(|(why, kept)| *kept && why.is_some()) {
+                continue;
+            }
+            // One at a time, the least first: without it the others come out otherwise.
+            let Some((index, why)) = self.reason(selected, &kept, &after, confirmed) else {
+                return Ok((after, withheld));
+            };
+            withheld[index] = Some(why);
+        }
+    }
+
+    /// The effect that the model `after` must not have, and why: a parameter is below zero that can't be by its physics; a joint is predicted
+    /// worse than by the plain model on unseen runs; or it is unconfirmed, and its joint is not predicted better there.
+    fn reason(
+        &self,
+        selected: &Selected,
+        kept: &[bool],
+        after: &Fitted,
+        confirmed: &[bool],
+    ) -> Option<(usize, String)> {
+        let items = &selected.state.items;
+        let score = |index: &usize| selected.found[*index].score;
+        let mut candidates: Vec<usize> = (0..items.len()).filter(|&index| kept[index]).collect();
+        candidates.sort_by(|a, b| score(a).total_cmp(&score(b)));
+        for &index in &candidates {
+            if let Some((name, value)) = negative(after, &items[index].spec) {
+                return Some((index, format!("{name} came out as {value:.3}, and it can't be below 0")));
+            }
+        }
+        let compared = self.compared(after)?;
+        let change = |joint: usize| (compared.change.rms[joint], compared.change.interval[joint]);
+        let words = |joint: usize| {
+            let (change, [low, high]) = change(joint);
+            format!("{change:+.4} [{low:.4}, {high:.4}] Nm in joint {}", joint + 1)
+        };
+        for joint in 0..compared.before.rms.len() {
+            if change(joint).1[0] > WORSE * compared.before.rms[joint] {
+                let own = candidates.iter().copied().find(|&index| items[index].spec.site.joints().contains(&joint));
+                let index = own.or_else(|| self.costliest(selected, kept, &candidates, joint))?;
+                return Some((index, format!("with it, unseen runs are predicted worse: {}", words(joint))));
+            }
+        }
+        candidates.into_iter().filter(|&index| !confirmed[index]).find_map(|index| {
+            let joint = selected.found[index].relevance.joint;
+            let why = || format!("it is unconfirmed, and unseen runs are predicted no better: {}", words(joint));
+            (change(joint).0 >= 0.0).then(|| (index, why()))
+        })
+    }
+
+    /// Of effects in other joints, the one without which `joint` is predicted best: the joints share the rigid body's parameters.
+    fn costliest(&self, selected: &Selected, kept: &[bool], candidates: &[usize], joint: usize) -> Option<usize> {
+        let error_without = |&index: &usize| {
+            let mut fewer = kept.to_vec();
+            fewer[index] = false;
+            let after = self.extended(&selected.state, &fewer).ok()?;
+            Some((index, self.compared(&after)?.after.rms[joint]))
+        };
+        let errors = candidates.iter().filter_map(error_without);
+        errors.min_by(|(_, a), (_, b)| a.total_cmp(b)).map(|(index, _)| index)
+    }
+
+    /// Errors of the plain model and of another one on unseen runs; `None` where there are none.
+    fn compared(&self, after: &Fitted) -> Option<Compared> {
+        let runs = [self.input.judge, self.input.veto].into_iter().find(|runs| !runs.is_empty())?;
+        let plain = Fitted { structure: self.input.structure.clone(), identification: self.before.clone() };
+        // As they are served: a regressor knows more of the samples to come.
+        let model = |fitted: &Fitted| {
+            TorqueModel::new("", fitted.structure.clone(), Vec::new(), &fitted.identification.values()).ok()
+        };
+        let (plain, after) = (model(&plain)?, model(after)?);
+        let along = |model: &TorqueModel, trial: &Trial| Modelled::of(trial.experiment, |motion| model.predict(motion));
+        let each = parallel(runs, self.settings.threads, |trial| (along(&plain, trial), along(&after, trial)));
+        let pairs: Vec<_> =
+            runs.iter().zip(each).map(|(trial, (plain, after))| (trial.experiment, plain, after)).collect();
+        errors::compare(&pairs, self.settings.judged_by)
+    }
+
+    /// Standard deviation of each joint's residual under the model that the search starts from.
+    ///
+    /// The weights of the joints stay as they are there: a joint that an effect repairs would weigh more otherwise, and the parameters that
+    /// it shares with the others would follow what it still lacks.
+    fn weights(&self, beta: &[f64]) -> Result<Vec<f64>, EstimateError> {
+        let specs: Vec<Spec> = self.seeds.iter().map(|seed| seed.spec.clone()).collect();
+        let terms = effect::assemble(&specs, &self.input.structure.ground(beta)).ok().filter(|_| !specs.is_empty());
+        match terms.and_then(|terms| self.input.structure.clone().with(terms).ok()) {
+            Some(structure) => Ok(identify_with(&structure, self.experiments, self.input.options)?.sigma),
+            None => Ok(self.before.sigma.clone()),
+        }
+    }
+
+    /// Identified as a whole.
+    fn extended(&self, state: &State, kept: &[bool]) -> Result<Fitted, EstimateError> {
+        let Delivery { input, experiments, before, .. } = *self;
+        let plain = || Fitted { structure: input.structure.clone(), identification: before.clone() };
+        let specs: Vec<Spec> =
+            state.items.iter().zip(kept).filter(|(_, kept)| **kept).map(|(item, _)| item.spec.clone()).collect();
+        if specs.is_empty() {
+            return Ok(plain());
+        }
+        let mut beta = state.fit.theta.as_slice().to_vec();
+        let mut fitted = plain();
+        let known = experiments.iter().all(|experiment| experiment.scatter.is_some());
+        let own_weights = input.options.estimator == Estimator::Wls && !known;
+        let sigma = own_weights.then(|| self.weights(&beta)).transpose()?;
+        // Once more with the load of the parameters just found.
+        for _ in 0..2 {
+            let ground = input.structure.ground(&beta);
+            let terms = effect::assemble(&specs, &ground).ok();
+            let Some(structure) = terms.and_then(|terms| input.structure.clone().with(terms).ok()) else {
+                return Ok(plain());
+            };
+            let identification = match &sigma {
+                Some(sigma) => identify_weighted(&structure, experiments, sigma)?,
+                None => identify_with(&structure, experiments, input.options)?,
+            };
+            let plain = 0..input.structure.columns().len();
+            let near = plain.into_iter().all(|c| {
+                identification.std[c].is_none_or(|std| (identification.beta[c] - beta[c]).abs() <= SETTLED * std)
+            });
+            beta.clone_from(&identification.beta);
+            fitted = Fitted { structure, identification };
+            if near {
+                break;
+            }
+        }
+        Ok(fitted)
+    }
+}
+
+/// A parameter of an effect that is below zero and can't be by its physics: name and value.
+fn negative(fitted: &Fitted, spec: &Spec) -> Option<(String, f64)> {
+    let structure = &fitted.structure;
+    let terms = structure.terms().iter().zip(structure.ranges());
+    let own = terms.filter(|(term, _)| term.spec().as_ref() == Some(spec));
+    own.flat_map(|(term, range)| range.clone().map(move |c| (term, c - range.start, c)))
+        .find(|(term, column, c)| term.not_negative(*column) && fitted.identification.beta[*c] < 0.0)
+        .map(|(_, _, c)| (structure.columns()[c].name.clone(), fitted.identification.beta[c]))
+}

@@ -1,0 +1,337 @@
+//! What the data can testify: torques and columns as coefficients of orthonormal waves in the pass-band, weighed by their noise.
+//!
+//! The mean of a periodic motion is taken apart into the harmonics of its period; a motion that does not repeat into blocks, and each
+//! block into cosines (DCT-II, whose even continuation has no step at the ends). Both are orthonormal linear maps that torque and
+//! columns go through alike, so `tau = W beta` holds for the coefficients as it does for the samples; all that lies above the band is
+//! left out, and the noise of the coefficients is nearly independent. Every coefficient is divided by the standard deviation of its
+//! noise, which repetitions tell; without them by 1 Nm, and the scale of each band is estimated with the model.
+
+use super::fold::{BLOCK, Fold, Thinned, Thinning, folds_of};
+use nalgebra::{DMatrix, DVector};
+use plumbline_identify::experiment::Experiment;
+use plumbline_model::chain::Chain;
+use plumbline_model::structure::Structure;
+use plumbline_model::term::{Motion, Term};
+use std::ops::Range;
+
+/// Upper edges of the bands that have a scale of their own \[Hz\].
+pub const BANDS: [f64; 7] = [0.55, 1.05, 2.0, 4.0, 8.0, 16.0, f64::INFINITY];
+/// Noise is averaged over frequencies from `f / 1.3` to `1.3 f`.
+const SMOOTHING: f64 = 1.3;
+/// Blocks that the motions that do not repeat are cut into, all together.
+const BLOCKS: f64 = 20.0;
+
+/// Rows of one joint, one fold and one band.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Cell {
+    /// The joint, from 0.
+    pub joint: usize,
+    /// The fold.
+    pub fold: usize,
+    /// The band.
+    pub band: usize,
+    /// Its rows among those of the joint.
+    pub rows: Range<usize>,
+}
+
+/// Coefficients of columns; joints that are not listed have none.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rows {
+    /// Number of columns.
+    pub width: usize,
+    /// Joint, from 0, and its coefficients, divided by their noise.
+    pub parts: Vec<(usize, DMatrix<f64>)>,
+}
+
+/// The maps from samples to coefficients for a set of experiments.
+#[derive(Clone, Debug)]
+pub struct Evidence {
+    joints: usize,
+    folds: Vec<Fold>,
+    cells: Vec<Cell>,
+    /// Standard deviation of each row's noise, per joint \[Nm\].
+    sigma: Vec<Vec<f64>>,
+    repeats: bool,
+    motions: Vec<Thinned>,
+    chain: Chain,
+}
+
+/// One run to be diagnosed.
+pub struct Trial<'a> {
+    /// The run made ready.
+    pub experiment: &'a Experiment,
+    /// Its session, 1 for the first.
+    pub session: u32,
+}
+
+impl Evidence {
+    /// Of experiments of one arm, up to a frequency \[Hz\].
+    pub fn of(chain: &Chain, trials: &[Trial], band: f64) -> Evidence {
+        let joints = chain.len();
+        let free: f64 = trials
+            .iter()
+            .filter(|trial| !trial.experiment.motion.periodic)
+            .map(|trial| trial.experiment.motion.samples() as f64 * trial.experiment.motion.dt)
+            .sum();
+        let length = (free / BLOCKS).clamp(BLOCK.0, BLOCK.1);
+        let (mut folds, mut motions) = (Vec::new(), Vec::new());
+        for (index, trial) in trials.iter().enumerate() {
+            let thinned = Thinned::of(&trial.experiment.motion);
+            for fold in folds_of(index, trial.experiment, trial.session, band, length, thinned.step) {
+                folds.push(fold);
+            }
+            motions.push(thinned);
+        }
+        let mut before = 0;
+        for fold in &mut folds {
+            fold.rows = before..before + fold.frequencies.len();
+            before = fold.rows.end;
+        }
+        let mut cells = Vec::new();
+        for joint in 0..joints {
+            for (index, fold) in folds.iter().enumerate() {
+                cells.extend(cells_of(joint, index, fold));
+            }
+        }
+        let repeats = trials.iter().all(|trial| trial.experiment.scatter.is_some());
+        let sigma = (0..joints).map(|joint| noise(trials, &folds, joint, repeats)).collect();
+        Evidence { joints, folds, cells, sigma, repeats, motions, chain: chain.clone() }
+    }
+
+    /// Number of joints, n.
+    pub fn joints(&self) -> usize {
+        self.joints
+    }
+
+    /// The folds.
+    pub fn folds(&self) -> &[Fold] {
+        &self.folds
+    }
+
+    /// The cells, joint by joint, within that fold by fold.
+    pub fn cells(&self) -> &[Cell] {
+        &self.cells
+    }
+
+    /// Whether repetitions tell the noise.
+    pub fn repeats(&self) -> bool {
+        self.repeats
+    }
+
+    /// Rows of a joint.
+    pub fn per_joint(&self) -> usize {
+        self.folds.last().map_or(0, |fold| fold.rows.end)
+    }
+
+    /// Standard deviations that the rows of a joint are divided by \[Nm\].
+    pub fn sigma(&self, joint: usize) -> &[f64] {
+        &self.sigma[joint]
+    }
+
+    /// Samples per joint that the rows stand for: the mean square of a signal in the band is the sum of its squared coefficients
+    /// (times `sigma`) over this.
+    pub fn samples(&self) -> f64 {
+        self.folds.iter().map(|fold| fold.samples.len() as f64).sum()
+    }
+
+    /// Mean square of the noise of a joint in the band \[Nm2\]; nothing without repeats.
+    pub fn floor(&self, joint: usize) -> Option<f64> {
+        let square: f64 = self.sigma[joint].iter().map(|sigma| sigma * sigma).sum();
+        self.repeats.then(|| (square / self.samples()).sqrt())
+    }
+
+    /// Measured torques, per joint.
+    pub fn torques(&self, trials: &[Trial]) -> Vec<DVector<f64>> {
+        let rows = self.of_samples(|index| trials[index].experiment.stacked_tau(), 1);
+        rows.into_iter().map(|part| part.column(0).into_owned()).collect()
+    }
+
+    /// The regressor of a structure, per joint: columns at the full rate.
+    pub fn regressor(&self, structure: &Structure, trials: &[Trial]) -> Vec<DMatrix<f64>> {
+        let width = structure.columns().len();
+        self.of_samples(|index| structure.regressor(&trials[index].experiment.motion), width)
+    }
+
+    /// Columns of a term at the rate of candidates, in the folds of sessions from `since` on where that is given.
+    ///
+    /// Terms that are smooth in time are computed for some of the samples alone.
+    pub fn columns(&self, term: &dyn Term, since: Option<u32>) -> Rows {
+        self.look(term, since, false)
+    }
+
+    /// Nearly the same in a fraction of the time, for terms that integrate in time.
+    pub fn sketch(&self, term: &dyn Term, since: Option<u32>) -> Rows {
+        self.look(term, since, true)
+    }
+
+    fn look(&self, term: &dyn Term, since: Option<u32>, rough: bool) -> Rows {
+        let width = term.columns().len();
+        let mut parts: Vec<Option<DMatrix<f64>>> = vec![None; self.joints];
+        // One piece of memory for all motions: fresh pages cost more than what is computed into them.
+        let mut buffer = Vec::new();
+        for (index, Thinned { whole, few, step }) in self.motions.iter().enumerate() {
+            let own: Vec<&Fold> = self.folds.iter().filter(|fold| fold.experiment == index).collect();
+            if !own.iter().any(|fold| since.is_none_or(|since| fold.session >= since)) {
+                continue;
+            }
+            let means = rough && whole.periodic && term.integrates();
+            let (thinning, motion) = match (term.smooth(), means) {
+                (true, _) => (Thinning::Middle(*step), few),
+                (false, true) => (Thinning::MeanBefore(*step), few),
+                (false, false) => (Thinning::Mean(*step), whole),
+            };
+            let samples = motion.samples();
+            buffer.clear();
+            buffer.resize(samples * self.joints * width, 0.0);
+            let mut y = DMatrix::from_vec(samples * self.joints, width, std::mem::take(&mut buffer));
+            if means {
+                term.fill_means(&self.chain, motion, &mut y, 0);
+            } else {
+                term.fill(&self.chain, motion, &mut y, 0);
+            }
+            let mut blocks = Vec::new();
+            for (joint, part) in parts.iter_mut().enumerate() {
+                for column in 0..width {
+                    let mut x = &y.as_slice()[column * y.nrows() + joint * samples..][..samples];
+                    if x.iter().all(|value| *value == 0.0) {
+                        continue;
+                    }
+                    if let Thinning::Mean(step) = thinning {
+                        blocks.clear();
+                        blocks.extend(x.chunks_exact(step).map(|piece| piece.iter().sum::<f64>() / step as f64));
+                        x = &blocks;
+                    }
+                    let part = part.get_or_insert_with(|| DMatrix::zeros(self.per_joint(), width));
+                    let mut part = part.column_mut(column);
+                    for fold in &own {
+                        let mut out = part.rows_mut(fold.rows.start, fold.rows.len());
+                        fold.project(x, thinning, out.as_mut_slice());
+                    }
+                }
+            }
+            buffer = y.data.into();
+        }
+        let whiten = |(joint, part): (usize, Option<DMatrix<f64>>)| {
+            let mut part = part?;
+            self.whiten(joint, &mut part);
+            Some((joint, part))
+        };
+        Rows { width, parts: parts.into_iter().enumerate().filter_map(whiten).collect() }
+    }
+
+    /// The motion of each experiment at the rate of candidates.
+    pub fn motion(&self, experiment: usize) -> &Motion {
+        &self.motions[experiment].few
+    }
+
+    /// Number of experiments.
+    pub fn experiments(&self) -> usize {
+        self.motions.len()
+    }
+
+    /// Samples at the rate of candidates that a fold spans, of those of its experiment.
+    pub fn thinned(&self, fold: usize) -> Range<usize> {
+        let Fold { experiment, samples, .. } = &self.folds[fold];
+        let step = self.motions[*experiment].step;
+        samples.start / step..samples.end / step
+    }
+
+    /// Coefficients of torques of one joint that are given at the samples of [`Evidence::motion`], N x width in each experiment; divided
+    /// by the noise.
+    pub fn project(&self, joint: usize, samples: &[DMatrix<f64>]) -> DMatrix<f64> {
+        let width = samples.first().map_or(0, DMatrix::ncols);
+        let mut part = DMatrix::zeros(self.per_joint(), width);
+        for (index, (Thinned { few: motion, step, .. }, values)) in self.motions.iter().zip(samples).enumerate() {
+            assert_eq!(values.shape(), (motion.samples(), width), "samples of experiment {index}");
+            for (mut out, x) in part.column_iter_mut().zip(values.as_slice().chunks_exact(motion.samples())) {
+                for fold in self.folds.iter().filter(|fold| fold.experiment == index) {
+                    let mut own = out.rows_mut(fold.rows.start, fold.rows.len());
+                    fold.project(x, Thinning::Middle(*step), own.as_mut_slice());
+                }
+            }
+        }
+        self.whiten(joint, &mut part);
+        part
+    }
+
+    /// The signal that has these coefficients in one fold, and nothing outside the band, at the samples of [`Evidence::thinned`]: the
+    /// inverse of what torques go through. `rows` are those of the fold, not divided by the noise.
+    pub fn signal(&self, fold: usize, rows: &[f64]) -> Vec<f64> {
+        let fold = &self.folds[fold];
+        let Thinned { few: motion, step, .. } = &self.motions[fold.experiment];
+        fold.signal(rows, *step, motion)
+    }
+
+    /// Coefficients of samples at the full rate, n N x width in each experiment.
+    fn of_samples(&self, samples: impl Fn(usize) -> DMatrix<f64>, width: usize) -> Vec<DMatrix<f64>> {
+        let mut parts = vec![DMatrix::zeros(self.per_joint(), width); self.joints];
+        for (index, Thinned { whole, .. }) in self.motions.iter().enumerate() {
+            let y = samples(index);
+            let count = whole.samples();
+            for (joint, part) in parts.iter_mut().enumerate() {
+                for column in 0..width {
+                    let x = &y.as_slice()[column * y.nrows() + joint * count..][..count];
+                    let mut part = part.column_mut(column);
+                    for fold in self.folds.iter().filter(|fold| fold.experiment == index) {
+                        let mut out = part.rows_mut(fold.rows.start, fold.rows.len());
+                        fold.project(x, Thinning::None, out.as_mut_slice());
+                    }
+                }
+            }
+        }
+        for (joint, part) in parts.iter_mut().enumerate() {
+            self.whiten(joint, part);
+        }
+        parts
+    }
+
+    fn whiten(&self, joint: usize, part: &mut DMatrix<f64>) {
+        for mut column in part.column_iter_mut() {
+            for (value, sigma) in column.iter_mut().zip(&self.sigma[joint]) {
+                *value /= sigma;
+            }
+        }
+    }
+}
+
+fn cells_of(joint: usize, fold: usize, of: &Fold) -> Vec<Cell> {
+    let mut cells: Vec<Cell> = Vec::new();
+    for (k, frequency) in of.frequencies.iter().enumerate() {
+        let band = BANDS.iter().position(|edge| frequency <= edge).unwrap_or(BANDS.len() - 1);
+        let row = of.rows.start + k;
+        match cells.last_mut() {
+            Some(cell) if cell.band == band => cell.rows.end = row + 1,
+            _ => cells.push(Cell { joint, fold, band, rows: row..row + 1 }),
+        }
+    }
+    cells
+}
+
+/// Standard deviation of the noise of each row of a joint: that of the mean period, from all experiments together.
+fn noise(trials: &[Trial], folds: &[Fold], joint: usize, repeats: bool) -> Vec<f64> {
+    let mut sigma = Vec::new();
+    for fold in folds {
+        if !repeats {
+            sigma.extend(fold.frequencies.iter().map(|_| 1.0));
+            continue;
+        }
+        let own = &trials[fold.experiment].experiment.scatter;
+        let periods = own.as_ref().map_or(1, |scatter| scatter.periods) as f64;
+        for &frequency in &fold.frequencies {
+            let (mut power, mut weight) = (0.0, 0.0);
+            for scatter in trials.iter().filter_map(|trial| trial.experiment.scatter.as_ref()) {
+                let width = 1.0 / (scatter.samples as f64 * scatter.dt);
+                let low = (frequency / SMOOTHING / width).round() as usize;
+                let high = ((frequency * SMOOTHING / width).round() as usize).max(low + 1);
+                for bin in low..=high.min(scatter.power.nrows() - 1) {
+                    let freedom = (scatter.periods - 1) as f64;
+                    power += freedom * scatter.power[(bin, joint)];
+                    weight += freedom;
+                }
+            }
+            // Torques that repeat to the last bit have no noise; a thousandth of a milli-newton-metre stands for it.
+            sigma.push((power / weight / periods).sqrt().max(1e-6));
+        }
+    }
+    sigma
+}

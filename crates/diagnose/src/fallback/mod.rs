@@ -1,0 +1,172 @@
+//! What no effect of the catalogue explains: on what it depends, where it is, and which experiment would tell more.
+//!
+//! The residual of a joint is regressed on smooth functions of each variable and of each pair of positions and velocities, always judged
+//! on trajectories that the functions were not fitted to. A residual that none of them predicts follows no function of one or two joint variables.
+
+mod place;
+mod screen;
+mod variable;
+mod words;
+
+pub use place::{Dependence, Line, Map, Window};
+pub use variable::Variable;
+
+use super::Settings;
+use super::evidence::{BANDS, Evidence};
+use super::fit::group;
+use super::state::State;
+use place::Signals;
+use plumbline_core::parallel;
+use screen::Screen;
+use variable::{Course, products};
+
+/// Mean square over that of the noise above which a joint lacks something.
+pub const LACK_OF_FIT: f64 = 1.3;
+/// A residual of which the best variables predict less than this share is flat.
+pub const FLAT: f64 = 0.1;
+/// A second variable has to add so much to the share that one predicts.
+const SECOND: f64 = 0.05;
+
+/// How well variables predict a residual.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Predictor {
+    /// One variable, or two.
+    pub variables: Vec<Variable>,
+    /// Share of the residual's square that they predict on trajectories left out of the fit, R2; at most the ceiling, below zero for what
+    /// does harm.
+    pub r2: f64,
+}
+
+/// What is known of a residual that no effect explains.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Unexplained {
+    /// The joint, from 0.
+    pub joint: usize,
+    /// RMS of what repeats and the model lacks \[Nm\].
+    pub unmodelled: f64,
+    /// Mean square of the residual over that of the noise; nothing without repeats.
+    pub lack_of_fit: Option<f64>,
+    /// Largest R2 that there can be, for the rest is noise; nothing without repeats.
+    pub ceiling: Option<f64>,
+    /// Single variables, the best first.
+    pub singles: Vec<Predictor>,
+    /// Pairs of positions and velocities, the best first.
+    pub pairs: Vec<Predictor>,
+    /// The variables that it depends on: one, or two where the second adds something; none for a flat residual.
+    pub depends_on: Vec<Variable>,
+    /// Mean residual over the best single variable.
+    pub dependence: Vec<Dependence>,
+    /// Mean residual over the best pair.
+    pub map: Option<Map>,
+    /// Every second of every trajectory.
+    pub windows: Vec<Window>,
+    /// Frequencies that stand out.
+    pub lines: Vec<Line>,
+    /// What all of that says, a sentence each.
+    pub findings: Vec<String>,
+    /// The experiments that would tell more, a sentence each, the most telling first.
+    pub experiments: Vec<String>,
+}
+
+impl Unexplained {
+    /// Whether no variable predicts it.
+    pub fn flat(&self) -> bool {
+        self.depends_on.is_empty()
+    }
+
+    /// R2 of the variables that it depends on.
+    pub fn r2(&self) -> f64 {
+        let best = |list: &[Predictor]| list.first().map_or(f64::NEG_INFINITY, |one| one.r2);
+        if self.depends_on.len() == 2 { best(&self.pairs) } else { best(&self.singles) }
+    }
+
+    /// Share of the residual's square in each trajectory.
+    pub fn trajectories(&self) -> Vec<(String, f64)> {
+        let mut shares: Vec<(String, f64)> = Vec::new();
+        for window in &self.windows {
+            match shares.iter_mut().find(|(name, _)| *name == window.run) {
+                Some((_, share)) => *share += window.share,
+                None => shares.push((window.run.clone(), window.share)),
+            }
+        }
+        shares
+    }
+}
+
+/// Mean square of a joint's residual over that of its noise, F; nothing without repeats.
+pub fn lack_of_fit(evidence: &Evidence, state: &State, joint: usize) -> Option<f64> {
+    let groups = (0..BANDS.len()).map(|band| group(joint, band));
+    let sums = groups.fold((0.0, 0.0), |sum, at| (sum.0 + state.fit.rss[at], sum.1 + state.fit.count[at]));
+    evidence.repeats().then(|| sums.0 / f64::max(sums.1, 1.0))
+}
+
+/// Whether the model lacks something in this joint that matters. Without repeats nobody knows, and the answer is no.
+pub fn lacks(evidence: &Evidence, state: &State, joint: usize, settings: &Settings) -> bool {
+    let (Some(floor), Some(lack)) = (evidence.floor(joint), lack_of_fit(evidence, state, joint)) else { return false };
+    let threshold = settings.threshold.unwrap_or(settings.least_floor * floor);
+    state.unmodelled(evidence, joint).sqrt() > threshold && lack > LACK_OF_FIT
+}
+
+/// Looks at the residual of one joint, from 0.
+pub fn unexplained(evidence: &Evidence, state: &State, joint: usize, settings: &Settings) -> Unexplained {
+    let courses = courses(evidence);
+    let screen = Screen::of(evidence, state, joint);
+    let sorted = |mut list: Vec<Predictor>| {
+        list.sort_by(|a, b| b.r2.total_cmp(&a.r2));
+        list
+    };
+    let single =
+        |course: &Course| Predictor { variables: vec![course.variable], r2: screen.predicted(&course.functions()) };
+    let singles = sorted(parallel(&courses, settings.threads, single));
+    let of_pairs: Vec<(&Course, Vec<_>)> = courses
+        .iter()
+        .filter(|course| matches!(course.variable, Variable::Position(_) | Variable::Velocity(_)))
+        .map(|course| (course, course.coarse()))
+        .collect();
+    let both: Vec<(usize, usize)> =
+        (0..of_pairs.len()).flat_map(|a| (a + 1..of_pairs.len()).map(move |b| (a, b))).collect();
+    let pair = |&(a, b): &(usize, usize)| Predictor {
+        variables: vec![of_pairs[a].0.variable, of_pairs[b].0.variable],
+        r2: screen.predicted(&products(&of_pairs[a].1, &of_pairs[b].1)),
+    };
+    let pairs = sorted(parallel(&both, settings.threads, pair));
+
+    let lack = lack_of_fit(evidence, state, joint);
+    let best = |list: &[Predictor]| list.first().map_or(f64::NEG_INFINITY, |one| one.r2);
+    let (one, two) = (best(&singles), best(&pairs));
+    let depends_on = match one.max(two) {
+        r2 if r2 < FLAT => Vec::new(),
+        _ if two > one + SECOND => pairs[0].variables.clone(),
+        _ => singles[0].variables.clone(),
+    };
+    let signals = Signals::of(evidence, joint, &state.residual(joint));
+    let course = |variable: &Variable| courses.iter().find(|course| course.variable == *variable);
+    let best_single = singles.first().and_then(|one| course(&one.variables[0]));
+    let best_pair = pairs.first().and_then(|pair| Some((course(&pair.variables[0])?, course(&pair.variables[1])?)));
+    let mut found = Unexplained {
+        joint,
+        unmodelled: state.unmodelled(evidence, joint).sqrt(),
+        lack_of_fit: lack,
+        ceiling: lack.map(|lack| (1.0 - 1.0 / lack).max(0.0)),
+        depends_on,
+        dependence: best_single.map_or_else(Vec::new, |course| signals.dependence(course)),
+        map: best_pair.map(|(first, second)| signals.map(first, second)),
+        windows: signals.windows(),
+        lines: signals.lines(),
+        singles,
+        pairs,
+        findings: Vec::new(),
+        experiments: Vec::new(),
+    };
+    found.findings = words::findings(&found);
+    found.experiments = words::experiments(&found, evidence);
+    found
+}
+
+/// Every variable that changes in these motions.
+fn courses(evidence: &Evidence) -> Vec<Course> {
+    let joints = 0..evidence.joints();
+    let of_joint = |joint| [Variable::Position(joint), Variable::Velocity(joint), Variable::Acceleration(joint)];
+    let motions = || (0..evidence.experiments()).map(|experiment| evidence.motion(experiment));
+    joints.flat_map(of_joint).chain([Variable::Time]).filter_map(|variable| Course::of(variable, motions())).collect()
+}

@@ -1,0 +1,112 @@
+//! How well a residual is predicted by smooth functions of some variables, on trajectories that they were not fitted to.
+//!
+//! A disturbance `C gamma` in one joint would have left `(C - M H M' W C) gamma` there after the model with the columns `M`, weights `W`
+//! and `H = (M' W M)^-1` was fitted. These are the columns that the residual is regressed on, `C` having gone through the same map to
+//! the band as the torques: what the model absorbs explains nothing, and a step that the band has smoothed is still a step.
+
+use crate::evidence::{BANDS, Evidence};
+use crate::fit::group;
+use crate::state::State;
+use nalgebra::{DMatrix, DVector};
+
+/// Ridges that are tried, as shares of the mean square of a function.
+const RIDGES: [f64; 4] = [1e-4, 1e-3, 1e-2, 1e-1];
+/// Stretches of time that a single trajectory is cut into.
+const STRETCHES: usize = 6;
+/// Samples per coefficient in which it is cut.
+const DENSITY: f64 = 1.3;
+
+/// One joint's residual with what is needed to regress it.
+pub(super) struct Screen<'a> {
+    evidence: &'a Evidence,
+    joint: usize,
+    /// `M' W` of the joint.
+    weighed: DMatrix<f64>,
+    /// `M H` of the joint.
+    spread: DMatrix<f64>,
+    /// The residual, in parts that are left out in turn.
+    residual: Vec<DVector<f64>>,
+    by_time: bool,
+}
+
+/// Sums of products of one part of the data.
+struct Part {
+    g: DMatrix<f64>,
+    b: DVector<f64>,
+}
+
+impl Screen<'_> {
+    /// Of one joint of a fitted model.
+    pub fn of<'a>(evidence: &'a Evidence, state: &'a State, joint: usize) -> Screen<'a> {
+        let m = &state.columns.m[joint];
+        let mut weighed = m.clone();
+        for cell in evidence.cells().iter().filter(|cell| cell.joint == joint) {
+            let weight = 1.0 / state.fit.phi[group(joint, cell.band.min(BANDS.len() - 1))];
+            weighed.rows_mut(cell.rows.start, cell.rows.len()).scale_mut(weight);
+        }
+        let by_time = evidence.folds().len() < 2;
+        let weighed = weighed.transpose();
+        let mut screen = Screen { evidence, joint, weighed, spread: m * &state.fit.h, residual: Vec::new(), by_time };
+        let residual = DMatrix::from_columns(&[state.residual(joint)]);
+        screen.residual = screen.parts(&residual).iter().map(|part| part.column(0).into_owned()).collect();
+        screen
+    }
+
+    /// Share of the residual's square, in units of the noise, that a combination of functions predicts where it was not fitted; below
+    /// zero when it makes things worse. `functions` are given at the samples of each experiment, as [`Evidence::project`] wants them.
+    pub fn predicted(&self, functions: &[DMatrix<f64>]) -> f64 {
+        let mut c = self.evidence.project(self.joint, functions);
+        let scale = DVector::from_iterator(c.ncols(), c.column_iter().map(|column| column.norm().max(1e-12)));
+        let absorbed = &self.spread * (&self.weighed * &c);
+        c -= absorbed;
+        for (mut column, scale) in c.column_iter_mut().zip(&scale) {
+            column /= *scale;
+        }
+        let parts: Vec<Part> = self
+            .parts(&c)
+            .iter()
+            .zip(&self.residual)
+            .map(|(c, r)| Part { g: c.transpose() * c, b: c.tr_mul(r) })
+            .collect();
+        let (mut g, mut b) = (DMatrix::zeros(c.ncols(), c.ncols()), DVector::zeros(c.ncols()));
+        for part in &parts {
+            g += &part.g;
+            b += &part.b;
+        }
+        let total: f64 = self.residual.iter().map(DVector::norm_squared).sum();
+        let ridge = |ridge: f64| {
+            let left: Option<f64> = parts.iter().map(|part| left_out(&g, &b, part, ridge)).sum();
+            left.map_or(f64::NEG_INFINITY, |gained| gained / total)
+        };
+        RIDGES.into_iter().map(ridge).fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// Rows of each fold; of a single one, its samples in stretches of time.
+    fn parts(&self, rows: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
+        let folds = self.evidence.folds();
+        if !self.by_time {
+            return folds.iter().map(|fold| rows.rows(fold.rows.start, fold.rows.len()).into_owned()).collect();
+        }
+        let samples = self.evidence.thinned(0).len();
+        let step = (samples as f64 / (DENSITY * rows.nrows() as f64)).floor().max(1.0) as usize;
+        let scale = (step as f64).sqrt();
+        let signals: Vec<Vec<f64>> =
+            rows.column_iter().map(|column| self.evidence.signal(0, column.into_owned().as_slice())).collect();
+        let count = samples / step;
+        let stretch = |part: usize| {
+            let (first, last) = (part * count / STRETCHES, (part + 1) * count / STRETCHES);
+            DMatrix::from_fn(last - first, rows.ncols(), |k, c| scale * signals[c][(first + k) * step])
+        };
+        (0..STRETCHES).map(stretch).collect()
+    }
+}
+
+/// How much of the square of a part goes when the functions, fitted to all others, are taken off it.
+fn left_out(g: &DMatrix<f64>, b: &DVector<f64>, part: &Part, ridge: f64) -> Option<f64> {
+    let mut others = g - &part.g;
+    for k in 0..others.nrows() {
+        others[(k, k)] += ridge;
+    }
+    let gamma = others.cholesky()?.solve(&(b - &part.b));
+    Some(2.0 * part.b.dot(&gamma) - (&part.g * &gamma).dot(&gamma))
+}

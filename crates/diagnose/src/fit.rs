@@ -1,0 +1,339 @@
+//! Weighted fits, and how much likelihood a candidate brings.
+//!
+//! Rows are divided by their noise, so a model that lacks nothing leaves a mean square of one in every joint and band. What it lacks
+//! shows as an over-dispersion `phi = max(1, RSS / n)` of that joint and band, and the profile log likelihood (Whittle's, with `phi` put
+//! in its best place) is
+//!
+//!   L = -1/2 sum_g [ n_g ln phi_g + RSS_g / phi_g ].
+//!
+//! `phi` is estimated again with every candidate: estimated before it, an offset would explain itself away. Without repeats the noise
+//! has no known scale, and `phi` is near `RSS / n`.
+
+use super::evidence::{BANDS, Evidence};
+use super::moments::{Cross, Moments};
+use nalgebra::{DMatrix, DVector};
+use plumbline_core::symmetric_eigen;
+
+/// Directions of the equilibrated normal equations below this share of the largest are left alone.
+const RANK: f64 = 1e-11;
+/// Rows that the whole joint counts for in each of its bands, where the noise is not known.
+const DRAWN: f64 = 30.0;
+/// Rounds of weights.
+const ROUNDS: usize = 12;
+/// Change of their logarithm at which they have settled.
+const SETTLED: f64 = 0.02;
+
+/// Which folds count.
+pub type Chosen<'a> = &'a dyn Fn(usize) -> bool;
+
+/// What is known of the parameters before the data: minus twice the log likelihood is `theta' precision theta`.
+#[derive(Clone, Debug)]
+pub struct Prior {
+    /// Precision of the first parameters; the others are free.
+    pub precision: DMatrix<f64>,
+}
+
+/// A model fitted to some folds.
+#[derive(Clone, Debug)]
+pub struct Fit {
+    /// Parameters.
+    pub theta: DVector<f64>,
+    /// Inverse of the weighted normal equations, the parameters' covariance.
+    pub h: DMatrix<f64>,
+    /// Over-dispersion that weighed each group, joint by joint, within that band by band: `h` goes with it.
+    pub weights: Vec<f64>,
+    /// Over-dispersion of each group by what is left over, which the weights have settled to.
+    pub phi: Vec<f64>,
+    /// Squared residual of each group.
+    pub rss: Vec<f64>,
+    /// Rows of each group.
+    pub count: Vec<f64>,
+    /// Log likelihood, with what the prior adds.
+    pub likelihood: f64,
+    /// Of each group, `M'M` and the slope `M'(r - M theta)`.
+    sums: Vec<Option<(DMatrix<f64>, DVector<f64>)>>,
+}
+
+/// What a candidate does to a fit.
+#[derive(Clone, Debug)]
+pub struct Gain {
+    /// Twice the gain in log likelihood.
+    pub evidence: f64,
+    /// Its parameters.
+    pub gamma: DVector<f64>,
+    /// Change of the other parameters.
+    pub shift: DVector<f64>,
+    /// Share of its fitted part that the other columns can't take over, 0 to 1.
+    pub independence: f64,
+    /// Squared residual of each group with it.
+    pub rss: Vec<f64>,
+}
+
+/// Group of a cell.
+pub fn group(joint: usize, band: usize) -> usize {
+    joint * BANDS.len() + band
+}
+
+/// A model, its data and how its noise is known.
+pub struct Problem<'a> {
+    /// The evidence.
+    pub evidence: &'a Evidence,
+    /// What is known of the parameters.
+    pub prior: Option<&'a Prior>,
+}
+
+impl Problem<'_> {
+    fn groups(&self) -> usize {
+        self.evidence.joints() * BANDS.len()
+    }
+
+    /// Over-dispersion of groups.
+    ///
+    /// Without repeats it is drawn towards that of the whole joint: a band of few rows could be fitted to the last bit otherwise, and
+    /// then would weigh more than all others.
+    fn phi(&self, rss: &[f64], count: &[f64]) -> Vec<f64> {
+        if self.evidence.repeats() {
+            return rss.iter().zip(count).map(|(rss, count)| (rss / count.max(1.0)).max(1.0)).collect();
+        }
+        let mut phi = Vec::with_capacity(rss.len());
+        for (rss, count) in rss.chunks(BANDS.len()).zip(count.chunks(BANDS.len())) {
+            let mean = rss.iter().sum::<f64>() / count.iter().sum::<f64>().max(1.0);
+            let drawn = |(rss, count): (&f64, &f64)| ((rss + DRAWN * mean) / (count + DRAWN)).max(1e-12);
+            phi.extend(rss.iter().zip(count).map(drawn));
+        }
+        phi
+    }
+
+    /// What the prior adds to the log likelihood: `-1/2 theta' precision theta`.
+    fn of_prior(&self, theta: &DVector<f64>) -> f64 {
+        let Some(prior) = self.prior else { return 0.0 };
+        let known = theta.rows(0, prior.precision.nrows());
+        -0.5 * (&prior.precision * known).dot(&known)
+    }
+
+    /// What the prior adds to normal equations.
+    fn add_prior(&self, g: &mut DMatrix<f64>) {
+        if let Some(prior) = self.prior {
+            let known = prior.precision.nrows();
+            let mut block = g.view_mut((0, 0), (known, known));
+            block += &prior.precision;
+        }
+    }
+
+    /// Profile log likelihood of squared residuals, without what the prior adds.
+    pub fn likelihood(&self, rss: &[f64], count: &[f64]) -> f64 {
+        let phi = self.phi(rss, count);
+        let group = |((rss, count), phi): ((&f64, &f64), &f64)| count * phi.ln() + rss / phi;
+        -0.5 * rss.iter().zip(count).zip(&phi).map(group).sum::<f64>()
+    }
+
+    /// Fits a model to the chosen folds, with weights that settle from `phi` on.
+    pub fn fit(&self, moments: &Moments, chosen: Chosen, phi: Option<&[f64]>) -> Fit {
+        let phi = phi.map_or_else(|| vec![1.0; self.groups()], <[f64]>::to_vec);
+        let mut fit = self.weighted(moments, chosen, &phi);
+        for _ in 1..ROUNDS {
+            let settled = |(new, old): (&f64, &f64)| (new / old).ln().abs() < SETTLED;
+            if fit.phi.iter().zip(&fit.weights).all(settled) {
+                break;
+            }
+            fit = self.weighted(moments, chosen, &fit.phi);
+        }
+        fit
+    }
+
+    /// One fit with given weights.
+    pub fn weighted(&self, moments: &Moments, chosen: Chosen, phi: &[f64]) -> Fit {
+        let p = moments.width;
+        let (mut g, mut b) = (DMatrix::zeros(p, p), DVector::zeros(p));
+        let mut per_group: Vec<Option<(DMatrix<f64>, DVector<f64>)>> = vec![None; self.groups()];
+        let (mut rss, mut count) = (vec![0.0; self.groups()], vec![0.0; self.groups()]);
+        for (cell, own) in self.evidence.cells().iter().zip(&moments.cells) {
+            if !chosen(cell.fold) {
+                continue;
+            }
+            let at = group(cell.joint, cell.band);
+            rss[at] += own.r2;
+            count[at] += own.count as f64;
+            match &mut per_group[at] {
+                Some((sum, vector)) => {
+                    *sum += &own.g;
+                    *vector += &own.b;
+                }
+                empty => *empty = Some((own.g.clone(), own.b.clone())),
+            }
+        }
+        for (at, sums) in per_group.iter().enumerate() {
+            if let Some((own_g, own_b)) = sums {
+                g.zip_apply(own_g, |sum, own| *sum += own / phi[at]);
+                b.axpy(1.0 / phi[at], own_b, 1.0);
+            }
+        }
+        self.add_prior(&mut g);
+        let h = inverse(&g);
+        let theta = &h * b;
+        for (at, sums) in per_group.iter_mut().enumerate() {
+            if let Some((own_g, own_b)) = sums {
+                let fitted = &*own_g * &theta;
+                rss[at] = (rss[at] - 2.0 * theta.dot(own_b) + fitted.dot(&theta)).max(0.0);
+                *own_b -= fitted;
+            }
+        }
+        let weights = phi.to_vec();
+        let phi = self.phi(&rss, &count);
+        let likelihood = self.likelihood(&rss, &count) + self.of_prior(&theta);
+        Fit { theta, h, weights, phi, rss, count, likelihood, sums: per_group }
+    }
+
+    /// Parameters that all folds but one determine, under given weights, for each fold in turn.
+    pub fn left_out(&self, moments: &Moments, phi: &[f64]) -> Vec<DVector<f64>> {
+        let p = moments.width;
+        let mut folds = vec![(DMatrix::zeros(p, p), DVector::zeros(p)); self.evidence.folds().len()];
+        for (cell, own) in self.evidence.cells().iter().zip(&moments.cells) {
+            let weight = 1.0 / phi[group(cell.joint, cell.band)];
+            let (g, b) = &mut folds[cell.fold];
+            g.zip_apply(&own.g, |sum, own| *sum += weight * own);
+            b.axpy(weight, &own.b, 1.0);
+        }
+        let (mut g, mut b) = (DMatrix::zeros(p, p), DVector::zeros(p));
+        self.add_prior(&mut g);
+        for (own_g, own_b) in &folds {
+            g += own_g;
+            b += own_b;
+        }
+        folds.iter().map(|(own_g, own_b)| inverse(&(&g - own_g)) * (&b - own_b)).collect()
+    }
+
+    /// The weighted normal equations of all folds, with what the prior adds: the inverse of a fit's `h` where they have full rank.
+    pub fn information(&self, moments: &Moments, phi: &[f64]) -> DMatrix<f64> {
+        let mut g = DMatrix::zeros(moments.width, moments.width);
+        for (cell, own) in self.evidence.cells().iter().zip(&moments.cells) {
+            let weight = 1.0 / phi[group(cell.joint, cell.band)];
+            g.zip_apply(&own.g, |sum, own| *sum += weight * own);
+        }
+        self.add_prior(&mut g);
+        g
+    }
+
+    /// What a candidate would bring to a fit of the chosen folds, with the weights of that fit. With `joints`, the other joints are taken
+    /// as if nothing changed there, which is quicker.
+    pub fn gain(&self, fit: &Fit, cross: &Cross, chosen: Chosen, joints: Option<&[usize]>) -> Option<Gain> {
+        let (p, l) = (fit.theta.len(), cross.width);
+        let (mut a, mut c, mut d) = (DMatrix::zeros(p, l), DMatrix::zeros(l, l), DVector::zeros(l));
+        for (index, own) in &cross.cells {
+            let cell = &self.evidence.cells()[*index];
+            if chosen(cell.fold) {
+                let weight = 1.0 / fit.weights[group(cell.joint, cell.band)];
+                a.zip_apply(&own.a, |sum, own| *sum += weight * own);
+                c.zip_apply(&own.c, |sum, own| *sum += weight * own);
+                d.axpy(weight, &own.d, 1.0);
+            }
+        }
+        let ha = &fit.h * &a;
+        let alone = &c - a.tr_mul(&ha);
+        let gamma = inverse_of_least(&alone, &c)? * (d - a.tr_mul(&fit.theta));
+        let shift = -(ha * &gamma);
+        let whole = (&c * &gamma).dot(&gamma);
+        let independence = (&alone * &gamma).dot(&gamma) / whole.max(f64::MIN_POSITIVE);
+        let rss = self.changed(fit, cross, chosen, joints, &gamma, &shift);
+        let likelihood = self.likelihood(&rss, &fit.count) + self.of_prior(&(&fit.theta + &shift));
+        let evidence = 2.0 * (likelihood - fit.likelihood);
+        Some(Gain { evidence, gamma, shift, independence, rss })
+    }
+
+    /// Share of a candidate's first column that the other columns can't take over.
+    pub fn own_share(&self, fit: &Fit, cross: &Cross, chosen: Chosen) -> Option<f64> {
+        let mut a = DVector::zeros(fit.theta.len());
+        let mut c = 0.0;
+        for (index, own) in &cross.cells {
+            let cell = &self.evidence.cells()[*index];
+            if chosen(cell.fold) {
+                let weight = 1.0 / fit.weights[group(cell.joint, cell.band)];
+                a.axpy(weight, &own.a.column(0), 1.0);
+                c += weight * own.c[(0, 0)];
+            }
+        }
+        (c > 0.0).then(|| ((c - (&fit.h * &a).dot(&a)) / c).clamp(0.0, 1.0))
+    }
+
+    /// Squared residuals after the parameters moved by `shift` and the candidate came in with `gamma`.
+    fn changed(
+        &self,
+        fit: &Fit,
+        cross: &Cross,
+        chosen: Chosen,
+        joints: Option<&[usize]>,
+        gamma: &DVector<f64>,
+        shift: &DVector<f64>,
+    ) -> Vec<f64> {
+        let mut rss = fit.rss.clone();
+        for (at, sums) in fit.sums.iter().enumerate() {
+            let counts = joints.is_none_or(|joints| joints.contains(&(at / BANDS.len())));
+            if let Some((g, slope)) = sums.as_ref().filter(|_| counts) {
+                rss[at] += (g * shift).dot(shift) - 2.0 * slope.dot(shift);
+            }
+        }
+        let theta = &fit.theta + shift;
+        for (index, own) in &cross.cells {
+            let cell = &self.evidence.cells()[*index];
+            if chosen(cell.fold) {
+                let own_rss = (&own.c * gamma).dot(gamma) - 2.0 * (own.d.dot(gamma) - own.a.tr_mul(&theta).dot(gamma));
+                rss[group(cell.joint, cell.band)] += own_rss;
+            }
+        }
+        rss.iter_mut().for_each(|value| *value = value.max(0.0));
+        rss
+    }
+
+    /// Squared residual of each joint in one fold under parameters that were fitted elsewhere: weighed by `phi`, and as it is.
+    pub fn of_fold(&self, moments: &Moments, theta: &DVector<f64>, fold: usize, phi: &[f64]) -> Vec<[f64; 2]> {
+        let mut errors = vec![[0.0; 2]; self.evidence.joints()];
+        for (cell, own) in self.evidence.cells().iter().zip(&moments.cells).filter(|(cell, _)| cell.fold == fold) {
+            let rss = (own.r2 - 2.0 * theta.dot(&own.b) + (&own.g * theta).dot(theta)).max(0.0);
+            errors[cell.joint][0] += rss / phi[group(cell.joint, cell.band)];
+            errors[cell.joint][1] += rss;
+        }
+        errors
+    }
+}
+
+/// Inverse of a symmetric matrix after its diagonal was made one, on the directions that it determines; none where it is not finite.
+pub fn inverse(g: &DMatrix<f64>) -> DMatrix<f64> {
+    let scale: Vec<f64> = g.diagonal().iter().map(|d| if *d > 0.0 { 1.0 / d.sqrt() } else { 0.0 }).collect();
+    let scaled = DMatrix::from_fn(g.nrows(), g.ncols(), |i, k| g[(i, k)] * scale[i] * scale[k]);
+    // The usual case has full rank.
+    let well = scaled.clone().cholesky().filter(|factor| {
+        let diagonal = factor.l_dirty().diagonal();
+        diagonal.min() > RANK.sqrt() * diagonal.max()
+    });
+    let inverse = match well {
+        Some(factor) => factor.inverse(),
+        None => {
+            let Some(eigen) = symmetric_eigen(scaled) else { return DMatrix::zeros(g.nrows(), g.ncols()) };
+            let least = RANK * eigen.eigenvalues.max();
+            let weighted = DMatrix::from_fn(g.nrows(), g.ncols(), |i, k| {
+                let value = eigen.eigenvalues[k];
+                if value > least { eigen.eigenvectors[(i, k)] / value } else { 0.0 }
+            });
+            weighted * eigen.eigenvectors.transpose()
+        }
+    };
+    DMatrix::from_fn(g.nrows(), g.ncols(), |i, k| inverse[(i, k)] * scale[i] * scale[k])
+}
+
+/// Inverse of what is left of a candidate's own sums `c` after the other columns; `None` when nothing is.
+fn inverse_of_least(alone: &DMatrix<f64>, c: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let l = c.nrows();
+    let scale: Vec<f64> = c.diagonal().iter().map(|d| if *d > 0.0 { 1.0 / d.sqrt() } else { 0.0 }).collect();
+    let scaled = DMatrix::from_fn(l, l, |i, k| alone[(i, k)] * scale[i] * scale[k]);
+    let eigen = symmetric_eigen(scaled)?;
+    let weighted = DMatrix::from_fn(l, l, |i, k| {
+        let value = eigen.eigenvalues[k];
+        if value > LEAST { eigen.eigenvectors[(i, k)] / value } else { 0.0 }
+    });
+    let inverse = weighted * eigen.eigenvectors.transpose();
+    let found = eigen.eigenvalues.iter().any(|value| *value > LEAST);
+    found.then(|| DMatrix::from_fn(l, l, |i, k| inverse[(i, k)] * scale[i] * scale[k]))
+}
+
+/// What a candidate must have of its own, as a share of its square, in a direction that counts.
+pub const LEAST: f64 = 1e-3;

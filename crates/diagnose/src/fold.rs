@@ -1,0 +1,252 @@
+//! The parts of the data that are left out as a whole when findings are tested, and the maps from their samples to coefficients.
+
+use nalgebra::{DMatrix, DVector};
+use plumbline_identify::experiment::Experiment;
+use plumbline_identify::signal::spectral::Spectral;
+use plumbline_model::term::Motion;
+use realfft::num_complex::Complex;
+use std::f64::consts::PI;
+use std::ops::Range;
+use std::sync::Arc;
+
+/// Columns of candidates are computed at no less than this rate \[Hz\].
+const RATE: f64 = 180.0;
+/// A block of a motion that does not repeat is no shorter than this \[s\] and no longer than the other.
+pub(super) const BLOCK: (f64, f64) = (1.0, 10.0);
+
+/// A trajectory, or a block of a motion that does not repeat: what is left out as a whole when findings are tested.
+#[derive(Clone, Debug)]
+pub struct Fold {
+    /// Name of its run.
+    pub name: String,
+    /// Which experiment it belongs to.
+    pub experiment: usize,
+    /// Session of its run, 1 for the first.
+    pub session: u32,
+    /// Samples of the experiment that it spans.
+    pub samples: Range<usize>,
+    /// Its rows among those of a joint.
+    pub rows: Range<usize>,
+    /// Frequency of each of its rows \[Hz\].
+    pub frequencies: Vec<f64>,
+    waves: Waves,
+}
+
+#[derive(Clone, Debug)]
+enum Waves {
+    /// The first bins of the period's spectrum.
+    Periodic { bins: usize, all: Arc<Spectral>, few: Arc<Spectral>, thinned: Vec<Bin> },
+    /// Cosines over the block, one column each, for all samples and for those of candidates.
+    Block { all: DMatrix<f64>, thinned: DMatrix<f64> },
+}
+
+/// What thinning does to a bin of the spectrum.
+#[derive(Clone, Copy, Debug)]
+struct Bin {
+    /// Sine and cosine of the angle by which the first sample that is there is late.
+    late: (f64, f64),
+    /// What the mean of the samples that one stands for keeps of a wave.
+    gain: f64,
+}
+
+/// A motion and the same with fewer samples.
+#[derive(Clone, Debug)]
+pub(super) struct Thinned {
+    /// All samples.
+    pub whole: Motion,
+    /// Some of them.
+    pub few: Motion,
+    /// Every how many-th sample the second has.
+    pub step: usize,
+}
+
+/// How samples stand for those between them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Thinning {
+    /// All are there.
+    None,
+    /// The middle one of every so many.
+    Middle(usize),
+    /// The mean of every so many, so that nothing sharp falls between two of them.
+    Mean(usize),
+    /// The mean of so many up to the middle one of every so many.
+    MeanBefore(usize),
+}
+
+impl Thinning {
+    /// Samples that one stands for.
+    fn step(self) -> usize {
+        match self {
+            Thinning::None => 1,
+            Thinning::Middle(step) | Thinning::Mean(step) | Thinning::MeanBefore(step) => step,
+        }
+    }
+
+    /// What a wave that turns by `angle` from sample to sample keeps of its height.
+    fn gain(self, angle: f64) -> f64 {
+        match self {
+            Thinning::Mean(step) | Thinning::MeanBefore(step) if angle > 0.0 => {
+                (0.5 * angle * step as f64).sin() / (step as f64 * (0.5 * angle).sin())
+            }
+            _ => 1.0,
+        }
+    }
+}
+
+impl Thinned {
+    /// Every `step`-th sample, from the middle of the first so many on; `step` is odd, and divides the samples of a period.
+    pub fn of(motion: &Motion) -> Thinned {
+        let samples = motion.samples();
+        let most = (1.0 / (RATE * motion.dt)).floor().max(1.0) as usize;
+        let fits = |step: &usize| step % 2 == 1 && (!motion.periodic || samples.is_multiple_of(*step));
+        let step = (1..=most).rev().find(fits).unwrap_or(1);
+        let kept: Vec<usize> = (0..samples / step).map(|k| k * step + step / 2).collect();
+        let thin = |x: &DMatrix<f64>| x.select_rows(&kept);
+        let start = motion.start + (step / 2) as f64 * motion.dt;
+        let (q, dq, ddq) = (thin(&motion.q), thin(&motion.dq), thin(&motion.ddq));
+        let few = Motion { dt: motion.dt * step as f64, q, dq, ddq, start, ..motion.clone() };
+        Thinned { whole: motion.clone(), few, step }
+    }
+}
+
+impl Fold {
+    /// Writes the coefficients of the experiment's samples `x`.
+    pub(super) fn project(&self, x: &[f64], thinning: Thinning, out: &mut [f64]) {
+        let (n, step) = (self.samples.len() as f64, thinning.step());
+        match &self.waves {
+            Waves::Periodic { bins, all, few, thinned } => {
+                let spectrum = match thinning {
+                    Thinning::None => all.transform(x),
+                    _ => few.transform(x),
+                };
+                // As if all samples had been there: each stands for `step` of them, and the first is late by half of that.
+                let scale = step as f64 / n.sqrt();
+                out[0] = scale * spectrum[0].re;
+                for bin in 1..*bins {
+                    let ((sin, cos), gain) = match thinning {
+                        Thinning::None => ((0.0, 1.0), 1.0),
+                        Thinning::Middle(_) => (thinned[bin].late, 1.0),
+                        Thinning::Mean(_) => (thinned[bin].late, thinned[bin].gain),
+                        // As late as the middle one, less half of what the mean goes back.
+                        Thinning::MeanBefore(_) => ((0.0, 1.0), thinned[bin].gain),
+                    };
+                    let (re, im) = (spectrum[bin].re, spectrum[bin].im);
+                    let scale = scale * 2.0_f64.sqrt() / gain;
+                    out[2 * bin - 1] = scale * (re * cos + im * sin);
+                    out[2 * bin] = scale * (im * cos - re * sin);
+                }
+            }
+            Waves::Block { all, thinned } => {
+                let waves = if step == 1 { all } else { thinned };
+                let x = &x[self.samples.start / step..][..waves.nrows()];
+                for (row, (value, wave)) in out.iter_mut().zip(waves.column_iter()).enumerate() {
+                    let sum: f64 = wave.iter().zip(x).map(|(wave, x)| wave * x).sum();
+                    *value = sum / thinning.gain(PI * row as f64 / n);
+                }
+            }
+        }
+    }
+
+    /// Inverse of [`Fold::project`] within the band, at every `step`-th sample.
+    pub(super) fn signal(&self, rows: &[f64], step: usize, motion: &Motion) -> Vec<f64> {
+        match &self.waves {
+            Waves::Periodic { bins, few: spectral, .. } => {
+                let n = self.samples.len() as f64;
+                let late = 2.0 * PI * (step / 2) as f64 / n;
+                let mut spectrum = vec![Complex::new(0.0, 0.0); spectral.bins()];
+                // `Spectral::signal` divides by its own number of samples.
+                let scale = motion.samples() as f64 / n.sqrt();
+                spectrum[0] = Complex::new(scale * rows[0], 0.0);
+                for bin in 1..*bins {
+                    let value = Complex::new(rows[2 * bin - 1], rows[2 * bin]);
+                    spectrum[bin] = value * Complex::cis(late * bin as f64) * (scale / 2.0_f64.sqrt());
+                }
+                spectral.signal(spectrum)
+            }
+            Waves::Block { thinned, .. } => {
+                let rows = DVector::from_column_slice(rows);
+                (thinned * rows / step as f64).as_slice().to_vec()
+            }
+        }
+    }
+}
+
+/// The folds of an experiment: its period, or blocks of about `length` \[s\] of its motion, up to the frequency `band` \[Hz\]. Their rows are not
+/// counted yet.
+pub(super) fn folds_of(
+    index: usize,
+    experiment: &Experiment,
+    session: u32,
+    band: f64,
+    length: f64,
+    step: usize,
+) -> Vec<Fold> {
+    let motion = &experiment.motion;
+    let (samples, dt) = (motion.samples(), motion.dt);
+    let highest = band.min(0.4 / dt);
+    let name = experiment.name.clone();
+    let fold = |samples: Range<usize>, frequencies: Vec<f64>, waves: Waves| Fold {
+        name: name.clone(),
+        experiment: index,
+        session,
+        samples,
+        rows: 0..0,
+        frequencies,
+        waves,
+    };
+    if motion.periodic {
+        let bins = ((highest * samples as f64 * dt) as usize + 1).clamp(2, samples / 2);
+        let frequency = |row: usize| row.div_ceil(2) as f64 / (samples as f64 * dt);
+        let frequencies = (0..2 * bins - 1).map(frequency).collect();
+        let all = Arc::new(Spectral::new(samples, dt));
+        let few = Arc::new(Spectral::new(samples / step, dt * step as f64));
+        let turn = |bin: usize| 2.0 * PI * bin as f64 / samples as f64;
+        let bin = |bin: usize| Bin {
+            late: (0.5 * (step - 1) as f64 * turn(bin)).sin_cos(),
+            gain: Thinning::Mean(step).gain(turn(bin)),
+        };
+        let thinned = (0..bins).map(bin).collect();
+        return vec![fold(0..samples, frequencies, Waves::Periodic { bins, all, few, thinned })];
+    }
+    let mut folds = Vec::new();
+    for moving in stretches(experiment.resting()) {
+        let seconds = moving.len() as f64 * dt;
+        if seconds < 0.5 * BLOCK.0 {
+            continue;
+        }
+        let blocks = (seconds / length).round().max(1.0) as usize;
+        // Whole steps, so that candidates have the same blocks.
+        let (first, count) = (moving.start.div_ceil(step), moving.end / step - moving.start.div_ceil(step));
+        for block in 0..blocks {
+            let thin = first + block * count / blocks..first + (block + 1) * count / blocks;
+            let span = thin.start * step..thin.end * step;
+            let n = span.len();
+            let rows = ((2.0 * highest * n as f64 * dt) as usize + 1).min(thin.len());
+            let scale = |row: usize| if row == 0 { (1.0 / n as f64).sqrt() } else { (2.0 / n as f64).sqrt() };
+            let wave = |row: usize, k: f64| scale(row) * (PI * row as f64 * (k + 0.5) / n as f64).cos();
+            let all = DMatrix::from_fn(n, rows, |k, row| wave(row, k as f64));
+            let middle = |k: usize| (k * step + step / 2) as f64;
+            let thinned = DMatrix::from_fn(thin.len(), rows, |k, row| step as f64 * wave(row, middle(k)));
+            let frequencies = (0..rows).map(|row| row as f64 / (2.0 * n as f64 * dt)).collect();
+            folds.push(fold(span, frequencies, Waves::Block { all, thinned }));
+        }
+    }
+    folds
+}
+
+/// Stretches of samples without rest.
+fn stretches(resting: &[bool]) -> Vec<Range<usize>> {
+    let mut found = Vec::new();
+    let mut start = None;
+    for (k, rests) in resting.iter().chain([&true]).enumerate() {
+        match (start, rests) {
+            (None, false) => start = Some(k),
+            (Some(first), true) => {
+                found.push(first..k);
+                start = None;
+            }
+            _ => {}
+        }
+    }
+    found
+}

@@ -1,0 +1,158 @@
+//! The candidates: every family at every site, in every form, at every start value of its settings.
+
+use super::evidence::{Evidence, Rows};
+use plumbline_core::parallel;
+use plumbline_model::term::effect::{Family, Form, Ground, Site, Spec, Stratum};
+use plumbline_model::term::{Expected, Term};
+
+/// An effect that may be missing from the model.
+#[derive(Clone, Debug)]
+pub struct Candidate {
+    /// What it is.
+    pub spec: Spec,
+    /// First session that has it; all where absent.
+    pub since: Option<u32>,
+    /// Its columns on the evidence.
+    pub rows: Rows,
+    /// What its only parameter can be.
+    expected: Expected,
+}
+
+/// Times that a parameter may come out larger or smaller than what its column was computed for.
+const OFF: f64 = 2.0;
+
+impl Candidate {
+    /// Computes the columns; `None` when they can't be built or are nothing in this data.
+    pub fn of(evidence: &Evidence, ground: &Ground, spec: Spec, since: Option<u32>) -> Option<Candidate> {
+        let term = spec.build(ground).ok()?;
+        Candidate::with(&*term, evidence.columns(&*term, since), spec, since)
+    }
+
+    /// The same in a fraction of the time for effects that are integrated in time: good enough to tell where to look with care.
+    pub fn sketch(evidence: &Evidence, ground: &Ground, spec: Spec, since: Option<u32>) -> Option<Candidate> {
+        let term = spec.build(ground).ok()?;
+        Candidate::with(&*term, evidence.sketch(&*term, since), spec, since)
+    }
+
+    fn with(term: &dyn Term, rows: Rows, spec: Spec, since: Option<u32>) -> Option<Candidate> {
+        let finite = rows.parts.iter().all(|(_, part)| part.iter().all(|value| value.is_finite()));
+        (finite && !rows.parts.is_empty()).then_some(Candidate { spec, since, rows, expected: term.expects() })
+    }
+
+    /// How far the parameter can be believed, 0 to 1: a gap below zero is none, and one that is not the gap that the link swings in explains less.
+    pub fn truth(&self, parameters: &[f64]) -> f64 {
+        match (self.expected, parameters, self.spec.settings.first()) {
+            (Expected::NotNegative, &[parameter], _) if parameter < 0.0 => 0.0,
+            (Expected::FirstSetting, &[parameter], Some(value)) => (parameter / value).min(value / parameter).max(0.0),
+            _ => 1.0,
+        }
+    }
+
+    /// Whether it may be taken with these parameters.
+    pub fn allows(&self, parameters: &[f64]) -> bool {
+        self.truth(parameters) * OFF >= 1.0
+    }
+
+    /// The same effect in the forms that grow out of this one, which was fitted with `parameters`.
+    pub fn grown(&self, parameters: &[f64]) -> Vec<Spec> {
+        let (Ok(family), &[parameter]) = (self.spec.family(), parameters) else { return Vec::new() };
+        let grown = family.forms.iter().filter(|form| form.grown());
+        let start = |form: &Form| {
+            let mut values = std::iter::once(parameter).chain(self.spec.settings.iter().copied());
+            let settings = form
+                .settings
+                .iter()
+                .map(|setting| values.next().unwrap_or_else(|| setting.at(0.0)).clamp(setting.low, setting.high));
+            Spec { form: form.name, settings: settings.collect(), ..self.spec.clone() }
+        };
+        grown.map(start).collect()
+    }
+
+    /// Number of parameters: linear and nonlinear.
+    pub fn parameters(&self) -> usize {
+        self.rows.width + self.spec.settings.len()
+    }
+
+    /// Joints whose torque it touches.
+    pub fn joints(&self) -> Vec<usize> {
+        self.rows.parts.iter().map(|(joint, _)| *joint).collect()
+    }
+
+    /// Whether the other is the same effect but for its settings.
+    pub fn alike(&self, other: &Candidate) -> bool {
+        self.is_of(&other.spec, other.since)
+    }
+
+    /// Whether it is this effect but for its settings.
+    pub fn is_of(&self, spec: &Spec, since: Option<u32>) -> bool {
+        let key = |spec: &Spec, since| (spec.family, spec.form, spec.site, since);
+        key(&self.spec, self.since) == key(spec, since)
+    }
+
+    /// Whether the other is of the same family, at the same place.
+    pub fn same_effect(&self, other: &Candidate) -> bool {
+        let key = |one: &Candidate| (one.spec.family, one.spec.site, one.since);
+        key(self) == key(other)
+    }
+}
+
+/// A sketch of every candidate that these families have, computed on `threads` threads; in the order of the families whatever their number.
+pub fn library(
+    evidence: &Evidence,
+    ground: &Ground,
+    families: &[&'static Family],
+    since: Option<u32>,
+    threads: usize,
+) -> Vec<Candidate> {
+    let mut specs = Vec::new();
+    for family in families {
+        for site in family.place.sites(ground.chain.len()) {
+            for form in family.forms {
+                specs.extend(grid(family, form, site));
+            }
+        }
+    }
+    parallel(&specs, threads, |spec| Candidate::sketch(evidence, ground, spec.clone(), since))
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+/// Families whose effects every period repeats.
+pub fn repeatable() -> Vec<&'static Family> {
+    let families = plumbline_model::term::effect::FAMILIES.iter().copied();
+    families.filter(|family| family.stratum == Stratum::Repeatable).collect()
+}
+
+/// The start values of a form's settings, every combination.
+fn grid(family: &'static Family, form: &'static Form, site: Site) -> Vec<Spec> {
+    let mut settings: Vec<Vec<f64>> = vec![Vec::new()];
+    for setting in form.settings {
+        let grid = setting.grid();
+        let longer = |before: &Vec<f64>| {
+            let before = before.clone();
+            grid.iter().map(move |value| before.iter().copied().chain([*value]).collect())
+        };
+        settings = settings.iter().flat_map(longer).collect();
+    }
+    settings.into_iter().map(|settings| Spec { family: family.id, form: form.name, site, settings }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_parameter_has_to_be_what_the_effect_can_have() {
+        let of = |expected| {
+            let spec = Spec { family: "backlash", form: "", site: Site::Joint(0), settings: vec![1e-3] };
+            Candidate { spec, since: None, rows: Rows { width: 1, parts: Vec::new() }, expected }
+        };
+        assert!(of(Expected::Any).allows(&[-1.0]));
+        assert!(of(Expected::NotNegative).allows(&[1e-4]) && !of(Expected::NotNegative).allows(&[-1e-4]));
+        let swinging = of(Expected::FirstSetting);
+        assert!(swinging.allows(&[0.6e-3]) && swinging.allows(&[1.9e-3]));
+        assert!([0.4e-3, 2.1e-3, -1e-3, 0.0].iter().all(|gap| !swinging.allows(&[*gap])));
+        assert!((swinging.truth(&[0.5e-3]) - 0.5).abs() < 1e-12 && swinging.truth(&[1e-3]) == 1.0);
+    }
+}

@@ -1,0 +1,340 @@
+//! What changed: since a model was identified, or between the sessions of one recording.
+//!
+//! The selection is the one of [`select`](super::select), on another ground. Against a stored model the torques are what that model
+//! leaves over, and its parameters are not free: `theta = beta - beta_stored` has a Gaussian prior with the standard deviations of the
+//! file. That is what makes a payload visible: within one session the last link's parameters would absorb it. A parameter without a
+//! standard deviation was not identifiable when the model was made; it stays free, so that no effect is blamed for it, and
+//! [`Doubt`] names it where the new data has something to say about it. Between sessions the parameters are free but common to all,
+//! and an effect has columns only in the sessions since it came.
+
+mod body;
+mod extend;
+
+pub use body::{Estimate, NAMES, PayloadBody};
+pub use extend::extended;
+
+use super::Settings;
+use super::evidence::{Evidence, Trial};
+use super::fit::{Prior, Problem, inverse};
+use super::library::{self, Candidate};
+use super::moments::Columns;
+use super::select::{Found, Scored, Search, Selected, Step};
+use super::state::{State, every, mean_square};
+use nalgebra::{DMatrix, DVector};
+use plumbline_core::symmetric_eigen;
+use plumbline_model::structure::Structure;
+use plumbline_model::term::Column;
+use plumbline_model::term::effect::{self, Family, Ground, Spec};
+use plumbline_model::torque::{Parameter, TorqueModel};
+use std::ops::Range;
+
+/// Kinds of effect that may have come or changed since.
+pub const FAMILIES: [&str; 7] =
+    ["payload", "mounting", "friction-change", "torque-offset", "torque-gain", "spring", "encoder-offset"];
+
+/// Factor on the stored standard deviations: they know the noise of their own recording, but neither what the model lacks nor that
+/// friction is never quite the same twice.
+const ALLOWANCE: f64 = 2.0;
+/// A parameter whose file has no standard deviation at all is held as if it were known to this share of its size.
+const TAKEN_AS_KNOWN: f64 = 1e-3;
+/// Directions of an effect's parameters below this share of their square are not determined.
+const RANK: f64 = 1e-9;
+/// A parameter is undetermined when more than this share of it lies in such directions.
+const UNDETERMINED_SHARE: f64 = 1e-3;
+/// A free parameter that moved by so many of its standard deviations is one that the data has something to say about.
+const MOVED: f64 = 4.0;
+/// RMS over noise from which on nearly every effect is found.
+const DETECTED: f64 = 0.75;
+/// A run in which the free parameters move a joint's torque by less than this share of its noise does not need them.
+const NEEDED: f64 = 1.0;
+/// The same without a known noise, of the residual.
+const NEEDED_OF_ALL: f64 = 0.3;
+
+/// One thing that changed.
+#[derive(Clone, Debug)]
+pub struct Change {
+    /// What it is.
+    pub spec: Spec,
+    /// First session that has it; against a stored model, none.
+    pub since: Option<u32>,
+    /// Its linear parameters. One without a standard deviation is not determined by this data.
+    pub parameters: Vec<Parameter>,
+    /// Their covariance in the determined directions.
+    pub covariance: DMatrix<f64>,
+    /// The body that a payload is.
+    pub body: Option<PayloadBody>,
+    /// The evidence for it.
+    pub found: Found,
+}
+
+/// Parameters that the model can't vouch for, and where that matters.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Doubt {
+    /// Names of parameters that were not identifiable when the model was made and that this data moves.
+    pub parameters: Vec<String>,
+    /// Names of the runs whose torques need them.
+    pub runs: Vec<String>,
+}
+
+/// What changed, and what is left over.
+#[derive(Clone, Debug, Default)]
+pub struct Changes {
+    /// What was found.
+    pub effects: Vec<Change>,
+    /// RMS that repeats and that the model lacks, per joint, in the band \[Nm\]; without repeats, of the whole residual.
+    pub before: Vec<f64>,
+    /// The same with the changes.
+    pub after: Vec<f64>,
+    /// Noise of the same, per joint \[Nm\]; nothing without repeats.
+    pub floor: Option<Vec<f64>>,
+    /// What is left over the noise, per joint, before and after, when the stored parameters may move within their errors: 1 where
+    /// nothing but noise is left. Nothing without repeats.
+    pub lack_of_fit: Option<Vec<[f64; 2]>>,
+    /// What the model can't vouch for.
+    pub doubt: Doubt,
+    /// How it was found.
+    pub path: Vec<Step>,
+    /// The best candidates at the first step.
+    pub first: Vec<Scored>,
+    /// Trajectories, or blocks of motions that do not repeat.
+    pub folds: usize,
+    /// Per family, the least RMS of its torque that would have been seen, per joint \[Nm\]: 0.75 of the noise over the root of the share
+    /// that nothing else can take over. Empty without repeats.
+    pub least: Vec<(&'static str, Vec<f64>)>,
+}
+
+/// The families of [`FAMILIES`].
+pub fn families() -> Vec<&'static Family> {
+    FAMILIES.iter().filter_map(|id| effect::family(id)).collect()
+}
+
+/// What changed since `reference` was identified; where the trials are of several sessions, before the first or with a later one. They
+/// are in mountings that the model is valid in. Nothing is found when they are too short.
+pub fn changes(reference: &TorqueModel, trials: &[Trial], settings: &Settings, progress: &dyn Fn(&Step)) -> Changes {
+    among(reference, trials, &families(), settings, progress)
+}
+
+/// [`changes`] of some families alone.
+pub fn among(
+    reference: &TorqueModel,
+    trials: &[Trial],
+    families: &[&'static Family],
+    settings: &Settings,
+    progress: &dyn Fn(&Step),
+) -> Changes {
+    let structure = reference.structure();
+    let evidence = Evidence::of(structure.chain(), trials, settings.band);
+    if evidence.folds().is_empty() {
+        return Changes::default();
+    }
+    let beta = reference.beta();
+    let stored = DVector::from_column_slice(&beta);
+    let m = evidence.regressor(structure, trials);
+    let r = evidence.torques(trials).into_iter().zip(&m).map(|(tau, m)| tau - m * &stored).collect();
+    let prior = prior(reference.parameters());
+    let problem = Problem { evidence: &evidence, prior: Some(&prior) };
+    let base = State::base(&problem, Columns { m, r });
+    let before = left_over(&evidence, &base, &DVector::zeros(beta.len()));
+    let ground = structure.ground(&beta);
+    let mut library = library::library(&evidence, &ground, families, None, settings.threads);
+    library.extend(since_sessions(&evidence, &ground, families, settings.threads));
+    let search = Search { problem, ground: &ground, library: &library, settings };
+    let (least, lacking) = (least(&search, &base), lack(&evidence, &base));
+    let selected = search.select(base, &[], progress);
+    let doubt = doubt(&evidence, &selected.state, reference.parameters());
+    // The stored parameters stay what they are.
+    let mut theta = selected.state.fit.theta.clone();
+    theta.rows_mut(0, beta.len()).fill(0.0);
+    let after = left_over(&evidence, &selected.state, &theta);
+    Changes { least, ..report(&search, selected, [before, after], lacking, doubt) }
+}
+
+/// What changed between sessions: parameters are fitted to all of them together, and every family may have come with any session
+/// after the first. Nothing is found within one session.
+pub fn between_sessions(
+    structure: &Structure,
+    trials: &[Trial],
+    settings: &Settings,
+    progress: &dyn Fn(&Step),
+) -> Changes {
+    let evidence = Evidence::of(structure.chain(), trials, settings.band);
+    if evidence.folds().is_empty() {
+        return Changes::default();
+    }
+    let columns = Columns { m: evidence.regressor(structure, trials), r: evidence.torques(trials) };
+    let problem = Problem { evidence: &evidence, prior: None };
+    let base = State::base(&problem, columns);
+    let before = left_over(&evidence, &base, &base.fit.theta);
+    let ground = structure.ground(base.fit.theta.as_slice());
+    let library = since_sessions(&evidence, &ground, &families(), settings.threads);
+    let search = Search { problem, ground: &ground, library: &library, settings };
+    let (least, lacking) = (least(&search, &base), lack(&evidence, &base));
+    let selected = search.select(base, &[], progress);
+    let after = left_over(&evidence, &selected.state, &selected.state.fit.theta);
+    Changes { least, ..report(&search, selected, [before, after], lacking, Doubt::default()) }
+}
+
+/// Candidates of these families that came with each session after the first.
+pub fn since_sessions(
+    evidence: &Evidence,
+    ground: &Ground,
+    families: &[&'static Family],
+    threads: usize,
+) -> Vec<Candidate> {
+    let mut sessions: Vec<u32> = evidence.folds().iter().map(|fold| fold.session).collect();
+    sessions.sort_unstable();
+    sessions.dedup();
+    let later = sessions.into_iter().skip(1);
+    later.flat_map(|session| library::library(evidence, ground, families, Some(session), threads)).collect()
+}
+
+/// Precision of the stored parameters; none for those that were not identifiable. A file without any standard deviation is taken at
+/// its word.
+fn prior(parameters: &[Parameter]) -> Prior {
+    let nobody = parameters.iter().all(|parameter| parameter.std.is_none());
+    let largest = parameters.iter().map(|parameter| parameter.value.abs()).fold(0.0, f64::max);
+    let precision = |parameter: &Parameter| {
+        let std = if nobody { Some(TAKEN_AS_KNOWN * largest.max(1e-9)) } else { parameter.std };
+        // A parameter that was taken out has no error of its own; one in a million of the largest stands for none.
+        std.map_or(0.0, |std| (ALLOWANCE * std.max(1e-6 * largest)).powi(-2))
+    };
+    Prior {
+        precision: DMatrix::from_diagonal(&DVector::from_iterator(parameters.len(), parameters.iter().map(precision))),
+    }
+}
+
+/// RMS per joint beyond the noise, under given parameters.
+fn left_over(evidence: &Evidence, state: &State, theta: &DVector<f64>) -> Vec<f64> {
+    let beyond = |joint: usize| {
+        let rest = &state.columns.r[joint] - &state.columns.m[joint] * theta;
+        let floor = evidence.floor(joint).unwrap_or(0.0);
+        (mean_square(evidence, joint, &rest) - floor * floor).max(0.0).sqrt()
+    };
+    (0..evidence.joints()).map(beyond).collect()
+}
+
+/// Mean square of the weighed residual of a fit, per joint.
+fn lack(evidence: &Evidence, state: &State) -> Vec<f64> {
+    let mean = |joint: usize| state.residual(joint).norm_squared() / evidence.per_joint() as f64;
+    (0..evidence.joints()).map(mean).collect()
+}
+
+fn report(
+    search: &Search,
+    selected: Selected,
+    [before, after]: [Vec<f64>; 2],
+    lacking: Vec<f64>,
+    doubt: Doubt,
+) -> Changes {
+    let (evidence, Selected { state, found, path, first }) = (search.problem.evidence, selected);
+    let floor = (0..evidence.joints()).map(|joint| evidence.floor(joint)).collect();
+    let effects = found.into_iter().enumerate().map(|(item, found)| change(search, &state, item, found)).collect();
+    let folds = evidence.folds().len();
+    let both = lacking.into_iter().zip(lack(evidence, &state)).map(|(before, after)| [before, after]);
+    let lack_of_fit = evidence.repeats().then(|| both.collect());
+    Changes { effects, before, after, floor, lack_of_fit, doubt, path, first, folds, least: Vec::new() }
+}
+
+/// The least that would have been seen of each family.
+fn least(search: &Search, state: &State) -> Vec<(&'static str, Vec<f64>)> {
+    let evidence = search.problem.evidence;
+    let mut found: Vec<(&'static str, Vec<f64>)> = Vec::new();
+    if !evidence.repeats() {
+        return found;
+    }
+    for item in search.library {
+        let cross = state.columns.cross(evidence, &item.rows);
+        let share = search.problem.gain(&state.fit, &cross, &every, None).map_or(0.0, |gain| gain.independence);
+        let index = found.iter().position(|(id, _)| *id == item.spec.family).unwrap_or_else(|| {
+            found.push((item.spec.family, vec![f64::INFINITY; evidence.joints()]));
+            found.len() - 1
+        });
+        // An effect in one joint is seen in its own row; one of the whole arm in each.
+        let own = item.spec.site.joints();
+        for joint in item.joints().into_iter().filter(|joint| own.is_empty() || own.contains(joint)) {
+            let rms = DETECTED * evidence.floor(joint).unwrap_or(f64::NAN) / share.sqrt();
+            let least = &mut found[index].1[joint];
+            if share > 0.0 {
+                *least = least.min(rms);
+            }
+        }
+    }
+    found
+}
+
+/// An effect of the final state with its parameters.
+fn change(search: &Search, state: &State, item: usize, found: Found) -> Change {
+    let range = state.range(item);
+    let candidate = &state.items[item];
+    let columns = candidate.spec.build(search.ground).map(|term| term.columns()).unwrap_or_default();
+    let covariance = state.fit.h.view((range.start, range.start), (range.len(), range.len())).into_owned();
+    let unknown = unknown(&search.problem.information(&state.moments, &state.fit.phi), &range);
+    let parameter = |(k, column): (usize, Column)| {
+        let known = unknown.row(k).norm_squared() <= UNDETERMINED_SHARE;
+        let std = known.then(|| covariance[(k, k)].max(0.0).sqrt());
+        Parameter { column, value: state.fit.theta[range.start + k], std }
+    };
+    let parameters: Vec<Parameter> = columns.into_iter().enumerate().map(parameter).collect();
+    let body = (candidate.spec.family == "payload").then(|| PayloadBody::of(&parameters, &covariance, &unknown));
+    Change { spec: candidate.spec.clone(), since: candidate.since, parameters, covariance, body: body.flatten(), found }
+}
+
+/// Directions of some of the parameters that nothing determines, orthonormal when every parameter is scaled to its own square; one
+/// row per parameter.
+fn unknown(information: &DMatrix<f64>, range: &Range<usize>) -> DMatrix<f64> {
+    let (own, all) = (range.len(), information.nrows());
+    let others: Vec<usize> = (0..all).filter(|k| !range.contains(k)).collect();
+    let pick = |rows: &[usize], columns: &[usize]| {
+        DMatrix::from_fn(rows.len(), columns.len(), |i, k| information[(rows[i], columns[k])])
+    };
+    let inside: Vec<usize> = range.clone().collect();
+    let (a, c) = (pick(&others, &inside), pick(&inside, &inside));
+    let alone = &c - a.tr_mul(&(inverse(&pick(&others, &others)) * &a));
+    let scale: Vec<f64> = c.diagonal().iter().map(|d| if *d > 0.0 { 1.0 / d.sqrt() } else { 1.0 }).collect();
+    let scaled = DMatrix::from_fn(own, own, |i, k| alone[(i, k)] * scale[i] * scale[k]);
+    let Some(eigen) = symmetric_eigen(scaled) else { return DMatrix::identity(own, own) };
+    let lost: Vec<usize> = (0..own).filter(|&k| eigen.eigenvalues[k] < RANK).collect();
+    eigen.eigenvectors.select_columns(&lost)
+}
+
+/// Free parameters that the data moves, and the runs whose torques need them.
+fn doubt(evidence: &Evidence, state: &State, parameters: &[Parameter]) -> Doubt {
+    let nobody = parameters.iter().all(|parameter| parameter.std.is_none());
+    let free: Vec<usize> = (0..parameters.len()).filter(|&k| parameters[k].std.is_none() && !nobody).collect();
+    let theta = &state.fit.theta;
+    let moved = |k: &&usize| theta[**k].abs() > MOVED * state.fit.h[(**k, **k)].max(0.0).sqrt();
+    let moved: Vec<usize> = free.iter().filter(moved).copied().collect();
+    let mut found = Doubt::default();
+    if moved.is_empty() {
+        return found;
+    }
+    for fold in evidence.folds() {
+        let needed = |joint: usize, chosen: &[usize]| {
+            let m = state.columns.m[joint].rows(fold.rows.start, fold.rows.len());
+            let part = chosen
+                .iter()
+                .fold(DVector::zeros(fold.rows.len()), |sum: DVector<f64>, &k| sum + m.column(k) * theta[k]);
+            let noise = match evidence.repeats() {
+                true => NEEDED.powi(2) * fold.rows.len() as f64,
+                false => {
+                    NEEDED_OF_ALL.powi(2) * state.residual(joint).rows(fold.rows.start, fold.rows.len()).norm_squared()
+                }
+            };
+            part.norm_squared() > noise
+        };
+        let anywhere = |chosen: &[usize]| (0..evidence.joints()).any(|joint| needed(joint, chosen));
+        if !anywhere(&moved) {
+            continue;
+        }
+        if !found.runs.contains(&fold.name) {
+            found.runs.push(fold.name.clone());
+        }
+        for &k in &moved {
+            let name = &parameters[k].column.name;
+            if !found.parameters.contains(name) && anywhere(&[k]) {
+                found.parameters.push(name.clone());
+            }
+        }
+    }
+    found
+}

@@ -1,0 +1,415 @@
+//! Forward selection of effects with re-identification at every step, and backward elimination.
+//!
+//! Score of a candidate: twice the gain in profile log likelihood, less `k ln n` for its `k` parameters (linear and nonlinear, `n` rows of
+//! a joint) and `2 ln N` for a library of `N` columns (extended Bayesian information criterion, Chen and Chen, Biometrika 95, 2008).
+
+use super::Settings;
+use super::evidence::Evidence;
+use super::fit::Problem;
+use super::gates::{self, Folds, Relevance};
+use super::library::Candidate;
+use super::search;
+use super::state::{State, Tried, every};
+use plumbline_core::parallel;
+use plumbline_model::term::effect::{Ground, Setting, Spec};
+
+/// Candidates that are tried with all care at each step.
+const SHORTLIST: usize = 16;
+/// Of those, the best that are tried in a form that grows out of theirs.
+const SEEDLINGS: usize = 4;
+/// Share of what an effect has to bring that it brings at the start of a search for several settings.
+const HOPE: f64 = 0.5;
+/// Where nothing tells the noise: candidates with this share of the best score are nearly as good.
+const NEARLY: f64 = 0.8;
+/// A rival within so much of the score can't be told from the chosen one.
+pub const GAP: f64 = 12.0;
+
+/// One look at the data: the evidence, what the terms stand upon, and every candidate.
+pub struct Search<'a> {
+    /// Evidence and prior.
+    pub problem: Problem<'a>,
+    /// What the terms stand upon.
+    pub ground: &'a Ground,
+    /// Every candidate.
+    pub library: &'a [Candidate],
+    /// How it is done.
+    pub settings: &'a Settings,
+}
+
+/// A candidate with its score.
+#[derive(Clone, Debug)]
+pub struct Scored {
+    /// The candidate.
+    pub item: Candidate,
+    /// Tried in the state at hand.
+    pub tried: Tried,
+    /// Score.
+    pub score: f64,
+    /// Part of the score that pays for parameters and choice.
+    pub penalty: f64,
+}
+
+/// An effect that was taken in.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// Score against the model without it.
+    pub score: f64,
+    /// Twice the gain in log likelihood.
+    pub evidence: f64,
+    /// Part of the score that pays for parameters and choice.
+    pub penalty: f64,
+    /// How the folds judge it.
+    pub folds: Folds,
+    /// What it explains.
+    pub relevance: Relevance,
+    /// Share of its fitted part that the other columns can't take over.
+    pub independence: f64,
+    /// Rivals whose score is near, or that look alike.
+    pub rivals: Vec<Rival>,
+}
+
+/// What might be there instead of an effect.
+#[derive(Clone, Debug)]
+pub struct Rival {
+    /// The other effect.
+    pub item: Candidate,
+    /// Score of the chosen one less its own.
+    pub gap: f64,
+}
+
+/// One step of the selection.
+#[derive(Clone, Debug)]
+pub struct Step {
+    /// What came in or went out.
+    pub item: Candidate,
+    /// Whether it came in.
+    pub added: bool,
+    /// Its score then.
+    pub score: f64,
+    /// Unmodelled mean square of all joints afterwards \[Nm2\].
+    pub unmodelled: f64,
+}
+
+/// What the forward selection came to.
+pub struct Draft {
+    /// The model.
+    pub state: State,
+    path: Vec<Step>,
+    first: Vec<Scored>,
+}
+
+/// What the selection ended with.
+pub struct Selected {
+    /// The model.
+    pub state: State,
+    /// Facts on each of its items.
+    pub found: Vec<Found>,
+    /// How it came about.
+    pub path: Vec<Step>,
+    /// The best candidates at the first step: what the data says of every kind of effect alone.
+    pub first: Vec<Scored>,
+}
+
+impl<'a> Search<'a> {
+    /// The same look upon another ground. The candidates' columns stay those of the old one until they are tried with care.
+    pub fn upon<'b>(&self, ground: &'b Ground) -> Search<'b>
+    where
+        'a: 'b,
+    {
+        let Problem { evidence, prior } = self.problem;
+        Search { problem: Problem { evidence, prior }, ground, library: self.library, settings: self.settings }
+    }
+
+    fn evidence(&self) -> &Evidence {
+        self.problem.evidence
+    }
+
+    fn penalty(&self, item: &Candidate) -> f64 {
+        let rows = self.evidence().per_joint() as f64;
+        let columns: usize = self.library.iter().map(|one| one.rows.width).sum();
+        item.parameters() as f64 * rows.ln() + 2.0 * (columns.max(2) as f64).ln()
+    }
+
+    /// The best candidates for a state, refined, best first.
+    pub fn propose(&self, state: &State, wanted: impl Fn(&Candidate) -> bool + Sync) -> Vec<Scored> {
+        let threads = self.settings.threads;
+        let screened = parallel(self.library, threads, |item| {
+            let usable = wanted(item) && !state.items.iter().any(|own| own.alike(item));
+            if !usable {
+                return f64::NEG_INFINITY;
+            }
+            let cross = state.columns.cross(self.evidence(), &item.rows);
+            let gain = self.problem.gain(&state.fit, &cross, &every, Some(&item.joints()));
+            gain.map_or(f64::NEG_INFINITY, |gain| {
+                item.truth(gain.gamma.as_slice()) * gain.evidence - self.penalty(item)
+            })
+        });
+        let mut order: Vec<usize> = (0..self.library.len()).filter(|&k| screened[k].is_finite()).collect();
+        order.sort_by(|&a, &b| screened[b].total_cmp(&screened[a]));
+        let mut short: Vec<&Candidate> = Vec::new();
+        for k in order {
+            if !short.iter().any(|one| one.alike(&self.library[k])) {
+                short.push(&self.library[k]);
+            }
+            if short.len() == SHORTLIST {
+                break;
+            }
+        }
+        let tried = parallel(&short, threads, |item| self.score(state, &self.refined(state, self.rebuilt(item))));
+        let mut scored: Vec<Scored> = tried.into_iter().flatten().collect();
+        scored.sort_by(|a, b| b.score.total_cmp(&a.score));
+        let mut seedlings: Vec<Candidate> = Vec::new();
+        for one in scored.iter().filter(|one| one.score > 0.0) {
+            let theta = &one.tried.fit.theta;
+            let parameters = theta.rows(theta.len() - one.item.rows.width, one.item.rows.width);
+            for spec in one.item.grown(parameters.as_slice()) {
+                let since = one.item.since;
+                let known = state.items.iter().chain(&seedlings).any(|own| own.is_of(&spec, since));
+                if !known && seedlings.len() < SEEDLINGS {
+                    let seedling = Candidate::of(self.evidence(), self.ground, spec, since);
+                    seedlings.extend(seedling.filter(|seedling| wanted(seedling)));
+                }
+            }
+        }
+        let grown = parallel(&seedlings, threads, |item| self.score(state, &self.refined(state, item.clone())));
+        scored.extend(grown.into_iter().flatten());
+        scored.sort_by(|a, b| b.score.total_cmp(&a.score));
+        scored
+    }
+
+    /// A candidate's score in a state.
+    pub fn score(&self, state: &State, item: &Candidate) -> Option<Scored> {
+        let tried = state.try_in(&self.problem, item)?;
+        let parameters = &tried.fit.theta.as_slice()[state.fit.theta.len()..];
+        if !item.allows(parameters) {
+            return None;
+        }
+        let penalty = self.penalty(item);
+        Some(Scored { score: tried.evidence - penalty, penalty, tried, item: item.clone() })
+    }
+
+    /// A candidate on the present ground with its settings where the likelihood is largest, near where they are.
+    pub fn refined(&self, state: &State, item: Candidate) -> Candidate {
+        let form = item.spec.family().ok().and_then(|family| family.form(item.spec.form));
+        let Some(form) = form.filter(|form| !form.settings.is_empty()) else { return item };
+        let gain = |item: &Candidate| {
+            let cross = state.columns.cross(self.evidence(), &item.rows);
+            let gain = self.problem.gain(&state.fit, &cross, &every, None);
+            gain.map_or(f64::NEG_INFINITY, |gain| item.truth(gain.gamma.as_slice()) * gain.evidence)
+        };
+        let before = gain(&item);
+        // A search in several dimensions is dear, and leads to nothing from where there is nothing.
+        if form.settings.len() > 1 && before < HOPE * self.penalty(&item) {
+            return item;
+        }
+        let spec_at = |shares: &[f64]| {
+            let setting = |(setting, share): (&Setting, &f64)| inside(setting, *share);
+            Spec { settings: form.settings.iter().zip(shares).map(setting).collect(), ..item.spec.clone() }
+        };
+        let at = |shares: &[f64]| {
+            let sketch = Candidate::sketch(self.evidence(), self.ground, spec_at(shares), item.since);
+            sketch.map_or(f64::NEG_INFINITY, |sketch| gain(&sketch))
+        };
+        let start: Vec<f64> =
+            form.settings.iter().zip(&item.spec.settings).map(|(own, value)| own.share(*value)).collect();
+        let steps: Vec<f64> = form.settings.iter().map(Setting::spacing).collect();
+        let found = search::largest(&start, &steps, &at);
+        // Sketches only tell where to look.
+        let found = Candidate::of(self.evidence(), self.ground, spec_at(&found), item.since);
+        match found {
+            Some(found) if gain(&found) > before => found,
+            _ => item,
+        }
+    }
+
+    /// The same effect on the present ground.
+    fn rebuilt(&self, item: &Candidate) -> Candidate {
+        Candidate::of(self.evidence(), self.ground, item.spec.clone(), item.since).unwrap_or_else(|| item.clone())
+    }
+
+    /// [`Search::forward`] and [`Search::finish`].
+    pub fn select(&self, base: State, seeds: &[Candidate], progress: &dyn Fn(&Step)) -> Selected {
+        self.finish(self.forward(base, seeds, progress), progress)
+    }
+
+    /// Adds effects as long as one is worth it, each time with everything fitted again. It starts from `seeds`, as far as they hold.
+    pub fn forward(&self, base: State, seeds: &[Candidate], progress: &dyn Fn(&Step)) -> Draft {
+        let mut state = base;
+        let mut path: Vec<Step> = Vec::new();
+        let mut tabu: Vec<Candidate> = Vec::new();
+        let mut first = Vec::new();
+        for seed in seeds {
+            state = state.with(&self.problem, seed.clone());
+        }
+        while let Some((worst, _)) = self.weakest(&state) {
+            state = state.without(&self.problem, worst);
+        }
+        for item in state.items.clone() {
+            self.record(&mut path, &state, item, true, 0.0, progress);
+        }
+        for step in 0..self.settings.steps {
+            let proposals = self.propose(&state, |item| !tabu.iter().any(|one| one.alike(item)));
+            if step == 0 {
+                first.clone_from(&proposals);
+            }
+            let Some(chosen) = self.choose(&state, proposals) else { break };
+            state = self.settle(&state.with(&self.problem, chosen.item.clone()));
+            self.record(&mut path, &state, chosen.item, true, chosen.score, progress);
+            while let Some((worst, score)) = self.weakest(&state) {
+                let gone = state.items[worst].clone();
+                state = state.without(&self.problem, worst);
+                self.record(&mut path, &state, gone.clone(), false, score, progress);
+                tabu.push(gone);
+            }
+        }
+        Draft { state, path, first }
+    }
+
+    /// Holds every effect of a draft against its rivals.
+    pub fn finish(&self, draft: Draft, progress: &dyn Fn(&Step)) -> Selected {
+        let Draft { state, mut path, first } = draft;
+        let (state, found) = self.judge(state, &mut path, progress);
+        Selected { state, found, path, first }
+    }
+
+    /// The same effects upon the present ground, which is another one than they were found on; those that it changes are searched for their settings
+    /// again. `None` when it changes none.
+    pub fn upon_ground(&self, state: &State) -> Option<State> {
+        let rebuilt: Vec<Candidate> = state.items.iter().map(|item| self.rebuilt(item)).collect();
+        let changed: Vec<bool> = rebuilt.iter().zip(&state.items).map(|(new, old)| new.rows != old.rows).collect();
+        if !changed.contains(&true) {
+            return None;
+        }
+        let mut now = state.clone();
+        for (item, changed) in rebuilt.into_iter().zip(changed) {
+            // The first goes, and comes in again as the last: after one round the order is the same.
+            let rest = now.without(&self.problem, 0);
+            now = rest.with(&self.problem, if changed { self.refined(&rest, item) } else { item });
+        }
+        Some(now)
+    }
+
+    fn record(
+        &self,
+        path: &mut Vec<Step>,
+        state: &State,
+        item: Candidate,
+        added: bool,
+        score: f64,
+        progress: &dyn Fn(&Step),
+    ) {
+        let unmodelled = (0..self.evidence().joints()).map(|joint| state.unmodelled(self.evidence(), joint)).sum();
+        let step = Step { item, added, score, unmodelled };
+        progress(&step);
+        path.push(step);
+    }
+
+    /// Whether a candidate passes every gate.
+    fn passes(&self, state: &State, one: &Scored) -> bool {
+        if one.score <= 0.0 {
+            return false;
+        }
+        let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);
+        if !gates::matters(self.evidence(), &relevance, &one.item, self.settings) {
+            return false;
+        }
+        let folds = gates::folds(&self.problem, state, &one.tried);
+        let blocks = self.evidence().folds().len();
+        folds.confirm() != Some(false)
+            && (self.evidence().repeats() || folds.hold(blocks, one.penalty, self.settings.least_share_left_out))
+    }
+
+    /// Of candidates that pass, the best; of those that are nearly as good the simplest, where the score is no exact measure.
+    fn choose(&self, state: &State, proposals: Vec<Scored>) -> Option<Scored> {
+        let mut proposals = proposals.into_iter();
+        let best = proposals.find(|one| self.passes(state, one))?;
+        if self.evidence().repeats() {
+            return Some(best);
+        }
+        let least = NEARLY * best.score;
+        let near = proposals.take_while(|one| one.score >= least).filter(|one| self.passes(state, one));
+        let cost = |one: &Scored| (one.tried.cross.width * one.item.joints().len(), one.item.parameters());
+        Some(near.fold(best, |best, one| if cost(&one) < cost(&best) { one } else { best }))
+    }
+
+    /// Settings of every effect searched again, beside all others.
+    fn settle(&self, state: &State) -> State {
+        let mut state = state.clone();
+        for item in 0..state.items.len() {
+            if state.items[item].spec.settings.is_empty() || state.items.len() == 1 {
+                continue;
+            }
+            let rest = state.without(&self.problem, item);
+            let better = self.refined(&rest, self.rebuilt(&state.items[item]));
+            let moved = rest.with(&self.problem, better);
+            if moved.fit.likelihood > state.fit.likelihood {
+                // It is the last one now; the loop goes on with its neighbour next time.
+                state = moved;
+            }
+        }
+        state
+    }
+
+    /// The effect that no longer pays for itself, if any.
+    fn weakest(&self, state: &State) -> Option<(usize, f64)> {
+        let score = |item: usize| {
+            let rest = state.without(&self.problem, item);
+            2.0 * (state.fit.likelihood - rest.fit.likelihood) - self.penalty(&state.items[item])
+        };
+        let scores = (0..state.items.len()).map(|item| (item, score(item)));
+        scores.filter(|(_, score)| *score <= 0.0).min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// Tries every other candidate in the place of each effect: a better one takes it, near ones are its rivals.
+    fn judge(&self, mut state: State, path: &mut Vec<Step>, progress: &dyn Fn(&Step)) -> (State, Vec<Found>) {
+        let mut swaps = state.items.len();
+        let mut found = Vec::new();
+        let mut item = 0;
+        while item < state.items.len() {
+            let rest = state.without(&self.problem, item);
+            let chosen = state.items[item].clone();
+            let joints = chosen.joints();
+            let near = |other: &Candidate| other.joints().iter().any(|joint| joints.contains(joint));
+            let Some(own) = self.score(&rest, &chosen).filter(|own| own.score > 0.0) else {
+                self.record(path, &rest, chosen, false, 0.0, progress);
+                state = rest;
+                continue;
+            };
+            let others = self.propose(&rest, |other| near(other) && !other.alike(&chosen));
+            let least = own.score + if self.evidence().repeats() { 0.0 } else { GAP };
+            let better = others.iter().find(|other| other.score > least && self.passes(&rest, other));
+            if let Some(better) = better.filter(|_| swaps > 0) {
+                swaps -= 1;
+                self.record(path, &rest, chosen, false, own.score, progress);
+                state = rest.with(&self.problem, better.item.clone());
+                self.record(path, &state, better.item.clone(), true, better.score, progress);
+                // The newcomer is the last one now, and its turn comes.
+                continue;
+            }
+            let mut rivals: Vec<Rival> = Vec::new();
+            for other in others.iter().filter(|other| other.score > 0.0 && !other.item.same_effect(&chosen)) {
+                let gap = own.score - other.score;
+                let listed = rivals.iter().any(|rival| rival.item.same_effect(&other.item));
+                if gap < GAP && !listed && (gap > 0.0 || self.passes(&rest, other)) {
+                    rivals.push(Rival { item: other.item.clone(), gap });
+                }
+            }
+            found.push(Found {
+                score: own.score,
+                evidence: own.tried.evidence,
+                penalty: own.penalty,
+                folds: gates::folds(&self.problem, &rest, &own.tried),
+                relevance: gates::relevance(self.evidence(), &rest, &own.tried, &chosen),
+                independence: own.tried.independence,
+                rivals,
+            });
+            item += 1;
+        }
+        (state, found)
+    }
+}
+
+/// A value between the setting's limits, whatever rounding does.
+fn inside(setting: &Setting, share: f64) -> f64 {
+    setting.at(share.clamp(0.0, 1.0)).clamp(setting.low, setting.high)
+}

@@ -1,0 +1,73 @@
+//! Models on runs that they were not fitted to.
+
+use super::diagnosis::THRESHOLD;
+use super::evidence::{Evidence, Trial};
+use super::moments::Columns;
+use super::outcome::Fitted;
+use super::state::{State, mean_square};
+use nalgebra::DVector;
+use plumbline_model::structure::Structure;
+use plumbline_model::term::effect::Ground;
+
+/// Columns of a structure and torques of runs.
+pub fn columns_of(evidence: &Evidence, structure: &Structure, trials: &[Trial]) -> Columns {
+    Columns { m: evidence.regressor(structure, trials), r: evidence.torques(trials) }
+}
+
+/// Torques and columns of a state on other runs than those it was fitted to.
+pub struct Unseen<'a> {
+    /// The runs.
+    pub evidence: &'a Evidence,
+    columns: Columns,
+}
+
+impl<'a> Unseen<'a> {
+    /// With the columns of a state.
+    pub fn of(
+        evidence: &'a Evidence,
+        structure: &Structure,
+        trials: &[Trial],
+        state: &State,
+        ground: &Ground,
+    ) -> Unseen<'a> {
+        let mut columns = columns_of(evidence, structure, trials);
+        for item in &state.items {
+            if let Ok(term) = item.spec.build(ground) {
+                columns.push(&evidence.columns(&*term, item.since));
+            }
+        }
+        Unseen { evidence, columns }
+    }
+
+    /// With the columns of a whole model.
+    pub fn of_model(evidence: &'a Evidence, fitted: &Fitted, trials: &[Trial]) -> Unseen<'a> {
+        Unseen { evidence, columns: columns_of(evidence, &fitted.structure, trials) }
+    }
+
+    /// Residual of a joint, divided by the noise there.
+    pub fn residual(&self, joint: usize, theta: &DVector<f64>) -> DVector<f64> {
+        &self.columns.r[joint] - self.columns.m[joint].columns(0, theta.len()) * theta
+    }
+
+    /// Mean square of what a model lacks in a joint, over that of the noise; nothing where that is not known.
+    fn lack(&self, joint: usize, theta: &DVector<f64>) -> Option<f64> {
+        let floor = self.evidence.floor(joint)?.powi(2);
+        let square = mean_square(self.evidence, joint, &self.residual(joint, theta));
+        Some((square - floor).max(0.0) / floor)
+    }
+
+    /// [`Unseen::lack`] of every joint.
+    pub fn lacks(&self, theta: &DVector<f64>) -> Vec<Option<f64>> {
+        (0..self.evidence.joints()).map(|joint| self.lack(joint, theta)).collect()
+    }
+
+    /// Share of what another model `lacks` in each joint that the parameters `theta` of all columns take away; `None` where nothing was unmodelled
+    /// or the noise is not known.
+    pub fn explained(&self, lacks: &[Option<f64>], theta: &DVector<f64>) -> Vec<Option<f64>> {
+        let share = |(joint, before): (usize, &Option<f64>)| {
+            let before = before.filter(|before| *before > THRESHOLD * THRESHOLD)?;
+            Some(1.0 - self.lack(joint, theta)? / before)
+        };
+        lacks.iter().enumerate().map(share).collect()
+    }
+}

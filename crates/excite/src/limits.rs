@@ -1,0 +1,522 @@
+//! The limits a motion must keep, and how near it comes to each of them.
+
+use super::fourier::Fourier;
+use plumbline_core::{JointVec, Limits, MAX_JOINTS, SpeedEnvelope, Workspace};
+use plumbline_model::chain::Chain;
+use plumbline_model::shape::{FIRST_BOXED, Shape, nearest};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// Samples per second at which a finished motion is verified \[Hz\].
+pub const VERIFY_RATE: f64 = 1000.0;
+
+/// What a planned motion leaves free of each limit, for tracking errors and noise.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case", default)]
+pub struct Margins {
+    /// Kept away from both ends of a joint's range \[rad\].
+    pub position: f64,
+    /// Share of the velocity limit that may be used.
+    pub velocity: f64,
+    /// Share of the acceleration limit that may be used.
+    pub acceleration: f64,
+    /// Share of the jerk limit that may be used.
+    pub jerk: f64,
+    /// Share of the torque limit that may be used.
+    pub torque: f64,
+    /// Share of the torque rate limit that may be used.
+    pub torque_rate: f64,
+    /// Kept away from the box and from the sphere round the base \[m\].
+    pub workspace: f64,
+    /// Kept between links that are no neighbours \[m\].
+    pub clearance: f64,
+}
+
+impl Default for Margins {
+    fn default() -> Margins {
+        Margins {
+            position: 0.05,
+            velocity: 0.9,
+            acceleration: 0.9,
+            jerk: 0.9,
+            torque: 0.9,
+            torque_rate: 0.9,
+            workspace: 0.02,
+            clearance: 0.01,
+        }
+    }
+}
+
+impl Margins {
+    /// Every limit to its full.
+    pub fn none() -> Margins {
+        Margins {
+            position: 0.0,
+            velocity: 1.0,
+            acceleration: 1.0,
+            jerk: 1.0,
+            torque: 1.0,
+            torque_rate: 1.0,
+            workspace: 0.0,
+            clearance: 0.0,
+        }
+    }
+}
+
+/// Everything a motion of one arm is held to.
+#[derive(Clone, Copy, Debug)]
+pub struct Bounds<'a> {
+    /// The arm.
+    pub chain: &'a Chain,
+    /// Limits of its joints.
+    pub limits: &'a Limits,
+    /// Where its end effector may be (paper eq. 14); `None` leaves it free.
+    pub workspace: Option<&'a Workspace>,
+    /// Bodies of the links, which are held off each other; `None` leaves them free.
+    pub shape: Option<&'a Shape>,
+    /// Whether the bodies, from link [`FIRST_BOXED`] on, are held in the end effector's box, too. The paper asks it of the end effector
+    /// alone (eq. 14).
+    pub links_in_box: bool,
+    /// Speed limits that depend on position, on top of those of `limits`.
+    pub envelope: Option<&'a SpeedEnvelope>,
+    /// What to leave free of each limit.
+    pub margins: Margins,
+}
+
+impl<'a> Bounds<'a> {
+    /// An arm and the limits of its joints; workspace, bodies and speed envelope are left free, and links may leave the box.
+    pub fn new(chain: &'a Chain, limits: &'a Limits, margins: Margins) -> Bounds<'a> {
+        Bounds { chain, limits, workspace: None, shape: None, links_in_box: false, envelope: None, margins }
+    }
+
+    /// Highest speeds of joint `j` (from 0) at position `q`, downwards and upwards, both as positive numbers, less their margin
+    /// \[rad/s\].
+    pub fn speeds(&self, j: usize, q: f64) -> [f64; 2] {
+        let most = self.limits.dq[j];
+        let at = |room: f64| self.envelope.map_or(most, |envelope| envelope.at(j, room, most).0);
+        [at(q - self.limits.q_min[j]), at(self.limits.q_max[j] - q)].map(|speed| speed * self.margins.velocity)
+    }
+}
+
+/// Torque that a nominal model needs at a position, velocity and acceleration \[Nm\].
+pub type NominalTorque<'a> = &'a dyn Fn(&JointVec, &JointVec, &JointVec) -> JointVec;
+
+/// What a limit is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Quantity {
+    /// Lower end of a joint's range \[rad\].
+    PositionMin,
+    /// Upper end of a joint's range \[rad\].
+    PositionMax,
+    /// Lowest position at which a stop from here comes to rest \[rad\].
+    StopMin,
+    /// Highest position at which a stop from here comes to rest \[rad\].
+    StopMax,
+    /// Speed \[rad/s\].
+    Velocity,
+    /// Speed that the acceleration leads to even if a stop takes it back from here on \[rad/s\].
+    VelocityAhead,
+    /// Acceleration \[rad/s2\].
+    Acceleration,
+    /// Jerk \[rad/s3\].
+    Jerk,
+    /// Torque of the nominal model \[Nm\].
+    Torque,
+    /// Torque rate of the nominal model \[Nm/s\].
+    TorqueRate,
+    /// Lower side of the box along x, y or z \[m\].
+    BoxMin(usize),
+    /// Upper side of the box along x, y or z \[m\].
+    BoxMax(usize),
+    /// Distance from the base frame's origin \[m\].
+    BaseSphere,
+    /// Lower side of the box along x, y or z, for the surface of a link \[m\].
+    LinkBoxMin(usize),
+    /// Upper side of the box along x, y or z, for the surface of a link \[m\].
+    LinkBoxMax(usize),
+    /// Distance between the surfaces of two links, counted from 1, the base being 0 \[m\].
+    Clearance(usize, usize),
+}
+
+impl Quantity {
+    fn describe(self) -> (String, &'static str) {
+        let axis = |i: usize| ["x", "y", "z"].get(i).copied().unwrap_or("?");
+        match self {
+            Quantity::PositionMin => ("position".into(), "rad"),
+            Quantity::PositionMax => ("position".into(), "rad"),
+            Quantity::StopMin | Quantity::StopMax => ("position after a stop".into(), "rad"),
+            Quantity::Velocity => ("velocity".into(), "rad/s"),
+            Quantity::VelocityAhead => ("velocity in a stop".into(), "rad/s"),
+            Quantity::Acceleration => ("acceleration".into(), "rad/s2"),
+            Quantity::Jerk => ("jerk".into(), "rad/s3"),
+            Quantity::Torque => ("torque".into(), "Nm"),
+            Quantity::TorqueRate => ("torque rate".into(), "Nm/s"),
+            Quantity::BoxMin(i) | Quantity::BoxMax(i) => (format!("end effector {}", axis(i)), "m"),
+            Quantity::BaseSphere => ("end effector distance from the base".into(), "m"),
+            Quantity::LinkBoxMin(i) | Quantity::LinkBoxMax(i) => (format!("surface {}", axis(i)), "m"),
+            Quantity::Clearance(0, b) => (format!("distance of link {b} from the base"), "m"),
+            Quantity::Clearance(a, b) => (format!("distance of link {b} from link {a}"), "m"),
+        }
+    }
+
+    /// Whether the value must stay above the limit rather than below.
+    fn is_lower(self) -> bool {
+        use Quantity::{BaseSphere, BoxMin, Clearance, LinkBoxMin, PositionMin, StopMin};
+        matches!(self, PositionMin | StopMin | BoxMin(_) | BaseSphere | LinkBoxMin(_) | Clearance(..))
+    }
+
+    /// Whether the limit is one joint's own: a smaller motion of that joint alone keeps it.
+    pub(super) fn is_of_one_joint(self) -> bool {
+        use Quantity::{Acceleration, Jerk, PositionMax, PositionMin, StopMax, StopMin, Velocity, VelocityAhead};
+        matches!(self, PositionMin | PositionMax | StopMin | StopMax | Velocity | VelocityAhead | Acceleration | Jerk)
+    }
+}
+
+/// The point of a motion that comes nearest to one limit, or breaks it most.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Peak {
+    /// What the limit is about.
+    pub quantity: Quantity,
+    /// Joint or link, counted from 1; `None` for the end effector and for what two links have between them.
+    pub joint: Option<usize>,
+    /// When \[s\].
+    pub time: f64,
+    /// Value there, without sign where the limit is on the size.
+    pub value: f64,
+    /// The limit less its margin.
+    pub limit: f64,
+}
+
+impl Peak {
+    /// What is left of the limit less its margin; negative when it is broken. Unit of the quantity.
+    pub fn headroom(&self) -> f64 {
+        if self.quantity.is_lower() { self.value - self.limit } else { self.limit - self.value }
+    }
+
+    /// Whether the limit is broken. A value that is not a number breaks every limit.
+    pub fn is_violation(&self) -> bool {
+        let headroom = self.headroom();
+        headroom.is_nan() || headroom < -1e-9 * self.limit.abs().max(1.0)
+    }
+}
+
+impl fmt::Display for Peak {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (what, unit) = self.quantity.describe();
+        match (self.joint, self.quantity) {
+            (Some(link), Quantity::LinkBoxMin(_) | Quantity::LinkBoxMax(_)) => write!(f, "link {link} ")?,
+            (Some(joint), _) => write!(f, "joint {joint} ")?,
+            (None, _) => {}
+        }
+        let side = if self.quantity.is_lower() { "at least" } else { "at most" };
+        write!(f, "{what} {:.4} {unit} at {:.3} s, expected {side} {:.4} {unit}", self.value, self.time, self.limit)
+    }
+}
+
+/// How near a motion comes to every limit.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Check {
+    /// One peak per limit and joint.
+    pub peaks: Vec<Peak>,
+}
+
+impl Check {
+    /// The limits that are broken.
+    pub fn violations(&self) -> impl Iterator<Item = &Peak> {
+        self.peaks.iter().filter(|peak| peak.is_violation())
+    }
+
+    /// Whether every limit is kept.
+    pub fn is_feasible(&self) -> bool {
+        self.violations().next().is_none()
+    }
+
+    fn note(&mut self, slot: &mut usize, quantity: Quantity, joint: Option<usize>, time: f64, value: f64, limit: f64) {
+        let peak = Peak { quantity, joint, time, value, limit };
+        match self.peaks.get_mut(*slot) {
+            None => self.peaks.push(peak),
+            Some(known) if peak.headroom().is_nan() || peak.headroom() < known.headroom() => *known = peak,
+            Some(_) => {}
+        }
+        *slot += 1;
+    }
+
+    /// Notes where end effector and links are at a pose.
+    fn note_space(&mut self, slot: &mut usize, bounds: &Bounds, q: &[f64], time: f64) {
+        let margins = &bounds.margins;
+        if let Some(workspace) = bounds.workspace {
+            let at = bounds.chain.end_effector(q);
+            for axis in 0..3 {
+                let (low, high) =
+                    (workspace.box_min[axis] + margins.workspace, workspace.box_max[axis] - margins.workspace);
+                self.note(slot, Quantity::BoxMin(axis), None, time, at[axis], low);
+                self.note(slot, Quantity::BoxMax(axis), None, time, at[axis], high);
+            }
+            self.note(slot, Quantity::BaseSphere, None, time, at.norm(), workspace.base_radius + margins.workspace);
+        }
+        let Some(shape) = bounds.shape else { return };
+        let segments = shape.placed(bounds.chain, q);
+        if let Some(workspace) = bounds.workspace.filter(|_| bounds.links_in_box) {
+            for (capsule, ends) in shape.capsules().iter().zip(&segments).filter(|(c, _)| c.link >= FIRST_BOXED) {
+                let (low, high) = (ends[0].inf(&ends[1]), ends[0].sup(&ends[1]));
+                let link = Some(capsule.link);
+                for (axis, (low, high)) in low.iter().zip(&high).enumerate() {
+                    let least = workspace.box_min[axis] + margins.workspace;
+                    let most = workspace.box_max[axis] - margins.workspace;
+                    self.note(slot, Quantity::LinkBoxMin(axis), link, time, low - capsule.radius, least);
+                    self.note(slot, Quantity::LinkBoxMax(axis), link, time, high + capsule.radius, most);
+                }
+            }
+        }
+        for &(a, b) in shape.pairs() {
+            let (one, other) = (&shape.capsules()[a], &shape.capsules()[b]);
+            let distance = nearest(&segments[a], &segments[b]).between.norm() - one.radius - other.radius;
+            let (low, high) = (one.link.min(other.link), one.link.max(other.link));
+            self.note(slot, Quantity::Clearance(low, high), None, time, distance, margins.clearance);
+        }
+    }
+}
+
+/// What a motion breaks of box, sphere and clearances at rest in a pose, if anything.
+pub fn check_pose(bounds: &Bounds, q: &[f64]) -> Check {
+    let mut check = Check::default();
+    check.note_space(&mut 0, bounds, q, 0.0);
+    check
+}
+
+/// Walks one period of a motion (`samples` even steps) and notes the peak of every quantity.
+///
+/// `torque` adds the torque and torque-rate limits. At 1 kHz ([`verify`]) this is the promise that a plan makes; a coarse grid is
+/// for searching.
+pub fn check(bounds: &Bounds, fourier: &Fourier, samples: usize, torque: Option<NominalTorque>) -> Check {
+    let n = fourier.joints();
+    let (limits, margins) = (bounds.limits, &bounds.margins);
+    let dt = fourier.period / samples as f64;
+    let mut check = Check::default();
+    let mut last_tau: Option<JointVec> = None;
+    for k in 0..=samples {
+        let time = k as f64 * dt;
+        let mut slot = 0;
+        let (mut q, mut dq, mut ddq) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        for j in 0..n {
+            let point = fourier.at(j, time);
+            (q[j], dq[j], ddq[j]) = (point.q, point.dq, point.ddq);
+            let joint = Some(j + 1);
+            let mut note = |quantity, value, limit| check.note(&mut slot, quantity, joint, time, value, limit);
+            note(Quantity::PositionMin, point.q, limits.q_min[j] + margins.position);
+            note(Quantity::PositionMax, point.q, limits.q_max[j] - margins.position);
+            let [down, up] = bounds.speeds(j, point.q);
+            note(Quantity::Velocity, point.dq.abs(), if point.dq < 0.0 { down } else { up });
+            note(Quantity::Acceleration, point.ddq.abs(), limits.ddq[j] * margins.acceleration);
+            note(Quantity::Jerk, point.jerk.abs(), limits.jerk[j] * margins.jerk);
+        }
+        check.note_space(&mut slot, bounds, &q[..n], time);
+        if let Some(torque) = torque {
+            let tau = torque(&q, &dq, &ddq);
+            let before = last_tau.unwrap_or(tau);
+            for j in 0..n {
+                let joint = Some(j + 1);
+                let rate = (tau[j] - before[j]).abs() / dt;
+                check.note(&mut slot, Quantity::Torque, joint, time, tau[j].abs(), limits.tau[j] * margins.torque);
+                check.note(&mut slot, Quantity::TorqueRate, joint, time, rate, limits.dtau[j] * margins.torque_rate);
+            }
+            last_tau = Some(tau);
+        }
+    }
+    check
+}
+
+/// [`check`] at 1 kHz.
+pub fn verify(bounds: &Bounds, fourier: &Fourier, torque: Option<NominalTorque>) -> Check {
+    check(bounds, fourier, (fourier.period * VERIFY_RATE).round().max(1.0) as usize, torque)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use plumbline_model::chain::{Joint, JointKind, Placement};
+    use plumbline_model::robot::Robot;
+    use plumbline_model::shape::Capsule;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// Three revolute joints with parallel axes; the last two are 0.5 m out.
+    fn three_links() -> Chain {
+        let joint = |a: f64| Joint { kind: JointKind::Revolute, a, alpha: 0.0, d: 0.0, theta: 0.0 };
+        Chain::modified(vec![joint(0.0), joint(0.5), joint(0.0)], Placement::identity())
+    }
+
+    /// One revolute joint about z with the end effector 0.5 m out along x.
+    fn pendulum() -> Chain {
+        let joint = Joint { kind: JointKind::Revolute, a: 0.0, alpha: 0.0, d: 0.0, theta: 0.0 };
+        let mut flange = Placement::identity();
+        flange.origin.x = 0.5;
+        Chain::modified(vec![joint], flange)
+    }
+
+    fn limits() -> Limits {
+        let all = |x: f64| [x; MAX_JOINTS];
+        Limits {
+            q_min: all(-1.0),
+            q_max: all(1.0),
+            dq: all(2.0),
+            ddq: all(5.0),
+            jerk: all(50.0),
+            tau: all(10.0),
+            dtau: all(100.0),
+        }
+    }
+
+    fn sine(amplitude: f64) -> Fourier {
+        let mut fourier = Fourier::still(2.0, vec![0.0], 1).unwrap();
+        fourier.a[(0, 0)] = amplitude;
+        fourier
+    }
+
+    #[test]
+    fn peaks_are_those_of_the_sine() {
+        let (chain, limits) = (pendulum(), limits());
+        let margins = Margins::default();
+        let bounds = Bounds::new(&chain, &limits, margins);
+        let tau = |q: &JointVec, _: &JointVec, ddq: &JointVec| {
+            let mut tau = [0.0; MAX_JOINTS];
+            tau[0] = 2.0 * ddq[0] + 3.0 * q[0].sin();
+            tau
+        };
+        let check = verify(&bounds, &sine(0.5), Some(&tau));
+        let w = std::f64::consts::PI;
+        let value = |quantity| check.peaks.iter().find(|p| p.quantity == quantity).unwrap().value;
+        assert!((value(Quantity::PositionMax) - 0.5).abs() < 1e-9);
+        assert!((value(Quantity::PositionMin) + 0.5).abs() < 1e-9);
+        assert!((value(Quantity::Velocity) - 0.5 * w).abs() < 1e-9);
+        assert!((value(Quantity::Acceleration) - 0.5 * w * w).abs() < 1e-9);
+        assert!((value(Quantity::Jerk) - 0.5 * w * w * w).abs() < 1e-9);
+        // At the turning point: 2 * 0.5 w^2 - 3 sin 0.5.
+        assert!((value(Quantity::Torque) - (w * w - 3.0 * 0.5_f64.sin())).abs() < 1e-6);
+        assert!((value(Quantity::TorqueRate) - (0.5 * w * (2.0 * w * w - 3.0))).abs() < 1e-3);
+        assert_eq!(check.violations().map(|p| p.quantity).collect::<Vec<_>>(), [Quantity::Acceleration]);
+    }
+
+    #[test]
+    fn a_broken_limit_names_joint_time_value_and_limit() {
+        let (chain, limits) = (pendulum(), limits());
+        let bounds = Bounds::new(&chain, &limits, Margins::default());
+        let check = verify(&bounds, &sine(0.98), None);
+        let text = check.violations().next().unwrap().to_string();
+        assert_eq!(text, "joint 1 position -0.9800 rad at 1.500 s, expected at least -0.9500 rad");
+    }
+
+    #[test]
+    fn the_end_effector_stays_in_the_box_and_out_of_the_sphere() {
+        let (chain, limits) = (pendulum(), limits());
+        let space =
+            |y: f64, radius: f64| Workspace { box_min: [-1.0, -y, -1.0], box_max: [1.0, y, 1.0], base_radius: radius };
+        let broken = |workspace: Workspace| {
+            let bounds = Bounds { workspace: Some(&workspace), ..Bounds::new(&chain, &limits, Margins::default()) };
+            verify(&bounds, &sine(0.3), None).violations().map(|p| p.quantity).collect::<Vec<_>>()
+        };
+        assert_eq!(broken(space(0.2, 0.3)), []);
+        assert_eq!(broken(space(0.15, 0.3)), [Quantity::BoxMin(1), Quantity::BoxMax(1)]);
+        assert_eq!(broken(space(0.2, 0.49)), [Quantity::BaseSphere]);
+    }
+
+    #[test]
+    fn the_surfaces_of_links_stay_in_the_box_and_off_each_other() {
+        let (chain, limits) = (three_links(), limits());
+        let capsule = |link, length| Capsule { link, from: [0.0; 3], to: [length, 0.0, 0.0], radius: 0.05 };
+        let shape = Shape::new(
+            vec![Capsule { to: [0.0, 0.0, 0.2], ..capsule(0, 0.0) }, capsule(1, 0.5), capsule(3, 0.4)],
+            &[[1, 3]],
+        );
+        // Folded until the tip of link 3, at x = 0.5 + 0.4 cos q2, y = 0.4 sin q2, comes near the base.
+        let mut fourier = Fourier::still(2.0, vec![0.0, 2.6, 0.0], 1).unwrap();
+        fourier.a[(1, 0)] = 0.2;
+        let wide: Limits = Limits { q_max: [3.0; MAX_JOINTS], ..limits };
+        let workspace = Workspace { box_min: [-1.0, -0.2, -1.0], box_max: [1.0, 1.0, 1.0], base_radius: 0.0 };
+        let bounds = Bounds {
+            workspace: Some(&workspace),
+            shape: Some(&shape),
+            links_in_box: true,
+            ..Bounds::new(&chain, &wide, Margins { clearance: 0.04, ..Margins::default() })
+        };
+        let check = verify(&bounds, &fourier, None);
+        let peak = |quantity| *check.peaks.iter().find(|p| p.quantity == quantity).unwrap();
+        // Nearest at q2 = 2.8, when the tip is 0.5 + 0.4 cos 2.8 = 0.1231 and 0.1340 away.
+        let clearance = peak(Quantity::Clearance(0, 3));
+        let tip = (0.5 + 0.4 * 2.8_f64.cos(), 0.4 * 2.8_f64.sin());
+        assert!((clearance.value - (tip.0.hypot(tip.1) - 0.1)).abs() < 1e-9, "{clearance}");
+        assert!(!clearance.is_violation());
+        let side = peak(Quantity::LinkBoxMin(1));
+        assert!((side.value + 0.05).abs() < 1e-9 && side.joint == Some(3), "{side}");
+        // Nobody asked for it: the paper's box is the end effector's.
+        let free = verify(&Bounds { links_in_box: false, ..bounds }, &fourier, None);
+        assert!(free.peaks.iter().all(|p| !matches!(p.quantity, Quantity::LinkBoxMin(_) | Quantity::LinkBoxMax(_))));
+        let near = Bounds { margins: Margins { clearance: 0.09, ..bounds.margins }, ..bounds };
+        let text = verify(&near, &fourier, None).violations().next().unwrap().to_string();
+        assert!(
+            text.starts_with("distance of link 3 from the base 0.0820 m at 0.500 s, expected at least 0.0900"),
+            "{text}"
+        );
+        assert_eq!(check_pose(&near, &[0.0, 2.8, 0.0]).violations().count(), 1);
+        assert!(check_pose(&near, &[0.0, 2.0, 0.0]).is_feasible());
+    }
+
+    #[test]
+    fn speed_falls_towards_the_end_of_the_range() {
+        let (chain, limits) = (pendulum(), limits());
+        let envelope = SpeedEnvelope { offset: [0.2; MAX_JOINTS], deceleration: [2.0; MAX_JOINTS] };
+        let margins = Margins { velocity: 0.5, ..Margins::default() };
+        let bounds = Bounds { envelope: Some(&envelope), ..Bounds::new(&chain, &limits, margins) };
+        let near = |one: [f64; 2], other: [f64; 2]| (0..2).all(|i| (one[i] - other[i]).abs() < 1e-12);
+        // Upwards at q = 0.9: sqrt(2 * 2 * 0.1) - 0.2; downwards the full 2 rad/s.
+        assert!(near(bounds.speeds(0, 0.9), [1.0, 0.5 * (0.4_f64.sqrt() - 0.2)]));
+        assert!(near(bounds.speeds(0, 0.999), [1.0, 0.0]));
+        assert!(near(bounds.speeds(0, 0.0), [0.9, 0.9]));
+        let h = 1e-6;
+        for room in [0.05, 0.4, 3.0] {
+            let difference = (envelope.at(0, room + h, 2.0).0 - envelope.at(0, room - h, 2.0).0) / (2.0 * h);
+            assert!((envelope.at(0, room, 2.0).1 - difference).abs() < 1e-6);
+        }
+        // The sine's peak speed is 0.3 pi = 0.94, allowed in the middle; it is too fast for a joint that is shifted to the end.
+        assert!(
+            verify(&Bounds { margins: Margins { velocity: 1.0, ..margins }, ..bounds }, &sine(0.3), None).is_feasible()
+        );
+        let mut high = sine(0.3);
+        high.q0[0] = 0.6;
+        let check = verify(&Bounds { margins: Margins { velocity: 1.0, ..margins }, ..bounds }, &high, None);
+        assert_eq!(check.violations().map(|p| p.quantity).collect::<Vec<_>>(), [Quantity::Velocity]);
+    }
+
+    #[test]
+    fn a_motion_that_is_not_a_number_is_not_feasible() {
+        let (chain, limits) = (pendulum(), limits());
+        let bounds = Bounds::new(&chain, &limits, Margins::default());
+        let mut motion = sine(0.1);
+        motion.a[(0, 0)] = f64::NAN;
+        assert!(!verify(&bounds, &motion, None).is_feasible());
+    }
+
+    /// A motion planner can find poses: a fair share of all that the joints allow keeps flange and links where they may be.
+    #[test]
+    fn the_workspace_leaves_room() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for name in Robot::names() {
+            let Robot { chain, limits, workspace, shape, .. } = Robot::load(name, None).unwrap();
+            assert!(!shape.pairs().is_empty(), "{name} has no bodies");
+            let bounds = Bounds {
+                workspace: Some(&workspace),
+                shape: Some(&shape),
+                ..Bounds::new(&chain, &limits, Margins::default())
+            };
+            let free = |_: &usize| {
+                let q: Vec<f64> =
+                    (0..chain.len()).map(|j| rng.random_range(limits.q_min[j]..limits.q_max[j])).collect();
+                check_pose(&bounds, &q).is_feasible()
+            };
+            let share = (0..1000).filter(free).count() as f64 / 1000.0;
+            assert!(share > 0.2, "{name}: {share}");
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! The nominal model that a plan's torques are computed with, in the form that they have a gradient in.
+
+use super::ExciteError;
+use nalgebra::Vector3;
+use plumbline_core::{JointVec, MAX_JOINTS};
+use plumbline_model::chain::Chain;
+use plumbline_model::regressor::LINK_COLUMNS;
+use plumbline_model::rnea::{LinkParameters, rnea};
+use plumbline_model::term::friction::{self, SHARPNESS};
+use plumbline_model::term::{payload, rigid_body, rotor_inertia, torque_offset};
+use plumbline_model::torque::TorqueModel;
+
+/// Rigid body, friction, offsets and rotors of an arm.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Nominal {
+    /// Standard parameters of every link, or base parameters in the slots of their names.
+    pub links: Vec<LinkParameters>,
+    /// Viscous friction \[Nms/rad\].
+    pub fv: JointVec,
+    /// Coulomb friction \[Nm\].
+    pub fc: JointVec,
+    /// Torque offsets \[Nm\].
+    pub offset: JointVec,
+    /// Rotor inertias \[kg m2\].
+    pub rotor: JointVec,
+}
+
+impl Nominal {
+    /// Takes the numbers out of a model; a payload becomes part of the last link, and [`Nominal::left_out`] says which effects have no
+    /// place here. Errors when it has a term of another kind, whose torque would be missing.
+    pub fn of(model: &TorqueModel) -> Result<Nominal, ExciteError> {
+        let structure = model.structure();
+        let mut nominal =
+            Nominal { links: vec![LinkParameters::default(); structure.chain().len()], ..Nominal::default() };
+        for (term, parameters) in model.terms() {
+            let id = term.id();
+            if id == rigid_body::ID {
+                for (&slot, parameter) in structure.reduction().independent().iter().zip(parameters) {
+                    nominal.links[slot / LINK_COLUMNS][slot % LINK_COLUMNS] = parameter.value;
+                }
+                continue;
+            }
+            if term.spec().is_some() {
+                if let (payload::ID, Some(last)) = (id, nominal.links.last_mut()) {
+                    for (c, parameter) in parameters.iter().enumerate() {
+                        last[term.original(c)] += parameter.value;
+                    }
+                }
+                continue;
+            }
+            for parameter in parameters {
+                let name = parameter.column.name.as_str();
+                let slots = match id {
+                    friction::ID if name.starts_with("fv") => &mut nominal.fv,
+                    friction::ID if name.starts_with("fc") => &mut nominal.fc,
+                    torque_offset::ID => &mut nominal.offset,
+                    rotor_inertia::ID => &mut nominal.rotor,
+                    _ => return Err(ExciteError::Column { term: id.to_string(), name: name.to_string() }),
+                };
+                slots[parameter.column.joint - 1] = parameter.value;
+            }
+        }
+        Ok(nominal)
+    }
+
+    /// Effects of a model that [`Nominal::of`] leaves out: small against the limits that torques are held to.
+    pub fn left_out(model: &TorqueModel) -> Vec<&'static str> {
+        let mut ids: Vec<&str> = Vec::new();
+        for id in model.structure().terms().iter().filter_map(|term| term.spec()).map(|spec| spec.family) {
+            if id != payload::ID && !ids.contains(&id) {
+                ids.push(id);
+            }
+        }
+        ids
+    }
+
+    /// Torque at a point of a motion, by the Newton-Euler recursion \[Nm\]; `gravity` is the gravitational acceleration in the base
+    /// frame \[m/s2\]. Panics when the model is of another arm.
+    pub fn torque(
+        &self,
+        chain: &Chain,
+        gravity: &Vector3<f64>,
+        q: &JointVec,
+        dq: &JointVec,
+        ddq: &JointVec,
+    ) -> JointVec {
+        let n = chain.len();
+        assert_eq!(self.links.len(), n, "links of the nominal model and of the arm");
+        let mut tau = [0.0; MAX_JOINTS];
+        rnea(chain, &self.links, gravity, q, dq, ddq, &mut tau);
+        for j in 0..n {
+            tau[j] += self.fv[j] * dq[j] + self.fc[j] * (SHARPNESS * dq[j]).tanh();
+            tau[j] += self.offset[j] + self.rotor[j] * ddq[j];
+        }
+        tau
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use plumbline_model::base::Reduction;
+    use plumbline_model::chain::{Joint, JointKind, Placement};
+    use plumbline_model::structure::Structure;
+    use plumbline_model::term::Sample;
+    use plumbline_model::term::effect::{Site, Spec};
+
+    #[test]
+    fn it_is_the_model() {
+        let joint = |alpha: f64| Joint { kind: JointKind::Revolute, a: 0.1, alpha, d: 0.2, theta: 0.0 };
+        let chain = Chain::modified(vec![joint(0.0), joint(1.2), joint(-0.7)], Placement::identity());
+        let ids = ["friction", "torque-offset", "rotor-inertia"];
+        let structure = Structure::of(chain.clone(), Reduction::any_mounting(&chain), &ids).unwrap();
+        let values: Vec<_> = (0..structure.columns().len()).map(|c| ((c as f64 * 1.7).sin(), None)).collect();
+        let model = TorqueModel::new("arm", structure, vec![], &values).unwrap();
+        let gravity = Vector3::new(1.0, -2.0, 9.0);
+        let (q, dq, ddq) = ([0.3; 8], [-0.7; 8], [1.9; 8]);
+        let sample = Sample { q, dq, ddq };
+        let expected = model.evaluator(&gravity).torque(&sample).0;
+        let found = Nominal::of(&model).unwrap().torque(&chain, &gravity, &q, &dq, &ddq);
+        assert!((0..3).all(|j| (found[j] - expected[j]).abs() < 1e-12), "{found:?} {expected:?}");
+        assert!(Nominal::left_out(&model).is_empty());
+
+        // With a payload it is a heavier arm; other effects are named and left out.
+        let with = |family, site, settings| {
+            let spec = Spec { family, form: "", site, settings };
+            let term = spec.build(&model.structure().ground(&model.beta())).unwrap();
+            let structure = model.structure().clone().with(vec![term]).unwrap();
+            let values: Vec<_> = (0..structure.columns().len()).map(|c| ((c as f64 * 1.7).sin(), None)).collect();
+            TorqueModel::new("arm", structure, vec![], &values).unwrap()
+        };
+        let loaded = with("payload", Site::Arm, vec![]);
+        let expected = loaded.evaluator(&gravity).torque(&sample).0;
+        let found = Nominal::of(&loaded).unwrap().torque(&chain, &gravity, &q, &dq, &ddq);
+        assert!((0..3).all(|j| (found[j] - expected[j]).abs() < 1e-12), "{found:?} {expected:?}");
+        assert!(Nominal::left_out(&loaded).is_empty());
+        let bent = with("presliding", Site::Joint(1), vec![0.01]);
+        assert_eq!(Nominal::left_out(&bent), ["presliding"]);
+        assert_eq!(Nominal::of(&bent).unwrap(), Nominal::of(&model).unwrap());
+    }
+}

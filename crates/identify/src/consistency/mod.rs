@@ -1,0 +1,248 @@
+//! Physical consistency: the nearest standard parameters that real bodies can have.
+//!
+//! Base parameters `beta = K delta` say nothing about 25 of a Panda's 70 standard parameters, and noise can carry them to where no
+//! `delta` of real bodies gives them. [`nearest`] finds, with every link's pseudo-inertia `J_i(delta_i)` positive definite
+//! ([`plumbline_model::inertia`]) and every rotor inertia positive,
+//!
+//! - where `beta` is consistent: the `delta` with `K delta = beta` that is nearest to a prior in the entropic divergence;
+//! - else: the `delta` that minimises `(beta - K delta)' C^-1 (beta - K delta)` with `C` the estimate's covariance.
+//!
+//! `C` is the marginal covariance of the rigid-body and rotor parameters, so that the result is the minimum over all parameters at once:
+//! friction and offsets are under no constraint, and move with the others as their correlation says ([`Nearest::beta`]).
+
+mod cone;
+mod prior;
+mod solve;
+mod space;
+
+pub use prior::Prior;
+
+use cone::LINK;
+use nalgebra::{DMatrix, DVector};
+use plumbline_model::inertia::is_consistent;
+use plumbline_model::rnea::LinkParameters;
+use plumbline_model::structure::Structure;
+use space::{Map, Metric, Space};
+
+/// How well the parameters are known.
+#[derive(Clone, Copy, Debug)]
+pub enum Uncertainty<'a> {
+    /// Covariance of all columns of the structure, and which of them the data determined.
+    Covariance(&'a DMatrix<f64>, &'a [Option<f64>]),
+    /// Standard deviations alone, where known.
+    Deviations(&'a [Option<f64>]),
+}
+
+/// What the distances are measured by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Weights {
+    /// The whole covariance.
+    Covariance,
+    /// Standard deviations, as if the parameters were independent.
+    Deviations,
+    /// One per cent of every parameter's size, because nothing is known.
+    Relative,
+}
+
+impl Weights {
+    /// For people.
+    pub fn text(&self) -> &'static str {
+        match self {
+            Weights::Covariance => "in the estimate's covariance",
+            Weights::Deviations => "by each parameter's standard deviation alone",
+            Weights::Relative => "with 1 % of each parameter's size for one, since no standard deviation is known",
+        }
+    }
+}
+
+/// Standard parameters of real bodies, and how far they are from the estimate.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Nearest {
+    /// Standard parameters of every link.
+    pub links: Vec<LinkParameters>,
+    /// Rotor inertia of every joint, through its gear; zero where the model has no such term \[kg m2\].
+    pub rotors: Vec<f64>,
+    /// The parameters of all columns that these have: `K delta` for the rigid body; friction and offsets moved along with it.
+    pub beta: Vec<f64>,
+    /// Whether the rigid-body parameters of the estimate are reproduced to rounding.
+    pub exact: bool,
+    /// `sqrt((beta - K delta)' C^-1 (beta - K delta))`, zero where reproduced.
+    pub distance: f64,
+    /// How far every column moved, in its standard deviations.
+    pub moved: Vec<f64>,
+    /// What the distances are measured by.
+    pub weights: Weights,
+    /// Linear systems that were solved.
+    pub iterations: usize,
+}
+
+/// Why there is no result.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ConsistencyError {
+    /// A body of the prior that can't be.
+    #[error("link {link} of the prior is no body: its pseudo-inertia is not positive definite ({parameters:?})")]
+    Prior {
+        /// Counted from 1.
+        link: usize,
+        /// Its standard parameters.
+        parameters: LinkParameters,
+    },
+    /// A rotor of the prior that can't be.
+    #[error("the rotor inertia of joint {joint} in the prior is {value}, not positive")]
+    Rotor {
+        /// Counted from 1.
+        joint: usize,
+        /// Its inertia.
+        value: f64,
+    },
+    /// Numbers that no method copes with.
+    #[error("no consistent parameters were found: the parameters or their covariance are not usable numbers")]
+    Failed,
+}
+
+/// The least that any direction of a link's `J` may be where the estimate is not consistent, over the prior's: bodies as thin as a
+/// hundredth of the prior's, so that a simulator can use them.
+pub const FLOOR: f64 = 1e-4;
+/// Newton steps in which consistent parameters are expected to be reproduced.
+const EXACT_STEPS: usize = 15;
+/// Distance of the nearest body below which it is tried again, in standard deviations, and the steps that this may take.
+const EDGE: f64 = 0.05;
+const EDGE_STEPS: usize = 60;
+
+/// Finds the nearest consistent parameters of `beta`, one value per column of `structure`.
+///
+/// # Errors
+/// A prior that is no body; numbers that are not finite.
+///
+/// # Panics
+/// When the sizes of `beta`, `uncertainty` and `prior` are not those of the structure.
+pub fn nearest(
+    structure: &Structure,
+    beta: &[f64],
+    uncertainty: Uncertainty,
+    prior: &Prior,
+) -> Result<Nearest, ConsistencyError> {
+    check(structure, beta, uncertainty, prior)?;
+    let map = Map::of(structure);
+    let usual = Prior::of_geometry(structure, beta);
+    let metric = Metric::of(&map, uncertainty, &usual);
+    let target = DVector::from_iterator(map.rows.len(), map.rows.iter().map(|&row| beta[row]));
+    let space = |floor| Space::new(&map, prior, floor).ok_or(ConsistencyError::Failed);
+
+    // Consistent parameters first: they take about ten steps. Those at the very edge take more, and are worth them only when the
+    // nearest body is next to none away.
+    let strict = space(0.0)?;
+    let problem = strict.problem(&map, &metric, &target);
+    let mut attempt = solve::exact(&problem, EXACT_STEPS);
+    let mut apart = None;
+    if let Err(before) = attempt {
+        let floored = space(FLOOR)?;
+        let (point, y, steps) =
+            solve::nearest(&floored.problem(&map, &metric, &target)).ok_or(ConsistencyError::Failed)?;
+        let iterations = before + steps;
+        if distance(&metric, &y) < EDGE {
+            attempt = solve::exact(&problem, EDGE_STEPS);
+        }
+        apart = Some((floored.parameters(&point), y, iterations));
+    }
+    let (delta, y, exact, iterations) = match (attempt, apart) {
+        (Ok((point, steps)), apart) => {
+            let delta = polished(&map, &target, strict.parameters(&point));
+            (delta, DVector::zeros(target.len()), true, steps + apart.map_or(0, |(_, _, before)| before))
+        }
+        (Err(_), Some((delta, y, steps))) => (delta, y, false, steps),
+        (Err(_), None) => return Err(ConsistencyError::Failed),
+    };
+
+    let n = structure.chain().len();
+    let links: Vec<LinkParameters> = (0..n).map(|i| std::array::from_fn(|k| delta[LINK * i + k])).collect();
+    let mut rotors = vec![0.0; n];
+    for (index, &joint) in map.rotors.iter().enumerate() {
+        rotors[joint] = delta[LINK * n + index];
+    }
+    if !links.iter().all(is_consistent) || rotors.iter().any(|rotor| *rotor < 0.0) {
+        return Err(ConsistencyError::Failed);
+    }
+    let mut now = beta.to_vec();
+    if !exact {
+        for (&row, value) in map.rows.iter().zip(&(&map.k * &delta)) {
+            now[row] = *value;
+        }
+    }
+    if let (false, Uncertainty::Covariance(covariance, _)) = (exact, uncertainty) {
+        // The others' best values given these: beta_o - C_or C_rr^-1 (beta_r - K delta), and C_rr^-1 (..) is y.
+        let y = y.component_div(&metric.deviations);
+        for c in (0..beta.len()).filter(|c| !map.rows.contains(c)) {
+            now[c] -= map.rows.iter().zip(&y).map(|(&row, y)| covariance[(c, row)] * y).sum::<f64>();
+        }
+    }
+    let distance = distance(&metric, &y);
+    let moved = if exact { vec![0.0; beta.len()] } else { deviations(&map, &metric, uncertainty, beta, &now) };
+    Ok(Nearest { links, rotors, beta: now, exact, distance, moved, weights: metric.weights, iterations })
+}
+
+/// The parameters that bodies and rotors have: the structure's columns that they determine, with their values.
+pub fn parameters_of(structure: &Structure, links: &[LinkParameters], rotors: &[f64]) -> Vec<(usize, f64)> {
+    let n = structure.chain().len();
+    assert_eq!((links.len(), rotors.len()), (n, n), "one body and one rotor per joint");
+    let map = Map::of(structure);
+    let variables = map.rotors.iter().map(|&joint| rotors[joint]);
+    let variables = links.iter().flatten().copied().chain(variables);
+    let values = &map.k * DVector::from_iterator(map.k.ncols(), variables);
+    map.rows.iter().copied().zip(values.iter().copied()).collect()
+}
+
+/// Takes what rounding left over to where it stands alone, so that `K delta` is the target.
+fn polished(map: &Map, target: &DVector<f64>, mut delta: DVector<f64>) -> DVector<f64> {
+    let rest = target - &map.k * &delta;
+    for (&own, rest) in map.own.iter().zip(&rest) {
+        delta[own] += rest;
+    }
+    delta
+}
+
+/// `sqrt(y' C y)`.
+fn distance(metric: &Metric, y: &DVector<f64>) -> f64 {
+    y.dot(&(&metric.correlation * y)).max(0.0).sqrt()
+}
+
+/// How far every column moved, in its standard deviations.
+fn deviations(map: &Map, metric: &Metric, uncertainty: Uncertainty, from: &[f64], to: &[f64]) -> Vec<f64> {
+    let (Uncertainty::Covariance(_, known) | Uncertainty::Deviations(known)) = uncertainty;
+    let deviation = |c: usize| match map.rows.iter().position(|&row| row == c) {
+        Some(r) => Some(metric.deviations[r]),
+        None => known[c],
+    };
+    let moved = |c: usize| match deviation(c) {
+        Some(deviation) if to[c] != from[c] => (to[c] - from[c]) / deviation,
+        _ => 0.0,
+    };
+    (0..from.len()).map(moved).collect()
+}
+
+fn check(structure: &Structure, beta: &[f64], uncertainty: Uncertainty, prior: &Prior) -> Result<(), ConsistencyError> {
+    let (n, columns) = (structure.chain().len(), structure.columns().len());
+    assert_eq!(beta.len(), columns, "one value per column");
+    assert_eq!((prior.links.len(), prior.rotors.len()), (n, n), "one body and one rotor per joint in the prior");
+    let known = match uncertainty {
+        Uncertainty::Covariance(covariance, known) => {
+            assert_eq!(covariance.shape(), (columns, columns), "a covariance of all columns");
+            if covariance.iter().any(|value| !value.is_finite()) {
+                return Err(ConsistencyError::Failed);
+            }
+            known
+        }
+        Uncertainty::Deviations(known) => known,
+    };
+    assert_eq!(known.len(), columns, "one standard deviation per column");
+    if beta.iter().chain(known.iter().flatten()).any(|value| !value.is_finite()) {
+        return Err(ConsistencyError::Failed);
+    }
+    if let Some(i) = prior.links.iter().position(|link| !is_consistent(link)) {
+        return Err(ConsistencyError::Prior { link: i + 1, parameters: prior.links[i] });
+    }
+    if let Some(j) = prior.rotors.iter().position(|rotor| !(rotor.is_finite() && *rotor > 0.0)) {
+        return Err(ConsistencyError::Rotor { joint: j + 1, value: prior.rotors[j] });
+    }
+    Ok(())
+}

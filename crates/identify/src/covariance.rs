@@ -1,0 +1,245 @@
+//! Standard deviations that hold for coloured noise.
+//!
+//! Least squares weighs as if the noise were white in time; its estimate stays unbiased when it is not, but the usual formula for its
+//! covariance is then wrong. With `beta = B tau` the covariance is `B C B'` whatever the noise's covariance `C` is. Where a motion
+//! repeats, `C` is the scatter between the periods, correlations between joints included. Where it does not, the residual has to
+//! do: the scores `B_k r_k` of every sample `k` summed with their neighbours (Newey and West 1987).
+
+use super::periods::NoiseOfMean;
+use nalgebra::{DMatrix, DVector};
+use realfft::num_complex::Complex;
+use std::f64::consts::PI;
+
+/// A covariance and how much data stands behind each of its variances.
+#[derive(Clone, Debug)]
+pub struct Spread {
+    /// Covariance of the parameters, p x p.
+    pub covariance: DMatrix<f64>,
+    /// Degrees of freedom of each variance (Satterthwaite), p: an interval needs the quantile of Student's distribution with so many.
+    pub freedom: Vec<f64>,
+}
+
+impl Spread {
+    /// Nothing known yet: to be summed up over experiments, whose noise is independent.
+    pub fn zero(parameters: usize) -> Spread {
+        Spread { covariance: DMatrix::zeros(parameters, parameters), freedom: vec![f64::INFINITY; parameters] }
+    }
+
+    /// The sum of two independent contributions.
+    pub fn plus(&self, other: &Spread) -> Spread {
+        let part = |of: &Spread, c: usize| of.covariance[(c, c)].powi(2) / of.freedom[c];
+        let covariance = &self.covariance + &other.covariance;
+        let freedom = (0..covariance.nrows())
+            .map(|c| covariance[(c, c)].powi(2) / (part(self, c) + part(other, c)))
+            .map(|freedom| if freedom.is_nan() { f64::INFINITY } else { freedom })
+            .collect();
+        Spread { covariance, freedom }
+    }
+}
+
+/// `B C B'` with `C` the noise of a mean period at the samples `at` of its grid; `b` is p x n m, its columns joint by joint in the order of
+/// `at`.
+pub fn between_periods(b: &DMatrix<f64>, at: &[usize], noise: &NoiseOfMean) -> Spread {
+    let (p, m) = (b.nrows(), at.len());
+    let n = b.ncols() / m;
+    assert_eq!(b.ncols(), n * m, "one block of columns per joint");
+    let mut covariance = DMatrix::<f64>::zeros(p, p);
+    let mut fourth = vec![0.0; p];
+    for (bin, power) in &noise.bins {
+        assert_eq!(power.nrows(), n, "one column of noise per joint");
+        // The map's own spectrum at this frequency, p x n.
+        let turn = -2.0 * PI * *bin as f64 / noise.samples as f64;
+        let (cos, sin): (Vec<f64>, Vec<f64>) =
+            at.iter().map(|&k| ((turn * k as f64).cos(), (turn * k as f64).sin())).unzip();
+        let (cos, sin) = (DVector::from_vec(cos), DVector::from_vec(sin));
+        let mut spectrum = DMatrix::<Complex<f64>>::zeros(p, n);
+        for j in 0..n {
+            let block = b.columns(j * m, m);
+            let (re, im) = (block * &cos, block * &sin);
+            for c in 0..p {
+                spectrum[(c, j)] = Complex::new(re[c], im[c]);
+            }
+        }
+        // Two-sided: every frequency but 0 Hz and half the rate stands for its negative too.
+        let alone = *bin == 0 || 2 * bin == noise.samples;
+        let sides = if alone { 1.0 } else { 2.0 };
+        let product = spectrum.conjugate() * power * spectrum.transpose();
+        let freedom = sides * (noise.periods - 1) as f64;
+        for c in 0..p {
+            for d in 0..p {
+                covariance[(c, d)] += sides * product[(c, d)].re / noise.samples as f64;
+            }
+            fourth[c] += (sides * product[(c, c)].re / noise.samples as f64).powi(2) / freedom;
+        }
+    }
+    let freedom = (0..p).map(|c| if fourth[c] > 0.0 { covariance[(c, c)].powi(2) / fourth[c] } else { f64::INFINITY });
+    Spread { freedom: freedom.collect(), covariance: symmetric(&covariance) }
+}
+
+/// `sum_l w_l sum_k s_k s_{k+l}'` of the scores `s_k = B_k r_k` (Newey and West 1987, Bartlett's weights `w_l = 1 - |l| / (L + 1)`).
+///
+/// `b` is p x n m, `residual` n m, both joint by joint with m samples in time. The number of lags `L` comes from the scores themselves
+/// (Newey and West 1994). The residual has the size of the noise: what the fit took of it is given back.
+pub fn newey_west(b: &DMatrix<f64>, residual: &[f64], samples: usize) -> Spread {
+    let (p, n) = (b.nrows(), b.ncols() / samples);
+    assert_eq!((residual.len(), b.ncols()), (n * samples, n * samples), "one residual per column");
+    let mut scores = DMatrix::zeros(p, samples);
+    for j in 0..n {
+        for k in 0..samples {
+            scores.column_mut(k).axpy(residual[j * samples + k], &b.column(j * samples + k), 1.0);
+        }
+    }
+    let lags = bandwidth(&scores);
+    let mut covariance = DMatrix::zeros(p, p);
+    for lag in 0..=lags {
+        let weight = 1.0 - lag as f64 / (lags + 1) as f64;
+        let count = samples - lag;
+        let product = scores.columns(0, count) * scores.columns(lag, count).transpose();
+        covariance += if lag == 0 { product * weight } else { (&product + product.transpose()) * weight };
+    }
+    // A variance from Bartlett's window over m samples has about 1.5 m / L degrees of freedom (Priestley 1981, table 6.2).
+    let freedom = 1.5 * samples as f64 / (lags as f64).max(1.0);
+    Spread { freedom: vec![freedom; p], covariance: symmetric(&covariance) }
+}
+
+/// Lags for Bartlett's window: `1.1447 (s1^2 / s0^2)^(1/3) m^(1/3)`, `s0` and `s1` the sums of the autocovariance and of lag times it over
+/// `4 (m / 100)^(2/9)` lags (Newey and West 1994), here over all scores, each divided by its variance.
+fn bandwidth(scores: &DMatrix<f64>) -> usize {
+    let m = scores.ncols();
+    let first = ((4.0 * (m as f64 / 100.0).powf(2.0 / 9.0)).ceil() as usize).min(m.saturating_sub(1));
+    let (mut s0, mut s1) = (0.0, 0.0);
+    for row in scores.row_iter() {
+        let row: Vec<f64> = row.iter().copied().collect();
+        let variance: f64 = row.iter().map(|x| x * x).sum();
+        if variance <= 0.0 {
+            continue;
+        }
+        s0 += 1.0;
+        for lag in 1..=first {
+            let sum: f64 = row.iter().zip(&row[lag..]).map(|(a, b)| a * b).sum::<f64>() / variance;
+            s0 += 2.0 * sum;
+            s1 += 2.0 * lag as f64 * sum;
+        }
+    }
+    let ratio = if s0.abs() > 0.0 { (s1 / s0).powi(2) } else { 0.0 };
+    let lags = (1.1447 * (ratio * m as f64).cbrt()).round() as usize;
+    // More lags than that average too little, whatever the formula says.
+    lags.min(m / 4)
+}
+
+/// Equal to its transpose but for rounding.
+fn symmetric(covariance: &DMatrix<f64>) -> DMatrix<f64> {
+    (covariance + covariance.transpose()) * 0.5
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::periods::average;
+    use crate::signal::spectral::Spectral;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::StandardNormal;
+
+    /// A fixed map of 2 x 8 samples, every fifth of 40, to 3 parameters.
+    fn map() -> (DMatrix<f64>, Vec<usize>) {
+        (DMatrix::from_fn(3, 16, |i, k| ((i * 7 + k * 3) as f64).sin()), (0..8).map(|k| 5 * k).collect())
+    }
+
+    #[test]
+    fn the_spectrum_gives_the_covariance_of_the_mapped_noise() {
+        // Two joints whose noise shares a part, coloured in time.
+        let (periods, samples) = (6, 40);
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut x = [0.0; 2];
+        let values = DMatrix::from_fn(2, periods * samples, |j, _| {
+            let unit: f64 = rng.sample(StandardNormal);
+            x[j] = 0.7 * x[j] + unit + if j == 1 { 0.8 * x[0] } else { 0.0 };
+            x[j]
+        });
+        let averaged = average(&values.transpose(), &[false; 240], samples, 0.1);
+        let gain = |f: f64| 1.0 / (1.0 + f * f);
+        let noise = NoiseOfMean::of(&averaged.deviations, samples, 0.1, gain);
+        let (b, at) = map();
+        let found = between_periods(&b, &at, &noise).covariance;
+
+        // The other route: filter every period's deviation, map it, and take the scatter of what comes out.
+        let mut spectral = Spectral::new(samples, 0.1);
+        let mut expected = DMatrix::zeros(3, 3);
+        // A circular process looks the same from every start: average over all shifts of the period.
+        for shift in 0..samples {
+            for p in 0..periods {
+                let mut filtered = Vec::new();
+                for j in 0..2 {
+                    let column = averaged.deviations.column(j);
+                    let whole = spectral.filter(&column.as_slice()[p * samples..(p + 1) * samples], gain);
+                    filtered.extend(at.iter().map(|&k| whole[(k + shift) % samples]));
+                }
+                let mapped = &b * DVector::from_vec(filtered);
+                expected += &mapped * mapped.transpose() / (samples * periods * (periods - 1)) as f64;
+            }
+        }
+        let scale = expected.abs().max();
+        assert!((&found - &expected).abs().max() < 1e-5 * scale, "{found} {expected}");
+    }
+
+    #[test]
+    fn degrees_of_freedom_grow_with_the_frequencies_that_count() {
+        let samples = 40;
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let values = DMatrix::from_fn(5 * samples, 2, |_, _| rng.sample::<f64, _>(StandardNormal));
+        let averaged = average(&values, &[false; 200], samples, 0.1);
+        let noise = NoiseOfMean::of(&averaged.deviations, samples, 0.1, |_| 1.0);
+        // One parameter at a single frequency (two sides, four periods beyond the mean, in each of two joints), one at all of them.
+        let at: Vec<usize> = (0..samples).collect();
+        let wave = |k: usize| (2.0 * PI * 3.0 * k as f64 / samples as f64).sin();
+        let b = DMatrix::from_fn(2, samples, |i, k| if i == 0 { wave(k) } else { f64::from(k == 7) });
+        let one_joint = NoiseOfMean {
+            bins: noise.bins.iter().map(|(bin, power)| (*bin, power.view((0, 0), (1, 1)).into_owned())).collect(),
+            ..noise
+        };
+        let freedom = between_periods(&b, &at, &one_joint).freedom;
+        assert!((freedom[0] - 8.0).abs() < 1e-6, "{freedom:?}");
+        assert!((60.0..161.0).contains(&freedom[1]), "{freedom:?}");
+    }
+
+    #[test]
+    fn newey_west_of_white_noise_is_nearly_the_textbook_covariance() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let (m, n) = (4000, 2);
+        let w = DMatrix::from_fn(n * m, 3, |k, c| ((k * (c + 1)) as f64 * 0.0037).cos());
+        let inverse = (w.transpose() * &w).try_inverse().unwrap();
+        let b = &inverse * w.transpose();
+        let residual: Vec<f64> = (0..n * m).map(|_| 0.2 * rng.sample::<f64, _>(StandardNormal)).collect();
+        let found = newey_west(&b, &residual, m).covariance;
+        for c in 0..3 {
+            let ratio = found[(c, c)] / (0.04 * inverse[(c, c)]);
+            assert!((0.75..1.3).contains(&ratio), "{ratio}");
+        }
+    }
+
+    #[test]
+    fn lags_follow_the_colour_of_the_scores() {
+        let mut rng = ChaCha8Rng::seed_from_u64(6);
+        let mut lags = |pole: f64| {
+            let mut x = 0.0;
+            bandwidth(&DMatrix::from_fn(1, 2000, |_, _| {
+                x = pole * x + rng.sample::<f64, _>(StandardNormal);
+                x
+            }))
+        };
+        let (white, coloured) = (lags(0.0), lags(0.8));
+        assert!(white < 12 && coloured > 12, "{white} {coloured}");
+    }
+
+    #[test]
+    fn independent_contributions_add_up() {
+        let one = |variance: f64, freedom: f64| Spread {
+            covariance: DMatrix::from_element(1, 1, variance),
+            freedom: vec![freedom],
+        };
+        let sum = one(1.0, 8.0).plus(&one(1.0, 8.0));
+        assert_eq!((sum.covariance[(0, 0)], sum.freedom[0]), (2.0, 16.0));
+        assert_eq!(Spread::zero(1).plus(&one(2.0, 5.0)).freedom, [5.0]);
+    }
+}

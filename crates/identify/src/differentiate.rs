@@ -1,0 +1,104 @@
+//! From positions on an even grid to a motion: low-pass, velocities, accelerations.
+
+use super::experiment::Derivative;
+use super::signal::SignalError;
+use super::signal::butterworth::Butterworth;
+use super::signal::difference;
+use super::signal::ends::Quintic;
+use super::signal::spectral::Spectral;
+use nalgebra::{DMatrix, Vector3};
+use plumbline_model::term::Motion;
+
+/// Time that is cut off both ends of a run that does not repeat, as a number of periods of the position cut-off (at most
+/// [`ENDS_AT`]): there the positions' continuation past the ends, a guess, reaches into the accelerations.
+const EDGE: f64 = 0.5;
+/// Length of the ends that tell slope and curvature there, as a number of periods of the same.
+const END_WINDOW: f64 = 3.0;
+/// Ends are treated as for a cut-off of this at most: shorter ones would follow the noise \[Hz\].
+const ENDS_AT: f64 = 10.0;
+
+/// How the positions of one run are filtered and differentiated. Linear in the positions.
+#[derive(Clone, Debug)]
+pub struct Differentiator {
+    filter: Butterworth,
+    cutoff: f64,
+    derivative: Derivative,
+    periodic: bool,
+    dt: f64,
+    gravity: Vector3<f64>,
+}
+
+impl Differentiator {
+    /// With a zero-phase low-pass of this order and cut-off \[Hz\]; `dt` between samples \[s\].
+    ///
+    /// # Errors
+    /// An order or a cut-off that the filter can't have.
+    pub fn new(
+        order: usize,
+        cutoff: f64,
+        derivative: Derivative,
+        periodic: bool,
+        dt: f64,
+        gravity: Vector3<f64>,
+    ) -> Result<Differentiator, SignalError> {
+        let filter = Butterworth::new(order, cutoff, 1.0 / dt)?;
+        Ok(Differentiator { filter, cutoff, derivative, periodic, dt, gravity })
+    }
+
+    /// Samples that are cut off each end.
+    pub fn edge(&self) -> usize {
+        if self.periodic { 0 } else { (EDGE / (self.dt * self.cutoff.min(ENDS_AT))).ceil() as usize }
+    }
+
+    /// Cut-off of the low-pass \[Hz\].
+    pub fn cutoff(&self) -> f64 {
+        self.cutoff
+    }
+
+    /// The motion of positions `q`, N x n \[rad\], without `edge` samples at both ends. Within [`Differentiator::edge`] samples of an end,
+    /// the accelerations depend on the filter's continuation of the positions past that end.
+    pub fn motion(&self, q: &DMatrix<f64>, edge: usize) -> Motion {
+        let (samples, n) = q.shape();
+        assert!(samples > 2 * edge, "{samples} samples are no more than both edges");
+        let count = samples - 2 * edge;
+        let zeros = || DMatrix::zeros(count, n);
+        let (dt, gravity, periodic) = (self.dt, self.gravity, self.periodic);
+        let start = edge as f64 * dt;
+        let mut motion = Motion { dt, q: zeros(), dq: zeros(), ddq: zeros(), gravity, periodic, start };
+        let mut spectral = Spectral::new(samples, dt);
+        for j in 0..n {
+            let [q, dq, ddq] = self.joint(&mut spectral, q.column(j).as_slice());
+            for (target, source) in [(&mut motion.q, q), (&mut motion.dq, dq), (&mut motion.ddq, ddq)] {
+                target.column_mut(j).copy_from_slice(&source[edge..edge + count]);
+            }
+        }
+        motion
+    }
+
+    fn joint(&self, spectral: &mut Spectral, q: &[f64]) -> [Vec<f64>; 3] {
+        match self.derivative {
+            Derivative::Spectral if self.periodic => spectral.derivatives(q, |f| self.filter.zero_phase_gain(f)),
+            _ if self.periodic => {
+                let q = self.filter.zero_phase_periodic(spectral, q);
+                let [dq, ddq] = difference::derivatives(&q, self.dt, true);
+                [q, dq, ddq]
+            }
+            _ => self.free(q.to_vec()),
+        }
+    }
+
+    /// Of a record that does not repeat.
+    fn free(&self, mut q: Vec<f64>) -> [Vec<f64>; 3] {
+        let ends = Quintic::through_ends(&q, self.dt, END_WINDOW / self.cutoff.min(ENDS_AT));
+        q.iter_mut().enumerate().for_each(|(k, q)| *q -= ends.at(k as f64 * self.dt)[0]);
+        let mut q = self.filter.zero_phase(&q);
+        let [mut dq, mut ddq] = difference::derivatives(&q, self.dt, false);
+        for k in 0..q.len() {
+            let [value, first, second] = ends.at(k as f64 * self.dt);
+            q[k] += value;
+            dq[k] += first;
+            ddq[k] += second;
+        }
+        [q, dq, ddq]
+    }
+}

@@ -1,0 +1,161 @@
+//! Which way gravity points, by the torques of an arm that stands still.
+//!
+//! At rest the torque is `tau(q, g) = tau_0 + T(q) g`: linear in the gravity vector, so a model that holds in any mounting says from the
+//! measured torques of one pose or several where gravity comes from,
+//!
+//! ```text
+//! g = (sum T' S^-1 T)^-1 sum T' S^-1 (tau - tau_0),    covariance (sum T' S^-1 T)^-1,    S = diag(sigma_j^2)
+//! ```
+//!
+//! `T(q)` are the model's torques under gravity of 1 m/s2 along the base axes. A wrong sign of a torque sensor, a base that hangs where
+//! it was declared to stand, a payload that nobody declared: all of them show here, and nothing has to move for it.
+
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use plumbline_core::JointVec;
+use plumbline_core::symmetric_eigen;
+use plumbline_model::gravity::{G, Mounting};
+use plumbline_model::term::Sample;
+use plumbline_model::torque::TorqueModel;
+
+/// An arm at rest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Joint position \[rad\].
+    pub q: JointVec,
+    /// Mean of the measured joint torque \[Nm\].
+    pub tau: JointVec,
+}
+
+/// The direction of gravity that torques imply.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Direction {
+    /// Gravitational acceleration in the base frame \[m/s2\].
+    pub gravity: Vector3<f64>,
+    /// Its covariance \[m2/s4\].
+    pub covariance: Matrix3<f64>,
+    /// Measured minus modelled torque with that gravity, pose by pose \[Nm\].
+    pub residual: Vec<JointVec>,
+}
+
+/// Why no direction follows from the torques.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum DirectionError {
+    /// No pose was given.
+    #[error("there is no pose to read the direction of gravity from")]
+    NoPose,
+    /// Joints whose torques gravity hardly changes in these poses.
+    #[error("in these poses the torques do not tell the direction of gravity: along [{:.2}, {:.2}, {:.2}] it is only known to {std:.1} m/s2", .along.x, .along.y, .along.z)]
+    Blind {
+        /// Direction in the base frame that the torques say nothing of.
+        along: Vector3<f64>,
+        /// Standard deviation of gravity along it \[m/s2\].
+        std: f64,
+    },
+}
+
+/// Standard deviation of gravity along its worst known direction from which on it counts as unknown \[m/s2\].
+const BLIND: f64 = 5.0;
+
+impl Direction {
+    /// As a mounting; its strength is left aside.
+    pub fn mounting(&self) -> Mounting {
+        Mounting::along(&self.gravity)
+    }
+
+    /// Angle to the gravity of a mounting \[rad\].
+    pub fn angle_to(&self, mounting: &Mounting) -> f64 {
+        self.mounting().angle_to(mounting)
+    }
+
+    /// Standard deviation of the direction: the larger one across it \[rad\].
+    pub fn std(&self) -> f64 {
+        let strength = self.gravity.norm().max(1e-9);
+        let along = self.gravity / strength;
+        let across = Matrix3::identity() - along * along.transpose();
+        let spread = across * self.covariance * across;
+        let eigen = symmetric_eigen(spread);
+        eigen.map_or(f64::INFINITY, |eigen| eigen.eigenvalues.max().max(0.0).sqrt() / strength)
+    }
+
+    /// Sum of the squared residuals over the joints' variances; about `n poses - 3` where model and torques agree.
+    pub fn misfit(&self, sigma: &[f64]) -> f64 {
+        let square = |(rest, sigma): (&f64, &f64)| (rest / sigma).powi(2);
+        self.residual.iter().map(|pose| pose.iter().zip(sigma).map(square).sum::<f64>()).sum()
+    }
+
+    /// Strength over standard gravity; far from 1 where the model does not hold or a body hangs on the arm.
+    pub fn strength(&self) -> f64 {
+        self.gravity.norm() / G
+    }
+}
+
+/// The joint, from 0, whose torque sensor explains the torques best if it had the wrong sign, where that beats all signs being right: by
+/// a factor of 4 in the misfit, of which more than the noise's own has to be there to begin with.
+///
+/// # Errors
+/// As [`direction`].
+pub fn wrong_sign(model: &TorqueModel, poses: &[Pose], sigma: &[f64]) -> Result<Option<usize>, DirectionError> {
+    let n = sigma.len();
+    let misfit_with = |flipped: Option<usize>| {
+        let turned = |pose: &Pose| {
+            let mut pose = *pose;
+            flipped.iter().for_each(|&j| pose.tau[j] = -pose.tau[j]);
+            pose
+        };
+        let poses: Vec<Pose> = poses.iter().map(turned).collect();
+        direction(model, &poses, sigma).map(|found| found.misfit(sigma))
+    };
+    let right = misfit_with(None)?;
+    let each = (0..n).map(|j| Ok((j, misfit_with(Some(j))?))).collect::<Result<Vec<_>, DirectionError>>()?;
+    let best = each.into_iter().min_by(|a, b| a.1.total_cmp(&b.1));
+    let enough = (n * poses.len()) as f64;
+    Ok(best.filter(|&(_, misfit)| right > enough && 4.0 * misfit < right).map(|(j, _)| j))
+}
+
+/// The direction of gravity by the torques of an arm at rest. `sigma` is the standard deviation of each joint's torque at rest, friction
+/// that holds the joint included, n \[Nm\].
+///
+/// # Errors
+/// No pose; poses in which gravity shows in too few torques.
+pub fn direction(model: &TorqueModel, poses: &[Pose], sigma: &[f64]) -> Result<Direction, DirectionError> {
+    let n = model.structure().chain().len();
+    if poses.is_empty() {
+        return Err(DirectionError::NoPose);
+    }
+    assert_eq!(sigma.len(), n, "one standard deviation per joint");
+    let torque = |gravity: &Vector3<f64>, pose: &Pose| {
+        model.evaluator(gravity).torque(&Sample { q: pose.q, ..Sample::default() }).0
+    };
+    let rows = n * poses.len();
+    let (mut a, mut b) = (DMatrix::zeros(rows, 3), DVector::zeros(rows));
+    for (index, pose) in poses.iter().enumerate() {
+        let none = torque(&Vector3::zeros(), pose);
+        for axis in 0..3 {
+            let one = torque(&Vector3::ith(axis, 1.0), pose);
+            for j in 0..n {
+                a[(index * n + j, axis)] = (one[j] - none[j]) / sigma[j];
+            }
+        }
+        for j in 0..n {
+            b[index * n + j] = (pose.tau[j] - none[j]) / sigma[j];
+        }
+    }
+    let information: Matrix3<f64> = (a.transpose() * &a).fixed_view::<3, 3>(0, 0).into_owned();
+    let Some(eigen) = symmetric_eigen(information) else {
+        return Err(DirectionError::Blind { along: Vector3::zeros(), std: f64::INFINITY });
+    };
+    let (weakest, least) = eigen.eigenvalues.argmin();
+    let std = if least > 0.0 { least.sqrt().recip() } else { f64::INFINITY };
+    if std > BLIND {
+        return Err(DirectionError::Blind { along: eigen.eigenvectors.column(weakest).into_owned(), std });
+    }
+    let inverse = eigen.eigenvalues.map(f64::recip);
+    let covariance = eigen.eigenvectors * Matrix3::from_diagonal(&inverse) * eigen.eigenvectors.transpose();
+    let right: Vector3<f64> = (a.transpose() * b).fixed_rows::<3>(0).into_owned();
+    let gravity = covariance * right;
+    let residual = poses.iter().map(|pose| {
+        let modelled = torque(&gravity, pose);
+        std::array::from_fn(|j| if j < n { pose.tau[j] - modelled[j] } else { 0.0 })
+    });
+    Ok(Direction { gravity, covariance, residual: residual.collect() })
+}

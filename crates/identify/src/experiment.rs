@@ -1,0 +1,515 @@
+//! One run made ready for the regression: averaged, filtered, differentiated.
+
+use super::EstimateError;
+use super::differentiate::Differentiator;
+use super::periods::{NoiseOfMean, Scatter, average};
+use super::run::Run;
+pub use super::settings::{Derivative, LeftOut, Method, Settings};
+use super::signal::butterworth::Butterworth;
+use super::signal::resample::{Sampling, resample};
+use super::signal::spectral::Spectral;
+use super::signal::{SignalError, decimation};
+use nalgebra::DMatrix;
+use plumbline_model::term::Motion;
+use std::f64::consts::PI;
+
+/// Widest position cut-off \[Hz\]. A joint's controller answers a reversal of friction within its own bandwidth,
+/// some 20 Hz, and the step of the acceleration there reaches higher still: a filter that takes that out of the motion biases friction
+/// and inertia against each other.
+const CUTOFF_OF_MEAN: f64 = 80.0;
+/// Position cut-off of the mean of several periods where the model is compared with raw torques, which no filter keeps the
+/// accelerations' noise out of \[Hz\].
+const CUTOFF_OF_JUDGED: f64 = 20.0;
+/// The same of what was recorded once \[Hz\]; the least that any motion is filtered with.
+const CUTOFF_OF_ONE: f64 = 10.0;
+/// Noise of the velocities that the position filter may pass \[rad/s\]. Friction turns within 0.01 rad/s: more would blur its sign.
+const VELOCITY_NOISE: f64 = 1e-3;
+/// Share of half the sampling rate that the position filter may use.
+const WIDEST: f64 = 0.8;
+
+/// One run, ready for the regression.
+#[derive(Clone, Debug)]
+pub struct Experiment {
+    /// Name of the run.
+    pub name: String,
+    /// The filtered motion with its derivatives on the even grid: one period of a periodic run, all but the ends of another.
+    pub motion: Motion,
+    /// The same behind a narrower low-pass, along which a model is compared with raw torques; `None` where `motion` does for that.
+    pub judged: Option<Motion>,
+    /// Torques on the same grid, N x n, averaged over the periods and not filtered \[Nm\].
+    pub tau: DMatrix<f64>,
+    /// Scatter of the torques between the periods \[Nm\]; `None` without repeats.
+    pub scatter: Option<Scatter>,
+    /// Noise of the filtered mean torques; `None` without repeats.
+    pub noise: Option<NoiseOfMean>,
+    /// Standard deviation of one raw position sample between the periods, n \[rad\]; `None` without repeats.
+    pub position_noise: Option<Vec<f64>>,
+    /// Every period's deviation from the mean, where the settings keep it.
+    pub repeats: Option<Repeats>,
+    /// The desired motion on the same grid, filtered alike; where it was given.
+    pub desired: Option<Motion>,
+    /// What the time stamps were like.
+    pub sampling: Sampling,
+    /// Samples of the grid at which the whole arm stands, or that the settings leave out: they don't count.
+    resting: Vec<bool>,
+    /// Samples of the grid that enter the regression.
+    kept: Vec<usize>,
+    filter: Butterworth,
+    /// Positions on the even grid with the ends, not filtered \[rad\].
+    q: DMatrix<f64>,
+    /// Measured velocities on the same grid \[rad/s\], where velocities and accelerations come from them.
+    dq: Option<DMatrix<f64>>,
+    differentiator: Differentiator,
+    /// That of the motion along which a model is compared with raw torques.
+    judging: Differentiator,
+    /// Samples of the grid that are cut off both ends.
+    edge: usize,
+    /// First sample of the grid after those left out.
+    first: usize,
+}
+
+/// Every period's deviation from the mean, P N rows, period below period. Samples that don't count are zero.
+#[derive(Clone, Debug)]
+pub struct Repeats {
+    /// Which periods of the recording these are, P, counted from 0: those left out as a whole are not among them.
+    pub periods: Vec<usize>,
+    /// Of the positions, P N x n \[rad\].
+    pub q: DMatrix<f64>,
+    /// Of the torques, P N x n \[Nm\].
+    pub tau: DMatrix<f64>,
+}
+
+/// Samples of a run after resampling and averaging.
+struct Even {
+    /// Positions, torques and, where they are wanted, measured velocities, N x 2n or N x 3n.
+    values: DMatrix<f64>,
+    sampling: Sampling,
+    first: usize,
+    /// Of a periodic run.
+    periodic: bool,
+    /// Its periods that count.
+    periods: Vec<usize>,
+    scatter: Option<Scatter>,
+    deviations: DMatrix<f64>,
+}
+
+impl Experiment {
+    /// Puts a run onto an even grid, averages its periods, filters the positions and differentiates them.
+    pub fn prepare(run: &Run, settings: &Settings) -> Result<Experiment, EstimateError> {
+        let signal = |source| EstimateError::Signal { run: run.name.clone(), source };
+        let n = run.joints();
+        if run.tau.shape() != run.q.shape() {
+            return Err(signal(SignalError::Shape { what: "tau", found: run.tau.nrows(), expected: run.q.nrows() }));
+        }
+        let dq = run.dq.as_ref().filter(|_| settings.measured_velocities && run.period.is_none());
+        if let Some(found) = dq.map(DMatrix::nrows).filter(|&found| found != run.q.nrows()) {
+            return Err(signal(SignalError::Shape { what: "dq", found, expected: run.q.nrows() }));
+        }
+        let mut values = DMatrix::zeros(run.q.nrows(), if dq.is_some() { 3 * n } else { 2 * n });
+        values.columns_mut(0, n).copy_from(&run.q);
+        values.columns_mut(n, n).copy_from(&run.tau);
+        if let Some(dq) = dq {
+            values.columns_mut(2 * n, n).copy_from(dq);
+        }
+        let mut even = resample(&run.t, &values, None).map_err(signal)?;
+        let Some(period) = run.period else {
+            let (values, sampling) = (even.values, even.sampling);
+            let deviations = DMatrix::zeros(0, 2 * n);
+            let periods = Vec::new();
+            let even = Even { values, sampling, first: 0, periodic: false, periods, scatter: None, deviations };
+            return Experiment::build(run, settings, even).map_err(signal);
+        };
+
+        // A whole number of samples per period, so that the periods lie on top of each other.
+        let samples = (period / even.sampling.dt).round();
+        if !(samples >= 16.0 && samples.is_finite()) {
+            return Err(EstimateError::Period { run: run.name.clone(), period, dt: even.sampling.dt });
+        }
+        let samples = samples as usize;
+        let dt = period / samples as f64;
+        if (dt - even.sampling.dt).abs() > 1e-12 {
+            even = resample(&run.t, &values, Some(dt)).map_err(signal)?;
+        }
+        let found = even.values.nrows() / samples;
+        let skipped = settings.skip_periods;
+        if found <= skipped {
+            return Err(EstimateError::Periods { run: run.name.clone(), found, skipped, period });
+        }
+        let first = skipped * samples;
+        let mut rest = even.values.rows(first, (found - skipped) * samples).into_owned();
+        let mut left_out = vec![false; rest.nrows()];
+        settings.left_out(&run.name).for_each(|one| one.mark(&mut left_out, first, dt));
+        let mut filled = even.filled[first..found * samples].to_vec();
+        let mut periods: Vec<usize> = (skipped..found).collect();
+        // A period of which nothing counts is none; of the others what counts does.
+        for (k, gone) in left_out.chunks(samples).enumerate().rev() {
+            if gone.iter().all(|gone| *gone) {
+                rest = rest.remove_rows(k * samples, samples);
+                filled.drain(k * samples..(k + 1) * samples);
+                periods.remove(k);
+            } else {
+                filled[k * samples..][..samples].iter_mut().zip(gone).for_each(|(filled, gone)| *filled |= gone);
+            }
+        }
+        if periods.is_empty() {
+            return Err(EstimateError::Periods { run: run.name.clone(), found, skipped: found, period });
+        }
+        let averaged = average(&rest, &filled, samples, dt);
+        let even = Even {
+            periods,
+            values: averaged.mean,
+            sampling: even.sampling,
+            first,
+            periodic: true,
+            scatter: averaged.scatter,
+            deviations: averaged.deviations,
+        };
+        Experiment::build(run, settings, even).map_err(signal)
+    }
+
+    fn build(run: &Run, settings: &Settings, even: Even) -> Result<Experiment, SignalError> {
+        let Even { values, sampling, first, periodic, periods, scatter, deviations } = even;
+        let (n, samples, dt) = (run.joints(), values.nrows(), sampling.dt);
+        let rate = 1.0 / dt;
+        let filter = Butterworth::new(settings.order, settings.torque_cutoff, rate)?;
+        let q = values.columns(0, n).into_owned();
+        let largest = |each: &mut dyn Iterator<Item = f64>| each.fold(0.0, f64::max);
+        let noise = match &scatter {
+            Some(scatter) => largest(&mut scatter.std[..n].iter().copied()) / (scatter.periods as f64).sqrt(),
+            None => {
+                let each = q.column_iter().map(|column| noise_of_one(column.as_slice(), settings.order, rate));
+                largest(&mut each.collect::<Result<Vec<f64>, SignalError>>()?.into_iter())
+            }
+        };
+        // White noise of the positions gives velocities of `noise 2 pi f_c sqrt(2 f_c dt / 3)` behind the filter.
+        let quiet = (VELOCITY_NOISE / (noise * 2.0 * PI * (2.0 * dt / 3.0).sqrt())).powf(2.0 / 3.0);
+        let usual_judged = if scatter.is_some() { CUTOFF_OF_JUDGED } else { CUTOFF_OF_ONE };
+        let usual = quiet.clamp(usual_judged, CUTOFF_OF_MEAN);
+        let differentiator = |usual: f64| {
+            let cutoff = settings.position_cutoff.unwrap_or(usual).min(WIDEST * rate / 2.0);
+            Differentiator::new(settings.order, cutoff, settings.derivative, periodic, dt, run.gravity)
+        };
+        let (judging, differentiator) = (differentiator(usual_judged)?, differentiator(usual)?);
+
+        // Without repeats the ends are cut before the torques and columns are filtered: what they are filtered with is linear, so its
+        // own end effects are the same on both sides of the equation.
+        let trim = if periodic { 0.0 } else { (settings.trim * rate).ceil().max(0.0) };
+        let edge = differentiator.edge().max(trim as usize);
+        let step = settings.decimation.unwrap_or_else(|| decimation(rate, 2.0 * settings.torque_cutoff)).max(1);
+        let count = samples.saturating_sub(2 * edge);
+        if count < 2 * step {
+            return Err(SignalError::TooShort { samples, needed: 2 * edge + 2 * step });
+        }
+        let dq = (values.ncols() > 2 * n).then(|| values.columns(2 * n, n).into_owned());
+        let motion = |differentiator: &Differentiator| motion_of(differentiator, &q, dq.as_ref(), edge);
+        let narrower = judging.cutoff() < differentiator.cutoff();
+        let of_tau = || deviations.columns(n, n).into_owned();
+        let mut experiment = Experiment {
+            name: run.name.clone(),
+            motion: motion(&differentiator),
+            judged: narrower.then(|| motion(&judging)),
+            tau: values.view((edge, n), (count, n)).into_owned(),
+            noise: scatter.as_ref().map(|_| NoiseOfMean::of(&of_tau(), samples, dt, |f| filter.zero_phase_gain(f))),
+            repeats: (scatter.is_some() && settings.keep_periods).then(|| Repeats {
+                periods,
+                q: deviations.columns(0, n).into_owned(),
+                tau: of_tau(),
+            }),
+            position_noise: scatter.as_ref().map(|scatter| scatter.std[..n].to_vec()),
+            scatter: scatter.map(|scatter| scatter.select(n..2 * n)),
+            desired: None,
+            sampling,
+            resting: vec![false; count],
+            kept: (0..count).step_by(step).collect(),
+            filter,
+            q,
+            dq,
+            differentiator,
+            judging,
+            edge,
+            first,
+        };
+        experiment.leave_out_rests(settings.rest);
+        if !periodic {
+            settings.left_out(&run.name).for_each(|one| one.mark(&mut experiment.resting, edge, dt));
+            experiment.kept.retain(|&k| !experiment.resting[k]);
+        }
+        Ok(experiment)
+    }
+
+    /// Samples at which every joint is slower than `rest` \[rad/s\] neither enter the regression nor count as errors. A periodic motion
+    /// rests for an instant only and keeps all of its samples.
+    fn leave_out_rests(&mut self, rest: Option<f64>) {
+        let Some(rest) = rest.filter(|_| !self.motion.periodic) else { return };
+        for (k, resting) in self.resting.iter_mut().enumerate() {
+            *resting = self.motion.dq.row(k).iter().all(|speed| speed.abs() < rest);
+        }
+        self.kept.retain(|&k| !self.resting[k]);
+    }
+
+    /// Whether the whole arm stands at each sample of the grid, or the settings leave it out, N; such samples don't count.
+    pub fn resting(&self) -> &[bool] {
+        &self.resting
+    }
+
+    /// With the desired motion, N x n \[rad\] at the time stamps of the run it was prepared from \[s\].
+    ///
+    /// # Errors
+    /// Another number of rows, a value that is no finite number.
+    pub fn with_desired(mut self, t: &[f64], q_d: &DMatrix<f64>) -> Result<Experiment, EstimateError> {
+        let signal = |source| EstimateError::Signal { run: self.name.clone(), source };
+        assert_eq!(q_d.ncols(), self.joints(), "joints of the desired motion");
+        let even = resample(t, q_d, Some(self.sampling.dt)).map_err(signal)?;
+        let samples = self.q.nrows();
+        let short = SignalError::Shape { what: "desired positions", found: even.values.nrows(), expected: samples };
+        if even.values.nrows() < self.first + samples {
+            return Err(signal(short));
+        }
+        let rest = even.values.rows(self.first, even.values.nrows() - self.first).into_owned();
+        let grid = if self.motion.periodic {
+            average(&rest, &even.filled[self.first..], samples, self.sampling.dt).mean
+        } else {
+            rest.rows(0, samples).into_owned()
+        };
+        self.desired = Some(self.differentiator.motion(&grid, self.edge));
+        Ok(self)
+    }
+
+    /// The motion along which a model is compared with raw torques, with the samples that are cut off both ends of a run that does not
+    /// repeat, and how many those are at each end. There the accelerations depend on the filter's continuation of the motion past its end.
+    pub fn with_ends(&self) -> (Motion, usize) {
+        let differentiator = if self.judged.is_some() { &self.judging } else { &self.differentiator };
+        (motion_of(differentiator, &self.q, self.dq.as_ref(), 0), self.edge)
+    }
+
+    /// The motion that other positions on the whole grid would have given: `offset` is added to the measured ones, N x n \[rad\].
+    pub fn moved(&self, offset: &DMatrix<f64>) -> Motion {
+        let mut moved = self.differentiator.motion(&(&self.q + offset), self.edge);
+        if self.dq.is_some() {
+            moved.dq.copy_from(&self.motion.dq);
+            moved.ddq.copy_from(&self.motion.ddq);
+        }
+        moved
+    }
+
+    /// Shape of the positions on the whole grid, ends included.
+    pub fn grid(&self) -> (usize, usize) {
+        self.q.shape()
+    }
+
+    /// Standard deviation of the positions' noise, n \[rad\]: of the mean period by the scatter between the periods; without repeats by
+    /// what lies above the position cut-off, taken as white.
+    pub fn noise_of_positions(&self) -> Vec<f64> {
+        if let (Some(noise), Some(scatter)) = (&self.position_noise, &self.scatter) {
+            return noise.iter().map(|std| std / (scatter.periods as f64).sqrt()).collect();
+        }
+        let share = 1.0 - 2.0 * self.differentiator.cutoff() * self.sampling.dt;
+        let (count, n) = self.motion.q.shape();
+        let rest = self.q.rows(self.edge, count) - &self.motion.q;
+        (0..n).map(|j| (rest.column(j).norm_squared() / (count as f64 * share)).sqrt()).collect()
+    }
+
+    /// Number of joints, n.
+    pub fn joints(&self) -> usize {
+        self.motion.joints()
+    }
+
+    /// Samples of the grid that enter the regression, m of N.
+    pub fn kept(&self) -> &[usize] {
+        &self.kept
+    }
+
+    /// Zero-phase gain of the filter on torques and columns at a frequency \[Hz\].
+    pub fn gain(&self, f: f64) -> f64 {
+        self.filter.zero_phase_gain(f)
+    }
+
+    /// Filters every column of `y` (n N rows at the raw rate, joint by joint) over each joint's block of samples.
+    ///
+    /// Torques and regressor go through this same function: a filter on one side alone would look like friction at reversals.
+    pub fn filter(&self, y: &DMatrix<f64>) -> DMatrix<f64> {
+        let samples = self.motion.samples();
+        assert_eq!(y.nrows() % samples, 0, "whole blocks of samples");
+        let mut spectral = Spectral::new(samples, self.motion.dt);
+        let mut out = y.clone();
+        for mut column in out.column_iter_mut() {
+            for block in column.as_mut_slice().chunks_mut(samples) {
+                // A link's column is zero in the rows of the joints beyond it.
+                if block.iter().all(|&value| value == 0.0) {
+                    continue;
+                }
+                let filtered = if self.motion.periodic {
+                    self.filter.zero_phase_periodic(&mut spectral, block)
+                } else {
+                    self.filter.zero_phase(block)
+                };
+                block.copy_from_slice(&filtered);
+            }
+        }
+        out
+    }
+
+    /// [`Experiment::filter`], then the kept samples: n m rows, joint by joint.
+    pub fn band(&self, y: &DMatrix<f64>) -> DMatrix<f64> {
+        let samples = self.motion.samples();
+        let filtered = self.filter(y);
+        let rows: Vec<usize> =
+            (0..y.nrows() / samples).flat_map(|block| self.kept.iter().map(move |&k| block * samples + k)).collect();
+        filtered.select_rows(&rows)
+    }
+
+    /// Torques as one column, n N rows joint by joint.
+    pub fn stacked_tau(&self) -> DMatrix<f64> {
+        DMatrix::from_column_slice(self.tau.len(), 1, self.tau.as_slice())
+    }
+}
+
+/// The motion of positions and, where they are measured, velocities, without `edge` samples at both ends. Measured velocities pass the filter
+/// of the positions, so that all stay in step.
+fn motion_of(differentiator: &Differentiator, q: &DMatrix<f64>, dq: Option<&DMatrix<f64>>, edge: usize) -> Motion {
+    let mut motion = differentiator.motion(q, edge);
+    if let Some(dq) = dq {
+        let measured = differentiator.motion(dq, edge);
+        (motion.dq, motion.ddq) = (measured.q, measured.dq);
+    }
+    motion
+}
+
+/// Standard deviation of white noise with the power that a record, sampled at `rate` \[Hz\], has between half of the widest position
+/// cut-off and that cut-off, where a smooth motion has next to none. Time stamps that are off make noise below that alone.
+fn noise_of_one(x: &[f64], order: usize, rate: f64) -> Result<f64, SignalError> {
+    let top = CUTOFF_OF_MEAN.min(WIDEST * rate / 2.0);
+    let [low, high] = [0.5 * top, top].map(|cutoff| Butterworth::new(order, cutoff, rate));
+    let (low, high) = (low?.zero_phase(x), high?.zero_phase(x));
+    // The filters' guesses beyond the ends stay out of it.
+    let inside = x.len() / 10..x.len() - x.len() / 10;
+    let squares: f64 = inside.clone().map(|k| (high[k] - low[k]).powi(2)).sum();
+    Ok((squares / inside.len().max(1) as f64 * rate / top).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    fn run(period: Option<f64>, seconds: f64) -> Run {
+        let count = (seconds * 1000.0) as usize + 1;
+        let t: Vec<f64> = (0..count).map(|k| k as f64 * 1e-3).collect();
+        let q = DMatrix::from_fn(count, 2, |k, j| (PI * t[k] * (j + 1) as f64).sin());
+        let tau = q.map(|q| 3.0 * q);
+        Run { name: "test".into(), t, dq: None, q, tau, gravity: Vector3::new(0.0, 0.0, -9.81), period }
+    }
+
+    #[test]
+    fn derivatives_of_a_periodic_and_of_a_free_run_are_those_of_the_sine() {
+        for (period, derivative) in
+            [(Some(2.0), Derivative::Spectral), (Some(2.0), Derivative::Central), (None, Derivative::Central)]
+        {
+            let settings = Settings { derivative, ..Settings::default() };
+            let experiment = Experiment::prepare(&run(period, 8.0), &settings).unwrap();
+            let (samples, edge) = if period.is_some() { (2000, 0) } else { (8001 - 100, 50) };
+            assert_eq!(experiment.motion.samples(), samples);
+            for k in 0..samples {
+                for j in 0..2 {
+                    let w = PI * (j + 1) as f64;
+                    let angle = w * (k + edge) as f64 * 1e-3;
+                    let errors = [
+                        experiment.motion.q[(k, j)] - angle.sin(),
+                        experiment.motion.dq[(k, j)] - w * angle.cos(),
+                        experiment.motion.ddq[(k, j)] + w * w * angle.sin(),
+                    ];
+                    // Near the ends of a free run the filter knows less.
+                    let inside = period.is_some() || (1500..samples - 1500).contains(&k);
+                    let bounds = if inside { [1e-6, 1e-5, 1e-3] } else { [2e-4, 1e-2, 0.5] };
+                    for (error, bound) in errors.iter().zip(bounds) {
+                        assert!(error.abs() < bound, "{derivative:?}, joint {j}, sample {k}: {errors:?}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn band_filters_columns_and_torques_alike() {
+        let experiment = Experiment::prepare(&run(Some(2.0), 4.0), &Settings::default()).unwrap();
+        let tau = experiment.stacked_tau();
+        let column = &tau / 3.0;
+        assert!((experiment.band(&column) * 3.0 - experiment.band(&tau)).abs().max() < 1e-12);
+        assert_eq!(experiment.band(&tau).nrows(), 2 * experiment.kept().len());
+        assert_eq!(experiment.kept()[1], 80);
+        assert_eq!(experiment.scatter.as_ref().unwrap().periods, 2);
+        assert!(experiment.scatter.unwrap().std.iter().all(|&s| s < 1e-12));
+    }
+
+    /// A free run that stands for its first 3 s, then moves along a sine that starts at rest.
+    fn standing_first() -> Run {
+        let mut run = run(None, 9.0);
+        let angle = |t: f64| PI * (t - 3.0).max(0.0);
+        let speed = |k: usize| if run.t[k] > 3.0 { PI * angle(run.t[k]).sin() } else { 0.0 };
+        run.dq = Some(DMatrix::from_fn(run.t.len(), 2, |k, _| speed(k)));
+        run.q = DMatrix::from_fn(run.t.len(), 2, |k, _| 1.0 - angle(run.t[k]).cos());
+        run
+    }
+
+    #[test]
+    fn samples_at_rest_are_left_out_of_regression_and_errors() {
+        use super::super::validate::validate;
+        let run = standing_first();
+        let whole = Experiment::prepare(&run, &Settings::default()).unwrap();
+        let moving = Experiment::prepare(&run, &Settings { rest: Some(0.01), ..Settings::default() }).unwrap();
+        // 3 s of 9 s, less the edge; the sine itself passes its turning points in an instant.
+        let resting = moving.resting().iter().filter(|resting| **resting).count();
+        assert!((2850..3050).contains(&resting), "{resting}");
+        assert!(whole.resting().iter().all(|resting| !resting) && moving.kept().iter().all(|&k| !moving.resting()[k]));
+        assert!(moving.kept().len() < whole.kept().len() * 7 / 10);
+        // A model that is wrong by 1 Nm at rest and right in motion has no error where rests don't count.
+        let wrong_at_rest = |motion: &Motion| {
+            let tau = &moving.tau;
+            DMatrix::from_fn(tau.nrows(), tau.ncols(), |k, j| {
+                tau[(k, j)] + if motion.dq.row(k).amax() < 0.01 { 1.0 } else { 0.0 }
+            })
+        };
+        let error = |experiment: &Experiment| validate(experiment, wrong_at_rest).raw[0];
+        assert!(error(&moving) < 1e-12 && error(&whole) > 0.5, "{} {}", error(&moving), error(&whole));
+        // A periodic run keeps all of its samples.
+        let periodic = Run { period: Some(9.0), ..run };
+        let periodic = Experiment::prepare(&periodic, &Settings { rest: Some(0.01), ..Settings::default() }).unwrap();
+        assert!(periodic.resting().iter().all(|resting| !resting));
+    }
+
+    #[test]
+    fn measured_velocities_replace_the_derived_ones_of_free_runs() {
+        let mut run = standing_first();
+        let settings = Settings { measured_velocities: true, trim: 0.5, ..Settings::default() };
+        let derived = Experiment::prepare(&run, &Settings { measured_velocities: false, ..settings.clone() }).unwrap();
+        let measured = Experiment::prepare(&run, &settings).unwrap();
+        assert_eq!(measured.motion.samples(), 9001 - 2 * 500, "half a second is cut off each end");
+        let difference = |other: &Experiment| (&other.motion.dq - &derived.motion.dq).rows(100, 7800).amax();
+        assert!(difference(&measured) < 0.05, "the true velocity is the derivative of the position");
+        // A velocity that says something else is believed, and the acceleration is its derivative.
+        run.dq.as_mut().unwrap().scale_mut(2.0);
+        let doubled = Experiment::prepare(&run, &settings).unwrap();
+        assert!((&doubled.motion.dq - &measured.motion.dq * 2.0).amax() < 1e-9);
+        assert!((&doubled.motion.ddq - &measured.motion.ddq * 2.0).amax() < 1e-7);
+        assert_eq!(doubled.motion.q, measured.motion.q);
+        // Positions that move a little leave them alone.
+        let (rows, columns) = doubled.grid();
+        assert_eq!(doubled.moved(&DMatrix::from_element(rows, columns, 1e-3)).dq, doubled.motion.dq);
+        // Not those of a periodic run, and not of another length.
+        let periodic = Experiment::prepare(&Run { period: Some(9.0), ..run.clone() }, &settings).unwrap();
+        assert!(periodic.motion.dq.amax() < 1.5 * PI);
+        run.dq = Some(DMatrix::zeros(7, 2));
+        assert!(matches!(Experiment::prepare(&run, &settings), Err(EstimateError::Signal { .. })));
+    }
+
+    #[test]
+    fn too_few_periods_and_odd_periods_are_refused() {
+        let settings = Settings { skip_periods: 2, ..Settings::default() };
+        let error = Experiment::prepare(&run(Some(2.0), 4.5), &settings).unwrap_err();
+        assert_eq!(error, EstimateError::Periods { run: "test".into(), found: 2, skipped: 2, period: 2.0 });
+        assert!(matches!(
+            Experiment::prepare(&run(Some(0.001), 4.5), &Settings::default()),
+            Err(EstimateError::Period { .. })
+        ));
+    }
+}

@@ -1,0 +1,401 @@
+//! Estimators: from filtered equations to parameters, each in a file of its own, all with the same outcome.
+//!
+//! | estimator | minimises | for |
+//! |---|---|---|
+//! | [`ols`] | the squares of all errors alike | comparison |
+//! | [`wls`] | the squares weighed by each joint's noise, or by the covariance between joints | the usual choice |
+//! | [`huber`] | squares near zero, sizes beyond | torques with outliers: collisions, hands |
+//! | [`tls`] | errors in torques and positions together | noisy positions, noise known |
+//! | [`iv`] | the correlation of errors with instruments | noisy positions, noise unknown |
+//!
+//! Standard deviations hold for coloured noise ([`super::covariance`]).
+
+pub mod huber;
+pub mod iv;
+pub mod linear;
+pub mod noise;
+pub mod ols;
+pub mod stack;
+pub mod tls;
+pub mod wls;
+
+use super::EstimateError;
+use super::covariance::Spread;
+use super::essential::{self, Dropped};
+use super::experiment::Experiment;
+use super::validate::{Rms, validate_parameters};
+use linear::{Fit, Weights, deviations, residual_covariance};
+use nalgebra::DMatrix;
+use plumbline_core::{parallel, threads};
+use plumbline_model::conditioning::{Conditions, conditions, friction_columns};
+use plumbline_model::structure::Structure;
+use plumbline_model::term::Column;
+use serde::{Deserialize, Serialize};
+use stack::Stack;
+
+/// A parameter is undetermined when more than this share of it lies in undetermined directions.
+const UNDETERMINED_SHARE: f64 = 1e-3;
+
+/// Which estimator.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Estimator {
+    /// Ordinary least squares.
+    Ols,
+    /// Weighted least squares, one variance per joint (paper eqs. 9 and 10).
+    #[default]
+    Wls,
+    /// Weighted least squares with the full covariance between the joints.
+    WlsFull,
+    /// Huber's robust estimator.
+    Huber,
+    /// Total least squares.
+    Tls,
+    /// Instrumental variables.
+    Iv,
+}
+
+impl Estimator {
+    /// Every estimator.
+    pub const ALL: [Estimator; 6] =
+        [Estimator::Ols, Estimator::Wls, Estimator::WlsFull, Estimator::Huber, Estimator::Tls, Estimator::Iv];
+
+    /// Its name on the command line and in files.
+    pub fn id(self) -> &'static str {
+        match self {
+            Estimator::Ols => "ols",
+            Estimator::Wls => "wls",
+            Estimator::WlsFull => "wls-full",
+            Estimator::Huber => "huber",
+            Estimator::Tls => "tls",
+            Estimator::Iv => "iv",
+        }
+    }
+
+    /// The estimator of that name.
+    pub fn by_id(id: &str) -> Option<Estimator> {
+        Estimator::ALL.into_iter().find(|estimator| estimator.id() == id)
+    }
+
+    /// Whether it wants every period's deviation from the mean (`Settings::keep_periods`).
+    pub fn wants_periods(self) -> bool {
+        matches!(self, Estimator::Tls | Estimator::Iv)
+    }
+}
+
+/// How parameters are identified.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Options {
+    /// The estimator.
+    pub estimator: Estimator,
+    /// Whether parameters that do not show in the data are taken out, [`essential`].
+    pub essential: bool,
+}
+
+/// How an iteration ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// Solved at once, or the weights settled.
+    Settled,
+    /// The weights still moved when the rounds were over: the parameters are those of the last round.
+    Unsettled,
+}
+
+/// A parameter that the data can't determine.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Undetermined {
+    /// Name of its column.
+    pub name: String,
+    /// Share of it that lies in undetermined directions: 1 when the data says nothing about it, less when only some combination
+    /// with others is unknown.
+    pub share: f64,
+}
+
+/// Identified parameters and how well they are known.
+#[derive(Clone, Debug)]
+pub struct Identification {
+    /// Where they come from.
+    pub estimator: Estimator,
+    /// How that ended.
+    pub outcome: Outcome,
+    /// Rounds of weights; 1 where nothing is iterated.
+    pub rounds: usize,
+    /// What the parameters are.
+    pub columns: Vec<Column>,
+    /// Their values. Undetermined ones have the values of the smallest solution (in equilibrated columns), dropped ones are zero.
+    pub beta: Vec<f64>,
+    /// Their standard deviations; `None` for undetermined and for dropped ones.
+    pub std: Vec<Option<f64>>,
+    /// Covariance of the parameters in the determined directions.
+    pub covariance: DMatrix<f64>,
+    /// Degrees of freedom of each standard deviation: an interval of given confidence is the quantile of Student's distribution with so
+    /// many, times the standard deviation.
+    pub freedom: Vec<f64>,
+    /// Parameters that this data can't determine.
+    pub undetermined: Vec<Undetermined>,
+    /// Parameters taken out because they do not show in this data, in the order in which they went.
+    pub dropped: Vec<Dropped>,
+    /// Number of determined directions.
+    pub rank: usize,
+    /// Condition numbers of the stacked, filtered and decimated regressor, weighted by `sigma`.
+    pub conditions: Conditions,
+    /// Standard deviation of the filtered torque that weighed each joint, n \[Nm\]; for an estimator without weights, what would have.
+    pub sigma: Vec<f64>,
+    /// Factor of each equation where an estimator weighs them one by one, 0 to 1.
+    pub row_weights: Option<Vec<f64>>,
+    /// Equations after decimation.
+    pub rows: usize,
+    /// Residual and noise of each experiment, by name.
+    pub runs: Vec<(String, Rms)>,
+    /// The same of all experiments as one.
+    pub rms: Rms,
+}
+
+impl Identification {
+    /// Standard deviation over size of every parameter; `None` for undetermined and for dropped ones.
+    pub fn relative_std(&self) -> Vec<Option<f64>> {
+        self.std.iter().zip(&self.beta).map(|(std, beta)| std.map(|std| std / beta.abs())).collect()
+    }
+
+    /// Half the width of each parameter's 95 % confidence interval; `None` for undetermined and for dropped ones.
+    pub fn interval_95(&self) -> Vec<Option<f64>> {
+        self.std.iter().zip(&self.freedom).map(|(std, &freedom)| std.map(|std| student_975(freedom) * std)).collect()
+    }
+
+    /// Values with their standard deviations, as `TorqueModel::new` takes them.
+    pub fn values(&self) -> Vec<(f64, Option<f64>)> {
+        self.beta.iter().copied().zip(self.std.iter().copied()).collect()
+    }
+}
+
+/// Identifies all parameters of a structure by weighted least squares, from one or more experiments of one arm, each in its own mounting.
+///
+/// # Errors
+/// As [`identify_with`].
+pub fn identify(structure: &Structure, experiments: &[Experiment]) -> Result<Identification, EstimateError> {
+    identify_with(structure, experiments, &Options::default())
+}
+
+/// Identifies the parameters of a structure by weighted least squares with given standard deviations of the joints' errors, n \[Nm\].
+///
+/// A model that was extended in one joint keeps the weights of the plain one this way: weights of its own would pull the parameters that
+/// joints share towards the joint that now fits well.
+///
+/// # Errors
+/// As [`identify_with`].
+pub fn identify_weighted(
+    structure: &Structure,
+    experiments: &[Experiment],
+    sigma: &[f64],
+) -> Result<Identification, EstimateError> {
+    let stack = Stack::of(structure, experiments)?;
+    let every: Vec<usize> = (0..structure.columns().len()).collect();
+    let fit = linear::least_squares(&stack, &Weights::per_joint(sigma))?;
+    let spread = noise::of_torques(&stack, experiments, &fit);
+    let (sigma, outcome) = (sigma.to_vec(), Outcome::Settled);
+    let solved = Solved { fit, spread, sigma, row_weights: None, rounds: 1, outcome };
+    finish(structure, experiments, Estimator::Wls, &stack, solved, &every, Vec::new())
+}
+
+/// Identifies the parameters of a structure with an estimator of choice.
+///
+/// # Errors
+/// Experiments of another arm; fewer equations than parameters; for instrumental variables, an experiment that has neither two
+/// periods nor a desired motion.
+pub fn identify_with(
+    structure: &Structure,
+    experiments: &[Experiment],
+    options: &Options,
+) -> Result<Identification, EstimateError> {
+    let stack = Stack::of(structure, experiments)?;
+    let every: Vec<usize> = (0..structure.columns().len()).collect();
+    let solver = Solver::new(structure, experiments, options.estimator)?;
+    let whole = solver.solve(&stack, &every)?;
+    let (solved, kept, dropped) = if options.essential {
+        essential::reduce(structure.columns(), whole, |kept| solver.solve(&stack.columns(kept), kept))?
+    } else {
+        (whole, every, Vec::new())
+    };
+    finish(structure, experiments, options.estimator, &stack, solved, &kept, dropped)
+}
+
+/// What every estimator comes up with.
+#[derive(Clone, Debug)]
+pub struct Solved {
+    /// Parameters as a map of the torques.
+    pub fit: Fit,
+    /// Their covariance.
+    pub spread: Spread,
+    /// Standard deviation that weighed each joint \[Nm\].
+    pub sigma: Vec<f64>,
+    /// Factor of each equation.
+    pub row_weights: Option<Vec<f64>>,
+    /// Rounds of weights.
+    pub rounds: usize,
+    /// How they ended.
+    pub outcome: Outcome,
+}
+
+impl Solved {
+    /// Whether parameter `c` is determined.
+    pub fn determined(&self, c: usize) -> bool {
+        self.fit.null_share[c] <= UNDETERMINED_SHARE
+    }
+}
+
+/// One estimator on one set of experiments, with what it has to know of their noise.
+struct Solver<'a> {
+    structure: &'a Structure,
+    experiments: &'a [Experiment],
+    estimator: Estimator,
+    draws: Option<noise::Draws>,
+    pairs: Vec<iv::Pair>,
+}
+
+impl<'a> Solver<'a> {
+    fn new(
+        structure: &'a Structure,
+        experiments: &'a [Experiment],
+        estimator: Estimator,
+    ) -> Result<Solver<'a>, EstimateError> {
+        let draws = (estimator == Estimator::Tls).then(|| noise::Draws::of(structure, experiments));
+        let pairs = match estimator {
+            Estimator::Iv => noise::instruments(structure, experiments)?,
+            _ => Vec::new(),
+        };
+        Ok(Solver { structure, experiments, estimator, draws, pairs })
+    }
+
+    /// Solves for some of the columns; `stack` holds those alone.
+    fn solve(&self, stack: &Stack, kept: &[usize]) -> Result<Solved, EstimateError> {
+        let experiments = self.experiments;
+        if self.estimator == Estimator::Ols {
+            let fit = ols::solve(stack)?;
+            let sigma = deviations(&residual_covariance(stack, &fit));
+            let spread = noise::of_torques(stack, experiments, &fit);
+            return Ok(Solved { fit, spread, sigma, row_weights: None, rounds: 1, outcome: Outcome::Settled });
+        }
+        if self.estimator == Estimator::Huber {
+            let robust = huber::solve(stack)?;
+            let spread = noise::of_influences(stack, experiments, &robust.fit, &robust.influence, &robust.weights);
+            let (row_weights, outcome) = (Some(robust.weights), outcome(robust.settled));
+            return Ok(Solved {
+                fit: robust.fit,
+                spread,
+                sigma: robust.sigma,
+                row_weights,
+                rounds: robust.rounds,
+                outcome,
+            });
+        }
+        // The others need the joints' noise, which weighted least squares finds.
+        let weighed = wls::solve(stack, self.estimator == Estimator::WlsFull)?;
+        let sigma = deviations(&weighed.sigma);
+        let weights = Weights::per_joint(&sigma);
+        let outcome = outcome(weighed.settled);
+        let rounds = weighed.rounds;
+        let (fit, spread) = if let Some(draws) = &self.draws {
+            let errors = draws.columns(kept).errors(stack, experiments, &weighed);
+            let fit = tls::solve(stack, &errors, &weights)?;
+            let spread = noise::of_all(self.structure, stack, experiments, kept, &fit);
+            (fit, spread)
+        } else if self.estimator == Estimator::Iv {
+            let pairs: Vec<iv::Pair> = self.pairs.iter().map(|pair| pair.columns(kept)).collect();
+            let fit = iv::solve(stack, &pairs, &weights)?;
+            let spread = noise::of_all(self.structure, stack, experiments, kept, &fit);
+            (fit, spread)
+        } else {
+            let spread = noise::of_torques(stack, experiments, &weighed.fit);
+            (weighed.fit, spread)
+        };
+        Ok(Solved { fit, spread, sigma, row_weights: None, rounds, outcome })
+    }
+}
+
+/// 97.5 % point of Student's distribution, by its expansion in one over the degrees of freedom: within 0.2 % from 5 on.
+pub fn student_975(freedom: f64) -> f64 {
+    let (z, v) = (1.959_963_984_540_054_f64, freedom);
+    let terms = [
+        (z.powi(3) + z) / 4.0,
+        (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / 96.0,
+        (3.0 * z.powi(7) + 19.0 * z.powi(5) + 17.0 * z.powi(3) - 15.0 * z) / 384.0,
+    ];
+    z + terms[0] / v + terms[1] / (v * v) + terms[2] / (v * v * v)
+}
+
+fn outcome(settled: bool) -> Outcome {
+    if settled { Outcome::Settled } else { Outcome::Unsettled }
+}
+
+/// Everything about the solution, in the order of the structure's columns; those not in `kept` are zero.
+fn finish(
+    structure: &Structure,
+    experiments: &[Experiment],
+    estimator: Estimator,
+    stack: &Stack,
+    solved: Solved,
+    kept: &[usize],
+    dropped: Vec<Dropped>,
+) -> Result<Identification, EstimateError> {
+    let columns = structure.columns();
+    let (p, rows) = (columns.len(), stack.tau.len());
+    let mut beta = vec![0.0; p];
+    let mut std = vec![None; p];
+    let mut freedom = vec![f64::INFINITY; p];
+    let mut covariance = DMatrix::zeros(p, p);
+    let mut undetermined = Vec::new();
+    for (own, &c) in kept.iter().enumerate() {
+        beta[c] = solved.fit.beta[own];
+        freedom[c] = solved.spread.freedom[own];
+        for (other, &d) in kept.iter().enumerate() {
+            covariance[(c, d)] = solved.spread.covariance[(own, other)];
+        }
+        if solved.determined(own) {
+            std[c] = Some(covariance[(c, c)].max(0.0).sqrt());
+        } else {
+            undetermined.push(Undetermined { name: columns[c].name.clone(), share: solved.fit.null_share[own] });
+        }
+    }
+    let each = parallel(experiments, threads(), |experiment| validate_parameters(experiment, structure, &beta));
+    let names = experiments.iter().map(|experiment| experiment.name.clone());
+    let runs: Vec<(String, Rms)> = names.zip(each.iter().cloned()).collect();
+    Ok(Identification {
+        estimator,
+        outcome: solved.outcome,
+        rounds: solved.rounds,
+        columns: columns.to_vec(),
+        beta,
+        std,
+        covariance,
+        freedom,
+        undetermined,
+        dropped,
+        rank: solved.fit.rank,
+        conditions: conditions(&stack.w, &friction_columns(structure), &solved.sigma),
+        sigma: solved.sigma,
+        row_weights: solved.row_weights,
+        rows,
+        rms: Rms::pooled(&each).ok_or(EstimateError::TooFewRows { rows, columns: p })?,
+        runs,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Estimator, student_975};
+
+    #[test]
+    fn points_of_students_distribution_are_the_tables() {
+        for (freedom, table) in [(5.0, 2.5706), (9.0, 2.2622), (30.0, 2.0423), (1e9, 1.96)] {
+            assert!((student_975(freedom) / table - 1.0).abs() < 2e-3, "{freedom}: {}", student_975(freedom));
+        }
+    }
+
+    #[test]
+    fn every_estimator_is_found_by_its_name() {
+        for estimator in Estimator::ALL {
+            assert_eq!(Estimator::by_id(estimator.id()), Some(estimator));
+        }
+        assert_eq!(Estimator::by_id("magic"), None);
+    }
+}

@@ -1,0 +1,239 @@
+//! What an estimator has to know about the noise of its experiments, and what that noise does to its parameters.
+
+use super::iv::Pair;
+use super::linear::{Fit, Weights, deviations};
+use super::stack::{Stack, regressor};
+use super::wls::Weighed;
+use crate::EstimateError;
+use crate::covariance::{Spread, between_periods, newey_west};
+use crate::experiment::{Experiment, Repeats};
+use crate::periods::NoiseOfMean;
+use crate::validate::torques;
+use nalgebra::{DMatrix, DVector};
+use plumbline_model::structure::Structure;
+use plumbline_model::term::Motion;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+/// Noises of the positions that are drawn where no periods show them.
+const DRAWS: usize = 8;
+/// Torque noise is taken as at least this share of the residual's variance.
+const LEAST_SHARE: f64 = 0.01;
+/// Equations that decide the model by themselves count as this at most.
+const MOST_LEVERAGE: f64 = 0.95;
+
+/// Covariance of the parameters from the noise of the torques: the scatter between periods, else the residual.
+pub fn of_torques(stack: &Stack, experiments: &[Experiment], fit: &Fit) -> Spread {
+    let residual = stack.residual(&fit.beta);
+    let each = experiments.iter().enumerate().map(|(index, experiment)| match &experiment.noise {
+        Some(noise) => between_periods(&part(stack, &fit.projection, index), experiment.kept(), noise),
+        None => from_residual(stack, fit, &residual, index),
+    });
+    each.fold(Spread::zero(fit.beta.len()), |sum, one| sum.plus(&one))
+}
+
+/// Covariance of a robust estimate's parameters from its `influences`, the residuals times their `weights`. Where periods repeat, their
+/// scatter gives the noise's colour and the influences its size: a touch in one period has a large scatter and little influence.
+pub fn of_influences(
+    stack: &Stack,
+    experiments: &[Experiment],
+    fit: &Fit,
+    influences: &DVector<f64>,
+    weights: &[f64],
+) -> Spread {
+    let weighed = DMatrix::from_row_slice(1, weights.len(), weights);
+    let each = experiments.iter().enumerate().map(|(index, experiment)| {
+        let Some(noise) = &experiment.noise else { return from_residual(stack, fit, influences, index) };
+        let (sizes, weights) = (freed(stack, fit, influences, index), part(stack, &weighed, index));
+        let mut map = part(stack, &fit.projection, index);
+        let m = stack.spans[index];
+        for (j, variance) in variances(noise).iter().enumerate() {
+            let squares = sizes.columns(j * m, m).norm_squared();
+            let expected = weights.columns(j * m, m).norm_squared() * variance;
+            let size = if expected > 0.0 { (squares / expected).sqrt() } else { 0.0 };
+            for k in j * m..(j + 1) * m {
+                map.column_mut(k).scale_mut(size * weights[k]);
+            }
+        }
+        between_periods(&map, experiment.kept(), noise)
+    });
+    each.fold(Spread::zero(fit.beta.len()), |sum, one| sum.plus(&one))
+}
+
+/// Covariance of the parameters from the noise of torques and positions together: every period's torques are compared with the model
+/// at that period's positions. Where the periods are not at hand, the residual has both in it.
+pub fn of_all(structure: &Structure, stack: &Stack, experiments: &[Experiment], kept: &[usize], fit: &Fit) -> Spread {
+    let mut beta = vec![0.0; structure.columns().len()];
+    kept.iter().zip(fit.beta.iter()).for_each(|(&c, &value)| beta[c] = value);
+    let residual = stack.residual(&fit.beta);
+    let each = experiments.iter().enumerate().map(|(index, experiment)| match &experiment.repeats {
+        Some(repeats) => {
+            let both = combined(structure, experiment, repeats, &beta);
+            let (samples, dt) = (experiment.motion.samples(), experiment.motion.dt);
+            let noise = NoiseOfMean::of(&both, samples, dt, |f| experiment.gain(f));
+            between_periods(&part(stack, &fit.projection, index), experiment.kept(), &noise)
+        }
+        None => from_residual(stack, fit, &residual, index),
+    });
+    each.fold(Spread::zero(fit.beta.len()), |sum, one| sum.plus(&one))
+}
+
+fn from_residual(stack: &Stack, fit: &Fit, residual: &DVector<f64>, index: usize) -> Spread {
+    let own = freed(stack, fit, residual, index);
+    newey_west(&part(stack, &fit.projection, index), own.as_slice(), stack.spans[index])
+}
+
+/// One experiment's residuals with what the fit took of them given back.
+fn freed(stack: &Stack, fit: &Fit, residual: &DVector<f64>, index: usize) -> DMatrix<f64> {
+    // A fit goes nearer to the equations that decide it: of each residual so much is missing as its torque moves the model there.
+    let freed = DMatrix::from_fn(1, residual.len(), |_, row| {
+        let leverage = (stack.w.row(row) * fit.projection.column(row))[(0, 0)];
+        residual[row] / (1.0 - leverage.clamp(0.0, MOST_LEVERAGE)).sqrt()
+    });
+    part(stack, &freed, index)
+}
+
+/// Columns of one experiment, joint by joint, of a matrix with a column for every equation.
+fn part(stack: &Stack, b: &DMatrix<f64>, index: usize) -> DMatrix<f64> {
+    let m = stack.per_joint();
+    let range = stack.ranges().nth(index).expect("an experiment of the stack");
+    let columns: Vec<usize> = (0..stack.joints).flat_map(|j| range.clone().map(move |k| j * m + k)).collect();
+    b.select_columns(&columns)
+}
+
+/// Deviation of each period's torques from what the model makes of its positions' deviation, P N x n. The model is taken at the noise of
+/// the mean, where the estimate was made, and scaled back.
+fn combined(structure: &Structure, experiment: &Experiment, repeats: &Repeats, beta: &[f64]) -> DMatrix<f64> {
+    let samples = experiment.motion.samples();
+    let at_mean = torques(structure, beta, &experiment.motion);
+    let mut both = repeats.tau.clone();
+    for (p, (motion, scale)) in moved_by_period(experiment, repeats).enumerate() {
+        let change = (torques(structure, beta, &motion) - &at_mean) * scale;
+        let mut rows = both.rows_mut(p * samples, samples);
+        rows -= change;
+    }
+    both
+}
+
+/// For each period the mean motion plus noise as large as the mean's, and the factor from that noise to the period's own.
+fn moved_by_period<'a>(experiment: &'a Experiment, repeats: &'a Repeats) -> impl Iterator<Item = (Motion, f64)> + 'a {
+    let samples = experiment.motion.samples();
+    let periods = repeats.q.nrows() / samples;
+    let scale = ((periods - 1) as f64).sqrt();
+    (0..periods).map(move |p| (experiment.moved(&(repeats.q.rows(p * samples, samples) / scale)), scale))
+}
+
+/// Changes of the regressor under noise of the positions, filtered and decimated, per experiment; each with the parameters' columns.
+pub struct Draws(Vec<Vec<DMatrix<f64>>>);
+
+impl Draws {
+    /// From the periods where they are at hand, else from white noise of the size that the positions show.
+    pub fn of(structure: &Structure, experiments: &[Experiment]) -> Draws {
+        let each = experiments.iter().map(|experiment| {
+            let at_mean = structure.regressor(&experiment.motion);
+            let change = |motion: Motion| experiment.band(&(structure.regressor(&motion) - &at_mean));
+            match &experiment.repeats {
+                Some(repeats) => moved_by_period(experiment, repeats).map(|(motion, _)| change(motion)).collect(),
+                None => white(experiment).map(change).collect(),
+            }
+        });
+        Draws(each.collect())
+    }
+
+    /// For some of the columns alone.
+    pub fn columns(&self, kept: &[usize]) -> Draws {
+        Draws(self.0.iter().map(|draws| draws.iter().map(|draw| draw.select_columns(kept)).collect()).collect())
+    }
+
+    /// `errors` of [`super::tls::solve`]: expected squares of the whitened regressor's and torque's noise.
+    pub fn errors(&self, stack: &Stack, experiments: &[Experiment], weighed: &Weighed) -> DMatrix<f64> {
+        let p = stack.w.ncols();
+        let sigma = deviations(&weighed.sigma);
+        let mut errors = DMatrix::zeros(p + 1, p + 1);
+        for (draws, experiment) in self.0.iter().zip(experiments) {
+            let count = experiment.kept().len();
+            let mut of_regressor = DMatrix::zeros(p, p);
+            for draw in draws {
+                let whitened = Weights::per_joint(&sigma).apply(draw);
+                of_regressor += whitened.tr_mul(&whitened) / draws.len() as f64;
+            }
+            let of_torque = match &experiment.noise {
+                Some(noise) => variances(noise).iter().zip(&sigma).map(|(v, s)| count as f64 * v / (s * s)).sum(),
+                None => {
+                    let beta = &weighed.fit.beta;
+                    let all = (count * stack.joints) as f64;
+                    (all - beta.dot(&(&of_regressor * beta))).max(LEAST_SHARE * all)
+                }
+            };
+            let mut block = errors.view_mut((0, 0), (p, p));
+            block += of_regressor;
+            errors[(p, p)] += of_torque;
+        }
+        errors
+    }
+}
+
+/// Variance of the filtered mean torques, n.
+fn variances(noise: &NoiseOfMean) -> Vec<f64> {
+    let n = noise.bins.first().map_or(0, |(_, power)| power.nrows());
+    let sides = |bin: usize| if bin == 0 || 2 * bin == noise.samples { 1.0 } else { 2.0 };
+    let of = |j: usize| noise.bins.iter().map(|(bin, power)| sides(*bin) * power[(j, j)].re).sum::<f64>();
+    (0..n).map(|j| of(j) / noise.samples as f64).collect()
+}
+
+/// The measured motion with more noise of its own kind.
+fn white(experiment: &Experiment) -> impl Iterator<Item = Motion> + '_ {
+    let std = experiment.noise_of_positions();
+    let (samples, n) = experiment.grid();
+    let mut rng = ChaCha8Rng::seed_from_u64(0x746c_7320);
+    (0..DRAWS).map(move |_| {
+        experiment.moved(&DMatrix::from_fn(samples, n, |_, j| std[j] * rng.sample::<f64, _>(StandardNormal)))
+    })
+}
+
+/// Regressors and their instruments: the desired motion where it was recorded, else the mean of the odd periods for that of the even
+/// ones and the other way round.
+///
+/// # Errors
+/// An experiment that has neither.
+pub fn instruments(structure: &Structure, experiments: &[Experiment]) -> Result<Vec<Pair>, EstimateError> {
+    let (mut first, mut second) = (Vec::new(), Vec::new());
+    for experiment in experiments {
+        let [one, other] = match (&experiment.desired, &experiment.repeats) {
+            (Some(desired), _) => [experiment.motion.clone(), desired.clone()],
+            (None, Some(repeats)) => halves(experiment, repeats),
+            (None, None) => return Err(EstimateError::NoInstruments { run: experiment.name.clone() }),
+        };
+        first.push(one);
+        second.push(other);
+    }
+    let along = |motions: &[Motion]| regressor(structure, experiments, &motions.iter().collect::<Vec<_>>());
+    let (one, other) = (along(&first)?, along(&second)?);
+    let mut pairs = vec![Pair { regressor: one.clone(), instrument: other.clone() }];
+    // Halves are alike: each is the other's instrument. A desired motion is nobody's regressor.
+    if experiments.iter().all(|experiment| experiment.desired.is_none()) {
+        pairs.push(Pair { regressor: other, instrument: one });
+    }
+    Ok(pairs)
+}
+
+/// Mean motion of the even and of the odd periods.
+fn halves(experiment: &Experiment, repeats: &Repeats) -> [Motion; 2] {
+    let samples = experiment.motion.samples();
+    let periods = repeats.q.nrows() / samples;
+    [0, 1].map(|parity| {
+        let own = (0..periods).filter(|p| p % 2 == parity);
+        let count = own.clone().count() as f64;
+        let sum =
+            own.fold(DMatrix::zeros(samples, repeats.q.ncols()), |sum, p| sum + repeats.q.rows(p * samples, samples));
+        experiment.moved(&(sum / count))
+    })
+}
+
+impl Pair {
+    /// For some of the columns alone.
+    pub fn columns(&self, kept: &[usize]) -> Pair {
+        Pair { regressor: self.regressor.select_columns(kept), instrument: self.instrument.select_columns(kept) }
+    }
+}

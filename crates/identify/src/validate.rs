@@ -1,0 +1,134 @@
+//! How far a model's torques are from measured ones.
+
+use super::experiment::Experiment;
+use nalgebra::DMatrix;
+use plumbline_model::structure::Structure;
+use plumbline_model::term::Motion;
+
+/// Root mean square of measured minus modelled torque, per joint \[Nm\].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rms {
+    /// Of the raw torque samples, as in the paper's Tables IV and V. The model is evaluated at the measured motion (filtered, of a
+    /// periodic run the mean one); every sample of every period counts.
+    pub raw: Vec<f64>,
+    /// Of measured and modelled torque after the estimator's low-pass; of a periodic run, of the mean period.
+    pub filtered: Vec<f64>,
+    /// Standard deviation of one raw torque sample between the periods: the least that `raw` can be. `None` without repeats.
+    pub noise_floor: Option<Vec<f64>>,
+    /// The same for `filtered`: standard deviation of the mean period after the low-pass. `None` without repeats.
+    pub filtered_noise_floor: Option<Vec<f64>>,
+    /// Samples that counted, per joint.
+    pub samples: usize,
+}
+
+impl Rms {
+    /// Mean of `raw` over the joints, the last line of the paper's Tables IV and V \[Nm\].
+    pub fn raw_mean(&self) -> f64 {
+        mean(&self.raw)
+    }
+
+    /// Mean of `filtered` over the joints \[Nm\].
+    pub fn filtered_mean(&self) -> f64 {
+        mean(&self.filtered)
+    }
+
+    /// Several runs as one, weighted by their samples. `None` when there is none.
+    pub fn pooled(runs: &[Rms]) -> Option<Rms> {
+        let first = runs.first()?;
+        let joints = first.raw.len();
+        let pool = |of: &dyn Fn(&Rms) -> Option<Vec<f64>>| -> Option<Vec<f64>> {
+            let known: Vec<(f64, Vec<f64>)> =
+                runs.iter().filter_map(|run| Some((run.samples as f64, of(run)?))).collect();
+            let total: f64 = known.iter().map(|(weight, _)| weight).sum();
+            let square = |j: usize| known.iter().map(|(weight, values)| weight * values[j] * values[j]).sum::<f64>();
+            (!known.is_empty()).then(|| (0..joints).map(|j| (square(j) / total).sqrt()).collect())
+        };
+        Some(Rms {
+            raw: pool(&|run| Some(run.raw.clone()))?,
+            filtered: pool(&|run| Some(run.filtered.clone()))?,
+            noise_floor: pool(&|run| run.noise_floor.clone()),
+            filtered_noise_floor: pool(&|run| run.filtered_noise_floor.clone()),
+            samples: runs.iter().map(|run| run.samples).sum(),
+        })
+    }
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// Torques of a model along an experiment's motions, in its own mounting.
+pub struct Modelled {
+    /// Along the motion of the regression, N x n \[Nm\].
+    of_motion: DMatrix<f64>,
+    /// Along [`Experiment::judged`], where that is another one, N x n \[Nm\].
+    of_judged: Option<DMatrix<f64>>,
+}
+
+impl Modelled {
+    /// `predict` gives the torques along a motion, N x n \[Nm\].
+    pub fn of(experiment: &Experiment, predict: impl Fn(&Motion) -> DMatrix<f64>) -> Modelled {
+        let of_judged = experiment.judged.as_ref().map(&predict);
+        Modelled { of_motion: predict(&experiment.motion), of_judged }
+    }
+
+    /// Along the motion of the regression, which filtered torques are compared along, N x n \[Nm\].
+    pub fn along(&self) -> &DMatrix<f64> {
+        &self.of_motion
+    }
+
+    /// Along the motion that raw torques are compared along, whose accelerations have less noise, N x n \[Nm\].
+    pub fn judged(&self) -> &DMatrix<f64> {
+        self.of_judged.as_ref().unwrap_or(&self.of_motion)
+    }
+}
+
+/// Compares any model with an experiment. `predict` gives the torques along a motion, N x n \[Nm\], in its own mounting.
+pub fn validate(experiment: &Experiment, predict: impl Fn(&Motion) -> DMatrix<f64>) -> Rms {
+    compare(experiment, &Modelled::of(experiment, predict))
+}
+
+/// Compares torques of a model with those of the experiment.
+///
+/// Raw torques are compared along [`Experiment::judged`], whose accelerations have less noise; filtered ones along the motion of the
+/// regression, whose noise the filter takes out.
+pub fn compare(experiment: &Experiment, modelled: &Modelled) -> Rms {
+    let of_filtered = &experiment.tau - &modelled.of_motion;
+    let residual = &experiment.tau - modelled.judged();
+    let (n, samples) = (experiment.joints(), experiment.motion.samples());
+    let resting = experiment.resting();
+    let counted = resting.iter().filter(|resting| !**resting).count().max(1);
+    let mean_square = |block: &[f64]| {
+        block.iter().zip(resting).filter(|(_, resting)| !**resting).map(|(x, _)| x * x).sum::<f64>() / counted as f64
+    };
+    let scatter = experiment.scatter.as_ref();
+    let raw = (0..n)
+        .map(|j| {
+            let of_mean = mean_square(&residual.as_slice()[j * samples..(j + 1) * samples]);
+            // Every sample is the mean plus its deviation: the squares add up.
+            let of_deviations = scatter.map_or(0.0, |s| s.std[j].powi(2) * (s.periods - 1) as f64 / s.periods as f64);
+            (of_mean + of_deviations).sqrt()
+        })
+        .collect();
+    let stacked = DMatrix::from_column_slice(of_filtered.len(), 1, of_filtered.as_slice());
+    let band = experiment.filter(&stacked);
+    let filtered = band.as_slice().chunks(samples).map(|block| mean_square(block).sqrt()).collect();
+    Rms {
+        raw,
+        filtered,
+        noise_floor: scatter.map(|scatter| scatter.std.clone()),
+        filtered_noise_floor: scatter.map(|scatter| scatter.std_of_mean(|f| experiment.gain(f))),
+        samples: counted * scatter.map_or(1, |scatter| scatter.periods),
+    }
+}
+
+/// [`validate`] for a structure and its parameters.
+pub fn validate_parameters(experiment: &Experiment, structure: &Structure, beta: &[f64]) -> Rms {
+    validate(experiment, |motion| torques(structure, beta, motion))
+}
+
+/// `Y beta` along a motion, N x n \[Nm\].
+pub fn torques(structure: &Structure, beta: &[f64], motion: &Motion) -> DMatrix<f64> {
+    let stacked = structure.regressor(motion) * nalgebra::DVector::from_column_slice(beta);
+    DMatrix::from_column_slice(motion.samples(), motion.joints(), stacked.as_slice())
+}

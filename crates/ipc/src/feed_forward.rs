@@ -1,0 +1,188 @@
+//! A client of the feed-forward torque: the latest value, and whether it is still good.
+
+use std::thread;
+use std::time::{Duration, Instant};
+
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::*;
+
+use super::error::IpcError;
+use super::messages::FeedForwardMessage;
+use super::robot::RobotId;
+use super::services::{self, ServiceNode, boot_ns};
+use plumbline_core::Validity;
+
+/// How far ahead of this process's clock a time stamp may lie before it can't be from this machine \[ns\].
+const CLOCK_SLACK_NS: u64 = 1_000_000;
+/// Values taken from the buffer in one call; it holds one per daemon, alive or just gone.
+const VALUES_PER_CALL: usize = 4;
+
+/// When a value is too old to be used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FeedForwardSettings {
+    /// Older values are stale \[ms\].
+    pub stale_after_ms: u64,
+}
+
+impl Default for FeedForwardSettings {
+    fn default() -> Self {
+        FeedForwardSettings { stale_after_ms: 5 }
+    }
+}
+
+/// The newest value and how old it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Latest {
+    /// The value.
+    pub message: FeedForwardMessage,
+    /// Time since the state that it answers was read \[ns\].
+    pub age_ns: u64,
+    /// Whether it is older than [`FeedForwardSettings::stale_after_ms`].
+    pub stale: bool,
+    /// Whether its torque may be used: not stale, and a model serves ([`FeedForwardMessage::validity`]).
+    pub usable: bool,
+}
+
+impl Latest {
+    fn at(message: FeedForwardMessage, age_ns: u64, settings: FeedForwardSettings) -> Latest {
+        let stale = age_ns > settings.stale_after_ms.saturating_mul(1_000_000);
+        let served = message.validity().is_ok_and(Validity::is_served);
+        Latest { message, age_ns, stale, usable: served && !stale }
+    }
+}
+
+/// Whether anyone serves the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Presence {
+    /// A daemon's process runs.
+    Running,
+    /// It ended or was killed. The client stays connected and hears of the next one by itself.
+    Gone,
+}
+
+/// Reads the feed-forward torque of one robot. Not `Send`.
+pub struct FeedForwardClient {
+    settings: FeedForwardSettings,
+    newest: Option<FeedForwardMessage>,
+    rejected: u64,
+    subscriber: Subscriber<ipc::Service, FeedForwardMessage, ()>,
+    service: services::FeedForward,
+    node: ServiceNode,
+}
+
+impl FeedForwardClient {
+    /// Connects to the daemon of `robot`, waiting up to `patience` for it to appear.
+    ///
+    /// # Errors
+    /// [`IpcError::NoDaemon`], [`IpcError::Full`], [`IpcError::Incompatible`], [`IpcError::Transport`].
+    pub fn connect(
+        robot: &RobotId,
+        settings: FeedForwardSettings,
+        patience: Duration,
+    ) -> Result<FeedForwardClient, IpcError> {
+        let start = Instant::now();
+        let node = services::joining_node()?;
+        let service = services::join_feed_forward(&node, robot, patience)?;
+        while service.dynamic_config().number_of_publishers() == 0 {
+            if start.elapsed() >= patience {
+                return Err(services::no_daemon(robot, patience));
+            }
+            thread::sleep(Duration::from_millis(1));
+        }
+        let name = services::feed_forward_name(robot);
+        let subscriber = services::patiently(&name, patience.saturating_sub(start.elapsed()), || {
+            Ok(service.subscriber_builder().buffer_size(1).create())
+        })?;
+        Ok(FeedForwardClient { settings, newest: None, rejected: 0, subscriber, service, node })
+    }
+
+    /// The newest value with its age now; `None` before the first. The same value is returned again until a newer one
+    /// arrives, and turns stale.
+    ///
+    /// # Errors
+    /// [`IpcError::Transport`] when shared memory failed.
+    pub fn latest(&mut self) -> Result<Option<Latest>, IpcError> {
+        for _ in 0..VALUES_PER_CALL {
+            let received = self.subscriber.receive();
+            let received = received.map_err(|error| services::transport("reading", "feed-forward", error))?;
+            let Some(sample) = received else { break };
+            let message = *sample.payload();
+            if supersedes(&message, self.newest.as_ref(), boot_ns()) {
+                self.newest = Some(message);
+            } else {
+                self.rejected += 1;
+            }
+        }
+        let now = boot_ns();
+        Ok(self.newest.map(|message| {
+            let age_ns = now.saturating_sub(message.stamp_ns);
+            Latest::at(message, age_ns, self.settings)
+        }))
+    }
+
+    /// Values that were not taken: impossible, older than the one before, or from another machine's clock.
+    pub fn rejected(&self) -> u64 {
+        self.rejected
+    }
+
+    /// Whether the daemon's process runs. Looks at files: to be called when a value is stale, not in a control loop.
+    pub fn daemon(&self) -> Presence {
+        let mut state = Presence::Gone;
+        self.service.dynamic_config().list_publishers(|details| {
+            if services::runs(&self.node, details.node_id) {
+                state = Presence::Running;
+            }
+            CallbackProgression::Continue
+        });
+        state
+    }
+}
+
+/// Whether `message` is possible and newer than `newest`. Time stamps grow across restarts of the daemon, sequence numbers
+/// within one start.
+fn supersedes(message: &FeedForwardMessage, newest: Option<&FeedForwardMessage>, now_ns: u64) -> bool {
+    if message.check().is_err() || message.stamp_ns > now_ns.saturating_add(CLOCK_SLACK_NS) {
+        return false;
+    }
+    newest.is_none_or(|old| {
+        message.stamp_ns >= old.stamp_ns && (message.epoch != old.epoch || message.sequence > old.sequence)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_torque_is_usable_while_it_is_fresh_and_a_model_serves() {
+        let settings = FeedForwardSettings { stale_after_ms: 5 };
+        let usable = |validity: Validity, age_ns| {
+            let message = FeedForwardMessage { validity: validity as u32, ..FeedForwardMessage::default() };
+            Latest::at(message, age_ns, settings).usable
+        };
+        assert!(usable(Validity::Valid, 5_000_000) && usable(Validity::HandOver, 0));
+        assert!(!usable(Validity::Valid, 5_000_001) && !usable(Validity::None, 0) && !usable(Validity::Withdrawn, 0));
+    }
+
+    #[test]
+    fn only_possible_and_newer_values_are_taken() {
+        let now = 1_000_000_000;
+        let old =
+            FeedForwardMessage { sequence: 5, stamp_ns: now - 10, epoch: 1, n: 7, ..FeedForwardMessage::default() };
+        let newer = FeedForwardMessage { sequence: 6, stamp_ns: now - 5, ..old };
+        assert!(supersedes(&old, None, now));
+        assert!(supersedes(&newer, Some(&old), now));
+        assert!(!supersedes(&old, Some(&newer), now));
+        assert!(!supersedes(&newer, Some(&newer), now));
+
+        let restarted = FeedForwardMessage { sequence: 1, epoch: 2, stamp_ns: now, ..old };
+        assert!(supersedes(&restarted, Some(&newer), now));
+        let left_over = FeedForwardMessage { sequence: 1, epoch: 2, stamp_ns: now - 20, ..old };
+        assert!(!supersedes(&left_over, Some(&newer), now));
+
+        let foreign = FeedForwardMessage { stamp_ns: now + 2 * CLOCK_SLACK_NS, ..newer };
+        assert!(!supersedes(&foreign, Some(&old), now));
+        assert!(!supersedes(&FeedForwardMessage { phase: 99, ..newer }, Some(&old), now));
+        assert!(!supersedes(&FeedForwardMessage { n: 9, ..newer }, Some(&old), now));
+    }
+}

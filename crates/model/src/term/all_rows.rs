@@ -1,0 +1,235 @@
+//! Effects whose columns are in every joint's row.
+
+use super::effect::{Family, Site, Spec};
+use super::one_row::Nothing;
+use super::{Column, Expected, FixedTerm, Motion, Sample, Term};
+use crate::chain::Chain;
+use nalgebra::{DMatrix, Vector3};
+use plumbline_core::{JointVec, MAX_JOINTS};
+use std::sync::Arc;
+
+/// Columns that a law can have.
+const WIDTH: usize = 10;
+/// Samples that a law remembers for its derivatives.
+const MEMORY: usize = 3;
+/// Time between the samples of the loop \[s\].
+const CYCLE: f64 = 1e-3;
+
+/// Where a sample is in time.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Clock {
+    /// Since the start of the recording \[s\]; 0 in the loop, where no law that looks at it is served.
+    pub time: f64,
+    /// To the sample before \[s\].
+    pub dt: f64,
+    /// Whether the columns are to be the means since then, not what they are now.
+    pub means: bool,
+}
+
+/// Columns of an effect, sample after sample. Neither allocates nor panics: a [`FixedRows`] holds its law by value, so that the compiler sees
+/// which one it calls.
+pub(super) trait Law: Send + 'static {
+    /// Whether it goes on by itself between two samples, and knows its means.
+    const INTEGRATES: bool = false;
+
+    /// What its only parameter can be.
+    const EXPECTS: Expected = Expected::Any;
+
+    /// Samples that it remembers, where one comes every `dt` \[s\].
+    fn memory(&self, _dt: f64) -> usize {
+        MEMORY
+    }
+
+    /// Writes the columns at a sample, the torques of all joints in each; they are zero on entry, and as many as the term has.
+    fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]);
+}
+
+/// A law under a gravity vector in the base frame \[m/s2\], with nothing remembered.
+type Start<L> = dyn Fn(&Vector3<f64>) -> L + Send + Sync;
+
+/// An effect in all rows, `tau = sum of beta_c law_c(sample)`.
+pub(super) struct AllRows<L> {
+    family: &'static Family,
+    spec: Spec,
+    columns: Vec<Column>,
+    start: Box<Start<L>>,
+}
+
+impl<L: Law> AllRows<L> {
+    /// The term of a law.
+    pub fn term(
+        family: &'static Family,
+        form: &'static str,
+        site: Site,
+        settings: &[f64],
+        columns: Vec<Column>,
+        start: impl Fn(&Vector3<f64>) -> L + Send + Sync + 'static,
+    ) -> Arc<dyn Term> {
+        assert!(columns.len() <= WIDTH, "{} is too wide", family.id);
+        let spec = Spec { family: family.id, form, site, settings: settings.to_vec() };
+        Arc::new(AllRows { family, spec, columns, start: Box::new(start) })
+    }
+}
+
+impl<L: Law> Term for AllRows<L> {
+    fn id(&self) -> &'static str {
+        self.family.id
+    }
+
+    fn physics(&self) -> &'static str {
+        self.family.physics
+    }
+
+    fn columns(&self) -> Vec<Column> {
+        self.columns.clone()
+    }
+
+    fn fill(&self, _chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
+        self.write(motion, y, first, false);
+    }
+
+    fn integrates(&self) -> bool {
+        L::INTEGRATES
+    }
+
+    fn fill_means(&self, _chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
+        self.write(motion, y, first, true);
+    }
+
+    fn expects(&self) -> Expected {
+        L::EXPECTS
+    }
+
+    fn spec(&self) -> Option<Spec> {
+        Some(self.spec.clone())
+    }
+
+    fn fix(&self, _chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {
+        if !self.family.served {
+            return Box::new(Nothing);
+        }
+        let mut own = [0.0; WIDTH];
+        own[..beta.len()].copy_from_slice(beta);
+        let columns = [JointVec::default(); WIDTH];
+        Box::new(FixedRows { law: (self.start)(gravity), width: beta.len(), beta: own, columns, dt: CYCLE })
+    }
+}
+
+impl<L: Law> AllRows<L> {
+    fn write(&self, motion: &Motion, y: &mut DMatrix<f64>, first: usize, means: bool) {
+        let (n, samples, width) = (motion.joints(), motion.samples(), self.columns.len());
+        let mut law = (self.start)(&motion.gravity);
+        // The whole period tells how a law that integrates begins; a rough look makes do with what has not died away.
+        let memory = if L::INTEGRATES && !means { samples } else { law.memory(motion.dt) };
+        let mut now = [JointVec::default(); WIDTH];
+        let mut at = |k: usize, columns: &mut [JointVec]| {
+            columns.fill(JointVec::default());
+            let clock = Clock { time: motion.start + k as f64 * motion.dt, dt: motion.dt, means };
+            law.at(&motion.sample(k), &clock, columns);
+        };
+        if motion.periodic {
+            // What the period before has left behind.
+            (samples.saturating_sub(memory)..samples).for_each(|k| at(k, &mut now[..width]));
+        }
+        for k in 0..samples {
+            at(k, &mut now[..width]);
+            for (c, column) in now[..width].iter().enumerate() {
+                for (j, value) in column[..n].iter().enumerate() {
+                    y[(j * samples + k, first + c)] = *value;
+                }
+            }
+        }
+    }
+}
+
+struct FixedRows<L> {
+    law: L,
+    /// Columns, at most [`WIDTH`].
+    width: usize,
+    beta: [f64; WIDTH],
+    columns: [JointVec; WIDTH],
+    dt: f64,
+}
+
+impl<L: Law> FixedTerm for FixedRows<L> {
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    fn torque(&mut self, sample: &Sample, tau: &mut JointVec) {
+        let Some(columns) = self.columns.get_mut(..self.width) else { return };
+        columns.fill(JointVec::default());
+        self.law.at(sample, &Clock { time: 0.0, dt: self.dt, means: false }, columns);
+        for (column, beta) in columns.iter().zip(&self.beta) {
+            tau.iter_mut().zip(column).for_each(|(tau, value)| *tau += beta * value);
+        }
+    }
+
+    fn every(&mut self, dt: f64) {
+        self.dt = dt;
+    }
+}
+
+/// A signal's last samples, for derivatives that need no sample to come.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Past {
+    /// The youngest first.
+    values: [f64; MEMORY],
+    seen: usize,
+}
+
+impl Past {
+    /// First and second derivative at the sample `now`, by backward differences of second order (Fornberg, Mathematics of
+    /// Computation 51 (1988)); zero, or of first order, as long as too little has been seen.
+    pub fn derivatives(&mut self, now: f64, dt: f64) -> [f64; 2] {
+        let derivatives = self.with(now, dt);
+        let [a, b, _] = self.values;
+        self.values = [now, a, b];
+        self.seen = (self.seen + 1).min(MEMORY);
+        derivatives
+    }
+
+    /// What they would be with the sample `now`.
+    pub fn with(&self, now: f64, dt: f64) -> [f64; 2] {
+        let [a, b, c] = self.values;
+        let [first, second] = match self.seen {
+            0 => [0.0, 0.0],
+            1 => [now - a, 0.0],
+            2 => [1.5 * now - 2.0 * a + 0.5 * b, now - 2.0 * a + b],
+            _ => [1.5 * now - 2.0 * a + 0.5 * b, 2.0 * now - 5.0 * a + 4.0 * b - c],
+        };
+        [first / dt, second / (dt * dt)]
+    }
+
+    /// How fast they grow with the sample `now`.
+    pub fn slopes(&self, dt: f64) -> [f64; 2] {
+        let [first, second] = match self.seen {
+            0 => [0.0, 0.0],
+            1 => [1.0, 0.0],
+            2 => [1.5, 1.0],
+            _ => [1.5, 2.0],
+        };
+        [first / dt, second / (dt * dt)]
+    }
+}
+
+/// [`Past`] of every joint.
+pub(super) type PastOfJoints = [Past; MAX_JOINTS];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn derivatives_are_of_second_order() {
+        let (w, dt) = (3.0_f64, 1e-3);
+        let mut past = Past::default();
+        for k in 0..500 {
+            let (sin, cos) = (w * f64::from(k) * dt).sin_cos();
+            let [first, second] = past.derivatives(sin, dt);
+            if k >= 3 {
+                // dt^2 / 3 f''' and 11 / 12 dt^2 f''''.
+                assert!((first - w * cos).abs() < 0.4 * dt * dt * w.powi(3), "{k}");
+                assert!((second + w * w * sin).abs() < dt * dt * w.powi(4) + 1e-9, "{k}");
+            }
+        }
+        assert_eq!(Past::default().derivatives(1.0, dt), [0.0, 0.0]);
+    }
+}

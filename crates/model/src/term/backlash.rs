@@ -1,0 +1,98 @@
+//! Play in a gear.
+
+use super::all_rows::{AllRows, Clock, Law, Past};
+use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::one_row::{column, unit};
+use super::position_error::PositionError;
+use super::swing::{Gear, QUALITY, SWINGING, Swing};
+use super::{Column, Expected, Sample, Term};
+use plumbline_core::JointVec;
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "backlash";
+
+/// The gap of one joint's gear, which the link falls through when its load changes sign.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "Between a gear's teeth is a gap, and the link falls from one side to the other when its load changes sign.",
+    place: Place::Joint,
+    forms: &[
+        Form {
+            name: "",
+            equation: "tau = gap_i lin_i(-tanh(tau_rb_i / width)), lin_i(e) = K_i e + V_i e' + M_i e'' in all rows",
+            settings: &[WIDTH],
+            build: of_body,
+        },
+        Form {
+            name: SWINGING,
+            equation: "tau = gap_i lin_i(-theta / g), theta = g tanh((tau_i - sqrt(M_ii width / g) / quality dtheta) / width), tau_i = tau_rb_i(q - theta) + f_i(dq_i - dtheta): the link's inertia swings in the gap",
+            settings: &[HALF, WIDTH, QUALITY],
+            build: swinging,
+        },
+    ],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "half a gap of 0.1 to 1.5 mrad",
+    confounded: &[
+        Confounded { with: "contact", decided_by: "repeat the motion: the teeth change flanks in every period" },
+        Confounded { with: "joint-elasticity", decided_by: "pass through poses without load in several runs" },
+    ],
+    reference: "Nordin, Gutman, Automatica 38 (2002)",
+};
+
+const HALF: Setting = Setting {
+    name: "g",
+    unit: "rad",
+    what: "half of the gap in which the link swings",
+    low: 1e-4,
+    high: 3e-3,
+    steps: 3,
+    scale: Scale::Logarithmic,
+};
+
+const WIDTH: Setting = Setting {
+    name: "width",
+    unit: "Nm",
+    what: "load at which the teeth lie on a flank with 76 % of the gap",
+    low: 0.05,
+    high: 5.0,
+    steps: 4,
+    scale: Scale::Logarithmic,
+};
+
+fn of_body(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let (joint, width) = (joint(site), settings[0]);
+    let load = Arc::clone(&ground.load);
+    AllRows::term(&FAMILY, "", site, settings, columns(ground, site), move |gravity| {
+        let error = PositionError { joint, load: load.under(gravity) };
+        Gap { error, width, past: Past::default() }
+    })
+}
+
+fn swinging(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let gear = Gear::Gap(settings[0], settings[1]);
+    Swing::term(&FAMILY, ground, site, settings, columns(ground, site), gear, settings[2])
+}
+
+fn columns(ground: &Ground, site: Site) -> Vec<Column> {
+    vec![column("gap", site, "", unit(ground, joint(site), "rad", "m"))]
+}
+
+struct Gap {
+    error: PositionError,
+    width: f64,
+    past: Past,
+}
+
+impl Law for Gap {
+    const EXPECTS: Expected = Expected::NotNegative;
+
+    fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
+        let e = -(self.error.own(sample) / self.width).tanh();
+        let [de, dde] = self.past.derivatives(e, clock.dt);
+        if let Some(column) = columns.first_mut() {
+            *column = self.error.signature(sample, [e, de, dde]);
+        }
+    }
+}

@@ -1,0 +1,48 @@
+//! The friction that goes the same way as the rigid bodies' torque: through a gear, into a sensor.
+
+use super::Sample;
+use super::effect::Ground;
+use super::friction::SHARPNESS;
+use super::one_row::smooth_sign;
+use plumbline_core::{JointVec, MAX_JOINTS};
+
+/// `fv_j dq_j + fc_j tanh(100 dq_j)` of every joint with the numbers of the model that an effect is built upon; 0 where it has none.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct CarriedFriction {
+    parameters: [[f64; 2]; MAX_JOINTS],
+}
+
+impl CarriedFriction {
+    /// That of a model.
+    pub fn of(ground: &Ground) -> CarriedFriction {
+        let mut parameters = [[0.0; 2]; MAX_JOINTS];
+        parameters.iter_mut().zip(&ground.friction).for_each(|(own, known)| *own = *known);
+        CarriedFriction { parameters }
+    }
+
+    /// Of all joints \[Nm\].
+    pub fn torques(&self, sample: &Sample) -> JointVec {
+        let mut tau = JointVec::default();
+        for (joint, (tau, dq)) in tau.iter_mut().zip(&sample.dq).enumerate() {
+            *tau = self.at(*dq, joint);
+        }
+        tau
+    }
+
+    /// Of one joint \[Nm\].
+    pub fn torque(&self, sample: &Sample, joint: usize) -> f64 {
+        sample.dq.get(joint).map_or(0.0, |dq| self.at(*dq, joint))
+    }
+
+    /// Of one joint at a velocity \[Nm\].
+    pub fn at(&self, dq: f64, joint: usize) -> f64 {
+        self.with_slope(dq, joint).0
+    }
+
+    /// The same, and how fast it grows with the velocity \[Nms/rad\].
+    pub fn with_slope(&self, dq: f64, joint: usize) -> (f64, f64) {
+        let sign = smooth_sign(dq);
+        let both = |[fv, fc]: &[f64; 2]| (fv * dq + fc * sign, fv + fc * SHARPNESS * (1.0 - sign * sign));
+        self.parameters.get(joint).map_or((0.0, 0.0), both)
+    }
+}

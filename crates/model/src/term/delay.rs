@@ -1,0 +1,66 @@
+//! Torques that come later than positions.
+
+use super::all_rows::{AllRows, Clock, Law, PastOfJoints};
+use super::carried::CarriedFriction;
+use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum};
+use super::load::LoadUnder;
+use super::one_row::column;
+use super::{Sample, Term};
+use plumbline_core::JointVec;
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "delay";
+
+/// One delay of all torques against all positions.
+///
+/// First order in the delay. Friction is late as well: where it turns, its slope is a pulse as wide as the turning takes. The slope is a
+/// difference of the torques before.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "The torque is measured, filtered or sent later than the position that stands beside it in the recording.",
+    place: Place::Arm,
+    forms: &[Form {
+        name: "",
+        equation: "tau = -delay d (tau_rb + tau_friction) / dt, in all rows",
+        settings: &[],
+        build,
+    }],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "1 to 5 ms; negative where the positions are late",
+    confounded: &[
+        Confounded { with: "presliding", decided_by: "add harmonics of a higher frequency: a delay grows with it" },
+        Confounded {
+            with: "fv of every joint",
+            decided_by: "add harmonics of a higher frequency: a delay grows with it",
+        },
+    ],
+    reference: "Swevers et al., IEEE Trans. Robotics and Automation 13 (1997), on phases of filtered data",
+};
+
+fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let load = Arc::clone(&ground.load);
+    let friction = CarriedFriction::of(ground);
+    AllRows::term(&FAMILY, "", site, settings, vec![column("delay", site, "", "s")], move |gravity| Late {
+        load: load.under(gravity),
+        friction,
+        past: PastOfJoints::default(),
+    })
+}
+
+struct Late {
+    load: LoadUnder,
+    friction: CarriedFriction,
+    past: PastOfJoints,
+}
+
+impl Law for Late {
+    fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
+        let Some(column) = columns.first_mut() else { return };
+        let torques = self.load.torque(sample).into_iter().zip(self.friction.torques(sample));
+        for ((value, past), (body, friction)) in column.iter_mut().zip(&mut self.past).zip(torques) {
+            *value = -past.derivatives(body + friction, clock.dt)[0];
+        }
+    }
+}

@@ -1,0 +1,63 @@
+//! An encoder that is not on the joint's axis.
+
+use super::all_rows::{AllRows, Clock, Law};
+use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
+use super::one_row::{column, unit};
+use super::position_error::PositionError;
+use super::{Sample, Term};
+use plumbline_core::JointVec;
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "encoder-eccentricity";
+
+/// An error of one joint's position, the true minus the measured one, that comes back every turn.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "An encoder's ring sits beside the joint's axis, so that the angle is read wrong by a wave per turn.",
+    place: Place::Joint,
+    forms: &[Form {
+        name: "",
+        equation: "tau = es_i lin_i(sin q_i) + ec_i lin_i(cos q_i), lin_i(e) = K_i e + V_i e' + M_i e'' in all rows",
+        settings: &[],
+        build,
+    }],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "0.1 to 2 mrad",
+    confounded: &[
+        Confounded { with: "encoder-offset", decided_by: "move the joint through a full turn, or as far as it goes" },
+        Confounded {
+            with: "lx and ly of the same link",
+            decided_by: "move the joint through a full turn; identify in a second mounting",
+        },
+    ],
+    reference: "Hollerbach, Khalil, Gautier, Handbook of Robotics (2016), chapter 6",
+};
+
+fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let joint = joint(site);
+    let unit = unit(ground, joint, "rad", "m");
+    let columns = ["_sin", "_cos"].map(|wave| column("eccentricity", site, wave, unit)).to_vec();
+    let load = Arc::clone(&ground.load);
+    AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
+        Eccentricity(PositionError { joint, load: load.under(gravity) })
+    })
+}
+
+struct Eccentricity(PositionError);
+
+impl Law for Eccentricity {
+    fn at(&mut self, sample: &Sample, _clock: &Clock, columns: &mut [JointVec]) {
+        let joint = self.0.joint;
+        let (Some(&q), Some(&dq), Some(&ddq)) = (sample.q.get(joint), sample.dq.get(joint), sample.ddq.get(joint))
+        else {
+            return;
+        };
+        let (sin, cos) = q.sin_cos();
+        let waves = [[sin, cos * dq, cos * ddq - sin * dq * dq], [cos, -sin * dq, -sin * ddq - cos * dq * dq]];
+        for (column, wave) in columns.iter_mut().zip(waves) {
+            *column = self.0.signature(sample, wave);
+        }
+    }
+}

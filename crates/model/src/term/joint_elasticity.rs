@@ -1,0 +1,118 @@
+//! A gear that twists under its load.
+
+use super::all_rows::{AllRows, Clock, Law, Past};
+use super::carried::CarriedFriction;
+use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::one_row::{column, unit};
+use super::position_error::PositionError;
+use super::swing::{Gear, QUALITY, SWINGING, Swing};
+use super::{Column, Expected, Sample, Term};
+use plumbline_core::JointVec;
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "joint-elasticity";
+
+/// Name of the form for friction that acts behind the gear, on the link's side, and so goes through it.
+const LINK_FRICTION: &str = "link-friction";
+
+/// The twist of one joint's gear, as long as the motion is slow against its resonance.
+///
+/// Without memory the link is at `q_i - c_i tau_rb_i`, first order in the compliance; `e'` and `e''` are differences of the torques before, so
+/// that a regressor needs a motion on a grid that is fine against it (20 samples per period of its highest harmonic).
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "The encoder sits on the motor's side, and the gear (or the torque sensor) behind it twists under the joint's load.",
+    place: Place::Joint,
+    forms: &[
+        Form {
+            name: "",
+            equation: "tau = c_i lin_i(-tau_rb_i), lin_i(e) = K_i e + V_i e' + M_i e'' in all rows",
+            settings: &[],
+            build: of_body,
+        },
+        Form {
+            name: LINK_FRICTION,
+            equation: "tau = c_i lin_i(-(tau_rb_i + fv_i dq_i + fc_i tanh(100 dq_i))): friction behind the gear",
+            settings: &[],
+            build: with_friction,
+        },
+        Form {
+            name: SWINGING,
+            equation: "tau = c_i lin_i(-theta / c), theta = c (tau_i - sqrt(M_ii / c) / quality dtheta), tau_i = tau_rb_i(q - theta) + f_i(dq_i - dtheta): with the resonance of the link",
+            settings: &[COMPLIANCE, QUALITY],
+            build: swinging,
+        },
+    ],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "5e-5 to 2e-4 rad/Nm",
+    confounded: &[
+        Confounded {
+            with: "encoder-offset",
+            decided_by: "identify in a second mounting: the load turns, the zero stays",
+        },
+        Confounded { with: "lx and ly of the same link", decided_by: "log the position on both sides of the gear" },
+    ],
+    reference: "Albu-Schaeffer, Ott, Hirzinger, Int. J. Robotics Research 26 (2007)",
+};
+
+const COMPLIANCE: Setting = Setting {
+    name: "c",
+    unit: "rad/Nm",
+    what: "compliance on which the link swings",
+    low: 1e-5,
+    high: 1e-3,
+    steps: 0,
+    scale: Scale::Logarithmic,
+};
+
+fn of_body(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    build(ground, "", CarriedFriction::default(), site, settings)
+}
+
+fn with_friction(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    build(ground, LINK_FRICTION, CarriedFriction::of(ground), site, settings)
+}
+
+fn swinging(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let gear = Gear::Spring(settings[0]);
+    Swing::term(&FAMILY, ground, site, settings, columns(ground, site), gear, settings[1])
+}
+
+fn columns(ground: &Ground, site: Site) -> Vec<Column> {
+    vec![column("compliance", site, "", unit(ground, joint(site), "rad/Nm", "m/N"))]
+}
+
+fn build(
+    ground: &Ground,
+    form: &'static str,
+    friction: CarriedFriction,
+    site: Site,
+    settings: &[f64],
+) -> Arc<dyn Term> {
+    let joint = joint(site);
+    let load = Arc::clone(&ground.load);
+    AllRows::term(&FAMILY, form, site, settings, columns(ground, site), move |gravity| {
+        let error = PositionError { joint, load: load.under(gravity) };
+        Twist { error, friction, past: Past::default() }
+    })
+}
+
+struct Twist {
+    error: PositionError,
+    friction: CarriedFriction,
+    past: Past,
+}
+
+impl Law for Twist {
+    const EXPECTS: Expected = Expected::NotNegative;
+
+    fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
+        let e = -(self.error.own(sample) + self.friction.torque(sample, self.error.joint));
+        let [de, dde] = self.past.derivatives(e, clock.dt);
+        if let Some(column) = columns.first_mut() {
+            *column = self.error.signature(sample, [e, de, dde]);
+        }
+    }
+}

@@ -1,0 +1,72 @@
+//! The rigid-body torque that gears, bearings and sensors carry: what many effects are proportional to.
+
+use super::{Motion, Sample};
+use crate::base::Reduction;
+use crate::chain::Chain;
+use crate::fast::closed::ClosedForm;
+use crate::regressor::LINK_COLUMNS;
+use crate::rnea::{LinkParameters, rnea};
+use nalgebra::{DMatrix, Vector3};
+use plumbline_core::JointVec;
+
+/// Rigid bodies with their numbers, `tau_rb = Y_b beta`.
+#[derive(Clone, Debug)]
+pub struct Load {
+    chain: Chain,
+    links: Vec<LinkParameters>,
+}
+
+impl Load {
+    /// With the base parameters of a reduction, in its order.
+    pub fn new(chain: &Chain, reduction: &Reduction, beta: &[f64]) -> Load {
+        // As in the real-time model: base parameters in the slots of their names.
+        let mut links = vec![LinkParameters::default(); chain.len()];
+        for (&slot, &value) in reduction.independent().iter().zip(beta) {
+            links[slot / LINK_COLUMNS][slot % LINK_COLUMNS] = value;
+        }
+        Load { chain: chain.clone(), links }
+    }
+
+    /// The arm.
+    pub fn chain(&self) -> &Chain {
+        &self.chain
+    }
+
+    /// Ready for one gravity vector in the base frame \[m/s2\].
+    pub fn under(&self, gravity: &Vector3<f64>) -> LoadUnder {
+        let mut closed = ClosedForm::default();
+        let plain = (!closed.add_links(&self.chain, &self.links, gravity)).then(|| (self.clone(), *gravity));
+        LoadUnder { closed, plain }
+    }
+
+    /// Along a motion, N x n \[Nm\].
+    pub fn along(&self, motion: &Motion) -> DMatrix<f64> {
+        let mut load = self.under(&motion.gravity);
+        let mut tau = DMatrix::zeros(motion.samples(), motion.joints());
+        for k in 0..motion.samples() {
+            let now = load.torque(&motion.sample(k));
+            for j in 0..motion.joints() {
+                tau[(k, j)] = now[j];
+            }
+        }
+        tau
+    }
+}
+
+/// A [`Load`] under a known gravity. Its torque neither allocates nor panics.
+#[derive(Clone, Debug)]
+pub struct LoadUnder {
+    closed: ClosedForm,
+    /// Where there is no closed form (prismatic joints).
+    plain: Option<(Load, Vector3<f64>)>,
+}
+
+impl LoadUnder {
+    /// `tau_rb` at a sample \[Nm\].
+    pub fn torque(&mut self, sample: &Sample) -> JointVec {
+        let Some((load, gravity)) = &self.plain else { return self.closed.torque(sample) };
+        let mut tau = JointVec::default();
+        rnea(&load.chain, &load.links, gravity, &sample.q, &sample.dq, &sample.ddq, &mut tau);
+        tau
+    }
+}

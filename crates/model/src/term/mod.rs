@@ -1,0 +1,267 @@
+//! Terms: the parts a torque model is a sum of.
+//!
+//! A term contributes named columns to the regressor and says in one sentence what it is physically. An effect that diagnosis
+//! finds is added by pushing one more term; a new kind of effect is one new file here.
+
+mod all_rows;
+pub mod asymmetric_coulomb;
+pub mod asymmetric_viscous;
+pub mod backlash;
+pub mod base_motion;
+mod carried;
+pub mod contact;
+pub mod delay;
+pub mod effect;
+pub mod encoder_eccentricity;
+pub mod encoder_offset;
+pub mod friction;
+pub mod friction_change;
+pub mod friction_drift;
+pub mod joint_elasticity;
+pub mod load;
+pub mod load_dependent_friction;
+pub mod mounting;
+pub mod nonlinear_viscous;
+pub mod offset_drift;
+mod one_row;
+pub mod payload;
+pub mod position_dependent_friction;
+mod position_error;
+pub mod position_ripple;
+pub mod presliding;
+pub mod rigid_body;
+pub mod rotor_inertia;
+pub mod spring;
+pub mod stribeck;
+pub mod subset;
+mod swing;
+pub mod torque_crosstalk;
+pub mod torque_gain;
+pub mod torque_offset;
+pub mod transmission_coupling;
+
+use subset::Subset;
+
+use super::base::Reduction;
+use super::chain::{Chain, JointKind};
+use super::fast::closed::ClosedForm;
+use nalgebra::{DMatrix, Vector3};
+use plumbline_core::JointVec;
+use std::sync::Arc;
+
+/// Every term that a model file can name.
+pub const KNOWN: [&str; 4] = [rigid_body::ID, friction::ID, torque_offset::ID, rotor_inertia::ID];
+
+/// The term of that identity for an arm, with all of its columns; `None` when it is not one of [`KNOWN`].
+pub fn by_id(id: &str, chain: &Chain, reduction: &Reduction) -> Option<Arc<dyn Term>> {
+    match id {
+        rigid_body::ID => Some(Arc::new(rigid_body::RigidBody::new(reduction))),
+        friction::ID => Some(Arc::new(friction::Friction::new(chain))),
+        torque_offset::ID => Some(Arc::new(torque_offset::TorqueOffset::new(chain))),
+        rotor_inertia::ID => Some(Arc::new(rotor_inertia::RotorInertia::new(chain))),
+        _ => None,
+    }
+}
+
+/// One column of a regressor, that is, one parameter of the model.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Column {
+    /// Unique in the model, in ASCII: `Lxx2`, `fv3`, `offset1`.
+    pub name: String,
+    /// Symbol for people: `LxxR2`, `fv3`.
+    pub symbol: String,
+    /// Joint or link it belongs to, counted from 1.
+    pub joint: usize,
+    /// Unit of the parameter.
+    pub unit: &'static str,
+    /// What standard parameters it is made of, in the paper's convention: `Lzz1 + Lyy2`.
+    pub expression: String,
+}
+
+/// A motion on an even time grid, with everything a regressor may depend on.
+#[derive(Clone, Debug)]
+pub struct Motion {
+    /// Time between samples \[s\].
+    pub dt: f64,
+    /// Joint positions, N x n \[rad\].
+    pub q: DMatrix<f64>,
+    /// Joint velocities, N x n \[rad/s\].
+    pub dq: DMatrix<f64>,
+    /// Joint accelerations, N x n \[rad/s2\].
+    pub ddq: DMatrix<f64>,
+    /// Gravitational acceleration in the base frame \[m/s2\].
+    pub gravity: Vector3<f64>,
+    /// Whether the motion repeats, so that the sample before the first is the last one.
+    pub periodic: bool,
+    /// Time of the first sample since the start of the recording \[s\].
+    pub start: f64,
+}
+
+impl Motion {
+    /// Number of samples, N.
+    pub fn samples(&self) -> usize {
+        self.q.nrows()
+    }
+
+    /// Number of joints, n.
+    pub fn joints(&self) -> usize {
+        self.q.ncols()
+    }
+
+    /// One of its samples. An arm has at most [`MAX_JOINTS`](plumbline_core::MAX_JOINTS) joints.
+    pub fn sample(&self, k: usize) -> Sample {
+        let mut sample = Sample::default();
+        for j in 0..self.joints() {
+            (sample.q[j], sample.dq[j], sample.ddq[j]) = (self.q[(k, j)], self.dq[(k, j)], self.ddq[(k, j)]);
+        }
+        sample
+    }
+}
+
+/// One desired or measured point, the real-time side of a [`Motion`].
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Sample {
+    /// Position \[rad\].
+    pub q: JointVec,
+    /// Velocity \[rad/s\].
+    pub dq: JointVec,
+    /// Acceleration \[rad/s2\].
+    pub ddq: JointVec,
+}
+
+/// A part of the model that contributes named columns to the regressor.
+pub trait Term: Send + Sync {
+    /// Stable identity, as in the model file: `rigid-body`, `friction`, `torque-offset`.
+    fn id(&self) -> &'static str;
+
+    /// What it is physically, in one sentence.
+    fn physics(&self) -> &'static str;
+
+    /// Its columns, in order.
+    fn columns(&self) -> Vec<Column>;
+
+    /// Writes its columns for a whole motion into `y`, columns `first .. first + columns().len()`.
+    ///
+    /// `y` has n N rows, joint by joint: joint `j` (from 0), sample `k` is row `j N + k`. Its entries are zero on entry.
+    fn fill(&self, chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize);
+
+    /// Whether its columns are as smooth in time as the motion, with no step where a joint turns back.
+    fn smooth(&self) -> bool {
+        false
+    }
+
+    /// Whether it integrates in time with steps of its own, and so may be looked at roughly, at few samples.
+    fn integrates(&self) -> bool {
+        false
+    }
+
+    /// As [`Term::fill`], where it integrates the means of its columns between each sample and the one before.
+    fn fill_means(&self, chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
+        self.fill(chain, motion, y, first);
+    }
+
+    /// What its only parameter can be.
+    fn expects(&self) -> Expected {
+        Expected::Any
+    }
+
+    /// Whether the parameter of this column can't be below zero by its physics. A search may pass values below zero; a model that is delivered
+    /// has none.
+    fn not_negative(&self, _column: usize) -> bool {
+        self.expects() == Expected::NotNegative
+    }
+
+    /// What its columns are at one sample, in their order; `None` when they depend on more than that sample.
+    fn entries(&self) -> Option<Vec<Entry>> {
+        None
+    }
+
+    /// What tells it from other effects of its family, for a model file; `None` for a term of the whole arm.
+    fn spec(&self) -> Option<effect::Spec> {
+        None
+    }
+
+    /// Which column of the whole term this column is, where some were left out.
+    fn original(&self, column: usize) -> usize {
+        column
+    }
+
+    /// The term with its parameters fixed, for the real-time loop.
+    fn fix(&self, chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm>;
+}
+
+/// What the only parameter of a term can be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Expected {
+    /// Any number.
+    Any,
+    /// None below zero.
+    NotNegative,
+    /// About the first of its settings, which its column was computed for.
+    FirstSetting,
+}
+
+/// A column that depends on one sample alone. Joints are counted from 0; all but a link's column have that joint's row alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Entry {
+    /// A standard parameter of a rigid link, `10 * link + position` in `[Lxx Lxy Lxz Lyy Lyz Lzz lx ly lz m]`.
+    Link {
+        /// That place.
+        slot: usize,
+    },
+    /// `dq_j`.
+    Velocity {
+        /// The joint.
+        joint: usize,
+    },
+    /// `tanh(100 dq_j)` (paper eq. 2).
+    SmoothSign {
+        /// The joint.
+        joint: usize,
+    },
+    /// `ddq_j`.
+    Acceleration {
+        /// The joint.
+        joint: usize,
+    },
+    /// One.
+    Constant {
+        /// The joint.
+        joint: usize,
+    },
+}
+
+/// A term with known parameters. `torque` neither allocates nor panics.
+pub trait FixedTerm: Send {
+    /// Adds the term's torque at `sample` to `tau` \[Nm\].
+    fn torque(&mut self, sample: &Sample, tau: &mut JointVec);
+
+    /// Samples come every `dt` from now on \[s\]; before the first call, every millisecond.
+    fn every(&mut self, _dt: f64) {}
+
+    /// Adds itself to the part of the model that is computed in one pass, and is not called any more. False when it has no such form.
+    fn join(&self, _closed: &mut ClosedForm) -> bool {
+        false
+    }
+}
+
+/// One column per joint whose expression is its own name.
+fn per_joint(chain: &Chain, name: &str, symbol: &str, unit: impl Fn(JointKind) -> &'static str) -> Vec<Column> {
+    let column = |(j, joint): (usize, &super::chain::Joint)| Column {
+        name: format!("{name}{}", j + 1),
+        symbol: format!("{symbol}{}", j + 1),
+        joint: j + 1,
+        unit: unit(joint.kind),
+        expression: format!("{name}{}", j + 1),
+    };
+    chain.joints().iter().enumerate().map(column).collect()
+}
+
+/// `values` in the front of a vector with room for every joint.
+fn padded(values: &[f64]) -> JointVec {
+    let mut padded = JointVec::default();
+    for (slot, value) in padded.iter_mut().zip(values) {
+        *slot = *value;
+    }
+    padded
+}

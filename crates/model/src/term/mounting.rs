@@ -1,0 +1,75 @@
+//! A base that stands tilted.
+
+use super::all_rows::{AllRows, Clock, Law};
+use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum};
+use super::load::LoadUnder;
+use super::one_row::column;
+use super::{Sample, Term};
+use nalgebra::Vector3;
+use plumbline_core::JointVec;
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "mounting";
+
+/// A small tilt of the base, as two angles. A model of the VBS kind lacks two parameters that a tilt shows, and so feels only a part.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "The base is mounted at another angle than the one that the model was told.",
+    place: Place::Arm,
+    forms: &[Form {
+        name: "",
+        equation: "tau = d tau_rb / d g (tilt_a a x g + tilt_b b x g), in all rows; upright a, b are the base x, y axes",
+        settings: &[],
+        build,
+    }],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "0.5 degrees, which are 0.1 to 0.2 Nm per joint near the base",
+    confounded: &[
+        Confounded {
+            with: "lx1 and ly1",
+            decided_by: "turn joint 1 by more than 90 degrees; identify in a second mounting",
+        },
+        Confounded { with: "spring", decided_by: "turn joint 1 as far as it goes" },
+        Confounded { with: "torque-offset", decided_by: "turn joint 1 by more than 90 degrees" },
+    ],
+    reference: "the paper's equation 3, whose direction of gravity it turns",
+};
+
+/// The axes of the two tilts in the base frame: across gravity, and `a`, `b`, up a right-handed frame. `a` is the base's x axis
+/// upright, and in every other mounting the part across gravity of its x axis (of its y axis where x is within 37 degrees of
+/// gravity).
+pub fn axes(gravity: &Vector3<f64>) -> [Vector3<f64>; 2] {
+    let up = -gravity.normalize();
+    let base = if up.x.abs() < 0.8 { Vector3::x() } else { Vector3::y() };
+    let a = (base - up * up.dot(&base)).normalize();
+    [a, up.cross(&a)]
+}
+
+fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let load = Arc::clone(&ground.load);
+    let columns = ["tilt_a", "tilt_b"].map(|stem| column(stem, site, "", "rad")).to_vec();
+    AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
+        // Without gravity there is nothing to tilt.
+        let turned = |axis: Vector3<f64>| load.under(&axis.cross(gravity));
+        let tilts = if gravity.norm() > 0.0 { axes(gravity).map(turned).to_vec() } else { Vec::new() };
+        Tilt(tilts)
+    })
+}
+
+/// The rigid bodies under what each tilt adds to gravity.
+struct Tilt(Vec<LoadUnder>);
+
+impl Law for Tilt {
+    fn at(&mut self, sample: &Sample, _clock: &Clock, columns: &mut [JointVec]) {
+        for (column, load) in columns.iter_mut().zip(&mut self.0) {
+            *column = at_rest(load, sample);
+        }
+    }
+}
+
+/// Torque that gravity alone takes in the pose of a sample: the part of `tau_rb` that is linear in gravity.
+pub(super) fn at_rest(load: &mut LoadUnder, sample: &Sample) -> JointVec {
+    load.torque(&Sample { q: sample.q, ..Sample::default() })
+}

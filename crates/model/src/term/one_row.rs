@@ -1,0 +1,218 @@
+//! Effects whose columns are functions of one sample in one joint's row.
+
+use super::effect::{Family, Ground, Site, Spec};
+use super::friction::SHARPNESS;
+use super::load::{Load, LoadUnder};
+use super::{Column, FixedTerm, Motion, Sample, Term};
+use crate::chain::{Chain, JointKind};
+use nalgebra::{DMatrix, Vector3};
+use plumbline_core::JointVec;
+use std::sync::Arc;
+
+/// Columns that a law can have.
+pub(super) const WIDTH: usize = 3;
+/// Nonlinear parameters that a law can have.
+const SETTINGS: usize = 2;
+
+/// Motion of one joint.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Point {
+    /// Position \[rad\].
+    pub q: f64,
+    /// Velocity \[rad/s\].
+    pub dq: f64,
+    /// Acceleration \[rad/s2\].
+    pub ddq: f64,
+}
+
+/// What a law may look at.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct At {
+    /// The joint in whose row the columns are.
+    pub own: Point,
+    /// The joint that it comes from; the same one where the site is no pair.
+    pub cause: Point,
+    /// Rigid-body torque of the joint that it comes from \[Nm\]; 0 unless the law was built with [`OneRow::loaded`].
+    pub load: f64,
+    /// Time since the start of the recording \[s\]; 0 in the loop, where no law that looks at it is served.
+    pub time: f64,
+}
+
+/// Nonlinear parameters; zero past those that there are.
+pub(super) type Settings = [f64; SETTINGS];
+
+/// The columns at a sample, by the settings; those past the term's own are ignored. Every law is a type of its own and no pointer, so that the
+/// compiler sees which law a [`FixedRow`] calls, and that it can't panic.
+pub(super) trait Law: Fn(&At, &Settings) -> [f64; WIDTH] + Copy + Send + Sync + 'static {}
+
+impl<L: Fn(&At, &Settings) -> [f64; WIDTH] + Copy + Send + Sync + 'static> Law for L {}
+
+/// `tanh(100 dq)`, the sign of a velocity as friction has it (paper eq. 2).
+pub(super) fn smooth_sign(dq: f64) -> f64 {
+    (SHARPNESS * dq).tanh()
+}
+
+/// A column of an effect: `stem`, the joints of the site, `tail`. Its symbol and expression are its name.
+pub(super) fn column(stem: &str, site: Site, tail: &str, unit: &'static str) -> Column {
+    let name = format!("{stem}{}{tail}", site.suffix());
+    // Joint 1 stands for the whole arm.
+    let joint = site.joints().first().map_or(1, |joint| joint + 1);
+    Column { symbol: name.clone(), expression: name.clone(), name, joint, unit }
+}
+
+/// A unit by the kind of a joint: turning, sliding.
+pub(super) fn unit(ground: &Ground, joint: usize, turning: &'static str, sliding: &'static str) -> &'static str {
+    match ground.chain.joints()[joint].kind {
+        JointKind::Revolute => turning,
+        JointKind::Prismatic => sliding,
+    }
+}
+
+/// An effect in one row, `tau_row = sum of beta_c law_c(sample)`.
+pub(super) struct OneRow<L> {
+    family: &'static Family,
+    spec: Spec,
+    law: L,
+    settings: Settings,
+    columns: Vec<Column>,
+    load: Option<Arc<Load>>,
+    smooth: bool,
+    not_negative: bool,
+}
+
+impl<L: Law> OneRow<L> {
+    /// A law of the motion alone.
+    pub fn new(
+        family: &'static Family,
+        form: &'static str,
+        site: Site,
+        settings: &[f64],
+        columns: Vec<Column>,
+        law: L,
+    ) -> OneRow<L> {
+        assert!(columns.len() <= WIDTH && settings.len() <= SETTINGS, "{} is too wide for one row", family.id);
+        let spec = Spec { family: family.id, form, site, settings: settings.to_vec() };
+        let mut own = [0.0; SETTINGS];
+        own[..settings.len()].copy_from_slice(settings);
+        OneRow { family, spec, law, settings: own, columns, load: None, smooth: false, not_negative: false }
+    }
+
+    /// One that looks at the rigid-body torque, too.
+    pub fn loaded(self, ground: &Ground) -> OneRow<L> {
+        OneRow { load: Some(Arc::clone(&ground.load)), ..self }
+    }
+
+    /// One without a step where a joint turns back.
+    pub fn smooth(self) -> OneRow<L> {
+        OneRow { smooth: true, ..self }
+    }
+
+    /// One whose parameters can't be below zero.
+    pub fn not_negative(self) -> OneRow<L> {
+        OneRow { not_negative: true, ..self }
+    }
+
+    pub fn term(self) -> Arc<dyn Term> {
+        Arc::new(self)
+    }
+
+    /// Row and cause.
+    fn joints(&self) -> (usize, usize) {
+        match self.spec.site {
+            Site::Pair { row, cause } => (row, cause),
+            Site::Joint(joint) => (joint, joint),
+            Site::Arm => (0, 0),
+        }
+    }
+}
+
+impl<L: Law> Term for OneRow<L> {
+    fn smooth(&self) -> bool {
+        self.smooth
+    }
+
+    fn not_negative(&self, _column: usize) -> bool {
+        self.not_negative
+    }
+
+    fn id(&self) -> &'static str {
+        self.family.id
+    }
+
+    fn physics(&self) -> &'static str {
+        self.family.physics
+    }
+
+    fn columns(&self) -> Vec<Column> {
+        self.columns.clone()
+    }
+
+    fn fill(&self, _chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
+        let ((row, cause), samples) = (self.joints(), motion.samples());
+        let load = self.load.as_ref().map(|load| load.along(motion));
+        let point = |j: usize, k: usize| Point { q: motion.q[(k, j)], dq: motion.dq[(k, j)], ddq: motion.ddq[(k, j)] };
+        for k in 0..samples {
+            let at = At {
+                own: point(row, k),
+                cause: point(cause, k),
+                load: load.as_ref().map_or(0.0, |load| load[(k, cause)]),
+                time: motion.start + k as f64 * motion.dt,
+            };
+            let values = (self.law)(&at, &self.settings);
+            for (c, value) in values[..self.columns.len()].iter().enumerate() {
+                y[(row * samples + k, first + c)] = *value;
+            }
+        }
+    }
+
+    fn spec(&self) -> Option<Spec> {
+        Some(self.spec.clone())
+    }
+
+    fn fix(&self, _chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {
+        if !self.family.served {
+            return Box::new(Nothing);
+        }
+        let (row, cause) = self.joints();
+        let load = self.load.as_ref().map(|load| load.under(gravity));
+        let mut own = [0.0; WIDTH];
+        own[..beta.len()].copy_from_slice(beta);
+        Box::new(FixedRow { row, cause, law: self.law, settings: self.settings, beta: own, load })
+    }
+}
+
+struct FixedRow<L> {
+    row: usize,
+    cause: usize,
+    law: L,
+    settings: Settings,
+    /// Zero past the columns that there are.
+    beta: [f64; WIDTH],
+    load: Option<LoadUnder>,
+}
+
+impl<L: Law> FixedTerm for FixedRow<L> {
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    fn torque(&mut self, sample: &Sample, tau: &mut JointVec) {
+        let point = |j: usize| {
+            let value = |all: &JointVec| all.get(j).copied().unwrap_or_default();
+            Point { q: value(&sample.q), dq: value(&sample.dq), ddq: value(&sample.ddq) }
+        };
+        let load = self.load.as_mut().map_or(0.0, |load| {
+            let torque = load.torque(sample);
+            torque.get(self.cause).copied().unwrap_or_default()
+        });
+        let at = At { own: point(self.row), cause: point(self.cause), load, time: 0.0 };
+        let values = (self.law)(&at, &self.settings);
+        if let Some(tau) = tau.get_mut(self.row) {
+            *tau += self.beta.iter().zip(values).map(|(beta, value)| beta * value).sum::<f64>();
+        }
+    }
+}
+
+/// What is not served.
+pub(super) struct Nothing;
+
+impl FixedTerm for Nothing {
+    fn torque(&mut self, _sample: &Sample, _tau: &mut JointVec) {}
+}

@@ -1,0 +1,133 @@
+//! Presliding: friction that bends like a spring before it slides, so that it follows the displacement since the last reversal.
+
+use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Spec, Stratum, joint};
+use super::{Column, FixedTerm, Motion, Sample, Term};
+use crate::chain::Chain;
+use nalgebra::{DMatrix, Vector3};
+use plumbline_core::JointVec;
+use std::sync::Arc;
+
+/// Identity of [`Presliding`].
+pub const ID: &str = "presliding";
+
+const PHYSICS: &str = "After a reversal the contacts of gears, bearings and seals bend before they slide.";
+
+/// Presliding in one joint.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: PHYSICS,
+    place: Place::Joint,
+    forms: &[Form {
+        name: "",
+        equation: "tau_j = fp_j z, dz/dq_j = (1 - sign(dq_j) z) / delta",
+        settings: &[Setting {
+            name: "delta",
+            unit: "rad",
+            what: "displacement over which the contact bends",
+            low: 3e-4,
+            high: 0.1,
+            steps: 12,
+            scale: Scale::Logarithmic,
+        }],
+        build,
+    }],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "delta 1 to 50 mrad, fp the Coulomb friction",
+    confounded: &[
+        Confounded {
+            with: "stribeck",
+            decided_by: "move the joint at constant speeds of 0.02 to 0.3 rad/s, both ways",
+        },
+        Confounded { with: "nonlinear-viscous", decided_by: "move the joint at constant speeds up to its rated one" },
+        Confounded { with: "delay", decided_by: "add harmonics of a higher frequency: a delay grows with it" },
+    ],
+    reference: "Dahl, AIAA Journal 14 (1976); Canudas de Wit et al., IEEE Trans. Automatic Control 40 (1995)",
+};
+
+fn build(_ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    Arc::new(Presliding { joint: joint(site), delta: settings[0] })
+}
+
+/// Dahl's law with a state that only the position drives: from one sample to the next, with `s = sign(dq)`,
+/// `z -> s + (z - s) exp(-|q - q_before| / delta)`, which is exact. A column once `delta` is known.
+pub struct Presliding {
+    joint: usize,
+    delta: f64,
+}
+
+impl Presliding {
+    /// The state after a displacement \[rad\].
+    fn step(z: f64, displacement: f64, delta: f64) -> f64 {
+        let s = displacement.signum();
+        s + (z - s) * (-displacement.abs() / delta).exp()
+    }
+}
+
+impl Term for Presliding {
+    fn id(&self) -> &'static str {
+        ID
+    }
+
+    fn physics(&self) -> &'static str {
+        PHYSICS
+    }
+
+    fn columns(&self) -> Vec<Column> {
+        let name = format!("fp{}", self.joint + 1);
+        let expression = name.clone();
+        vec![Column { symbol: name.clone(), name, joint: self.joint + 1, unit: "Nm", expression }]
+    }
+
+    fn fill(&self, _chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
+        let samples = motion.samples();
+        let q = motion.q.column(self.joint);
+        let mut z = 0.0;
+        if motion.periodic {
+            // Where the period before has left it.
+            for k in 1..samples {
+                z = Presliding::step(z, q[k] - q[k - 1], self.delta);
+            }
+            z = Presliding::step(z, q[0] - q[samples - 1], self.delta);
+        }
+        for k in 0..samples {
+            if k > 0 {
+                z = Presliding::step(z, q[k] - q[k - 1], self.delta);
+            }
+            y[(self.joint * samples + k, first)] = z;
+        }
+    }
+
+    fn not_negative(&self, _column: usize) -> bool {
+        true
+    }
+
+    fn spec(&self) -> Option<Spec> {
+        Some(Spec { family: ID, form: "", site: Site::Joint(self.joint), settings: vec![self.delta] })
+    }
+
+    fn fix(&self, _chain: &Chain, _gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {
+        Box::new(FixedPresliding { joint: self.joint, delta: self.delta, fp: beta[0], z: 0.0, before: None })
+    }
+}
+
+struct FixedPresliding {
+    joint: usize,
+    delta: f64,
+    fp: f64,
+    z: f64,
+    /// Position at the sample before.
+    before: Option<f64>,
+}
+
+impl FixedTerm for FixedPresliding {
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    fn torque(&mut self, sample: &Sample, tau: &mut JointVec) {
+        let (Some(&q), Some(tau)) = (sample.q.get(self.joint), tau.get_mut(self.joint)) else { return };
+        if let Some(before) = self.before {
+            self.z = Presliding::step(self.z, q - before, self.delta);
+        }
+        self.before = Some(q);
+        *tau += self.fp * self.z;
+    }
+}

@@ -1,0 +1,84 @@
+//! Joints whose gears or seals are coupled.
+
+use super::Term;
+use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
+use crate::chain::JointKind::{Prismatic, Revolute};
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "transmission-coupling";
+
+/// Friction or inertia of one joint's drive in another joint's torque.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "A differential, a tendon, or a seal between links makes one joint's motion rub or turn parts of another's drive.",
+    place: Place::Pair,
+    forms: &[
+        Form {
+            name: "friction",
+            equation: "tau_j = cfc_j_k tanh(100 dq_k) + cfv_j_k dq_k",
+            settings: &[],
+            build: friction,
+        },
+        Form {
+            name: "sum",
+            equation: "tau_j = cfs_j_k tanh(100 (dq_j + r dq_k))",
+            settings: &[Setting {
+                name: "r",
+                unit: "1",
+                what: "turns of joint j's side per turn of joint k",
+                low: -2.0,
+                high: 2.0,
+                // An even number: r = 0 is joint j's own Coulomb friction.
+                steps: 16,
+                scale: Scale::Linear,
+            }],
+            build: sum,
+        },
+        Form { name: "inertia", equation: "tau_j = cia_j_k ddq_k", settings: &[], build: inertia },
+    ],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "0.05 to 0.3 Nm",
+    confounded: &[
+        Confounded { with: "torque-crosstalk", decided_by: "reverse one joint while the other holds still" },
+        Confounded {
+            with: "Lxz and Lyz",
+            decided_by: "turn one of the two joints through a large angle between the runs",
+        },
+    ],
+    reference: "Khalil, Dombre, Modeling, Identification and Control of Robots (2002), chapter 9",
+};
+
+fn friction(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let unit = unit(ground, joint(site), "Nm", "N");
+    let slope = per_motion(ground, site, ["Nms/rad", "Ns", "Ns/rad", "Ns/m"]);
+    let columns = vec![column("cfc", site, "", unit), column("cfv", site, "", slope)];
+    let law = |at: &At, _: &Settings| [smooth_sign(at.cause.dq), at.cause.dq, 0.0];
+    OneRow::new(&FAMILY, "friction", site, settings, columns, law).term()
+}
+
+fn sum(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("cfs", site, "", unit(ground, joint(site), "Nm", "N"))];
+    let law = |at: &At, settings: &Settings| [smooth_sign(at.own.dq + settings[0] * at.cause.dq), 0.0, 0.0];
+    OneRow::new(&FAMILY, "sum", site, settings, columns, law).term()
+}
+
+fn inertia(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("cia", site, "", per_motion(ground, site, ["kg m2", "kg m", "kg m", "kg"]))];
+    OneRow::new(&FAMILY, "inertia", site, settings, columns, |at, _| [at.cause.ddq, 0.0, 0.0]).term()
+}
+
+/// A unit by the kinds of the row's joint and the other one: turning from turning, turning from sliding, sliding from turning,
+/// sliding from sliding.
+fn per_motion(ground: &Ground, site: Site, units: [&'static str; 4]) -> &'static str {
+    let kind = |joint: Option<&usize>| joint.map_or(Revolute, |&joint| ground.chain.joints()[joint].kind);
+    let joints = site.joints();
+    match (kind(joints.first()), kind(joints.get(1))) {
+        (Revolute, Revolute) => units[0],
+        (Revolute, Prismatic) => units[1],
+        (Prismatic, Revolute) => units[2],
+        (Prismatic, Prismatic) => units[3],
+    }
+}

@@ -1,0 +1,327 @@
+//! A torque model: a structure with numbers, and its evaluation at 1 kHz.
+
+use super::base::{BaseKind, Reduction};
+use super::chain::Chain;
+use super::fast::closed::ClosedForm;
+use super::gravity::{Mounting, VERTICAL_TOLERANCE};
+use super::structure::{ModelError, Structure};
+use super::term::effect::{self, Setting, Site, Spec};
+use super::term::subset::Subset;
+use super::term::{self, Column, FixedTerm, Motion, Sample, Term, rigid_body};
+use nalgebra::{DMatrix, Vector3};
+use plumbline_core::{JointVec, Torque};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// One parameter of a model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameter {
+    /// What it is.
+    pub column: Column,
+    /// Its value, in the column's unit.
+    pub value: f64,
+    /// Its standard deviation where known, in the column's unit.
+    pub std: Option<f64>,
+}
+
+/// A parameter as a model file holds it: name of the column, value, standard deviation where known.
+pub type NamedValue = (String, f64, Option<f64>);
+
+/// A term as a model file holds it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NamedTerm {
+    /// Its identity.
+    pub id: String,
+    /// What tells an effect from others of its kind; nothing of it for a term of the whole arm.
+    pub effect: NamedEffect,
+    /// Its parameters, in any order.
+    pub parameters: Vec<NamedValue>,
+}
+
+/// [`Spec`] as a model file holds it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NamedEffect {
+    /// Form, where its family has several.
+    pub form: String,
+    /// Joint that it acts on, counted from 1.
+    pub joint: Option<usize>,
+    /// Joint that it comes from, counted from 1.
+    pub cause: Option<usize>,
+    /// Nonlinear parameters by name, in any order.
+    pub settings: Vec<(String, f64)>,
+}
+
+/// A VBS model was asked for torques in a mounting that it does not know.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "the {kind} model of {robot} is valid only with gravity along axis 1 (upright or hanging), not in the mounting {mounting}: \
+     it was identified {identified} and lacks {}", missing.join(" and ")
+)]
+pub struct MountingRefused {
+    /// Robot of the model.
+    pub robot: String,
+    /// Its kind, VBS.
+    pub kind: BaseKind,
+    /// Where it was identified.
+    pub identified: String,
+    /// The mounting asked for.
+    pub mounting: Mounting,
+    /// Symbols of the parameters that the mounting needs and the model lacks.
+    pub missing: Vec<String>,
+}
+
+/// An identified model of an arm's torques, `tau = Y beta`.
+#[derive(Clone, Debug)]
+pub struct TorqueModel {
+    robot: String,
+    structure: Structure,
+    mountings: Vec<Mounting>,
+    parameters: Vec<Parameter>,
+}
+
+impl TorqueModel {
+    /// A model from one value per column of `structure`, with its standard deviation where known.
+    ///
+    /// `mountings` are those it was identified in.
+    pub fn new(
+        robot: impl Into<String>,
+        structure: Structure,
+        mountings: Vec<Mounting>,
+        values: &[(f64, Option<f64>)],
+    ) -> Result<TorqueModel, ModelError> {
+        let expected = structure.columns().len();
+        if values.len() != expected {
+            return Err(ModelError::Count { found: values.len(), expected });
+        }
+        let mut parameters = Vec::with_capacity(expected);
+        for (column, &(value, std)) in structure.columns().iter().zip(values) {
+            for number in [Some(value), std].into_iter().flatten() {
+                if !number.is_finite() {
+                    return Err(ModelError::NotFinite { name: column.name.clone(), value: number });
+                }
+            }
+            parameters.push(Parameter { column: column.clone(), value, std });
+        }
+        Ok(TorqueModel { robot: robot.into(), structure, mountings, parameters })
+    }
+
+    /// A model from names, as a model file holds it: per term its identity and its parameters.
+    ///
+    /// The rigid body has to be complete; any other term may lack columns (they are zero) but can't have foreign ones. Effects stand
+    /// upon the rigid body and the friction of this very model.
+    pub fn from_named(
+        robot: impl Into<String>,
+        chain: Chain,
+        kind: BaseKind,
+        mountings: Vec<Mounting>,
+        terms: &[NamedTerm],
+    ) -> Result<TorqueModel, ModelError> {
+        let reduction = Reduction::of_kind(&chain, kind);
+        if reduction.kind() != kind {
+            return Err(ModelError::Kind { expected: kind, found: reduction.kind() });
+        }
+        let known = |named: &&NamedTerm| term::KNOWN.contains(&named.id.as_str());
+        let (arm, effects): (Vec<&NamedTerm>, Vec<&NamedTerm>) = terms.iter().partition(known);
+        let ids: Vec<&str> = arm.iter().map(|named| named.id.as_str()).collect();
+        let full = Structure::of(chain, reduction, &ids)?;
+        let rigid = arm.iter().find(|named| named.id == rigid_body::ID);
+        for column in &full.columns()[..full.reduction().len()] {
+            if !rigid.is_some_and(|named| named.parameters.iter().any(|own| own.0 == column.name)) {
+                return Err(ModelError::MissingColumn { name: column.name.clone() });
+            }
+        }
+        for named in &arm {
+            let term = full.terms().iter().find(|term| term.id() == named.id);
+            check_names(named, &term.map_or(Vec::new(), |term| term.columns()))?;
+        }
+        let all: Vec<&NamedValue> = terms.iter().flat_map(|named| &named.parameters).collect();
+        let mut structure = full.restricted(|column| all.iter().any(|(name, _, _)| *name == column.name));
+        let value = |column: &Column| all.iter().find(|named| named.0 == column.name).map(|named| (named.1, named.2));
+        let beta: Vec<f64> =
+            structure.columns().iter().map(|column| value(column).map_or(0.0, |(value, _)| value)).collect();
+        let ground = structure.ground(&beta);
+        let mut built = Vec::new();
+        for named in effects {
+            let term = named.spec()?.build(&ground)?;
+            check_names(named, &term.columns())?;
+            built.extend(Subset::of(term, |column| named.parameters.iter().any(|(name, _, _)| *name == column.name)));
+        }
+        structure = structure.with(built)?;
+        let missing = |column: &Column| ModelError::MissingColumn { name: column.name.clone() };
+        let values = structure.columns().iter().map(|column| value(column).ok_or_else(|| missing(column)));
+        let values = values.collect::<Result<Vec<_>, _>>()?;
+        TorqueModel::new(robot, structure, mountings, &values)
+    }
+
+    /// Name of the robot.
+    pub fn robot(&self) -> &str {
+        &self.robot
+    }
+
+    /// GBS or VBS.
+    pub fn kind(&self) -> BaseKind {
+        self.structure.kind()
+    }
+
+    /// Its structure.
+    pub fn structure(&self) -> &Structure {
+        &self.structure
+    }
+
+    /// The mountings it was identified in.
+    pub fn mountings(&self) -> &[Mounting] {
+        &self.mountings
+    }
+
+    /// All parameters, in the order of the structure's columns.
+    pub fn parameters(&self) -> &[Parameter] {
+        &self.parameters
+    }
+
+    /// Each term with its parameters, the rigid body first.
+    pub fn terms(&self) -> Vec<(&dyn Term, &[Parameter])> {
+        let ranges = self.structure.ranges();
+        self.structure
+            .terms()
+            .iter()
+            .map(|term| &**term)
+            .zip(ranges.into_iter().map(|range| &self.parameters[range]))
+            .collect()
+    }
+
+    /// `beta`.
+    pub fn beta(&self) -> Vec<f64> {
+        self.parameters.iter().map(|parameter| parameter.value).collect()
+    }
+
+    /// Whether the model knows everything that a mounting needs: a GBS always, a VBS only with gravity along axis 1.
+    pub fn holds_in(&self, mounting: &Mounting) -> bool {
+        self.kind() == BaseKind::Gbs || mounting.is_along_axis_1(VERTICAL_TOLERANCE)
+    }
+
+    /// [`TorqueModel::holds_in`] with what is missing where it does not. Finding that takes milliseconds.
+    ///
+    /// # Errors
+    /// The parameters that the mounting needs and the model lacks.
+    pub fn valid_in(&self, mounting: &Mounting) -> Result<(), MountingRefused> {
+        if self.holds_in(mounting) {
+            return Ok(());
+        }
+        let own = self.structure.reduction().independent();
+        let generalized = Reduction::any_mounting(self.structure.chain());
+        let missing = generalized.independent().iter().filter(|slot| !own.contains(slot));
+        let identified: Vec<String> = self.mountings.iter().map(|mounting| mounting.to_string()).collect();
+        Err(MountingRefused {
+            robot: self.robot.clone(),
+            kind: self.kind(),
+            identified: if identified.is_empty() { "in no stated mounting".into() } else { identified.join(", ") },
+            mounting: *mounting,
+            missing: missing.map(|&slot| super::expression::symbol(slot)).collect(),
+        })
+    }
+
+    /// The model with its numbers put in place for one gravity vector in the base frame \[m/s2\]. Does not ask
+    /// [`TorqueModel::valid_in`].
+    pub fn evaluator(&self, gravity: &Vector3<f64>) -> Evaluator {
+        let beta = self.beta();
+        let fixed =
+            |(term, range): (&Arc<dyn Term>, Range<usize>)| term.fix(self.structure.chain(), gravity, &beta[range]);
+        let mut closed = ClosedForm::default();
+        let terms = self.structure.terms().iter().zip(self.structure.ranges()).map(fixed);
+        Evaluator { terms: terms.filter(|term| !term.join(&mut closed)).collect(), closed }
+    }
+
+    /// Torques along a motion, N x n \[Nm\], sample after sample with [`Evaluator::torque`].
+    pub fn predict(&self, motion: &Motion) -> DMatrix<f64> {
+        let n = motion.joints();
+        let mut evaluator = self.evaluator(&motion.gravity);
+        evaluator.every(motion.dt);
+        let mut tau = DMatrix::zeros(motion.samples(), n);
+        if motion.periodic && evaluator.may_remember() {
+            // What the period before has left behind.
+            for k in 0..motion.samples() {
+                evaluator.torque(&motion.sample(k));
+            }
+        }
+        for k in 0..motion.samples() {
+            let Torque(now) = evaluator.torque(&motion.sample(k));
+            for j in 0..n {
+                tau[(k, j)] = now[j];
+            }
+        }
+        tau
+    }
+}
+
+/// A model ready for the loop: its torque neither allocates nor panics.
+pub struct Evaluator {
+    closed: ClosedForm,
+    /// What has no closed form.
+    terms: Vec<Box<dyn FixedTerm>>,
+}
+
+impl Evaluator {
+    /// Whether the torque may depend on the samples before: only terms without a closed form can.
+    fn may_remember(&self) -> bool {
+        !self.terms.is_empty()
+    }
+
+    /// Samples come every `dt` from now on \[s\]; before the first call, every millisecond.
+    pub fn every(&mut self, dt: f64) {
+        self.terms.iter_mut().for_each(|term| term.every(dt));
+    }
+
+    /// Torque that the arm needs at `sample`: Newton-Euler with the regrouped parameters in their slots, plus the other terms \[Nm\].
+    pub fn torque(&mut self, sample: &Sample) -> Torque {
+        let mut tau = self.closed.torque(sample);
+        for term in &mut self.terms {
+            term.torque(sample, &mut tau);
+        }
+        Torque(tau)
+    }
+
+    /// Torque of the rigid body at rest at `q`, with the offsets of the sensors. Terms without a closed form add nothing to it, and those
+    /// with a memory are not asked \[Nm\].
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    pub fn rest(&mut self, q: &JointVec) -> Torque {
+        Torque(self.closed.torque(&Sample { q: *q, ..Sample::default() }))
+    }
+}
+
+impl NamedTerm {
+    /// What it says of an effect.
+    fn spec(&self) -> Result<Spec, ModelError> {
+        let unknown = || ModelError::UnknownTerm { id: self.id.clone() };
+        let family = effect::family(&self.id).ok_or_else(unknown)?;
+        let NamedEffect { form: name, joint, cause, settings } = &self.effect;
+        let foreign = |what: String| ModelError::Effect { term: self.id.clone(), what };
+        let form = family.form(name).ok_or_else(|| foreign(format!("no form `{name}`")))?;
+        let from_0 = |joint: usize| joint.checked_sub(1).ok_or_else(|| foreign("no joint 0".into()));
+        let site = match (*joint, *cause) {
+            (None, None) => Site::Arm,
+            (Some(joint), None) => Site::Joint(from_0(joint)?),
+            (Some(row), Some(cause)) => Site::Pair { row: from_0(row)?, cause: from_0(cause)? },
+            (None, Some(_)) => return Err(foreign("no cause without a joint".into())),
+        };
+        if let Some((name, _)) = settings.iter().find(|(name, _)| form.settings.iter().all(|one| one.name != name)) {
+            return Err(foreign(format!("no setting `{name}`")));
+        }
+        let value = |one: &Setting| settings.iter().find(|(name, _)| name == one.name).map(|(_, value)| *value);
+        let given = |one| value(one).ok_or_else(|| foreign(format!("a setting `{}`, which is missing", one.name)));
+        let settings = form.settings.iter().map(given).collect::<Result<_, _>>()?;
+        Ok(Spec { family: family.id, form: form.name, site, settings })
+    }
+}
+
+/// Every parameter is a column of the term, and none is there twice.
+fn check_names(named: &NamedTerm, columns: &[Column]) -> Result<(), ModelError> {
+    for (index, (name, _, _)) in named.parameters.iter().enumerate() {
+        if !columns.iter().any(|column| column.name == *name) {
+            return Err(ModelError::UnknownColumn { term: named.id.clone(), name: name.clone() });
+        }
+        if named.parameters[..index].iter().any(|(before, _, _)| before == name) {
+            return Err(ModelError::DuplicateColumn { name: name.clone() });
+        }
+    }
+    Ok(())
+}

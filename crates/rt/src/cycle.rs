@@ -1,0 +1,496 @@
+//! The loop: read, reference, feed-forward, guard, write, record.
+//!
+//! It runs on a thread of its own and is paced by the arm's blocking `read`. One pass per state: at most one order and one model are taken
+//! in, one command leaves, one record is made. Any failure of the arm ends the motion; any failure of a command ends in a controlled
+//! stop, and the loop then holds until an operator says otherwise.
+//!
+//! - The feed-forward torque is the served model's at the desired setpoint, every cycle, at rest too. Models change between two cycles; the
+//!   torque gets from one model's to another's within the torque rate. A model whose torque breaks a limit is not asked again: the
+//!   one before it serves, or the torque goes back to zero ([`torque`](super::torque)).
+//! - A lost state is a cycle of the arm without an answer. Motions keep the arm's time: the next sample is the one that is due by
+//!   the arm's counter, and the guard differences over the time that really passed.
+
+use super::checkpoint::Checkpoint;
+use super::guard::{Guard, Violation};
+use super::motion::{Finished, Motion, seconds};
+use super::moves::{NoMotion, Planner};
+use super::order::{Event, Handles, Inlets, Order, OrderKind, Retired, StopReason, Told, rings};
+use super::os::now_ns;
+use super::recorder::Flight;
+use super::rights::{Granted, Rights, become_realtime};
+use super::settings::{CycleSettings, SetupError};
+use super::stats::{NotForward, Summary, Tally};
+use super::torque::{Answer, TorqueSource, Torques};
+use assert_no_alloc::{assert_no_alloc, reset_violation_count, violation_count};
+use plumbline_core::{Backend, Fault, Kinematics, Reference, Sink};
+use plumbline_core::{Command, JointVec, MAX_JOINTS, Record, State, Validity};
+
+/// How the loop ended.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum End {
+    /// It was asked to, and the arm was at rest.
+    #[error("ended on request, at rest")]
+    Quit,
+    /// The arm could not go on.
+    #[error("{0}")]
+    Fault(Fault),
+    /// The controlled stop itself broke a limit; the arm was stopped by its own means.
+    #[error("while braking: {0}")]
+    Unsafe(Violation),
+    /// No controlled stop could be planned; the arm was stopped by its own means.
+    #[error("no controlled stop from the last setpoint")]
+    NoBrake,
+    /// The machine did not grant what was asked, and the settings want all of it: nothing was read or sent.
+    #[error("not real-time, and the configuration refuses to run so")]
+    NotRealTime,
+    /// The arm's cycle counter did not go forward.
+    #[error("the arm's cycle counter went from {last} to {seq}")]
+    Clock {
+        /// Counter of the state before.
+        last: u64,
+        /// Counter of the last state.
+        seq: u64,
+    },
+}
+
+/// What the loop leaves behind.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outcome {
+    /// How it ended.
+    pub end: End,
+    /// Controlled stops on the way.
+    pub stops: u32,
+    /// Reason of the last of them.
+    pub last_stop: Option<StopReason>,
+    /// Counts and percentiles.
+    pub summary: Summary,
+    /// What the operating system granted.
+    pub granted: Granted,
+    /// Allocations and deallocations inside the loop; `None` when the program's allocator does not watch
+    /// (`assert_no_alloc::AllocDisabler` is not its global allocator).
+    pub allocations: Option<u32>,
+    /// The last cycles, oldest first.
+    pub flight: Vec<Record>,
+    /// The state that was read last, where the loop ended before it was answered.
+    pub unanswered: Option<State>,
+}
+
+impl From<NotForward> for End {
+    fn from(NotForward { last, seq }: NotForward) -> End {
+        End::Clock { last, seq }
+    }
+}
+
+/// The loop and everything it needs, allocated before it starts.
+pub struct Cycle<B: Backend, S: Sink> {
+    backend: B,
+    sink: S,
+    joints: usize,
+    tracking: JointVec,
+    max_lost: u64,
+    max_silence: Option<u64>,
+    /// The outside's last pulse, and the cycles of the arm since it.
+    heard: (u64, u64),
+    rights: Rights,
+    must_be_realtime: bool,
+    inlets: Inlets,
+    /// Orders given under an older permission than this don't run.
+    permission: u32,
+    motion: Motion,
+    torque: TorqueSource,
+    guard: Guard,
+    /// A reference that found the ring full; it goes before anything new comes in.
+    leaving: Option<Box<dyn Reference>>,
+    tally: Tally,
+    work_ns: u64,
+    /// When the present cycle's state had been read.
+    stamp_ns: u64,
+    /// Orders taken out of the queue so far.
+    orders: u32,
+    unanswered: Option<State>,
+    flight: Flight,
+    stops: u32,
+    last_stop: Option<StopReason>,
+}
+
+/// A command with the torque that it comes from.
+type Next = (Command, Answer);
+
+/// Builds the loop and the outside end of its rings.
+pub fn new<B: Backend, S: Sink>(
+    backend: B,
+    sink: S,
+    kinematics: Option<Box<dyn Kinematics>>,
+    settings: CycleSettings,
+) -> Result<(Cycle<B, S>, Handles), SetupError> {
+    let joints = backend.joints();
+    settings.check(joints, kinematics.is_some())?;
+    let (inlets, handles) = rings(settings.queue);
+    let planner = Planner::new(joints, settings.guard.limits, settings.moves);
+    let cycle = Cycle {
+        backend,
+        sink,
+        joints,
+        tracking: settings.guard.tracking,
+        max_lost: settings.max_consecutive_lost,
+        max_silence: settings.max_silence,
+        heard: (0, 0),
+        rights: settings.rights,
+        must_be_realtime: settings.must_be_realtime,
+        inlets,
+        permission: 0,
+        motion: Motion::new(joints, planner),
+        torque: TorqueSource::new(joints, &settings.guard.limits.dtau),
+        guard: Guard::new(joints, settings.guard, settings.moves.brake, kinematics),
+        leaving: None,
+        tally: Tally::new(),
+        work_ns: 0,
+        stamp_ns: 0,
+        orders: 0,
+        unanswered: None,
+        flight: Flight::new(settings.flight),
+        stops: 0,
+        last_stop: None,
+    };
+    Ok((cycle, handles))
+}
+
+impl<B: Backend, S: Sink> Cycle<B, S> {
+    /// Runs until something ends it; call it on the thread that is to be real-time.
+    pub fn run(&mut self) -> Outcome {
+        let granted = become_realtime(&self.rights);
+        // Said before the first cycle, so that everybody can know what this loop is worth while it runs.
+        let _ = self.inlets.granted.set(granted.clone());
+        let watched = allocations_are_watched();
+        let before = violation_count();
+        let end = if self.must_be_realtime && granted.refusals().next().is_some() {
+            self.backend.stop();
+            End::NotRealTime
+        } else {
+            assert_no_alloc(|| self.cycles())
+        };
+        Outcome {
+            end,
+            stops: self.stops,
+            last_stop: self.last_stop,
+            summary: self.tally.summary(),
+            granted,
+            allocations: watched.then(|| violation_count().wrapping_sub(before)),
+            flight: self.flight.in_order(),
+            unanswered: self.unanswered,
+        }
+    }
+
+    /// Passes until one of them ends the loop.
+    #[cfg_attr(feature = "rtsan", rtsan_standalone::nonblocking)]
+    fn cycles(&mut self) -> End {
+        loop {
+            if let Err(end) = self.cycle() {
+                self.backend.stop();
+                break end;
+            }
+        }
+    }
+
+    /// Goes on from where another loop was; call it before [`run`](Cycle::run). The counts begin anew, the numbers of the cycles don't.
+    ///
+    /// # Errors
+    /// [`NoMotion`] when the motion under way can't be planned again.
+    pub fn restore(&mut self, checkpoint: Checkpoint) -> Result<(), NoMotion> {
+        let Checkpoint { doing, last, models } = checkpoint;
+        let [.., newest] = &last;
+        if matches!(doing, super::checkpoint::Doing::Stopped) {
+            self.inlets.controls.wait_for_permission();
+        }
+        self.motion.restore(doing, newest)?;
+        self.guard.restore(&last);
+        self.tally.restore(newest);
+        let Command { desired, tau_ff, tau_vendor, .. } = newest.command;
+        self.torque.restore(models, &desired, Torques { tau_ff, tau_vendor }, newest.validity);
+        Ok(())
+    }
+
+    /// After a panic in [`run`](Cycle::run): stops the arm by its own means, then hands out the last cycles, oldest first, and the state
+    /// that was not answered.
+    pub fn after_panic(&mut self) -> (Vec<Record>, Option<State>) {
+        self.backend.stop();
+        (self.flight.in_order(), self.unanswered)
+    }
+
+    /// One pass.
+    fn cycle(&mut self) -> Result<(), End> {
+        if self.inlets.controls.wants_quit() && (self.motion.is_holding() || self.motion.is_stopped()) {
+            return Err(End::Quit);
+        }
+        // Read: the arm paces the loop.
+        let state = self.backend.read().map_err(End::Fault)?;
+        let stamp_ns = now_ns();
+        (self.stamp_ns, self.unanswered) = (stamp_ns, Some(state));
+        let gap = self.arrived(&state, stamp_ns)?;
+        // Reference: where the motion is by the arm's clock, after hearing what the outside wants.
+        self.advance(gap);
+        self.listen(gap)?;
+        // Feed-forward: the served model at the desired setpoint.
+        let mut next = self.answer(state.seq);
+        // Guard: a command that breaks a limit is not sent; the first sample of the stop takes its place.
+        if self.motion.is_stopping() {
+            next = self.check_brake(gap, next, Some(&state))?;
+        } else if let Err(violation) = self.guard.check(seconds(gap), &next.0, &next.1.asked, &state) {
+            self.brake(StopReason::Guard(violation), gap)?;
+            let first = self.answer(state.seq);
+            next = self.check_brake(gap, first, None)?;
+        }
+        // Write and record.
+        let (command, answer) = next;
+        let written = self.backend.write(&command);
+        self.motion.sent(&command.desired);
+        self.torque.sent(&answer);
+        self.record(state, command, answer.validity, stamp_ns);
+        self.unanswered = None;
+        written.map_err(End::Fault)
+    }
+
+    /// The sample of a stop that is sent. A stop goes on without a model that breaks limits; anything else it can't answer.
+    fn check_brake(&mut self, gap: u64, next: Next, state: Option<&State>) -> Result<Next, End> {
+        let mut next = next;
+        // The model, the one before it, and none.
+        loop {
+            let (command, answer) = &next;
+            let Err(violation) = self.guard.check_brake(seconds(gap), command, &answer.asked, state) else {
+                return Ok(next);
+            };
+            if !self.distrust(violation) {
+                return Err(End::Unsafe(violation));
+            }
+            next = self.answer(command.seq);
+        }
+    }
+
+    /// Counts the state; the first one says where the arm holds.
+    fn arrived(&mut self, state: &State, stamp_ns: u64) -> Result<u64, End> {
+        let first = self.tally.summary.cycles == 0;
+        let gap = self.tally.arrived(state.seq, stamp_ns)?;
+        if let Some(deadline_ns) = self.backend.deadline_ns() {
+            self.tally.woke(stamp_ns.saturating_sub(deadline_ns));
+            self.tally.due(deadline_ns);
+        }
+        if first {
+            // The arm's own desired position, unless it does not go with where the arm is.
+            let agrees = |j: usize| (state.q_d[j] - state.q[j]).abs() <= self.tracking[j];
+            self.motion.start(if (0..self.joints.min(MAX_JOINTS)).all(agrees) { state.q_d } else { state.q });
+            self.guard.start(self.motion.sample().q);
+        }
+        Ok(gap)
+    }
+
+    fn advance(&mut self, gap: u64) {
+        match self.motion.advance(gap) {
+            None => {}
+            Some(Finished::Order { motion, reference }) => {
+                self.retire(reference);
+                self.tell(Event::Ended { motion });
+            }
+            Some(Finished::Brake) => {
+                self.inlets.controls.wait_for_permission();
+                self.tell(Event::Stopped);
+            }
+        }
+    }
+
+    /// Takes in what the outside wants: permission, stop, one model, one order.
+    fn listen(&mut self, gap: u64) -> Result<(), End> {
+        if let Some(reference) = self.leaving.take() {
+            self.retire(Some(reference));
+        }
+        self.torque.hand_out(&mut self.inlets.retired);
+        // The stop is looked at before the permission: one that was given after a permission would else meet an arm that still waits for it,
+        // count as carried out, and the arm would go on.
+        let stop = self.inlets.controls.take_stop();
+        let permission = self.inlets.controls.permission();
+        if self.motion.is_stopped() && permission != self.permission {
+            self.permission = permission;
+            self.motion.resume();
+            self.tell(Event::Resumed);
+        }
+        let lost = gap.saturating_sub(1);
+        if lost > self.max_lost {
+            self.brake(StopReason::LostStates { lost }, gap)?;
+        }
+        self.heed_silence(gap)?;
+        if stop {
+            self.brake(StopReason::Requested, gap)?;
+        }
+        if self.inlets.controls.wants_quit() {
+            return if self.motion.is_holding() { Ok(()) } else { self.brake(StopReason::Quit, gap) };
+        }
+        self.take_model();
+        self.take_order(gap)
+    }
+
+    /// An arm that moves while nobody could stop it is braked. At rest it holds: that is where it is safe.
+    fn heed_silence(&mut self, gap: u64) -> Result<(), End> {
+        let pulse = self.inlets.controls.pulse();
+        let silent = if pulse == self.heard.0 { self.heard.1.saturating_add(gap) } else { 0 };
+        self.heard = (pulse, silent);
+        match self.max_silence {
+            Some(most) if silent > most && !self.motion.is_holding() => {
+                self.brake(StopReason::Unattended { cycles: silent }, gap)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Takes a model over between two cycles; what it replaces leaves over the ring, so nothing is freed here.
+    fn take_model(&mut self) {
+        if self.leaving.is_some() || !self.torque.has_room(&self.inlets.retired) {
+            return;
+        }
+        if let Ok(model) = self.inlets.models.pop() {
+            let id = model.id();
+            self.torque.serve(model, &mut self.inlets.retired);
+            self.tell(Event::Serving { model: id });
+        }
+    }
+
+    /// Begins the next order when the present one has ended; discards one that was given before a stop was resumed.
+    fn take_order(&mut self, gap: u64) -> Result<(), End> {
+        let Ok(waiting) = self.inlets.orders.peek() else { return Ok(()) };
+        let outdated = waiting.permission != self.permission || self.motion.is_stopping();
+        // An order under a newer permission waits until the loop has seen that permission itself.
+        let early = waiting.permission.wrapping_sub(self.permission).cast_signed() > 0;
+        if early || !(outdated || self.motion.is_holding()) || !self.can_retire() {
+            return Ok(());
+        }
+        let Ok(permitted) = self.inlets.orders.pop() else { return Ok(()) };
+        self.orders = self.orders.wrapping_add(1);
+        if outdated {
+            self.discard(permitted.order);
+            return Ok(());
+        }
+        let motion = permitted.order.motion;
+        let aim = match &permitted.order.kind {
+            OrderKind::MoveTo { target, .. } => self.guard.check_target(target).map_err(StopReason::Guard),
+            OrderKind::Follow(_) | OrderKind::Dwell { .. } => Ok(()),
+        };
+        // Begun in either case, so that events and records name the order that the stop belongs to.
+        match aim.and(self.motion.begin(permitted.order)) {
+            Ok(()) => {
+                self.tell(Event::Started { motion });
+                Ok(())
+            }
+            Err(reason) => self.brake(reason, gap),
+        }
+    }
+
+    fn discard(&mut self, order: Order) {
+        self.tally.summary.discarded += 1;
+        self.tell(Event::Discarded { motion: order.motion });
+        if let OrderKind::Follow(reference) = order.kind {
+            self.retire(Some(reference));
+        }
+    }
+
+    /// Controlled stop from the setpoint sent last; nothing to do while one is under way.
+    fn brake(&mut self, reason: StopReason, gap: u64) -> Result<(), End> {
+        if self.motion.is_stopping() {
+            return Ok(());
+        }
+        self.stops = self.stops.saturating_add(1);
+        self.last_stop = Some(reason);
+        self.tell(Event::Stopping { motion: self.motion.number(), reason });
+        if let StopReason::Guard(violation) = reason {
+            self.distrust(violation);
+        }
+        let reference = self.motion.brake(gap).map_err(|_| End::NoBrake)?;
+        self.retire(reference);
+        Ok(())
+    }
+
+    /// A model to blame for `violation` is not asked again; whether there was one.
+    fn distrust(&mut self, violation: Violation) -> bool {
+        if !violation.blames_model() {
+            return false;
+        }
+        let Some((model, instead)) = self.torque.fall_back() else { return false };
+        self.tell(Event::Distrusted { model, instead });
+        true
+    }
+
+    /// The present sample of the motion with its torque.
+    fn answer(&mut self, seq: u64) -> Next {
+        let desired = self.motion.sample();
+        let answer = self.torque.answer(&desired, self.motion.is_stopping());
+        let Torques { tau_ff, tau_vendor } = answer.served;
+        (Command { seq, desired, tau_ff, tau_vendor }, answer)
+    }
+
+    fn record(&mut self, state: State, command: Command, validity: Validity, stamp_ns: u64) {
+        let record = Record {
+            cycle: self.tally.summary.cycles.saturating_sub(1),
+            state,
+            command,
+            phase: self.motion.phase(),
+            motion: self.motion.number(),
+            tick: self.motion.tick(),
+            model: self.torque.id(),
+            validity,
+            stamp_ns,
+            wake_ns: self.backend.deadline_ns().map_or(0, |deadline_ns| stamp_ns.saturating_sub(deadline_ns)),
+            work_ns: self.work_ns,
+        };
+        self.work_ns = now_ns().saturating_sub(stamp_ns);
+        self.tally.worked(self.work_ns);
+        self.flight.keep(&record);
+        if !self.sink.put(&record) {
+            self.tally.summary.unrecorded += 1;
+        }
+        let Summary { cycles, lost, late, unrecorded, .. } = self.tally.summary;
+        self.inlets.controls.show(record.phase, cycles, lost, late, unrecorded);
+    }
+
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    fn can_retire(&self) -> bool {
+        self.leaving.is_none() && self.inlets.retired.slots() > 1
+    }
+
+    /// Hands a box out to be freed elsewhere; a full ring makes it wait, and nothing new comes in before it has left.
+    fn retire(&mut self, reference: Option<Box<dyn Reference>>) {
+        let Some(reference) = reference else { return };
+        if let Err(rtrb::PushError::Full(Retired::Reference(reference))) =
+            self.inlets.retired.push(Retired::Reference(reference))
+        {
+            self.leaving = Some(reference);
+        }
+    }
+
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    fn tell(&mut self, event: Event) {
+        let cycle = self.tally.summary.cycles.saturating_sub(1);
+        let told = Told { cycle, seq: self.tally.last(), stamp_ns: self.stamp_ns, orders: self.orders, event };
+        if self.inlets.events.push(told).is_err() {
+            self.tally.summary.untold += 1;
+        }
+    }
+}
+
+/// Whatever ends the loop's thread, a panic in a model included, the arm does not go on.
+impl<B: Backend, S: Sink> Drop for Cycle<B, S> {
+    fn drop(&mut self) {
+        self.backend.stop();
+    }
+}
+
+/// Whether the program's allocator counts: allocates once under watch, and takes the count back.
+fn allocations_are_watched() -> bool {
+    let before = violation_count();
+    assert_no_alloc(|| {
+        drop(std::hint::black_box(Box::new(before)));
+        let watched = violation_count() != before;
+        // Taken back in here, because a count that has grown is reported on leaving.
+        reset_violation_count();
+        watched
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,251 @@
+//! What the loop is doing: every mode is a source of setpoints, so the loop itself knows no modes.
+
+use super::checkpoint;
+use super::moves::{NoMotion, Planner};
+use super::order::{Order, OrderKind, StopReason};
+use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record, Setpoint};
+use plumbline_core::{LONGEST_ALONE, PERIOD, Reference};
+
+/// A reference may start this far from where the arm rests \[rad\]; more would be a step that no arm can follow.
+const START_TOLERANCE: f64 = 1e-6;
+
+enum Doing {
+    Hold,
+    Move { phase: Phase },
+    Follow { reference: Box<dyn Reference>, last_tick: u64 },
+    Dwell { ticks: u64 },
+    Brake,
+    Stopped,
+}
+
+impl Doing {
+    /// The number of samples is asked for once, and not in every cycle.
+    fn follow(reference: Box<dyn Reference>) -> Doing {
+        let last_tick = reference.ticks().saturating_sub(1);
+        Doing::Follow { reference, last_tick }
+    }
+}
+
+/// The end of a motion, noticed in the first cycle after its last sample.
+pub(super) enum Finished {
+    /// An order has run to its end; its reference, if it had one, is done with.
+    Order { motion: u32, reference: Option<Box<dyn Reference>> },
+    /// The brake has brought the arm to rest.
+    Brake,
+}
+
+/// The present motion and the place in it.
+pub(super) struct Motion {
+    joints: usize,
+    planner: Planner,
+    doing: Doing,
+    number: u32,
+    tick: u64,
+    /// The setpoint sent last.
+    last: Setpoint,
+}
+
+impl Motion {
+    /// Holds at zero until [`start`](Motion::start) says where.
+    pub fn new(joints: usize, planner: Planner) -> Motion {
+        let joints = joints.min(MAX_JOINTS);
+        Motion { joints, planner, doing: Doing::Hold, number: 0, tick: 0, last: Setpoint::default() }
+    }
+
+    /// Holds at `q`; entries past the arm's joints are dropped.
+    pub fn start(&mut self, q: JointVec) {
+        self.last = self.only_own_joints(Setpoint { q, ..Setpoint::default() });
+        self.doing = Doing::Hold;
+    }
+
+    /// Goes on after `last`, in the middle of `doing`.
+    pub fn restore(&mut self, doing: checkpoint::Doing, last: &Record) -> Result<(), NoMotion> {
+        (self.number, self.tick, self.last) = (last.motion, last.tick, last.command.desired);
+        self.doing = match doing {
+            checkpoint::Doing::Hold => Doing::Hold,
+            checkpoint::Doing::Move { phase, from, target } => {
+                self.planner.move_to(&from, &target)?;
+                Doing::Move { phase }
+            }
+            checkpoint::Doing::Follow(reference) => Doing::follow(reference),
+            checkpoint::Doing::Dwell { ticks } => Doing::Dwell { ticks },
+            checkpoint::Doing::Brake { from } => {
+                self.planner.stop(&from)?;
+                Doing::Brake
+            }
+            checkpoint::Doing::Stopped => Doing::Stopped,
+        };
+        Ok(())
+    }
+
+    /// Moves on by `gap` cycles of the arm. A motion whose last sample has been sent ends here.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    pub fn advance(&mut self, gap: u64) -> Option<Finished> {
+        if self.is_moving() && self.tick >= self.last_tick() {
+            return Some(match std::mem::replace(&mut self.doing, Doing::Hold) {
+                Doing::Brake => {
+                    self.doing = Doing::Stopped;
+                    Finished::Brake
+                }
+                Doing::Follow { reference, .. } => Finished::Order { motion: self.number, reference: Some(reference) },
+                _ => Finished::Order { motion: self.number, reference: None },
+            });
+        }
+        if self.is_moving() {
+            self.tick = self.tick.saturating_add(gap);
+        }
+        None
+    }
+
+    /// Begins an order from the present rest. On an error the order's reference is kept as the present motion, so that
+    /// [`brake`](Motion::brake) hands it back.
+    pub fn begin(&mut self, order: Order) -> Result<(), StopReason> {
+        let motion = order.motion;
+        (self.number, self.tick) = (motion, 0);
+        match order.kind {
+            OrderKind::MoveTo { target, phase } => {
+                self.planner.move_to(&self.last, &target).map_err(|NoMotion| StopReason::NoPath { motion })?;
+                self.doing = Doing::Move { phase };
+            }
+            OrderKind::Dwell { ticks } => self.doing = Doing::Dwell { ticks },
+            OrderKind::Follow(reference) => {
+                let first = reference.at(0).q;
+                self.doing = Doing::follow(reference);
+                for (joint, (first, last)) in first.iter().zip(&self.last.q).enumerate().take(self.joints) {
+                    let distance = first - last;
+                    if distance.is_nan() || distance.abs() > START_TOLERANCE {
+                        return Err(StopReason::NotAtStart { motion, joint, distance });
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Brakes from the setpoint sent last, `gap` cycles of the arm ago; the reference under way is done with.
+    ///
+    /// Where states were lost the arm has gone on alone, at constant acceleration, as the FCI's does: the stop begins where that has brought
+    /// it, or the first sample would be a jump. Where no stop can begin there, it begins at what was sent, as if it had begun then.
+    pub fn brake(&mut self, gap: u64) -> Result<Option<Box<dyn Reference>>, NoMotion> {
+        let alone = gap.saturating_sub(1).min(u64::from(LONGEST_ALONE));
+        let planned = match self.planner.stop(&gone_on(&self.last, seconds(alone))) {
+            Ok(()) => {
+                self.tick = gap - alone;
+                Ok(())
+            }
+            Err(NoMotion) => {
+                self.tick = gap;
+                self.planner.stop(&self.last)
+            }
+        };
+        let reference = match std::mem::replace(&mut self.doing, Doing::Brake) {
+            Doing::Follow { reference, .. } => Some(reference),
+            _ => None,
+        };
+        planned.map(|()| reference)
+    }
+
+    /// Allows orders again after a stop.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    pub fn resume(&mut self) {
+        if matches!(self.doing, Doing::Stopped) {
+            self.doing = Doing::Hold;
+        }
+    }
+
+    /// The setpoint of this cycle.
+    pub fn sample(&mut self) -> Setpoint {
+        let sample = match &self.doing {
+            Doing::Hold | Doing::Dwell { .. } | Doing::Stopped => Setpoint { q: self.last.q, ..Setpoint::default() },
+            Doing::Move { .. } | Doing::Brake => self.planner.at(self.tick),
+            Doing::Follow { reference, last_tick } => reference.at(self.tick.min(*last_tick)),
+        };
+        self.only_own_joints(sample)
+    }
+
+    /// Notes what was sent.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    pub fn sent(&mut self, desired: &Setpoint) {
+        self.last = *desired;
+    }
+
+    /// How records of this cycle are marked.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    pub fn phase(&self) -> Phase {
+        match &self.doing {
+            Doing::Hold | Doing::Dwell { .. } => Phase::Hold,
+            Doing::Move { phase } => *phase,
+            Doing::Follow { .. } => Phase::Excite,
+            Doing::Brake => Phase::Stop,
+            Doing::Stopped => Phase::Stopped,
+        }
+    }
+
+    /// Number of the present or last order, 0 before the first.
+    pub fn number(&self) -> u32 {
+        self.number
+    }
+
+    /// Sample of the present motion; in the rest after it, the last one.
+    pub fn tick(&self) -> u64 {
+        self.tick
+    }
+
+    /// Ready for the next order.
+    pub fn is_holding(&self) -> bool {
+        matches!(self.doing, Doing::Hold)
+    }
+
+    /// At rest after a stop, waiting for permission.
+    pub fn is_stopped(&self) -> bool {
+        matches!(self.doing, Doing::Stopped)
+    }
+
+    /// Braking, or at rest after it.
+    pub fn is_stopping(&self) -> bool {
+        matches!(self.doing, Doing::Brake | Doing::Stopped)
+    }
+
+    fn is_moving(&self) -> bool {
+        !matches!(self.doing, Doing::Hold | Doing::Stopped)
+    }
+
+    fn last_tick(&self) -> u64 {
+        match &self.doing {
+            Doing::Hold | Doing::Stopped => 0,
+            Doing::Move { .. } | Doing::Brake => self.planner.last_tick(),
+            Doing::Follow { last_tick, .. } => *last_tick,
+            Doing::Dwell { ticks } => ticks.saturating_sub(1),
+        }
+    }
+
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    fn only_own_joints(&self, mut setpoint: Setpoint) -> Setpoint {
+        for values in [&mut setpoint.q, &mut setpoint.dq, &mut setpoint.ddq] {
+            values.iter_mut().skip(self.joints).for_each(|value| *value = 0.0);
+        }
+        setpoint
+    }
+}
+
+/// The setpoint that a stop began from whose first sample was number `tick`, `gap` cycles of the arm after `last` had been sent.
+pub fn braked_from(last: &Setpoint, gap: u64, tick: u64) -> Setpoint {
+    let alone = gap.saturating_sub(1).min(u64::from(LONGEST_ALONE));
+    if tick.saturating_add(alone) == gap { gone_on(last, seconds(alone)) } else { *last }
+}
+
+/// Where a setpoint leads at constant acceleration in `t` seconds.
+#[cfg_attr(no_panic, no_panic::no_panic)]
+fn gone_on(from: &Setpoint, t: f64) -> Setpoint {
+    let mut to = *from;
+    for j in 0..MAX_JOINTS {
+        to.q[j] += t * (from.dq[j] + 0.5 * t * from.ddq[j]);
+        to.dq[j] += t * from.ddq[j];
+    }
+    to
+}
+
+/// Seconds in a number of the arm's cycles.
+pub(super) fn seconds(cycles: u64) -> f64 {
+    cycles as f64 * PERIOD
+}

@@ -1,0 +1,192 @@
+//! Deadline statistics of the loop, in memory that is allocated before it starts.
+
+pub use super::durations::Distribution;
+
+use super::durations::Durations;
+use plumbline_core::PERIOD_NS;
+use plumbline_core::Record;
+
+/// What the loop did and how well it kept its time.
+///
+/// Every cycle of the arm is accounted for: `elapsed == cycles + lost` ([`Summary::accounted`]). A cycle that the loop missed is skipped and
+/// counted under `lost`, whoever was late, the network or the loop itself; none is ever caught up in a burst.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Summary {
+    /// Cycles of the arm from the first state read to the last, by the arm's own counter.
+    pub elapsed: u64,
+    /// States read, each of which began one cycle of the loop.
+    pub cycles: u64,
+    /// States of the arm that never arrived.
+    pub lost: u64,
+    /// Longest run of lost states.
+    pub longest_lost: u64,
+    /// Periods of `CLOCK_MONOTONIC` from the first state's deadline to the last one's, both counted, as `elapsed` counts the arm's; 0 where
+    /// the arm has no deadlines. An arm with a clock of its own may drift away from it by parts in a million.
+    pub clock: u64,
+    /// Cycles that began more than half a period later after the one before than the arm's counter says.
+    pub late: u64,
+    /// Records that found no room in the sink.
+    pub unrecorded: u64,
+    /// Orders that a stop discarded.
+    pub discarded: u64,
+    /// Events that found no room.
+    pub untold: u64,
+    /// Lateness of the state after its deadline; empty where the arm has no deadlines.
+    pub wake: Distribution,
+    /// From state read to command written.
+    pub work: Distribution,
+    /// From one state read to the next, divided by the number of the arm's cycles between them.
+    pub period: Distribution,
+}
+
+impl Summary {
+    /// Whether `elapsed / period == cycles + skipped`: no cycle of the arm was counted twice or not at all.
+    pub fn accounted(&self) -> bool {
+        self.elapsed == self.cycles.saturating_add(self.lost)
+    }
+}
+
+/// The arm's counter did not go forward, so its time can't be trusted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct NotForward {
+    pub last: u64,
+    pub seq: u64,
+}
+
+/// Counts and histograms, filled once per cycle.
+pub(super) struct Tally {
+    first: Option<u64>,
+    last: u64,
+    last_ns: u64,
+    first_due_ns: Option<u64>,
+    pub summary: Summary,
+    wake: Durations,
+    work: Durations,
+    period: Durations,
+}
+
+impl Tally {
+    /// Allocates the histograms.
+    pub fn new() -> Tally {
+        Tally {
+            first: None,
+            last: 0,
+            last_ns: 0,
+            first_due_ns: None,
+            summary: Summary::default(),
+            wake: Durations::new(),
+            work: Durations::new(),
+            period: Durations::new(),
+        }
+    }
+
+    /// Counts a state that was read at `now_ns`; the number of cycles of the arm since the one before, at least 1.
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    pub fn arrived(&mut self, seq: u64, now_ns: u64) -> Result<u64, NotForward> {
+        let gap = match self.first {
+            None => {
+                self.first = Some(seq);
+                1
+            }
+            Some(_) if seq <= self.last => return Err(NotForward { last: self.last, seq }),
+            Some(_) => {
+                let gap = seq - self.last;
+                let period = now_ns.saturating_sub(self.last_ns);
+                self.period.add(period / gap);
+                self.summary.late += u64::from(period > gap.saturating_mul(PERIOD_NS).saturating_add(PERIOD_NS / 2));
+                gap
+            }
+        };
+        self.summary.cycles += 1;
+        self.summary.lost += gap - 1;
+        self.summary.longest_lost = self.summary.longest_lost.max(gap - 1);
+        self.summary.elapsed = (seq - self.first.unwrap_or(seq)).saturating_add(1);
+        (self.last, self.last_ns) = (seq, now_ns);
+        Ok(gap)
+    }
+
+    /// The arm's counter in the state that arrived last.
+    pub fn last(&self) -> u64 {
+        self.last
+    }
+
+    /// Goes on after `record`: the numbers of the cycles do, the counts begin anew.
+    pub fn restore(&mut self, record: &Record) {
+        (self.first, self.last, self.last_ns) = (Some(record.state.seq), record.state.seq, record.stamp_ns);
+        self.summary.cycles = record.cycle.saturating_add(1);
+    }
+
+    /// Adds a wake-up latency \[ns\].
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    pub fn woke(&mut self, late_ns: u64) {
+        self.wake.add(late_ns);
+    }
+
+    /// Notes the deadline of the state that arrived last, on the clock \[ns\].
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    pub fn due(&mut self, deadline_ns: u64) {
+        let first = *self.first_due_ns.get_or_insert(deadline_ns);
+        self.summary.clock = (deadline_ns.saturating_sub(first) + PERIOD_NS / 2) / PERIOD_NS + 1;
+    }
+
+    /// Adds a work time \[ns\].
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    pub fn worked(&mut self, ns: u64) {
+        self.work.add(ns);
+    }
+
+    /// Counts and percentiles so far.
+    pub fn summary(&self) -> Summary {
+        Summary {
+            wake: self.wake.distribution(),
+            work: self.work.distribution(),
+            period: self.period.distribution(),
+            ..self.summary
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_cycle_of_the_arm_is_accounted_for() {
+        let mut tally = Tally::new();
+        let mut now = 5_000;
+        for (seq, gap) in [(100, 1), (101, 1), (104, 3), (105, 1), (111, 6)] {
+            now += gap * PERIOD_NS;
+            assert_eq!(tally.arrived(seq, now), Ok(gap));
+        }
+        let summary = tally.summary();
+        assert_eq!((summary.elapsed, summary.cycles, summary.lost, summary.longest_lost), (12, 5, 7, 5));
+        assert_eq!(summary.late, 0);
+        assert!(summary.accounted());
+        assert_eq!(tally.arrived(111, now), Err(NotForward { last: 111, seq: 111 }));
+        assert_eq!(tally.arrived(3, now), Err(NotForward { last: 111, seq: 3 }));
+    }
+
+    #[test]
+    fn late_is_half_a_period_and_percentiles_are_those_of_the_values() {
+        let mut tally = Tally::new();
+        let mut now = 0;
+        for seq in 0..1001 {
+            // One cycle in a hundred begins 0.6 ms late, the next one catches up.
+            now = seq * PERIOD_NS + if seq % 100 == 50 { 600_000 } else { 0 };
+            assert!(tally.arrived(seq, now).is_ok());
+            tally.woke(seq);
+        }
+        let summary = tally.summary();
+        assert_eq!(summary.late, 10);
+        let near = |got: u64, expected: u64| assert!(got.abs_diff(expected) <= expected / 500 + 1, "{got} {expected}");
+        near(summary.wake.p50, 500);
+        near(summary.wake.p99, 990);
+        near(summary.wake.p999, 999);
+        near(summary.period.p50, PERIOD_NS);
+        assert_eq!((summary.wake.max, summary.wake.count), (1000, 1001));
+        assert_eq!(summary.period.max, 1_600_000);
+        tally.woke(u64::MAX);
+        assert_eq!(tally.summary().wake.max, u64::MAX, "a value past the histogram's bounds is not lost");
+        let _ = now;
+    }
+}

@@ -1,0 +1,45 @@
+//! Asymmetric Coulomb friction: the teeth or seals of a joint rub harder one way than the other.
+//!
+//!   tau_f = (fc + asymmetry) s(dq) for dq > 0, (fc - asymmetry) s(dq) for dq < 0,   s(dq) = tanh(100 dq),
+//!
+//! that is `asymmetry |s(dq)|` besides `fc s(dq)`. It vanishes at rest, which tells it from a torque offset.
+//! Source: Bona and Indri, Friction compensation in robotics: an overview, CDC 2005.
+
+use super::friction::sign;
+use super::{At, Effect, Place, Spec};
+use crate::truth::Truth;
+use plumbline_core::BadInput;
+use plumbline_core::JointVec;
+use serde::Deserialize;
+
+/// Adds to the joint's friction.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Config {
+    /// Joint, counted from 1.
+    pub joint: usize,
+    /// Half the difference between the friction of the two directions, at most the joint's `fc` \[Nm\].
+    pub asymmetry: f64,
+}
+
+struct AsymmetricCoulomb(Config);
+
+impl Spec for Config {
+    fn check(&self, place: &Place) -> Result<(), BadInput> {
+        place.joint(self.joint)?;
+        // Friction that drives is none.
+        let fc = place.truth.joints[self.joint - 1].fc;
+        place.range("asymmetry", self.asymmetry, -fc, fc)
+    }
+
+    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
+        Box::new(AsymmetricCoulomb(*self))
+    }
+}
+
+impl Effect for AsymmetricCoulomb {
+    fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
+        let j = self.0.joint - 1;
+        tau[j] -= self.0.asymmetry * sign(at.dq[j]).abs();
+    }
+}

@@ -1,0 +1,45 @@
+//! Asymmetric viscous friction: a joint's viscous friction is larger one way than the other.
+//!
+//!   tau_f = (fv + asymmetry) dq for dq > 0, (fv - asymmetry) dq for dq < 0,
+//!
+//! that is `asymmetry |dq|` besides `fv dq`.
+//! Source: Bona and Indri, Friction compensation in robotics: an overview, CDC 2005.
+
+use super::{At, Effect, Place, Spec};
+use crate::truth::Truth;
+use plumbline_core::BadInput;
+use plumbline_core::JointVec;
+use serde::Deserialize;
+
+/// Adds to the joint's friction.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Config {
+    /// Joint, counted from 1.
+    pub joint: usize,
+    /// Half the difference between the coefficients of the two directions \[Nms/rad\].
+    pub asymmetry: f64,
+}
+
+struct AsymmetricViscous(Config);
+
+impl Spec for Config {
+    fn check(&self, place: &Place) -> Result<(), BadInput> {
+        place.joint(self.joint)?;
+        // More than `fv` would drive where Coulomb friction does not hold it, so that much needs Coulomb friction up to 2 rad/s.
+        let joint = &place.truth.joints[self.joint - 1];
+        let most = joint.fv + joint.fc / 2.0;
+        place.range("asymmetry", self.asymmetry, -most, most)
+    }
+
+    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
+        Box::new(AsymmetricViscous(*self))
+    }
+}
+
+impl Effect for AsymmetricViscous {
+    fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
+        let j = self.0.joint - 1;
+        tau[j] -= self.0.asymmetry * at.dq[j].abs();
+    }
+}

@@ -1,0 +1,190 @@
+//! Foreign: a test's invention. No arm has these, and no catalogue holds them: they are here to see what a diagnosis says about an effect that
+//! it does not know.
+//!
+//! Each takes a torque `size f` \[Nm\] of `joint`; q and dq are those of the joints named in the table, g(x) = exp(-x^2).
+//!
+//! | form | f |
+//! |---|---|
+//! | `windowed-sine` | `sin(order q_first) g((q_second - middle) / width)` |
+//! | `bump` | `g((q_first - middle) / width) g((dq_second - speed) / spread)` |
+//! | `region` | `(1 + tanh((q_first - middle) / width)) / 2`: a step of torque where another joint is past a place |
+//! | `product` | `tanh(q_first / width) dq_second` |
+//! | `beat` | `sin(4 pi x) sin(pi x)^2`, `x = t / every - floor(t / every)`: a matter of time alone, the same in every period |
+
+use super::{At, Effect, Place, Spec};
+use crate::truth::Truth;
+use plumbline_core::BadInput;
+use plumbline_core::JointVec;
+use serde::Deserialize;
+use std::f64::consts::PI;
+
+/// Which invention. Joints count from 1.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(tag = "form", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Config {
+    /// A ripple that is only there while another joint is near a place.
+    WindowedSine {
+        /// Joint that feels it.
+        joint: usize,
+        /// Height \[Nm\].
+        size: f64,
+        /// Joint of the ripple.
+        first: usize,
+        /// Waves in a turn.
+        order: f64,
+        /// Joint of the window.
+        second: usize,
+        /// Middle of the window \[rad\].
+        middle: f64,
+        /// Width of the window \[rad\].
+        width: f64,
+    },
+    /// A bump in the plane of one joint's position and another's velocity.
+    Bump {
+        /// Joint that feels it.
+        joint: usize,
+        /// Height \[Nm\].
+        size: f64,
+        /// Joint of the position.
+        first: usize,
+        /// Position of the top \[rad\].
+        middle: f64,
+        /// Width in position \[rad\].
+        width: f64,
+        /// Joint of the velocity.
+        second: usize,
+        /// Velocity of the top \[rad/s\].
+        speed: f64,
+        /// Width in velocity \[rad/s\].
+        spread: f64,
+    },
+    /// A step of torque where a joint is past a place.
+    Region {
+        /// Joint that feels it.
+        joint: usize,
+        /// Height \[Nm\].
+        size: f64,
+        /// Joint of the place.
+        first: usize,
+        /// Place of the step \[rad\].
+        middle: f64,
+        /// Width of the step \[rad\].
+        width: f64,
+    },
+    /// A drag on one joint that another joint's position turns around.
+    Product {
+        /// Joint that feels it.
+        joint: usize,
+        /// Drag \[Nms/rad\].
+        size: f64,
+        /// Joint of the position.
+        first: usize,
+        /// Width of the turn \[rad\].
+        width: f64,
+        /// Joint of the velocity.
+        second: usize,
+    },
+    /// A disturbance by the clock.
+    Beat {
+        /// Joint that feels it.
+        joint: usize,
+        /// Height \[Nm\].
+        size: f64,
+        /// Period \[s\].
+        every: f64,
+    },
+}
+
+struct Foreign(Config);
+
+impl Spec for Config {
+    fn check(&self, place: &Place) -> Result<(), BadInput> {
+        let (joint, size) = self.what();
+        place.joint(joint)?;
+        place.range("size", size, -100.0, 100.0)?;
+        let joints = |first, second| {
+            place.one_of_the_joints("first", first)?;
+            place.one_of_the_joints("second", second)
+        };
+        let window = |middle, width| {
+            place.range("middle", middle, -100.0, 100.0)?;
+            place.range("width", width, 1e-2, 100.0)
+        };
+        match *self {
+            Config::WindowedSine { first, order, second, middle, width, .. } => {
+                joints(first, second)?;
+                place.range("order", order, 0.1, 200.0)?;
+                window(middle, width)
+            }
+            Config::Bump { first, middle, width, second, speed, spread, .. } => {
+                joints(first, second)?;
+                window(middle, width)?;
+                place.range("speed", speed, -100.0, 100.0)?;
+                place.range("spread", spread, 1e-2, 100.0)
+            }
+            Config::Region { first, middle, width, .. } => {
+                place.one_of_the_joints("first", first)?;
+                window(middle, width)
+            }
+            Config::Product { first, width, second, .. } => {
+                joints(first, second)?;
+                window(0.0, width)
+            }
+            Config::Beat { every, .. } => place.range("every", every, 0.1, 1e6),
+        }
+    }
+
+    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
+        Box::new(Foreign(*self))
+    }
+}
+
+impl Config {
+    /// Joint that feels it, counted from 1, and size.
+    fn what(&self) -> (usize, f64) {
+        match *self {
+            Config::WindowedSine { joint, size, .. }
+            | Config::Bump { joint, size, .. }
+            | Config::Region { joint, size, .. }
+            | Config::Product { joint, size, .. }
+            | Config::Beat { joint, size, .. } => (joint, size),
+        }
+    }
+
+    /// `f` of the table.
+    fn shape(&self, at: &At) -> f64 {
+        let (q, dq) = (|joint: usize| at.q[joint - 1], |joint: usize| at.dq[joint - 1]);
+        let g = |x: f64| (-x * x).exp();
+        match *self {
+            Config::WindowedSine { first, order, second, middle, width, .. } => {
+                (order * q(first)).sin() * g((q(second) - middle) / width)
+            }
+            Config::Bump { first, middle, width, second, speed, spread, .. } => {
+                g((q(first) - middle) / width) * g((dq(second) - speed) / spread)
+            }
+            Config::Region { first, middle, width, .. } => 0.5 * (1.0 + ((q(first) - middle) / width).tanh()),
+            Config::Product { first, width, second, .. } => (q(first) / width).tanh() * dq(second),
+            Config::Beat { every, .. } => {
+                let x = (at.t / every).fract();
+                (4.0 * PI * x).sin() * (PI * x).sin().powi(2)
+            }
+        }
+    }
+}
+
+impl Effect for Foreign {
+    fn repeats(&self, period: f64) -> bool {
+        match self.0 {
+            Config::Beat { every, .. } => {
+                let times = period / every;
+                times >= 0.5 && (times - times.round()).abs() < 1e-9 * times
+            }
+            _ => true,
+        }
+    }
+
+    fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
+        let (joint, size) = self.0.what();
+        tau[joint - 1] -= size * self.0.shape(at);
+    }
+}

@@ -1,0 +1,38 @@
+//! The friction every joint has: `fv dq + fc tanh(100 dq)`, the law the paper identifies.
+
+use super::{At, Effect};
+use crate::truth::Truth;
+use plumbline_core::{JointVec, MAX_JOINTS};
+
+/// Steepness of the Coulomb term's step \[s/rad\] (paper, section II-A).
+const STEEPNESS: f64 = 100.0;
+
+/// The smooth sign of a velocity \[rad/s\], as all friction of the simulated arm has it.
+pub(super) fn sign(dq: f64) -> f64 {
+    (STEEPNESS * dq).tanh()
+}
+
+pub(crate) struct Friction {
+    fv: JointVec,
+    fc: JointVec,
+}
+
+impl Friction {
+    /// `replaced(joint)` says that another effect stands for that joint's Coulomb friction.
+    pub fn new(truth: &Truth, replaced: impl Fn(usize) -> bool) -> Friction {
+        let mut friction = Friction { fv: [0.0; MAX_JOINTS], fc: [0.0; MAX_JOINTS] };
+        for (j, joint) in truth.joints.iter().enumerate() {
+            friction.fv[j] = joint.fv;
+            friction.fc[j] = if replaced(j) { 0.0 } else { joint.fc };
+        }
+        friction
+    }
+}
+
+impl Effect for Friction {
+    fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
+        for (j, tau) in tau[..at.n].iter_mut().enumerate() {
+            *tau -= self.fv[j] * at.dq[j] + self.fc[j] * sign(at.dq[j]);
+        }
+    }
+}

@@ -1,0 +1,87 @@
+//! An effect that begins later: before its moment the arm is as if it had none.
+
+use super::friction::sign;
+use super::{At, Effect, External, Reading};
+use crate::spatial::Inertia;
+use crate::truth::Truth;
+use nalgebra::Vector3;
+use plumbline_core::{JointVec, MAX_JOINTS};
+
+/// Holds an effect back until `from` \[s\].
+pub(super) struct Late {
+    from: f64,
+    effect: Box<dyn Effect>,
+    /// Coulomb friction that the effect will replace, and that is there until then \[Nm\].
+    until_then: JointVec,
+}
+
+impl Late {
+    pub fn new(effect: Box<dyn Effect>, from: f64, truth: &Truth) -> Late {
+        let mut until_then = [0.0; MAX_JOINTS];
+        for (j, joint) in truth.joints.iter().enumerate().filter(|(j, _)| effect.replaces_coulomb(*j)) {
+            until_then[j] = joint.fc;
+        }
+        Late { from, effect, until_then }
+    }
+}
+
+impl Effect for Late {
+    fn states(&self) -> usize {
+        self.effect.states()
+    }
+
+    fn replaces_coulomb(&self, joint: usize) -> bool {
+        self.effect.replaces_coulomb(joint)
+    }
+
+    fn twists(&self, joint: usize) -> bool {
+        self.effect.twists(joint)
+    }
+
+    fn repeats(&self, _period: f64) -> bool {
+        false
+    }
+
+    fn inertia(&self, t: f64) -> Option<(usize, Inertia)> {
+        if t >= self.from { self.effect.inertia(t) } else { None }
+    }
+
+    fn armature(&self, t: f64, joint: usize) -> f64 {
+        if t >= self.from { self.effect.armature(t, joint) } else { 0.0 }
+    }
+
+    fn gravity(&self, t: f64, gravity: &mut Vector3<f64>) {
+        if t >= self.from {
+            self.effect.gravity(t, gravity);
+        }
+    }
+
+    fn settle(&mut self, at: &At) {
+        self.effect.settle(at);
+    }
+
+    fn torque(&self, at: &At, x: &[f64], dx: &mut [f64], tau: &mut JointVec) {
+        if at.t >= self.from {
+            return self.effect.torque(at, x, dx, tau);
+        }
+        for (j, fc) in self.until_then.iter().enumerate() {
+            tau[j] -= fc * sign(at.dq[j]);
+        }
+    }
+
+    fn wrench(&self, at: &At) -> Option<External> {
+        if at.t >= self.from { self.effect.wrench(at) } else { None }
+    }
+
+    fn encoder(&self, at: &At, x: &[f64], dx: &mut [f64], q: &mut JointVec, dq: &mut JointVec) {
+        if at.t >= self.from {
+            self.effect.encoder(at, x, dx, q, dq);
+        }
+    }
+
+    fn sense(&mut self, at: &At, x: &[f64], reading: &mut Reading) {
+        if at.t >= self.from {
+            self.effect.sense(at, x, reading);
+        }
+    }
+}

@@ -1,0 +1,53 @@
+//! Load-dependent friction: teeth and bearings rub in proportion to what they carry.
+//!
+//!   tau_f = (coulomb s(dq) + viscous dq) |tau_l|,   s(dq) = tanh(100 dq),
+//!
+//! where `tau_l` is the torque that reaches the links, so it counts undeclared payloads, tilt and contact. It is what is left of the actuators'
+//! torque after this friction and the effects listed before; the equation is solved for it: `tau_l = tau / (1 + c sgn(tau))` with
+//! `c = coulomb s(dq) + viscous dq`.
+//! Source: Hamon, Gautier and Garrec, Dynamic identification of robots with a dry friction model depending on load and velocity,
+//! IROS 2010; Bittencourt and Gunnarsson, Static friction in a robot joint, 2012.
+
+use super::friction::sign;
+use super::{At, Effect, Place, Spec};
+use crate::truth::Truth;
+use plumbline_core::BadInput;
+use plumbline_core::JointVec;
+use serde::Deserialize;
+
+/// Adds to the joint's friction.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Config {
+    /// Joint, counted from 1.
+    pub joint: usize,
+    /// Friction per load that does not depend on speed.
+    #[serde(default)]
+    pub coulomb: f64,
+    /// Friction per load that grows with speed \[s/rad\].
+    #[serde(default)]
+    pub viscous: f64,
+}
+
+struct LoadDependentFriction(Config);
+
+impl Spec for Config {
+    fn check(&self, place: &Place) -> Result<(), BadInput> {
+        place.joint(self.joint)?;
+        place.range("coulomb", self.coulomb, 0.0, 0.3)?;
+        place.range("viscous", self.viscous, 0.0, 0.1)
+    }
+
+    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
+        Box::new(LoadDependentFriction(*self))
+    }
+}
+
+impl Effect for LoadDependentFriction {
+    fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
+        let j = self.0.joint - 1;
+        // A gear that takes 90 % locks; that is as far as this law goes.
+        let share = (self.0.coulomb * sign(at.dq[j]) + self.0.viscous * at.dq[j]).clamp(-0.9, 0.9);
+        tau[j] /= 1.0 + share * tau[j].signum();
+    }
+}

@@ -1,0 +1,165 @@
+//! Effects: what a simulated arm has beyond a rigid body. The estimator doesn't know them.
+//!
+//! An `Effect` bends the arm wherever its physics acts, through hooks that do nothing by default; one kind of effect is one file here
+//! and one line of the catalogue at the end of this one. Where each acts:
+//!
+//! | hook | effects |
+//! |---|---|
+//! | `torque` (with states) | every friction, spring, transmission coupling, ripple as a real torque, foreign |
+//! | `replaces_coulomb`, `settle` | presliding, which takes the place of `fc tanh(100 dq)` |
+//! | `inertia`, `armature` | payload, rotor inertia |
+//! | `gravity` | wrong mounting, moving base |
+//! | `wrench` | contact |
+//! | `encoder` | encoder zero and eccentricity, elasticity, backlash: what the arm's controller sees too |
+//! | `sense` | torque offset and its drift, gain, cross-talk, ripple of the sensor, delay |
+//!
+//! Every effect takes `from` \[s\]: before that moment of the arm's time it is not there.
+
+pub mod asymmetric_coulomb;
+pub mod asymmetric_viscous;
+pub mod backlash;
+pub mod base_motion;
+pub mod contact;
+pub mod delay;
+pub mod encoder_eccentricity;
+pub mod encoder_offset;
+pub mod foreign;
+mod friction;
+pub mod friction_drift;
+pub mod joint_elasticity;
+mod late;
+pub mod load_dependent_friction;
+pub mod mounting;
+pub mod nonlinear_viscous;
+pub mod offset_drift;
+pub mod payload;
+mod place;
+pub mod position_dependent_friction;
+pub mod position_ripple;
+pub mod presliding;
+pub mod rotor_inertia;
+mod spec;
+pub mod spring;
+pub mod stribeck;
+#[cfg(test)]
+mod tests;
+pub mod torque_crosstalk;
+pub mod torque_gain;
+pub mod torque_offset;
+pub mod transmission_coupling;
+mod trend;
+mod twist;
+
+pub(super) use friction::Friction;
+pub(crate) use place::Place;
+pub use spec::{EffectSpec, Kind};
+pub use trend::Trend;
+
+use super::spatial::Inertia;
+use super::truth::Truth;
+use nalgebra::Vector3;
+use plumbline_core::BadInput;
+use plumbline_core::{JointVec, Setpoint};
+
+/// The arm at one instant, as effects see it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct At {
+    /// Time since the arm was switched on \[s\].
+    pub t: f64,
+    /// Number of joints.
+    pub n: usize,
+    /// True joint position \[rad\].
+    pub q: JointVec,
+    /// True joint velocity \[rad/s\].
+    pub dq: JointVec,
+    /// What the inner controller tracks.
+    pub desired: Setpoint,
+    /// The controller's feed-forward: torque of the nominal rigid bodies along `desired` \[Nm\].
+    pub load: JointVec,
+    /// Torques that the actuators hold instead of the controller's answer \[Nm\].
+    pub held: Option<JointVec>,
+}
+
+/// What the sensors say, before noise.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Reading {
+    /// Position \[rad\].
+    pub q: JointVec,
+    /// Velocity \[rad/s\].
+    pub dq: JointVec,
+    /// Torque of the actuators \[Nm\].
+    pub tau: JointVec,
+}
+
+/// A force \[N\] at `point` \[m\] of a link and a moment \[Nm\] on it. The point is in the link frame, force and moment in the base frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct External {
+    pub link: usize,
+    pub point: Vector3<f64>,
+    pub force: Vector3<f64>,
+    pub moment: Vector3<f64>,
+}
+
+/// One deviation from the ideal arm. Hooks allocate nothing; joints and links count from 0.
+pub(super) trait Effect: Send {
+    /// Number of the effect's own continuous states; `torque` or `encoder` gives their derivatives.
+    fn states(&self) -> usize {
+        0
+    }
+
+    /// Whether the effect stands for `joint`'s Coulomb friction.
+    fn replaces_coulomb(&self, _joint: usize) -> bool {
+        false
+    }
+
+    /// Whether the effect is a deflection of `joint`'s transmission under the torque that the controller answers to it. Such an effect
+    /// has to know what all others do to the encoder, so it comes last, and one a joint is all there can be.
+    fn twists(&self, _joint: usize) -> bool {
+        false
+    }
+
+    /// Whether the effect does the same in every period of a motion that repeats after `period` \[s\].
+    fn repeats(&self, _period: f64) -> bool {
+        true
+    }
+
+    /// Inertia that moves with a link at time `t` besides the link itself.
+    fn inertia(&self, _t: f64) -> Option<(usize, Inertia)> {
+        None
+    }
+
+    /// Inertia that turns with `joint` alone at time `t`, seen at the joint \[kg m2\].
+    fn armature(&self, _t: f64, _joint: usize) -> f64 {
+        0.0
+    }
+
+    /// Bends the gravitational acceleration in the base frame \[m/s2\]; a base that accelerates by `a` adds `-a`.
+    fn gravity(&self, _t: f64, _gravity: &mut Vector3<f64>) {}
+
+    /// The arm has come to `at`: called at the start of every integration step, for effects with a memory of where they were.
+    fn settle(&mut self, _at: &At) {}
+
+    /// Turns the torque that comes from the actuators' side into what the links get, and writes the derivatives of the states.
+    fn torque(&self, _at: &At, _x: &[f64], _dx: &mut [f64], _tau: &mut JointVec) {}
+
+    /// A wrench from outside.
+    fn wrench(&self, _at: &At) -> Option<External> {
+        None
+    }
+
+    /// Turns true joint position and velocity into what the encoders see; may write derivatives of the states.
+    fn encoder(&self, _at: &At, _x: &[f64], _dx: &mut [f64], _q: &mut JointVec, _dq: &mut JointVec) {}
+
+    /// Bends what is reported each millisecond.
+    fn sense(&mut self, _at: &At, _x: &[f64], _reading: &mut Reading) {}
+}
+
+/// How an effect is written in a truth file.
+trait Spec {
+    /// # Errors
+    /// A joint that is not there, or a number that no arm can have.
+    fn check(&self, place: &Place) -> Result<(), BadInput>;
+
+    /// The effect of an arm that passed `check`; it begins at `from` \[s\].
+    fn build(&self, truth: &Truth, from: f64) -> Box<dyn Effect>;
+}

@@ -1,0 +1,65 @@
+//! Mounting: the base stands otherwise than the arm was told. Gravity in the base frame is
+//!
+//!   R' a_g, with R the rotation of the base by the vector `tilt` from where it is declared to stand,
+//!
+//! or the one of the angles `rho` and `phi`, whatever was declared (paper eq. 3). The arm's own controller goes on with the declared one.
+
+use super::{Effect, Place, Spec};
+use crate::truth::Truth;
+use nalgebra::{Rotation3, Vector3};
+use plumbline_core::BadInput;
+use plumbline_model::gravity::Mounting;
+use serde::Deserialize;
+
+/// Either `tilt`, or `rho` and `phi`.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Config {
+    /// Rotation vector in the axes of the declared base frame \[rad\].
+    pub tilt: Option<[f64; 3]>,
+    /// True angle between base z axis and gravity \[rad\].
+    pub rho: Option<f64>,
+    /// True direction of gravity about the base z axis \[rad\].
+    pub phi: Option<f64>,
+}
+
+enum Truly {
+    Turned(Rotation3<f64>),
+    Stands(Vector3<f64>),
+}
+
+impl Config {
+    fn truly(&self) -> Option<Truly> {
+        match (self.tilt, self.rho, self.phi) {
+            (Some(tilt), None, None) => Some(Truly::Turned(Rotation3::new(Vector3::from(tilt)))),
+            (None, Some(rho), Some(phi)) => Some(Truly::Stands(Mounting { rho, phi }.gravity())),
+            _ => None,
+        }
+    }
+}
+
+impl Spec for Config {
+    fn check(&self, place: &Place) -> Result<(), BadInput> {
+        let given = [self.tilt.map(|_| "tilt"), self.rho.map(|_| "rho"), self.phi.map(|_| "phi")];
+        if self.truly().is_none() {
+            let keys: Vec<&str> = given.into_iter().flatten().collect();
+            return Err(place.wrong("keys", keys.join(", "), "`tilt`, or `rho` and `phi`"));
+        }
+        let tilt = self.tilt.unwrap_or_default();
+        place.finite("tilt", &tilt)?;
+        place.finite("rho and phi", &[self.rho.unwrap_or(0.0), self.phi.unwrap_or(0.0)])
+    }
+
+    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
+        Box::new(self.truly().unwrap_or(Truly::Turned(Rotation3::identity())))
+    }
+}
+
+impl Effect for Truly {
+    fn gravity(&self, _t: f64, gravity: &mut Vector3<f64>) {
+        *gravity = match self {
+            Truly::Turned(rotation) => rotation.inverse_transform_vector(gravity),
+            Truly::Stands(truly) => *truly,
+        };
+    }
+}

@@ -1,0 +1,83 @@
+//! Position ripple: torque that waves with the joint's position, `order` times a turn.
+//!
+//!   tau_measured = tau + sine sin(order q) + cosine cos(order q)
+//!
+//! `on = "sensor"` ripples the sensor alone, as a flexspline that passes under strain gauges does; `on = "joint"` is a real torque against the
+//! motion, as cogging is, which also shakes the arm. Both measure the same along the same motion. A harmonic drive of ratio N has the
+//! orders 2N, 4N, N, 2 and 1.
+//! Source: Taghirad and Belanger, Torque ripple and misalignment torque compensation for the built-in torque sensor of harmonic drive
+//! systems, 1998.
+
+use super::{At, Effect, Place, Reading, Spec};
+use crate::truth::Truth;
+use plumbline_core::BadInput;
+use plumbline_core::JointVec;
+use serde::Deserialize;
+
+/// What ripples.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum On {
+    /// What is reported.
+    #[default]
+    Sensor,
+    /// The torque that the links get.
+    Joint,
+}
+
+/// A wave of any order.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Config {
+    /// Joint, counted from 1.
+    pub joint: usize,
+    /// Waves in a turn.
+    pub order: f64,
+    /// Amplitude of the sine \[Nm\].
+    #[serde(default)]
+    pub sine: f64,
+    /// Amplitude of the cosine \[Nm\].
+    #[serde(default)]
+    pub cosine: f64,
+    /// What ripples; the sensor where absent.
+    #[serde(default)]
+    pub on: On,
+}
+
+struct PositionRipple(Config);
+
+impl Spec for Config {
+    fn check(&self, place: &Place) -> Result<(), BadInput> {
+        place.joint(self.joint)?;
+        place.range("order", self.order, 0.1, 2000.0)?;
+        place.range("sine", self.sine, -100.0, 100.0)?;
+        place.range("cosine", self.cosine, -100.0, 100.0)
+    }
+
+    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
+        Box::new(PositionRipple(*self))
+    }
+}
+
+impl PositionRipple {
+    fn at(&self, q: f64) -> f64 {
+        let (sin, cos) = (self.0.order * q).sin_cos();
+        self.0.sine * sin + self.0.cosine * cos
+    }
+}
+
+impl Effect for PositionRipple {
+    fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
+        if self.0.on == On::Joint {
+            let j = self.0.joint - 1;
+            tau[j] -= self.at(at.q[j]);
+        }
+    }
+
+    fn sense(&mut self, at: &At, _x: &[f64], reading: &mut Reading) {
+        if self.0.on == On::Sensor {
+            let j = self.0.joint - 1;
+            reading.tau[j] += self.at(at.q[j]);
+        }
+    }
+}

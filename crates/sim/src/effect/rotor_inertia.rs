@@ -1,0 +1,40 @@
+//! Rotor inertia: the motor's rotor, seen through its gear, where torque is measured on the motor's side.
+//!
+//!   tau_j = ... + inertia ddq_j,   inertia = N^2 J of a rotor of J kg m2 behind a gear of ratio N.
+//!
+//! The rotor's own gyroscopic effects are left out, as everywhere. Source: Khalil and Dombre, Modeling, identification and control of
+//! robots, 2002.
+
+use super::{Effect, Place, Spec};
+use crate::truth::Truth;
+use plumbline_core::BadInput;
+use serde::Deserialize;
+
+/// Adds to the inertia of one joint alone.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Config {
+    /// Joint, counted from 1.
+    pub joint: usize,
+    /// Inertia on the joint's side of the gear \[kg m2\].
+    pub inertia: f64,
+}
+
+struct RotorInertia(Config);
+
+impl Spec for Config {
+    fn check(&self, place: &Place) -> Result<(), BadInput> {
+        place.joint(self.joint)?;
+        place.range("inertia", self.inertia, 0.0, 100.0)
+    }
+
+    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
+        Box::new(RotorInertia(*self))
+    }
+}
+
+impl Effect for RotorInertia {
+    fn armature(&self, _t: f64, joint: usize) -> f64 {
+        if joint + 1 == self.0.joint { self.0.inertia } else { 0.0 }
+    }
+}

@@ -1,0 +1,149 @@
+//! The catalogue: every effect by its stable id, as a truth file writes it.
+
+use super::late::Late;
+use super::*;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer};
+
+/// Writes down the catalogue once: the enum a file is read into, its ids, and the way to each effect's own file.
+macro_rules! catalogue {
+    ($($(#[$doc:meta])* $variant:ident, $id:literal, $module:ident;)*) => {
+        /// What an effect is.
+        #[derive(Clone, Debug, PartialEq, Deserialize)]
+        #[serde(tag = "id")]
+        pub enum Kind {
+            $($(#[$doc])* #[serde(rename = $id)] $variant($module::Config),)*
+        }
+
+        impl Kind {
+            /// The ids of all effects.
+            pub const IDS: &[&str] = &[$($id),*];
+
+            /// The effect's id.
+            pub fn id(&self) -> &'static str {
+                match self {
+                    $(Kind::$variant(_) => $id,)*
+                }
+            }
+
+            fn spec(&self) -> &dyn Spec {
+                match self {
+                    $(Kind::$variant(config) => config,)*
+                }
+            }
+        }
+    };
+}
+
+catalogue! {
+    /// A torque sensor's zero is off.
+    TorqueOffset, "torque-offset", torque_offset;
+    /// A torque sensor's scale is off.
+    TorqueGain, "torque-gain", torque_gain;
+    /// More Coulomb friction one way than the other.
+    AsymmetricCoulomb, "asymmetric-coulomb", asymmetric_coulomb;
+    /// More viscous friction one way than the other.
+    AsymmetricViscous, "asymmetric-viscous", asymmetric_viscous;
+    /// Friction that falls as the lubricant builds its film.
+    Stribeck, "stribeck", stribeck;
+    /// Friction that is not proportional to velocity.
+    NonlinearViscous, "nonlinear-viscous", nonlinear_viscous;
+    /// Friction that grows with the torque that a joint carries.
+    LoadDependentFriction, "load-dependent-friction", load_dependent_friction;
+    /// Friction that changes as the arm warms up.
+    FrictionDrift, "friction-drift", friction_drift;
+    /// A torque sensor's zero that wanders.
+    OffsetDrift, "offset-drift", offset_drift;
+    /// Friction that bends like a bristle before it slides.
+    Presliding, "presliding", presliding;
+    /// A motor's rotor behind its gear.
+    RotorInertia, "rotor-inertia", rotor_inertia;
+    /// A transmission that twists under load.
+    JointElasticity, "joint-elasticity", joint_elasticity;
+    /// Torque that waves with the position.
+    PositionRipple, "position-ripple", position_ripple;
+    /// Friction that waves with the position.
+    PositionDependentFriction, "position-dependent-friction", position_dependent_friction;
+    /// A spring between two links.
+    Spring, "spring", spring;
+    /// A body that nobody declared.
+    Payload, "payload", payload;
+    /// A base that stands otherwise than declared.
+    Mounting, "mounting", mounting;
+    /// A base that shakes.
+    BaseMotion, "base-motion", base_motion;
+    /// A torque sensor that feels another joint's torque.
+    TorqueCrosstalk, "torque-crosstalk", torque_crosstalk;
+    /// A part that rubs as two joints turn.
+    TransmissionCoupling, "transmission-coupling", transmission_coupling;
+    /// Torque that is reported late.
+    Delay, "delay", delay;
+    /// Somebody or something touches the arm.
+    Contact, "contact", contact;
+    /// An encoder's zero is off.
+    EncoderOffset, "encoder-offset", encoder_offset;
+    /// An encoder's disc is off its axis.
+    EncoderEccentricity, "encoder-eccentricity", encoder_eccentricity;
+    /// A transmission with play.
+    Backlash, "backlash", backlash;
+    /// A test's invention that no catalogue holds.
+    Foreign, "foreign", foreign;
+}
+
+/// An effect as it is written in a truth file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EffectSpec {
+    /// When it begins; 0 for an effect that is always there \[s\].
+    pub from: f64,
+    /// What it is.
+    pub kind: Kind,
+}
+
+impl From<Kind> for EffectSpec {
+    fn from(kind: Kind) -> EffectSpec {
+        EffectSpec { from: 0.0, kind }
+    }
+}
+
+impl EffectSpec {
+    /// # Errors
+    /// What is wrong with the effect on the arm of `truth`; `name` is its place in `file`.
+    pub(crate) fn check(&self, file: &str, name: &str, truth: &Truth) -> Result<(), BadInput> {
+        let place = Place { file, name, truth, from: self.from };
+        place.range("from", self.from, 0.0, 1e9)?;
+        self.kind.spec().check(&place)
+    }
+
+    /// Whether it stands for the Coulomb friction of `joint`, counted from 0.
+    pub(crate) fn replaces_coulomb(&self, joint: usize) -> bool {
+        matches!(&self.kind, Kind::Presliding(config) if config.joint == joint + 1)
+    }
+
+    pub(crate) fn build(&self, truth: &Truth) -> Box<dyn Effect> {
+        let effect = self.kind.spec().build(truth, self.from);
+        if self.from > 0.0 { Box::new(Late::new(effect, self.from, truth)) } else { effect }
+    }
+}
+
+/// `from` belongs to every effect; the rest of the table is the effect's own, and may hold no unknown key.
+impl<'de> Deserialize<'de> for EffectSpec {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<EffectSpec, D::Error> {
+        let mut table = toml::Table::deserialize(deserializer)?;
+        let id = table.get("id").map_or("?".into(), ToString::to_string);
+        let from = table.remove("from").map_or(Ok(0.0), |value| {
+            let found = value.to_string();
+            f64::deserialize(value).map_err(|_| D::Error::custom(format!("a time in s for key `from`, not {found}")))
+        })?;
+        let kind = Kind::deserialize(table).map_err(|error| {
+            // As much as serde knows: the key where it is missing or unknown, what was found where it has the wrong type.
+            let message = error.message();
+            D::Error::custom(match message.split_once(", expected ") {
+                Some((found, wanted)) if !message.starts_with("unknown") => {
+                    format!("{wanted} in the effect {id} ({found})")
+                }
+                _ => message.to_string(),
+            })
+        })?;
+        Ok(EffectSpec { from, kind })
+    }
+}

@@ -1,0 +1,39 @@
+//! Torque-sensor gain: the sensitivity of a bridge, or a motor's torque constant, is not what the arm believes.
+//!
+//!   tau_measured = gain tau
+//!
+//! Source: Ma and Hollerbach, Identifying mass parameters for gravity compensation and automatic torque sensor calibration, ICRA 1996.
+
+use super::{At, Effect, Place, Reading, Spec};
+use crate::truth::Truth;
+use plumbline_core::BadInput;
+use serde::Deserialize;
+
+/// Acts on what is reported, and on the effects listed before it that do so too.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Config {
+    /// Joint, counted from 1.
+    pub joint: usize,
+    /// Reported torque over true torque; 1.03 reports 3 % too much.
+    pub gain: f64,
+}
+
+struct TorqueGain(Config);
+
+impl Spec for Config {
+    fn check(&self, place: &Place) -> Result<(), BadInput> {
+        place.joint(self.joint)?;
+        place.range("gain", self.gain, 0.1, 10.0)
+    }
+
+    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
+        Box::new(TorqueGain(*self))
+    }
+}
+
+impl Effect for TorqueGain {
+    fn sense(&mut self, _at: &At, _x: &[f64], reading: &mut Reading) {
+        reading.tau[self.0.joint - 1] *= self.0.gain;
+    }
+}

@@ -1,0 +1,39 @@
+//! Torque-sensor offset: the zero of a strain gauge or its amplifier is off.
+//!
+//!   tau_measured = tau + offset
+//!
+//! Logs of two public Panda arms need such an offset more than any other single term (docs/real-data.md).
+
+use super::{At, Effect, Place, Reading, Spec};
+use crate::truth::Truth;
+use plumbline_core::BadInput;
+use serde::Deserialize;
+
+/// Acts on what is reported, not on the arm.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Config {
+    /// Joint, counted from 1.
+    pub joint: usize,
+    /// Offset \[Nm\].
+    pub offset: f64,
+}
+
+struct TorqueOffset(Config);
+
+impl Spec for Config {
+    fn check(&self, place: &Place) -> Result<(), BadInput> {
+        place.joint(self.joint)?;
+        place.range("offset", self.offset, -1e3, 1e3)
+    }
+
+    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
+        Box::new(TorqueOffset(*self))
+    }
+}
+
+impl Effect for TorqueOffset {
+    fn sense(&mut self, _at: &At, _x: &[f64], reading: &mut Reading) {
+        reading.tau[self.0.joint - 1] += self.0.offset;
+    }
+}

@@ -1,0 +1,350 @@
+//! The simulated arm: articulated-body dynamics, an inner impedance controller behind a joint-position interface like the FCI's,
+//! friction, effects, noise, quantisation and lost states.
+//!
+//! | file | what |
+//! |---|---|
+//! | `truth` | the arm's masses, friction, controller, sensors and effects, from a file |
+//! | `spatial`, `aba` | its own rigid-body mechanics |
+//! | `effect` | what the estimator does not know |
+//! | `commands`, `plant` | the controller's smooth target; the integration of everything |
+//! | `sensors`, `gate` | noise, faults and loss; back-pressure at full speed |
+//! | `response` | a periodic motion at once, without a loop |
+//! | `hardware` | the arm alone, for a program that is the robot around it |
+//!
+//! It takes positions: `desired.q` of a command, nothing else. A motion begins with the first command, which must be where the arm stands.
+//! Where a command is missing the arm goes on at constant acceleration; 20 in a row are a reflex, and only `stop` ends that.
+//! An arm [with patience](SimArm::with_patience) forgives more, and joins the motion where it finds it.
+//! After a stop the arm brakes, keeps reporting, and takes no command any more.
+//!
+//! The same truth, seed and commands give the same states bit by bit.
+
+mod aba;
+mod commands;
+pub mod effect;
+mod gate;
+mod hardware;
+mod plant;
+mod response;
+mod sensors;
+mod spatial;
+pub mod truth;
+
+pub use gate::Gate;
+pub use hardware::{Hardware, Sensed};
+pub use plant::Exact;
+pub use response::{LEAD, Response};
+pub use truth::Truth;
+
+use commands::{Commands, Objection, TICK};
+use effect::Effect;
+use nalgebra::Vector3;
+use plant::{MAX_STATES, Plant};
+use plumbline_core::BadInput;
+use plumbline_core::Clock;
+use plumbline_core::{Backend, Fault, LONGEST_ALONE};
+use plumbline_core::{Command, JointVec, State};
+use plumbline_model::chain::Chain;
+use plumbline_model::gravity::Mounting;
+use sensors::{Faults, Losses, Sensors};
+use std::sync::Arc;
+
+/// `Fault::Refused`: a commanded position was not a number.
+pub const REFUSED_NOT_FINITE: u32 = 1;
+/// `Fault::Refused`: the commanded position stepped by more than 10 rad/s, or its velocity by more than 0.5 rad/s, in one millisecond.
+pub const REFUSED_JUMP: u32 = 2;
+/// `Fault::Refused`: the arm was stopped, or its reflex stopped it.
+pub const REFUSED_STOPPED: u32 = 3;
+/// `Fault::Reflex`: 20 commands in a row did not come (`communication_constraints_violation` of the FCI).
+pub const REFLEX_COMMUNICATION: u32 = 25;
+
+/// Milliseconds that a late reader is led through before it counts whether they take longer than they last.
+const LED: u64 = 20;
+/// So long after a reader came late the arm's time stands still where nothing was caught up, whatever held it up \[ns\].
+const LONGEST_CHASE: u64 = 1_000_000_000;
+
+/// How a simulated arm keeps time.
+pub enum Pace {
+    /// One state per millisecond of this clock, on absolute deadlines. The arm goes on without whoever comes late: he gets the newest state
+    /// that is due, the ones before it are lost, and nothing is caught up in a burst. On a machine that needs longer than a millisecond for
+    /// a millisecond of the arm's life no state is ever the newest: the arm's time then stands still instead.
+    WallClock(Box<dyn Clock>),
+    /// As fast as the gate lets states through.
+    Fast(Arc<Gate>),
+}
+
+/// Why a simulated arm could not be built.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SimError {
+    /// The truth describes another number of joints.
+    #[error("the simulated arm has {truth} links, the robot {chain} joints")]
+    Joints {
+        /// Links in the truth.
+        truth: usize,
+        /// Joints of the robot.
+        chain: usize,
+    },
+    /// The start pose or the mounting is not a number.
+    #[error("the simulated arm cannot start at {value} in {what}")]
+    NotFinite {
+        /// `joint 3`, `gravity`.
+        what: String,
+        /// The value given.
+        value: f64,
+    },
+    /// More effects than the arm has room for.
+    #[error("the effects have {states} continuous states, the simulated arm has room for {MAX_STATES}")]
+    TooManyStates {
+        /// States of all effects together.
+        states: usize,
+    },
+    /// The truth file is wrong.
+    #[error(transparent)]
+    Truth(#[from] BadInput),
+}
+
+/// Whether an arm can be built of these parts.
+fn check(
+    chain: &Chain,
+    truth: &Truth,
+    gravity: &Vector3<f64>,
+    start: &JointVec,
+    effects: &[Box<dyn Effect>],
+) -> Result<(), SimError> {
+    let n = chain.len();
+    if truth.joints() != n {
+        return Err(SimError::Joints { truth: truth.joints(), chain: n });
+    }
+    if let Some(&value) = gravity.iter().find(|value| !value.is_finite()) {
+        return Err(SimError::NotFinite { what: "gravity".into(), value });
+    }
+    if let Some(j) = (0..n).find(|&j| !start[j].is_finite()) {
+        return Err(SimError::NotFinite { what: format!("joint {}", j + 1), value: start[j] });
+    }
+    let states = effects.iter().map(|effect| effect.states()).sum();
+    if states > MAX_STATES {
+        return Err(SimError::TooManyStates { states });
+    }
+    Ok(())
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Mode {
+    /// Nobody has commanded anything yet.
+    Idle,
+    Moving,
+    /// Braked by its own reflex; it says so until it is stopped.
+    Reflex,
+    Stopped,
+}
+
+/// A simulated arm.
+pub struct SimArm {
+    joints: usize,
+    plant: Plant,
+    commands: Commands,
+    sensors: Sensors,
+    faults: Faults,
+    losses: Losses,
+    pace: Pace,
+    mode: Mode,
+    pending: Option<JointVec>,
+    missing: u32,
+    patience: u32,
+    seq: u64,
+    exact: Exact,
+    /// Deadline of state 0 on the wall clock; known from the first read on \[ns\].
+    origin_ns: Option<u64>,
+}
+
+impl SimArm {
+    /// An arm with the kinematics of `chain`, at rest at `start` \[rad\].
+    ///
+    /// `seed` decides its noise and losses.
+    ///
+    /// # Errors
+    /// [`SimError`] when truth and chain do not fit, or a number is none.
+    pub fn new(
+        chain: &Chain,
+        truth: &Truth,
+        mounting: Mounting,
+        start: JointVec,
+        seed: u64,
+        pace: Pace,
+    ) -> Result<SimArm, SimError> {
+        SimArm::with_effects(chain, truth, mounting, start, seed, pace, truth.build_effects())
+    }
+
+    fn with_effects(
+        chain: &Chain,
+        truth: &Truth,
+        mounting: Mounting,
+        start: JointVec,
+        seed: u64,
+        pace: Pace,
+        effects: Vec<Box<dyn Effect>>,
+    ) -> Result<SimArm, SimError> {
+        let (n, gravity) = (chain.len(), mounting.gravity());
+        check(chain, truth, &gravity, &start, &effects)?;
+        Ok(SimArm {
+            joints: n,
+            plant: Plant::new(chain, truth, gravity, &start, effects),
+            commands: Commands::at_rest(n, &start),
+            sensors: Sensors::new(truth, seed),
+            faults: Faults::new(truth, seed),
+            losses: Losses::new(truth, seed),
+            pace,
+            mode: Mode::Idle,
+            pending: None,
+            missing: 0,
+            patience: LONGEST_ALONE,
+            seq: 0,
+            exact: Exact::default(),
+            origin_ns: None,
+        })
+    }
+
+    /// An arm that ends a motion only after so many missing commands in a row. More than 20 are for machines that stall more than a robot
+    /// allows: such an arm takes the next command wherever the motion has got to meanwhile, at 10 rad/s at most. No real arm does.
+    pub fn with_patience(self, missing: u32) -> SimArm {
+        SimArm { patience: missing.max(1), ..self }
+    }
+
+    /// Whether it has missed commands and forgives that.
+    fn forgives(&self) -> bool {
+        self.patience > LONGEST_ALONE && self.missing > 0 && self.mode == Mode::Moving
+    }
+
+    /// The arm's exact motion at the state read last, for comparisons; no real arm has this.
+    pub fn exact(&self) -> &Exact {
+        &self.exact
+    }
+
+    /// One millisecond of the arm's life.
+    fn tick(&mut self) -> State {
+        match (self.mode, self.pending.take()) {
+            (Mode::Moving, Some(q)) => {
+                match self.forgives() {
+                    true => self.commands.join(&q, self.missing + 1),
+                    false => self.commands.push(&q),
+                }
+                self.missing = 0;
+            }
+            (Mode::Moving, None) => {
+                self.missing += 1;
+                if self.missing < self.patience {
+                    self.commands.extrapolate();
+                } else {
+                    self.mode = Mode::Reflex;
+                    self.commands.brake();
+                }
+            }
+            (Mode::Idle | Mode::Reflex | Mode::Stopped, _) => self.commands.brake(),
+        }
+        self.plant.advance(&self.commands);
+        self.seq += 1;
+        let (mut reading, exact) = self.plant.sense();
+        let mut time = self.seq as f64 * TICK;
+        self.sensors.distort(&mut reading);
+        self.faults.spoil(&mut reading, &mut time);
+        self.exact = exact;
+        State { seq: self.seq, time, q: reading.q, dq: reading.dq, tau: reading.tau, q_d: *self.commands.newest() }
+    }
+
+    /// Whether the state after the present one is due, too: nobody came for the present one in time.
+    fn is_overdue(&self) -> bool {
+        self.origin_ns.is_some_and(|origin| self.now_ns() >= origin.saturating_add((self.seq + 1) * 1_000_000))
+    }
+
+    /// Lives through what nobody came for in time, and through states that are lost; the one that is due now.
+    ///
+    /// A machine may be held up while it does so, and again: what it makes up for in the end is no reason to let the arm's time stand still. One
+    /// that needs longer than a millisecond for each of them is.
+    fn catch_up(&mut self, mut state: State) -> State {
+        let (first, begin) = (self.seq, self.now_ns());
+        let (mut before, mut shortest) = (begin, u64::MAX);
+        while self.losses.next() || self.is_overdue() {
+            state = self.tick();
+            let now = self.now_ns();
+            shortest = shortest.min(now.saturating_sub(before));
+            before = now;
+            let (lived, took) = (self.seq - first, now.saturating_sub(begin));
+            let behind = lived >= LED && took > lived * 1_000_000;
+            if behind && (shortest > 1_000_000 || took > LONGEST_CHASE) {
+                self.origin_ns = Some(now.saturating_sub(self.seq * 1_000_000));
+                break;
+            }
+        }
+        state
+    }
+
+    /// The clock that this arm keeps; stands still where it keeps none.
+    fn now_ns(&self) -> u64 {
+        match &self.pace {
+            Pace::WallClock(clock) => clock.now_ns(),
+            Pace::Fast(_) => 0,
+        }
+    }
+
+    /// Waits for the moment of the present state.
+    fn keep_pace(&mut self) {
+        if let Pace::WallClock(clock) = &self.pace {
+            let now = clock.now_ns();
+            let origin = *self.origin_ns.get_or_insert(now.saturating_sub((self.seq - 1) * 1_000_000));
+            clock.sleep_until(origin + self.seq * 1_000_000);
+        }
+    }
+}
+
+impl Backend for SimArm {
+    fn joints(&self) -> usize {
+        self.joints
+    }
+
+    fn read(&mut self) -> Result<State, Fault> {
+        if let Pace::Fast(gate) = &self.pace {
+            gate.pass().map_err(|_| Fault::Disconnected)?;
+        }
+        let state = self.tick();
+        let state = self.catch_up(state);
+        self.keep_pace();
+        match self.mode {
+            Mode::Reflex => {
+                // No state goes out, so no record comes back for it.
+                if let Pace::Fast(gate) = &self.pace {
+                    gate.consumed(1);
+                }
+                Err(Fault::Reflex { code: REFLEX_COMMUNICATION })
+            }
+            Mode::Idle | Mode::Moving | Mode::Stopped => Ok(state),
+        }
+    }
+
+    fn write(&mut self, command: &Command) -> Result<(), Fault> {
+        if matches!(self.mode, Mode::Reflex | Mode::Stopped) {
+            return Err(Fault::Refused { code: REFUSED_STOPPED });
+        }
+        let q = &command.desired.q;
+        let objection = match self.forgives() {
+            true => self.commands.objection_after(q, self.missing + 1),
+            false => self.commands.objection(q),
+        };
+        match objection {
+            Some(Objection::NotFinite) => Err(Fault::Refused { code: REFUSED_NOT_FINITE }),
+            Some(Objection::Jump) => Err(Fault::Refused { code: REFUSED_JUMP }),
+            None => {
+                self.mode = Mode::Moving;
+                self.pending = Some(*q);
+                Ok(())
+            }
+        }
+    }
+
+    fn stop(&mut self) {
+        self.mode = Mode::Stopped;
+        self.pending = None;
+    }
+
+    fn deadline_ns(&self) -> Option<u64> {
+        self.origin_ns.map(|origin| origin + self.seq * 1_000_000)
+    }
+}
