@@ -1,5 +1,6 @@
 //! Floor 0: how results reach the disk: written aside, flushed, then renamed, so that no reader ever sees half a result.
 
+use crate::failure::Failure;
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -23,6 +24,11 @@ pub fn write_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
         let _ = fs::remove_file(&aside);
     }
     written.map_err(|error| named(path, error))
+}
+
+/// [`write_file`] for a result of a command: a failure is one of the job.
+pub fn write_result(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    write_file(path, bytes).map_err(Failure::job)
 }
 
 /// Fills a new folder beside `path` with `fill`, flushes its files, then puts it in `path`'s place; an older folder there goes.

@@ -1,26 +1,51 @@
 //! plumbline identifies the dynamics of a serial robot arm for any mounting and serves the torques it needs at 1 kHz.
 //!
-//! The map, floor by floor; imports point to lower floors only (`tests/floors.rs` holds that wall):
+//! The libraries, each a crate of its own; a crate imports those above it in this table only:
 //!
-//! | floor | modules | what |
-//! |---|---|---|
-//! | 0 | [`joint`], [`input`], [`atomic`], [`parallel`], [`decomposition`] | fixed-size values with units; how bad input is reported; how files are written; work on all processors; eigenvalues and singular values |
-//! | 1 | [`model`], [`rt`] | the arm's dynamics, pure; the real-time loop and its traits |
-//! | 2 | [`excite`], [`estimate`], [`backend`], [`inclinometer`], [`ipc`], [`machine`], [`recording`] | motions that excite; parameters from samples; arms; which way is down; shared memory; whether this computer keeps time; the last seconds before a fault |
-//! | 3 | [`config`], [`dataset`], [`diagnose`], [`postmortem`], [`report`], [`store`] | typed configuration; recorded motions; what a model lacks; what happened before a fault; what a job says; model and plan files |
-//! | 4 | [`app`] | one file per subcommand: wiring only |
+//! | crate | what |
+//! |---|---|
+//! | [`plumbline_core`] | per-joint values, the traits between the loop and what surrounds it, bad input |
+//! | [`plumbline_model`] | the arm's dynamics: kinematics, Newton-Euler, regressor, base parameters, effects |
+//! | [`plumbline_rt`] | the 1 kHz loop: orders, guard, controlled stop, hand-over of models |
+//! | [`plumbline_excite`] | motions that excite, inside the limits of the arm |
+//! | [`plumbline_identify`] | parameters with standard deviations from samples |
+//! | [`plumbline_diagnose`] | what a model lacks |
+//! | [`plumbline_sim`], [`plumbline_franka`] | arms: simulated, and over the Franka Control Interface |
+//! | [`plumbline_ipc`] | samples, torques, commands between processes |
 //!
-//! The way of the data: `excite` plans a motion, `rt` drives it through a `backend` and puts one record per cycle into a ring,
-//! the daemon's bridge thread (`app::daemon`) publishes the records through `ipc`, the estimator process (`app::estimator`) turns
-//! them into a model with `estimate`, and the daemon serves that model's torque.
+//! This package is the program:
+//!
+//! | module | what |
+//! |---|---|
+//! | [`cli`] | one file per subcommand |
+//! | [`daemon`] | the process that drives the arm and serves the torque |
+//! | [`estimator`] | the process that turns samples into models |
+//! | [`setup`] | what a job needs before anything moves: robot, locks, plans |
+//! | [`analysis`] | from recorded runs to model, errors and diagnosis; shared by estimator and offline commands |
+//! | [`config`], [`dataset`], [`store`], [`recording`] | files: jobs, recorded motions, models and plans, the last seconds before a fault |
+//! | [`report`], [`postmortem`] | what a job found; what happened before a fault |
+//! | [`inclinometer`], [`machine`], [`process`] | the gravity sensor; fitness of the computer; log, signals and systemd |
+//!
+//! The way of the data: `excite` plans a motion, `rt` drives it through a backend and puts one record per cycle into a ring, the daemon's
+//! bridge thread publishes the records through `ipc`, the estimator turns them into a model with `identify`, and the daemon serves that
+//! model's torque.
 
-pub mod app;
+mod analysis;
 pub mod atomic;
+pub mod cli;
 pub mod config;
+mod daemon;
 pub mod dataset;
+mod date;
+mod estimator;
+mod failure;
 pub mod inclinometer;
 pub mod machine;
 pub mod postmortem;
+mod process;
 pub mod recording;
 pub mod report;
+mod setup;
 pub mod store;
+
+pub use failure::Failure;

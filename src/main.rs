@@ -7,5 +7,5 @@ use std::process::ExitCode;
 static ALLOCATOR: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
 
 fn main() -> ExitCode {
-    plumbline::app::main()
+    plumbline::cli::main()
 }

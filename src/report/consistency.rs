@@ -1,6 +1,7 @@
 //! Whether real bodies have the identified parameters.
 
 use plumbline_identify::consistency::Nearest;
+use plumbline_model::torque::TorqueModel;
 use serde::{Deserialize, Serialize};
 
 /// Parameters named in one sentence.
@@ -33,8 +34,14 @@ pub struct Moved {
 }
 
 impl Consistency {
+    /// Of the bodies that were found for a model.
+    pub fn of_model(model: &TorqueModel, found: &Nearest) -> Consistency {
+        let names: Vec<&str> = model.structure().columns().iter().map(|column| column.name.as_str()).collect();
+        Consistency::of(found, &names)
+    }
+
     /// Of bodies that were found; `names` are those of the columns.
-    pub fn of(found: &Nearest, names: &[&str]) -> Consistency {
+    fn of(found: &Nearest, names: &[&str]) -> Consistency {
         let mut moved: Vec<Moved> = names
             .iter()
             .zip(found.moved.iter().zip(&found.beta))

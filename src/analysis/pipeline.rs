@@ -1,0 +1,298 @@
+//! From recorded runs to a model and its errors: what `identify` and `estimator` share.
+
+use crate::dataset::Run;
+use crate::failure::Failure;
+use crate::report::figures::TorqueFigure;
+use nalgebra::DMatrix;
+use plumbline_core::BadInput;
+use plumbline_core::{parallel, threads};
+use plumbline_identify::EstimateError;
+use plumbline_identify::consistency::{Nearest, Prior, Uncertainty, nearest};
+use plumbline_identify::experiment::{Experiment, Settings};
+use plumbline_identify::run as estimate;
+use plumbline_identify::solve::{self, Identification, identify_with};
+use plumbline_identify::validate::{Modelled, Rms, compare};
+use plumbline_model::base::Reduction;
+use plumbline_model::robot::{Robot, TorqueSensing};
+use plumbline_model::structure::Structure;
+use plumbline_model::term::Motion;
+use plumbline_model::term::torque_offset;
+use plumbline_model::torque::TorqueModel;
+
+/// A model and how it came about.
+pub struct Identified {
+    /// The model.
+    pub model: TorqueModel,
+    /// Everything the estimator says about it.
+    pub identification: Identification,
+}
+
+/// How well a model predicts one run.
+pub struct Judged {
+    /// Errors, raw and filtered.
+    pub rms: Rms,
+    /// Measured and modelled torque.
+    pub figure: TorqueFigure,
+}
+
+/// Terms that an arm's torques need besides its rigid body, when nobody says otherwise: motor-side torques feel the rotors, and every
+/// torque sensor has an offset.
+pub fn usual_terms(robot: &Robot) -> Vec<&'static str> {
+    match robot.torque_sensing {
+        TorqueSensing::Link => vec!["friction", "torque-offset"],
+        TorqueSensing::Motor => vec!["friction", "torque-offset", "rotor-inertia"],
+    }
+}
+
+/// The same for a diagnosis, to which an offset is a finding.
+pub fn plain_terms(robot: &Robot) -> Vec<&'static str> {
+    usual_terms(robot).into_iter().filter(|id| *id != torque_offset::ID).collect()
+}
+
+/// Whether `--velocities` asks for those that the arm measured.
+pub fn measured_velocities(option: &str) -> Result<bool, BadInput> {
+    match option {
+        "measured" => Ok(true),
+        "derived" => Ok(false),
+        other => Err(BadInput::new("command line", "--velocities", format!("`{other}`"), "measured or derived")),
+    }
+}
+
+/// The parameters that runs in these mountings can determine: one mounting has its own base set, several need the general one.
+pub fn structure(robot: &Robot, runs: &[&Run], terms: &[&str]) -> Result<Structure, Failure> {
+    let chain = robot.chain.clone();
+    let same =
+        runs.windows(2).all(|pair| pair[0].mounting.angle_to(&pair[1].mounting) < crate::analysis::SAME_MOUNTING);
+    let reduction = match runs.first() {
+        Some(first) if same => Reduction::in_mounting(&chain, &first.mounting),
+        _ => Reduction::any_mounting(&chain),
+    };
+    Ok(Structure::of(chain, reduction, terms).map_err(Failure::job)?.identifiable())
+}
+
+/// Refuses runs to identify from in which a channel does not vary: a torque in any run, a position in all of them.
+pub fn check_channels(runs: &[&Run]) -> Result<(), BadInput> {
+    check_torques(runs)?;
+    let Some(first) = runs.first() else { return Ok(()) };
+    for j in 0..first.joints() {
+        if runs.iter().all(|run| constant(&run.q, j).is_some()) {
+            let expected = "a position that varies in at least one run to identify from: move, or check the encoder of";
+            return Err(not_varying(first, "q", &first.q, j, expected));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses runs in which a torque does not vary: a sensor that measures nothing looks like this, and its noise would be zero, its weight
+/// infinite.
+pub fn check_torques(runs: &[&Run]) -> Result<(), BadInput> {
+    for run in runs {
+        if let Some(j) = (0..run.tau.ncols()).find(|&j| constant(&run.tau, j).is_some()) {
+            return Err(not_varying(run, "tau", &run.tau, j, "a torque that varies: check the torque sensor of"));
+        }
+    }
+    Ok(())
+}
+
+/// The value of a column, where all samples have the same.
+fn constant(channel: &DMatrix<f64>, j: usize) -> Option<f64> {
+    let first = channel.column(j).iter().next().copied()?;
+    channel.column(j).iter().all(|value| *value == first).then_some(first)
+}
+
+fn not_varying(run: &Run, name: &str, channel: &DMatrix<f64>, j: usize, expected: &str) -> BadInput {
+    let found = format!("{} in all {} samples", channel[(0, j)], run.samples());
+    BadInput::new(&run.file, format!("column {name}{}", j + 1), found, format!("{expected} joint {}", j + 1))
+}
+
+/// Averages, filters and differentiates a run.
+pub fn experiment(run: &Run, settings: &Settings) -> Result<Experiment, Failure> {
+    let input = estimate::Run {
+        name: run.file.clone(),
+        t: run.t.clone(),
+        q: run.q.clone(),
+        dq: run.dq.clone(),
+        tau: run.tau.clone(),
+        gravity: run.mounting.gravity(),
+        period: run.period,
+    };
+    let expected = "a run that is long and even enough for the filters";
+    Experiment::prepare(&input, settings).map_err(|error| BadInput::new(&run.file, "samples", error, expected).into())
+}
+
+/// [`experiment`] of several runs, on all processors.
+pub fn experiments(runs: &[&Run], settings: &Settings) -> Result<Vec<Experiment>, Failure> {
+    parallel(runs, threads(), |run| experiment(run, settings)).into_iter().collect()
+}
+
+/// Runs made ready with all that an estimator wants of them.
+pub fn for_estimator(runs: &[&Run], settings: &Settings, options: &solve::Options) -> Result<Vec<Experiment>, Failure> {
+    let keep_periods = settings.keep_periods || options.estimator.wants_periods();
+    let settings = Settings { keep_periods, ..settings.clone() };
+    let prepare = |run: &&Run| {
+        let experiment = experiment(run, &settings)?;
+        if !options.estimator.wants_periods() {
+            return Ok(experiment);
+        }
+        desired(run, experiment)
+    };
+    parallel(runs, threads(), prepare).into_iter().collect()
+}
+
+/// Identifies a model from runs of one arm.
+pub fn identify(
+    robot: &Robot,
+    runs: &[&Run],
+    terms: &[&str],
+    settings: &Settings,
+    options: &solve::Options,
+) -> Result<Identified, Failure> {
+    check_channels(runs)?;
+    let structure = structure(robot, runs, terms)?;
+    let experiments = for_estimator(runs, settings, options)?;
+    let identification = identify_with(&structure, &experiments, options).map_err(|error| match error {
+        EstimateError::NoInstruments { run } => {
+            let expected = "at least two periods, or columns q_d1..q_dn, for `--estimator iv`";
+            Failure::from(BadInput::new(run, "samples", "a motion that does not repeat", expected))
+        }
+        other => Failure::job(other),
+    })?;
+    identified(robot, runs, structure, identification)
+}
+
+/// The model of an identification from runs of one arm.
+pub fn identified(
+    robot: &Robot,
+    runs: &[&Run],
+    structure: Structure,
+    identification: Identification,
+) -> Result<Identified, Failure> {
+    let mut mountings = Vec::new();
+    for run in runs {
+        if !mountings.contains(&run.mounting) {
+            mountings.push(run.mounting);
+        }
+    }
+    let model = TorqueModel::new(&robot.name, structure, mountings, &identification.values()).map_err(Failure::job)?;
+    Ok(Identified { model, identification })
+}
+
+/// With the desired motion, where the run has columns `q_d1` to `q_dn`.
+fn desired(run: &Run, experiment: Experiment) -> Result<Experiment, Failure> {
+    let columns: Option<Vec<&[f64]>> = (1..=run.joints()).map(|j| run.extra(&format!("q_d{j}"))).collect();
+    let Some(columns) = columns else { return Ok(experiment) };
+    let q_d = DMatrix::from_fn(run.samples(), run.joints(), |k, j| columns[j][k]);
+    let expected = "one finite desired position per sample and joint";
+    experiment
+        .with_desired(&run.t, &q_d)
+        .map_err(|error| BadInput::new(&run.file, "columns q_d1..q_dn", error, expected).into())
+}
+
+/// [`judge`] of several runs, on all processors.
+pub fn judge_all<'a>(
+    model: &TorqueModel,
+    runs: &[&'a Run],
+    settings: &Settings,
+) -> Result<Vec<(&'a Run, Judged)>, Failure> {
+    parallel(runs, threads(), |run| Ok((*run, judge(model, run, settings)?))).into_iter().collect()
+}
+
+/// Predicts a run with a model, in the run's own mounting.
+pub fn judge(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Judged, Failure> {
+    let experiment = experiment(run, settings)?;
+    let modelled = Modelled::of(&experiment, |motion| model.predict(motion));
+    let rms = compare(&experiment, &modelled);
+    let figure = TorqueFigure {
+        title: title(run),
+        t: times(&experiment),
+        measured: columns(&experiment.tau, experiment.joints()),
+        modelled: columns(modelled.judged(), experiment.joints()),
+        raw: Vec::new(),
+        noise: rms.noise_floor.clone().unwrap_or_default(),
+    };
+    Ok(Judged { rms, figure })
+}
+
+/// Measured and modelled torque of a run after the estimator's low-pass, with the raw torque behind them.
+pub fn figure_in_band(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<TorqueFigure, Failure> {
+    let experiment = experiment(run, settings)?;
+    let modelled = model.predict(&experiment.motion);
+    let noise = experiment.scatter.as_ref().map(|scatter| scatter.std_of_mean(|f| experiment.gain(f)));
+    let n = experiment.joints();
+    let stacked = DMatrix::from_column_slice(modelled.len(), 1, modelled.as_slice());
+    Ok(TorqueFigure {
+        title: title(run),
+        t: times(&experiment),
+        measured: columns(&experiment.filter(&experiment.stacked_tau()), n),
+        modelled: columns(&experiment.filter(&stacked), n),
+        raw: columns(&experiment.tau, n),
+        noise: noise.unwrap_or_default(),
+    })
+}
+
+fn title(run: &Run) -> String {
+    run.file.replace(".csv", "")
+}
+
+/// Times of the samples since the start of the recording, of a periodic run since the start of a period \[s\].
+fn times(experiment: &Experiment) -> Vec<f64> {
+    let Motion { start, dt, .. } = experiment.motion;
+    (0..experiment.motion.samples()).map(|k| start + k as f64 * dt).collect()
+}
+
+/// One vector per joint of a matrix that holds its samples joint by joint.
+fn columns(matrix: &DMatrix<f64>, joints: usize) -> Vec<Vec<f64>> {
+    matrix.as_slice().chunks(matrix.len() / joints).map(<[f64]>::to_vec).collect()
+}
+
+/// Torques of a model along a recorded motion.
+pub struct Predicted {
+    /// At the time stamps of the recording, N x n \[Nm\].
+    pub torques: DMatrix<f64>,
+    /// Whether each sample is so near to an end of the recording that its acceleration depends on the filter's continuation of the motion
+    /// past that end, N.
+    pub at_end: Vec<bool>,
+    /// Errors without those samples, where the recording has measured torques.
+    pub rms: Option<Rms>,
+}
+
+/// Torques of a model at every sample of a recorded motion.
+pub fn predict(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Predicted, Failure> {
+    let measured = run.tau.ncols() > 0;
+    // Every sample is wanted, not the mean period.
+    let mut whole = Run { period: None, ..run.clone() };
+    if !measured {
+        whole.tau = DMatrix::zeros(run.samples(), run.joints());
+    }
+    let experiment = experiment(&whole, settings)?;
+    let rms = measured.then(|| compare(&experiment, &Modelled::of(&experiment, |motion| model.predict(motion))));
+    let (motion, edge) = experiment.with_ends();
+    let even = model.predict(&motion);
+    let samples = even.nrows();
+    // The grid begins with the recording and may end up to one step before its last sample.
+    let place = |t: f64| ((t - run.t[0]) / motion.dt).clamp(0.0, samples as f64);
+    let torques = DMatrix::from_fn(run.samples(), run.joints(), |k, j| {
+        let at = place(run.t[k]);
+        let before = (at as usize).min(samples - 2);
+        even[(before, j)] + (at - before as f64) * (even[(before + 1, j)] - even[(before, j)])
+    });
+    let kept = edge as f64..=(samples - 1 - edge) as f64;
+    // A time stamp is not exact to the last digit.
+    let at_end = run.t.iter().map(|&t| !kept.contains(&((place(t) * 1e6).round() / 1e6))).collect();
+    Ok(Predicted { torques, at_end, rms })
+}
+
+/// Real bodies for what was identified, by the whole covariance; `None`, with a warning, where none were found.
+pub fn real_bodies(identified: &Identified) -> Option<Nearest> {
+    let identification = &identified.identification;
+    let uncertainty = Uncertainty::Covariance(&identification.covariance, &identification.std);
+    let structure = identified.model.structure();
+    let prior = Prior::of_geometry(structure, &identification.beta);
+    match nearest(structure, &identification.beta, uncertainty, &prior) {
+        Ok(found) => Some(found),
+        Err(error) => {
+            tracing::warn!("physical consistency: {error}");
+            None
+        }
+    }
+}

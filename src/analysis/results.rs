@@ -1,0 +1,368 @@
+//! What a job leaves behind: identifies, judges, and writes model, dataset and report.
+
+use crate::analysis::collector::Recorded;
+use crate::analysis::diagnosed::{self, Diagnosed, Question};
+use crate::analysis::pipeline::{self, Identified, Judged};
+use crate::config::job::{Diagnosis, Job};
+use crate::dataset::{Dataset, Run};
+use crate::failure::Failure;
+use crate::report::figures::{Figures, PlanFigure};
+use crate::report::{
+    Base, Consistency, CounterExperiment, EstimatorFacts, Fit, GravityFacts, Identifiability, IpcFacts, LoopFacts,
+    MotionUsage, Quantiles, Report, SessionFacts, Validation,
+};
+use crate::setup::programme::{Motion, Programme, Role};
+use crate::store::{ModelFile, Provenance, Validated};
+use plumbline_core::threads;
+use plumbline_diagnose::errors::Of;
+use plumbline_excite::plan::PlanUsage;
+use plumbline_identify::experiment::Settings;
+use plumbline_identify::solve::Outcome;
+use plumbline_ipc::{Session, Status, StreamCounters};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use std::path::{Path, PathBuf};
+
+/// Terms of the paper's model, besides the rigid body.
+const TERMS: [&str; 1] = ["friction"];
+
+/// Motions as they come in, and the model once it is there.
+pub struct Results {
+    job: Job,
+    robot: Robot,
+    settings: Settings,
+    out: PathBuf,
+    plan: Option<Motion>,
+    motions: Vec<MotionUsage>,
+    recorded: Vec<Recorded>,
+    model: Option<Identified>,
+    notes: Vec<String>,
+}
+
+impl Results {
+    /// Results of one job, to be written into `out`.
+    pub fn new(job: &Job, robot: &Robot, programme: &Programme, out: &Path) -> Results {
+        Results {
+            job: job.clone(),
+            robot: robot.clone(),
+            settings: job.settings(),
+            out: out.to_path_buf(),
+            plan: programme.motions().find(|motion| motion.role == Role::Identify).cloned(),
+            motions: programme.motions().filter_map(usage).collect(),
+            recorded: Vec::new(),
+            model: None,
+            notes: Vec::new(),
+        }
+    }
+
+    /// Number of joints.
+    pub fn joints(&self) -> usize {
+        self.robot.chain.len()
+    }
+
+    /// Whether the job measures the direction of gravity.
+    pub fn has_inclinometer(&self) -> bool {
+        self.job.inclinometer.is_some()
+    }
+
+    /// The mounting of the first motion that was recorded.
+    pub fn first_mounting(&self) -> Option<Mounting> {
+        self.recorded.first().map(|recorded| recorded.run.mounting)
+    }
+
+    /// Keeps a recorded motion.
+    pub fn take(&mut self, recorded: Recorded) {
+        tracing::info!("{} was recorded: {} samples", recorded.run.file, recorded.run.samples());
+        self.recorded.push(recorded);
+    }
+
+    /// Identifies the model from the motions that are there for it; writes `model.toml` and returns its text.
+    pub fn identify(&mut self) -> Result<String, Failure> {
+        let runs = self.runs(Role::Identify);
+        let identified = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings, &self.job.solver())?;
+        let text = self.model_file(&identified, Vec::new(), None).to_toml();
+        crate::atomic::write_result(&self.out.join("model.toml"), text.as_bytes())?;
+        self.model = Some(identified);
+        Ok(text)
+    }
+
+    /// The model and the first run that it was identified from.
+    pub fn identified(&self) -> Option<(&Identified, &Run)> {
+        self.model.as_ref().zip(self.runs(Role::Identify).first().copied())
+    }
+
+    /// Something that the report should say.
+    pub fn note(&mut self, note: String) {
+        self.notes.push(note);
+    }
+
+    /// Judges the model by every unseen motion and writes everything. `sent` is the number of samples of the whole programme.
+    pub fn finish(&mut self, status: &Status, sent: u64, counters: &StreamCounters) -> Result<(), Failure> {
+        let Some(identified) = self.model.take() else {
+            return Err(Failure::job("the daemon is done, but no motion to identify from was recorded"));
+        };
+        let dataset = self.dataset();
+        let plain = identified;
+        let diagnosed = self.diagnose(&plain)?;
+        // From here on the model is the one with what was found.
+        let identified = diagnosed.as_ref().map_or(&plain, |diagnosed| &diagnosed.after);
+        let judged = pipeline::judge_all(&identified.model, &self.runs(Role::Validate), &self.settings)?;
+        let counter = self.counter_experiment(&judged)?;
+        let validated = judged.iter().map(|(run, judged)| Validated {
+            run: run.file.clone(),
+            rho: run.mounting.rho,
+            phi: run.mounting.phi,
+            rms: judged.rms.raw.clone(),
+        });
+        let model = self.model_file(identified, validated.collect(), Some(dataset.content_hash()));
+        crate::atomic::write_result(&self.out.join("model.toml"), model.to_toml().as_bytes())?;
+        if diagnosed.as_ref().is_some_and(|diagnosed| diagnosed.block.effects.iter().any(|effect| effect.in_model)) {
+            // What the daemon has served so far.
+            let served = self.model_file(&plain, Vec::new(), Some(dataset.content_hash()));
+            crate::atomic::write_result(&self.out.join("model-plain.toml"), served.to_toml().as_bytes())?;
+        }
+        if let Some((_, vertical)) = &counter {
+            crate::atomic::write_result(&self.out.join("model-vertical.toml"), vertical.to_toml().as_bytes())?;
+        }
+        if self.job.output.dataset {
+            dataset.write(&self.out.join("dataset")).map_err(Failure::job)?;
+        }
+        let mut report = report_of(identified, self.job.mounting, &model.provenance);
+        report.validate = judged.iter().map(|(run, judged)| validation(run, judged)).collect();
+        report.consistency = model.consistent.as_ref().map(|found| Consistency::of_model(&model.model, found));
+        report.counter_experiment = counter.map(|(facts, _)| facts);
+        report.gravity = status.gravity.as_ref().and_then(|said| {
+            let runs = self.recorded.iter().map(|own| (own.number, own.run.file.as_str(), own.run.mounting));
+            GravityFacts::of(said, self.job.mounting, runs)
+        });
+        report.motions = self.motions.clone();
+        report.cycle = Some(self.loop_facts(status));
+        let wall_clock = self.wall_clock();
+        report.sessions = status.sessions.iter().map(|session| SessionFacts::of(session, wall_clock)).collect();
+        report.ipc =
+            Some(IpcFacts { sent, received: counters.received, replayed: counters.replayed, missed: counters.missed });
+        report.notes.extend(self.notes.iter().cloned());
+        let mut figures = self.figures(identified, judged)?;
+        if let Some(diagnosed) = diagnosed {
+            report.diagnosis = Some(diagnosed.block);
+            figures.diagnosis = diagnosed.figures;
+        }
+        report.write(&self.out, &figures).map_err(Failure::job)
+    }
+
+    /// What the model lacks, where the job wants to know: found on the motions of the identification, measured on unseen ones.
+    fn diagnose(&self, identified: &Identified) -> Result<Option<Diagnosed>, Failure> {
+        if !self.job.diagnosis.enabled {
+            return Ok(None);
+        }
+        let (identify, unseen) = (self.runs(Role::Identify), self.runs(Role::Validate));
+        let unseen: Vec<&Run> =
+            unseen.into_iter().filter(|run| identified.model.valid_in(&run.mounting).is_ok()).collect();
+        let Diagnosis { band, threshold, .. } = self.job.diagnosis;
+        let settings = plumbline_diagnose::Settings {
+            band,
+            threshold,
+            threads: threads(),
+            ..plumbline_diagnose::Settings::default()
+        };
+        let question = Question {
+            robot: &self.robot,
+            structure: identified.model.structure(),
+            identify: &identify,
+            unseen: &unseen,
+            settings: &self.settings,
+            options: &self.job.solver(),
+            diagnosis: &settings,
+            of: Of::Raw,
+        };
+        diagnosed::run(&question).map(Some)
+    }
+
+    fn runs(&self, role: Role) -> Vec<&Run> {
+        self.recorded.iter().filter(|recorded| recorded.role == role).map(|recorded| &recorded.run).collect()
+    }
+
+    /// The usual set from the vertical mounting: refused elsewhere, and forced, to show where it fails.
+    fn counter_experiment(&self, judged: &[(&Run, Judged)]) -> Result<Option<(CounterExperiment, ModelFile)>, Failure> {
+        let runs = self.runs(Role::Counter);
+        let Some(first) = runs.first() else { return Ok(None) };
+        let vertical = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings, &self.job.solver())?;
+        let Err(refused) = vertical.model.valid_in(&self.job.mounting) else { return Ok(None) };
+        let here: Vec<&(&Run, Judged)> = judged.iter().filter(|(run, _)| run.mounting == self.job.mounting).collect();
+        let mut forced = vec![0.0; self.joints()];
+        let mut general = forced.clone();
+        for (run, judged) in &here {
+            let wrong = pipeline::judge(&vertical.model, run, &self.settings)?;
+            for j in 0..self.joints() {
+                forced[j] += wrong.rms.raw[j] / here.len() as f64;
+                general[j] += judged.rms.raw[j] / here.len() as f64;
+            }
+        }
+        let facts = CounterExperiment {
+            identified_in: first.mounting.into(),
+            kind: vertical.model.kind().to_string(),
+            count: vertical.model.parameters().len(),
+            refused_in: self.job.mounting.into(),
+            refusal: refused.to_string(),
+            forced_rms: forced,
+            general_rms: general,
+        };
+        Ok(Some((facts, self.model_file(&vertical, Vec::new(), None))))
+    }
+
+    fn model_file(&self, identified: &Identified, validation: Vec<Validated>, hash: Option<String>) -> ModelFile {
+        ModelFile {
+            model: identified.model.clone(),
+            noise_floor: identified.identification.rms.noise_floor.clone().unwrap_or_default(),
+            validation,
+            consistent: pipeline::real_bodies(identified),
+            provenance: crate::analysis::provenance(&self.robot, hash),
+        }
+    }
+
+    fn dataset(&self) -> Dataset {
+        let name = self.job.file.file_stem().map_or("job".into(), |stem| stem.to_string_lossy().into_owned());
+        let mut source = toml::Table::new();
+        source.insert("program".into(), format!("plumbline {}", env!("CARGO_PKG_VERSION")).into());
+        source.insert("arm".into(), "simulated".into());
+        Dataset {
+            name,
+            robot: self.robot_of_dataset(),
+            mounting: self.job.mounting,
+            source,
+            runs: self
+                .recorded
+                .iter()
+                .filter(|recorded| !matches!(recorded.role, Role::Counter | Role::Live))
+                .map(|recorded| recorded.run.clone())
+                .collect(),
+        }
+    }
+
+    /// A shipped robot's name; the path of a description, which the job may name relative to its own folder, as an absolute one.
+    fn robot_of_dataset(&self) -> String {
+        let name = &self.job.robot;
+        if !name.ends_with(".toml") {
+            return name.clone();
+        }
+        let path = self.job.dir().join(name);
+        std::path::absolute(&path).unwrap_or(path).display().to_string()
+    }
+
+    fn wall_clock(&self) -> bool {
+        !self.job.backend.is_fast()
+    }
+
+    fn loop_facts(&self, status: &Status) -> LoopFacts {
+        let wall_clock = self.wall_clock();
+        // Quantiles can't be added up: those of the longest session stand for the whole.
+        let longest = status.sessions.iter().max_by_key(|session| session.cycles);
+        let times = |of: fn(&Session) -> &plumbline_ipc::Times| longest.and_then(|session| Quantiles::of(of(session)));
+        let mut realtime: Vec<String> = Vec::new();
+        for refusal in status.sessions.iter().flat_map(|session| &session.refusals) {
+            if !realtime.contains(refusal) {
+                realtime.push(refusal.clone());
+            }
+        }
+        LoopFacts {
+            pace: if wall_clock { "wall-clock" } else { "fast" }.to_string(),
+            cycles: status.cycles,
+            late: wall_clock.then_some(status.late),
+            lost: status.lost,
+            records_lost: status.dropped,
+            // Unknown as soon as one session was not watched.
+            allocations: status.sessions.iter().map(|session| session.allocations.map(u64::from)).sum(),
+            wake_us: times(|session| &session.wake).filter(|_| wall_clock),
+            work_us: times(|session| &session.work),
+            realtime,
+        }
+    }
+
+    /// The identification and the first unseen motion of every mounting.
+    fn figures(&self, identified: &Identified, judged: Vec<(&Run, Judged)>) -> Result<Figures, Failure> {
+        let mut figures = Figures::default();
+        for run in self.runs(Role::Identify) {
+            figures.runs.push(pipeline::judge(&identified.model, run, &self.settings)?.figure);
+        }
+        let mut shown = Vec::new();
+        for (run, judged) in judged {
+            if !shown.contains(&run.mounting) {
+                shown.push(run.mounting);
+                let title = format!("{} (unseen, {})", judged.figure.title, run.mounting);
+                figures.runs.push(crate::report::figures::TorqueFigure { title, ..judged.figure });
+            }
+        }
+        figures.plan = self.plan.as_ref().map(|motion| self.plan_figure(motion));
+        Ok(figures)
+    }
+
+    fn plan_figure(&self, motion: &Motion) -> PlanFigure {
+        let n = self.joints();
+        let t: Vec<f64> = (0..500).map(|k| k as f64 * motion.plan.period / 499.0).collect();
+        let q: Vec<Vec<f64>> = (0..n).map(|j| t.iter().map(|&t| motion.fourier.at(j, t).q).collect()).collect();
+        let end_effector = (0..t.len())
+            .map(|k| self.robot.chain.end_effector(&q.iter().map(|q| q[k]).collect::<Vec<_>>()).into())
+            .collect();
+        PlanFigure { t, q, end_effector, workspace: Some(self.job.workspace(&self.robot.workspace)) }
+    }
+}
+
+/// What a motion uses of the joints' limits, as its plan says.
+fn usage(motion: &Motion) -> Option<MotionUsage> {
+    let PlanUsage { range, speed } = motion.plan.usage.clone()?;
+    Some(MotionUsage { motion: motion.name.clone(), range, speed })
+}
+
+/// One line of the paper's Tables IV and V.
+fn validation(run: &Run, judged: &Judged) -> Validation {
+    let served: Option<Vec<&[f64]>> = (1..=run.joints()).map(|j| run.extra(&format!("tau_ff{j}"))).collect();
+    Validation {
+        run: run.file.clone(),
+        rms: judged.rms.raw.clone(),
+        rms_raw: judged.rms.raw.clone(),
+        rms_filtered: judged.rms.filtered.clone(),
+        served_rms: served.map(|served| {
+            let error = |j: usize, k: usize| run.tau[(k, j)] - served[j][k];
+            let square = |j: usize| (0..run.samples()).map(|k| error(j, k).powi(2)).sum::<f64>();
+            (0..run.joints()).map(|j| (square(j) / run.samples() as f64).sqrt()).collect()
+        }),
+        mounting: run.mounting.into(),
+    }
+}
+
+/// The report of an identification, before anything was validated.
+pub fn report_of(identified: &Identified, mounting: Mounting, provenance: &Provenance) -> Report {
+    let identification = &identified.identification;
+    let mut facts = serde_json::Map::new();
+    for (name, value) in
+        [("dataset", &provenance.dataset), ("plumbline", &provenance.plumbline), ("date", &provenance.date)]
+    {
+        if let Some(value) = value {
+            facts.insert(name.into(), value.clone().into());
+        }
+    }
+    Report {
+        robot: identified.model.robot().to_string(),
+        mounting: mounting.into(),
+        base: Base::of(&identified.model),
+        identify: Fit {
+            rms: identification.rms.raw.clone(),
+            rms_raw: identification.rms.raw.clone(),
+            rms_filtered: identification.rms.filtered.clone(),
+        },
+        noise_floor: identification.rms.noise_floor.clone().unwrap_or_default(),
+        identifiability: Identifiability {
+            not_identifiable: identification.undetermined.iter().map(|one| one.name.clone()).collect(),
+            untrusted_runs: Vec::new(),
+        },
+        conditions: crate::analysis::conditions_facts(&identification.conditions),
+        estimator: Some(EstimatorFacts {
+            name: identification.estimator.id().to_string(),
+            rounds: identification.rounds,
+            settled: identification.outcome == Outcome::Settled,
+            restricted: identification.dropped.iter().map(|one| one.name.clone()).collect(),
+        }),
+        provenance: facts,
+        ..Report::default()
+    }
+}

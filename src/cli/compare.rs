@@ -1,0 +1,215 @@
+//! `plumbline compare`: what changed since a model was identified.
+
+use crate::analysis::changed::{self, Stored};
+use crate::analysis::split::find_and_judge;
+use crate::analysis::{diagnosed, pipeline};
+use crate::cli::identify::quiet_settings;
+use crate::cli::say::say;
+use crate::dataset::{Dataset, Run};
+use crate::failure::Failure;
+use crate::process::progress;
+use crate::report::figures::Figures;
+use crate::report::{Band, Base, Identifiability, Report, Validation};
+use crate::setup::models;
+use crate::store::{ModelFile, Provenance, Validated};
+use clap::Args;
+use plumbline_core::BadInput;
+use plumbline_core::threads;
+use plumbline_diagnose::reference;
+use plumbline_identify::experiment::Experiment;
+use plumbline_identify::validate::Rms;
+use plumbline_model::base::Reduction;
+use plumbline_model::robot::Robot;
+use plumbline_model::term::Term;
+use plumbline_model::term::rigid_body::RigidBody;
+use plumbline_model::torque::TorqueModel;
+use std::path::PathBuf;
+
+/// Options of `plumbline compare`.
+#[derive(Args)]
+pub struct Options {
+    /// Model file that was identified before
+    model: PathBuf,
+    /// Folder with dataset.toml and one CSV file per run, recorded since
+    dataset: PathBuf,
+    /// Folder for report.html, report.json and model.toml
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Velocities of runs that do not repeat: measured (where the run has dq columns) or derived from the positions
+    #[arg(long, default_value = "measured")]
+    velocities: String,
+    /// Time to leave out at both ends of runs that do not repeat, in s
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    trim: f64,
+    /// Least RMS of an effect that counts, in Nm; by default 0.7 of the noise of the mean period
+    #[arg(long, value_name = "NM")]
+    threshold: Option<f64>,
+}
+
+/// Compares, judges by unseen runs, and writes the results.
+pub fn run(options: Options) -> Result<(), Failure> {
+    let dataset = Dataset::read(&options.dataset)?;
+    let robot = Robot::load(&dataset.robot, Some(&options.dataset))?;
+    dataset.expect_joints(robot.chain.len())?;
+    let file = model_file(&options, &robot)?;
+    let settings = quiet_settings(&options.velocities, options.trim)?;
+    let diagnosis = diagnose_settings(&options)?;
+    let model = &file.model;
+
+    let (held, refused): (Vec<&Run>, Vec<&Run>) =
+        dataset.runs.iter().partition(|run| model.valid_in(&run.mounting).is_ok());
+    let mut notes = Vec::new();
+    let (find, judge) = find_and_judge(&held, &mut notes);
+
+    let bar = progress::bar("comparing");
+    bar.at(0.05, "preparing");
+    let find: Vec<&Run> = find.iter().collect();
+    pipeline::check_torques(&find)?;
+    let experiments = pipeline::experiments(&find, &settings)?;
+    let unseen = pipeline::experiments(&judge.iter().collect::<Vec<_>>(), &settings)?;
+    let trials = diagnosed::trials(&experiments, &find);
+    bar.at(0.2, "searching");
+    let steps = std::cell::Cell::new(0.2);
+    let changes = reference::changes(model, &trials, &diagnosis, &|step| {
+        steps.set(steps.get() + 0.1 * (0.9 - steps.get()));
+        bar.at(steps.get(), step.item.spec.family);
+    });
+    bar.at(0.9, "judging");
+    let stored = Stored { model, changes: &changes.effects };
+    let sessions: Vec<u32> = judge.iter().map(|run| run.session).collect();
+    let unseen: Vec<(&Experiment, u32)> = unseen.iter().zip(sessions).collect();
+    let kept = stored.stand_the_test(&unseen)?;
+    bar.done();
+
+    let after = stored.with(&kept, u32::MAX)?;
+    let errors_after = stored.errors(&kept, &unseen)?;
+    let names: Vec<String> = judge.iter().map(|run| run.file.clone()).collect();
+    let since = since(&options, &file);
+    let mut told = changed::Told::new(&changes, model, &kept);
+    told.band = Band::Filtered { cutoff: settings.torque_cutoff };
+    told.declared = find.first().map(|run| run.mounting);
+    let mut diagnosis = told.diagnosis(&since, &names, &stored.compared(&kept, &unseen)?);
+    let identifiability = identifiability(model, &refused, &changes.doubt);
+    if held.is_empty() {
+        notes.push(format!(
+            "nothing was compared: the {} model is not valid in the mounting of any of these runs",
+            model.kind()
+        ));
+    }
+    diagnosis.notes.append(&mut notes);
+    let report = Report {
+        robot: robot.name.clone(),
+        mounting: dataset.mounting.into(),
+        base: Base::of(&after),
+        validate: judge
+            .iter()
+            .zip(&errors_after)
+            .map(|(run, rms)| Validation {
+                run: run.file.clone(),
+                rms: rms.filtered.clone(),
+                rms_raw: rms.raw.clone(),
+                rms_filtered: rms.filtered.clone(),
+                served_rms: None,
+                mounting: run.mounting.into(),
+            })
+            .collect(),
+        band: Band::Filtered { cutoff: settings.torque_cutoff },
+        noise_floor: Rms::pooled(&errors_after).and_then(|rms| rms.noise_floor).unwrap_or_default(),
+        diagnosis: Some(diagnosis),
+        identifiability,
+        provenance: provenance(&file.provenance, &robot, &dataset),
+        ..Report::default()
+    };
+    std::fs::create_dir_all(&options.out)
+        .map_err(|error| Failure::job(format!("{}: {error}", options.out.display())))?;
+    let written = if kept.is_empty() {
+        // Nothing changed: the very model that was stored.
+        file
+    } else {
+        ModelFile {
+            model: after,
+            noise_floor: file.noise_floor,
+            validation: judge
+                .iter()
+                .zip(&errors_after)
+                .map(|(run, rms)| Validated {
+                    run: run.file.clone(),
+                    rho: run.mounting.rho,
+                    phi: run.mounting.phi,
+                    rms: rms.filtered.clone(),
+                })
+                .collect(),
+            consistent: None,
+            provenance: Provenance {
+                source: Some(since),
+                ..crate::analysis::provenance(&robot, Some(dataset.content_hash()))
+            },
+        }
+    };
+    crate::atomic::write_result(&options.out.join("model.toml"), written.to_toml().as_bytes())?;
+    let drawn = judge.iter().take(2).map(|run| pipeline::figure_in_band(&written.model, run, &settings));
+    let figures = Figures { runs: drawn.collect::<Result<_, _>>()?, ..Figures::default() };
+    report.write(&options.out, &figures).map_err(Failure::job)?;
+    for line in report.summary() {
+        say!("{line}");
+    }
+    say!("report: {}", options.out.join("report.html").display());
+    Ok(())
+}
+
+/// The model, which must be of the robot that the dataset is of.
+fn model_file(options: &Options, robot: &Robot) -> Result<ModelFile, Failure> {
+    let name = options.model.display().to_string();
+    let text = std::fs::read_to_string(&options.model)
+        .map_err(|error| BadInput::new(&name, "file", error, "a readable model file"))?;
+    Ok(models::of_robot(&name, &text, robot, "the robot of the dataset")?)
+}
+
+fn diagnose_settings(options: &Options) -> Result<plumbline_diagnose::Settings, Failure> {
+    if let Some(threshold) = options.threshold
+        && !(threshold.is_finite() && threshold >= 0.0)
+    {
+        return Err(BadInput::new("command line", "--threshold", threshold, "a torque in Nm, 0 or more").into());
+    }
+    let threads = threads();
+    Ok(plumbline_diagnose::Settings {
+        threshold: options.threshold,
+        threads,
+        ..plumbline_diagnose::Settings::default()
+    })
+}
+
+/// What the model can't vouch for: runs in mountings that it lacks parameters for, and parameters that were not identifiable when it
+/// was made and that these runs need.
+fn identifiability(model: &TorqueModel, refused: &[&Run], doubt: &reference::Doubt) -> Identifiability {
+    let mut facts = Identifiability {
+        not_identifiable: doubt.parameters.clone(),
+        untrusted_runs: refused.iter().map(|run| run.file.clone()).chain(doubt.runs.iter().cloned()).collect(),
+    };
+    if !refused.is_empty() {
+        let own: Vec<&str> = model.parameters().iter().map(|own| own.column.name.as_str()).collect();
+        let generalized = RigidBody::new(&Reduction::any_mounting(model.structure().chain())).columns();
+        let missing = generalized.into_iter().map(|column| column.name).filter(|name| !own.contains(&name.as_str()));
+        facts.not_identifiable.extend(missing);
+    }
+    facts
+}
+
+/// The model in a few words.
+fn since(options: &Options, file: &ModelFile) -> String {
+    let name = options.model.file_name().map_or("the model".into(), |name| name.to_string_lossy().into_owned());
+    let date = file.provenance.date.as_ref().map_or(String::new(), |date| format!(" of {date}"));
+    format!("{name}{date}")
+}
+
+fn provenance(of_model: &Provenance, robot: &Robot, dataset: &Dataset) -> serde_json::Map<String, serde_json::Value> {
+    let own = crate::analysis::provenance(robot, Some(dataset.content_hash()));
+    let facts = [
+        ("dataset", own.dataset),
+        ("plumbline", own.plumbline),
+        ("date", own.date),
+        ("model-dataset", of_model.dataset.clone()),
+        ("model-date", of_model.date.clone()),
+    ];
+    facts.into_iter().filter_map(|(name, value)| Some((name.to_string(), value?.into()))).collect()
+}

@@ -1,0 +1,106 @@
+//! `plumbline diagnose`: what a plain model of recorded data lacks, offline, from files.
+
+use crate::analysis::diagnosed::{self, Diagnosed, Question};
+use crate::analysis::split::{Split, split};
+use crate::analysis::{pipeline, sessions};
+use crate::cli::identify::{self, Done};
+use crate::dataset::{Dataset, Run};
+use crate::failure::Failure;
+use clap::Args;
+use plumbline_core::BadInput;
+use plumbline_core::threads;
+use plumbline_diagnose::errors::Of;
+use plumbline_model::robot::Robot;
+
+/// Options of `plumbline diagnose`.
+#[derive(Args)]
+#[group(id = "diagnose")]
+pub struct Options {
+    #[command(flatten)]
+    identify: identify::Options,
+    /// Highest frequency that is looked at in Hz; by default 16 for motions that repeat, 10 for others
+    #[arg(long, value_name = "HZ")]
+    band: Option<f64>,
+    /// Least torque RMS of an effect that matters in Nm; by default 0.7 of the noise of the mean period
+    #[arg(long, value_name = "NM")]
+    threshold: Option<f64>,
+}
+
+/// Looks for effects in recorded runs and writes the results.
+pub fn run(options: Options) -> Result<(), Failure> {
+    let given = &options.identify;
+    let mut dataset = Dataset::read(&given.dataset)?;
+    let robot = Robot::load(&dataset.robot, Some(&given.dataset))?;
+    dataset.expect_joints(robot.chain.len())?;
+    let hash = dataset.content_hash();
+    let session = dataset.runs.iter().map(|run| run.session).min().unwrap_or(1);
+    let later = sessions::take_later(&mut dataset);
+    let settings = identify::settings(given)?;
+    let solver = identify::solver(given)?;
+    let terms = match &given.terms {
+        Some(_) => identify::terms(given, &robot)?,
+        None => pipeline::plain_terms(&robot),
+    };
+    let Split { identify, validate, mut notes } = split(&mut dataset, identify::hold_out(given)?)?;
+    let identified: Vec<&Run> = identify.iter().collect();
+    let structure = pipeline::structure(&robot, &identified, &terms)?;
+    let along_axis_1 = structure.kind() == plumbline_model::base::BaseKind::Vbs;
+    let (trusted, untrusted): (Vec<&Run>, Vec<&Run>) = validate
+        .iter()
+        .partition(|run| !along_axis_1 || run.mounting.is_along_axis_1(plumbline_model::gravity::VERTICAL_TOLERANCE));
+    let repeats = identify.iter().all(|run| run.period.is_some());
+    let diagnosis = diagnosis_settings(&options, repeats)?;
+    let question = Question {
+        robot: &robot,
+        structure: &structure,
+        identify: &identified,
+        unseen: &trusted,
+        settings: &settings,
+        options: &solver,
+        diagnosis: &diagnosis,
+        of: Of::Filtered,
+    };
+    let Diagnosed { after, mut block, figures: drawn } = diagnosed::run(&question)?;
+    let reference = sessions::Reference {
+        robot: &robot,
+        model: &after.model,
+        noise_floor: after.identification.rms.noise_floor.as_deref().unwrap_or_default(),
+        session,
+        settings: &settings,
+        diagnosis: &diagnosis,
+    };
+    let not_valid = reference.compare(&later, &mut block, &given.out)?;
+
+    let judged = pipeline::judge_all(&after.model, &trusted, &settings)?;
+    let done = Done {
+        robot: &robot,
+        identified: after,
+        runs: identified,
+        judged,
+        mounting: dataset.mounting,
+        hash,
+        settings: &settings,
+    };
+    done.write(&given.out, |report| {
+        let untrusted = untrusted.iter().map(|run| run.file.clone());
+        report.identifiability.untrusted_runs = untrusted.chain(not_valid).collect();
+        report.notes.append(&mut notes);
+        report.diagnosis = Some(block);
+        drawn
+    })
+}
+
+fn diagnosis_settings(options: &Options, repeats: bool) -> Result<plumbline_diagnose::Settings, Failure> {
+    let plain = plumbline_diagnose::Settings { threads: threads(), ..plumbline_diagnose::Settings::default() };
+    let band = options.band.unwrap_or(if repeats { plain.band } else { BAND_OF_ONE });
+    if !(0.5..=200.0).contains(&band) {
+        return Err(BadInput::new("command line", "--band", band, "0.5 to 200 Hz").into());
+    }
+    if let Some(threshold) = options.threshold.filter(|threshold| !(threshold.is_finite() && *threshold > 0.0)) {
+        return Err(BadInput::new("command line", "--threshold", threshold, "a torque in Nm, more than 0").into());
+    }
+    Ok(plumbline_diagnose::Settings { band, threshold: options.threshold, ..plain })
+}
+
+/// Highest frequency that is looked at where motions do not repeat \[Hz\]: above it their accelerations are noise.
+const BAND_OF_ONE: f64 = 10.0;

@@ -1,0 +1,252 @@
+//! `plumbline identify`: the identification offline, from files.
+
+use crate::analysis::pipeline::{self, Identified, Judged};
+use crate::analysis::results::report_of;
+use crate::analysis::split::{Split, split};
+use crate::cli::say::say;
+use crate::dataset::{Dataset, Run};
+use crate::failure::Failure;
+use crate::process::progress;
+use crate::report::figures::{DiagnosisFigures, Figures};
+use crate::report::{Band, Consistency, Report, Validation};
+use crate::store::{ModelFile, Validated};
+use clap::Args;
+use plumbline_core::BadInput;
+use plumbline_core::{parallel, threads};
+use plumbline_identify::experiment::{Method, Settings};
+use plumbline_identify::solve::{self, Estimator};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use std::path::{Path, PathBuf};
+
+/// Options of `plumbline identify`.
+#[derive(Args)]
+pub struct Options {
+    /// Folder with dataset.toml and one CSV file per run
+    pub(super) dataset: PathBuf,
+    /// Folder for report.html, report.json and model.toml
+    #[arg(long, value_name = "DIR")]
+    pub(super) out: PathBuf,
+    /// Terms besides the rigid body; by default friction and torque-offset, and rotor-inertia for motor-side torques
+    #[arg(long, value_delimiter = ',')]
+    pub(super) terms: Option<Vec<String>>,
+    /// Estimator: ols, wls, wls-full, huber, tls or iv
+    #[arg(long, default_value = "wls")]
+    estimator: String,
+    /// Take out parameters that can't be told from zero in this data (essential parameters)
+    #[arg(long)]
+    essential: bool,
+    /// Signal processing: spectral, or paper (order 20, 2 Hz, central differences)
+    #[arg(long, default_value = "spectral")]
+    method: String,
+    /// Cut-off of the zero-phase low-pass on torques and regressor columns in Hz; 4 by default, 2 for the paper's method
+    #[arg(long, value_name = "HZ")]
+    torque_cutoff: Option<f64>,
+    /// Cut-off of the zero-phase low-pass on positions in Hz; by default as wide as their noise allows, 10 to 80, or 2 for the paper's method
+    #[arg(long, value_name = "HZ")]
+    position_cutoff: Option<f64>,
+    /// Order of both filters; 8 by default, 20 for the paper's method
+    #[arg(long)]
+    order: Option<usize>,
+    /// Velocities of runs that do not repeat: measured (where the run has dq columns) or derived from the positions
+    #[arg(long, default_value = "measured")]
+    velocities: String,
+    /// Time to leave out at both ends of runs that do not repeat, in s
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    trim: f64,
+    /// Count the samples at which the whole arm stands, too: Coulomb friction can be anything there
+    #[arg(long)]
+    keep_rests: bool,
+    /// Share of every run to validate with, when the dataset has no run for it
+    #[arg(long, value_name = "SHARE", default_value_t = HOLD_OUT)]
+    hold_out: f64,
+}
+
+/// Usual cut-off for recorded data, which seldom repeats so that its noise can't be averaged away \[Hz\].
+const CUTOFF: f64 = 4.0;
+/// Share of a run that validates when the dataset has nothing else to validate with.
+const HOLD_OUT: f64 = 0.4;
+/// Slower than this, a joint stands \[rad/s\]: the model's Coulomb friction turns within 0.01 rad/s.
+const REST: f64 = 0.01;
+
+/// Identifies, validates and writes the results.
+pub fn run(options: Options) -> Result<(), Failure> {
+    let mut dataset = Dataset::read(&options.dataset)?;
+    let robot = Robot::load(&dataset.robot, Some(&options.dataset))?;
+    dataset.expect_joints(robot.chain.len())?;
+    let hash = dataset.content_hash();
+    let settings = settings(&options)?;
+    let solver = solver(&options)?;
+    let terms = terms(&options, &robot)?;
+    let Split { identify, validate, notes } = split(&mut dataset, hold_out(&options)?)?;
+
+    let bar = progress::bar("identifying");
+    bar.at(0.1, "regression");
+    let identified_runs: Vec<&Run> = identify.iter().collect();
+    let identified = pipeline::identify(&robot, &identified_runs, &terms, &settings, &solver)?;
+    let mut judged: Vec<(&Run, Judged)> = Vec::new();
+    let mut untrusted = Vec::new();
+    for (k, run) in validate.iter().enumerate() {
+        bar.at(0.5 + 0.5 * k as f64 / validate.len() as f64, &run.file);
+        match identified.model.valid_in(&run.mounting) {
+            Ok(()) => judged.push((run, pipeline::judge(&identified.model, run, &settings)?)),
+            Err(_) => untrusted.push(run.file.clone()),
+        }
+    }
+    bar.done();
+
+    let done = Done {
+        robot: &robot,
+        identified,
+        runs: identified_runs,
+        judged,
+        mounting: dataset.mounting,
+        hash,
+        settings: &settings,
+    };
+    done.write(&options.out, |report| {
+        report.identifiability.untrusted_runs = untrusted;
+        report.notes = notes;
+        DiagnosisFigures::default()
+    })
+}
+
+/// A model from files, judged, on its way into a folder: what `identify` and `diagnose` leave behind.
+pub(super) struct Done<'a> {
+    /// The arm.
+    pub robot: &'a Robot,
+    /// The model.
+    pub identified: Identified,
+    /// Runs that it was identified from.
+    pub runs: Vec<&'a Run>,
+    /// Unseen runs with its errors.
+    pub judged: Vec<(&'a Run, Judged)>,
+    /// Mounting of the dataset.
+    pub mounting: Mounting,
+    /// Hash of its content.
+    pub hash: String,
+    /// How runs are made ready.
+    pub settings: &'a Settings,
+}
+
+impl Done<'_> {
+    /// Writes model.toml, report.json and report.html, and prints what matters. `add` puts more into the report and gives what is drawn
+    /// of it.
+    pub fn write(self, out: &Path, add: impl FnOnce(&mut Report) -> DiagnosisFigures) -> Result<(), Failure> {
+        let Done { robot, identified, runs, judged, mounting, hash, settings } = self;
+        let provenance = crate::analysis::provenance(robot, Some(hash));
+        let mut report = report_of(&identified, mounting, &provenance);
+        // Recorded data rarely repeats, so there is no noise floor to hold raw samples against: `rms` is that of the filtered band.
+        report.band = Band::Filtered { cutoff: settings.torque_cutoff };
+        report.identify.rms.clone_from(&report.identify.rms_filtered);
+        report.validate = judged
+            .iter()
+            .map(|(run, judged)| Validation {
+                run: run.file.clone(),
+                rms: judged.rms.filtered.clone(),
+                rms_raw: judged.rms.raw.clone(),
+                rms_filtered: judged.rms.filtered.clone(),
+                served_rms: None,
+                mounting: run.mounting.into(),
+            })
+            .collect();
+        let diagnosis = add(&mut report);
+        let consistent = pipeline::real_bodies(&identified);
+        report.consistency = consistent.as_ref().map(|found| Consistency::of_model(&identified.model, found));
+        let model = ModelFile {
+            validation: judged
+                .iter()
+                .map(|(run, judged)| Validated {
+                    run: run.file.clone(),
+                    rho: run.mounting.rho,
+                    phi: run.mounting.phi,
+                    rms: judged.rms.filtered.clone(),
+                })
+                .collect(),
+            noise_floor: report.noise_floor.clone(),
+            consistent,
+            model: identified.model,
+            provenance,
+        };
+        std::fs::create_dir_all(out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
+        crate::atomic::write_result(&out.join("model.toml"), model.to_toml().as_bytes())?;
+        let shown = runs.iter().take(1).copied().chain(judged.iter().map(|(run, _)| *run).take(2));
+        let shown: Vec<&Run> = shown.collect();
+        let runs = parallel(&shown, threads(), |run| pipeline::figure_in_band(&model.model, run, settings));
+        let runs = runs.into_iter().collect::<Result<_, _>>()?;
+        report.write(out, &Figures { runs, plan: None, diagnosis }).map_err(Failure::job)?;
+        for line in report.summary() {
+            say!("{line}");
+        }
+        say!("report: {}", out.join("report.html").display());
+        Ok(())
+    }
+}
+
+pub(super) fn settings(options: &Options) -> Result<Settings, Failure> {
+    let mut settings = match Method::by_id(&options.method) {
+        Some(Method::Spectral) => Settings { torque_cutoff: CUTOFF, ..Settings::default() },
+        Some(Method::Paper) => Settings::paper(),
+        None => {
+            let found = format!("`{}`", options.method);
+            return Err(BadInput::new("command line", "--method", found, "spectral or paper").into());
+        }
+    };
+    for (name, given) in [("--torque-cutoff", options.torque_cutoff), ("--position-cutoff", options.position_cutoff)] {
+        if let Some(value) = given
+            && !(0.01..=500.0).contains(&value)
+        {
+            return Err(BadInput::new("command line", name, value, "0.01 to 500 Hz").into());
+        }
+    }
+    settings.torque_cutoff = options.torque_cutoff.unwrap_or(settings.torque_cutoff);
+    settings.position_cutoff = options.position_cutoff.or(settings.position_cutoff);
+    if let Some(order) = options.order {
+        if order == 0 || order % 2 == 1 || order > 40 {
+            return Err(BadInput::new("command line", "--order", order, "an even number from 2 to 40").into());
+        }
+        settings.order = order;
+    }
+    settings.measured_velocities = pipeline::measured_velocities(&options.velocities)?;
+    if !(0.0..=3600.0).contains(&options.trim) {
+        return Err(BadInput::new("command line", "--trim", options.trim, "0 to 3600 s").into());
+    }
+    settings.trim = options.trim;
+    settings.rest = (!options.keep_rests).then_some(REST);
+    Ok(settings)
+}
+
+/// The usual settings of recorded data: 4 Hz, whole-arm rests left out.
+pub(super) fn quiet_settings(velocities: &str, trim: f64) -> Result<Settings, Failure> {
+    let measured_velocities = pipeline::measured_velocities(velocities)?;
+    if !(0.0..=3600.0).contains(&trim) {
+        return Err(BadInput::new("command line", "--trim", trim, "0 to 3600 s").into());
+    }
+    Ok(Settings { torque_cutoff: CUTOFF, measured_velocities, trim, rest: Some(REST), ..Settings::default() })
+}
+
+pub(super) fn hold_out(options: &Options) -> Result<f64, Failure> {
+    if !(0.05..=0.95).contains(&options.hold_out) {
+        return Err(BadInput::new("command line", "--hold-out", options.hold_out, "0.05 to 0.95").into());
+    }
+    Ok(options.hold_out)
+}
+
+pub(super) fn solver(options: &Options) -> Result<solve::Options, Failure> {
+    let Some(estimator) = Estimator::by_id(&options.estimator) else {
+        let known = Estimator::ALL.map(Estimator::id).join(", ");
+        return Err(BadInput::new("command line", "--estimator", format!("`{}`", options.estimator), known).into());
+    };
+    Ok(solve::Options { estimator, essential: options.essential })
+}
+
+pub(super) fn terms<'a>(options: &'a Options, robot: &Robot) -> Result<Vec<&'a str>, Failure> {
+    let Some(named) = &options.terms else { return Ok(pipeline::usual_terms(robot)) };
+    let known = &plumbline_model::term::KNOWN[1..];
+    for name in named {
+        if !known.contains(&name.as_str()) {
+            return Err(BadInput::new("command line", "--terms", format!("`{name}`"), known.join(", ")).into());
+        }
+    }
+    Ok(named.iter().map(String::as_str).collect())
+}

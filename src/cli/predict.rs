@@ -1,0 +1,121 @@
+//! `plumbline predict`: torques of a model along a recorded motion.
+
+use crate::analysis::pipeline::{self, Predicted};
+use crate::cli::say::say;
+use crate::config::units::parse_mounting;
+use crate::dataset::{Dataset, Run};
+use crate::failure::Failure;
+use crate::setup::models;
+use crate::store::ModelFile;
+use clap::Args;
+use plumbline_core::BadInput;
+use plumbline_identify::experiment::Settings;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::torque::TorqueModel;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Options of `plumbline predict`.
+#[derive(Args)]
+pub struct Options {
+    /// Model file
+    model: PathBuf,
+    /// Recorded motion: a CSV file with columns t, q1..qn and, to compare with, tau1..taun
+    run: PathBuf,
+    /// CSV file to write: t, tau1..taun and at_end, one row per sample. at_end is 1 near both ends of the motion, where the acceleration
+    /// depends on how the filter continues the motion past its end; elsewhere 0
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Mounting of that motion: upright, wall, ceiling, or RHO,PHI with units; by default the dataset.toml beside the motion says
+    /// it, and where there is none, the model's own mounting holds
+    #[arg(long)]
+    mounting: Option<String>,
+    /// Predict even where the model is not valid
+    #[arg(long)]
+    force: bool,
+    /// Predict with the nearest parameters that real bodies can have (block `consistent` of the model file)
+    #[arg(long)]
+    consistent: bool,
+    /// Velocities of the motion: measured (where it has dq columns) or derived from the positions
+    #[arg(long, default_value = "measured")]
+    velocities: String,
+}
+
+/// Predicts, writes, and says how far off the measured torques are where there are any.
+pub fn run(options: Options) -> Result<(), Failure> {
+    let (file, _) = models::load(&options.model)?;
+    let model = &chosen(&options, &file)?;
+    let run = motion(&options, model)?;
+    if let Err(refused) = model.valid_in(&run.mounting)
+        && !options.force
+    {
+        let name = options.model.display().to_string();
+        let expected = "a model that holds in this mounting, or --force";
+        return Err(BadInput::new(name, "key `kind`", refused, expected).into());
+    }
+    let measured_velocities = pipeline::measured_velocities(&options.velocities)?;
+    let settings = Settings { measured_velocities, ..Settings::default() };
+    let Predicted { torques, at_end, rms } = pipeline::predict(model, &run, &settings)?;
+    let mut text = String::from("t");
+    for j in 1..=run.joints() {
+        write!(text, ",tau{j}").expect("a string takes everything");
+    }
+    text.push_str(",at_end\n");
+    for (k, t) in run.t.iter().enumerate() {
+        write!(text, "{t}").expect("a string takes everything");
+        for j in 0..run.joints() {
+            write!(text, ",{}", torques[(k, j)]).expect("a string takes everything");
+        }
+        writeln!(text, ",{}", u8::from(at_end[k])).expect("a string takes everything");
+    }
+    crate::atomic::write_result(&options.out, text.as_bytes())?;
+    if let Some(rms) = rms {
+        let list = |values: &[f64]| values.iter().map(|value| format!("{value:.3}")).collect::<Vec<_>>().join(" ");
+        say!("RMS of measured minus predicted torque [Nm]: raw {} | filtered {}", list(&rms.raw), list(&rms.filtered));
+    }
+    let ends = at_end.iter().filter(|at_end| **at_end).count();
+    say!("{}: {} samples, {ends} of them marked `at_end`", options.out.display(), run.samples());
+    Ok(())
+}
+
+/// The model as it was identified, or moved to where real bodies have its parameters.
+fn chosen(options: &Options, file: &ModelFile) -> Result<TorqueModel, Failure> {
+    let model = &file.model;
+    if !options.consistent {
+        return Ok(model.clone());
+    }
+    let Some(nearest) = &file.consistent else {
+        let expected = "a model file with a [consistent] block, as `plumbline identify` and `run` write it";
+        let name = options.model.display().to_string();
+        return Err(BadInput::new(name, "--consistent", "no key `consistent`", expected).into());
+    };
+    let values: Vec<(f64, Option<f64>)> = nearest.beta.iter().map(|&value| (value, None)).collect();
+    let (structure, mountings) = (model.structure().clone(), model.mountings().to_vec());
+    TorqueModel::new(model.robot(), structure, mountings, &values).map_err(Failure::job)
+}
+
+/// The motion and its mounting: as `--mounting` says, else as the dataset that the file belongs to says, else as the model's own.
+fn motion(options: &Options, model: &TorqueModel) -> Result<Run, Failure> {
+    let folder = options.run.parent().filter(|folder| folder.join("dataset.toml").is_file());
+    let of_dataset = match folder {
+        Some(folder) => {
+            let dataset = Dataset::read(folder)?;
+            dataset.runs.into_iter().find(|run| options.run.file_name().is_some_and(|name| name == run.file.as_str()))
+        }
+        None => None,
+    };
+    let mut run = match of_dataset {
+        Some(run) => run,
+        None => Run::read_csv(&options.run, model.mountings().first().copied().unwrap_or(Mounting::UPRIGHT))?,
+    };
+    if let Some(text) = &options.mounting {
+        run.mounting = parse_mounting("--mounting", text)?;
+    }
+    let n = model.structure().chain().len();
+    if run.joints() != n {
+        let expected = format!("q1..q{n}, the joints of robot `{}`", model.robot());
+        let file = options.run.display().to_string();
+        return Err(BadInput::new(file, "line 1", format!("q1..q{}", run.joints()), expected).into());
+    }
+    Ok(run)
+}

@@ -1,0 +1,253 @@
+//! `plumbline run`: daemon, estimator and report on one machine, for people without systemd.
+
+use crate::cli::say::say;
+use crate::failure::Failure;
+use crate::process::progress;
+use crate::process::signals::Ending;
+use crate::report::Report;
+use crate::setup::planner;
+use crate::setup::{JobOptions, robot_id};
+use clap::Args;
+use plumbline_ipc::{Client, Progress, Request, Response, RobotId, Status};
+use rustix::process::{Pid, Signal, kill_process};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+/// Options of `plumbline run`.
+#[derive(Args)]
+pub struct Options {
+    #[command(flatten)]
+    job: JobOptions,
+}
+
+/// How long the two processes may take to find each other.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// How long to wait for an answer.
+const ANSWER: Duration = Duration::from_secs(5);
+/// Pause between two looks at them.
+const LOOK: Duration = Duration::from_millis(100);
+/// How often a killed estimator is started again.
+const RESTARTS: usize = 3;
+
+/// Plans, starts both processes, waits for the results and says what they are.
+pub fn run(options: Options) -> Result<(), Failure> {
+    let (job, robot, out) = options.job.load()?;
+    let id = robot_id(&job)?;
+    // No other daemon comes up for this robot from here on, however long the planning takes: the daemon that is started below gets this very lock.
+    let lock = crate::setup::lock(&id)?;
+    // What a daemon would refuse is refused here, before anything starts.
+    let arm = crate::setup::arm_lock(&job)?;
+    crate::setup::truth(&job)?;
+    crate::setup::rest(&job, &robot)?;
+    std::fs::create_dir_all(&out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
+    let programme = planner::programme(&job, &robot, &out, planner::arm_limits(&job)?.as_ref())?;
+    let ticks: usize = programme.motions().map(|motion| motion.ticks()).sum();
+
+    let ending = Ending::watch()?;
+    // What is passed on here is closed again before anything else is started.
+    let passed_on = lock.pass_on().map_err(Failure::job)?;
+    // The daemon takes it again, or says who has it.
+    drop(arm);
+    let mut daemon = Process::start("daemon", &options.job, &out, &["--end-with-stdin", "--adopt-lock"])?;
+    drop(passed_on);
+    let outcome = drive(&id, &options.job, &out, &mut daemon, ticks as u64, &ending);
+    // Whatever happened, the daemon ends by its own rules: it brakes first when the arm moves.
+    let ended = daemon.end()?;
+    outcome?;
+    if !ended.success() {
+        return Err(Failure::job(format!("the daemon ended badly: {ended}")));
+    }
+    summarise(&out)
+}
+
+/// Sees the programme through.
+fn drive(
+    id: &RobotId,
+    job: &JobOptions,
+    out: &Path,
+    daemon: &mut Process,
+    ticks: u64,
+    ending: &Ending,
+) -> Result<(), Failure> {
+    let mut client = await_daemon(id, daemon)?;
+    let mut estimator = Process::start("estimator", job, out, &["--once"])?;
+    let outcome = (|| {
+        await_follower(&mut client, daemon, &mut estimator)?;
+        start(&mut client, ending)?;
+        let bar = progress::bar("running");
+        let mut restarts = 0;
+        let mut stopped: Option<Instant> = None;
+        loop {
+            std::thread::sleep(LOOK);
+            if let Some(cause) = ending.cause() {
+                return Err(Failure::job(format!("interrupted, {cause}; the arm was stopped")));
+            }
+            if let Some(ended) = daemon.ended()? {
+                return Err(Failure::job(format!("the daemon ended in mid-job: {ended}")));
+            }
+            match estimator.ended()? {
+                Some(ended) if ended.success() => break,
+                Some(ended) if ended.code().is_none() && restarts < RESTARTS => {
+                    restarts += 1;
+                    tracing::warn!("the estimator was killed ({ended}); a new one goes on from what the daemon kept");
+                    estimator = Process::start("estimator", job, out, &["--once"])?;
+                }
+                Some(ended) => {
+                    let stopped = status(&mut client).and_then(|now| now.stopped);
+                    let why = stopped
+                        .map_or(format!("the estimator ended: {ended}"), |why| format!("the arm was stopped: {why}"));
+                    return Err(Failure::job(why));
+                }
+                None => {}
+            }
+            // A daemon that is busy for a moment is no reason to give up; one that is gone is seen above.
+            if let Some(now) = status(&mut client) {
+                bar.at(now.cycles as f64 / (1.3 * ticks as f64), &now.job);
+                // The estimator ends by itself then, unless it computes on and on.
+                if now.progress == Progress::Stopped && stopped.get_or_insert_with(Instant::now).elapsed() > PATIENCE {
+                    let why = now.stopped.unwrap_or_default();
+                    return Err(Failure::job(format!(
+                        "the arm was stopped: {why}; the estimator did not end by itself"
+                    )));
+                }
+            }
+        }
+        bar.done();
+        Ok(())
+    })();
+    if outcome.is_err() && estimator.ended()?.is_none() {
+        estimator.child.kill().map_err(Failure::job)?;
+        estimator.child.wait().map_err(Failure::job)?;
+    }
+    outcome
+}
+
+/// Waits for the daemon that this process has started. What is asked from here on is meant for that daemon alone.
+fn await_daemon(id: &RobotId, daemon: &mut Process) -> Result<Client, Failure> {
+    let start = Instant::now();
+    loop {
+        if let Some(ended) = daemon.ended()? {
+            return Err(Failure::job(format!("the daemon did not start: {ended}")));
+        }
+        let found = Client::connect(id, LOOK).and_then(|mut client| {
+            let answer = client.send(&Request::Status {}, ANSWER)?;
+            Ok((client, answer))
+        });
+        match found {
+            Ok((mut client, Response::Status(status))) => {
+                let own = daemon.child.id();
+                if status.process != own {
+                    return Err(Failure::job(format!(
+                        "another daemon (process {}) serves robot `{id}`; nothing was asked of it, and the daemon of this run (process {own}) is \
+                         ended",
+                        status.process
+                    )));
+                }
+                client.bind(status.served.epoch);
+                return Ok(client);
+            }
+            Ok((_, other)) => {
+                return Err(Failure::job(format!("the daemon answered a question for its status with {other:?}")));
+            }
+            Err(error) if start.elapsed() > PATIENCE => return Err(Failure::job(error)),
+            Err(_) => {}
+        }
+    }
+}
+
+/// Waits until the daemon has heard of the estimator that this process has started, so that not even the first sample needs a replay.
+fn await_follower(client: &mut Client, daemon: &mut Process, estimator: &mut Process) -> Result<(), Failure> {
+    let start = Instant::now();
+    while start.elapsed() < PATIENCE {
+        let own = estimator.child.id();
+        if status(client).is_some_and(|status| status.served.followers.iter().any(|follower| follower.pid == own)) {
+            return Ok(());
+        }
+        for process in [&mut *daemon, &mut *estimator] {
+            if let Some(ended) = process.ended()? {
+                return Err(Failure::job(format!("the {} did not start: {ended}", process.name)));
+            }
+        }
+        std::thread::sleep(LOOK);
+    }
+    Err(Failure::job("the estimator did not find the daemon"))
+}
+
+/// How the daemon is, where it answers.
+fn status(client: &mut Client) -> Option<Status> {
+    match client.send(&Request::Status {}, ANSWER).ok()? {
+        Response::Status(status) => Some(*status),
+        _ => None,
+    }
+}
+
+/// Starts the programme. A daemon that refuses may still be on its way up, as its inclinometer is; it says what it waits for.
+fn start(client: &mut Client, ending: &Ending) -> Result<(), Failure> {
+    let begin = Instant::now();
+    loop {
+        match client.send(&Request::Start {}, PATIENCE).map_err(Failure::job)? {
+            Response::Accepted {} => return Ok(()),
+            Response::Refused { .. } if begin.elapsed() < PATIENCE && !ending.arrived() => {
+                std::thread::sleep(LOOK);
+            }
+            Response::Refused { reason } => return Err(Failure::job(format!("the daemon does not start: {reason}"))),
+            other => return Err(Failure::job(format!("the daemon answered a start with {other:?}"))),
+        }
+    }
+}
+
+/// A process of this program.
+struct Process {
+    name: &'static str,
+    child: Child,
+}
+
+impl Process {
+    fn start(name: &'static str, job: &JobOptions, out: &Path, more: &[&str]) -> Result<Process, Failure> {
+        let program = std::env::current_exe().map_err(Failure::job)?;
+        let mut command = Command::new(program);
+        command.arg(name).arg(&job.config).arg("--out").arg(out).args(more);
+        for set in &job.sets {
+            command.arg("--set").arg(set);
+        }
+        // The daemon's standard input ends with this process, however that ends.
+        command.stdin(Stdio::piped());
+        let child = command.spawn().map_err(|error| Failure::job(format!("the {name} can't be started: {error}")))?;
+        Ok(Process { name, child })
+    }
+
+    fn ended(&mut self) -> Result<Option<ExitStatus>, Failure> {
+        self.child.try_wait().map_err(Failure::job)
+    }
+
+    /// Ends it by SIGTERM, which reaches no other process than this child; by force where it takes too long.
+    fn end(&mut self) -> Result<ExitStatus, Failure> {
+        let start = Instant::now();
+        let mut asked = false;
+        loop {
+            if let Some(ended) = self.ended()? {
+                return Ok(ended);
+            }
+            if !std::mem::replace(&mut asked, true) {
+                kill_process(Pid::from_child(&self.child), Signal::TERM).map_err(Failure::job)?;
+            }
+            if start.elapsed() > PATIENCE {
+                self.child.kill().map_err(Failure::job)?;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+}
+
+/// The last lines: what came out and where it lies.
+fn summarise(out: &Path) -> Result<(), Failure> {
+    let path = out.join("report.json");
+    let text = std::fs::read_to_string(&path).map_err(|error| Failure::job(format!("{}: {error}", path.display())))?;
+    let report: Report = serde_json::from_str(&text).map_err(Failure::job)?;
+    for line in report.summary() {
+        say!("{line}");
+    }
+    say!("report: {}", out.join("report.html").display());
+    Ok(())
+}

@@ -1,0 +1,120 @@
+//! Models that are offered or proposed, checked on a thread of their own: reading one takes milliseconds, and the bridge thread has none to spare.
+
+use super::desk::Accepted;
+use crate::recording::about::panic_message;
+use crate::setup::models;
+use crate::store::{ModelFile, model_identity};
+use plumbline_core::BadInput;
+use plumbline_ipc::{Proposal, Request, Response, Ticket, read};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+
+/// Time between the beginnings of two checks: models come rarely, and a flood of them waits \[ns\].
+const INTERVAL_NS: u64 = 100_000_000;
+
+/// Checks a model's text: the right robot, a set that holds in this mounting.
+///
+/// # Errors
+/// What is wrong with the text, called `file`.
+pub fn check(robot: &Robot, mounting: &Mounting, file: &str, text: &str) -> Result<Accepted, BadInput> {
+    let offered = models::of_robot(file, text, robot, "which this daemon drives")?;
+    offered
+        .model
+        .valid_in(mounting)
+        .map_err(|refused| BadInput::new(file, "key `kind`", refused, "a model that holds in the present mounting"))?;
+    let ModelFile { model, noise_floor: noise, .. } = offered;
+    Ok(Accepted { id: model_identity(text), text: text.to_string(), model, noise })
+}
+
+/// A request that was read, and its model checked.
+pub enum Checked {
+    /// Serve this model.
+    Offered(Box<Accepted>),
+    /// Serve this model in place of the present one, or hold it.
+    Proposed(Box<Accepted>, Proposal),
+    /// A request without a model.
+    Other(Request),
+    /// No model that this daemon can serve.
+    Refused(Response),
+    /// No request.
+    Garbled(Response),
+}
+
+impl Checked {
+    /// Checks the model of a request, where it has one.
+    pub fn of(robot: &Robot, mounting: &Mounting, request: Request) -> Checked {
+        let refused = |bad: BadInput| Checked::Refused(Response::Refused { reason: bad.to_string() });
+        match request {
+            Request::OfferModel { toml } => check(robot, mounting, "offered model", &toml)
+                .map_or_else(refused, |model| Checked::Offered(Box::new(model))),
+            Request::ProposeModel { toml, proposal } => check(robot, mounting, "proposed model", &toml)
+                .map_or_else(refused, |model| Checked::Proposed(Box::new(model), proposal)),
+            other => Checked::Other(other),
+        }
+    }
+}
+
+/// A request's bytes on their way to the thread.
+struct Job {
+    ticket: Ticket,
+    bytes: Vec<u8>,
+    mounting: Mounting,
+}
+
+/// The thread that checks, from the bridge thread's side: one request at a time.
+pub struct Checker {
+    jobs: SyncSender<Job>,
+    checked: Receiver<(Ticket, Checked)>,
+    busy: bool,
+    next_ns: u64,
+}
+
+impl Checker {
+    /// Starts the thread, at ordinary priority. `epoch` is the daemon's.
+    ///
+    /// # Errors
+    /// The system has no thread left.
+    pub fn start(robot: Robot, epoch: u64) -> std::io::Result<Checker> {
+        let (jobs, to_check) = sync_channel::<Job>(1);
+        let (done, checked) = sync_channel(1);
+        std::thread::Builder::new().name("plumbline-check".into()).spawn(move || {
+            for Job { ticket, bytes, mounting } in to_check {
+                let result = catch_unwind(AssertUnwindSafe(|| {
+                    read(&bytes, epoch).map_or_else(Checked::Garbled, |request| Checked::of(&robot, &mounting, request))
+                }));
+                let result = result.unwrap_or_else(|panic| {
+                    let reason = format!("the check of the request panicked: {}", panic_message(&*panic));
+                    Checked::Refused(Response::Refused { reason })
+                });
+                if done.send((ticket, result)).is_err() {
+                    return;
+                }
+            }
+        })?;
+        Ok(Checker { jobs, checked, busy: false, next_ns: 0 })
+    }
+
+    /// How many requests it takes now: one or none.
+    pub fn room(&self, now_ns: u64) -> usize {
+        usize::from(!self.busy && now_ns >= self.next_ns)
+    }
+
+    /// Gives it a request; there is [`room`](Checker::room).
+    pub fn give(&mut self, ticket: Ticket, bytes: &[u8], mounting: Mounting, now_ns: u64) {
+        self.busy = self.jobs.try_send(Job { ticket, bytes: bytes.to_vec(), mounting }).is_ok();
+        self.next_ns = now_ns.saturating_add(INTERVAL_NS);
+    }
+
+    /// The request that is done with, if any.
+    pub fn take(&mut self) -> Option<(Ticket, Checked)> {
+        match self.checked.try_recv() {
+            Ok(done) => {
+                self.busy = false;
+                Some(done)
+            }
+            Err(TryRecvError::Empty | TryRecvError::Disconnected) => None,
+        }
+    }
+}

@@ -1,0 +1,144 @@
+//! What the loop is told next: decides from events, without doing anything itself.
+
+use crate::recording::about::{Given, Series};
+use crate::setup::programme::{Motion, Role, Stage};
+use plumbline_core::{JointVec, MAX_JOINTS, Phase};
+use plumbline_excite::ExciteError;
+use plumbline_excite::fourier::{Fourier, PeriodicMotion};
+use plumbline_rt::order::{Event, Order, OrderKind};
+use std::collections::VecDeque;
+
+/// Orders that bring the arm to a motion's start carry the motion's number plus this.
+pub const APPROACH: u32 = 1 << 16;
+/// Number of the order that brings the arm back.
+pub const RETURN: u32 = 1 << 17;
+/// Rest before a motion starts \[ms\].
+const SETTLE: u64 = 500;
+
+/// What the daemon does after an event.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Next {
+    /// Nothing.
+    GoOn,
+    /// Hold until there is a model, then give the orders that are left.
+    AwaitModel,
+    /// The stage is over and the arm is back where it started.
+    Over,
+    /// The arm was stopped; nothing more is driven.
+    Aborted,
+}
+
+/// An order, and the same as data.
+pub struct Planned {
+    /// For the loop.
+    pub order: Order,
+    /// For the flight recorder.
+    pub given: Given,
+}
+
+impl Planned {
+    fn move_to(motion: u32, target: JointVec, phase: Phase) -> Planned {
+        let given = Given::Move { motion, target, phase: phase as u32 };
+        Planned { order: Order { motion, kind: OrderKind::MoveTo { target, phase } }, given }
+    }
+
+    fn dwell(motion: u32, ticks: u64) -> Planned {
+        Planned { order: Order { motion, kind: OrderKind::Dwell { ticks } }, given: Given::Dwell { motion, ticks } }
+    }
+
+    fn follow(motion: u32, fourier: &Fourier, periods: u32) -> Result<Planned, ExciteError> {
+        let rows = |of: &nalgebra::DMatrix<f64>| of.row_iter().map(|row| row.iter().copied().collect()).collect();
+        let (a, b) = (rows(&fourier.a), rows(&fourier.b));
+        let series = Series { period: fourier.period, periods, q0: fourier.q0.clone(), a, b };
+        let reference = Box::new(PeriodicMotion::new(fourier, periods)?);
+        let order = Order { motion, kind: OrderKind::Follow(reference) };
+        Ok(Planned { order, given: Given::Follow { motion, series } })
+    }
+}
+
+/// The orders of one stage.
+pub struct Script {
+    /// Orders up to and with the motion after which the model is needed; all of them where none is.
+    before: VecDeque<Planned>,
+    /// Orders that need the model.
+    after: VecDeque<Planned>,
+    /// Number of the motion in between.
+    barrier: Option<u32>,
+}
+
+impl Script {
+    /// Nothing to drive: the loop holds.
+    pub fn hold() -> Script {
+        Script { before: VecDeque::new(), after: VecDeque::new(), barrier: None }
+    }
+
+    /// Approach, settle and drive every motion of the stage that is not among the `done`, then return to `rest`.
+    pub fn of(stage: &Stage, rest: JointVec, done: &[u32]) -> Result<Script, ExciteError> {
+        let mut script = Script::hold();
+        for motion in &stage.motions {
+            if done.contains(&motion.number) {
+                // What comes after it still waits for the model.
+                if motion.role == Role::Identify {
+                    script.barrier = Some(motion.number);
+                }
+                continue;
+            }
+            let target = start_of(motion);
+            let approach = motion.number + APPROACH;
+            let periods = (motion.periods + motion.lead_in) as u32;
+            script.push(Planned::move_to(approach, target, Phase::Approach));
+            script.push(Planned::dwell(approach, SETTLE));
+            script.push(Planned::follow(motion.number, &motion.fourier, periods)?);
+            if motion.role == Role::Identify {
+                script.barrier = Some(motion.number);
+            }
+        }
+        script.push(Planned::move_to(RETURN, rest, Phase::Return));
+        Ok(script)
+    }
+
+    fn push(&mut self, order: Planned) {
+        let queue = if self.barrier.is_some() { &mut self.after } else { &mut self.before };
+        queue.push_back(order);
+    }
+
+    /// The next order that may be given now.
+    pub fn next(&mut self, model: bool) -> Option<Planned> {
+        self.before.pop_front().or_else(|| if model { self.after.pop_front() } else { None })
+    }
+
+    /// Whether the only orders left are those that need the model.
+    pub fn awaits_model(&self) -> bool {
+        self.before.is_empty() && !self.after.is_empty()
+    }
+
+    /// Where the arm goes first.
+    pub fn first_target(&self) -> Option<JointVec> {
+        self.before.iter().chain(&self.after).find_map(|planned| match planned.order.kind {
+            OrderKind::MoveTo { target, .. } => Some(target),
+            _ => None,
+        })
+    }
+
+    /// What follows from an event of the loop.
+    pub fn after(&mut self, event: &Event) -> Next {
+        match *event {
+            Event::Ended { motion: RETURN } => Next::Over,
+            Event::Ended { motion } if Some(motion) == self.barrier => Next::AwaitModel,
+            Event::Stopping { .. } => {
+                *self = Script::hold();
+                Next::Aborted
+            }
+            _ => Next::GoOn,
+        }
+    }
+}
+
+/// The pose that a motion starts in.
+fn start_of(motion: &Motion) -> JointVec {
+    let mut start = [0.0; MAX_JOINTS];
+    for (slot, &q) in start.iter_mut().zip(&motion.plan.q0) {
+        *slot = q;
+    }
+    start
+}

@@ -1,0 +1,411 @@
+//! The live watch of the estimator: follows the samples while a model is served, says when it no longer holds, and proposes a better one.
+
+use crate::analysis::changed;
+use crate::analysis::pipeline;
+use crate::config::job::{Adopt, Job};
+use crate::dataset::Run;
+use crate::failure::Failure;
+use crate::report::diagnosis::Effect;
+use crate::store::{ModelFile, Provenance, model_identity};
+use plumbline_core::threads;
+use plumbline_core::{Phase, Record, Validity};
+use plumbline_diagnose::live::{self, ENDS, Floor, Found, News, Remedy, STRETCH, Watch};
+use plumbline_diagnose::reference::Change;
+use plumbline_identify::experiment::{Experiment, Settings};
+use plumbline_identify::run;
+use plumbline_ipc::{Proposal, Status};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_model::torque::TorqueModel;
+use serde::Serialize;
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::thread::JoinHandle;
+
+/// Time between records \[s\].
+const DT: f64 = 1e-3;
+/// Motion of the identification that tells what error is usual \[s\].
+const CALIBRATION: f64 = 20.0;
+/// Slower than this, a joint stands \[rad/s\].
+const REST: f64 = 0.01;
+/// Stretches that the log keeps.
+const KEPT: usize = 10_000;
+
+/// A model for the daemon, and why.
+pub struct Offer {
+    /// Text of its file.
+    pub toml: String,
+    /// What the daemon tells people.
+    pub proposal: Proposal,
+}
+
+/// What `live.json` holds.
+#[derive(Default, Serialize)]
+#[serde(rename_all = "kebab-case")]
+struct Log {
+    /// What error was usual when the model was identified, and from where on it is bad, per joint \[Nm\].
+    usual: Vec<f64>,
+    limit: Vec<f64>,
+    events: Vec<Event>,
+    stretches: VecDeque<Stretch>,
+}
+
+/// Something that happened, at a time of the arm's clock \[s\].
+#[derive(Serialize)]
+#[serde(tag = "event", rename_all = "kebab-case", rename_all_fields = "kebab-case")]
+enum Event {
+    /// The served model does not hold any more.
+    Lost { t: f64, since: f64, joint: usize, rms: f64, usual: f64 },
+    /// It holds again.
+    Holds { t: f64, since: f64 },
+    /// Something was found and proposed.
+    Proposed { t: f64, model: String, what: String, effects: Vec<Effect>, before: Vec<f64>, after: Vec<f64> },
+    /// Nothing was found that lowers the error.
+    Unexplained { t: f64, tried: usize, rms: Vec<f64> },
+    /// The loop serves another model.
+    Served { t: f64, model: String },
+    /// The proposal was dropped.
+    Rejected { t: f64 },
+}
+
+/// Errors over a stretch, per joint \[Nm\]: of the model along the measured motion after the low-pass, and of the torque that was
+/// served, raw.
+#[derive(Serialize)]
+#[serde(rename_all = "kebab-case")]
+struct Stretch {
+    start: f64,
+    end: f64,
+    model: String,
+    rms: Vec<f64>,
+    served_rms: Vec<f64>,
+}
+
+/// A search under way.
+struct Searching {
+    /// When it began, and since when the model does not hold \[s\].
+    t: f64,
+    since: f64,
+    /// The model that it is about.
+    model: u64,
+    found: JoinHandle<Found>,
+}
+
+/// The watch and all it has to know.
+pub struct Live {
+    adopt: Adopt,
+    window: f64,
+    joints: usize,
+    robot: Robot,
+    settings: Settings,
+    gravity: nalgebra::Vector3<f64>,
+    mounting: Mounting,
+    out: PathBuf,
+    noise_floor: Vec<f64>,
+    /// Models by identity: the identified one and those that were proposed.
+    models: Vec<(u64, TorqueModel)>,
+    watch: Option<Watch>,
+    /// Identity of the model that the records in the buffer were served with.
+    serving: u64,
+    /// Samples of one motion without a gap.
+    buffer: VecDeque<Record>,
+    /// Samples since the last stretch.
+    fresh: usize,
+    /// No search before this moment \[s\].
+    not_before: f64,
+    /// Simulated time waits: a search is waited for as well, so that the arm does not run away meanwhile.
+    patient: bool,
+    searching: Option<Searching>,
+    /// A proposal is with the daemon.
+    proposed: Option<u64>,
+    log: Log,
+    notes: Vec<String>,
+}
+
+impl Live {
+    /// A watch that begins when there is a model; `None` where the job wants none.
+    pub fn new(job: &Job, robot: &Robot, out: &Path) -> Option<Live> {
+        job.live.watch.then(|| Live {
+            adopt: job.live.adopt,
+            window: job.live.window,
+            joints: robot.chain.len(),
+            robot: robot.clone(),
+            settings: Settings { rest: Some(REST), ..job.settings() },
+            gravity: job.mounting.gravity(),
+            mounting: job.mounting,
+            out: out.to_path_buf(),
+            noise_floor: Vec::new(),
+            models: Vec::new(),
+            watch: None,
+            serving: 0,
+            buffer: VecDeque::new(),
+            fresh: 0,
+            not_before: 0.0,
+            patient: job.backend.is_fast(),
+            searching: None,
+            proposed: None,
+            log: Log::default(),
+            notes: Vec::new(),
+        })
+    }
+
+    /// The model that was identified from `run`, and its text.
+    pub fn identified(
+        &mut self,
+        model: &TorqueModel,
+        noise_floor: &[f64],
+        text: &str,
+        run: &Run,
+    ) -> Result<(), Failure> {
+        let samples = run.samples().min((CALIBRATION / DT) as usize);
+        let part = Run {
+            period: None,
+            t: run.t[..samples].to_vec(),
+            q: run.q.rows(0, samples).into_owned(),
+            dq: run.dq.as_ref().map(|dq| dq.rows(0, samples).into_owned()),
+            tau: run.tau.rows(0, samples).into_owned(),
+            extra: Vec::new(),
+            ..run.clone()
+        };
+        let floor = Floor::of(model, &pipeline::experiment(&part, &self.settings)?);
+        (self.log.usual, self.log.limit) = (floor.usual.clone(), floor.limit.clone());
+        self.noise_floor = noise_floor.to_vec();
+        self.models = vec![(model_identity(text), model.clone())];
+        self.watch = Some(Watch::new(floor));
+        Ok(())
+    }
+
+    /// Takes the next record; gives a model to propose when there is one.
+    pub fn take(&mut self, record: &Record) -> Result<Option<Offer>, Failure> {
+        let known = self.models.iter().any(|(id, _)| *id == record.model);
+        if record.phase != Phase::Excite || !known {
+            self.clear();
+            return Ok(None);
+        }
+        if self.serving != record.model {
+            self.now_serves(record);
+        }
+        if self.buffer.back().is_some_and(|before| before.motion != record.motion) {
+            self.clear();
+        }
+        self.buffer.push_back(*record);
+        self.fresh += 1;
+        if self.buffer.len() > samples(self.window + 4.0 * STRETCH) {
+            self.buffer.pop_front();
+        }
+        let needed = samples(STRETCH + 2.0 * ENDS) + 2 * self.edge();
+        if self.fresh < samples(STRETCH) || self.buffer.len() < needed {
+            return Ok(None);
+        }
+        self.fresh = 0;
+        self.look(needed);
+        self.search()
+    }
+
+    /// Samples are missing: what follows is another motion.
+    pub fn clear(&mut self) {
+        self.buffer.clear();
+        self.fresh = 0;
+    }
+
+    /// Looks at what the daemon says: a proposal that is gone without being served was rejected.
+    pub fn heard(&mut self, status: &Status) {
+        let Some(proposed) = self.proposed else { return };
+        if status.offered.is_none() && status.model != proposed {
+            tracing::info!("the proposed model was rejected; the watch is silent until the served one holds again");
+            let t = self.now();
+            self.log.events.push(Event::Rejected { t });
+            (self.proposed, self.not_before) = (None, f64::INFINITY);
+        }
+    }
+
+    /// Writes `live.json`, and gives what the report should say.
+    pub fn finish(&mut self) -> Result<Vec<String>, Failure> {
+        self.write()?;
+        Ok(std::mem::take(&mut self.notes))
+    }
+
+    fn write(&self) -> Result<(), Failure> {
+        let text = serde_json::to_string_pretty(&self.log).map_err(Failure::job)? + "\n";
+        crate::atomic::write_result(&self.out.join("live.json"), text.as_bytes())
+    }
+
+    fn now(&self) -> f64 {
+        self.buffer.back().map_or(0.0, |record| record.state.time)
+    }
+
+    /// Samples that the preparation may cut off each end.
+    fn edge(&self) -> usize {
+        samples(0.5)
+    }
+
+    fn now_serves(&mut self, record: &Record) {
+        let t = record.state.time;
+        self.log.events.push(Event::Served { t, model: hex(record.model) });
+        if self.serving != 0 {
+            tracing::info!("from {t:.1} s on the loop serves model {:016x}", record.model);
+            self.notes.push(format!("live: from {t:.1} s on the loop served model {:016x}", record.model));
+        }
+        self.serving = record.model;
+        self.proposed = None;
+        self.not_before = t;
+        self.watch.iter_mut().for_each(Watch::reset);
+        self.clear();
+    }
+
+    /// Judges the last stretch that the filters know well.
+    fn look(&mut self, needed: usize) {
+        let first = self.buffer.len() - needed;
+        let Some(experiment) = self.prepared(first, self.buffer.len()) else { return };
+        let Some(model) = self.model() else { return };
+        let residual = live::residual(model, &experiment);
+        let (count, ends) = (residual.nrows(), samples(ENDS));
+        let Some(start) = count.checked_sub(samples(STRETCH) + ends) else { return };
+        let rms = live::rms(&residual, start..start + samples(STRETCH));
+        // The preparation cuts as much off both ends.
+        let cut = needed.saturating_sub(count) / 2;
+        let begin = self.buffer[first].state.time + (cut + start) as f64 * DT;
+        let end = begin + STRETCH;
+        let served_rms = self.served(begin, end);
+        let model = hex(self.serving);
+        self.log.stretches.push_back(Stretch { start: begin, end, model, rms: rms.clone(), served_rms });
+        if self.log.stretches.len() > KEPT {
+            self.log.stretches.pop_front();
+        }
+        let Some(news) = self.watch.as_mut().and_then(|watch| watch.look(begin, end, &rms)) else { return };
+        match news {
+            News::Lost { since, joint, rms, floor } => {
+                tracing::warn!(
+                    "since {since:.1} s the served model does not hold: joint {} has an error of {rms:.3} Nm, usually {floor:.3}",
+                    joint + 1
+                );
+                self.log.events.push(Event::Lost { t: end, since, joint: joint + 1, rms, usual: floor });
+                self.notes.push(format!(
+                    "live: since {since:.1} s the served model did not hold: {rms:.3} Nm in joint {}, usually {floor:.3}",
+                    joint + 1
+                ));
+            }
+            News::Holds { since } => {
+                tracing::info!("since {since:.1} s the served model holds again");
+                self.log.events.push(Event::Holds { t: end, since });
+                self.not_before = end;
+            }
+        }
+    }
+
+    /// Goes over the time since the model was lost, once there is enough of it.
+    fn search(&mut self) -> Result<Option<Offer>, Failure> {
+        let Some(since) = self.watch.as_ref().and_then(Watch::lost_since) else { return Ok(None) };
+        let now = self.now();
+        if self.proposed.is_some() || self.searching.is_some() || now < self.not_before {
+            return Ok(None);
+        }
+        // The change happened somewhere in the first bad stretch.
+        let after = self.buffer.partition_point(|record| record.state.time < since + STRETCH);
+        if self.buffer.len() - after < samples(self.window) {
+            return Ok(None);
+        }
+        let middle = after + live::divide(self.buffer.len() - after);
+        let parts = (self.prepared(after, middle), self.prepared(middle, self.buffer.len()));
+        let ((Some(find), Some(judge)), Some(model)) = (parts, self.model()) else { return Ok(None) };
+        let threads = threads();
+        let settings = plumbline_diagnose::Settings { threads, ..plumbline_diagnose::Settings::default() };
+        let model = model.clone();
+        // The samples go on meanwhile: an estimator that is silent counts as lost.
+        let found = std::thread::spawn(move || live::search(&model, &find, &judge, &settings));
+        self.searching = Some(Searching { t: now, since, model: self.serving, found });
+        self.collect(self.patient)
+    }
+
+    /// Takes in what a search has found, once it has ended; `wait`s for that where told to.
+    pub fn collect(&mut self, wait: bool) -> Result<Option<Offer>, Failure> {
+        let Some(Searching { t, since, model, found }) = self.searching.take_if(|one| wait || one.found.is_finished())
+        else {
+            return Ok(None);
+        };
+        let found = found.join().map_err(|_| Failure::job("the search for a change panicked"))?;
+        if model != self.serving {
+            return Ok(None);
+        }
+        let offer = match found {
+            Found::Remedy(remedy) => Some(self.propose(t, since, *remedy)?),
+            Found::Nothing { tried, before } => {
+                tracing::warn!("no change that is known explains it; the error is {}", list(&before));
+                self.log.events.push(Event::Unexplained { t, tried, rms: before });
+                self.not_before = t + self.window;
+                None
+            }
+        };
+        self.write()?;
+        Ok(offer)
+    }
+
+    fn propose(&mut self, t: f64, since: f64, remedy: Remedy) -> Result<Offer, Failure> {
+        let Remedy { changes, model, before, after } = remedy;
+        let what = changes.iter().map(changed::line).collect::<Vec<_>>().join("; ");
+        let source = format!("live, since {since:.1} s: {what}");
+        let file = ModelFile {
+            model,
+            noise_floor: self.noise_floor.clone(),
+            validation: Vec::new(),
+            consistent: None,
+            provenance: Provenance { source: Some(source), ..crate::analysis::provenance(&self.robot, None) },
+        };
+        let toml = file.to_toml();
+        crate::atomic::write_result(&self.out.join("model-live.toml"), toml.as_bytes())?;
+        let worst = (0..self.joints).max_by(|&a, &b| before[a].total_cmp(&before[b])).unwrap_or(0);
+        let effects = self.effects(&changes);
+        let id = model_identity(&toml);
+        let asks = if self.adopt == Adopt::Ask { ", if somebody adopts it" } else { "" };
+        self.notes.push(format!(
+            "live: {what}; error in joint {} {:.3} -> {:.3} Nm with model {id:016x}{asks}",
+            worst + 1,
+            before[worst],
+            after[worst]
+        ));
+        let (of_worst, left) = (before[worst], after[worst]);
+        let model = hex(id);
+        self.log.events.push(Event::Proposed { t, model, what: what.clone(), effects, before, after });
+        self.models.push((id, file.model));
+        self.proposed = Some(id);
+        let proposal = Proposal { what, since, joint: worst + 1, before: of_worst, after: left };
+        Ok(Offer { toml, proposal })
+    }
+
+    fn effects(&self, changes: &[Change]) -> Vec<Effect> {
+        let Some(model) = self.model() else { return Vec::new() };
+        changes.iter().map(|change| changed::effect(change, model, Some(&self.mounting), true)).collect()
+    }
+
+    fn model(&self) -> Option<&TorqueModel> {
+        self.models.iter().find(|(id, _)| *id == self.serving).map(|(_, model)| model)
+    }
+
+    /// Some of the buffer's samples as one motion; `None` where they are too few or the arm stands.
+    fn prepared(&self, first: usize, end: usize) -> Option<Experiment> {
+        let records: Vec<Record> = self.buffer.range(first..end).copied().collect();
+        let run = run::Run::from_records("live", &records, self.joints, self.gravity, None);
+        let experiment = Experiment::prepare(&run, &self.settings).ok()?;
+        let resting = experiment.resting().iter().filter(|rests| **rests).count();
+        (2 * resting < experiment.resting().len()).then_some(experiment)
+    }
+
+    /// RMS of measured minus served torque between two moments, per joint \[Nm\].
+    fn served(&self, begin: f64, end: f64) -> Vec<f64> {
+        let within = |r: &&Record| (begin..end).contains(&r.state.time) && r.validity == Validity::Valid;
+        let chosen: Vec<&Record> = self.buffer.iter().filter(within).collect();
+        let square = |j: usize| chosen.iter().map(|r| (r.state.tau[j] - r.command.tau_ff.0[j]).powi(2)).sum::<f64>();
+        (0..self.joints).map(|j| (square(j) / chosen.len().max(1) as f64).sqrt()).collect()
+    }
+}
+
+fn samples(seconds: f64) -> usize {
+    (seconds / DT).round() as usize
+}
+
+fn hex(model: u64) -> String {
+    format!("{model:016x}")
+}
+
+fn list(values: &[f64]) -> String {
+    values.iter().map(|value| format!("{value:.3}")).collect::<Vec<_>>().join(" ")
+}

@@ -1,0 +1,305 @@
+//! `plumbline estimator`: follows the daemon's samples, identifies, offers the model, writes the results.
+
+pub mod live;
+
+use crate::analysis::collector::{Collector, Recorded};
+use crate::analysis::results::Results;
+use crate::estimator::live::{Live, Offer};
+use crate::failure::Failure;
+use crate::process::journal;
+use crate::process::service::Service;
+use crate::setup::programme::{Programme, Role};
+use crate::setup::{JobOptions, robot_id};
+use clap::Args;
+use plumbline_ipc::{
+    Client, Delivery, IpcError, Progress, Request, Response, RobotId, SampleStream, Status, StreamCounters,
+    StreamSettings,
+};
+use plumbline_model::gravity::Mounting;
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::{Duration, Instant};
+
+/// Options of `plumbline estimator`.
+#[derive(Args)]
+pub struct Options {
+    #[command(flatten)]
+    job: JobOptions,
+    /// End when the results of one programme are written
+    #[arg(long)]
+    once: bool,
+}
+
+/// How long to wait for a daemon that is just starting.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// How long to wait for an answer.
+const ANSWER: Duration = Duration::from_secs(5);
+/// How long a computation goes on in silence.
+const SLOW: Duration = Duration::from_secs(20);
+/// How long to wait for samples before looking at the daemon again.
+const STEP: Duration = Duration::from_millis(200);
+
+/// Runs until the results are written, or for ever.
+pub fn run(options: Options) -> Result<(), Failure> {
+    let (job, robot, out) = options.job.load()?;
+    let id = robot_id(&job)?;
+    journal::about(id.as_str());
+    let mut service = Service::of_environment();
+    service.ready("waits for a daemon");
+    loop {
+        let mut stream = match SampleStream::connect(&id, StreamSettings::default(), PATIENCE) {
+            Ok(stream) => stream,
+            // A service is there before the daemon, and after it.
+            Err(IpcError::NoDaemon { .. }) if !options.once => {
+                service.turned();
+                continue;
+            }
+            Err(error) => return Err(Failure::job(error)),
+        };
+        let programme = Programme::load(&job, &out.join("plans"))?;
+        let results = Results::new(&job, &robot, &programme, &out);
+        let live = Live::new(&job, &robot, &out);
+        service.status("follows the samples");
+        let outcome = match follow(&id, &mut stream, &programme, results, live, &mut service) {
+            Err(Failure::Input(bad)) => Outcome::Unusable { why: bad.to_string() },
+            outcome => outcome?,
+        };
+        match outcome {
+            Outcome::Written if options.once => return Ok(()),
+            Outcome::Written => await_next_daemon(&mut stream, &mut service, "the results are written")?,
+            Outcome::Stopped { why } if options.once => return Err(Failure::job(no_results(&why))),
+            Outcome::Stopped { why } => {
+                tracing::error!("{}", no_results(&why));
+                await_next_daemon(&mut stream, &mut service, "the arm was stopped; waits for the daemon's next start")?;
+            }
+            Outcome::Unusable { why } if options.once => return Err(Failure::job(why)),
+            // Another try would find the same.
+            Outcome::Unusable { why } => {
+                tracing::error!("no results: {why}");
+                await_next_daemon(&mut stream, &mut service, "no results; waits for the daemon's next start")?;
+            }
+            Outcome::DaemonGone if options.once => return Err(Failure::job("the daemon is gone; its samples with it")),
+            Outcome::DaemonGone => {}
+        }
+    }
+}
+
+enum Outcome {
+    Written,
+    /// The programme can't come to its end any more.
+    Stopped {
+        /// What the daemon says about it.
+        why: String,
+    },
+    /// What was recorded, or the model that comes of it, can't be used. Nobody wrote it, so it is no bad input, after which a service would
+    /// stay down.
+    Unusable {
+        /// What was found, and expected; or the daemon's reason.
+        why: String,
+    },
+    DaemonGone,
+}
+
+fn no_results(why: &str) -> String {
+    format!("the arm was stopped, so there are no complete results: {why}")
+}
+
+/// There is nothing left to do in this start of the daemon.
+fn await_next_daemon(stream: &mut SampleStream, service: &mut Service, status: &str) -> Result<(), Failure> {
+    service.status(status);
+    while !matches!(stream.next(STEP).map_err(Failure::job)?, Delivery::Restarted { .. }) {
+        service.turned();
+    }
+    Ok(())
+}
+
+/// Follows one start of the daemon.
+fn follow(
+    id: &RobotId,
+    stream: &mut SampleStream,
+    programme: &Programme,
+    mut results: Results,
+    mut live: Option<Live>,
+    service: &mut Service,
+) -> Result<Outcome, Failure> {
+    let mut collector = Collector::new(programme, results.joints());
+    let mut looked = Instant::now();
+    loop {
+        service.turned();
+        match stream.next(STEP).map_err(Failure::job)? {
+            Delivery::Records { records, .. } => {
+                for record in &records {
+                    if let Some(recorded) = collector.take(record)
+                        && let Some(why) = take(id, stream.epoch(), &mut results, &mut live, recorded)?
+                    {
+                        return Ok(Outcome::Unusable { why: format!("the daemon refused the model: {why}") });
+                    }
+                    if let Some(live) = &mut live
+                        && let Some(offer) = live.take(record)?
+                    {
+                        propose(id, stream.epoch(), offer)?;
+                    }
+                }
+            }
+            Delivery::Missed { from, to } => {
+                live.iter_mut().for_each(Live::clear);
+                tracing::warn!("samples {from} to {} are gone: the daemon no longer had them", to - 1);
+                if let Some(motion) = collector.missed() {
+                    tracing::warn!("some of them were of {motion}, which is incomplete for it");
+                }
+            }
+            Delivery::Restarted { .. } if stream.counters().received == 0 => {}
+            Delivery::Restarted { .. } | Delivery::Gone => return Ok(Outcome::DaemonGone),
+            Delivery::Idle => {}
+        }
+        if let Some(offer) = live.as_mut().map_or(Ok(None), |live| live.collect(false))? {
+            propose(id, stream.epoch(), offer)?;
+        }
+        // The samples alone don't tell the end: an arm that is served goes on sending them.
+        if looked.elapsed() < STEP {
+            continue;
+        }
+        looked = Instant::now();
+        let status = status(id)?;
+        // Of another start, which the stream is about to tell of.
+        if status.served.epoch != stream.epoch() {
+            continue;
+        }
+        live.iter_mut().for_each(|live| live.heard(&status));
+        if let Some(driven) = status.driven
+            && stream.position() >= driven
+        {
+            // What came after the programme's last sample is not part of it.
+            let beyond = stream.position() - driven;
+            let StreamCounters { received, .. } = stream.counters();
+            let counters = StreamCounters { received: received.saturating_sub(beyond), ..stream.counters() };
+            if let Some(live) = &mut live {
+                if let Some(offer) = live.collect(true)? {
+                    propose(id, stream.epoch(), offer)?;
+                }
+                live.finish()?.into_iter().for_each(|note| results.note(note));
+            }
+            observed("the diagnosis and the report", || results.finish(&status, driven, &counters))?;
+            return Ok(Outcome::Written);
+        }
+        if status.progress == Progress::Stopped {
+            return Ok(Outcome::Stopped { why: status.stopped.unwrap_or_default() });
+        }
+    }
+}
+
+/// Takes one motion in; offers the model when it was the one to identify from. Why the daemon does not want it, if so. The motion, and so the
+/// model, are those of one start of the daemon, the `epoch`.
+fn take(
+    id: &RobotId,
+    epoch: u64,
+    results: &mut Results,
+    live: &mut Option<Live>,
+    mut recorded: Recorded,
+) -> Result<Option<String>, Failure> {
+    if !recorded.complete {
+        tracing::warn!("{} is incomplete and left out", recorded.run.file);
+        return Ok(None);
+    }
+    let role = recorded.role;
+    if results.has_inclinometer() {
+        as_measured(&status_of(id, epoch)?, results.first_mounting(), &mut recorded);
+    }
+    results.take(recorded);
+    if role != Role::Identify {
+        return Ok(None);
+    }
+    let text = observed("the identification", || results.identify())?;
+    if let (Some(live), Some((identified, run))) = (live.as_mut(), results.identified()) {
+        let floor = identified.identification.rms.noise_floor.clone().unwrap_or_default();
+        live.identified(&identified.model, &floor, &text, run)?;
+    }
+    let offer = Request::OfferModel { toml: text };
+    match client_of(id, epoch)?.send(&offer, ANSWER).map_err(Failure::job)? {
+        Response::ModelAccepted { model } => {
+            tracing::info!("the daemon serves model {model:016x}");
+            Ok(None)
+        }
+        Response::Refused { reason } => Ok(Some(reason)),
+        other => Err(Failure::job(format!("the daemon answered a model with {other:?}"))),
+    }
+}
+
+/// Computes, and reports it in the log every [`SLOW`].
+fn observed<T>(what: &str, compute: impl FnOnce() -> T) -> T {
+    std::thread::scope(|scope| {
+        let (end, ended) = std::sync::mpsc::channel::<()>();
+        scope.spawn(move || {
+            let begin = Instant::now();
+            while ended.recv_timeout(SLOW) == Err(RecvTimeoutError::Timeout) {
+                tracing::warn!("{what} has been computing for {:.0} s", begin.elapsed().as_secs_f64());
+            }
+        });
+        let found = compute();
+        drop(end);
+        found
+    })
+}
+
+/// How many standard deviations two readings of a base that has not moved may differ by.
+const SAME_BASE: f64 = 4.0;
+
+/// A run was recorded in the mounting that was measured when it began, which is only about the declared one. A base that has not moved
+/// since the `first` run has one mounting, not one per reading: otherwise noise would pass for several mountings.
+fn as_measured(status: &Status, first: Option<Mounting>, recorded: &mut Recorded) {
+    let motions = status.gravity.iter().flat_map(|gravity| &gravity.motions);
+    match motions.rev().find(|own| own.motion == recorded.number) {
+        Some(own) => {
+            let measured = Mounting { rho: own.rho, phi: own.phi };
+            let unmoved = first.filter(|first| first.angle_to(&measured) <= SAME_BASE * own.std);
+            recorded.run.mounting = unmoved.unwrap_or(measured);
+            tracing::info!(
+                "{}: gravity as measured, rho = {:.5}, phi = {:.5} rad, +- {:.2} mrad",
+                recorded.run.file,
+                own.rho,
+                own.phi,
+                1e3 * own.std
+            );
+        }
+        None => tracing::warn!("{}: no inclinometer when it began; the declared mounting is taken", recorded.run.file),
+    }
+}
+
+/// Proposes a model in place of the one that does not hold any more. A daemon that does not want it says why, and nothing else happens.
+fn propose(id: &RobotId, epoch: u64, offer: Offer) -> Result<(), Failure> {
+    let request = Request::ProposeModel { toml: offer.toml, proposal: offer.proposal };
+    match client_of(id, epoch)?.send(&request, ANSWER).map_err(Failure::job)? {
+        Response::ModelAccepted { model } => tracing::info!("the daemon serves model {model:016x}"),
+        Response::ModelHeld { model } => tracing::info!("the daemon holds model {model:016x} until somebody adopts it"),
+        Response::Refused { reason } => tracing::warn!("the daemon refused the model: {reason}"),
+        other => return Err(Failure::job(format!("the daemon answered a proposal with {other:?}"))),
+    }
+    Ok(())
+}
+
+fn client(id: &RobotId) -> Result<Client, Failure> {
+    Client::connect(id, ANSWER).map_err(Failure::job)
+}
+
+/// A client of one start of the daemon alone.
+fn client_of(id: &RobotId, epoch: u64) -> Result<Client, Failure> {
+    let mut client = client(id)?;
+    client.bind(epoch);
+    Ok(client)
+}
+
+/// The daemon's status.
+fn status(id: &RobotId) -> Result<Status, Failure> {
+    status_by(client(id)?)
+}
+
+/// The status of one start of the daemon alone.
+fn status_of(id: &RobotId, epoch: u64) -> Result<Status, Failure> {
+    status_by(client_of(id, epoch)?)
+}
+
+fn status_by(mut client: Client) -> Result<Status, Failure> {
+    match client.send(&Request::Status {}, ANSWER).map_err(Failure::job)? {
+        Response::Status(status) => Ok(*status),
+        other => Err(Failure::job(format!("the daemon answered a question for its status with {other:?}"))),
+    }
+}

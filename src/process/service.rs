@@ -1,0 +1,192 @@
+//! What a process tells systemd, when it runs as a service: that it is ready, what it is at, and that it gets on.
+//!
+//! The watchdog is fed by progress alone. A bridge thread that still turns while the real-time loop hangs says nothing, and systemd
+//! ends the process; the arm then stops by its own means.
+
+use crate::process::outbox::Outbox;
+use sd_notify::NotifyState;
+use std::time::{Duration, Instant};
+
+/// Words that may be on their way at a time; what comes on top of them is lost.
+const WORDS: usize = 64;
+/// How long the last words of a process may take.
+const FAREWELL: Duration = Duration::from_secs(1);
+
+/// What a process has got on with since it was asked last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progress {
+    /// Nothing has to move: there is no connection to an arm, or the arm's time stands still on purpose.
+    Waiting,
+    /// The count of the loop that has to go on.
+    Count(u64),
+}
+
+/// Decides when the watchdog is fed. Time is an argument, sending is somebody else's business.
+#[derive(Clone, Copy, Debug)]
+struct Pulse {
+    /// At most this often; `None` where no watchdog runs.
+    every: Option<Duration>,
+    fed: Option<Instant>,
+    seen: Option<Progress>,
+}
+
+impl Pulse {
+    /// A quarter of the time after which systemd would act.
+    fn new(watchdog: Option<Duration>) -> Pulse {
+        Pulse { every: watchdog.map(|limit| limit / 4), fed: None, seen: None }
+    }
+
+    /// Whether to feed the watchdog now.
+    fn beats(&mut self, progress: Progress, now: Instant) -> bool {
+        let Some(every) = self.every else { return false };
+        if self.fed.is_some_and(|fed| now.saturating_duration_since(fed) < every) {
+            return false;
+        }
+        let stuck = matches!(progress, Progress::Count(_)) && self.seen == Some(progress);
+        if !stuck {
+            (self.fed, self.seen) = (Some(now), Some(progress));
+        }
+        !stuck
+    }
+}
+
+/// This process as systemd sees it; silent where it runs otherwise.
+pub struct Service {
+    watchdog: Option<Duration>,
+    pulse: Pulse,
+    /// Turns of a loop that counts nothing else.
+    turns: u64,
+    /// The watchdog waits longer for now.
+    extended: bool,
+    messenger: Option<Messenger>,
+}
+
+impl Service {
+    /// Looks at what systemd has set up. Begins a thread where it listens: to be called before this one asks for priority.
+    pub fn of_environment() -> Service {
+        let watchdog = sd_notify::watchdog_enabled();
+        let messenger = std::env::var_os("NOTIFY_SOCKET").and_then(|_| Messenger::start());
+        Service { watchdog, pulse: Pulse::new(watchdog), turns: 0, extended: false, messenger }
+    }
+
+    /// The process is up; units that wait for it may start.
+    pub fn ready(&self, status: &str) {
+        self.tell(&[NotifyState::Ready, NotifyState::Status(status)]);
+    }
+
+    /// What `systemctl status` shows.
+    pub fn status(&self, status: &str) {
+        self.tell(&[NotifyState::Status(status)]);
+    }
+
+    /// The process is about to end by itself.
+    pub fn stopping(&self) {
+        self.tell(&[NotifyState::Stopping]);
+    }
+
+    /// Feeds the watchdog where something has got on since it was fed last.
+    pub fn beat(&mut self, progress: Progress) {
+        if !self.pulse.beats(progress, Instant::now()) {
+            return;
+        }
+        if std::mem::take(&mut self.extended) {
+            self.limit(self.watchdog);
+        }
+        self.tell(&[NotifyState::Watchdog]);
+    }
+
+    /// The process's own loop has come round once more.
+    pub fn turned(&mut self) {
+        self.turns += 1;
+        self.beat(Progress::Count(self.turns));
+    }
+
+    /// One step that may take `longest` begins, such as a connection over a network; the next beat brings the usual limit back.
+    pub fn long_step(&mut self, longest: Duration) {
+        if let Some(watchdog) = self.watchdog {
+            self.extended = true;
+            self.pulse = Pulse::new(self.watchdog);
+            self.limit(Some(watchdog.max(longest)));
+            self.tell(&[NotifyState::Watchdog]);
+        }
+    }
+
+    fn limit(&self, limit: Option<Duration>) {
+        let micros = limit.and_then(|limit| u32::try_from(limit.as_micros()).ok());
+        self.tell(&micros.map(NotifyState::WatchdogUsec).into_iter().collect::<Vec<_>>());
+    }
+
+    /// systemd is not needed for anything: what it does not take is not an error of the job.
+    fn tell(&self, state: &[NotifyState]) {
+        if let Some(messenger) = self.messenger.as_ref().filter(|_| !state.is_empty()) {
+            messenger.tell(state.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"));
+        }
+    }
+}
+
+/// Carries words to systemd. A socket that is not read makes its sender wait, and that must be a thread of its own: an arm does not stop turning
+/// because the first process of its machine has died.
+struct Messenger(Outbox<String>);
+
+impl Messenger {
+    fn start() -> Option<Messenger> {
+        let started = Outbox::start("plumbline-notify", WORDS, |_dropped, word: String| {
+            if let Err(error) = sd_notify::notify(&[NotifyState::Custom(&word)]) {
+                tracing::debug!("systemd was not told: {error}");
+            }
+        });
+        started
+            .map(Messenger)
+            .inspect_err(|error| tracing::warn!("systemd will not be told how this process does: {error}"))
+            .ok()
+    }
+
+    fn tell(&self, word: String) {
+        if !self.0.offer(word) {
+            tracing::debug!("systemd does not read what it is told");
+        }
+    }
+}
+
+impl Drop for Messenger {
+    /// The last words get some time to arrive.
+    fn drop(&mut self) {
+        self.0.flush(FAREWELL);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMIT: Duration = Duration::from_secs(8);
+
+    #[test]
+    fn progress_alone_feeds_the_watchdog() {
+        let start = Instant::now();
+        let at = |seconds| start + Duration::from_secs(seconds);
+        let mut pulse = Pulse::new(Some(LIMIT));
+        assert!(pulse.beats(Progress::Count(1), at(0)));
+        // Not more often than needed.
+        assert!(!pulse.beats(Progress::Count(900), at(1)));
+        assert!(pulse.beats(Progress::Count(2000), at(2)));
+        // The loop hangs: not another word, however often it is asked.
+        assert!((3..40).all(|second| !pulse.beats(Progress::Count(2000), at(second))));
+        assert!(pulse.beats(Progress::Count(2001), at(40)));
+    }
+
+    #[test]
+    fn waiting_on_purpose_feeds_it_too() {
+        let start = Instant::now();
+        let mut pulse = Pulse::new(Some(LIMIT));
+        assert!((0..10).all(|n| pulse.beats(Progress::Waiting, start + n * LIMIT / 4)));
+        // The first count after it is progress, the same one again is not.
+        assert!(pulse.beats(Progress::Count(0), start + 10 * LIMIT));
+        assert!(!pulse.beats(Progress::Count(0), start + 11 * LIMIT));
+    }
+
+    #[test]
+    fn without_a_watchdog_there_is_nothing_to_feed() {
+        assert!(!Pulse::new(None).beats(Progress::Count(1), Instant::now()));
+    }
+}
