@@ -30,6 +30,8 @@
 //! bridge thread publishes the records through `ipc`, the estimator turns them into a model with `identify`, and the daemon serves that
 //! model's torque.
 
+#![forbid(unsafe_code)]
+
 mod analysis;
 pub mod atomic;
 pub mod cli;

@@ -1,4 +1,6 @@
-//! The `plumbline` program: parses the command line and hands over to `crate::app`.
+//! The `plumbline` program: parses the command line and hands over to [`plumbline::cli`].
+
+#![forbid(unsafe_code)]
 
 use std::process::ExitCode;
 

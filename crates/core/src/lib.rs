@@ -9,6 +9,8 @@
 //! | bad input | [`BadInput`], [`from_toml`] |
 //! | numbers | [`svd`], [`singular_values`], [`symmetric_eigen`] with a bound on iterations; [`parallel()`] on all processors |
 
+#![forbid(unsafe_code)]
+
 mod decomposition;
 mod input;
 mod joint;

@@ -6,6 +6,8 @@
 //! tells what changed since a model was identified, [`mod@reference`], also while it is served, [`live`]. What differs from period to period is the matter of [`changing`], which
 //! needs no fit.
 
+#![forbid(unsafe_code)]
+
 pub mod changing;
 pub mod curves;
 mod delivery;

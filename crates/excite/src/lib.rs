@@ -1,5 +1,7 @@
 //! Floor 2: excitation motions: Fourier series, the limits they keep, how well they excite, and a search for good ones.
 
+#![forbid(unsafe_code)]
+
 pub mod criterion;
 mod error;
 pub mod fourier;

@@ -24,6 +24,8 @@
 //! - Nothing recovers by itself: [`recover`] is for the operator; a rule that the operator has set has [`recover_communication`], which
 //!   leaves a collision, a limit, and whatever else is a person's to judge as it is.
 
+#![forbid(unsafe_code)]
+
 mod arm;
 mod codes;
 mod connect;

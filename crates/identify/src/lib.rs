@@ -4,6 +4,8 @@
 //! [`solve::identify_with`] an estimator of choice -> [`solve::Identification`]; [`validate::validate`] measures any model on any
 //! experiment.
 
+#![forbid(unsafe_code)]
+
 pub mod consistency;
 pub mod covariance;
 mod differentiate;

@@ -17,6 +17,8 @@
 //! user only. What
 //! arrives from that user is still checked; no value of a message can make the daemon panic.
 
+#![forbid(unsafe_code)]
+
 mod arm_lock;
 mod client;
 mod command;

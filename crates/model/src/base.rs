@@ -114,6 +114,7 @@ fn order(chain: &Chain) -> Vec<usize> {
 }
 
 /// Greedy column selection with two-pass Gram-Schmidt on regressors of random states.
+#[expect(clippy::expect_used, reason = "runs when a model is made, before the loop")]
 fn reduce(chain: &Chain, gravity: Option<Vector3<f64>>) -> Reduction {
     let n = chain.len();
     let w = random_regressor(chain, gravity);

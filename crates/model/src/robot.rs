@@ -191,6 +191,7 @@ impl Robot {
     }
 
     /// Name for errors and text of the description that [`load`](Robot::load) reads.
+    #[expect(clippy::disallowed_methods, reason = "reads a robot description, before the loop")]
     pub fn description(name_or_path: &str, config_dir: Option<&Path>) -> Result<(String, String), BadInput> {
         if name_or_path.ends_with(".toml") {
             let path = config_dir.map_or_else(|| name_or_path.into(), |dir| dir.join(name_or_path));

@@ -148,6 +148,7 @@ impl Structure {
     /// For example the rotor inertias of joints 1 and 2 of most arms, which are part of `Lzz1` and `Lzz2`. What was taken out is
     /// in [`Structure::absorbed`], and the expressions of the columns that absorbed it say so. Data from one mounting, or from a
     /// poor motion, can determine less than that: the estimator finds out.
+    #[expect(clippy::expect_used, reason = "runs when a model is made, before the loop")]
     pub fn identifiable(mut self) -> Structure {
         let rigid = self.reduction.len();
         if self.columns.len() == rigid {

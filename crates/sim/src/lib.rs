@@ -18,6 +18,8 @@
 //!
 //! The same truth, seed and commands give the same states bit by bit.
 
+#![forbid(unsafe_code)]
+
 mod aba;
 mod commands;
 pub mod effect;

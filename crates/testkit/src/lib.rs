@@ -1,3 +1,5 @@
 //! What tests share.
 
+#![forbid(unsafe_code)]
+
 pub mod conformance;
