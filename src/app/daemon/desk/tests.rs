@@ -298,6 +298,8 @@ fn a_permission_lifts_a_stop_where_the_arm_rests_and_not_while_it_brakes() {
     assert!(!desk.barred && !controls.is_waiting());
     let reason = refusal(resume(&mut desk, &controls));
     assert!(reason.contains("nothing waits"), "{reason}");
+    let reason = refusal(ask(&mut desk, Request::Resume {}));
+    assert!(reason.contains("nothing waits"), "{reason}");
 
     // A stop that the loop has not begun, and one that it has not ended.
     let running = Controls::default();
