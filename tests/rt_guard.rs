@@ -303,9 +303,12 @@ fn what_the_arm_measures_can_stop_it_in_every_phase() {
                 .order(common::drive::dwell(1, 100))
                 .order(move_to(2, away))
                 .order(follow(3, Wave { q0: away, ..Wave::gentle() }))
+                .model(Model(5, |_: &Setpoint| [1.0; MAX_JOINTS]))
                 .trick(read, trick())
                 .run();
             assert_guarded(&run, limit, joint);
+            // No fault of the model's: it goes on serving.
+            assert_eq!(run.records.last().map(|record| (record.model, record.validity)), Some((5, Validity::Valid)));
             assert_eq!(run.records[read as usize - 1].phase, phase);
             assert_eq!(run.records[read as usize].phase, Phase::Stop);
         }

@@ -57,6 +57,10 @@ fn a_whole_job_runs_in_order_inside_the_limits_and_allocates_nothing() {
     }
     assert_eq!(run.records.iter().filter(|r| r.motion == 3 && r.tick > 0).count(), 99);
     assert_eq!(run.records.last().unwrap().command.desired, Setpoint { q: READY, ..Setpoint::default() });
+    // In the rest after a motion the number of its last sample stays.
+    let rested: Vec<u64> = run.records.iter().rev().take_while(|r| r.phase == Phase::Hold).map(|r| r.tick).collect();
+    let last_tick = run.records[run.records.len() - 1 - rested.len()].tick;
+    assert!(rested.len() > 100 && rested.iter().all(|&tick| tick == last_tick), "{last_tick}");
     assert_eq!(run.outcome.flight, run.records[run.records.len() - 200..]);
 }
 
@@ -143,6 +147,12 @@ fn nothing_moves_before_an_operator_resumes_and_only_what_was_ordered_since() {
     run.assert_sound();
     run.assert_inside(&panda_limits(), 7);
     assert_eq!(run.outcome.summary.discarded, 3);
+    let discarded: Vec<u32> = run
+        .events
+        .iter()
+        .filter_map(|event| if let Event::Discarded { motion } = event { Some(*motion) } else { None })
+        .collect();
+    assert_eq!(discarded, [2, 3, 4]);
     let motions: Vec<&Event> = run.events.iter().filter(|e| !matches!(e, Event::Discarded { .. })).collect();
     let stopping = Event::Stopping { motion: 1, reason: StopReason::Requested };
     let expected = [
@@ -303,6 +313,25 @@ fn a_full_way_out_makes_orders_wait_but_never_blocks() {
     assert_eq!(run.outcome.stops, 0);
     let ended = run.events.iter().filter(|e| matches!(e, Event::Ended { .. })).count();
     assert!((64 + 16..=128).contains(&ended), "{ended} motions ended");
+    assert_eq!(run.outcome.allocations, Some(0), "a box that finds no room is kept, not freed");
+}
+
+#[test]
+fn a_full_way_out_makes_models_wait_but_never_blocks() {
+    // A model every other read, and nobody frees any until read 600.
+    let mut job = Job::new(1_000);
+    for read in (0..600).step_by(2) {
+        job = job.outside(read, move |h| drop(h.models.serve(Box::new(Model(read + 1, |_: &Setpoint| [1.0; 8])))));
+    }
+    let run = job
+        .outside(600, |h| assert!(h.free_retired() >= 64))
+        .outside(700, |h| assert!(h.models.serve(Box::new(Model(1_000, |_: &Setpoint| [1.0; 8]))).is_ok()))
+        .run();
+    run.assert_sound();
+    assert_eq!(run.outcome.stops, 0);
+    let serving = |record: &plumbline_core::Record| record.model;
+    let [before, after] = [599, 999].map(|cycle| serving(&run.records[cycle]));
+    assert!((64..300).contains(&before) && after == 1_000, "{before}, {after}");
 }
 
 #[test]

@@ -8,6 +8,8 @@ mod check;
 mod desk;
 mod gravity;
 mod labels;
+#[cfg(test)]
+mod logged;
 mod recorder;
 mod rest;
 mod rhythm;

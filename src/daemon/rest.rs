@@ -120,8 +120,8 @@ mod tests {
         let mut rests = Rests::default();
         // The torque of the first records is the motion's.
         let tau = |k: u32| if k < 100 { 50.0 } else { 3.0 };
-        let done: Vec<u32> = (0..1200).filter(|&k| rests.take(&record(0.5, tau(k), Phase::Hold))).collect();
-        assert_eq!(done, [SETTLE + ENOUGH, SETTLE + FRESH]);
+        let done: Vec<u32> = (0..2200).filter(|&k| rests.take(&record(0.5, tau(k), Phase::Hold))).collect();
+        assert_eq!(done, [300, 1100, 1300, 2100], "a first mean soon, then the same of every second");
         let poses = rests.since(0);
         assert_eq!((poses.len(), poses[0].q[0]), (1, 0.5), "the same rest is one pose");
         assert!((poses[0].tau[3] - 3.0).abs() < 1e-9);
@@ -138,6 +138,46 @@ mod tests {
         };
         assert!(!(0..5000).any(|k| rests.take(&guided(k))));
         assert!((0..400).any(|_| rests.take(&guided(5000))), "it was let go");
+        // 5 mrad are what an arm sways by.
+        for (sway, rests_then) in [(4e-3, true), (6e-3, false), (-4e-3, true), (-6e-3, false)] {
+            let mut rests = Rests::default();
+            let swaying = |k: u32| {
+                let mut record = record(0.5, 1.0, Phase::Hold);
+                record.state.q[2] += if k.is_multiple_of(2) { sway } else { 0.0 };
+                record
+            };
+            assert_eq!((0..400).any(|k| rests.take(&swaying(k))), rests_then, "{sway}");
+        }
+    }
+
+    #[test]
+    fn a_motion_begins_the_rest_anew() {
+        for interrupted in [250, 50] {
+            let mut rests = Rests::default();
+            let mut moving = record(0.5, 90.0, Phase::Hold);
+            // One joint alone.
+            moving.command.desired.dq[3] = 0.1;
+            let take = |rests: &mut Rests, count: u32| {
+                (0..count).filter(|_| rests.take(&record(0.5, 3.0, Phase::Hold))).count()
+            };
+            assert_eq!(take(&mut rests, interrupted), 0);
+            assert!(!(0..500).any(|_| rests.take(&moving)));
+            assert_eq!((take(&mut rests, 300), take(&mut rests, 1)), (0, 1));
+            assert!((rests.since(0)[0].tau[3] - 3.0).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn rests_closer_than_a_milliradian_are_one_pose() {
+        for (apart, poses) in [(0.7e-3, 1), (-0.7e-3, 1), (1.4e-3, 2), (-1.4e-3, 2)] {
+            let mut rests = Rests::default();
+            for q in [0.5, 0.5 + apart] {
+                (0..400).for_each(|_| {
+                    rests.take(&record(q, 1.0, Phase::Hold));
+                });
+            }
+            assert_eq!(rests.since(0).len(), poses, "{apart}");
+        }
     }
 
     #[test]

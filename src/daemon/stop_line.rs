@@ -57,6 +57,14 @@ impl StopLine {
     /// # Errors
     /// The system has no thread left.
     pub fn start(mut listener: StopListener, prepare: impl FnOnce() + Send + 'static) -> std::io::Result<StopLine> {
+        StopLine::listening(move |carry_out| listener.listen(carry_out), prepare)
+    }
+
+    /// The same with any [`StopListener::listen`].
+    fn listening(
+        mut listen: impl FnMut(&mut dyn FnMut(StopOrder)) -> std::io::Result<()> + Send + 'static,
+        prepare: impl FnOnce() + Send + 'static,
+    ) -> std::io::Result<StopLine> {
         let shared = Arc::new(Shared::default());
         let own = Arc::clone(&shared);
         let thread = std::thread::Builder::new().name("plumbline-stop".into()).spawn(move || {
@@ -64,7 +72,7 @@ impl StopLine {
             let mut failed = false;
             while !own.ended.load(Ordering::Relaxed) {
                 let mut taken = false;
-                let listened = listener.listen(|order| {
+                let listened = listen(&mut |order| {
                     own.stop(order);
                     taken = true;
                 });
@@ -174,5 +182,65 @@ mod tests {
             line.attend(Some(&controls));
             std::thread::sleep(Duration::from_millis(1));
         }
+    }
+
+    #[test]
+    fn every_stop_that_is_read_reaches_the_loop_and_a_flood_of_them_is_slowed_down() {
+        const FLOOD: u32 = 50;
+        let prepared = Arc::new(AtomicBool::new(false));
+        let own = Arc::clone(&prepared);
+        let mut left = FLOOD;
+        // The last of them is read, and the count of them in the lock file then fails: it is a stop all the same.
+        let listen = move |carry_out: &mut dyn FnMut(StopOrder)| {
+            if left == 0 {
+                std::thread::sleep(Duration::from_millis(5));
+                return Ok(());
+            }
+            left -= 1;
+            carry_out(StopOrder { process: left, user: 8 });
+            if left == 0 { Err(std::io::Error::other("no count")) } else { Ok(()) }
+        };
+        let controls = Arc::new(Controls::default());
+        let start = std::time::Instant::now();
+        let line = StopLine::listening(listen, move || own.store(true, Ordering::Relaxed)).unwrap();
+        line.connect(Some(Arc::clone(&controls)));
+        while line.shared.turns.load(Ordering::Relaxed) < u64::from(FLOOD) {
+            assert!(start.elapsed() < Duration::from_secs(20));
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        assert!(start.elapsed() >= REST * (FLOOD - 1));
+        assert!(prepared.load(Ordering::Relaxed) && controls.stop_requested());
+        assert_eq!((line.take(), line.take()), (Some(StopOrder { process: 0, user: 8 }), None));
+        drop(line);
+        assert_eq!(Arc::strong_count(&prepared), 1, "the thread has ended");
+    }
+
+    #[test]
+    fn where_stops_can_not_be_read_no_turn_is_counted_and_the_log_says_so_once() {
+        use super::super::logged::Lines;
+        let calls = Arc::new(AtomicU64::new(0));
+        let own = Arc::clone(&calls);
+        // Ten failures, five turns in which nothing comes, one more failure.
+        let listen = move |_: &mut dyn FnMut(StopOrder)| match own.fetch_add(1, Ordering::Relaxed) {
+            0..10 | 15 => Err(std::io::Error::other("no socket")),
+            10..15 => Ok(()),
+            _ => {
+                std::thread::sleep(Duration::from_secs(1));
+                Ok(())
+            }
+        };
+        let lines = Lines::default();
+        let subscriber = lines.subscriber();
+        let start = std::time::Instant::now();
+        // For as long as the thread lives.
+        let line =
+            StopLine::listening(listen, || std::mem::forget(tracing::subscriber::set_default(subscriber))).unwrap();
+        while calls.load(Ordering::Relaxed) < 17 {
+            assert!(start.elapsed() < Duration::from_secs(20));
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        assert_eq!(line.shared.turns.load(Ordering::Relaxed), 5);
+        assert!(start.elapsed() >= REST * 11, "a pause after each failure");
+        assert_eq!(lines.text().matches("can't be read").count(), 2, "{}", lines.text());
     }
 }

@@ -115,6 +115,16 @@ impl Ending {
         }
     }
 
+    /// As if `cause` had arrived.
+    #[cfg(test)]
+    pub fn arrive(&self, cause: Cause) {
+        let stored = match cause {
+            Cause::Signal(signal) => signal as usize,
+            Cause::ParentEnded => PARENT_ENDED,
+        };
+        self.0.store(stored, Ordering::SeqCst);
+    }
+
     /// Whether the process is to end.
     pub fn arrived(&self) -> bool {
         self.cause().is_some()

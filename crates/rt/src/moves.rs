@@ -232,6 +232,19 @@ mod tests {
     }
 
     #[test]
+    fn the_joints_of_a_motion_arrive_together_after_a_stop_of_each_by_itself_too() {
+        let mut planner = Planner::new(3, LIMITS, MoveFactors::default());
+        let mut moving = Setpoint::default();
+        (moving.dq[0], moving.dq[1]) = (1.0, 0.1);
+        planner.stop(&moving).unwrap();
+        let early = planner.at(planner.last_tick() - 2);
+        assert!(early.dq[0] > 0.0 && early.dq[1] == 0.0, "{:?}", early.dq);
+        planner.move_to(&Setpoint::default(), &[0.5, 0.05, -0.2, 0.0, 0.0, 0.0, 0.0, 0.0]).unwrap();
+        let early = planner.at(planner.last_tick() - 2);
+        assert!(early.dq[0] > 0.0 && early.dq[1] > 0.0 && early.dq[2] < 0.0, "{:?}", early.dq);
+    }
+
+    #[test]
     fn a_stop_goes_as_far_as_the_guard_expects_it_to() {
         // Two routes to the braking distance: the closed form that the guard uses, and the samples of the planned stop.
         let mut rng = ChaCha8Rng::seed_from_u64(4);
@@ -259,11 +272,19 @@ mod tests {
     #[test]
     fn samples_are_those_of_ruckigs_own_evaluation() {
         let mut rng = ChaCha8Rng::seed_from_u64(5);
-        let mut corrected = 0;
+        // By ruckig's own brake, of one piece or two.
+        let mut corrected = [0; 2];
         for case in 0..400 {
             let mut planner = Planner::new(7, LIMITS, MoveFactors::default());
             let mut from = Setpoint { q: random(&mut rng, 7, 2.0), ..Setpoint::default() };
-            if case % 2 == 0 {
+            if case % 4 == 1 {
+                for j in 0..7 {
+                    // Faster than a move may be: it begins with ruckig's own brake, of two pieces where the acceleration is too large, too.
+                    from.dq[j] = rng.random_range(-1.0..1.0) * LIMITS.dq[j];
+                    from.ddq[j] = rng.random_range(-0.3..0.3) * LIMITS.ddq[j];
+                }
+            }
+            if case % 2 == 0 || case % 4 == 1 {
                 planner.move_to(&from, &random(&mut rng, 7, 2.0)).unwrap();
             } else {
                 for j in 0..7 {
@@ -272,8 +293,10 @@ mod tests {
                     from.ddq[j] = rng.random_range(-1.2..1.2) * LIMITS.ddq[j];
                 }
                 planner.stop(&from).unwrap();
-                corrected +=
-                    planner.trajectory.profiles[0].iter().filter(|profile| profile.brake.duration > 0.0).count();
+            }
+            for (pieces, count) in corrected.iter_mut().enumerate() {
+                let so_long = |profile: &&Profile| profile.brake.t.iter().filter(|t| **t > 0.0).count() == pieces + 1;
+                *count += planner.trajectory.profiles[0].iter().filter(so_long).count();
             }
             let end = planner.trajectory.get_duration();
             for time in (0..200).map(|_| rng.random_range(0.0..1.0) * end).chain([0.0, end, end + PERIOD]) {
@@ -291,7 +314,7 @@ mod tests {
                 }
             }
         }
-        assert!(corrected > 100, "{corrected}");
+        assert!(corrected.iter().all(|&count| count > 100), "{corrected:?}");
     }
 
     #[test]
@@ -303,6 +326,7 @@ mod tests {
         let mut target = [0.5; 8];
         target[7] = f64::NAN;
         assert_eq!(planner.move_to(&Setpoint::default(), &target), Ok(()), "joint 8 takes no part");
+        assert_eq!(planner.at(u64::MAX).q[2..5], [0.5, 0.0, 0.0]);
         target[0] = f64::INFINITY;
         assert_eq!(planner.move_to(&Setpoint::default(), &target), Err(NoMotion));
     }

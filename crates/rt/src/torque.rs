@@ -242,24 +242,4 @@ impl TorqueSource {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_model_before_takes_the_place_of_a_broken_one() {
-        let mut models = Succession::default();
-        assert_eq!((models.id(), models.fall_back()), (0, None::<&str>));
-        assert_eq!(models.serve(1, "1"), [None; 3]);
-        assert_eq!(models.serve(2, "2"), [None; 3]);
-        // Another gravity of the same model: the one before stays in reserve.
-        assert_eq!(models.serve(2, "2 again"), [Some("2"), None, None]);
-        assert_eq!((models.fall_back(), models.id(), models.serving()), (Some("2 again"), 1, Some(&"1")));
-        assert_eq!((models.fall_back(), models.id()), (Some("1"), 0));
-        models.serve(3, "3");
-        models.serve(4, "4");
-        assert_eq!(models.serve(5, "5"), [Some("3"), None, None]);
-        // None serves, and none is in reserve.
-        assert_eq!(models.serve(0, "none"), [Some("5"), Some("4"), Some("none")]);
-        assert_eq!((models.id(), models.fall_back()), (0, None));
-    }
-}
+mod tests;

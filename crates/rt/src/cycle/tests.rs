@@ -7,7 +7,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 /// An arm that is at once where it is told to be.
-struct Perfect(State);
+struct Perfect(State, u32);
 
 impl Backend for Perfect {
     fn joints(&self) -> usize {
@@ -24,11 +24,13 @@ impl Backend for Perfect {
         Ok(())
     }
 
-    fn stop(&mut self) {}
+    fn stop(&mut self) {
+        self.1 += 1;
+    }
 }
 
-/// A loop whose arm rests after a stop and waits for a permission.
-fn stopped() -> (Cycle<Perfect, RingSink>, Handles) {
+/// A loop of an arm that rests at zero.
+fn resting(change: impl FnOnce(&mut CycleSettings)) -> (Cycle<Perfect, RingSink>, Handles) {
     let of = |value: f64| [value; MAX_JOINTS];
     let limits = plumbline_core::Limits {
         q_min: of(-1.0),
@@ -40,8 +42,14 @@ fn stopped() -> (Cycle<Perfect, RingSink>, Handles) {
         dtau: of(100.0),
     };
     let guard = GuardSettings { limits, envelope: None, workspace: None, tracking: of(0.1) };
-    let settings = CycleSettings { rights: Rights::NONE, ..CycleSettings::new(guard) };
-    let (mut cycle, handles) = new(Perfect(State::default()), ring(1).0, None, settings).unwrap();
+    let mut settings = CycleSettings { rights: Rights::NONE, ..CycleSettings::new(guard) };
+    change(&mut settings);
+    new(Perfect(State::default(), 0), ring(1).0, None, settings).unwrap()
+}
+
+/// A loop whose arm rests after a stop and waits for a permission.
+fn stopped() -> (Cycle<Perfect, RingSink>, Handles) {
+    let (mut cycle, handles) = resting(|_| ());
     assert!(cycle.cycle().is_ok());
     handles.controls.stop();
     while !handles.controls.is_waiting() {
@@ -79,4 +87,64 @@ fn a_stop_that_follows_a_permission_holds_at_whatever_moment_of_a_cycle_both_are
         access += 1;
     }
     assert!(access > 4, "only {access} accesses");
+}
+
+#[test]
+fn a_loop_that_has_to_be_real_time_and_is_not_stops_the_arm_before_the_first_cycle() {
+    // No machine has that processor.
+    let nowhere = Rights { cpu: Some(100_000), ..Rights::NONE };
+    for (must, rights, refused) in [
+        (true, nowhere.clone(), true),
+        (true, Rights::NONE, false),
+        (false, nowhere, false),
+        (false, Rights::NONE, false),
+    ] {
+        let (mut cycle, handles) = resting(|settings| {
+            (settings.must_be_realtime, settings.rights) = (must, rights.clone());
+        });
+        handles.controls.quit();
+        let outcome = cycle.run();
+        assert_eq!(outcome.end, if refused { End::NotRealTime } else { End::Quit });
+        assert_eq!((cycle.backend.0.seq, cycle.backend.1), (0, 1));
+        // The allocator of this program does not count.
+        assert_eq!(outcome.allocations, None);
+    }
+}
+
+#[test]
+fn a_state_that_was_answered_is_not_among_what_is_left() {
+    let (mut cycle, handles) = resting(|_| ());
+    assert!(cycle.cycle().is_ok());
+    handles.controls.quit();
+    assert_eq!(cycle.run().unanswered, None);
+}
+
+#[test]
+fn where_an_arm_has_no_joint_it_agrees_with_whatever_is_said_of_it() {
+    let (mut cycle, _handles) = resting(|_| ());
+    let state = &mut cycle.backend.0;
+    (state.q_d[0], state.q_d[5]) = (0.05, 5.0);
+    assert!(cycle.cycle().is_ok());
+    assert_eq!(cycle.backend.0.q[0], 0.05);
+}
+
+#[test]
+fn events_without_room_are_counted_and_each_has_the_cycle_that_it_is_of() {
+    let (mut cycle, mut handles) = resting(|settings| settings.queue = 1);
+    // Room for 260; each order is begun and ended.
+    for motion in 1..=200 {
+        assert!(handles.orders.give(Order { motion, kind: OrderKind::Dwell { ticks: 1 } }).is_ok());
+        for _ in 0..2 {
+            assert!(cycle.cycle().is_ok());
+        }
+    }
+    assert_eq!(cycle.tally.summary.untold, 400 - 1 - 260);
+    let told: Vec<Told> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
+    assert_eq!(told.len(), 260);
+    for (index, told) in told.into_iter().enumerate() {
+        let (motion, ended) = (index as u32 / 2 + 1, index % 2 == 1);
+        assert_eq!(told.event, if ended { Event::Ended { motion } } else { Event::Started { motion } });
+        // An order that ends and the next that is begun meet in one cycle.
+        assert_eq!((told.orders, told.cycle + 1), (motion, told.seq));
+    }
 }

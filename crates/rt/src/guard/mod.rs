@@ -374,3 +374,6 @@ fn finite<const N: usize>(limit: Limit, joint: usize, values: [f64; N]) -> Resul
 fn within(limit: Limit, joint: usize, value: f64, bound: f64) -> Result<(), Violation> {
     if value.abs() <= bound * (1.0 + ROUNDING) { Ok(()) } else { Err(Violation { limit, joint, value, bound }) }
 }
+
+#[cfg(test)]
+mod tests;
