@@ -231,6 +231,11 @@ impl Server {
     fn log_order(&self, order: &Order) {
         let sender = || Sender::of(&self.command_service, order.client);
         match &order.refused {
+    /// Counts time that was spent on requests \[ns\].
+    pub fn answered_for(&mut self, ns: u64) {
+        self.counters.answering_ns = self.counters.answering_ns.saturating_add(ns);
+    }
+
             Some(reason) => tracing::debug!("`{}` from {} was refused: {reason}", order.name, sender()),
             None => tracing::info!(plumbline_event = "order", "`{}` from {}", order.name, sender()),
         }

@@ -259,7 +259,9 @@ impl Daemon {
         while let Some(news) = server.take_news() {
             desk.news(&news, controls);
         }
-        self.share.spent(begin, now_ns());
+        let end = now_ns();
+        server.answered_for(end.saturating_sub(begin));
+        self.share.spent(begin, end);
     }
 }
 
