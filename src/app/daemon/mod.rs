@@ -28,7 +28,7 @@ use crate::rt::cycle::End;
 use crate::rt::order::Controls;
 use crate::rt::os;
 use arm::Purpose;
-use check::{Checked, Checker};
+use check::{Answerable, Checked, Checker};
 use clap::Args;
 use desk::Desk;
 use recorder::Recorder;
@@ -242,12 +242,12 @@ impl Daemon {
             return;
         }
         let Daemon { server, desk, checker, .. } = self;
-        while let Some((ticket, checked)) = checker.take() {
+        while let Some(Answerable { ticket, order, checked }) = checker.take() {
             if matches!(checked, Checked::Garbled(_)) {
                 server.garbled();
             }
             let response = desk.conclude(checked, &server.served(), controls);
-            server.answer(ticket, &response);
+            server.answer(ticket, order, &response);
         }
         server.serve(checker.room(begin), |asked, served| match asked {
             Asked::Light(request) => Some(desk.answer(request, served, controls)),

@@ -122,7 +122,7 @@ fn a_model_that_does_not_hold_any_more_when_its_check_is_done_is_refused() {
 /// A request of many bytes is read on the other thread, which answers it whatever it is.
 #[test]
 fn the_checking_thread_takes_one_request_at_a_time() {
-    use super::super::check::Checker;
+    use super::super::check::{Answerable, Checker};
     let (desk, _place) = desk();
     let (robot, mounting) = (desk.robot.clone(), desk.mounting);
     let mut checker = Checker::start(robot, 5).unwrap();
@@ -135,7 +135,7 @@ fn the_checking_thread_takes_one_request_at_a_time() {
         let start = Instant::now();
         let checked = loop {
             match checker.take() {
-                Some((_, checked)) => break checked,
+                Some(Answerable { checked, .. }) => break checked,
                 None => assert!(start.elapsed() < Duration::from_secs(60)),
             }
             std::thread::sleep(Duration::from_millis(1));
