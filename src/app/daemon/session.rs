@@ -17,10 +17,10 @@ use crate::config::job::{self, Job, OnRefusal};
 use crate::ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
 use crate::joint::{Limits, MAX_JOINTS, Phase, Record};
 use crate::model::gravity::Mounting;
-use crate::recording::about::{Handed, panic_message};
+use crate::recording::about::{Handed, Reason, panic_message};
 use crate::rt::cycle::{self, Cycle, End, Outcome};
 use crate::rt::guard::GuardSettings;
-use crate::rt::order::{Event, Handles, Told};
+use crate::rt::order::{Controls, Event, Handles, Told};
 use crate::rt::os::{self, Rights};
 use crate::rt::recorder::{self, Drain};
 use crate::rt::settings::CycleSettings;
@@ -31,7 +31,7 @@ use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Records between the loop and the bridge thread: eight seconds at 1 kHz.
 pub(super) const RING: usize = 8192;
@@ -47,6 +47,8 @@ const SILENCE: u64 = 1000;
 const AHEAD: u64 = 2000;
 /// What the arm compensates may be off by so much \[m/s2\]: half a degree of gravity, some 0.4 Nm in the Panda's shoulder.
 const COMPENSATED: f64 = 0.09;
+/// The longest that the loop takes to end after a panic of the bridge thread: a stop, and a word of the robot.
+const PANIC_STOP: Duration = Duration::from_secs(5);
 /// How many levels the bridge thread's priority lies below the loop's.
 const BELOW_LOOP: u8 = 10;
 
@@ -188,7 +190,17 @@ impl Session {
     }
 
     /// Bridges until the loop ends.
+    ///
+    /// A panic on this thread would end the process, and the loop with it in mid-motion: the loop is ended first.
     pub fn run(mut self, daemon: &mut Daemon) -> Result<(SessionStatistics, End), Failure> {
+        let controls = Arc::clone(&self.handles.controls);
+        match unless_panic(&controls, || self.bridge_until_end(daemon)) {
+            Ok(ended) => ended,
+            Err(message) => self.end_after_panic(&message),
+        }
+    }
+
+    fn bridge_until_end(&mut self, daemon: &mut Daemon) -> Result<(SessionStatistics, End), Failure> {
         daemon.desk.mounting = self.mounting;
         while !self.thread.as_ref().is_none_or(JoinHandle::is_finished) {
             daemon.take_stop(Some(&self.handles.controls));
@@ -239,6 +251,25 @@ impl Session {
                 Ok((statistics, outcome.end))
             }
         }
+    }
+
+    /// Waits for a loop that was told to end because the bridge thread panicked: it brakes an arm that moves. The recording comes after that,
+    /// because the session may be half changed and the next panic ends the process.
+    fn end_after_panic(&mut self, message: &str) -> Result<(SessionStatistics, End), Failure> {
+        let failure = format!("the bridge thread panicked, and the arm was stopped: {message}");
+        tracing::error!("{failure}");
+        let thread = self.thread.take().inspect(|thread| await_end(thread, self.gate.as_deref()));
+        if let Some(left) = thread.filter(JoinHandle::is_finished).and_then(|thread| thread.join().ok()) {
+            self.tape.blame(Reason::new("panic", &failure));
+            self.records.clear();
+            self.drain.take_into(&mut self.records, RING);
+            self.tape.keep(&self.records);
+            while let Ok(told) = self.handles.events.pop() {
+                self.tape.tell(told);
+            }
+            self.tape.close(&left, &failure, Vec::new(), false);
+        }
+        Err(Failure::job(failure))
     }
 
     /// What an operator does after an end that the robot explains itself.
@@ -520,6 +551,29 @@ fn stands_inside(limits: &Limits, q: &[f64]) -> Result<(), Failure> {
     let Some((j, [min, max])) = programme::outside(limits, q) else { return Ok(()) };
     let joint = j + 1;
     Err(Failure::job(format!(
+/// Does the bridge thread's `work`.
+///
+/// # Errors
+/// The message of a panic in it; the loop has been told to end then, which brakes an arm that moves.
+fn unless_panic<T>(controls: &Controls, work: impl FnOnce() -> T) -> Result<T, String> {
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).map_err(|panic| {
+        controls.quit();
+        panic_message(&*panic)
+    })
+}
+
+/// Waits for the end of a loop that was told to end, up to [`PANIC_STOP`].
+fn await_end<T>(thread: &JoinHandle<T>, gate: Option<&Gate>) {
+    let deadline = Instant::now() + PANIC_STOP;
+    while !thread.is_finished() && Instant::now() < deadline {
+        gate.into_iter().for_each(|gate| {
+            gate.open();
+            gate.consumed(RING as u64);
+        });
+        std::thread::sleep(PAUSE);
+    }
+}
+
         "joint {joint} stands at {:.4} rad, outside the range of job and arm, {min:.4} to {max:.4} rad; nothing has moved. Move joint {joint} \
          inside by hand (guiding mode), and start again",
         q[j]
@@ -547,6 +601,9 @@ pub(super) fn listener_rights(realtime: &job::Realtime) -> Rights {
 /// What the job asks of the operating system, `below` levels lower.
 fn rights(realtime: &job::Realtime, below: u8) -> Rights {
     Rights {
+
+#[cfg(test)]
+mod tests;
         priority: Some(realtime.priority.saturating_sub(below)).filter(|&priority| priority > 0),
         cpu: realtime.cpu.filter(|_| below == 0),
         lock_memory: realtime.lock_memory,
