@@ -3,7 +3,7 @@
 use super::Daemon;
 use super::arm::{self, Connected, Purpose, Robot, connect};
 use super::desk::Desk;
-use super::gravity::{Verdict, Watch};
+use super::gravity::{Verdict, Watch, uncompensated};
 use super::labels::Labels;
 use super::recorder::{Left, Tape};
 use super::rhythm::Rhythm;
@@ -11,7 +11,6 @@ use super::script::{Next, Planned, Script};
 use crate::app::served::{NoModel, Reach, ServedModel};
 use crate::app::service;
 use crate::app::{Failure, plan, programme};
-use crate::backend::franka::Interface;
 use crate::backend::sim::Gate;
 use crate::config::job::{self, Job, OnRefusal};
 use crate::ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
@@ -45,8 +44,6 @@ const PAUSE: Duration = Duration::from_micros(200);
 const SILENCE: u64 = 1000;
 /// Records that simulated time may run ahead of an estimator that watches it: two seconds.
 const AHEAD: u64 = 2000;
-/// What the arm compensates may be off by so much \[m/s2\]: half a degree of gravity, some 0.4 Nm in the Panda's shoulder.
-const COMPENSATED: f64 = 0.09;
 /// The longest that the loop takes to end after a panic of the bridge thread: a stop, and a word of the robot.
 const PANIC_STOP: Duration = Duration::from_secs(5);
 /// How many levels the bridge thread's priority lies below the loop's.
@@ -104,7 +101,8 @@ impl Session {
         let desk = &mut daemon.desk;
         let unwanted = purpose == Purpose::Drive && desk.is_over();
         let script = if unwanted { Script::hold() } else { script };
-        let uncompensated = purpose == Purpose::Drive && uncompensated(&desk.job, &mounting, &vendor);
+        let uncompensated =
+            purpose == Purpose::Drive && desk.commands_torques() && uncompensated(&mounting.gravity(), &vendor);
         desk.recent.clear();
         desk.gravity.connect(mounting, connected.as_ref().and_then(Robot::side), vendor, uncompensated);
         let (job, robot) = (&desk.job, &desk.robot);
@@ -515,12 +513,6 @@ impl Session {
     }
 }
 
-/// Whether torques are commanded to an arm that does not carry itself: its own controller compensates another gravity than acts.
-fn uncompensated(job: &job::Job, mounting: &Mounting, vendor: &Vector3<f64>) -> bool {
-    let torques = job.backend.franka.as_ref().is_some_and(|franka| franka.interface == Interface::Torque);
-    torques && (mounting.gravity() - vendor).norm() > COMPENSATED
-}
-
 /// Why such an arm is not driven without a model.
 fn falls(vendor: &Vector3<f64>, gravity: &Watch) -> String {
     let [x, y, z]: [f64; 3] = (*vendor).into();
@@ -551,6 +543,12 @@ fn stands_inside(limits: &Limits, q: &[f64]) -> Result<(), Failure> {
     let Some((j, [min, max])) = programme::outside(limits, q) else { return Ok(()) };
     let joint = j + 1;
     Err(Failure::job(format!(
+        "joint {joint} stands at {:.4} rad, outside the range of job and arm, {min:.4} to {max:.4} rad; nothing has moved. Move joint {joint} \
+         inside by hand (guiding mode), and start again",
+        q[j]
+    )))
+}
+
 /// Does the bridge thread's `work`.
 ///
 /// # Errors
@@ -574,12 +572,6 @@ fn await_end<T>(thread: &JoinHandle<T>, gate: Option<&Gate>) {
     }
 }
 
-        "joint {joint} stands at {:.4} rad, outside the range of job and arm, {min:.4} to {max:.4} rad; nothing has moved. Move joint {joint} \
-         inside by hand (guiding mode), and start again",
-        q[j]
-    )))
-}
-
 /// Runs the loop to its end, whatever that is. Nothing of a panic is lost: the arm is stopped, and the last cycles come out.
 fn see_through<B: Backend, S: Sink>(cycle: &mut Cycle<B, S>) -> Left {
     // What the loop leaves behind after a panic is only read.
@@ -601,12 +593,12 @@ pub(super) fn listener_rights(realtime: &job::Realtime) -> Rights {
 /// What the job asks of the operating system, `below` levels lower.
 fn rights(realtime: &job::Realtime, below: u8) -> Rights {
     Rights {
-
-#[cfg(test)]
-mod tests;
         priority: Some(realtime.priority.saturating_sub(below)).filter(|&priority| priority > 0),
         cpu: realtime.cpu.filter(|_| below == 0),
         lock_memory: realtime.lock_memory,
         preempt_rt: realtime.preempt_rt && below == 0,
     }
 }
+
+#[cfg(test)]
+mod tests;
