@@ -2,15 +2,17 @@
 
 use crate::cli::say::say;
 use crate::failure::Failure;
+use crate::process::owned;
 use crate::process::progress;
 use crate::process::signals::Ending;
 use crate::report::Report;
 use crate::setup::planner;
-use crate::setup::{JobOptions, robot_id};
+use crate::setup::{JobOptions, models, robot_id};
 use clap::Args;
 use plumbline_ipc::{Client, Progress, Request, Response, RobotId, Status};
 use rustix::process::{Pid, Signal, kill_process};
-use std::path::Path;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
@@ -19,6 +21,9 @@ use std::time::{Duration, Instant};
 pub struct Options {
     #[command(flatten)]
     job: JobOptions,
+    /// Serve this model from the start, until the identified one: torque control of an arm that is not mounted upright needs it
+    #[arg(long, value_name = "MODEL")]
+    model: Option<PathBuf>,
 }
 
 /// How long the two processes may take to find each other.
@@ -40,6 +45,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let arm = crate::setup::arm_lock(&job)?;
     crate::setup::truth(&job)?;
     crate::setup::rest(&job, &robot)?;
+    if let Some(model) = &options.model {
+        models::of_robot(&model.display().to_string(), &owned::read_model(model)?, &robot, "the job's robot")?;
+    }
     std::fs::create_dir_all(&out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
     let programme = planner::programme(&job, &robot, &out, planner::arm_limits(&job)?.as_ref())?;
     let ticks: usize = programme.motions().map(|motion| motion.ticks()).sum();
@@ -49,7 +57,11 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let passed_on = lock.pass_on().map_err(Failure::job)?;
     // The daemon takes it again, or says who has it.
     drop(arm);
-    let mut daemon = Process::start("daemon", &options.job, &out, &["--end-with-stdin", "--adopt-lock"])?;
+    let mut more: Vec<&OsStr> = ["--end-with-stdin", "--adopt-lock"].map(OsStr::new).to_vec();
+    if let Some(model) = &options.model {
+        more.extend([OsStr::new("--model"), model.as_os_str()]);
+    }
+    let mut daemon = Process::start("daemon", &options.job, &out, &more)?;
     drop(passed_on);
     let outcome = drive(&id, &options.job, &out, &mut daemon, ticks as u64, &ending);
     // Whatever happened, the daemon ends by its own rules: it brakes first when the arm moves.
@@ -71,7 +83,7 @@ fn drive(
     ending: &Ending,
 ) -> Result<(), Failure> {
     let mut client = await_daemon(id, daemon)?;
-    let mut estimator = Process::start("estimator", job, out, &["--once"])?;
+    let mut estimator = Process::start("estimator", job, out, &[OsStr::new("--once")])?;
     let outcome = (|| {
         await_follower(&mut client, daemon, &mut estimator)?;
         start(&mut client, ending)?;
@@ -91,7 +103,7 @@ fn drive(
                 Some(ended) if ended.code().is_none() && restarts < RESTARTS => {
                     restarts += 1;
                     tracing::warn!("the estimator was killed ({ended}); a new one goes on from what the daemon kept");
-                    estimator = Process::start("estimator", job, out, &["--once"])?;
+                    estimator = Process::start("estimator", job, out, &[OsStr::new("--once")])?;
                 }
                 Some(ended) => {
                     let stopped = status(&mut client).and_then(|now| now.stopped);
@@ -204,7 +216,7 @@ struct Process {
 }
 
 impl Process {
-    fn start(name: &'static str, job: &JobOptions, out: &Path, more: &[&str]) -> Result<Process, Failure> {
+    fn start(name: &'static str, job: &JobOptions, out: &Path, more: &[&OsStr]) -> Result<Process, Failure> {
         let program = std::env::current_exe().map_err(Failure::job)?;
         let mut command = Command::new(program);
         command.arg(name).arg(&job.config).arg("--out").arg(out).args(more);

@@ -56,6 +56,16 @@ impl Checked {
     }
 }
 
+/// A heavy request that was checked.
+pub struct Answerable {
+    /// Which request.
+    pub ticket: Ticket,
+    /// Its [`Request::order`]; `None` where it could not be read.
+    pub order: Option<&'static str>,
+    /// What came of it.
+    pub checked: Checked,
+}
+
 /// A request's bytes on their way to the thread.
 struct Job {
     ticket: Ticket,
@@ -66,7 +76,7 @@ struct Job {
 /// The thread that checks, from the bridge thread's side: one request at a time.
 pub struct Checker {
     jobs: SyncSender<Job>,
-    checked: Receiver<(Ticket, Checked)>,
+    checked: Receiver<Answerable>,
     busy: bool,
     next_ns: u64,
 }
@@ -81,14 +91,18 @@ impl Checker {
         let (done, checked) = sync_channel(1);
         std::thread::Builder::new().name("plumbline-check".into()).spawn(move || {
             for Job { ticket, bytes, mounting } in to_check {
-                let result = catch_unwind(AssertUnwindSafe(|| {
-                    read(&bytes, epoch).map_or_else(Checked::Garbled, |request| Checked::of(&robot, &mounting, request))
+                let mut order = None;
+                let checked = catch_unwind(AssertUnwindSafe(|| {
+                    read(&bytes, epoch).map_or_else(Checked::Garbled, |request| {
+                        order = request.order();
+                        Checked::of(&robot, &mounting, request)
+                    })
                 }));
-                let result = result.unwrap_or_else(|panic| {
+                let checked = checked.unwrap_or_else(|panic| {
                     let reason = format!("the check of the request panicked: {}", panic_message(&*panic));
                     Checked::Refused(Response::Refused { reason })
                 });
-                if done.send((ticket, result)).is_err() {
+                if done.send(Answerable { ticket, order, checked }).is_err() {
                     return;
                 }
             }
@@ -108,7 +122,7 @@ impl Checker {
     }
 
     /// The request that is done with, if any.
-    pub fn take(&mut self) -> Option<(Ticket, Checked)> {
+    pub fn take(&mut self) -> Option<Answerable> {
         match self.checked.try_recv() {
             Ok(done) => {
                 self.busy = false;

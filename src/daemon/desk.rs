@@ -10,7 +10,7 @@ use crate::recording::about::Reason;
 use crate::recording::messages::words;
 use plumbline_core::BadInput;
 use plumbline_core::{JointVec, Record};
-use plumbline_franka::RobotLimits;
+use plumbline_franka::{Interface, RobotLimits};
 use plumbline_identify::plausibility::{Implausible, plausible};
 use plumbline_ipc::{
     Held, Mounting as MountingMessage, News, Progress, Proposal, Request, Response, Served,
@@ -28,6 +28,9 @@ use std::path::Path;
 const EVERY: u64 = 16;
 /// How many are kept.
 const KEPT: usize = 64;
+
+/// Longest wait of a start for the model's check at rest \[ns\].
+const REST_TIMEOUT_NS: u64 = 10_000_000_000;
 
 /// A model that passed every check.
 pub struct Accepted {
@@ -120,6 +123,8 @@ pub struct Desk {
     pub recent: Recent,
     /// Somebody asked for the programme.
     pub start: bool,
+    /// Until when a start waits for the model's check at rest \[ns\].
+    pub start_due_ns: u64,
     /// Somebody asked for the end.
     pub quit: bool,
 }
@@ -163,6 +168,7 @@ impl Desk {
             ending,
             announced: None,
             start: false,
+            start_due_ns: 0,
             quit: false,
             job,
             robot,
@@ -199,7 +205,18 @@ impl Desk {
 
     /// Whether the present connection is to end: for good, or to start the programme.
     pub fn must_leave(&self) -> bool {
-        self.must_quit() || (self.start && self.progress == Progress::Idle)
+        self.must_quit() || (self.start && self.progress == Progress::Idle && !self.awaits_rest())
+    }
+
+    /// Whether the job commands torques.
+    pub fn commands_torques(&self) -> bool {
+        self.job.backend.franka.as_ref().is_some_and(|franka| franka.interface == Interface::Torque)
+    }
+
+    /// Whether a start waits for the arm's rest: under torque control the model alone holds the arm, and is not checked yet.
+    fn awaits_rest(&self) -> bool {
+        let held_by_model = self.commands_torques() && self.gravity.uncompensated() != Some(false);
+        held_by_model && self.model.is_some() && self.gravity.awaits_rest() && now_ns() < self.start_due_ns
     }
 
     /// Answers one request. `controls` are the running loop's, where one runs.
@@ -216,7 +233,14 @@ impl Desk {
             Request::Start {} => match self.gravity.refusal() {
                 Some(refusal) => refused(&refusal),
                 None => {
-                    self.start = true;
+                    (self.start, self.start_due_ns) = (true, now_ns().saturating_add(REST_TIMEOUT_NS));
+                    if self.awaits_rest() {
+                        let most = REST_TIMEOUT_NS / 1_000_000_000;
+                        tracing::info!(
+                            "the start waits, {most} s at most, until the arm has rested and its torques have agreed with the model that \
+                             is to hold it"
+                        );
+                    }
                     Response::Accepted {}
                 }
             },

@@ -17,6 +17,8 @@ use plumbline_model::gravity::{Mounting, angle_between};
 
 /// Events that the status keeps, the latest ones.
 const EVENTS: usize = 32;
+/// What the arm compensates may be off by so much \[m/s2\]: half a degree of gravity, some 0.4 Nm in the Panda's shoulder.
+const COMPENSATED: f64 = 0.09;
 /// Standard deviations of a reading beyond which a base has moved.
 const MOVED: f64 = 4.0;
 
@@ -109,6 +111,8 @@ pub struct Watch {
     robot: Option<Side>,
     /// What the arm's own controller compensates \[m/s2\]; none before the first connection.
     vendor: Option<Vector3<f64>>,
+    /// The model's check by the torques of this connection waits for the arm's rest.
+    awaits_rest: bool,
     rests: Rests,
     judged: Option<Judged>,
     during: During,
@@ -158,6 +162,7 @@ impl Watch {
             inclinometer: inclinometer.transpose()?,
             robot: None,
             vendor: None,
+            awaits_rest: true,
             rests: Rests::default(),
             judged: None,
             during: During { motion: 0, reading: None, moved: false },
@@ -181,6 +186,7 @@ impl Watch {
         (self.declared, self.robot, self.vendor) = (declared, robot, Some(vendor));
         if remounted || !from_the_start {
             self.rests = Rests::default();
+            self.awaits_rest = true;
             // A model that was served is asked again, by torques of this connection.
             self.judged = known.map(|model| Judged::new(model, 0));
         }
@@ -305,6 +311,7 @@ impl Watch {
     /// Whether `model` may be served.
     pub fn verdict(&mut self, model: &Accepted) -> Verdict {
         let verdict = self.decide(model);
+        self.awaits_rest = matches!(verdict, Verdict::Wait(_));
         let words = match &verdict {
             Verdict::Serve(gravity) => {
                 if self.served != *gravity {
@@ -484,6 +491,16 @@ impl Watch {
         }
     }
 
+    /// Whether the arm is [`uncompensated`]; `None` before the first connection.
+    pub fn uncompensated(&self) -> Option<bool> {
+        self.vendor.map(|vendor| uncompensated(&self.declared.gravity(), &vendor))
+    }
+
+    /// Whether a model is still to be checked by the torques of an arm at rest.
+    pub fn awaits_rest(&self) -> bool {
+        self.awaits_rest
+    }
+
     /// Why the model is not served, in words.
     pub fn said(&self) -> Option<&str> {
         self.said.as_deref()
@@ -493,6 +510,11 @@ impl Watch {
     pub fn served(&self) -> Vector3<f64> {
         self.served
     }
+}
+
+/// Whether an arm on which `gravity` acts, and whose own controller compensates `vendor`, would fall under torque control without a model.
+pub fn uncompensated(gravity: &Vector3<f64>, vendor: &Vector3<f64>) -> bool {
+    (gravity - vendor).norm() > COMPENSATED
 }
 
 impl Judged {

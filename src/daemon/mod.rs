@@ -26,7 +26,7 @@ use crate::process::{journal, owned};
 use crate::setup::JobOptions;
 use crate::setup::programme::Programme;
 use arm::Purpose;
-use check::{Checked, Checker};
+use check::{Answerable, Checked, Checker};
 use clap::Args;
 use desk::Desk;
 use plumbline_ipc::{
@@ -247,12 +247,12 @@ impl Daemon {
             return;
         }
         let Daemon { server, desk, checker, .. } = self;
-        while let Some((ticket, checked)) = checker.take() {
+        while let Some(Answerable { ticket, order, checked }) = checker.take() {
             if matches!(checked, Checked::Garbled(_)) {
                 server.garbled();
             }
             let response = desk.conclude(checked, &server.served(), controls);
-            server.answer(ticket, &response);
+            server.answer(ticket, order, &response);
         }
         server.serve(checker.room(begin), |asked, served| match asked {
             Asked::Light(request) => Some(desk.answer(request, served, controls)),
@@ -264,7 +264,9 @@ impl Daemon {
         while let Some(news) = server.take_news() {
             desk.news(&news, controls);
         }
-        self.share.spent(begin, now_ns());
+        let end = now_ns();
+        server.answered_for(end.saturating_sub(begin));
+        self.share.spent(begin, end);
     }
 }
 

@@ -3,7 +3,7 @@
 use super::Daemon;
 use super::arm::{self, Connected, Purpose, Robot, connect};
 use super::desk::Desk;
-use super::gravity::{Verdict, Watch};
+use super::gravity::{Verdict, Watch, uncompensated};
 use super::labels::Labels;
 use super::recorder::{Left, Tape};
 use super::rhythm::Rhythm;
@@ -12,19 +12,18 @@ use crate::config::job::{self, Job, OnRefusal};
 use crate::daemon::served::{NoModel, Reach, ServedModel};
 use crate::failure::Failure;
 use crate::process::service;
-use crate::recording::about::{Handed, panic_message};
+use crate::recording::about::{Handed, Reason, panic_message};
 use crate::setup::planner;
 use crate::setup::programme;
 use hdrhistogram::Histogram;
 use nalgebra::Vector3;
 use plumbline_core::{Backend, Sink};
 use plumbline_core::{Limits, MAX_JOINTS, Phase, Record};
-use plumbline_franka::Interface;
 use plumbline_ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
 use plumbline_model::gravity::Mounting;
 use plumbline_rt::cycle::{self, Cycle, End, Outcome};
 use plumbline_rt::guard::GuardSettings;
-use plumbline_rt::order::{Event, Handles, Told};
+use plumbline_rt::order::{Controls, Event, Handles, Told};
 use plumbline_rt::os::{self, Rights};
 use plumbline_rt::recorder::{self, Drain};
 use plumbline_rt::settings::CycleSettings;
@@ -33,7 +32,7 @@ use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Records between the loop and the bridge thread: eight seconds at 1 kHz.
 pub(super) const RING: usize = 8192;
@@ -47,8 +46,8 @@ const PAUSE: Duration = Duration::from_micros(200);
 const SILENCE: u64 = 1000;
 /// Records that simulated time may run ahead of an estimator that watches it: two seconds.
 const AHEAD: u64 = 2000;
-/// What the arm compensates may be off by so much \[m/s2\]: half a degree of gravity, some 0.4 Nm in the Panda's shoulder.
-const COMPENSATED: f64 = 0.09;
+/// The longest that the loop takes to end after a panic of the bridge thread: a stop, and a word of the robot.
+const PANIC_STOP: Duration = Duration::from_secs(5);
 /// How many levels the bridge thread's priority lies below the loop's.
 const BELOW_LOOP: u8 = 10;
 
@@ -104,7 +103,8 @@ impl Session {
         let desk = &mut daemon.desk;
         let unwanted = purpose == Purpose::Drive && desk.is_over();
         let script = if unwanted { Script::hold() } else { script };
-        let uncompensated = purpose == Purpose::Drive && uncompensated(&desk.job, &mounting, &vendor);
+        let uncompensated =
+            purpose == Purpose::Drive && desk.commands_torques() && uncompensated(&mounting.gravity(), &vendor);
         desk.recent.clear();
         desk.gravity.connect(mounting, connected.as_ref().and_then(Robot::side), vendor, uncompensated);
         let (job, robot) = (&desk.job, &desk.robot);
@@ -190,7 +190,17 @@ impl Session {
     }
 
     /// Bridges until the loop ends.
+    ///
+    /// A panic on this thread would end the process, and the loop with it in mid-motion: the loop is ended first.
     pub fn run(mut self, daemon: &mut Daemon) -> Result<(SessionStatistics, End), Failure> {
+        let controls = Arc::clone(&self.handles.controls);
+        match unless_panic(&controls, || self.bridge_until_end(daemon)) {
+            Ok(ended) => ended,
+            Err(message) => self.end_after_panic(&message),
+        }
+    }
+
+    fn bridge_until_end(&mut self, daemon: &mut Daemon) -> Result<(SessionStatistics, End), Failure> {
         daemon.desk.mounting = self.mounting;
         while !self.thread.as_ref().is_none_or(JoinHandle::is_finished) {
             daemon.take_stop(Some(&self.handles.controls));
@@ -241,6 +251,25 @@ impl Session {
                 Ok((statistics, outcome.end))
             }
         }
+    }
+
+    /// Waits for a loop that was told to end because the bridge thread panicked: it brakes an arm that moves. The recording comes after that,
+    /// because the session may be half changed and the next panic ends the process.
+    fn end_after_panic(&mut self, message: &str) -> Result<(SessionStatistics, End), Failure> {
+        let failure = format!("the bridge thread panicked, and the arm was stopped: {message}");
+        tracing::error!("{failure}");
+        let thread = self.thread.take().inspect(|thread| await_end(thread, self.gate.as_deref()));
+        if let Some(left) = thread.filter(JoinHandle::is_finished).and_then(|thread| thread.join().ok()) {
+            self.tape.blame(Reason::new("panic", &failure));
+            self.records.clear();
+            self.drain.take_into(&mut self.records, RING);
+            self.tape.keep(&self.records);
+            while let Ok(told) = self.handles.events.pop() {
+                self.tape.tell(told);
+            }
+            self.tape.close(&left, &failure, Vec::new(), false);
+        }
+        Err(Failure::job(failure))
     }
 
     /// What an operator does after an end that the robot explains itself.
@@ -486,12 +515,6 @@ impl Session {
     }
 }
 
-/// Whether torques are commanded to an arm that does not carry itself: its own controller compensates another gravity than acts.
-fn uncompensated(job: &job::Job, mounting: &Mounting, vendor: &Vector3<f64>) -> bool {
-    let torques = job.backend.franka.as_ref().is_some_and(|franka| franka.interface == Interface::Torque);
-    torques && (mounting.gravity() - vendor).norm() > COMPENSATED
-}
-
 /// Why such an arm is not driven without a model.
 fn falls(vendor: &Vector3<f64>, gravity: &Watch) -> String {
     let [x, y, z]: [f64; 3] = (*vendor).into();
@@ -528,6 +551,29 @@ fn stands_inside(limits: &Limits, q: &[f64]) -> Result<(), Failure> {
     )))
 }
 
+/// Does the bridge thread's `work`.
+///
+/// # Errors
+/// The message of a panic in it; the loop has been told to end then, which brakes an arm that moves.
+fn unless_panic<T>(controls: &Controls, work: impl FnOnce() -> T) -> Result<T, String> {
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).map_err(|panic| {
+        controls.quit();
+        panic_message(&*panic)
+    })
+}
+
+/// Waits for the end of a loop that was told to end, up to [`PANIC_STOP`].
+fn await_end<T>(thread: &JoinHandle<T>, gate: Option<&Gate>) {
+    let deadline = Instant::now() + PANIC_STOP;
+    while !thread.is_finished() && Instant::now() < deadline {
+        gate.into_iter().for_each(|gate| {
+            gate.open();
+            gate.consumed(RING as u64);
+        });
+        std::thread::sleep(PAUSE);
+    }
+}
+
 /// Runs the loop to its end, whatever that is. Nothing of a panic is lost: the arm is stopped, and the last cycles come out.
 fn see_through<B: Backend, S: Sink>(cycle: &mut Cycle<B, S>) -> Left {
     // What the loop leaves behind after a panic is only read.
@@ -555,3 +601,6 @@ fn rights(realtime: &job::Realtime, below: u8) -> Rights {
         preempt_rt: realtime.preempt_rt && below == 0,
     }
 }
+
+#[cfg(test)]
+mod tests;

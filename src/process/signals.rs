@@ -34,6 +34,8 @@ const ENDING: [i32; 14] = [
     libc::SIGIO,
     libc::SIGPWR,
 ];
+/// What ends a computation. SIGTSTP (Ctrl-Z) stops it and SIGCONT lets it go on, as of any program.
+const INTERRUPTS: [i32; 2] = [libc::SIGINT, libc::SIGTERM];
 /// Stored where no signal number can be: the parent process has ended.
 const PARENT_ENDED: usize = usize::MAX;
 
@@ -82,7 +84,7 @@ impl Ending {
 
     /// Catches Ctrl-C and SIGTERM alone, for a computation that leaves the best result so far; no arm depends on it.
     pub fn interrupts() -> Result<Ending, Failure> {
-        Ending::of([libc::SIGINT, libc::SIGTERM])
+        Ending::of(INTERRUPTS)
     }
 
     fn of(signals: impl IntoIterator<Item = i32>) -> Result<Ending, Failure> {

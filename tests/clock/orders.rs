@@ -4,7 +4,7 @@ use crate::emulator;
 use crate::job_support::*;
 use plumbline_core::Phase;
 use plumbline_franka::wire::Protocol;
-use plumbline_ipc::{Client, Progress, Request, Response, RobotId};
+use plumbline_ipc::{Client, Progress, Proposal, Request, Response, RobotId};
 use std::net::{IpAddr, Ipv4Addr};
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
 use std::path::Path;
@@ -66,6 +66,31 @@ fn resume_while_braking_is_refused_and_works_at_rest() {
         assert!(line.is_some_and(|line| line.contains("(plumbline) of user")), "{}", done.said());
     }
     assert!(!done.err.contains("`status`"), "{}", done.said());
+}
+
+#[test]
+fn an_order_with_a_model_is_logged_by_its_own_name() {
+    let place = Place::new("orders-model");
+    let daemon = Running::start(place.job("daemon", &short(&SETS)));
+    wait_for("the daemon", || place.status());
+    let robot = RobotId::parse("test", "robot", &place.id).unwrap();
+    let mut client = Client::connect(&robot, PATIENCE).unwrap();
+    let toml = std::fs::read_to_string("config/models/panda-paper-table3.toml").unwrap();
+    // One identity each: a proposed model is held until somebody adopts it.
+    let proposed = Request::ProposeModel { toml: format!("{toml}\n# another\n"), proposal: Proposal::default() };
+    for (request, name) in [(Request::OfferModel { toml }, "offer-model"), (proposed, "propose-model")] {
+        let answer = client.send(&request, PATIENCE).unwrap();
+        assert!(
+            matches!(answer, Response::ModelAccepted { .. } | Response::ModelHeld { .. }),
+            "{name} was answered with {answer:?}"
+        );
+    }
+    place.command("quit").expect_code(0);
+    let done = daemon.end().expect_code(0);
+    for name in ["offer-model", "propose-model"] {
+        let line = format!("`{name}` from process {} (", std::process::id());
+        assert_eq!(done.err.matches(&line).count(), 1, "{name}: {}", done.said());
+    }
 }
 
 #[test]

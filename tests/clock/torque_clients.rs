@@ -6,6 +6,7 @@ use crate::job_support::*;
 use plumbline_ipc::{Client, RobotId, Status};
 use std::fmt::Write as _;
 use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 const HOLD: [&str; 5] = [
@@ -52,8 +53,42 @@ impl Crowd {
         std::thread::sleep(Duration::from_secs(1));
         self.frozen.iter().for_each(|client| signal(client.pid(), "STOP"));
         self.killed.iter().for_each(|client| signal(client.pid(), "KILL"));
-        babble(&RobotId::parse("test", "robot", &place.id).unwrap(), Duration::from_secs(2));
+        let robot = RobotId::parse("test", "robot", &place.id).unwrap();
+        babble(&robot, Duration::from_secs(2));
+        flood(place, &robot, Duration::from_secs(2));
     }
+}
+
+/// Eleven clients send what takes long to read and is still small enough to be read at once, as fast as it is answered. The bridge thread spends its share of the time on the answers, and no more; as a share of
+/// time it does not depend on the machine.
+fn flood(place: &Place, robot: &RobotId, long: Duration) {
+    let over = AtomicBool::new(false);
+    let bytes = format!("{{\"request\":\"status\",\"more\":[{}0]}}", "0,".repeat(2000)).into_bytes();
+    std::thread::scope(|scope| {
+        for _ in 0..11 {
+            scope.spawn(|| {
+                let mut client = Client::connect(robot, PATIENCE).unwrap();
+                while !over.load(Ordering::Relaxed) {
+                    let _ = client.send_bytes(&bytes, PATIENCE);
+                }
+            });
+        }
+        let spent = || {
+            let status = wait_for("an answer", || place.status());
+            (plumbline_ipc::now_ns(), status.served.answering_ns)
+        };
+        spent();
+        let (begin, before) = spent();
+        std::thread::sleep(long);
+        let (end, after) = spent();
+        over.store(true, Ordering::Relaxed);
+        let share = (after - before) as f64 / (end - begin) as f64;
+        println!("eleven clients get {:.1} % of the bridge thread's time", 100.0 * share);
+        assert!(
+            (0.01..0.3).contains(&share),
+            "{share} of the bridge thread's time went to requests: a fifth is theirs"
+        );
+    });
 }
 
 /// Holds for a while with whatever `beside` starts; what it said, and its status before the end.

@@ -1,8 +1,8 @@
 //! Plans and the limits of the arm that is connected: whatever it serves, motions are checked and planned under it before anything moves.
 
 use crate::emulator::limits::{JOINTS, Limits};
-use crate::emulator::{Emulator, READY, RobotKind, Settings};
-use crate::job_support::{Done, Place, plumbline};
+use crate::emulator::{Emulator, READY, RobotKind, Settings, Snapshot};
+use crate::job_support::{Done, Place, Running, plumbline, wait_for};
 use plumbline::store::load_plan;
 use plumbline_excite::plan::Plan;
 use plumbline_franka::wire::{Protocol, RobotMode};
@@ -31,7 +31,8 @@ fn narrow() -> Limits {
 struct Scene {
     place: Place,
     address: IpAddr,
-    emulator: Emulator,
+    settings: Settings,
+    emulator: Option<Emulator>,
 }
 
 impl Scene {
@@ -42,8 +43,19 @@ impl Scene {
         // A test machine stalls now and then: this robot's time waits for it.
         let patience = Duration::from_millis(20);
         let settings = Settings { limits, start, patience, ..Settings::new(address, Protocol::V10) };
-        let emulator = Emulator::start(settings).unwrap_or_else(|error| panic!("{error}"));
-        Scene { place: Place::new(name), address, emulator }
+        let emulator = Emulator::start(settings.clone()).unwrap_or_else(|error| panic!("{error}"));
+        Scene { place: Place::new(name), address, settings, emulator: Some(emulator) }
+    }
+
+    /// The arm at the address is replaced by one of other limits.
+    fn replace(&mut self, limits: Limits) {
+        self.emulator = None;
+        let settings = Settings { limits: Some(limits), ..self.settings.clone() };
+        self.emulator = Some(Emulator::start(settings).unwrap_or_else(|error| panic!("{error}")));
+    }
+
+    fn arm(&self) -> Snapshot {
+        self.emulator.as_ref().unwrap().snapshot()
     }
 
     fn command(&self, verb: &str, sets: &[&str]) -> Command {
@@ -75,7 +87,7 @@ impl Scene {
 
     /// Nothing was driven: the arm is where it was.
     fn assert_at_rest(&self, done: &Done) {
-        let state = self.emulator.snapshot().state;
+        let state = self.arm().state;
         assert_eq!(state.robot_mode, RobotMode::Idle, "{}", done.said());
         assert!((0..JOINTS).all(|j| (state.q_d[j] - READY[j]).abs() < 1e-6), "{:?}\n{}", state.q_d, done.said());
     }
@@ -117,6 +129,26 @@ fn a_plan_past_the_connected_arms_limits_is_refused_before_anything_moves() {
         assert!(done.err.contains(next), "{}", done.said());
         scene.assert_at_rest(&done);
     }
+}
+
+/// Between the daemon's start and the operator's another arm, or the same one with another description, is at the address.
+#[test]
+fn an_arm_with_other_limits_than_at_the_daemons_start_is_not_driven() {
+    let mut scene = Scene::new("limits-other", None, READY);
+    // It goes on by itself after a lost connection, and so meets the other arm.
+    let daemon = Running::start(scene.command("daemon", &["backend.franka.recovery=automatic"]));
+    wait_for("the daemon", || scene.place.status().filter(|now| now.cycles > 100));
+    scene.replace(narrow());
+    wait_for("the other arm", || {
+        let connected = scene.arm().connected;
+        scene.place.status().filter(|now| connected && now.sessions.len() == 1)
+    });
+    scene.place.command("start").expect_code(0);
+    let done = daemon.end().expect_code(1);
+    let words = "the connected arm has other limits than when this daemon started";
+    assert!(done.err.contains(words) && done.err.contains("nothing has moved"), "{}", done.said());
+    assert!(done.err.contains("`plumbline run config/fr3.toml`"), "{}", done.said());
+    scene.assert_at_rest(&done);
 }
 
 /// A joint outside the limits of the job can't be driven; what helps is a hand. Watched, the arm may stand there.

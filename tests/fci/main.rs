@@ -18,4 +18,5 @@ mod fci_clients;
 mod fci_emulator;
 mod fci_faults;
 mod fci_limits;
+mod torque_job;
 mod torque_starts;

@@ -95,11 +95,21 @@ fn an_interrupted_search_keeps_the_best() {
     let place = Place::new("plan-stop");
     let out = place.path().join("plan.toml");
     let running = Running::start(plan(&out, &["--rounds", "10000"]));
+    wait_for("a handler of Ctrl-C", || catches(running.pid(), libc::SIGINT).then_some(()));
+    // Ctrl-Z stops it as it does any program that drives no arm.
+    assert!(!catches(running.pid(), libc::SIGTSTP));
     std::thread::sleep(Duration::from_secs(3));
     signal(running.pid(), "INT");
     let done = running.end().expect_code(0);
     assert!(done.err.contains("interrupted; the best motion so far is kept"), "{}", done.said());
     assert!(load_plan(&out).unwrap().conditions.raw < 1000.0);
+}
+
+/// Whether a process has a handler for a signal.
+fn catches(pid: u32, signal: i32) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
+    u64::from_str_radix(mask.trim(), 16).unwrap() >> (signal - 1) & 1 == 1
 }
 
 #[test]

@@ -401,6 +401,9 @@ pub struct Served {
     pub feed_forward: u64,
     /// Requests that could not be read.
     pub garbled_requests: u64,
+    /// Time that the daemon's bridge thread has spent on requests \[ns\]: a fifth of all time at most, however many there are.
+    #[serde(default)]
+    pub answering_ns: u64,
     /// The last thing that shared memory refused to do, if any.
     pub trouble: Option<String>,
     /// Whoever follows the samples.

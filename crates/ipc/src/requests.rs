@@ -69,7 +69,7 @@ pub(super) struct Requests {
 /// An order that was answered. A question is none.
 #[derive(Debug)]
 pub(super) struct Order {
-    /// As [`Request::order`]; the two that offer a model share one name here, because their bytes are read elsewhere.
+    /// As [`Request::order`].
     pub name: &'static str,
     /// The client's port.
     pub client: UniqueClientId,
@@ -78,9 +78,6 @@ pub(super) struct Order {
 }
 
 impl Order {
-    /// Name of an order with a model.
-    const MODEL: &'static str = "offer-model";
-
     fn answered(name: &'static str, active: &Active, response: &Response) -> Order {
         let refused = match response {
             Response::Refused { reason } => Some(reason.clone()),
@@ -154,8 +151,8 @@ impl Requests {
             };
             let order = match &asked {
                 Ok(Asked::Light(request)) => request.order(),
-                Ok(Asked::Heavy(..)) => Some(Order::MODEL),
-                Err(_) => None,
+                // It is read elsewhere, and named with its answer.
+                Ok(Asked::Heavy(..)) | Err(_) => None,
             };
             let response = match asked {
                 // Whoever has gone waits for nothing: those that stay get the place.
@@ -187,11 +184,18 @@ impl Requests {
         outcome
     }
 
-    /// Answers a heavy request: the order, and what shared memory refused to do, if anything. `None` for a ticket that is not waiting.
-    pub(super) fn answer(&mut self, ticket: Ticket, response: &Response) -> Option<(Order, Result<(), String>)> {
+    /// Answers a heavy request of this [`Request::order`]: the order, if it is one, and what shared memory refused to do, if anything. `None` for
+    /// a ticket that is not waiting.
+    pub(super) fn answer(
+        &mut self,
+        ticket: Ticket,
+        order: Option<&'static str>,
+        response: &Response,
+    ) -> Option<(Option<Order>, Result<(), String>)> {
         let index = self.under_way.iter().position(|held| held.ticket == ticket)?;
         let held = self.under_way.swap_remove(index);
-        Some((Order::answered(Order::MODEL, &held.active, response), send(&held.active, response)))
+        let order = order.map(|name| Order::answered(name, &held.active, response));
+        Some((order, send(&held.active, response)))
     }
 }
 

@@ -181,20 +181,24 @@ impl Server {
     ///
     /// To be called every few milliseconds; each call takes a bounded time, a heavy request's own apart.
     pub fn poll(&mut self, mut handle: impl FnMut(Request, &Served) -> Response) -> usize {
-        let (epoch, mut garbled) = (self.epoch, 0);
-        let handled = self.serve(usize::MAX, |asked, served| {
-            let request = match asked {
-                Asked::Light(request) => Ok(request),
-                Asked::Heavy(_, bytes) => requests::read(bytes, epoch).inspect_err(|_| garbled += 1),
-            };
-            Some(request.map_or_else(|refused| refused, |request| handle(request, served)))
+        let (epoch, mut garbled, mut heavy) = (self.epoch, 0, Vec::new());
+        let handled = self.serve(usize::MAX, |asked, served| match asked {
+            Asked::Light(request) => Some(handle(request, served)),
+            Asked::Heavy(ticket, bytes) => {
+                let request = requests::read(bytes, epoch).inspect_err(|_| garbled += 1);
+                let order = request.as_ref().ok().and_then(Request::order);
+                let response = request.map_or_else(|refused| refused, |request| handle(request, served));
+                heavy.push((ticket, order, response));
+                None
+            }
         });
+        heavy.iter().for_each(|(ticket, order, response)| self.answer(*ticket, *order, response));
         self.counters.garbled_requests += garbled;
         handled - garbled as usize
     }
 
     /// Answers what has arrived: replay by itself, light requests through `answer`, one client as much as any other. As many heavy requests as
-    /// there is `room` for are given to `answer`, too; where it returns `None`, [`Server::answer`] has the answer later. The others wait.
+    /// there is `room` for are given to `answer`, too, which returns `None` for them: [`Server::answer`] has the answer later. The others wait.
     pub fn serve(&mut self, room: usize, answer: impl FnMut(Asked, &Served) -> Option<Response>) -> usize {
         self.poll_replay();
         self.look_after_followers();
@@ -213,10 +217,10 @@ impl Server {
         outcome.handled
     }
 
-    /// Answers a heavy request.
-    pub fn answer(&mut self, ticket: Ticket, response: &Response) {
-        let Some((order, sent)) = self.requests.answer(ticket, response) else { return };
-        self.log_order(&order);
+    /// Answers a heavy request; `order` is its [`Request::order`].
+    pub fn answer(&mut self, ticket: Ticket, order: Option<&'static str>, response: &Response) {
+        let Some((order, sent)) = self.requests.answer(ticket, order, response) else { return };
+        order.iter().for_each(|order| self.log_order(order));
         if let Err(trouble) = sent {
             self.trouble("command", trouble);
         }
@@ -225,6 +229,11 @@ impl Server {
     /// Counts a heavy request that could not be read.
     pub fn garbled(&mut self) {
         self.counters.garbled_requests += 1;
+    }
+
+    /// Counts time that was spent on requests \[ns\].
+    pub fn answered_for(&mut self, ns: u64) {
+        self.counters.answering_ns = self.counters.answering_ns.saturating_add(ns);
     }
 
     /// Logs an order with its sender. A refused one changes nothing, and comes in floods where a program tries again and again.

@@ -137,7 +137,7 @@ fn a_model_that_does_not_hold_any_more_when_its_check_is_done_is_refused() {
 /// A request of many bytes is read on the other thread, which answers it whatever it is.
 #[test]
 fn the_checking_thread_takes_one_request_at_a_time() {
-    use super::super::check::Checker;
+    use super::super::check::{Answerable, Checker};
     let (desk, _place) = desk();
     let (robot, mounting) = (desk.robot.clone(), desk.mounting);
     let mut checker = Checker::start(robot, 5).unwrap();
@@ -150,7 +150,7 @@ fn the_checking_thread_takes_one_request_at_a_time() {
         let start = Instant::now();
         let checked = loop {
             match checker.take() {
-                Some((_, checked)) => break checked,
+                Some(Answerable { checked, .. }) => break checked,
                 None => assert!(start.elapsed() < Duration::from_secs(60)),
             }
             std::thread::sleep(Duration::from_millis(1));
@@ -542,7 +542,11 @@ fn the_loss_of_the_estimator_stops_an_arm_that_moves_where_the_job_says_so() {
                     let controls = Controls::default();
                     let said = logged(|| desk.news(news, Some(&controls)));
                     let stops = lost && rule == OnLoss::Stop && progress == Progress::Driving;
-                    assert_eq!((controls.stop_requested(), desk.barred), (stops, stops), "{news}, {rule:?}, {progress:?}");
+                    assert_eq!(
+                        (controls.stop_requested(), desk.barred),
+                        (stops, stops),
+                        "{news}, {rule:?}, {progress:?}"
+                    );
                     assert_eq!(said.contains("the arm stops"), stops, "{said}");
                     let goes_on = progress == Progress::Driving && !stops && !matches!(news, News::Joined { .. });
                     assert_eq!(said.contains("the arm goes on"), goes_on, "{said}");

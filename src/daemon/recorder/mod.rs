@@ -296,6 +296,11 @@ impl Tape {
         self.send(|| Message::Told(told));
     }
 
+    /// The stop that the loop tells of next has this reason.
+    pub fn blame(&self, reason: Reason) {
+        self.send(|| Message::Blame(reason));
+    }
+
     /// The loop was given an order.
     pub fn ordered(&self, given: Given) {
         self.send(|| Message::Order(given));

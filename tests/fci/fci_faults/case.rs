@@ -81,8 +81,7 @@ pub struct Ending {
 }
 
 /// What the operator does next is in the daemon's last line: after a fault in motion behind `Next: `, before a motion at the end of the reason.
-const NEXT_STEPS: [&str; 11] = [
-    "or command positions",
+const NEXT_STEPS: [&str; 10] = [
     "Look at cable, network card and switch",
     "Next: ",
     "Update the robot",

@@ -58,12 +58,6 @@ fn nobody_at_the_address_is_named_with_what_to_look_at() {
 }
 
 #[test]
-fn an_arm_that_would_fall_under_torque_commands_is_not_driven_without_a_model() {
-    let case = Case::new(Trouble::None, When::Connect).with(&["backend.franka.interface=torque"]);
-    play(&case, |ending| stops(ending, &["would fall", "[0.00, 0.00, -9.81]", "or command positions"]));
-}
-
-#[test]
 fn a_declared_compensation_that_the_arm_contradicts_is_refused_by_name() {
     let case = Case::new(Trouble::None, When::Connect).with(&["backend.franka.compensates=true"]);
     play(&case, |ending| stops(ending, &["compensates", "O_ddP_O"]));

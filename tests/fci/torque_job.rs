@@ -1,0 +1,61 @@
+//! A whole job under torque control on a wall: the robot's own controller compensates the gravity of an upright arm, so a model that was checked at
+//! rest holds the arm from the first cycle on.
+
+use crate::emulator::{Emulator, Settings};
+use crate::job_support::{Done, Place, plumbline};
+use plumbline_franka::wire::{Protocol, RobotMode};
+use plumbline_model::gravity::Mounting;
+use std::net::{IpAddr, Ipv4Addr};
+use std::process::Command;
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::time::Duration;
+
+/// A Panda on a wall, and `plumbline run` with torque commands for it.
+fn scene(name: &str) -> (Emulator, Place, Command) {
+    static NEXT: AtomicU8 = AtomicU8::new(1);
+    let address: IpAddr =
+        Ipv4Addr::new(127, 50, (std::process::id() % 250) as u8, NEXT.fetch_add(1, Ordering::Relaxed)).into();
+    // A test machine stalls now and then: this robot's time waits for it.
+    let patience = Duration::from_millis(20);
+    let settings = Settings { mounting: Mounting::WALL, patience, ..Settings::new(address, Protocol::V5) };
+    let place = Place::new(name);
+    let mut command = plumbline();
+    command.args(["run", "config/panda-emulator-wall.toml", "--out"]).arg(place.out());
+    for set in [
+        format!("serve.id={}", place.id),
+        format!("backend.franka.address={address}"),
+        "backend.franka.interface=torque".into(),
+        "backend.franka.state-timeout=1 s".into(),
+        "excitation.period=4 s".into(),
+        "excitation.periods=2".into(),
+        "excitation.starts=1".into(),
+        "excitation.rounds=0".into(),
+        "validation.trajectories=1".into(),
+        "diagnosis.enabled=false".into(),
+        "realtime.lock-memory=false".into(),
+    ] {
+        command.args(["--set", &set]);
+    }
+    (Emulator::start(settings).unwrap_or_else(|error| panic!("{error}")), place, command)
+}
+
+#[test]
+fn a_torque_controlled_job_on_a_wall_waits_for_the_models_check_and_is_driven_to_its_end() {
+    let (emulator, place, mut command) = scene("torque-job");
+    command.args(["--model", "config/models/panda-paper-table3.toml"]);
+    let done = Done::of(command).expect_code(0);
+    let waits = done.err.find("the start waits").unwrap_or_else(|| panic!("{}", done.said()));
+    assert!(done.err.find("the arm is mounted wall").is_some_and(|drives| waits < drives), "{}", done.said());
+    assert_eq!(emulator.snapshot().state.robot_mode, RobotMode::Idle, "{}", done.said());
+    assert!(place.out().join("model.toml").is_file() && done.err.contains("everything was driven"), "{}", done.said());
+}
+
+#[test]
+fn a_torque_controlled_job_on_a_wall_without_a_model_is_refused() {
+    let (emulator, _place, command) = scene("torque-none");
+    let done = Done::of(command).expect_code(1);
+    for words in ["would fall", "[0.00, 0.00, -9.81]", "no model", "or command positions"] {
+        assert!(done.err.contains(words), "{words}: {}", done.said());
+    }
+    assert_eq!(emulator.snapshot().state.dq_d, [0.0; 7], "{}", done.said());
+}
