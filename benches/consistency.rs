@@ -2,12 +2,9 @@
 //!
 //!     cargo bench --bench consistency
 
-#[path = "../tests/peers/mod.rs"]
-mod peers;
-#[path = "../tests/peers/nearest.rs"]
-mod sdp;
-
 use plumbline_identify::consistency::{Uncertainty, nearest};
+use plumbline_testkit::peers::nearest as sdp;
+
 use std::time::Instant;
 
 const REPEATS: usize = 200;

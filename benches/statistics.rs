@@ -5,14 +5,11 @@
 //! aperiodic`; `estimators huber iv` for some of them. `RUNS=n` changes the number of runs. The figures stand in docs/statistics.md,
 //! docs/signal.md and docs/estimators.md.
 
-#[path = "../tests/scene/mod.rs"]
-mod scene;
-
 use plumbline_identify::experiment::{Derivative, Experiment, Method, Settings};
 use plumbline_identify::run::Run;
 use plumbline_identify::solve::{Estimator, Identification, Options, identify_with};
-use scene::campaign::Campaign;
-use scene::{Extra, Scene};
+use plumbline_testkit::scene::campaign::Campaign;
+use plumbline_testkit::scene::{Extra, Scene};
 use std::time::Instant;
 
 /// Periods of a run.

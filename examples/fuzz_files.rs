@@ -5,14 +5,9 @@
 //!
 //! (or `hil/fuzz-files`, which passes its arguments on). A failure names its seed and case; `--seed S --first CASE --cases 1` repeats it.
 
-#[path = "../tests/fuzz_support/arguments.rs"]
-mod arguments;
-#[path = "../tests/fuzz_files/fuzz.rs"]
-mod fuzz;
-
-use arguments::Cases;
 use clap::Parser;
-use fuzz::{Bench, Files, TARGETS, Tally, case};
+use plumbline_testkit::fuzz::arguments::Cases;
+use plumbline_testkit::fuzz::files::{Bench, Files, TARGETS, Tally, case};
 use rustix::process::{Resource, Rlimit, setrlimit};
 use std::error::Error;
 use std::process::ExitCode;

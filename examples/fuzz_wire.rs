@@ -6,19 +6,12 @@
 //! (or `hil/fuzz-wire`, which passes its arguments on). A failure names its seed and case; `--seed S --first CASE --cases 1` repeats it.
 //! `cargo test --test fci_wire` runs 400,000 cases of seed 1.
 
-#[path = "../tests/fuzz_support/arguments.rs"]
-mod arguments;
-#[path = "../tests/fci_wire/draw.rs"]
-mod draw;
-#[path = "../tests/fci_wire/fuzz.rs"]
-mod fuzz;
-
 use std::process::ExitCode;
 use std::time::Instant;
 
-use arguments::Cases;
 use clap::Parser;
-use fuzz::{TARGETS, Tally, case};
+use plumbline_testkit::fuzz::arguments::Cases;
+use plumbline_testkit::fuzz::wire::{TARGETS, Tally, case};
 
 /// Cases between two looks at the clock.
 const BATCH: u64 = 10_000;

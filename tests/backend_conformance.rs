@@ -1,12 +1,10 @@
 //! Every arm keeps the promises of the trait, and the suite that says so can fail.
 
-mod backend_support;
-
-use backend_support::{READY, TestClock, arm_file, sim};
 use plumbline_core::{Backend, Fault};
 use plumbline_core::{Command, State};
 use plumbline_sim::{Gate, Pace};
 use plumbline_testkit::conformance::conformance;
+use plumbline_testkit::sim::{READY, TestClock, arm_file, sim};
 use std::sync::Arc;
 use std::time::Instant;
 

@@ -1,16 +1,12 @@
 //! An arm allocates nothing between its construction and its end.
 
-mod backend_support;
-#[path = "../hil/fci-emulator/emulator/mod.rs"]
-mod emulator;
-
 use assert_no_alloc::{AllocDisabler, assert_no_alloc, violation_count};
-use backend_support::{TestClock, command, excitation, sim};
 use plumbline_core::Backend;
 use plumbline_core::{Setpoint, State};
 use plumbline_franka::wire::Protocol;
 use plumbline_franka::{Interface, Purpose, RobotKind, Settings, connect, explain};
 use plumbline_sim::{Gate, Pace, Truth};
+use plumbline_testkit::sim::{TestClock, command, excitation, sim};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -104,8 +100,9 @@ fn run_franka(
     let faults = troubles.iter().map(|text| text.parse().unwrap()).collect();
     // Two states lost in a row take twice that, and our own patience is 100 ms.
     let patience = std::time::Duration::from_millis(20);
-    let emulated = emulator::Settings { faults, patience, ..emulator::Settings::new(address, protocol) };
-    let _emulator = emulator::Emulator::start(emulated).unwrap();
+    let emulated =
+        plumbline_testkit::emulator::Settings { faults, patience, ..emulator::Settings::new(address, protocol) };
+    let _emulator = plumbline_testkit::emulator::Emulator::start(emulated).unwrap();
     let robot = if protocol == Protocol::V5 { RobotKind::Panda } else { RobotKind::Fr3 };
     let settings = Settings { interface, purpose, ..Settings::new(address.into(), robot) };
     let (mut arm, connection) = connect(&settings).unwrap();

@@ -1,9 +1,6 @@
 //! The simulated arm as a measuring object: what it reports obeys the model it was built from, it loses nothing it should not lose,
 //! and it can be repeated bit by bit.
 
-mod backend_support;
-
-use backend_support::{READY, TestClock, arm_file, command, excitation, panda, silent_panda, sim};
 use nalgebra::DVector;
 use plumbline_core::Clock;
 use plumbline_core::{Backend, Fault};
@@ -16,6 +13,7 @@ use plumbline_sim::truth::Truth;
 use plumbline_sim::{
     Exact, Gate, Pace, REFLEX_COMMUNICATION, REFUSED_JUMP, REFUSED_NOT_FINITE, REFUSED_STOPPED, SimArm, SimError,
 };
+use plumbline_testkit::sim::{READY, TestClock, arm_file, command, excitation, panda, silent_panda, sim};
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -1,8 +1,5 @@
 //! The recursive estimator: the rows of a second, plain implementation solved by singular values; simulated truth; constant memory.
 
-mod arms;
-
-use arms::{chain, draw};
 use assert_no_alloc::{AllocDisabler, assert_no_alloc, violation_count};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::JointVec;
@@ -15,6 +12,7 @@ use plumbline_model::gravity::Mounting;
 use plumbline_model::structure::Structure;
 use plumbline_model::term::{Motion, Sample};
 use plumbline_model::torque::{Evaluator, TorqueModel};
+use plumbline_testkit::arms::{chain, draw};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};

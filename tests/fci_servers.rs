@@ -5,16 +5,12 @@
 //! the documentation. It also gives up after 20 lost commands, as a robot does; both run on this machine's normal scheduler in Python, so a
 //! stall is tried again a few times.
 
-mod export_support;
-mod fci_support;
-mod peers;
-
-use fci_support::{Run, drive_patiently, plan};
 use plumbline::store::export::{Arm, mjcf};
 use plumbline_franka::wire::{MoveStatus, Protocol};
 use plumbline_franka::{RobotKind, Settings};
 use plumbline_model::gravity::Mounting;
 use plumbline_rt::cycle::End;
+use plumbline_testkit::franka_loop::{Run, drive_patiently, plan};
 use std::net::{IpAddr, SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -71,9 +67,9 @@ fn settings(server: &Server) -> Settings {
 
 /// An FR3 by plumbline's own export; without meshes, with bodies that are nobody's.
 fn fr3_mjcf() -> PathBuf {
-    let robot = export_support::robot("fr3");
-    let model = export_support::model(&robot, &["friction"], 5);
-    let bodies = export_support::bodies(&model);
+    let robot = plumbline_testkit::bodies::robot("fr3");
+    let model = plumbline_testkit::bodies::model(&robot, &["friction"], 5);
+    let bodies = plumbline_testkit::bodies::bodies(&model);
     let arm = Arm { model: &model, bodies: &bodies, limits: &robot.limits };
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fci-servers-fr3.xml");
     std::fs::write(&path, mjcf::write(&arm, &Mounting::UPRIGHT.gravity()).text).unwrap();
@@ -116,9 +112,9 @@ fn assert_ended_in_order(run: &Run, who: &str, soft: f64) {
 #[test]
 fn franka_sim_with_every_limit_enforced_takes_a_whole_excitation() {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    let Some(python) = peers::interpreter_with(&["franka-sim==1.1.7"]) else { return };
+    let Some(python) = plumbline_testkit::peers::interpreter_with(&["franka-sim==1.1.7"]) else { return };
     let mut command = Command::new(python);
-    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/serve_franka_sim.py"));
+    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/testkit/peers/serve_franka_sim.py"));
     let address = address(1);
     command.arg(&address).arg(fr3_mjcf());
     let server = Server::start(command, &address, "franka-sim.log");
@@ -129,7 +125,7 @@ fn franka_sim_with_every_limit_enforced_takes_a_whole_excitation() {
 #[test]
 fn franky_sim_takes_a_whole_excitation() {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    let Some(python) = peers::interpreter_with(&["franky-sim==1.0.4"]) else { return };
+    let Some(python) = plumbline_testkit::peers::interpreter_with(&["franky-sim==1.0.4"]) else { return };
     let mut command = Command::new(Path::new(&python).with_file_name("franky-sim"));
     let address = address(2);
     command.args(["--simulator", "mujoco", "--hostname", &address]);
@@ -145,11 +141,11 @@ const STALLS: [&str; 3] = ["communication_constraints_violation", "no state came
 #[test]
 fn a_job_on_franka_sim_keeps_the_limits_that_it_serves() {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    let Some(python) = peers::interpreter_with(&["franka-sim==1.1.7"]) else { return };
+    let Some(python) = plumbline_testkit::peers::interpreter_with(&["franka-sim==1.1.7"]) else { return };
     let folder = tempfile::tempdir().unwrap();
     for attempt in 1..=6 {
         let mut command = Command::new(&python);
-        command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/serve_franka_sim.py"));
+        command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/testkit/peers/serve_franka_sim.py"));
         let address = address(10 + attempt);
         command.arg(&address).arg(fr3_mjcf());
         let server = Server::start(command, &address, "franka-sim-job.log");

@@ -1,12 +1,6 @@
 //! The adapter against the emulator: the promises of every arm at every version, an excitation through the whole loop, and what goes wrong on
 //! networks and with people, each ended or overcome as it should be.
 
-#[path = "../hil/fci-emulator/emulator/mod.rs"]
-mod emulator;
-mod fci_support;
-
-use emulator::{Emulator, Fault as Trouble, Hand, Settings as Emulated};
-use fci_support::{Run, drive, drive_serving, plan, quick_plan};
 use nalgebra::Vector3;
 use plumbline_core::{Backend, Fault, FeedForward};
 use plumbline_core::{Command, JointVec, Setpoint, State, Torque};
@@ -20,6 +14,8 @@ use plumbline_model::rnea::{LinkParameters, rnea};
 use plumbline_rt::cycle::End;
 use plumbline_sim::Truth;
 use plumbline_testkit::conformance::conformance;
+use plumbline_testkit::emulator::{Emulator, Fault as Trouble, Hand, Settings as Emulated};
+use plumbline_testkit::franka_loop::{Run, drive, drive_serving, plan, quick_plan};
 use std::net::{IpAddr, Ipv4Addr};
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};

@@ -1,10 +1,6 @@
 //! A recording through the loop again gives the same commands bit for bit, from wherever it begins and whatever happened in it; and no
 //! bytes make its reader panic.
 
-mod common;
-
-use common::drive::{Job, Model, READY, Run, settings};
-use common::{FakeArm, Trick};
 use nalgebra::DMatrix;
 use plumbline::postmortem::replay::{Parts, ReplayError, Replayed, replay};
 use plumbline::postmortem::story::Story;
@@ -19,6 +15,8 @@ use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record, Setpoint};
 use plumbline_excite::fourier::{Fourier, PeriodicMotion};
 use plumbline_rt::cycle::End;
 use plumbline_rt::order::{Event, Handles, Order, OrderKind, StopReason};
+use plumbline_testkit::fake_arm::drive::{Job, Model, READY, Run, settings};
+use plumbline_testkit::fake_arm::{FakeArm, Trick};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -2,10 +2,6 @@
 //!
 //! More cases for the fuzzers: `PROPTEST_CASES=1000000 cargo test --release --test inclinometer no_frames_make_it_panic`.
 
-#[path = "../hil/inclinometer/device.rs"]
-mod device;
-
-use device::Device;
 use nalgebra::{Rotation3, Vector3};
 use plumbline::inclinometer::attitude::{Seat, SeatError, Slopes};
 use plumbline::inclinometer::canopen::{self, Entry, NmtState, Width};
@@ -15,6 +11,7 @@ use plumbline::inclinometer::node::{Fault, NodeSettings};
 use plumbline::inclinometer::sensor::{Health, Note, Reading, Sensor, SensorSettings};
 use plumbline::inclinometer::smooth::SmoothSettings;
 use plumbline_model::gravity::{G, Mounting, angle_between};
+use plumbline_testkit::inclinometer::Device;
 use proptest::prelude::*;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

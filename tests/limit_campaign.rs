@@ -1,15 +1,15 @@
 //! Every limit of the guard, crossed on purpose in every phase: the arm comes to rest, or is stopped by its own means, and nothing that was
 //! sent crossed the arm's limits. `hil/limits/run.sh` writes the table of the margins to docs/limit-campaign.md.
 
-mod common;
-
-use common::Trick;
-use common::drive::{Job, Model, READY, Run, Shape, Tool, Wave, dwell, follow, move_to, panda_limits};
 use plumbline_core::Reference;
 use plumbline_core::{JointVec, Limits, MAX_JOINTS, Phase, Setpoint, Workspace};
 use plumbline_rt::cycle::End;
 use plumbline_rt::guard::Limit;
 use plumbline_rt::order::{Order, OrderKind, StopReason};
+use plumbline_testkit::fake_arm::Trick;
+use plumbline_testkit::fake_arm::drive::{
+    Job, Model, READY, Run, Shape, Tool, Wave, dwell, follow, move_to, panda_limits,
+};
 use std::fmt::Write;
 
 #[global_allocator]

@@ -1,8 +1,5 @@
 //! Every family of effects: its regressor, its served torque and its file form are the same effect, on every kind of arm.
 
-mod arms;
-
-use arms::{any_mounting, chain, draw, torque};
 use assert_no_alloc::{AllocDisabler, assert_no_alloc, violation_count};
 use nalgebra::{DMatrix, DVector, Rotation3, Unit, Vector3};
 use plumbline_core::Torque;
@@ -13,6 +10,7 @@ use plumbline_model::structure::Structure;
 use plumbline_model::term::effect::{Confounded, FAMILIES, Family, Ground, Site, Spec, Stratum};
 use plumbline_model::term::{Motion, Sample};
 use plumbline_model::torque::{NamedEffect, NamedTerm, TorqueModel};
+use plumbline_testkit::arms::{any_mounting, chain, draw, torque};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;

@@ -1,8 +1,5 @@
 //! Structures and torque models: terms together, names, evaluation in the loop.
 
-mod arms;
-
-use arms::{any_mounting, chain, draw};
 use assert_no_alloc::{AllocDisabler, assert_no_alloc, violation_count};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::Torque;
@@ -12,6 +9,7 @@ use plumbline_model::structure::{ModelError, Structure};
 use plumbline_model::term::effect::{self, Site, Spec};
 use plumbline_model::term::{self, Motion, Sample, Term};
 use plumbline_model::torque::{NamedEffect, NamedTerm, Parameter, TorqueModel};
+use plumbline_testkit::arms::{any_mounting, chain, draw};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 

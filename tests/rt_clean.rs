@@ -4,17 +4,12 @@
 //! the whole program at any other call, so each such run is a program of its own (this test, started again). Under the feature `rtsan`
 //! the same runs are watched by LLVM's RealtimeSanitizer (`hil/rtsan/run.sh`).
 
-mod backend_support;
 mod clean;
-mod common;
-#[path = "../hil/fci-emulator/emulator/mod.rs"]
-mod emulator;
-mod turns;
 
 use clean::{ARMS, Seal, run};
+use plumbline_testkit::turns::Turns;
 use std::os::unix::process::ExitStatusExt;
 use std::process::{Command, ExitStatus};
-use turns::Turns;
 
 #[global_allocator]
 static WATCH: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;

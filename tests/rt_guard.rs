@@ -1,14 +1,12 @@
 //! Every limit of the guard, crossed on purpose: the command is not sent, and the arm comes to rest inside the limits.
 
-mod common;
-
-use common::drive::{Job, Model, READY, Run, Shape, Tool, Wave, follow, move_to, panda_limits};
-use common::{FakeArm, Trick};
 use plumbline_core::Reference;
 use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record, Setpoint, SpeedEnvelope, Validity, Workspace};
 use plumbline_rt::cycle::End;
 use plumbline_rt::guard::{Limit, Violation};
 use plumbline_rt::order::{Event, StopReason};
+use plumbline_testkit::fake_arm::drive::{Job, Model, READY, Run, Shape, Tool, Wave, follow, move_to, panda_limits};
+use plumbline_testkit::fake_arm::{FakeArm, Trick};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -300,7 +298,7 @@ fn what_the_arm_measures_can_stop_it_in_every_phase() {
     for (read, phase) in [(50, Phase::Hold), (700, Phase::Approach), (2_600, Phase::Excite)] {
         for (limit, joint, trick) in tricks {
             let run = Job::new(6_000)
-                .order(common::drive::dwell(1, 100))
+                .order(plumbline_testkit::fake_arm::drive::dwell(1, 100))
                 .order(move_to(2, away))
                 .order(follow(3, Wave { q0: away, ..Wave::gentle() }))
                 .model(Model(5, |_: &Setpoint| [1.0; MAX_JOINTS]))

@@ -1,9 +1,5 @@
 //! The loop as a whole on a perfect arm: order of motions, models, stops, lost states, faults, and not one allocation.
 
-mod common;
-
-use common::drive::{Job, Model, READY, Run, Shape, Wave, dwell, follow, move_to, panda_limits};
-use common::{FakeArm, Trick};
 use plumbline_core::{Backend, Fault, PERIOD_NS, Reference};
 use plumbline_core::{Command, JointVec, Phase, Setpoint, State, Validity};
 use plumbline_rt::cycle::{self, End};
@@ -11,6 +7,8 @@ use plumbline_rt::order::{Event, StopReason};
 use plumbline_rt::os::{now_ns, sleep_until};
 use plumbline_rt::recorder::ring;
 use plumbline_rt::settings::{CycleSettings, SetupError};
+use plumbline_testkit::fake_arm::drive::{Job, Model, READY, Run, Shape, Wave, dwell, follow, move_to, panda_limits};
+use plumbline_testkit::fake_arm::{FakeArm, Trick};
 
 #[global_allocator]
 static WATCH: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
@@ -232,10 +230,11 @@ fn the_arm_is_stopped_by_a_loop_that_ends_one_that_panics_and_one_that_never_ran
     let made = || {
         let arm = FakeArm::new(7, READY);
         let seen = std::sync::Arc::clone(&arm.seen);
-        let (cycle, handles) = cycle::new(arm, ring(100).0, None, common::drive::settings()).unwrap();
+        let (cycle, handles) =
+            cycle::new(arm, ring(100).0, None, plumbline_testkit::fake_arm::drive::settings()).unwrap();
         (cycle, handles, seen)
     };
-    let stops = |seen: &common::Seen| seen.get().2;
+    let stops = |seen: &plumbline_testkit::fake_arm::Seen| seen.get().2;
     let (mut ending, handles, seen) = made();
     handles.controls.quit();
     assert_eq!((ending.run().end, stops(&seen)), (End::Quit, 1));
@@ -404,7 +403,7 @@ impl Backend for PacedArm {
 fn at_wall_clock_pace_every_deadline_is_met_or_counted() {
     let arm = PacedArm { arm: FakeArm::new(7, READY), deadline_ns: now_ns() };
     let (sink, mut drain) = ring(1_000);
-    let (mut cycle, mut handles) = cycle::new(arm, sink, None, common::drive::settings()).unwrap();
+    let (mut cycle, mut handles) = cycle::new(arm, sink, None, plumbline_testkit::fake_arm::drive::settings()).unwrap();
     assert!(handles.orders.give(dwell(1, 300)).is_ok());
     let start = now_ns();
     let outcome = std::thread::scope(|scope| {
@@ -433,7 +432,7 @@ fn at_wall_clock_pace_every_deadline_is_met_or_counted() {
 #[test]
 fn settings_that_make_no_sense_build_no_loop() {
     let try_with = |change: fn(&mut CycleSettings)| {
-        let mut settings = common::drive::settings();
+        let mut settings = plumbline_testkit::fake_arm::drive::settings();
         change(&mut settings);
         cycle::new(FakeArm::new(7, READY), ring(8).0, None, settings).err()
     };
@@ -444,6 +443,7 @@ fn settings_that_make_no_sense_build_no_loop() {
     ));
     assert!(matches!(try_with(|s| s.guard.limits.q_max[1] = -3.0), Some(SetupError::Limit { name: "q_max", .. })));
     assert!(matches!(try_with(|s| s.moves.velocity = 1.2), Some(SetupError::Factor { name: "velocity", .. })));
-    let nine = cycle::new(FakeArm::new(9, READY), ring(8).0, None, common::drive::settings()).err();
+    let nine =
+        cycle::new(FakeArm::new(9, READY), ring(8).0, None, plumbline_testkit::fake_arm::drive::settings()).err();
     assert_eq!(nine, Some(SetupError::Joints { joints: 9 }));
 }

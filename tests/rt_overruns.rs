@@ -2,14 +2,6 @@
 //! never does; and whoever falls silent leaves an arm at rest. The clock of these runs is the test's own, so a stall is where the test
 //! puts it; one test stops a real daemon with SIGSTOP.
 
-mod backend_support;
-mod common;
-mod job_support;
-
-use backend_support::{READY as SIM_READY, silent_panda, sim};
-use common::Trick;
-use common::drive::{Job, Model, READY, Wave, dwell, follow, move_to, panda_limits, settings};
-use job_support::{Done, Place, Running, signal, wait_for};
 use plumbline_core::Clock;
 use plumbline_core::{Fault, PERIOD_NS};
 use plumbline_core::{JointVec, Phase, Record, Setpoint};
@@ -17,6 +9,10 @@ use plumbline_rt::cycle::{self, End, Outcome};
 use plumbline_rt::order::{Controls, StopReason};
 use plumbline_rt::recorder::ring;
 use plumbline_sim::{Pace, REFLEX_COMMUNICATION};
+use plumbline_testkit::fake_arm::Trick;
+use plumbline_testkit::fake_arm::drive::{Job, Model, READY, Wave, dwell, follow, move_to, panda_limits, settings};
+use plumbline_testkit::job::{Done, Place, Running, signal, wait_for};
+use plumbline_testkit::sim::{READY as SIM_READY, silent_panda, sim};
 use proptest::prelude::*;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};

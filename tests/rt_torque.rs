@@ -1,14 +1,12 @@
 //! The served torque in the loop: hand-overs between models, models that break a limit, models that are withdrawn. Never a jump.
 
-mod common;
-
-use common::drive::{Job, READY, Run, Wave, follow, panda_limits};
 use plumbline_core::FeedForward;
 use plumbline_core::{Command, JointVec, MAX_JOINTS, Phase, Record, Setpoint, State, Torque, Validity};
 use plumbline_rt::cycle::End;
 use plumbline_rt::guard::{Guard, Limit, Violation};
 use plumbline_rt::order::{Event, Handles, StopReason};
 use plumbline_rt::torque::{Asked, Torques};
+use plumbline_testkit::fake_arm::drive::{Job, READY, Run, Wave, follow, panda_limits};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -317,7 +315,7 @@ fn the_guard_refuses_a_torque_that_jumps_in_motion_and_in_the_brake() {
     let state = State { q: READY, ..State::default() };
     for (tau, allowed) in [(0.99, true), (1.01, false), (-1.01, false)] {
         let made = || {
-            let mut guard = Guard::new(7, common::drive::settings().guard, 0.9, None);
+            let mut guard = Guard::new(7, plumbline_testkit::fake_arm::drive::settings().guard, 0.9, None);
             guard.start(READY);
             assert_eq!(guard.check(1e-3, &command(0.0), &asked(0.0), &state), Ok(()));
             guard

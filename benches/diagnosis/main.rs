@@ -16,17 +16,13 @@
 //!
 //! A line per case goes to stderr, the tables to stdout. The figures stand in docs/diagnosis.md.
 
-mod case;
-#[path = "../../tests/scene/mod.rs"]
-mod scene;
 mod tally;
-mod trial;
 
-use case::{Case, What};
+use plumbline_testkit::diagnosis::case::{Case, What};
+use plumbline_testkit::diagnosis::trial::{Bench, Judged};
 use std::sync::Mutex;
 use std::time::Instant;
 use tally::Tally;
-use trial::{Bench, Judged};
 
 struct Options {
     what: Vec<What>,

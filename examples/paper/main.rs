@@ -3,19 +3,15 @@
 //! Writes the tables into docs/paper.md, between its markers, and the figures into docs/figures. `cargo test --test identification paper::` holds the
 //! same results, and that the page says what the program says.
 
-mod experiment;
-mod figures;
-mod tables;
-
 use std::path::Path;
 
 fn main() -> std::io::Result<()> {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
     let page = docs.join("paper.md");
-    let text = fill(&std::fs::read_to_string(&page)?, &tables::all());
+    let text = fill(&std::fs::read_to_string(&page)?, &plumbline_testkit::paper::tables::all());
     std::fs::write(&page, text)?;
     std::fs::create_dir_all(docs.join("figures"))?;
-    for (name, svg) in figures::all() {
+    for (name, svg) in plumbline_testkit::paper::figures::all() {
         std::fs::write(docs.join("figures").join(name), svg)?;
     }
     println!("wrote {} and its figures", page.display());

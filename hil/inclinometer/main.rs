@@ -1,12 +1,11 @@
 //! A simulated CiA 410 inclinometer on a CAN interface, for programs that have none at hand. Made for `vcan`; on a real bus it is a real
 //! node.
 
-mod device;
 mod orders;
 
 use clap::Parser;
-use device::Device;
 use orders::Order;
+use plumbline_testkit::inclinometer::Device;
 use socketcan::{CanDataFrame, CanErrorFrame, CanFrame, CanSocket, EmbeddedFrame, ShouldRetry, Socket, StandardId};
 use std::error::Error;
 use std::io::BufRead;

@@ -1,6 +1,6 @@
 //! What a person or a script may do to the simulated device.
 
-use crate::device::{Device, Faults};
+use plumbline_testkit::inclinometer::{Device, Faults};
 
 /// Every order, for `help`.
 pub const HELP: &str = "tilt LONG LATERAL [SECONDS]   tilt the base to these slopes [deg]

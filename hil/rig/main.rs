@@ -1,12 +1,10 @@
 //! The first hour with a real arm: four steps, each of which does one thing and ends with a verdict. README.md beside this file is the
 //! procedure; nothing here starts without `--i-am-at-the-robot`.
 
-mod steps;
-
 use clap::Parser;
+use plumbline_testkit::rig::Cli;
+use plumbline_testkit::rig::verdict::Verdict;
 use std::process::ExitCode;
-use steps::Cli;
-use steps::verdict::Verdict;
 
 fn main() -> ExitCode {
     match Cli::parse().step.take() {

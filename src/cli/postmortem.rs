@@ -1,7 +1,6 @@
 //! `plumbline postmortem`: what happened before a fault, from its recording.
 
 use crate::cli::say::say;
-use crate::daemon::served::{NoModel, Reach, ServedModel};
 use crate::failure::Failure;
 use crate::postmortem::replay::{Parts, Replayed, replay};
 use crate::postmortem::story::Story;
@@ -14,6 +13,7 @@ use nalgebra::Vector3;
 use plumbline_core::BadInput;
 use plumbline_core::FeedForward;
 use plumbline_model::robot::Robot;
+use plumbline_model::served::{NoModel, Reach, ServedModel};
 use std::path::PathBuf;
 
 /// Options of `plumbline postmortem`.

@@ -14,7 +14,6 @@ mod recorder;
 mod rest;
 mod rhythm;
 mod script;
-pub mod served;
 mod session;
 mod stop_line;
 

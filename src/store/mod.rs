@@ -7,4 +7,4 @@ mod model_text;
 mod plan_file;
 
 pub use model_file::{ModelFile, Provenance, Validated, model_identity};
-pub use plan_file::{load_plan, parse_plan, plan_text, save_plan};
+pub use plan_file::{load_plan, save_plan};

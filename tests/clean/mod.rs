@@ -1,9 +1,6 @@
 //! One whole run of the loop on every kind of arm: approach, excitation, two models, a stop in mid-motion, the operator's permission, a
 //! return, the end. Sealed, the loop's thread dies at its first stray system call, and the program with it.
 
-use crate::backend_support::{arm_file, sim};
-use crate::common::drive::{Wave, dwell, follow, move_to, panda_limits, settings};
-use crate::emulator;
 use plumbline::store::ModelFile;
 use plumbline_core::Clock;
 use plumbline_core::{Backend, Fault, FeedForward};
@@ -21,6 +18,9 @@ use plumbline_rt::os::{Rights, now_ns, sleep_until};
 use plumbline_rt::recorder::{Drain, ring};
 use plumbline_rt::settings::CycleSettings;
 use plumbline_sim::{Gate, Pace};
+use plumbline_testkit::emulator;
+use plumbline_testkit::fake_arm::drive::{Wave, dwell, follow, move_to, panda_limits, settings};
+use plumbline_testkit::sim::{arm_file, sim};
 use seccompiler::{BpfProgram, SeccompAction, SeccompFilter};
 use std::io::Write;
 use std::sync::Arc;

@@ -1,8 +1,8 @@
 //! A log that is not read: a full pipe, a closed one, a journal that stalls. The daemon drives on, answers, and ends when it is told to.
 
-use crate::job_support::*;
 use plumbline_core::Phase;
 use plumbline_ipc::{Delivery, Progress, RobotId, SampleStream, StreamSettings};
+use plumbline_testkit::job::*;
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, PipeReader, PipeWriter, Read, Write};
 use std::os::fd::AsRawFd;

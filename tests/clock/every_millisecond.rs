@@ -1,7 +1,7 @@
 //! The job at wall-clock pace: every millisecond is accounted for, and clients follow the served torque while the arm moves.
 
-use crate::job_support::*;
-use crate::peers;
+use plumbline_testkit::job::*;
+use plumbline_testkit::peers;
 use std::path::Path;
 
 /// A few seconds of motion. How late a cycle may come is the machine's business, not this test's: no loss stops the arm.

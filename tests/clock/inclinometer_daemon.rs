@@ -2,12 +2,6 @@
 //! driver. What the kernel's own CAN does is `hil/inclinometer/vm.sh`'s business. The arm is the simulated Panda, upright whatever the
 //! base does: what is shown is what the daemon makes of the sensor.
 
-#[path = "../../hil/inclinometer/device.rs"]
-mod device;
-
-use crate::job_support::*;
-use crate::turns::Turns;
-use device::Device;
 use nalgebra::Vector3;
 use plumbline::store::ModelFile;
 use plumbline_core::{Phase, Validity};
@@ -15,6 +9,9 @@ use plumbline_ipc::{FeedForwardClient, FeedForwardMessage, FeedForwardSettings, 
 use plumbline_model::gravity::{Mounting, angle_between};
 use plumbline_model::robot::Robot;
 use plumbline_model::term::Sample;
+use plumbline_testkit::inclinometer::Device;
+use plumbline_testkit::job::*;
+use plumbline_testkit::turns::Turns;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType};
 use std::io::{Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};

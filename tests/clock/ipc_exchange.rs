@@ -4,11 +4,11 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc;
 use std::time::Duration;
 
-use crate::ipc_support::*;
 use plumbline_ipc::{
     Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, IpcError, Lock, MAX_REQUEST_BYTES,
     News, Presence, Request, Response, SampleStream, Server, ServerSettings, Status, StreamSettings,
 };
+use plumbline_testkit::memory::*;
 use rand::{Rng, RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

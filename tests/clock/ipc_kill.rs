@@ -10,11 +10,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use crate::ipc_support::*;
 use plumbline_ipc::{
     Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, Lock, News, Presence, Request,
     Response, RobotId, SampleStream, Server, ServerSettings, Status, StreamSettings,
 };
+use plumbline_testkit::memory::*;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

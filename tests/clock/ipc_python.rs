@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use crate::ipc_support::*;
-use crate::peers::interpreter;
 use plumbline_ipc::{FeedForwardMessage, RobotId, Server, ServerSettings};
+use plumbline_testkit::memory::*;
+use plumbline_testkit::peers::interpreter;
 
 /// Runs the client and returns its standard output.
 fn torque_follow(python: &str, robot: &RobotId, options: &[&str]) -> String {

@@ -4,18 +4,17 @@
 //!
 //! A few of each run with the tests; `hil/kill-campaign/run.sh` plays a hundred of each and writes docs/kill-campaign.md.
 
-use crate::emulator;
-use crate::job_support;
+use plumbline_testkit::emulator;
 use std::fmt::Write as _;
 use std::net::{IpAddr, Ipv4Addr};
 use std::process::Command;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::kill_support::*;
 use plumbline_core::Phase;
 use plumbline_franka::wire::Protocol;
 use plumbline_ipc::{Progress, Request, Response};
+use plumbline_testkit::kill::*;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -154,7 +153,7 @@ fn simulated(name: &str) -> Robot {
     sets.extend(["backend.arm=arms/sim-panda.toml", "backend.pace=wall-clock", "validation.counter-experiment=false"]);
     // A machine that stands still for a moment is not what is tried here.
     sets.push("safety.max-lost=200");
-    Robot::new(name, job_support::WALL, &sets)
+    Robot::new(name, plumbline_testkit::job::WALL, &sets)
 }
 
 fn estimators(rounds: u32, seed: u64, kill: bool) -> Row {
@@ -548,7 +547,7 @@ fn the_whole_campaign() {
     for row in &rows {
         writeln!(text, "{}", row.line()).unwrap();
     }
-    text.push_str(include_str!("../kill_support/promises.md"));
+    text.push_str(include_str!("promises.md"));
     for row in &rows {
         for broken in &row.broken {
             writeln!(text, "- {}: {broken}", row.name).unwrap();

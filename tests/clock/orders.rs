@@ -1,10 +1,10 @@
 //! Who may drive an arm, and what becomes of orders at the wrong moment: locks, owners of files, `resume` while braking, ages after a suspend.
 
-use crate::emulator;
-use crate::job_support::*;
 use plumbline_core::Phase;
 use plumbline_franka::wire::Protocol;
 use plumbline_ipc::{Client, Progress, Proposal, Request, Response, RobotId};
+use plumbline_testkit::emulator;
+use plumbline_testkit::job::*;
 use std::net::{IpAddr, Ipv4Addr};
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
 use std::path::Path;

@@ -1,7 +1,7 @@
 //! Real-time rights as the kernel has them: which threads of a running daemon are real-time, that a refusal is said everywhere, and that a
 //! job which wants all of it or nothing gets nothing.
 
-use crate::job_support::*;
+use plumbline_testkit::job::*;
 use std::collections::BTreeMap;
 
 /// A daemon that holds its arm at the pace of the clock. How late a cycle may come is this machine's business.

@@ -1,7 +1,7 @@
 //! What the daemon and the estimator tell systemd, and what they refuse when they run as services. systemd is played by a socket of
 //! this test's own.
 
-use crate::job_support::*;
+use plumbline_testkit::job::*;
 use std::os::unix::net::UnixDatagram;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};

@@ -1,10 +1,10 @@
 //! Signals that end a process by default, and the death of `plumbline run`, during a motion: the arm is braked first, and a recording and a line of
 //! the log name the signal.
 
-use crate::job_support::*;
 use plumbline::recording::Recording;
 use plumbline_core::{Phase, Record};
 use plumbline_ipc::Progress;
+use plumbline_testkit::job::*;
 use std::path::PathBuf;
 use std::process::Command;
 use std::time::Duration;

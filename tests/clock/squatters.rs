@@ -7,11 +7,11 @@ use std::process::Command;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use crate::ipc_support::*;
 use plumbline_ipc::{
     Client, FeedForwardClient, FeedForwardSettings, Request, Response, SampleStream, Server, ServerSettings,
     StreamSettings,
 };
+use plumbline_testkit::memory::*;
 
 /// Set for the run in the namespace.
 const INSIDE: &str = "PLUMBLINE_TEST_SQUATTERS";
@@ -59,7 +59,7 @@ fn inside() {
     assert!(matches!(ask(), Response::Refused { reason } if reason == "heard"));
     SampleStream::connect(&robot, StreamSettings::default(), PATIENCE).unwrap();
     FeedForwardClient::connect(&robot, FeedForwardSettings::default(), PATIENCE).unwrap();
-    let refused = Server::open(&crate::ipc_support::robot("second"), ServerSettings::default()).err().unwrap();
+    let refused = Server::open(&plumbline_testkit::memory::robot("second"), ServerSettings::default()).err().unwrap();
     assert!(refused.to_string().contains(&squat), "{refused}");
     daemon.stop();
 }

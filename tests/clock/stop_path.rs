@@ -3,12 +3,12 @@
 //!
 //! With the tests runs a short form; `hil/stop/run.sh` runs each case a hundred times and prints the figures.
 
-use crate::job_support::*;
 use plumbline_core::{Phase, Record};
 use plumbline_ipc::{
     Client, Delivery, IpcError, Progress, Request, Response, RobotId, SampleStream, Status, StreamSettings, now_ns,
     place,
 };
+use plumbline_testkit::job::*;
 use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::Command;

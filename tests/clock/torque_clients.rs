@@ -2,8 +2,8 @@
 //!
 //! With the tests runs what any machine can decide. `hil/torque-clients/run.sh` compares the loop's statistics and writes docs/torque-clients.md.
 
-use crate::job_support::*;
 use plumbline_ipc::{Client, RobotId, Status};
+use plumbline_testkit::job::*;
 use std::fmt::Write as _;
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,6 +1,5 @@
 //! The adapter of Franka arms against a fake control unit that does things wrong, one known pain per test.
 
-use crate::fci_fake::{Fake, READY, World};
 use plumbline_core::{Backend, Fault};
 use plumbline_core::{Command, JointVec, Setpoint, State};
 use plumbline_franka::wire::{
@@ -11,6 +10,7 @@ use plumbline_franka::{
     REFUSED_NOT_FINITE, REFUSED_POSITION, REFUSED_STOPPED, RobotKind, Settings, Source, connect, explain, recover,
     recover_communication,
 };
+use plumbline_testkit::fake_robot::{Fake, READY, World};
 use std::time::{Duration, Instant};
 
 fn settings(fake: &Fake, protocol: Protocol) -> Settings {

@@ -1,19 +1,16 @@
 //! The first hour with an arm, on the emulator: each step passes where all is well, and fails or refuses for the reason that there is.
 #![allow(dead_code)] // the emulator and the rig are whole programs
 
-#[path = "../../hil/rig/steps/mod.rs"]
-mod steps;
-
-use crate::emulator::{Emulator, Settings as Emulated};
 use clap::Parser;
 use plumbline_franka::wire::Protocol;
 use plumbline_model::gravity::Mounting;
+use plumbline_testkit::emulator::{Emulator, Settings as Emulated};
+use plumbline_testkit::rig::verdict::Verdict;
+use plumbline_testkit::rig::{Cli, Given, Rig, Step, communication, excitation, gravity};
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::Duration;
-use steps::verdict::Verdict;
-use steps::{Cli, Given, Rig, Step, communication, excitation, gravity};
 
 /// A Panda on a wall, and the words that begin a step with it.
 struct Scene {

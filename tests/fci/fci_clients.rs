@@ -1,8 +1,8 @@
 //! Clients of other origin, libfranka 0.9 and 0.21 in Python, believe the emulator. More of them: `hil/fci-peers/run.sh`.
 
-use crate::emulator::{Emulator, Fault, Hand, Settings};
-use crate::peers;
 use plumbline_franka::wire::Protocol;
+use plumbline_testkit::emulator::{Emulator, Fault, Hand, Settings};
+use plumbline_testkit::peers;
 use serde::Deserialize;
 use std::io::{BufRead, BufReader, Read};
 use std::net::{IpAddr, Ipv4Addr};

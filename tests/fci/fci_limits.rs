@@ -1,11 +1,11 @@
 //! Plans and the limits of the arm that is connected: whatever it serves, motions are checked and planned under it before anything moves.
 
-use crate::emulator::limits::{JOINTS, Limits};
-use crate::emulator::{Emulator, READY, RobotKind, Settings, Snapshot};
-use crate::job_support::{Done, Place, Running, plumbline, wait_for};
 use plumbline::store::load_plan;
 use plumbline_excite::plan::Plan;
 use plumbline_franka::wire::{Protocol, RobotMode};
+use plumbline_testkit::emulator::limits::{JOINTS, Limits};
+use plumbline_testkit::emulator::{Emulator, READY, RobotKind, Settings, Snapshot};
+use plumbline_testkit::job::{Done, Place, Running, plumbline, wait_for};
 use std::net::{IpAddr, Ipv4Addr};
 use std::process::Command;
 use std::sync::atomic::{AtomicU8, Ordering};

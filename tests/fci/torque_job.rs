@@ -1,10 +1,10 @@
 //! A whole job under torque control on a wall: the robot's own controller compensates the gravity of an upright arm, so a model that was checked at
 //! rest holds the arm from the first cycle on.
 
-use crate::emulator::{Emulator, Settings};
-use crate::job_support::{Done, Place, plumbline};
 use plumbline_franka::wire::{Protocol, RobotMode};
 use plumbline_model::gravity::Mounting;
+use plumbline_testkit::emulator::{Emulator, Settings};
+use plumbline_testkit::job::{Done, Place, plumbline};
 use std::net::{IpAddr, Ipv4Addr};
 use std::process::Command;
 use std::sync::atomic::{AtomicU8, Ordering};

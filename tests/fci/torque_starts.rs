@@ -2,7 +2,6 @@
 //!
 //! `hil/torque-starts/run.sh` makes ten starts per mounting and prints the table of docs/fci.md.
 
-use crate::emulator::{Emulator, Settings as Emulated};
 use nalgebra::Vector3;
 use plumbline_core::FeedForward;
 use plumbline_core::{JointVec, Record, Setpoint, Torque};
@@ -19,6 +18,7 @@ use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::ring;
 use plumbline_rt::settings::CycleSettings;
 use plumbline_sim::Truth;
+use plumbline_testkit::emulator::{Emulator, Settings as Emulated};
 use std::net::Ipv4Addr;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::Duration;

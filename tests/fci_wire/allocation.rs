@@ -5,7 +5,7 @@ use std::hint::black_box;
 use assert_no_alloc::{AllocDisabler, assert_no_alloc, violation_count};
 use plumbline_franka::wire::*;
 
-use crate::draw::Draws;
+use plumbline_testkit::fuzz::draw::Draws;
 
 #[global_allocator]
 static GUARD: AllocDisabler = AllocDisabler;

@@ -3,8 +3,8 @@
 use plumbline_franka::wire::*;
 use proptest::prelude::*;
 
-use crate::draw::{Draws, WORDS};
-use crate::fuzz::{TARGETS, Tally, case};
+use plumbline_testkit::fuzz::draw::{Draws, WORDS};
+use plumbline_testkit::fuzz::wire::{TARGETS, Tally, case};
 
 fn words() -> impl Strategy<Value = Vec<u64>> {
     proptest::collection::vec(any::<u64>(), 1..WORDS)

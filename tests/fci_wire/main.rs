@@ -1,8 +1,6 @@
 //! The bytes of the Franka Control Interface: against the numbers of the C++ headers, there and back, and against bad packets.
 
 mod allocation;
-mod draw;
-mod fuzz;
 mod identity;
 mod numbers;
 mod offsets;

@@ -1,8 +1,6 @@
 //! Damaged files of every kind that plumbline reads: refused by name or read, never a panic. `hil/fuzz-files` goes on for as long as one likes.
 
-mod fuzz;
-
-use fuzz::{Bench, Files, TARGETS, Tally, case};
+use plumbline_testkit::fuzz::files::{Bench, Files, TARGETS, Tally, case};
 
 /// Cases of this test.
 const CASES: u64 = 4_000;

@@ -1,6 +1,5 @@
 //! What changed since a model was identified, on simulated recordings whose truth is known.
 
-use crate::scene::lab::{Noise, Period, period, plans};
 use plumbline_diagnose::Settings;
 use plumbline_diagnose::evidence::Trial;
 use plumbline_diagnose::reference::{Change, Changes, between_sessions, changes, extended};
@@ -14,6 +13,7 @@ use plumbline_model::robot::Robot;
 use plumbline_model::structure::Structure;
 use plumbline_model::torque::TorqueModel;
 use plumbline_sim::Truth;
+use plumbline_testkit::scene::lab::{Noise, Period, period, plans};
 use std::sync::OnceLock;
 
 const PAYLOAD: &str = "[[effect]]\nid = \"payload\"\nmass = 0.73\ncom = [0.0, 0.0, 0.15]\n\

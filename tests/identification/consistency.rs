@@ -1,7 +1,5 @@
 //! Physical consistency: what real bodies can have is reproduced, what they can't is moved to the nearest, and how far is said.
 
-use crate::arms::{all, chain, random_chain};
-use crate::export_support::random_body;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline::store::ModelFile;
 use plumbline_identify::consistency::{ConsistencyError, FLOOR, Nearest, Prior, Uncertainty, Weights, nearest};
@@ -12,6 +10,8 @@ use plumbline_model::rnea::LinkParameters;
 use plumbline_model::robot::Robot;
 use plumbline_model::structure::Structure;
 use plumbline_sim::Truth;
+use plumbline_testkit::arms::{all, chain, random_chain};
+use plumbline_testkit::bodies::random_body;
 use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -1,10 +1,7 @@
 //! The nearest consistent parameters against those of a general solver for semidefinite programs.
 
-#[path = "../peers/nearest.rs"]
-mod sdp;
-
-use crate::peers;
 use plumbline_identify::consistency::{Uncertainty, nearest};
+use plumbline_testkit::peers::nearest as sdp;
 
 /// Clarabel goes all the way to the least distance; ours keeps a trace of its prior, which may cost some hundredths of a standard
 /// deviation and never gains any.

@@ -1,8 +1,5 @@
 //! What differs from period to period, put into simulated recordings by hand: drifts, a base that moves, contacts, single samples.
 
-use crate::scene;
-use crate::scene::DT;
-use crate::scene::lab::{Noise, Period, of_force, window};
 use nalgebra::{DMatrix, DVector, Vector3};
 use plumbline_diagnose::changing::{Changing, Course, Drifting, changing};
 use plumbline_diagnose::evidence::Trial;
@@ -17,6 +14,9 @@ use plumbline_model::robot::Robot;
 use plumbline_model::structure::Structure;
 use plumbline_model::term::effect::Ground;
 use plumbline_sim::Truth;
+use plumbline_testkit::scene;
+use plumbline_testkit::scene::DT;
+use plumbline_testkit::scene::lab::{Noise, Period, of_force, window};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;

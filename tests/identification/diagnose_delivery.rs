@@ -1,6 +1,5 @@
 //! The model that a diagnosis delivers: never worse on unseen runs than the plain one, and with no parameter that physics forbids.
 
-use crate::scene::Scene;
 use nalgebra::{DMatrix, DVector};
 use plumbline_diagnose::Settings;
 use plumbline_diagnose::diagnosis::{Input, diagnose};
@@ -12,6 +11,7 @@ use plumbline_identify::run::Run;
 use plumbline_identify::solve::Options;
 use plumbline_model::term::Motion;
 use plumbline_model::term::effect::{Ground, Site, Spec};
+use plumbline_testkit::scene::Scene;
 
 /// Recordings of the arm, the first ones to identify from and the last to judge by, each with a torque of its own on top.
 fn diagnosed(scene: &Scene, identify: usize, extra: impl Fn(usize, &mut Run)) -> Outcome {

@@ -1,7 +1,5 @@
 //! Residuals that no catalogue explains: disturbances added to simulated torques have to be traced to the variables that they are made of.
 
-use crate::scene;
-use crate::scene::lab::{Noise, Period};
 use nalgebra::DMatrix;
 use plumbline_diagnose::Settings;
 use plumbline_diagnose::evidence::{Evidence, Trial};
@@ -17,6 +15,8 @@ use plumbline_model::chain::Chain;
 use plumbline_model::robot::Robot;
 use plumbline_model::structure::Structure;
 use plumbline_sim::Truth;
+use plumbline_testkit::scene;
+use plumbline_testkit::scene::lab::{Noise, Period};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::sync::OnceLock;

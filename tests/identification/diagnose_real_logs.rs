@@ -5,8 +5,8 @@
 //! package) and say so when they are not there. One log is diagnosed always; the others take minutes:
 //! `cargo test --test identification diagnose_real_logs -- --ignored --nocapture`.
 
-use crate::logs;
 use assert_cmd::cargo::cargo_bin;
+use plumbline_testkit::logs;
 use std::path::Path;
 use std::process::Command;
 

@@ -1,25 +1,17 @@
 //! The study of benches/diagnosis in short: what nobody declared about drawn arms is found, and nothing besides.
 
-#[path = "../../benches/diagnosis/case.rs"]
-#[allow(dead_code)]
-mod case;
-#[path = "../../benches/diagnosis/trial.rs"]
-#[allow(dead_code)]
-pub mod trial;
-
-use crate::scene;
-use case::{Case, Injected, What};
 use plumbline_diagnose::outcome::Verdict;
 use plumbline_model::gravity::Mounting;
 use plumbline_model::term::effect::Site;
+use plumbline_testkit::diagnosis::case::{Case, Injected, What};
+use plumbline_testkit::diagnosis::trial::{Bench, Judged};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use trial::{Bench, Judged};
 
 /// Diagnoses an arm that is drawn by seed and has these effects, from two trajectories.
 fn diagnosed(seed: u64, effects: &[(&'static str, Site, &str)]) -> Judged {
     let bench = Bench::new();
-    let (arm, _) = case::arm(&mut ChaCha8Rng::seed_from_u64(seed), &bench.base);
+    let (arm, _) = plumbline_testkit::diagnosis::case::arm(&mut ChaCha8Rng::seed_from_u64(seed), &bench.base);
     let injected = |&(family, site, text): &(&'static str, Site, &str)| Injected {
         family,
         site,

@@ -1,7 +1,5 @@
 //! A rough look at an effect that is integrated in time is nearly the careful one.
 
-use crate::diagnose_selection::trial::Bench;
-use crate::scene::lab::{self, Noise};
 use plumbline_diagnose::evidence::{Evidence, Trial};
 use plumbline_diagnose::library::Candidate;
 use plumbline_identify::experiment::{self, Experiment};
@@ -9,6 +7,8 @@ use plumbline_model::base::Reduction;
 use plumbline_model::gravity::Mounting;
 use plumbline_model::structure::Structure;
 use plumbline_model::term::effect::{Site, Spec};
+use plumbline_testkit::diagnosis::trial::Bench;
+use plumbline_testkit::scene::lab::{self, Noise};
 
 #[test]
 fn a_sketch_of_a_swinging_link_is_nearly_its_columns() {

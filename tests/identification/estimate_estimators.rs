@@ -1,12 +1,12 @@
 //! The estimators against each other and against simulated truth, each where it is made for.
 
-use crate::scene;
-use crate::scene::{Extra, Scene};
 use nalgebra::DVector;
 use plumbline_identify::EstimateError;
 use plumbline_identify::experiment::{Experiment, Settings};
 use plumbline_identify::run::Run;
 use plumbline_identify::solve::{Estimator, Identification, Options, Outcome, identify_with};
+use plumbline_testkit::scene;
+use plumbline_testkit::scene::{Extra, Scene};
 use std::sync::LazyLock;
 
 static SCENE: LazyLock<Scene> = LazyLock::new(Scene::panda_on_the_wall);
@@ -42,10 +42,10 @@ fn bound(periods: usize) -> Vec<f64> {
 
 #[test]
 fn the_scene_draws_what_the_arms_sensors_draw() {
-    use plumbline::store::parse_plan;
     use plumbline_excite::fourier::PeriodicMotion;
+    use plumbline_excite::plan::parse_plan;
     // The second of two periods, as in the scene: sensor for sensor the same numbers as the arm's own, once its generator stands there.
-    let plan = parse_plan("wall.toml", include_str!("../scene/wall.toml")).unwrap();
+    let plan = parse_plan("wall.toml", plumbline_testkit::scene::WALL_PLAN).unwrap();
     let reference = PeriodicMotion::new(&plan.fourier().unwrap(), 2).unwrap();
     let mut arm = scene::still(SCENE.structure.chain(), &SCENE.truth, SCENE.mounting, &plan.q0, 42);
     let samples = SCENE.motion.samples();

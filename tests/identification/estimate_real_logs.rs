@@ -4,7 +4,6 @@
 //! The logs are no part of the repository; the tests look for them in `$PLUMBLINE_SHARED/data` (default: `../shared/data` beside the
 //! package) and say so when they are not there.
 
-use crate::logs;
 use nalgebra::DMatrix;
 use plumbline_identify::experiment::{Experiment, Settings};
 use plumbline_identify::run::Run;
@@ -14,6 +13,7 @@ use plumbline_model::base::Reduction;
 use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
 use plumbline_model::gravity::Mounting;
 use plumbline_model::structure::Structure;
+use plumbline_testkit::logs;
 use std::f64::consts::FRAC_PI_2;
 use std::path::PathBuf;
 

@@ -1,10 +1,10 @@
 //! The statistics of docs/statistics.md in short: intervals hold the truth as often as they say, errors are near the best possible.
 //! `cargo bench --bench statistics` is the long form.
 
-use crate::scene::Scene;
-use crate::scene::campaign::Campaign;
 use plumbline_identify::experiment::{Experiment, Method, Settings};
 use plumbline_identify::solve::identify;
+use plumbline_testkit::scene::Scene;
+use plumbline_testkit::scene::campaign::Campaign;
 
 const RUNS: usize = 16;
 const PERIODS: usize = 10;

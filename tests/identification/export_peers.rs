@@ -1,9 +1,9 @@
 //! URDF and MJCF give other programs the arm that was identified: torques of Pinocchio and MuJoCo are the model's.
 
-use crate::export_support::{Case, ROBOTS, bodies, cases, model, robot};
-use crate::peers;
 use plumbline::store::export::{Arm, mjcf, splice, tree, urdf};
 use plumbline_model::gravity::Mounting;
+use plumbline_testkit::bodies::{Case, ROBOTS, bodies, cases, model, robot};
+use plumbline_testkit::peers;
 use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::Path;
@@ -30,7 +30,7 @@ struct Answer {
 }
 
 fn ask(python: &str, request: &Request) -> Answer {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/torques.py");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/testkit/peers/torques.py");
     let mut child =
         Command::new(python).arg(script).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("python runs");
     let mut input = child.stdin.take().unwrap();

@@ -1,17 +1,6 @@
 //! From recordings to a model in a file: the library's parts on data, by the processor alone. One program, so that it is linked once
 //! and both cores have work until the end; `cargo test --test identification MODULE` runs one of them.
 
-#[path = "../arms/mod.rs"]
-mod arms;
-#[path = "../export_support/mod.rs"]
-mod export_support;
-#[path = "../logs/mod.rs"]
-mod logs;
-#[path = "../peers/mod.rs"]
-mod peers;
-#[path = "../scene/mod.rs"]
-mod scene;
-
 mod compare_changes;
 mod consistency;
 mod consistency_peers;

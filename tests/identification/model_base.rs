@@ -1,7 +1,5 @@
 //! Base parameters: how many, which, and what they are made of.
 
-use crate::arms;
-use crate::arms::{all, any_mounting, chain, draw, random_chain, torque};
 use nalgebra::{DMatrix, DVector};
 use plumbline_model::base::{BaseKind, Reduction};
 use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
@@ -9,6 +7,8 @@ use plumbline_model::expression;
 use plumbline_model::gravity::Mounting;
 use plumbline_model::regressor::{LINK_COLUMNS, regressor};
 use plumbline_model::structure::Structure;
+use plumbline_testkit::arms;
+use plumbline_testkit::arms::{all, any_mounting, chain, draw, random_chain, torque};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rstest::rstest;

@@ -1,10 +1,10 @@
 //! Dynamics and kinematics as identities between two routes.
 
-use crate::arms::{all, any_mounting, chain, draw, random_chain, torque};
 use nalgebra::{DMatrix, DVector, Matrix4, Vector3};
 use plumbline_model::chain::{Chain, Joint, JointKind, Placement, StandardDh};
 use plumbline_model::gravity::{G, Mounting};
 use plumbline_model::regressor::{LINK_COLUMNS, regressor};
+use plumbline_testkit::arms::{all, any_mounting, chain, draw, random_chain, torque};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

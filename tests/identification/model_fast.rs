@@ -1,7 +1,5 @@
 //! The fast routes against the plain ones, on every arm that the tests know and on arms with random geometry.
 
-use crate::arms;
-use crate::arms::{all, any_mounting, draw, links, random_chain};
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
 use plumbline_model::base::{BaseKind, Reduction};
@@ -14,6 +12,8 @@ use plumbline_model::rnea::{LinkParameters, rnea};
 use plumbline_model::structure::Structure;
 use plumbline_model::term::{FixedTerm, Motion, Sample};
 use plumbline_model::torque::TorqueModel;
+use plumbline_testkit::arms;
+use plumbline_testkit::arms::{all, any_mounting, draw, links, random_chain};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

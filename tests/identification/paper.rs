@@ -1,12 +1,5 @@
 //! The paper, reproduced: its tables and figures in simulation, and docs/paper.md, which shows them.
 
-#[path = "../../examples/paper/experiment.rs"]
-mod experiment;
-#[path = "../../examples/paper/figures.rs"]
-mod figures;
-#[path = "../../examples/paper/tables.rs"]
-mod tables;
-
 use plumbline_identify::experiment::Settings;
 use plumbline_model::gravity::Mounting;
 use plumbline_model::rnea::rnea;
@@ -47,7 +40,7 @@ fn evaluate(expression: &str, of: &impl Fn(&str) -> f64) -> f64 {
 /// torque of the 70 standard parameters they were computed from, in any mounting (six printed digits allow 1e-5).
 #[test]
 fn table_1_regroups_70_parameters_to_45_and_14_of_friction() {
-    let rows = experiment::table_1();
+    let rows = plumbline_testkit::paper::experiment::table_1();
     assert_eq!(rows.len(), 59);
     assert_eq!(rows.iter().filter(|row| row.vertical.is_some()).count(), 57);
     let missing: Vec<&str> = rows.iter().filter(|row| row.vertical.is_none()).map(|row| row.symbol.as_str()).collect();
@@ -103,7 +96,7 @@ fn table_2_and_figures_3_and_4_of_the_two_dof_arm() {
         ("lx2", 0.300, Some(0.300)),
         ("ly2", -2.100, Some(-2.100)),
     ];
-    let two = experiment::two_dof();
+    let two = plumbline_testkit::paper::experiment::two_dof();
     assert_eq!((two.horizontal.len(), two.vertical.len()), (10, 8));
     for (name, horizontal, vertical) in printed {
         let found = two.horizontal.iter().find(|row| row.0 == name).unwrap().3;
@@ -131,14 +124,17 @@ fn table_2_and_figures_3_and_4_of_the_two_dof_arm() {
 /// processing. The parameters come back within their standard deviations and add nothing to the noise in either mounting.
 #[test]
 fn tables_3_to_5_of_the_panda_with_noise_as_in_the_paper() {
-    let panda = experiment::panda(&Settings::paper());
+    let panda = plumbline_testkit::paper::experiment::panda(&Settings::paper());
     assert_eq!((panda.found.beta.len(), panda.found.rank), (59, 59));
     let z: Vec<f64> = (panda.found.beta.iter().zip(&panda.truth).zip(&panda.found.std))
         .map(|((beta, truth), std)| (beta - truth) / std.expect("59 parameters are determined on the wall"))
         .collect();
     let rms = (z.iter().map(|z| z * z).sum::<f64>() / 59.0).sqrt();
     assert!((0.7..1.4).contains(&rms) && z.iter().all(|z| z.abs() < 4.5), "{rms:.2}: {z:.1?}");
-    for (table, noise) in [(&panda.table_4, experiment::TABLE_4_MEAN), (&panda.table_5, experiment::TABLE_5_MEAN)] {
+    for (table, noise) in [
+        (&panda.table_4, plumbline_testkit::paper::experiment::TABLE_4_MEAN),
+        (&panda.table_5, plumbline_testkit::paper::experiment::TABLE_5_MEAN),
+    ] {
         assert_eq!(table.len(), 5);
         for (found, noise) in table.iter().flat_map(|rms| rms.iter().zip(noise)) {
             assert!((0.97..1.06).contains(&(found / noise)), "{found} Nm in a noise of {noise} Nm");
@@ -162,7 +158,7 @@ fn tables_3_to_5_of_the_panda_with_noise_as_in_the_paper() {
 /// Fig. 6: the optimised excitation stays in the box and out of the sphere.
 #[test]
 fn figure_6_stays_in_the_workspace() {
-    let (path, space) = experiment::workspace();
+    let (path, space) = plumbline_testkit::paper::experiment::workspace();
     let spread = |axis: usize| {
         let values = path.iter().map(|at| at[axis]);
         values.clone().fold(f64::MIN, f64::max) - values.fold(f64::MAX, f64::min)
@@ -179,7 +175,7 @@ fn figure_6_stays_in_the_workspace() {
 fn figures_are_drawn_and_shown() {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
     let page = std::fs::read_to_string(docs.join("paper.md")).unwrap();
-    for (name, svg) in figures::all() {
+    for (name, svg) in plumbline_testkit::paper::figures::all() {
         assert!(svg.starts_with("<svg") && svg.matches("<polyline").count() >= 3, "{name}");
         assert!(page.contains(&format!("(figures/{name})")) && docs.join("figures").join(name).is_file(), "{name}");
     }
@@ -189,7 +185,7 @@ fn figures_are_drawn_and_shown() {
 #[test]
 fn the_page_says_what_the_program_says() {
     let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/paper.md")).unwrap();
-    for (name, content) in tables::all() {
+    for (name, content) in plumbline_testkit::paper::tables::all() {
         assert!(
             page.contains(&format!("<!-- {name} -->\n{content}<!-- end -->")),
             "block {name} of docs/paper.md is old"

@@ -4,8 +4,8 @@
 //! The logs are no part of the repository; the tests look for them in `$PLUMBLINE_SHARED/data` (default: `../shared/data` beside the
 //! package) and say so when they are not there.
 
-use crate::logs;
 use assert_cmd::cargo::cargo_bin;
+use plumbline_testkit::logs;
 use std::path::Path;
 use std::process::Command;
 

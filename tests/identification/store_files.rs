@@ -5,6 +5,7 @@ use plumbline::store::*;
 use plumbline_core::BadInput;
 use plumbline_excite::limits::Margins;
 use plumbline_excite::plan::{Constraints, Plan, PlanUsage};
+use plumbline_excite::plan::{parse_plan, plan_text};
 use plumbline_model::base::{BaseKind, Reduction};
 use plumbline_model::chain::Chain;
 use plumbline_model::conditioning::Conditions;

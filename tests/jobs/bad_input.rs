@@ -1,6 +1,6 @@
 //! Bad input ends with exit code 2 and one error that names the place, the value and what was expected; nothing is left behind.
 
-use crate::job_support::*;
+use plumbline_testkit::job::*;
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::process::Command;

@@ -1,7 +1,5 @@
 //! `plumbline diagnose` on recordings in which something changes from period to period, the real binary on a dataset in its folder form.
 
-use crate::scene::DT;
-use crate::scene::lab::{Noise, of_force, period, plans, window};
 use nalgebra::Vector3;
 use plumbline::dataset::{Dataset, Role, Run};
 use plumbline::report::Report;
@@ -9,6 +7,8 @@ use plumbline::report::diagnosis::{Occurrence, Verdict};
 use plumbline_model::gravity::Mounting;
 use plumbline_model::robot::Robot;
 use plumbline_sim::Truth;
+use plumbline_testkit::scene::DT;
+use plumbline_testkit::scene::lab::{Noise, of_force, period, plans, window};
 use std::path::Path;
 use std::process::Command;
 

@@ -1,11 +1,11 @@
 //! `plumbline compare`, the real binary on datasets in their folder form.
 
-use crate::scene::lab::{Noise, period, plans};
 use plumbline::dataset::{Dataset, Role, Run};
 use plumbline::report::Report;
 use plumbline_model::gravity::Mounting;
 use plumbline_model::robot::Robot;
 use plumbline_sim::Truth;
+use plumbline_testkit::scene::lab::{Noise, period, plans};
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -195,7 +195,7 @@ fn wrong_input_is_named() {
 
 #[test]
 fn nothing_has_changed_between_a_model_and_its_own_dataset() {
-    let Some(data) = crate::logs::data() else { return };
+    let Some(data) = plumbline_testkit::logs::data() else { return };
     for name in ["panda-gaz2019", "ur10-unisa", "panda-unisa"] {
         let place = tempfile::tempdir().unwrap();
         let dir = place.path();

@@ -1,13 +1,13 @@
 //! Sensors that measure nothing: the program ends in bounded time and names the channel.
 
-use crate::job_support::*;
-use crate::scene::Scene;
 use plumbline::dataset::{Dataset, Role, Run};
 use plumbline::store::{ModelFile, Provenance};
 use plumbline_ipc::Progress;
 use plumbline_model::base::Reduction;
 use plumbline_model::structure::Structure;
 use plumbline_model::torque::TorqueModel;
+use plumbline_testkit::job::*;
+use plumbline_testkit::scene::Scene;
 use std::path::{Path, PathBuf};
 
 /// Every fourth millisecond of a recording.

@@ -1,8 +1,8 @@
 //! `plumbline doctor`: every finding against a machine of the test's own making, and the command on this one.
 
-use crate::job_support::*;
 use plumbline::machine::{Finding, Tree, Verdict, Wanted, look};
 use plumbline_rt::rights::Rights;
+use plumbline_testkit::job::*;
 use std::net::IpAddr;
 use std::path::Path;
 use tempfile::TempDir;

@@ -1,11 +1,11 @@
 //! `plumbline identify` with its estimators and ways of signal processing, on a recorded dataset; and what it says to names it does not know.
 
-use crate::job_support::*;
-use crate::scene::Scene;
 use nalgebra::DMatrix;
 use plumbline::dataset::{Dataset, Role, Run};
 use plumbline::report::Report;
 use plumbline::store::ModelFile;
+use plumbline_testkit::job::*;
+use plumbline_testkit::scene::Scene;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

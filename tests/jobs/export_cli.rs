@@ -1,7 +1,5 @@
 //! `plumbline export` as people call it: what it writes, says and refuses.
 
-use crate::export_support::{bodies, model, random_body, robot, with_effects};
-use crate::job_support::{Done, plumbline};
 use nalgebra::DVector;
 use plumbline::store::export::{Arm, urdf};
 use plumbline::store::{ModelFile, Provenance};
@@ -12,6 +10,8 @@ use plumbline_model::inertia::Body;
 use plumbline_model::structure::Structure;
 use plumbline_model::term::effect::{Site, Spec};
 use plumbline_model::torque::TorqueModel;
+use plumbline_testkit::bodies::{bodies, model, random_body, robot, with_effects};
+use plumbline_testkit::job::{Done, plumbline};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::path::{Path, PathBuf};

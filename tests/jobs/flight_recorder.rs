@@ -1,10 +1,10 @@
 //! The daemon's flight recorder, in whole jobs: every kind of fault leaves a file that tells what happened and runs again bit for bit; a
 //! disk that does not take it is said, and a kill while writing leaves whole files.
 
-use crate::job_support::*;
-use crate::peers;
 use plumbline::recording::Recording;
 use plumbline_ipc::{Client, Request, Response, RobotId};
+use plumbline_testkit::job::*;
+use plumbline_testkit::peers;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;

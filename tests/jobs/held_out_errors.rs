@@ -4,9 +4,6 @@
 //! What the report states of a dataset: root mean square of measured minus modelled torque of the mean period, behind the torque low-pass,
 //! over the unseen runs without the first (that one decides on findings).
 
-use crate::job_support::*;
-use crate::scene;
-use crate::scene::lab::{Noise, period, plans};
 use nalgebra::{DMatrix, DVector};
 use plumbline::dataset::{Dataset, Role, Run};
 use plumbline::report::Report;
@@ -14,6 +11,9 @@ use plumbline::store::ModelFile;
 use plumbline_model::robot::Robot;
 use plumbline_model::term::Motion;
 use plumbline_sim::Truth;
+use plumbline_testkit::job::*;
+use plumbline_testkit::scene;
+use plumbline_testkit::scene::lab::{Noise, period, plans};
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 

@@ -1,10 +1,10 @@
 //! Processes that die in the middle of a job: the arm goes on or stops by rule, it is said, and nothing lingers.
 
-use crate::turns::Turns;
+use plumbline_testkit::turns::Turns;
 
-use crate::job_support::*;
 use plumbline_core::Phase;
 use plumbline_ipc::{Progress, RobotId, SampleStream, StreamSettings};
+use plumbline_testkit::job::*;
 use std::time::Duration;
 
 /// Each job has three processes that compute as fast as they can, one of them waiting for another most of the time.

@@ -1,6 +1,6 @@
 //! The live watch: the simulated arm picks up 0.73 kg while its model is served; the estimator says so, and the served torque recovers.
 
-use crate::job_support::*;
+use plumbline_testkit::job::*;
 use serde_json::Value;
 use std::process::Command;
 

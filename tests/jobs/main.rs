@@ -1,19 +1,6 @@
 //! The whole program as people start it, in simulated time, as fast as the machine is. One program of tests, so that it is linked once and
 //! both cores have work until the end; `cargo test --test jobs MODULE` runs one of them.
 
-#[path = "../export_support/mod.rs"]
-mod export_support;
-#[path = "../job_support/mod.rs"]
-mod job_support;
-#[path = "../logs/mod.rs"]
-mod logs;
-#[path = "../peers/mod.rs"]
-mod peers;
-#[path = "../scene/mod.rs"]
-mod scene;
-#[path = "../turns/mod.rs"]
-mod turns;
-
 mod bad_input;
 mod changing_command;
 mod compare_command;

@@ -1,9 +1,9 @@
 //! The main job, in a short form: one command identifies the arm on the wall, serves the model, and predicts both mountings.
 
-use crate::job_support::*;
 use plumbline::report::Report;
 use plumbline::store::ModelFile;
 use plumbline_model::robot::Robot;
+use plumbline_testkit::job::*;
 use std::path::Path;
 
 /// The shipped job with short periods, but with everything in it: unseen motions in both mountings, the counter-experiment, the dataset.

@@ -1,8 +1,8 @@
 //! A robot of the user's own: the model file holds its description, so that the model can be used wherever that file is.
 
-use crate::job_support::*;
-use crate::scene::Scene;
 use plumbline::dataset::{Dataset, Role};
+use plumbline_testkit::job::*;
+use plumbline_testkit::scene::Scene;
 use std::path::{Path, PathBuf};
 
 /// The shipped Panda under another name and with a longer upper arm.

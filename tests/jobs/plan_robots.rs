@@ -1,9 +1,9 @@
 //! `plumbline plan` finds a feasible motion for every robot that ships with it.
 
-use crate::job_support::*;
 use plumbline::store::load_plan;
 use plumbline_excite::limits::{Bounds, Margins, verify};
 use plumbline_model::robot::Robot;
+use plumbline_testkit::job::*;
 
 #[test]
 fn every_shipped_robot_gets_a_feasible_plan() {

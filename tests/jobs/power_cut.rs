@@ -1,10 +1,10 @@
 //! A program that dies at any of its writes leaves old results or new ones, never half of one; a disk that is full or read-only is said, and
 //! what was there stays. Faults are put into the system calls by strace.
 
-use crate::job_support::*;
-use crate::scene::Scene;
 use plumbline::dataset::{Dataset, Role};
 use plumbline::report::Report;
+use plumbline_testkit::job::*;
+use plumbline_testkit::scene::Scene;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};

@@ -1,12 +1,12 @@
 //! `plumbline predict`: the torques in its file belong to the time stamps beside them.
 
-use crate::job_support::*;
-use crate::logs;
 use nalgebra::DMatrix;
 use plumbline::store::ModelFile;
 use plumbline_model::gravity::Mounting;
 use plumbline_model::robot::Robot;
 use plumbline_model::term::Motion;
+use plumbline_testkit::job::*;
+use plumbline_testkit::logs;
 use rand::{Rng, SeedableRng};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};

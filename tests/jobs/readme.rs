@@ -1,6 +1,6 @@
 //! README.md shows what the program prints: the whole main job, as it ships.
 
-use crate::job_support::*;
+use plumbline_testkit::job::*;
 use std::path::Path;
 
 /// Figures that a faster or busier machine changes: of these lines, what follows the word.

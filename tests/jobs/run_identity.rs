@@ -1,7 +1,7 @@
 //! `plumbline run` drives the arm of the daemon that it has started, and no other.
 
-use crate::job_support::*;
 use plumbline_ipc::{Progress, place};
+use plumbline_testkit::job::*;
 use std::path::PathBuf;
 use std::process::Command;
 

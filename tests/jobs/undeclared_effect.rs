@@ -1,9 +1,9 @@
 //! The whole program on an arm that holds something which nobody declared: drawn by seed, written into the arm's own truth file, and
 //! compared with what the report says at the very end.
 
-use crate::job_support::Place;
 use plumbline::report::Report;
 use plumbline::report::diagnosis::{Diagnosis, Verdict};
+use plumbline_testkit::job::Place;
 use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

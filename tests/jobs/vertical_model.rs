@@ -1,6 +1,6 @@
 //! A model identified upright lacks two parameters on the wall: it is refused there, and forced it fails in joint 1 alone.
 
-use crate::job_support::*;
+use plumbline_testkit::job::*;
 use std::path::PathBuf;
 
 /// A job that leaves a vertical model and runs of both mountings behind.

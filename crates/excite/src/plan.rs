@@ -5,7 +5,7 @@ use super::fourier::Fourier;
 use super::limits::{Bounds, Margins};
 use super::usage::Usage;
 use nalgebra::DMatrix;
-use plumbline_core::Workspace;
+use plumbline_core::{BadInput, Workspace, from_toml};
 use plumbline_model::conditioning::Conditions;
 use plumbline_model::gravity::Mounting;
 use serde::{Deserialize, Serialize};
@@ -135,4 +135,33 @@ impl Plan {
     pub fn mounting(&self) -> Mounting {
         Mounting { rho: self.rho, phi: self.phi }
     }
+}
+
+/// Text of a plan file; reading it gives the same plan bit by bit.
+///
+/// # Errors
+/// None for a plan of finite numbers.
+pub fn plan_text(plan: &Plan) -> Result<String, toml::ser::Error> {
+    let text = toml::to_string(plan)?;
+    Ok(format!("# Excitation of one period: paper eq. 12 with q0, a, b. Angles in rad, times in s.\n{text}"))
+}
+
+/// Reads a plan from text; `file` is only named in errors.
+///
+/// # Errors
+/// An unknown or missing key, a number that is not finite, amplitudes that don't fit the joints and harmonics.
+pub fn parse_plan(file: &str, text: &str) -> Result<Plan, BadInput> {
+    let plan: Plan = from_toml(file, text)?;
+    for (key, value) in [("rho", plan.rho), ("phi", plan.phi)] {
+        if !value.is_finite() {
+            return Err(BadInput::new(file, format!("key `{key}`"), value, "an angle in rad"));
+        }
+    }
+    if !(plan.period.is_finite() && plan.period > 0.0) {
+        return Err(BadInput::new(file, "key `period`", plan.period, "a period in s, above 0"));
+    }
+    let expected =
+        "one start position per joint and, in a and b, one row per joint with one finite amplitude per harmonic";
+    plan.fourier().map_err(|error| BadInput::new(file, "keys `q0`, `a`, `b`", error, expected))?;
+    Ok(plan)
 }

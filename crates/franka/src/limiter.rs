@@ -207,5 +207,4 @@ impl Limiter {
 const ROUNDING: f64 = 1e-9;
 
 #[cfg(test)]
-#[path = "limiter/tests.rs"]
 mod tests;

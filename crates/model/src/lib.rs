@@ -22,6 +22,7 @@ pub mod inertia;
 pub mod regressor;
 pub mod rnea;
 pub mod robot;
+pub mod served;
 pub mod shape;
 pub mod structure;
 pub mod term;

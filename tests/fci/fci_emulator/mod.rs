@@ -2,11 +2,6 @@
 //! refuses, by name. Clients of other origin are in `hil/fci-peers`.
 
 mod client;
-#[path = "../../../hil/fci-emulator/control.rs"]
-#[allow(dead_code)] // standard input is the program's
-mod control;
-#[path = "../../../hil/fci-emulator/options.rs"]
-mod options;
 
 mod faults;
 mod limits;
@@ -14,9 +9,9 @@ mod manners;
 mod motions;
 mod program;
 
-use crate::emulator::{self, Emulator, Settings};
 use client::Client;
 use plumbline_franka::wire::Protocol;
+use plumbline_testkit::emulator::{self, Emulator, Settings};
 use std::net::{IpAddr, Ipv4Addr};
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::Duration;

@@ -3,11 +3,11 @@
 use super::client::{Answer, knock};
 use super::emulator::{FinishOrder, READY};
 use super::{address, each_protocol, patient, session};
-use crate::emulator::{Emulator, Settings};
 use plumbline_franka::wire::{
     ConnectStatus, ControllerMode, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol,
     Request, RobotCommand, RobotMode, StopStatus,
 };
+use plumbline_testkit::emulator::{Emulator, Settings};
 
 /// A quintic from 0 to 1 in 1 s, at rest at both ends.
 fn quintic(s: f64) -> f64 {

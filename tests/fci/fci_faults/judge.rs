@@ -1,8 +1,8 @@
 //! Whether the arm kept its limits and came to rest, by what the emulator wrote down every millisecond.
 
-use crate::emulator::RobotKind;
-use crate::emulator::limits::{JOINTS, Joints, Limits, TICK};
 use plumbline_franka::wire::{Protocol, RobotMode};
+use plumbline_testkit::emulator::RobotKind;
+use plumbline_testkit::emulator::limits::{JOINTS, Joints, Limits, TICK};
 use std::path::Path;
 
 /// Measured positions and velocities are noisy: this far beyond a limit is still inside \[rad\], \[rad/s\].

@@ -10,9 +10,9 @@ mod pains;
 mod scene;
 mod table;
 
-use crate::turns::Turns;
 use case::{Case, Ending, Trouble, When};
 use plumbline_franka::wire::RobotMode;
+use plumbline_testkit::turns::Turns;
 
 /// Arms answer within a millisecond, and daemon and emulator are a processor's work each: one at a time on a small machine.
 static MOTIONS: Turns = Turns::new(1);

@@ -2,8 +2,8 @@
 
 use super::case::{Case, Trouble, When};
 use super::{play, stops};
-use crate::emulator::Hand;
-use crate::job_support::{Place, Running, plumbline};
+use plumbline_testkit::emulator::Hand;
+use plumbline_testkit::job::{Place, Running, plumbline};
 
 /// The daemon does not come as far as a motion, and its last words hold these.
 #[track_caller]

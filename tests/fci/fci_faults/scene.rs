@@ -1,11 +1,11 @@
 //! A case while it runs: waits for its moment, lets it go wrong, and sees the daemon to its end.
 
 use super::case::{Case, When};
-use crate::emulator::limits::JOINTS;
-use crate::emulator::{Emulator, Hand};
-use crate::job_support::{Place, Running};
 use plumbline_core::Phase;
 use plumbline_ipc::{Client, Progress, Request, Response, RobotId, Status};
+use plumbline_testkit::emulator::limits::JOINTS;
+use plumbline_testkit::emulator::{Emulator, Hand};
+use plumbline_testkit::job::{Place, Running};
 use std::time::{Duration, Instant};
 
 /// Longest time that a case may take.

@@ -1,0 +1,72 @@
+//! Arms and random states for the tests of the model.
+
+use nalgebra::{DVector, Vector3};
+use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
+use plumbline_model::gravity::Mounting;
+use plumbline_model::rnea::{LinkParameters, rnea};
+use plumbline_model::robot::Robot;
+use rand::Rng;
+use rand::seq::IndexedRandom;
+use rand_chacha::ChaCha8Rng;
+use std::f64::consts::{FRAC_PI_2, PI};
+use std::path::Path;
+
+/// A robot by name, built in or of the golden tests.
+pub fn chain(name: &str) -> Chain {
+    if Robot::names().any(|known| known == name) {
+        return Robot::load(name, None).unwrap().chain;
+    }
+    let file = format!("tests/golden/robots/{name}.toml");
+    Robot::load(&file, Some(Path::new(crate::ROOT))).unwrap().chain
+}
+
+/// Every arm that the tests know by name.
+pub fn all() -> Vec<(&'static str, Chain)> {
+    Robot::names().chain(["scara", "stanford", "gantry", "skew"]).map(|name| (name, chain(name))).collect()
+}
+
+/// An arm with random geometry: zero lengths, right angles and prismatic joints are common, since they make base sets special.
+pub fn random_chain(rng: &mut ChaCha8Rng) -> Chain {
+    let n = rng.random_range(1..=7);
+    let joint = |index: usize, rng: &mut ChaCha8Rng| {
+        let mut length = || if rng.random_bool(0.5) { 0.0 } else { rng.random_range(-0.6..0.6) };
+        let (a, d) = (length(), length());
+        let kind = if rng.random_bool(0.25) { JointKind::Prismatic } else { JointKind::Revolute };
+        let skew = rng.random_range(-3.0..3.0);
+        let alpha = *[0.0, FRAC_PI_2, -FRAC_PI_2, PI, skew].choose(rng).unwrap();
+        let theta = rng.random_range(-3.0..3.0);
+        let first = index == 0;
+        Joint { kind, a: if first { 0.0 } else { a }, alpha: if first { 0.0 } else { alpha }, d, theta }
+    };
+    let joints = (0..n).map(|index| joint(index, rng)).collect();
+    Chain::modified(joints, Placement::identity())
+}
+
+/// `n` numbers within `span` of zero.
+pub fn draw(rng: &mut ChaCha8Rng, n: usize, span: f64) -> Vec<f64> {
+    (0..n).map(|_| rng.random_range(-span..span)).collect()
+}
+
+/// Any mounting.
+pub fn any_mounting(rng: &mut ChaCha8Rng) -> Mounting {
+    Mounting { rho: rng.random_range(0.0..PI), phi: rng.random_range(-PI..PI) }
+}
+
+/// Standard parameters as one row per link.
+pub fn links(delta: &[f64]) -> Vec<LinkParameters> {
+    delta.chunks_exact(10).map(|link| link.try_into().unwrap()).collect()
+}
+
+/// RNEA as a function.
+pub fn torque(
+    chain: &Chain,
+    delta: &[f64],
+    gravity: &Vector3<f64>,
+    q: &[f64],
+    dq: &[f64],
+    ddq: &[f64],
+) -> DVector<f64> {
+    let mut tau = DVector::zeros(chain.len());
+    rnea(chain, &links(delta), gravity, q, dq, ddq, tau.as_mut_slice());
+    tau
+}

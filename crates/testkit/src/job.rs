@@ -1,0 +1,333 @@
+//! What the whole-program tests share: the real binary, a job of its own for every test, the truth to hold results against.
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use nalgebra::DVector;
+use plumbline::report::Report;
+use plumbline_ipc::Status;
+use plumbline_model::base::Reduction;
+use plumbline_model::robot::Robot;
+use plumbline_sim::Truth;
+use tempfile::TempDir;
+
+/// Long enough for a loaded machine; nothing waits this long when it works.
+pub const PATIENCE: Duration = Duration::from_secs(300);
+
+/// The shipped job that every test is a variant of.
+pub const WALL: &str = "config/sim-panda-wall.toml";
+
+/// The shipped job without what it is there to show: an arm that has nothing undeclared, and one motion to identify from.
+pub const PLAIN: [&str; 2] = ["backend.arm=arms/sim-panda.toml", "excitation.trajectories=1"];
+
+/// Overrides that make the shipped job short: 4 s periods, few of them, a coarse search, no counter-experiment.
+pub const SHORT: [&str; 8] = [
+    "excitation.period=4 s",
+    "excitation.periods=3",
+    "excitation.starts=1",
+    "excitation.rounds=0",
+    "validation.trajectories=1",
+    "validation.counter-experiment=false",
+    "output.dataset=false",
+    "diagnosis.enabled=false",
+];
+
+/// The program that was built beside the test that runs.
+///
+/// # Panics
+/// Where it was not: Cargo builds it for the tests of its own package.
+pub fn program() -> PathBuf {
+    let test = std::env::current_exe().unwrap();
+    let built = test.ancestors().skip(1).map(|folder| folder.join("plumbline")).find(|path| path.is_file());
+    built.unwrap_or_else(|| panic!("no `plumbline` in the folders above {}", test.display()))
+}
+
+/// The program, run from the project's folder.
+pub fn plumbline() -> Command {
+    let mut command = Command::new(program());
+    command.current_dir(crate::ROOT).env_remove("PLUMBLINE_LOG").stdin(Stdio::null());
+    command
+}
+
+/// A folder and a robot of one test, so that tests can run side by side.
+pub struct Place {
+    /// Name of the robot in shared memory.
+    pub id: String,
+    dir: TempDir,
+}
+
+impl Place {
+    /// A place that no other test uses.
+    pub fn new(test: &str) -> Place {
+        Place { id: format!("test-{test}-{}", std::process::id()), dir: tempfile::tempdir().unwrap() }
+    }
+
+    /// The folder around the results.
+    pub fn path(&self) -> &Path {
+        self.dir.path()
+    }
+
+    /// Folder of the results.
+    pub fn out(&self) -> PathBuf {
+        self.dir.path().join("out")
+    }
+
+    /// `plumbline SUBCOMMAND JOB --out ... --set ...` for this place's robot; later overrides win.
+    pub fn job(&self, subcommand: &str, sets: &[&str]) -> Command {
+        let mut command = plumbline();
+        command.arg(subcommand).arg(WALL).arg("--out").arg(self.out());
+        command.arg("--set").arg(format!("serve.id={}", self.id));
+        for set in PLAIN.iter().chain(sets) {
+            command.arg("--set").arg(set);
+        }
+        command
+    }
+
+    /// `plumbline run` to its end.
+    pub fn run(&self, sets: &[&str]) -> Done {
+        Done::of(self.job("run", sets))
+    }
+
+    /// `plumbline command WHAT` for this place's robot.
+    pub fn command(&self, what: &str) -> Done {
+        let mut command = plumbline();
+        command.args(["command", what, "--robot", &self.id]);
+        Done::of(command)
+    }
+
+    /// What the daemon says of itself, where it answers.
+    pub fn status(&self) -> Option<Status> {
+        let done = self.command("status");
+        (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
+    }
+
+    /// The report that the job left behind.
+    pub fn report(&self) -> Report {
+        let text = std::fs::read_to_string(self.out().join("report.json")).unwrap();
+        serde_json::from_str(&text).unwrap()
+    }
+
+    /// Every file below the folder, relative to it, in order.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let mut found = Vec::new();
+        let mut folders = vec![self.path().to_path_buf()];
+        while let Some(folder) = folders.pop() {
+            for entry in std::fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                if path.is_dir() {
+                    folders.push(path)
+                } else {
+                    found.push(path.strip_prefix(self.path()).unwrap().into())
+                }
+            }
+        }
+        found.sort();
+        found
+    }
+}
+
+/// `SHORT` with more overrides behind it.
+pub fn short<'a>(more: &[&'a str]) -> Vec<&'a str> {
+    SHORT.iter().copied().chain(more.iter().copied()).collect()
+}
+
+/// A command that has ended.
+#[derive(Debug)]
+pub struct Done {
+    pub code: Option<i32>,
+    pub out: String,
+    pub err: String,
+}
+
+impl Done {
+    pub fn of(mut command: Command) -> Done {
+        Done::from(command.output().unwrap())
+    }
+
+    /// Everything it said, for the message of an assertion that failed.
+    pub fn said(&self) -> String {
+        format!("exit code {:?}\n--- stdout\n{}--- stderr\n{}", self.code, self.out, self.err)
+    }
+
+    #[track_caller]
+    pub fn expect_code(self, code: i32) -> Done {
+        assert_eq!(self.code, Some(code), "{}", self.said());
+        self
+    }
+}
+
+impl From<Output> for Done {
+    fn from(output: Output) -> Done {
+        let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+        Done { code: output.status.code(), out: text(output.stdout), err: text(output.stderr) }
+    }
+}
+
+/// A process of the test's own, killed when the test ends before it does.
+pub struct Running(Option<Process>);
+
+struct Process {
+    child: Child,
+    out: Said,
+    err: Said,
+}
+
+impl Running {
+    pub fn start(mut command: Command) -> Running {
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let (out, err) = (Said::through(child.stdout.take().unwrap()), Said::through(child.stderr.take().unwrap()));
+        Running(Some(Process { child, out, err }))
+    }
+
+    pub fn pid(&self) -> u32 {
+        self.0.as_ref().unwrap().child.id()
+    }
+
+    /// Whether it still runs.
+    pub fn runs(&mut self) -> bool {
+        self.0.as_mut().unwrap().child.try_wait().unwrap().is_none()
+    }
+
+    /// Waits for its end, which must come within [`PATIENCE`].
+    pub fn end(mut self) -> Done {
+        let start = Instant::now();
+        while self.runs() {
+            assert!(start.elapsed() < PATIENCE, "process {} did not end", self.pid());
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        let mut process = self.0.take().unwrap();
+        let code = process.child.wait().unwrap().code();
+        Done { code, out: process.out.whole(), err: process.err.whole() }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let Some(process) = &mut self.0 else { return };
+        let _ = process.child.kill();
+        let _ = process.child.wait();
+        if std::thread::panicking() {
+            // Whoever reads that the test failed needs to know what its process was at.
+            eprintln!("--- stdout until then\n{}--- stderr until then\n{}", process.out.so_far(), process.err.so_far());
+        }
+    }
+}
+
+/// What a process says, read all the time: one that talks a lot must not wait for its reader.
+struct Said {
+    bytes: Arc<Mutex<Vec<u8>>>,
+    reader: JoinHandle<()>,
+}
+
+impl Said {
+    fn through(mut pipe: impl Read + Send + 'static) -> Said {
+        let bytes = Arc::new(Mutex::new(Vec::new()));
+        let heard = Arc::clone(&bytes);
+        let reader = std::thread::spawn(move || {
+            let mut some = [0; 4096];
+            while let Ok(length @ 1..) = pipe.read(&mut some) {
+                heard.lock().unwrap().extend_from_slice(&some[..length]);
+            }
+        });
+        Said { bytes, reader }
+    }
+
+    fn so_far(&self) -> String {
+        String::from_utf8_lossy(&self.bytes.lock().unwrap()).into_owned()
+    }
+
+    /// Waits for those who hold the other end.
+    fn whole(self) -> String {
+        self.reader.join().unwrap();
+        String::from_utf8(std::mem::take(&mut *self.bytes.lock().unwrap())).unwrap()
+    }
+}
+
+/// Sends a signal by name.
+pub fn signal(pid: u32, name: &str) {
+    let status = Command::new("kill").arg(format!("-{name}")).arg(pid.to_string()).status().unwrap();
+    assert!(status.success(), "kill -{name} {pid}");
+}
+
+/// Children of `parent` whose first argument is `subcommand`.
+pub fn children(parent: u32, subcommand: &str) -> Vec<u32> {
+    let processes =
+        std::fs::read_dir("/proc").unwrap().filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
+    let is_child = |&pid: &u32| {
+        let read = |file: &str| std::fs::read_to_string(format!("/proc/{pid}/{file}")).unwrap_or_default();
+        // pid (name) state ppid ...; a name may hold anything but comes before the last parenthesis.
+        let stat = read("stat");
+        let ppid = stat.rsplit(')').next().and_then(|rest| rest.split_whitespace().nth(1)?.parse::<u32>().ok());
+        ppid == Some(parent) && read("cmdline").split('\0').nth(1) == Some(subcommand)
+    };
+    processes.filter(is_child).collect()
+}
+
+/// Whether any process was started with this text in its arguments, the program's own aside.
+pub fn anyone_with(text: &str) -> Vec<u32> {
+    let processes =
+        std::fs::read_dir("/proc").unwrap().filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
+    let mentions = |&pid: &u32| {
+        let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+        pid != std::process::id() && line.contains(text)
+    };
+    processes.filter(mentions).collect()
+}
+
+/// Waits until `condition` gives something.
+#[track_caller]
+pub fn wait_for<T>(what: &str, mut condition: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = condition() {
+            return found;
+        }
+        assert!(start.elapsed() < PATIENCE, "{what} did not happen");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// A shipped simulated arm.
+pub fn truth(name: &str) -> Truth {
+    let path = Path::new(crate::ROOT).join(format!("config/arms/{name}.toml"));
+    Truth::parse(name, &std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+/// Name and true value of every parameter that the paper's model of this arm has: the general base set, then fv, then fc.
+pub fn true_parameters(truth: &Truth) -> Vec<(String, f64)> {
+    const SLOTS: [&str; 10] = ["Lxx", "Lxy", "Lxz", "Lyy", "Lyz", "Lzz", "lx", "ly", "lz", "m"];
+    let chain = Robot::load(&truth.robot, None).unwrap().chain;
+    let reduction = Reduction::any_mounting(&chain);
+    let delta: Vec<f64> = truth.link_parameters().into_iter().flatten().collect();
+    let base = reduction.base_of(&DVector::from_vec(delta));
+    let slot = |&slot: &usize| format!("{}{}", SLOTS[slot % 10], slot / 10 + 1);
+    let mut all: Vec<(String, f64)> = reduction.independent().iter().map(slot).zip(base.iter().copied()).collect();
+    all.extend(truth.joints.iter().enumerate().map(|(j, joint)| (format!("fv{}", j + 1), joint.fv)));
+    all.extend(truth.joints.iter().enumerate().map(|(j, joint)| (format!("fc{}", j + 1), joint.fc)));
+    all
+}
+
+/// Error of every parameter in its own standard deviations.
+pub fn z_scores(report: &Report, truth: &[(String, f64)]) -> Vec<(String, f64)> {
+    assert_eq!(report.base.parameters.len(), truth.len());
+    let z = |(name, true_value): &(String, f64)| {
+        let found =
+            report.base.parameters.iter().find(|found| found.name == *name).unwrap_or_else(|| panic!("no {name}"));
+        (name.clone(), (found.value - true_value) / found.std.unwrap_or_else(|| panic!("{name} has no std")))
+    };
+    truth.iter().map(z).collect()
+}
+
+/// Noise of a raw torque sample of every joint: the sensor's noise and its step's rounding \[Nm\].
+pub fn torque_noise(truth: &Truth) -> Vec<f64> {
+    let one = |joint: &plumbline_sim::truth::JointTruth| joint.torque_noise.hypot(joint.torque_quantum / 12f64.sqrt());
+    truth.joints.iter().map(one).collect()
+}
+
+pub fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}

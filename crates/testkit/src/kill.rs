@@ -1,0 +1,244 @@
+//! What the kill campaign needs: the processes of a robot, witnesses that read along, and the moments at which something is killed.
+
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use crate::job::{Place, plumbline, signal};
+use plumbline_ipc::{
+    Client, Delivery, FeedForwardClient, FeedForwardSettings, Progress, Request, Response, RobotId, SampleStream,
+    Status, StreamSettings,
+};
+
+/// Nothing that works takes this long.
+pub const PATIENCE: Duration = Duration::from_secs(30);
+/// A restarted process has to be up within this time.
+pub const RESTART: Duration = Duration::from_secs(2);
+
+/// A child process, killed when it goes out of scope. What it says goes into a file.
+pub struct Process {
+    child: Child,
+    pub log: std::path::PathBuf,
+    pub started: Instant,
+}
+
+impl Process {
+    pub fn start(mut command: Command, place: &Place, name: &str) -> Process {
+        let log = place.path().join(format!("{name}.log"));
+        let file = std::fs::File::create(&log).unwrap();
+        let child = command.stdin(Stdio::null()).stdout(file.try_clone().unwrap()).stderr(file).spawn().unwrap();
+        Process { child, log, started: Instant::now() }
+    }
+
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    pub fn signal(&self, name: &str) {
+        signal(self.pid(), name);
+    }
+
+    /// Its exit code once it has ended; -1 for a signal.
+    pub fn ended(&mut self) -> Option<i32> {
+        self.child.try_wait().unwrap().map(|status| status.code().unwrap_or(-1))
+    }
+
+    pub fn said(&self) -> String {
+        std::fs::read_to_string(&self.log).unwrap_or_default()
+    }
+
+    /// SIGKILL, and its end.
+    pub fn kill(mut self) {
+        self.kill_now();
+    }
+
+    fn kill_now(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        self.kill_now();
+    }
+}
+
+/// One robot under test: its name, its folder, and how its daemon is started.
+pub struct Robot {
+    pub place: Place,
+    pub id: RobotId,
+    config: String,
+    sets: Vec<String>,
+}
+
+impl Robot {
+    pub fn new(name: &str, config: &str, sets: &[&str]) -> Robot {
+        let place = Place::new(name);
+        let id = RobotId::parse("test", "robot", &place.id).unwrap();
+        Robot { id, place, config: config.to_string(), sets: sets.iter().map(|set| set.to_string()).collect() }
+    }
+
+    pub fn process(&self, subcommand: &str) -> Process {
+        let mut command = plumbline();
+        command.arg(subcommand).arg(&self.config).arg("--out").arg(self.place.out());
+        command.arg("--set").arg(format!("serve.id={}", self.id));
+        for set in &self.sets {
+            command.arg("--set").arg(set);
+        }
+        Process::start(command, &self.place, subcommand)
+    }
+
+    pub fn torque_client(&self) -> Process {
+        let mut command = plumbline();
+        command.args(["torque", "--follow", "--rate", "500", "--robot", self.id.as_str()]);
+        Process::start(command, &self.place, "torque")
+    }
+
+    pub fn ask(&self, request: &Request) -> Option<Response> {
+        let mut client = Client::connect(&self.id, Duration::from_millis(200)).ok()?;
+        client.send(request, Duration::from_millis(500)).ok()
+    }
+
+    pub fn status(&self) -> Option<Status> {
+        match self.ask(&Request::Status {})? {
+            Response::Status(status) => Some(*status),
+            _ => None,
+        }
+    }
+}
+
+/// Waits for `condition` up to `limit`; the time that it took.
+pub fn within(limit: Duration, mut condition: impl FnMut() -> bool) -> Option<Duration> {
+    let start = Instant::now();
+    loop {
+        if condition() {
+            return Some(start.elapsed());
+        }
+        if start.elapsed() > limit {
+            return None;
+        }
+        std::thread::sleep(Duration::from_millis(4));
+    }
+}
+
+/// What the witnesses have seen go wrong.
+pub type Complaints = Arc<Mutex<Vec<String>>>;
+
+/// Two readers on threads of their own: one follows every sample, one the newest torque.
+pub struct Witnesses {
+    stop: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+    pub complaints: Complaints,
+    pub samples: Arc<AtomicU64>,
+    pub torques: Arc<AtomicU64>,
+    /// Whether the newest torque is stale now.
+    pub stale: Arc<AtomicBool>,
+}
+
+impl Witnesses {
+    /// Begins to watch a robot that has a daemon.
+    pub fn watch(id: &RobotId) -> Witnesses {
+        let stop = Arc::new(AtomicBool::new(false));
+        let complaints: Complaints = Arc::default();
+        let (samples, torques) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
+        let stale = Arc::new(AtomicBool::new(false));
+        let (robot, done, told, count) = (id.clone(), stop.clone(), complaints.clone(), samples.clone());
+        let follower = std::thread::spawn(move || follow_samples(&robot, &done, &told, &count));
+        let (robot, done, told, count, old) =
+            (id.clone(), stop.clone(), complaints.clone(), torques.clone(), stale.clone());
+        let reader = std::thread::spawn(move || follow_torque(&robot, &done, &told, &count, &old));
+        Witnesses { stop, threads: vec![follower, reader], complaints, samples, torques, stale }
+    }
+
+    pub fn end(self) -> (u64, u64) {
+        self.stop.store(true, Ordering::Relaxed);
+        for thread in self.threads {
+            thread.join().unwrap();
+        }
+        (self.samples.load(Ordering::Relaxed), self.torques.load(Ordering::Relaxed))
+    }
+}
+
+/// Every record exactly once and in order, over all starts of the daemon: what was delivered once is never asked for again.
+fn follow_samples(robot: &RobotId, stop: &AtomicBool, complaints: &Complaints, count: &AtomicU64) {
+    let settings = StreamSettings { name: "witness".into(), ..StreamSettings::default() };
+    let mut stream = SampleStream::connect(robot, settings, PATIENCE).unwrap();
+    let (mut next, mut cycle) = (stream.position(), None);
+    let complain = |words: String| complaints.lock().unwrap().push(words);
+    while !stop.load(Ordering::Relaxed) {
+        match stream.next(Duration::from_millis(50)) {
+            Ok(Delivery::Records { first, records }) => {
+                if first != next {
+                    complain(format!("sample {first} came where {next} was due"));
+                }
+                for record in &records {
+                    // Within a connection the cycles count up; a new connection begins anew.
+                    if cycle.is_some_and(|last| record.cycle <= last && record.cycle > 1) {
+                        complain(format!("cycle {} came after {cycle:?}", record.cycle));
+                    }
+                    cycle = Some(record.cycle);
+                }
+                next = first + records.len() as u64;
+                count.fetch_add(records.len() as u64, Ordering::Relaxed);
+            }
+            Ok(Delivery::Missed { from, to }) => {
+                complain(format!("samples {from} to {to} are gone"));
+                next = to;
+            }
+            Ok(Delivery::Restarted { .. }) => (next, cycle) = (0, None),
+            Ok(Delivery::Idle | Delivery::Gone) => {}
+            Err(error) => complain(error.to_string()),
+        }
+    }
+}
+
+/// The newest torque: numbers only go up within a start, and a value that is not marked stale is younger than the limit.
+fn follow_torque(robot: &RobotId, stop: &AtomicBool, complaints: &Complaints, count: &AtomicU64, stale: &AtomicBool) {
+    let settings = FeedForwardSettings::default();
+    let mut client = FeedForwardClient::connect(robot, settings, PATIENCE).unwrap();
+    let mut last = (0, 0);
+    while !stop.load(Ordering::Relaxed) {
+        match client.latest() {
+            Ok(Some(latest)) => {
+                let now = (latest.message.epoch, latest.message.sequence);
+                // The clock is read anew here: this process may have stood still since the value was judged.
+                let age = plumbline_ipc::boot_ns().saturating_sub(latest.message.stamp_ns);
+                let slack = 50_000_000;
+                if !latest.stale && age > settings.stale_after_ms * 1_000_000 + slack {
+                    complaints.lock().unwrap().push(format!("a torque of {age} ns age was not marked"));
+                }
+                if now.0 == last.0 && now.1 < last.1 || now.0 < last.0 {
+                    complaints.lock().unwrap().push(format!("torque {now:?} came after {last:?}"));
+                }
+                if now != last {
+                    count.fetch_add(1, Ordering::Relaxed);
+                }
+                last = now;
+                stale.store(latest.stale, Ordering::Relaxed);
+            }
+            Ok(None) => stale.store(true, Ordering::Relaxed),
+            Err(error) => complaints.lock().unwrap().push(error.to_string()),
+        }
+        std::thread::sleep(Duration::from_micros(700));
+    }
+}
+
+/// Lines of `plumbline torque` whose value was too old to be used and not marked so.
+pub fn unmarked(lines: &str) -> Vec<String> {
+    let age = |line: &str| line.split("age").nth(1)?.split_whitespace().next()?.parse::<f64>().ok();
+    let old = |line: &&str| age(line).is_some_and(|age| age > 5.0);
+    lines
+        .lines()
+        .filter(old)
+        .filter(|line| !line.contains("STALE") && !line.contains("GONE"))
+        .map(str::to_string)
+        .collect()
+}
+
+/// Whether the robot's programme is under way.
+pub fn driving(status: &Status) -> bool {
+    status.progress == Progress::Driving && status.motion != 0
+}

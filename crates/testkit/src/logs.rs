@@ -1,0 +1,31 @@
+//! Public logs of real arms, which are no part of the repository.
+
+use std::path::PathBuf;
+
+/// The folder `$PLUMBLINE_SHARED/data` (default: `../shared/data` beside the package); says so when it is not there.
+pub fn data() -> Option<PathBuf> {
+    let root = std::env::var_os("PLUMBLINE_SHARED")
+        .map_or_else(|| PathBuf::from(crate::ROOT).join("../shared"), PathBuf::from);
+    let data = root.join("data");
+    if data.is_dir() {
+        return Some(data);
+    }
+    eprintln!("SKIPPED: no measured data in {}", data.display());
+    None
+}
+
+/// Asserts that the line of docs/real-data.md that begins with `head` has these figures, one per joint.
+///
+/// Which instructions a processor has moves their last digit: 0.002 and half a percent are let pass.
+#[allow(dead_code, reason = "not every program of tests compares with the page")]
+pub fn page_says(head: &str, figures: &[f64]) {
+    let shown: Vec<String> = figures.iter().map(|figure| format!("{figure:.3}")).collect();
+    println!("{head} {} |", shown.join(" | "));
+    let page = std::fs::read_to_string(PathBuf::from(crate::ROOT).join("docs/real-data.md")).unwrap();
+    let line = page.lines().find_map(|line| line.strip_prefix(head));
+    let line = line.unwrap_or_else(|| panic!("docs/real-data.md lacks a line that begins with\n{head}"));
+    let said: Vec<f64> = line.split('|').map_while(|cell| cell.trim().parse().ok()).collect();
+    let near = |(said, figure): (&f64, &f64)| (said - figure).abs() <= 0.002 + 0.005 * said;
+    let agrees = said.len() == figures.len() && said.iter().zip(figures).all(near);
+    assert!(agrees, "docs/real-data.md has {said:?} after\n{head}");
+}

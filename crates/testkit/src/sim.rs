@@ -1,0 +1,74 @@
+//! What the tests of the simulated arm share.
+
+use plumbline_core::Clock;
+use plumbline_core::{Command, JointVec, MAX_JOINTS, Setpoint};
+use plumbline_model::chain::Chain;
+use plumbline_model::gravity::Mounting;
+use plumbline_model::robot::Robot;
+use plumbline_sim::{Pace, SimArm, Truth};
+use std::f64::consts::{FRAC_PI_2, TAU};
+use std::time::{Duration, Instant};
+
+/// Somewhere in the middle of the Panda's range.
+pub const READY: JointVec = [0.0, -0.4, 0.0, -2.0, 0.3, 1.8, 0.5, 0.0];
+
+pub fn panda() -> Chain {
+    Robot::load("panda", None).expect("a shipped robot").chain
+}
+
+pub fn arm_file(name: &str) -> Truth {
+    let path = format!("{}/config/arms/{name}", crate::ROOT);
+    let text = std::fs::read_to_string(&path).expect("shipped file");
+    Truth::parse(&path, &text).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// The shipped Panda without noise, steps and losses.
+#[allow(dead_code)]
+pub fn silent_panda() -> Truth {
+    let mut truth = arm_file("sim-panda.toml");
+    for joint in &mut truth.joints {
+        (joint.torque_noise, joint.torque_quantum, joint.velocity_noise) = (0.0, 0.0, 0.0);
+        (joint.position_noise, joint.position_quantum) = (0.0, 0.0);
+    }
+    truth
+}
+
+pub fn sim(truth: &Truth, seed: u64, pace: Pace) -> SimArm {
+    SimArm::new(&panda(), truth, Mounting::WALL, READY, seed, pace).expect("truth fits the chain")
+}
+
+/// A lively periodic motion about [`READY`] that starts at rest: peaks of about 1.5 rad/s.
+#[allow(dead_code)]
+pub fn excitation(tick: u64) -> Setpoint {
+    let t = tick as f64 * 1e-3;
+    let mut desired = Setpoint { q: READY, ..Setpoint::default() };
+    for j in 0..MAX_JOINTS - 1 {
+        for (harmonic, amplitude) in [(1.0, 0.35), (2.0 + (j % 3) as f64, 0.12)] {
+            let omega = TAU / 5.0 * harmonic;
+            // 1 - cos starts at rest; sin^2 fades the acceleration in over the first second.
+            let fade = if t < 1.0 { (FRAC_PI_2 * t).sin().powi(4) } else { 1.0 };
+            let side = if j % 2 == 0 { 1.0 } else { -1.0 };
+            desired.q[j] += side * fade * amplitude * (1.0 - (omega * t).cos());
+        }
+    }
+    desired
+}
+
+#[allow(dead_code)]
+pub fn command(seq: u64, desired: Setpoint) -> Command {
+    Command { seq, desired, ..Command::default() }
+}
+
+/// A monotonic clock for pacing in tests.
+#[allow(dead_code)]
+pub struct TestClock(pub Instant);
+
+impl Clock for TestClock {
+    fn now_ns(&self) -> u64 {
+        self.0.elapsed().as_nanos() as u64
+    }
+
+    fn sleep_until(&self, ns: u64) {
+        std::thread::sleep(Duration::from_nanos(ns.saturating_sub(self.now_ns())));
+    }
+}
