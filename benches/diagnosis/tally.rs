@@ -1,9 +1,9 @@
 //! The tables of a part of the study.
 
-use super::case::{Case, FAMILIES, What};
-use super::trial::{Judged, same};
 use plumbline_diagnose::outcome::Verdict;
 use plumbline_model::term::effect::Spec;
+use plumbline_testkit::diagnosis::case::{Case, FAMILIES, What};
+use plumbline_testkit::diagnosis::trial::{Judged, same};
 use std::collections::BTreeMap;
 use std::fmt;
 

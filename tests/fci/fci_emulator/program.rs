@@ -1,11 +1,11 @@
 //! The program around the emulator: its options, and its lines on standard input.
 
-use super::control::{Outcome, carry_out};
 use super::emulator::{Fault, FinishOrder, Kind, RobotKind, Settings, StartError};
-use super::options::{Options, settings};
 use super::{address, session};
 use clap::Parser;
 use plumbline_franka::wire::{Protocol, RobotMode};
+use plumbline_testkit::emulator::control::{Outcome, carry_out};
+use plumbline_testkit::emulator::options::{Options, settings};
 use std::time::Duration;
 
 fn parsed(arguments: &[&str]) -> Result<Settings, String> {

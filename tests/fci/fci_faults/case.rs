@@ -1,6 +1,7 @@
 //! One case: the emulator, the daemon as people start it, a fault at a moment, and what became of it.
 
 use super::judge::{Judged, judge};
+use super::scene::Scene;
 use plumbline_core::Backend;
 use plumbline_franka::RobotKind;
 use plumbline_franka::wire::{Protocol, RobotMode};
@@ -9,7 +10,6 @@ use plumbline_model::gravity::Mounting;
 use plumbline_testkit::emulator::limits::JOINTS;
 use plumbline_testkit::emulator::{Emulator, Fault, Hand, Settings};
 use plumbline_testkit::job::{Place, Running, plumbline};
-use plumbline_testkit::scene::Scene;
 use std::net::{IpAddr, Ipv4Addr};
 use std::process::Command;
 use std::sync::atomic::{AtomicU8, Ordering};

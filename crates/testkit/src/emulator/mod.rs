@@ -21,11 +21,13 @@
 //! In a test: `Emulator::start(Settings::new(address, Protocol::V10))`; dropping the value ends it.
 
 pub mod body;
+pub mod control;
 pub mod faults;
 pub mod geometry;
 pub mod limits;
 pub mod log;
 pub mod motion;
+pub mod options;
 mod requests;
 pub mod robot;
 pub mod server;
