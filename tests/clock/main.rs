@@ -4,14 +4,10 @@
 mod blocked_log;
 mod every_millisecond;
 mod inclinometer_daemon;
-mod ipc_exchange;
-mod ipc_kill;
-mod ipc_python;
 mod kill_campaign;
 mod orders;
 mod rt_rights;
 mod service;
 mod signals;
-mod squatters;
 mod stop_path;
 mod torque_clients;

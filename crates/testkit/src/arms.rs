@@ -16,7 +16,7 @@ pub fn chain(name: &str) -> Chain {
     if Robot::names().any(|known| known == name) {
         return Robot::load(name, None).unwrap().chain;
     }
-    let file = format!("tests/golden/robots/{name}.toml");
+    let file = format!("crates/model/tests/golden/robots/{name}.toml");
     Robot::load(&file, Some(Path::new(crate::ROOT))).unwrap().chain
 }
 

@@ -23,7 +23,7 @@ pub const ROBOTS: [&str; 6] = ["panda", "ur10", "kuka-lwr4p", "gantry", "stanfor
 
 pub fn robot(name: &str) -> Robot {
     let root = Path::new(crate::ROOT);
-    let golden = root.join(format!("tests/golden/robots/{name}.toml"));
+    let golden = root.join(format!("crates/model/tests/golden/robots/{name}.toml"));
     let at = if golden.is_file() { golden.display().to_string() } else { name.to_string() };
     Robot::load(&at, Some(root)).unwrap_or_else(|error| panic!("{error}"))
 }

@@ -146,9 +146,9 @@ fn the_served_model_helps_the_torque_interface_and_makes_up_for_what_the_arm_com
     let (emulator, settings) = start(Emulated { mounting, ..patient(Protocol::V5) });
     let settings = Settings { interface: Interface::Torque, ..settings };
     let tracking = |moving: bool| {
-        let text = include_str!("../config/robots/panda.toml");
+        let text = include_str!("../../../config/robots/panda.toml");
         let robot = plumbline_model::robot::Robot::parse("panda.toml", text).unwrap();
-        let truth = Truth::parse("sim-panda.toml", include_str!("../config/arms/sim-panda.toml")).unwrap();
+        let truth = Truth::parse("sim-panda.toml", include_str!("../../../config/arms/sim-panda.toml")).unwrap();
         let (arm, connection) = open(&settings);
         // The arm compensates as if it were upright.
         let vendor = Vector3::from(connection.info.compensates);

@@ -52,7 +52,7 @@ every = 1.0
 ";
 
 fn truth() -> Truth {
-    let text = std::fs::read_to_string(format!("{}/config/arms/sim-panda-effect.toml", env!("CARGO_MANIFEST_DIR")));
+    let text = std::fs::read_to_string(plumbline_testkit::path("config/arms/sim-panda-effect.toml"));
     let mut truth = Truth::parse("shipped file and more", &(text.unwrap() + MORE)).unwrap();
     (truth.drop_probability, truth.drop_burst) = (0.02, 2);
     (truth.outlier_probability, truth.outlier_size, truth.repeat_probability) = (0.01, 3.0, 0.02);
@@ -100,8 +100,11 @@ fn run_franka(
     let faults = troubles.iter().map(|text| text.parse().unwrap()).collect();
     // Two states lost in a row take twice that, and our own patience is 100 ms.
     let patience = std::time::Duration::from_millis(20);
-    let emulated =
-        plumbline_testkit::emulator::Settings { faults, patience, ..emulator::Settings::new(address, protocol) };
+    let emulated = plumbline_testkit::emulator::Settings {
+        faults,
+        patience,
+        ..plumbline_testkit::emulator::Settings::new(address, protocol)
+    };
     let _emulator = plumbline_testkit::emulator::Emulator::start(emulated).unwrap();
     let robot = if protocol == Protocol::V5 { RobotKind::Panda } else { RobotKind::Fr3 };
     let settings = Settings { interface, purpose, ..Settings::new(address.into(), robot) };

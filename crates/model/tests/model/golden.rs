@@ -37,7 +37,7 @@ fn golden() -> Golden {
 }
 
 fn robot(file: &str) -> Robot {
-    Robot::load(file, Some(Path::new(env!("CARGO_MANIFEST_DIR")))).unwrap_or_else(|error| panic!("{error}"))
+    Robot::load(file, Some(Path::new(plumbline_testkit::ROOT))).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// Largest difference, relative to the largest value (or to 1).

@@ -224,7 +224,7 @@ fn every_limit_crossed_in_every_phase_ends_at_rest_inside_the_arms_limits() {
     let table = campaign();
     println!("{table}");
     if std::env::var_os("PLUMBLINE_WRITE_DOCS").is_some() {
-        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/limit-campaign.md");
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/limit-campaign.md");
         std::fs::write(file, format!("{HEAD}{table}{FOOT}")).unwrap();
     }
 }

@@ -36,7 +36,7 @@ struct Stage {
 fn stage() -> &'static Stage {
     static STAGE: OnceLock<Stage> = OnceLock::new();
     STAGE.get_or_init(|| {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/config/arms/sim-panda.toml");
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/arms/sim-panda.toml");
         let truth = Truth::parse(path, &std::fs::read_to_string(path).unwrap()).unwrap();
         let chain = Robot::load("panda", None).unwrap().chain;
         let [plans, _] = scene::lab::plans();
@@ -334,7 +334,7 @@ fn single_samples_that_are_off_are_counted_and_left_out() {
 /// Ten periods of the simulated arm with effects of its own, after one that nobody records.
 fn driven(effects: &str, seed: u64) -> Run {
     let stage = stage();
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/config/arms/sim-panda.toml");
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/arms/sim-panda.toml");
     let text = std::fs::read_to_string(path).unwrap() + effects;
     let truth = Truth::parse("truth", &text).unwrap();
     let [plans, _] = scene::lab::plans();

@@ -1,6 +1,6 @@
 //! Every family of effects: its regressor, its served torque and its file form are the same effect, on every kind of arm.
 
-use assert_no_alloc::{AllocDisabler, assert_no_alloc, violation_count};
+use assert_no_alloc::{assert_no_alloc, violation_count};
 use nalgebra::{DMatrix, DVector, Rotation3, Unit, Vector3};
 use plumbline_core::Torque;
 use plumbline_model::base::Reduction;
@@ -14,9 +14,6 @@ use plumbline_testkit::arms::{any_mounting, chain, draw, torque};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
-
-#[global_allocator]
-static ALLOCATOR: AllocDisabler = AllocDisabler;
 
 /// Arms with turning and sliding joints.
 const ROBOTS: [&str; 3] = ["panda", "paper-2dof", "scara"];

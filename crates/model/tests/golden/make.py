@@ -1,9 +1,9 @@
 """Golden values from Pinocchio: joint torques, regressors and end-effector positions of random states.
 
-    python -m venv venv && venv/bin/pip install -r tests/golden/requirements.txt
-    venv/bin/python tests/golden/make.py          (writes tests/golden/dynamics.json)
+    python -m venv venv && venv/bin/pip install -r crates/model/tests/golden/requirements.txt
+    venv/bin/python crates/model/tests/golden/make.py          (writes crates/model/tests/golden/dynamics.json)
 
-Kinematics come from config/robots/*.toml and tests/golden/robots/*.toml, read here without any of plumbline's code. Inertial
+Kinematics come from config/robots/*.toml and crates/model/tests/golden/robots/*.toml, read here without any of plumbline's code. Inertial
 parameters, states and mountings are random, from a fixed seed.
 
 Conventions. A link frame has the joint's axis as z and moves with the link. Pinocchio orders a body's parameters
@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 HERE = Path(__file__).resolve().parent
-ROOT = HERE.parent.parent
+ROOT = HERE.parents[3]
 CASES = 5
 # Column of Pinocchio's parameter vector for each of plumbline's.
 ORDER = [4, 5, 7, 6, 8, 9, 1, 2, 3, 0]
@@ -116,7 +116,7 @@ def main():
     files = sorted((ROOT / "config" / "robots").glob("*.toml")) + sorted((HERE / "robots").glob("*.toml"))
     robots = [golden(path, rng) for path in files]
     versions = {"pin": pin.__version__, "numpy": np.__version__}
-    text = json.dumps({"made_by": "tests/golden/make.py", "versions": versions, "robots": robots}, separators=(",", ":"))
+    text = json.dumps({"made_by": "crates/model/tests/golden/make.py", "versions": versions, "robots": robots}, separators=(",", ":"))
     (HERE / "dynamics.json").write_text(text.replace('{"file"', '\n{"file"') + "\n")
 
 

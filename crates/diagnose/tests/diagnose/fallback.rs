@@ -34,7 +34,7 @@ struct Stage {
 fn stage() -> &'static Stage {
     static STAGE: OnceLock<Stage> = OnceLock::new();
     STAGE.get_or_init(|| {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/config/arms/sim-panda.toml");
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/arms/sim-panda.toml");
         let truth = Truth::parse(path, &std::fs::read_to_string(path).unwrap()).unwrap();
         let chain = Robot::load("panda", None).unwrap().chain;
         let [plans, _] = scene::lab::plans();

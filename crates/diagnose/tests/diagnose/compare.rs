@@ -28,7 +28,7 @@ fn chain() -> &'static Chain {
 
 /// The shipped arm with more in its file.
 fn truth(more: &str) -> Truth {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/config/arms/sim-panda.toml");
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/arms/sim-panda.toml");
     Truth::parse("truth", &format!("{}\n{more}", std::fs::read_to_string(path).unwrap())).unwrap()
 }
 

@@ -347,8 +347,7 @@ fn says_what_does_not_fit() {
 
 #[test]
 fn a_wrong_truth_names_the_place() {
-    let text =
-        std::fs::read_to_string(format!("{}/config/arms/sim-panda-effect.toml", env!("CARGO_MANIFEST_DIR"))).unwrap();
+    let text = std::fs::read_to_string(plumbline_testkit::path("config/arms/sim-panda-effect.toml")).unwrap();
     let cases = [
         ("mass = 4.970684", "mass = -1.0", "link 1, mass"),
         ("0.027518, 0.039252", "nan, 0.039252", "link 3"),

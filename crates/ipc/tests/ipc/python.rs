@@ -12,7 +12,7 @@ use plumbline_testkit::peers::interpreter;
 
 /// Runs the client and returns its standard output.
 fn torque_follow(python: &str, robot: &RobotId, options: &[&str]) -> String {
-    let client = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/clients/python/torque_follow.py");
+    let client = plumbline_testkit::path("examples/clients/python/torque_follow.py");
     let out = Command::new(python)
         .arg(client)
         .args(["--robot", robot.as_str(), "--wait", "20"])

@@ -1,0 +1,9 @@
+//! Tests of the crate against independent computations and simulated arms.
+
+mod changing;
+mod compare;
+mod delivery;
+mod fallback;
+mod gates;
+mod selection;
+mod sketch;

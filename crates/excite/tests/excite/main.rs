@@ -1,0 +1,3 @@
+//! Tests of the crate against independent computations and simulated arms.
+
+mod search;

@@ -1,0 +1,11 @@
+//! Tests of the crate against independent computations and simulated arms.
+
+mod base;
+mod dynamics;
+mod effects;
+mod fast;
+mod golden;
+mod torque;
+
+#[global_allocator]
+static ALLOCATOR: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
