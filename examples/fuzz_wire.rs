@@ -4,7 +4,7 @@
 //!     cargo run --example fuzz_wire -- --seconds 600 --seed 7
 //!
 //! (or `hil/fuzz-wire`, which passes its arguments on). A failure names its seed and case; `--seed S --first CASE --cases 1` repeats it.
-//! `cargo test --test fci_wire` runs 400,000 cases of seed 1.
+//! `cargo test --test wire` runs 400,000 cases of seed 1.
 
 use std::process::ExitCode;
 use std::time::Instant;

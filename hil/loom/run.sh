@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs the loop's lock-free hand-overs under every order of events that two or three threads can see: src/rt/controls.rs, the very file, and the
+# Runs the loop's lock-free hand-overs under every order of events that two or three threads can see: crates/rt/src/controls.rs, and the
 # rings, which are the crate rtrb in the version that the product has, with loom's atomics in place of core's.
 #
 #     hil/loom/run.sh
@@ -27,3 +27,7 @@ grep -q 'Causality violation' target/control.log || { cat target/control.log; ex
 mv "$rings/src/lib.rs.sound" "$rings/src/lib.rs"
 touch "$rings/src/lib.rs"
 cargo test --release --locked "$@"
+
+# The crate itself, with loom's atomics.
+cd ../..
+RUSTFLAGS="--cfg loom" CARGO_TARGET_DIR=hil/loom/target/rt cargo test --release --locked -p plumbline-rt --lib loom_tests "$@"

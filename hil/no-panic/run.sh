@@ -5,11 +5,11 @@
 #
 #     hil/no-panic/run.sh
 #
-# It shows it for release arithmetic (a sum that overflows wraps), on the processor that it runs on. The loop and the model are the product's own files;
+# It shows it for release arithmetic (a sum that overflows wraps), on the processor that it runs on. The loop and the model are the product's own crates;
 # building them takes about a minute of processor time, and no part of .ci/run.
 set -euo pipefail
 cd "$(dirname "$0")"
-export CARGO_TERM_COLOR=never
+export CARGO_TERM_COLOR=never RUSTFLAGS="--cfg no_panic"
 target=${CARGO_TARGET_DIR:-target}
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
@@ -26,9 +26,9 @@ if build control; then fail "a program with a function that can panic was linked
 # A function for which the compiler makes no code would not be looked at. Without optimisation it rules nothing out, and leaves a
 # trace of each that it looks at: they must be those in the sources.
 build loop -- -Copt-level=0 -Clink-arg=-Wl,--unresolved-symbols=ignore-all || fail "the build without optimisation"
-wanted=$(cd ../../src && grep -rn 'cfg_attr(no_panic' . | sed 's/^\.\/\([^:]*:[0-9]*\):.*/\1/' | sort -u)
-found=$(nm -Cl "$target/release/loop" | sed -n 's/.*__NoPanic as .*\/src\/\([^:]*:[0-9]*\).*/\1/p' | sort -u)
-diff <(echo "$wanted") <(echo "$found") >"$log" || fail "marked in src (<), and looked at (>), differ"
+wanted=$(cd ../../crates && grep -rn 'cfg_attr(no_panic' . | sed 's/^\.\/\([^:]*:[0-9]*\):.*/\1/' | sort -u)
+found=$(nm -Cl "$target/release/loop" | sed -n 's/.*__NoPanic as .*\/crates\/\([^:]*:[0-9]*\).*/\1/p' | sort -u)
+diff <(echo "$wanted") <(echo "$found") >"$log" || fail "marked in crates (<), and looked at (>), differ"
 
 build loop || fail "these may panic: $(named)"
 echo "no panic in $(wc -l <<<"$wanted") functions: $(cut -d: -f1 <<<"$wanted" | uniq -c | awk '{ printf "%s%s %s", sep, $2, $1; sep = ", " }')"

@@ -1,6 +1,6 @@
 //! Requests to the loop and its state at a glance: atomics alone, so that neither side ever waits for the other.
 //!
-//! `hil/loom/` runs this very file under every order in which two processors may see it.
+//! `hil/loom/run.sh` runs it under every order in which two processors may see it.
 
 use super::sync::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use plumbline_core::Phase;
@@ -119,3 +119,6 @@ impl Controls {
         self.unrecorded.store(unrecorded, Ordering::Relaxed);
     }
 }
+
+#[cfg(all(loom, test))]
+mod loom_tests;

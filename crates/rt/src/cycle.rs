@@ -492,5 +492,5 @@ fn allocations_are_watched() -> bool {
     })
 }
 
-#[cfg(test)]
+#[cfg(all(test, not(loom)))]
 mod tests;

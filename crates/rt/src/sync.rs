@@ -1,13 +1,15 @@
 //! The atomics of the hand-overs, by one name, so that a model checker can put its own in their place (`hil/loom/`), and unit tests those that
 //! let another thread act between any two accesses of this one.
 
-#[cfg(not(test))]
+#[cfg(loom)]
+pub(super) use loom::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+#[cfg(not(any(loom, test)))]
 pub(super) use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
-#[cfg(test)]
+#[cfg(all(test, not(loom)))]
 pub(super) use stepped::{AtomicBool, AtomicU32, AtomicU64, Ordering, act_before_access};
 
 /// Atomics that run an action before one of this thread's accesses: what another thread may do at that moment.
-#[cfg(test)]
+#[cfg(all(test, not(loom)))]
 mod stepped {
     use std::cell::RefCell;
     pub use std::sync::atomic::Ordering;

@@ -23,7 +23,7 @@ VALIDITIES = ("NO MODEL", "", "HAND-OVER", "WITHDRAWN")
 
 
 class FeedForwardMessage(ctypes.Structure):
-    """The layout of plumbline's FeedForwardMessage (src/ipc/messages.rs), 352 bytes."""
+    """The layout of plumbline's FeedForwardMessage (crates/ipc/src/messages.rs), 352 bytes."""
 
     _fields_ = [
         ("sequence", ctypes.c_uint64),  # number of the value since the daemon's start, from 1
@@ -52,7 +52,7 @@ assert ctypes.sizeof(FeedForwardMessage) == 352
 
 
 def place() -> str:
-    """The folder that this user's daemon and clients share, chosen as in plumbline's src/ipc/place.rs."""
+    """The folder that this user's daemon and clients share, chosen as in plumbline's crates/ipc/src/place.rs."""
     uid = os.geteuid()
 
     def ours(path: str) -> bool:

@@ -1,8 +1,4 @@
-//! The product's own files with loom's atomics in place of the standard library's.
+//! The rings of the loop with loom's atomics in place of the standard library's. The loop's own atomics are tested in `crates/rt`.
 
-#[path = "../../../src/joint.rs"]
-#[allow(dead_code)]
-pub mod joint;
-pub mod rt;
 #[cfg(test)]
 mod rings;

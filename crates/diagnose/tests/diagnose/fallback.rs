@@ -205,7 +205,7 @@ fn invented(kind: usize, a: usize, b: usize, places: [(f64, f64); 2]) -> impl Fn
 
 /// The table of docs/unexplained.md: 22 inventions in random joints.
 #[test]
-#[ignore = "a table that takes a minute: cargo test --release --test identification diagnose_fallback -- --ignored --nocapture"]
+#[ignore = "a table that takes a minute: cargo test --release --test diagnose fallback -- --ignored --nocapture"]
 fn campaign() {
     let mut rng = ChaCha8Rng::seed_from_u64(42);
     let stage = stage();

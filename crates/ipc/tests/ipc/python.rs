@@ -1,6 +1,5 @@
 //! The Python client against a Rust daemon: the same bytes, the same rules, in another language.
 
-use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

@@ -1,4 +1,4 @@
-//! Torques, regressors and kinematics against Pinocchio (`tests/golden/make.py` writes the values).
+//! Torques, regressors and kinematics against Pinocchio (`crates/model/tests/golden/make.py` writes the values).
 
 use nalgebra::{DMatrix, Vector3};
 use plumbline_model::regressor::{LINK_COLUMNS, regressor};
@@ -33,7 +33,7 @@ struct Case {
 
 fn golden() -> Golden {
     serde_json::from_str(include_str!("../golden/dynamics.json"))
-        .expect("tests/golden/dynamics.json as make.py writes it")
+        .expect("crates/model/tests/golden/dynamics.json as make.py writes it")
 }
 
 fn robot(file: &str) -> Robot {
@@ -53,7 +53,7 @@ fn covers_every_shipped_robot_and_prismatic_ones() {
     for name in Robot::names() {
         assert!(
             files.contains(&format!("config/robots/{name}.toml")),
-            "no golden values for {name}: run tests/golden/make.py"
+            "no golden values for {name}: run crates/model/tests/golden/make.py"
         );
     }
     assert!(files.iter().any(|file| file.ends_with("gantry.toml")));
