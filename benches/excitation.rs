@@ -5,15 +5,15 @@
 //! default, once up to the limits themselves.
 
 use plumbline::store::ModelFile;
-use plumbline_excite::criterion::Criterion;
-use plumbline_excite::limits::{Bounds, Margins};
-use plumbline_excite::nominal::Nominal;
-use plumbline_excite::optimiser::optimise;
-use plumbline_excite::search::{Problem, Progress, Search, Watch, verdict};
-use plumbline_model::base::Reduction;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
-use plumbline_model::structure::Structure;
+use plumbline_excite::Criterion;
+use plumbline_excite::Nominal;
+use plumbline_excite::optimise;
+use plumbline_excite::{Bounds, Margins};
+use plumbline_excite::{Problem, Progress, Search, Watch, search_verdict};
+use plumbline_model::Mounting;
+use plumbline_model::Reduction;
+use plumbline_model::Robot;
+use plumbline_model::Structure;
 use std::path::Path;
 use std::sync::Mutex;
 use std::time::Instant;
@@ -63,7 +63,7 @@ fn main() {
             let plan = optimise(&problem, &search, &[], &Watch { threads, stop: &stop, progress: &hear });
             let plan = plan.expect("a motion");
             let took = start.elapsed().as_secs_f64();
-            assert!(verdict(&problem, &plan.fourier().expect("a motion")).is_feasible());
+            assert!(search_verdict(&problem, &plan.fourier().expect("a motion")).is_feasible());
             let c = plan.conditions;
             let value = match criterion {
                 Criterion::RawRigid => c.raw_rigid,

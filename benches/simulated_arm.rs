@@ -5,9 +5,9 @@
 
 use plumbline_core::{Backend, Reference};
 use plumbline_core::{Command, JointVec, Setpoint};
-use plumbline_excite::fourier::{Fourier, PeriodicMotion};
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
+use plumbline_excite::{Fourier, PeriodicMotion};
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
 use plumbline_sim::{Gate, Pace, Response, SimArm, Truth};
 use std::hint::black_box;
 use std::sync::Arc;

@@ -8,7 +8,7 @@
 use plumbline::store::export::{Arm, mjcf};
 use plumbline_franka::wire::{MoveStatus, Protocol};
 use plumbline_franka::{RobotKind, Settings};
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use plumbline_rt::cycle::End;
 use plumbline_testkit::franka_loop::{Run, drive_patiently, plan};
 use std::net::{IpAddr, SocketAddr, TcpStream};

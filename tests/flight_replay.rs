@@ -12,9 +12,9 @@ use plumbline::recording::about::{
 use plumbline::recording::history::{History, Window};
 use plumbline_core::{Fault, FeedForward, Sink};
 use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record, Setpoint};
-use plumbline_excite::fourier::{Fourier, PeriodicMotion};
+use plumbline_excite::{Fourier, PeriodicMotion};
 use plumbline_rt::cycle::End;
-use plumbline_rt::order::{Event, Handles, Order, OrderKind, StopReason};
+use plumbline_rt::{Event, Handles, Order, OrderKind, StopReason};
 use plumbline_testkit::fake_arm::drive::{Job, Model, READY, Run, settings};
 use plumbline_testkit::fake_arm::{FakeArm, Trick};
 use rand::{Rng, SeedableRng};

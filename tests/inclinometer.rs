@@ -10,7 +10,7 @@ use plumbline::inclinometer::frame::{BusState, Frame, Heard};
 use plumbline::inclinometer::node::{Fault, NodeSettings};
 use plumbline::inclinometer::sensor::{Health, Note, Reading, Sensor, SensorSettings};
 use plumbline::inclinometer::smooth::SmoothSettings;
-use plumbline_model::gravity::{G, Mounting, angle_between};
+use plumbline_model::{G, Mounting, angle_between};
 use plumbline_testkit::inclinometer::Device;
 use proptest::prelude::*;
 use rand::{Rng, SeedableRng};

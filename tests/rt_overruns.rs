@@ -5,9 +5,10 @@
 use plumbline_core::Clock;
 use plumbline_core::{Fault, PERIOD_NS};
 use plumbline_core::{JointVec, Phase, Record, Setpoint};
-use plumbline_rt::cycle::{self, End, Outcome};
-use plumbline_rt::order::{Controls, StopReason};
+use plumbline_rt::cycle;
+use plumbline_rt::cycle::{End, Outcome};
 use plumbline_rt::recorder::ring;
+use plumbline_rt::{Controls, StopReason};
 use plumbline_sim::{Pace, REFLEX_COMMUNICATION};
 use plumbline_testkit::fake_arm::Trick;
 use plumbline_testkit::fake_arm::drive::{Job, Model, READY, Wave, dwell, follow, move_to, panda_limits, settings};

@@ -1,6 +1,6 @@
 //! The tables of a part of the study.
 
-use plumbline_diagnose::outcome::Verdict;
+use plumbline_diagnose::Verdict;
 use plumbline_model::term::effect::Spec;
 use plumbline_testkit::diagnosis::case::{Case, FAMILIES, What};
 use plumbline_testkit::diagnosis::trial::{Judged, same};
@@ -28,9 +28,8 @@ pub fn line(case: &Case, judged: &Judged) -> String {
     let truth = |text: &str| text.replace("id = ", "").trim_end().replace('\n', " ");
     let truths: Vec<String> = case.effects.iter().map(|one| truth(&one.text)).collect();
     let fallback = judged.fallback.as_ref().map_or(String::new(), |found| {
-        let names = |list: &[plumbline_diagnose::fallback::Variable]| {
-            list.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")
-        };
+        let names =
+            |list: &[plumbline_diagnose::Variable]| list.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
         format!(" | depends on [{}], truly [{}]", names(&found.depends_on), names(&case.effects[0].variables))
     });
     format!(

@@ -6,15 +6,17 @@ use crate::report::diagnosis::{
     self, Action, Alternative, BeforeAfter, Diagnosis, Effect, EffectParameter, Errors, Folds, JointFacts,
     MinimumDetectable, Occurrence, Parameters, Score, Unexplained, Verdict,
 };
-use plumbline_diagnose::errors::{self, Compared, Of};
-use plumbline_diagnose::reference::{self, Change, Changes, NAMES};
-use plumbline_diagnose::select;
-use plumbline_identify::experiment::Experiment;
-use plumbline_identify::validate::{Modelled, Rms, validate};
-use plumbline_model::gravity::Mounting;
+use plumbline_diagnose::errors;
+use plumbline_diagnose::errors::{Compared, Of};
+use plumbline_diagnose::reference;
+use plumbline_diagnose::reference::{Change, Changes, NAMES};
+
+use plumbline_identify::Experiment;
+use plumbline_identify::{Modelled, Rms, validate};
+use plumbline_model::Mounting;
+use plumbline_model::TorqueModel;
 use plumbline_model::term::effect::{Site, family};
 use plumbline_model::term::mounting::axes;
-use plumbline_model::torque::TorqueModel;
 
 /// A joint whose residual power is so many times its noise lacks something.
 const LACKING: f64 = 2.0;
@@ -195,7 +197,7 @@ impl<'a> Told<'a> {
             };
             self.kept.iter().any(|k| same(&k))
         };
-        let score = |one: &plumbline_diagnose::select::Scored| Score {
+        let score = |one: &plumbline_diagnose::Scored| Score {
             label: label(one.item.spec.family, one.item.spec.site),
             score: one.score,
             chosen: chosen(&one.item.spec),
@@ -260,7 +262,7 @@ pub fn effect(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>
 /// What people ask for besides an effect's own parameters: friction as a factor, a tilt as one angle.
 fn derived(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>) -> Vec<EffectParameter> {
     let of = |name: &str| stored.parameters().iter().find(|own| own.column.name == name);
-    let factor = |own: &plumbline_model::torque::Parameter| {
+    let factor = |own: &plumbline_model::Parameter| {
         let old = of(own.column.name.trim_start_matches('d')).filter(|old| old.value.abs() > f64::MIN_POSITIVE)?;
         let name = format!("{}_factor", old.column.name);
         let std = own.std.map(|std| std / old.value.abs());
@@ -347,9 +349,9 @@ fn path(changes: &Changes) -> Vec<diagnosis::Step> {
 }
 
 /// How a search went, from a model that left so much unmodelled \[Nm\].
-pub(super) fn steps(from: &str, unmodelled: f64, path: &[select::Step]) -> Vec<diagnosis::Step> {
+pub(super) fn steps(from: &str, unmodelled: f64, path: &[plumbline_diagnose::Step]) -> Vec<diagnosis::Step> {
     let start = diagnosis::Step { action: Action::Start, what: from.into(), unmodelled: Some(unmodelled), score: None };
-    let step = |step: &select::Step| diagnosis::Step {
+    let step = |step: &plumbline_diagnose::Step| diagnosis::Step {
         action: if step.added { Action::Added } else { Action::Removed },
         what: label(step.item.spec.family, step.item.spec.site),
         unmodelled: Some(step.unmodelled.sqrt()),
@@ -359,7 +361,7 @@ pub(super) fn steps(from: &str, unmodelled: f64, path: &[select::Step]) -> Vec<d
 }
 
 /// What might be there instead of an effect of family `id`: the families, each once, and every rival with the experiment that decides.
-pub(super) fn alternatives(id: &str, rivals: &[select::Rival]) -> (Vec<String>, Vec<Alternative>) {
+pub(super) fn alternatives(id: &str, rivals: &[plumbline_diagnose::Rival]) -> (Vec<String>, Vec<Alternative>) {
     let confounded = family(id).map_or(&[][..], |family| family.confounded);
     let decided = |other: &str| confounded.iter().find(|one| one.with == other).map(|one| one.decided_by.to_string());
     let mut ids: Vec<String> = Vec::new();
@@ -368,7 +370,7 @@ pub(super) fn alternatives(id: &str, rivals: &[select::Rival]) -> (Vec<String>, 
             ids.push(rival.item.spec.family.into());
         }
     }
-    let detail = |rival: &select::Rival| Alternative {
+    let detail = |rival: &plumbline_diagnose::Rival| Alternative {
         id: rival.item.spec.family.into(),
         joints: joints(rival.item.spec.site),
         score_gap: Some(rival.gap),

@@ -4,14 +4,14 @@ use crate::analysis::diagnosed::{Question, trials};
 use crate::analysis::pipeline;
 use crate::failure::Failure;
 use crate::report::diagnosis::{Diagnosis, Effect, EffectParameter, Folds, Occurrence, Parameters, Verdict, places};
+use plumbline_diagnose::JointFacts;
 use plumbline_diagnose::changing::{
     BaseMotion, Changing, Contact, Course, Drift, Drifting, LEAST_PERIODS, changing, cleaned,
 };
-use plumbline_diagnose::outcome::JointFacts;
-use plumbline_identify::experiment::{Experiment, LeftOut, Settings};
 use plumbline_identify::solve::ols;
 use plumbline_identify::solve::stack::Stack;
-use plumbline_model::structure::Structure;
+use plumbline_identify::{Experiment, LeftOut, Settings};
+use plumbline_model::Structure;
 use plumbline_model::term::effect::{Ground, family};
 use plumbline_model::term::{base_motion, contact};
 

@@ -119,7 +119,7 @@ impl Collector {
 mod tests {
     use super::*;
     use crate::store::load_plan;
-    use plumbline_model::gravity::Mounting;
+    use plumbline_model::Mounting;
     use std::path::Path;
 
     /// Ticks of the motion: two periods of 10 ms after one of lead-in.

@@ -10,19 +10,20 @@ use crate::report::Band;
 use crate::report::diagnosis as told;
 use crate::report::figures::{DiagnosisFigures, EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
 use plumbline_core::{parallel, threads};
-use plumbline_diagnose::curves;
-use plumbline_diagnose::diagnosis::{Input, diagnose};
-use plumbline_diagnose::errors::{self, Compared, Of};
-use plumbline_diagnose::evidence::Trial;
-use plumbline_diagnose::fallback::Unexplained;
-use plumbline_diagnose::outcome::{Confirmation, Effect, Fitted, Outcome, Verdict};
-use plumbline_identify::experiment::{Experiment, Settings};
+
+use plumbline_diagnose::Trial;
+use plumbline_diagnose::Unexplained;
+use plumbline_diagnose::errors;
+use plumbline_diagnose::errors::{Compared, Of};
+use plumbline_diagnose::{Confirmation, Effect, Fitted, Outcome, Verdict};
+use plumbline_diagnose::{Input, diagnose};
+use plumbline_identify::Modelled;
 use plumbline_identify::solve;
-use plumbline_identify::validate::Modelled;
-use plumbline_model::robot::Robot;
-use plumbline_model::structure::Structure;
+use plumbline_identify::{Experiment, Settings};
+use plumbline_model::Robot;
+use plumbline_model::Structure;
+use plumbline_model::TorqueModel;
 use plumbline_model::term::effect::{Spec, Stratum};
-use plumbline_model::torque::TorqueModel;
 
 /// Candidates that the report lists.
 const LISTED: usize = 10;
@@ -177,7 +178,7 @@ fn verdict(verdict: Verdict) -> told::Verdict {
 fn effect_of(effect: &Effect, full: bool) -> told::Effect {
     let family = effect.spec.family().ok();
     let form = family.and_then(|family| family.form(effect.spec.form));
-    let estimate = |one: &plumbline_diagnose::outcome::Estimate| told::EffectParameter {
+    let estimate = |one: &plumbline_diagnose::Estimate| told::EffectParameter {
         name: one.name.clone(),
         value: one.value,
         std: one.std,
@@ -226,7 +227,7 @@ fn unexplained(one: &Unexplained, outcome: &Outcome) -> told::Unexplained {
 
 fn detectable(outcome: &Outcome) -> std::collections::BTreeMap<String, told::MinimumDetectable> {
     let n = outcome.joints.len();
-    let of = |one: &plumbline_diagnose::outcome::Detectable| {
+    let of = |one: &plumbline_diagnose::Detectable| {
         let (mut torque, mut parameter) = (vec![f64::NAN; n], vec![f64::NAN; n]);
         for &(joint, rms, value) in &one.sites {
             // Of several sites in one joint the one that shows best.
@@ -242,7 +243,7 @@ fn detectable(outcome: &Outcome) -> std::collections::BTreeMap<String, told::Min
 }
 
 fn hidden(outcome: &Outcome) -> Vec<told::NotIdentifiable> {
-    let of = |one: &plumbline_diagnose::outcome::Hidden| told::NotIdentifiable {
+    let of = |one: &plumbline_diagnose::Hidden| told::NotIdentifiable {
         effect: one.spec.family.into(),
         joints: joints(one.spec.site),
         why: format!(
@@ -254,7 +255,7 @@ fn hidden(outcome: &Outcome) -> Vec<told::NotIdentifiable> {
 }
 
 fn joint_facts(outcome: &Outcome) -> Vec<told::JointFacts> {
-    let fact = |facts: &plumbline_diagnose::outcome::JointFacts| {
+    let fact = |facts: &plumbline_diagnose::JointFacts| {
         let both = |pair: Option<[f64; 2]>| told::BeforeAfter {
             before: pair.map(|pair| pair[0]),
             after: pair.map(|pair| pair[1]),
@@ -293,7 +294,7 @@ fn scores(outcome: &Outcome) -> Vec<told::Score> {
 }
 
 fn figures(outcome: &Outcome) -> DiagnosisFigures {
-    let period = |one: &curves::Period| PeriodFigure {
+    let period = |one: &plumbline_diagnose::Period| PeriodFigure {
         joint: one.joint + 1,
         trajectory: one.run.clone(),
         t: one.t.clone(),
@@ -301,14 +302,14 @@ fn figures(outcome: &Outcome) -> DiagnosisFigures {
         after: one.after.clone(),
         deviation: one.floor.into_iter().collect(),
     };
-    let spectrum = |one: &curves::Spectrum| SpectrumFigure {
+    let spectrum = |one: &plumbline_diagnose::Spectrum| SpectrumFigure {
         joint: one.joint + 1,
         f: one.f.clone(),
         before: one.before.clone(),
         after: one.after.clone(),
         noise: one.noise.clone(),
     };
-    let effect = |one: &curves::Effect| EffectFigure {
+    let effect = |one: &plumbline_diagnose::EffectCurve| EffectFigure {
         title: label(one.spec.family, one.spec.site),
         variable: one.variable.clone(),
         joint: one.joint + 1,

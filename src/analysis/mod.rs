@@ -12,8 +12,8 @@ pub mod split;
 use crate::date::today;
 use crate::report::Condition;
 use crate::store::Provenance;
-use plumbline_model::conditioning::Conditions;
-use plumbline_model::robot::Robot;
+use plumbline_model::Conditions;
+use plumbline_model::Robot;
 
 /// Two gravity directions closer than this are one mounting \[rad\].
 pub const SAME_MOUNTING: f64 = 1e-3;

@@ -8,16 +8,17 @@ use plumbline_core::BadInput;
 use plumbline_core::{parallel, threads};
 use plumbline_identify::EstimateError;
 use plumbline_identify::consistency::{Nearest, Prior, Uncertainty, nearest};
-use plumbline_identify::experiment::{Experiment, Settings};
-use plumbline_identify::run as estimate;
-use plumbline_identify::solve::{self, Identification, identify_with};
-use plumbline_identify::validate::{Modelled, Rms, compare};
-use plumbline_model::base::Reduction;
-use plumbline_model::robot::{Robot, TorqueSensing};
-use plumbline_model::structure::Structure;
+use plumbline_identify::{Experiment, Settings};
+
+use plumbline_identify::solve;
+use plumbline_identify::solve::{Identification, identify_with};
+use plumbline_identify::{Modelled, Rms, compare};
+use plumbline_model::Reduction;
+use plumbline_model::Structure;
+use plumbline_model::TorqueModel;
 use plumbline_model::term::Motion;
 use plumbline_model::term::torque_offset;
-use plumbline_model::torque::TorqueModel;
+use plumbline_model::{Robot, TorqueSensing};
 
 /// A model and how it came about.
 pub struct Identified {
@@ -107,7 +108,7 @@ fn not_varying(run: &Run, name: &str, channel: &DMatrix<f64>, j: usize, expected
 
 /// Averages, filters and differentiates a run.
 pub fn experiment(run: &Run, settings: &Settings) -> Result<Experiment, Failure> {
-    let input = estimate::Run {
+    let input = plumbline_identify::Run {
         name: run.file.clone(),
         t: run.t.clone(),
         q: run.q.clone(),

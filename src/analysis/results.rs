@@ -15,12 +15,12 @@ use crate::setup::programme::{Motion, Programme, Role};
 use crate::store::{ModelFile, Provenance, Validated};
 use plumbline_core::threads;
 use plumbline_diagnose::errors::Of;
-use plumbline_excite::plan::PlanUsage;
-use plumbline_identify::experiment::Settings;
+use plumbline_excite::PlanUsage;
+use plumbline_identify::Settings;
 use plumbline_identify::solve::Outcome;
 use plumbline_ipc::{Session, Status, StreamCounters};
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
 use std::path::{Path, PathBuf};
 
 /// Terms of the paper's model, besides the rigid body.

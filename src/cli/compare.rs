@@ -16,13 +16,13 @@ use clap::Args;
 use plumbline_core::BadInput;
 use plumbline_core::threads;
 use plumbline_diagnose::reference;
-use plumbline_identify::experiment::Experiment;
-use plumbline_identify::validate::Rms;
-use plumbline_model::base::Reduction;
-use plumbline_model::robot::Robot;
+use plumbline_identify::Experiment;
+use plumbline_identify::Rms;
+use plumbline_model::Reduction;
+use plumbline_model::Robot;
+use plumbline_model::TorqueModel;
 use plumbline_model::term::Term;
 use plumbline_model::term::rigid_body::RigidBody;
-use plumbline_model::torque::TorqueModel;
 use std::path::PathBuf;
 
 /// Options of `plumbline compare`.

@@ -10,7 +10,7 @@ use clap::Args;
 use plumbline_core::BadInput;
 use plumbline_core::threads;
 use plumbline_diagnose::errors::Of;
-use plumbline_model::robot::Robot;
+use plumbline_model::Robot;
 
 /// Options of `plumbline diagnose`.
 #[derive(Args)]
@@ -44,10 +44,10 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let Split { identify, validate, mut notes } = split(&mut dataset, identify::hold_out(given)?)?;
     let identified: Vec<&Run> = identify.iter().collect();
     let structure = pipeline::structure(&robot, &identified, &terms)?;
-    let along_axis_1 = structure.kind() == plumbline_model::base::BaseKind::Vbs;
+    let along_axis_1 = structure.kind() == plumbline_model::BaseKind::Vbs;
     let (trusted, untrusted): (Vec<&Run>, Vec<&Run>) = validate
         .iter()
-        .partition(|run| !along_axis_1 || run.mounting.is_along_axis_1(plumbline_model::gravity::VERTICAL_TOLERANCE));
+        .partition(|run| !along_axis_1 || run.mounting.is_along_axis_1(plumbline_model::VERTICAL_TOLERANCE));
     let repeats = identify.iter().all(|run| run.period.is_some());
     let diagnosis = diagnosis_settings(&options, repeats)?;
     let question = Question {

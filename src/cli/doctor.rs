@@ -6,7 +6,7 @@ use crate::failure::Failure;
 use crate::machine::{self, Finding, Tree, Verdict, Wanted};
 use crate::setup::JobOptions;
 use clap::Args;
-use plumbline_rt::rights::Rights;
+use plumbline_rt::Rights;
 use std::path::PathBuf;
 
 /// Options of `plumbline doctor`.

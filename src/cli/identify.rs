@@ -13,10 +13,11 @@ use crate::store::{ModelFile, Validated};
 use clap::Args;
 use plumbline_core::BadInput;
 use plumbline_core::{parallel, threads};
-use plumbline_identify::experiment::{Method, Settings};
-use plumbline_identify::solve::{self, Estimator};
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
+use plumbline_identify::solve;
+use plumbline_identify::solve::Estimator;
+use plumbline_identify::{Method, Settings};
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
 use std::path::{Path, PathBuf};
 
 /// Options of `plumbline identify`.

@@ -9,7 +9,7 @@ use crate::inclinometer::socket::Listener;
 use clap::Args;
 use plumbline_core::BadInput;
 use plumbline_ipc::now_ns;
-use plumbline_model::gravity::{Mounting, angle_between};
+use plumbline_model::{Mounting, angle_between};
 use std::io::Write;
 use std::path::PathBuf;
 use std::time::Duration;

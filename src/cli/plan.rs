@@ -10,12 +10,12 @@ use crate::store::save_plan;
 use clap::{Args, ValueEnum};
 use plumbline_core::BadInput;
 use plumbline_core::threads;
-use plumbline_excite::criterion::Criterion;
-use plumbline_excite::fourier::Fourier;
-use plumbline_excite::limits::Margins;
-use plumbline_excite::plan::{Plan, PlanUsage};
-use plumbline_excite::search::{self, Progress, Search, Watch};
-use plumbline_model::robot::Robot;
+use plumbline_excite::Criterion;
+use plumbline_excite::Fourier;
+use plumbline_excite::Margins;
+use plumbline_excite::{Plan, PlanUsage};
+use plumbline_excite::{Progress, Search, Watch};
+use plumbline_model::Robot;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -191,7 +191,7 @@ impl Options {
             say!("  {}", usage_text(usage));
         }
         if set.len() > 1 {
-            let together = task.with_problem(|problem| search::together(problem, set));
+            let together = task.with_problem(|problem| plumbline_excite::conditions_together(problem, set));
             say!("  with the {} before it: condition {}", set.len() - 1, crate::analysis::conditions_text(&together));
         }
         Ok(())

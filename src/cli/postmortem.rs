@@ -12,8 +12,8 @@ use clap::Args;
 use nalgebra::Vector3;
 use plumbline_core::BadInput;
 use plumbline_core::FeedForward;
-use plumbline_model::robot::Robot;
-use plumbline_model::served::{NoModel, Reach, ServedModel};
+use plumbline_model::Robot;
+use plumbline_model::{NoModel, Reach, ServedModel};
 use std::path::PathBuf;
 
 /// Options of `plumbline postmortem`.

@@ -9,9 +9,9 @@ use crate::setup::models;
 use crate::store::ModelFile;
 use clap::Args;
 use plumbline_core::BadInput;
-use plumbline_identify::experiment::Settings;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::torque::TorqueModel;
+use plumbline_identify::Settings;
+use plumbline_model::Mounting;
+use plumbline_model::TorqueModel;
 use std::fmt::Write;
 use std::path::PathBuf;
 

@@ -13,11 +13,11 @@ pub use inclinometer::{Inclinometer, MountingCheck};
 
 use super::units;
 use plumbline_core::BadInput;
-use plumbline_excite::criterion::Criterion;
-use plumbline_excite::limits::Margins;
-use plumbline_identify::experiment::{Derivative, Method};
+use plumbline_excite::Criterion;
+use plumbline_excite::Margins;
 use plumbline_identify::solve;
-use plumbline_model::gravity::Mounting;
+use plumbline_identify::{Derivative, Method};
+use plumbline_model::Mounting;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 

@@ -1,7 +1,7 @@
 //! Quantities that a person writes with their unit: `"90 deg"`, `"10 s"`, `"5 Hz"`. A bare number is refused.
 
 use plumbline_core::BadInput;
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use serde::de::{Error, MapAccess, Visitor, value::MapAccessDeserializer};
 use serde::{Deserialize, Deserializer};
 use std::f64::consts::PI;

@@ -11,15 +11,15 @@ use crate::recording::messages::words;
 use plumbline_core::BadInput;
 use plumbline_core::{JointVec, Record};
 use plumbline_franka::{Interface, RobotLimits};
-use plumbline_identify::plausibility::{Implausible, plausible};
+use plumbline_identify::{Implausible, plausible};
 use plumbline_ipc::{
     Held, Mounting as MountingMessage, News, Progress, Proposal, Request, Response, Served,
     Session as SessionStatistics, Status, StopOrder, now_ns,
 };
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
-use plumbline_model::torque::TorqueModel;
-use plumbline_rt::order::{Controls, Event, StopReason};
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
+use plumbline_model::TorqueModel;
+use plumbline_rt::{Controls, Event, StopReason};
 use plumbline_sim::Truth;
 use std::collections::VecDeque;
 use std::path::Path;

@@ -11,9 +11,9 @@ use crate::inclinometer::sensor::{Health, Reading, Sensor};
 use crate::inclinometer::socket::Listener;
 use nalgebra::Vector3;
 use plumbline_core::{Phase, Record};
-use plumbline_identify::mounting_check::{Implied, Side, cross_check, implied};
+use plumbline_identify::{Implied, Side, cross_check, implied};
 use plumbline_ipc::{Gravity as GravityMessage, MotionGravity, now_ns};
-use plumbline_model::gravity::{Mounting, angle_between};
+use plumbline_model::{Mounting, angle_between};
 
 /// Events that the status keeps, the latest ones.
 const EVENTS: usize = 32;

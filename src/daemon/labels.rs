@@ -2,7 +2,7 @@
 //! what comes out in between still has the gravity from before.
 
 use nalgebra::Vector3;
-use plumbline_rt::torque::Succession;
+use plumbline_rt::Succession;
 use std::collections::VecDeque;
 
 /// Gravity by cycle \[m/s2\].

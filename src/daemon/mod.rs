@@ -31,9 +31,9 @@ use desk::Desk;
 use plumbline_ipc::{
     Asked, Lock, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener, Times, now_ns,
 };
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
+use plumbline_rt::Controls;
 use plumbline_rt::cycle::End;
-use plumbline_rt::order::Controls;
 use plumbline_rt::os;
 use recorder::Recorder;
 use rhythm::RequestShare;

@@ -1,7 +1,7 @@
 //! Torques of the arm at rest, as the loop's records bring them.
 
 use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record};
-use plumbline_identify::direction::Pose;
+use plumbline_identify::Pose;
 
 /// Records at the beginning of a rest that the arm swings out in.
 const SETTLE: u32 = 100;

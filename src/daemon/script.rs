@@ -4,8 +4,8 @@ use crate::recording::about::{Given, Series};
 use crate::setup::programme::{Motion, Role, Stage};
 use plumbline_core::{JointVec, MAX_JOINTS, Phase};
 use plumbline_excite::ExciteError;
-use plumbline_excite::fourier::{Fourier, PeriodicMotion};
-use plumbline_rt::order::{Event, Order, OrderKind};
+use plumbline_excite::{Fourier, PeriodicMotion};
+use plumbline_rt::{Event, Order, OrderKind};
 use std::collections::VecDeque;
 
 /// Orders that bring the arm to a motion's start carry the motion's number plus this.

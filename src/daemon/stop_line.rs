@@ -1,7 +1,7 @@
 //! Carries stops to the running loop by a thread of their own, whatever the bridge thread is at.
 
 use plumbline_ipc::{StopListener, StopOrder};
-use plumbline_rt::order::Controls;
+use plumbline_rt::Controls;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;

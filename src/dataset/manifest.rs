@@ -3,7 +3,7 @@
 use super::{Dataset, Run, csv};
 use plumbline_core::{BadInput, from_toml};
 use plumbline_core::{parallel, threads};
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Component, Path};

@@ -17,7 +17,7 @@ pub use manifest::Role;
 
 use nalgebra::DMatrix;
 use plumbline_core::BadInput;
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use std::path::Path;
 
 /// Recorded motions of one arm.

@@ -3,7 +3,7 @@
 use super::manifest::{FILE, GravityAngles, Manifest, RunEntry, TorqueUnit};
 use super::{Dataset, Run};
 use crate::atomic;
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;

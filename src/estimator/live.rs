@@ -9,14 +9,15 @@ use crate::report::diagnosis::Effect;
 use crate::store::{ModelFile, Provenance, model_identity};
 use plumbline_core::threads;
 use plumbline_core::{Phase, Record, Validity};
-use plumbline_diagnose::live::{self, ENDS, Floor, Found, News, Remedy, STRETCH, Watch};
+use plumbline_diagnose::live;
+use plumbline_diagnose::live::{ENDS, Floor, Found, News, Remedy, STRETCH, Watch};
 use plumbline_diagnose::reference::Change;
-use plumbline_identify::experiment::{Experiment, Settings};
-use plumbline_identify::run;
+use plumbline_identify::{Experiment, Settings};
+
 use plumbline_ipc::{Proposal, Status};
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
-use plumbline_model::torque::TorqueModel;
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
+use plumbline_model::TorqueModel;
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -383,7 +384,7 @@ impl Live {
     /// Some of the buffer's samples as one motion; `None` where they are too few or the arm stands.
     fn prepared(&self, first: usize, end: usize) -> Option<Experiment> {
         let records: Vec<Record> = self.buffer.range(first..end).copied().collect();
-        let run = run::Run::from_records("live", &records, self.joints, self.gravity, None);
+        let run = plumbline_identify::Run::from_records("live", &records, self.joints, self.gravity, None);
         let experiment = Experiment::prepare(&run, &self.settings).ok()?;
         let resting = experiment.resting().iter().filter(|rests| **rests).count();
         (2 * resting < experiment.resting().len()).then_some(experiment)

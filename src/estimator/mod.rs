@@ -15,7 +15,7 @@ use plumbline_ipc::{
     Client, Delivery, IpcError, Progress, Request, Response, RobotId, SampleStream, Status, StreamCounters,
     StreamSettings,
 };
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 

@@ -14,7 +14,7 @@
 
 use nalgebra::{Matrix3, Matrix3x2, Vector2, Vector3};
 use plumbline_core::symmetric_eigen;
-use plumbline_model::gravity::{G, Mounting};
+use plumbline_model::{G, Mounting};
 
 /// What the angles of a two-axis sensor mean; the data sheet says it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

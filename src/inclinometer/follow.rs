@@ -6,7 +6,7 @@
 use super::node::Fault;
 use super::sensor::{Health, Reading};
 use nalgebra::{Unit, UnitQuaternion, Vector3};
-use plumbline_model::gravity::{Mounting, angle_between};
+use plumbline_model::{Mounting, angle_between};
 
 /// What is served while the inclinometer is not.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -4,7 +4,7 @@ use super::attitude::{Attitude, Seat, SeatError};
 use super::frame::{Frame, Heard};
 use super::node::{Fault, Identity, Node, NodeEvent, NodeSettings, unit};
 use super::smooth::{Calm, SmoothSettings, Smoother};
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use std::collections::VecDeque;
 
 /// Everything that is set of an inclinometer.

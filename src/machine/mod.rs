@@ -14,7 +14,7 @@ pub use look::look;
 pub use tree::Tree;
 pub use wake::{Class, wake_ups};
 
-use plumbline_rt::rights::{Grant, Granted, Rights, become_realtime};
+use plumbline_rt::{Grant, Granted, Rights, become_realtime};
 use serde::Serialize;
 use std::net::IpAddr;
 

@@ -3,8 +3,8 @@
 use super::{Finding, Verdict, Wanted};
 use hdrhistogram::Histogram;
 use plumbline_core::PERIOD_NS;
+use plumbline_rt::become_realtime;
 use plumbline_rt::os::{now_ns, sleep_until};
-use plumbline_rt::rights::become_realtime;
 use serde::Serialize;
 
 /// Classes of the largest delay, after the usual reading of LinuxCNC's latency test

@@ -7,8 +7,8 @@ use crate::recording::about::Given;
 use crate::recording::messages::{limit_name, words};
 use plumbline_core::{PERIOD, PERIOD_NS};
 use plumbline_core::{Phase, Record};
-use plumbline_rt::guard::{Limit, Violation};
-use plumbline_rt::order::{Event, StopReason, Told};
+use plumbline_rt::{Event, StopReason, Told};
+use plumbline_rt::{Limit, Violation};
 use serde::Serialize;
 
 /// Most lines of the timeline and of the lists of outliers.

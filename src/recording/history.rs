@@ -5,8 +5,8 @@
 
 use super::about::{Given, Handed, Note, Point, UnderWay};
 use plumbline_core::{JointVec, Record, Setpoint, State};
-use plumbline_rt::motion::braked_from;
-use plumbline_rt::order::{Event, Told};
+use plumbline_rt::braked_from;
+use plumbline_rt::{Event, Told};
 use std::collections::VecDeque;
 
 /// Events that are kept; what they mean for the loop's state outlives them.
@@ -303,7 +303,7 @@ mod tests {
         let UnderWay::Order { index: 0, from: Some(from) } = under_way else { panic!("{under_way:?}") };
         assert_eq!(from.q[0], 1.0, "the setpoint of the cycle before it began");
         // An event that overtakes its record waits for it.
-        history.tell(told(51, 1, Event::Stopping { motion: 5, reason: plumbline_rt::order::StopReason::Requested }));
+        history.tell(told(51, 1, Event::Stopping { motion: 5, reason: plumbline_rt::StopReason::Requested }));
         assert_eq!(history.window(0, &[]).before.models, 1);
         history.keep(&[record(50), record(51)]);
         history.keep(&[record(52), record(53), record(54)]);

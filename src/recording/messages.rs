@@ -5,8 +5,8 @@
 
 use super::cdr::{CdrError, Decoder, Encoder};
 use plumbline_core::{MAX_JOINTS, Phase, Record, Validity};
-use plumbline_rt::guard::{Limit, Violation};
-use plumbline_rt::order::{Event, StopReason, Told};
+use plumbline_rt::{Event, StopReason, Told};
+use plumbline_rt::{Limit, Violation};
 
 const RULE: &str = "================================================================================";
 

@@ -19,7 +19,7 @@ mod write;
 
 use about::About;
 use plumbline_core::Record;
-use plumbline_rt::order::Told;
+use plumbline_rt::Told;
 
 /// A recording in memory.
 #[derive(Clone, Debug)]

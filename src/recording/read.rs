@@ -7,7 +7,7 @@ use mcap::records::{Record as Raw, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use plumbline_core::{BadInput, expectation};
 use plumbline_core::{MAX_JOINTS, Record};
-use plumbline_rt::order::Told;
+use plumbline_rt::Told;
 use std::collections::{BTreeMap, HashMap};
 use std::io::Read;
 use std::path::Path;

@@ -4,7 +4,7 @@ use super::messages::{self, CYCLES, EVENTS, LOG};
 use super::{Recording, about::About};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, McapError, WriteOptions, Writer};
-use plumbline_rt::order::{Event, StopReason};
+use plumbline_rt::{Event, StopReason};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::{self, Cursor};

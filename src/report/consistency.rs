@@ -1,7 +1,7 @@
 //! Whether real bodies have the identified parameters.
 
 use plumbline_identify::consistency::Nearest;
-use plumbline_model::torque::TorqueModel;
+use plumbline_model::TorqueModel;
 use serde::{Deserialize, Serialize};
 
 /// Parameters named in one sentence.

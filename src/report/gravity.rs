@@ -2,7 +2,7 @@
 
 use super::MountingFacts;
 use plumbline_ipc::Gravity;
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use serde::{Deserialize, Serialize};
 
 /// What the inclinometer did, and what was made of it.

@@ -9,12 +9,12 @@ use crate::failure::Failure;
 use crate::process::owned;
 use clap::Args;
 use plumbline_core::{BadInput, JointVec, MAX_JOINTS};
-use plumbline_excite::limits::{Bounds, Margins, check_pose};
+use plumbline_excite::{Bounds, Margins, check_pose};
 use plumbline_ipc::{ArmLock, Lock, RobotId};
-use plumbline_model::base::Reduction;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
-use plumbline_model::structure::Structure;
+use plumbline_model::Mounting;
+use plumbline_model::Reduction;
+use plumbline_model::Robot;
+use plumbline_model::Structure;
 use plumbline_sim::Truth;
 use std::path::PathBuf;
 

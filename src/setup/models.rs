@@ -3,7 +3,7 @@
 
 use crate::store::ModelFile;
 use plumbline_core::BadInput;
-use plumbline_model::robot::Robot;
+use plumbline_model::Robot;
 use std::path::Path;
 
 /// A model file with its robot: the description that the file holds, else the shipped robot of that name.

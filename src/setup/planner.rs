@@ -10,18 +10,18 @@ use plumbline_core::BadInput;
 use plumbline_core::threads;
 use plumbline_core::{Limits, SpeedEnvelope, Workspace};
 use plumbline_excite::ExciteError;
-use plumbline_excite::criterion::check_excitation;
-use plumbline_excite::fourier::Fourier;
-use plumbline_excite::limits::{Bounds, Margins};
-use plumbline_excite::nominal::Nominal;
-use plumbline_excite::optimiser::optimise;
-use plumbline_excite::plan::{Plan, PlanUsage};
-use plumbline_excite::search::{self, Problem, Progress, Search, Watch, verdict};
-use plumbline_excite::usage::{Usage, check_usage, usage};
+use plumbline_excite::Fourier;
+use plumbline_excite::Nominal;
+use plumbline_excite::check_excitation;
+use plumbline_excite::optimise;
+use plumbline_excite::{Bounds, Margins};
+use plumbline_excite::{Plan, PlanUsage};
+use plumbline_excite::{Problem, Progress, Search, Watch, motion_samples, search_verdict};
+use plumbline_excite::{Usage, check_usage, usage};
 use plumbline_franka::RobotLimits;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
-use plumbline_rt::moves::MoveFactors;
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
+use plumbline_rt::MoveFactors;
 use sha2::{Digest, Sha256};
 use std::path::Path;
 
@@ -161,7 +161,8 @@ impl<'a> Planner<'a> {
             let expected = format!("{} joints", self.robot.chain.len());
             return Err(BadInput::new(&file, "key `q0`", format!("{} joints", fourier.joints()), expected).into());
         }
-        let verdict = self.task(&plan.mounting(), Margins::none()).with_problem(|problem| verdict(problem, &fourier));
+        let verdict =
+            self.task(&plan.mounting(), Margins::none()).with_problem(|problem| search_verdict(problem, &fourier));
         if let Some(peak) = verdict.violations().next() {
             let expected = match self.job.backend.franka {
                 Some(_) => "a motion inside every limit of the job and of the connected arm",
@@ -181,7 +182,7 @@ impl<'a> Planner<'a> {
     pub fn check_excitation(&self, mounting: &Mounting, motions: &[Fourier]) -> Result<(), Failure> {
         let task = self.task(mounting, Margins::none());
         let determined =
-            task.with_problem(|problem| check_excitation(problem.structure, &search::all(problem, motions)));
+            task.with_problem(|problem| check_excitation(problem.structure, &motion_samples(problem, motions)));
         determined.map_err(|error| self.no_plan(error))
     }
 
@@ -279,7 +280,7 @@ impl Task<'_> {
     }
 
     pub fn random(&self, search: &Search) -> Result<Plan, ExciteError> {
-        self.with_problem(|problem| search::random(problem, search, VALIDATION_AMPLITUDE))
+        self.with_problem(|problem| plumbline_excite::random_plan(problem, search, VALIDATION_AMPLITUDE))
     }
 
     pub fn with_problem<T>(&self, find: impl FnOnce(&Problem) -> T) -> T {

@@ -6,14 +6,14 @@ use crate::setup::planner::Planner;
 use crate::store::{load_plan, save_plan};
 use plumbline_core::BadInput;
 use plumbline_core::{JointVec, Limits, Setpoint};
-use plumbline_excite::fourier::Fourier;
-use plumbline_excite::limits::{Bounds, Peak, Quantity, check_pose};
-use plumbline_excite::plan::Plan;
-use plumbline_excite::rehearsal::rehearse_points;
+use plumbline_excite::Fourier;
+use plumbline_excite::Plan;
+use plumbline_excite::rehearse_points;
+use plumbline_excite::{Bounds, Peak, Quantity, check_pose};
 use plumbline_franka::RobotLimits;
-use plumbline_model::gravity::{Mounting, VERTICAL_TOLERANCE};
-use plumbline_model::robot::Robot;
-use plumbline_rt::moves::{self, MoveFactors};
+use plumbline_model::Robot;
+use plumbline_model::{Mounting, VERTICAL_TOLERANCE};
+use plumbline_rt::MoveFactors;
 use std::path::Path;
 
 /// What a motion is driven for.
@@ -213,7 +213,7 @@ impl<'a> Ways<'a> {
     /// Checks every millisecond of a way against box, sphere, bodies and speeds, and by the rules of the guard.
     fn way(&self, from: &JointVec, to: &JointVec) -> Result<(), Peak> {
         let n = self.bounds.chain.len();
-        let mut moves = moves::Planner::new(n, *self.bounds.limits, MoveFactors::default());
+        let mut moves = plumbline_rt::Planner::new(n, *self.bounds.limits, MoveFactors::default());
         let start = Setpoint { q: *from, ..Setpoint::default() };
         // Between two poses inside the range there is always a way; a blocked one is its start.
         if moves.move_to(&start, to).is_err() {

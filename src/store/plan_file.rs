@@ -2,7 +2,7 @@
 
 use crate::atomic;
 use plumbline_core::BadInput;
-use plumbline_excite::plan::{Plan, parse_plan, plan_text};
+use plumbline_excite::{Plan, parse_plan, plan_text};
 use std::path::Path;
 
 /// Writes a plan aside, then renames it.

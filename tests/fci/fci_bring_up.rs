@@ -3,7 +3,7 @@
 
 use clap::Parser;
 use plumbline_franka::wire::Protocol;
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use plumbline_testkit::emulator::{Emulator, Settings as Emulated};
 use plumbline_testkit::rig::verdict::Verdict;
 use plumbline_testkit::rig::{Cli, Given, Rig, Step, communication, excitation, gravity};

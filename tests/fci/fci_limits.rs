@@ -1,7 +1,7 @@
 //! Plans and the limits of the arm that is connected: whatever it serves, motions are checked and planned under it before anything moves.
 
 use plumbline::store::load_plan;
-use plumbline_excite::plan::Plan;
+use plumbline_excite::Plan;
 use plumbline_franka::wire::{Protocol, RobotMode};
 use plumbline_testkit::emulator::limits::{JOINTS, Limits};
 use plumbline_testkit::emulator::{Emulator, READY, RobotKind, Settings, Snapshot};

@@ -2,7 +2,7 @@
 //! rest holds the arm from the first cycle on.
 
 use plumbline_franka::wire::{Protocol, RobotMode};
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use plumbline_testkit::emulator::{Emulator, Settings};
 use plumbline_testkit::job::{Done, Place, plumbline};
 use std::net::{IpAddr, Ipv4Addr};

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 use plumbline::dataset::{Dataset, Role, Run};
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::fs;

@@ -4,9 +4,9 @@ use nalgebra::DMatrix;
 use plumbline::dataset::{Dataset, Run};
 use plumbline::store::ModelFile;
 use plumbline_core::JointVec;
-use plumbline_model::base::BaseKind;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
+use plumbline_model::BaseKind;
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
 use plumbline_model::term::Motion;
 use std::path::{Path, PathBuf};
 

@@ -2,18 +2,18 @@
 
 use plumbline::store::ModelFile;
 use plumbline_core::{Limits, MAX_JOINTS};
+use plumbline_excite::Criterion;
 use plumbline_excite::ExciteError;
-use plumbline_excite::criterion::Criterion;
-use plumbline_excite::limits::{Bounds, Margins, Quantity};
-use plumbline_excite::nominal::Nominal;
-use plumbline_excite::optimiser::grid::Grid;
-use plumbline_excite::optimiser::objective::{Objective, Sharpness};
-use plumbline_excite::optimiser::optimise;
-use plumbline_excite::search::{Problem, Progress, Search, Watch, random, together, verdict};
-use plumbline_model::base::Reduction;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
-use plumbline_model::structure::Structure;
+use plumbline_excite::Grid;
+use plumbline_excite::Nominal;
+use plumbline_excite::optimise;
+use plumbline_excite::{Bounds, Margins, Quantity};
+use plumbline_excite::{Objective, Sharpness};
+use plumbline_excite::{Problem, Progress, Search, Watch, conditions_together, random_plan, search_verdict};
+use plumbline_model::Mounting;
+use plumbline_model::Reduction;
+use plumbline_model::Robot;
+use plumbline_model::Structure;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::Path;
@@ -128,7 +128,7 @@ fn a_search_improves_keeps_every_limit_and_repeats_by_seed_on_any_number_of_thre
     assert!((last.best / plan.conditions.raw - 1.0).abs() < 1e-9, "{} {}", last.best, plan.conditions.raw);
 
     let fourier = plan.fourier().unwrap();
-    let check = verdict(&problem, &fourier);
+    let check = search_verdict(&problem, &fourier);
     assert!(check.is_feasible());
     for kind in
         [Quantity::Jerk, Quantity::TorqueRate, Quantity::BaseSphere, Quantity::LinkBoxMin(2), Quantity::Clearance(0, 7)]
@@ -138,7 +138,7 @@ fn a_search_improves_keeps_every_limit_and_repeats_by_seed_on_any_number_of_thre
     assert!(fourier.boundary_error().iter().all(|&error| error < 1e-9));
     assert!(plan.constraints.tau.is_some());
     // Random motions have some hundreds; a random search of some seconds 58.
-    let any = random(&problem, &short(), 1.0).unwrap();
+    let any = random_plan(&problem, &short(), 1.0).unwrap();
     assert!(plan.conditions.raw < 50.0 && any.conditions.raw > 100.0, "{} {}", plan.conditions.raw, any.conditions.raw);
 
     assert_eq!(optimise(&problem, &short(), &[], &Watch::alone(3)).unwrap(), plan);
@@ -169,7 +169,7 @@ fn a_stopped_search_keeps_a_motion_inside_every_limit() {
         let asked = AtomicUsize::new(0);
         let stop = || asked.fetch_add(1, Ordering::Relaxed) >= after;
         let plan = optimise(&problem, &short(), &[], &Watch { threads: 1, stop: &stop, progress: &|_| {} }).unwrap();
-        assert!(verdict(&problem, &plan.fourier().unwrap()).is_feasible());
+        assert!(search_verdict(&problem, &plan.fourier().unwrap()).is_feasible());
     }
 }
 
@@ -182,10 +182,10 @@ fn a_second_motion_complements_the_first() {
         optimise(&problem, &Search { seed, ..search.clone() }, prior, &Watch::alone(2)).unwrap().fourier().unwrap()
     };
     let first = find(1, &[]);
-    let alone = together(&problem, from_ref(&first)).raw;
+    let alone = conditions_together(&problem, from_ref(&first)).raw;
     let second = find(2, from_ref(&first));
-    let both = together(&problem, &[first.clone(), second]).raw;
-    let any = together(&problem, &[first.clone(), find(2, &[])]).raw;
+    let both = conditions_together(&problem, &[first.clone(), second]).raw;
+    let any = conditions_together(&problem, &[first.clone(), find(2, &[])]).raw;
     assert!(both < 0.9 * alone && both < any, "{alone} alone, {both} with its complement, {any} with any other");
 }
 

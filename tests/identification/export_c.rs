@@ -1,8 +1,8 @@
 //! The C function computes what the model does, on any compiler that takes C99.
 
 use plumbline::store::export::{c, effects};
+use plumbline_model::TorqueModel;
 use plumbline_model::term::effect::{FAMILIES, Spec};
-use plumbline_model::torque::TorqueModel;
 use plumbline_testkit::bodies::{ROBOTS, cases, model, robot, with_effects};
 use std::fmt::Write;
 use std::path::Path;

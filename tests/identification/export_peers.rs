@@ -1,7 +1,7 @@
 //! URDF and MJCF give other programs the arm that was identified: torques of Pinocchio and MuJoCo are the model's.
 
 use plumbline::store::export::{Arm, mjcf, splice, tree, urdf};
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use plumbline_testkit::bodies::{Case, ROBOTS, bodies, cases, model, robot};
 use plumbline_testkit::peers;
 use serde::{Deserialize, Serialize};
@@ -73,7 +73,7 @@ fn pinocchio_and_mujoco_need_the_models_torque() {
             .iter()
             .map(|own| (if own.column.name.starts_with("fc") { 0.0 } else { own.value }, own.std))
             .collect();
-        let whole = plumbline_model::torque::TorqueModel::new(*name, structure, vec![Mounting::WALL], &values).unwrap();
+        let whole = plumbline_model::TorqueModel::new(*name, structure, vec![Mounting::WALL], &values).unwrap();
         let found = bodies(&whole);
         assert!(found.exact, "{name}");
         let arm = Arm { model: &whole, bodies: &found, limits: &robot.limits };
@@ -109,7 +109,7 @@ const FOREIGN: &str = r#"<?xml version="1.0"?>
 "#;
 
 /// An arm whose axes are those of [`FOREIGN`].
-fn two() -> (plumbline_model::robot::Robot, String) {
+fn two() -> (plumbline_model::Robot, String) {
     let robot = robot("paper-2dof");
     let second = robot.chain.joints()[0].placement(0.0).then(&robot.chain.joints()[1].placement(0.0));
     let z = second.rotation.column(2).into_owned();

@@ -3,12 +3,12 @@
 use nalgebra::Vector3;
 use plumbline::store::ModelFile;
 use plumbline_core::JointVec;
-use plumbline_identify::direction::Pose;
-use plumbline_identify::mounting_check::{Disagreement, Side, cross_check, implied};
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
+use plumbline_identify::Pose;
+use plumbline_identify::{Disagreement, Side, cross_check, implied};
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
+use plumbline_model::TorqueModel;
 use plumbline_model::term::Sample;
-use plumbline_model::torque::TorqueModel;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -1,9 +1,9 @@
 //! The paper, reproduced: its tables and figures in simulation, and docs/paper.md, which shows them.
 
-use plumbline_identify::experiment::Settings;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::rnea::rnea;
-use plumbline_model::robot::Robot;
+use plumbline_identify::Settings;
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
+use plumbline_model::rnea;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::Path;

@@ -3,7 +3,7 @@
 use plumbline::report::diagnosis::*;
 use plumbline::report::figures::{DiagnosisFigures, EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
 use plumbline::report::*;
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

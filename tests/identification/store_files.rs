@@ -3,17 +3,17 @@
 use nalgebra::Vector3;
 use plumbline::store::*;
 use plumbline_core::BadInput;
-use plumbline_excite::limits::Margins;
-use plumbline_excite::plan::{Constraints, Plan, PlanUsage};
-use plumbline_excite::plan::{parse_plan, plan_text};
-use plumbline_model::base::{BaseKind, Reduction};
-use plumbline_model::chain::Chain;
-use plumbline_model::conditioning::Conditions;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
-use plumbline_model::structure::Structure;
+use plumbline_excite::Margins;
+use plumbline_excite::{Constraints, Plan, PlanUsage};
+use plumbline_excite::{parse_plan, plan_text};
+use plumbline_model::Chain;
+use plumbline_model::Conditions;
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
+use plumbline_model::Structure;
+use plumbline_model::TorqueModel;
 use plumbline_model::term::Sample;
-use plumbline_model::torque::TorqueModel;
+use plumbline_model::{BaseKind, Reduction};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

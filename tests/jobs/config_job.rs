@@ -3,8 +3,8 @@
 use plumbline::config::job::franka::Recovery;
 use plumbline::config::job::{Job, OnLoss, Pace, Resource};
 use plumbline_franka::Interface;
-use plumbline_identify::experiment::Settings;
-use plumbline_model::gravity::Mounting;
+use plumbline_identify::Settings;
+use plumbline_model::Mounting;
 use std::path::Path;
 
 const LEAST: &str = "robot = \"panda\"\nmounting = \"wall\"\n[backend]\nkind = \"sim\"\narm = \"sim-panda\"\n";

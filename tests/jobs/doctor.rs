@@ -1,7 +1,7 @@
 //! `plumbline doctor`: every finding against a machine of the test's own making, and the command on this one.
 
 use plumbline::machine::{Finding, Tree, Verdict, Wanted, look};
-use plumbline_rt::rights::Rights;
+use plumbline_rt::Rights;
 use plumbline_testkit::job::*;
 use std::net::IpAddr;
 use std::path::Path;

@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 use plumbline::dataset::{Dataset, Role, Run};
 use plumbline::report::Report;
 use plumbline::store::ModelFile;
-use plumbline_model::robot::Robot;
+use plumbline_model::Robot;
 use plumbline_model::term::Motion;
 use plumbline_sim::Truth;
 use plumbline_testkit::job::*;
@@ -73,7 +73,7 @@ fn mean_period(file: &Path, samples: usize) -> Vec<Vec<f64>> {
 fn errors(
     model: &Path,
     files: &[std::path::PathBuf],
-    mounting: &plumbline_model::gravity::Mounting,
+    mounting: &plumbline_model::Mounting,
     samples: usize,
 ) -> Vec<f64> {
     let file = ModelFile::load(model, |name| Ok(Robot::load(name, None)?.chain)).unwrap();

@@ -2,7 +2,7 @@
 
 use plumbline::report::Report;
 use plumbline::store::ModelFile;
-use plumbline_model::robot::Robot;
+use plumbline_model::Robot;
 use plumbline_testkit::job::*;
 use std::path::Path;
 

@@ -1,8 +1,8 @@
 //! `plumbline plan` finds a feasible motion for every robot that ships with it.
 
 use plumbline::store::load_plan;
-use plumbline_excite::limits::{Bounds, Margins, verify};
-use plumbline_model::robot::Robot;
+use plumbline_excite::{Bounds, Margins, verify};
+use plumbline_model::Robot;
 use plumbline_testkit::job::*;
 
 #[test]

@@ -2,8 +2,8 @@
 
 use nalgebra::DMatrix;
 use plumbline::store::ModelFile;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
 use plumbline_model::term::Motion;
 use plumbline_testkit::job::*;
 use plumbline_testkit::logs;

@@ -22,7 +22,7 @@ pub struct Curves {
     /// Residuals over frequency.
     pub spectra: Vec<Spectrum>,
     /// Residuals over what effects depend on.
-    pub effects: Vec<Effect>,
+    pub effects: Vec<EffectCurve>,
 }
 
 /// A joint's residual in the band along one trajectory.
@@ -59,7 +59,7 @@ pub struct Spectrum {
 
 /// A joint's residual without one effect, over that effect's variable.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Effect {
+pub struct EffectCurve {
     /// The effect.
     pub spec: Spec,
     /// The joint, from 0.
@@ -161,7 +161,7 @@ fn variable(spec: &Spec) -> (&'static str, fn(&[f64; 3]) -> f64) {
     }
 }
 
-fn effect(search: &Search, state: &State, item: usize) -> Option<Effect> {
+fn effect(search: &Search, state: &State, item: usize) -> Option<EffectCurve> {
     let evidence = search.problem.evidence;
     let spec = state.items[item].spec.clone();
     let joints = spec.site.joints();
@@ -185,7 +185,7 @@ fn effect(search: &Search, state: &State, item: usize) -> Option<Effect> {
     points.sort_by(|a, b| a[0].total_cmp(&b[0]));
     let unit = ["q", "dq", "ddq"].iter().position(|own| *own == name).map_or("", |k| ["rad", "rad/s", "rad/s2"][k]);
     let variable = format!("{name}{} [{unit}]", cause + 1);
-    let mut curve = Effect { spec, joint, variable, x: vec![], mean: vec![], error: vec![], fitted: vec![] };
+    let mut curve = EffectCurve { spec, joint, variable, x: vec![], mean: vec![], error: vec![], fitted: vec![] };
     for bin in points.chunks(points.len().div_ceil(BINS).max(1)) {
         let count = bin.len() as f64;
         let mean = |which: usize| bin.iter().map(|point| point[which]).sum::<f64>() / count;

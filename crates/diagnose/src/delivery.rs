@@ -12,11 +12,12 @@ use super::unseen::Unseen;
 use nalgebra::DVector;
 use plumbline_core::parallel;
 use plumbline_identify::EstimateError;
-use plumbline_identify::experiment::Experiment;
+use plumbline_identify::Experiment;
+use plumbline_identify::Modelled;
 use plumbline_identify::solve::{Estimator, Identification, identify_weighted, identify_with};
-use plumbline_identify::validate::Modelled;
-use plumbline_model::term::effect::{self, Spec};
-use plumbline_model::torque::TorqueModel;
+use plumbline_model::TorqueModel;
+use plumbline_model::term::effect;
+use plumbline_model::term::effect::Spec;
 
 /// What a joint's effects have to explain of what was unmodelled there, to be put into the model.
 const HELPFUL: f64 = 0.5;

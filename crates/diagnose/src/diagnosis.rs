@@ -16,10 +16,12 @@ use super::state::{State, every};
 use super::unseen::{Unseen, columns_of};
 use nalgebra::DVector;
 use plumbline_identify::EstimateError;
-use plumbline_identify::experiment::Experiment;
-use plumbline_identify::solve::{self, identify_with};
-use plumbline_model::structure::Structure;
-use plumbline_model::term::effect::{self, Ground};
+use plumbline_identify::Experiment;
+use plumbline_identify::solve;
+use plumbline_identify::solve::identify_with;
+use plumbline_model::Structure;
+use plumbline_model::term::effect;
+use plumbline_model::term::effect::Ground;
 use plumbline_model::term::torque_offset;
 
 /// What is diagnosed.

@@ -1,8 +1,8 @@
 //! Errors of two models on runs that neither was fitted to, with intervals from a block bootstrap.
 
 use nalgebra::DMatrix;
-use plumbline_identify::experiment::Experiment;
-use plumbline_identify::validate::Modelled;
+use plumbline_identify::Experiment;
+use plumbline_identify::Modelled;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -8,9 +8,9 @@
 
 use super::fold::{BLOCK, Fold, Thinned, Thinning, folds_of};
 use nalgebra::{DMatrix, DVector};
-use plumbline_identify::experiment::Experiment;
-use plumbline_model::chain::Chain;
-use plumbline_model::structure::Structure;
+use plumbline_identify::Experiment;
+use plumbline_model::Chain;
+use plumbline_model::Structure;
 use plumbline_model::term::{Motion, Term};
 use std::ops::Range;
 

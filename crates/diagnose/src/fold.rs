@@ -1,7 +1,7 @@
 //! The parts of the data that are left out as a whole when findings are tested, and the maps from their samples to coefficients.
 
 use nalgebra::{DMatrix, DVector};
-use plumbline_identify::experiment::Experiment;
+use plumbline_identify::Experiment;
 use plumbline_identify::signal::spectral::Spectral;
 use plumbline_model::term::Motion;
 use realfft::num_complex::Complex;

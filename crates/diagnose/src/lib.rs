@@ -9,26 +9,40 @@
 #![forbid(unsafe_code)]
 
 pub mod changing;
-pub mod curves;
+mod curves;
 mod delivery;
 mod detectable;
-pub mod diagnosis;
+mod diagnosis;
 pub mod errors;
-pub mod evidence;
-pub mod fallback;
-pub mod fit;
-pub mod fold;
-pub mod gates;
-pub mod library;
+mod evidence;
+mod fallback;
+mod fit;
+mod fold;
+mod gates;
+mod library;
 pub mod live;
-pub mod moments;
-pub mod outcome;
+mod moments;
+mod outcome;
 mod parts;
 pub mod reference;
 mod search;
-pub mod select;
-pub mod state;
+mod select;
+mod state;
 mod unseen;
+
+pub use curves::EffectCurve;
+pub use curves::{Period, Spectrum};
+pub use diagnosis::{Input, diagnose};
+pub use evidence::{Evidence, Trial};
+pub use fallback::{Unexplained, Variable, lack_of_fit, lacks, unexplained};
+pub use fit::{Problem, inverse};
+pub use fold::Fold;
+pub use gates::{Folds, Relevance, folds, matters, relevance};
+pub use library::{Candidate, library};
+pub use moments::Columns;
+pub use outcome::{Confirmation, Detectable, Effect, Estimate, Fitted, Hidden, JointFacts, Outcome, Verdict};
+pub use select::{Rival, Scored, Search, Selected, Step};
+pub use state::{State, mean_square};
 
 /// How a diagnosis is done.
 #[derive(Clone, Debug, PartialEq)]

@@ -9,8 +9,8 @@ use super::Settings;
 use super::evidence::Trial;
 use super::reference::{self, Change, Changes};
 use nalgebra::DMatrix;
-use plumbline_identify::experiment::Experiment;
-use plumbline_model::torque::TorqueModel;
+use plumbline_identify::Experiment;
+use plumbline_model::TorqueModel;
 use std::ops::Range;
 
 /// Length of a stretch \[s\].

@@ -5,7 +5,7 @@ use super::fallback::Unexplained;
 use super::gates::{Folds, Relevance};
 use super::select::{Rival, Step};
 use plumbline_identify::solve::Identification;
-use plumbline_model::structure::Structure;
+use plumbline_model::Structure;
 use plumbline_model::term::effect::Spec;
 
 /// The answer in one word.

@@ -6,7 +6,7 @@ use super::moments::Columns;
 use super::outcome::Fitted;
 use super::state::{State, mean_square};
 use nalgebra::DVector;
-use plumbline_model::structure::Structure;
+use plumbline_model::Structure;
 use plumbline_model::term::effect::Ground;
 
 /// Columns of a structure and torques of runs.

@@ -2,8 +2,8 @@
 
 use super::fourier::Fourier;
 use plumbline_core::{JointVec, Limits, MAX_JOINTS, SpeedEnvelope, Workspace};
-use plumbline_model::chain::Chain;
-use plumbline_model::shape::{FIRST_BOXED, Shape, nearest};
+use plumbline_model::Chain;
+use plumbline_model::{FIRST_BOXED, Shape, nearest};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -336,9 +336,9 @@ pub fn verify(bounds: &Bounds, fourier: &Fourier, torque: Option<NominalTorque>)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use plumbline_model::chain::{Joint, JointKind, Placement};
-    use plumbline_model::robot::Robot;
-    use plumbline_model::shape::Capsule;
+    use plumbline_model::Capsule;
+    use plumbline_model::Robot;
+    use plumbline_model::{Joint, JointKind, Placement};
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 

@@ -3,12 +3,13 @@
 use super::ExciteError;
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS};
-use plumbline_model::chain::Chain;
-use plumbline_model::regressor::LINK_COLUMNS;
-use plumbline_model::rnea::{LinkParameters, rnea};
-use plumbline_model::term::friction::{self, SHARPNESS};
+use plumbline_model::Chain;
+use plumbline_model::LINK_COLUMNS;
+use plumbline_model::TorqueModel;
+use plumbline_model::term::friction;
+use plumbline_model::term::friction::SHARPNESS;
 use plumbline_model::term::{payload, rigid_body, rotor_inertia, torque_offset};
-use plumbline_model::torque::TorqueModel;
+use plumbline_model::{LinkParameters, rnea};
 
 /// Rigid body, friction, offsets and rotors of an arm.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -99,11 +100,11 @@ impl Nominal {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use plumbline_model::base::Reduction;
-    use plumbline_model::chain::{Joint, JointKind, Placement};
-    use plumbline_model::structure::Structure;
+    use plumbline_model::Reduction;
+    use plumbline_model::Structure;
     use plumbline_model::term::Sample;
     use plumbline_model::term::effect::{Site, Spec};
+    use plumbline_model::{Joint, JointKind, Placement};
 
     #[test]
     fn it_is_the_model() {

@@ -5,9 +5,9 @@ use super::fourier::Fourier;
 use super::limits::{Bounds, Peak, Quantity, VERIFY_RATE};
 use plumbline_core::PERIOD;
 use plumbline_core::{Command, JointVec, MAX_JOINTS, Setpoint, State};
-use plumbline_rt::guard::{Guard, GuardSettings, Limit, Violation};
-use plumbline_rt::moves::MoveFactors;
-use plumbline_rt::torque::Asked;
+use plumbline_rt::Asked;
+use plumbline_rt::MoveFactors;
+use plumbline_rt::{Guard, GuardSettings, Limit, Violation};
 
 /// One period of a motion, from rest: the first rule of the guard that it breaks.
 pub fn rehearse(bounds: &Bounds, fourier: &Fourier) -> Option<Peak> {
@@ -74,7 +74,7 @@ mod tests {
     use super::*;
     use crate::limits::{Margins, verify};
     use plumbline_core::Limits;
-    use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
+    use plumbline_model::{Chain, Joint, JointKind, Placement};
 
     fn pendulum() -> Chain {
         let joint = Joint { kind: JointKind::Revolute, a: 0.0, alpha: 0.0, d: 0.0, theta: 0.0 };

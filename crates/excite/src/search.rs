@@ -8,11 +8,11 @@ use super::nominal::Nominal;
 use super::optimiser::FINE;
 use super::plan::{Constraints, Plan, PlanUsage};
 use super::rehearsal::rehearse;
-use super::usage::{WANTED_USAGE, check_usage, least, usage};
+use super::usage::{WANTED_USAGE, check_usage, least_usage, usage};
 use plumbline_core::JointVec;
-use plumbline_model::conditioning::Conditions;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::structure::Structure;
+use plumbline_model::Conditions;
+use plumbline_model::Mounting;
+use plumbline_model::Structure;
 use plumbline_model::term::Motion;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -113,12 +113,13 @@ const BISECTIONS: usize = 30;
 ///
 /// # Errors
 /// [`ExciteError::Frozen`] where even that leaves a joint below [`super::usage::MIN_USAGE`], and what keeps motions from being drawn at all.
-pub fn random(problem: &Problem, search: &Search, amplitude: f64) -> Result<Plan, ExciteError> {
+pub fn random_plan(problem: &Problem, search: &Search, amplitude: f64) -> Result<Plan, ExciteError> {
     validate(problem, search)?;
     let mut rng = ChaCha8Rng::seed_from_u64(search.seed);
     let mut best: Option<Drawn> = None;
     let mut trouble = None;
-    let used = |fourier: &Fourier| least(&usage(&problem.bounds, fourier)).map_or(0.0, |(_, usage)| usage.largest());
+    let used =
+        |fourier: &Fourier| least_usage(&usage(&problem.bounds, fourier)).map_or(0.0, |(_, usage)| usage.largest());
     for _ in 0..DRAWS {
         let drawn = random_motion(problem, search, amplitude, &mut rng)?;
         let held_by = coarse(problem, &drawn, search.samples).violations().next().copied();
@@ -126,7 +127,7 @@ pub fn random(problem: &Problem, search: &Search, amplitude: f64) -> Result<Plan
         // The judgement at 1 kHz takes the longest, and makes no motion larger.
         let kept = match shrink(drawn, |fourier| coarse(problem, fourier, search.samples)) {
             Ok(fourier) if !better(&fourier) => continue,
-            kept => kept.and_then(|fourier| shrink(fourier, |fourier| verdict(problem, fourier))),
+            kept => kept.and_then(|fourier| shrink(fourier, |fourier| search_verdict(problem, fourier))),
         };
         match kept {
             Ok(fourier) if better(&fourier) => best = Some(Drawn { least: used(&fourier), fourier, held_by }),
@@ -323,7 +324,7 @@ fn coarse(problem: &Problem, fourier: &Fourier, samples: usize) -> Check {
 
 /// What the motion breaks at 1 kHz, by the limits less their margins and by the rules of the loop's guard: the judgement that a plan stands
 /// on.
-pub fn verdict(problem: &Problem, fourier: &Fourier) -> Check {
+pub fn search_verdict(problem: &Problem, fourier: &Fourier) -> Check {
     let mut check = with_torque(problem, |torque| verify(&problem.bounds, fourier, torque));
     if check.is_feasible() {
         check.peaks.extend(rehearse(&problem.bounds, fourier));
@@ -342,19 +343,19 @@ fn with_torque(problem: &Problem, judge: impl Fn(Option<super::limits::NominalTo
 }
 
 /// One period of each of several motions on a fine grid, one after the other. Panics when there is none.
-pub fn all(problem: &Problem, motions: &[Fourier]) -> Motion {
+pub fn motion_samples(problem: &Problem, motions: &[Fourier]) -> Motion {
     let fine = |fourier: &Fourier| sampled(fourier, &problem.mounting.gravity(), FINE * Search::default().samples);
     stacked(&motions.iter().map(fine).collect::<Vec<_>>())
 }
 
 /// Condition numbers of several motions together, stacked.
-pub fn together(problem: &Problem, motions: &[Fourier]) -> Conditions {
-    evaluate(problem.structure, &all(problem, motions), problem.sigma)
+pub fn conditions_together(problem: &Problem, motions: &[Fourier]) -> Conditions {
+    evaluate(problem.structure, &motion_samples(problem, motions), problem.sigma)
 }
 
 /// The plan of a motion that keeps every limit at 1 kHz; an error when it does not.
 pub(super) fn plan_of(problem: &Problem, search: &Search, fourier: Fourier) -> Result<Plan, ExciteError> {
-    if let Some(violation) = verdict(problem, &fourier).violations().next() {
+    if let Some(violation) = search_verdict(problem, &fourier).violations().next() {
         return Err(ExciteError::NoMotion { violation: *violation });
     }
     let motion = sampled(&fourier, &problem.mounting.gravity(), FINE * search.samples);

@@ -57,7 +57,7 @@ pub fn usage(bounds: &Bounds, fourier: &Fourier) -> Vec<Usage> {
 }
 
 /// The joint (from 0) that a motion uses least, with its usage.
-pub fn least(usage: &[Usage]) -> Option<(usize, Usage)> {
+pub fn least_usage(usage: &[Usage]) -> Option<(usize, Usage)> {
     let joints = usage.iter().copied().enumerate();
     joints.min_by(|(_, one), (_, other)| one.largest().total_cmp(&other.largest()))
 }
@@ -65,7 +65,7 @@ pub fn least(usage: &[Usage]) -> Option<(usize, Usage)> {
 /// Errors when a motion uses less than [`MIN_USAGE`] of every limit of some joint. `held_by` is what kept the motion small, where that is
 /// known, and `draws` the number of random motions that were tried.
 pub fn check_usage(usage: &[Usage], held_by: Option<Peak>, draws: usize) -> Result<(), ExciteError> {
-    match least(usage) {
+    match least_usage(usage) {
         // Also where the usage is not a number.
         Some((j, usage)) if usage.largest().is_nan() || usage.largest() < MIN_USAGE => {
             Err(ExciteError::Frozen { joint: j + 1, usage, held_by, draws })
@@ -79,7 +79,7 @@ mod tests {
     use super::*;
     use crate::limits::Margins;
     use plumbline_core::{Limits, MAX_JOINTS};
-    use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
+    use plumbline_model::{Chain, Joint, JointKind, Placement};
 
     #[test]
     fn shares_are_of_the_limits_less_their_margins_and_the_least_joint_is_named() {

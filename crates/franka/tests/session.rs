@@ -8,9 +8,9 @@ use plumbline_franka::wire::{ErrorBit, MoveStatus, Protocol, RobotMode};
 use plumbline_franka::{
     ConnectError, Connection, FrankaArm, Interface, REFLEX_MODE, RobotKind, Settings, Source, connect, explain, recover,
 };
-use plumbline_model::chain::Chain;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::rnea::{LinkParameters, rnea};
+use plumbline_model::Chain;
+use plumbline_model::Mounting;
+use plumbline_model::{LinkParameters, rnea};
 use plumbline_rt::cycle::End;
 use plumbline_sim::Truth;
 use plumbline_testkit::conformance::conformance;
@@ -147,7 +147,7 @@ fn the_served_model_helps_the_torque_interface_and_makes_up_for_what_the_arm_com
     let settings = Settings { interface: Interface::Torque, ..settings };
     let tracking = |moving: bool| {
         let text = include_str!("../../../config/robots/panda.toml");
-        let robot = plumbline_model::robot::Robot::parse("panda.toml", text).unwrap();
+        let robot = plumbline_model::Robot::parse("panda.toml", text).unwrap();
         let truth = Truth::parse("sim-panda.toml", include_str!("../../../config/arms/sim-panda.toml")).unwrap();
         let (arm, connection) = open(&settings);
         // The arm compensates as if it were upright.

@@ -1,6 +1,6 @@
 //! From positions on an even grid to a motion: low-pass, velocities, accelerations.
 
-use super::experiment::Derivative;
+use super::settings::Derivative;
 use super::signal::SignalError;
 use super::signal::butterworth::Butterworth;
 use super::signal::difference;

@@ -13,9 +13,9 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline_core::JointVec;
 use plumbline_core::symmetric_eigen;
-use plumbline_model::gravity::{G, Mounting};
+use plumbline_model::TorqueModel;
 use plumbline_model::term::Sample;
-use plumbline_model::torque::TorqueModel;
+use plumbline_model::{G, Mounting};
 
 /// An arm at rest.
 #[derive(Clone, Copy, Debug, PartialEq)]

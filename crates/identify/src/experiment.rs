@@ -4,7 +4,7 @@ use super::EstimateError;
 use super::differentiate::Differentiator;
 use super::periods::{NoiseOfMean, Scatter, average};
 use super::run::Run;
-pub use super::settings::{Derivative, LeftOut, Method, Settings};
+use super::settings::Settings;
 use super::signal::butterworth::Butterworth;
 use super::signal::resample::{Sampling, resample};
 use super::signal::spectral::Spectral;
@@ -390,6 +390,7 @@ fn noise_of_one(x: &[f64], order: usize, rate: f64) -> Result<f64, SignalError> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Derivative;
     use nalgebra::Vector3;
 
     fn run(period: Option<f64>, seconds: f64) -> Run {

@@ -7,20 +7,31 @@
 #![forbid(unsafe_code)]
 
 pub mod consistency;
-pub mod covariance;
+mod covariance;
 mod differentiate;
-pub mod direction;
-pub mod essential;
-pub mod experiment;
-pub mod mounting_check;
-pub mod periods;
-pub mod plausibility;
-pub mod run;
-pub mod settings;
+mod direction;
+mod essential;
+mod experiment;
+mod mounting_check;
+mod periods;
+mod plausibility;
+mod run;
+mod settings;
 pub mod signal;
 pub mod solve;
 pub mod streaming;
-pub mod validate;
+mod validate;
+
+pub use covariance::Spread;
+pub use direction::{Direction, DirectionError, Pose, direction, wrong_sign};
+pub use essential::Dropped;
+pub use experiment::{Experiment, Repeats};
+pub use mounting_check::{Disagreement, Implied, Side, cross_check, implied};
+pub use periods::Scatter;
+pub use plausibility::{Implausible, plausible};
+pub use run::Run;
+pub use settings::{Derivative, LeftOut, Method, Settings};
+pub use validate::{Modelled, Rms, compare, torques, validate, validate_parameters};
 
 /// Why samples could not be turned into parameters.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -7,9 +7,9 @@
 use super::direction::{Direction, DirectionError, Pose, direction, wrong_sign};
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS};
-use plumbline_model::gravity::{G, Mounting};
+use plumbline_model::TorqueModel;
 use plumbline_model::term::Sample;
-use plumbline_model::torque::TorqueModel;
+use plumbline_model::{G, Mounting};
 
 /// How many standard deviations are allowed for on top of the tolerance.
 const SPREAD: f64 = 2.0;

@@ -2,7 +2,7 @@
 
 use super::experiment::Experiment;
 use nalgebra::DMatrix;
-use plumbline_model::structure::Structure;
+use plumbline_model::Structure;
 use plumbline_model::term::Motion;
 
 /// Root mean square of measured minus modelled torque, per joint \[Nm\].

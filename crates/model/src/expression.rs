@@ -12,7 +12,7 @@ const STEMS: [&str; LINK_COLUMNS] = ["Lxx", "Lxy", "Lxz", "Lyy", "Lyz", "Lzz", "
 const SAME: f64 = 1e-9;
 
 /// Name of a standard parameter, `Lxx2`; `slot = 10 * link + position`.
-pub fn name(slot: usize) -> String {
+pub fn parameter_name(slot: usize) -> String {
     format!("{}{}", STEMS[slot % LINK_COLUMNS], slot / LINK_COLUMNS + 1)
 }
 
@@ -31,9 +31,9 @@ pub fn unit(slot: usize) -> &'static str {
 }
 
 /// The base parameters of a reduction as columns of a model.
-pub fn columns(reduction: &Reduction) -> Vec<Column> {
+pub fn base_columns(reduction: &Reduction) -> Vec<Column> {
     let column = |(row, &slot): (usize, &usize)| Column {
-        name: name(slot),
+        name: parameter_name(slot),
         symbol: symbol(slot),
         joint: slot / LINK_COLUMNS + 1,
         unit: unit(slot),
@@ -69,7 +69,7 @@ pub fn expression(reduction: &Reduction, row: usize) -> String {
         if coefficient.abs() != 1.0 {
             text.push_str(&format!("{} ", six_digits(coefficient.abs())));
         }
-        let names = slots.iter().map(|&slot| name(slot)).collect::<Vec<_>>().join(" + ");
+        let names = slots.iter().map(|&slot| parameter_name(slot)).collect::<Vec<_>>().join(" + ");
         text.push_str(&if slots.len() > 1 { format!("({names})") } else { names });
     }
     text

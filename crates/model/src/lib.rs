@@ -12,18 +12,36 @@
     clippy::unimplemented
 )]
 
-pub mod base;
-pub mod chain;
-pub mod conditioning;
-pub mod expression;
-pub mod fast;
-pub mod gravity;
-pub mod inertia;
-pub mod regressor;
-pub mod rnea;
-pub mod robot;
-pub mod served;
-pub mod shape;
-pub mod structure;
+mod base;
+mod chain;
+mod conditioning;
+mod expression;
+mod fast;
+mod gravity;
+mod inertia;
+mod regressor;
+mod rnea;
+mod robot;
+mod served;
+mod shape;
+mod structure;
 pub mod term;
-pub mod torque;
+mod torque;
+
+pub use base::{BaseKind, Reduction};
+pub use chain::{Chain, Joint, JointKind, Placement, StandardDh};
+pub use conditioning::{Conditions, ZERO_COLUMN, condition, conditions, dependent_columns, friction_columns};
+pub use expression::{base_columns, parameter_name};
+pub use fast::Lanes;
+pub use fast::closed::ClosedForm;
+pub use fast::links::LinkColumns;
+pub use fast::sample::SampleRegressor;
+pub use gravity::{G, Mounting, VERTICAL_TOLERANCE, angle_between};
+pub use inertia::{Body, is_consistent, link_parameters, pseudo_inertia};
+pub use regressor::{LINK_COLUMNS, regressor};
+pub use rnea::{LinkParameters, rnea};
+pub use robot::{Robot, TorqueSensing};
+pub use served::{NoModel, Reach, ServedModel};
+pub use shape::{Capsule, FIRST_BOXED, Shape, nearest};
+pub use structure::{ModelError, Structure};
+pub use torque::{Evaluator, NamedEffect, NamedTerm, Parameter, TorqueModel};

@@ -13,18 +13,29 @@
     clippy::unimplemented
 )]
 
-pub mod checkpoint;
-pub mod controls;
+mod checkpoint;
+mod controls;
 pub mod cycle;
 mod durations;
-pub mod guard;
-pub mod motion;
-pub mod moves;
-pub mod order;
+mod guard;
+mod motion;
+mod moves;
+mod order;
 pub mod os;
 pub mod recorder;
-pub mod rights;
-pub mod settings;
-pub mod stats;
+mod rights;
+mod settings;
+mod stats;
 mod sync;
-pub mod torque;
+mod torque;
+
+pub use checkpoint::{Checkpoint, Doing};
+pub use controls::Controls;
+pub use guard::{Guard, GuardSettings, Limit, Violation};
+pub use motion::braked_from;
+pub use moves::{MoveFactors, Planner};
+pub use order::{Event, Handles, Order, OrderKind, StopReason, Told};
+pub use rights::{Grant, Granted, Rights, become_realtime};
+pub use settings::{CycleSettings, SetupError};
+pub use stats::Distribution;
+pub use torque::{Asked, Succession, Torques};

@@ -2,11 +2,12 @@
 
 use plumbline_core::{Backend, Fault, PERIOD_NS, Reference};
 use plumbline_core::{Command, JointVec, Phase, Setpoint, State, Validity};
-use plumbline_rt::cycle::{self, End};
-use plumbline_rt::order::{Event, StopReason};
+use plumbline_rt::cycle;
+use plumbline_rt::cycle::End;
 use plumbline_rt::os::{now_ns, sleep_until};
 use plumbline_rt::recorder::ring;
-use plumbline_rt::settings::{CycleSettings, SetupError};
+use plumbline_rt::{CycleSettings, SetupError};
+use plumbline_rt::{Event, StopReason};
 use plumbline_testkit::fake_arm::drive::{Job, Model, READY, Run, Shape, Wave, dwell, follow, move_to, panda_limits};
 use plumbline_testkit::fake_arm::{FakeArm, Trick};
 

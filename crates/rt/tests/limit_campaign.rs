@@ -3,9 +3,9 @@
 
 use plumbline_core::Reference;
 use plumbline_core::{JointVec, Limits, MAX_JOINTS, Phase, Setpoint, Workspace};
+use plumbline_rt::Limit;
 use plumbline_rt::cycle::End;
-use plumbline_rt::guard::Limit;
-use plumbline_rt::order::{Order, OrderKind, StopReason};
+use plumbline_rt::{Order, OrderKind, StopReason};
 use plumbline_testkit::fake_arm::Trick;
 use plumbline_testkit::fake_arm::drive::{
     Job, Model, READY, Run, Shape, Tool, Wave, dwell, follow, move_to, panda_limits,

@@ -3,9 +3,9 @@
 use plumbline_core::FeedForward;
 use plumbline_core::{Command, JointVec, MAX_JOINTS, Phase, Record, Setpoint, State, Torque, Validity};
 use plumbline_rt::cycle::End;
-use plumbline_rt::guard::{Guard, Limit, Violation};
-use plumbline_rt::order::{Event, Handles, StopReason};
-use plumbline_rt::torque::{Asked, Torques};
+use plumbline_rt::{Asked, Torques};
+use plumbline_rt::{Event, Handles, StopReason};
+use plumbline_rt::{Guard, Limit, Violation};
 use plumbline_testkit::fake_arm::drive::{Job, READY, Run, Wave, follow, panda_limits};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

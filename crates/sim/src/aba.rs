@@ -16,7 +16,7 @@
 use super::spatial::{Force, Mechanism, Motion};
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS};
-use plumbline_model::chain::{JointKind, Placement};
+use plumbline_model::{JointKind, Placement};
 
 /// Joint accelerations \[rad/s2\] of `arm` under joint torques `tau` \[Nm\] and the wrenches `external` on its links (each in its link
 /// frame, about that frame's origin). `gravity` is the gravitational acceleration in the base frame \[m/s2\]. Allocates nothing.
@@ -135,8 +135,8 @@ mod tests {
     use super::super::spatial::Inertia;
     use super::*;
     use nalgebra::Matrix3;
-    use plumbline_model::chain::{Chain, Joint};
-    use plumbline_model::rnea::{LinkParameters, rnea};
+    use plumbline_model::{Chain, Joint};
+    use plumbline_model::{LinkParameters, rnea};
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 

@@ -7,8 +7,8 @@ use super::sensors::{Faults, Sensors};
 use super::truth::Truth;
 use super::{SimError, check};
 use plumbline_core::JointVec;
-use plumbline_model::chain::Chain;
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Chain;
+use plumbline_model::Mounting;
 
 /// What the sensors say at the end of a millisecond.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -113,8 +113,8 @@ mod tests {
     use super::*;
     use plumbline_core::Backend;
     use plumbline_core::{Command, Setpoint};
-    use plumbline_model::chain::{Joint, JointKind, Placement};
-    use plumbline_model::rnea::rnea;
+    use plumbline_model::rnea;
+    use plumbline_model::{Joint, JointKind, Placement};
     use std::sync::Arc;
 
     const START: JointVec = [0.3, -0.4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];

@@ -22,20 +22,20 @@
 
 mod aba;
 mod commands;
-pub mod effect;
+mod effect;
 mod gate;
 mod hardware;
 mod plant;
 mod response;
 mod sensors;
 mod spatial;
-pub mod truth;
+mod truth;
 
 pub use gate::Gate;
 pub use hardware::{Hardware, Sensed};
 pub use plant::Exact;
-pub use response::{LEAD, Response};
-pub use truth::Truth;
+pub use response::Response;
+pub use truth::{JointTruth, Truth};
 
 use commands::{Commands, Objection, TICK};
 use effect::Effect;
@@ -45,8 +45,8 @@ use plumbline_core::BadInput;
 use plumbline_core::Clock;
 use plumbline_core::{Backend, Fault, LONGEST_ALONE};
 use plumbline_core::{Command, JointVec, State};
-use plumbline_model::chain::Chain;
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Chain;
+use plumbline_model::Mounting;
 use sensors::{Faults, Losses, Sensors};
 use std::sync::Arc;
 

@@ -25,7 +25,7 @@ use super::spatial::{Force, Mechanism};
 use super::truth::Truth;
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS, Setpoint};
-use plumbline_model::chain::{Chain, Placement};
+use plumbline_model::{Chain, Placement};
 use std::ops::Range;
 
 /// An effect and where its states lie in the plant's state.

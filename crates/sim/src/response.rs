@@ -11,8 +11,8 @@ use super::truth::Truth;
 use super::{SimError, check};
 use plumbline_core::Reference;
 use plumbline_core::{JointVec, State};
-use plumbline_model::chain::Chain;
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Chain;
+use plumbline_model::Mounting;
 
 /// How long the arm follows the motion before the first period, for its transients to die away \[ms\].
 pub const LEAD: u64 = 1000;
@@ -106,7 +106,7 @@ mod tests {
     use super::*;
     use plumbline_core::Backend;
     use plumbline_core::{Command, Setpoint};
-    use plumbline_model::chain::{Joint, JointKind, Placement};
+    use plumbline_model::{Joint, JointKind, Placement};
     use std::f64::consts::TAU;
     use std::sync::Arc;
 

@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 use plumbline_core::{JointVec, MAX_JOINTS};
-use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
+use plumbline_model::{Chain, Joint, JointKind, Placement};
 
 /// Velocity or acceleration of a link: angular \[rad/s\] and linear \[m/s\], or per second more.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 use plumbline_core::MAX_JOINTS;
 use plumbline_core::symmetric_eigen;
 use plumbline_core::{BadInput, from_toml};
-use plumbline_model::rnea::LinkParameters;
+use plumbline_model::LinkParameters;
 use serde::Deserialize;
 
 /// The truth of a simulated arm. Nothing in the estimator ever sees it.

@@ -5,11 +5,11 @@ use nalgebra::DVector;
 use plumbline_core::Clock;
 use plumbline_core::{Backend, Fault};
 use plumbline_core::{MAX_JOINTS, Setpoint, State};
-use plumbline_model::base::Reduction;
-use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
-use plumbline_model::gravity::Mounting;
-use plumbline_model::rnea::rnea;
-use plumbline_sim::truth::Truth;
+use plumbline_model::Mounting;
+use plumbline_model::Reduction;
+use plumbline_model::rnea;
+use plumbline_model::{Chain, Joint, JointKind, Placement};
+use plumbline_sim::Truth;
 use plumbline_sim::{
     Exact, Gate, Pace, REFLEX_COMMUNICATION, REFUSED_JUMP, REFUSED_NOT_FINITE, REFUSED_STOPPED, SimArm, SimError,
 };

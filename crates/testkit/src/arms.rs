@@ -1,10 +1,10 @@
 //! Arms and random states for the tests of the model.
 
 use nalgebra::{DVector, Vector3};
-use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
-use plumbline_model::gravity::Mounting;
-use plumbline_model::rnea::{LinkParameters, rnea};
-use plumbline_model::robot::Robot;
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
+use plumbline_model::{Chain, Joint, JointKind, Placement};
+use plumbline_model::{LinkParameters, rnea};
 use rand::Rng;
 use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;

@@ -134,7 +134,7 @@ impl World {
 
 /// A description with the limits of the FR3's table, but for joint 1.
 pub fn urdf() -> String {
-    let limits = plumbline_franka::limits::fr3();
+    let limits = plumbline_franka::fr3_limits();
     let joints: String = (0..7)
         .map(|j| {
             format!(

@@ -2,15 +2,16 @@
 
 use plumbline_core::FeedForward;
 use plumbline_core::{JointVec, Phase, Record};
-use plumbline_excite::fourier::{Fourier, PeriodicMotion};
-use plumbline_excite::plan::parse_plan;
+use plumbline_excite::parse_plan;
+use plumbline_excite::{Fourier, PeriodicMotion};
 use plumbline_franka::{ConnectError, Connection, FrankaArm, Settings, Statistics, connect, explain, recover};
-use plumbline_rt::cycle::{self, End, Outcome};
-use plumbline_rt::guard::GuardSettings;
-use plumbline_rt::order::{Event, Order, OrderKind, StopReason, Told};
+use plumbline_rt::CycleSettings;
+use plumbline_rt::GuardSettings;
+use plumbline_rt::cycle;
+use plumbline_rt::cycle::{End, Outcome};
 use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::ring;
-use plumbline_rt::settings::CycleSettings;
+use plumbline_rt::{Event, Order, OrderKind, StopReason, Told};
 use std::path::Path;
 use std::time::{Duration, Instant};
 

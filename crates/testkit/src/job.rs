@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 use nalgebra::DVector;
 use plumbline::report::Report;
 use plumbline_ipc::Status;
-use plumbline_model::base::Reduction;
-use plumbline_model::robot::Robot;
+use plumbline_model::Reduction;
+use plumbline_model::Robot;
 use plumbline_sim::Truth;
 use tempfile::TempDir;
 
@@ -324,7 +324,7 @@ pub fn z_scores(report: &Report, truth: &[(String, f64)]) -> Vec<(String, f64)> 
 
 /// Noise of a raw torque sample of every joint: the sensor's noise and its step's rounding \[Nm\].
 pub fn torque_noise(truth: &Truth) -> Vec<f64> {
-    let one = |joint: &plumbline_sim::truth::JointTruth| joint.torque_noise.hypot(joint.torque_quantum / 12f64.sqrt());
+    let one = |joint: &plumbline_sim::JointTruth| joint.torque_noise.hypot(joint.torque_quantum / 12f64.sqrt());
     truth.joints.iter().map(one).collect()
 }
 

@@ -2,9 +2,9 @@
 
 use plumbline_core::Clock;
 use plumbline_core::{Command, JointVec, MAX_JOINTS, Setpoint};
-use plumbline_model::chain::Chain;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
+use plumbline_model::Chain;
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
 use plumbline_sim::{Pace, SimArm, Truth};
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::time::{Duration, Instant};

@@ -1,9 +1,9 @@
 //! Makes the compiler produce the loop's code from the product's crates: `run.sh` says what for.
 
 use plumbline_core::{FeedForward, Kinematics, Reference};
-use plumbline_excite::fourier::PeriodicMotion;
+use plumbline_excite::PeriodicMotion;
 use plumbline_franka::FrankaArm;
-use plumbline_model::served::{NoModel, Reach, ServedModel};
+use plumbline_model::{NoModel, Reach, ServedModel};
 use plumbline_model::term;
 use plumbline_rt::cycle::Cycle;
 use plumbline_rt::recorder::RingSink;

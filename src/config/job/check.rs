@@ -4,8 +4,8 @@ use super::{BackendKind, Franka, Job, Limits, OwnLimits, Workspace};
 use plumbline_core::BadInput;
 use plumbline_core::LONGEST_ALONE;
 use plumbline_core::{JointVec, MAX_JOINTS};
-use plumbline_excite::limits::Margins;
-use plumbline_identify::experiment::Settings;
+use plumbline_excite::Margins;
+use plumbline_identify::Settings;
 use plumbline_identify::solve;
 
 /// Checks every range.

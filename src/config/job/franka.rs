@@ -5,7 +5,7 @@ use nalgebra::Matrix3;
 use plumbline_core::BadInput;
 use plumbline_core::symmetric_eigen;
 use plumbline_franka::{Controller, Interface, RobotKind, TorqueControl};
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use serde::de::value::SeqAccessDeserializer;
 use serde::de::{Error, SeqAccess, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer};

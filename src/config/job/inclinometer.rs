@@ -9,7 +9,7 @@ use crate::inclinometer::sensor::SensorSettings;
 use crate::inclinometer::smooth::SmoothSettings;
 use crate::inclinometer::socket::SIMULATED;
 use plumbline_core::BadInput;
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use serde::Deserialize;
 
 /// What has to agree before anything is served.

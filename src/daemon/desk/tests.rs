@@ -4,14 +4,14 @@ use plumbline_core::{Backend, Fault};
 use plumbline_core::{Command, MAX_JOINTS, Phase, State};
 use plumbline_ipc::Ticket;
 use plumbline_model::term::Sample;
-use plumbline_rt::checkpoint;
+
+use plumbline_rt::CycleSettings;
+use plumbline_rt::Handles;
+use plumbline_rt::Succession;
 use plumbline_rt::cycle::Cycle;
-use plumbline_rt::guard::{GuardSettings, Limit, Violation};
-use plumbline_rt::order::Handles;
 use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::{RingSink, ring};
-use plumbline_rt::settings::CycleSettings;
-use plumbline_rt::torque::Succession;
+use plumbline_rt::{GuardSettings, Limit, Violation};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -207,9 +207,9 @@ fn real_time_loop(limits: plumbline_core::Limits) -> (Cycle<ShortLived, RingSink
 /// Controls of a loop whose arm rests after a stop and waits for a permission.
 fn waiting(desk: &Desk) -> Arc<Controls> {
     let (mut cycle, handles) = real_time_loop(desk.robot.limits);
-    let doing = checkpoint::Doing::Stopped;
+    let doing = plumbline_rt::Doing::Stopped;
     cycle
-        .restore(checkpoint::Checkpoint { doing, last: [Record::default(); 3], models: Succession::default() })
+        .restore(plumbline_rt::Checkpoint { doing, last: [Record::default(); 3], models: Succession::default() })
         .unwrap();
     assert!(handles.controls.is_waiting());
     Arc::clone(&handles.controls)

@@ -3,7 +3,7 @@ use crate::inclinometer::attitude::Attitude;
 use crate::store::ModelFile;
 use nalgebra::Matrix3;
 use plumbline_core::JointVec;
-use plumbline_model::robot::Robot;
+use plumbline_model::Robot;
 use plumbline_model::term::Sample;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType};
 use std::os::fd::OwnedFd;
@@ -114,11 +114,10 @@ fn an_inclinometer_that_is_not_up_yet_decides_as_one_that_is_lost() {
 fn a_vertical_model_is_refused_where_the_arm_compensates_another_gravity_than_along_axis_1() {
     let job: Job = toml::from_str(JOB).unwrap();
     let robot = Robot::load("panda", None).unwrap();
-    let reduction = plumbline_model::base::Reduction::of_kind(&robot.chain, plumbline_model::base::BaseKind::Vbs);
-    let structure = plumbline_model::structure::Structure::of(robot.chain, reduction, &["rigid-body"]).unwrap();
+    let reduction = plumbline_model::Reduction::of_kind(&robot.chain, plumbline_model::BaseKind::Vbs);
+    let structure = plumbline_model::Structure::of(robot.chain, reduction, &["rigid-body"]).unwrap();
     let values = vec![(0.5, None); structure.columns().len()];
-    let model =
-        plumbline_model::torque::TorqueModel::new("panda", structure, vec![Mounting::UPRIGHT], &values).unwrap();
+    let model = plumbline_model::TorqueModel::new("panda", structure, vec![Mounting::UPRIGHT], &values).unwrap();
     let model = Accepted { id: 1, model, text: String::new(), noise: vec![20.0; 7] };
     let mut watch = Watch::open(&job).unwrap();
     for (vendor, served) in [(Mounting::UPRIGHT, true), (Mounting::CEILING, true), (Mounting::WALL, false)] {

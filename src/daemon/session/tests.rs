@@ -1,7 +1,7 @@
 use super::*;
 use plumbline_core::Fault;
 use plumbline_core::{Command, JointVec, State};
-use plumbline_rt::order::{Order, OrderKind};
+use plumbline_rt::{Order, OrderKind};
 use std::sync::Mutex;
 
 /// An arm that is at once where it is told to be, one state per millisecond; its last commanded velocities outlive it.

@@ -6,10 +6,10 @@
 
 use super::emit::{Program, Value, ZERO, expression};
 use super::{Exported, effects, validity};
-use plumbline_model::chain::{Joint, JointKind};
-use plumbline_model::regressor::LINK_COLUMNS;
+use plumbline_model::LINK_COLUMNS;
+use plumbline_model::TorqueModel;
 use plumbline_model::term::{friction, rotor_inertia, torque_offset};
-use plumbline_model::torque::TorqueModel;
+use plumbline_model::{Joint, JointKind};
 
 type Vector = [Value; 3];
 
@@ -92,7 +92,7 @@ pub fn write(model: &TorqueModel) -> Exported {
     Exported { text, notes }
 }
 
-/// The recursion of [`plumbline_model::rnea::rnea`] as a program.
+/// The recursion of [`plumbline_model::rnea`] as a program.
 fn recursion(p: &mut Program, joints: &[Joint], links: &[[f64; LINK_COLUMNS]]) -> Vec<Value> {
     let zero = || [ZERO, ZERO, ZERO];
     let mut w = zero();

@@ -14,10 +14,10 @@ pub mod urdf;
 use nalgebra::Matrix3;
 use plumbline_core::Limits;
 use plumbline_identify::consistency::Nearest;
-use plumbline_model::base::BaseKind;
-use plumbline_model::chain::{Chain, JointKind, Placement};
+use plumbline_model::BaseKind;
+use plumbline_model::TorqueModel;
 use plumbline_model::term::torque_offset;
-use plumbline_model::torque::TorqueModel;
+use plumbline_model::{Chain, JointKind, Placement};
 
 /// Text of a file and what the reader of it has to know.
 #[derive(Clone, Debug, PartialEq)]

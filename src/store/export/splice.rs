@@ -3,7 +3,7 @@
 use super::tree::{Tree, inverse};
 use super::urdf::{inertial, left_out};
 use super::{Arm, Exported};
-use plumbline_model::inertia::Body;
+use plumbline_model::Body;
 use roxmltree::{Document, Node};
 use std::ops::Range;
 

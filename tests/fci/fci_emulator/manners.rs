@@ -8,7 +8,7 @@ use plumbline_franka::wire::{
     Load, Move, MoveController, MoveGenerator, MoveStatus, Protocol, RecoveryStatus, Request, RobotCommand, RobotMode,
     SetterStatus, System,
 };
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use std::io::Read;
 use std::time::Duration;
 

@@ -6,7 +6,7 @@ use plumbline_core::Backend;
 use plumbline_franka::RobotKind;
 use plumbline_franka::wire::{Protocol, RobotMode};
 use plumbline_ipc::Status;
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use plumbline_testkit::emulator::limits::JOINTS;
 use plumbline_testkit::emulator::{Emulator, Fault, Hand, Settings};
 use plumbline_testkit::job::{Place, Running, plumbline};

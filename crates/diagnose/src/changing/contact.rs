@@ -10,7 +10,7 @@
 use super::record::Record;
 use super::transient::Event;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, Vector3};
-use plumbline_model::chain::{Chain, JointKind, Placement};
+use plumbline_model::{Chain, JointKind, Placement};
 
 /// Time between knots \[s\], and most knots.
 const KNOTS: (f64, usize) = (0.1, 24);
@@ -153,7 +153,7 @@ impl Data<'_> {
         let frames = |row: &usize| {
             let mut placement = Placement::identity();
             let at = (row + away) % record.samples;
-            let next = |(j, joint): (usize, &plumbline_model::chain::Joint)| {
+            let next = |(j, joint): (usize, &plumbline_model::Joint)| {
                 placement = placement.then(&joint.placement(record.motion.q[(at, j)]));
                 placement
             };

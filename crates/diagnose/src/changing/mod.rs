@@ -2,7 +2,7 @@
 //!
 //! The motion repeats, so the parameters of the model have no part in the deviations of the periods from their mean, and what is found
 //! here needs no fit of them. [`changing`] also says which stretches of which runs should be left out of the mean
-//! ([`plumbline_identify::experiment::Settings::leave_out`]), and what the noise is like without the drifts.
+//! ([`plumbline_identify::Settings::leave_out`]), and what the noise is like without the drifts.
 
 mod base_motion;
 mod contact;
@@ -19,9 +19,9 @@ pub use outlier::Hygiene;
 use super::evidence::Trial;
 use nalgebra::DMatrix;
 use plumbline_core::{parallel, threads};
-use plumbline_identify::experiment::{Experiment, LeftOut};
-use plumbline_identify::periods::Scatter;
+use plumbline_identify::Scatter;
 use plumbline_identify::signal::spectral::Spectral;
+use plumbline_identify::{Experiment, LeftOut};
 use plumbline_model::term::effect::Ground;
 use record::Record;
 
@@ -82,7 +82,7 @@ impl Changing {
     }
 }
 
-/// Looks at the deviations of runs that were prepared with [`plumbline_identify::experiment::Settings::keep_periods`].
+/// Looks at the deviations of runs that were prepared with [`plumbline_identify::Settings::keep_periods`].
 ///
 /// The ground's friction has `[fv, fc]` of each joint (\[Nms/rad\], \[Nm\]); without it, friction drifts are sought joint by joint alone. Runs without
 /// repeats have no part in it but for their hygiene.

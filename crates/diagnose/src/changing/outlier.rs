@@ -2,7 +2,7 @@
 
 use super::record::{from_median, spread};
 use nalgebra::DMatrix;
-use plumbline_identify::experiment::{Experiment, LeftOut, Repeats};
+use plumbline_identify::{Experiment, LeftOut, Repeats};
 
 /// Robust standard deviations that make an outlier.
 const DEVIATIONS: f64 = 6.5;

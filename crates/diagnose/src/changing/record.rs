@@ -1,7 +1,7 @@
 //! The periods of one run on a grid that is as fine as slow effects need, and what is taken off them.
 
 use nalgebra::DMatrix;
-use plumbline_identify::experiment::{Experiment, Repeats};
+use plumbline_identify::{Experiment, Repeats};
 use plumbline_model::term::Motion;
 
 /// Samples of the grid are means over at most this time \[s\].

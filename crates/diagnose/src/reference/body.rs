@@ -1,8 +1,8 @@
 //! A payload as a body: from its ten standard parameters to mass, centre of mass and inertia, with errors.
 
 use nalgebra::{DMatrix, DVector};
-use plumbline_model::inertia::Body;
-use plumbline_model::torque::Parameter;
+use plumbline_model::Body;
+use plumbline_model::Parameter;
 
 /// A number with its standard deviation, where the data determines it.
 #[derive(Clone, Copy, Debug, PartialEq)]

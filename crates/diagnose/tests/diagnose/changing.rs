@@ -1,18 +1,18 @@
 //! What differs from period to period, put into simulated recordings by hand: drifts, a base that moves, contacts, single samples.
 
 use nalgebra::{DMatrix, DVector, Vector3};
+use plumbline_diagnose::Trial;
 use plumbline_diagnose::changing::{Changing, Course, Drifting, changing};
-use plumbline_diagnose::evidence::Trial;
-use plumbline_excite::fourier::PeriodicMotion;
-use plumbline_identify::experiment::{Experiment, LeftOut, Settings};
-use plumbline_identify::run::Run;
+use plumbline_excite::PeriodicMotion;
+use plumbline_identify::Run;
 use plumbline_identify::signal::spectral::Spectral;
-use plumbline_model::base::Reduction;
-use plumbline_model::chain::{Chain, Placement};
-use plumbline_model::rnea::rnea;
-use plumbline_model::robot::Robot;
-use plumbline_model::structure::Structure;
+use plumbline_identify::{Experiment, LeftOut, Settings};
+use plumbline_model::Reduction;
+use plumbline_model::Robot;
+use plumbline_model::Structure;
+use plumbline_model::rnea;
 use plumbline_model::term::effect::Ground;
+use plumbline_model::{Chain, Placement};
 use plumbline_sim::Truth;
 use plumbline_testkit::scene;
 use plumbline_testkit::scene::DT;

@@ -1,17 +1,17 @@
 //! What changed since a model was identified, on simulated recordings whose truth is known.
 
 use plumbline_diagnose::Settings;
-use plumbline_diagnose::evidence::Trial;
+use plumbline_diagnose::Trial;
 use plumbline_diagnose::reference::{Change, Changes, between_sessions, changes, extended};
-use plumbline_identify::experiment::{self, Experiment};
+use plumbline_identify::Experiment;
 use plumbline_identify::solve::identify;
-use plumbline_identify::validate::validate;
-use plumbline_model::base::{BaseKind, Reduction};
-use plumbline_model::chain::Chain;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
-use plumbline_model::structure::Structure;
-use plumbline_model::torque::TorqueModel;
+use plumbline_identify::validate;
+use plumbline_model::Chain;
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
+use plumbline_model::Structure;
+use plumbline_model::TorqueModel;
+use plumbline_model::{BaseKind, Reduction};
 use plumbline_sim::Truth;
 use plumbline_testkit::scene::lab::{Noise, Period, period, plans};
 use std::sync::OnceLock;
@@ -38,8 +38,11 @@ fn record(truth: &Truth, others: bool, count: usize, mounting: Mounting, seed: u
     let plans = if others { validate } else { identify };
     let one = |(k, plan)| {
         let period: Period = period(chain(), truth, plan, mounting, &format!("run {k}"));
-        Experiment::prepare(&period.record(truth, PERIODS, NOISE, seed + k as u64), &experiment::Settings::default())
-            .unwrap()
+        Experiment::prepare(
+            &period.record(truth, PERIODS, NOISE, seed + k as u64),
+            &plumbline_identify::Settings::default(),
+        )
+        .unwrap()
     };
     plans.iter().take(count).enumerate().map(one).collect()
 }

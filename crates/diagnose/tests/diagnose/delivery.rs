@@ -1,13 +1,13 @@
 //! The model that a diagnosis delivers: never worse on unseen runs than the plain one, and with no parameter that physics forbids.
 
 use nalgebra::{DMatrix, DVector};
+use plumbline_diagnose::Outcome;
 use plumbline_diagnose::Settings;
-use plumbline_diagnose::diagnosis::{Input, diagnose};
+use plumbline_diagnose::Trial;
 use plumbline_diagnose::errors::Of;
-use plumbline_diagnose::evidence::Trial;
-use plumbline_diagnose::outcome::Outcome;
-use plumbline_identify::experiment::{self, Experiment};
-use plumbline_identify::run::Run;
+use plumbline_diagnose::{Input, diagnose};
+use plumbline_identify::Experiment;
+use plumbline_identify::Run;
 use plumbline_identify::solve::Options;
 use plumbline_model::term::Motion;
 use plumbline_model::term::effect::{Ground, Site, Spec};
@@ -19,7 +19,7 @@ fn diagnosed(scene: &Scene, identify: usize, extra: impl Fn(usize, &mut Run)) ->
         let mut run = scene.record(4, 31 + index as u64);
         run.name = format!("run {index}");
         extra(index, &mut run);
-        let settings = experiment::Settings { keep_periods: true, ..experiment::Settings::default() };
+        let settings = plumbline_identify::Settings { keep_periods: true, ..plumbline_identify::Settings::default() };
         Experiment::prepare(&run, &settings).unwrap()
     };
     let experiments: Vec<Experiment> = (0..=identify).map(prepare).collect();

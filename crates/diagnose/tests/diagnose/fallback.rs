@@ -1,19 +1,19 @@
 //! Residuals that no catalogue explains: disturbances added to simulated torques have to be traced to the variables that they are made of.
 
 use nalgebra::DMatrix;
+use plumbline_diagnose::Columns;
+use plumbline_diagnose::Problem;
 use plumbline_diagnose::Settings;
-use plumbline_diagnose::evidence::{Evidence, Trial};
-use plumbline_diagnose::fallback::{Unexplained, Variable, lack_of_fit, lacks, unexplained};
-use plumbline_diagnose::fit::Problem;
-use plumbline_diagnose::moments::Columns;
-use plumbline_diagnose::state::State;
-use plumbline_identify::experiment::{self, Experiment};
-use plumbline_identify::run::Run;
+use plumbline_diagnose::State;
+use plumbline_diagnose::{Evidence, Trial};
+use plumbline_diagnose::{Unexplained, Variable, lack_of_fit, lacks, unexplained};
+use plumbline_identify::Experiment;
+use plumbline_identify::Run;
 use plumbline_identify::signal::spectral::Spectral;
-use plumbline_model::base::Reduction;
-use plumbline_model::chain::Chain;
-use plumbline_model::robot::Robot;
-use plumbline_model::structure::Structure;
+use plumbline_model::Chain;
+use plumbline_model::Reduction;
+use plumbline_model::Robot;
+use plumbline_model::Structure;
 use plumbline_sim::Truth;
 use plumbline_testkit::scene;
 use plumbline_testkit::scene::lab::{Noise, Period};
@@ -74,7 +74,7 @@ fn found(
             let dq: Vec<f64> = dq.row(at).iter().copied().collect();
             run.tau[(row, joint)] += disturbance(&q, &dq, k, at as f64 * scene::DT);
         }
-        Experiment::prepare(&run, &experiment::Settings::default()).unwrap()
+        Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap()
     };
     let experiments: Vec<Experiment> = stage.periods.iter().take(count).enumerate().map(recorded).collect();
     let [plans, _] = scene::lab::plans();
@@ -99,7 +99,7 @@ fn the_inverse_of_the_projection_gives_a_signal_in_the_band_back() {
     let run = stage.periods[0].0.record(&stage.truth, 2, Noise::default(), 1);
     let free = Run { period: None, ..run.clone() };
     for run in [run, free] {
-        let experiment = Experiment::prepare(&run, &experiment::Settings::default()).unwrap();
+        let experiment = Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap();
         let trials = [Trial { experiment: &experiment, session: 1 }];
         let evidence = Evidence::of(&stage.chain, &trials, 16.0);
         for fold in 0..evidence.folds().len() {

@@ -1,7 +1,7 @@
 //! The study of benches/diagnosis in short: what nobody declared about drawn arms is found, and nothing besides.
 
-use plumbline_diagnose::outcome::Verdict;
-use plumbline_model::gravity::Mounting;
+use plumbline_diagnose::Verdict;
+use plumbline_model::Mounting;
 use plumbline_model::term::effect::Site;
 use plumbline_testkit::diagnosis::case::{Case, Injected, What};
 use plumbline_testkit::diagnosis::trial::{Bench, Judged};

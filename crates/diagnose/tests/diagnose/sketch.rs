@@ -1,11 +1,11 @@
 //! A rough look at an effect that is integrated in time is nearly the careful one.
 
-use plumbline_diagnose::evidence::{Evidence, Trial};
-use plumbline_diagnose::library::Candidate;
-use plumbline_identify::experiment::{self, Experiment};
-use plumbline_model::base::Reduction;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::structure::Structure;
+use plumbline_diagnose::Candidate;
+use plumbline_diagnose::{Evidence, Trial};
+use plumbline_identify::Experiment;
+use plumbline_model::Mounting;
+use plumbline_model::Reduction;
+use plumbline_model::Structure;
 use plumbline_model::term::effect::{Site, Spec};
 use plumbline_testkit::diagnosis::trial::Bench;
 use plumbline_testkit::scene::lab::{self, Noise};
@@ -15,7 +15,7 @@ fn a_sketch_of_a_swinging_link_is_nearly_its_columns() {
     let Bench { chain, base, identify, .. } = Bench::new();
     let run =
         lab::period(&chain, &base, &identify[0], Mounting::WALL, "one").record(&base, 4, Noise { coloured: 0.05 }, 1);
-    let experiment = Experiment::prepare(&run, &experiment::Settings::default()).unwrap();
+    let experiment = Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap();
     let trials = [Trial { experiment: &experiment, session: 1 }];
     let evidence = Evidence::of(&chain, &trials, 10.0);
     let structure =

@@ -13,8 +13,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 use plumbline_core::MAX_JOINTS;
-use plumbline_model::chain::{Chain, Joint, JointKind};
-use plumbline_model::regressor::LINK_COLUMNS;
+use plumbline_model::LINK_COLUMNS;
+use plumbline_model::{Chain, Joint, JointKind};
 
 type V3 = Vector3<f64>;
 
@@ -50,11 +50,6 @@ impl Arm {
     /// Number of joints, n.
     pub fn len(&self) -> usize {
         self.rows.len()
-    }
-
-    /// Whether the arm has no joints.
-    pub fn is_empty(&self) -> bool {
-        self.rows.is_empty()
     }
 
     /// The end effector's position in the last link's frame \[m\].
@@ -320,8 +315,8 @@ impl Pulls {
 mod tests {
     use super::*;
     use nalgebra::DMatrix;
-    use plumbline_model::chain::Placement;
-    use plumbline_model::regressor::regressor;
+    use plumbline_model::Placement;
+    use plumbline_model::regressor;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 

@@ -221,7 +221,7 @@ impl Task<'_> {
     fn settle(&self, objective: &mut Objective, descent: &mut Descent) -> Result<Fourier, ExciteError> {
         for _ in 0..ROUNDS {
             let fourier = objective.unpack(descent.x());
-            let check = search::verdict(self.problem, &fourier);
+            let check = search::search_verdict(self.problem, &fourier);
             if check.is_feasible() {
                 return Ok(fourier);
             }
@@ -231,7 +231,7 @@ impl Task<'_> {
             objective.caps.tighten(&check);
             self.leg(objective, descent, Leg { iterations: ROUND_ITERATIONS, ..LAST });
         }
-        search::shrink(objective.unpack(descent.x()), |fourier| search::verdict(self.problem, fourier))
+        search::shrink(objective.unpack(descent.x()), |fourier| search::search_verdict(self.problem, fourier))
     }
 
     /// A motion on a fine grid, after those of `prior`: what the criterion is taken of.

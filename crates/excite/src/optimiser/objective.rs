@@ -18,8 +18,8 @@ use super::held::Held;
 use super::spectral::surrogate;
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::{JointVec, MAX_JOINTS};
-use plumbline_model::regressor::LINK_COLUMNS;
-use plumbline_model::shape::{Capsule, FIRST_BOXED, nearest};
+use plumbline_model::LINK_COLUMNS;
+use plumbline_model::{Capsule, FIRST_BOXED, nearest};
 
 /// How sharply the criterion is taken.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -75,7 +75,7 @@ fn log_det(gram: &DMatrix<f64>) -> Option<(f64, DMatrix<f64>)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use plumbline_model::conditioning::condition;
+    use plumbline_model::condition;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 

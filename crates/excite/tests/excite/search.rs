@@ -2,18 +2,18 @@
 
 use plumbline_core::{Limits, Workspace};
 use plumbline_excite::ExciteError;
-use plumbline_excite::criterion::{MAX_CONDITION, evaluate, raw_condition, sampled};
-use plumbline_excite::limits::{Bounds, Margins};
-use plumbline_excite::nominal::Nominal;
-use plumbline_excite::optimiser::optimise;
-use plumbline_excite::plan::Plan;
-use plumbline_excite::search::{Problem, Search, Watch, random, verdict};
-use plumbline_excite::usage::{MIN_USAGE, least, usage};
-use plumbline_model::base::Reduction;
-use plumbline_model::chain::Chain;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
-use plumbline_model::structure::Structure;
+use plumbline_excite::Nominal;
+use plumbline_excite::Plan;
+use plumbline_excite::optimise;
+use plumbline_excite::{Bounds, Margins};
+use plumbline_excite::{MAX_CONDITION, evaluate, raw_condition, sampled};
+use plumbline_excite::{MIN_USAGE, least_usage, usage};
+use plumbline_excite::{Problem, Search, Watch, random_plan, search_verdict};
+use plumbline_model::Chain;
+use plumbline_model::Mounting;
+use plumbline_model::Reduction;
+use plumbline_model::Robot;
+use plumbline_model::Structure;
 
 const START: [f64; 7] = [0.0, -0.4, 0.0, -1.9, 0.0, 1.9, 0.0];
 
@@ -79,11 +79,11 @@ fn torque_limits_are_kept_with_a_nominal_model() {
     let nominal = Nominal { links: vec![[0.0; 10]; 7], rotor: [3.0; 8], ..Nominal::default() };
     let mut problem = arm.problem(Some(&START));
     problem.bounds.margins.torque = 0.5;
-    let free = random(&problem, &short(), 1.0).unwrap();
+    let free = random_plan(&problem, &short(), 1.0).unwrap();
     problem.nominal = Some(&nominal);
-    let check = |plan: &Plan| verdict(&problem, &plan.fourier().unwrap()).is_feasible();
+    let check = |plan: &Plan| search_verdict(&problem, &plan.fourier().unwrap()).is_feasible();
     assert!(!check(&free));
-    let held = random(&problem, &short(), 1.0).unwrap();
+    let held = random_plan(&problem, &short(), 1.0).unwrap();
     assert!(check(&held));
     assert!(free.constraints.tau.is_none() && held.constraints.tau.is_some());
 }
@@ -94,8 +94,8 @@ fn random_motions_are_feasible_and_differ() {
     let problem = arm.problem(None);
     let mut plans: Vec<Plan> = Vec::new();
     for seed in 0..5 {
-        let plan = random(&problem, &Search { seed, ..Search::default() }, 0.6).unwrap();
-        assert!(verdict(&problem, &plan.fourier().unwrap()).is_feasible());
+        let plan = random_plan(&problem, &Search { seed, ..Search::default() }, 0.6).unwrap();
+        assert!(search_verdict(&problem, &plan.fourier().unwrap()).is_feasible());
         assert!(plans.iter().all(|other| other.a != plan.a));
         plans.push(plan);
     }
@@ -127,11 +127,12 @@ fn random_motions_move_every_joint_of_every_shipped_robot() {
                 q0: None,
             };
             let search = Search { seed: seed as u64, ..Search::default() };
-            let plan = random(&problem, &search, 0.7).unwrap_or_else(|error| panic!("{name}, seed {seed}: {error}"));
+            let plan =
+                random_plan(&problem, &search, 0.7).unwrap_or_else(|error| panic!("{name}, seed {seed}: {error}"));
             let fourier = plan.fourier().unwrap();
-            assert!(verdict(&problem, &fourier).is_feasible(), "{name}, seed {seed}");
+            assert!(search_verdict(&problem, &fourier).is_feasible(), "{name}, seed {seed}");
             let usage = usage(&problem.bounds, &fourier);
-            let (joint, least) = least(&usage).unwrap();
+            let (joint, least) = least_usage(&usage).unwrap();
             assert!(least.largest() >= MIN_USAGE, "{name}, seed {seed}, joint {}: {least:?}", joint + 1);
             let told = plan.usage.unwrap();
             assert_eq!((told.range.len(), told.speed.len()), (n, n));
@@ -146,7 +147,7 @@ fn limits_that_leave_a_joint_no_room_are_named_with_the_joint() {
     let mut arm = Arm::new();
     let at: [f64; 3] = panda().end_effector(&START).into();
     arm.workspace = Workspace { box_min: at.map(|x| x - 0.03), box_max: at.map(|x| x + 0.03), base_radius: 0.0 };
-    let error = random(&arm.problem(Some(&START)), &short(), 0.7).unwrap_err();
+    let error = random_plan(&arm.problem(Some(&START)), &short(), 0.7).unwrap_err();
     let ExciteError::Frozen { usage, held_by, draws, .. } = &error else { panic!("{error}") };
     assert!(usage.largest() < MIN_USAGE && *draws > 1);
     assert!(held_by.is_some_and(|peak| peak.joint.is_none()), "{error}");
@@ -173,14 +174,14 @@ fn the_fast_criterion_is_the_raw_condition_number() {
     let arm = Arm::new();
     let problem = arm.problem(Some(&START));
     for seed in 0..4 {
-        let plan = random(&problem, &Search { seed, ..Search::default() }, 0.9).unwrap();
+        let plan = random_plan(&problem, &Search { seed, ..Search::default() }, 0.9).unwrap();
         let motion = sampled(&plan.fourier().unwrap(), &Mounting::WALL.gravity(), 150);
         let exact = evaluate(&arm.structure, &motion, &arm.sigma).raw;
         let fast = raw_condition(&arm.structure, &motion);
         assert!((fast / exact - 1.0).abs() < 1e-6, "{fast} {exact}");
     }
     // Upright, two of the generalized parameters are not excited at all.
-    let plan = random(&problem, &Search::default(), 0.9).unwrap();
+    let plan = random_plan(&problem, &Search::default(), 0.9).unwrap();
     let motion = sampled(&plan.fourier().unwrap(), &Mounting::UPRIGHT.gravity(), 150);
     assert_eq!(raw_condition(&arm.structure, &motion), f64::INFINITY);
     assert!(evaluate(&arm.structure, &motion, &arm.sigma).equilibrated > 1e12);
@@ -191,7 +192,7 @@ fn an_infeasible_start_pose_is_named() {
     let arm = Arm::new();
     let mut high = START;
     high[3] = 0.1;
-    let error = random(&arm.problem(Some(&high)), &short(), 0.5).unwrap_err();
+    let error = random_plan(&arm.problem(Some(&high)), &short(), 0.5).unwrap_err();
     assert!(matches!(error, ExciteError::StartJoint { joint: 4, .. }), "{error}");
     assert!(error.to_string().contains("joint 4 at 0.1 rad"), "{error}");
 
@@ -199,7 +200,7 @@ fn an_infeasible_start_pose_is_named() {
     let stretched = [0.0, 0.0, 0.0, -0.13, 0.0, 1.6, 0.0];
     let mut low = Arm::new();
     low.workspace.box_max[2] = 0.8;
-    let error = random(&low.problem(Some(&stretched)), &short(), 0.5).unwrap_err();
+    let error = random_plan(&low.problem(Some(&stretched)), &short(), 0.5).unwrap_err();
     assert!(matches!(error, ExciteError::StartWorkspace { .. }), "{error}");
     assert!(error.to_string().contains("end effector z"), "{error}");
 
@@ -209,27 +210,27 @@ fn an_infeasible_start_pose_is_named() {
     low.workspace = Workspace { box_min: at.map(|x| x - 0.03), box_max: at.map(|x| x + 0.03), base_radius: 0.0 };
     let mut problem = low.problem(Some(&START));
     (problem.bounds.shape, problem.bounds.links_in_box) = (Some(&shape), true);
-    let error = random(&problem, &short(), 0.5).unwrap_err();
+    let error = random_plan(&problem, &short(), 0.5).unwrap_err();
     assert!(matches!(error, ExciteError::StartPose { .. }), "{error}");
     assert!(
         error.to_string().starts_with("start pose: link ") && !error.to_string().contains("end effector"),
         "{error}"
     );
     problem.bounds.links_in_box = false;
-    let error = random(&problem, &short(), 0.5).unwrap_err();
+    let error = random_plan(&problem, &short(), 0.5).unwrap_err();
     assert!(matches!(error, ExciteError::Frozen { .. }), "{error}");
 
     low.workspace = Workspace { box_min: [2.0; 3], box_max: [3.0; 3], base_radius: 0.0 };
-    assert!(matches!(random(&low.problem(None), &short(), 0.5), Err(ExciteError::NoStart { .. })));
+    assert!(matches!(random_plan(&low.problem(None), &short(), 0.5), Err(ExciteError::NoStart { .. })));
     low.limits.ddq[1] = 0.0;
-    let error = random(&low.problem(None), &short(), 0.5).unwrap_err();
+    let error = random_plan(&low.problem(None), &short(), 0.5).unwrap_err();
     assert_eq!(error, ExciteError::NoRoom { joint: 2, what: "acceleration" });
 }
 
 #[test]
 fn a_plan_survives_its_file() {
     let arm = Arm::new();
-    let plan = random(&arm.problem(None), &short(), 0.5).unwrap();
+    let plan = random_plan(&arm.problem(None), &short(), 0.5).unwrap();
     let text = toml::to_string(&plan).unwrap();
     let back: Plan = plumbline_core::from_toml("plan.toml", &text).unwrap();
     assert_eq!(plan, back);

@@ -4,7 +4,7 @@ use super::stack::Stack;
 use crate::EstimateError;
 use nalgebra::{Cholesky, DMatrix, DVector};
 use plumbline_core::svd;
-use plumbline_model::conditioning::ZERO_COLUMN;
+use plumbline_model::ZERO_COLUMN;
 
 /// Directions whose singular value, in equilibrated columns, is below this share of the largest are left undetermined.
 const RANK_TOLERANCE: f64 = 1e-7;

@@ -27,9 +27,9 @@ use super::validate::{Rms, validate_parameters};
 use linear::{Fit, Weights, deviations, residual_covariance};
 use nalgebra::DMatrix;
 use plumbline_core::{parallel, threads};
-use plumbline_model::conditioning::{Conditions, conditions, friction_columns};
-use plumbline_model::structure::Structure;
+use plumbline_model::Structure;
 use plumbline_model::term::Column;
+use plumbline_model::{Conditions, conditions, friction_columns};
 use serde::{Deserialize, Serialize};
 use stack::Stack;
 

@@ -10,7 +10,7 @@ use crate::experiment::{Experiment, Repeats};
 use crate::periods::NoiseOfMean;
 use crate::validate::torques;
 use nalgebra::{DMatrix, DVector};
-use plumbline_model::structure::Structure;
+use plumbline_model::Structure;
 use plumbline_model::term::Motion;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

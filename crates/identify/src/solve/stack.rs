@@ -4,7 +4,7 @@ use crate::EstimateError;
 use crate::experiment::Experiment;
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::{parallel, threads};
-use plumbline_model::structure::Structure;
+use plumbline_model::Structure;
 use plumbline_model::term::Motion;
 use std::ops::Range;
 

@@ -17,8 +17,8 @@ use filter::Bank;
 use gram::Gram;
 use nalgebra::{DMatrix, DVector, Vector3};
 use plumbline_core::{JointVec, MAX_JOINTS};
-use plumbline_model::fast::sample::SampleRegressor;
-use plumbline_model::structure::Structure;
+use plumbline_model::SampleRegressor;
+use plumbline_model::Structure;
 use plumbline_model::term::Sample;
 use solve::{Solution, solve};
 

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
-use plumbline_model::conditioning::ZERO_COLUMN;
+use plumbline_model::ZERO_COLUMN;
 
 /// Largest condition number of the equilibrated normal matrix that Cholesky's factors are trusted with. It is the square of the regressor's:
 /// five of its digits are lost at this limit, ten of them remain.

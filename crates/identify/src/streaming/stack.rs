@@ -6,8 +6,8 @@ use super::{StreamingError, active};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::svd;
 use plumbline_core::{JointVec, MAX_JOINTS};
-use plumbline_model::fast::sample::SampleRegressor;
-use plumbline_model::structure::Structure;
+use plumbline_model::SampleRegressor;
+use plumbline_model::Structure;
 use plumbline_model::term::{Motion, Sample};
 
 /// How the equations were solved.

@@ -2,17 +2,17 @@
 //! the estimator uses), friction, noise.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
-use plumbline_excite::fourier::Fourier;
-use plumbline_identify::experiment::{Derivative, Experiment, Settings};
-use plumbline_identify::run::Run;
+use plumbline_excite::Fourier;
+use plumbline_identify::Run;
 use plumbline_identify::solve::{Identification, identify};
-use plumbline_identify::validate::{torques, validate_parameters};
-use plumbline_model::base::{BaseKind, Reduction};
-use plumbline_model::chain::Chain;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::rnea::{LinkParameters, rnea};
-use plumbline_model::robot::Robot;
-use plumbline_model::structure::Structure;
+use plumbline_identify::{Derivative, Experiment, Settings};
+use plumbline_identify::{torques, validate_parameters};
+use plumbline_model::Chain;
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
+use plumbline_model::Structure;
+use plumbline_model::{BaseKind, Reduction};
+use plumbline_model::{LinkParameters, rnea};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -108,7 +108,7 @@ fn simulate(truth: &Truth, fourier: &Fourier, periods: usize, mounting: Mounting
     let mut tau = DMatrix::zeros(periods * samples, N);
     for k in 0..samples {
         let points: Vec<_> = (0..N).map(|j| fourier.at(j, k as f64 * DT)).collect();
-        let of = |f: fn(&plumbline_excite::fourier::Point) -> f64| points.iter().map(f).collect::<Vec<_>>();
+        let of = |f: fn(&plumbline_excite::Point) -> f64| points.iter().map(f).collect::<Vec<_>>();
         let clean = truth.torque(&chain, &gravity, &of(|p| p.q), &of(|p| p.dq), &of(|p| p.ddq));
         for p in 0..periods {
             for j in 0..N {
@@ -328,7 +328,7 @@ fn an_uneven_record_with_gaps_and_repeats_that_does_not_repeat_is_identified() {
         }
         let time = k as f64 * DT + rng.random_range(-3e-4..3e-4);
         let points: Vec<_> = (0..N).map(|j| fourier.at(j, time)).collect();
-        let of = |f: fn(&plumbline_excite::fourier::Point) -> f64| points.iter().map(f).collect::<Vec<_>>();
+        let of = |f: fn(&plumbline_excite::Point) -> f64| points.iter().map(f).collect::<Vec<_>>();
         let clean = truth.torque(&chain, &even.gravity, &of(|p| p.q), &of(|p| p.dq), &of(|p| p.ddq));
         t.push(time);
         q.push(points.iter().map(|p| p.q + 1e-6 * normal(&mut rng)).collect::<Vec<_>>());

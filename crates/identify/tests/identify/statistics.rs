@@ -1,8 +1,8 @@
 //! The statistics of docs/statistics.md in short: intervals hold the truth as often as they say, errors are near the best possible.
 //! `cargo bench --bench statistics` is the long form.
 
-use plumbline_identify::experiment::{Experiment, Method, Settings};
 use plumbline_identify::solve::identify;
+use plumbline_identify::{Experiment, Method, Settings};
 use plumbline_testkit::scene::Scene;
 use plumbline_testkit::scene::campaign::Campaign;
 

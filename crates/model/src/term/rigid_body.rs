@@ -26,7 +26,7 @@ pub struct RigidBody {
 impl RigidBody {
     /// The base parameters that a reduction leaves.
     pub fn new(reduction: &Reduction) -> RigidBody {
-        RigidBody { independent: reduction.independent().to_vec(), columns: expression::columns(reduction) }
+        RigidBody { independent: reduction.independent().to_vec(), columns: expression::base_columns(reduction) }
     }
 }
 

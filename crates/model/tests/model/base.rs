@@ -1,12 +1,12 @@
 //! Base parameters: how many, which, and what they are made of.
 
 use nalgebra::{DMatrix, DVector};
-use plumbline_model::base::{BaseKind, Reduction};
-use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
-use plumbline_model::expression;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::regressor::{LINK_COLUMNS, regressor};
-use plumbline_model::structure::Structure;
+use plumbline_model::{BaseKind, Reduction};
+use plumbline_model::{Chain, Joint, JointKind, Placement};
+
+use plumbline_model::Mounting;
+use plumbline_model::Structure;
+use plumbline_model::{LINK_COLUMNS, regressor};
 use plumbline_testkit::arms;
 use plumbline_testkit::arms::{all, any_mounting, chain, draw, random_chain, torque};
 use rand::{Rng, SeedableRng};
@@ -46,8 +46,9 @@ fn the_panda_keeps_the_usual_parameters() {
     for link in 2..=7 {
         expected.extend(["Lxx", "Lxy", "Lxz", "Lyz", "Lzz", "lx", "ly"].map(|stem| format!("{stem}{link}")));
     }
-    let names =
-        |reduction: &Reduction| reduction.independent().iter().map(|&slot| expression::name(slot)).collect::<Vec<_>>();
+    let names = |reduction: &Reduction| {
+        reduction.independent().iter().map(|&slot| plumbline_model::parameter_name(slot)).collect::<Vec<_>>()
+    };
     assert_eq!(names(&Reduction::any_mounting(&chain)), expected);
     expected.retain(|name| name != "lx1" && name != "ly1");
     assert_eq!(names(&Reduction::in_mounting(&chain, &Mounting::UPRIGHT)), expected);
@@ -57,7 +58,7 @@ fn the_panda_keeps_the_usual_parameters() {
 fn expressions_read_like_the_papers_tables() {
     let two = Reduction::any_mounting(&chain("paper-2dof"));
     let table: Vec<(String, String)> =
-        expression::columns(&two).into_iter().map(|column| (column.symbol, column.expression)).collect();
+        plumbline_model::base_columns(&two).into_iter().map(|column| (column.symbol, column.expression)).collect();
     let expected = [
         ("LzzR1", "Lzz1 + Lyy2"),
         ("lxR1", "lx1"),
@@ -72,7 +73,7 @@ fn expressions_read_like_the_papers_tables() {
     ];
     assert_eq!(table, expected.map(|(symbol, text)| (symbol.to_string(), text.to_string())));
 
-    let panda = expression::columns(&Reduction::any_mounting(&chain("panda")));
+    let panda = plumbline_model::base_columns(&Reduction::any_mounting(&chain("panda")));
     let of = |name: &str| panda.iter().find(|column| column.name == name).unwrap().expression.clone();
     assert_eq!(of("Lzz1"), "Lzz1 + Lyy2");
     assert_eq!(of("ly1"), "ly1 + lz2");
@@ -121,7 +122,7 @@ fn regrouping_is_khalils(#[case] robot: &str) {
             assert!(
                 (value - regrouped[slot]).abs() < 1e-10,
                 "{robot} {}: {value} {}",
-                expression::name(slot),
+                plumbline_model::parameter_name(slot),
                 regrouped[slot]
             );
         }

@@ -2,16 +2,16 @@
 
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
-use plumbline_model::base::{BaseKind, Reduction};
-use plumbline_model::chain::{Chain, JointKind};
-use plumbline_model::fast::closed::ClosedForm;
-use plumbline_model::fast::links::LinkColumns;
-use plumbline_model::fast::sample::SampleRegressor;
-use plumbline_model::regressor::regressor;
-use plumbline_model::rnea::{LinkParameters, rnea};
-use plumbline_model::structure::Structure;
+use plumbline_model::ClosedForm;
+use plumbline_model::LinkColumns;
+use plumbline_model::SampleRegressor;
+use plumbline_model::Structure;
+use plumbline_model::TorqueModel;
+use plumbline_model::regressor;
 use plumbline_model::term::{FixedTerm, Motion, Sample};
-use plumbline_model::torque::TorqueModel;
+use plumbline_model::{BaseKind, Reduction};
+use plumbline_model::{Chain, JointKind};
+use plumbline_model::{LinkParameters, rnea};
 use plumbline_testkit::arms;
 use plumbline_testkit::arms::{all, any_mounting, draw, links, random_chain};
 use rand::{Rng, SeedableRng};

@@ -52,7 +52,7 @@ mod twist;
 
 pub(super) use friction::Friction;
 pub(crate) use place::Place;
-pub use spec::{EffectSpec, Kind};
+pub use spec::EffectSpec;
 pub use trend::Trend;
 
 use super::spatial::Inertia;

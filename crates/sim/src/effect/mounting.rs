@@ -8,7 +8,7 @@ use super::{Effect, Place, Spec};
 use crate::truth::Truth;
 use nalgebra::{Rotation3, Vector3};
 use plumbline_core::BadInput;
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use serde::Deserialize;
 
 /// Either `tilt`, or `rho` and `phi`.

@@ -11,9 +11,9 @@ use super::*;
 use crate::{Exact, Gate, Pace, SimArm};
 use plumbline_core::Backend;
 use plumbline_core::{Command, MAX_JOINTS, State};
-use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
-use plumbline_model::gravity::Mounting;
-use plumbline_model::rnea::{LinkParameters, rnea};
+use plumbline_model::Mounting;
+use plumbline_model::{Chain, Joint, JointKind, Placement};
+use plumbline_model::{LinkParameters, rnea};
 use std::sync::Arc;
 
 const N: usize = 3;

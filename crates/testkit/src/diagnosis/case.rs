@@ -1,8 +1,8 @@
 //! What a case of the study is: an arm, and what nobody declared about it, drawn by seed and number.
 
-use plumbline_diagnose::fallback::Variable;
-use plumbline_excite::plan::Plan;
-use plumbline_model::gravity::Mounting;
+use plumbline_diagnose::Variable;
+use plumbline_excite::Plan;
+use plumbline_model::Mounting;
 use plumbline_model::term::effect::Site;
 use plumbline_sim::Truth;
 use rand::Rng;

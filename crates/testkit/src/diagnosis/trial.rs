@@ -4,20 +4,20 @@ use super::case::{Case, Injected};
 use crate::scene::DT;
 use crate::scene::lab::{self, Noise, Period};
 use nalgebra::{DMatrix, DVector};
+use plumbline_diagnose::Columns;
 use plumbline_diagnose::Settings;
-use plumbline_diagnose::diagnosis::{Input, diagnose};
-use plumbline_diagnose::evidence::{Evidence, Trial};
-use plumbline_diagnose::fallback::Unexplained;
-use plumbline_diagnose::fit::inverse;
-use plumbline_diagnose::moments::Columns;
-use plumbline_diagnose::outcome::{Effect, Outcome, Verdict};
-use plumbline_diagnose::state::mean_square;
-use plumbline_excite::plan::Plan;
-use plumbline_identify::experiment::{self, Experiment};
+use plumbline_diagnose::Unexplained;
+use plumbline_diagnose::inverse;
+use plumbline_diagnose::mean_square;
+use plumbline_diagnose::{Effect, Outcome, Verdict};
+use plumbline_diagnose::{Evidence, Trial};
+use plumbline_diagnose::{Input, diagnose};
+use plumbline_excite::Plan;
+use plumbline_identify::Experiment;
 use plumbline_identify::solve;
-use plumbline_model::base::Reduction;
-use plumbline_model::chain::Chain;
-use plumbline_model::structure::Structure;
+use plumbline_model::Chain;
+use plumbline_model::Reduction;
+use plumbline_model::Structure;
 use plumbline_model::term::effect::{Site, Spec};
 use plumbline_sim::Truth;
 use rand::{Rng, SeedableRng};
@@ -70,7 +70,7 @@ impl Bench {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/arms/sim-panda.toml");
         let text = std::fs::read_to_string(path).expect("a shipped file");
         let base = Truth::parse(path, &text).expect("a shipped truth");
-        let chain = plumbline_model::robot::Robot::load("panda", None).expect("a shipped robot").chain;
+        let chain = plumbline_model::Robot::load("panda", None).expect("a shipped robot").chain;
         let [identify, validate] = lab::plans();
         Bench { chain, base, identify, validate }
     }
@@ -88,7 +88,7 @@ impl Bench {
             .map(|k| {
                 let seed = case.noise.wrapping_add(k as u64);
                 let run = periods[k].record(&truth, PERIODS, Noise { coloured: COLOURED }, seed);
-                Experiment::prepare(&run, &experiment::Settings::default()).expect("an even, periodic run")
+                Experiment::prepare(&run, &plumbline_identify::Settings::default()).expect("an even, periodic run")
             })
             .collect();
         let trials: Vec<Trial> = experiments.iter().map(|experiment| Trial { experiment, session: 1 }).collect();

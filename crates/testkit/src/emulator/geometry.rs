@@ -2,7 +2,7 @@
 
 use super::limits::{JOINTS, Joints};
 use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3, Vector6};
-use plumbline_model::chain::{Chain, Placement};
+use plumbline_model::{Chain, Placement};
 
 /// A 4x4 pose, column-major.
 pub type Pose = [f64; 16];
@@ -103,8 +103,8 @@ pub fn specific_force(chain: &Chain, gravity: &Vector3<f64>, q: &Joints, dq: &Jo
 #[cfg(test)]
 mod tests {
     use super::*;
-    use plumbline_model::gravity::Mounting;
-    use plumbline_model::robot::Robot;
+    use plumbline_model::Mounting;
+    use plumbline_model::Robot;
 
     const POSE: Joints = [0.3, -0.4, 0.2, -2.0, 0.3, 1.8, 0.5];
 

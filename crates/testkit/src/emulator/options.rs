@@ -3,7 +3,7 @@
 use crate::emulator::{Fault, FinishOrder, RobotKind, Settings};
 use clap::Parser;
 use plumbline_franka::wire::Protocol;
-use plumbline_model::gravity::Mounting;
+use plumbline_model::Mounting;
 use plumbline_sim::Truth;
 use std::error::Error;
 use std::net::IpAddr;

@@ -7,7 +7,7 @@
 
 use super::limits::{JOINTS, Limits};
 use nalgebra::Vector3;
-use plumbline_model::chain::Chain;
+use plumbline_model::Chain;
 use plumbline_sim::Truth;
 use std::fmt::Write;
 

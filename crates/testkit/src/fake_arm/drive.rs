@@ -3,12 +3,13 @@
 use super::{FakeArm, Seen, Trick};
 use plumbline_core::{FeedForward, Kinematics, Reference};
 use plumbline_core::{JointVec, Limits, MAX_JOINTS, Phase, Record, Setpoint, Torque};
-use plumbline_rt::cycle::{self, Outcome};
-use plumbline_rt::guard::GuardSettings;
-use plumbline_rt::order::{Event, Handles, Order, OrderKind, Told};
+use plumbline_rt::CycleSettings;
+use plumbline_rt::GuardSettings;
+use plumbline_rt::cycle;
+use plumbline_rt::cycle::Outcome;
 use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::ring;
-use plumbline_rt::settings::CycleSettings;
+use plumbline_rt::{Event, Handles, Order, OrderKind, Told};
 use std::sync::{Arc, Mutex};
 
 /// The Panda's limits (FCI documentation), with joint 8 unused.

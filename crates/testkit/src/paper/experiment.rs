@@ -4,17 +4,17 @@
 
 use nalgebra::{DMatrix, Vector3};
 use plumbline::store::{ModelFile, load_plan};
-use plumbline_excite::fourier::Fourier;
-use plumbline_identify::experiment::{Experiment, Settings};
-use plumbline_identify::run::Run;
+use plumbline_excite::Fourier;
+use plumbline_identify::Run;
 use plumbline_identify::solve::{Identification, identify};
-use plumbline_identify::validate::{torques, validate_parameters};
-use plumbline_model::base::{BaseKind, Reduction};
-use plumbline_model::chain::Chain;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::rnea::{LinkParameters, rnea};
-use plumbline_model::robot::Robot;
-use plumbline_model::structure::Structure;
+use plumbline_identify::{Experiment, Settings};
+use plumbline_identify::{torques, validate_parameters};
+use plumbline_model::Chain;
+use plumbline_model::Mounting;
+use plumbline_model::Robot;
+use plumbline_model::Structure;
+use plumbline_model::{BaseKind, Reduction};
+use plumbline_model::{LinkParameters, rnea};
 use plumbline_sim::Truth;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -92,7 +92,7 @@ impl Arm {
         let mut row = vec![0.0; n];
         for k in 0..samples {
             let points: Vec<_> = (0..n).map(|j| motion.at(j, k as f64 * DT)).collect();
-            let of = |f: fn(&plumbline_excite::fourier::Point) -> f64| points.iter().map(f).collect::<Vec<_>>();
+            let of = |f: fn(&plumbline_excite::Point) -> f64| points.iter().map(f).collect::<Vec<_>>();
             self.torque(&gravity, &of(|p| p.q), &of(|p| p.dq), &of(|p| p.ddq), &mut row);
             for p in 0..periods {
                 for j in 0..n {
@@ -114,7 +114,7 @@ impl Arm {
 }
 
 /// A random motion that starts and ends at rest, each joint scaled to use `share` of the range, speed and acceleration of the robot.
-fn random_motion(robot: &Robot, share: f64, seed: u64) -> Fourier {
+fn random_plan(robot: &Robot, share: f64, seed: u64) -> Fourier {
     let (n, limits) = (robot.chain.len(), &robot.limits);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let q0 = (0..n).map(|j| {
@@ -172,7 +172,7 @@ pub fn two_dof() -> TwoDof {
     let truth = Truth::parse("sim-paper-2dof.toml", &text).expect("the shipped arm");
     let links = truth.link_parameters();
     let arm = Arm { chain: robot.chain.clone(), links, friction: vec![[0.0; 2]; 2] };
-    let excitation = random_motion(&robot, 0.9, 1);
+    let excitation = random_plan(&robot, 0.9, 1);
     let found = |kind: BaseKind, mounting: Mounting| -> (Structure, Identification) {
         let structure = structure(&robot.chain, kind, &[]);
         let run = arm.drive(&excitation, 1, mounting, &[], 0);
@@ -183,7 +183,7 @@ pub fn two_dof() -> TwoDof {
     let (vertical, v) = found(BaseKind::Vbs, Mounting::UPRIGHT);
 
     let figure = |name: &'static str, mounting: Mounting, seed: u64| {
-        let trajectory = random_motion(&robot, 0.9, seed);
+        let trajectory = random_plan(&robot, 0.9, seed);
         let experiment = prepare(&arm.drive(&trajectory, 1, mounting, &[], 0), &Settings::default());
         let of = |structure: &Structure, found: &Identification| torques(structure, &found.beta, &experiment.motion);
         let tau = [experiment.tau.clone(), of(&horizontal, &h), of(&vertical, &v)];
@@ -265,8 +265,7 @@ pub fn panda(settings: &Settings) -> Panda {
     let mut table = |name: &'static str, mounting: Mounting, noise: &[f64; 7]| -> Vec<Vec<f64>> {
         (1..=5)
             .map(|trajectory| {
-                let run =
-                    arm.drive(&random_motion(&robot, 0.6, 100 + trajectory), 1, mounting, noise, 200 + trajectory);
+                let run = arm.drive(&random_plan(&robot, 0.6, 100 + trajectory), 1, mounting, noise, 200 + trajectory);
                 let experiment = prepare(&run, settings);
                 let rms = validate_parameters(&experiment, &structure, &found.beta).raw;
                 if trajectory == SHOWN {

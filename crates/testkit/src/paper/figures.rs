@@ -2,7 +2,7 @@
 
 use super::experiment::{self, Figure, Validation};
 use plotters::prelude::*;
-use plumbline_identify::experiment::Settings;
+use plumbline_identify::Settings;
 
 const SIZE: (u32, u32) = (900, 520);
 const TRUE: RGBColor = RGBColor(120, 120, 120);

@@ -1,7 +1,7 @@
 //! The tables of docs/paper.md as text.
 
 use super::experiment::{self, Panda};
-use plumbline_identify::experiment::Settings;
+use plumbline_identify::Settings;
 
 /// Name and content of every block of the page.
 pub fn all() -> Vec<(&'static str, String)> {

@@ -3,9 +3,9 @@
 use crate::peers;
 use nalgebra::{DMatrix, DVector};
 use plumbline_identify::consistency::{FLOOR, Prior};
-use plumbline_model::base::Reduction;
-use plumbline_model::robot::Robot;
-use plumbline_model::structure::Structure;
+use plumbline_model::Reduction;
+use plumbline_model::Robot;
+use plumbline_model::Structure;
 use plumbline_sim::Truth;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

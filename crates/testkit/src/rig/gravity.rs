@@ -8,8 +8,8 @@ use plumbline_core::Backend;
 use plumbline_core::BadInput;
 use plumbline_core::JointVec;
 use plumbline_franka::{Connection, Purpose};
-use plumbline_identify::direction::{Pose, direction, wrong_sign};
-use plumbline_model::gravity::Mounting;
+use plumbline_identify::{Pose, direction, wrong_sign};
+use plumbline_model::Mounting;
 use std::error::Error;
 use std::path::PathBuf;
 

@@ -7,7 +7,7 @@ pub mod verdict;
 
 use clap::{Args, Parser, Subcommand};
 use plumbline::config::job::{Franka, Job};
-use plumbline_model::robot::Robot;
+use plumbline_model::Robot;
 use std::error::Error;
 use std::path::PathBuf;
 use verdict::Verdict;

@@ -9,14 +9,14 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 use plumbline::dataset::{self, Role};
 use plumbline_core::{Backend, Reference};
 use plumbline_core::{Command, JointVec, Setpoint, State};
-use plumbline_excite::fourier::PeriodicMotion;
-use plumbline_excite::plan::parse_plan;
-use plumbline_identify::run::Run;
+use plumbline_excite::PeriodicMotion;
+use plumbline_excite::parse_plan;
+use plumbline_identify::Run;
 use plumbline_identify::signal::spectral::Spectral;
-use plumbline_model::base::Reduction;
-use plumbline_model::gravity::Mounting;
-use plumbline_model::robot::Robot;
-use plumbline_model::structure::Structure;
+use plumbline_model::Mounting;
+use plumbline_model::Reduction;
+use plumbline_model::Robot;
+use plumbline_model::Structure;
 use plumbline_model::term::Motion;
 use plumbline_sim::{Gate, Pace, SimArm, Truth};
 use rand::{Rng, SeedableRng};
@@ -256,13 +256,7 @@ impl Scene {
 }
 
 /// The arm itself, with its sensors, at rest at the start of the motion.
-pub fn still(
-    chain: &plumbline_model::chain::Chain,
-    truth: &Truth,
-    mounting: Mounting,
-    q0: &[f64],
-    seed: u64,
-) -> SimArm {
+pub fn still(chain: &plumbline_model::Chain, truth: &Truth, mounting: Mounting, q0: &[f64], seed: u64) -> SimArm {
     let mut start: JointVec = [0.0; 8];
     start[..q0.len()].copy_from_slice(q0);
     SimArm::new(chain, truth, mounting, start, seed, Pace::Fast(std::sync::Arc::new(Gate::unlimited()))).unwrap()

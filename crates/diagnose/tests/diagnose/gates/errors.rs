@@ -3,10 +3,10 @@
 use super::synthetic::{DT, PERIOD, PERIODS};
 use nalgebra::DMatrix;
 use plumbline_diagnose::errors::{Compared, Of, compare};
-use plumbline_identify::experiment::{self, Experiment, LeftOut};
-use plumbline_identify::run::Run;
-use plumbline_identify::validate::Modelled;
-use plumbline_model::gravity::Mounting;
+use plumbline_identify::Modelled;
+use plumbline_identify::Run;
+use plumbline_identify::{Experiment, LeftOut};
+use plumbline_model::Mounting;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -86,7 +86,7 @@ fn rms(x: impl Iterator<Item = f64>) -> f64 {
 #[test]
 fn raw_errors_are_the_root_mean_square_over_every_sample_of_every_period() {
     let run = periodic();
-    let settings = experiment::Settings::default();
+    let settings = plumbline_identify::Settings::default();
     let experiment = Experiment::prepare(&run, &settings).unwrap();
     let samples = experiment.motion.samples();
     // Torques of two models along the motion: one says nothing, the other knows half of the sine.
@@ -110,7 +110,7 @@ fn raw_errors_are_the_root_mean_square_over_every_sample_of_every_period() {
 #[test]
 fn filtered_errors_are_those_of_the_mean_period_behind_the_low_pass() {
     let run = periodic();
-    let settings = experiment::Settings { torque_cutoff: 2.0, ..experiment::Settings::default() };
+    let settings = plumbline_identify::Settings { torque_cutoff: 2.0, ..plumbline_identify::Settings::default() };
     let experiment = Experiment::prepare(&run, &settings).unwrap();
     let samples = experiment.motion.samples();
     let models = [0.0, 0.5].map(|share| {
@@ -143,7 +143,7 @@ fn raw_errors_are_taken_along_the_quieter_motion() {
     let mut run = periodic();
     let mut rng = ChaCha8Rng::seed_from_u64(22);
     run.q.apply(|q| *q += 1e-6 * rng.sample::<f64, _>(StandardNormal));
-    let experiment = Experiment::prepare(&run, &experiment::Settings::default()).unwrap();
+    let experiment = Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap();
     let judged = experiment.judged.as_ref().expect("a narrower filter").q.clone();
     let predict = |motion: &plumbline_model::term::Motion| {
         let off = if motion.q == judged { 1.0 } else { 2.0 };
@@ -169,7 +169,7 @@ fn what_is_left_out_of_a_run_has_no_error() {
         period: None,
     };
     let gone = LeftOut { run: "free".into(), from: 4.0, to: 5.0 };
-    let settings = experiment::Settings { leave_out: vec![gone], ..experiment::Settings::default() };
+    let settings = plumbline_identify::Settings { leave_out: vec![gone], ..plumbline_identify::Settings::default() };
     let experiment = Experiment::prepare(&run, &settings).unwrap();
     let residual =
         DMatrix::from_fn(experiment.motion.samples(), 2, |k, _| if experiment.resting()[k] { 1e3 } else { 0.5 });
@@ -190,7 +190,7 @@ fn minute() -> Experiment {
         gravity: Mounting::WALL.gravity(),
         period: None,
     };
-    Experiment::prepare(&run, &experiment::Settings::default()).unwrap()
+    Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap()
 }
 
 /// Correlation time of the noise in the tests of intervals \[s\].

@@ -2,8 +2,8 @@
 
 use super::synthetic::{At, FLOOR, Recorded, once, recorded};
 use plumbline_diagnose::Settings;
-use plumbline_diagnose::diagnosis::{Input, diagnose};
-use plumbline_diagnose::outcome::{Confirmation, JointFacts, Outcome, Verdict};
+use plumbline_diagnose::{Confirmation, JointFacts, Outcome, Verdict};
+use plumbline_diagnose::{Input, diagnose};
 use plumbline_identify::solve;
 use plumbline_model::term::torque_offset;
 use std::f64::consts::TAU;
@@ -24,7 +24,7 @@ fn outcome(identify: &Recorded, veto: &Recorded, judge: &Recorded) -> Outcome {
 }
 
 fn labels(outcome: &Outcome) -> Vec<(&'static str, usize, bool)> {
-    let label = |effect: &plumbline_diagnose::outcome::Effect| {
+    let label = |effect: &plumbline_diagnose::Effect| {
         (effect.spec.family, effect.spec.site.joints().first().map_or(0, |joint| joint + 1), effect.in_model)
     };
     outcome.effects.iter().map(label).collect()

@@ -1,11 +1,11 @@
 //! What a candidate has to show before it is taken in.
 
 use super::synthetic::{At, FLOOR, ROWS, Recorded, once, once_with_effect, recorded, scaled, with_effect};
+use plumbline_diagnose::Candidate;
 use plumbline_diagnose::Settings;
-use plumbline_diagnose::gates::{self, Folds, Relevance};
-use plumbline_diagnose::library::Candidate;
-use plumbline_diagnose::select::{Scored, Search, Selected};
-use plumbline_diagnose::state::State;
+use plumbline_diagnose::State;
+use plumbline_diagnose::{Folds, Relevance};
+use plumbline_diagnose::{Scored, Search, Selected};
 use plumbline_model::term::effect::{Family, Site, Spec};
 use plumbline_model::term::{
     asymmetric_coulomb, asymmetric_viscous, joint_elasticity, position_ripple, spring, torque_offset,
@@ -120,10 +120,13 @@ fn an_effect_of_half_of_the_trajectories_is_not_taken() {
     half.search(&families, &settings, |search, base| {
         // It passes everything but the folds.
         let scored = offset_2(search, base);
-        let relevance = gates::relevance(search.problem.evidence, base, &scored.tried, &scored.item);
+        let relevance = plumbline_diagnose::relevance(search.problem.evidence, base, &scored.tried, &scored.item);
         assert!(scored.score > 5.0, "{}", scored.score);
-        assert!(gates::matters(search.problem.evidence, &relevance, &scored.item, &settings), "{relevance:?}");
-        let folds = gates::folds(&search.problem, base, &scored.tried);
+        assert!(
+            plumbline_diagnose::matters(search.problem.evidence, &relevance, &scored.item, &settings),
+            "{relevance:?}"
+        );
+        let folds = plumbline_diagnose::folds(&search.problem, base, &scored.tried);
         assert_eq!((folds.informative, folds.confirm()), (8, Some(false)), "{folds:?}");
         assert!(search.forward(base.clone(), &[], &|_| {}).state.items.is_empty());
     });
@@ -154,7 +157,7 @@ fn an_effect_counts_from_its_share_of_the_noise_and_of_what_is_unmodelled_on() {
         let matters = |rms: f64, share: f64, settings: &Settings| {
             // What it does to a joint that it does not touch is nothing.
             let found = Relevance { rms: vec![1e3, rms], share: vec![1.0, share], joint: 1 };
-            gates::matters(evidence, &found, item, settings)
+            plumbline_diagnose::matters(evidence, &found, item, settings)
         };
         assert!(matters(0.71 * floor, 0.16, &settings));
         assert!(!matters(0.69 * floor, 0.16, &settings));
@@ -166,7 +169,7 @@ fn an_effect_counts_from_its_share_of_the_noise_and_of_what_is_unmodelled_on() {
         let item = search.library.iter().find(|item| item.joints() == [1]).unwrap();
         let matters = |share: f64| {
             let found = Relevance { rms: vec![0.0, 1e-6], share: vec![0.0, share], joint: 1 };
-            gates::matters(search.problem.evidence, &found, item, &settings)
+            plumbline_diagnose::matters(search.problem.evidence, &found, item, &settings)
         };
         assert!(matters(0.031) && !matters(0.029), "without repeats 3 % of the whole residual");
     });
@@ -179,7 +182,7 @@ fn relevance_is_what_the_fit_takes_away() {
     let added = |at: &At| [0.0, size + tone * (2f64).sqrt() * (TAU * 5.0 * at.t).sin()];
     recorded(4, 7, added).search(&OFFSET, &Settings::default(), |search, base| {
         let scored = offset_2(search, base);
-        let found = gates::relevance(search.problem.evidence, base, &scored.tried, &scored.item);
+        let found = plumbline_diagnose::relevance(search.problem.evidence, base, &scored.tried, &scored.item);
         // The base parameters take a part of the offset over; what is left of it is what its square falls by.
         let rest = scored.tried.independence * scored.tried.fit.theta.as_slice().last().unwrap().powi(2);
         let share = rest / (rest + tone * tone);
@@ -196,7 +199,7 @@ fn what_the_data_shows_but_nobody_needs_is_not_taken() {
     let little = recorded(8, 8, constant(0.5 * FLOOR));
     little.search(&OFFSET, &settings, |search, base| {
         let scored = offset_2(search, base);
-        let folds = gates::folds(&search.problem, base, &scored.tried);
+        let folds = plumbline_diagnose::folds(&search.problem, base, &scored.tried);
         assert!(scored.score > 5.0 && folds.confirm() == Some(true), "score {}, {folds:?}", scored.score);
         assert!(search.forward(base.clone(), &[], &|_| {}).state.items.is_empty());
     });
@@ -205,7 +208,7 @@ fn what_the_data_shows_but_nobody_needs_is_not_taken() {
     let beside = recorded(8, 8, |at| [0.0, 1.5 * FLOOR + tone(at)]);
     beside.search(&OFFSET, &settings, |search, base| {
         let scored = offset_2(search, base);
-        let found = gates::relevance(search.problem.evidence, base, &scored.tried, &scored.item);
+        let found = plumbline_diagnose::relevance(search.problem.evidence, base, &scored.tried, &scored.item);
         assert!(scored.score > 5.0 && found.rms[1] > 0.7 * FLOOR, "score {}, {found:?}", scored.score);
         assert!(search.forward(base.clone(), &[], &|_| {}).state.items.is_empty());
     });
@@ -266,7 +269,7 @@ fn without_repeats_an_effect_has_to_show_in_three_blocks() {
     for share in [0.96, 0.95, 0.94, 0.93, 0.92, 0.9, 0.6] {
         tight_from(share).search(&families, &Settings::default(), |search, base| {
             let scored = search.propose(base, |_| true).into_iter().next().unwrap();
-            let folds = gates::folds(&search.problem, base, &scored.tried);
+            let folds = plumbline_diagnose::folds(&search.problem, base, &scored.tried);
             let taken = !search.forward(base.clone(), &[], &|_| {}).state.items.is_empty();
             println!("tight from {share}: score {}, {folds:?}, taken {taken}", scored.score);
             // Everything else speaks for it.
@@ -286,7 +289,7 @@ fn without_repeats_an_effect_has_to_take_a_fifth_of_a_joints_error_away() {
     for size in [0.035, 0.042, 0.049, 0.056, 0.063] {
         once(20.0, 11, constant(size)).search(&OFFSET, &Settings::default(), |search, base| {
             let scored = offset_2(search, base);
-            let folds = gates::folds(&search.problem, base, &scored.tried);
+            let folds = plumbline_diagnose::folds(&search.problem, base, &scored.tried);
             let taken = !search.forward(base.clone(), &[], &|_| {}).state.items.is_empty();
             println!("offset {size}: score {}, {folds:?}, taken {taken}", scored.score);
             // Everything else speaks for it.
@@ -347,7 +350,7 @@ fn without_repeats_a_better_effect_has_to_be_better_by_twelve() {
             let search = Search { settings: &settings, ..search.upon(search.ground) };
             let selected = search.select(base.clone(), std::slice::from_ref(&drag.item), &|_| {});
             println!("share {share}: gap {gap}, {:?}", taken(&selected));
-            let passes = gates::folds(&search.problem, base, &offset.tried).share >= 0.2;
+            let passes = plumbline_diagnose::folds(&search.problem, base, &offset.tried).share >= 0.2;
             let expected = if gap > 12.0 && passes { "torque-offset" } else { "asymmetric-viscous" };
             assert_eq!(taken(&selected), [(expected, 2)]);
             seen.push((gap, expected));
@@ -397,7 +400,7 @@ fn an_effect_of_several_joints_belongs_to_the_one_whose_noise_it_exceeds_most() 
             |search, base| {
                 let item = Candidate::of(search.problem.evidence, search.ground, spec.clone(), None).unwrap();
                 let tried = base.try_in(&search.problem, &item).unwrap();
-                let found = gates::relevance(search.problem.evidence, base, &tried, &item);
+                let found = plumbline_diagnose::relevance(search.problem.evidence, base, &tried, &item);
                 println!("tone in joint {}: {found:?}", tone_in + 1);
                 assert!(found.share[tone_in] < found.share[1 - tone_in] - 0.1);
                 let larger = usize::from(found.rms[1] > found.rms[0]);
@@ -440,7 +443,7 @@ fn the_energy_of_an_effect_is_divided_among_the_folds_that_show_it() {
     // The shares decide which folds are asked: an offset shows alike in all.
     recorded(4, 12, constant(4.0 * FLOOR)).search(&OFFSET, &Settings::default(), |search, base| {
         let scored = offset_2(search, base);
-        let folds = gates::folds(&search.problem, base, &scored.tried);
+        let folds = plumbline_diagnose::folds(&search.problem, base, &scored.tried);
         assert_eq!((folds.positive, folds.informative), (4, 4));
         assert!(folds.share > 0.5 && folds.worst > -0.2, "{folds:?}");
     });

@@ -1,21 +1,21 @@
 //! Synthetic evidence: a two-joint arm that swings in a vertical plane, with any torque added to that of its model.
 
 use nalgebra::{DMatrix, DVector};
+use plumbline_diagnose::Columns;
+use plumbline_diagnose::Problem;
+use plumbline_diagnose::Search;
 use plumbline_diagnose::Settings;
-use plumbline_diagnose::evidence::{Evidence, Trial};
-use plumbline_diagnose::fit::Problem;
-use plumbline_diagnose::library::library;
-use plumbline_diagnose::moments::Columns;
-use plumbline_diagnose::select::Search;
-use plumbline_diagnose::state::State;
-use plumbline_identify::experiment::{self, Experiment};
-use plumbline_identify::run::Run;
-use plumbline_model::base::Reduction;
-use plumbline_model::chain::{Chain, Joint, JointKind, Placement};
-use plumbline_model::gravity::Mounting;
-use plumbline_model::structure::Structure;
+use plumbline_diagnose::State;
+use plumbline_diagnose::library;
+use plumbline_diagnose::{Evidence, Trial};
+use plumbline_identify::Experiment;
+use plumbline_identify::Run;
+use plumbline_model::Mounting;
+use plumbline_model::Reduction;
+use plumbline_model::Structure;
 use plumbline_model::term::Motion;
 use plumbline_model::term::effect::{Family, Spec};
+use plumbline_model::{Chain, Joint, JointKind, Placement};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -173,7 +173,7 @@ fn along(motions: &[Motion], seed: u64, added: impl Fn(&At) -> [f64; 2]) -> Reco
             gravity: motion.gravity,
             period: motion.periodic.then_some(PERIOD),
         };
-        Experiment::prepare(&run, &experiment::Settings::default()).unwrap()
+        Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap()
     };
     let experiments = motions.iter().enumerate().map(prepared).collect();
     Recorded { structure, experiments }
