@@ -11,10 +11,12 @@ const COARSE: [&str; 3] = ["excitation.starts=1", "excitation.rounds=0", "excita
 const PICKED_UP: f64 = 110.0;
 
 fn job(place: &Place, subcommand: &str, more: &[&str]) -> Command {
+    let sets: Vec<&str> = COARSE.iter().chain(more).copied().collect();
+    place.reuse_plans(JOB, &sets);
     let mut command = plumbline();
     command.arg(subcommand).arg(JOB).arg("--out").arg(place.out());
     command.arg("--set").arg(format!("serve.id={}", place.id));
-    for set in COARSE.iter().chain(more) {
+    for set in sets {
         command.arg("--set").arg(set);
     }
     command

@@ -71,7 +71,7 @@ fn a_run_s_daemon_has_the_run_s_lock() {
 #[test]
 fn a_run_asks_nothing_of_a_daemon_that_it_has_not_started() {
     let place = Place::new("run-other");
-    let run = planning(&place, &["excitation.starts=4", "excitation.rounds=20"]);
+    let run = planning(&place, &["excitation.starts=4", "excitation.rounds=2"]);
     signal(run.pid(), "STOP");
     // As a cleaner of temporary files would: the next daemon makes and locks another file of that name.
     std::fs::remove_file(lock(&place)).unwrap();

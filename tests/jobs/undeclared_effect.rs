@@ -71,7 +71,8 @@ fn an_effect_that_nobody_declared_is_found_named_and_added() {
     assert!(effect.id == id || effect.alternatives.iter().any(|other| other == id), "{truth}");
     assert!(effect.in_model && effect.confirmed, "{truth}");
     // The model that is delivered has it, and predicts unseen runs better by what it was.
-    assert!(report.base.parameters.len() > 59, "{truth}");
+    assert!(report.base.count == 59 && report.base.parameters.len() == 59 + report.base.effects, "{truth}");
+    assert!(report.base.effects > 0, "{truth}");
     let (before, after) = (found.before.validate_rms[joint - 1], found.after.validate_rms[joint - 1]);
     assert!(after < before && after < 1.15 * found.noise_floor[joint - 1], "{before} -> {after}: {truth}");
 }

@@ -1,5 +1,7 @@
 //! What the whole-program tests share: the real binary, a job of its own for every test, the truth to hold results against.
 
+use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -58,12 +60,37 @@ pub struct Place {
     /// Name of the robot in shared memory.
     pub id: String,
     dir: TempDir,
+    /// What the plans of its job depend on.
+    planned_for: Mutex<Option<String>>,
 }
+
+/// Files of plans with their names, by what they depend on. The first test of a program that needs them has them planned, the others find them as an
+/// earlier run has left them: the same search takes seconds each time. Whether they are those of its job is for the program to check.
+static PLANS: Mutex<BTreeMap<String, Files>> = Mutex::new(BTreeMap::new());
+
+/// Names and contents.
+type Files = Vec<(OsString, Vec<u8>)>;
+
+/// The overrides that plans may depend on.
+const PLANNED_BY: [&str; 6] = ["excitation.", "validation.", "limits.", "workspace.", "mounting=", "robot="];
 
 impl Place {
     /// A place that no other test uses.
     pub fn new(test: &str) -> Place {
-        Place { id: format!("test-{test}-{}", std::process::id()), dir: tempfile::tempdir().unwrap() }
+        let id = format!("test-{test}-{}", std::process::id());
+        Place { id, dir: tempfile::tempdir().unwrap(), planned_for: Mutex::new(None) }
+    }
+
+    /// Puts the plans of a job with these overrides into the folder of the results, where another test has had them made.
+    pub fn reuse_plans(&self, job: &str, sets: &[&str]) {
+        let own = sets.iter().filter(|set| PLANNED_BY.iter().any(|key| set.starts_with(key)));
+        let key = own.fold(job.to_string(), |key, set| format!("{key} {set}"));
+        let plans = self.out().join("plans");
+        if let Some(files) = PLANS.lock().unwrap().get(&key).filter(|_| !plans.exists()) {
+            std::fs::create_dir_all(&plans).unwrap();
+            files.iter().for_each(|(name, bytes)| std::fs::write(plans.join(name), bytes).unwrap());
+        }
+        *self.planned_for.lock().unwrap() = Some(key);
     }
 
     /// The folder around the results.
@@ -78,12 +105,14 @@ impl Place {
 
     /// `plumbline SUBCOMMAND JOB --out ... --set ...` for this place's robot; later overrides win.
     pub fn job(&self, subcommand: &str, sets: &[&str]) -> Command {
+        let sets: Vec<&str> = PLAIN.iter().chain(sets).copied().collect();
+        self.reuse_plans(WALL, &sets);
         let mut command = plumbline();
         command.arg(subcommand).arg(WALL).arg("--out").arg(self.out());
         command.arg("--set").arg(format!("serve.id={}", self.id));
-        for set in PLAIN.iter().chain(sets) {
+        sets.iter().for_each(|set| {
             command.arg("--set").arg(set);
-        }
+        });
         command
     }
 
@@ -127,6 +156,18 @@ impl Place {
         }
         found.sort();
         found
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let (plans, key) = (self.out().join("plans"), self.planned_for.lock().unwrap().take());
+        let Some(key) = key.filter(|_| plans.join("planned-for").is_file() && !std::thread::panicking()) else {
+            return;
+        };
+        let file = |path: PathBuf| Some((path.file_name()?.to_owned(), std::fs::read(&path).ok()?));
+        let files = std::fs::read_dir(plans).into_iter().flatten().filter_map(|entry| file(entry.ok()?.path()));
+        PLANS.lock().unwrap().entry(key).or_insert_with(|| files.collect());
     }
 }
 

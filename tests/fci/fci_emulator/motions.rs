@@ -236,7 +236,8 @@ fn the_end_comes_in_either_order() {
 fn a_stop_is_answered_twice_and_leaves_the_arm_idle() {
     each_protocol(|protocol| {
         let (_emulator, mut client) = session(patient(protocol));
-        assert_eq!(client.ask(Request::StopMove), Answer::StopMove(StopStatus::NotPossible));
+        // Nothing to stop: libfranka's Python examples ask for it after a motion that has ended by itself.
+        assert_eq!(client.ask(Request::StopMove), Answer::StopMove(StopStatus::Success));
         let id = client.start_positions();
         for tick in 0..TICKS / 2 {
             client.step_to(away(tick));

@@ -23,6 +23,8 @@ impl Robot {
                     self.end(motion, Some(id));
                 }
                 Phase::Ending(_, ending) if ending.stop.is_none() && !ending.answered => ending.stop = Some(id),
+                // libfranka's Python examples ask for it behind a motion that has ended by itself.
+                Phase::Idle => self.reply(id, &Response::StopMove(StopStatus::Success)),
                 _ => self.reply(id, &Response::StopMove(StopStatus::NotPossible)),
             },
             Request::AutomaticErrorRecovery => self.recover(id),
