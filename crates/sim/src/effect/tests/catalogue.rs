@@ -1,5 +1,6 @@
 //! The catalogue as a whole: all ids are there, every effect is felt, from its moment on, the same each time; and what a file may not say.
 
+use super::super::spec::Kind;
 use super::*;
 use crate::truth::Truth;
 
