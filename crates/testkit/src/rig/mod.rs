@@ -50,7 +50,7 @@ pub struct Rig {
     pub job: Job,
     pub robot: Robot,
     pub franka: Franka,
-    /// The daemon's program: beside this one.
+    /// The program that was built beside this one.
     pub program: PathBuf,
 }
 
@@ -71,7 +71,7 @@ impl Given {
             )
             .into());
         };
-        Ok(Rig { job, robot, franka, program: std::env::current_exe()?.with_file_name("plumbline") })
+        Ok(Rig { job, robot, franka, program: crate::job::program() })
     }
 }
 
