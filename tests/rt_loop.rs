@@ -426,7 +426,7 @@ fn at_wall_clock_pace_every_deadline_is_met_or_counted() {
     let whole_run = now_ns() - start;
     let mut records = Vec::new();
     assert_eq!(drain.take_into(&mut records, usize::MAX) as u64, summary.cycles);
-    assert!(records.iter().all(|record| record.work_ns < whole_run && record.wake_ns < whole_run));
+    assert!(records.iter().all(|record| record.work_ns < whole_run));
     assert_eq!(records.iter().map(|r| r.wake_ns).max(), Some(summary.wake.max));
     assert!(records.windows(2).all(|pair| pair[1].stamp_ns > pair[0].stamp_ns && pair[1].work_ns > 0));
     assert!(drain.pop().is_none() && handles.controls.cycles() == summary.cycles);
