@@ -403,7 +403,7 @@ impl Backend for PacedArm {
 #[test]
 fn at_wall_clock_pace_every_deadline_is_met_or_counted() {
     let arm = PacedArm { arm: FakeArm::new(7, READY), deadline_ns: now_ns() };
-    let (sink, mut drain) = ring(1_000);
+    let (sink, mut drain) = ring(100_000);
     let (mut cycle, mut handles) = cycle::new(arm, sink, None, common::drive::settings()).unwrap();
     assert!(handles.orders.give(dwell(1, 300)).is_ok());
     let start = now_ns();
