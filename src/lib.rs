@@ -18,13 +18,13 @@
 //! | module | what |
 //! |---|---|
 //! | [`cli`] | one file per subcommand |
-//! | [`daemon`] | the process that drives the arm and serves the torque |
-//! | [`estimator`] | the process that turns samples into models |
-//! | [`setup`] | what a job needs before anything moves: robot, locks, plans |
-//! | [`analysis`] | from recorded runs to model, errors and diagnosis; shared by estimator and offline commands |
+//! | `daemon` | the process that drives the arm and serves the torque |
+//! | `estimator` | the process that turns samples into models |
+//! | `setup` | what a job needs before anything moves: robot, locks, plans |
+//! | `analysis` | from recorded runs to model, errors and diagnosis; shared by estimator and offline commands |
 //! | [`config`], [`dataset`], [`store`], [`recording`] | files: jobs, recorded motions, models and plans, the last seconds before a fault |
 //! | [`report`], [`postmortem`] | what a job found; what happened before a fault |
-//! | [`inclinometer`], [`machine`], [`process`] | the gravity sensor; fitness of the computer; log, signals and systemd |
+//! | [`inclinometer`], [`machine`], `process` | the gravity sensor; fitness of the computer; log, signals and systemd |
 //!
 //! The way of the data: `excite` plans a motion, `rt` drives it through a backend and puts one record per cycle into a ring, the daemon's
 //! bridge thread publishes the records through `ipc`, the estimator turns them into a model with `identify`, and the daemon serves that

@@ -6,7 +6,7 @@
 //! | file | what |
 //! |---|---|
 //! | [`wire`] | the protocol as bytes |
-//! | `settings`, [`limits`] | what a session is opened with; what the arm holds commands against |
+//! | `settings`, `limits` | what a session is opened with; what the arm holds commands against |
 //! | `session`, `tcp`, `udp`, `hints`, `error` | connecting, and what to do when that fails |
 //! | `gravity` | the gravity that the arm compensates, and the direction that its sensors show |
 //! | `arm`, `motion`, `halt` | the arm in the loop: beginning, cycle, end of a motion |
@@ -62,7 +62,7 @@ pub use connect::{Connection, Info, connect, read_limits, recover, recover_commu
 pub use error::{ConnectError, next_step};
 pub use explain::{Explanation, explain};
 pub use gravity::{Gravity, Source};
-pub use limits::{RobotLimits, fr3 as fr3_limits, from_urdf as limits_from_urdf, guard_envelope, guard_limits};
+pub use limits::{RobotLimits, UrdfError, fr3 as fr3_limits, from_urdf as limits_from_urdf, guard_envelope, guard_limits};
 pub use settings::{
     BadSetting, Collision, Controller, Interface, Load, Purpose, RobotKind, Settings, SocketOptions, TorqueControl,
 };

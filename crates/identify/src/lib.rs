@@ -1,7 +1,7 @@
 //! Base parameters and their standard deviations from measured motion.
 //!
 //! [`Run`] (samples as they came) -> [`Experiment`] (averaged, filtered, differentiated) -> [`solve::identify_with`] an estimator of choice ->
-//! [`solve::Identification`]. [`validate`] measures the error of any model on any experiment.
+//! [`solve::Identification`]. [`validate()`] measures the error of any model on any experiment.
 //!
 //! | what | items |
 //! |---|---|

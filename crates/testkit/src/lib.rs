@@ -3,16 +3,16 @@
 //!
 //! | feature | modules |
 //! |---|---|
-//! | none | [`conformance`], [`logs`], [`peers`], [`turns`] |
-//! | `model` | [`arms`] |
-//! | `loop` | [`fake_arm`] |
-//! | `sim` | [`sim`] |
-//! | `identify` | [`scene`], [`bodies`], `peers::nearest` |
-//! | `diagnose` | [`diagnosis`] |
-//! | `franka` | [`emulator`], [`fake_robot`], [`franka_loop`], [`fuzz`] |
-//! | `ipc` | [`memory`] |
-//! | `inclinometer` | [`inclinometer`] |
-//! | `program` | [`job`], [`kill`], [`paper`], [`rig`], `fuzz::files`: they run the program or read its files |
+//! | none | `conformance`, `logs`, `peers`, `turns` |
+//! | `model` | `arms` |
+//! | `loop` | `fake_arm` |
+//! | `sim` | `sim` |
+//! | `identify` | `scene`, `bodies`, `peers::nearest` |
+//! | `diagnose` | `diagnosis` |
+//! | `franka` | `emulator`, `fake_robot`, `franka_loop`, `fuzz` |
+//! | `ipc` | `memory` |
+//! | `inclinometer` | `inclinometer` |
+//! | `program` | `job`, `kill`, `paper`, `rig`, `fuzz::files`: they run the program or read its files |
 
 #![allow(missing_docs)]
 

@@ -1,6 +1,6 @@
 //! What changed: since a model was identified, or between the sessions of one recording.
 //!
-//! The selection is the one of [`select`](super::select), on another ground. Against a stored model the torques are what that model
+//! The selection is the one of `select`, on another ground. Against a stored model the torques are what that model
 //! leaves over, and its parameters are not free: `theta = beta - beta_stored` has a Gaussian prior with the standard deviations of the
 //! file. That is what makes a payload visible: within one session the last link's parameters would absorb it. A parameter without a
 //! standard deviation was not identifiable when the model was made; it stays free, so that no effect is blamed for it, and

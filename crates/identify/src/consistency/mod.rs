@@ -2,7 +2,7 @@
 //!
 //! Base parameters `beta = K delta` say nothing about 25 of a Panda's 70 standard parameters, and noise can carry them to where no
 //! `delta` of real bodies gives them. [`nearest`] finds, with every link's pseudo-inertia `J_i(delta_i)` positive definite
-//! ([`plumbline_model::inertia`]) and every rotor inertia positive,
+//! ([`plumbline_model::is_consistent`]) and every rotor inertia positive,
 //!
 //! - where `beta` is consistent: the `delta` with `K delta = beta` that is nearest to a prior in the entropic divergence;
 //! - else: the `delta` that minimises `(beta - K delta)' C^-1 (beta - K delta)` with `C` the estimate's covariance.
