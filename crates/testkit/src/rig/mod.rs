@@ -50,7 +50,7 @@ pub struct Rig {
     pub job: Job,
     pub robot: Robot,
     pub franka: Franka,
-    /// The daemon's program: beside this one.
+    /// The daemon's program: beside this one, or in a folder above it as Cargo builds examples.
     pub program: PathBuf,
 }
 
@@ -58,7 +58,7 @@ impl Given {
     /// Loads the job; refuses where nobody said that somebody is there.
     pub fn load(&self) -> Result<Rig, Box<dyn Error>> {
         if !self.i_am_at_the_robot {
-            return Err("this step drives or energises a real arm: read hil/rig/README.md, stand at the robot with your hand on the stop \
+            return Err("this step drives or energises a real arm: read docs/guide/franka.md, stand at the robot with your hand on the stop \
                         button, and give --i-am-at-the-robot"
                 .into());
         }
@@ -71,7 +71,11 @@ impl Given {
             )
             .into());
         };
-        Ok(Rig { job, robot, franka, program: std::env::current_exe()?.with_file_name("plumbline") })
+        let rig = std::env::current_exe()?;
+        let program = rig.ancestors().skip(1).map(|folder| folder.join("plumbline")).find(|path| path.is_file());
+        let program = program
+            .ok_or("no program `plumbline` beside the rig or above it: cargo build --release --bin plumbline")?;
+        Ok(Rig { job, robot, franka, program })
     }
 }
 
