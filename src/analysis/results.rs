@@ -257,7 +257,8 @@ impl Results {
         let wall_clock = self.wall_clock();
         // Quantiles can't be added up: those of the longest session stand for the whole.
         let longest = status.sessions.iter().max_by_key(|session| session.cycles);
-        let times = |of: fn(&Session) -> &plumbline_ipc::Times| longest.and_then(|session| Quantiles::of(of(session)));
+        let times =
+            |of: fn(&Session) -> &plumbline_core::Distribution| longest.and_then(|session| Quantiles::of(of(session)));
         let mut realtime: Vec<String> = Vec::new();
         for refusal in status.sessions.iter().flat_map(|session| &session.refusals) {
             if !realtime.contains(refusal) {

@@ -11,7 +11,7 @@ use plumbline_core::JointVec;
 use plumbline_core::{Backend, Fault, LONGEST_ALONE};
 use plumbline_franka::{Info, Telemetry};
 use plumbline_identify::Side;
-use plumbline_ipc::{Link, Times};
+use plumbline_ipc::Link;
 use plumbline_model::Mounting;
 use plumbline_rt::cycle::End;
 use plumbline_rt::os;
@@ -155,10 +155,10 @@ impl Robot {
             late: of.late_commands,
             limited: of.limited,
             success: (of.success_rate.mean > 0.0).then_some([of.success_rate.min, of.success_rate.mean]),
-            turnaround: times(&of.work),
-            wake: times(&of.wake),
-            round_trip: times(&of.round_trip),
-            interval: times(&of.interval),
+            turnaround: of.work,
+            wake: of.wake,
+            round_trip: of.round_trip,
+            interval: of.interval,
             gravity: self.gravity(),
             compensates: Some(self.info.compensates),
             fault: fault.map(|fault| plumbline_franka::explain(fault, &of).to_string()),
@@ -189,10 +189,4 @@ pub fn recover(daemon: &mut Daemon) -> Result<(), Failure> {
 
 fn words(info: &Info) -> String {
     format!("{}, protocol {}", info.image, info.protocol.number())
-}
-
-/// Microseconds as the nanoseconds of a message.
-fn times(spread: &plumbline_franka::Spread) -> Times {
-    let ns = |us: f64| (us * 1e3) as u64;
-    Times { count: spread.count, p50: ns(spread.p50), p99: ns(spread.p99), p999: ns(spread.p999), max: ns(spread.max) }
 }

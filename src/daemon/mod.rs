@@ -29,7 +29,7 @@ use check::{Answerable, Checked, Checker};
 use clap::Args;
 use desk::Desk;
 use plumbline_ipc::{
-    Asked, Lock, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener, Times, now_ns,
+    Asked, Lock, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener, now_ns,
 };
 use plumbline_model::Mounting;
 use plumbline_rt::Controls;
@@ -271,7 +271,7 @@ impl Daemon {
 
 /// How a connection's time was kept, in one line.
 fn account(of: &SessionStatistics) -> String {
-    let us = |what: &str, times: &Times| {
+    let us = |what: &str, times: &plumbline_core::Distribution| {
         let [p50, p99, p999, max] = [times.p50, times.p99, times.p999, times.max].map(|ns| ns as f64 / 1e3);
         format!("{what} p50 {p50:.1} p99 {p99:.1} p99.9 {p999:.1} max {max:.1} us")
     };

@@ -14,11 +14,10 @@ use crate::process::service;
 use crate::recording::about::{Handed, Reason, panic_message};
 use crate::setup::planner;
 use crate::setup::programme;
-use hdrhistogram::Histogram;
 use nalgebra::Vector3;
-use plumbline_core::{Backend, Sink};
+use plumbline_core::{Backend, Histogram, Sink};
 use plumbline_core::{Limits, MAX_JOINTS, Phase, Record};
-use plumbline_ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, Times, now_ns};
+use plumbline_ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, now_ns};
 use plumbline_model::Mounting;
 use plumbline_model::{NoModel, Reach, ServedModel};
 use plumbline_rt::CycleSettings;
@@ -87,7 +86,7 @@ pub struct Session {
     /// When the arm no longer holds for a model, while it does \[ns\].
     model_due_ns: Option<u64>,
     /// From state read to shared memory \[ns\].
-    bridged: Histogram<u64>,
+    bridged: Histogram,
     records: Vec<Record>,
 }
 
@@ -172,7 +171,7 @@ impl Session {
             told: VecDeque::new(),
             waiting: false,
             model_due_ns: None,
-            bridged: Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("constant bounds"),
+            bridged: Histogram::default(),
             records: Vec::with_capacity(DRAIN),
         };
         // Connecting took its time: what is handed over goes by the inclinometer of now.
@@ -334,7 +333,7 @@ impl Session {
         self.records_due.saw(last.stamp_ns, last.work_ns);
         let now = now_ns();
         for record in &self.records {
-            self.bridged.saturating_record(now.saturating_sub(record.stamp_ns).max(1));
+            self.bridged.add(now.saturating_sub(record.stamp_ns));
         }
         if let Some(gate) = &self.gate {
             gate.consumed(taken as u64);
@@ -488,9 +487,7 @@ impl Session {
 
     fn statistics(&self, outcome: &Outcome) -> SessionStatistics {
         let summary = &outcome.summary;
-        let at = |quantile| self.bridged.value_at_quantile(quantile);
-        let bridge =
-            Times { count: self.bridged.len(), p50: at(0.5), p99: at(0.99), p999: at(0.999), max: self.bridged.max() };
+        let bridge = self.bridged.distribution();
         SessionStatistics {
             name: self.name.clone(),
             elapsed: summary.elapsed,

@@ -186,33 +186,36 @@ mod tests {
 
     #[test]
     fn every_stop_that_is_read_reaches_the_loop_and_a_flood_of_them_is_slowed_down() {
-        const FLOOD: u32 = 50;
+        const FLOOD: u64 = 50;
         let prepared = Arc::new(AtomicBool::new(false));
-        let own = Arc::clone(&prepared);
-        let mut left = FLOOD;
-        // The last of them is read, and the count of them in the lock file then fails: it is a stop all the same.
+        let calls = Arc::new(AtomicU64::new(0));
+        let (own, counted) = (Arc::clone(&prepared), Arc::clone(&calls));
+        let (end, ended) = std::sync::mpsc::channel::<()>();
+        // The last stop is read, and the count of stops in the lock file then fails: it is a stop all the same.
         let listen = move |carry_out: &mut dyn FnMut(StopOrder)| {
-            if left == 0 {
-                std::thread::sleep(Duration::from_millis(5));
+            let call = counted.fetch_add(1, Ordering::Relaxed) + 1;
+            if call > FLOOD {
+                let _ = ended.recv();
                 return Ok(());
             }
-            left -= 1;
-            carry_out(StopOrder { process: left, user: 8 });
-            if left == 0 { Err(std::io::Error::other("no count")) } else { Ok(()) }
+            carry_out(StopOrder { process: call as u32, user: 8 });
+            if call == FLOOD { Err(std::io::Error::other("no count")) } else { Ok(()) }
         };
         let controls = Arc::new(Controls::default());
         let start = std::time::Instant::now();
         let line = StopLine::listening(listen, move || own.store(true, Ordering::Relaxed)).unwrap();
         line.connect(Some(Arc::clone(&controls)));
-        while line.shared.turns.load(Ordering::Relaxed) < u64::from(FLOOD) {
+        while calls.load(Ordering::Relaxed) <= FLOOD {
             assert!(start.elapsed() < Duration::from_secs(20));
             std::thread::sleep(Duration::from_millis(1));
         }
-        assert!(start.elapsed() >= REST * (FLOOD - 1));
+        assert!(start.elapsed() >= REST * FLOOD as u32);
+        assert_eq!(line.shared.turns.load(Ordering::Relaxed), FLOOD);
         assert!(prepared.load(Ordering::Relaxed) && controls.stop_requested());
-        assert_eq!((line.take(), line.take()), (Some(StopOrder { process: 0, user: 8 }), None));
+        assert_eq!((line.take(), line.take()), (Some(StopOrder { process: FLOOD as u32, user: 8 }), None));
+        drop(end);
         drop(line);
-        assert_eq!(Arc::strong_count(&prepared), 1, "the thread has ended");
+        assert_eq!(Arc::strong_count(&calls), 1, "the thread has ended");
     }
 
     #[test]

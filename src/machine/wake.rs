@@ -1,8 +1,8 @@
 //! How late a thread with the loop's rights wakes up, for a few seconds.
 
 use super::{Finding, Verdict, Wanted};
-use hdrhistogram::Histogram;
 use plumbline_core::PERIOD_NS;
+use plumbline_core::{Distribution, Histogram};
 use plumbline_rt::become_realtime;
 use plumbline_rt::os::{now_ns, sleep_until};
 use serde::Serialize;
@@ -56,30 +56,30 @@ pub fn wake_ups(wanted: &Wanted, seconds: u64) -> Finding {
     }
 }
 
-fn measure(wake_ups: u64) -> Option<Histogram<u64>> {
-    let mut delays = Histogram::new_with_bounds(1, 10_000_000_000, 3).ok()?;
+fn measure(wake_ups: u64) -> Option<Distribution> {
+    let delays = Histogram::default();
     let mut deadline = now_ns().saturating_add(PERIOD_NS);
     for _ in 0..wake_ups {
         sleep_until(deadline);
         let now = now_ns();
-        delays.saturating_record(now.saturating_sub(deadline).max(1));
+        delays.add(now.saturating_sub(deadline));
         // As in the loop: what was slept through is skipped.
         let slept = now.saturating_sub(deadline) / PERIOD_NS;
         deadline = deadline.saturating_add((slept + 1).saturating_mul(PERIOD_NS));
     }
-    Some(delays)
+    Some(delays.distribution())
 }
 
-fn finding(delays: &Histogram<u64>, seconds: u64) -> Finding {
-    let us = |quantile| delays.value_at_quantile(quantile) as f64 / 1e3;
-    let class = Class::of(delays.max());
+fn finding(delays: &Distribution, seconds: u64) -> Finding {
+    let us = |ns: u64| ns as f64 / 1e3;
+    let class = Class::of(delays.max);
     let found = format!(
         "{}: p50 {:.1}, p99 {:.1}, p99.9 {:.1}, max {:.1} us over {seconds} s",
         class.words(),
-        us(0.5),
-        us(0.99),
-        us(0.999),
-        delays.max() as f64 / 1e3
+        us(delays.p50),
+        us(delays.p99),
+        us(delays.p999),
+        us(delays.max)
     );
     let (verdict, change) = match class {
         Class::Excellent | Class::Good => (Verdict::Fit, None),
@@ -100,11 +100,11 @@ mod tests {
         let of = |us: u64| Class::of(us * 1000);
         assert_eq!([of(0), of(19), of(20), of(49)], [Class::Excellent, Class::Excellent, Class::Good, Class::Good]);
         assert_eq!([of(50), of(500), of(501), of(9000)], [Class::Usable, Class::Usable, Class::Unfit, Class::Unfit]);
-        let mut delays = Histogram::new_with_bounds(1, 10_000_000_000, 3).unwrap();
+        let delays = Histogram::default();
         for ns in [5_000_u64, 6_000, 700_000] {
-            delays.record(ns).unwrap();
+            delays.add(ns);
         }
-        let unfit = finding(&delays, 3);
+        let unfit = finding(&delays.distribution(), 3);
         assert_eq!(unfit.verdict, Verdict::Unfit);
         assert!(unfit.found.contains("p50 6.0") && unfit.change.is_some(), "{unfit:?}");
     }

@@ -1,7 +1,8 @@
 //! How the real-time loop and shared memory did, as it stands in `report.json`: times in microseconds, `null` where a figure has no
 //! meaning or nobody measured it.
 
-use plumbline_ipc::{Link, Session, Times};
+use plumbline_core::Distribution;
+use plumbline_ipc::{Link, Session};
 use serde::{Deserialize, Serialize};
 
 /// How the real-time loop did.
@@ -167,9 +168,9 @@ pub struct Quantiles {
 
 impl Quantiles {
     /// Nanoseconds as microseconds; `None` when nothing was measured.
-    pub fn of(times: &Times) -> Option<Quantiles> {
+    pub fn of(times: &Distribution) -> Option<Quantiles> {
         let us = |ns: u64| ns as f64 / 1e3;
-        let &Times { count, p50, p99, p999, max } = times;
+        let &Distribution { count, p50, p99, p999, max } = times;
         (count > 0).then(|| Quantiles { p50: us(p50), p99: us(p99), p999: us(p999), max: us(max) })
     }
 }

@@ -3,8 +3,9 @@
 use plumbline::report::figures::{PlanFigure, TorqueFigure};
 use plumbline::report::*;
 use plumbline::store::ModelFile;
+use plumbline_core::Distribution;
 use plumbline_core::Workspace;
-use plumbline_ipc::{Gravity, Link, MotionGravity, Session, Times};
+use plumbline_ipc::{Gravity, Link, MotionGravity, Session};
 use plumbline_model::Mounting;
 use plumbline_model::Reduction;
 use plumbline_model::Robot;
@@ -107,7 +108,7 @@ fn counter_experiment() -> CounterExperiment {
 
 /// A connection as the daemon describes it, times in ns.
 fn session(name: &str) -> Session {
-    let times = |p50: u64| Times { count: 65_536, p50, p99: 3 * p50, p999: 12 * p50, max: 300 * p50 };
+    let times = |p50: u64| Distribution { count: 65_536, p50, p99: 3 * p50, p999: 12 * p50, max: 300 * p50 };
     Session {
         name: name.into(),
         elapsed: 65_537,
@@ -223,7 +224,7 @@ fn a_session_without_a_clock_has_no_lateness() {
     let facts = SessionFacts::of(&session("wall"), false);
     assert_eq!((facts.late, facts.wake_us, facts.period_us), (None, None, None));
     assert_eq!((facts.lost, facts.longest_lost, facts.work_us.unwrap().max), (1, 1, 1830.0));
-    assert_eq!(Quantiles::of(&Times::default()), None);
+    assert_eq!(Quantiles::of(&Distribution::default()), None);
 
     let mut report = report();
     let cycle = report.cycle.as_mut().unwrap();

@@ -1,23 +1,39 @@
-//! What every other crate of plumbline exchanges: per-joint values with their units, the small traits between the loop and what
-//! surrounds it, and how bad input is reported.
+//! What every crate of plumbline exchanges: per-joint values with their units, the traits between the real-time loop and its surroundings, and
+//! the report of bad input.
 //!
 //! | what | items |
 //! |---|---|
-//! | values of one cycle, fixed size, `Copy` | [`State`], [`Setpoint`], [`Command`], [`Record`], [`JointVec`] |
+//! | values of one cycle: fixed size, `Copy`, `repr(C)` | [`State`], [`Setpoint`], [`Command`], [`Record`], [`JointVec`] |
 //! | limits of an arm | [`Limits`], [`SpeedEnvelope`], [`Workspace`] |
-//! | the loop's seams | [`Backend`], [`Reference`], [`FeedForward`], [`Kinematics`], [`Sink`], [`Clock`], [`Fault`] |
-//! | bad input | [`BadInput`], [`from_toml`] |
-//! | numbers | [`svd`], [`singular_values`], [`symmetric_eigen`] with a bound on iterations; [`parallel()`] on all processors |
-
+//! | interfaces of the loop | [`Backend`], [`Reference`], [`FeedForward`], [`Kinematics`], [`Sink`], [`Clock`], [`Fault`] |
+//! | bad input: file, place, value, expectation | [`BadInput`], [`from_toml`] |
+//! | histogram of durations and its percentiles | [`Histogram`], [`Distribution`] |
+//! | decompositions with a bound on their iterations | [`svd`], [`singular_values`], [`symmetric_eigen`] |
+//! | work on all processors | [`parallel()`], [`threads`] |
+//!
+//! ```
+//! use plumbline_core::from_toml;
+//!
+//! #[derive(Debug, serde::Deserialize)]
+//! struct Joint {
+//!     #[allow(dead_code)]
+//!     limit: f64,
+//! }
+//!
+//! let error = from_toml::<Joint>("arm.toml", "limit = \"fast\"").unwrap_err();
+//! assert_eq!((error.file.as_str(), error.place.as_str()), ("arm.toml", "line 1, key `limit`"));
+//! ```
 #![forbid(unsafe_code)]
 
 mod decomposition;
+mod histogram;
 mod input;
 mod joint;
 mod parallel;
 mod traits;
 
 pub use decomposition::{singular_values, svd, symmetric_eigen};
+pub use histogram::{Distribution, Histogram};
 pub use input::{BadInput, expectation, from_toml};
 pub use joint::{
     Command, JointVec, Limits, MAX_JOINTS, Phase, Record, Setpoint, SpeedEnvelope, State, Torque, Validity, Workspace,

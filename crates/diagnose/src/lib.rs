@@ -1,11 +1,33 @@
-//! Floor 3: what the model leaves over, traced to the effect that it lacks.
+//! What an identified model lacks: the residual is traced to an effect, the effect is added, and the error before and after is measured on data
+//! that was not fitted.
 //!
-//! [`evidence`] (torques and columns as coefficients with known noise) -> [`moments`] (their sums of products) -> [`fit`] (weighted fits, the
-//! likelihood that a candidate brings) -> [`library`] (the candidates) -> [`select`] (forward selection, backward elimination) with [`gates`]
-//! -> [`diagnosis`] (veto by unseen runs, adequacy, verdict) -> [`outcome`]; what stays unexplained goes to [`fallback`]. The same machine
-//! tells what changed since a model was identified, [`mod@reference`], also while it is served, [`live`]. What differs from period to period is the matter of [`changing`], which
-//! needs no fit.
-
+//! [`Evidence`] (torques and columns as Fourier coefficients with known noise) -> fits and the likelihood that a candidate brings ->
+//! [`library()`] (the candidates) -> [`Search`] (forward selection, backward elimination) with gates -> [`diagnose()`] (unseen runs, adequacy,
+//! verdict) -> [`Outcome`]. What stays unexplained is described by the variables that it follows, [`unexplained()`].
+//!
+//! | what | items |
+//! |---|---|
+//! | diagnosis | [`diagnose()`], [`Input`], [`Settings`], [`Outcome`], [`Verdict`] |
+//! | what changed since a model was identified | [`mod@reference`] |
+//! | the same while the model is served | [`live`] |
+//! | what differs from period to period | [`changing`] |
+//! | errors before and after with confidence intervals | [`errors`] |
+//!
+//! ```no_run
+//! use plumbline_diagnose::{Input, Settings, Trial, diagnose};
+//! use plumbline_identify::{Experiment, solve};
+//! use plumbline_model::Structure;
+//!
+//! fn lacking(model: &Structure, fitted: &[Experiment], unseen: &[Experiment]) -> Result<(), Box<dyn std::error::Error>> {
+//!     let trials = |runs| Vec::from_iter(<[Experiment]>::iter(runs).map(|experiment| Trial { experiment, session: 1 }));
+//!     let (identify, veto) = (trials(fitted), trials(unseen));
+//!     let input =
+//!         Input { structure: model, identify: &identify, veto: &veto, judge: &[], options: &solve::Options::default() };
+//!     let outcome = diagnose(&input, &Settings::default(), &|_| {})?;
+//!     println!("{:?}: {} effects", outcome.verdict, outcome.effects.len());
+//!     Ok(())
+//! }
+//! ```
 #![forbid(unsafe_code)]
 
 pub mod changing;
@@ -35,9 +57,9 @@ pub use curves::{Period, Spectrum};
 pub use diagnosis::{Input, diagnose};
 pub use evidence::{Evidence, Trial};
 pub use fallback::{Unexplained, Variable, lack_of_fit, lacks, unexplained};
-pub use fit::{Problem, inverse};
+pub use fit::{Problem, group, inverse};
 pub use fold::Fold;
-pub use gates::{Folds, Relevance, folds, matters, relevance};
+pub use gates::{Folds, Relevance, folds, left_out, matters, relevance};
 pub use library::{Candidate, library};
 pub use moments::Columns;
 pub use outcome::{Confirmation, Detectable, Effect, Estimate, Fitted, Hidden, JointFacts, Outcome, Verdict};

@@ -1,5 +1,28 @@
-//! Floor 2: excitation motions: Fourier series, the limits they keep, how well they excite, and a search for good ones.
-
+//! Excitation motions: Fourier series that begin and end at rest, the limits they keep, how well they excite the parameters, and the search for
+//! good ones.
+//!
+//! | what | items |
+//! |---|---|
+//! | the motion and its samples for the loop | [`Fourier`], [`PeriodicMotion`] |
+//! | limits of joints, workspace, self-collision, torques | [`Bounds`], [`verify`], [`check_pose`] |
+//! | the same motion through the guard of the loop | [`rehearse_points`] |
+//! | condition numbers and information | [`Criterion`], [`evaluate`], [`check_excitation`] |
+//! | search | [`Problem`], [`Search`], [`optimise`], [`random_plan`] |
+//! | plan file | [`Plan`], [`parse_plan`], [`plan_text`] |
+//!
+//! ```
+//! use plumbline_excite::{Bounds, Fourier, Margins, verify};
+//! use plumbline_model::Robot;
+//!
+//! let panda = Robot::load("panda", None)?;
+//! let bounds = Bounds::new(&panda.chain, &panda.limits, Margins::default());
+//! let mut motion = Fourier::still(10.0, vec![0.0, -0.4, 0.0, -2.0, 0.3, 1.8, 0.5], 5)?;
+//! assert!(verify(&bounds, &motion, None).is_feasible());
+//! // The joint's range ends at 2.8973 rad.
+//! motion.q0[0] = 2.9;
+//! assert!(!verify(&bounds, &motion, None).is_feasible());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 #![forbid(unsafe_code)]
 
 mod criterion;

@@ -23,7 +23,17 @@
 //!   read, within a time limit.
 //! - Nothing recovers by itself: [`recover`] is for the operator; a rule that the operator has set has [`recover_communication`], which
 //!   leaves a collision, a limit, and whatever else is a person's to judge as it is.
-
+//!
+//! ```no_run
+//! use plumbline_core::Backend;
+//! use plumbline_franka::{Purpose, RobotKind, Settings, connect};
+//!
+//! // Reads states; the arm's own controller holds it.
+//! let settings = Settings { purpose: Purpose::Watch, ..Settings::new("172.16.0.2".parse()?, RobotKind::Fr3) };
+//! let (mut arm, _connection) = connect(&settings)?;
+//! println!("{:?}", arm.read()?.q);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 #![forbid(unsafe_code)]
 
 mod arm;
@@ -56,4 +66,4 @@ pub use limits::{RobotLimits, fr3 as fr3_limits, from_urdf as limits_from_urdf, 
 pub use settings::{
     BadSetting, Collision, Controller, Interface, Load, Purpose, RobotKind, Settings, SocketOptions, TorqueControl,
 };
-pub use telemetry::{Rate, Spread, Stall, Statistics, Telemetry};
+pub use telemetry::{Rate, Stall, Statistics, Telemetry};

@@ -1,9 +1,44 @@
-//! Floor 2: from measured samples to base parameters with honest standard deviations.
+//! Base parameters and their standard deviations from measured motion.
 //!
-//! [`run::Run`] (samples as they came) -> [`experiment::Experiment`] (averaged, filtered, differentiated) ->
-//! [`solve::identify_with`] an estimator of choice -> [`solve::Identification`]; [`validate::validate`] measures any model on any
-//! experiment.
-
+//! [`Run`] (samples as they came) -> [`Experiment`] (averaged, filtered, differentiated) -> [`solve::identify_with`] an estimator of choice ->
+//! [`solve::Identification`]. [`validate`] measures the error of any model on any experiment.
+//!
+//! | what | items |
+//! |---|---|
+//! | signal processing | [`Experiment`], [`Settings`], [`signal`] |
+//! | estimators: OLS, WLS, Huber, TLS, IV | [`solve`] |
+//! | the same from a stream of samples | [`streaming`] |
+//! | nearest parameters that real bodies have | [`consistency`] |
+//! | mounting and direction of gravity from torques | [`cross_check`], [`direction()`] |
+//! | a new model against the served one | [`plausible`] |
+//!
+//! ```
+//! use nalgebra::DMatrix;
+//! use plumbline_identify::{Experiment, Run, Settings, solve};
+//! use plumbline_model::{Chain, Joint, JointKind, Mounting, Placement, Reduction, Structure};
+//! use std::f64::consts::TAU;
+//!
+//! // One joint about the vertical: tau = 0.5 ddq + 0.2 dq.
+//! let joint = Joint { kind: JointKind::Revolute, a: 0.0, alpha: 0.0, d: 0.0, theta: 0.0 };
+//! let chain = Chain::modified(vec![joint], Placement::identity());
+//! let t: Vec<f64> = (0..10_000).map(|k| k as f64 * 1e-3).collect();
+//! let (amplitude, omega) = (0.5, TAU / 2.0);
+//! let q = |t: f64| amplitude * (omega * t).sin();
+//! let tau = |t: f64| -0.5 * amplitude * omega * omega * (omega * t).sin() + 0.2 * amplitude * omega * (omega * t).cos();
+//! let run = Run {
+//!     name: "sine".into(),
+//!     q: DMatrix::from_fn(t.len(), 1, |k, _| q(t[k])),
+//!     dq: None,
+//!     tau: DMatrix::from_fn(t.len(), 1, |k, _| tau(t[k])),
+//!     t,
+//!     gravity: Mounting::UPRIGHT.gravity(),
+//!     period: Some(2.0),
+//! };
+//! let structure = Structure::of(chain.clone(), Reduction::in_mounting(&chain, &Mounting::UPRIGHT), &["friction"])?;
+//! let found = solve::identify(&structure, &[Experiment::prepare(&run, &Settings::default())?])?;
+//! assert!((found.beta[0] - 0.5).abs() < 1e-3, "{:?}", found.beta);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 #![forbid(unsafe_code)]
 
 pub mod consistency;

@@ -22,16 +22,6 @@ pub struct Rms {
 }
 
 impl Rms {
-    /// Mean of `raw` over the joints, the last line of the paper's Tables IV and V \[Nm\].
-    pub fn raw_mean(&self) -> f64 {
-        mean(&self.raw)
-    }
-
-    /// Mean of `filtered` over the joints \[Nm\].
-    pub fn filtered_mean(&self) -> f64 {
-        mean(&self.filtered)
-    }
-
     /// Several runs as one, weighted by their samples. `None` when there is none.
     pub fn pooled(runs: &[Rms]) -> Option<Rms> {
         let first = runs.first()?;
@@ -51,10 +41,6 @@ impl Rms {
             samples: runs.iter().map(|run| run.samples).sum(),
         })
     }
-}
-
-fn mean(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len() as f64
 }
 
 /// Torques of a model along an experiment's motions, in its own mounting.

@@ -6,8 +6,8 @@
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::error::IpcError;
+use plumbline_core::Distribution;
 use plumbline_core::Phase;
-use plumbline_rt::Distribution;
 
 /// Longest request. A model file of 1 MiB fits in even when every second character needs an escape.
 pub const MAX_REQUEST_BYTES: usize = 2 << 20;
@@ -230,13 +230,13 @@ pub struct Session {
     /// Allocations inside the loop; absent when nobody watched.
     pub allocations: Option<u32>,
     /// Lateness of a state after its deadline; empty where the arm has no deadlines.
-    pub wake: Times,
+    pub wake: Distribution,
     /// From state read to command written.
-    pub work: Times,
+    pub work: Distribution,
     /// From one state to the next.
-    pub period: Times,
+    pub period: Distribution,
     /// From state read to shared memory, on the bridge thread.
-    pub bridge: Times,
+    pub bridge: Distribution,
     /// What the operating system did not grant, with what to change.
     pub refusals: Vec<String>,
     /// How it ended.
@@ -267,13 +267,13 @@ pub struct Link {
     /// The robot's own share of commands that reached it in time, of the last 100 at a time: least and mean.
     pub success: Option<[f64; 2]>,
     /// From a state's being read to its command on the way.
-    pub turnaround: Times,
+    pub turnaround: Distribution,
     /// From a state's arrival at this machine to its being read.
-    pub wake: Times,
+    pub wake: Distribution,
     /// From a command on the way to the first state that shows it.
-    pub round_trip: Times,
+    pub round_trip: Distribution,
     /// From one state's arrival to the next one's.
-    pub interval: Times,
+    pub interval: Distribution,
     /// Direction of gravity in the base frame that the robot's sensors show, or its own constant without any; a unit vector.
     pub gravity: Option<[f64; 3]>,
     /// Gravity in the base frame that the robot's own controller compensates \[m/s2\].
@@ -281,27 +281,6 @@ pub struct Link {
     pub compensates: Option<[f64; 3]>,
     /// What the robot stopped for, by its own names, what that comes from, and what the operator does next.
     pub fault: Option<String>,
-}
-
-/// Percentiles of one duration \[ns\]; all zero when nothing was measured.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Times {
-    /// Number of values.
-    pub count: u64,
-    /// Median.
-    pub p50: u64,
-    /// 99th percentile.
-    pub p99: u64,
-    /// 99.9th percentile.
-    pub p999: u64,
-    /// Largest value.
-    pub max: u64,
-}
-
-impl From<Distribution> for Times {
-    fn from(Distribution { count, p50, p99, p999, max }: Distribution) -> Times {
-        Times { count, p50, p99, p999, max }
-    }
 }
 
 /// Direction of the gravitational acceleration in the base frame, paper eq. 3.

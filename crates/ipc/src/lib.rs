@@ -1,4 +1,4 @@
-//! Floor 2: everything that crosses the process boundary, over iceoryx2 shared memory. No other module knows iceoryx2.
+//! Samples, torques, requests and stops between processes: shared memory of iceoryx2, and a socket for stops.
 //!
 //! | service of robot R | pattern | what |
 //! |---|---|---|
@@ -16,7 +16,17 @@
 //! The trust boundary is the operating system's user: shared memory and the folder of names ([`place`]) are open to the daemon's own
 //! user only. What
 //! arrives from that user is still checked; no value of a message can make the daemon panic.
-
+//!
+//! ```no_run
+//! use plumbline_ipc::{FeedForwardClient, FeedForwardSettings, RobotId};
+//! use std::time::Duration;
+//!
+//! let robot = RobotId::parse("example", "robot", "panda")?;
+//! let mut client = FeedForwardClient::connect(&robot, FeedForwardSettings::default(), Duration::from_secs(1))?;
+//! let latest = client.latest()?;
+//! # let _ = latest;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 #![forbid(unsafe_code)]
 
 mod arm_lock;
@@ -43,7 +53,7 @@ pub use arm_lock::{ArmLock, ArmLockError};
 pub use client::Client;
 pub use command::{
     Follower, Gravity, Held, Link, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request, Response,
-    Served, Session, Status, Times,
+    Served, Session, Status,
 };
 pub use error::IpcError;
 pub use feed_forward::{FeedForwardClient, FeedForwardSettings, Latest, Presence};

@@ -1,5 +1,26 @@
-//! Floor 1: the arm's dynamics as pure functions. No I/O, no clock, no configuration.
-
+//! The dynamics of a serial arm for any direction of gravity: kinematics, recursive Newton-Euler algorithm, regressor, base parameters, and the
+//! effects that a real arm adds to rigid bodies. Pure functions; only [`Robot`] reads files.
+//!
+//! | what | items |
+//! |---|---|
+//! | kinematics | [`Chain`], [`Robot`], [`Shape`] |
+//! | mounting and gravity | [`Mounting`] |
+//! | inverse dynamics and regressor of standard parameters | [`rnea()`], [`regressor()`] |
+//! | base parameters | [`Reduction`], [`Structure`] |
+//! | friction, rotor inertia, effects | [`term`] |
+//! | identified model, evaluated in the loop | [`TorqueModel`], [`Evaluator`], [`ServedModel`] |
+//! | physical consistency of a body | [`Body`], [`is_consistent`] |
+//!
+//! ```
+//! use plumbline_model::{Mounting, Reduction, Robot, Structure};
+//!
+//! let panda = Robot::load("panda", None)?.chain;
+//! let parameters = |reduction| Structure::of(panda.clone(), reduction, &["friction"]).map(|model| model.columns().len());
+//! // Two parameters have no influence on the torque while gravity is parallel to the first axis.
+//! assert_eq!(parameters(Reduction::any_mounting(&panda))?, 59);
+//! assert_eq!(parameters(Reduction::in_mounting(&panda, &Mounting::UPRIGHT))?, 57);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 #![forbid(unsafe_code)]
 // The real-time wall (clippy.toml): what the loop calls neither allocates by these means, locks, logs, reads files nor panics.
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]

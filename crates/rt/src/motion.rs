@@ -249,3 +249,67 @@ fn gone_on(from: &Setpoint, t: f64) -> Setpoint {
 pub(super) fn seconds(cycles: u64) -> f64 {
     cycles as f64 * PERIOD
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::moves::MoveFactors;
+    use super::*;
+    use plumbline_core::Limits;
+
+    fn planner() -> Planner {
+        let of = |value: f64| [value; MAX_JOINTS];
+        let limits = Limits {
+            q_min: of(-3.0),
+            q_max: of(3.0),
+            dq: of(2.0),
+            ddq: of(10.0),
+            jerk: of(5000.0),
+            tau: of(80.0),
+            dtau: of(1000.0),
+        };
+        Planner::new(2, limits, MoveFactors::default())
+    }
+
+    #[test]
+    fn a_stop_begins_where_the_arm_has_gone_on_to_alone() {
+        let sent = Setpoint {
+            q: [0.1, -0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            dq: [0.5, -0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            ddq: [4.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        };
+        // Cycles since the last command, cycles that the arm went on alone for, and the sample of the stop that is due.
+        for (gap, alone, tick) in [(1, 0.0, 1), (2, 1.0, 1), (8, 7.0, 1), (21, 20.0, 1), (26, 20.0, 6)] {
+            let t = alone * PERIOD;
+            let mut from = sent;
+            for j in 0..2 {
+                from.q[j] = sent.q[j] + sent.dq[j] * t + sent.ddq[j] * t * t / 2.0;
+                from.dq[j] = sent.dq[j] + sent.ddq[j] * t;
+            }
+            let mut expected = planner();
+            expected.stop(&from).unwrap();
+            let mut motion = Motion::new(2, planner());
+            motion.start(sent.q);
+            motion.sent(&sent);
+            assert!(motion.brake(gap).unwrap().is_none());
+            assert_eq!(motion.tick(), tick);
+            let (found, expected) = (motion.sample(), expected.at(tick));
+            // What a replay takes for the setpoint that this stop began at.
+            let began = braked_from(&sent, gap, tick);
+            for j in 0..2 {
+                let pairs = [
+                    (found.q[j], expected.q[j]),
+                    (found.dq[j], expected.dq[j]),
+                    (found.ddq[j], expected.ddq[j]),
+                    (began.q[j], from.q[j]),
+                    (began.dq[j], from.dq[j]),
+                    (began.ddq[j], from.ddq[j]),
+                ];
+                assert!(pairs.iter().all(|(found, expected)| (found - expected).abs() < 1e-12), "{gap}: {pairs:?}");
+            }
+            // Where no stop began there, it began at what was sent, as if it had begun then.
+            if gap > 1 {
+                assert_eq!(braked_from(&sent, gap, gap), sent);
+            }
+        }
+    }
+}

@@ -1,10 +1,8 @@
 //! Deadline statistics of the loop, in memory that is allocated before it starts.
 
-pub use super::durations::Distribution;
-
-use super::durations::Durations;
 use plumbline_core::PERIOD_NS;
 use plumbline_core::Record;
+use plumbline_core::{Distribution, Histogram};
 
 /// What the loop did and how well it kept its time.
 ///
@@ -60,9 +58,9 @@ pub(super) struct Tally {
     last_ns: u64,
     first_due_ns: Option<u64>,
     pub summary: Summary,
-    wake: Durations,
-    work: Durations,
-    period: Durations,
+    wake: Histogram,
+    work: Histogram,
+    period: Histogram,
 }
 
 impl Tally {
@@ -74,9 +72,9 @@ impl Tally {
             last_ns: 0,
             first_due_ns: None,
             summary: Summary::default(),
-            wake: Durations::new(),
-            work: Durations::new(),
-            period: Durations::new(),
+            wake: Histogram::default(),
+            work: Histogram::default(),
+            period: Histogram::default(),
         }
     }
 

@@ -17,7 +17,22 @@
 //! After a stop the arm brakes, keeps reporting, and takes no command any more.
 //!
 //! The same truth, seed and commands give the same states bit by bit.
-
+//!
+//! ```
+//! use plumbline_core::Backend;
+//! use plumbline_model::{Mounting, Robot};
+//! use plumbline_sim::{Gate, Pace, SimArm, Truth};
+//! use std::sync::Arc;
+//!
+//! let truth = Truth::parse("sim-panda.toml", include_str!("../../../config/arms/sim-panda.toml"))?;
+//! let chain = Robot::load(&truth.robot, None)?.chain;
+//! let start = [0.0, -0.4, 0.0, -2.0, 0.3, 1.8, 0.5, 0.0];
+//! let pace = Pace::Fast(Arc::new(Gate::unlimited()));
+//! let mut arm = SimArm::new(&chain, &truth, Mounting::WALL, start, 1, pace)?;
+//! let state = arm.read()?;
+//! assert!((state.q[3] + 2.0).abs() < 1e-3);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 #![forbid(unsafe_code)]
 
 mod aba;

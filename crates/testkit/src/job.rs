@@ -38,7 +38,7 @@ pub const SHORT: [&str; 8] = [
     "diagnosis.enabled=false",
 ];
 
-/// The program that was built beside the test that runs.
+/// The program that was built beside the test, benchmark or example that runs.
 ///
 /// # Panics
 /// Where it was not: Cargo builds it for the tests of its own package.

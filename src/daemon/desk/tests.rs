@@ -582,3 +582,36 @@ fn the_status_sums_up_every_connection_and_the_running_loop() {
     desk.last.motion = 3;
     assert_eq!(desk.status(&Served::default(), None).job, "upright");
 }
+
+#[test]
+fn the_flight_recorder_is_given_the_reason_of_every_stop_that_the_daemon_asks_for() {
+    let (mut desk, _place) = desk();
+    let mut remarks = desk.recorder.remarks();
+    let controls = Controls::default();
+    desk.stop_for_mounting("the base has turned".into(), &controls);
+    assert_eq!(remarks(), ["mounting: the base has turned"]);
+    desk.stop_without_model("no model came".into(), &controls);
+    assert_eq!(remarks(), ["model-timeout: no model came"]);
+    desk.ending.arrive(Cause::Signal(libc::SIGTERM));
+    desk.announce_end();
+    desk.announce_end();
+    assert_eq!(remarks(), ["signal: signal SIGTERM arrived"]);
+    let news = News::Left { name: "estimator".into(), pid: 7, acknowledged: 5 };
+    for (rule, count) in [(OnLoss::Stop, 2), (OnLoss::Finish, 1)] {
+        (desk.progress, desk.job.safety.on_estimator_loss) = (Progress::Driving, rule);
+        desk.news(&news, Some(&controls));
+        let found = remarks();
+        assert!(found.len() == count && found[0].contains("estimator (process 7) left"), "{found:?}");
+        assert!(found[1..].iter().all(|reason| reason.starts_with("estimator-lost: ")), "{found:?}");
+    }
+    // The torques at rest contradict the declared mounting.
+    desk.gravity.connect(Mounting::UPRIGHT, None, Mounting::UPRIGHT.gravity(), false);
+    let model = check(&desk.robot, &desk.mounting, "test", MODEL).unwrap();
+    rest(&mut desk, &Mounting::WALL);
+    desk.gravity.verdict(&model);
+    assert!(remarks().is_empty());
+    desk.note_gravity();
+    desk.note_gravity();
+    let found = remarks();
+    assert!(found.len() == 1 && found[0].contains("is not served"), "{found:?}");
+}

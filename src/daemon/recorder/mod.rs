@@ -215,6 +215,19 @@ impl Recorder {
         Ok(())
     }
 
+    /// From now on remarks and reasons go to the caller of what is returned, and to no file.
+    #[cfg(test)]
+    pub fn remarks(&mut self) -> impl FnMut() -> Vec<String> + use<> {
+        let (inbox, messages) = channel();
+        self.inbox = Some(inbox);
+        let words = |message: Message| match message {
+            Message::Note(text) => Some(text),
+            Message::Blame(reason) => Some(format!("{}: {}", reason.kind, reason.text)),
+            _ => None,
+        };
+        move || messages.try_iter().filter_map(words).collect()
+    }
+
     fn send(&self, message: Message) {
         if let Some(inbox) = &self.inbox {
             // A recorder that is gone has said so in the log.

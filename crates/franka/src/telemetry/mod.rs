@@ -1,11 +1,7 @@
 //! What the real-time thread counts, for any other thread to look at without a lock.
 
-mod buckets;
-
-pub use buckets::Spread;
-
 use super::wire::{Errors, HEADER_BYTES, MoveStatus, RobotMode};
-use buckets::Buckets;
+use plumbline_core::{Distribution, Histogram};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// Counters of a session. The arm's thread writes, anyone reads.
@@ -40,10 +36,10 @@ pub struct Telemetry {
     stall_lost: AtomicU64,
     garbled: [AtomicU64; 3],
     restarted: [AtomicU64; 2],
-    work: Buckets,
-    wake: Buckets,
-    interval: Buckets,
-    round_trip: Buckets,
+    work: Histogram,
+    wake: Histogram,
+    interval: Histogram,
+    round_trip: Histogram,
 }
 
 /// The longest delays of the last cycles before a motion ended, by who caused them \[ns\].
@@ -111,14 +107,14 @@ pub struct Statistics {
     /// The delays of the last cycles before the motion ended.
     pub stall: Stall,
     /// From a state's being read to its command's leaving \[us\].
-    pub work: Spread,
+    pub work: Distribution,
     /// From a state's arrival in the kernel to its being read \[us\]: the wake-up.
-    pub wake: Spread,
+    pub wake: Distribution,
     /// Between the arrivals of states in the kernel \[us\].
-    pub interval: Spread,
+    pub interval: Distribution,
     /// From a command's leaving to the arrival of the first state whose `q_d` shows it; not measured where torques are commanded \[us\]. It holds the way there,
     /// the wait for the arm's next cycle, and the way back; commands that can't be told from the one before don't count.
-    pub round_trip: Spread,
+    pub round_trip: Distribution,
 }
 
 /// The arm's count of the commands that reached it.
@@ -212,10 +208,10 @@ impl Telemetry {
                 network_ns: get(&self.stall_network),
                 lost: get(&self.stall_lost),
             },
-            work: self.work.spread(),
-            wake: self.wake.spread(),
-            interval: self.interval.spread(),
-            round_trip: self.round_trip.spread(),
+            work: self.work.distribution(),
+            wake: self.wake.distribution(),
+            interval: self.interval.distribution(),
+            round_trip: self.round_trip.distribution(),
         }
     }
 

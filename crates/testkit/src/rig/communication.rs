@@ -3,9 +3,9 @@
 use super::verdict::Verdict;
 use super::{Given, Rig};
 use clap::Args;
-use plumbline_core::{Backend, Fault};
+use plumbline_core::{Backend, Distribution, Fault};
 use plumbline_core::{Command, Setpoint};
-use plumbline_franka::{Connection, Purpose, Spread, Statistics};
+use plumbline_franka::{Connection, Purpose, Statistics};
 use plumbline_rt::os::{Rights, become_realtime};
 use std::error::Error;
 
@@ -97,8 +97,9 @@ fn show(what: &str, statistics: &Statistics) {
     println!(
         "  {what}: {states} states, {lost} lost, {skipped} passed over because a newer one was there; at most {longest_gap} in a row"
     );
-    let row = |name: &str, Spread { count, p50, p99, p999, max }: &Spread| {
-        if *count > 0 {
+    let row = |name: &str, times: &Distribution| {
+        let [p50, p99, p999, max] = [times.p50, times.p99, times.p999, times.max].map(|ns| ns as f64 / 1e3);
+        if times.count > 0 {
             println!("  {name:<22} p50 {p50:>8.1}  p99 {p99:>8.1}  p99.9 {p999:>8.1}  max {max:>8.1} us");
         }
     };

@@ -50,7 +50,7 @@ pub struct Rig {
     pub job: Job,
     pub robot: Robot,
     pub franka: Franka,
-    /// The daemon's program: beside this one, or in a folder above it as Cargo builds examples.
+    /// The program that was built beside this one.
     pub program: PathBuf,
 }
 
@@ -71,11 +71,7 @@ impl Given {
             )
             .into());
         };
-        let rig = std::env::current_exe()?;
-        let program = rig.ancestors().skip(1).map(|folder| folder.join("plumbline")).find(|path| path.is_file());
-        let program = program
-            .ok_or("no program `plumbline` beside the rig or above it: cargo build --release --bin plumbline")?;
-        Ok(Rig { job, robot, franka, program })
+        Ok(Rig { job, robot, franka, program: crate::job::program() })
     }
 }
 

@@ -2,6 +2,7 @@
 //! threshold. A two-joint arm with chosen torques makes the evidence, so that every test takes less than a few seconds.
 
 mod errors;
+mod left_out;
 mod outcome;
 mod search;
 mod synthetic;

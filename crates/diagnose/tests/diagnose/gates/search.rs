@@ -1,6 +1,8 @@
 //! What a candidate has to show before it is taken in.
 
-use super::synthetic::{At, FLOOR, ROWS, Recorded, once, once_with_effect, recorded, scaled, with_effect};
+use super::synthetic::{
+    At, FLOOR, ROWS, Recorded, once, once_with_effect, recorded, scaled, with_effect, with_effect_in_noise,
+};
 use plumbline_diagnose::Candidate;
 use plumbline_diagnose::Settings;
 use plumbline_diagnose::State;
@@ -133,6 +135,17 @@ fn an_effect_of_half_of_the_trajectories_is_not_taken() {
     let all = select(&recorded(8, 4, constant(size)), &families, &settings);
     assert_eq!(taken(&all), [("torque-offset", 2)]);
     assert_eq!(all.found[0].folds.confirm(), Some(true));
+}
+
+#[test]
+fn one_of_two_trajectories_is_asked_about_the_other_and_a_single_one_is_not() {
+    for (count, informative, confirmed) in [(1, 0, None), (2, 2, Some(true))] {
+        recorded(count, 7, constant(6.0 * FLOOR)).search(&OFFSET, &Settings::default(), |search, base| {
+            let folds = plumbline_diagnose::folds(&search.problem, base, &offset_2(search, base).tried);
+            assert_eq!((folds.informative, folds.confirm()), (informative, confirmed), "{folds:?}");
+            assert_eq!(folds.evidence > 0.0, count == 2);
+        });
+    }
 }
 
 #[test]
@@ -406,8 +419,26 @@ fn an_effect_of_several_joints_belongs_to_the_one_whose_noise_it_exceeds_most() 
                 let larger = usize::from(found.rms[1] > found.rms[0]);
                 assert!(found.rms[larger] > 1.2 * found.rms[1 - larger]);
                 assert_eq!(found.joint, larger, "{found:?}");
+                // It matters where it matters in one of its joints.
+                let in_one = Relevance { rms: vec![0.0, 1.0], share: vec![0.0, 1.0], joint: 1 };
+                assert!(plumbline_diagnose::matters(search.problem.evidence, &in_one, &item, &Settings::default()));
             },
         );
+    }
+    // Where the larger torque meets four times the noise, the other one exceeds its own more.
+    for noisy in [0, 1] {
+        let noise = [0, 1].map(|j| if j == noisy { 4.0 } else { 1.0 });
+        let recorded = with_effect_in_noise(17, &spec, 60.0 * FLOOR, noise);
+        recorded.search(&[&joint_elasticity::FAMILY], &Settings::default(), |search, base| {
+            let evidence = search.problem.evidence;
+            let item = Candidate::of(evidence, search.ground, spec.clone(), None).unwrap();
+            let found =
+                plumbline_diagnose::relevance(evidence, base, &base.try_in(&search.problem, &item).unwrap(), &item);
+            let in_noise = |j: usize| found.rms[j] / evidence.floor(j).unwrap();
+            println!("{noise:?}: {found:?}, in noise {} {}", in_noise(0), in_noise(1));
+            assert_eq!(found.joint, usize::from(in_noise(1) > in_noise(0)));
+            assert_eq!(found.joint, 1 - noisy);
+        });
     }
 }
 

@@ -108,12 +108,28 @@ pub fn with_effect(count: usize, seed: u64, spec: &Spec, size: f64, added: impl 
     along_with(&motions(count, seed), seed, spec, size, added)
 }
 
+/// [`with_effect`] of four trajectories where the noise of each joint is that many times the usual one.
+pub fn with_effect_in_noise(seed: u64, spec: &Spec, size: f64, noise: [f64; 2]) -> Recorded {
+    let motions = motions(4, seed);
+    let effect = effect_of(&motions, spec, size);
+    along_in_noise(&motions, seed, noise, effect)
+}
+
 /// [`once`] with an effect more.
 pub fn once_with_effect(seconds: f64, seed: u64, spec: &Spec, size: f64, added: impl Fn(&At) -> [f64; 2]) -> Recorded {
     along_with(&[motion(100 * seed, seconds, false, 1.0)], seed, spec, size, added)
 }
 
 fn along_with(motions: &[Motion], seed: u64, spec: &Spec, size: f64, added: impl Fn(&At) -> [f64; 2]) -> Recorded {
+    let effect = effect_of(motions, spec, size);
+    along(motions, seed, |at| {
+        let (own, more) = (effect(at), added(at));
+        [own[0] + more[0], own[1] + more[1]]
+    })
+}
+
+/// The torque of an effect along motions, of an RMS of `size` \[Nm\] in the joint where it is largest.
+fn effect_of(motions: &[Motion], spec: &Spec, size: f64) -> impl Fn(&At) -> [f64; 2] + use<> {
     let structure = structure();
     let term = spec.build(&structure.ground(truth(&structure).as_slice())).unwrap();
     let column = |motion: &Motion| {
@@ -127,10 +143,10 @@ fn along_with(motions: &[Motion], seed: u64, spec: &Spec, size: f64, added: impl
         (columns.iter().map(one).sum::<f64>() / (columns.len() * columns[0].len() / 2) as f64).sqrt()
     };
     let scale = size / rms(0).max(rms(1));
-    along(motions, seed, |at| {
-        let (column, more) = (&columns[at.trajectory], added(at));
-        [0, 1].map(|j| scale * column[j * column.len() / 2 + at.k] + more[j])
-    })
+    move |at| {
+        let column = &columns[at.trajectory];
+        [0, 1].map(|j| scale * column[j * column.len() / 2 + at.k])
+    }
 }
 
 /// The same with the positions of each trajectory scaled.
@@ -146,6 +162,10 @@ pub fn once(seconds: f64, seed: u64, added: impl Fn(&At) -> [f64; 2]) -> Recorde
 }
 
 fn along(motions: &[Motion], seed: u64, added: impl Fn(&At) -> [f64; 2]) -> Recorded {
+    along_in_noise(motions, seed, [1.0; 2], added)
+}
+
+fn along_in_noise(motions: &[Motion], seed: u64, noise: [f64; 2], added: impl Fn(&At) -> [f64; 2]) -> Recorded {
     let structure = structure();
     let truth = truth(&structure);
     let prepared = |(trajectory, motion): (usize, &Motion)| {
@@ -161,7 +181,8 @@ fn along(motions: &[Motion], seed: u64, added: impl Fn(&At) -> [f64; 2]) -> Reco
             let at = At { trajectory, k, t: k as f64 * DT, q: [motion.q[(k, 0)], motion.q[(k, 1)]] };
             let more = added(&at);
             for j in 0..2 {
-                tau[(row, j)] = model[j * samples + k] + more[j] + NOISE * rng.sample::<f64, _>(StandardNormal);
+                tau[(row, j)] =
+                    model[j * samples + k] + more[j] + noise[j] * NOISE * rng.sample::<f64, _>(StandardNormal);
             }
         }
         let run = Run {

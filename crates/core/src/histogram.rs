@@ -1,7 +1,10 @@
-//! How long things took, counted in memory that is allocated before the loop starts.
+//! Durations, counted without a lock in memory that is allocated beforehand.
+
+use serde::{Deserialize, Serialize};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// Distribution of one duration \[ns\]; all zero when nothing was measured.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Distribution {
     /// Number of values.
     pub count: u64,
@@ -21,45 +24,51 @@ const CLAMP_NS: u64 = 10_000_000_000;
 const EXACT: u64 = 2048;
 const HALF: usize = EXACT as usize / 2;
 
-/// A histogram of durations to 0.1 % up to [`CLAMP_NS`], and the exact maximum: the layout of HdrHistogram at three digits, whose crate can
-/// grow while it records, and so allocate and panic.
-pub(super) struct Durations {
-    counts: Vec<u64>,
-    count: u64,
-    max: u64,
+/// A histogram of durations: 0.1 % up to 10 s, and the exact maximum. One thread adds, any thread reads.
+///
+/// The layout is that of HdrHistogram at three digits, whose crate can grow while it records, and so allocate and panic.
+#[derive(Debug)]
+pub struct Histogram {
+    counts: Vec<AtomicU64>,
+    max: AtomicU64,
 }
 
-impl Durations {
-    /// Allocates the counts.
-    pub fn new() -> Durations {
-        Durations { counts: vec![0; place(CLAMP_NS) + 1], count: 0, max: 0 }
+impl Default for Histogram {
+    fn default() -> Histogram {
+        Histogram { counts: (0..=place(CLAMP_NS)).map(|_| AtomicU64::new(0)).collect(), max: AtomicU64::new(0) }
     }
+}
 
-    /// Counts a duration \[ns\].
+impl Histogram {
+    /// Counts a duration \[ns\]. No allocation; real-time safe.
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    pub fn add(&mut self, ns: u64) {
-        if let Some(count) = self.counts.get_mut(place(ns.min(CLAMP_NS))) {
-            *count += 1;
-            self.count += 1;
+    pub fn add(&self, ns: u64) {
+        if let Some(count) = self.counts.get(place(ns.min(CLAMP_NS))) {
+            // One writer: no increment is lost.
+            count.store(count.load(Relaxed) + 1, Relaxed);
         }
-        self.max = self.max.max(ns);
+        if ns > self.max.load(Relaxed) {
+            self.max.store(ns, Relaxed);
+        }
     }
 
     /// Count and percentiles so far; a percentile is the longest duration that shares the place of the value it names.
     pub fn distribution(&self) -> Distribution {
-        if self.count == 0 {
+        let counts: Vec<u64> = self.counts.iter().map(|count| count.load(Relaxed)).collect();
+        let (count, max) = (counts.iter().sum::<u64>(), self.max.load(Relaxed));
+        if count == 0 {
             return Distribution::default();
         }
         let at = |share: f64| {
-            let wanted = ((share * self.count as f64).ceil() as u64).max(1);
+            let wanted = ((share * count as f64).ceil() as u64).max(1);
             let mut below = 0;
-            let mut reached = self.counts.iter().map(|count| {
+            let mut reached = counts.iter().map(|count| {
                 below += count;
                 below >= wanted
             });
-            reached.position(|reached| reached).map_or(self.max, |place| end_of(place).min(self.max))
+            reached.position(|reached| reached).map_or(max, |place| end_of(place).min(max))
         };
-        Distribution { count: self.count, p50: at(0.5), p99: at(0.99), p999: at(0.999), max: self.max }
+        Distribution { count, p50: at(0.5), p99: at(0.99), p999: at(0.999), max }
     }
 }
 
@@ -78,7 +87,7 @@ fn end_of(place: usize) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use hdrhistogram::Histogram;
+    use hdrhistogram::Histogram as Reference;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -98,20 +107,20 @@ mod tests {
     fn percentiles_are_those_of_hdr_histogram() {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         for case in 0..40 {
-            let mut durations = Durations::new();
-            let mut reference = Histogram::<u64>::new_with_bounds(1, CLAMP_NS, 3).unwrap();
+            let histogram = Histogram::default();
+            let mut reference = Reference::<u64>::new_with_bounds(1, CLAMP_NS, 3).unwrap();
             let mut max = 0;
             for _ in 0..=case * case {
                 // From nothing to past the end, every magnitude alike.
                 let ns = rng.random_range(0..20_000_000_000) >> rng.random_range(0..34);
-                durations.add(ns);
+                histogram.add(ns);
                 reference.record(ns.min(CLAMP_NS)).unwrap();
                 max = max.max(ns);
             }
             let at = |share| reference.value_at_quantile(share).min(max);
             let expected = Distribution { count: reference.len(), p50: at(0.5), p99: at(0.99), p999: at(0.999), max };
-            assert_eq!(durations.distribution(), expected, "{case}");
+            assert_eq!(histogram.distribution(), expected, "{case}");
         }
-        assert_eq!(Durations::new().distribution(), Distribution::default());
+        assert_eq!(Histogram::default().distribution(), Distribution::default());
     }
 }
