@@ -96,11 +96,17 @@ fn toml_blocks(page: &str) -> Vec<String> {
     blocks.map(|rest| rest.split("```").next().unwrap().to_string()).collect()
 }
 
+/// Whether a comment is a key with its value, or a table.
+fn is_option(comment: &str) -> bool {
+    comment.starts_with('[') || comment.split_once(" = ").is_some_and(|(key, _)| !key.contains(' '))
+}
+
 /// A block with its commented keys and tables in force.
 fn with_options(block: &str) -> String {
-    let is_key =
-        |line: &str| line.starts_with('[') || line.split_once(" = ").is_some_and(|(key, _)| !key.contains(' '));
-    let lines = block.lines().map(|line| line.strip_prefix("# ").filter(|rest| is_key(rest)).unwrap_or(line));
+    let lines = block.lines().map(|line| match line.strip_prefix("# ") {
+        Some(option) if is_option(option) => option,
+        _ => line,
+    });
     lines.map(|line| format!("{line}\n")).collect()
 }
 
@@ -199,7 +205,6 @@ fn dataset_and_model_file_show_every_key() {
     let file = folder.path().join("model.toml");
     let model_path = file.display().to_string();
     assert_names_every_key("docs/reference/model-and-report.md", &model, |text| {
-        // Terms hold their parameters in a list: an unknown key of a term is one of its own.
         Some(refused(&["export", &model_path, "--format", "c"], &file, text))
     });
 }
