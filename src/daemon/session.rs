@@ -498,9 +498,9 @@ impl Session {
             late: summary.late,
             unrecorded: summary.unrecorded,
             allocations: outcome.allocations,
-            wake: summary.wake.into(),
-            work: summary.work.into(),
-            period: summary.period.into(),
+            wake: summary.wake,
+            work: summary.work,
+            period: summary.period,
             bridge,
             refusals: outcome.granted.refusals().map(str::to_string).collect(),
             end: match outcome.last_stop {

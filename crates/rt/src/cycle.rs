@@ -492,5 +492,5 @@ fn allocations_are_watched() -> bool {
     })
 }
 
-#[cfg(all(test, not(loom)))]
+#[cfg(test)]
 mod tests;

@@ -78,7 +78,7 @@ impl Process {
 
     fn of(mut command: Command, role: &str, robot: &RobotId, locks: &Path) -> Process {
         let mut child = command
-            .args(["ipc_kill::child", "--exact", "--nocapture"])
+            .args(["kill::child", "--exact", "--nocapture"])
             .env(ROLE, role)
             .env(ROBOT, robot.as_str())
             .env(LOCKS, locks)

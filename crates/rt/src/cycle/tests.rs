@@ -1,3 +1,6 @@
+// loom's atomics work inside its own model alone.
+#![cfg(not(loom))]
+
 use super::super::sync::act_before_access;
 use super::*;
 use crate::guard::GuardSettings;

@@ -66,6 +66,7 @@ pub struct Bench {
 }
 
 impl Bench {
+    #[allow(clippy::new_without_default)]
     pub fn new() -> Bench {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/arms/sim-panda.toml");
         let text = std::fs::read_to_string(path).expect("a shipped file");
