@@ -4,7 +4,7 @@
 //!
 //! Figures of one call are the least of several repeats; figures of 10,000 samples and of an hour are CPU time, for ours and the peers
 //! alike: other work on the machine shows as little as it can. The peers are built
-//! by `benches/peers/run.sh`; what can't be had is SKIPPED loudly. docs/performance.md says what the figures mean.
+//! by `benches/peers/run.sh`; what can't be had is SKIPPED loudly. docs/results/speed.md says what the figures mean.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 use plumbline::store::ModelFile;

@@ -2,8 +2,8 @@
 //!
 //! One plan, the simulated arm with its controller, friction, sensor noise and rounding; every run is recorded with noise of its own and
 //! goes through the whole identification. Parts by name, all by default: `cargo bench --bench statistics -- runs signal estimators
-//! aperiodic`; `estimators huber iv` for some of them. `RUNS=n` changes the number of runs. The figures stand in docs/statistics.md,
-//! docs/signal.md and docs/estimators.md.
+//! aperiodic`; `estimators huber iv` for some of them. `RUNS=n` changes the number of runs. The figures are in docs/results/identification.md and
+//! docs/results/estimators.md.
 
 use plumbline_identify::Run;
 use plumbline_identify::solve::{Estimator, Identification, Options, identify_with};

@@ -14,7 +14,7 @@
 //! | `threads=` | cases at a time | 1 |
 //! | `seconds=` | no case of a part begins later | |
 //!
-//! A line per case goes to stderr, the tables to stdout. The figures stand in docs/diagnosis.md.
+//! A line per case goes to stderr, the tables to stdout. The figures are in docs/results/diagnosis.md.
 
 mod tally;
 

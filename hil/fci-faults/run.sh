@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Plays every fault at every phase of a job against the emulator of Franka's control interface and writes docs/fci-faults.md.
+# Plays every fault at every phase of a job against the emulator of Franka's control interface and writes docs/results/franka-faults.md.
 #
 #   hil/fci-faults/run.sh
 #

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Clients of other origin against the emulator of Franka's control interface, and what each of them did, into docs/fci-clients.md.
+# Clients of other origin against the emulator of Franka's control interface, and what each of them did, into docs/results/franka-clients.md.
 #
 #   hil/fci-peers/run.sh [--only PART-OF-A-NAME] [--patience MS]
 #
@@ -23,6 +23,6 @@ hil/peers/venv.sh --in libfranka-0.15 franky-control==1.1.2 >/dev/null
 hil/peers/venv.sh --in libfranka-0.21 pylibfranka==0.21.3 franky-control==2.0.0 >/dev/null
 hil/peers/venv.sh --in franka-rs franka-rs==0.4.0 numpy >/dev/null
 
-table=(--table docs/fci-clients.md)
+table=(--table docs/results/franka-clients.md)
 for argument in "$@"; do [ "$argument" = --only ] && table=(); done
 python3 hil/fci-peers/drive.py "$emulator" --library "$library/libfcimodels.so" --venvs target/peers "${table[@]}" "$@"

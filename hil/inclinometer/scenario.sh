@@ -1,5 +1,5 @@
 # What hil/inclinometer/vm.sh runs inside: the inclinometer is tilted, silenced, restarted, and its bus breaks; what plumbline says of it is
-# printed with its own time. The numbers in docs/inclinometer.md come from here.
+# printed with its own time. The numbers in docs/results/campaigns.md come from here.
 
 failed=0
 said() { # WHAT PATTERN FILE

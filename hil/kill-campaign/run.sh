@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Kills estimator, torque client, daemon and robot at random moments and writes docs/kill-campaign.md.
+# Kills estimator, torque client, daemon and robot at random moments and writes the tables into docs/results/campaigns.md.
 #
 #   hil/kill-campaign/run.sh         ROUNDS of each kind (default 50 by SIGKILL and 50 by SIGSTOP), moments by SEED (default 1)
 #

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Cuts commands off at every write of every result and writes docs/power-cut.md. Needs strace; takes some minutes.
+# Cuts commands off at every write of every result and writes the table into docs/results/campaigns.md. Needs strace; takes some minutes.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 exec cargo test --test jobs -- --ignored --nocapture --exact power_cut::a_cut_at_every_write_of_every_result

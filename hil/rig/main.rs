@@ -1,4 +1,4 @@
-//! The first hour with a real arm: four steps, each of which does one thing and ends with a verdict. README.md beside this file is the
+//! The first hour with a real arm: four steps, each of which does one thing and ends with a verdict. docs/guide/franka.md is the
 //! procedure; nothing here starts without `--i-am-at-the-robot`.
 
 use clap::Parser;

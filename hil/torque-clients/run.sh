@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The loop's statistics with sixteen torque clients and without, into docs/torque-clients.md.
+# The loop's statistics with sixteen torque clients and without, into docs/results/campaigns.md.
 #
 #   hil/torque-clients/run.sh        ROUNDS of each kind (default 10) of SECONDS (default 20)
 #

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Ten torque-controlled starts in each of ten mountings against the emulator of Franka's control interface, whose arm compensates upright
-# gravity whatever the mounting. Prints the table of docs/fci.md.
+# gravity whatever the mounting. Prints the table of docs/results/franka-clients.md.
 #
 #   hil/torque-starts/run.sh
 #

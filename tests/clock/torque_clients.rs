@@ -1,6 +1,6 @@
 //! Sixteen torque clients of one daemon, some of them slow, stopped, killed or hostile: the loop does not notice.
 //!
-//! With the tests runs what any machine can decide. `hil/torque-clients/run.sh` compares the loop's statistics and writes docs/torque-clients.md.
+//! With the tests runs what any machine can decide. `hil/torque-clients/run.sh` compares the loop's statistics and writes the table of docs/results/campaigns.md.
 
 use plumbline_ipc::{Client, RobotId, Status};
 use plumbline_testkit::job::*;
@@ -193,7 +193,7 @@ impl Pair {
     }
 }
 
-/// Writes docs/torque-clients.md; hil/torque-clients/run.sh runs it.
+/// Writes the table of docs/results/campaigns.md; hil/torque-clients/run.sh runs it.
 #[test]
 #[ignore = "takes a quarter of an hour"]
 fn the_loop_with_clients_and_without() {
@@ -215,10 +215,7 @@ fn the_loop_with_clients_and_without() {
         }
     }
     let mut text = format!(
-        "# Sixteen torque clients, and the loop beside them\n\n`hil/torque-clients/run.sh` writes this file: {rounds} rounds of {seconds} s for each column, by \
-         turns, on a machine with {} processors. Two daemons hold side by side at 1 kHz. Sixteen clients (6 that read at 100 Hz, 4 slow, 3 \
-         stopped for good, 3 killed) and two seconds of nonsense are nobody's, the other daemon's, or those of the one that is measured: median of the \
-         rounds, least and largest. The last two columns compare a round's figure with clients of its own to its figure with clients of the other.\n\n\
+        "{rounds} rounds of {seconds} s for each column, by turns, on a machine with {} processors.\n\n\
          | the loop's own account | nobody | clients of the other | clients of its own | ratio, median (range) | larger, smaller in |\n\
          |---|---|---|---|---|---|\n",
         std::thread::available_parallelism().map_or(0, usize::from)
@@ -234,8 +231,7 @@ fn the_loop_with_clients_and_without() {
         let columns = [alone, others, own].map(|values| spread(&values, 1)).join(" | ");
         writeln!(text, "| {what} | {columns} | {} | {larger}, {smaller} of {rounds} |", spread(&ratios, 2)).unwrap();
     }
-    text.push_str(include_str!("torque_clients.md"));
-    std::fs::write("docs/torque-clients.md", text).unwrap();
+    plumbline_testkit::page::write_block("docs/results/campaigns.md", "torque-clients", &text);
 }
 
 /// Median, least and largest.

@@ -1,6 +1,6 @@
 //! Torque-controlled starts in every mounting: the arm adds the compensation of an upright arm by itself, and stays where it stands.
 //!
-//! `hil/torque-starts/run.sh` makes ten starts per mounting and prints the table of docs/fci.md.
+//! `hil/torque-starts/run.sh` makes ten starts per mounting and prints the table of docs/results/franka-clients.md.
 
 use nalgebra::Vector3;
 use plumbline_core::FeedForward;

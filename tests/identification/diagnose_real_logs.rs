@@ -1,4 +1,4 @@
-//! `plumbline diagnose` on public logs of real arms, with the options of docs/real-data.md: the held-out errors of the joints that the
+//! `plumbline diagnose` on public logs of real arms, with the options of docs/results/real-arms.md: the held-out errors of the joints that the
 //! model lacked something in fall below these bounds, and the page says what the program says.
 //!
 //! The logs are no part of the repository; the tests look for them in `$PLUMBLINE_SHARED/data` (default: `../shared/data` beside the

@@ -1,4 +1,4 @@
-//! The paper, reproduced: its tables and figures in simulation, and docs/paper.md, which shows them.
+//! The paper, reproduced: its tables and figures in simulation, and docs/results/paper.md, which shows them.
 
 use plumbline_identify::Settings;
 use plumbline_model::Mounting;
@@ -174,21 +174,21 @@ fn figure_6_stays_in_the_workspace() {
 #[test]
 fn figures_are_drawn_and_shown() {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
-    let page = std::fs::read_to_string(docs.join("paper.md")).unwrap();
+    let page = plumbline_testkit::page::read("docs/results/paper.md");
     for (name, svg) in plumbline_testkit::paper::figures::all() {
         assert!(svg.starts_with("<svg") && svg.matches("<polyline").count() >= 3, "{name}");
-        assert!(page.contains(&format!("(figures/{name})")) && docs.join("figures").join(name).is_file(), "{name}");
+        assert!(page.contains(&format!("(../figures/{name})")) && docs.join("figures").join(name).is_file(), "{name}");
     }
 }
 
-/// docs/paper.md shows what the program computes; `cargo run --release --example paper` writes it.
+/// docs/results/paper.md shows what the program computes; `cargo run --release --example paper` writes it.
 #[test]
 fn the_page_says_what_the_program_says() {
-    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/paper.md")).unwrap();
+    let page = plumbline_testkit::page::read("docs/results/paper.md");
     for (name, content) in plumbline_testkit::paper::tables::all() {
         assert!(
             page.contains(&format!("<!-- {name} -->\n{content}<!-- end -->")),
-            "block {name} of docs/paper.md is old"
+            "block {name} of docs/results/paper.md is old"
         );
     }
 }

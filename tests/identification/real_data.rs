@@ -1,4 +1,4 @@
-//! `plumbline identify` on public logs of six real arms, with the options of docs/real-data.md: held-out RMS at or below the figures
+//! `plumbline identify` on public logs of six real arms, with the options of docs/results/real-arms.md: held-out RMS at or below the figures
 //! to beat, and the page says what the program says.
 //!
 //! The logs are no part of the repository; the tests look for them in `$PLUMBLINE_SHARED/data` (default: `../shared/data` beside the
@@ -9,7 +9,7 @@ use plumbline_testkit::logs;
 use std::path::Path;
 use std::process::Command;
 
-/// One row of docs/real-data.md.
+/// One row of docs/results/real-arms.md.
 struct Row {
     dataset: &'static str,
     options: &'static str,

@@ -253,7 +253,7 @@ fn a_disk_that_is_full_or_read_only_is_said_and_costs_nothing() {
 }
 
 #[test]
-#[ignore = "minutes; hil/power-cut/run.sh runs it and writes docs/power-cut.md"]
+#[ignore = "minutes; hil/power-cut/run.sh runs it and writes its table into docs/results/campaigns.md"]
 fn a_cut_at_every_write_of_every_result() {
     assert!(traceable(), "strace is needed");
     let place = Place::new("power-cut-all");
@@ -261,17 +261,10 @@ fn a_cut_at_every_write_of_every_result() {
     for subject in subjects(&place) {
         table += &cut(&subject, place.path(), 1);
     }
-    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/power-cut.md");
-    std::fs::write(file, format!("{HEAD}{table}")).unwrap();
+    plumbline_testkit::page::write_block("docs/results/campaigns.md", "power-cut", &format!("{HEAD}{table}"));
 }
 
-const HEAD: &str = "# The power is cut at a write
-
-Written by `hil/power-cut/run.sh`. A command that replaces results is killed at one of its system calls that concern its output folder (SIGKILL put there by
-strace), once for each of them. Afterwards every result is the old one bit by bit, or a new one that its reader takes whole; none is gone; and the next
-run leaves nothing of what the cut one had written aside. What no kill can show, that the bytes are on the disk before the name is, is the order of the calls:
-write, fsync of the file, rename, fsync of the folder (`src/atomic.rs`).
-
+const HEAD: &str = "\
 | command | system call | of them in the output | cuts | files as before | files new | half |
 |---|---|---|---|---|---|---|
 ";

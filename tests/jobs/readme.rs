@@ -1,7 +1,6 @@
-//! README.md shows what the program prints: the whole main job, as it ships.
+//! docs/guide/simulation.md shows what the program prints: the whole main job, as it ships.
 
 use plumbline_testkit::job::*;
-use std::path::Path;
 
 /// Figures that a faster or busier machine changes: of these lines, what follows the word.
 const OF_THE_MACHINE: [(&str, &str); 1] = [("loop (simulated time", "work")];
@@ -49,9 +48,9 @@ fn says_the_same(shown: &str, printed: &str) -> bool {
 }
 
 #[test]
-fn readme_shows_what_the_main_job_prints() {
-    let readme = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).unwrap();
-    let shown = block(&readme, "## What you see");
+fn the_guide_shows_what_the_main_job_prints() {
+    let page = plumbline_testkit::page::read("docs/guide/simulation.md");
+    let shown = block(&page, "## What you see");
     assert!(shown.len() > 10, "{shown:?}");
     let place = Place::new("readme");
     let mut command = plumbline();
@@ -61,7 +60,7 @@ fn readme_shows_what_the_main_job_prints() {
     let printed: Vec<String> = done.out.lines().map(|line| line.replace(&out, "results/sim-panda-wall")).collect();
     let same = shown.len() == printed.len() && shown.iter().zip(&printed).all(|(one, other)| says_the_same(one, other));
     let block: String = printed.iter().map(|line| format!("    {line}\n")).collect();
-    assert!(same, "README.md, `What you see`, shows other lines than the program prints:\n{block}");
+    assert!(same, "docs/guide/simulation.md, `What you see`, shows other lines than the program prints:\n{block}");
 }
 
 #[test]

@@ -62,7 +62,9 @@ pub use connect::{Connection, Info, connect, read_limits, recover, recover_commu
 pub use error::{ConnectError, next_step};
 pub use explain::{Explanation, explain};
 pub use gravity::{Gravity, Source};
-pub use limits::{RobotLimits, UrdfError, fr3 as fr3_limits, from_urdf as limits_from_urdf, guard_envelope, guard_limits};
+pub use limits::{
+    RobotLimits, UrdfError, fr3 as fr3_limits, from_urdf as limits_from_urdf, guard_envelope, guard_limits,
+};
 pub use settings::{
     BadSetting, Collision, Controller, Interface, Load, Purpose, RobotKind, Settings, SocketOptions, TorqueControl,
 };

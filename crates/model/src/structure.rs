@@ -126,7 +126,7 @@ impl Structure {
     /// The rigid body, then the named terms (`friction`, `torque-offset`, ..), without the columns that others absorb.
     ///
     /// ```
-    /// # use crate::{base::Reduction, chain::{Chain, Joint, JointKind, Placement}, structure::Structure};
+    /// # use plumbline_model::{Chain, Joint, JointKind, Placement, Reduction, Structure};
     /// let joint = Joint { kind: JointKind::Revolute, a: 0.0, alpha: 0.0, d: 0.0, theta: 0.0 };
     /// let chain = Chain::modified(vec![joint], Placement::identity());
     /// let reduction = Reduction::any_mounting(&chain);

@@ -1,5 +1,5 @@
 //! Every limit of the guard, crossed on purpose in every phase: the arm comes to rest, or is stopped by its own means, and nothing that was
-//! sent crossed the arm's limits. `hil/limits/run.sh` writes the table of the margins to docs/limit-campaign.md.
+//! sent crossed the arm's limits. `hil/limits/run.sh` writes the table of the margins to docs/results/campaigns.md.
 
 use plumbline_core::Reference;
 use plumbline_core::{JointVec, Limits, MAX_JOINTS, Phase, Setpoint, Workspace};
@@ -224,27 +224,6 @@ fn every_limit_crossed_in_every_phase_ends_at_rest_inside_the_arms_limits() {
     let table = campaign();
     println!("{table}");
     if std::env::var_os("PLUMBLINE_WRITE_DOCS").is_some() {
-        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/limit-campaign.md");
-        std::fs::write(file, format!("{HEAD}{table}{FOOT}")).unwrap();
+        plumbline_testkit::page::write_block("docs/results/campaigns.md", "limits", &table);
     }
 }
-
-const HEAD: &str = "# Every limit, crossed on purpose in every phase
-
-Written by `hil/limits/run.sh`. A Panda that is at once where it is told to be holds, approaches, excites, returns; an operator stops it in mid-motion for
-the last two columns. In each cell one limit of the guard is crossed: by the motion that was ordered, by the model's torque, by where the
-tool is, or by what the arm measures. The guard's limits are 98 % of the arm's (velocity, acceleration, jerk).
-
-- *braked*: the command was not sent; a controlled stop took its place, and the arm rests.
-- *went on braking*: a stop was under way and stayed what it was.
-- *own means*: the stop itself would have sent something that no arm may get, or does not know where the arm is; nothing more was sent, and the backend's stop ended it.
-- *margin*: what the commands of the whole run left of the arm's limits, position, velocity, acceleration or jerk, whichever came nearest.
-  The excitation itself leaves most of it; a small margin is where the limit was approached on purpose.
-- –: the loop's own motions (moves, stops, rest) are planned inside the limits and can't be ordered to cross them.
-
-";
-
-const FOOT: &str = "
-Every cell also asserts: all that was sent was finite and inside the arm's position, velocity, acceleration, jerk and torque limits by
-differences of the commands themselves; no allocation in the loop; after the end nothing was written.
-";

@@ -3,7 +3,7 @@
 //!
 //! | feature | modules |
 //! |---|---|
-//! | none | `conformance`, `logs`, `peers`, `turns` |
+//! | none | `conformance`, `logs`, `page`, `peers`, `turns` |
 //! | `model` | `arms` |
 //! | `loop` | `fake_arm` |
 //! | `sim` | `sim` |
@@ -42,6 +42,7 @@ pub mod kill;
 pub mod logs;
 #[cfg(feature = "ipc")]
 pub mod memory;
+pub mod page;
 #[cfg(feature = "program")]
 pub mod paper;
 pub mod peers;

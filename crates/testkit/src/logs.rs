@@ -14,18 +14,18 @@ pub fn data() -> Option<PathBuf> {
     None
 }
 
-/// Asserts that the line of docs/real-data.md that begins with `head` has these figures, one per joint.
+/// Asserts that the line of docs/results/real-arms.md that begins with `head` has these figures, one per joint.
 ///
 /// Which instructions a processor has moves their last digit: 0.002 and half a percent are let pass.
 #[allow(dead_code, reason = "not every program of tests compares with the page")]
 pub fn page_says(head: &str, figures: &[f64]) {
     let shown: Vec<String> = figures.iter().map(|figure| format!("{figure:.3}")).collect();
     println!("{head} {} |", shown.join(" | "));
-    let page = std::fs::read_to_string(PathBuf::from(crate::ROOT).join("docs/real-data.md")).unwrap();
+    let page = crate::page::read("docs/results/real-arms.md");
     let line = page.lines().find_map(|line| line.strip_prefix(head));
-    let line = line.unwrap_or_else(|| panic!("docs/real-data.md lacks a line that begins with\n{head}"));
+    let line = line.unwrap_or_else(|| panic!("docs/results/real-arms.md lacks a line that begins with\n{head}"));
     let said: Vec<f64> = line.split('|').map_while(|cell| cell.trim().parse().ok()).collect();
     let near = |(said, figure): (&f64, &f64)| (said - figure).abs() <= 0.002 + 0.005 * said;
     let agrees = said.len() == figures.len() && said.iter().zip(figures).all(near);
-    assert!(agrees, "docs/real-data.md has {said:?} after\n{head}");
+    assert!(agrees, "docs/results/real-arms.md has {said:?} after\n{head}");
 }

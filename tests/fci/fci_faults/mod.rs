@@ -2,7 +2,7 @@
 //! robot or a person may do to it, at every phase of a job. In every case the arm must stay inside its limits and end at rest, and the
 //! daemon must say what happened and what to do next.
 //!
-//! The telling cases run always; all of them by `hil/fci-faults/run.sh`, which writes `docs/fci-faults.md`.
+//! The telling cases run always; all of them by `hil/fci-faults/run.sh`, which writes `docs/results/franka-faults.md`.
 
 mod case;
 mod judge;
@@ -137,7 +137,7 @@ fn a_user_stop_while_a_model_is_served_is_said_and_nothing_ends() {
 }
 
 #[test]
-#[ignore = "six minutes; hil/fci-faults/run.sh runs it and writes docs/fci-faults.md"]
+#[ignore = "six minutes; hil/fci-faults/run.sh runs it and writes docs/results/franka-faults.md"]
 fn the_whole_campaign() {
     table::campaign();
 }

@@ -3,7 +3,6 @@
 use super::case::{Case, Ending, Trouble, When};
 use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// A line of the table.
@@ -197,7 +196,7 @@ fn conditions() -> String {
     )
 }
 
-/// Plays everything and writes `docs/fci-faults.md`.
+/// Plays everything and writes `docs/results/franka-faults.md`.
 pub fn campaign() {
     let mut wrong = Vec::new();
     let all: Vec<&Row> = ROWS.iter().collect();
@@ -206,29 +205,9 @@ pub fn campaign() {
     let moving = [When::Approach, When::Excite, When::Stop, When::Serve];
     let automatic = table(&severe, &moving, &["backend.franka.recovery=automatic"], &mut wrong);
     let text = format!(
-        "{HEAD}\nPlayed on: {}\n\n## `recovery = \"operator\"`\n\n{operator}\n## `recovery = \"automatic\"`, `max-recoveries = 2`\n\n{automatic}",
+        "Played on: {}\n\n## `recovery = \"operator\"`\n\n{operator}\n## `recovery = \"automatic\"`, `max-recoveries = 2`\n\n{automatic}",
         conditions()
     );
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/fci-faults.md");
-    std::fs::write(&file, text).unwrap_or_else(|error| panic!("{}: {error}", file.display()));
+    plumbline_testkit::page::write_block("docs/results/franka-faults.md", "faults", &text);
     assert!(wrong.is_empty(), "{} cells are not as they must be:\n{}", wrong.len(), wrong.join("\n\n"));
 }
-
-const HEAD: &str = "# What faults do to a job on a Franka arm
-
-Written by `hil/fci-faults/run.sh`: `plumbline daemon` with `config/panda-emulator-wall.toml` and a motion of one 2 s period, on a simulated
-Panda behind the emulator of Franka's control interface (protocol version 5). Each cell is one job with one fault.
-
-- *connect*: the fault is there before the daemon connects and stays until the arm moves. *approach*: on the way to the motion's start.
-  *excite*: in mid-motion. *stop*: while the arm brakes because an operator has ended the job (`plumbline command quit`). *serve*:
-  while the daemon watches an arm that stands, and serves a model.
-- In every cell the arm's log was read afterwards, one line a millisecond: desired and measured position and velocity, desired
-  acceleration and measured torque inside the Panda's limits, and the arm at rest in the end. A cell that is not so is **bold**.
-- `exit 1` names what the daemon's last line named; that line also says what the operator does next. The time is from the fault to rest.
-- *lost*: states that never arrived. *odd*: datagrams out of order, twice or damaged. *late*: commands that the robot had not used by the
-  next state. A try above 1: the machine stalled before for longer than the 20 ms that a robot waits.
-- The robot's time stands still for up to 3 ms for a command that is due, so that this machine's own stalls are not charged to the daemon; in
-  the rows of delay, jitter and reordering it does not.
-- The emulator takes a command only if it answers the newest state, as Franka's documentation can be read at its strictest: a delay of more
-  than a millisecond there and back makes every command late. A real robot may be more lenient.
-";

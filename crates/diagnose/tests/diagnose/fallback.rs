@@ -203,7 +203,7 @@ fn invented(kind: usize, a: usize, b: usize, places: [(f64, f64); 2]) -> impl Fn
     }
 }
 
-/// The table of docs/unexplained.md: 22 inventions in random joints.
+/// The table of docs/results/diagnosis.md: 22 inventions in random joints.
 #[test]
 #[ignore = "a table that takes a minute: cargo test --release --test diagnose fallback -- --ignored --nocapture"]
 fn campaign() {

@@ -1,4 +1,4 @@
-//! The statistics of docs/statistics.md in short: intervals hold the truth as often as they say, errors are near the best possible.
+//! The statistics of docs/results/identification.md in short: intervals hold the truth as often as they say, errors are near the best possible.
 //! `cargo bench --bench statistics` is the long form.
 
 use plumbline_identify::solve::identify;

@@ -14,7 +14,7 @@ const BASE_LINK: u16 = 0b00_1111_0111;
 
 /// Chosen columns of the standard regressor of an all-revolute arm, `Y[j, c] = d tau_j / d delta_c`.
 ///
-/// The plain route ([`crate::regressor`]) carries the wrench of every parameter inward, joint by joint. Here the joints' axes go
+/// The plain route ([`crate::regressor()`]) carries the wrench of every parameter inward, joint by joint. Here the joints' axes go
 /// outward instead: with joint `j`'s axis `u_j` and the velocity `v_j` that it gives the origin of frame `i`, both in frame `i`, a
 /// parameter whose wrench is (force `f`, moment `m`) has the entry `u_j . m + v_j . f`. The wrenches are sparse, so that an entry
 /// costs two to six products, and four joints are computed at a time.

@@ -2,7 +2,7 @@
 //!
 //!   tau_measured = tau + offset
 //!
-//! Logs of two public Panda arms need such an offset more than any other single term (docs/real-data.md).
+//! Logs of two public Panda arms need such an offset more than any other single term (docs/results/real-arms.md).
 
 use super::{At, Effect, Place, Reading, Spec};
 use crate::truth::Truth;

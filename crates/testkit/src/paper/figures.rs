@@ -1,4 +1,4 @@
-//! The figures of docs/paper.md as SVG.
+//! The figures of docs/results/paper.md as SVG.
 
 use super::experiment::{self, Figure, Validation};
 use plotters::prelude::*;

@@ -1,4 +1,4 @@
-//! The tables of docs/paper.md as text.
+//! The tables of docs/results/paper.md as text.
 
 use super::experiment::{self, Panda};
 use plumbline_identify::Settings;

@@ -58,7 +58,7 @@ impl Given {
     /// Loads the job; refuses where nobody said that somebody is there.
     pub fn load(&self) -> Result<Rig, Box<dyn Error>> {
         if !self.i_am_at_the_robot {
-            return Err("this step drives or energises a real arm: read hil/rig/README.md, stand at the robot with your hand on the stop \
+            return Err("this step drives or energises a real arm: read docs/guide/franka.md, stand at the robot with your hand on the stop \
                         button, and give --i-am-at-the-robot"
                 .into());
         }

@@ -1,0 +1,97 @@
+//! The commands of README.md and of the guide run as they are shown.
+//!
+//! A block marked `sh` is run: all of a page in one shell and one folder of its own, which has the program in its PATH and `config` beside it. A
+//! block marked `console` needs hardware, root, a build, or minutes; its first line says which. Other blocks hold no commands.
+
+use plumbline_testkit::job::program;
+use plumbline_testkit::page;
+use std::fs::Permissions;
+use std::os::unix::fs::{PermissionsExt, symlink};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+const PAGES: [&str; 7] = [
+    "README.md",
+    "docs/guide/simulation.md",
+    "docs/guide/franka.md",
+    "docs/guide/your-data.md",
+    "docs/guide/your-arm.md",
+    "docs/guide/diagnosis.md",
+    "docs/guide/service.md",
+];
+
+/// Language and content of every fenced block.
+fn blocks(text: &str) -> Vec<(String, String)> {
+    let mut found = Vec::new();
+    let mut lines = text.lines();
+    while let Some(line) = lines.next() {
+        if let Some(language) = line.strip_prefix("```") {
+            let content = lines.by_ref().take_while(|line| *line != "```").map(|line| format!("{line}\n")).collect();
+            found.push((language.to_string(), content));
+        }
+    }
+    found
+}
+
+#[test]
+fn every_block_says_what_it_is() {
+    let guide = Path::new(plumbline_testkit::ROOT).join("docs/guide");
+    for entry in std::fs::read_dir(guide).unwrap() {
+        let name = format!("docs/guide/{}", entry.unwrap().file_name().display());
+        assert!(PAGES.contains(&name.as_str()), "{name} is in no test");
+    }
+    for name in PAGES {
+        for (language, content) in blocks(&page::read(name)) {
+            match language.as_str() {
+                "sh" | "toml" | "text" | "nft" | "ini" => {}
+                "console" => assert!(content.starts_with("# "), "{name}: say why this is not run:\n{content}"),
+                other => panic!("{name}: a block is marked `{other}`"),
+            }
+        }
+    }
+}
+
+/// Runs the blocks of a page that are marked `sh`.
+fn run(name: &str) {
+    let script: String =
+        blocks(&page::read(name)).into_iter().filter(|(language, _)| language == "sh").map(|(_, text)| text).collect();
+    assert!(!script.is_empty(), "{name} has no command to run");
+    let folder = tempfile::tempdir().unwrap();
+    symlink(Path::new(plumbline_testkit::ROOT).join("config"), folder.path().join("config")).unwrap();
+    // Shared memory and locks of its own: robots have the names that people give them.
+    let runtime = folder.path().join("run");
+    std::fs::create_dir(&runtime).unwrap();
+    std::fs::set_permissions(&runtime, Permissions::from_mode(0o700)).unwrap();
+    let path = std::env::var("PATH").unwrap_or_default();
+    let output = Command::new("sh")
+        .args(["-euxc", &script])
+        .current_dir(folder.path())
+        .env("PATH", format!("{}:{path}", program().parent().unwrap().display()))
+        .env("PLUMBLINE_RUNTIME_DIR", &runtime)
+        .env_remove("PLUMBLINE_LOG")
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{name}: {}\n{said}", output.status);
+}
+
+#[test]
+fn the_first_hour_in_simulation_runs() {
+    run("docs/guide/simulation.md");
+}
+
+#[test]
+fn your_own_data_runs() {
+    run("docs/guide/your-data.md");
+}
+
+#[test]
+fn your_own_arm_runs() {
+    run("docs/guide/your-arm.md");
+}
+
+#[test]
+fn the_diagnosis_read_by_example_runs() {
+    run("docs/guide/diagnosis.md");
+}

@@ -1,0 +1,210 @@
+//! The pages of docs/reference are current: what they show is compared with the program's output and with the types that read and write it.
+//!
+//! `PLUMBLINE_WRITE_DOCS=1 cargo test --test jobs reference_pages` writes the blocks of output anew. The other pages are written by hand.
+
+use plumbline::config::job::Job;
+use plumbline_ipc::{FeedForwardMessage, SampleMessage};
+use plumbline_model::Robot;
+use plumbline_testkit::job::{Done, plumbline};
+use plumbline_testkit::page;
+use std::mem::{offset_of, size_of};
+use std::path::Path;
+
+const COMMAND_LINE: &str = "docs/reference/command-line.md";
+const EFFECTS: &str = "docs/reference/effects.md";
+const MESSAGES: &str = "docs/reference/messages-and-export.md";
+
+/// What the program prints, without blanks at the ends of lines.
+fn printed(arguments: &str) -> String {
+    let mut command = plumbline();
+    command.args(arguments.split(' '));
+    let out = Done::of(command).expect_code(0).out;
+    out.trim_matches('\n').lines().map(|line| line.trim_end().to_string()).collect::<Vec<_>>().join("\n")
+}
+
+#[test]
+fn the_command_line_is_what_help_prints() {
+    let text = page::read(COMMAND_LINE);
+    let shown: Vec<&str> =
+        text.lines().filter_map(|line| line.strip_prefix("<!-- output: plumbline ")?.strip_suffix(" -->")).collect();
+    let help = printed("--help");
+    let subcommands = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+    for name in subcommands.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help") {
+        assert!(shown.contains(&format!("{name} --help").as_str()), "{COMMAND_LINE} lacks `plumbline {name} --help`");
+    }
+    for arguments in shown {
+        let block = format!("output: plumbline {arguments}");
+        let content = format!("```text\n{}\n```\n", printed(arguments));
+        if std::env::var_os("PLUMBLINE_WRITE_DOCS").is_some() {
+            page::write_block(COMMAND_LINE, &block, &content);
+        } else {
+            assert_eq!(page::block(&text, &block), Some(content.as_str()), "{COMMAND_LINE}, block `{block}`");
+        }
+    }
+}
+
+#[test]
+fn every_effect_of_the_catalogue_is_listed() {
+    let text = page::read(EFFECTS);
+    let rows = page::block(&text, "effects").unwrap().lines().skip(2);
+    let listed: Vec<String> = rows.filter_map(|row| Some(row.split('|').nth(1)?.trim().replace('`', ""))).collect();
+    let catalogue = printed("effects");
+    let known: Vec<&str> = catalogue.lines().filter(|line| !line.is_empty() && !line.starts_with(' ')).collect();
+    assert_eq!(listed, known, "{EFFECTS}");
+}
+
+/// Bytes of the field that `field` borrows.
+fn bytes<T, F>(_: impl Fn(&T) -> &F) -> usize {
+    size_of::<F>()
+}
+
+/// Name, offset and size of fields.
+macro_rules! layout {
+    ($message:ident: $($field:ident),+) => {
+        vec![$((stringify!($field), offset_of!($message, $field), bytes(|message: &$message| &message.$field))),+]
+    };
+}
+
+#[test]
+fn messages_lie_in_memory_as_their_tables_say() {
+    let text = page::read(MESSAGES);
+    let feed_forward = layout!(FeedForwardMessage: sequence, stamp_ns, epoch, model, n, phase, q_d, dq_d, tau_ff, gravity, tau_vendor,
+        gravity_vendor, validity, reserved);
+    let sample = layout!(SampleMessage: epoch, seq, cycle, state_seq, time, q, dq, tau, q_d, command_seq, desired_q, desired_dq,
+        desired_ddq, tau_ff, phase, motion, tick, model, stamp_ns, wake_ns, work_ns, tau_vendor, validity, reserved);
+    let messages = [
+        ("### FeedForwardMessage", size_of::<FeedForwardMessage>(), feed_forward),
+        ("### SampleMessage", size_of::<SampleMessage>(), sample),
+    ];
+    for (heading, size, fields) in messages {
+        // No field is missing here: together they fill the message.
+        assert_eq!(fields.iter().map(|(_, _, bytes)| bytes).sum::<usize>(), size, "{heading}");
+        let section = text.split(&format!("{heading}\n")).nth(1).unwrap().split("\n#").next().unwrap();
+        assert!(section.contains(&format!("{size} bytes.")), "{heading}: {size} bytes");
+        let rows = section.lines().filter(|line| line.starts_with("| `"));
+        let shown: Vec<String> =
+            rows.map(|row| row.split('|').skip(1).take(3).map(str::trim).collect::<Vec<_>>().join(" ")).collect();
+        let real: Vec<String> =
+            fields.iter().map(|(name, offset, bytes)| format!("`{name}` {offset} {bytes}")).collect();
+        assert_eq!(shown, real, "{MESSAGES}, {heading}");
+    }
+}
+
+/// The ```toml blocks of a page.
+fn toml_blocks(page: &str) -> Vec<String> {
+    let blocks = page.split("```toml\n").skip(1);
+    blocks.map(|rest| rest.split("```").next().unwrap().to_string()).collect()
+}
+
+/// Whether a comment is a key with its value, or a table.
+fn is_option(comment: &str) -> bool {
+    comment.starts_with('[') || comment.split_once(" = ").is_some_and(|(key, _)| !key.contains(' '))
+}
+
+/// A block with its commented keys and tables in force.
+fn with_options(block: &str) -> String {
+    let lines = block.lines().map(|line| match line.strip_prefix("# ") {
+        Some(option) if is_option(option) => option,
+        _ => line,
+    });
+    lines.map(|line| format!("{line}\n")).collect()
+}
+
+/// The table that a line opens, without its brackets.
+fn header(line: &str) -> Option<&str> {
+    let inner = line.split('#').next()?.trim().strip_prefix('[')?.strip_suffix(']')?;
+    Some(inner.trim_start_matches('[').trim_end_matches(']'))
+}
+
+/// Asserts that a block, or a table of the page's other blocks, names every key that its reader knows. `refusal` reads a text with an unknown key `zzz` and gives the error, which
+/// lists the known ones; nothing where the table takes any key.
+fn assert_names_every_key(what: &str, block: &str, mut refusal: impl FnMut(&str) -> Option<String>) {
+    let tables_of_page = with_options(&toml_blocks(&page::read(what)).concat());
+    let full = with_options(block);
+    let lines: Vec<&str> = full.lines().collect();
+    let tables = (0..lines.len()).filter(|&index| header(lines[index]).is_some()).map(|index| index + 1);
+    for start in [0].into_iter().chain(tables) {
+        let table = if start == 0 { "" } else { header(lines[start - 1]).unwrap() };
+        let with_unknown = [&lines[..start], &["zzz = 1"], &lines[start..]].concat().join("\n");
+        let Some(error) = refusal(&with_unknown) else { continue };
+        let known = error.split("unknown field `zzz`, ").nth(1).unwrap_or_else(|| panic!("{what}, [{table}]: {error}"));
+        let own = lines[start..].iter().take_while(|line| header(line).is_none());
+        let own: Vec<&str> = own.filter_map(|line| Some(line.split_once(" = ")?.0)).collect();
+        for key in known.split('`').skip(1).step_by(2) {
+            let inner = if table.is_empty() { key.to_string() } else { format!("{table}.{key}") };
+            let named = own.contains(&key) || tables_of_page.lines().any(|line| header(line) == Some(inner.as_str()));
+            assert!(named, "{what} lacks the key `{key}` of [{table}]");
+        }
+    }
+}
+
+#[test]
+fn the_job_file_shows_every_key_and_its_default() {
+    let text = page::read("docs/reference/job-file.md");
+    let [all, franka, inclinometer]: [String; 3] = toml_blocks(&text).try_into().unwrap();
+    let upright = "robot = \"panda\"\nmounting = \"upright\"\nvalidation = { mountings = [\"upright\"] }\n";
+    let of_franka = format!("{upright}backend.kind = \"franka\"\n");
+    let of_sensor = format!("{upright}backend = {{ kind = \"sim\", arm = \"sim-panda\", pace = \"wall-clock\" }}\n");
+    let cases = [
+        ("", all, "robot = \"panda\"\nmounting = \"wall\"\nbackend = { kind = \"sim\", arm = \"sim-panda\" }\n"),
+        (of_franka.as_str(), franka, "backend.franka.address = \"172.16.0.2\"\n"),
+        (
+            of_sensor.as_str(),
+            inclinometer,
+            "inclinometer = { interface = \"can0\", node = 10, x = \"x\", z = \"z\" }\n",
+        ),
+    ];
+    let parse = |text: &str| Job::parse(Path::new("job.toml"), text, &[]);
+    for (head, block, least) in cases {
+        // Keys of the head stand above the first table; those of `[backend]` are dotted, so that the block may open its tables.
+        let shown = parse(&format!("{head}{block}")).unwrap();
+        assert_eq!(shown, parse(&format!("{head}{least}")).unwrap(), "docs/reference/job-file.md: shown and default");
+        parse(&format!("{head}{}", with_options(&block))).unwrap();
+        assert_names_every_key("docs/reference/job-file.md", &block, |text| {
+            // The top level of the second and third block is that of the first.
+            if !head.is_empty() && text.starts_with("zzz") {
+                return None;
+            }
+            Some(parse(&format!("{head}{text}")).expect_err("an unknown key is refused").to_string())
+        });
+    }
+}
+
+#[test]
+fn the_robot_file_shows_every_key() {
+    let [block]: [String; 1] = toml_blocks(&page::read("docs/reference/robot-file.md")).try_into().unwrap();
+    Robot::parse("robot.toml", &block).unwrap();
+    assert_names_every_key("docs/reference/robot-file.md", &block, |text| {
+        Some(Robot::parse("robot.toml", text).expect_err("an unknown key is refused").to_string())
+    });
+}
+
+#[test]
+fn dataset_and_model_file_show_every_key() {
+    let folder = tempfile::tempdir().unwrap();
+    let refused = |command: &[&str], file: &Path, text: &str| {
+        std::fs::write(file, text).unwrap();
+        let mut program = plumbline();
+        program.args(command).arg("--out").arg(folder.path().join("out"));
+        String::from_utf8(program.output().unwrap().stderr).unwrap()
+    };
+    let place = folder.path().display().to_string();
+
+    let [dataset]: [String; 1] = toml_blocks(&page::read("docs/reference/dataset.md")).try_into().unwrap();
+    let file = folder.path().join("dataset.toml");
+    let identify = |text: &str| refused(&["identify", &place], &file, text);
+    let missing = identify(&dataset);
+    assert!(missing.contains("run_1.csv"), "what the page shows is taken, but for its run: {missing}");
+    assert_names_every_key("docs/reference/dataset.md", &dataset, |text| {
+        let source = text.find("[source]").is_some_and(|at| text[at..].lines().nth(1) == Some("zzz = 1"));
+        (!source).then(|| identify(text))
+    });
+
+    let text = page::read("docs/reference/model-and-report.md");
+    let model = toml_blocks(&text).swap_remove(0);
+    let file = folder.path().join("model.toml");
+    let model_path = file.display().to_string();
+    assert_names_every_key("docs/reference/model-and-report.md", &model, |text| {
+        Some(refused(&["export", &model_path, "--format", "c"], &file, text))
+    });
+}
