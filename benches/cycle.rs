@@ -6,22 +6,16 @@
 
 use hdrhistogram::Histogram;
 use plumbline::store::ModelFile;
-use plumbline_core::{Backend, Fault, FeedForward, Kinematics, PERIOD_NS, Reference};
-use plumbline_core::{Command, JointVec, MAX_JOINTS, Setpoint, State, Torque};
+use plumbline_core::{
+    Backend, Command, Fault, FeedForward, JointVec, Kinematics, MAX_JOINTS, PERIOD_NS, Reference, Setpoint, State,
+    Torque,
+};
 use plumbline_excite::{Fourier, PeriodicMotion};
-use plumbline_model::Chain;
-use plumbline_model::Mounting;
-use plumbline_model::Reduction;
-use plumbline_model::Robot;
-use plumbline_model::Structure;
 use plumbline_model::term::Sample;
-use plumbline_model::{Evaluator, TorqueModel};
-use plumbline_rt::CycleSettings;
-use plumbline_rt::GuardSettings;
-use plumbline_rt::cycle;
+use plumbline_model::{Chain, Evaluator, Mounting, Reduction, Robot, Structure, TorqueModel};
 use plumbline_rt::os::{Rights, now_ns, sleep_until};
 use plumbline_rt::recorder::ring;
-use plumbline_rt::{Event, Order, OrderKind};
+use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, cycle};
 use std::sync::Arc;
 use std::sync::Mutex;
 

@@ -5,15 +5,10 @@
 //! default, once up to the limits themselves.
 
 use plumbline::store::ModelFile;
-use plumbline_excite::Criterion;
-use plumbline_excite::Nominal;
-use plumbline_excite::optimise;
-use plumbline_excite::{Bounds, Margins};
-use plumbline_excite::{Problem, Progress, Search, Watch, search_verdict};
-use plumbline_model::Mounting;
-use plumbline_model::Reduction;
-use plumbline_model::Robot;
-use plumbline_model::Structure;
+use plumbline_excite::{
+    Bounds, Criterion, Margins, Nominal, Problem, Progress, Search, Watch, optimise, search_verdict,
+};
+use plumbline_model::{Mounting, Reduction, Robot, Structure};
 use std::path::Path;
 use std::sync::Mutex;
 use std::time::Instant;

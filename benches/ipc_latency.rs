@@ -9,9 +9,7 @@
 
 use hdrhistogram::Histogram;
 use iceoryx2::prelude::*;
-use plumbline_core::PERIOD_NS;
-use plumbline_core::Record;
-use plumbline_core::Sink;
+use plumbline_core::{PERIOD_NS, Record, Sink};
 use plumbline_ipc::{
     Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, RobotId, SampleMessage, SampleStream, Server,
     ServerSettings, StreamSettings,

@@ -3,11 +3,9 @@
 //! Time per millisecond of the arm's life along a lively motion of all joints, the shortest of several repeats; and a whole response: six
 //! trajectories of ten periods of ten seconds with noise, as a study of a diagnosis needs for one case.
 
-use plumbline_core::{Backend, Reference};
-use plumbline_core::{Command, JointVec, Setpoint};
+use plumbline_core::{Backend, Command, JointVec, Reference, Setpoint};
 use plumbline_excite::{Fourier, PeriodicMotion};
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
+use plumbline_model::{Mounting, Robot};
 use plumbline_sim::{Gate, Pace, Response, SimArm, Truth};
 use std::hint::black_box;
 use std::sync::Arc;

@@ -13,15 +13,10 @@ use plumbline_identify::streaming::gram::Gram;
 use plumbline_identify::streaming::solve::solve;
 use plumbline_identify::streaming::stack::least_squares;
 use plumbline_identify::streaming::{Settings, Streaming};
-use plumbline_model::Mounting;
-use plumbline_model::Reduction;
-use plumbline_model::Robot;
-use plumbline_model::SampleRegressor;
-use plumbline_model::Structure;
-use plumbline_model::regressor;
-use plumbline_model::rnea;
 use plumbline_model::term::{Motion, Sample};
-use plumbline_model::{Evaluator, TorqueModel};
+use plumbline_model::{
+    Evaluator, Mounting, Reduction, Robot, SampleRegressor, Structure, TorqueModel, regressor, rnea,
+};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;

@@ -5,9 +5,8 @@
 //! aperiodic`; `estimators huber iv` for some of them. `RUNS=n` changes the number of runs. The figures are in docs/results/identification.md and
 //! docs/results/estimators.md.
 
-use plumbline_identify::Run;
 use plumbline_identify::solve::{Estimator, Identification, Options, identify_with};
-use plumbline_identify::{Derivative, Experiment, Method, Settings};
+use plumbline_identify::{Derivative, Experiment, Method, Run, Settings};
 use plumbline_testkit::scene::campaign::Campaign;
 use plumbline_testkit::scene::{Extra, Scene};
 use std::time::Instant;

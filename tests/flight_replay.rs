@@ -10,8 +10,7 @@ use plumbline::recording::about::{
     About, FORMAT, Given, Handed, LogClock, Reason, Series, Settings, panic_message, panicked,
 };
 use plumbline::recording::history::{History, Window};
-use plumbline_core::{Fault, FeedForward, Sink};
-use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record, Setpoint};
+use plumbline_core::{Fault, FeedForward, JointVec, MAX_JOINTS, Phase, Record, Setpoint, Sink};
 use plumbline_excite::{Fourier, PeriodicMotion};
 use plumbline_rt::cycle::End;
 use plumbline_rt::{Event, Handles, Order, OrderKind, StopReason};

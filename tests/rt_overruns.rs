@@ -2,13 +2,10 @@
 //! never does; and whoever falls silent leaves an arm at rest. The clock of these runs is the test's own, so a stall is where the test
 //! puts it; one test stops a real daemon with SIGSTOP.
 
-use plumbline_core::Clock;
-use plumbline_core::{Fault, PERIOD_NS};
-use plumbline_core::{JointVec, Phase, Record, Setpoint};
-use plumbline_rt::cycle;
+use plumbline_core::{Clock, Fault, JointVec, PERIOD_NS, Phase, Record, Setpoint};
 use plumbline_rt::cycle::{End, Outcome};
 use plumbline_rt::recorder::ring;
-use plumbline_rt::{Controls, StopReason};
+use plumbline_rt::{Controls, StopReason, cycle};
 use plumbline_sim::{Pace, REFLEX_COMMUNICATION};
 use plumbline_testkit::fake_arm::Trick;
 use plumbline_testkit::fake_arm::drive::{Job, Model, READY, Wave, dwell, follow, move_to, panda_limits, settings};

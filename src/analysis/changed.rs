@@ -6,17 +6,14 @@ use crate::report::diagnosis::{
     self, Action, Alternative, BeforeAfter, Diagnosis, Effect, EffectParameter, Errors, Folds, JointFacts,
     MinimumDetectable, Occurrence, Parameters, Score, Unexplained, Verdict,
 };
-use plumbline_diagnose::errors;
 use plumbline_diagnose::errors::{Compared, Of};
-use plumbline_diagnose::reference;
 use plumbline_diagnose::reference::{Change, Changes, NAMES};
+use plumbline_diagnose::{errors, reference};
 
-use plumbline_identify::Experiment;
-use plumbline_identify::{Modelled, Rms, validate};
-use plumbline_model::Mounting;
-use plumbline_model::TorqueModel;
+use plumbline_identify::{Experiment, Modelled, Rms, validate};
 use plumbline_model::term::effect::{Site, family};
 use plumbline_model::term::mounting::axes;
+use plumbline_model::{Mounting, TorqueModel};
 
 /// A joint whose residual power is so many times its noise lacks something.
 const LACKING: f64 = 2.0;

@@ -6,24 +6,15 @@ use crate::analysis::pipeline::{self, Identified};
 use crate::dataset::Run;
 use crate::failure::Failure;
 use crate::process::progress;
-use crate::report::Band;
-use crate::report::diagnosis as told;
 use crate::report::figures::{DiagnosisFigures, EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
+use crate::report::{Band, diagnosis as told};
 use plumbline_core::{parallel, threads};
 
-use plumbline_diagnose::Trial;
-use plumbline_diagnose::Unexplained;
-use plumbline_diagnose::errors;
 use plumbline_diagnose::errors::{Compared, Of};
-use plumbline_diagnose::{Confirmation, Effect, Fitted, Outcome, Verdict};
-use plumbline_diagnose::{Input, diagnose};
-use plumbline_identify::Modelled;
-use plumbline_identify::solve;
-use plumbline_identify::{Experiment, Settings};
-use plumbline_model::Robot;
-use plumbline_model::Structure;
-use plumbline_model::TorqueModel;
+use plumbline_diagnose::{Confirmation, Effect, Fitted, Input, Outcome, Trial, Unexplained, Verdict, diagnose, errors};
+use plumbline_identify::{Experiment, Modelled, Settings, solve};
 use plumbline_model::term::effect::{Spec, Stratum};
+use plumbline_model::{Robot, Structure, TorqueModel};
 
 /// Candidates that the report lists.
 const LISTED: usize = 10;

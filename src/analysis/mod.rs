@@ -12,8 +12,7 @@ pub mod split;
 use crate::date::today;
 use crate::report::Condition;
 use crate::store::Provenance;
-use plumbline_model::Conditions;
-use plumbline_model::Robot;
+use plumbline_model::{Conditions, Robot};
 
 /// Two gravity directions closer than this are one mounting \[rad\].
 pub const SAME_MOUNTING: f64 = 1e-3;

@@ -4,21 +4,13 @@ use crate::dataset::Run;
 use crate::failure::Failure;
 use crate::report::figures::TorqueFigure;
 use nalgebra::DMatrix;
-use plumbline_core::BadInput;
-use plumbline_core::{parallel, threads};
-use plumbline_identify::EstimateError;
+use plumbline_core::{BadInput, parallel, threads};
 use plumbline_identify::consistency::{Nearest, Prior, Uncertainty, nearest};
-use plumbline_identify::{Experiment, Settings};
+use plumbline_identify::{EstimateError, Experiment, Modelled, Rms, Settings, compare, solve};
 
-use plumbline_identify::solve;
 use plumbline_identify::solve::{Identification, identify_with};
-use plumbline_identify::{Modelled, Rms, compare};
-use plumbline_model::Reduction;
-use plumbline_model::Structure;
-use plumbline_model::TorqueModel;
-use plumbline_model::term::Motion;
-use plumbline_model::term::torque_offset;
-use plumbline_model::{Robot, TorqueSensing};
+use plumbline_model::term::{Motion, torque_offset};
+use plumbline_model::{Reduction, Robot, Structure, TorqueModel, TorqueSensing};
 
 /// A model and how it came about.
 pub struct Identified {

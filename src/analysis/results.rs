@@ -19,8 +19,7 @@ use plumbline_excite::PlanUsage;
 use plumbline_identify::Settings;
 use plumbline_identify::solve::Outcome;
 use plumbline_ipc::{Session, Status, StreamCounters};
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
+use plumbline_model::{Mounting, Robot};
 use std::path::{Path, PathBuf};
 
 /// Terms of the paper's model, besides the rigid body.

@@ -7,11 +7,9 @@ use crate::failure::Failure;
 use crate::report::Band;
 use crate::report::diagnosis::{Changes, Diagnosis, Verdict};
 use crate::store::{ModelFile, Provenance};
-use plumbline_diagnose::Trial;
-use plumbline_diagnose::reference;
+use plumbline_diagnose::{Trial, reference};
 use plumbline_identify::{Experiment, Settings};
-use plumbline_model::Robot;
-use plumbline_model::TorqueModel;
+use plumbline_model::{Robot, TorqueModel};
 use std::path::Path;
 
 /// Runs of the sessions after the first, taken out of the dataset, session by session.

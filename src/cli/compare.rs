@@ -13,16 +13,12 @@ use crate::report::{Band, Base, Identifiability, Report, Validation};
 use crate::setup::models;
 use crate::store::{ModelFile, Provenance, Validated};
 use clap::Args;
-use plumbline_core::BadInput;
-use plumbline_core::threads;
+use plumbline_core::{BadInput, threads};
 use plumbline_diagnose::reference;
-use plumbline_identify::Experiment;
-use plumbline_identify::Rms;
-use plumbline_model::Reduction;
-use plumbline_model::Robot;
-use plumbline_model::TorqueModel;
+use plumbline_identify::{Experiment, Rms};
 use plumbline_model::term::Term;
 use plumbline_model::term::rigid_body::RigidBody;
+use plumbline_model::{Reduction, Robot, TorqueModel};
 use std::path::PathBuf;
 
 /// Options of `plumbline compare`.

@@ -7,8 +7,7 @@ use crate::cli::identify::{self, Done};
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
 use clap::Args;
-use plumbline_core::BadInput;
-use plumbline_core::threads;
+use plumbline_core::{BadInput, threads};
 use plumbline_diagnose::errors::Of;
 use plumbline_model::Robot;
 

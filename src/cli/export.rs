@@ -9,9 +9,7 @@ use crate::store::export::{Arm, Exported, c, effects, mjcf, splice, tree, urdf};
 use clap::{Args, ValueEnum};
 use plumbline_core::BadInput;
 use plumbline_identify::consistency::{Nearest, Prior, Uncertainty, Weights, nearest};
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
-use plumbline_model::is_consistent;
+use plumbline_model::{Mounting, Robot, is_consistent};
 use roxmltree::Document;
 use std::path::{Path, PathBuf};
 

@@ -11,13 +11,10 @@ use crate::report::figures::{DiagnosisFigures, Figures};
 use crate::report::{Band, Consistency, Report, Validation};
 use crate::store::{ModelFile, Validated};
 use clap::Args;
-use plumbline_core::BadInput;
-use plumbline_core::{parallel, threads};
-use plumbline_identify::solve;
+use plumbline_core::{BadInput, parallel, threads};
 use plumbline_identify::solve::Estimator;
-use plumbline_identify::{Method, Settings};
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
+use plumbline_identify::{Method, Settings, solve};
+use plumbline_model::{Mounting, Robot};
 use std::path::{Path, PathBuf};
 
 /// Options of `plumbline identify`.

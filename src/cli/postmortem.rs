@@ -10,10 +10,8 @@ use crate::recording::{Recording, model_name};
 use crate::store::{ModelFile, model_identity};
 use clap::Args;
 use nalgebra::Vector3;
-use plumbline_core::BadInput;
-use plumbline_core::FeedForward;
-use plumbline_model::Robot;
-use plumbline_model::{NoModel, Reach, ServedModel};
+use plumbline_core::{BadInput, FeedForward};
+use plumbline_model::{NoModel, Reach, Robot, ServedModel};
 use std::path::PathBuf;
 
 /// Options of `plumbline postmortem`.

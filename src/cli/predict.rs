@@ -10,8 +10,7 @@ use crate::store::ModelFile;
 use clap::Args;
 use plumbline_core::BadInput;
 use plumbline_identify::Settings;
-use plumbline_model::Mounting;
-use plumbline_model::TorqueModel;
+use plumbline_model::{Mounting, TorqueModel};
 use std::fmt::Write;
 use std::path::PathBuf;
 

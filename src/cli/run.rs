@@ -2,12 +2,10 @@
 
 use crate::cli::say::say;
 use crate::failure::Failure;
-use crate::process::owned;
-use crate::process::progress;
 use crate::process::signals::Ending;
+use crate::process::{owned, progress};
 use crate::report::Report;
-use crate::setup::planner;
-use crate::setup::{JobOptions, models, robot_id};
+use crate::setup::{JobOptions, models, planner, robot_id};
 use clap::Args;
 use plumbline_ipc::{Client, Progress, Request, Response, RobotId, Status};
 use rustix::process::{Pid, Signal, kill_process};

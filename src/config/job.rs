@@ -13,10 +13,8 @@ pub use inclinometer::{Inclinometer, MountingCheck};
 
 use super::units;
 use plumbline_core::BadInput;
-use plumbline_excite::Criterion;
-use plumbline_excite::Margins;
-use plumbline_identify::solve;
-use plumbline_identify::{Derivative, Method};
+use plumbline_excite::{Criterion, Margins};
+use plumbline_identify::{Derivative, Method, solve};
 use plumbline_model::Mounting;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};

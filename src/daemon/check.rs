@@ -6,8 +6,7 @@ use crate::setup::models;
 use crate::store::{ModelFile, model_identity};
 use plumbline_core::BadInput;
 use plumbline_ipc::{Proposal, Request, Response, Ticket, read};
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
+use plumbline_model::{Mounting, Robot};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 

@@ -8,17 +8,14 @@ use crate::failure::Failure;
 use crate::process::signals::{Cause, Ending};
 use crate::recording::about::Reason;
 use crate::recording::messages::words;
-use plumbline_core::BadInput;
-use plumbline_core::{JointVec, Record};
+use plumbline_core::{BadInput, JointVec, Record};
 use plumbline_franka::{Interface, RobotLimits};
 use plumbline_identify::{Implausible, plausible};
 use plumbline_ipc::{
     Held, Mounting as MountingMessage, News, Progress, Proposal, Request, Response, Served,
     Session as SessionStatistics, Status, StopOrder, now_ns,
 };
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
-use plumbline_model::TorqueModel;
+use plumbline_model::{Mounting, Robot, TorqueModel};
 use plumbline_rt::{Controls, Event, StopReason};
 use plumbline_sim::Truth;
 use std::collections::VecDeque;

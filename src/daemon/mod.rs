@@ -32,9 +32,8 @@ use plumbline_ipc::{
     Asked, Lock, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener, now_ns,
 };
 use plumbline_model::Mounting;
-use plumbline_rt::Controls;
 use plumbline_rt::cycle::End;
-use plumbline_rt::os;
+use plumbline_rt::{Controls, os};
 use recorder::Recorder;
 use rhythm::RequestShare;
 use script::Script;

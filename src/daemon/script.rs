@@ -3,8 +3,7 @@
 use crate::recording::about::{Given, Series};
 use crate::setup::programme::{Motion, Role, Stage};
 use plumbline_core::{JointVec, MAX_JOINTS, Phase};
-use plumbline_excite::ExciteError;
-use plumbline_excite::{Fourier, PeriodicMotion};
+use plumbline_excite::{ExciteError, Fourier, PeriodicMotion};
 use plumbline_rt::{Event, Order, OrderKind};
 use std::collections::VecDeque;
 

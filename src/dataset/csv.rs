@@ -1,8 +1,7 @@
 //! One run's CSV file: columns are found by name, every cell is checked.
 
 use nalgebra::DMatrix;
-use plumbline_core::BadInput;
-use plumbline_core::MAX_JOINTS;
+use plumbline_core::{BadInput, MAX_JOINTS};
 use std::path::Path;
 
 use super::Run;

@@ -4,9 +4,7 @@ use super::Run;
 use super::csv::Columns;
 use crate::recording::Recording;
 use nalgebra::DMatrix;
-use plumbline_core::BadInput;
-use plumbline_core::PERIOD;
-use plumbline_core::{JointVec, Record};
+use plumbline_core::{BadInput, JointVec, PERIOD, Record};
 use std::path::Path;
 
 pub(super) fn read(path: &Path) -> Result<Columns, BadInput> {

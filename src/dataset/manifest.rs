@@ -1,8 +1,7 @@
 //! `dataset.toml`: what it may say, and how a dataset comes together from it and its CSV files.
 
 use super::{Dataset, Run, csv};
-use plumbline_core::{BadInput, from_toml};
-use plumbline_core::{parallel, threads};
+use plumbline_core::{BadInput, from_toml, parallel, threads};
 use plumbline_model::Mounting;
 use serde::{Deserialize, Serialize};
 use std::fs;

@@ -1,23 +1,19 @@
 //! The live watch of the estimator: follows the samples while a model is served, says when it no longer holds, and proposes a better one.
 
-use crate::analysis::changed;
-use crate::analysis::pipeline;
+use crate::analysis::{changed, pipeline};
 use crate::config::job::{Adopt, Job};
 use crate::dataset::Run;
 use crate::failure::Failure;
 use crate::report::diagnosis::Effect;
 use crate::store::{ModelFile, Provenance, model_identity};
-use plumbline_core::threads;
-use plumbline_core::{Phase, Record, Validity};
+use plumbline_core::{Phase, Record, Validity, threads};
 use plumbline_diagnose::live;
 use plumbline_diagnose::live::{ENDS, Floor, Found, News, Remedy, STRETCH, Watch};
 use plumbline_diagnose::reference::Change;
 use plumbline_identify::{Experiment, Settings};
 
 use plumbline_ipc::{Proposal, Status};
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
-use plumbline_model::TorqueModel;
+use plumbline_model::{Mounting, Robot, TorqueModel};
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};

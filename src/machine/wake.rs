@@ -1,8 +1,7 @@
 //! How late a thread with the loop's rights wakes up, for a few seconds.
 
 use super::{Finding, Verdict, Wanted};
-use plumbline_core::PERIOD_NS;
-use plumbline_core::{Distribution, Histogram};
+use plumbline_core::{Distribution, Histogram, PERIOD_NS};
 use plumbline_rt::become_realtime;
 use plumbline_rt::os::{now_ns, sleep_until};
 use serde::Serialize;

@@ -12,14 +12,12 @@ use crate::recording::Recording;
 use crate::recording::about::{Given, Handed, LogClock, Series, UnderWay, panic_message, panicked};
 use crate::recording::history::{Fold, begun_from};
 use nalgebra::DMatrix;
-use plumbline_core::{Backend, Fault, FeedForward, Kinematics, Reference, Sink};
-use plumbline_core::{Command, MAX_JOINTS, Record, Setpoint, State};
+use plumbline_core::{
+    Backend, Command, Fault, FeedForward, Kinematics, MAX_JOINTS, Record, Reference, Setpoint, Sink, State,
+};
 use plumbline_excite::{Fourier, PeriodicMotion};
-use plumbline_rt::Succession;
-use plumbline_rt::cycle;
 use plumbline_rt::cycle::{Cycle, End};
-use plumbline_rt::{Checkpoint, Doing};
-use plumbline_rt::{Event, Handles, Order, OrderKind, StopReason, Told};
+use plumbline_rt::{Checkpoint, Doing, Event, Handles, Order, OrderKind, StopReason, Succession, Told, cycle};
 use serde::Serialize;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};

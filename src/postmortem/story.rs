@@ -5,10 +5,8 @@ use super::replay::{Replayed, is_simulated};
 use crate::recording::Recording;
 use crate::recording::about::Given;
 use crate::recording::messages::{limit_name, words};
-use plumbline_core::{PERIOD, PERIOD_NS};
-use plumbline_core::{Phase, Record};
-use plumbline_rt::{Event, StopReason, Told};
-use plumbline_rt::{Limit, Violation};
+use plumbline_core::{PERIOD, PERIOD_NS, Phase, Record};
+use plumbline_rt::{Event, Limit, StopReason, Told, Violation};
 use serde::Serialize;
 
 /// Most lines of the timeline and of the lists of outliers.

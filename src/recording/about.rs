@@ -1,10 +1,8 @@
 //! What a recording says beside its cycles: where it comes from, and everything that the loop was given, so that it can be run again.
 
 use plumbline_core::{JointVec, Limits, Phase, Setpoint, SpeedEnvelope, Workspace};
-use plumbline_rt::CycleSettings;
-use plumbline_rt::GuardSettings;
-use plumbline_rt::MoveFactors;
 use plumbline_rt::os::Rights;
+use plumbline_rt::{CycleSettings, GuardSettings, MoveFactors};
 use serde::{Deserialize, Serialize};
 use std::any::Any;
 

@@ -5,8 +5,7 @@
 
 use super::about::{Given, Handed, Note, Point, UnderWay};
 use plumbline_core::{JointVec, Record, Setpoint, State};
-use plumbline_rt::braked_from;
-use plumbline_rt::{Event, Told};
+use plumbline_rt::{Event, Told, braked_from};
 use std::collections::VecDeque;
 
 /// Events that are kept; what they mean for the loop's state outlives them.

@@ -5,8 +5,7 @@
 
 use super::cdr::{CdrError, Decoder, Encoder};
 use plumbline_core::{MAX_JOINTS, Phase, Record, Validity};
-use plumbline_rt::{Event, StopReason, Told};
-use plumbline_rt::{Limit, Violation};
+use plumbline_rt::{Event, Limit, StopReason, Told, Violation};
 
 const RULE: &str = "================================================================================";
 

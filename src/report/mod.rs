@@ -18,8 +18,7 @@ pub use gravity::{GravityFacts, MotionGravityFacts};
 pub use timing::{IpcFacts, LinkFacts, LoopFacts, Quantiles, SessionFacts};
 
 use crate::atomic;
-use plumbline_model::Mounting;
-use plumbline_model::{Parameter, TorqueModel};
+use plumbline_model::{Mounting, Parameter, TorqueModel};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::io;
 use std::path::Path;

@@ -11,10 +11,7 @@ use clap::Args;
 use plumbline_core::{BadInput, JointVec, MAX_JOINTS};
 use plumbline_excite::{Bounds, Margins, check_pose};
 use plumbline_ipc::{ArmLock, Lock, RobotId};
-use plumbline_model::Mounting;
-use plumbline_model::Reduction;
-use plumbline_model::Robot;
-use plumbline_model::Structure;
+use plumbline_model::{Mounting, Reduction, Robot, Structure};
 use plumbline_sim::Truth;
 use std::path::PathBuf;
 

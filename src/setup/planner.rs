@@ -6,21 +6,13 @@ use crate::process::progress;
 use crate::setup::programme::Programme;
 use crate::setup::{friction_structure, models};
 use crate::store::load_plan;
-use plumbline_core::BadInput;
-use plumbline_core::threads;
-use plumbline_core::{Limits, SpeedEnvelope, Workspace};
-use plumbline_excite::ExciteError;
-use plumbline_excite::Fourier;
-use plumbline_excite::Nominal;
-use plumbline_excite::check_excitation;
-use plumbline_excite::optimise;
-use plumbline_excite::{Bounds, Margins};
-use plumbline_excite::{Plan, PlanUsage};
-use plumbline_excite::{Problem, Progress, Search, Watch, motion_samples, search_verdict};
-use plumbline_excite::{Usage, check_usage, usage};
+use plumbline_core::{BadInput, Limits, SpeedEnvelope, Workspace, threads};
+use plumbline_excite::{
+    Bounds, ExciteError, Fourier, Margins, Nominal, Plan, PlanUsage, Problem, Progress, Search, Usage, Watch,
+    check_excitation, check_usage, motion_samples, optimise, search_verdict, usage,
+};
 use plumbline_franka::RobotLimits;
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
+use plumbline_model::{Mounting, Robot};
 use plumbline_rt::MoveFactors;
 use sha2::{Digest, Sha256};
 use std::path::Path;

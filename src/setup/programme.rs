@@ -4,15 +4,10 @@ use crate::config::job::Job;
 use crate::failure::Failure;
 use crate::setup::planner::Planner;
 use crate::store::{load_plan, save_plan};
-use plumbline_core::BadInput;
-use plumbline_core::{JointVec, Limits, Setpoint};
-use plumbline_excite::Fourier;
-use plumbline_excite::Plan;
-use plumbline_excite::rehearse_points;
-use plumbline_excite::{Bounds, Peak, Quantity, check_pose};
+use plumbline_core::{BadInput, JointVec, Limits, Setpoint};
+use plumbline_excite::{Bounds, Fourier, Peak, Plan, Quantity, check_pose, rehearse_points};
 use plumbline_franka::RobotLimits;
-use plumbline_model::Robot;
-use plumbline_model::{Mounting, VERTICAL_TOLERANCE};
+use plumbline_model::{Mounting, Robot, VERTICAL_TOLERANCE};
 use plumbline_rt::MoveFactors;
 use std::path::Path;
 

@@ -3,9 +3,7 @@
 use super::model_text::quoted;
 use plumbline_core::BadInput;
 use plumbline_identify::consistency::{Nearest, Weights, parameters_of};
-use plumbline_model::LinkParameters;
-use plumbline_model::TorqueModel;
-use plumbline_model::is_consistent;
+use plumbline_model::{LinkParameters, TorqueModel, is_consistent};
 use serde::Deserialize;
 
 /// Bodies may differ from the parameters they stand for by this share of the largest.

@@ -2,22 +2,15 @@
 //! return, the end. Sealed, the loop's thread dies at its first stray system call, and the program with it.
 
 use plumbline::store::ModelFile;
-use plumbline_core::Clock;
-use plumbline_core::{Backend, Fault, FeedForward};
-use plumbline_core::{Command, JointVec, MAX_JOINTS, Setpoint, State, Torque};
+use plumbline_core::{Backend, Clock, Command, Fault, FeedForward, JointVec, MAX_JOINTS, Setpoint, State, Torque};
 use plumbline_franka::RobotKind;
 use plumbline_franka::wire::Protocol;
-use plumbline_model::Evaluator;
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
 use plumbline_model::term::Sample;
-use plumbline_rt::CycleSettings;
-use plumbline_rt::GuardSettings;
-use plumbline_rt::cycle;
+use plumbline_model::{Evaluator, Mounting, Robot};
 use plumbline_rt::cycle::{End, Outcome};
 use plumbline_rt::os::{Rights, now_ns, sleep_until};
 use plumbline_rt::recorder::{Drain, ring};
-use plumbline_rt::{Event, Handles};
+use plumbline_rt::{CycleSettings, Event, GuardSettings, Handles, cycle};
 use plumbline_sim::{Gate, Pace};
 use plumbline_testkit::emulator;
 use plumbline_testkit::fake_arm::drive::{Wave, dwell, follow, move_to, panda_limits, settings};

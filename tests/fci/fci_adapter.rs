@@ -1,7 +1,6 @@
 //! The adapter of Franka arms against a fake control unit that does things wrong, one known pain per test.
 
-use plumbline_core::{Backend, Fault};
-use plumbline_core::{Command, JointVec, Setpoint, State};
+use plumbline_core::{Backend, Command, Fault, JointVec, Setpoint, State};
 use plumbline_franka::wire::{
     ErrorBit, Errors, MAX_STATE, MotionGeneratorMode, MoveStatus, Protocol, Request, Response, RobotMode,
 };

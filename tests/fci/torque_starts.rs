@@ -3,21 +3,14 @@
 //! `hil/torque-starts/run.sh` makes ten starts per mounting and prints the table of docs/results/franka-clients.md.
 
 use nalgebra::Vector3;
-use plumbline_core::FeedForward;
-use plumbline_core::{JointVec, Record, Setpoint, Torque};
+use plumbline_core::{FeedForward, JointVec, Record, Setpoint, Torque};
 use plumbline_franka::wire::Protocol;
 use plumbline_franka::{Interface, RobotKind, Settings, connect, explain, recover};
-use plumbline_model::Chain;
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
-use plumbline_model::{LinkParameters, rnea};
-use plumbline_rt::CycleSettings;
-use plumbline_rt::GuardSettings;
-use plumbline_rt::cycle;
+use plumbline_model::{Chain, LinkParameters, Mounting, Robot, rnea};
 use plumbline_rt::cycle::End;
 use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::ring;
-use plumbline_rt::{Event, Order, OrderKind};
+use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, cycle};
 use plumbline_sim::Truth;
 use plumbline_testkit::emulator::{Emulator, Settings as Emulated};
 use std::net::Ipv4Addr;

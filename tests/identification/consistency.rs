@@ -3,12 +3,7 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline::store::ModelFile;
 use plumbline_identify::consistency::{ConsistencyError, FLOOR, Nearest, Prior, Uncertainty, Weights, nearest};
-use plumbline_model::Chain;
-use plumbline_model::LinkParameters;
-use plumbline_model::Reduction;
-use plumbline_model::Robot;
-use plumbline_model::Structure;
-use plumbline_model::{Body, is_consistent, pseudo_inertia};
+use plumbline_model::{Body, Chain, LinkParameters, Reduction, Robot, Structure, is_consistent, pseudo_inertia};
 use plumbline_sim::Truth;
 use plumbline_testkit::arms::{all, chain, random_chain};
 use plumbline_testkit::bodies::random_body;

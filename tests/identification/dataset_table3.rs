@@ -4,10 +4,8 @@ use nalgebra::DMatrix;
 use plumbline::dataset::{Dataset, Run};
 use plumbline::store::ModelFile;
 use plumbline_core::JointVec;
-use plumbline_model::BaseKind;
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
 use plumbline_model::term::Motion;
+use plumbline_model::{BaseKind, Mounting, Robot};
 use std::path::{Path, PathBuf};
 
 fn table3() -> ModelFile {

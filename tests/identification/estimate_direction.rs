@@ -4,10 +4,8 @@ use nalgebra::Vector3;
 use plumbline::store::ModelFile;
 use plumbline_core::JointVec;
 use plumbline_identify::{Direction, DirectionError, Pose, direction, wrong_sign};
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
-use plumbline_model::TorqueModel;
 use plumbline_model::term::Sample;
+use plumbline_model::{Mounting, Robot, TorqueModel};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

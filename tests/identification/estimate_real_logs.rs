@@ -5,14 +5,9 @@
 //! package) and say so when they are not there.
 
 use nalgebra::DMatrix;
-use plumbline_identify::Run;
 use plumbline_identify::solve::{Identification, identify};
-use plumbline_identify::{Experiment, Settings};
-use plumbline_identify::{Rms, validate_parameters};
-use plumbline_model::Mounting;
-use plumbline_model::Reduction;
-use plumbline_model::Structure;
-use plumbline_model::{Chain, Joint, JointKind, Placement};
+use plumbline_identify::{Experiment, Rms, Run, Settings, validate_parameters};
+use plumbline_model::{Chain, Joint, JointKind, Mounting, Placement, Reduction, Structure};
 use plumbline_testkit::logs;
 use std::f64::consts::FRAC_PI_2;
 use std::path::PathBuf;

@@ -2,18 +2,11 @@
 
 use plumbline::store::ModelFile;
 use plumbline_core::{Limits, MAX_JOINTS};
-use plumbline_excite::Criterion;
-use plumbline_excite::ExciteError;
-use plumbline_excite::Grid;
-use plumbline_excite::Nominal;
-use plumbline_excite::optimise;
-use plumbline_excite::{Bounds, Margins, Quantity};
-use plumbline_excite::{Objective, Sharpness};
-use plumbline_excite::{Problem, Progress, Search, Watch, conditions_together, random_plan, search_verdict};
-use plumbline_model::Mounting;
-use plumbline_model::Reduction;
-use plumbline_model::Robot;
-use plumbline_model::Structure;
+use plumbline_excite::{
+    Bounds, Criterion, ExciteError, Grid, Margins, Nominal, Objective, Problem, Progress, Quantity, Search, Sharpness,
+    Watch, conditions_together, optimise, random_plan, search_verdict,
+};
+use plumbline_model::{Mounting, Reduction, Robot, Structure};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::Path;

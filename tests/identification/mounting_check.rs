@@ -3,12 +3,9 @@
 use nalgebra::Vector3;
 use plumbline::store::ModelFile;
 use plumbline_core::JointVec;
-use plumbline_identify::Pose;
-use plumbline_identify::{Disagreement, Side, cross_check, implied};
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
-use plumbline_model::TorqueModel;
+use plumbline_identify::{Disagreement, Pose, Side, cross_check, implied};
 use plumbline_model::term::Sample;
+use plumbline_model::{Mounting, Robot, TorqueModel};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -1,9 +1,7 @@
 //! The paper, reproduced: its tables and figures in simulation, and docs/results/paper.md, which shows them.
 
 use plumbline_identify::Settings;
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
-use plumbline_model::rnea;
+use plumbline_model::{Mounting, Robot, rnea};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::Path;

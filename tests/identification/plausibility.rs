@@ -4,10 +4,8 @@ use nalgebra::Vector3;
 use plumbline::store::ModelFile;
 use plumbline_core::{JointVec, Limits, Record};
 use plumbline_identify::{Implausible, plausible};
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
-use plumbline_model::TorqueModel;
 use plumbline_model::term::Sample;
+use plumbline_model::{Mounting, Robot, TorqueModel};
 use std::path::Path;
 
 const READY: JointVec = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785, 0.0];

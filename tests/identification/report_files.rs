@@ -3,15 +3,10 @@
 use plumbline::report::figures::{PlanFigure, TorqueFigure};
 use plumbline::report::*;
 use plumbline::store::ModelFile;
-use plumbline_core::Distribution;
-use plumbline_core::Workspace;
+use plumbline_core::{Distribution, Workspace};
 use plumbline_ipc::{Gravity, Link, MotionGravity, Session};
-use plumbline_model::Mounting;
-use plumbline_model::Reduction;
-use plumbline_model::Robot;
-use plumbline_model::Structure;
-use plumbline_model::TorqueModel;
 use plumbline_model::term::effect::{Site, Spec};
+use plumbline_model::{Mounting, Reduction, Robot, Structure, TorqueModel};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::{Path, PathBuf};

@@ -3,17 +3,9 @@
 use nalgebra::Vector3;
 use plumbline::store::*;
 use plumbline_core::BadInput;
-use plumbline_excite::Margins;
-use plumbline_excite::{Constraints, Plan, PlanUsage};
-use plumbline_excite::{parse_plan, plan_text};
-use plumbline_model::Chain;
-use plumbline_model::Conditions;
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
-use plumbline_model::Structure;
-use plumbline_model::TorqueModel;
+use plumbline_excite::{Constraints, Margins, Plan, PlanUsage, parse_plan, plan_text};
 use plumbline_model::term::Sample;
-use plumbline_model::{BaseKind, Reduction};
+use plumbline_model::{BaseKind, Chain, Conditions, Mounting, Reduction, Robot, Structure, TorqueModel};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

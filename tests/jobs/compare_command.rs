@@ -2,8 +2,7 @@
 
 use plumbline::dataset::{Dataset, Role, Run};
 use plumbline::report::Report;
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
+use plumbline_model::{Mounting, Robot};
 use plumbline_sim::Truth;
 use plumbline_testkit::scene::lab::{Noise, period, plans};
 use std::path::Path;

@@ -3,9 +3,7 @@
 use plumbline::dataset::{Dataset, Role, Run};
 use plumbline::store::{ModelFile, Provenance};
 use plumbline_ipc::Progress;
-use plumbline_model::Reduction;
-use plumbline_model::Structure;
-use plumbline_model::TorqueModel;
+use plumbline_model::{Reduction, Structure, TorqueModel};
 use plumbline_testkit::job::*;
 use plumbline_testkit::scene::Scene;
 use std::path::{Path, PathBuf};

@@ -1,8 +1,7 @@
 //! `plumbline plan`: several motions that differ, a nominal model, ctrl-C, and a job whose plan leads the arm into itself.
 
 use plumbline::store::load_plan;
-use plumbline_excite::Plan;
-use plumbline_excite::plan_text;
+use plumbline_excite::{Plan, plan_text};
 use plumbline_testkit::job::*;
 use std::path::Path;
 use std::process::Command;

@@ -2,9 +2,8 @@
 
 use nalgebra::DMatrix;
 use plumbline::store::ModelFile;
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
 use plumbline_model::term::Motion;
+use plumbline_model::{Mounting, Robot};
 use plumbline_testkit::job::*;
 use plumbline_testkit::logs;
 use rand::{Rng, SeedableRng};

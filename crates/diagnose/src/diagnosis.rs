@@ -15,14 +15,11 @@ use super::select::{Search, Selected, Step};
 use super::state::{State, every};
 use super::unseen::{Unseen, columns_of};
 use nalgebra::DVector;
-use plumbline_identify::EstimateError;
-use plumbline_identify::Experiment;
-use plumbline_identify::solve;
 use plumbline_identify::solve::identify_with;
+use plumbline_identify::{EstimateError, Experiment, solve};
 use plumbline_model::Structure;
-use plumbline_model::term::effect;
 use plumbline_model::term::effect::Ground;
-use plumbline_model::term::torque_offset;
+use plumbline_model::term::{effect, torque_offset};
 
 /// What is diagnosed.
 pub struct Input<'a> {

@@ -1,8 +1,7 @@
 //! Errors of two models on runs that neither was fitted to, with intervals from a block bootstrap.
 
 use nalgebra::DMatrix;
-use plumbline_identify::Experiment;
-use plumbline_identify::Modelled;
+use plumbline_identify::{Experiment, Modelled};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

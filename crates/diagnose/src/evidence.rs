@@ -9,9 +9,8 @@
 use super::fold::{BLOCK, Fold, Thinned, Thinning, folds_of};
 use nalgebra::{DMatrix, DVector};
 use plumbline_identify::Experiment;
-use plumbline_model::Chain;
-use plumbline_model::Structure;
 use plumbline_model::term::{Motion, Term};
+use plumbline_model::{Chain, Structure};
 use std::ops::Range;
 
 /// Upper edges of the bands that have a scale of their own \[Hz\].

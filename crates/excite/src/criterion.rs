@@ -4,9 +4,8 @@ use super::ExciteError;
 use super::fourier::Fourier;
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::singular_values;
-use plumbline_model::Structure;
 use plumbline_model::term::Motion;
-use plumbline_model::{Conditions, conditions, dependent_columns, friction_columns};
+use plumbline_model::{Conditions, Structure, conditions, dependent_columns, friction_columns};
 use serde::{Deserialize, Serialize};
 
 /// What a search makes small.

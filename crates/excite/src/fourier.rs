@@ -2,8 +2,7 @@
 
 use super::ExciteError;
 use nalgebra::DMatrix;
-use plumbline_core::Reference;
-use plumbline_core::{JointVec, MAX_JOINTS, Setpoint};
+use plumbline_core::{JointVec, MAX_JOINTS, Reference, Setpoint};
 use std::f64::consts::PI;
 use std::num::NonZeroU64;
 

@@ -2,8 +2,7 @@
 
 use super::fourier::Fourier;
 use plumbline_core::{JointVec, Limits, MAX_JOINTS, SpeedEnvelope, Workspace};
-use plumbline_model::Chain;
-use plumbline_model::{FIRST_BOXED, Shape, nearest};
+use plumbline_model::{Chain, FIRST_BOXED, Shape, nearest};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -336,9 +335,7 @@ pub fn verify(bounds: &Bounds, fourier: &Fourier, torque: Option<NominalTorque>)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use plumbline_model::Capsule;
-    use plumbline_model::Robot;
-    use plumbline_model::{Joint, JointKind, Placement};
+    use plumbline_model::{Capsule, Joint, JointKind, Placement, Robot};
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 

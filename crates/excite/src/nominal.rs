@@ -3,13 +3,9 @@
 use super::ExciteError;
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS};
-use plumbline_model::Chain;
-use plumbline_model::LINK_COLUMNS;
-use plumbline_model::TorqueModel;
-use plumbline_model::term::friction;
 use plumbline_model::term::friction::SHARPNESS;
-use plumbline_model::term::{payload, rigid_body, rotor_inertia, torque_offset};
-use plumbline_model::{LinkParameters, rnea};
+use plumbline_model::term::{friction, payload, rigid_body, rotor_inertia, torque_offset};
+use plumbline_model::{Chain, LINK_COLUMNS, LinkParameters, TorqueModel, rnea};
 
 /// Rigid body, friction, offsets and rotors of an arm.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -100,11 +96,9 @@ impl Nominal {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use plumbline_model::Reduction;
-    use plumbline_model::Structure;
     use plumbline_model::term::Sample;
     use plumbline_model::term::effect::{Site, Spec};
-    use plumbline_model::{Joint, JointKind, Placement};
+    use plumbline_model::{Joint, JointKind, Placement, Reduction, Structure};
 
     #[test]
     fn it_is_the_model() {

@@ -6,8 +6,7 @@ use super::limits::{Bounds, Margins};
 use super::usage::Usage;
 use nalgebra::DMatrix;
 use plumbline_core::{BadInput, Workspace, from_toml};
-use plumbline_model::Conditions;
-use plumbline_model::Mounting;
+use plumbline_model::{Conditions, Mounting};
 use serde::{Deserialize, Serialize};
 
 /// The plan file's content.

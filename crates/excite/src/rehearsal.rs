@@ -3,11 +3,8 @@
 
 use super::fourier::Fourier;
 use super::limits::{Bounds, Peak, Quantity, VERIFY_RATE};
-use plumbline_core::PERIOD;
-use plumbline_core::{Command, JointVec, MAX_JOINTS, Setpoint, State};
-use plumbline_rt::Asked;
-use plumbline_rt::MoveFactors;
-use plumbline_rt::{Guard, GuardSettings, Limit, Violation};
+use plumbline_core::{Command, JointVec, MAX_JOINTS, PERIOD, Setpoint, State};
+use plumbline_rt::{Asked, Guard, GuardSettings, Limit, MoveFactors, Violation};
 
 /// One period of a motion, from rest: the first rule of the guard that it breaks.
 pub fn rehearse(bounds: &Bounds, fourier: &Fourier) -> Option<Peak> {

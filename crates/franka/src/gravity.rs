@@ -177,8 +177,7 @@ fn angle(a: &[f64; 3], b: &[f64; 3]) -> f64 {
 mod tests {
     use super::*;
     use nalgebra::Vector3;
-    use plumbline_model::Mounting;
-    use plumbline_model::Robot;
+    use plumbline_model::{Mounting, Robot};
 
     const Q: [f64; 7] = [0.4, -0.3, 0.7, -1.9, 0.2, 1.6, 0.5];
 

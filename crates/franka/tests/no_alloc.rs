@@ -1,8 +1,7 @@
 //! An arm allocates nothing between its construction and its end.
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc, violation_count};
-use plumbline_core::Backend;
-use plumbline_core::{Setpoint, State};
+use plumbline_core::{Backend, Setpoint, State};
 use plumbline_franka::wire::Protocol;
 use plumbline_franka::{Interface, Purpose, RobotKind, Settings, connect, explain};
 use plumbline_sim::{Gate, Pace, Truth};

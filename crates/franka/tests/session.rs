@@ -2,15 +2,12 @@
 //! networks and with people, each ended or overcome as it should be.
 
 use nalgebra::Vector3;
-use plumbline_core::{Backend, Fault, FeedForward};
-use plumbline_core::{Command, JointVec, Setpoint, State, Torque};
+use plumbline_core::{Backend, Command, Fault, FeedForward, JointVec, Setpoint, State, Torque};
 use plumbline_franka::wire::{ErrorBit, MoveStatus, Protocol, RobotMode};
 use plumbline_franka::{
     ConnectError, Connection, FrankaArm, Interface, REFLEX_MODE, RobotKind, Settings, Source, connect, explain, recover,
 };
-use plumbline_model::Chain;
-use plumbline_model::Mounting;
-use plumbline_model::{LinkParameters, rnea};
+use plumbline_model::{Chain, LinkParameters, Mounting, rnea};
 use plumbline_rt::cycle::End;
 use plumbline_sim::Truth;
 use plumbline_testkit::conformance::conformance;

@@ -11,11 +11,9 @@
 //! it was declared to stand, a payload that nobody declared: all of them show here, and nothing has to move for it.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
-use plumbline_core::JointVec;
-use plumbline_core::symmetric_eigen;
-use plumbline_model::TorqueModel;
+use plumbline_core::{JointVec, symmetric_eigen};
 use plumbline_model::term::Sample;
-use plumbline_model::{G, Mounting};
+use plumbline_model::{G, Mounting, TorqueModel};
 
 /// An arm at rest.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -7,9 +7,8 @@
 use super::direction::{Direction, DirectionError, Pose, direction, wrong_sign};
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS};
-use plumbline_model::TorqueModel;
 use plumbline_model::term::Sample;
-use plumbline_model::{G, Mounting};
+use plumbline_model::{G, Mounting, TorqueModel};
 
 /// How many standard deviations are allowed for on top of the tolerance.
 const SPREAD: f64 = 2.0;

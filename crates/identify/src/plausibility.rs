@@ -2,9 +2,8 @@
 
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, Limits, MAX_JOINTS, Record};
-use plumbline_model::G;
-use plumbline_model::TorqueModel;
 use plumbline_model::term::Sample;
+use plumbline_model::{G, TorqueModel};
 
 /// Poses between the position limits at which the arm's inertia is looked for.
 const POSES: u32 = 16;

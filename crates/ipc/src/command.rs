@@ -6,8 +6,7 @@
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::error::IpcError;
-use plumbline_core::Distribution;
-use plumbline_core::Phase;
+use plumbline_core::{Distribution, Phase};
 
 /// Longest request. A model file of 1 MiB fits in even when every second character needs an escape.
 pub const MAX_REQUEST_BYTES: usize = 2 << 20;

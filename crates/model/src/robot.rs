@@ -3,8 +3,7 @@
 use crate::chain::{Chain, Joint, JointKind, Placement, StandardDh};
 use crate::shape::{Capsule, Shape};
 use nalgebra::{Rotation3, Vector3};
-use plumbline_core::{BadInput, from_toml};
-use plumbline_core::{JointVec, Limits, MAX_JOINTS, SpeedEnvelope, Workspace};
+use plumbline_core::{BadInput, JointVec, Limits, MAX_JOINTS, SpeedEnvelope, Workspace, from_toml};
 use serde::Deserialize;
 use std::f64::consts::FRAC_PI_2;
 use std::path::Path;

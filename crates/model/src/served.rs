@@ -4,8 +4,7 @@ use crate::chain::Chain;
 use crate::term::Sample;
 use crate::torque::{Evaluator, TorqueModel};
 use nalgebra::Vector3;
-use plumbline_core::{FeedForward, Kinematics};
-use plumbline_core::{JointVec, Setpoint, Torque};
+use plumbline_core::{FeedForward, JointVec, Kinematics, Setpoint, Torque};
 
 /// An identified model, ready for the gravity that acts and for the one that the arm's own controller compensates.
 pub struct ServedModel {

@@ -4,8 +4,7 @@
 //! from the setpoint that they began at, and the guard differences three positions. So a checkpoint can be had from any four cycles in a row.
 
 use super::torque::Succession;
-use plumbline_core::{FeedForward, Reference};
-use plumbline_core::{JointVec, Phase, Record, Setpoint};
+use plumbline_core::{FeedForward, JointVec, Phase, Record, Reference, Setpoint};
 
 /// What a loop is in the middle of.
 pub enum Doing {

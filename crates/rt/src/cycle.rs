@@ -22,8 +22,9 @@ use super::settings::{CycleSettings, SetupError};
 use super::stats::{NotForward, Summary, Tally};
 use super::torque::{Answer, TorqueSource, Torques};
 use assert_no_alloc::{assert_no_alloc, reset_violation_count, violation_count};
-use plumbline_core::{Backend, Fault, Kinematics, Reference, Sink};
-use plumbline_core::{Command, JointVec, MAX_JOINTS, Record, State, Validity};
+use plumbline_core::{
+    Backend, Command, Fault, JointVec, Kinematics, MAX_JOINTS, Record, Reference, Sink, State, Validity,
+};
 
 /// How the loop ended.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]

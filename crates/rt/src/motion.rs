@@ -3,8 +3,7 @@
 use super::checkpoint;
 use super::moves::{NoMotion, Planner};
 use super::order::{Order, OrderKind, StopReason};
-use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record, Setpoint};
-use plumbline_core::{LONGEST_ALONE, PERIOD, Reference};
+use plumbline_core::{JointVec, LONGEST_ALONE, MAX_JOINTS, PERIOD, Phase, Record, Reference, Setpoint};
 
 /// A reference may start this far from where the arm rests \[rad\]; more would be a step that no arm can follow.
 const START_TOLERANCE: f64 = 1e-6;

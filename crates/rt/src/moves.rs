@@ -3,8 +3,7 @@
 //! Planning happens inside a cycle: it takes microseconds and allocates nothing as long as the input is sound, so the input is
 //! checked here first.
 
-use plumbline_core::PERIOD;
-use plumbline_core::{JointVec, Limits, MAX_JOINTS, Setpoint};
+use plumbline_core::{JointVec, Limits, MAX_JOINTS, PERIOD, Setpoint};
 use rsruckig::brake::stop_distance_third_order;
 use rsruckig::prelude::{
     ControlInterface, InputParameter, Profile, Ruckig, RuckigResult, Synchronization, ThrowErrorHandler, Trajectory,

@@ -7,8 +7,7 @@ pub use super::controls::Controls;
 
 use super::guard::Violation;
 use super::rights::Granted;
-use plumbline_core::{FeedForward, Reference};
-use plumbline_core::{JointVec, Phase};
+use plumbline_core::{FeedForward, JointVec, Phase, Reference};
 use rtrb::{Consumer, Producer, PushError};
 use std::sync::{Arc, OnceLock};
 

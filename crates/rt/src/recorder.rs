@@ -1,7 +1,6 @@
 //! Where records go: a lock-free ring to the bridge thread, and a flight recorder of the last cycles.
 
-use plumbline_core::Record;
-use plumbline_core::Sink;
+use plumbline_core::{Record, Sink};
 use rtrb::{Consumer, Producer, RingBuffer};
 
 /// A ring for `capacity` records: the loop's end and the bridge thread's end.

@@ -1,8 +1,6 @@
 //! Deadline statistics of the loop, in memory that is allocated before it starts.
 
-use plumbline_core::PERIOD_NS;
-use plumbline_core::Record;
-use plumbline_core::{Distribution, Histogram};
+use plumbline_core::{Distribution, Histogram, PERIOD_NS, Record};
 
 /// What the loop did and how well it kept its time.
 ///

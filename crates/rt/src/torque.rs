@@ -6,9 +6,7 @@
 //! - While the arm brakes the torque follows the model within the whole rate limit: a stop within the jerk limit may ask for more.
 
 use super::order::Retired;
-use plumbline_core::FeedForward;
-use plumbline_core::PERIOD;
-use plumbline_core::{JointVec, MAX_JOINTS, Setpoint, Torque, Validity};
+use plumbline_core::{FeedForward, JointVec, MAX_JOINTS, PERIOD, Setpoint, Torque, Validity};
 use rtrb::{Producer, PushError};
 
 /// Share of the torque-rate limit that a hand-over uses.

@@ -1,13 +1,10 @@
 //! The loop as a whole on a perfect arm: order of motions, models, stops, lost states, faults, and not one allocation.
 
-use plumbline_core::{Backend, Fault, PERIOD_NS, Reference};
-use plumbline_core::{Command, JointVec, Phase, Setpoint, State, Validity};
-use plumbline_rt::cycle;
+use plumbline_core::{Backend, Command, Fault, JointVec, PERIOD_NS, Phase, Reference, Setpoint, State, Validity};
 use plumbline_rt::cycle::End;
 use plumbline_rt::os::{now_ns, sleep_until};
 use plumbline_rt::recorder::ring;
-use plumbline_rt::{CycleSettings, SetupError};
-use plumbline_rt::{Event, StopReason};
+use plumbline_rt::{CycleSettings, Event, SetupError, StopReason, cycle};
 use plumbline_testkit::fake_arm::drive::{Job, Model, READY, Run, Shape, Wave, dwell, follow, move_to, panda_limits};
 use plumbline_testkit::fake_arm::{FakeArm, Trick};
 

@@ -1,10 +1,8 @@
 //! Every limit of the guard, crossed on purpose: the command is not sent, and the arm comes to rest inside the limits.
 
-use plumbline_core::Reference;
-use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record, Setpoint, SpeedEnvelope, Validity, Workspace};
+use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record, Reference, Setpoint, SpeedEnvelope, Validity, Workspace};
 use plumbline_rt::cycle::End;
-use plumbline_rt::{Event, StopReason};
-use plumbline_rt::{Limit, Violation};
+use plumbline_rt::{Event, Limit, StopReason, Violation};
 use plumbline_testkit::fake_arm::drive::{Job, Model, READY, Run, Shape, Tool, Wave, follow, move_to, panda_limits};
 use plumbline_testkit::fake_arm::{FakeArm, Trick};
 use rand::{Rng, SeedableRng};

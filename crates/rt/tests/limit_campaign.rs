@@ -1,11 +1,9 @@
 //! Every limit of the guard, crossed on purpose in every phase: the arm comes to rest, or is stopped by its own means, and nothing that was
 //! sent crossed the arm's limits. `hil/limits/run.sh` writes the table of the margins to docs/results/campaigns.md.
 
-use plumbline_core::Reference;
-use plumbline_core::{JointVec, Limits, MAX_JOINTS, Phase, Setpoint, Workspace};
-use plumbline_rt::Limit;
+use plumbline_core::{JointVec, Limits, MAX_JOINTS, Phase, Reference, Setpoint, Workspace};
 use plumbline_rt::cycle::End;
-use plumbline_rt::{Order, OrderKind, StopReason};
+use plumbline_rt::{Limit, Order, OrderKind, StopReason};
 use plumbline_testkit::fake_arm::Trick;
 use plumbline_testkit::fake_arm::drive::{
     Job, Model, READY, Run, Shape, Tool, Wave, dwell, follow, move_to, panda_limits,

@@ -1,11 +1,8 @@
 //! The served torque in the loop: hand-overs between models, models that break a limit, models that are withdrawn. Never a jump.
 
-use plumbline_core::FeedForward;
-use plumbline_core::{Command, JointVec, MAX_JOINTS, Phase, Record, Setpoint, State, Torque, Validity};
+use plumbline_core::{Command, FeedForward, JointVec, MAX_JOINTS, Phase, Record, Setpoint, State, Torque, Validity};
 use plumbline_rt::cycle::End;
-use plumbline_rt::{Asked, Torques};
-use plumbline_rt::{Event, Handles, StopReason};
-use plumbline_rt::{Guard, Limit, Violation};
+use plumbline_rt::{Asked, Event, Guard, Handles, Limit, StopReason, Torques, Violation};
 use plumbline_testkit::fake_arm::drive::{Job, READY, Run, Wave, follow, panda_limits};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -135,8 +135,7 @@ mod tests {
     use super::super::spatial::Inertia;
     use super::*;
     use nalgebra::Matrix3;
-    use plumbline_model::{Chain, Joint};
-    use plumbline_model::{LinkParameters, rnea};
+    use plumbline_model::{Chain, Joint, LinkParameters, rnea};
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 

@@ -7,8 +7,7 @@ use super::sensors::{Faults, Sensors};
 use super::truth::Truth;
 use super::{SimError, check};
 use plumbline_core::JointVec;
-use plumbline_model::Chain;
-use plumbline_model::Mounting;
+use plumbline_model::{Chain, Mounting};
 
 /// What the sensors say at the end of a millisecond.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -111,10 +110,8 @@ impl Hardware {
 mod tests {
     use super::super::{Gate, Pace, SimArm};
     use super::*;
-    use plumbline_core::Backend;
-    use plumbline_core::{Command, Setpoint};
-    use plumbline_model::rnea;
-    use plumbline_model::{Joint, JointKind, Placement};
+    use plumbline_core::{Backend, Command, Setpoint};
+    use plumbline_model::{Joint, JointKind, Placement, rnea};
     use std::sync::Arc;
 
     const START: JointVec = [0.3, -0.4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];

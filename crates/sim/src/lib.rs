@@ -56,12 +56,8 @@ use commands::{Commands, Objection, TICK};
 use effect::Effect;
 use nalgebra::Vector3;
 use plant::{MAX_STATES, Plant};
-use plumbline_core::BadInput;
-use plumbline_core::Clock;
-use plumbline_core::{Backend, Fault, LONGEST_ALONE};
-use plumbline_core::{Command, JointVec, State};
-use plumbline_model::Chain;
-use plumbline_model::Mounting;
+use plumbline_core::{Backend, BadInput, Clock, Command, Fault, JointVec, LONGEST_ALONE, State};
+use plumbline_model::{Chain, Mounting};
 use sensors::{Faults, Losses, Sensors};
 use std::sync::Arc;
 

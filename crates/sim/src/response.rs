@@ -9,10 +9,8 @@ use super::plant::Plant;
 use super::sensors::{Faults, Losses, Sensors};
 use super::truth::Truth;
 use super::{SimError, check};
-use plumbline_core::Reference;
-use plumbline_core::{JointVec, State};
-use plumbline_model::Chain;
-use plumbline_model::Mounting;
+use plumbline_core::{JointVec, Reference, State};
+use plumbline_model::{Chain, Mounting};
 
 /// How long the arm follows the motion before the first period, for its transients to die away \[ms\].
 pub const LEAD: u64 = 1000;
@@ -104,8 +102,7 @@ impl Response {
 mod tests {
     use super::super::{Gate, Pace, SimArm};
     use super::*;
-    use plumbline_core::Backend;
-    use plumbline_core::{Command, Setpoint};
+    use plumbline_core::{Backend, Command, Setpoint};
     use plumbline_model::{Joint, JointKind, Placement};
     use std::f64::consts::TAU;
     use std::sync::Arc;

@@ -3,9 +3,7 @@
 use super::effect::{Effect, EffectSpec};
 use super::spatial::Inertia;
 use nalgebra::{Matrix3, Vector3};
-use plumbline_core::MAX_JOINTS;
-use plumbline_core::symmetric_eigen;
-use plumbline_core::{BadInput, from_toml};
+use plumbline_core::{BadInput, MAX_JOINTS, from_toml, symmetric_eigen};
 use plumbline_model::LinkParameters;
 use serde::Deserialize;
 

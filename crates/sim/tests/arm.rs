@@ -2,16 +2,10 @@
 //! and it can be repeated bit by bit.
 
 use nalgebra::DVector;
-use plumbline_core::Clock;
-use plumbline_core::{Backend, Fault};
-use plumbline_core::{MAX_JOINTS, Setpoint, State};
-use plumbline_model::Mounting;
-use plumbline_model::Reduction;
-use plumbline_model::rnea;
-use plumbline_model::{Chain, Joint, JointKind, Placement};
-use plumbline_sim::Truth;
+use plumbline_core::{Backend, Clock, Fault, MAX_JOINTS, Setpoint, State};
+use plumbline_model::{Chain, Joint, JointKind, Mounting, Placement, Reduction, rnea};
 use plumbline_sim::{
-    Exact, Gate, Pace, REFLEX_COMMUNICATION, REFUSED_JUMP, REFUSED_NOT_FINITE, REFUSED_STOPPED, SimArm, SimError,
+    Exact, Gate, Pace, REFLEX_COMMUNICATION, REFUSED_JUMP, REFUSED_NOT_FINITE, REFUSED_STOPPED, SimArm, SimError, Truth,
 };
 use plumbline_testkit::sim::{READY, TestClock, arm_file, command, excitation, panda, silent_panda, sim};
 use std::f64::consts::FRAC_PI_2;

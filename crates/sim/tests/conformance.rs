@@ -1,7 +1,6 @@
 //! Every arm keeps the promises of the trait, and the suite that says so can fail.
 
-use plumbline_core::{Backend, Fault};
-use plumbline_core::{Command, State};
+use plumbline_core::{Backend, Command, Fault, State};
 use plumbline_sim::{Gate, Pace};
 use plumbline_testkit::conformance::conformance;
 use plumbline_testkit::sim::{READY, TestClock, arm_file, sim};

@@ -1,10 +1,7 @@
 //! Arms and random states for the tests of the model.
 
 use nalgebra::{DVector, Vector3};
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
-use plumbline_model::{Chain, Joint, JointKind, Placement};
-use plumbline_model::{LinkParameters, rnea};
+use plumbline_model::{Chain, Joint, JointKind, LinkParameters, Mounting, Placement, Robot, rnea};
 use rand::Rng;
 use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;

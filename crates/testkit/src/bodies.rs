@@ -3,15 +3,9 @@
 use nalgebra::{DVector, Matrix3, Rotation3, Vector3};
 use plumbline_core::{MAX_JOINTS, Torque};
 use plumbline_identify::consistency::{Nearest, Prior, Uncertainty, nearest};
-use plumbline_model::Body;
-use plumbline_model::LinkParameters;
-use plumbline_model::Mounting;
-use plumbline_model::Reduction;
-use plumbline_model::Robot;
-use plumbline_model::Structure;
-use plumbline_model::TorqueModel;
 use plumbline_model::term::Sample;
 use plumbline_model::term::effect::Spec;
+use plumbline_model::{Body, LinkParameters, Mounting, Reduction, Robot, Structure, TorqueModel};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;

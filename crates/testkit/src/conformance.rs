@@ -3,8 +3,7 @@
 //! `make` connects a fresh arm at rest; it is called several times, each arm is dropped before the next is made. A broken promise panics
 //! and says which. The arm moves by a few hundredths of a radian about where it stands. At 1 kHz the suite takes about three seconds.
 
-use plumbline_core::{Backend, Fault, LONGEST_ALONE};
-use plumbline_core::{Command, JointVec, Setpoint, State};
+use plumbline_core::{Backend, Command, Fault, JointVec, LONGEST_ALONE, Setpoint, State};
 
 /// How far an arm that holds still may be off \[rad\].
 const HOLD: f64 = 2e-3;

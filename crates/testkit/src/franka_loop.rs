@@ -1,17 +1,12 @@
 //! The whole loop on a Franka arm over real sockets: to the start of an excitation, through one period of it, and to an orderly end.
 
-use plumbline_core::FeedForward;
-use plumbline_core::{JointVec, Phase, Record};
-use plumbline_excite::parse_plan;
-use plumbline_excite::{Fourier, PeriodicMotion};
+use plumbline_core::{FeedForward, JointVec, Phase, Record};
+use plumbline_excite::{Fourier, PeriodicMotion, parse_plan};
 use plumbline_franka::{ConnectError, Connection, FrankaArm, Settings, Statistics, connect, explain, recover};
-use plumbline_rt::CycleSettings;
-use plumbline_rt::GuardSettings;
-use plumbline_rt::cycle;
 use plumbline_rt::cycle::{End, Outcome};
 use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::ring;
-use plumbline_rt::{Event, Order, OrderKind, StopReason, Told};
+use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, StopReason, Told, cycle};
 use std::path::Path;
 use std::time::{Duration, Instant};
 

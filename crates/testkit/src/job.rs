@@ -12,8 +12,7 @@ use std::time::{Duration, Instant};
 use nalgebra::DVector;
 use plumbline::report::Report;
 use plumbline_ipc::Status;
-use plumbline_model::Reduction;
-use plumbline_model::Robot;
+use plumbline_model::{Reduction, Robot};
 use plumbline_sim::Truth;
 use tempfile::TempDir;
 

@@ -1,10 +1,7 @@
 //! What the tests of the simulated arm share.
 
-use plumbline_core::Clock;
-use plumbline_core::{Command, JointVec, MAX_JOINTS, Setpoint};
-use plumbline_model::Chain;
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
+use plumbline_core::{Clock, Command, JointVec, MAX_JOINTS, Setpoint};
+use plumbline_model::{Chain, Mounting, Robot};
 use plumbline_sim::{Pace, SimArm, Truth};
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::time::{Duration, Instant};

@@ -3,8 +3,7 @@
 use plumbline_core::{FeedForward, Kinematics, Reference};
 use plumbline_excite::PeriodicMotion;
 use plumbline_franka::FrankaArm;
-use plumbline_model::{NoModel, Reach, ServedModel};
-use plumbline_model::term;
+use plumbline_model::{NoModel, Reach, ServedModel, term};
 use plumbline_rt::cycle::Cycle;
 use plumbline_rt::recorder::RingSink;
 use std::hint::black_box;

@@ -1,12 +1,9 @@
 //! Ranges of a job's values, and the limits that come out of it for one robot.
 
 use super::{BackendKind, Franka, Job, Limits, OwnLimits, Workspace};
-use plumbline_core::BadInput;
-use plumbline_core::LONGEST_ALONE;
-use plumbline_core::{JointVec, MAX_JOINTS};
+use plumbline_core::{BadInput, JointVec, LONGEST_ALONE, MAX_JOINTS};
 use plumbline_excite::Margins;
-use plumbline_identify::Settings;
-use plumbline_identify::solve;
+use plumbline_identify::{Settings, solve};
 
 /// Checks every range.
 pub(super) fn check(job: &Job) -> Result<(), BadInput> {

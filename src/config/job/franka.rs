@@ -2,8 +2,7 @@
 
 use crate::config::units;
 use nalgebra::Matrix3;
-use plumbline_core::BadInput;
-use plumbline_core::symmetric_eigen;
+use plumbline_core::{BadInput, symmetric_eigen};
 use plumbline_franka::{Controller, Interface, RobotKind, TorqueControl};
 use plumbline_model::Mounting;
 use serde::de::value::SeqAccessDeserializer;

@@ -1,17 +1,13 @@
 use super::super::logged::logged;
 use super::*;
-use plumbline_core::{Backend, Fault};
-use plumbline_core::{Command, MAX_JOINTS, Phase, State};
+use plumbline_core::{Backend, Command, Fault, MAX_JOINTS, Phase, State};
 use plumbline_ipc::Ticket;
 use plumbline_model::term::Sample;
 
-use plumbline_rt::CycleSettings;
-use plumbline_rt::Handles;
-use plumbline_rt::Succession;
 use plumbline_rt::cycle::Cycle;
 use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::{RingSink, ring};
-use plumbline_rt::{GuardSettings, Limit, Violation};
+use plumbline_rt::{CycleSettings, GuardSettings, Handles, Limit, Succession, Violation};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 

@@ -12,15 +12,11 @@ use crate::recording::about::{About, FORMAT, Given, Handed, LogClock, Reason, Se
 use crate::recording::history::History;
 use deck::{Deck, work};
 use folder::Folder;
-use plumbline_core::BadInput;
-use plumbline_core::Fault;
-use plumbline_core::{Record, State};
+use plumbline_core::{BadInput, Fault, Record, State};
 use plumbline_ipc::RobotId;
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
-use plumbline_rt::CycleSettings;
+use plumbline_model::{Mounting, Robot};
 use plumbline_rt::cycle::{End, Outcome};
-use plumbline_rt::{Controls, Told};
+use plumbline_rt::{Controls, CycleSettings, Told};
 use rtrb::{Producer, RingBuffer};
 use sha2::{Digest, Sha256};
 use std::path::Path;

@@ -1,6 +1,5 @@
 use super::*;
-use plumbline_core::Fault;
-use plumbline_core::{Command, JointVec, State};
+use plumbline_core::{Command, Fault, JointVec, State};
 use plumbline_rt::{Order, OrderKind};
 use std::sync::Mutex;
 

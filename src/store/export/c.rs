@@ -6,10 +6,8 @@
 
 use super::emit::{Program, Value, ZERO, expression};
 use super::{Exported, effects, validity};
-use plumbline_model::LINK_COLUMNS;
-use plumbline_model::TorqueModel;
 use plumbline_model::term::{friction, rotor_inertia, torque_offset};
-use plumbline_model::{Joint, JointKind};
+use plumbline_model::{Joint, JointKind, LINK_COLUMNS, TorqueModel};
 
 type Vector = [Value; 3];
 

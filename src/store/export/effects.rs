@@ -2,13 +2,10 @@
 
 use super::emit::{Program, Value, expression};
 use plumbline_identify::consistency::Nearest;
-use plumbline_model::LINK_COLUMNS;
-use plumbline_model::LinkParameters;
-use plumbline_model::TorqueModel;
-use plumbline_model::is_consistent;
 use plumbline_model::term::effect::{Site, Spec, family};
 use plumbline_model::term::friction::SHARPNESS;
 use plumbline_model::term::{Term, payload, presliding};
+use plumbline_model::{LINK_COLUMNS, LinkParameters, TorqueModel, is_consistent};
 use std::collections::BTreeSet;
 
 /// Effects of a model that URDF and MJCF have no place for: all but a payload, which is part of the last link.

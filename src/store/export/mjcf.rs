@@ -3,9 +3,8 @@
 use super::effects;
 use super::{Arm, Exported, attribute, comment, numbers, offsets, placements, validity};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
-use plumbline_model::Body;
 use plumbline_model::term::friction;
-use plumbline_model::{JointKind, Placement};
+use plumbline_model::{Body, JointKind, Placement};
 use std::fmt::Write;
 
 /// The arm as a MuJoCo model with one motor per joint; `gravity` is the gravitational acceleration in the base frame \[m/s2\].

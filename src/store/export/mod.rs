@@ -14,10 +14,8 @@ pub mod urdf;
 use nalgebra::Matrix3;
 use plumbline_core::Limits;
 use plumbline_identify::consistency::Nearest;
-use plumbline_model::BaseKind;
-use plumbline_model::TorqueModel;
 use plumbline_model::term::torque_offset;
-use plumbline_model::{Chain, JointKind, Placement};
+use plumbline_model::{BaseKind, Chain, JointKind, Placement, TorqueModel};
 
 /// Text of a file and what the reader of it has to know.
 #[derive(Clone, Debug, PartialEq)]

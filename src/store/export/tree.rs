@@ -6,8 +6,7 @@
 use super::numbers;
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 use plumbline_core::BadInput;
-use plumbline_model::Body;
-use plumbline_model::{Chain, JointKind, Placement};
+use plumbline_model::{Body, Chain, JointKind, Placement};
 use roxmltree::{Document, Node};
 
 /// Axes of the URDF may lie this far from the arm's: descriptions come with four to six digits \[m, rad\].

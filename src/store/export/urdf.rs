@@ -2,9 +2,8 @@
 
 use super::effects;
 use super::{Arm, Exported, attribute, comment, numbers, offsets, placements, rpy, validity};
-use plumbline_model::Body;
 use plumbline_model::term::{friction, rotor_inertia};
-use plumbline_model::{JointKind, Placement};
+use plumbline_model::{Body, JointKind, Placement};
 use std::fmt::Write;
 
 /// The arm as a robot description: link `base` is fixed, `link1` .. `linkn` are the bodies, `flange` hangs on the last.

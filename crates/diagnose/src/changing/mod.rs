@@ -19,9 +19,8 @@ pub use outlier::Hygiene;
 use super::evidence::Trial;
 use nalgebra::DMatrix;
 use plumbline_core::{parallel, threads};
-use plumbline_identify::Scatter;
 use plumbline_identify::signal::spectral::Spectral;
-use plumbline_identify::{Experiment, LeftOut};
+use plumbline_identify::{Experiment, LeftOut, Scatter};
 use plumbline_model::term::effect::Ground;
 use record::Record;
 

@@ -1,8 +1,7 @@
 //! A payload as a body: from its ten standard parameters to mass, centre of mass and inertia, with errors.
 
 use nalgebra::{DMatrix, DVector};
-use plumbline_model::Body;
-use plumbline_model::Parameter;
+use plumbline_model::{Body, Parameter};
 
 /// A number with its standard deviation, where the data determines it.
 #[derive(Clone, Copy, Debug, PartialEq)]

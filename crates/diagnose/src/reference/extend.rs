@@ -2,10 +2,8 @@
 
 use super::Change;
 use nalgebra::DMatrix;
-use plumbline_model::LINK_COLUMNS;
-use plumbline_model::ModelError;
 use plumbline_model::term::effect::assemble;
-use plumbline_model::{Parameter, TorqueModel};
+use plumbline_model::{LINK_COLUMNS, ModelError, Parameter, TorqueModel};
 
 /// The model with the changes: a payload becomes part of the rigid bodies (`beta + regroup delta`), a change of friction or of an offset
 /// goes into the parameter that the model has for it, everything else is one more term. A tilt is a term, too: the mounting that

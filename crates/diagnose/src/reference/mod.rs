@@ -22,11 +22,9 @@ use super::select::{Found, Scored, Search, Selected, Step};
 use super::state::{State, every, mean_square};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
-use plumbline_model::Structure;
-use plumbline_model::term::Column;
-use plumbline_model::term::effect;
 use plumbline_model::term::effect::{Family, Ground, Spec};
-use plumbline_model::{Parameter, TorqueModel};
+use plumbline_model::term::{Column, effect};
+use plumbline_model::{Parameter, Structure, TorqueModel};
 use std::ops::Range;
 
 /// Kinds of effect that may have come or changed since.

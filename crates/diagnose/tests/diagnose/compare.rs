@@ -1,17 +1,10 @@
 //! What changed since a model was identified, on simulated recordings whose truth is known.
 
-use plumbline_diagnose::Settings;
-use plumbline_diagnose::Trial;
 use plumbline_diagnose::reference::{Change, Changes, between_sessions, changes, extended};
-use plumbline_identify::Experiment;
+use plumbline_diagnose::{Settings, Trial};
 use plumbline_identify::solve::identify;
-use plumbline_identify::validate;
-use plumbline_model::Chain;
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
-use plumbline_model::Structure;
-use plumbline_model::TorqueModel;
-use plumbline_model::{BaseKind, Reduction};
+use plumbline_identify::{Experiment, validate};
+use plumbline_model::{BaseKind, Chain, Mounting, Reduction, Robot, Structure, TorqueModel};
 use plumbline_sim::Truth;
 use plumbline_testkit::scene::lab::{Noise, Period, period, plans};
 use std::sync::OnceLock;

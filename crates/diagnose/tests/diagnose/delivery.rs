@@ -1,14 +1,10 @@
 //! The model that a diagnosis delivers: never worse on unseen runs than the plain one, and with no parameter that physics forbids.
 
 use nalgebra::{DMatrix, DVector};
-use plumbline_diagnose::Outcome;
-use plumbline_diagnose::Settings;
-use plumbline_diagnose::Trial;
 use plumbline_diagnose::errors::Of;
-use plumbline_diagnose::{Input, diagnose};
-use plumbline_identify::Experiment;
-use plumbline_identify::Run;
+use plumbline_diagnose::{Input, Outcome, Settings, Trial, diagnose};
 use plumbline_identify::solve::Options;
+use plumbline_identify::{Experiment, Run};
 use plumbline_model::term::Motion;
 use plumbline_model::term::effect::{Ground, Site, Spec};
 use plumbline_testkit::scene::Scene;

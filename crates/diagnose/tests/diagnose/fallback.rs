@@ -1,19 +1,12 @@
 //! Residuals that no catalogue explains: disturbances added to simulated torques have to be traced to the variables that they are made of.
 
 use nalgebra::DMatrix;
-use plumbline_diagnose::Columns;
-use plumbline_diagnose::Problem;
-use plumbline_diagnose::Settings;
-use plumbline_diagnose::State;
-use plumbline_diagnose::{Evidence, Trial};
-use plumbline_diagnose::{Unexplained, Variable, lack_of_fit, lacks, unexplained};
-use plumbline_identify::Experiment;
-use plumbline_identify::Run;
+use plumbline_diagnose::{
+    Columns, Evidence, Problem, Settings, State, Trial, Unexplained, Variable, lack_of_fit, lacks, unexplained,
+};
 use plumbline_identify::signal::spectral::Spectral;
-use plumbline_model::Chain;
-use plumbline_model::Reduction;
-use plumbline_model::Robot;
-use plumbline_model::Structure;
+use plumbline_identify::{Experiment, Run};
+use plumbline_model::{Chain, Reduction, Robot, Structure};
 use plumbline_sim::Truth;
 use plumbline_testkit::scene;
 use plumbline_testkit::scene::lab::{Noise, Period};

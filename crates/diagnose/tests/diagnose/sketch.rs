@@ -1,12 +1,9 @@
 //! A rough look at an effect that is integrated in time is nearly the careful one.
 
-use plumbline_diagnose::Candidate;
-use plumbline_diagnose::{Evidence, Trial};
+use plumbline_diagnose::{Candidate, Evidence, Trial};
 use plumbline_identify::Experiment;
-use plumbline_model::Mounting;
-use plumbline_model::Reduction;
-use plumbline_model::Structure;
 use plumbline_model::term::effect::{Site, Spec};
+use plumbline_model::{Mounting, Reduction, Structure};
 use plumbline_testkit::diagnosis::trial::Bench;
 use plumbline_testkit::scene::lab::{self, Noise};
 

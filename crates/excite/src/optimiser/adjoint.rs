@@ -13,8 +13,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 use plumbline_core::MAX_JOINTS;
-use plumbline_model::LINK_COLUMNS;
-use plumbline_model::{Chain, Joint, JointKind};
+use plumbline_model::{Chain, Joint, JointKind, LINK_COLUMNS};
 
 type V3 = Vector3<f64>;
 
@@ -315,8 +314,7 @@ impl Pulls {
 mod tests {
     use super::*;
     use nalgebra::DMatrix;
-    use plumbline_model::Placement;
-    use plumbline_model::regressor;
+    use plumbline_model::{Placement, regressor};
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 

@@ -6,9 +6,8 @@
 use super::super::ExciteError;
 use super::adjoint::LinkRow;
 use plumbline_core::MAX_JOINTS;
-use plumbline_model::LINK_COLUMNS;
-use plumbline_model::Structure;
 use plumbline_model::term::{friction, rigid_body, rotor_inertia, torque_offset};
+use plumbline_model::{LINK_COLUMNS, Structure};
 
 /// A column that a joint has in its own row alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -103,9 +102,8 @@ pub type LinkRows = [[LinkRow; MAX_JOINTS]; MAX_JOINTS];
 mod tests {
     use super::*;
     use nalgebra::{DMatrix, Vector3};
-    use plumbline_model::Reduction;
     use plumbline_model::term::Motion;
-    use plumbline_model::{Chain, Joint, JointKind, Placement};
+    use plumbline_model::{Chain, Joint, JointKind, Placement, Reduction};
 
     #[test]
     fn every_column_is_in_the_rows_that_it_is_not_zero_in() {

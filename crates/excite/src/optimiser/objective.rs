@@ -18,8 +18,7 @@ use super::held::Held;
 use super::spectral::surrogate;
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::{JointVec, MAX_JOINTS};
-use plumbline_model::LINK_COLUMNS;
-use plumbline_model::{Capsule, FIRST_BOXED, nearest};
+use plumbline_model::{Capsule, FIRST_BOXED, LINK_COLUMNS, nearest};
 
 /// How sharply the criterion is taken.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,19 +1,11 @@
 //! Random motions of a Panda on a wall: they keep every limit, and say what is wrong with a start pose.
 
 use plumbline_core::{Limits, Workspace};
-use plumbline_excite::ExciteError;
-use plumbline_excite::Nominal;
-use plumbline_excite::Plan;
-use plumbline_excite::optimise;
-use plumbline_excite::{Bounds, Margins};
-use plumbline_excite::{MAX_CONDITION, evaluate, raw_condition, sampled};
-use plumbline_excite::{MIN_USAGE, least_usage, usage};
-use plumbline_excite::{Problem, Search, Watch, random_plan, search_verdict};
-use plumbline_model::Chain;
-use plumbline_model::Mounting;
-use plumbline_model::Reduction;
-use plumbline_model::Robot;
-use plumbline_model::Structure;
+use plumbline_excite::{
+    Bounds, ExciteError, MAX_CONDITION, MIN_USAGE, Margins, Nominal, Plan, Problem, Search, Watch, evaluate,
+    least_usage, optimise, random_plan, raw_condition, sampled, search_verdict, usage,
+};
+use plumbline_model::{Chain, Mounting, Reduction, Robot, Structure};
 
 const START: [f64; 7] = [0.0, -0.4, 0.0, -1.9, 0.0, 1.9, 0.0];
 

@@ -19,9 +19,7 @@ pub use prior::Prior;
 
 use cone::LINK;
 use nalgebra::{DMatrix, DVector};
-use plumbline_model::LinkParameters;
-use plumbline_model::Structure;
-use plumbline_model::is_consistent;
+use plumbline_model::{LinkParameters, Structure, is_consistent};
 use space::{Map, Metric, Space};
 
 /// How well the parameters are known.

@@ -1,9 +1,7 @@
 //! What is assumed about a body where the data says nothing.
 
 use nalgebra::{DVector, Matrix4, Vector3};
-use plumbline_model::LinkParameters;
-use plumbline_model::Structure;
-use plumbline_model::{link_parameters, pseudo_inertia};
+use plumbline_model::{LinkParameters, Structure, link_parameters, pseudo_inertia};
 
 /// Thickness of a link (standard deviation of its mass across its length) over the length of the whole arm.
 const THICKNESS: f64 = 0.06;

@@ -5,9 +5,8 @@ use super::prior::{Prior, sizes, stacked};
 use super::solve::Problem;
 use super::{Uncertainty, Weights};
 use nalgebra::{DMatrix, DVector, Matrix4};
-use plumbline_model::Structure;
 use plumbline_model::term::rotor_inertia;
-use plumbline_model::{link_parameters, pseudo_inertia};
+use plumbline_model::{Structure, link_parameters, pseudo_inertia};
 
 /// Standard deviation over size of a parameter where none is known.
 const RELATIVE: f64 = 0.01;

@@ -17,9 +17,8 @@ use filter::Bank;
 use gram::Gram;
 use nalgebra::{DMatrix, DVector, Vector3};
 use plumbline_core::{JointVec, MAX_JOINTS};
-use plumbline_model::SampleRegressor;
-use plumbline_model::Structure;
 use plumbline_model::term::Sample;
+use plumbline_model::{SampleRegressor, Structure};
 use solve::{Solution, solve};
 
 /// Rounds of weights from residuals.

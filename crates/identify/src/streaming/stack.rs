@@ -4,11 +4,9 @@ use super::gram::Gram;
 use super::solve::{CHOLESKY_LIMIT, solve};
 use super::{StreamingError, active};
 use nalgebra::{DMatrix, DVector};
-use plumbline_core::svd;
-use plumbline_core::{JointVec, MAX_JOINTS};
-use plumbline_model::SampleRegressor;
-use plumbline_model::Structure;
+use plumbline_core::{JointVec, MAX_JOINTS, svd};
 use plumbline_model::term::{Motion, Sample};
+use plumbline_model::{SampleRegressor, Structure};
 
 /// How the equations were solved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

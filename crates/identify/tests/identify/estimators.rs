@@ -1,10 +1,8 @@
 //! The estimators against each other and against simulated truth, each where it is made for.
 
 use nalgebra::DVector;
-use plumbline_identify::EstimateError;
-use plumbline_identify::Run;
 use plumbline_identify::solve::{Estimator, Identification, Options, Outcome, identify_with};
-use plumbline_identify::{Experiment, Settings};
+use plumbline_identify::{EstimateError, Experiment, Run, Settings};
 use plumbline_testkit::scene;
 use plumbline_testkit::scene::{Extra, Scene};
 use std::sync::LazyLock;
@@ -42,8 +40,7 @@ fn bound(periods: usize) -> Vec<f64> {
 
 #[test]
 fn the_scene_draws_what_the_arms_sensors_draw() {
-    use plumbline_excite::PeriodicMotion;
-    use plumbline_excite::parse_plan;
+    use plumbline_excite::{PeriodicMotion, parse_plan};
     // The second of two periods, as in the scene: sensor for sensor the same numbers as the arm's own, once its generator stands there.
     let plan = parse_plan("wall.toml", plumbline_testkit::scene::WALL_PLAN).unwrap();
     let reference = PeriodicMotion::new(&plan.fourier().unwrap(), 2).unwrap();

@@ -3,16 +3,9 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline_excite::Fourier;
-use plumbline_identify::Run;
 use plumbline_identify::solve::{Identification, identify};
-use plumbline_identify::{Derivative, Experiment, Settings};
-use plumbline_identify::{torques, validate_parameters};
-use plumbline_model::Chain;
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
-use plumbline_model::Structure;
-use plumbline_model::{BaseKind, Reduction};
-use plumbline_model::{LinkParameters, rnea};
+use plumbline_identify::{Derivative, Experiment, Run, Settings, torques, validate_parameters};
+use plumbline_model::{BaseKind, Chain, LinkParameters, Mounting, Reduction, Robot, Structure, rnea};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};

@@ -1,12 +1,10 @@
 //! Base parameters: how many, which, and what they are made of.
 
 use nalgebra::{DMatrix, DVector};
-use plumbline_model::{BaseKind, Reduction};
-use plumbline_model::{Chain, Joint, JointKind, Placement};
+use plumbline_model::{
+    BaseKind, Chain, Joint, JointKind, LINK_COLUMNS, Mounting, Placement, Reduction, Structure, regressor,
+};
 
-use plumbline_model::Mounting;
-use plumbline_model::Structure;
-use plumbline_model::{LINK_COLUMNS, regressor};
 use plumbline_testkit::arms;
 use plumbline_testkit::arms::{all, any_mounting, chain, draw, random_chain, torque};
 use rand::{Rng, SeedableRng};

@@ -1,9 +1,7 @@
 //! Dynamics and kinematics as identities between two routes.
 
 use nalgebra::{DMatrix, DVector, Matrix4, Vector3};
-use plumbline_model::{Chain, Joint, JointKind, Placement, StandardDh};
-use plumbline_model::{G, Mounting};
-use plumbline_model::{LINK_COLUMNS, regressor};
+use plumbline_model::{Chain, G, Joint, JointKind, LINK_COLUMNS, Mounting, Placement, StandardDh, regressor};
 use plumbline_testkit::arms::{all, any_mounting, chain, draw, random_chain, torque};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -3,13 +3,9 @@
 use assert_no_alloc::{assert_no_alloc, violation_count};
 use nalgebra::{DMatrix, DVector, Rotation3, Unit, Vector3};
 use plumbline_core::Torque;
-use plumbline_model::Mounting;
-use plumbline_model::Placement;
-use plumbline_model::Reduction;
-use plumbline_model::Structure;
 use plumbline_model::term::effect::{Confounded, FAMILIES, Family, Ground, Site, Spec, Stratum};
 use plumbline_model::term::{Motion, Sample};
-use plumbline_model::{NamedEffect, NamedTerm, TorqueModel};
+use plumbline_model::{Mounting, NamedEffect, NamedTerm, Placement, Reduction, Structure, TorqueModel};
 use plumbline_testkit::arms::{any_mounting, chain, draw, torque};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

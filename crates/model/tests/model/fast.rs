@@ -2,16 +2,11 @@
 
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
-use plumbline_model::ClosedForm;
-use plumbline_model::LinkColumns;
-use plumbline_model::SampleRegressor;
-use plumbline_model::Structure;
-use plumbline_model::TorqueModel;
-use plumbline_model::regressor;
 use plumbline_model::term::{FixedTerm, Motion, Sample};
-use plumbline_model::{BaseKind, Reduction};
-use plumbline_model::{Chain, JointKind};
-use plumbline_model::{LinkParameters, rnea};
+use plumbline_model::{
+    BaseKind, Chain, ClosedForm, JointKind, LinkColumns, LinkParameters, Reduction, SampleRegressor, Structure,
+    TorqueModel, regressor, rnea,
+};
 use plumbline_testkit::arms;
 use plumbline_testkit::arms::{all, any_mounting, draw, links, random_chain};
 use rand::{Rng, SeedableRng};

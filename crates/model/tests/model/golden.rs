@@ -1,9 +1,7 @@
 //! Torques, regressors and kinematics against Pinocchio (`crates/model/tests/golden/make.py` writes the values).
 
 use nalgebra::{DMatrix, Vector3};
-use plumbline_model::Robot;
-use plumbline_model::{LINK_COLUMNS, regressor};
-use plumbline_model::{LinkParameters, rnea};
+use plumbline_model::{LINK_COLUMNS, LinkParameters, Robot, regressor, rnea};
 use serde::Deserialize;
 use std::path::Path;
 

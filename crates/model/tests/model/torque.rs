@@ -3,14 +3,11 @@
 use assert_no_alloc::{assert_no_alloc, violation_count};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::Torque;
-use plumbline_model::Mounting;
-use plumbline_model::term;
-use plumbline_model::term::effect;
 use plumbline_model::term::effect::{Site, Spec};
-use plumbline_model::term::{Motion, Sample, Term};
-use plumbline_model::{BaseKind, Reduction};
-use plumbline_model::{ModelError, Structure};
-use plumbline_model::{NamedEffect, NamedTerm, Parameter, TorqueModel};
+use plumbline_model::term::{Motion, Sample, Term, effect};
+use plumbline_model::{
+    BaseKind, ModelError, Mounting, NamedEffect, NamedTerm, Parameter, Reduction, Structure, TorqueModel, term,
+};
 use plumbline_testkit::arms::{any_mounting, chain, draw};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

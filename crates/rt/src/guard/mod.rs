@@ -10,8 +10,9 @@ use super::motion::seconds;
 use super::moves::stop_distances;
 use super::torque::{Asked, Torques};
 use history::History;
-use plumbline_core::{Command, JointVec, Limits, MAX_JOINTS, Record, Setpoint, SpeedEnvelope, State, Workspace};
-use plumbline_core::{Kinematics, PERIOD};
+use plumbline_core::{
+    Command, JointVec, Kinematics, Limits, MAX_JOINTS, PERIOD, Record, Setpoint, SpeedEnvelope, State, Workspace,
+};
 use std::fmt;
 use std::ops::Range;
 

@@ -7,8 +7,7 @@
 
 use super::{At, Effect, Place, Reading, Spec};
 use crate::truth::Truth;
-use plumbline_core::BadInput;
-use plumbline_core::{JointVec, MAX_JOINTS};
+use plumbline_core::{BadInput, JointVec, MAX_JOINTS};
 use serde::Deserialize;
 
 /// Longest delay \[s\].

@@ -13,8 +13,7 @@
 
 use super::{At, Effect, Place, Spec};
 use crate::truth::Truth;
-use plumbline_core::BadInput;
-use plumbline_core::JointVec;
+use plumbline_core::{BadInput, JointVec};
 use serde::Deserialize;
 use std::f64::consts::PI;
 

@@ -9,8 +9,7 @@ use super::friction::sign;
 use super::trend::check_time;
 use super::{At, Effect, Place, Spec, Trend};
 use crate::truth::Truth;
-use plumbline_core::BadInput;
-use plumbline_core::{JointVec, MAX_JOINTS};
+use plumbline_core::{BadInput, JointVec, MAX_JOINTS};
 use serde::Deserialize;
 
 /// Scales the friction of one joint, or of all.

@@ -58,8 +58,7 @@ pub use trend::Trend;
 use super::spatial::Inertia;
 use super::truth::Truth;
 use nalgebra::Vector3;
-use plumbline_core::BadInput;
-use plumbline_core::{JointVec, Setpoint};
+use plumbline_core::{BadInput, JointVec, Setpoint};
 
 /// The arm at one instant, as effects see it.
 #[derive(Clone, Copy, Debug, Default)]

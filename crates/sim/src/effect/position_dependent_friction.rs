@@ -8,8 +8,7 @@
 use super::friction::sign;
 use super::{At, Effect, Place, Spec};
 use crate::truth::Truth;
-use plumbline_core::BadInput;
-use plumbline_core::JointVec;
+use plumbline_core::{BadInput, JointVec};
 use serde::Deserialize;
 
 /// Adds to the joint's friction.

@@ -10,8 +10,7 @@
 
 use super::{At, Effect, Place, Reading, Spec};
 use crate::truth::Truth;
-use plumbline_core::BadInput;
-use plumbline_core::JointVec;
+use plumbline_core::{BadInput, JointVec};
 use serde::Deserialize;
 
 /// What ripples.

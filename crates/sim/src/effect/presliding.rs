@@ -19,8 +19,7 @@
 
 use super::{At, Effect, Place, Spec};
 use crate::truth::Truth;
-use plumbline_core::BadInput;
-use plumbline_core::JointVec;
+use plumbline_core::{BadInput, JointVec};
 use serde::Deserialize;
 
 /// Most elements of a Maxwell-slip law.

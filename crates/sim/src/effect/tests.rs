@@ -9,11 +9,8 @@ mod world;
 
 use super::*;
 use crate::{Exact, Gate, Pace, SimArm};
-use plumbline_core::Backend;
-use plumbline_core::{Command, MAX_JOINTS, State};
-use plumbline_model::Mounting;
-use plumbline_model::{Chain, Joint, JointKind, Placement};
-use plumbline_model::{LinkParameters, rnea};
+use plumbline_core::{Backend, Command, MAX_JOINTS, State};
+use plumbline_model::{Chain, Joint, JointKind, LinkParameters, Mounting, Placement, rnea};
 use std::sync::Arc;
 
 const N: usize = 3;

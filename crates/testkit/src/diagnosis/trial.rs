@@ -4,21 +4,13 @@ use super::case::{Case, Injected};
 use crate::scene::DT;
 use crate::scene::lab::{self, Noise, Period};
 use nalgebra::{DMatrix, DVector};
-use plumbline_diagnose::Columns;
-use plumbline_diagnose::Settings;
-use plumbline_diagnose::Unexplained;
-use plumbline_diagnose::inverse;
-use plumbline_diagnose::mean_square;
-use plumbline_diagnose::{Effect, Outcome, Verdict};
-use plumbline_diagnose::{Evidence, Trial};
-use plumbline_diagnose::{Input, diagnose};
+use plumbline_diagnose::{
+    Columns, Effect, Evidence, Input, Outcome, Settings, Trial, Unexplained, Verdict, diagnose, inverse, mean_square,
+};
 use plumbline_excite::Plan;
-use plumbline_identify::Experiment;
-use plumbline_identify::solve;
-use plumbline_model::Chain;
-use plumbline_model::Reduction;
-use plumbline_model::Structure;
+use plumbline_identify::{Experiment, solve};
 use plumbline_model::term::effect::{Site, Spec};
+use plumbline_model::{Chain, Reduction, Structure};
 use plumbline_sim::Truth;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -103,8 +103,7 @@ pub fn specific_force(chain: &Chain, gravity: &Vector3<f64>, q: &Joints, dq: &Jo
 #[cfg(test)]
 mod tests {
     use super::*;
-    use plumbline_model::Mounting;
-    use plumbline_model::Robot;
+    use plumbline_model::{Mounting, Robot};
 
     const POSE: Joints = [0.3, -0.4, 0.2, -2.0, 0.3, 1.8, 0.5];
 

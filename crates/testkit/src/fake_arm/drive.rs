@@ -1,15 +1,13 @@
 //! Runs the loop on a fake arm, on the test's own thread, and looks at what was commanded by a route of its own.
 
 use super::{FakeArm, Seen, Trick};
-use plumbline_core::{FeedForward, Kinematics, Reference};
-use plumbline_core::{JointVec, Limits, MAX_JOINTS, Phase, Record, Setpoint, Torque};
-use plumbline_rt::CycleSettings;
-use plumbline_rt::GuardSettings;
-use plumbline_rt::cycle;
+use plumbline_core::{
+    FeedForward, JointVec, Kinematics, Limits, MAX_JOINTS, Phase, Record, Reference, Setpoint, Torque,
+};
 use plumbline_rt::cycle::Outcome;
 use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::ring;
-use plumbline_rt::{Event, Handles, Order, OrderKind, Told};
+use plumbline_rt::{CycleSettings, Event, GuardSettings, Handles, Order, OrderKind, Told, cycle};
 use std::sync::{Arc, Mutex};
 
 /// The Panda's limits (FCI documentation), with joint 8 unused.

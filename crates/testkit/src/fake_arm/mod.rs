@@ -2,8 +2,7 @@
 
 pub mod drive;
 
-use plumbline_core::{Backend, Fault};
-use plumbline_core::{Command, JointVec, MAX_JOINTS, State};
+use plumbline_core::{Backend, Command, Fault, JointVec, MAX_JOINTS, State};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 

@@ -5,16 +5,9 @@
 use nalgebra::{DMatrix, Vector3};
 use plumbline::store::{ModelFile, load_plan};
 use plumbline_excite::Fourier;
-use plumbline_identify::Run;
 use plumbline_identify::solve::{Identification, identify};
-use plumbline_identify::{Experiment, Settings};
-use plumbline_identify::{torques, validate_parameters};
-use plumbline_model::Chain;
-use plumbline_model::Mounting;
-use plumbline_model::Robot;
-use plumbline_model::Structure;
-use plumbline_model::{BaseKind, Reduction};
-use plumbline_model::{LinkParameters, rnea};
+use plumbline_identify::{Experiment, Run, Settings, torques, validate_parameters};
+use plumbline_model::{BaseKind, Chain, LinkParameters, Mounting, Reduction, Robot, Structure, rnea};
 use plumbline_sim::Truth;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

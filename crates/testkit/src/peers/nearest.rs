@@ -3,9 +3,7 @@
 use crate::peers;
 use nalgebra::{DMatrix, DVector};
 use plumbline_identify::consistency::{FLOOR, Prior};
-use plumbline_model::Reduction;
-use plumbline_model::Robot;
-use plumbline_model::Structure;
+use plumbline_model::{Reduction, Robot, Structure};
 use plumbline_sim::Truth;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

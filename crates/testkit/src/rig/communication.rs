@@ -3,8 +3,7 @@
 use super::verdict::Verdict;
 use super::{Given, Rig};
 use clap::Args;
-use plumbline_core::{Backend, Distribution, Fault};
-use plumbline_core::{Command, Setpoint};
+use plumbline_core::{Backend, Command, Distribution, Fault, Setpoint};
 use plumbline_franka::{Connection, Purpose, Statistics};
 use plumbline_rt::os::{Rights, become_realtime};
 use std::error::Error;

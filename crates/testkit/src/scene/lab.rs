@@ -3,12 +3,9 @@
 
 use super::DT;
 use nalgebra::{DMatrix, Vector3};
-use plumbline_excite::PeriodicMotion;
-use plumbline_excite::Plan;
-use plumbline_excite::parse_plan;
+use plumbline_excite::{PeriodicMotion, Plan, parse_plan};
 use plumbline_identify::Run;
-use plumbline_model::Mounting;
-use plumbline_model::{Chain, JointKind, Placement};
+use plumbline_model::{Chain, JointKind, Mounting, Placement};
 use plumbline_sim::{Response, Truth};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

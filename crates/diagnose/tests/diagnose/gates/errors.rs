@@ -3,9 +3,7 @@
 use super::synthetic::{DT, PERIOD, PERIODS};
 use nalgebra::DMatrix;
 use plumbline_diagnose::errors::{Compared, Of, compare};
-use plumbline_identify::Modelled;
-use plumbline_identify::Run;
-use plumbline_identify::{Experiment, LeftOut};
+use plumbline_identify::{Experiment, LeftOut, Modelled, Run};
 use plumbline_model::Mounting;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

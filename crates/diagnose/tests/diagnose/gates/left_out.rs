@@ -2,12 +2,9 @@
 //! all other folds, and the sums of squares of the rows that were left out.
 
 use super::synthetic::{At, FLOOR, Recorded, once, recorded};
-use plumbline_diagnose::Settings;
-use plumbline_diagnose::group;
+use plumbline_diagnose::{Search, Settings, State, group};
 
 use nalgebra::{DMatrix, DVector, RowDVector};
-use plumbline_diagnose::Search;
-use plumbline_diagnose::State;
 use plumbline_model::term::effect::Family;
 use plumbline_model::term::torque_offset;
 use std::f64::consts::TAU;

@@ -1,9 +1,7 @@
 //! What becomes of a finding: veto, adequacy, delivery, verdict.
 
 use super::synthetic::{At, FLOOR, Recorded, once, recorded};
-use plumbline_diagnose::Settings;
-use plumbline_diagnose::{Confirmation, JointFacts, Outcome, Verdict};
-use plumbline_diagnose::{Input, diagnose};
+use plumbline_diagnose::{Confirmation, Input, JointFacts, Outcome, Settings, Verdict, diagnose};
 use plumbline_identify::solve;
 use plumbline_model::term::torque_offset;
 use std::f64::consts::TAU;

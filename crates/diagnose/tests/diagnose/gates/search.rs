@@ -3,11 +3,7 @@
 use super::synthetic::{
     At, FLOOR, ROWS, Recorded, once, once_with_effect, recorded, scaled, with_effect, with_effect_in_noise,
 };
-use plumbline_diagnose::Candidate;
-use plumbline_diagnose::Settings;
-use plumbline_diagnose::State;
-use plumbline_diagnose::{Folds, Relevance};
-use plumbline_diagnose::{Scored, Search, Selected};
+use plumbline_diagnose::{Candidate, Folds, Relevance, Scored, Search, Selected, Settings, State};
 use plumbline_model::term::effect::{Family, Site, Spec};
 use plumbline_model::term::{
     asymmetric_coulomb, asymmetric_viscous, joint_elasticity, position_ripple, spring, torque_offset,

@@ -1,21 +1,11 @@
 //! Synthetic evidence: a two-joint arm that swings in a vertical plane, with any torque added to that of its model.
 
 use nalgebra::{DMatrix, DVector};
-use plumbline_diagnose::Columns;
-use plumbline_diagnose::Problem;
-use plumbline_diagnose::Search;
-use plumbline_diagnose::Settings;
-use plumbline_diagnose::State;
-use plumbline_diagnose::library;
-use plumbline_diagnose::{Evidence, Trial};
-use plumbline_identify::Experiment;
-use plumbline_identify::Run;
-use plumbline_model::Mounting;
-use plumbline_model::Reduction;
-use plumbline_model::Structure;
+use plumbline_diagnose::{Columns, Evidence, Problem, Search, Settings, State, Trial, library};
+use plumbline_identify::{Experiment, Run};
 use plumbline_model::term::Motion;
 use plumbline_model::term::effect::{Family, Spec};
-use plumbline_model::{Chain, Joint, JointKind, Placement};
+use plumbline_model::{Chain, Joint, JointKind, Mounting, Placement, Reduction, Structure};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
