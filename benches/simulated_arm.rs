@@ -6,7 +6,8 @@
 use plumbline_core::{Backend, Command, JointVec, Reference, Setpoint};
 use plumbline_excite::{Fourier, PeriodicMotion};
 use plumbline_model::{Mounting, Robot};
-use plumbline_sim::{Gate, Pace, Response, SimArm, Truth};
+use plumbline_sim::{Gate, Pace, Response, SimArm};
+use plumbline_testkit::sim::arm;
 use std::hint::black_box;
 use std::sync::Arc;
 use std::time::Instant;
@@ -31,29 +32,27 @@ fn main() {
     let chain = Robot::load("panda", None).expect("a shipped robot").chain;
     let mut start: JointVec = [0.0; 8];
     start[..7].copy_from_slice(&READY);
-    for file in ["sim-panda.toml", "sim-panda-effect.toml"] {
-        let path = format!("{}/config/arms/{file}", env!("CARGO_MANIFEST_DIR"));
-        let text = std::fs::read_to_string(&path).expect("a shipped file");
-        let truth = Truth::parse(&path, &text).expect("a shipped truth");
+    for file in ["sim-panda", "sim-panda-effect"] {
+        let truth = arm(file);
         let (ticks, repeats) = if quick { (1000, 1) } else { (5000, 9) };
         let reference = motion(0, 1);
         let per_tick = (0..repeats).map(|_| {
             let pace = Pace::Fast(Arc::new(Gate::unlimited()));
             start[..7].copy_from_slice(&reference.at(0).q[..7]);
-            let mut arm = SimArm::new(&chain, &truth, Mounting::WALL, start, 0, pace).expect("truth fits the robot");
+            let mut simulated =
+                SimArm::new(&chain, &truth, Mounting::WALL, start, 0, pace).expect("truth fits the robot");
             let began = Instant::now();
             for tick in 0..ticks {
-                let state = arm.read().expect("the arm goes on");
+                let state = simulated.read().expect("the arm goes on");
                 let desired = Setpoint { q: reference.at(tick).q, ..Setpoint::default() };
-                arm.write(&Command { seq: state.seq, desired, ..Command::default() }).expect("a smooth motion");
+                simulated.write(&Command { seq: state.seq, desired, ..Command::default() }).expect("a smooth motion");
                 black_box(&state);
             }
             began.elapsed().as_secs_f64() / ticks as f64
         });
         println!("{file}: {:.2} us per ms of the arm's life", per_tick.fold(f64::INFINITY, f64::min) * 1e6);
     }
-    let path = format!("{}/config/arms/sim-panda.toml", env!("CARGO_MANIFEST_DIR"));
-    let truth = Truth::parse(&path, &std::fs::read_to_string(&path).expect("a shipped file")).expect("a shipped truth");
+    let truth = arm("sim-panda");
     let trajectories = if quick { 1 } else { 6 };
     let whole = (0..if quick { 1 } else { 5 }).map(|_| {
         let began = Instant::now();

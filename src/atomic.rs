@@ -1,4 +1,4 @@
-//! Floor 0: how results reach the disk: written aside, flushed, then renamed, so that no reader ever sees half a result.
+//! How results reach the disk: written aside, flushed, then renamed, so that no reader ever sees half a result.
 
 use crate::failure::Failure;
 use std::fs::{self, File};

@@ -11,6 +11,7 @@ use plumbline_franka::{RobotKind, Settings};
 use plumbline_model::Mounting;
 use plumbline_rt::cycle::End;
 use plumbline_testkit::franka_loop::{Run, drive_patiently, plan};
+use plumbline_testkit::job::plumbline;
 use std::net::{IpAddr, SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -150,8 +151,8 @@ fn a_job_on_franka_sim_keeps_the_limits_that_it_serves() {
         command.arg(&address).arg(fr3_mjcf());
         let server = Server::start(command, &address, "franka-sim-job.log");
         let out = folder.path().join(attempt.to_string());
-        let mut job = Command::new(env!("CARGO_BIN_EXE_plumbline"));
-        job.current_dir(env!("CARGO_MANIFEST_DIR")).args(["run", "config/fr3.toml", "--out"]).arg(&out);
+        let mut job = plumbline();
+        job.args(["run", "config/fr3.toml", "--out"]).arg(&out);
         for set in [
             format!("serve.id=franka-sim-job-{}", std::process::id()),
             format!("backend.franka.address={address}"),

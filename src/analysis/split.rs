@@ -5,8 +5,8 @@ use crate::dataset::{Dataset, Role, Run};
 use crate::failure::Failure;
 use plumbline_core::BadInput;
 
-/// Share of every run that judges what was found, when the dataset has no run for it.
-const HELD_OUT: f64 = 0.4;
+/// Ratio of every run's samples that validate, in a dataset without validation runs.
+pub const HOLD_OUT: f64 = 0.4;
 
 /// Who does what.
 pub struct Split {
@@ -50,12 +50,12 @@ pub fn find_and_judge(runs: &[&Run], notes: &mut Vec<String>) -> (Vec<Run>, Vec<
     if runs.is_empty() || !(identify.is_empty() || validate.is_empty()) {
         return (identify, validate);
     }
-    let share = 100.0 * HELD_OUT;
+    let share = 100.0 * HOLD_OUT;
     notes.push(format!(
         "the dataset has runs of one role: the last {share:.0} % of each judge what was found in the rest"
     ));
     let parts = runs.iter().map(|run| {
-        let (first, last) = cut(run, 1.0 - HELD_OUT);
+        let (first, last) = cut(run, 1.0 - HOLD_OUT);
         (whole_periods(first), whole_periods(last))
     });
     parts.unzip()
@@ -69,7 +69,7 @@ fn whole_periods(mut part: Run) -> Run {
 }
 
 /// Both parts of a run, cut at a share of its samples.
-pub fn cut(run: &Run, share: f64) -> (Run, Run) {
+fn cut(run: &Run, share: f64) -> (Run, Run) {
     let at = (run.samples() as f64 * share) as usize;
     let part = |from: usize, count: usize, name: &str| Run {
         file: format!("{} ({name} part)", run.file),

@@ -2,7 +2,7 @@
 
 use crate::analysis::pipeline::{self, Identified, Judged};
 use crate::analysis::results::report_of;
-use crate::analysis::split::{Split, split};
+use crate::analysis::split::{HOLD_OUT, Split, split};
 use crate::cli::say::say;
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
@@ -62,8 +62,6 @@ pub struct Options {
 
 /// Usual cut-off for recorded data, which seldom repeats so that its noise can't be averaged away \[Hz\].
 const CUTOFF: f64 = 4.0;
-/// Share of a run that validates when the dataset has nothing else to validate with.
-const HOLD_OUT: f64 = 0.4;
 /// Slower than this, a joint stands \[rad/s\]: the model's Coulomb friction turns within 0.01 rad/s.
 const REST: f64 = 0.01;
 

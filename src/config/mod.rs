@@ -1,4 +1,4 @@
-//! Floor 3: typed configuration. Files are parsed and checked once, here; every algorithm gets only its own values.
+//! Typed configuration. Files are parsed and checked once, here; every algorithm gets only its own values.
 
 pub mod job;
 pub mod units;

@@ -1,4 +1,4 @@
-//! Floor 3: datasets, the folder form in which recorded motions are imported and exported.
+//! Datasets, the folder form in which recorded motions are imported and exported.
 //!
 //! A dataset is a folder with `dataset.toml` and one CSV file per run. The CSV has a header row, then one row per sample: `t` \[s\],
 //! `q1..qn` \[rad\], optional `dq1..dqn` \[rad/s\], `tau1..taun` (\[Nm\], or \[A\] where `dataset.toml` gives a gain), and any further

@@ -1,4 +1,4 @@
-//! Floor 2: which way gravity points, by a two-axis inclinometer on the arm's base.
+//! Which way gravity points, by a two-axis inclinometer on the arm's base.
 //!
 //! A CANopen device after CiA 410 (device profile for inclinometers) and CiA 301 (application layer). Everything but [`socket`] is
 //! without input, output and clock: frames and times \[ns\] come in as arguments, frames to send come out.

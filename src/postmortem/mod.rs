@@ -1,4 +1,4 @@
-//! Floor 3: what a recording of a fault tells, in words, as a page, and by running it again.
+//! What a recording of a fault tells, in words, as a page, and by running it again.
 //!
 //! | file | what |
 //! |---|---|

@@ -1,4 +1,4 @@
-//! Floor 2: recordings of the last seconds before a fault, as MCAP files with ROS 2 messages.
+//! Recordings of the last seconds before a fault, as MCAP files with ROS 2 messages.
 //!
 //! | file | what |
 //! |---|---|

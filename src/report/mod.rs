@@ -1,4 +1,4 @@
-//! Floor 3: what a job says when it is done: `report.json` for programs, `report.html` for people.
+//! What a job says when it is done: `report.json` for programs, `report.html` for people.
 //!
 //! The report is plain data that the caller fills; nothing here computes a figure that the caller did not hand over.
 

@@ -1,4 +1,4 @@
-//! Floor 3: the files that plumbline keeps: identified models, planned motions, and what other programs read.
+//! The files that plumbline keeps: identified models, planned motions, and what other programs read.
 
 mod consistent;
 pub mod export;

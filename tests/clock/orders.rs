@@ -262,7 +262,7 @@ fn a_torque_from_before_a_suspend_is_stale() {
     let torque = ["torque", "--robot", &place.id, "--count", "1"];
     let line = Done::of({
         let mut command = suspended();
-        command.arg(env!("CARGO_BIN_EXE_plumbline")).args(torque);
+        command.arg(program()).args(torque);
         command
     })
     .expect_code(0)

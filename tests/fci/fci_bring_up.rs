@@ -5,10 +5,10 @@ use clap::Parser;
 use plumbline_franka::wire::Protocol;
 use plumbline_model::Mounting;
 use plumbline_testkit::emulator::{Emulator, Settings as Emulated};
+use plumbline_testkit::job::program;
 use plumbline_testkit::rig::verdict::Verdict;
 use plumbline_testkit::rig::{Cli, Given, Rig, Step, communication, excitation, gravity};
 use std::net::Ipv4Addr;
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::Duration;
 
@@ -48,7 +48,7 @@ impl Scene {
     }
 
     fn load(&self, given: &Given) -> Rig {
-        let program = PathBuf::from(env!("CARGO_BIN_EXE_plumbline"));
+        let program = program();
         Rig { program, ..given.load().unwrap_or_else(|error| panic!("{error}")) }
     }
 }

@@ -11,7 +11,6 @@ use plumbline_rt::cycle::End;
 use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::ring;
 use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, cycle};
-use plumbline_sim::Truth;
 use plumbline_testkit::emulator::{Emulator, Settings as Emulated};
 use std::net::Ipv4Addr;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -69,7 +68,7 @@ fn start(settings: &Settings, mounting: &Mounting) -> Start {
     let (sink, mut drain) = ring(10 * SECOND as usize);
     let (mut cycle, mut handles) = cycle::new(arm, sink, None, settings).unwrap();
     let robot = Robot::load("panda", None).unwrap();
-    let truth = Truth::parse("sim-panda.toml", include_str!("../../config/arms/sim-panda.toml")).unwrap();
+    let truth = plumbline_testkit::sim::arm("sim-panda");
     let model = Links {
         chain: robot.chain,
         links: truth.link_parameters(),

@@ -4,15 +4,13 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline::store::ModelFile;
 use plumbline_identify::consistency::{ConsistencyError, FLOOR, Nearest, Prior, Uncertainty, Weights, nearest};
 use plumbline_model::{Body, Chain, LinkParameters, Reduction, Robot, Structure, is_consistent, pseudo_inertia};
-use plumbline_sim::Truth;
 use plumbline_testkit::arms::{all, chain, random_chain};
 use plumbline_testkit::bodies::random_body;
+use plumbline_testkit::sim::arm;
 use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
-
-const PANDA: &str = include_str!("../../config/arms/sim-panda.toml");
 
 fn structure(chain: &Chain, terms: &[&str]) -> Structure {
     Structure::of(chain.clone(), Reduction::any_mounting(chain), terms).unwrap()
@@ -54,7 +52,7 @@ fn unknown(beta: &[f64]) -> Vec<Option<f64>> {
 
 #[test]
 fn what_a_real_arm_has_is_reproduced() {
-    let truth = Truth::parse("sim-panda", PANDA).unwrap().link_parameters();
+    let truth = arm("sim-panda").link_parameters();
     let panda = structure(&chain("panda"), &[]);
     let beta: Vec<f64> = panda.reduction().base_of(&stacked(&truth)).iter().copied().collect();
     let found =
@@ -111,7 +109,7 @@ fn check_random(rng: &mut ChaCha8Rng, name: &str, chain: &Chain) {
 #[test]
 fn what_no_arm_has_is_moved_to_the_nearest() {
     let mut rng = ChaCha8Rng::seed_from_u64(4);
-    let truth = Truth::parse("sim-panda", PANDA).unwrap().link_parameters();
+    let truth = arm("sim-panda").link_parameters();
     let panda = structure(&chain("panda"), &["friction", "torque-offset"]);
     let rigid = panda.reduction().len();
     let beta: Vec<f64> = panda.reduction().base_of(&stacked(&truth)).iter().copied().chain([0.3; 21]).collect();

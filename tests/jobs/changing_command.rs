@@ -5,18 +5,16 @@ use plumbline::dataset::{Dataset, Role, Run};
 use plumbline::report::Report;
 use plumbline::report::diagnosis::{Occurrence, Verdict};
 use plumbline_model::{Mounting, Robot};
-use plumbline_sim::Truth;
 use plumbline_testkit::scene::DT;
 use plumbline_testkit::scene::lab::{Noise, of_force, period, plans, window};
+use plumbline_testkit::{job::plumbline, sim::arm};
 use std::path::Path;
-use std::process::Command;
 
 const PERIODS: usize = 6;
 
 /// Two runs to identify from and one to judge by; `added` puts more into the torques of the first two: run, time, positions, torques.
 fn write(dir: &Path, seed: u64, added: impl Fn(usize, f64, &[f64], &mut [f64])) {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/config/arms/sim-panda.toml");
-    let arm = Truth::parse(path, &std::fs::read_to_string(path).unwrap()).unwrap();
+    let arm = arm("sim-panda");
     let chain = Robot::load("panda", None).unwrap().chain;
     let mut runs = Vec::new();
     let [identify, validate] = plans();
@@ -55,9 +53,7 @@ fn write(dir: &Path, seed: u64, added: impl Fn(usize, f64, &[f64], &mut [f64])) 
 /// The report, what was printed, and the page.
 fn diagnosed(dir: &Path) -> (Report, String, String) {
     let path = |name: &str| dir.join(name).display().to_string();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_plumbline"));
-    command.current_dir(env!("CARGO_MANIFEST_DIR"));
-    let output = command.args(["diagnose", &path("data"), "--out", &path("out")]).output().unwrap();
+    let output = plumbline().args(["diagnose", &path("data"), "--out", &path("out")]).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let read = |name: &str| std::fs::read_to_string(dir.join("out").join(name)).unwrap();
     let report = serde_json::from_str(&read("report.json")).unwrap();

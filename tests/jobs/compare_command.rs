@@ -4,15 +4,16 @@ use plumbline::dataset::{Dataset, Role, Run};
 use plumbline::report::Report;
 use plumbline_model::{Mounting, Robot};
 use plumbline_sim::Truth;
+use plumbline_testkit::job::plumbline;
 use plumbline_testkit::scene::lab::{Noise, period, plans};
+use plumbline_testkit::sim::arm_with;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
 const PAYLOAD: &str = "[[effect]]\nid = \"payload\"\nmass = 0.73\ncom = [0.0, 0.0, 0.15]\n";
 
 fn truth(more: &str) -> Truth {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/config/arms/sim-panda.toml");
-    Truth::parse("truth", &format!("{}\n{more}", std::fs::read_to_string(path).unwrap())).unwrap()
+    arm_with("sim-panda", more)
 }
 
 /// Writes a dataset of that arm: `identify` runs to fit, `validate` runs to judge by; free runs say nothing of a period.
@@ -51,14 +52,13 @@ fn record(more: &str, mounting: Mounting, runs: [usize; 2], free: bool, seed: u6
     recorded
 }
 
-fn plumbline(arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_plumbline"));
-    command.current_dir(env!("CARGO_MANIFEST_DIR")).args(arguments).output().unwrap()
+fn program(arguments: &[&str]) -> Output {
+    plumbline().args(arguments).output().unwrap()
 }
 
 /// Runs it, expects success, gives what it printed.
 fn succeed(arguments: &[&str]) -> String {
-    let output = plumbline(arguments);
+    let output = program(arguments);
     assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap()
 }
@@ -174,7 +174,7 @@ fn wrong_input_is_named() {
     let dir = place.path();
     let path = |name: &str| dir.join(name).display().to_string();
     let refused = |arguments: &[&str], words: &[&str]| {
-        let output = plumbline(arguments);
+        let output = program(arguments);
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(2), "{said}");
         assert!(words.iter().all(|word| said.contains(word)), "{said}");

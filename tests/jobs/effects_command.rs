@@ -1,11 +1,11 @@
 //! `plumbline effects`: every effect is listed for people, one can be asked for, and an unknown one is refused by name.
 
 use plumbline_model::term::effect::FAMILIES;
-use std::process::{Command, Output};
+use plumbline_testkit::job::plumbline;
+use std::process::Output;
 
 fn effects(arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_plumbline"));
-    command.arg("effects").args(arguments).output().unwrap()
+    plumbline().arg("effects").args(arguments).output().unwrap()
 }
 
 fn text(bytes: Vec<u8>) -> String {

@@ -10,10 +10,10 @@ use plumbline::report::Report;
 use plumbline::store::ModelFile;
 use plumbline_model::Robot;
 use plumbline_model::term::Motion;
-use plumbline_sim::Truth;
 use plumbline_testkit::job::*;
 use plumbline_testkit::scene;
 use plumbline_testkit::scene::lab::{Noise, period, plans};
+use plumbline_testkit::sim::arm_with;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
@@ -101,10 +101,7 @@ fn errors(
 
 /// Records motions of an arm with an offset that nobody declared, 0.3 Nm in joint 5, as a dataset in files.
 fn record(folder: &Path) -> (Dataset, usize) {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/config/arms/sim-panda.toml");
-    let text = std::fs::read_to_string(path).unwrap();
-    let text = format!("{text}\n[[effect]]\nid = \"torque-offset\"\njoint = 5\noffset = 0.3\n");
-    let truth = Truth::parse(path, &text).unwrap();
+    let truth = arm_with("sim-panda", "[[effect]]\nid = \"torque-offset\"\njoint = 5\noffset = 0.3\n");
     let chain = Robot::load("panda", None).unwrap().chain;
     let [identify, validate] = plans();
     let mounting = identify[0].mounting();

@@ -4,6 +4,7 @@ use plumbline::report::Report;
 use plumbline::store::ModelFile;
 use plumbline_model::Robot;
 use plumbline_testkit::job::*;
+use plumbline_testkit::sim::arm;
 use std::path::Path;
 
 /// The shipped job with short periods, but with everything in it: unseen motions in both mountings, the counter-experiment, the dataset.
@@ -84,7 +85,7 @@ fn finds_the_truth(report: &Report) {
     assert_eq!((report.robot.as_str(), report.mounting.name.as_str()), ("panda", "wall"));
     assert_eq!((report.base.kind.as_str(), report.base.count, report.base.parameters.len()), ("GBS", 59, 59));
     assert!(report.identifiability.not_identifiable.is_empty());
-    let arm = truth("sim-panda");
+    let arm = arm("sim-panda");
     let z = z_scores(report, &true_parameters(&arm));
     for (name, z) in &z {
         assert!(z.abs() < 4.0, "{name} is {z:.2} of its standard deviations off the truth");

@@ -1,6 +1,7 @@
 //! A model identified upright lacks two parameters on the wall: it is refused there, and forced it fails in joint 1 alone.
 
 use plumbline_testkit::job::*;
+use plumbline_testkit::sim::arm;
 use std::path::PathBuf;
 
 /// A job that leaves a vertical model and runs of both mountings behind.
@@ -36,7 +37,7 @@ impl Left {
         let raw = done.out.split("raw ").nth(1).and_then(|rest| rest.split(" |").next());
         let rms: Vec<f64> =
             raw.unwrap_or_else(|| panic!("{}", done.said())).split(' ').map(|v| v.parse().unwrap()).collect();
-        rms.iter().zip(torque_noise(&truth("sim-panda"))).map(|(rms, noise)| rms / noise).collect()
+        rms.iter().zip(torque_noise(&arm("sim-panda"))).map(|(rms, noise)| rms / noise).collect()
     }
 }
 

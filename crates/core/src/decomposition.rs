@@ -1,7 +1,7 @@
-//! Floor 0: eigenvalues and singular values with a bound on the iterations.
+//! Eigenvalues and singular values with a bound on the iterations.
 //!
 //! nalgebra's own `svd`, `singular_values` and `symmetric_eigen` iterate until they converge, and on a matrix with an entry that is not finite they
-//! never do. Everything that decomposes a matrix calls these functions (`tests/floors.rs` holds that).
+//! never do. Everything that decomposes a matrix calls these functions (`tests/walls.rs` holds that).
 
 use nalgebra::allocator::Allocator;
 use nalgebra::{DMatrix, DVector, DefaultAllocator, Dim, DimDiff, DimSub, Dyn, OMatrix, SVD, SymmetricEigen, U1};

@@ -1,4 +1,4 @@
-//! Floor 0: how bad input is reported. Every such error names the file, the place in it, the value, and what was expected.
+//! How bad input is reported. Every such error names the file, the place in it, the value, and what was expected.
 
 use serde::de::DeserializeOwned;
 

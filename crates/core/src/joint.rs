@@ -1,4 +1,4 @@
-//! Floor 0: the fixed-size values that every other part of plumbline exchanges.
+//! The fixed-size values that every other part of plumbline exchanges.
 //!
 //! All of them are `Copy` and `repr(C)`, hold no pointer, and have room for [`MAX_JOINTS`] joints; entries past the robot's
 //! own joint count are zero. Angles are in rad (m for a prismatic joint), torques in Nm (N), times in s.

@@ -23,6 +23,7 @@
 //! let error = from_toml::<Joint>("arm.toml", "limit = \"fast\"").unwrap_err();
 //! assert_eq!((error.file.as_str(), error.place.as_str()), ("arm.toml", "line 1, key `limit`"));
 //! ```
+
 #![forbid(unsafe_code)]
 
 mod decomposition;

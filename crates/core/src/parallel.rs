@@ -1,4 +1,4 @@
-//! Floor 0: the same work on many things, on all processors.
+//! The same work on many things, on all processors.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;

@@ -23,6 +23,7 @@
 //! assert!(!verify(&bounds, &motion, None).is_feasible());
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+
 #![forbid(unsafe_code)]
 
 mod criterion;

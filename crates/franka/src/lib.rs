@@ -34,6 +34,7 @@
 //! println!("{:?}", arm.read()?.q);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+
 #![forbid(unsafe_code)]
 
 mod arm;

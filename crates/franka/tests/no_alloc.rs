@@ -51,8 +51,7 @@ every = 1.0
 ";
 
 fn truth() -> Truth {
-    let text = std::fs::read_to_string(plumbline_testkit::path("config/arms/sim-panda-effect.toml"));
-    let mut truth = Truth::parse("shipped file and more", &(text.unwrap() + MORE)).unwrap();
+    let mut truth = plumbline_testkit::sim::arm_with("sim-panda-effect", MORE);
     (truth.drop_probability, truth.drop_burst) = (0.02, 2);
     (truth.outlier_probability, truth.outlier_size, truth.repeat_probability) = (0.01, 3.0, 0.02);
     truth.joints.iter_mut().for_each(|joint| joint.torque_noise_coloured = 0.05);

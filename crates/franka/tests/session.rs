@@ -9,7 +9,6 @@ use plumbline_franka::{
 };
 use plumbline_model::{Chain, LinkParameters, Mounting, rnea};
 use plumbline_rt::cycle::End;
-use plumbline_sim::Truth;
 use plumbline_testkit::conformance::conformance;
 use plumbline_testkit::emulator::{Emulator, Fault as Trouble, Hand, Settings as Emulated};
 use plumbline_testkit::franka_loop::{Run, drive, drive_serving, plan, quick_plan};
@@ -143,9 +142,8 @@ fn the_served_model_helps_the_torque_interface_and_makes_up_for_what_the_arm_com
     let (emulator, settings) = start(Emulated { mounting, ..patient(Protocol::V5) });
     let settings = Settings { interface: Interface::Torque, ..settings };
     let tracking = |moving: bool| {
-        let text = include_str!("../../../config/robots/panda.toml");
-        let robot = plumbline_model::Robot::parse("panda.toml", text).unwrap();
-        let truth = Truth::parse("sim-panda.toml", include_str!("../../../config/arms/sim-panda.toml")).unwrap();
+        let robot = plumbline_model::Robot::load("panda", None).unwrap();
+        let truth = plumbline_testkit::sim::arm("sim-panda");
         let (arm, connection) = open(&settings);
         // The arm compensates as if it were upright.
         let vendor = Vector3::from(connection.info.compensates);

@@ -39,6 +39,7 @@
 //! assert!((found.beta[0] - 0.5).abs() < 1e-3, "{:?}", found.beta);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+
 #![forbid(unsafe_code)]
 
 pub mod consistency;

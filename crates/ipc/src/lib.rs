@@ -27,6 +27,7 @@
 //! # let _ = latest;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+
 #![forbid(unsafe_code)]
 
 mod arm_lock;

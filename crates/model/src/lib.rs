@@ -21,6 +21,7 @@
 //! assert_eq!(parameters(Reduction::in_mounting(&panda, &Mounting::UPRIGHT))?, 57);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+
 #![forbid(unsafe_code)]
 // The real-time wall (clippy.toml): what the loop calls neither allocates by these means, locks, logs, reads files nor panics.
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]

@@ -33,6 +33,7 @@
 //! assert!((state.q[3] + 2.0).abs() < 1e-3);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+
 #![forbid(unsafe_code)]
 
 mod aba;

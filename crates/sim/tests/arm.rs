@@ -7,7 +7,7 @@ use plumbline_model::{Chain, Joint, JointKind, Mounting, Placement, Reduction, r
 use plumbline_sim::{
     Exact, Gate, Pace, REFLEX_COMMUNICATION, REFUSED_JUMP, REFUSED_NOT_FINITE, REFUSED_STOPPED, SimArm, SimError, Truth,
 };
-use plumbline_testkit::sim::{READY, TestClock, arm_file, command, excitation, panda, silent_panda, sim};
+use plumbline_testkit::sim::{READY, TestClock, arm, command, excitation, panda, silent_panda, sim};
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -82,9 +82,9 @@ fn reported_positions_agree_with_the_accelerations() {
 /// Three steps a millisecond are enough for the shipped arm, its steep friction included: eight times as many change nothing that matters.
 #[test]
 fn substeps_have_converged() {
-    for file in ["sim-panda.toml", "sim-panda-effect.toml"] {
+    for file in ["sim-panda", "sim-panda-effect"] {
         let mut truth = silent_panda();
-        truth.effects = arm_file(file).effects;
+        truth.effects = arm(file).effects;
         let shipped = follow(&mut sim(&truth, 0, fast()), 3000);
         truth.substeps *= 8;
         let fine = follow(&mut sim(&truth, 0, fast()), 3000);
@@ -99,7 +99,7 @@ fn substeps_have_converged() {
 
 #[test]
 fn noise_and_steps_are_as_written() {
-    let truth = arm_file("sim-panda.toml");
+    let truth = arm("sim-panda");
     let run = follow(&mut sim(&truth, 7, fast()), 4000);
     for (j, joint) in truth.joints.iter().enumerate() {
         let tau = rms(run.iter().map(|(state, exact)| state.tau[j] - exact.tau[j]));
@@ -117,7 +117,7 @@ fn noise_and_steps_are_as_written() {
 
 #[test]
 fn same_seed_and_commands_give_the_same_bits() {
-    let mut truth = arm_file("sim-panda-effect.toml");
+    let mut truth = arm("sim-panda-effect");
     (truth.drop_probability, truth.drop_burst) = (0.01, 2);
     let states = |seed| follow(&mut sim(&truth, seed, fast()), 800).into_iter().map(|(s, _)| s).collect::<Vec<_>>();
     let bits = |states: &[State]| {
@@ -367,7 +367,7 @@ fn a_wrong_truth_names_the_place() {
 fn the_paper_arm_has_the_base_parameters_of_table_2() {
     let joint = |alpha| Joint { kind: JointKind::Revolute, a: 0.0, alpha, d: 0.0, theta: 0.0 };
     let chain = Chain::modified(vec![joint(0.0), joint(-FRAC_PI_2)], Placement::identity());
-    let truth = arm_file("sim-paper-2dof.toml");
+    let truth = arm("sim-paper-2dof");
     let delta = DVector::from_vec(truth.link_parameters().concat());
     let beta = Reduction::any_mounting(&chain).regroup() * delta;
     let paper = [0.320, 0.800, 1.100, 1.590, 0.210, -0.030, 0.210, 1.660, 0.300, -2.100];

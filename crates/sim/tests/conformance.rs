@@ -3,32 +3,32 @@
 use plumbline_core::{Backend, Command, Fault, State};
 use plumbline_sim::{Gate, Pace};
 use plumbline_testkit::conformance::conformance;
-use plumbline_testkit::sim::{READY, TestClock, arm_file, sim};
+use plumbline_testkit::sim::{READY, TestClock, arm, sim};
 use std::sync::Arc;
 use std::time::Instant;
 
 #[test]
 fn simulated_arm_at_full_speed() {
-    conformance(|| sim(&arm_file("sim-panda.toml"), 1, Pace::Fast(Arc::new(Gate::unlimited()))));
+    conformance(|| sim(&arm("sim-panda"), 1, Pace::Fast(Arc::new(Gate::unlimited()))));
 }
 
 #[test]
 fn simulated_arm_on_the_wall_clock() {
     // A machine that is busy with other tests stalls for longer than a robot waits.
     let clock = || Pace::WallClock(Box::new(TestClock(Instant::now())));
-    conformance(|| sim(&arm_file("sim-panda.toml"), 2, clock()).with_patience(1000));
+    conformance(|| sim(&arm("sim-panda"), 2, clock()).with_patience(1000));
 }
 
 #[test]
 fn simulated_arm_that_loses_states() {
-    let mut truth = arm_file("sim-panda.toml");
+    let mut truth = arm("sim-panda");
     (truth.drop_probability, truth.drop_burst) = (0.02, 3);
     conformance(|| sim(&truth, 3, Pace::Fast(Arc::new(Gate::unlimited()))));
 }
 
 #[test]
 fn simulated_arm_with_effects() {
-    conformance(|| sim(&arm_file("sim-panda-effect.toml"), 4, Pace::Fast(Arc::new(Gate::unlimited()))));
+    conformance(|| sim(&arm("sim-panda-effect"), 4, Pace::Fast(Arc::new(Gate::unlimited()))));
 }
 
 /// What a fake arm does wrong.

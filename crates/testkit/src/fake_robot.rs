@@ -253,7 +253,10 @@ fn run(address: IpAddr, listener: &TcpListener, world: &Mutex<World>, ends: &Ato
             && !listen(connected, world)
         {
             client = None;
-            world.end(RobotMode::Idle, Errors::NONE, None);
+            // A client that has gone ends its motion. A reflex outlasts it.
+            if world.motion.is_some() {
+                world.end(RobotMode::Idle, Errors::NONE, None);
+            }
         }
         script(world);
         world.state.message_id += 1;

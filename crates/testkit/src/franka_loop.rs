@@ -7,7 +7,6 @@ use plumbline_rt::cycle::{End, Outcome};
 use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::ring;
 use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, StopReason, Told, cycle};
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// What a run left behind.
@@ -40,7 +39,7 @@ impl Run {
 
 /// The shipped 10 s excitation, made smaller: an FR3 is slower to accelerate than the Panda it was planned for.
 pub fn plan(share: f64) -> Fourier {
-    let file = Path::new(crate::ROOT).join("config/plans/panda-wall.toml");
+    let file = crate::path("config/plans/panda-wall.toml");
     let mut fourier =
         parse_plan("panda-wall.toml", &std::fs::read_to_string(file).unwrap()).unwrap().fourier().unwrap();
     (0..7).for_each(|joint| fourier.scale_joint(joint, share));

@@ -331,12 +331,6 @@ pub fn wait_for<T>(what: &str, mut condition: impl FnMut() -> Option<T>) -> T {
     }
 }
 
-/// A shipped simulated arm.
-pub fn truth(name: &str) -> Truth {
-    let path = Path::new(crate::ROOT).join(format!("config/arms/{name}.toml"));
-    Truth::parse(name, &std::fs::read_to_string(path).unwrap()).unwrap()
-}
-
 /// Name and true value of every parameter that the paper's model of this arm has: the general base set, then fv, then fc.
 pub fn true_parameters(truth: &Truth) -> Vec<(String, f64)> {
     const SLOTS: [&str; 10] = ["Lxx", "Lxy", "Lxz", "Lyy", "Lyz", "Lzz", "lx", "ly", "lz", "m"];

@@ -4,8 +4,7 @@ use std::path::PathBuf;
 
 /// The folder `$PLUMBLINE_SHARED/data` (default: `../shared/data` beside the package); says so when it is not there.
 pub fn data() -> Option<PathBuf> {
-    let root = std::env::var_os("PLUMBLINE_SHARED")
-        .map_or_else(|| PathBuf::from(crate::ROOT).join("../shared"), PathBuf::from);
+    let root = std::env::var_os("PLUMBLINE_SHARED").map_or_else(|| crate::path("../shared"), PathBuf::from);
     let data = root.join("data");
     if data.is_dir() {
         return Some(data);

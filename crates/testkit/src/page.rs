@@ -1,12 +1,10 @@
 //! Parts of pages in docs/ that a program writes or checks: the text between `<!-- NAME -->` and `<!-- end -->`.
 
-use std::path::Path;
-
 const END: &str = "<!-- end -->";
 
 /// The text of the page `name`, as in `docs/results/campaigns.md`.
 pub fn read(name: &str) -> String {
-    let file = Path::new(crate::ROOT).join(name);
+    let file = crate::path(name);
     std::fs::read_to_string(&file).unwrap_or_else(|error| panic!("{}: {error}", file.display()))
 }
 
@@ -16,7 +14,7 @@ pub fn read(name: &str) -> String {
 /// Where the page has no such block: a campaign of half an hour shall not end without its table.
 pub fn write_block(name: &str, block: &str, content: &str) {
     let text = fill(&read(name), block, content);
-    std::fs::write(Path::new(crate::ROOT).join(name), text).unwrap_or_else(|error| panic!("{name}: {error}"));
+    std::fs::write(crate::path(name), text).unwrap_or_else(|error| panic!("{name}: {error}"));
 }
 
 /// `page` with the content of one block replaced.

@@ -13,16 +13,21 @@ pub fn panda() -> Chain {
     Robot::load("panda", None).expect("a shipped robot").chain
 }
 
-pub fn arm_file(name: &str) -> Truth {
-    let path = format!("{}/config/arms/{name}", crate::ROOT);
-    let text = std::fs::read_to_string(&path).expect("shipped file");
-    Truth::parse(&path, &text).unwrap_or_else(|error| panic!("{error}"))
+/// A shipped simulated arm: `config/arms/NAME.toml`.
+pub fn arm(name: &str) -> Truth {
+    arm_with(name, "")
+}
+
+/// A shipped simulated arm with `more` text behind its file's.
+pub fn arm_with(name: &str, more: &str) -> Truth {
+    let path = crate::path(format!("config/arms/{name}.toml"));
+    let text = std::fs::read_to_string(&path).expect("a shipped arm") + more;
+    Truth::parse(&path.display().to_string(), &text).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// The shipped Panda without noise, steps and losses.
-#[allow(dead_code)]
 pub fn silent_panda() -> Truth {
-    let mut truth = arm_file("sim-panda.toml");
+    let mut truth = arm("sim-panda");
     for joint in &mut truth.joints {
         (joint.torque_noise, joint.torque_quantum, joint.velocity_noise) = (0.0, 0.0, 0.0);
         (joint.position_noise, joint.position_quantum) = (0.0, 0.0);
@@ -35,7 +40,6 @@ pub fn sim(truth: &Truth, seed: u64, pace: Pace) -> SimArm {
 }
 
 /// A lively periodic motion about [`READY`] that starts at rest: peaks of about 1.5 rad/s.
-#[allow(dead_code)]
 pub fn excitation(tick: u64) -> Setpoint {
     let t = tick as f64 * 1e-3;
     let mut desired = Setpoint { q: READY, ..Setpoint::default() };
@@ -51,13 +55,11 @@ pub fn excitation(tick: u64) -> Setpoint {
     desired
 }
 
-#[allow(dead_code)]
 pub fn command(seq: u64, desired: Setpoint) -> Command {
     Command { seq, desired, ..Command::default() }
 }
 
 /// A monotonic clock for pacing in tests.
-#[allow(dead_code)]
 pub struct TestClock(pub Instant);
 
 impl Clock for TestClock {

@@ -12,6 +12,7 @@ use plumbline_sim::Truth;
 use plumbline_testkit::scene;
 use plumbline_testkit::scene::DT;
 use plumbline_testkit::scene::lab::{Noise, Period, of_force, window};
+use plumbline_testkit::sim::{arm, arm_with};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;
@@ -31,8 +32,7 @@ struct Stage {
 fn stage() -> &'static Stage {
     static STAGE: OnceLock<Stage> = OnceLock::new();
     STAGE.get_or_init(|| {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/arms/sim-panda.toml");
-        let truth = Truth::parse(path, &std::fs::read_to_string(path).unwrap()).unwrap();
+        let truth = arm("sim-panda");
         let chain = Robot::load("panda", None).unwrap().chain;
         let [plans, _] = scene::lab::plans();
         let of = |k: usize| {
@@ -329,9 +329,7 @@ fn single_samples_that_are_off_are_counted_and_left_out() {
 /// Ten periods of the simulated arm with effects of its own, after one that nobody records.
 fn driven(effects: &str, seed: u64) -> Run {
     let stage = stage();
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/arms/sim-panda.toml");
-    let text = std::fs::read_to_string(path).unwrap() + effects;
-    let truth = Truth::parse("truth", &text).unwrap();
+    let truth = arm_with("sim-panda", effects);
     let [plans, _] = scene::lab::plans();
     let plan = &plans[0];
     let mut arm = scene::still(&stage.chain, &truth, plan.mounting(), &plan.q0, seed);

@@ -7,6 +7,7 @@ use plumbline_identify::{Experiment, validate};
 use plumbline_model::{BaseKind, Chain, Mounting, Reduction, Robot, Structure, TorqueModel};
 use plumbline_sim::Truth;
 use plumbline_testkit::scene::lab::{Noise, Period, period, plans};
+use plumbline_testkit::sim::arm_with;
 use std::sync::OnceLock;
 
 const PAYLOAD: &str = "[[effect]]\nid = \"payload\"\nmass = 0.73\ncom = [0.0, 0.0, 0.15]\n\
@@ -21,8 +22,7 @@ fn chain() -> &'static Chain {
 
 /// The shipped arm with more in its file.
 fn truth(more: &str) -> Truth {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/arms/sim-panda.toml");
-    Truth::parse("truth", &format!("{}\n{more}", std::fs::read_to_string(path).unwrap())).unwrap()
+    arm_with("sim-panda", more)
 }
 
 /// Recordings of that arm: motions that identify, or others.

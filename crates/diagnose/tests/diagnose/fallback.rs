@@ -10,6 +10,7 @@ use plumbline_model::{Chain, Reduction, Robot, Structure};
 use plumbline_sim::Truth;
 use plumbline_testkit::scene;
 use plumbline_testkit::scene::lab::{Noise, Period};
+use plumbline_testkit::sim::arm;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::sync::OnceLock;
@@ -27,8 +28,7 @@ struct Stage {
 fn stage() -> &'static Stage {
     static STAGE: OnceLock<Stage> = OnceLock::new();
     STAGE.get_or_init(|| {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/arms/sim-panda.toml");
-        let truth = Truth::parse(path, &std::fs::read_to_string(path).unwrap()).unwrap();
+        let truth = arm("sim-panda");
         let chain = Robot::load("panda", None).unwrap().chain;
         let [plans, _] = scene::lab::plans();
         let periods = plans.iter().enumerate().map(|(k, plan)| {

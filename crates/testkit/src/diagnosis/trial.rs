@@ -60,9 +60,7 @@ pub struct Bench {
 impl Bench {
     #[allow(clippy::new_without_default)]
     pub fn new() -> Bench {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/arms/sim-panda.toml");
-        let text = std::fs::read_to_string(path).expect("a shipped file");
-        let base = Truth::parse(path, &text).expect("a shipped truth");
+        let base = crate::sim::arm("sim-panda");
         let chain = plumbline_model::Robot::load("panda", None).expect("a shipped robot").chain;
         let [identify, validate] = lab::plans();
         Bench { chain, base, identify, validate }

@@ -111,14 +111,13 @@ pub struct Settings {
 impl Settings {
     /// A robot of `protocol`'s kind with the built-in simulated Panda behind it, upright, in its ready pose, without faults.
     pub fn new(address: impl Into<IpAddr>, protocol: Protocol) -> Settings {
-        let text = include_str!("../../../../config/arms/sim-panda.toml");
         Settings {
             address: address.into(),
             port: COMMAND_PORT,
             protocol,
             robot: RobotKind::of(protocol),
             limits: None,
-            arm: Truth::parse("sim-panda", text).expect("a shipped file"),
+            arm: crate::sim::arm("sim-panda"),
             mounting: Mounting::UPRIGHT,
             compensates: [0.0, 0.0, -G],
             start: READY,

@@ -8,11 +8,10 @@ use plumbline_excite::Fourier;
 use plumbline_identify::solve::{Identification, identify};
 use plumbline_identify::{Experiment, Run, Settings, torques, validate_parameters};
 use plumbline_model::{BaseKind, Chain, LinkParameters, Mounting, Reduction, Robot, Structure, rnea};
-use plumbline_sim::Truth;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Sampling of the paper \[s\].
 const DT: f64 = 1e-3;
@@ -28,7 +27,7 @@ pub const TABLE_4_MEAN: [f64; 7] = [0.288, 0.260, 0.274, 0.120, 0.154, 0.118, 0.
 pub const TABLE_5_MEAN: [f64; 7] = [0.276, 0.376, 0.166, 0.134, 0.170, 0.114, 0.064];
 
 fn shipped(file: &str) -> PathBuf {
-    Path::new(crate::ROOT).join("config").join(file)
+    crate::path("config").join(file)
 }
 
 fn chain(robot: &str) -> Chain {
@@ -160,9 +159,7 @@ pub struct Figure {
 /// Identifies the paper's 2-DOF arm in both mountings, without friction and noise, and compares both models in both.
 pub fn two_dof() -> TwoDof {
     let robot = Robot::load("paper-2dof", None).expect("a shipped robot");
-    let file = shipped("arms/sim-paper-2dof.toml");
-    let text = std::fs::read_to_string(&file).expect("the shipped arm");
-    let truth = Truth::parse("sim-paper-2dof.toml", &text).expect("the shipped arm");
+    let truth = crate::sim::arm("sim-paper-2dof");
     let links = truth.link_parameters();
     let arm = Arm { chain: robot.chain.clone(), links, friction: vec![[0.0; 2]; 2] };
     let excitation = random_plan(&robot, 0.9, 1);

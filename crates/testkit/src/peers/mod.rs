@@ -3,7 +3,6 @@
 #[cfg(feature = "identify")]
 pub mod nearest;
 
-use std::path::Path;
 use std::process::Command;
 
 /// The interpreter of the peers' environment, which is made when it is missing. `None` when it can't be had and need not.
@@ -22,7 +21,7 @@ pub fn interpreter_in(name: &str, requirements: &[&str]) -> Option<String> {
 }
 
 fn made_by(arguments: &[&str]) -> Option<String> {
-    let script = Path::new(crate::ROOT).join("hil/peers/venv.sh");
+    let script = crate::path("hil/peers/venv.sh");
     let made = Command::new(script).args(arguments).output().expect("bash runs");
     if made.status.success() {
         return Some(String::from_utf8(made.stdout).unwrap().trim().to_string());

@@ -4,14 +4,12 @@ use crate::peers;
 use nalgebra::{DMatrix, DVector};
 use plumbline_identify::consistency::{FLOOR, Prior};
 use plumbline_model::{Reduction, Robot, Structure};
-use plumbline_sim::Truth;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::Deserialize;
 use serde_json::json;
 use std::io::Write;
-use std::path::Path;
 use std::process::{Command, Stdio};
 
 const REQUIREMENTS: [&str; 2] = ["clarabel==0.11.*", "scipy"];
@@ -37,8 +35,7 @@ pub struct Answer {
 /// The simulated Panda's parameters with noise that is `share` of their sizes, correlated.
 pub fn problem(share: f64, seed: u64) -> Problem {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let text = include_str!("../../../../config/arms/sim-panda.toml");
-    let truth = Truth::parse("sim-panda", text).unwrap().link_parameters();
+    let truth = crate::sim::arm("sim-panda").link_parameters();
     let chain = Robot::load("panda", None).unwrap().chain;
     let reduction = Reduction::any_mounting(&chain);
     let structure = Structure::of(chain, reduction, &[]).unwrap();
@@ -70,7 +67,7 @@ pub fn clarabel(problems: &[&Problem], repeats: usize) -> Option<Vec<Answer>> {
     };
     let request =
         json!({ "problems": problems.iter().map(one).collect::<Vec<_>>(), "floor": FLOOR, "repeats": repeats });
-    let script = Path::new(crate::ROOT).join("crates/testkit/peers/nearest.py");
+    let script = crate::path("crates/testkit/peers/nearest.py");
     let mut child =
         Command::new(python).arg(script).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("python runs");
     child.stdin.take().unwrap().write_all(request.to_string().as_bytes()).unwrap();

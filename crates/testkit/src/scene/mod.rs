@@ -53,8 +53,7 @@ pub struct Extra {
 impl Scene {
     /// The shipped Panda on the wall with the plan `wall.toml` in this folder.
     pub fn panda_on_the_wall() -> Scene {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/arms/sim-panda.toml");
-        let truth = Truth::parse(path, &std::fs::read_to_string(path).unwrap()).unwrap();
+        let truth = crate::sim::arm("sim-panda");
         let plan = parse_plan("wall.toml", WALL_PLAN).unwrap();
         let (fourier, mounting) = (plan.fourier().unwrap(), plan.mounting());
         let chain = Robot::load("panda", None).unwrap().chain;
