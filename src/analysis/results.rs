@@ -8,8 +8,8 @@ use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
 use crate::report::figures::{Figures, PlanFigure};
 use crate::report::{
-    Base, Consistency, CounterExperiment, EstimatorFacts, Fit, GravityFacts, Identifiability, IpcFacts, LoopFacts,
-    MotionUsage, Quantiles, Report, SessionFacts, Validation,
+    Base, Consistency, CounterExperiment, EstimatorFacts, Fit, GravityFacts, Identifiability, IpcReport, LoopReport,
+    MotionUsage, Report, Validation,
 };
 use crate::setup::programme::{Motion, Programme, Role};
 use crate::store::{ModelFile, Provenance, Validated};
@@ -18,7 +18,7 @@ use plumbline_diagnose::errors::Of;
 use plumbline_excite::PlanUsage;
 use plumbline_identify::Settings;
 use plumbline_identify::solve::Outcome;
-use plumbline_ipc::{Session, Status, StreamCounters};
+use plumbline_ipc::{Status, StreamCounters};
 use plumbline_model::{Mounting, Robot};
 use std::path::{Path, PathBuf};
 
@@ -135,11 +135,8 @@ impl Results {
             GravityFacts::of(said, self.job.mounting, runs)
         });
         report.motions = self.motions.clone();
-        report.cycle = Some(self.loop_facts(status));
-        let wall_clock = self.wall_clock();
-        report.sessions = status.sessions.iter().map(|session| SessionFacts::of(session, wall_clock)).collect();
-        report.ipc =
-            Some(IpcFacts { sent, received: counters.received, replayed: counters.replayed, missed: counters.missed });
+        report.control_loop = Some(LoopReport::new(status, !self.job.backend.is_fast()));
+        report.ipc = Some(IpcReport { sent, counters: *counters });
         report.notes.extend(self.notes.iter().cloned());
         let mut figures = self.figures(identified, judged)?;
         if let Some(diagnosed) = diagnosed {
@@ -246,36 +243,6 @@ impl Results {
         }
         let path = self.job.dir().join(name);
         std::path::absolute(&path).unwrap_or(path).display().to_string()
-    }
-
-    fn wall_clock(&self) -> bool {
-        !self.job.backend.is_fast()
-    }
-
-    fn loop_facts(&self, status: &Status) -> LoopFacts {
-        let wall_clock = self.wall_clock();
-        // Quantiles can't be added up: those of the longest session stand for the whole.
-        let longest = status.sessions.iter().max_by_key(|session| session.cycles);
-        let times =
-            |of: fn(&Session) -> &plumbline_core::Distribution| longest.and_then(|session| Quantiles::of(of(session)));
-        let mut realtime: Vec<String> = Vec::new();
-        for refusal in status.sessions.iter().flat_map(|session| &session.refusals) {
-            if !realtime.contains(refusal) {
-                realtime.push(refusal.clone());
-            }
-        }
-        LoopFacts {
-            pace: if wall_clock { "wall-clock" } else { "fast" }.to_string(),
-            cycles: status.cycles,
-            late: wall_clock.then_some(status.late),
-            lost: status.lost,
-            records_lost: status.dropped,
-            // Unknown as soon as one session was not watched.
-            allocations: status.sessions.iter().map(|session| session.allocations.map(u64::from)).sum(),
-            wake_us: times(|session| &session.wake).filter(|_| wall_clock),
-            work_us: times(|session| &session.work),
-            realtime,
-        }
     }
 
     /// The identification and the first unseen motion of every mounting.

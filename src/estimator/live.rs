@@ -38,7 +38,6 @@ pub struct Offer {
 
 /// What `live.json` holds.
 #[derive(Default, Serialize)]
-#[serde(rename_all = "kebab-case")]
 struct Log {
     /// What error was usual when the model was identified, and from where on it is bad, per joint \[Nm\].
     usual: Vec<f64>,
@@ -49,7 +48,7 @@ struct Log {
 
 /// Something that happened, at a time of the arm's clock \[s\].
 #[derive(Serialize)]
-#[serde(tag = "event", rename_all = "kebab-case", rename_all_fields = "kebab-case")]
+#[serde(tag = "event", rename_all = "kebab-case")]
 enum Event {
     /// The served model does not hold any more.
     Lost { t: f64, since: f64, joint: usize, rms: f64, usual: f64 },
@@ -68,7 +67,6 @@ enum Event {
 /// Errors over a stretch, per joint \[Nm\]: of the model along the measured motion after the low-pass, and of the torque that was
 /// served, raw.
 #[derive(Serialize)]
-#[serde(rename_all = "kebab-case")]
 struct Stretch {
     start: f64,
     end: f64,
