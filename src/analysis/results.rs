@@ -66,12 +66,12 @@ impl Results {
 
     /// The mounting of the first motion that was recorded.
     pub fn first_mounting(&self) -> Option<Mounting> {
-        self.recorded.first().map(|recorded| recorded.run.mounting)
+        self.recorded.first().map(|recorded| recorded.run.data.mounting)
     }
 
     /// Keeps a recorded motion.
     pub fn take(&mut self, recorded: Recorded) {
-        tracing::info!("{} was recorded: {} samples", recorded.run.file, recorded.run.samples());
+        tracing::info!("{} was recorded: {} samples", recorded.run.data.name, recorded.run.samples());
         self.recorded.push(recorded);
     }
 
@@ -108,9 +108,9 @@ impl Results {
         let judged = pipeline::judge_all(&identified.model, &self.runs(Role::Validate), &self.settings)?;
         let counter = self.counter_experiment(&judged)?;
         let validated = judged.iter().map(|(run, judged)| Validated {
-            run: run.file.clone(),
-            rho: run.mounting.rho,
-            phi: run.mounting.phi,
+            run: run.data.name.clone(),
+            rho: run.data.mounting.rho,
+            phi: run.data.mounting.phi,
             rms: judged.rms.raw.clone(),
         });
         let model = self.model_file(identified, validated.collect(), Some(dataset.content_hash()));
@@ -131,7 +131,7 @@ impl Results {
         report.consistency = model.consistent.as_ref().map(|found| Consistency::of_model(&model.model, found));
         report.counter_experiment = counter.map(|(facts, _)| facts);
         report.gravity = status.gravity.as_ref().and_then(|said| {
-            let runs = self.recorded.iter().map(|own| (own.number, own.run.file.as_str(), own.run.mounting));
+            let runs = self.recorded.iter().map(|own| (own.number, own.run.data.name.as_str(), own.run.data.mounting));
             GravityFacts::of(said, self.job.mounting, runs)
         });
         report.motions = self.motions.clone();
@@ -153,7 +153,7 @@ impl Results {
         }
         let (identify, unseen) = (self.runs(Role::Identify), self.runs(Role::Validate));
         let unseen: Vec<&Run> =
-            unseen.into_iter().filter(|run| identified.model.valid_in(&run.mounting).is_ok()).collect();
+            unseen.into_iter().filter(|run| identified.model.valid_in(&run.data.mounting).is_ok()).collect();
         let Diagnosis { band, threshold, .. } = self.job.diagnosis;
         let settings = plumbline_diagnose::Settings {
             band,
@@ -184,7 +184,8 @@ impl Results {
         let Some(first) = runs.first() else { return Ok(None) };
         let vertical = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings, &self.job.solver())?;
         let Err(refused) = vertical.model.valid_in(&self.job.mounting) else { return Ok(None) };
-        let here: Vec<&(&Run, Judged)> = judged.iter().filter(|(run, _)| run.mounting == self.job.mounting).collect();
+        let here: Vec<&(&Run, Judged)> =
+            judged.iter().filter(|(run, _)| run.data.mounting == self.job.mounting).collect();
         let mut forced = vec![0.0; self.joints()];
         let mut general = forced.clone();
         for (run, judged) in &here {
@@ -195,7 +196,7 @@ impl Results {
             }
         }
         let facts = CounterExperiment {
-            identified_in: first.mounting.into(),
+            identified_in: first.data.mounting.into(),
             kind: vertical.model.kind().to_string(),
             count: vertical.model.parameters().len(),
             refused_in: self.job.mounting.into(),
@@ -253,9 +254,9 @@ impl Results {
         }
         let mut shown = Vec::new();
         for (run, judged) in judged {
-            if !shown.contains(&run.mounting) {
-                shown.push(run.mounting);
-                let title = format!("{} (unseen, {})", judged.figure.title, run.mounting);
+            if !shown.contains(&run.data.mounting) {
+                shown.push(run.data.mounting);
+                let title = format!("{} (unseen, {})", judged.figure.title, run.data.mounting);
                 figures.runs.push(crate::report::figures::TorqueFigure { title, ..judged.figure });
             }
         }
@@ -284,16 +285,16 @@ fn usage(motion: &Motion) -> Option<MotionUsage> {
 fn validation(run: &Run, judged: &Judged) -> Validation {
     let served: Option<Vec<&[f64]>> = (1..=run.joints()).map(|j| run.extra(&format!("tau_ff{j}"))).collect();
     Validation {
-        run: run.file.clone(),
+        run: run.data.name.clone(),
         rms: judged.rms.raw.clone(),
         rms_raw: judged.rms.raw.clone(),
         rms_filtered: judged.rms.filtered.clone(),
         served_rms: served.map(|served| {
-            let error = |j: usize, k: usize| run.tau[(k, j)] - served[j][k];
+            let error = |j: usize, k: usize| run.data.tau[(k, j)] - served[j][k];
             let square = |j: usize| (0..run.samples()).map(|k| error(j, k).powi(2)).sum::<f64>();
             (0..run.joints()).map(|j| (square(j) / run.samples() as f64).sqrt()).collect()
         }),
-        mounting: run.mounting.into(),
+        mounting: run.data.mounting.into(),
     }
 }
 

@@ -92,7 +92,6 @@ pub struct Live {
     joints: usize,
     robot: Robot,
     settings: Settings,
-    gravity: nalgebra::Vector3<f64>,
     mounting: Mounting,
     out: PathBuf,
     noise_floor: Vec<f64>,
@@ -125,7 +124,6 @@ impl Live {
             joints: robot.chain.len(),
             robot: robot.clone(),
             settings: Settings { rest: Some(REST), ..job.settings() },
-            gravity: job.mounting.gravity(),
             mounting: job.mounting,
             out: out.to_path_buf(),
             noise_floor: Vec::new(),
@@ -152,15 +150,7 @@ impl Live {
         run: &Run,
     ) -> Result<(), Failure> {
         let samples = run.samples().min((CALIBRATION / DT) as usize);
-        let part = Run {
-            period: None,
-            t: run.t[..samples].to_vec(),
-            q: run.q.rows(0, samples).into_owned(),
-            dq: run.dq.as_ref().map(|dq| dq.rows(0, samples).into_owned()),
-            tau: run.tau.rows(0, samples).into_owned(),
-            extra: Vec::new(),
-            ..run.clone()
-        };
+        let part = plumbline_identify::Run { period: None, ..run.data.part(0, samples) };
         let floor = Floor::of(model, &pipeline::experiment(&part, &self.settings)?);
         (self.log.usual, self.log.limit) = (floor.usual.clone(), floor.limit.clone());
         self.noise_floor = noise_floor.to_vec();
@@ -378,7 +368,7 @@ impl Live {
     /// Some of the buffer's samples as one motion; `None` where they are too few or the arm stands.
     fn prepared(&self, first: usize, end: usize) -> Option<Experiment> {
         let records: Vec<Record> = self.buffer.range(first..end).copied().collect();
-        let run = plumbline_identify::Run::from_records("live", &records, self.joints, self.gravity, None);
+        let run = plumbline_identify::Run::from_records("live", &records, self.joints, self.mounting, None);
         let experiment = Experiment::prepare(&run, &self.settings).ok()?;
         let resting = experiment.resting().iter().filter(|rests| **rests).count();
         (2 * resting < experiment.resting().len()).then_some(experiment)

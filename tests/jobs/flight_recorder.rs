@@ -88,7 +88,7 @@ fn a_guard_stop_in_mid_motion() {
     std::fs::copy(&file, data.join("run.mcap")).unwrap();
     let run = plumbline::dataset::Run::read_csv(&data.join("run.mcap"), plumbline_model::Mounting::WALL).unwrap();
     let cycles = Recording::read(&file).unwrap().records.len();
-    assert_eq!((run.samples(), run.joints(), run.tau.ncols()), (cycles, 7, 7));
+    assert_eq!((run.samples(), run.joints(), run.data.tau.ncols()), (cycles, 7, 7));
 
     // Other people's reader finds every message.
     if let Some(python) = peers::interpreter_in("flight", &["mcap-ros2-support==0.5.*"]) {

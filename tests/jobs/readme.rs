@@ -3,7 +3,7 @@
 use plumbline_testkit::job::*;
 
 /// Figures that a faster or busier machine changes: of these lines, what follows the word.
-const OF_THE_MACHINE: [(&str, &str); 1] = [("loop (simulated time", "work")];
+const OF_THE_MACHINE: [(&str, &str); 1] = [("loop (simulated time", "execution")];
 
 /// The first indented block after a heading, without its indentation.
 fn block(text: &str, heading: &str) -> Vec<String> {
