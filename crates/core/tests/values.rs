@@ -1,8 +1,8 @@
 //! The values and interfaces of the crate, against their definitions.
 
 use plumbline_core::{
-    Backend, Command, Distribution, Fault, Histogram, LoopStatistics, MAX_JOINTS, Phase, SpeedEnvelope, State, Validity,
-    expectation, from_toml, singular_values, symmetric_eigen,
+    Backend, Command, Distribution, Fault, Histogram, LoopStatistics, MAX_JOINTS, Phase, SpeedEnvelope, State,
+    Validity, expectation, from_toml, singular_values, symmetric_eigen,
 };
 use serde::Deserialize;
 
