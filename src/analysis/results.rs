@@ -9,7 +9,7 @@ use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
 use crate::report::figures::{Figures, PlanFigure};
 use crate::report::{
-    Base, Consistency, CounterExperiment, EstimatorFacts, Fit, GravityFacts, Identifiability, IpcReport, LoopReport,
+    Base, Consistency, CounterExperiment, EstimatorFacts, Fit, GravityReport, Identifiability, IpcReport, LoopReport,
     MotionUsage, Report, Validation,
 };
 use crate::setup::programme::{Motion, Programme, Role};
@@ -133,7 +133,7 @@ impl Results {
         report.counter_experiment = counter.map(|(facts, _)| facts);
         report.gravity = status.gravity.as_ref().and_then(|said| {
             let runs = self.recorded.iter().map(|own| (own.number, own.run.data.name.as_str(), own.run.data.mounting));
-            GravityFacts::of(said, self.job.mounting, runs)
+            GravityReport::new(said, self.job.mounting, runs)
         });
         report.motions = self.motions.clone();
         report.control_loop = Some(LoopReport::new(status, !self.job.backend.is_fast()));
