@@ -40,14 +40,15 @@ pub fn run(options: Options) -> Result<(), Failure> {
     // No other daemon comes up for this robot from here on, however long the planning takes: the daemon that is started below gets this very lock.
     let lock = crate::setup::lock(&id)?;
     // What a daemon would refuse is refused here, before anything starts.
-    let arm = crate::setup::arm_lock(&job)?;
-    crate::setup::truth(&job)?;
+    let connector = crate::setup::backend::connector(&job, &robot)?;
+    let arm = crate::setup::arm_lock(connector.as_ref())?;
     crate::setup::rest(&job, &robot)?;
     if let Some(model) = &options.model {
         models::of_robot(&model.display().to_string(), &owned::read_model(model)?, &robot, "the job's robot")?;
     }
     std::fs::create_dir_all(&out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
-    let programme = planner::programme(&job, &robot, &out, planner::arm_limits(&job)?.as_ref())?;
+    let arm_limits = connector.read_limits().map_err(Failure::job)?;
+    let programme = planner::programme(&job, &robot, &out, arm_limits.as_ref())?;
     let ticks: usize = programme.motions().map(|motion| motion.ticks()).sum();
 
     let ending = Ending::watch()?;

@@ -3,18 +3,22 @@
 //! The main thread is the bridge thread: it owns everything that talks to other processes. The loop has a thread of its own for each
 //! connection to the arm (`session`), and knows this side only through its rings.
 
-mod arm;
 mod check;
-mod desk;
+#[cfg(test)]
+mod fixture;
 mod gravity;
 mod labels;
 #[cfg(test)]
 mod logged;
+mod models;
 mod recorder;
+mod requests;
 mod rest;
 mod rhythm;
 mod script;
 mod session;
+mod state;
+mod status;
 mod stop_line;
 
 use crate::config::job::Job;
@@ -22,12 +26,11 @@ use crate::failure::Failure;
 use crate::process::service::{self, Service};
 use crate::process::signals::Ending;
 use crate::process::{journal, owned};
-use crate::setup::JobOptions;
 use crate::setup::programme::Programme;
-use arm::Purpose;
+use crate::setup::{self, JobOptions};
 use check::{Answerable, Checked, Checker};
 use clap::Args;
-use desk::Desk;
+use plumbline_core::{ArmConnector, Purpose};
 use plumbline_ipc::{
     Asked, Lock, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener, now_ns,
 };
@@ -38,7 +41,9 @@ use recorder::Recorder;
 use rhythm::RequestShare;
 use script::Script;
 use session::Session;
+use state::{DaemonState, Setup};
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 use stop_line::StopLine;
 
@@ -66,18 +71,18 @@ pub struct Daemon {
     stops: StopLine,
     server: Server,
     checker: Checker,
-    desk: Desk,
+    state: DaemonState,
     service: Service,
     /// When requests are answered next.
     share: RequestShare,
 }
 
-/// How a session was seen through.
+/// How a session ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Seen {
-    /// It ended as it was meant to.
-    Through,
-    /// The connection was lost, and the job allows another: what had not been driven to the end is driven again.
+enum SessionEnd {
+    /// Its script was driven, or the session was told to end.
+    Completed,
+    /// The connection was lost, and the job allows another: motions that were not driven to their end are driven again.
     Interrupted,
 }
 
@@ -85,15 +90,16 @@ enum Seen {
 pub fn run(options: Options) -> Result<(), Failure> {
     let (job, robot, out) = options.job.load()?;
     let model = options.model.map(|path| model(path, options.job.root_owned)).transpose()?;
-    let id = crate::setup::robot_id(&job)?;
+    let id = setup::robot_id(&job)?;
     journal::about(id.as_str());
     // Before anything else is touched: nobody else may drive this robot.
-    let lock = if options.adopt_lock { crate::setup::adopted_lock(&id)? } else { crate::setup::lock(&id)? };
+    let lock = if options.adopt_lock { setup::adopted_lock(&id)? } else { setup::lock(&id)? };
     // A stop is taken from here on, also while the excitation is planned.
     let stops = stop_line(&lock, &job)?;
-    let _arm = crate::setup::arm_lock(&job)?;
-    let arm_limits = crate::setup::planner::arm_limits(&job)?;
-    let programme = crate::setup::planner::programme(&job, &robot, &out, arm_limits.as_ref())?;
+    let arm: Arc<dyn ArmConnector> = setup::backend::connector(&job, &robot)?.into();
+    let _arm = setup::arm_lock(arm.as_ref())?;
+    let arm_limits = arm.read_limits().map_err(Failure::job)?;
+    let programme = setup::planner::programme(&job, &robot, &out, arm_limits.as_ref())?;
     let ending = Ending::watch()?;
     if options.end_with_stdin {
         ending.watch_parent()?;
@@ -101,21 +107,22 @@ pub fn run(options: Options) -> Result<(), Failure> {
     // Its thread begins before anything asks for priority.
     let recorder = Recorder::start(&job, &id, &out)?;
     let names = programme.motions().map(|motion| (motion.number, motion.name.clone())).collect();
-    let mut desk = Desk::new(job, robot, names, recorder, ending)?;
-    desk.arm_limits = arm_limits;
+    let rest = setup::rest(&job, &robot)?;
+    let setup = Setup { job, robot, arm, arm_limits, rest, names };
+    let mut state = DaemonState::new(setup, recorder, ending)?;
     if let Some((path, text)) = model {
-        desk.accept_text(&path, &text)?;
+        state.accept_text(&path, &text)?;
     }
     let server = Server::open(&id, ServerSettings::default()).map_err(Failure::job)?;
-    let checker = Checker::start(desk.robot.clone(), server.epoch()).map_err(Failure::job)?;
+    let checker = Checker::start(state.setup.robot.clone(), server.epoch()).map_err(Failure::job)?;
     let (service, share) = (Service::of_environment(), RequestShare::default());
-    let mut daemon = Daemon { stops, server, checker, desk, service, share };
+    let mut daemon = Daemon { stops, server, checker, state, service, share };
     tracing::info!("the daemon of robot `{id}` is ready; the arm moves after `plumbline command start`");
     daemon.service.ready("at rest; the arm moves after `plumbline command start`");
-    daemon.hold(daemon.desk.mounting)?;
-    if daemon.desk.start && !daemon.desk.must_quit() {
+    daemon.hold(daemon.state.mounting)?;
+    if daemon.state.programme.start && !daemon.state.must_quit() {
         daemon.drive(&programme)?;
-        daemon.hold(daemon.desk.mounting)?;
+        daemon.hold(daemon.state.mounting)?;
     }
     daemon.service.stopping();
     tracing::info!("the daemon ends; it has published {} samples", daemon.server.served().published);
@@ -126,7 +133,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
 fn stop_line(lock: &Lock, job: &Job) -> Result<StopLine, Failure> {
     let failed = |error: std::io::Error| Failure::job(format!("stops can't be listened for: {error}"));
     let listener = StopListener::open(lock).map_err(failed)?;
-    let rights = (!job.backend.is_fast()).then(|| session::listener_rights(&job.realtime));
+    let rights = (!job.backend.is_fast()).then(|| session::stop_listener_rights(&job.realtime));
     StopLine::start(listener, move || rights.iter().for_each(|rights| drop(os::become_realtime(rights))))
         .map_err(failed)
 }
@@ -144,20 +151,20 @@ impl Daemon {
     /// Holds and serves until there is something to do. An arm in simulated time would only burn the processor meanwhile: it waits
     /// unconnected.
     fn hold(&mut self, mounting: Mounting) -> Result<(), Failure> {
-        if self.desk.job.backend.is_fast() {
-            while !self.desk.must_leave() {
-                self.talk(None);
+        if self.state.setup.job.backend.is_fast() {
+            while !self.state.must_leave() {
+                self.answer_requests(None);
                 self.service.beat(service::Progress::Waiting);
                 std::thread::sleep(Duration::from_millis(1));
             }
             return Ok(());
         }
         // Whoever has ended the job in mid-motion does not want another connection. A start may be taken back by a stop until the last moment.
-        while !self.desk.must_leave() {
+        while !self.state.must_leave() {
             self.service.long_step(CONNECTION);
-            let session = Session::open(self, "hold".into(), mounting, Purpose::Hold, Script::hold())?;
+            let session = Session::open(self, "hold".into(), mounting, Purpose::Monitor, Script::hold())?;
             self.service.status("at rest; the arm holds");
-            self.see_through(session)?;
+            self.run_session(session)?;
         }
         Ok(())
     }
@@ -165,52 +172,53 @@ impl Daemon {
     /// Drives every stage of the programme.
     fn drive(&mut self, programme: &Programme) -> Result<(), Failure> {
         for stage in &programme.stages {
-            self.desk.progress = Progress::Driving;
+            self.state.programme.progress = Progress::Driving;
             let place = stage.mounting.to_string();
             tracing::info!("the arm is mounted {place}; {} motions", stage.motions.len());
             loop {
-                let script = Script::of(stage, self.desk.rest, &self.desk.ended).map_err(Failure::job)?;
+                let script = Script::of(stage, self.state.setup.rest, &self.state.programme.ended).map_err(Failure::job)?;
                 self.service.long_step(CONNECTION);
                 let session = Session::open(self, place.clone(), stage.mounting, Purpose::Drive, script)?;
                 self.service.status(&format!("moving; mounted {place}"));
                 // Interrupted: once more, unless somebody has stopped it meanwhile.
-                if self.see_through(session)? == Seen::Through || self.desk.is_over() {
+                if self.run_session(session)? == SessionEnd::Completed || self.state.is_over() {
                     break;
                 }
             }
-            if self.desk.is_over() {
-                if self.desk.barred {
-                    self.desk.progress = Progress::Stopped;
+            if self.state.is_over() {
+                if self.state.stops.barred {
+                    self.state.programme.progress = Progress::Stopped;
                 }
                 return Ok(());
             }
         }
-        self.desk.driven = Some(self.server.served().published);
-        self.desk.progress = Progress::Done;
+        self.state.programme.driven = Some(self.server.served().published);
+        self.state.programme.progress = Progress::Done;
         tracing::info!("everything was driven");
         Ok(())
     }
 
     /// Runs a session to its end and keeps its figures.
-    fn see_through(&mut self, session: Session) -> Result<Seen, Failure> {
+    fn run_session(&mut self, session: Session) -> Result<SessionEnd, Failure> {
         let ended = session.run(self);
         self.stops.connect(None);
-        self.desk.braking = false;
+        self.state.stops.braking = false;
         let (statistics, end) = ended?;
         tracing::info!("{}", account(&statistics));
         let words = statistics.link.as_ref().and_then(|link| link.fault.clone()).unwrap_or_else(|| end.to_string());
-        self.desk.sessions.push(statistics);
+        self.state.history.sessions.push(statistics);
         match end {
-            End::Quit => Ok(Seen::Through),
-            end if arm::goes_on(&self.desk, &end) => {
-                self.desk.recoveries += 1;
-                tracing::warn!("{words}; going on by itself, time {}, as the job allows", self.desk.recoveries);
+            End::Quit => Ok(SessionEnd::Completed),
+            end if self.state.may_recover(&end) => {
+                self.state.programme.recoveries += 1;
+                tracing::warn!("{words}; going on by itself, time {}, as the job allows", self.state.programme.recoveries);
                 self.service.long_step(CONNECTION);
-                arm::recover(self)?;
-                Ok(Seen::Interrupted)
+                let arm = Arc::clone(&self.state.setup.arm);
+                self.meanwhile(|| arm.recover())?.map_err(Failure::job)?;
+                Ok(SessionEnd::Interrupted)
             }
             End::NotRealTime => {
-                let refusals = self.desk.degraded.join("; ");
+                let refusals = self.state.history.degraded.join("; ");
                 Err(Failure::job(format!("the loop ended: {words} (realtime.on-refusal): {refusals}")))
             }
             _ => Err(Failure::job(format!("the loop ended: {words}"))),
@@ -222,7 +230,7 @@ impl Daemon {
         std::thread::scope(|scope| {
             let thread = scope.spawn(work);
             while !thread.is_finished() {
-                self.talk(None);
+                self.answer_requests(None);
                 std::thread::sleep(Duration::from_millis(1));
             }
             thread.join().map_err(|_panic| Failure::job("the thread that connects to the arm panicked"))
@@ -232,35 +240,35 @@ impl Daemon {
     /// Takes note of a stop that has come. `controls` are the running loop's, where one runs.
     fn take_stop(&mut self, controls: Option<&Controls>) {
         if let Some(order) = self.stops.attend(controls) {
-            self.desk.take_stop(order, controls);
+            self.state.take_stop(order, controls);
         }
     }
 
     /// Takes note of a stop; answers the requests that are waiting, where their share of the time allows that.
-    fn talk(&mut self, controls: Option<&Controls>) {
+    fn answer_requests(&mut self, controls: Option<&Controls>) {
         self.take_stop(controls);
-        self.desk.announce_end();
+        self.state.announce_end();
         let begin = now_ns();
         if !self.share.is_due(begin) {
             return;
         }
-        let Daemon { server, desk, checker, .. } = self;
+        let Daemon { server, state, checker, .. } = self;
         while let Some(Answerable { ticket, order, checked }) = checker.take() {
             if matches!(checked, Checked::Garbled(_)) {
                 server.garbled();
             }
-            let response = desk.conclude(checked, &server.served(), controls);
+            let response = state.conclude(checked, &server.served(), controls);
             server.answer(ticket, order, &response);
         }
         server.serve(checker.room(begin), |asked, served| match asked {
-            Asked::Light(request) => Some(desk.answer(request, served, controls)),
+            Asked::Light(request) => Some(state.answer(request, served, controls)),
             Asked::Heavy(ticket, bytes) => {
-                checker.give(ticket, bytes, desk.mounting, begin);
+                checker.give(ticket, bytes, state.mounting, begin);
                 None
             }
         });
         while let Some(news) = server.take_news() {
-            desk.news(&news, controls);
+            state.news(&news, controls);
         }
         let end = now_ns();
         server.answered_for(end.saturating_sub(begin));

@@ -25,7 +25,7 @@ impl Rhythm {
     }
 
     /// When to look for the next record \[ns\]; `None` before the first.
-    pub fn next_look(&self, now_ns: u64) -> Option<u64> {
+    pub fn next_poll_ns(&self, now_ns: u64) -> Option<u64> {
         let due = self.stamp_ns?.saturating_add(PERIOD_NS + self.work_ns + BEHIND_NS);
         Some(if due > now_ns { due } else { now_ns.saturating_add(AGAIN_NS) })
     }
@@ -85,14 +85,14 @@ mod tests {
     #[test]
     fn looks_right_behind_the_loop_and_soon_again_when_it_is_late() {
         let mut rhythm = Rhythm::default();
-        assert_eq!(rhythm.next_look(5), None);
+        assert_eq!(rhythm.next_poll_ns(5), None);
         rhythm.saw(10_000_000, 4_000);
-        assert_eq!(rhythm.next_look(10_100_000), Some(11_024_000));
+        assert_eq!(rhythm.next_poll_ns(10_100_000), Some(11_024_000));
         // The record is late: a stall of the loop must not cost the clients another period.
-        assert_eq!(rhythm.next_look(11_030_000), Some(11_080_000));
-        assert_eq!(rhythm.next_look(25_000_000), Some(25_050_000));
+        assert_eq!(rhythm.next_poll_ns(11_030_000), Some(11_080_000));
+        assert_eq!(rhythm.next_poll_ns(25_000_000), Some(25_050_000));
         // One slow cycle does not make this thread late for the next.
         rhythm.saw(10_000_000, 900_000_000);
-        assert_eq!(rhythm.next_look(10_100_000), Some(11_220_000));
+        assert_eq!(rhythm.next_poll_ns(10_100_000), Some(11_220_000));
     }
 }

@@ -4,9 +4,8 @@ use crate::config::job::Job;
 use crate::failure::Failure;
 use crate::setup::planner::Planner;
 use crate::store::{load_plan, save_plan};
-use plumbline_core::{BadInput, JointVec, Limits, Setpoint};
+use plumbline_core::{ArmLimits, BadInput, JointVec, Limits, Setpoint};
 use plumbline_excite::{Bounds, Fourier, Peak, Plan, Quantity, check_pose, rehearse_points};
-use plumbline_franka::RobotLimits;
 use plumbline_model::{Mounting, Robot, VERTICAL_TOLERANCE};
 use plumbline_rt::MoveFactors;
 use std::path::Path;
@@ -245,7 +244,7 @@ pub fn outside(limits: &Limits, q: &[f64]) -> Option<(usize, [f64; 2])> {
 ///
 /// # Errors
 /// A way that leaves the workspace or meets the arm itself, with what it breaks.
-pub fn free_way(job: &Job, robot: &Robot, arm: &RobotLimits, from: &JointVec, to: &JointVec) -> Result<(), Failure> {
+pub fn free_way(job: &Job, robot: &Robot, arm: &ArmLimits, from: &JointVec, to: &JointVec) -> Result<(), Failure> {
     let planner = Planner::of(job, robot, Some(arm))?;
     let ways = Ways::new(&planner)?;
     ways.way(from, to).map_err(|peak| {

@@ -6,6 +6,7 @@
 //! | values of one cycle: fixed size, `Copy`, `repr(C)` | [`State`], [`Setpoint`], [`Command`], [`Record`], [`JointVec`] |
 //! | limits of an arm | [`Limits`], [`SpeedEnvelope`], [`Workspace`] |
 //! | interfaces of the loop | [`Backend`], [`Reference`], [`FeedForward`], [`Kinematics`], [`Sink`], [`Clock`], [`Fault`] |
+//! | what a backend crate provides beside the loop | [`ArmConnector`], [`Connected`], [`ArmMonitor`], [`ArmLimits`], [`Explanation`], [`Link`] |
 //! | bad input: file, place, value, expectation | [`BadInput`], [`from_toml`] |
 //! | histogram of durations and its percentiles | [`Histogram`], [`Distribution`] |
 //! | decompositions with a bound on their iterations | [`svd`], [`singular_values`], [`symmetric_eigen`] |
@@ -26,6 +27,7 @@
 
 #![forbid(unsafe_code)]
 
+mod arm;
 mod decomposition;
 mod histogram;
 mod input;
@@ -33,6 +35,10 @@ mod joint;
 mod parallel;
 mod traits;
 
+pub use arm::{
+    ArmConnector, ArmError, ArmLimits, ArmMonitor, CommandMode, ConnectOptions, Connected, Explanation, Hardware, Link, MeasuredGravity,
+    ModeChange, Purpose, TimeGate,
+};
 pub use decomposition::{singular_values, svd, symmetric_eigen};
 pub use histogram::{Distribution, Histogram};
 pub use input::{BadInput, expectation, from_toml};

@@ -355,7 +355,7 @@ impl Backend for FrankaArm {
 
     fn write(&mut self, command: &Command) -> Result<(), Fault> {
         match (self.settings.purpose, self.phase) {
-            (Purpose::Watch, _) => Ok(()),
+            (Purpose::Monitor, _) => Ok(()),
             (Purpose::Drive, Phase::Moving) => self.answer(command),
             (Purpose::Drive, Phase::Ready) => Err(Fault::Refused { code: REFUSED_BEFORE_START }),
             (Purpose::Drive, Phase::Over(_) | Phase::Stopped) => Err(Fault::Refused { code: REFUSED_STOPPED }),

@@ -4,28 +4,7 @@ use super::codes::*;
 use super::error::{first_bytes, next_step};
 use super::telemetry::{Stall, Statistics};
 use super::wire::{ErrorBit, MoveStatus, RobotMode};
-use plumbline_core::Fault;
-
-/// What is said about a fault.
-#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
-pub struct Explanation {
-    /// What happened, with the arm's own names of its errors.
-    pub what: String,
-    /// Why, where the counters tell.
-    pub cause: Option<String>,
-    /// What the operator does next.
-    pub next: String,
-}
-
-impl std::fmt::Display for Explanation {
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(out, "{}.", self.what)?;
-        if let Some(cause) = &self.cause {
-            write!(out, " {cause}.")?;
-        }
-        write!(out, " Next: {}", self.next)
-    }
-}
+use plumbline_core::{Explanation, Fault};
 
 /// Puts `fault` of a [`super::FrankaArm`] into words; `telemetry` is a snapshot taken after it.
 pub fn explain(fault: &Fault, telemetry: &Statistics) -> Explanation {

@@ -11,6 +11,7 @@
 //! | `gravity` | the gravity that the arm compensates, and the direction that its sensors show |
 //! | `arm`, `motion`, `halt` | the arm in the loop: beginning, cycle, end of a motion |
 //! | `reference`, `limiter`, `torque` | what the arm goes by, in double precision; commands inside its limits; the impedance law |
+//! | `connector` | the arm as a backend of the daemon |
 //! | `telemetry`, `explain` | counters that any thread may look at; faults in words |
 //!
 //! What goes for every motion:
@@ -29,7 +30,7 @@
 //! use plumbline_franka::{Purpose, RobotKind, Settings, connect};
 //!
 //! // Reads states; the arm's own controller holds it.
-//! let settings = Settings { purpose: Purpose::Watch, ..Settings::new("172.16.0.2".parse()?, RobotKind::Fr3) };
+//! let settings = Settings { purpose: Purpose::Monitor, ..Settings::new("172.16.0.2".parse()?, RobotKind::Fr3) };
 //! let (mut arm, _connection) = connect(&settings)?;
 //! println!("{:?}", arm.read()?.q);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -40,6 +41,7 @@
 mod arm;
 mod codes;
 mod connect;
+mod connector;
 mod error;
 mod explain;
 mod gravity;
@@ -60,11 +62,12 @@ pub mod wire;
 pub use arm::FrankaArm;
 pub use codes::*;
 pub use connect::{Connection, Info, connect, read_limits, recover, recover_communication};
+pub use connector::FrankaConnector;
 pub use error::{ConnectError, next_step};
-pub use explain::{Explanation, explain};
+pub use explain::explain;
 pub use gravity::{Gravity, Source};
 pub use limits::{
-    RobotLimits, UrdfError, fr3 as fr3_limits, from_urdf as limits_from_urdf, guard_envelope, guard_limits,
+    RobotLimits, UrdfError, fr3 as fr3_limits, from_urdf as limits_from_urdf,
 };
 pub use settings::{
     BadSetting, Collision, Controller, Interface, Load, Purpose, RobotKind, Settings, SocketOptions, TorqueControl,

@@ -7,6 +7,7 @@ use std::net::IpAddr;
 use std::time::Duration;
 
 pub use super::wire::{CollisionBehavior as Collision, Load};
+pub use plumbline_core::Purpose;
 
 /// Which robot is expected: it decides the limits where the arm does not serve its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,15 +29,6 @@ pub enum Interface {
     JointVelocity,
     /// Joint torques from an impedance law in this program, see [`TorqueControl`].
     Torque,
-}
-
-/// Whether the arm may be moved.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Purpose {
-    /// The first read starts a motion, and every command is sent.
-    Drive,
-    /// States are read, no motion is ever started, and commands are ignored.
-    Watch,
 }
 
 /// The arm's own controller under a motion of positions or velocities.
@@ -98,7 +90,8 @@ pub struct Settings {
     pub robot: RobotKind,
     /// What the commands hold.
     pub interface: Interface,
-    /// Whether the arm may be moved.
+    /// With [`Purpose::Drive`] the first read starts a motion and every command is sent; with [`Purpose::Monitor`] no motion is started, and
+    /// commands are ignored.
     pub purpose: Purpose,
     /// The arm's own controller, not used by [`Interface::Torque`].
     pub controller: Controller,

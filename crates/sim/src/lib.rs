@@ -9,6 +9,7 @@
 //! | `commands`, `plant` | the controller's smooth target; the integration of everything |
 //! | `sensors`, `gate` | noise, faults and loss; back-pressure at full speed |
 //! | `response` | a periodic motion at once, without a loop |
+//! | `connector` | the arm as a backend of the daemon |
 //! | `hardware` | the arm alone, for a program that is the robot around it |
 //!
 //! It takes positions: `desired.q` of a command, nothing else. A motion begins with the first command, which must be where the arm stands.
@@ -38,6 +39,7 @@
 
 mod aba;
 mod commands;
+mod connector;
 mod effect;
 mod gate;
 mod hardware;
@@ -47,6 +49,7 @@ mod sensors;
 mod spatial;
 mod truth;
 
+pub use connector::SimConnector;
 pub use gate::Gate;
 pub use hardware::{Hardware, Sensed};
 pub use plant::Exact;
@@ -185,19 +188,19 @@ impl SimArm {
         seed: u64,
         pace: Pace,
     ) -> Result<SimArm, SimError> {
-        SimArm::with_effects(chain, truth, mounting, start, seed, pace, truth.build_effects())
+        SimArm::with_effects(chain, truth, mounting.gravity(), start, seed, pace, truth.build_effects())
     }
 
     fn with_effects(
         chain: &Chain,
         truth: &Truth,
-        mounting: Mounting,
+        gravity: Vector3<f64>,
         start: JointVec,
         seed: u64,
         pace: Pace,
         effects: Vec<Box<dyn Effect>>,
     ) -> Result<SimArm, SimError> {
-        let (n, gravity) = (chain.len(), mounting.gravity());
+        let n = chain.len();
         check(chain, truth, &gravity, &start, &effects)?;
         Ok(SimArm {
             joints: n,

@@ -6,7 +6,7 @@
 mod deck;
 mod folder;
 
-use super::desk::Desk;
+use super::state::Setup;
 use crate::config::job::Job;
 use crate::recording::about::{About, FORMAT, Given, Handed, LogClock, Reason, Settings, panicked};
 use crate::recording::history::History;
@@ -130,22 +130,22 @@ impl Recorder {
     /// A tape for a loop that is about to begin. Its memory is allocated here.
     pub fn tape(
         &self,
-        desk: &Desk,
+        setup: &Setup,
         mounting: Mounting,
         session: &str,
         settings: &CycleSettings,
         controls: &Arc<Controls>,
     ) -> Tape {
-        let waits = desk.job.backend.is_fast();
+        let waits = setup.job.backend.is_fast();
         let Some(inbox) = &self.inbox else { return Tape { inbox: None, ring: RingBuffer::new(1).0, waits, lost: 0 } };
         let (ring, records) = RingBuffer::new(RING);
-        let joints = desk.robot.chain.len();
+        let joints = setup.robot.chain.len();
         let depth = (self.span * 1e3) as usize + STOP;
         let Sheet { id, job, job_text, robot_text } = &self.about;
         let about = About {
             format: FORMAT,
             plumbline: env!("CARGO_PKG_VERSION").into(),
-            robot: desk.robot.name.clone(),
+            robot: setup.robot.name.clone(),
             id: id.clone(),
             joints,
             mounting: mounting.to_string(),
@@ -163,7 +163,7 @@ impl Recorder {
             lost: 0,
             late: 0,
             untold: 0,
-            motions: desk.names.clone(),
+            motions: setup.names.clone(),
             notes: Vec::new(),
             settings: Settings::from(settings),
             under_way: Default::default(),
