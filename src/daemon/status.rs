@@ -1,7 +1,8 @@
 //! The status message.
 
 use super::state::DaemonState;
-use plumbline_ipc::{Mounting as MountingMessage, Served, Session as SessionStatistics, Status, now_ns};
+use plumbline_core::LoopStatistics;
+use plumbline_ipc::{Mounting as MountingMessage, Served, Status, now_ns};
 use plumbline_model::Mounting;
 use plumbline_rt::Controls;
 
@@ -12,17 +13,19 @@ impl DaemonState {
         let place = self.mounting.to_string();
         let gravity = self.gravity.served();
         let Mounting { rho, phi } = Mounting::along(&gravity);
-        let sum = |count: fn(&SessionStatistics) -> u64| self.history.sessions.iter().map(count).sum();
+        let sum = |count: fn(&LoopStatistics) -> u64| {
+            self.history.sessions.iter().map(|session| count(&session.statistics)).sum()
+        };
         let mut status = Status {
             robot: self.setup.robot.name.clone(),
             process: std::process::id(),
             joints: self.setup.robot.chain.len(),
             phase: last.phase,
             motion: last.motion,
-            cycles: sum(|session| session.cycles),
-            lost: sum(|session| session.lost),
-            late: sum(|session| session.late),
-            dropped: sum(|session| session.unrecorded),
+            cycles: sum(|of| of.cycles),
+            lost: sum(|of| of.lost),
+            late: sum(|of| of.late.unwrap_or(0)),
+            dropped_records: sum(|of| of.dropped_records),
             model: self.models.served_id(),
             offered: self.models.offer(),
             mounting: Some(MountingMessage { rho, phi, gravity: gravity.into() }),
@@ -39,7 +42,7 @@ impl DaemonState {
             status.cycles += controls.cycles();
             status.lost += controls.lost();
             status.late += controls.late();
-            status.dropped += controls.unrecorded();
+            status.dropped_records += controls.dropped_records();
         }
         status
     }
@@ -49,6 +52,7 @@ impl DaemonState {
 mod tests {
     use super::super::fixture::*;
     use super::*;
+    use plumbline_ipc::Session;
 
     #[test]
     fn the_status_sums_up_every_connection_and_the_running_loop() {
@@ -56,17 +60,19 @@ mod tests {
         state.setup.names = vec![(1, "approach".into()), (2, "excitation".into())];
         state.history.last.motion = 2;
         let model = offered(&mut state, MODEL.into());
-        let session = SessionStatistics { cycles: 1000, lost: 100, late: 10, unrecorded: 20, ..Default::default() };
+        let counts =
+            LoopStatistics { cycles: 1000, lost: 100, late: Some(10), dropped_records: 20, ..Default::default() };
+        let session = Session { statistics: counts, ..Session::default() };
         state.history.sessions = vec![session; 2];
         let (mut cycle, handles) = real_time_loop(state.setup.robot.limits);
         let outcome = cycle.run();
         let controls = &handles.controls;
-        let running = [controls.cycles(), controls.lost(), controls.late(), controls.unrecorded()];
+        let running = [controls.cycles(), controls.lost(), controls.late(), controls.dropped_records()];
         assert_eq!((running[0], running[1], running[3]), (5, 2, 3), "{:?}", outcome.end);
         assert!(running[2] > 0);
         for (controls, more) in [(None, [0; 4]), (Some(&**controls), running)] {
             let status = state.status(&Served::default(), controls);
-            let counts = [status.cycles, status.lost, status.late, status.dropped];
+            let counts = [status.cycles, status.lost, status.late, status.dropped_records];
             assert_eq!(counts, [2000 + more[0], 200 + more[1], 20 + more[2], 40 + more[3]]);
             assert_eq!((status.joints, status.model, status.motion), (7, model, 2));
             assert!(status.job.ends_with(": excitation"), "{}", status.job);

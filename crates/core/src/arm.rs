@@ -230,7 +230,6 @@ impl ArmLimits {
 
 /// Statistics of the network link to a robot in one session.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct Link {
     /// Robot, protocol version and system image, in words.
     pub robot: String,

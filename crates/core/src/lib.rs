@@ -8,7 +8,7 @@
 //! | interfaces of the loop | [`Backend`], [`Reference`], [`FeedForward`], [`Kinematics`], [`Sink`], [`Clock`], [`Fault`] |
 //! | what a backend crate provides beside the loop | [`ArmConnector`], [`Connected`], [`ArmMonitor`], [`ArmLimits`], [`Explanation`], [`Link`] |
 //! | bad input: file, place, value, expectation | [`BadInput`], [`from_toml`] |
-//! | histogram of durations and its percentiles | [`Histogram`], [`Distribution`] |
+//! | histogram of durations and its percentiles, counts of the loop | [`Histogram`], [`Distribution`], [`LoopStatistics`] |
 //! | decompositions with a bound on their iterations | [`svd`], [`singular_values`], [`symmetric_eigen`] |
 //! | work on all processors | [`parallel()`], [`threads`] |
 //!
@@ -33,6 +33,7 @@ mod histogram;
 mod input;
 mod joint;
 mod parallel;
+mod statistics;
 mod traits;
 
 pub use arm::{
@@ -46,4 +47,5 @@ pub use joint::{
     Command, JointVec, Limits, MAX_JOINTS, Phase, Record, Setpoint, SpeedEnvelope, State, Torque, Validity, Workspace,
 };
 pub use parallel::{parallel, threads};
+pub use statistics::LoopStatistics;
 pub use traits::{Backend, Clock, Fault, FeedForward, Kinematics, LONGEST_ALONE, PERIOD, PERIOD_NS, Reference, Sink};
