@@ -76,6 +76,18 @@ fn product_code() -> Vec<(String, String)> {
         .collect()
 }
 
+/// Files of the program that may name a backend's crate: its settings, and the line that selects it.
+const BACKENDS: &[&str] = &["src/config/job/", "src/setup/backend.rs"];
+
+#[test]
+fn a_backend_is_named_by_its_settings_and_in_one_line() {
+    for (file, code) in product_code().iter().filter(|(file, _)| file.starts_with("src/")) {
+        let names = ["plumbline_franka", "plumbline_sim"].into_iter().find(|name| code.contains(name));
+        let allowed = BACKENDS.iter().any(|home| file.starts_with(home));
+        assert!(names.is_none() || allowed, "{file} names {names:?}");
+    }
+}
+
 #[test]
 fn each_of_these_has_one_home() {
     for (file, code) in product_code() {

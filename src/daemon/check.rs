@@ -169,6 +169,8 @@ mod tests {
         let nonsense = Request::OfferModel { toml: "x".into() };
         assert!(matches!(check(&bytes(&nonsense)), Checked::Refused(_)));
         let other_start = br#"{"epoch":6,"request":"status"}"#;
-        assert!(matches!(check(other_start), Checked::Garbled(Response::Refused { reason }) if reason.contains("start 5")));
+        assert!(
+            matches!(check(other_start), Checked::Garbled(Response::Refused { reason }) if reason.contains("start 5"))
+        );
     }
 }

@@ -90,6 +90,10 @@ impl Backend for ShortLived {
     }
 
     fn stop(&mut self) {}
+
+    fn deadline_ns(&self) -> Option<u64> {
+        Some(plumbline_rt::os::now_ns())
+    }
 }
 
 /// A loop and its outside end. It has room for two records.
@@ -105,9 +109,7 @@ pub fn real_time_loop(limits: Limits) -> (Cycle<ShortLived, RingSink>, Handles) 
 pub fn waiting(state: &DaemonState) -> Arc<Controls> {
     let (mut cycle, handles) = real_time_loop(state.setup.robot.limits);
     let doing = Doing::Stopped;
-    cycle
-        .restore(Checkpoint { doing, last: [Record::default(); 3], models: Succession::default() })
-        .unwrap();
+    cycle.restore(Checkpoint { doing, last: [Record::default(); 3], models: Succession::default() }).unwrap();
     assert!(handles.controls.is_waiting());
     Arc::clone(&handles.controls)
 }

@@ -176,7 +176,8 @@ impl Daemon {
             let place = stage.mounting.to_string();
             tracing::info!("the arm is mounted {place}; {} motions", stage.motions.len());
             loop {
-                let script = Script::of(stage, self.state.setup.rest, &self.state.programme.ended).map_err(Failure::job)?;
+                let script =
+                    Script::of(stage, self.state.setup.rest, &self.state.programme.ended).map_err(Failure::job)?;
                 self.service.long_step(CONNECTION);
                 let session = Session::open(self, place.clone(), stage.mounting, Purpose::Drive, script)?;
                 self.service.status(&format!("moving; mounted {place}"));
@@ -211,7 +212,10 @@ impl Daemon {
             End::Quit => Ok(SessionEnd::Completed),
             end if self.state.may_recover(&end) => {
                 self.state.programme.recoveries += 1;
-                tracing::warn!("{words}; going on by itself, time {}, as the job allows", self.state.programme.recoveries);
+                tracing::warn!(
+                    "{words}; going on by itself, time {}, as the job allows",
+                    self.state.programme.recoveries
+                );
                 self.service.long_step(CONNECTION);
                 let arm = Arc::clone(&self.state.setup.arm);
                 self.meanwhile(|| arm.recover())?.map_err(Failure::job)?;
@@ -299,3 +303,6 @@ fn account(of: &SessionStatistics) -> String {
         times.into_iter().filter_map(|(what, times)| us(what, times)).collect::<String>(),
     )
 }
+
+#[cfg(test)]
+mod tests;

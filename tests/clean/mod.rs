@@ -2,7 +2,9 @@
 //! return, the end. Sealed, the loop's thread dies at its first stray system call, and the program with it.
 
 use plumbline::store::ModelFile;
-use plumbline_core::{ArmLimits, Backend, Clock, Command, Fault, FeedForward, JointVec, MAX_JOINTS, Setpoint, State, Torque};
+use plumbline_core::{
+    ArmLimits, Backend, Clock, Command, Fault, FeedForward, JointVec, MAX_JOINTS, Setpoint, State, Torque,
+};
 use plumbline_franka::RobotKind;
 use plumbline_franka::wire::Protocol;
 use plumbline_model::term::Sample;

@@ -37,8 +37,8 @@ mod statistics;
 mod traits;
 
 pub use arm::{
-    ArmConnector, ArmError, ArmLimits, ArmMonitor, CommandMode, ConnectOptions, Connected, Explanation, Hardware, Link, MeasuredGravity,
-    ModeChange, Purpose, TimeGate,
+    ArmConnector, ArmError, ArmLimits, ArmMonitor, CommandMode, ConnectOptions, Connected, Explanation, Hardware, Link,
+    MeasuredGravity, ModeChange, Purpose, TimeGate,
 };
 pub use decomposition::{singular_values, svd, symmetric_eigen};
 pub use histogram::{Distribution, Histogram};

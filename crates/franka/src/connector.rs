@@ -8,8 +8,8 @@ use super::settings::{Interface, Settings};
 use super::telemetry::Telemetry;
 use super::wire::{ErrorBit, RobotMode};
 use plumbline_core::{
-    ArmConnector, ArmError, ArmLimits, ArmMonitor, CommandMode, ConnectOptions, Connected, Explanation, Fault, Hardware,
-    Link, MeasuredGravity, ModeChange, Purpose,
+    ArmConnector, ArmError, ArmLimits, ArmMonitor, CommandMode, ConnectOptions, Connected, Explanation, Fault,
+    Hardware, Link, MeasuredGravity, ModeChange, Purpose,
 };
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -69,7 +69,9 @@ impl ArmConnector for FrankaConnector {
     /// Only after a fault of communication: everything else needs an operator.
     fn max_recoveries(&self, fault: &Fault) -> u32 {
         match fault {
-            Fault::Reflex { code } if *code == ErrorBit::CommunicationConstraintsViolation as u32 => self.max_recoveries,
+            Fault::Reflex { code } if *code == ErrorBit::CommunicationConstraintsViolation as u32 => {
+                self.max_recoveries
+            }
             Fault::Silent { .. } | Fault::Disconnected => self.max_recoveries,
             Fault::Reflex { .. } | Fault::Refused { .. } => 0,
         }

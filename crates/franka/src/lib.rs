@@ -66,9 +66,7 @@ pub use connector::FrankaConnector;
 pub use error::{ConnectError, next_step};
 pub use explain::explain;
 pub use gravity::{Gravity, Source};
-pub use limits::{
-    RobotLimits, UrdfError, fr3 as fr3_limits, from_urdf as limits_from_urdf,
-};
+pub use limits::{RobotLimits, UrdfError, fr3 as fr3_limits, from_urdf as limits_from_urdf};
 pub use settings::{
     BadSetting, Collision, Controller, Interface, Load, Purpose, RobotKind, Settings, SocketOptions, TorqueControl,
 };

@@ -53,8 +53,8 @@ mod trouble;
 pub use arm_lock::{ArmLock, ArmLockError};
 pub use client::Client;
 pub use command::{
-    Follower, Gravity, Held, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request, Response,
-    Served, Session, Status,
+    Follower, Gravity, Held, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request, Response, Served,
+    Session, Status,
 };
 pub use error::IpcError;
 pub use feed_forward::{FeedForwardClient, FeedForwardSettings, Latest, Presence};

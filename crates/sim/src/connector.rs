@@ -1,7 +1,9 @@
 //! The simulated arm as a backend of the daemon.
 
 use crate::{Gate, Pace, SimArm, Truth};
-use plumbline_core::{ArmConnector, ArmError, Clock, ConnectOptions, Connected, JointVec, LONGEST_ALONE, Purpose, TimeGate};
+use plumbline_core::{
+    ArmConnector, ArmError, Clock, ConnectOptions, Connected, JointVec, LONGEST_ALONE, Purpose, TimeGate,
+};
 use plumbline_model::Chain;
 use std::sync::Arc;
 

@@ -233,11 +233,7 @@ impl Franka {
     ///
     /// # Errors
     /// A job for a robot that is no Franka.
-    pub fn settings(
-        &self,
-        job: &super::Job,
-        purpose: Purpose,
-    ) -> Result<plumbline_franka::Settings, BadInput> {
+    pub fn settings(&self, job: &super::Job, purpose: Purpose) -> Result<plumbline_franka::Settings, BadInput> {
         let robot = Franka::robot(job)?;
         let Collision { contact_torque, collision_torque, contact_force, collision_force } = self.collision;
         let Socket { priority, busy_poll, receive_buffer } = self.socket;

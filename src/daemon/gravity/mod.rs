@@ -70,9 +70,10 @@ impl Refusal {
         }
         match (self, other) {
             (Refusal::Parameters(one), Refusal::Parameters(other)) => one == other,
-            (Refusal::Inclinometer(follow::Refusal::Lost(one)), Refusal::Inclinometer(follow::Refusal::Lost(other))) => {
-                discriminant(one) == discriminant(other)
-            }
+            (
+                Refusal::Inclinometer(follow::Refusal::Lost(one)),
+                Refusal::Inclinometer(follow::Refusal::Lost(other)),
+            ) => discriminant(one) == discriminant(other),
             (Refusal::Inclinometer(one), Refusal::Inclinometer(other)) => discriminant(one) == discriminant(other),
             (Refusal::Mounting(one), Refusal::Mounting(other)) => match (one, other) {
                 (Off { side, pairs, .. }, Off { side: other_side, pairs: other_pairs, .. }) => {

@@ -104,7 +104,10 @@ fn a_vertical_model_is_refused_where_the_arm_compensates_another_gravity_than_al
         monitor.connect(Mounting::UPRIGHT, None, vendor.gravity(), false);
         match verdict(&mut monitor, &model) {
             Verdict::Refuse(why) => {
-                assert!(!served && why.to_string().contains("VBS") && why.to_string().contains("not in the mounting wall"), "{why}")
+                assert!(
+                    !served && why.to_string().contains("VBS") && why.to_string().contains("not in the mounting wall"),
+                    "{why}"
+                )
             }
             other => assert!(served, "{other:?}"),
         }

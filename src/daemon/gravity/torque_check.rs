@@ -2,7 +2,7 @@
 
 use super::super::models::Accepted;
 use super::super::rest::Rests;
-use plumbline_identify::{Disagreement, DirectionError, Implied, Side, implied};
+use plumbline_identify::{DirectionError, Disagreement, Implied, Side, implied};
 
 /// The check of one model by the torques at rest.
 #[derive(Clone)]

@@ -30,8 +30,9 @@ fn a_programme_is_started_once_and_a_request_to_quit_ends_the_daemon() {
 fn a_permission_lifts_a_stop_where_the_arm_rests_and_not_while_it_brakes() {
     let (mut state, _place) = new_state();
     let controls = waiting(&state);
-    let resume =
-        |state: &mut DaemonState, controls: &Controls| state.answer(Request::Resume {}, &Served::default(), Some(controls));
+    let resume = |state: &mut DaemonState, controls: &Controls| {
+        state.answer(Request::Resume {}, &Served::default(), Some(controls))
+    };
     state.stops.barred = true;
     assert_eq!(resume(&mut state, &controls), Response::Accepted {});
     assert!(!state.stops.barred && !controls.is_waiting());
@@ -99,13 +100,15 @@ fn a_model_that_lacks_parameters_of_the_mounting_is_neither_offered_nor_handed_o
     assert!(state.models.for_loop(&Mounting::UPRIGHT).is_some() && !state.models.for_loop(&Mounting::WALL).is_some());
     // Checked upright; the arm hangs on a wall when it is to be served.
     let upright = Mounting::UPRIGHT;
-    let Checked::Offered(checked) = Checked::of(&state.setup.robot, &upright, Request::OfferModel { toml: vertical() }) else {
+    let Checked::Offered(checked) = Checked::of(&state.setup.robot, &upright, Request::OfferModel { toml: vertical() })
+    else {
         panic!()
     };
     state.mounting = Mounting::WALL;
     let reason = refusal(state.conclude(Checked::Offered(checked), &Served::default(), None));
     assert!(reason.contains("holds in the present mounting"), "{reason}");
-    let Checked::Refused(response) = Checked::of(&state.setup.robot, &state.mounting, Request::OfferModel { toml: vertical() })
+    let Checked::Refused(response) =
+        Checked::of(&state.setup.robot, &state.mounting, Request::OfferModel { toml: vertical() })
     else {
         panic!()
     };

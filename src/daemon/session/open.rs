@@ -48,9 +48,8 @@ impl Session {
         let state = &mut daemon.state;
         let unwanted = purpose == Purpose::Drive && state.is_over();
         let script = if unwanted { Script::hold() } else { script };
-        let uncompensated = purpose == Purpose::Drive
-            && state.setup.commands_torques()
-            && uncompensated(&mounting.gravity(), &vendor);
+        let uncompensated =
+            purpose == Purpose::Drive && state.setup.commands_torques() && uncompensated(&mounting.gravity(), &vendor);
         state.models.recent.clear();
         let own = hardware.as_ref().and_then(|hardware| hardware.accelerometers.as_ref()).map(by_accelerometers);
         state.gravity.connect(mounting, own, vendor, uncompensated);

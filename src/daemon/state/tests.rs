@@ -151,7 +151,8 @@ fn the_loss_of_the_estimator_stops_an_arm_that_moves_where_the_job_says_so() {
             for rule in [OnLoss::Stop, OnLoss::Finish] {
                 for progress in [Progress::Driving, Progress::AwaitingModel, Progress::Idle] {
                     let (mut state, _place) = state_of(job);
-                    (state.setup.job.live.watch, state.setup.job.safety.on_estimator_loss, state.programme.progress) = (watch, rule, progress);
+                    (state.setup.job.live.watch, state.setup.job.safety.on_estimator_loss, state.programme.progress) =
+                        (watch, rule, progress);
                     let controls = Controls::default();
                     let said = logged(|| state.news(news, Some(&controls)));
                     let stops = lost && rule == OnLoss::Stop && progress == Progress::Driving;

@@ -32,10 +32,8 @@ impl RobotLimits {
             tau: widen(&self.tau),
             dtau: widen(&self.dtau),
         };
-        let envelope = SpeedEnvelope {
-            offset: scaled(&self.dq_offset, share),
-            deceleration: scaled(&self.dq_dec, share * share),
-        };
+        let envelope =
+            SpeedEnvelope { offset: scaled(&self.dq_offset, share), deceleration: scaled(&self.dq_dec, share * share) };
         let envelope = self.dq_dec.iter().any(|dec| *dec != 0.0).then_some(envelope);
         ArmLimits { joints: self.dq.len(), limits, envelope }
     }
