@@ -1,9 +1,6 @@
 //! Takes the payload of a message apart, and puts it together.
 
-use super::error::WireError;
-use super::header::{HEADER_BYTES, Header};
-use super::kind::CommandKind;
-use super::protocol::Protocol;
+use super::protocol::{CommandKind, HEADER_BYTES, Header, Protocol, WireError};
 
 /// Reads a payload from its front.
 pub(super) struct Reader<'a> {

@@ -1,6 +1,6 @@
 //! The 41 errors of the arm, as a set. They stand in each state twice: those that hold, and those that led to the reflex.
 
-use super::error::WireError;
+use super::protocol::WireError;
 
 /// One enumeration, its names on libfranka's side, and what each error means.
 macro_rules! error_bits {
