@@ -20,11 +20,11 @@ const HOMES: &[(&str, &str)] = &[
 /// Files outside `plumbline-rt` that run in the loop: the lint wall stands at their head, or at the head of the module that they belong to.
 const REAL_TIME: &[&str] = &[
     "crates/franka/src/arm.rs",
-    "crates/franka/src/halt.rs",
     "crates/franka/src/limiter.rs",
     "crates/franka/src/motion.rs",
     "crates/franka/src/reference.rs",
     "crates/franka/src/torque.rs",
+    "crates/franka/src/transport.rs",
     "crates/franka/src/udp.rs",
     "crates/model/src/lib.rs",
     "crates/rt/src/lib.rs",

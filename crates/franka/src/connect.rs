@@ -7,6 +7,7 @@ use super::limits::{self, RobotLimits, widen};
 use super::session::Session;
 use super::settings::{Interface, Purpose, RobotKind, Settings};
 use super::telemetry::Telemetry;
+use super::transport::Transport;
 use super::wire::{ErrorBit, Errors, Protocol, RecoveryStatus, Request, Response, RobotMode, RobotState};
 use plumbline_core::JointVec;
 use std::sync::Arc;
@@ -89,7 +90,9 @@ pub fn connect(settings: &Settings) -> Result<(FrankaArm, Connection), ConnectEr
         gravity,
         refused_options: std::mem::take(&mut session.refused),
     };
-    let arm = FrankaArm::new(settings, session, &info, telemetry.clone())?;
+    let cant = |cause| ConnectError::Socket { address: settings.address, what: "switching blocking off", cause };
+    let transport = Transport::new(session.commands, session.states, telemetry.clone(), state).map_err(cant)?;
+    let arm = FrankaArm::new(settings, transport, limits);
     Ok((arm, Connection { info, telemetry }))
 }
 

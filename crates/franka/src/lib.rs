@@ -9,7 +9,7 @@
 //! | `settings`, `limits` | what a session is opened with; what the arm holds commands against |
 //! | `session`, `tcp`, `udp`, `hints`, `error` | connecting, and what to do when that fails |
 //! | `gravity` | the gravity that the arm compensates, and the direction that its sensors show |
-//! | `arm`, `motion`, `halt` | the arm in the loop: beginning, cycle, end of a motion |
+//! | `arm`, `transport`, `motion` | the arm in the loop: the state machine of a session; its connections; the commands of a motion |
 //! | `reference`, `limiter`, `torque` | what the arm goes by, in double precision; commands inside its limits; the impedance law |
 //! | `connector` | the arm as a backend of the daemon |
 //! | `telemetry`, `explain` | counters that any thread may look at; faults in words |
@@ -45,7 +45,6 @@ mod connector;
 mod error;
 mod explain;
 mod gravity;
-mod halt;
 mod hints;
 mod limiter;
 mod limits;
@@ -56,6 +55,7 @@ mod settings;
 mod tcp;
 mod telemetry;
 mod torque;
+mod transport;
 mod udp;
 pub mod wire;
 

@@ -1,6 +1,5 @@
 //! What a session with an arm is opened with.
 
-use super::gravity::PLAUSIBLE;
 use super::wire;
 use serde::Deserialize;
 use std::net::IpAddr;
@@ -8,6 +7,9 @@ use std::time::Duration;
 
 pub use super::wire::{CollisionBehavior as Collision, Load};
 pub use plumbline_core::Purpose;
+
+/// Strengths that a gravity can have \[m/s2\].
+pub(super) const PLAUSIBLE_GRAVITY: std::ops::Range<f64> = 8.0..12.0;
 
 /// Which robot is expected: it decides the limits where the arm does not serve its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -162,7 +164,7 @@ impl Settings {
         positive("torque reach", &[self.torque.reach])?;
         if let Some(gravity) = self.compensates {
             let norm = gravity.iter().map(|x| x * x).sum::<f64>().sqrt();
-            if !PLAUSIBLE.contains(&norm) {
+            if !PLAUSIBLE_GRAVITY.contains(&norm) {
                 return Err(BadSetting { what: "compensates", value: norm, expected: "a gravity of 8 to 12 m/s2" });
             }
         }
