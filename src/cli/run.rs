@@ -5,7 +5,7 @@ use crate::failure::Failure;
 use crate::process::signals::Ending;
 use crate::process::{owned, progress};
 use crate::report::Report;
-use crate::setup::{JobOptions, models, planner, robot_id};
+use crate::setup::{JobOptions, models, programme, robot_id};
 use clap::Args;
 use plumbline_ipc::{Client, Progress, Request, Response, RobotId, Status};
 use rustix::process::{Pid, Signal, kill_process};
@@ -48,7 +48,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
     std::fs::create_dir_all(&out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
     let arm_limits = connector.read_limits().map_err(Failure::job)?;
-    let programme = planner::programme(&job, &robot, &out, arm_limits.as_ref())?;
+    let programme = programme::plan_or_load(&job, &robot, &out, arm_limits.as_ref())?;
     let ticks: usize = programme.motions().map(|motion| motion.ticks()).sum();
 
     let ending = Ending::watch()?;

@@ -1,16 +1,17 @@
 //! State, arm and models that unit tests of the daemon share.
 
 use super::check::check;
+use super::job_setup::JobSetup;
 use super::recorder::Recorder;
-use super::state::{DaemonState, Setup};
+use super::state::DaemonState;
 use crate::config::job::Job;
 use crate::process::signals::Ending;
 use plumbline_core::{Backend, Command, Fault, Limits, MAX_JOINTS, Phase, Record, State};
 use plumbline_ipc::{Proposal, Request, Response, RobotId, Served};
 use plumbline_model::term::Sample;
 use plumbline_model::{Mounting, Robot};
+use plumbline_rt::Rights;
 use plumbline_rt::cycle::Cycle;
-use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::{RingSink, ring};
 use plumbline_rt::{Checkpoint, Controls, CycleSettings, Doing, GuardSettings, Handles, Succession, cycle};
 use std::sync::Arc;
@@ -36,7 +37,7 @@ pub fn state_of(job: &str) -> (DaemonState, tempfile::TempDir) {
     let recorder = Recorder::start(&job, &id, place.path()).unwrap();
     let arm = crate::setup::backend::connector(&job, &robot).unwrap().into();
     let rest = crate::setup::rest(&job, &robot).unwrap();
-    let setup = Setup { job, robot, arm, arm_limits: None, rest, names: Vec::new() };
+    let setup = JobSetup { job, robot, arm, arm_limits: None, rest, names: Vec::new() };
     (DaemonState::new(setup, recorder, Ending::default()).unwrap(), place)
 }
 

@@ -7,6 +7,7 @@ mod check;
 #[cfg(test)]
 mod fixture;
 mod gravity;
+mod job_setup;
 mod labels;
 #[cfg(test)]
 mod logged;
@@ -30,18 +31,19 @@ use crate::setup::programme::Programme;
 use crate::setup::{self, JobOptions};
 use check::{Answerable, Checked, Checker};
 use clap::Args;
+use job_setup::JobSetup;
 use plumbline_core::{ArmConnector, Distribution, Purpose};
 use plumbline_ipc::{
     Asked, Lock, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener, now_ns,
 };
 use plumbline_model::Mounting;
 use plumbline_rt::cycle::End;
-use plumbline_rt::{Controls, os};
+use plumbline_rt::{Controls, become_realtime};
 use recorder::Recorder;
 use rhythm::RequestShare;
 use script::Script;
 use session::Session;
-use state::{DaemonState, Setup};
+use state::DaemonState;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -99,7 +101,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let arm: Arc<dyn ArmConnector> = setup::backend::connector(&job, &robot)?.into();
     let _arm = setup::arm_lock(arm.as_ref())?;
     let arm_limits = arm.read_limits().map_err(Failure::job)?;
-    let programme = setup::planner::programme(&job, &robot, &out, arm_limits.as_ref())?;
+    let programme = setup::programme::plan_or_load(&job, &robot, &out, arm_limits.as_ref())?;
     let ending = Ending::watch()?;
     if options.end_with_stdin {
         ending.watch_parent()?;
@@ -108,7 +110,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let recorder = Recorder::start(&job, &id, &out)?;
     let names = programme.motions().map(|motion| (motion.number, motion.name.clone())).collect();
     let rest = setup::rest(&job, &robot)?;
-    let setup = Setup { job, robot, arm, arm_limits, rest, names };
+    let setup = JobSetup { job, robot, arm, arm_limits, rest, names };
     let mut state = DaemonState::new(setup, recorder, ending)?;
     if let Some((path, text)) = model {
         state.accept_text(&path, &text)?;
@@ -134,8 +136,7 @@ fn stop_line(lock: &Lock, job: &Job) -> Result<StopLine, Failure> {
     let failed = |error: std::io::Error| Failure::job(format!("stops can't be listened for: {error}"));
     let listener = StopListener::open(lock).map_err(failed)?;
     let rights = (!job.backend.is_fast()).then(|| session::stop_listener_rights(&job.realtime));
-    StopLine::start(listener, move || rights.iter().for_each(|rights| drop(os::become_realtime(rights))))
-        .map_err(failed)
+    StopLine::start(listener, move || rights.iter().for_each(|rights| drop(become_realtime(rights)))).map_err(failed)
 }
 
 /// A model file that a person named, with its text.

@@ -1,42 +1,19 @@
 //! The state of the daemon. Answers to requests stand in `requests`, the status message in `status`.
 
 use super::gravity::{Decision, GravityMonitor, ServiceChange, Verdict};
+use super::job_setup::JobSetup;
 use super::models::{Accepted, Models};
 use super::recorder::Recorder;
-use crate::config::job::{Job, OnLoss};
+use crate::config::job::OnLoss;
 use crate::failure::Failure;
 use crate::process::signals::{Cause, Ending};
 use crate::recording::about::Reason;
 use crate::recording::messages::words;
-use plumbline_core::{ArmConnector, ArmLimits, CommandMode, Fault, JointVec, Record};
+use plumbline_core::{Fault, Record};
 use plumbline_ipc::{News, Progress, Session as SessionStatistics, StopOrder, now_ns};
-use plumbline_model::{Mounting, Robot};
+use plumbline_model::Mounting;
 use plumbline_rt::cycle::End;
 use plumbline_rt::{Controls, Event, StopReason};
-use std::sync::Arc;
-
-/// What the daemon is started with. Nothing of it changes.
-pub struct Setup {
-    /// The job.
-    pub job: Job,
-    /// The arm's description.
-    pub robot: Robot,
-    /// The arm.
-    pub arm: Arc<dyn ArmConnector>,
-    /// Limits of the connected arm that the programme was checked under; `None` for a simulated arm.
-    pub arm_limits: Option<ArmLimits>,
-    /// Where the arm starts and returns to \[rad\].
-    pub rest: JointVec,
-    /// Numbers and names of the motions.
-    pub names: Vec<(u32, String)>,
-}
-
-impl Setup {
-    /// Whether the arm is commanded by torques.
-    pub fn commands_torques(&self) -> bool {
-        matches!(self.arm.command_mode(), CommandMode::Torque { .. })
-    }
-}
 
 /// How far the programme of the job is.
 #[derive(Default)]
@@ -95,7 +72,7 @@ pub struct DaemonState {
     /// Keeps the last seconds of the loop.
     pub recorder: Recorder,
     /// What the daemon is started with.
-    pub setup: Setup,
+    pub setup: JobSetup,
     /// How the arm is mounted now.
     pub mounting: Mounting,
     /// Models served and offered.
@@ -130,7 +107,7 @@ impl DaemonState {
     ///
     /// # Errors
     /// The inclinometer of the job can't be used.
-    pub fn new(setup: Setup, recorder: Recorder, ending: Ending) -> Result<DaemonState, Failure> {
+    pub fn new(setup: JobSetup, recorder: Recorder, ending: Ending) -> Result<DaemonState, Failure> {
         Ok(DaemonState {
             recorder,
             mounting: setup.job.mounting,

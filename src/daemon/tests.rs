@@ -9,6 +9,7 @@ use plumbline_core::{
     JointVec, Link, MeasuredGravity, ModeChange, PERIOD, PERIOD_NS, State,
 };
 use plumbline_ipc::RobotId;
+use plumbline_rt::os;
 use plumbline_testkit::conformance::conformance;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
@@ -132,7 +133,7 @@ fn a_made_up_backend_is_driven_recovered_and_driven_to_the_end() {
     let arm = Arc::new(MadeUpConnector { q: state.setup.rest, limits, connections, recoveries });
     (state.setup.arm, state.setup.arm_limits) = (arm.clone(), Some(limits));
 
-    let Setup { job, robot, .. } = &state.setup;
+    let JobSetup { job, robot, .. } = &state.setup;
     let mounting = Mounting::UPRIGHT;
     let plan = Planner::of(job, robot, Some(&limits)).unwrap().random(&mounting, 1).unwrap();
     let (fourier, name) = (planner::motion(&plan).unwrap(), "validate-upright-1".to_string());

@@ -1,7 +1,7 @@
 //! What a recording says beside its cycles: where it comes from, and everything that the loop was given, so that it can be run again.
 
 use plumbline_core::{JointVec, Limits, Phase, Setpoint, SpeedEnvelope, Workspace};
-use plumbline_rt::os::Rights;
+use plumbline_rt::Rights;
 use plumbline_rt::{CycleSettings, GuardSettings, MoveFactors};
 use serde::{Deserialize, Serialize};
 use std::any::Any;

@@ -2,8 +2,6 @@
 
 use crate::config::job::Job;
 use crate::failure::Failure;
-use crate::process::progress;
-use crate::setup::programme::Programme;
 use crate::setup::{friction_structure, models};
 use crate::store::load_plan;
 use plumbline_core::{ArmLimits, BadInput, Limits, SpeedEnvelope, Workspace, threads};
@@ -44,28 +42,6 @@ pub fn held_to(job: &Job, robot: &Robot, arm: Option<&ArmLimits>) -> Result<(Lim
     })
 }
 
-/// The job's programme, inside the limits of robot, job and the connected `arm`: the plans of an earlier run of the same job where they
-/// are, else new ones, which are then kept in `out/plans`.
-pub fn programme(job: &Job, robot: &Robot, out: &Path, arm: Option<&ArmLimits>) -> Result<Programme, Failure> {
-    let dir = out.join("plans");
-    let planner = Planner::of(job, robot, arm)?;
-    let stamp = planner.fingerprint();
-    let stamp_file = dir.join("planned-for");
-    if std::fs::read_to_string(&stamp_file).is_ok_and(|text| text.trim() == stamp) {
-        let known = Programme::load(job, &dir)?;
-        match known.check(&planner, &dir) {
-            Ok(()) => return Ok(known),
-            Err(broken) => tracing::warn!("the plans in {} are not driven, new ones are made: {broken}", dir.display()),
-        }
-    }
-    let bar = progress::bar("planning");
-    let programme = Programme::plan(&planner, &|name, share| bar.at(share, name))?;
-    bar.done();
-    programme.save(&dir)?;
-    crate::atomic::write_file(&stamp_file, stamp.as_bytes()).map_err(Failure::job)?;
-    Ok(programme)
-}
-
 /// What plans the motions of a job.
 pub struct Planner<'a> {
     /// The job.
@@ -89,7 +65,7 @@ impl<'a> Planner<'a> {
     }
 
     /// Hash of everything that the plans depend on.
-    fn fingerprint(&self) -> String {
+    pub fn fingerprint(&self) -> String {
         let Planner { job, robot, room, nominal, connected: _ } = self;
         let parts = (&job.excitation, &job.validation, &job.limits, &job.mounting, robot, room, nominal);
         let version = env!("CARGO_PKG_VERSION");

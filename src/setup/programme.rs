@@ -2,6 +2,7 @@
 
 use crate::config::job::Job;
 use crate::failure::Failure;
+use crate::process::progress;
 use crate::setup::planner::Planner;
 use crate::store::{load_plan, save_plan};
 use plumbline_core::{ArmLimits, BadInput, JointVec, Limits, Setpoint};
@@ -158,6 +159,28 @@ impl Programme {
     pub fn motions(&self) -> impl Iterator<Item = &Motion> {
         self.stages.iter().flat_map(|stage| &stage.motions)
     }
+}
+
+/// The job's programme, inside the limits of robot, job and the connected `arm`: the plans of an earlier run of the same job where they
+/// are, else new ones, which are then kept in `out/plans`.
+pub fn plan_or_load(job: &Job, robot: &Robot, out: &Path, arm: Option<&ArmLimits>) -> Result<Programme, Failure> {
+    let dir = out.join("plans");
+    let planner = Planner::of(job, robot, arm)?;
+    let stamp = planner.fingerprint();
+    let stamp_file = dir.join("planned-for");
+    if std::fs::read_to_string(&stamp_file).is_ok_and(|text| text.trim() == stamp) {
+        let known = Programme::load(job, &dir)?;
+        match known.check(&planner, &dir) {
+            Ok(()) => return Ok(known),
+            Err(broken) => tracing::warn!("the plans in {} are not driven, new ones are made: {broken}", dir.display()),
+        }
+    }
+    let bar = progress::bar("planning");
+    let programme = Programme::plan(&planner, &|name, share| bar.at(share, name))?;
+    bar.done();
+    programme.save(&dir)?;
+    crate::atomic::write_file(&stamp_file, stamp.as_bytes()).map_err(Failure::job)?;
+    Ok(programme)
 }
 
 /// Motions that are tried when the way to a motion's start leaves the workspace.

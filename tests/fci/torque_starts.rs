@@ -7,8 +7,8 @@ use plumbline_core::{ArmLimits, FeedForward, JointVec, Record, Setpoint, Torque}
 use plumbline_franka::wire::Protocol;
 use plumbline_franka::{Interface, RobotKind, Settings, connect, explain, recover};
 use plumbline_model::{Chain, LinkParameters, Mounting, Robot, rnea};
+use plumbline_rt::Rights;
 use plumbline_rt::cycle::End;
-use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::ring;
 use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, cycle};
 use plumbline_testkit::emulator::{Emulator, Settings as Emulated};

@@ -12,11 +12,12 @@
 
 use super::checkpoint::Checkpoint;
 use super::guard::{Guard, Violation};
-use super::motion::{Finished, Motion, seconds};
-use super::moves::{NoMotion, Planner};
-use super::order::{Event, Handles, Inlets, Order, OrderKind, Retired, StopReason, Told, rings};
+use super::motion::{Finished, Motion};
+use super::moves::{NoMotion, Planner, seconds};
+use super::order::{Event, Handles, Inlets, Order, OrderKind, StopReason, Told, rings};
 use super::os::now_ns;
 use super::recorder::Flight;
+use super::retired::Retired;
 use super::rights::{Granted, Rights, become_realtime};
 use super::settings::{CycleSettings, SetupError};
 use super::stats::{NotForward, Tally};

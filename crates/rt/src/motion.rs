@@ -1,9 +1,9 @@
 //! What the loop is doing: every mode is a source of setpoints, so the loop itself knows no modes.
 
 use super::checkpoint;
-use super::moves::{NoMotion, Planner};
+use super::moves::{NoMotion, Planner, seconds};
 use super::order::{Order, OrderKind, StopReason};
-use plumbline_core::{JointVec, LONGEST_ALONE, MAX_JOINTS, PERIOD, Phase, Record, Reference, Setpoint};
+use plumbline_core::{JointVec, LONGEST_ALONE, MAX_JOINTS, Phase, Record, Reference, Setpoint};
 
 /// A reference may start this far from where the arm rests \[rad\]; more would be a step that no arm can follow.
 const START_TOLERANCE: f64 = 1e-6;
@@ -242,11 +242,6 @@ fn gone_on(from: &Setpoint, t: f64) -> Setpoint {
         to.dq[j] += t * from.ddq[j];
     }
     to
-}
-
-/// Seconds in a number of the arm's cycles.
-pub(super) fn seconds(cycles: u64) -> f64 {
-    cycles as f64 * PERIOD
 }
 
 #[cfg(test)]

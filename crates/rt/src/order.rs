@@ -6,6 +6,7 @@
 pub use super::controls::Controls;
 
 use super::guard::Violation;
+use super::retired::Retired;
 use super::rights::Granted;
 use plumbline_core::{FeedForward, JointVec, Phase, Reference};
 use rtrb::{Consumer, Producer, PushError};
@@ -41,14 +42,6 @@ pub enum OrderKind {
 pub(super) struct Permitted {
     pub order: Order,
     pub permission: u32,
-}
-
-/// Something the loop has done with; dropping it frees memory, so the loop hands it out.
-pub enum Retired {
-    /// A model that another has replaced.
-    Model(Box<dyn FeedForward>),
-    /// A motion that has ended, or an order that a stop discarded.
-    Reference(Box<dyn Reference>),
 }
 
 /// Why the arm was braked.

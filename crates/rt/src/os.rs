@@ -3,8 +3,6 @@
 
 #![allow(unsafe_code)]
 
-pub use super::rights::{Grant, Granted, Rights, become_realtime, preempt_rt};
-
 use rustix::thread::ClockId;
 use rustix::time::{Timespec, clock_gettime};
 use std::io;

@@ -5,7 +5,7 @@
 //! - A model whose torque breaks a limit is replaced by the one that served before it; without one the torque goes back to zero, in the same way.
 //! - While the arm brakes the torque follows the model within the whole rate limit: a stop within the jerk limit may ask for more.
 
-use super::order::Retired;
+use super::retired::Retired;
 use plumbline_core::{FeedForward, JointVec, MAX_JOINTS, PERIOD, Setpoint, Torque, Validity};
 use rtrb::{Producer, PushError};
 

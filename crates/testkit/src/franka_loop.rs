@@ -3,8 +3,8 @@
 use plumbline_core::{ArmLimits, FeedForward, JointVec, Phase, Record};
 use plumbline_excite::{Fourier, PeriodicMotion, parse_plan};
 use plumbline_franka::{ConnectError, Connection, FrankaArm, Settings, Statistics, connect, explain, recover};
+use plumbline_rt::Rights;
 use plumbline_rt::cycle::{End, Outcome};
-use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::ring;
 use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, StopReason, Told, cycle};
 use std::time::{Duration, Instant};

@@ -6,7 +6,7 @@
 mod deck;
 mod folder;
 
-use super::state::Setup;
+use super::job_setup::JobSetup;
 use crate::config::job::Job;
 use crate::recording::about::{About, FORMAT, Given, Handed, LogClock, Reason, Settings, panicked};
 use crate::recording::history::History;
@@ -130,7 +130,7 @@ impl Recorder {
     /// A tape for a loop that is about to begin. Its memory is allocated here.
     pub fn tape(
         &self,
-        setup: &Setup,
+        setup: &JobSetup,
         mounting: Mounting,
         session: &str,
         settings: &CycleSettings,

@@ -2,10 +2,11 @@
 
 use super::super::Daemon;
 use super::super::gravity::uncompensated;
+use super::super::job_setup::JobSetup;
 use super::super::labels::Labels;
 use super::super::rhythm::Rhythm;
 use super::super::script::Script;
-use super::super::state::{DaemonState, Setup};
+use super::super::state::DaemonState;
 use super::thread::{BELOW_LOOP, rights, run_to_end};
 use super::{DRAIN, RING, Session};
 use crate::config::job::{Job, OnRefusal};
@@ -18,8 +19,8 @@ use plumbline_core::{
 use plumbline_identify::Side;
 use plumbline_ipc::now_ns;
 use plumbline_model::{Mounting, Reach};
-use plumbline_rt::os::Rights;
-use plumbline_rt::{CycleSettings, GuardSettings, cycle, os, recorder};
+use plumbline_rt::Rights;
+use plumbline_rt::{CycleSettings, GuardSettings, become_realtime, cycle, recorder};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -63,7 +64,7 @@ impl Session {
         let (mut cycle, handles) = cycle::new(backend, sink, Some(reach), settings.clone()).map_err(Failure::job)?;
         // The bridge's own priority goes up before the loop starts, and stays below it.
         if gate.is_none() {
-            os::become_realtime(&rights(&state.setup.job.realtime, BELOW_LOOP));
+            become_realtime(&rights(&state.setup.job.realtime, BELOW_LOOP));
         }
         // From here on a stop reaches this loop directly; one that came before holds.
         daemon.stops.connect(Some(Arc::clone(&handles.controls)));
@@ -117,12 +118,12 @@ impl Session {
 
 /// Settings of the loop. A physical arm that is only monitored is sent nothing: it may be outside the job's limits, and be guided by hand.
 fn loop_settings(
-    setup: &Setup,
+    setup: &JobSetup,
     purpose: Purpose,
     hardware: Option<&Hardware>,
     simulated_time: bool,
 ) -> Result<CycleSettings, Failure> {
-    let Setup { job, robot, names, .. } = setup;
+    let JobSetup { job, robot, names, .. } = setup;
     let (limits, envelope) = planner::held_to(job, robot, hardware.map(|hardware| &hardware.limits))?;
     let monitored = purpose == Purpose::Monitor && hardware.is_some();
     let mut settings = CycleSettings::new(GuardSettings {
@@ -145,13 +146,13 @@ fn loop_settings(
 /// # Errors
 /// Other limits than the programme was checked under, a position outside the `limits`, or no free way to the first motion.
 fn check_hardware(
-    setup: &Setup,
+    setup: &JobSetup,
     purpose: Purpose,
     hardware: &Hardware,
     limits: &Limits,
     script: &Script,
 ) -> Result<(), Failure> {
-    let Setup { job, robot, arm_limits, .. } = setup;
+    let JobSetup { job, robot, arm_limits, .. } = setup;
     if purpose == Purpose::Drive && arm_limits.as_ref() != Some(&hardware.limits) {
         return Err(other_limits(job));
     }

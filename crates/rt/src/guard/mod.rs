@@ -6,8 +6,7 @@
 
 mod history;
 
-use super::motion::seconds;
-use super::moves::stop_distances;
+use super::moves::{seconds, stop_distances};
 use super::torque::{Asked, Torques};
 use history::History;
 use plumbline_core::{

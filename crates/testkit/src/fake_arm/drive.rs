@@ -4,8 +4,8 @@ use super::{FakeArm, Seen, Trick};
 use plumbline_core::{
     FeedForward, JointVec, Kinematics, Limits, MAX_JOINTS, Phase, Record, Reference, Setpoint, Torque,
 };
+use plumbline_rt::Rights;
 use plumbline_rt::cycle::Outcome;
-use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::ring;
 use plumbline_rt::{CycleSettings, Event, GuardSettings, Handles, Order, OrderKind, Told, cycle};
 use std::sync::{Arc, Mutex};

@@ -5,7 +5,7 @@ use super::{Given, Rig};
 use clap::Args;
 use plumbline_core::{Backend, Command, Distribution, Fault, Setpoint};
 use plumbline_franka::{Connection, Purpose, Statistics};
-use plumbline_rt::os::{Rights, become_realtime};
+use plumbline_rt::{Rights, become_realtime};
 use std::error::Error;
 
 /// Most states that may be missing in a row.
