@@ -25,7 +25,7 @@ struct Numbered {
 
 /// Collects poses at rest.
 #[derive(Clone, Debug, Default)]
-pub struct Rests {
+pub struct RestPoses {
     /// Commanded position of the present rest.
     at: Option<JointVec>,
     count: u32,
@@ -38,7 +38,7 @@ pub struct Rests {
     completed: u64,
 }
 
-impl Rests {
+impl RestPoses {
     /// Takes in a record; whether it has completed a pose.
     pub fn take(&mut self, record: &Record) -> bool {
         let desired = &record.command.desired;
@@ -117,7 +117,7 @@ mod tests {
 
     #[test]
     fn a_rest_gives_a_pose_after_the_arm_has_swung_out() {
-        let mut rests = Rests::default();
+        let mut rests = RestPoses::default();
         // The torque of the first records is the motion's.
         let tau = |k: u32| if k < 100 { 50.0 } else { 3.0 };
         let done: Vec<u32> = (0..2200).filter(|&k| rests.take(&record(0.5, tau(k), Phase::Hold))).collect();
@@ -130,7 +130,7 @@ mod tests {
 
     #[test]
     fn an_arm_in_somebodys_hands_does_not_rest() {
-        let mut rests = Rests::default();
+        let mut rests = RestPoses::default();
         let guided = |k: u32| {
             let mut record = record(0.5, 1.0, Phase::Hold);
             record.state.q[2] += 5e-5 * f64::from(k);
@@ -140,7 +140,7 @@ mod tests {
         assert!((0..400).any(|_| rests.take(&guided(5000))), "it was let go");
         // 5 mrad are what an arm sways by.
         for (sway, rests_then) in [(4e-3, true), (6e-3, false), (-4e-3, true), (-6e-3, false)] {
-            let mut rests = Rests::default();
+            let mut rests = RestPoses::default();
             let swaying = |k: u32| {
                 let mut record = record(0.5, 1.0, Phase::Hold);
                 record.state.q[2] += if k.is_multiple_of(2) { sway } else { 0.0 };
@@ -153,11 +153,11 @@ mod tests {
     #[test]
     fn a_motion_begins_the_rest_anew() {
         for interrupted in [250, 50] {
-            let mut rests = Rests::default();
+            let mut rests = RestPoses::default();
             let mut moving = record(0.5, 90.0, Phase::Hold);
             // One joint alone.
             moving.command.desired.dq[3] = 0.1;
-            let take = |rests: &mut Rests, count: u32| {
+            let take = |rests: &mut RestPoses, count: u32| {
                 (0..count).filter(|_| rests.take(&record(0.5, 3.0, Phase::Hold))).count()
             };
             assert_eq!(take(&mut rests, interrupted), 0);
@@ -170,7 +170,7 @@ mod tests {
     #[test]
     fn rests_closer_than_a_milliradian_are_one_pose() {
         for (apart, poses) in [(0.7e-3, 1), (-0.7e-3, 1), (1.4e-3, 2), (-1.4e-3, 2)] {
-            let mut rests = Rests::default();
+            let mut rests = RestPoses::default();
             for q in [0.5, 0.5 + apart] {
                 (0..400).for_each(|_| {
                     rests.take(&record(q, 1.0, Phase::Hold));
@@ -182,7 +182,7 @@ mod tests {
 
     #[test]
     fn a_motion_is_no_rest_and_only_the_latest_poses_are_kept() {
-        let mut rests = Rests::default();
+        let mut rests = RestPoses::default();
         assert!(!(0..2000).any(|_| rests.take(&record(0.5, 1.0, Phase::Excite))));
         for pose in 0..12 {
             (0..400).for_each(|_| {

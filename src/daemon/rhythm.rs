@@ -12,16 +12,16 @@ const MOST_WORK_NS: u64 = 200_000;
 
 /// The rhythm of the records: one per period, each finished a little after its state was read.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Rhythm {
+pub struct RecordSchedule {
     /// When the state of the newest record was read \[ns\].
     stamp_ns: Option<u64>,
     work_ns: u64,
 }
 
-impl Rhythm {
+impl RecordSchedule {
     /// A record whose state was read at `stamp_ns`; the cycle before it took `work_ns`.
     pub fn saw(&mut self, stamp_ns: u64, work_ns: u64) {
-        *self = Rhythm { stamp_ns: Some(stamp_ns), work_ns: work_ns.min(MOST_WORK_NS) };
+        *self = RecordSchedule { stamp_ns: Some(stamp_ns), work_ns: work_ns.min(MOST_WORK_NS) };
     }
 
     /// When to look for the next record \[ns\]; `None` before the first.
@@ -84,7 +84,7 @@ mod tests {
 
     #[test]
     fn looks_right_behind_the_loop_and_soon_again_when_it_is_late() {
-        let mut rhythm = Rhythm::default();
+        let mut rhythm = RecordSchedule::default();
         assert_eq!(rhythm.next_poll_ns(5), None);
         rhythm.saw(10_000_000, 4_000);
         assert_eq!(rhythm.next_poll_ns(10_100_000), Some(11_024_000));

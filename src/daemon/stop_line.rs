@@ -108,7 +108,7 @@ impl StopLine {
         if self.has_listened()
             && let Some(controls) = controls
         {
-            controls.alive();
+            controls.heartbeat();
         }
         self.take()
     }
@@ -172,12 +172,12 @@ mod tests {
         let controls = Controls::default();
         let mut line = silent();
         (0..3).for_each(|_| assert_eq!(line.attend(Some(&controls)), None));
-        assert_eq!(controls.pulse(), 0, "nobody listens");
+        assert_eq!(controls.heartbeats(), 0, "nobody listens");
         let place = tempfile::tempdir().unwrap();
         let lock = Lock::take_in(place.path(), &RobotId::parse("test", "robot", "panda").unwrap()).unwrap();
         let mut line = StopLine::start(StopListener::open(&lock).unwrap(), || ()).unwrap();
         let start = std::time::Instant::now();
-        while controls.pulse() < 3 {
+        while controls.heartbeats() < 3 {
             assert!(start.elapsed() < Duration::from_secs(20));
             line.attend(Some(&controls));
             std::thread::sleep(Duration::from_millis(1));

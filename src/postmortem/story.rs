@@ -7,7 +7,7 @@ use crate::recording::Recording;
 use crate::recording::about::Given;
 use crate::recording::messages::{limit_name, words};
 use plumbline_core::{PERIOD, Phase, Record};
-use plumbline_rt::{Event, Limit, StopReason, Told, Violation};
+use plumbline_rt::{Event, Limit, StopReason, TimedEvent, Violation};
 use serde::Serialize;
 
 /// Most lines of the timeline and of the lists of outliers.
@@ -240,7 +240,7 @@ fn during(recording: &Recording) -> Option<String> {
 
 fn first_limit(recording: &Recording, before: &Before) -> Option<Crossing> {
     // Of the stop that this is about: one that an operator has lifted is another story.
-    let of_a_stop = |told: &&Told| matches!(told.event, Event::Stopping { .. } | Event::Resumed);
+    let of_a_stop = |told: &&TimedEvent| matches!(told.event, Event::Stopping { .. } | Event::Resumed);
     let told = recording.events.iter().rfind(of_a_stop)?;
     let Event::Stopping { reason: StopReason::Guard(violation), .. } = told.event else { return None };
     let Violation { limit, joint, value, bound } = violation;

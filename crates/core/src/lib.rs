@@ -48,4 +48,6 @@ pub use joint::{
 };
 pub use parallel::{parallel, threads};
 pub use statistics::LoopStatistics;
-pub use traits::{Backend, Clock, Fault, FeedForward, Kinematics, LONGEST_ALONE, PERIOD, PERIOD_NS, Reference, Sink};
+pub use traits::{
+    Backend, Clock, Fault, FeedForward, Kinematics, MAX_MISSED_COMMANDS, PERIOD, PERIOD_NS, Reference, Sink,
+};

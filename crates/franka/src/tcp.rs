@@ -26,7 +26,7 @@ pub(super) struct CommandLink {
 
 /// The connection is of no use any more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Gone {
+pub(super) enum ConnectionLost {
     /// The arm or the network has closed it.
     Closed,
     /// What came is no message of the protocol; it began with these bytes.
@@ -82,26 +82,26 @@ impl CommandLink {
     }
 
     /// Sends a request without waiting; its number is what the answers will carry.
-    pub fn post(&mut self, protocol: Protocol, request: &Request) -> Result<u32, Gone> {
+    pub fn post(&mut self, protocol: Protocol, request: &Request) -> Result<u32, ConnectionLost> {
         let id = self.take_id();
         let mut bytes = [0; MAX_REQUEST];
-        let length = request.encode(protocol, id, &mut bytes).map_err(|_| Gone::Closed)?;
-        let bytes = bytes.get(..length).ok_or(Gone::Closed)?;
+        let length = request.encode(protocol, id, &mut bytes).map_err(|_| ConnectionLost::Closed)?;
+        let bytes = bytes.get(..length).ok_or(ConnectionLost::Closed)?;
         let flags = SendFlags::DONTWAIT | SendFlags::NOSIGNAL;
         match rustix::net::send(&self.stream, bytes, flags) {
             Ok(sent) if sent == length => Ok(id),
             // Half a request can't be taken back.
-            Ok(_) | Err(_) => Err(Gone::Closed),
+            Ok(_) | Err(_) => Err(ConnectionLost::Closed),
         }
     }
 
     /// The next answer to the call `id` of Move, if it is there; other answers are passed over.
-    pub fn move_answer(&mut self, protocol: Protocol, id: u32) -> Result<Option<MoveStatus>, Gone> {
+    pub fn move_answer(&mut self, protocol: Protocol, id: u32) -> Result<Option<MoveStatus>, ConnectionLost> {
         while let Some((header, length)) = self.arrived()? {
             if header.command_id != id || Some(header.command) != CommandKind::Move.number(protocol) {
                 continue;
             }
-            let payload = self.message.get(HEADER_BYTES..length).ok_or(Gone::Closed)?;
+            let payload = self.message.get(HEADER_BYTES..length).ok_or(ConnectionLost::Closed)?;
             match Response::decode(protocol, CommandKind::Move, payload) {
                 Ok(Response::Move(status)) => return Ok(Some(status)),
                 _ => return Err(self.garbled()),
@@ -111,18 +111,18 @@ impl CommandLink {
     }
 
     /// Passes over whatever is there, to learn whether the connection still stands.
-    pub fn pass_over(&mut self) -> Result<(), Gone> {
+    pub fn pass_over(&mut self) -> Result<(), ConnectionLost> {
         while self.arrived()?.is_some() {}
         Ok(())
     }
 
     /// Header of the next message that is there in full, and how much of it is in `message`.
-    fn arrived(&mut self) -> Result<Option<(Header, usize)>, Gone> {
+    fn arrived(&mut self) -> Result<Option<(Header, usize)>, ConnectionLost> {
         loop {
             if self.skip > 0 {
                 let mut rest = [0; 256];
                 let most = self.skip.min(rest.len());
-                match self.receive_into(rest.get_mut(..most).ok_or(Gone::Closed)?)? {
+                match self.receive_into(rest.get_mut(..most).ok_or(ConnectionLost::Closed)?)? {
                     None => return Ok(None),
                     Some(got) => self.skip -= got.min(self.skip),
                 }
@@ -140,34 +140,35 @@ impl CommandLink {
                 }
             }
             let mut bytes = [0; LOOK];
-            let room = wanted.checked_sub(self.filled).and_then(|room| bytes.get_mut(..room)).ok_or(Gone::Closed)?;
+            let room =
+                wanted.checked_sub(self.filled).and_then(|room| bytes.get_mut(..room)).ok_or(ConnectionLost::Closed)?;
             let Some(got) = self.receive_into(room)? else { return Ok(None) };
-            let fresh = bytes.get(..got).ok_or(Gone::Closed)?;
-            let place = self.message.get_mut(self.filled..self.filled + got).ok_or(Gone::Closed)?;
+            let fresh = bytes.get(..got).ok_or(ConnectionLost::Closed)?;
+            let place = self.message.get_mut(self.filled..self.filled + got).ok_or(ConnectionLost::Closed)?;
             place.copy_from_slice(fresh);
             self.filled += got;
         }
     }
 
-    fn header(&self) -> Result<Header, Gone> {
-        let head = self.message.first_chunk::<HEADER_BYTES>().ok_or(Gone::Closed)?;
+    fn header(&self) -> Result<Header, ConnectionLost> {
+        let head = self.message.first_chunk::<HEADER_BYTES>().ok_or(ConnectionLost::Closed)?;
         Header::decode(head, MAX_MESSAGE).map_err(|_| self.garbled())
     }
 
     /// The message that is arriving is none.
-    fn garbled(&self) -> Gone {
-        self.message.first_chunk::<HEADER_BYTES>().map_or(Gone::Closed, |head| Gone::Garbled(*head))
+    fn garbled(&self) -> ConnectionLost {
+        self.message.first_chunk::<HEADER_BYTES>().map_or(ConnectionLost::Closed, |head| ConnectionLost::Garbled(*head))
     }
 
     /// Bytes that are there now; `None` when there are none.
-    fn receive_into(&self, room: &mut [u8]) -> Result<Option<usize>, Gone> {
+    fn receive_into(&self, room: &mut [u8]) -> Result<Option<usize>, ConnectionLost> {
         loop {
             return match rustix::net::recv(&self.stream, &mut *room, RecvFlags::DONTWAIT) {
-                Ok((0, _)) => Err(Gone::Closed),
+                Ok((0, _)) => Err(ConnectionLost::Closed),
                 Ok((got, _)) => Ok(Some(got)),
                 Err(rustix::io::Errno::INTR) => continue,
                 Err(rustix::io::Errno::AGAIN) => Ok(None),
-                Err(_) => Err(Gone::Closed),
+                Err(_) => Err(ConnectionLost::Closed),
             };
         }
     }
@@ -184,7 +185,7 @@ mod tests {
         (CommandLink::new(client).into_nonblocking().unwrap(), listener.accept().unwrap().0)
     }
 
-    fn until(link: &mut CommandLink, id: u32) -> Result<MoveStatus, Gone> {
+    fn until(link: &mut CommandLink, id: u32) -> Result<MoveStatus, ConnectionLost> {
         let deadline = Instant::now() + Duration::from_secs(2);
         loop {
             match link.move_answer(Protocol::V10, id) {
@@ -220,18 +221,18 @@ mod tests {
         assert_eq!(until(&mut link, 7), Ok(MoveStatus::MotionStarted));
         assert_eq!(until(&mut link, 7), Ok(MoveStatus::Success));
         drop(sender.join().unwrap());
-        assert_eq!(until(&mut link, 7), Err(Gone::Closed));
+        assert_eq!(until(&mut link, 7), Err(ConnectionLost::Closed));
     }
 
     #[test]
     fn garbage_is_told_from_a_closed_connection_by_its_first_bytes() {
         let (mut link, mut server) = pair();
         server.write_all(b"HTTP/1.1 400 Bad Request").unwrap();
-        assert_eq!(until(&mut link, 0), Err(Gone::Garbled(*b"HTTP/1.1 400")));
+        assert_eq!(until(&mut link, 0), Err(ConnectionLost::Garbled(*b"HTTP/1.1 400")));
         let (mut link, mut server) = pair();
         let header = Header { command: 1, command_id: 0, size: 13 };
         server.write_all(&header.encode()).unwrap();
         server.write_all(&[99]).unwrap();
-        assert_eq!(until(&mut link, 0), Err(Gone::Garbled(header.encode())));
+        assert_eq!(until(&mut link, 0), Err(ConnectionLost::Garbled(header.encode())));
     }
 }

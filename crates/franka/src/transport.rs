@@ -13,9 +13,9 @@
 )]
 
 use super::codes::REFUSED_UNSENT;
-use super::tcp::{CommandLink, Gone};
+use super::tcp::{CommandLink, ConnectionLost};
 use super::telemetry::{Arrivals, Recent, Telemetry};
-use super::udp::{Found, StateLink};
+use super::udp::{Received, StateLink};
 use super::wire::{
     ControllerMode, MotionGeneratorMode, Move, MoveStatus, Protocol, Request, RobotCommand, RobotMode, RobotState,
 };
@@ -133,7 +133,7 @@ impl Transport {
         let mut older = (0u64, 0u64);
         for _ in 0..MAX_DATAGRAMS_PER_READ {
             match self.states.receive(taken == 0) {
-                Found::State(state, at_ns) => {
+                Received::State(state, at_ns) => {
                     if self.is_newer(&state) {
                         taken += 1;
                         oldest_ns = oldest_ns.or(at_ns);
@@ -147,11 +147,11 @@ impl Transport {
                         older = (older.0 + 1, state.message_id);
                     }
                 }
-                Found::Bad => self.telemetry.bad(),
-                Found::Foreign => self.telemetry.foreign(),
-                Found::Nothing if taken > 0 => break,
-                Found::Nothing => {}
-                Found::Broken => return Err(Fault::Disconnected),
+                Received::Bad => self.telemetry.bad(),
+                Received::Foreign => self.telemetry.foreign(),
+                Received::Nothing if taken > 0 => break,
+                Received::Nothing => {}
+                Received::Broken => return Err(Fault::Disconnected),
             }
             if taken == 0 {
                 if self.is_moving() && self.read_answers().is_err() {
@@ -230,7 +230,7 @@ impl Transport {
     }
 
     /// Asks for a motion.
-    pub fn call_move(&mut self, request: Move) -> Result<(), Gone> {
+    pub fn call_move(&mut self, request: Move) -> Result<(), ConnectionLost> {
         let id = self.commands.post(self.protocol(), &Request::Move(request))?;
         let generator = request.generator.shown().shown_at(self.protocol());
         let controller = request.controller.shown();
@@ -239,7 +239,7 @@ impl Transport {
     }
 
     /// Asks the arm to stop by itself.
-    pub fn call_stop(&mut self) -> Result<(), Gone> {
+    pub fn call_stop(&mut self) -> Result<(), ConnectionLost> {
         self.commands.post(self.protocol(), &Request::StopMove).map(drop)
     }
 
@@ -271,15 +271,15 @@ impl Transport {
     }
 
     /// Takes the answers about the motion that have come over TCP.
-    pub fn read_answers(&mut self) -> Result<(), Gone> {
+    pub fn read_answers(&mut self) -> Result<(), ConnectionLost> {
         let read = self.take_answers();
-        if let Err(Gone::Garbled(bytes)) = read {
+        if let Err(ConnectionLost::Garbled(bytes)) = read {
             self.telemetry.garbled(&bytes);
         }
         read
     }
 
-    fn take_answers(&mut self) -> Result<(), Gone> {
+    fn take_answers(&mut self) -> Result<(), ConnectionLost> {
         let Some(id) = self.call.as_ref().map(|call| call.id) else { return self.commands.pass_over() };
         while let Some(status) = self.commands.move_answer(self.protocol(), id)? {
             if let Some(call) = self.call.as_mut().filter(|_| status != MoveStatus::MotionStarted) {

@@ -39,7 +39,7 @@ pub(super) struct StateLink {
 #[derive(Clone, Copy, Debug, PartialEq)]
 // It stays on the stack: a box would allocate in the loop.
 #[allow(clippy::large_enum_variant)]
-pub(super) enum Found {
+pub(super) enum Received {
     /// A state, and when the kernel took it in, on `CLOCK_MONOTONIC` \[ns\].
     State(RobotState, Option<u64>),
     /// A datagram of the arm that is no state.
@@ -81,33 +81,33 @@ impl StateLink {
     }
 
     /// The next datagram; `wait` blocks for up to [`SLICE`].
-    pub fn receive(&mut self, wait: bool) -> Found {
+    pub fn receive(&mut self, wait: bool) -> Received {
         let flags = if wait { RecvFlags::empty() } else { RecvFlags::DONTWAIT };
         let (length, from) = loop {
             match rustix::net::recvfrom(&self.socket, &mut self.buffer[..], flags) {
                 Ok((_, length, from)) => break (length, from),
                 Err(rustix::io::Errno::INTR) => continue,
-                Err(rustix::io::Errno::AGAIN) => return Found::Nothing,
+                Err(rustix::io::Errno::AGAIN) => return Received::Nothing,
                 // Something on the way told us that a command was not delivered; the next states say more.
-                Err(rustix::io::Errno::CONNREFUSED | rustix::io::Errno::HOSTUNREACH) => return Found::Nothing,
-                Err(_) => return Found::Broken,
+                Err(rustix::io::Errno::CONNREFUSED | rustix::io::Errno::HOSTUNREACH) => return Received::Nothing,
+                Err(_) => return Received::Broken,
             }
         };
         let now = now_ns();
         let from = from.and_then(|from| SocketAddr::try_from(from).ok());
         let Some(from) = from.filter(|from| self.is_arm(from.ip())) else {
             self.stranger = from.map(|from| from.ip()).or(self.stranger);
-            return Found::Foreign;
+            return Received::Foreign;
         };
         match RobotState::decode(self.protocol, self.buffer.get(..length).unwrap_or_default()) {
             Ok(state) => {
                 self.peer = Some(from);
                 let at = datagram_age_ns(&self.socket).map(|age| now.saturating_sub(age));
-                Found::State(state, at)
+                Received::State(state, at)
             }
             Err(_) => {
                 self.damaged = Some(length);
-                Found::Bad
+                Received::Bad
             }
         }
     }

@@ -20,7 +20,7 @@ pub struct Controls {
     late: AtomicU64,
     dropped_records: AtomicU64,
     /// Goes on as long as somebody is there to hear the loop and to stop it.
-    pulse: AtomicU64,
+    heartbeats: AtomicU64,
 }
 
 impl Controls {
@@ -30,9 +30,9 @@ impl Controls {
         self.stop.swap(true, Ordering::AcqRel);
     }
 
-    /// Says that the outside is alive; see [`CycleSettings::max_silence`](super::settings::CycleSettings::max_silence).
-    pub fn alive(&self) {
-        self.pulse.fetch_add(1, Ordering::Relaxed);
+    /// Says that the outside is alive; see [`CycleSettings::heartbeat_timeout`](super::settings::CycleSettings::heartbeat_timeout).
+    pub fn heartbeat(&self) {
+        self.heartbeats.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Ends the loop: at once when the arm rests, after a controlled stop when it moves.
@@ -91,8 +91,8 @@ impl Controls {
 
     /// Heartbeats given so far by [`alive`](Controls::alive).
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    pub fn pulse(&self) -> u64 {
-        self.pulse.load(Ordering::Relaxed)
+    pub fn heartbeats(&self) -> u64 {
+        self.heartbeats.load(Ordering::Relaxed)
     }
 
     #[cfg_attr(no_panic, no_panic::no_panic)]

@@ -14,7 +14,7 @@ use super::checkpoint::Checkpoint;
 use super::guard::{Guard, Violation};
 use super::motion::{Finished, Motion};
 use super::moves::{NoMotion, Planner, seconds};
-use super::order::{Event, Handles, Inlets, Order, OrderKind, StopReason, Told, rings};
+use super::order::{Event, Handles, Inlets, Order, OrderKind, StopReason, TimedEvent, rings};
 use super::os::now_ns;
 use super::recorder::Flight;
 use super::retired::Retired;
@@ -90,8 +90,8 @@ pub struct Cycle<B: Backend, S: Sink> {
     joints: usize,
     tracking: JointVec,
     max_lost: u64,
-    max_silence: Option<u64>,
-    /// The outside's last pulse, and the cycles of the arm since it.
+    heartbeat_timeout: Option<u64>,
+    /// The outside's last heartbeats, and the cycles of the arm since it.
     heard: (u64, u64),
     rights: Rights,
     must_be_realtime: bool,
@@ -135,7 +135,7 @@ pub fn new<B: Backend, S: Sink>(
         joints,
         tracking: settings.guard.tracking,
         max_lost: settings.max_consecutive_lost,
-        max_silence: settings.max_silence,
+        heartbeat_timeout: settings.heartbeat_timeout,
         heard: (0, 0),
         rights: settings.rights,
         must_be_realtime: settings.must_be_realtime,
@@ -318,7 +318,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         if lost > self.max_lost {
             self.brake(StopReason::LostStates { lost }, gap)?;
         }
-        self.heed_silence(gap)?;
+        self.check_heartbeat(gap)?;
         if stop {
             self.brake(StopReason::Requested, gap)?;
         }
@@ -330,13 +330,13 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
     }
 
     /// An arm that moves while nobody could stop it is braked. At rest it holds: that is where it is safe.
-    fn heed_silence(&mut self, gap: u64) -> Result<(), End> {
-        let pulse = self.inlets.controls.pulse();
-        let silent = if pulse == self.heard.0 { self.heard.1.saturating_add(gap) } else { 0 };
-        self.heard = (pulse, silent);
-        match self.max_silence {
+    fn check_heartbeat(&mut self, gap: u64) -> Result<(), End> {
+        let heartbeats = self.inlets.controls.heartbeats();
+        let silent = if heartbeats == self.heard.0 { self.heard.1.saturating_add(gap) } else { 0 };
+        self.heard = (heartbeats, silent);
+        match self.heartbeat_timeout {
             Some(most) if silent > most && !self.motion.is_holding() => {
-                self.brake(StopReason::Unattended { cycles: silent }, gap)
+                self.brake(StopReason::HeartbeatLost { cycles: silent }, gap)
             }
             _ => Ok(()),
         }
@@ -468,7 +468,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
     #[cfg_attr(no_panic, no_panic::no_panic)]
     fn tell(&mut self, event: Event) {
         let cycle = self.tally.summary.cycles.saturating_sub(1);
-        let told = Told { cycle, seq: self.tally.last(), stamp_ns: self.stamp_ns, orders: self.orders, event };
+        let told = TimedEvent { cycle, seq: self.tally.last(), stamp_ns: self.stamp_ns, orders: self.orders, event };
         if self.inlets.events.push(told).is_err() {
             self.tally.summary.dropped_events += 1;
         }

@@ -3,7 +3,7 @@
 use super::checkpoint;
 use super::moves::{NoMotion, Planner, seconds};
 use super::order::{Order, OrderKind, StopReason};
-use plumbline_core::{JointVec, LONGEST_ALONE, MAX_JOINTS, Phase, Record, Reference, Setpoint};
+use plumbline_core::{JointVec, MAX_JOINTS, MAX_MISSED_COMMANDS, Phase, Record, Reference, Setpoint};
 
 /// A reference may start this far from where the arm rests \[rad\]; more would be a step that no arm can follow.
 const START_TOLERANCE: f64 = 1e-6;
@@ -126,8 +126,8 @@ impl Motion {
     /// Where states were lost the arm has gone on alone, at constant acceleration, as the FCI's does: the stop begins where that has brought
     /// it, or the first sample would be a jump. Where no stop can begin there, it begins at what was sent, as if it had begun then.
     pub fn brake(&mut self, gap: u64) -> Result<Option<Box<dyn Reference>>, NoMotion> {
-        let alone = gap.saturating_sub(1).min(u64::from(LONGEST_ALONE));
-        let planned = match self.planner.stop(&gone_on(&self.last, seconds(alone))) {
+        let alone = gap.saturating_sub(1).min(u64::from(MAX_MISSED_COMMANDS));
+        let planned = match self.planner.stop(&extrapolate(&self.last, seconds(alone))) {
             Ok(()) => {
                 self.tick = gap - alone;
                 Ok(())
@@ -229,13 +229,13 @@ impl Motion {
 
 /// The setpoint that a stop began from whose first sample was number `tick`, `gap` cycles of the arm after `last` had been sent.
 pub fn braked_from(last: &Setpoint, gap: u64, tick: u64) -> Setpoint {
-    let alone = gap.saturating_sub(1).min(u64::from(LONGEST_ALONE));
-    if tick.saturating_add(alone) == gap { gone_on(last, seconds(alone)) } else { *last }
+    let alone = gap.saturating_sub(1).min(u64::from(MAX_MISSED_COMMANDS));
+    if tick.saturating_add(alone) == gap { extrapolate(last, seconds(alone)) } else { *last }
 }
 
 /// Where a setpoint leads at constant acceleration in `t` seconds.
 #[cfg_attr(no_panic, no_panic::no_panic)]
-fn gone_on(from: &Setpoint, t: f64) -> Setpoint {
+fn extrapolate(from: &Setpoint, t: f64) -> Setpoint {
     let mut to = *from;
     for j in 0..MAX_JOINTS {
         to.q[j] += t * (from.dq[j] + 0.5 * t * from.ddq[j]);
@@ -249,6 +249,7 @@ mod tests {
     use super::super::moves::MoveFactors;
     use super::*;
     use plumbline_core::Limits;
+    use plumbline_core::PERIOD;
 
     fn planner() -> Planner {
         let of = |value: f64| [value; MAX_JOINTS];

@@ -64,7 +64,7 @@ pub enum StopReason {
     },
     /// Nobody has said for too long that he is there: whoever gives orders and could stop the arm may be gone.
     #[error("the program around the loop was silent for {cycles} cycles")]
-    Unattended {
+    HeartbeatLost {
         /// Cycles of the arm since it was heard of last.
         cycles: u64,
     },
@@ -131,7 +131,7 @@ pub enum Event {
 
 /// An event and the cycle that it belongs to.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Told {
+pub struct TimedEvent {
     /// Number of the cycle, as in [`Record::cycle`](plumbline_core::Record::cycle).
     pub cycle: u64,
     /// The arm's counter in that cycle.
@@ -185,7 +185,7 @@ pub struct Handles {
     /// What the loop has done with. Drain it: a full ring keeps new orders and models waiting.
     pub retired: Consumer<Retired>,
     /// What happened, and when.
-    pub events: Consumer<Told>,
+    pub events: Consumer<TimedEvent>,
     /// Stop, resume, quit, and the state at a glance.
     pub controls: Arc<Controls>,
     /// What the operating system granted; empty until the loop's thread has asked, which is before its first cycle.
@@ -208,7 +208,7 @@ pub(super) struct Inlets {
     pub orders: Consumer<Permitted>,
     pub models: Consumer<Box<dyn FeedForward>>,
     pub retired: Producer<Retired>,
-    pub events: Producer<Told>,
+    pub events: Producer<TimedEvent>,
     pub controls: Arc<Controls>,
     pub granted: Arc<OnceLock<Granted>>,
 }

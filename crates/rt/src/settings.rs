@@ -16,7 +16,7 @@ pub struct CycleSettings {
     pub max_consecutive_lost: u64,
     /// Longest silence of the outside ([`Controls::alive`](super::controls::Controls::alive)) that a motion goes on in, in cycles of the
     /// arm; `None` where nobody has to be there.
-    pub max_silence: Option<u64>,
+    pub heartbeat_timeout: Option<u64>,
     /// Room for orders in the queue.
     pub queue: usize,
     /// Records kept for the outcome, whatever happens to the sink.
@@ -34,7 +34,7 @@ impl CycleSettings {
             guard,
             moves: MoveFactors::default(),
             max_consecutive_lost: 10,
-            max_silence: None,
+            heartbeat_timeout: None,
             queue: 64,
             flight: 200,
             rights: Rights::default(),

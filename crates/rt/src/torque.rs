@@ -34,7 +34,7 @@ impl Torques {
 
 /// What the serving model answered; zero while none serves.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Asked {
+pub struct ModelTorques {
     /// In this cycle.
     pub now: Torques,
     /// The same model in the cycle before, where it was asked.
@@ -44,7 +44,7 @@ pub struct Asked {
 /// The torque of one cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Answer {
-    pub asked: Asked,
+    pub asked: ModelTorques,
     /// What is sent.
     pub served: Torques,
     pub validity: Validity,
@@ -173,7 +173,7 @@ impl TorqueSource {
             (false, true) => Validity::Withdrawn,
             (false, false) => Validity::None,
         };
-        Answer { asked: Asked { now, before: self.before }, served, validity }
+        Answer { asked: ModelTorques { now, before: self.before }, served, validity }
     }
 
     /// `now`, or as near to it as the rate allows where the torque is on its way.

@@ -2,7 +2,7 @@
 
 use crate::{Gate, Pace, SimArm, Truth};
 use plumbline_core::{
-    ArmConnector, ArmError, Clock, ConnectOptions, Connected, JointVec, LONGEST_ALONE, Purpose, TimeGate,
+    ArmConnector, ArmError, Clock, ConnectOptions, Connected, JointVec, MAX_MISSED_COMMANDS, Purpose, TimeGate,
 };
 use plumbline_model::Chain;
 use std::sync::Arc;
@@ -39,7 +39,7 @@ impl ArmConnector for SimConnector {
         let gravity = options.gravity.into();
         let arm = SimArm::with_effects(&self.chain, &self.truth, gravity, self.start, self.seed, pace, effects)?;
         let arm = arm.with_patience(match options.purpose {
-            Purpose::Drive => self.max_missed.max(LONGEST_ALONE),
+            Purpose::Drive => self.max_missed.max(MAX_MISSED_COMMANDS),
             Purpose::Monitor => MONITOR_MISSED_COMMANDS,
         });
         // Its controller compensates the gravity that acts.

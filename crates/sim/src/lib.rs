@@ -60,7 +60,7 @@ use commands::{Commands, Objection, TICK};
 use effect::Effect;
 use nalgebra::Vector3;
 use plant::{MAX_STATES, Plant};
-use plumbline_core::{Backend, BadInput, Clock, Command, Fault, JointVec, LONGEST_ALONE, State};
+use plumbline_core::{Backend, BadInput, Clock, Command, Fault, JointVec, MAX_MISSED_COMMANDS, State};
 use plumbline_model::{Chain, Mounting};
 use sensors::{Faults, Losses, Sensors};
 use std::sync::Arc;
@@ -213,7 +213,7 @@ impl SimArm {
             mode: Mode::Idle,
             pending: None,
             missing: 0,
-            patience: LONGEST_ALONE,
+            patience: MAX_MISSED_COMMANDS,
             seq: 0,
             exact: Exact::default(),
             origin_ns: None,
@@ -228,7 +228,7 @@ impl SimArm {
 
     /// Whether it has missed commands and forgives that.
     fn forgives(&self) -> bool {
-        self.patience > LONGEST_ALONE && self.missing > 0 && self.mode == Mode::Moving
+        self.patience > MAX_MISSED_COMMANDS && self.missing > 0 && self.mode == Mode::Moving
     }
 
     /// The arm's exact motion at the state read last, for comparisons; no real arm has this.

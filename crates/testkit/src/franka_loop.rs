@@ -6,7 +6,7 @@ use plumbline_franka::{ConnectError, Connection, FrankaArm, Settings, Statistics
 use plumbline_rt::Rights;
 use plumbline_rt::cycle::{End, Outcome};
 use plumbline_rt::recorder::ring;
-use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, StopReason, Told, cycle};
+use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, StopReason, TimedEvent, cycle};
 use std::time::{Duration, Instant};
 
 /// What a run left behind.
@@ -94,7 +94,7 @@ pub fn drive_serving(
     let deadline = Instant::now() + most;
     let mut ended = false;
     while !loop_thread.is_finished() && Instant::now() < deadline {
-        while let Ok(Told { event, .. }) = handles.events.pop() {
+        while let Ok(TimedEvent { event, .. }) = handles.events.pop() {
             ended |= event == (Event::Ended { motion: 3 });
             if matches!(event, Event::Stopping { .. } | Event::Stopped) {
                 handles.controls.quit();

@@ -12,7 +12,7 @@ pub use inclinometer::HealthChange;
 pub use torque_check::Remark;
 
 use super::models::Accepted;
-use super::rest::Rests;
+use super::rest::RestPoses;
 use crate::config::job::inclinometer::BaseMotion as BaseMotionRule;
 use crate::config::job::{Job, MountingCheck};
 use crate::failure::Failure;
@@ -133,7 +133,7 @@ pub struct GravityMonitor {
     robot: Option<Side>,
     /// Gravity that the arm's own controller compensates \[m/s2\]; none before the first connection.
     vendor: Option<Vector3<f64>>,
-    rests: Rests,
+    rests: RestPoses,
     torques: Option<TorqueCheck>,
     base: BaseMotion,
     motions: Vec<MotionGravity>,
@@ -161,7 +161,7 @@ impl GravityMonitor {
             inclinometer: Inclinometer::open(job)?,
             robot: None,
             vendor: None,
-            rests: Rests::default(),
+            rests: RestPoses::default(),
             torques: None,
             base: BaseMotion::default(),
             motions: Vec::new(),
@@ -182,7 +182,7 @@ impl GravityMonitor {
         let remounted = self.declared != declared;
         (self.declared, self.robot, self.vendor) = (declared, robot, Some(vendor));
         if remounted || !from_the_start {
-            self.rests = Rests::default();
+            self.rests = RestPoses::default();
             self.awaits_rest = true;
             // A model that was served is checked again, by torques of this connection.
             self.torques = self.torques.as_ref().map(|check| TorqueCheck::new(check.model, 0));

@@ -1,7 +1,7 @@
 //! The direction of gravity that the torques of the arm at rest imply under a model.
 
 use super::super::models::Accepted;
-use super::super::rest::Rests;
+use super::super::rest::RestPoses;
 use plumbline_identify::{DirectionError, Disagreement, Implied, Side, implied};
 
 /// The check of one model by the torques at rest.
@@ -48,7 +48,7 @@ impl TorqueCheck {
     }
 
     /// The check of `model`, which follows `self` in the same connection.
-    pub fn followed_by(&self, model: u64, rests: &Rests) -> TorqueCheck {
+    pub fn followed_by(&self, model: u64, rests: &RestPoses) -> TorqueCheck {
         TorqueCheck::new(model, if self.passed { rests.completed() } else { self.after })
     }
 
@@ -58,7 +58,7 @@ impl TorqueCheck {
     }
 
     /// Evaluates poses that have been completed since the last call.
-    pub fn update(&mut self, model: &Accepted, rests: &Rests) -> Option<Remark> {
+    pub fn update(&mut self, model: &Accepted, rests: &RestPoses) -> Option<Remark> {
         let completed = rests.completed();
         if self.passed || self.seen == completed {
             return None;

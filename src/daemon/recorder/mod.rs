@@ -3,20 +3,19 @@
 //! It has a thread of its own, started before anything asks for priority. The bridge thread copies every record into a ring of that thread's
 //! and never waits for it, unless simulated time does; a disk that is slow, full or read-only costs the recording and nothing else.
 
-mod deck;
 mod folder;
+mod thread;
 
 use super::job_setup::JobSetup;
 use crate::config::job::Job;
 use crate::recording::about::{About, FORMAT, Given, Handed, LogClock, Reason, Settings, panicked};
 use crate::recording::history::History;
-use deck::{Deck, work};
 use folder::Folder;
 use plumbline_core::{BadInput, Fault, Record, State};
 use plumbline_ipc::RobotId;
 use plumbline_model::{Mounting, Robot};
 use plumbline_rt::cycle::{End, Outcome};
-use plumbline_rt::{Controls, CycleSettings, Told};
+use plumbline_rt::{Controls, CycleSettings, TimedEvent};
 use rtrb::{Producer, RingBuffer};
 use sha2::{Digest, Sha256};
 use std::path::Path;
@@ -25,6 +24,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+use thread::{RecorderThread, work};
 
 /// Records between the bridge thread and the recorder's: four seconds.
 const RING: usize = 4096;
@@ -39,8 +39,8 @@ const STOP: usize = 5000;
 
 /// What the recorder's thread hears.
 enum Message {
-    Open(Box<Deck>),
-    Told(Told),
+    Open(Box<RecorderThread>),
+    TimedEvent(TimedEvent),
     Order(Given),
     Model(Handed, String),
     Note(String),
@@ -64,7 +64,7 @@ struct Close {
 }
 
 /// What was left behind by the loop's thread.
-pub enum Left {
+pub enum LoopEnd {
     /// The loop ended by itself.
     Ended(Box<Outcome>),
     /// It panicked; its last cycles and the state that was not answered.
@@ -135,9 +135,11 @@ impl Recorder {
         session: &str,
         settings: &CycleSettings,
         controls: &Arc<Controls>,
-    ) -> Tape {
+    ) -> LoopRecorder {
         let waits = setup.job.backend.is_fast();
-        let Some(inbox) = &self.inbox else { return Tape { inbox: None, ring: RingBuffer::new(1).0, waits, lost: 0 } };
+        let Some(inbox) = &self.inbox else {
+            return LoopRecorder { inbox: None, ring: RingBuffer::new(1).0, waits, lost: 0 };
+        };
         let (ring, records) = RingBuffer::new(RING);
         let joints = setup.robot.chain.len();
         let depth = (self.span * 1e3) as usize + STOP;
@@ -173,7 +175,7 @@ impl Recorder {
             models: Vec::new(),
         };
         let texts = vec![("robot.toml".into(), robot_text.clone()), ("job.toml".into(), job_text.clone())];
-        let deck = Deck {
+        let deck = RecorderThread {
             records,
             history: History::new(depth, joints, settings.guard.tracking),
             about,
@@ -185,7 +187,7 @@ impl Recorder {
             pending: None,
         };
         let opened = inbox.send(Message::Open(Box::new(deck))).is_ok();
-        Tape { inbox: opened.then(|| inbox.clone()), ring, waits, lost: 0 }
+        LoopRecorder { inbox: opened.then(|| inbox.clone()), ring, waits, lost: 0 }
     }
 
     /// Keeps a remark of the daemon's.
@@ -278,7 +280,7 @@ impl Requests {
 }
 
 /// The bridge thread's end of the recorder, for one loop.
-pub struct Tape {
+pub struct LoopRecorder {
     inbox: Option<Sender<Message>>,
     ring: Producer<Record>,
     /// Simulated time waits for the recorder; a real arm does not.
@@ -286,7 +288,7 @@ pub struct Tape {
     lost: u64,
 }
 
-impl Tape {
+impl LoopRecorder {
     /// Keeps records.
     pub fn keep(&mut self, records: &[Record]) {
         if self.inbox.is_none() {
@@ -301,8 +303,8 @@ impl Tape {
     }
 
     /// Keeps an event.
-    pub fn tell(&self, told: Told) {
-        self.send(|| Message::Told(told));
+    pub fn tell(&self, told: TimedEvent) {
+        self.send(|| Message::TimedEvent(told));
     }
 
     /// The stop that the loop tells of next has this reason.
@@ -321,16 +323,16 @@ impl Tape {
     }
 
     /// The loop has ended; `words` are the backend's own for a fault, `next` what an operator does about it, unless the daemon `goes_on` by itself.
-    pub fn close(&mut self, left: &Left, words: &str, next: Vec<String>, goes_on: bool) {
+    pub fn close(&mut self, left: &LoopEnd, words: &str, next: Vec<String>, goes_on: bool) {
         if self.lost > 0 {
             tracing::warn!("{} records did not reach the flight recorder in time", self.lost);
         }
         let (end, reason, untold, flight, unanswered) = match left {
-            Left::Panicked { message, flight, unanswered } => {
+            LoopEnd::Panicked { message, flight, unanswered } => {
                 let text = panicked(message);
                 (text.clone(), Some(Reason::new("panic", text)), 0, flight, unanswered.as_deref().copied())
             }
-            Left::Ended(outcome) => {
+            LoopEnd::Ended(outcome) => {
                 let reason = kind_of_end(&outcome.end).map(|kind| Reason::new(kind, words));
                 (outcome.end.to_string(), reason, outcome.summary.dropped_events, &outcome.flight, outcome.unanswered)
             }

@@ -7,9 +7,9 @@ pub use thread::stop_listener_rights;
 
 use super::Daemon;
 use super::gravity::Verdict;
-use super::labels::Labels;
-use super::recorder::{Left, Tape};
-use super::rhythm::Rhythm;
+use super::labels::GravityLabels;
+use super::recorder::{LoopEnd, LoopRecorder};
+use super::rhythm::RecordSchedule;
 use super::script::{Next, Planned, Script};
 use super::state::DaemonState;
 use crate::failure::Failure;
@@ -21,7 +21,7 @@ use plumbline_ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, 
 use plumbline_model::{Mounting, NoModel, ServedModel};
 use plumbline_rt::cycle::{End, Outcome};
 use plumbline_rt::recorder::Drain;
-use plumbline_rt::{Event, Handles, Told, os};
+use plumbline_rt::{Event, Handles, TimedEvent, os};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -47,8 +47,8 @@ pub struct Session {
     gate: Option<Arc<dyn TimeGate>>,
     /// The session of a physical arm.
     monitor: Option<Box<dyn ArmMonitor>>,
-    thread: Option<JoinHandle<Left>>,
-    tape: Tape,
+    thread: Option<JoinHandle<LoopEnd>>,
+    tape: LoopRecorder,
     script: Script,
     purpose: Purpose,
     /// Identity of the model handed to this loop, 0 for none.
@@ -56,15 +56,15 @@ pub struct Session {
     /// The rights granted to the loop's thread were logged.
     rights_reported: bool,
     /// When the next record is due.
-    records_due: Rhythm,
+    records_due: RecordSchedule,
     /// Gravity that the model was handed over with \[m/s2\].
     gravity: Vector3<f64>,
     /// Gravity that the arm's own controller compensates \[m/s2\].
     vendor: Vector3<f64>,
     /// Gravity of the records on their way from the loop.
-    labels: Labels,
+    labels: GravityLabels,
     /// Events taken from the loop and not handled yet.
-    events: VecDeque<Told>,
+    events: VecDeque<TimedEvent>,
     /// Simulated time is paused for the estimator.
     paused: bool,
     /// When the wait for a model ends, while the arm holds for one \[ns\].
@@ -120,12 +120,12 @@ impl Session {
         self.handle_events(&mut daemon.state);
         self.handles.free_retired();
         match left {
-            Left::Panicked { ref message, .. } => {
+            LoopEnd::Panicked { ref message, .. } => {
                 let failure = format!("the loop's thread panicked; the arm was stopped by its own means: {message}");
                 self.tape.close(&left, &failure, Vec::new(), false);
                 Err(Failure::job(failure))
             }
-            Left::Ended(ref outcome) => {
+            LoopEnd::Ended(ref outcome) => {
                 let statistics = self.statistics(outcome);
                 let words = statistics.link.as_ref().and_then(|link| link.fault.clone());
                 let words = words.unwrap_or_else(|| outcome.end.to_string());
@@ -294,7 +294,7 @@ impl Session {
 
     fn handle_events(&mut self, state: &mut DaemonState) {
         self.take_events();
-        while let Some(Told { event, .. }) = self.events.pop_front() {
+        while let Some(TimedEvent { event, .. }) = self.events.pop_front() {
             state.take_event(&event);
             if let Event::Ended { motion } = event {
                 state.programme.ended.push(motion);

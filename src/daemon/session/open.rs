@@ -3,8 +3,8 @@
 use super::super::Daemon;
 use super::super::gravity::uncompensated;
 use super::super::job_setup::JobSetup;
-use super::super::labels::Labels;
-use super::super::rhythm::Rhythm;
+use super::super::labels::GravityLabels;
+use super::super::rhythm::RecordSchedule;
 use super::super::script::Script;
 use super::super::state::DaemonState;
 use super::thread::{BELOW_LOOP, rights, run_to_end};
@@ -87,10 +87,10 @@ impl Session {
             purpose,
             model: 0,
             rights_reported: false,
-            records_due: Rhythm::default(),
+            records_due: RecordSchedule::default(),
             gravity: mounting.gravity(),
             vendor,
-            labels: Labels::new(mounting.gravity()),
+            labels: GravityLabels::new(mounting.gravity()),
             events: VecDeque::new(),
             paused: false,
             model_due_ns: None,
@@ -135,7 +135,7 @@ fn loop_settings(
     settings.max_consecutive_lost = u64::from(job.safety.max_lost);
     settings.queue = 3 * names.len() + 8;
     settings.rights = if simulated_time { Rights::NONE } else { rights(&job.realtime, 0) };
-    settings.max_silence = (!simulated_time).then_some(HEARTBEAT_TIMEOUT_MS);
+    settings.heartbeat_timeout = (!simulated_time).then_some(HEARTBEAT_TIMEOUT_MS);
     settings.must_be_realtime = job.realtime.on_refusal == OnRefusal::Refuse;
     settings.flight = FLIGHT;
     Ok(settings)

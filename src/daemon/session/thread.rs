@@ -1,6 +1,6 @@
 //! The loop's thread: its rights, its end, and what is left of a panic.
 
-use super::super::recorder::Left;
+use super::super::recorder::LoopEnd;
 use super::{PAUSE, RING};
 use crate::config::job;
 use crate::recording::about::panic_message;
@@ -41,13 +41,13 @@ pub fn await_end<T>(thread: &JoinHandle<T>, gate: Option<&dyn TimeGate>) {
 }
 
 /// Runs the loop to its end. After a panic the arm is stopped, and the last cycles come out.
-pub fn run_to_end<B: Backend, S: Sink>(cycle: &mut Cycle<B, S>) -> Left {
+pub fn run_to_end<B: Backend, S: Sink>(cycle: &mut Cycle<B, S>) -> LoopEnd {
     // What the loop leaves behind after a panic is only read.
     match catch_unwind(AssertUnwindSafe(|| cycle.run())) {
-        Ok(outcome) => Left::Ended(Box::new(outcome)),
+        Ok(outcome) => LoopEnd::Ended(Box::new(outcome)),
         Err(panic) => {
             let (flight, unanswered) = cycle.after_panic();
-            Left::Panicked { message: panic_message(&*panic), flight, unanswered: unanswered.map(Box::new) }
+            LoopEnd::Panicked { message: panic_message(&*panic), flight, unanswered: unanswered.map(Box::new) }
         }
     }
 }

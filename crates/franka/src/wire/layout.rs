@@ -59,7 +59,7 @@ impl<T> Slot<T> {
     }
 }
 
-/// Way to a field of `T`.
+/// Route to a field of `T`.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Part<T> {
     /// A counter.

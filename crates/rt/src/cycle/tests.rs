@@ -142,7 +142,7 @@ fn events_without_room_are_counted_and_each_has_the_cycle_that_it_is_of() {
         }
     }
     assert_eq!(cycle.tally.summary.dropped_events, 400 - 260);
-    let told: Vec<Told> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
+    let told: Vec<TimedEvent> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
     assert_eq!(told.len(), 260);
     for (index, told) in told.into_iter().enumerate() {
         let (motion, ended) = (index as u32 / 2 + 1, index % 2 == 1);

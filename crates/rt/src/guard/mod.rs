@@ -7,7 +7,7 @@
 mod history;
 
 use super::moves::{seconds, stop_distances};
-use super::torque::{Asked, Torques};
+use super::torque::{ModelTorques, Torques};
 use history::History;
 use plumbline_core::{
     Command, JointVec, Kinematics, Limits, MAX_JOINTS, PERIOD, Record, Setpoint, SpeedEnvelope, State, Workspace,
@@ -182,7 +182,7 @@ impl Guard {
 
     /// Checks the command that is to be sent `dt` \[s\] after the last one, what the model answered for it, and the state that it answers. A
     /// command that passes becomes part of the history.
-    pub fn check(&mut self, dt: f64, command: &Command, asked: &Asked, state: &State) -> Result<(), Violation> {
+    pub fn check(&mut self, dt: f64, command: &Command, asked: &ModelTorques, state: &State) -> Result<(), Violation> {
         self.limits(dt, command, asked, state)?;
         if let (Some(space), Some(kinematics)) = (&self.settings.workspace, &self.kinematics) {
             inside(space, kinematics.end_effector(&command.desired.q))?;
@@ -193,7 +193,7 @@ impl Guard {
 
     /// All of [`check`](Guard::check) but the workspace.
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    fn limits(&self, dt: f64, command: &Command, asked: &Asked, state: &State) -> Result<(), Violation> {
+    fn limits(&self, dt: f64, command: &Command, asked: &ModelTorques, state: &State) -> Result<(), Violation> {
         let desired = &command.desired;
         self.finite_command(desired)?;
         self.finite_state(state)?;
@@ -214,7 +214,7 @@ impl Guard {
         &mut self,
         dt: f64,
         command: &Command,
-        asked: &Asked,
+        asked: &ModelTorques,
         state: Option<&State>,
     ) -> Result<(), Violation> {
         self.finite_command(&command.desired)?;

@@ -55,7 +55,7 @@ fn after_a_panic_of_the_bridge_thread_the_loop_brakes_before_it_ends() {
     assert_eq!(message.unwrap_err(), "a fault of the test");
     await_end(&thread, None);
     assert!(thread.is_finished(), "the loop goes on");
-    let Left::Ended(outcome) = thread.join().unwrap() else { panic!("the loop panicked, too") };
+    let LoopEnd::Ended(outcome) = thread.join().unwrap() else { panic!("the loop panicked, too") };
     assert_eq!((outcome.end, outcome.stops), (End::Quit, 1));
     assert_eq!(*dq.lock().unwrap(), JointVec::default(), "the arm is at rest");
 }

@@ -8,7 +8,7 @@ use crate::recording::history::History;
 use crate::recording::{Recording, model_name};
 use plumbline_core::{PERIOD_NS, Record, State};
 use plumbline_rt::os::now_ns;
-use plumbline_rt::{Controls, Event, StopReason, Told};
+use plumbline_rt::{Controls, Event, StopReason, TimedEvent};
 use rtrb::Consumer;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -20,7 +20,7 @@ const REQUESTED: &str = "requested";
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// The recorder's end, for one loop.
-pub(super) struct Deck {
+pub(super) struct RecorderThread {
     pub records: Consumer<Record>,
     pub history: History,
     pub about: About,
@@ -36,7 +36,7 @@ pub(super) struct Deck {
 
 /// The recorder's thread.
 pub(super) fn work(messages: &Receiver<Message>, folder: &Folder, requests: &Requests) {
-    let mut deck: Option<Box<Deck>> = None;
+    let mut deck: Option<Box<RecorderThread>> = None;
     loop {
         match messages.recv_timeout(PAUSE) {
             Ok(Message::Open(new)) => deck = Some(new),
@@ -60,7 +60,7 @@ pub(super) fn work(messages: &Receiver<Message>, folder: &Folder, requests: &Req
     }
 }
 
-impl Deck {
+impl RecorderThread {
     fn drain(&mut self) {
         while let Ok(record) = self.records.pop() {
             self.history.keep(&[record]);
@@ -71,7 +71,7 @@ impl Deck {
     fn hear(&mut self, message: Message, folder: &Folder) -> bool {
         match message {
             Message::Open(_) => {}
-            Message::Told(told) => self.told(told, folder),
+            Message::TimedEvent(told) => self.told(told, folder),
             Message::Order(given) => self.history.ordered(given),
             Message::Model(handed, text) => {
                 let name = model_name(handed.id);
@@ -101,7 +101,7 @@ impl Deck {
         false
     }
 
-    fn told(&mut self, told: Told, folder: &Folder) {
+    fn told(&mut self, told: TimedEvent, folder: &Folder) {
         self.history.tell(told);
         match told.event {
             Event::Stopping { reason, .. } => {
@@ -160,7 +160,7 @@ impl Deck {
         let mut window = self.history.window(cycle.saturating_sub(self.before), flight);
         window.records.retain(|record| record.cycle <= newest);
         window.events.retain(|told| told.cycle <= newest);
-        if reason.kind == REQUESTED && !Deck::moved(&window.records, cycle) {
+        if reason.kind == REQUESTED && !RecorderThread::moved(&window.records, cycle) {
             // Nothing happened, and whoever stops an arm at rest again and again would have all others removed.
             return;
         }
@@ -219,7 +219,7 @@ fn kind_of_stop(reason: &StopReason) -> Option<&'static str> {
         StopReason::Guard(_) => "guard",
         StopReason::Requested => REQUESTED,
         StopReason::LostStates { .. } => "lost-states",
-        StopReason::Unattended { .. } => "unattended",
+        StopReason::HeartbeatLost { .. } => "unattended",
         StopReason::NotAtStart { .. } => "not-at-start",
         StopReason::NoPath { .. } => "no-path",
     })
