@@ -198,7 +198,7 @@ impl Story {
             "guard" => "The guard stopped the arm",
             "lost-states" => "The arm was stopped because states were lost",
             "requested" => "Somebody stopped the arm",
-            "unattended" => "The arm was stopped because the program around the loop was silent",
+            "unattended" => "The arm was stopped because the supervisor's heartbeat timed out",
             "not-real-time" => "The loop did not begin, for the machine is not real-time",
             "mounting" => "The arm was stopped because its mounting was in doubt",
             "estimator-lost" => "The arm was stopped because the estimator was gone",

@@ -2,7 +2,7 @@
 //!
 //! | phase | call | what happens | next phase |
 //! |---|---|---|---|
-//! | ready | `read`, [`Purpose::Drive`] | the motion is asked for; returns with the first state that shows it | moving, ended |
+//! | ready | `read`, [`Purpose::Drive`] | Move is called; returns with the first state that shows it | moving, ended |
 //! | ready | `read`, [`Purpose::Monitor`] | the newest state | ready |
 //! | moving | `read` | the newest state; a state or an answer may show the end | moving, ended |
 //! | moving | `write` | one command per state, inside the arm's limits | moving |
@@ -86,7 +86,7 @@ impl FrankaArm {
             settings: settings.clone(),
             phase: Phase::Ready,
             motion: Motion::new(settings, &limits, &state, state.reflex_reason, transport.protocol()),
-            followed: Followed { point: Point::at_rest(state.q_d), alone: 0, own: true, shown_ns: None, late: false },
+            followed: Followed { point: Point::at_rest(state.q_d), missed: 0, own: true, shown_ns: None, late: false },
             first_id: state.message_id,
             transport,
         }
@@ -160,8 +160,8 @@ impl FrankaArm {
     #[cfg_attr(no_panic, no_panic::no_panic)]
     fn follow(&mut self) {
         self.followed = self.motion.follow(&self.transport.state);
-        let present_ns = self.transport.present_ns();
-        let round_trip_ns = self.followed.shown_ns.map(|sent_ns| present_ns.saturating_sub(sent_ns));
+        let arrival_ns = self.transport.arrival_ns();
+        let round_trip_ns = self.followed.shown_ns.map(|sent_ns| arrival_ns.saturating_sub(sent_ns));
         self.transport.telemetry.followed(self.followed.late, self.followed.own, round_trip_ns);
     }
 
@@ -205,7 +205,7 @@ impl FrankaArm {
             let point = Point { q: desired, dq: dq_d, ddq: [0.0; 7] };
             return self.send(&Answer { point, tau, held, ..Answer::default() });
         }
-        let own = self.followed.own && self.followed.alone == 0;
+        let own = self.followed.own && self.followed.missed == 0;
         let Limited { point, held, returning, aim } = self.motion.step(&from, &desired, ticks, own);
         self.send(&Answer { point, held, returning, aim: Some(aim), ..Answer::default() })
     }

@@ -1,4 +1,4 @@
-//! What to look at when nothing comes back, judged by this machine's own routes.
+//! What to check when no answer comes, by this machine's routing table.
 
 use super::wire::Protocol;
 use std::io::ErrorKind;
@@ -52,7 +52,7 @@ fn route_in(table: &str, address: Ipv4Addr) -> Route {
     best.map_or(Route::None, |(_, way)| way)
 }
 
-/// What to look at when the TCP connection fails with `kind`.
+/// What to check when the TCP connection fails with `kind`.
 pub(super) fn unreachable(way: &Route, kind: ErrorKind) -> String {
     let subnet = match way {
         Route::Gateway(gateway, interface) => format!(
@@ -80,7 +80,7 @@ pub(super) fn unreachable(way: &Route, kind: ErrorKind) -> String {
     subnet + kind
 }
 
-/// What to look at when datagrams of the arm come, of which the last had so many `bytes`, and none is a state.
+/// What to check when datagrams of the arm come, of which the last had so many `bytes`, and none is a state.
 pub(super) fn damaged(protocol: Protocol, bytes: usize) -> String {
     format!(
         "Datagrams of the arm did come, but none is a state of {protocol}, which has {} bytes (the last had {bytes}): something on the way \
@@ -89,10 +89,10 @@ pub(super) fn damaged(protocol: Protocol, bytes: usize) -> String {
     )
 }
 
-/// What to look at when the connection stands but no state comes.
-pub(super) fn no_states(way: &Route, protocol: Protocol, port: u16, stranger: Option<IpAddr>) -> String {
-    let mut words = stranger.map_or_else(String::new, |stranger| {
-        format!("Datagrams came from {stranger} instead: is that the arm, behind an address translation? Use its own address. ")
+/// What to check when the TCP connection is open but no state comes.
+pub(super) fn no_states(way: &Route, protocol: Protocol, port: u16, other_sender: Option<IpAddr>) -> String {
+    let mut words = other_sender.map_or_else(String::new, |other_sender| {
+        format!("Datagrams came from {other_sender} instead: is that the arm, behind an address translation? Use its own address. ")
     });
     words += &match protocol {
         Protocol::V10 => String::new(),
@@ -164,8 +164,8 @@ mod tests {
         assert!(!no_states(&Route::Loopback, Protocol::V10, 4000, None).contains("fragments"));
         assert!(no_states(&Route::Loopback, Protocol::V10, 4000, None).contains("port 4000"));
         assert!(no_states(&gateway, Protocol::V10, 4000, None).contains("10.0.0.1"));
-        let stranger = Some("10.9.8.7".parse().unwrap());
-        assert!(no_states(&Route::Unknown, Protocol::V10, 4000, stranger).contains("came from 10.9.8.7"));
+        let other_sender = Some("10.9.8.7".parse().unwrap());
+        assert!(no_states(&Route::Unknown, Protocol::V10, 4000, other_sender).contains("came from 10.9.8.7"));
         assert_eq!(route_to("127.0.0.9".parse().unwrap()), Route::Loopback);
     }
 }

@@ -1,4 +1,4 @@
-//! Franka arms (Panda, FER, FR3) over the Franka Control Interface, the 1 kHz network interface that libfranka speaks too.
+//! Franka arms (Panda, FER, FR3) over the Franka Control Interface, the 1 kHz network interface of libfranka.
 //!
 //! [`connect()`] opens a session and does everything that may block or allocate; [`FrankaArm`] is the arm in the loop. A motion begins with
 //! the first read of an arm that is to be driven, on the loop's own thread, and ends with [`plumbline_core::Backend::stop`].
@@ -12,18 +12,18 @@
 //! | `arm`, `transport`, `motion` | the arm in the loop: the state machine of a session; its connections; the commands of a motion |
 //! | `reference`, `limiter`, `torque` | what the arm goes by, in double precision; commands inside its limits; the impedance law |
 //! | `connector` | the arm as a backend of the daemon |
-//! | `telemetry`, `explain` | counters that any thread may look at; faults in words |
+//! | `telemetry`, `explain` | counters that any thread may read; explanations of faults |
 //!
 //! What goes for every motion:
 //!
 //! - The first command is the arm's own `q_d`, to the bit. From there on the arm's point is known from the commands sent, because states
-//!   of version 10 come in single precision, whose differences would look like jerks.
-//! - An arm that misses a command goes on at constant acceleration. The state tells how far it went alone; the next command goes on
+//!   of version 10 come in single precision, whose differences are no jerks.
+//! - An arm that misses a command extrapolates at constant acceleration. The state shows how far; the next command continues
 //!   from there and comes back to the motion smoothly, inside [`Settings::limits_share`] of the limits.
-//! - Errors are read from `reflex_reason` of the first state that shows the end of the motion, and the arm's final word is always
+//! - Errors are read from `reflex_reason` of the first state that shows the end of the motion, and the arm's final answer is always
 //!   read, within a time limit.
-//! - Nothing recovers by itself: [`recover`] is for the operator; a rule that the operator has set has [`recover_communication`], which
-//!   leaves a collision, a limit, and whatever else is a person's to judge as it is.
+//! - Nothing recovers by itself: [`recover`] is for the operator; a rule that the operator has set uses [`recover_communication`], which
+//!   does not recover from a collision or a limit.
 //!
 //! ```no_run
 //! use plumbline_core::Backend;

@@ -1,4 +1,4 @@
-//! The commands of one motion: what was sent, what the next one is, and where the arm goes on from.
+//! The commands of one motion: what was sent, what the next one is, and the arm's reference.
 
 // The walls of the real-time loop: clippy.toml.
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
@@ -70,7 +70,7 @@ pub(super) fn request(settings: &Settings, protocol: Protocol) -> Move {
 }
 
 impl Motion {
-    /// A motion that begins in `state`; `old_reasons` are those of the state before it was asked for.
+    /// A motion that begins in `state`; `old_reasons` are those of the state before the call of Move.
     pub fn new(
         settings: &Settings,
         limits: &RobotLimits,
@@ -99,7 +99,7 @@ impl Motion {
             // The arm has no desired position of its own here; a missed command repeats the last torque.
             Interface::Torque => {
                 let point = self.sent.newest().copied().unwrap_or(Point::at_rest(state.q_d));
-                Followed { point, alone: 0, own: true, shown_ns: None, late: false }
+                Followed { point, missed: 0, own: true, shown_ns: None, late: false }
             }
         }
     }

@@ -69,7 +69,7 @@ impl Session {
             waited: settings.connect_timeout,
             hint: match states.damaged() {
                 Some(bytes) => hints::damaged(protocol, bytes),
-                None => hints::no_states(&hints::route_to(address), protocol, port, states.stranger()),
+                None => hints::no_states(&hints::route_to(address), protocol, port, states.other_sender()),
             },
         })?;
         Ok(Session { protocol, commands, states, first, refused, timeout: settings.connect_timeout })
@@ -86,7 +86,7 @@ impl Session {
         }
     }
 
-    /// Sends a setter and judges its answer.
+    /// Sends a setter and checks its answer.
     pub fn set(&mut self, request: &Request) -> Result<(), ConnectError> {
         let command = request.kind();
         let payload = self.commands.call(self.protocol, request, self.timeout)?;
@@ -159,7 +159,7 @@ fn attempt(settings: &Settings, protocol: Protocol) -> Result<Attempt, ConnectEr
     })
 }
 
-/// As libfranka sets it: a peer that is gone is noticed after some four seconds.
+/// As libfranka sets it: a lost peer is detected after some four seconds.
 fn keep_alive(stream: &TcpStream) -> std::io::Result<()> {
     use rustix::net::sockopt;
     sockopt::set_socket_keepalive(stream, true)?;
@@ -186,7 +186,7 @@ fn set_options(settings: &Settings, socket: &UdpSocket) -> Vec<String> {
     if let Some(bytes) = settings.socket.receive_buffer {
         let set = rustix::net::sockopt::set_socket_recv_buffer_size(socket, bytes);
         note(format!("receive buffer of {bytes} bytes"), set.map_err(Into::into));
-        // Linux doubles the size asked for, and cuts it to net.core.rmem_max without a word.
+        // Linux doubles the size asked for, and cuts it to net.core.rmem_max silently.
         if let Ok(got) = rustix::net::sockopt::socket_recv_buffer_size(socket)
             && got < 2 * bytes
         {

@@ -72,7 +72,7 @@ impl Default for TorqueControl {
     }
 }
 
-/// What the sockets are asked for. What the system refuses is no error: it is listed in [`super::Info::refused_options`].
+/// Socket options. One that the system refuses is no error: it is listed in [`super::Info::refused_options`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SocketOptions {
     /// `SO_PRIORITY` of commands, 0 to 6 without further rights.
@@ -109,9 +109,9 @@ pub struct Settings {
     pub torque: TorqueControl,
     /// Gravity that the arm's own controller compensates, in the base frame, as declared \[m/s2\]; `None` takes `O_ddP_O` of the arm's state.
     pub compensates: Option<[f64; 3]>,
-    /// What the sockets are asked for.
+    /// Socket options.
     pub socket: SocketOptions,
-    /// Longest silence of the arm before a read gives up.
+    /// Timeout of a read without a state.
     pub state_timeout: Duration,
     /// Longest wait for any one answer at connection.
     pub connect_timeout: Duration,

@@ -1,4 +1,4 @@
-//! The command connection: one request and its answer at connection, and nonblocking looks at it while a motion runs.
+//! The command connection: one request and its answer at connection, nonblocking reads while a motion runs.
 
 use super::error::ConnectError;
 use super::wire::{
@@ -9,8 +9,8 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-/// Bytes of a message that are looked at while a motion runs: all answers of that time are shorter.
-const LOOK: usize = 64;
+/// Bytes of a message that are read while a motion runs: all answers of that time are shorter.
+const MAX_READ_BYTES: usize = 64;
 
 /// A connection and the numbers of its calls.
 #[derive(Debug)]
@@ -18,9 +18,9 @@ pub(super) struct CommandLink {
     stream: TcpStream,
     next_id: u32,
     /// Front of the message that is arriving.
-    message: [u8; LOOK],
+    message: [u8; MAX_READ_BYTES],
     filled: usize,
-    /// Bytes still to come of a message that is longer than is looked at.
+    /// Bytes still to come of a longer message, which are skipped.
     skip: usize,
 }
 
@@ -29,13 +29,13 @@ pub(super) struct CommandLink {
 pub(super) enum ConnectionLost {
     /// The arm or the network has closed it.
     Closed,
-    /// What came is no message of the protocol; it began with these bytes.
+    /// The bytes received are no message of the protocol; it began with these.
     Garbled([u8; HEADER_BYTES]),
 }
 
 impl CommandLink {
     pub fn new(stream: TcpStream) -> CommandLink {
-        CommandLink { stream, next_id: 0, message: [0; LOOK], filled: 0, skip: 0 }
+        CommandLink { stream, next_id: 0, message: [0; MAX_READ_BYTES], filled: 0, skip: 0 }
     }
 
     fn take_id(&mut self) -> u32 {
@@ -68,7 +68,7 @@ impl CommandLink {
             let header = Header::decode(&head, MAX_MESSAGE).map_err(garbled)?;
             let mut payload = vec![0; header.payload_bytes()];
             self.stream.read_exact(&mut payload).map_err(failed)?;
-            // Whatever answers an earlier call is of no interest any more.
+            // An answer to an earlier call is skipped.
             if header.command_id == id && Some(header.command) == command.number(protocol) {
                 return Ok(payload);
             }
@@ -110,8 +110,8 @@ impl CommandLink {
         Ok(None)
     }
 
-    /// Passes over whatever is there, to learn whether the connection still stands.
-    pub fn pass_over(&mut self) -> Result<(), ConnectionLost> {
+    /// Skips what has arrived, to learn whether the connection is still open.
+    pub fn skip_arrived(&mut self) -> Result<(), ConnectionLost> {
         while self.arrived()?.is_some() {}
         Ok(())
     }
@@ -132,14 +132,14 @@ impl CommandLink {
             if self.filled >= HEADER_BYTES {
                 let header = self.header()?;
                 let size = header.size as usize;
-                wanted = size.min(LOOK);
+                wanted = size.min(MAX_READ_BYTES);
                 if self.filled == wanted {
                     self.filled = 0;
                     self.skip = size - wanted;
                     return Ok(Some((header, wanted)));
                 }
             }
-            let mut bytes = [0; LOOK];
+            let mut bytes = [0; MAX_READ_BYTES];
             let room =
                 wanted.checked_sub(self.filled).and_then(|room| bytes.get_mut(..room)).ok_or(ConnectionLost::Closed)?;
             let Some(got) = self.receive_into(room)? else { return Ok(None) };
@@ -155,7 +155,7 @@ impl CommandLink {
         Header::decode(head, MAX_MESSAGE).map_err(|_| self.garbled())
     }
 
-    /// The message that is arriving is none.
+    /// The message that is arriving can't be decoded.
     fn garbled(&self) -> ConnectionLost {
         self.message.first_chunk::<HEADER_BYTES>().map_or(ConnectionLost::Closed, |head| ConnectionLost::Garbled(*head))
     }

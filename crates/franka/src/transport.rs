@@ -1,5 +1,5 @@
 //! The connections of an open session: states in, commands and calls out, answers in. Counts what it receives, and keeps what the arm reports of the
-//! motion that was asked for.
+//! last call of Move.
 
 // The walls of the real-time loop: clippy.toml.
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
@@ -24,7 +24,7 @@ use plumbline_rt::os::now_ns;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Datagrams that one read looks at, so that a flood can't hold it.
+/// Datagrams per read, so that a flood does not block it.
 const MAX_DATAGRAMS_PER_READ: u32 = 4096;
 /// Commands in a row that the system may refuse.
 const MAX_UNSENT: u32 = 20;
@@ -71,7 +71,7 @@ pub(super) struct Transport {
     pub recent: Recent,
     /// The newest state.
     pub state: RobotState,
-    /// The motion that was asked for last.
+    /// The last call of Move.
     pub call: Option<MoveCall>,
     /// A state was taken since the session was opened, or since its backlog was discarded.
     pub has_read: bool,
@@ -118,8 +118,8 @@ impl Transport {
         self.arrived_ns
     }
 
-    /// When the newest state was there: in the kernel where the kernel tells, else when it was read \[ns\].
-    pub fn present_ns(&self) -> u64 {
+    /// When the newest state arrived: by the kernel's time stamp, else when it was read \[ns\].
+    pub fn arrival_ns(&self) -> u64 {
         self.arrived_ns.unwrap_or(self.read_ns)
     }
 
@@ -243,7 +243,7 @@ impl Transport {
         self.commands.post(self.protocol(), &Request::StopMove).map(drop)
     }
 
-    /// Whether the newest state shows the motion that was asked for.
+    /// Whether the newest state shows the motion of the last call.
     pub fn shows_motion(&self) -> bool {
         self.call.as_ref().is_some_and(|call| call.is_shown_by(&self.state))
     }
@@ -280,7 +280,7 @@ impl Transport {
     }
 
     fn take_answers(&mut self) -> Result<(), ConnectionLost> {
-        let Some(id) = self.call.as_ref().map(|call| call.id) else { return self.commands.pass_over() };
+        let Some(id) = self.call.as_ref().map(|call| call.id) else { return self.commands.skip_arrived() };
         while let Some(status) = self.commands.move_answer(self.protocol(), id)? {
             if let Some(call) = self.call.as_mut().filter(|_| status != MoveStatus::MotionStarted) {
                 call.answer = Some(status);
@@ -306,7 +306,7 @@ impl Transport {
     /// Counts a command that left at `now` \[ns\].
     pub fn count_sent(&mut self, now: u64, held: bool, returning: bool) {
         let work_ns = now.saturating_sub(self.read_ns);
-        let slow = now.saturating_sub(self.present_ns()) > PERIOD_NS;
+        let slow = now.saturating_sub(self.arrival_ns()) > PERIOD_NS;
         self.telemetry.sent(work_ns, slow, held, returning);
         self.recent.sent(work_ns);
     }

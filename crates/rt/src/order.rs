@@ -1,6 +1,6 @@
-//! What the loop and the rest of the program say to each other, over lock-free rings and atomics.
+//! Orders, models and events between the loop and its supervisor, over lock-free rings and atomics.
 //!
-//! [`Handles`] is the outside end. Nothing here ever blocks the loop; every box that the loop has done with travels back over the
+//! [`Handles`] is the outside end. Nothing here ever blocks the loop; every box that the loop no longer uses travels back over the
 //! `retired` ring, so that it is freed on the outside.
 
 pub use super::controls::Controls;
@@ -47,7 +47,7 @@ pub(super) struct Permitted {
 /// Why the arm was braked.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum StopReason {
-    /// The guard refused a command, or did not like what the arm measured.
+    /// A command or a measured state broke a limit of the guard.
     #[error("guard: {0}")]
     Guard(Violation),
     /// [`Controls::stop`] was called.
@@ -62,13 +62,13 @@ pub enum StopReason {
         /// Length of the run of lost states.
         lost: u64,
     },
-    /// Nobody has said for too long that he is there: whoever gives orders and could stop the arm may be gone.
-    #[error("the program around the loop was silent for {cycles} cycles")]
+    /// The supervisor's heartbeat timed out: it may be unable to stop the arm.
+    #[error("the supervisor's heartbeat timed out: none for {cycles} cycles")]
     HeartbeatLost {
-        /// Cycles of the arm since it was heard of last.
+        /// Cycles of the arm since the last heartbeat.
         cycles: u64,
     },
-    /// A reference starts somewhere else than where the arm rests.
+    /// A reference does not start where the arm rests.
     #[error("motion {motion} starts {distance:.6} rad away from where joint {} rests", .joint + 1)]
     NotAtStart {
         /// Number of the motion.
@@ -78,7 +78,7 @@ pub enum StopReason {
         /// Signed distance \[rad\].
         distance: f64,
     },
-    /// Ruckig found no way from here to the target.
+    /// Ruckig found no motion from here to the target.
     #[error("no point-to-point motion was found for motion {motion}")]
     NoPath {
         /// Number of the motion.
@@ -124,7 +124,7 @@ pub enum Event {
     Distrusted {
         /// Its identity.
         model: u64,
-        /// Identity of the model that serves in its place, 0 for none until the next is handed over.
+        /// Identity of the model that serves instead, 0 for none until the next is handed over.
         instead: u64,
     },
 }
@@ -182,18 +182,18 @@ pub struct Handles {
     pub orders: Orders,
     /// Models into the loop.
     pub models: Models,
-    /// What the loop has done with. Drain it: a full ring keeps new orders and models waiting.
+    /// Boxes that the loop no longer uses. Drain it: a full ring keeps new orders and models waiting.
     pub retired: Consumer<Retired>,
     /// What happened, and when.
     pub events: Consumer<TimedEvent>,
-    /// Stop, resume, quit, and the state at a glance.
+    /// Stop, resume, quit, and the loop's state.
     pub controls: Arc<Controls>,
-    /// What the operating system granted; empty until the loop's thread has asked, which is before its first cycle.
+    /// Rights that the operating system granted; empty until the loop's thread has requested them, before its first cycle.
     pub granted: Arc<OnceLock<Granted>>,
 }
 
 impl Handles {
-    /// Frees everything the loop has done with; the number of things freed.
+    /// Frees every box that the loop no longer uses; their number.
     pub fn free_retired(&mut self) -> usize {
         let mut freed = 0;
         while self.retired.pop().is_ok() {
@@ -219,13 +219,13 @@ pub(super) fn rings(orders: usize) -> (Inlets, Handles) {
     let (give, given) = rtrb::RingBuffer::new(orders.max(1));
     let (serve, served) = rtrb::RingBuffer::new(4);
     let (retire, retired) = rtrb::RingBuffer::new(orders + 16);
-    let (tell, told) = rtrb::RingBuffer::new(4 * orders + 256);
+    let (emit, emitted) = rtrb::RingBuffer::new(4 * orders + 256);
     let granted = Arc::new(OnceLock::new());
     let inlets = Inlets {
         orders: given,
         models: served,
         retired: retire,
-        events: tell,
+        events: emit,
         controls: Arc::clone(&controls),
         granted: Arc::clone(&granted),
     };
@@ -233,7 +233,7 @@ pub(super) fn rings(orders: usize) -> (Inlets, Handles) {
         orders: Orders { ring: give, controls: Arc::clone(&controls) },
         models: Models { ring: serve },
         retired,
-        events: told,
+        events: emitted,
         controls,
         granted,
     };

@@ -143,7 +143,7 @@ fn run(how: How, phase: Phase, at: u64) -> Option<Run> {
         How::Tool(place) => {
             job.settings.guard.workspace =
                 Some(Workspace { box_min: [-0.5, -0.5, 0.1], box_max: [0.5, 0.5, 0.8], base_radius: 0.3 });
-            // ModelTorques once a cycle while nothing brakes.
+            // Asked once a cycle while nothing brakes.
             let asked = std::sync::atomic::AtomicU64::new(0);
             job.kinematics = Some(Box::new(Tool(move |_: &JointVec| {
                 place(asked.fetch_add(1, std::sync::atomic::Ordering::Relaxed) >= at)

@@ -90,7 +90,7 @@ pub fn fr3_before_5_9() -> RobotLimits {
 
 impl RobotLimits {
     /// Lowest and highest velocity of joint `j` (from 0) at position `q`:
-    /// `min(dq, max(0, sqrt(2 dec (end - q)) - offset))` and its mirror image. `None` for a joint that is none.
+    /// `min(dq, max(0, sqrt(2 dec (end - q)) - offset))` and its mirror image. `None` past the last joint.
     pub fn velocities(&self, j: usize, q: f64) -> Option<(f64, f64)> {
         let (most, offset, dec) = (*self.dq.get(j)?, *self.dq_offset.get(j)?, *self.dq_dec.get(j)?);
         if dec == 0.0 {

@@ -114,7 +114,7 @@ impl Writer<'_> {
     }
 }
 
-/// Writes a whole message to the front of `out`: the payload by `fill`, then the header that knows its length.
+/// Writes a whole message to the front of `out`: the payload by `fill`, then the header with its length.
 pub(super) fn message(
     protocol: Protocol,
     kind: CommandKind,

@@ -202,7 +202,7 @@ impl MoveGenerator {
     }
 }
 
-/// An enumeration with its numbers up to version 5 and from version 6 on (`_` where there is none), and its words.
+/// An enumeration with its numbers up to version 5 and from version 6 on (`_` where there is none), and its text.
 macro_rules! statuses {
     (@code _) => { None };
     (@code $code:literal) => { Some($code) };

@@ -1,4 +1,4 @@
-//! The 41 errors of the arm, as a set. They stand in each state twice: those that hold, and those that led to the reflex.
+//! The 41 errors of the arm, as a set. Each state has them twice: those that hold, and those that led to the reflex.
 
 use super::protocol::WireError;
 
@@ -110,7 +110,7 @@ error_bits! {
     38 JointViaMotionGeneratorPlanningJointLimitViolation "joint_via_motion_generator_planning_joint_limit_violation",
     /// The direction of gravity at the base was not measured in time.
     39 BaseAccelerationInitializationTimeout "base_acceleration_initialization_timeout",
-    /// The sensor of gravity at the base says what can't be.
+    /// The sensor of gravity at the base has an impossible reading.
     40 BaseAccelerationInvalidReading "base_acceleration_invalid_reading",
 }
 

@@ -12,7 +12,7 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// All versions spoken, in rising order.
+    /// All versions of this program, in rising order.
     pub const ALL: [Protocol; 3] = [Protocol::V5, Protocol::V9, Protocol::V10];
 
     /// The number that [`super::Connect`] carries.
@@ -24,7 +24,7 @@ impl Protocol {
         }
     }
 
-    /// The version of a number; `None` for those that are not spoken.
+    /// The version of a number; `None` for those that this program does not have.
     pub fn from_number(number: u16) -> Option<Protocol> {
         Protocol::ALL.into_iter().find(|protocol| protocol.number() == number)
     }
@@ -54,7 +54,7 @@ impl Protocol {
             }
     }
 
-    /// Robots, system images and libfranka versions of this protocol version, in words.
+    /// Robots, system images and libfranka versions of this protocol version.
     pub fn images(self) -> &'static str {
         match self {
             Protocol::V5 => IMAGES_5,
@@ -80,7 +80,7 @@ const IMAGES_5: &str = "Panda or FER with system image 4.2.1 or later (libfranka
 const IMAGES_9: &str = "FR3 with system image 5.7.2 or later (libfranka 0.15.0 to 0.17.0)";
 const IMAGES_10: &str = "FR3 with system image 5.9.0 or later (libfranka 0.18 and later)";
 
-/// The same as [`Protocol::images`] for versions 3 to 10, spoken or not: for messages about an arm that speaks another one.
+/// The same as [`Protocol::images`] for versions 3 to 10: for messages about an arm of another version.
 ///
 /// Source: the compatibility table of Franka's documentation (github.com/frankarobotics/docs) and libfranka's changelog.
 pub fn images_of(version: u16) -> Option<&'static str> {

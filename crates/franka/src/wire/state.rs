@@ -115,7 +115,7 @@ pub const MAX_COMMAND: usize = 371;
 
 /// What the client commands for one cycle; what the running motion has no use for is zero. Always in double precision.
 ///
-/// Numbers are decoded as they come, finite or not: to judge them is the arm's business.
+/// Numbers are decoded as they come, finite or not: the arm checks them.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RobotCommand {
     /// [`super::RobotState::message_id`] of the newest state seen.

@@ -32,7 +32,7 @@ impl Follows {
         Follows { guard: Guard::new(2, settings, 0.5, None), q: 0.0 }
     }
 
-    /// What the guard says to a setpoint of joint 1 that is sent `dt` after the last.
+    /// The guard's result for a setpoint of joint 1 that is sent `dt` after the last.
     fn send(&mut self, dt: f64, [q, dq, ddq]: [f64; 3]) -> Result<(), Violation> {
         let mut state = State::default();
         state.q[0] = self.q;
