@@ -97,7 +97,7 @@ fn told(
 }
 
 /// What the daemon would have said beside a window.
-fn about(window: &Window, end: String, untold: u64) -> About {
+fn about(window: &Window, end: String, dropped_events: u64) -> About {
     let last = window.records.last().unwrap();
     About {
         format: FORMAT,
@@ -119,7 +119,7 @@ fn about(window: &Window, end: String, untold: u64) -> About {
         clock: LogClock::Arm { seq: last.state.seq, epoch_ns: 1_700_000_000_000_000_000 },
         lost: 0,
         late: 0,
-        untold,
+        dropped_events,
         motions: vec![(1, "first".into())],
         notes: Vec::new(),
         settings: Settings::from(&settings()),

@@ -10,7 +10,7 @@ use plumbline_model::{Mounting, Robot};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 
-/// Time between the beginnings of two checks: models come rarely, and a flood of them waits \[ns\].
+/// Time between the beginnings of two checks: models come rarely, and more of them wait \[ns\].
 const INTERVAL_NS: u64 = 100_000_000;
 
 /// Checks a model's text: the right robot, a set that holds in this mounting.

@@ -67,7 +67,7 @@ pub fn rest(state: &mut DaemonState, mounting: &Mounting) {
     }
 }
 
-/// An arm that is at once where it is told to be, loses two states before its third, and is gone after its fifth.
+/// An ideal arm that loses two states before its third, and its connection after its fifth.
 pub struct ShortLived(State);
 
 impl Backend for ShortLived {

@@ -28,7 +28,7 @@ impl GravityLabels {
         self.handed.push_back((id, gravity));
     }
 
-    /// The loop says that the next one handed over is in force from `cycle` on. The ring is first in, first out.
+    /// By an event of the loop, the next model handed over serves from `cycle` on. The ring is first in, first out.
     pub fn serving(&mut self, cycle: u64) {
         if let Some((id, gravity)) = self.handed.pop_front() {
             self.models.serve(id, gravity);

@@ -1,7 +1,7 @@
-//! `plumbline daemon`: connects to the arm, drives the job's programme when told to, serves the model.
+//! `plumbline daemon`: connects to the arm, drives the job's programme on request, serves the model.
 //!
-//! The main thread is the bridge thread: it owns everything that talks to other processes. The loop has a thread of its own for each
-//! connection to the arm (`session`), and knows this side only through its rings.
+//! The main thread is the bridge thread: it owns everything that communicates with other processes. The loop has a thread of its own for each
+//! connection to the arm (`session`), and reaches this side only through its rings.
 
 mod check;
 #[cfg(test)]
@@ -14,13 +14,13 @@ mod logged;
 mod models;
 mod recorder;
 mod requests;
-mod rest;
-mod rhythm;
+mod rest_poses;
+mod schedule;
 mod script;
 mod session;
 mod state;
 mod status;
-mod stop_line;
+mod stop_relay;
 
 use crate::config::job::Job;
 use crate::failure::Failure;
@@ -40,14 +40,14 @@ use plumbline_model::Mounting;
 use plumbline_rt::cycle::End;
 use plumbline_rt::{Controls, become_realtime};
 use recorder::Recorder;
-use rhythm::RequestShare;
+use schedule::RequestShare;
 use script::Script;
 use session::Session;
 use state::DaemonState;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
-use stop_line::StopLine;
+use stop_relay::StopRelay;
 
 /// Options of `plumbline daemon`.
 #[derive(Args)]
@@ -70,7 +70,7 @@ const CONNECTION: Duration = Duration::from_secs(90);
 
 /// What the bridge thread owns.
 pub struct Daemon {
-    stops: StopLine,
+    stops: StopRelay,
     server: Server,
     checker: Checker,
     state: DaemonState,
@@ -82,22 +82,22 @@ pub struct Daemon {
 /// How a session ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum SessionEnd {
-    /// Its script was driven, or the session was told to end.
+    /// Its script was driven, or the end was requested.
     Completed,
     /// The connection was lost, and the job allows another: motions that were not driven to their end are driven again.
     Interrupted,
 }
 
-/// Runs until it is told to quit.
+/// Runs until the end is requested.
 pub fn run(options: Options) -> Result<(), Failure> {
     let (job, robot, out) = options.job.load()?;
     let model = options.model.map(|path| model(path, options.job.root_owned)).transpose()?;
     let id = setup::robot_id(&job)?;
     journal::about(id.as_str());
-    // Before anything else is touched: nobody else may drive this robot.
+    // Before anything else: no other process may drive this robot.
     let lock = if options.adopt_lock { setup::adopted_lock(&id)? } else { setup::lock(&id)? };
     // A stop is taken from here on, also while the excitation is planned.
-    let stops = stop_line(&lock, &job)?;
+    let stops = stop_relay(&lock, &job)?;
     let arm: Arc<dyn ArmConnector> = setup::backend::connector(&job, &robot)?.into();
     let _arm = setup::arm_lock(arm.as_ref())?;
     let arm_limits = arm.read_limits().map_err(Failure::job)?;
@@ -106,7 +106,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     if options.end_with_stdin {
         ending.watch_parent()?;
     }
-    // Its thread begins before anything asks for priority.
+    // Its thread begins before any other has a real-time priority.
     let recorder = Recorder::start(&job, &id, &out)?;
     let names = programme.motions().map(|motion| (motion.number, motion.name.clone())).collect();
     let rest = setup::rest(&job, &robot)?;
@@ -131,12 +131,12 @@ pub fn run(options: Options) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Begins to listen for stops. The thread's priority is above the bridge thread's, where the arm keeps the clock's time.
-fn stop_line(lock: &Lock, job: &Job) -> Result<StopLine, Failure> {
+/// Starts the thread that receives stops. Its priority is above the bridge thread's, where the arm keeps wall-clock time.
+fn stop_relay(lock: &Lock, job: &Job) -> Result<StopRelay, Failure> {
     let failed = |error: std::io::Error| Failure::job(format!("stops can't be listened for: {error}"));
     let listener = StopListener::open(lock).map_err(failed)?;
     let rights = (!job.backend.is_fast()).then(|| session::stop_listener_rights(&job.realtime));
-    StopLine::start(listener, move || rights.iter().for_each(|rights| drop(become_realtime(rights)))).map_err(failed)
+    StopRelay::start(listener, move || rights.iter().for_each(|rights| drop(become_realtime(rights)))).map_err(failed)
 }
 
 /// A model file that a person named, with its text.
@@ -182,7 +182,7 @@ impl Daemon {
                 self.service.long_step(CONNECTION);
                 let session = Session::open(self, place.clone(), stage.mounting, Purpose::Drive, script)?;
                 self.service.status(&format!("moving; mounted {place}"));
-                // Interrupted: once more, unless somebody has stopped it meanwhile.
+                // Interrupted: once more, unless the arm was stopped meanwhile.
                 if self.run_session(session)? == SessionEnd::Completed || self.state.is_over() {
                     break;
                 }
@@ -230,7 +230,7 @@ impl Daemon {
         }
     }
 
-    /// Does what takes a robot seconds on a thread of its own, and answers requests meanwhile: a stop is heard then, too.
+    /// Does `work` that may block for seconds on a thread of its own, and takes stops and answers requests meanwhile.
     fn meanwhile<T: Send>(&mut self, work: impl FnOnce() -> T + Send) -> Result<T, Failure> {
         std::thread::scope(|scope| {
             let thread = scope.spawn(work);
@@ -242,14 +242,14 @@ impl Daemon {
         })
     }
 
-    /// Takes note of a stop that has come. `controls` are the running loop's, where one runs.
+    /// Takes a stop that has come. `controls` are the running loop's, where one runs.
     fn take_stop(&mut self, controls: Option<&Controls>) {
         if let Some(order) = self.stops.attend(controls) {
             self.state.take_stop(order, controls);
         }
     }
 
-    /// Takes note of a stop; answers the requests that are waiting, where their share of the time allows that.
+    /// Takes a stop; answers the requests that wait, within their share of the time.
     fn answer_requests(&mut self, controls: Option<&Controls>) {
         self.take_stop(controls);
         self.state.announce_end();

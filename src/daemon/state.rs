@@ -1,4 +1,4 @@
-//! The state of the daemon. Answers to requests stand in `requests`, the status message in `status`.
+//! The state of the daemon. Answers to requests are in `requests`, the status message in `status`.
 
 use super::gravity::{Decision, GravityMonitor, ServiceChange, Verdict};
 use super::job_setup::JobSetup;
@@ -15,10 +15,10 @@ use plumbline_model::Mounting;
 use plumbline_rt::cycle::End;
 use plumbline_rt::{Controls, Event, StopReason};
 
-/// How far the programme of the job is.
+/// Progress of the job's programme.
 #[derive(Default)]
 pub struct ProgrammeState {
-    /// Where the job stands.
+    /// Stage of the programme.
     pub progress: Progress,
     /// A start was requested.
     pub start: bool,
@@ -37,7 +37,7 @@ pub struct ProgrammeState {
 pub struct StopState {
     /// Nothing moves before an operator allows it, in this connection to the arm or another.
     pub barred: bool,
-    /// The running loop was told to stop and has not come to rest since.
+    /// A stop was requested from the running loop, and the arm is not at rest since.
     pub braking: bool,
     /// Why the daemon itself has requested the stop that comes next.
     pub cause: Option<String>,
@@ -89,12 +89,12 @@ pub struct DaemonState {
     pub history: LoopHistory,
 }
 
-/// What the daemon does about a follower of the samples that is gone or silent.
+/// Response to the loss of a follower of the samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum LossResponse {
     /// Nothing: nothing moves or waits.
     None,
-    /// The motion goes on, and the samples are kept.
+    /// The motion continues, and the samples are kept.
     Continue,
     /// The arm waits for a model, and the samples are kept.
     Wait,
@@ -137,7 +137,7 @@ impl DaemonState {
         if self.end.announced.is_none() {
             tracing::warn!(plumbline_event = "ending", "{new}: the daemon brakes an arm that moves, then ends");
             self.stops.cause = Some(new.to_string());
-            self.recorder.blame(Reason::new(new.kind(), new.to_string()));
+            self.recorder.set_reason(Reason::new(new.kind(), new.to_string()));
         } else {
             tracing::warn!(plumbline_event = "ending", "{new}: the daemon is ending already; a stop under way goes on");
         }
@@ -162,8 +162,8 @@ impl DaemonState {
         held_by_model && checks && now_ns() < self.programme.start_due_ns
     }
 
-    /// Whether the daemon may recover the arm and go on by itself after `end`: by the rule of the arm and the job, and never where a person or another
-    /// fault has stopped the arm before.
+    /// Whether the daemon may recover the arm after `end` and continue without an operator: by the rule of the arm and the job, and never where the
+    /// arm was stopped before.
     pub fn may_recover(&self, end: &End) -> bool {
         let recoverable = |fault: &Fault| self.programme.recoveries < self.setup.arm.max_recoveries(fault);
         matches!(end, End::Fault(fault) if recoverable(fault)) && !self.is_over()
@@ -193,7 +193,7 @@ impl DaemonState {
     /// Brakes the arm for a reason of the daemon's own, which log, status and recording carry.
     pub fn stop_because(&mut self, reason: Reason, controls: Option<&Controls>) {
         self.stops.cause = Some(reason.text.clone());
-        self.recorder.blame(reason);
+        self.recorder.set_reason(reason);
         self.stop(controls);
     }
 

@@ -142,7 +142,7 @@ fn a_made_up_backend_is_driven_recovered_and_driven_to_the_end() {
 
     let id = RobotId::parse("test", "robot", &format!("made-up-{}", std::process::id())).unwrap();
     let lock = Lock::take_in(place.path(), &id).unwrap();
-    let stops = StopLine::start(StopListener::open(&lock).unwrap(), || ()).unwrap();
+    let stops = StopRelay::start(StopListener::open(&lock).unwrap(), || ()).unwrap();
     let server = Server::open(&id, ServerSettings { retain: 10_000, ..ServerSettings::default() }).unwrap();
     let checker = Checker::start(state.setup.robot.clone(), server.epoch()).unwrap();
     let (service, share) = (Service::of_environment(), RequestShare::default());

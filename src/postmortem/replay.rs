@@ -34,10 +34,10 @@ pub enum ReplayError {
         needed: usize,
     },
     /// The loop had no room to say what it did.
-    #[error("{untold} events never left the loop, so what it was given is not known")]
-    Untold {
+    #[error("{dropped_events} events never left the loop, so what it was given is not known")]
+    DroppedEvents {
         /// How many.
-        untold: u64,
+        dropped_events: u64,
     },
     /// Something that the loop was given is not in the recording.
     #[error("{what} is not in the recording")]
@@ -104,8 +104,8 @@ pub struct Parts<'p> {
 /// [`ReplayError`] where something that the loop was given is not in the recording.
 pub fn replay(recording: &Recording, parts: Parts) -> Result<Replayed, ReplayError> {
     let about = &recording.about;
-    if about.untold > 0 {
-        return Err(ReplayError::Untold { untold: about.untold });
+    if about.dropped_events > 0 {
+        return Err(ReplayError::DroppedEvents { dropped_events: about.dropped_events });
     }
     let start = Start::find(recording, parts.model)?;
     let handing = Handing::plan(recording, &start, parts.model)?;

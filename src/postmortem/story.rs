@@ -388,8 +388,8 @@ fn gaps(recording: &Recording) -> Vec<String> {
             gaps.push(format!("Cycles {} to {} never reached the recorder.", pair[0].cycle + 1, pair[1].cycle - 1));
         }
     }
-    if recording.about.untold > 0 {
-        gaps.push(format!("{} events never left the loop.", recording.about.untold));
+    if recording.about.dropped_events > 0 {
+        gaps.push(format!("{} events never left the loop.", recording.about.dropped_events));
     }
     if recording.records.is_empty() {
         gaps.push("There is no cycle in it.".to_string());

@@ -52,8 +52,9 @@ pub struct About {
     pub lost: u64,
     /// Late cycles since the loop started.
     pub late: u64,
-    /// Events that never left the loop since it started; more than none makes a replay impossible.
-    pub untold: u64,
+    /// Events that found no room in the ring since the loop started; with any of them a replay is impossible.
+    #[serde(alias = "untold")]
+    pub dropped_events: u64,
     /// Names of the motions.
     #[serde(default)]
     pub motions: Vec<(u32, String)>,

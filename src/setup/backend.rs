@@ -17,7 +17,7 @@ const ARMS: [(&str, &str); 3] = [
 /// The arm that a job drives. Connects to nothing.
 ///
 /// # Errors
-/// What the job says of the arm can't be used.
+/// The job's settings of the arm can't be used.
 pub fn connector(job: &Job, robot: &Robot) -> Result<Box<dyn ArmConnector>, Failure> {
     let backend = &job.backend;
     Ok(match (backend.kind, &backend.franka) {

@@ -99,7 +99,7 @@ impl<'a> Planner<'a> {
         }
     }
 
-    /// A random motion to judge the model by.
+    /// A random motion to validate the model on.
     pub fn random(&self, mounting: &Mounting, seed: u64) -> Result<Plan, Failure> {
         self.task(mounting, self.job.margins()).random(&self.search(seed)).map_err(|error| self.no_plan(error))
     }
@@ -241,7 +241,7 @@ impl Task<'_> {
     pub fn with_problem<T>(&self, find: impl FnOnce(&Problem) -> T) -> T {
         let n = self.robot.chain.len();
         let structure = friction_structure(self.robot, &self.mounting);
-        // Before anything is measured, the torque range of a joint stands for the size of its noise.
+        // Before anything is measured, the noise of a joint is taken as proportional to its torque range.
         let sigma: Vec<f64> = self.room.limits.tau[..n].iter().map(|tau| tau * 1e-3).collect();
         find(&Problem {
             robot: &self.robot.name,

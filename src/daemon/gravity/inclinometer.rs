@@ -17,7 +17,7 @@ pub struct Inclinometer {
     pub on_loss: OnLoss,
     /// What a motion does when the base turns during it.
     pub on_motion: BaseMotion,
-    /// A turn of the base that counts as none \[rad\].
+    /// Smallest turn of the base that counts \[rad\].
     pub still: f64,
     health: Health,
     /// What follows from the readings up to now.
@@ -123,7 +123,7 @@ impl Inclinometer {
         Some(last.attitude.gravity)
     }
 
-    /// Health in words.
+    /// Health, for the status.
     pub fn health(&self) -> String {
         match self.health {
             Health::Good(Reading { still: true, .. }) => "good, at rest".into(),

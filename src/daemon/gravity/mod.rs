@@ -12,7 +12,7 @@ pub use inclinometer::HealthChange;
 pub use torque_check::Remark;
 
 use super::models::Accepted;
-use super::rest::RestPoses;
+use super::rest_poses::RestPoses;
 use crate::config::job::inclinometer::BaseMotion as BaseMotionRule;
 use crate::config::job::{Job, MountingCheck};
 use crate::failure::Failure;
@@ -321,8 +321,8 @@ impl GravityMonitor {
         }
     }
 
-    /// Parameters that `model` lacks for one of the `mountings`. Asked in every turn of a real-time thread, and finding them takes milliseconds: they
-    /// are those of the first such mounting.
+    /// Parameters that `model` lacks for one of the `mountings`. Called in every turn of a real-time thread, and finding them takes milliseconds: they
+    /// are those of the first such mounting, computed once per model.
     fn lacks(&mut self, model: &Accepted, mountings: &[Mounting]) -> Option<String> {
         let Some(mounting) = mountings.iter().find(|mounting| !model.model.holds_in(mounting)) else {
             self.lacking = None;

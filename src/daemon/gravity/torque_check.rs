@@ -1,7 +1,7 @@
 //! The direction of gravity that the torques of the arm at rest imply under a model.
 
 use super::super::models::Accepted;
-use super::super::rest::RestPoses;
+use super::super::rest_poses::RestPoses;
 use plumbline_identify::{DirectionError, Disagreement, Implied, Side, implied};
 
 /// The check of one model by the torques at rest.
@@ -21,7 +21,7 @@ pub struct TorqueCheck {
     undetermined: bool,
 }
 
-/// Something an operator should know of a check that does not end it.
+/// A remark for the operator that does not fail the check.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Remark {
     /// Strength or misfit of what the torques imply.
@@ -52,7 +52,7 @@ impl TorqueCheck {
         TorqueCheck::new(model, if self.passed { rests.completed() } else { self.after })
     }
 
-    /// Whether no pose has to be awaited before the model serves: the torques have agreed, can't tell, or have agreed with a model before it.
+    /// Whether no pose has to be awaited before the model serves: the torques have agreed, do not determine it, or have agreed with a model before it.
     pub fn is_settled(&self) -> bool {
         self.passed || self.undetermined || self.after > 0
     }

@@ -9,7 +9,7 @@ use super::Daemon;
 use super::gravity::Verdict;
 use super::labels::GravityLabels;
 use super::recorder::{LoopEnd, LoopRecorder};
-use super::rhythm::RecordSchedule;
+use super::schedule::RecordSchedule;
 use super::script::{Next, Planned, Script};
 use super::state::DaemonState;
 use crate::failure::Failure;
@@ -136,19 +136,19 @@ impl Session {
         }
     }
 
-    /// Waits for a loop that was told to end because the bridge thread panicked: it brakes an arm that moves. The recording comes after that,
+    /// Waits for a loop whose end was requested because the bridge thread panicked: it brakes an arm that moves. The recording comes after that,
     /// because the session may be half changed and the next panic ends the process.
     fn end_after_panic(&mut self, message: &str) -> Result<(SessionStatistics, End), Failure> {
         let failure = format!("the bridge thread panicked, and the arm was stopped: {message}");
         tracing::error!("{failure}");
         let thread = self.thread.take().inspect(|thread| await_end(thread, self.gate.as_deref()));
         if let Some(left) = thread.filter(JoinHandle::is_finished).and_then(|thread| thread.join().ok()) {
-            self.tape.blame(Reason::new("panic", &failure));
+            self.tape.set_reason(Reason::new("panic", &failure));
             self.records.clear();
             self.drain.take_into(&mut self.records, RING);
             self.tape.keep(&self.records);
             while let Ok(event) = self.handles.events.pop() {
-                self.tape.tell(event);
+                self.tape.event(event);
             }
             self.tape.close(&left, &failure, Vec::new(), false);
         }
@@ -207,7 +207,7 @@ impl Session {
         daemon.server.publish(&self.records);
         self.tape.keep(&self.records);
         daemon.state.take_records(&self.records, &self.handles.controls);
-        self.records_due.saw(last.stamp_ns, last.work_ns);
+        self.records_due.record_read(last.stamp_ns, last.work_ns);
         let now = now_ns();
         for record in &self.records {
             self.bridged.add(now.saturating_sub(record.stamp_ns));
@@ -276,7 +276,7 @@ impl Session {
     /// cycle before its record, too.
     fn take_events(&mut self) {
         while let Ok(timed) = self.handles.events.pop() {
-            self.tape.tell(timed);
+            self.tape.event(timed);
             match timed.event {
                 Event::Serving { .. } => self.labels.serving(timed.cycle),
                 Event::Distrusted { model, instead } => {
@@ -300,7 +300,7 @@ impl Session {
                 state.programme.ended.push(motion);
             }
             match self.script.after(&event) {
-                Next::GoOn => {}
+                Next::Continue => {}
                 Next::AwaitModel if self.model == 0 => {
                     state.programme.progress = Progress::AwaitingModel;
                     // Simulated time is paused while the estimator works.

@@ -4,7 +4,7 @@ use super::super::Daemon;
 use super::super::gravity::uncompensated;
 use super::super::job_setup::JobSetup;
 use super::super::labels::GravityLabels;
-use super::super::rhythm::RecordSchedule;
+use super::super::schedule::RecordSchedule;
 use super::super::script::Script;
 use super::super::state::DaemonState;
 use super::thread::{BELOW_LOOP, rights, run_to_end};
@@ -27,11 +27,11 @@ use std::sync::Arc;
 
 /// Records that the loop itself keeps: the most that the bridge thread may be behind at the end, whatever has become of the ring.
 const FLIGHT: usize = 2048;
-/// Time without a heartbeat after which the loop brakes an arm that moves \[ms\]: either this thread or the one that listens for stops hangs.
+/// Time without a heartbeat after which the loop brakes an arm that moves \[ms\]: the bridge thread or the stop relay hangs.
 const HEARTBEAT_TIMEOUT_MS: u64 = 1000;
 
 impl Session {
-    /// Connects to the arm in `mounting` and starts the loop. The loop asks for real-time rights when the arm keeps wall-clock time.
+    /// Connects to the arm in `mounting` and starts the loop. The loop requests real-time rights when the arm keeps wall-clock time.
     ///
     /// After a stop or a request to end during the connection, the loop gets no order and ends at once.
     pub fn open(

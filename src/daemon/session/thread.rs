@@ -13,14 +13,14 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// The longest that the loop takes to end after a panic of the bridge thread: a stop, and the last state of the arm.
-const PANIC_STOP: Duration = Duration::from_secs(5);
+const PANIC_STOP_TIMEOUT: Duration = Duration::from_secs(5);
 /// How many levels the bridge thread's priority lies below the loop's.
 pub const BELOW_LOOP: u8 = 10;
 
 /// Does the bridge thread's `work`.
 ///
 /// # Errors
-/// The message of a panic in it; the loop has been told to end then, which brakes an arm that moves.
+/// The message of a panic in it; the loop's end has been requested then, which brakes an arm that moves.
 pub fn catch_panic<T>(controls: &Controls, work: impl FnOnce() -> T) -> Result<T, String> {
     catch_unwind(AssertUnwindSafe(work)).map_err(|panic| {
         controls.quit();
@@ -28,9 +28,9 @@ pub fn catch_panic<T>(controls: &Controls, work: impl FnOnce() -> T) -> Result<T
     })
 }
 
-/// Waits for the end of a loop that was told to end, up to [`PANIC_STOP`].
+/// Waits for the end of a loop after it was requested, up to [`PANIC_STOP_TIMEOUT`].
 pub fn await_end<T>(thread: &JoinHandle<T>, gate: Option<&dyn TimeGate>) {
-    let deadline = Instant::now() + PANIC_STOP;
+    let deadline = Instant::now() + PANIC_STOP_TIMEOUT;
     while !thread.is_finished() && Instant::now() < deadline {
         gate.into_iter().for_each(|gate| {
             gate.open();
@@ -52,7 +52,7 @@ pub fn run_to_end<B: Backend, S: Sink>(cycle: &mut Cycle<B, S>) -> LoopEnd {
     }
 }
 
-/// Rights of the thread that listens for stops: before the bridge thread, after the loop.
+/// Rights of the stop relay: before the bridge thread, after the loop.
 pub fn stop_listener_rights(realtime: &job::Realtime) -> Rights {
     let Rights { priority, .. } = rights(realtime, BELOW_LOOP / 2);
     Rights { priority, ..Rights::NONE }

@@ -5,7 +5,7 @@ use plumbline_rt::cycle::{self, End};
 use plumbline_rt::{CycleSettings, GuardSettings, Order, OrderKind, os, recorder};
 use std::sync::{Arc, Mutex};
 
-/// An arm that is at once where it is told to be, one state per millisecond; its last commanded velocities outlive it.
+/// An ideal arm with one state per millisecond; its last commanded velocities outlive it.
 struct Follows {
     state: State,
     dq: Arc<Mutex<JointVec>>,

@@ -3,18 +3,18 @@
 use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record};
 use plumbline_identify::Pose;
 
-/// Records at the beginning of a rest that the arm swings out in.
-const SETTLE: u32 = 100;
-/// Records that make a pose.
-const ENOUGH: u32 = 200;
-/// Records after which a long rest is measured afresh.
-const FRESH: u32 = 1000;
+/// Records at the beginning of a rest in which the arm settles.
+const SETTLE_RECORDS: u32 = 100;
+/// Records of a first mean.
+const FIRST_MEAN_RECORDS: u32 = 200;
+/// Records after which a long rest is averaged anew.
+const MEAN_RECORDS: u32 = 1000;
 /// Poses that are kept, the latest ones.
-const POSES: usize = 8;
-/// Two rests closer than this are one pose \[rad\].
-const SAME: f64 = 1e-3;
-/// An arm that goes further than this while it is told to stand is in somebody's hands \[rad\].
-const STILL: f64 = 5e-3;
+const MAX_POSES: usize = 8;
+/// Distance below which two rests are one pose \[rad\].
+const SAME_POSE_RAD: f64 = 1e-3;
+/// Movement beyond which an arm that is commanded to hold is guided by hand \[rad\].
+const MAX_SWAY_RAD: f64 = 5e-3;
 
 /// A pose at rest and its number since the start.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +29,7 @@ pub struct RestPoses {
     /// Commanded position of the present rest.
     at: Option<JointVec>,
     count: u32,
-    /// Where it stood when it had swung out \[rad\].
+    /// Its position after it had settled \[rad\].
     stood: JointVec,
     q: JointVec,
     tau: JointVec,
@@ -49,13 +49,13 @@ impl RestPoses {
             return false;
         }
         self.count += 1;
-        if self.count <= SETTLE {
+        if self.count <= SETTLE_RECORDS {
             return false;
         }
-        if self.count == SETTLE + 1 {
+        if self.count == SETTLE_RECORDS + 1 {
             self.stood = record.state.q;
         }
-        if self.stood.iter().zip(&record.state.q).any(|(stood, q)| (stood - q).abs() > STILL) {
+        if self.stood.iter().zip(&record.state.q).any(|(stood, q)| (stood - q).abs() > MAX_SWAY_RAD) {
             self.measure_from(0);
             return false;
         }
@@ -63,14 +63,14 @@ impl RestPoses {
             self.q[j] += record.state.q[j];
             self.tau[j] += record.state.tau[j];
         }
-        let measured = self.count - SETTLE;
+        let measured = self.count - SETTLE_RECORDS;
         // A first mean soon, then one of every second.
-        let complete = measured == ENOUGH || measured == FRESH;
+        let complete = measured == FIRST_MEAN_RECORDS || measured == MEAN_RECORDS;
         if complete {
             self.complete(f64::from(measured));
         }
-        if measured == FRESH {
-            self.measure_from(SETTLE);
+        if measured == MEAN_RECORDS {
+            self.measure_from(SETTLE_RECORDS);
         }
         complete
     }
@@ -82,9 +82,9 @@ impl RestPoses {
 
     fn complete(&mut self, measured: f64) {
         let pose = Pose { q: self.q.map(|sum| sum / measured), tau: self.tau.map(|sum| sum / measured) };
-        let near = |own: &Numbered| own.pose.q.iter().zip(&pose.q).all(|(a, b)| (a - b).abs() < SAME);
+        let near = |own: &Numbered| own.pose.q.iter().zip(&pose.q).all(|(a, b)| (a - b).abs() < SAME_POSE_RAD);
         self.poses.retain(|own| !near(own));
-        if self.poses.len() >= POSES {
+        if self.poses.len() >= MAX_POSES {
             self.poses.remove(0);
         }
         self.completed += 1;
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn an_arm_in_somebodys_hands_does_not_rest() {
+    fn an_arm_that_is_guided_by_hand_does_not_rest() {
         let mut rests = RestPoses::default();
         let guided = |k: u32| {
             let mut record = record(0.5, 1.0, Phase::Hold);
@@ -190,7 +190,7 @@ mod tests {
             });
         }
         let poses = rests.since(0);
-        assert_eq!((poses.len(), poses[0].q[0], poses[7].q[0]), (POSES, 4.0, 11.0));
+        assert_eq!((poses.len(), poses[0].q[0], poses[7].q[0]), (MAX_POSES, 4.0, 11.0));
         assert_eq!(rests.since(10).len(), 2);
     }
 }
