@@ -92,7 +92,7 @@ impl Stored<'_> {
 }
 
 /// Changes on their way into the report.
-pub struct Told<'a> {
+pub struct TimedEvent<'a> {
     changes: &'a Changes,
     stored: &'a TorqueModel,
     /// Those that the delivered model has.
@@ -103,10 +103,10 @@ pub struct Told<'a> {
     pub declared: Option<Mounting>,
 }
 
-impl<'a> Told<'a> {
+impl<'a> TimedEvent<'a> {
     /// `kept` are the indices of the effects that the delivered model has.
-    pub fn new(changes: &'a Changes, stored: &'a TorqueModel, kept: &'a [usize]) -> Told<'a> {
-        Told { changes, stored, kept, band: Band::Raw, declared: None }
+    pub fn new(changes: &'a Changes, stored: &'a TorqueModel, kept: &'a [usize]) -> TimedEvent<'a> {
+        TimedEvent { changes, stored, kept, band: Band::Raw, declared: None }
     }
 
     /// The block `diagnosis`.

@@ -1,6 +1,6 @@
 //! What changed between the sessions of a dataset: the first is the reference, every later one is compared with its model.
 
-use crate::analysis::changed::{Stored, Told};
+use crate::analysis::changed::{Stored, TimedEvent};
 use crate::analysis::{pipeline, split};
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
@@ -71,7 +71,7 @@ impl Reference<'_> {
         let stored = Stored { model: self.model, changes: &changes.effects };
         let unseen: Vec<(&Experiment, u32)> = unseen.iter().map(|experiment| (experiment, session)).collect();
         let kept = stored.stand_the_test(&unseen)?;
-        let mut told = Told::new(&changes, self.model, &kept);
+        let mut told = TimedEvent::new(&changes, self.model, &kept);
         told.band = Band::Filtered { cutoff: self.settings.torque_cutoff };
         told.declared = runs.first().map(|run| run.data.mounting);
         let names: Vec<String> = judge.iter().map(|run| run.data.name.clone()).collect();

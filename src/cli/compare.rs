@@ -81,7 +81,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let errors_after = stored.errors(&kept, &unseen)?;
     let names: Vec<String> = judge.iter().map(|run| run.data.name.clone()).collect();
     let since = since(&options, &file);
-    let mut told = changed::Told::new(&changes, model, &kept);
+    let mut told = changed::TimedEvent::new(&changes, model, &kept);
     told.band = Band::Filtered { cutoff: settings.torque_cutoff };
     told.declared = find.first().map(|run| run.data.mounting);
     let mut diagnosis = told.diagnosis(&since, &names, &stored.compared(&kept, &unseen)?);

@@ -7,7 +7,7 @@ use crate::recording::Recording;
 use crate::recording::about::Given;
 use crate::recording::messages::{limit_name, words};
 use plumbline_core::{PERIOD, Phase, Record};
-use plumbline_rt::{Event, Limit, StopReason, Told, Violation};
+use plumbline_rt::{Event, Limit, StopReason, TimedEvent, Violation};
 use serde::Serialize;
 
 /// Most lines of the timeline and of the lists of outliers.
@@ -198,7 +198,7 @@ impl Story {
             "guard" => "The guard stopped the arm",
             "lost-states" => "The arm was stopped because states were lost",
             "requested" => "Somebody stopped the arm",
-            "unattended" => "The arm was stopped because the program around the loop was silent",
+            "unattended" => "The arm was stopped because the supervisor's heartbeat timed out",
             "not-real-time" => "The loop did not begin, for the machine is not real-time",
             "mounting" => "The arm was stopped because its mounting was in doubt",
             "estimator-lost" => "The arm was stopped because the estimator was gone",
@@ -240,7 +240,7 @@ fn during(recording: &Recording) -> Option<String> {
 
 fn first_limit(recording: &Recording, before: &Before) -> Option<Crossing> {
     // Of the stop that this is about: one that an operator has lifted is another story.
-    let of_a_stop = |told: &&Told| matches!(told.event, Event::Stopping { .. } | Event::Resumed);
+    let of_a_stop = |told: &&TimedEvent| matches!(told.event, Event::Stopping { .. } | Event::Resumed);
     let told = recording.events.iter().rfind(of_a_stop)?;
     let Event::Stopping { reason: StopReason::Guard(violation), .. } = told.event else { return None };
     let Violation { limit, joint, value, bound } = violation;
@@ -388,8 +388,8 @@ fn gaps(recording: &Recording) -> Vec<String> {
             gaps.push(format!("Cycles {} to {} never reached the recorder.", pair[0].cycle + 1, pair[1].cycle - 1));
         }
     }
-    if recording.about.untold > 0 {
-        gaps.push(format!("{} events never left the loop.", recording.about.untold));
+    if recording.about.dropped_events > 0 {
+        gaps.push(format!("{} events never left the loop.", recording.about.dropped_events));
     }
     if recording.records.is_empty() {
         gaps.push("There is no cycle in it.".to_string());

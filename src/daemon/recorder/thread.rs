@@ -1,4 +1,4 @@
-//! The recorder's thread: what it hears, keeps and writes.
+//! The recorder's thread: takes messages and records, keeps the last seconds, writes recordings.
 
 use super::folder::{Folder, ON_DEMAND};
 use super::{Close, Message, PAUSE, Requests};
@@ -8,19 +8,19 @@ use crate::recording::history::History;
 use crate::recording::{Recording, model_name};
 use plumbline_core::{PERIOD_NS, Record, State};
 use plumbline_rt::os::now_ns;
-use plumbline_rt::{Controls, Event, StopReason, Told};
+use plumbline_rt::{Controls, Event, StopReason, TimedEvent};
 use rtrb::Consumer;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// A stop that somebody asked for.
+/// Kind of a requested stop.
 const REQUESTED: &str = "requested";
-/// How long a stop's last record may be under way to the recorder.
-const PATIENCE: Duration = Duration::from_secs(2);
+/// Longest delay of a stop's last record on its way to the recorder.
+const RECORD_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// The recorder's end, for one loop.
-pub(super) struct Deck {
+pub(super) struct RecorderThread {
     pub records: Consumer<Record>,
     pub history: History,
     pub about: About,
@@ -29,23 +29,23 @@ pub(super) struct Deck {
     pub before: u64,
     pub simulated: bool,
     pub controls: Arc<Controls>,
-    pub blame: Option<Reason>,
+    pub stop_reason: Option<Reason>,
     /// A stop under way: why, and the cycle it began in.
     pub pending: Option<(Reason, u64)>,
 }
 
 /// The recorder's thread.
 pub(super) fn work(messages: &Receiver<Message>, folder: &Folder, requests: &Requests) {
-    let mut deck: Option<Box<Deck>> = None;
+    let mut open_loop: Option<Box<RecorderThread>> = None;
     loop {
         match messages.recv_timeout(PAUSE) {
-            Ok(Message::Open(new)) => deck = Some(new),
+            Ok(Message::Open(new)) => open_loop = Some(new),
             Ok(message) => {
                 let on_demand = matches!(message, Message::OnDemand(_));
-                if let Some(open) = &mut deck
-                    && open.hear(message, folder)
+                if let Some(open) = &mut open_loop
+                    && open.handle(message, folder)
                 {
-                    deck = None;
+                    open_loop = None;
                 }
                 if on_demand {
                     requests.end(now_ns());
@@ -54,13 +54,13 @@ pub(super) fn work(messages: &Receiver<Message>, folder: &Folder, requests: &Req
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return,
         }
-        if let Some(open) = &mut deck {
+        if let Some(open) = &mut open_loop {
             open.drain();
         }
     }
 }
 
-impl Deck {
+impl RecorderThread {
     fn drain(&mut self) {
         while let Ok(record) = self.records.pop() {
             self.history.keep(&[record]);
@@ -68,10 +68,10 @@ impl Deck {
     }
 
     /// Whether the loop has ended.
-    fn hear(&mut self, message: Message, folder: &Folder) -> bool {
+    fn handle(&mut self, message: Message, folder: &Folder) -> bool {
         match message {
             Message::Open(_) => {}
-            Message::Told(told) => self.told(told, folder),
+            Message::Event(event) => self.take_event(event, folder),
             Message::Order(given) => self.history.ordered(given),
             Message::Model(handed, text) => {
                 let name = model_name(handed.id);
@@ -85,7 +85,7 @@ impl Deck {
                 let seq = self.history.newest().map_or(0, |record| record.state.seq);
                 self.history.note(Note { stamp_ns: now_ns(), seq, text });
             }
-            Message::Blame(reason) => self.blame = Some(reason),
+            Message::StopReason(reason) => self.stop_reason = Some(reason),
             Message::OnDemand(newest) => {
                 self.drain();
                 let reason = Reason::new(ON_DEMAND, "a recording was asked for");
@@ -101,22 +101,22 @@ impl Deck {
         false
     }
 
-    fn told(&mut self, told: Told, folder: &Folder) {
-        self.history.tell(told);
-        match told.event {
+    fn take_event(&mut self, timed: TimedEvent, folder: &Folder) {
+        self.history.tell(timed);
+        match timed.event {
             Event::Stopping { reason, .. } => {
                 let asked = matches!(reason, StopReason::Requested | StopReason::Quit);
-                let blamed = self.blame.take().filter(|_| asked);
+                let given = self.stop_reason.take().filter(|_| asked);
                 let own = kind_of_stop(&reason).map(|kind| Reason::new(kind, reason.to_string()));
-                self.pending = blamed.or(own).map(|reason| (reason, told.cycle));
+                self.pending = given.or(own).map(|reason| (reason, timed.cycle));
             }
             Event::Stopped => {
                 if let Some((reason, cycle)) = self.pending.take() {
-                    self.wait_for(told.cycle);
-                    self.write(reason, cycle, told.cycle, None, folder);
+                    self.wait_for(timed.cycle);
+                    self.write(reason, cycle, timed.cycle, None, folder);
                 }
             }
-            Event::Resumed => self.blame = None,
+            Event::Resumed => self.stop_reason = None,
             _ => {}
         }
     }
@@ -125,7 +125,7 @@ impl Deck {
     fn wait_for(&mut self, cycle: u64) {
         let since = std::time::Instant::now();
         self.drain();
-        while self.history.newest().is_none_or(|newest| newest.cycle < cycle) && since.elapsed() < PATIENCE {
+        while self.history.newest().is_none_or(|newest| newest.cycle < cycle) && since.elapsed() < RECORD_TIMEOUT {
             std::thread::sleep(PAUSE);
             self.drain();
         }
@@ -159,9 +159,9 @@ impl Deck {
         let flight = close.as_ref().map_or(&[][..], |close| close.flight.as_slice());
         let mut window = self.history.window(cycle.saturating_sub(self.before), flight);
         window.records.retain(|record| record.cycle <= newest);
-        window.events.retain(|told| told.cycle <= newest);
-        if reason.kind == REQUESTED && !Deck::moved(&window.records, cycle) {
-            // Nothing happened, and whoever stops an arm at rest again and again would have all others removed.
+        window.events.retain(|timed| timed.cycle <= newest);
+        if reason.kind == REQUESTED && !RecorderThread::moved(&window.records, cycle) {
+            // Nothing happened, and repeated stops of an arm at rest would remove all other recordings.
             return;
         }
         let mut about = self.about.clone();
@@ -173,8 +173,8 @@ impl Deck {
         about.under_way = window.before.under_way;
         (about.orders_before, about.models_before) = (window.before.orders, window.before.models);
         let mut unanswered = None;
-        if let Some(Close { end, next, goes_on, untold, unanswered: state, .. }) = close {
-            (about.end, about.next, about.goes_on, about.untold) = (Some(end), next, goes_on, untold);
+        if let Some(Close { end, next, goes_on, dropped_events, unanswered: state, .. }) = close {
+            (about.end, about.next, about.goes_on, about.dropped_events) = (Some(end), next, goes_on, dropped_events);
             unanswered = state.map(|state| after(window.records.last(), state));
         }
         let kind = about.reason.kind.clone();
@@ -212,14 +212,14 @@ fn after(last: Option<&Record>, state: State) -> Record {
     Record { cycle: last.cycle + 1, state, stamp_ns, wake_ns: 0, work_ns: 0, ..last }
 }
 
-/// One word for a stop that is worth a recording by itself. The end of the program is one where a signal asked for it.
+/// Kind of a stop that is recorded by itself. The end of the program is recorded where a signal requested it.
 fn kind_of_stop(reason: &StopReason) -> Option<&'static str> {
     Some(match reason {
         StopReason::Quit => return None,
         StopReason::Guard(_) => "guard",
         StopReason::Requested => REQUESTED,
         StopReason::LostStates { .. } => "lost-states",
-        StopReason::Unattended { .. } => "unattended",
+        StopReason::HeartbeatLost { .. } => "unattended",
         StopReason::NotAtStart { .. } => "not-at-start",
         StopReason::NoPath { .. } => "no-path",
     })

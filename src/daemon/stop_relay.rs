@@ -1,4 +1,4 @@
-//! Carries stops to the running loop by a thread of their own, whatever the bridge thread is at.
+//! Relays stops to the running loop on a thread of its own, independent of the bridge thread.
 
 use plumbline_ipc::{StopListener, StopOrder};
 use plumbline_rt::Controls;
@@ -7,21 +7,21 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// Pause after a stop: a flood of them must not use up what the kernel leaves to real-time threads.
-const REST: Duration = Duration::from_millis(1);
+/// Pause after a stop: many stops must not use up the kernel's budget for real-time threads.
+const PAUSE: Duration = Duration::from_millis(1);
 
-/// The thread that listens for stops, from the bridge thread's side.
-pub struct StopLine {
+/// The thread that receives stops, from the bridge thread's side.
+pub struct StopRelay {
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
-    /// Turns of the thread at the last look.
-    seen: u64,
+    /// Turns of the thread at the last poll.
+    last_turns: u64,
 }
 
 #[derive(Default)]
 struct Shared {
     ended: AtomicBool,
-    /// Counts how often the thread has listened.
+    /// Polls of the socket by the thread.
     turns: AtomicU64,
     /// There is an order that the bridge thread has not taken yet.
     pending: AtomicBool,
@@ -40,7 +40,7 @@ impl Shared {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Brakes the running loop, and leaves word for the bridge thread.
+    /// Brakes the running loop, and leaves the order for the bridge thread.
     fn stop(&self, order: StopOrder) {
         let mut state = self.state();
         if let Some(controls) = &state.controls {
@@ -51,20 +51,20 @@ impl Shared {
     }
 }
 
-impl StopLine {
+impl StopRelay {
     /// Starts the thread; `prepare` runs on it first.
     ///
     /// # Errors
     /// The system has no thread left.
-    pub fn start(mut listener: StopListener, prepare: impl FnOnce() + Send + 'static) -> std::io::Result<StopLine> {
-        StopLine::listening(move |carry_out| listener.listen(carry_out), prepare)
+    pub fn start(mut listener: StopListener, prepare: impl FnOnce() + Send + 'static) -> std::io::Result<StopRelay> {
+        StopRelay::listening(move |carry_out| listener.listen(carry_out), prepare)
     }
 
     /// The same with any [`StopListener::listen`].
     fn listening(
         mut listen: impl FnMut(&mut dyn FnMut(StopOrder)) -> std::io::Result<()> + Send + 'static,
         prepare: impl FnOnce() + Send + 'static,
-    ) -> std::io::Result<StopLine> {
+    ) -> std::io::Result<StopRelay> {
         let shared = Arc::new(Shared::default());
         let own = Arc::clone(&shared);
         let thread = std::thread::Builder::new().name("plumbline-stop".into()).spawn(move || {
@@ -82,7 +82,7 @@ impl StopLine {
                         if !std::mem::replace(&mut failed, true) {
                             tracing::error!("stops can't be read from their socket: {error}");
                         }
-                        std::thread::sleep(REST);
+                        std::thread::sleep(PAUSE);
                     }
                     _ => {
                         failed = false;
@@ -90,11 +90,11 @@ impl StopLine {
                     }
                 }
                 if taken {
-                    std::thread::sleep(REST);
+                    std::thread::sleep(PAUSE);
                 }
             }
         })?;
-        Ok(StopLine { shared, thread: Some(thread), seen: 0 })
+        Ok(StopRelay { shared, thread: Some(thread), last_turns: 0 })
     }
 
     /// From here on stops go to the loop of these controls, directly; `None` where none runs.
@@ -102,18 +102,18 @@ impl StopLine {
         self.shared.state().controls = controls;
     }
 
-    /// What the bridge thread does about stops, first in every turn: the latest one that has come since the last turn. The running loop, if any, learns
-    /// that it can be stopped, where the thread has listened meanwhile.
+    /// The latest stop since the last call; the bridge thread calls it first in every turn. Where the thread has polled its socket meanwhile, the
+    /// running loop gets a heartbeat: it can be stopped.
     pub fn attend(&mut self, controls: Option<&Controls>) -> Option<StopOrder> {
         if self.has_listened()
             && let Some(controls) = controls
         {
-            controls.alive();
+            controls.heartbeat();
         }
         self.take()
     }
 
-    /// The latest stop that was taken since this was asked last.
+    /// The latest stop since the last call.
     fn take(&self) -> Option<StopOrder> {
         if !self.shared.pending.swap(false, Ordering::AcqRel) {
             return None;
@@ -121,14 +121,14 @@ impl StopLine {
         self.shared.state().order.take()
     }
 
-    /// Whether the thread has listened since this was asked last: it does so 20 times a second.
+    /// Whether the thread has polled its socket since the last call: it does so 20 times a second.
     fn has_listened(&mut self) -> bool {
         let turns = self.shared.turns.load(Ordering::Relaxed);
-        std::mem::replace(&mut self.seen, turns) != turns
+        std::mem::replace(&mut self.last_turns, turns) != turns
     }
 }
 
-impl Drop for StopLine {
+impl Drop for StopRelay {
     fn drop(&mut self) {
         self.shared.ended.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
@@ -145,8 +145,8 @@ mod tests {
     const ORDER: StopOrder = StopOrder { process: 7, user: 8 };
 
     /// A line without a thread.
-    fn silent() -> StopLine {
-        StopLine { shared: Arc::default(), thread: None, seen: 0 }
+    fn silent() -> StopRelay {
+        StopRelay { shared: Arc::default(), thread: None, last_turns: 0 }
     }
 
     #[test]
@@ -172,12 +172,12 @@ mod tests {
         let controls = Controls::default();
         let mut line = silent();
         (0..3).for_each(|_| assert_eq!(line.attend(Some(&controls)), None));
-        assert_eq!(controls.pulse(), 0, "nobody listens");
+        assert_eq!(controls.heartbeats(), 0, "nobody listens");
         let place = tempfile::tempdir().unwrap();
         let lock = Lock::take_in(place.path(), &RobotId::parse("test", "robot", "panda").unwrap()).unwrap();
-        let mut line = StopLine::start(StopListener::open(&lock).unwrap(), || ()).unwrap();
+        let mut line = StopRelay::start(StopListener::open(&lock).unwrap(), || ()).unwrap();
         let start = std::time::Instant::now();
-        while controls.pulse() < 3 {
+        while controls.heartbeats() < 3 {
             assert!(start.elapsed() < Duration::from_secs(20));
             line.attend(Some(&controls));
             std::thread::sleep(Duration::from_millis(1));
@@ -203,13 +203,13 @@ mod tests {
         };
         let controls = Arc::new(Controls::default());
         let start = std::time::Instant::now();
-        let line = StopLine::listening(listen, move || own.store(true, Ordering::Relaxed)).unwrap();
+        let line = StopRelay::listening(listen, move || own.store(true, Ordering::Relaxed)).unwrap();
         line.connect(Some(Arc::clone(&controls)));
         while calls.load(Ordering::Relaxed) <= FLOOD {
             assert!(start.elapsed() < Duration::from_secs(20));
             std::thread::sleep(Duration::from_millis(1));
         }
-        assert!(start.elapsed() >= REST * FLOOD as u32);
+        assert!(start.elapsed() >= PAUSE * FLOOD as u32);
         assert_eq!(line.shared.turns.load(Ordering::Relaxed), FLOOD);
         assert!(prepared.load(Ordering::Relaxed) && controls.stop_requested());
         assert_eq!((line.take(), line.take()), (Some(StopOrder { process: FLOOD as u32, user: 8 }), None));
@@ -237,13 +237,13 @@ mod tests {
         let start = std::time::Instant::now();
         // For as long as the thread lives.
         let line =
-            StopLine::listening(listen, || std::mem::forget(tracing::subscriber::set_default(subscriber))).unwrap();
+            StopRelay::listening(listen, || std::mem::forget(tracing::subscriber::set_default(subscriber))).unwrap();
         while calls.load(Ordering::Relaxed) < 17 {
             assert!(start.elapsed() < Duration::from_secs(20));
             std::thread::sleep(Duration::from_millis(1));
         }
         assert_eq!(line.shared.turns.load(Ordering::Relaxed), 5);
-        assert!(start.elapsed() >= REST * 11, "a pause after each failure");
+        assert!(start.elapsed() >= PAUSE * 11, "a pause after each failure");
         assert_eq!(lines.text().matches("can't be read").count(), 2, "{}", lines.text());
     }
 }

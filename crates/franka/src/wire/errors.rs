@@ -1,6 +1,6 @@
-//! The 41 errors of the arm, as a set. They stand in each state twice: those that hold, and those that led to the reflex.
+//! The 41 errors of the arm, as a set. Each state has them twice: those that hold, and those that led to the reflex.
 
-use super::error::WireError;
+use super::protocol::WireError;
 
 /// One enumeration, its names on libfranka's side, and what each error means.
 macro_rules! error_bits {
@@ -110,7 +110,7 @@ error_bits! {
     38 JointViaMotionGeneratorPlanningJointLimitViolation "joint_via_motion_generator_planning_joint_limit_violation",
     /// The direction of gravity at the base was not measured in time.
     39 BaseAccelerationInitializationTimeout "base_acceleration_initialization_timeout",
-    /// The sensor of gravity at the base says what can't be.
+    /// The sensor of gravity at the base has an impossible reading.
     40 BaseAccelerationInvalidReading "base_acceleration_invalid_reading",
 }
 

@@ -3,18 +3,18 @@
 use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record};
 use plumbline_identify::Pose;
 
-/// Records at the beginning of a rest that the arm swings out in.
-const SETTLE: u32 = 100;
-/// Records that make a pose.
-const ENOUGH: u32 = 200;
-/// Records after which a long rest is measured afresh.
-const FRESH: u32 = 1000;
+/// Records at the beginning of a rest in which the arm settles.
+const SETTLE_RECORDS: u32 = 100;
+/// Records of a first mean.
+const FIRST_MEAN_RECORDS: u32 = 200;
+/// Records after which a long rest is averaged anew.
+const MEAN_RECORDS: u32 = 1000;
 /// Poses that are kept, the latest ones.
-const POSES: usize = 8;
-/// Two rests closer than this are one pose \[rad\].
-const SAME: f64 = 1e-3;
-/// An arm that goes further than this while it is told to stand is in somebody's hands \[rad\].
-const STILL: f64 = 5e-3;
+const MAX_POSES: usize = 8;
+/// Distance below which two rests are one pose \[rad\].
+const SAME_POSE_RAD: f64 = 1e-3;
+/// Movement beyond which an arm that is commanded to hold is guided by hand \[rad\].
+const MAX_SWAY_RAD: f64 = 5e-3;
 
 /// A pose at rest and its number since the start.
 #[derive(Clone, Copy, Debug)]
@@ -25,11 +25,11 @@ struct Numbered {
 
 /// Collects poses at rest.
 #[derive(Clone, Debug, Default)]
-pub struct Rests {
+pub struct RestPoses {
     /// Commanded position of the present rest.
     at: Option<JointVec>,
     count: u32,
-    /// Where it stood when it had swung out \[rad\].
+    /// Its position after it had settled \[rad\].
     stood: JointVec,
     q: JointVec,
     tau: JointVec,
@@ -38,7 +38,7 @@ pub struct Rests {
     completed: u64,
 }
 
-impl Rests {
+impl RestPoses {
     /// Takes in a record; whether it has completed a pose.
     pub fn take(&mut self, record: &Record) -> bool {
         let desired = &record.command.desired;
@@ -49,13 +49,13 @@ impl Rests {
             return false;
         }
         self.count += 1;
-        if self.count <= SETTLE {
+        if self.count <= SETTLE_RECORDS {
             return false;
         }
-        if self.count == SETTLE + 1 {
+        if self.count == SETTLE_RECORDS + 1 {
             self.stood = record.state.q;
         }
-        if self.stood.iter().zip(&record.state.q).any(|(stood, q)| (stood - q).abs() > STILL) {
+        if self.stood.iter().zip(&record.state.q).any(|(stood, q)| (stood - q).abs() > MAX_SWAY_RAD) {
             self.measure_from(0);
             return false;
         }
@@ -63,14 +63,14 @@ impl Rests {
             self.q[j] += record.state.q[j];
             self.tau[j] += record.state.tau[j];
         }
-        let measured = self.count - SETTLE;
+        let measured = self.count - SETTLE_RECORDS;
         // A first mean soon, then one of every second.
-        let complete = measured == ENOUGH || measured == FRESH;
+        let complete = measured == FIRST_MEAN_RECORDS || measured == MEAN_RECORDS;
         if complete {
             self.complete(f64::from(measured));
         }
-        if measured == FRESH {
-            self.measure_from(SETTLE);
+        if measured == MEAN_RECORDS {
+            self.measure_from(SETTLE_RECORDS);
         }
         complete
     }
@@ -82,9 +82,9 @@ impl Rests {
 
     fn complete(&mut self, measured: f64) {
         let pose = Pose { q: self.q.map(|sum| sum / measured), tau: self.tau.map(|sum| sum / measured) };
-        let near = |own: &Numbered| own.pose.q.iter().zip(&pose.q).all(|(a, b)| (a - b).abs() < SAME);
+        let near = |own: &Numbered| own.pose.q.iter().zip(&pose.q).all(|(a, b)| (a - b).abs() < SAME_POSE_RAD);
         self.poses.retain(|own| !near(own));
-        if self.poses.len() >= POSES {
+        if self.poses.len() >= MAX_POSES {
             self.poses.remove(0);
         }
         self.completed += 1;
@@ -117,7 +117,7 @@ mod tests {
 
     #[test]
     fn a_rest_gives_a_pose_after_the_arm_has_swung_out() {
-        let mut rests = Rests::default();
+        let mut rests = RestPoses::default();
         // The torque of the first records is the motion's.
         let tau = |k: u32| if k < 100 { 50.0 } else { 3.0 };
         let done: Vec<u32> = (0..2200).filter(|&k| rests.take(&record(0.5, tau(k), Phase::Hold))).collect();
@@ -129,8 +129,8 @@ mod tests {
     }
 
     #[test]
-    fn an_arm_in_somebodys_hands_does_not_rest() {
-        let mut rests = Rests::default();
+    fn an_arm_that_is_guided_by_hand_does_not_rest() {
+        let mut rests = RestPoses::default();
         let guided = |k: u32| {
             let mut record = record(0.5, 1.0, Phase::Hold);
             record.state.q[2] += 5e-5 * f64::from(k);
@@ -140,7 +140,7 @@ mod tests {
         assert!((0..400).any(|_| rests.take(&guided(5000))), "it was let go");
         // 5 mrad are what an arm sways by.
         for (sway, rests_then) in [(4e-3, true), (6e-3, false), (-4e-3, true), (-6e-3, false)] {
-            let mut rests = Rests::default();
+            let mut rests = RestPoses::default();
             let swaying = |k: u32| {
                 let mut record = record(0.5, 1.0, Phase::Hold);
                 record.state.q[2] += if k.is_multiple_of(2) { sway } else { 0.0 };
@@ -153,11 +153,11 @@ mod tests {
     #[test]
     fn a_motion_begins_the_rest_anew() {
         for interrupted in [250, 50] {
-            let mut rests = Rests::default();
+            let mut rests = RestPoses::default();
             let mut moving = record(0.5, 90.0, Phase::Hold);
             // One joint alone.
             moving.command.desired.dq[3] = 0.1;
-            let take = |rests: &mut Rests, count: u32| {
+            let take = |rests: &mut RestPoses, count: u32| {
                 (0..count).filter(|_| rests.take(&record(0.5, 3.0, Phase::Hold))).count()
             };
             assert_eq!(take(&mut rests, interrupted), 0);
@@ -170,7 +170,7 @@ mod tests {
     #[test]
     fn rests_closer_than_a_milliradian_are_one_pose() {
         for (apart, poses) in [(0.7e-3, 1), (-0.7e-3, 1), (1.4e-3, 2), (-1.4e-3, 2)] {
-            let mut rests = Rests::default();
+            let mut rests = RestPoses::default();
             for q in [0.5, 0.5 + apart] {
                 (0..400).for_each(|_| {
                     rests.take(&record(q, 1.0, Phase::Hold));
@@ -182,7 +182,7 @@ mod tests {
 
     #[test]
     fn a_motion_is_no_rest_and_only_the_latest_poses_are_kept() {
-        let mut rests = Rests::default();
+        let mut rests = RestPoses::default();
         assert!(!(0..2000).any(|_| rests.take(&record(0.5, 1.0, Phase::Excite))));
         for pose in 0..12 {
             (0..400).for_each(|_| {
@@ -190,7 +190,7 @@ mod tests {
             });
         }
         let poses = rests.since(0);
-        assert_eq!((poses.len(), poses[0].q[0], poses[7].q[0]), (POSES, 4.0, 11.0));
+        assert_eq!((poses.len(), poses[0].q[0], poses[7].q[0]), (MAX_POSES, 4.0, 11.0));
         assert_eq!(rests.since(10).len(), 2);
     }
 }

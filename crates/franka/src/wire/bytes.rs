@@ -1,9 +1,6 @@
 //! Takes the payload of a message apart, and puts it together.
 
-use super::error::WireError;
-use super::header::{HEADER_BYTES, Header};
-use super::kind::CommandKind;
-use super::protocol::Protocol;
+use super::protocol::{CommandKind, HEADER_BYTES, Header, Protocol, WireError};
 
 /// Reads a payload from its front.
 pub(super) struct Reader<'a> {
@@ -117,7 +114,7 @@ impl Writer<'_> {
     }
 }
 
-/// Writes a whole message to the front of `out`: the payload by `fill`, then the header that knows its length.
+/// Writes a whole message to the front of `out`: the payload by `fill`, then the header with its length.
 pub(super) fn message(
     protocol: Protocol,
     kind: CommandKind,

@@ -1,9 +1,11 @@
 use super::*;
-use plumbline_core::{Command, Fault, JointVec, State};
-use plumbline_rt::{Order, OrderKind};
-use std::sync::Mutex;
+use plumbline_core::{Command, Fault, JointVec, Limits, MAX_JOINTS, Phase, State};
+use plumbline_ipc::now_ns;
+use plumbline_rt::cycle::{self, End};
+use plumbline_rt::{CycleSettings, GuardSettings, Order, OrderKind, os, recorder};
+use std::sync::{Arc, Mutex};
 
-/// An arm that is at once where it is told to be, one state per millisecond; its last commanded velocities outlive it.
+/// An ideal arm with one state per millisecond; its last commanded velocities outlive it.
 struct Follows {
     state: State,
     dq: Arc<Mutex<JointVec>>,
@@ -42,8 +44,8 @@ fn after_a_panic_of_the_bridge_thread_the_loop_brakes_before_it_ends() {
     let kind = OrderKind::MoveTo { target: of(0.9), phase: Phase::Approach };
     assert!(handles.orders.give(Order { motion: 1, kind }).is_ok());
     let controls = Arc::clone(&handles.controls);
-    let thread = std::thread::spawn(move || see_through(&mut cycle));
-    let message = unless_panic(&controls, || {
+    let thread = std::thread::spawn(move || run_to_end(&mut cycle));
+    let message = catch_panic(&controls, || {
         while dq.lock().unwrap()[0] < 0.01 {
             assert!(!thread.is_finished(), "the loop ended before the fault");
             std::thread::sleep(Duration::from_millis(1));
@@ -53,7 +55,7 @@ fn after_a_panic_of_the_bridge_thread_the_loop_brakes_before_it_ends() {
     assert_eq!(message.unwrap_err(), "a fault of the test");
     await_end(&thread, None);
     assert!(thread.is_finished(), "the loop goes on");
-    let Left::Ended(outcome) = thread.join().unwrap() else { panic!("the loop panicked, too") };
+    let LoopEnd::Ended(outcome) = thread.join().unwrap() else { panic!("the loop panicked, too") };
     assert_eq!((outcome.end, outcome.stops), (End::Quit, 1));
     assert_eq!(*dq.lock().unwrap(), JointVec::default(), "the arm is at rest");
 }
