@@ -7,18 +7,19 @@ use crate::report::diagnosis::{
     MinimumDetectable, Occurrence, Parameters, Score, Unexplained, Verdict,
 };
 use plumbline_diagnose::errors::{Compared, Of};
-use plumbline_diagnose::reference::{Change, Changes, NAMES};
+use plumbline_diagnose::reference::{Change, Changes};
 use plumbline_diagnose::{errors, reference};
 
 use plumbline_identify::{Experiment, Modelled, Rms, validate};
-use plumbline_model::term::effect::{Site, family};
-use plumbline_model::term::mounting::axes;
+use plumbline_model::term::effect::{Quantity, Site, family};
 use plumbline_model::{Mounting, TorqueModel};
 
 /// A joint whose residual power is so many times its noise lacks something.
 const LACKING: f64 = 2.0;
 /// Candidates that are listed.
 const LISTED: usize = 10;
+/// Quantities of an effect that a line names.
+const QUANTITIES: usize = 4;
 
 /// The stored model and what was found.
 pub struct Stored<'a> {
@@ -208,21 +209,10 @@ impl<'a> Told<'a> {
 pub fn effect(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>, in_model: bool) -> Effect {
     let (spec, found) = (&change.spec, &change.found);
     let form = family(spec.family).and_then(|family| Some((family, family.form(spec.form)?)));
-    let mut parameters: Vec<EffectParameter> = Vec::new();
-    if let Some(body) = &change.body {
-        let estimate = |((name, unit), estimate): (&(&str, &str), &plumbline_diagnose::reference::Estimate)| {
-            EffectParameter { name: (*name).into(), value: estimate.value, std: estimate.std, unit: (*unit).into() }
-        };
-        parameters.extend(NAMES.iter().zip(&body.numbers()).map(estimate));
-    } else {
-        parameters.extend(change.parameters.iter().map(|own| EffectParameter {
-            name: own.column.name.clone(),
-            value: own.value,
-            std: own.std,
-            unit: own.column.unit.to_string(),
-        }));
-    }
-    parameters.extend(derived(change, stored, declared));
+    let quantity =
+        |own: Quantity| EffectParameter { name: own.name, value: own.value, std: own.std, unit: own.unit.into() };
+    let mut parameters: Vec<EffectParameter> =
+        change.quantities(stored.parameters(), declared).into_iter().map(quantity).collect();
     if let Some((_, form)) = form {
         parameters.extend(form.settings.iter().zip(&spec.settings).map(|(setting, &value)| EffectParameter {
             name: setting.name.into(),
@@ -256,56 +246,14 @@ pub fn effect(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>
     }
 }
 
-/// What people ask for besides an effect's own parameters: friction as a factor, a tilt as one angle.
-fn derived(change: &Change, stored: &TorqueModel, declared: Option<&Mounting>) -> Vec<EffectParameter> {
-    let of = |name: &str| stored.parameters().iter().find(|own| own.column.name == name);
-    let factor = |own: &plumbline_model::Parameter| {
-        let old = of(own.column.name.trim_start_matches('d')).filter(|old| old.value.abs() > f64::MIN_POSITIVE)?;
-        let name = format!("{}_factor", old.column.name);
-        let std = own.std.map(|std| std / old.value.abs());
-        Some(EffectParameter { name, value: 1.0 + own.value / old.value, std, unit: "1".into() })
-    };
-    match change.spec.family {
-        "friction-change" => change.parameters.iter().filter_map(factor).collect(),
-        "mounting" => {
-            let [a, b] = [0, 1].map(|k| change.parameters.get(k).map_or(0.0, |own| own.value));
-            let size = a.hypot(b);
-            let share = [a / size, b / size];
-            let variance = (0..2)
-                .flat_map(|i| (0..2).map(move |k| (i, k)))
-                .map(|(i, k)| share[i] * share[k] * change.covariance[(i, k)]);
-            let std = (size > 0.0).then(|| variance.sum::<f64>().max(0.0).sqrt());
-            let angle =
-                |name: &str, value: f64, std| EffectParameter { name: name.into(), value, std, unit: "rad".into() };
-            let truly = declared.map(|declared| tilted(declared, [a, b]));
-            let angles = truly.map(|truly| [angle("rho", truly.rho, None), angle("phi", truly.phi, None)]);
-            [angle("tilt", size, std)].into_iter().chain(angles.into_iter().flatten()).collect()
-        }
-        _ => Vec::new(),
-    }
-}
-
-/// The gravity that a found tilt leaves, as a mounting: `rho` and `phi` of the declared gravity turned by the tilt.
-fn tilted(declared: &Mounting, tilt: [f64; 2]) -> Mounting {
-    let gravity = declared.gravity();
-    let [a, b] = axes(&gravity);
-    Mounting::along(&(gravity + tilt[0] * a.cross(&gravity) + tilt[1] * b.cross(&gravity)))
-}
-
-/// An effect in one line: `payload 0.731 +- 0.004 kg`, `torque-offset in joint 3, offset3 0.30 Nm`.
+/// An effect in one line, with its first quantities: `payload (mass 0.7310 +- 0.0040 kg, com_x ...)`.
 pub fn line(change: &Change) -> String {
-    let number = |value: f64, std: Option<f64>, unit: &str| match std {
-        Some(std) => format!("{value:.4} +- {std:.4} {unit}"),
-        None => format!("{value:.4} {unit}"),
+    let number = |own: &Quantity| match own.std {
+        Some(std) => format!("{} {:.4} +- {std:.4} {}", own.name, own.value, own.unit),
+        None => format!("{} {:.4} {}", own.name, own.value, own.unit),
     };
-    if let Some(body) = &change.body {
-        return format!("payload of {}", number(body.mass.value, body.mass.std, "kg"));
-    }
-    let each = change
-        .parameters
-        .iter()
-        .map(|own| format!("{} {}", own.column.name, number(own.value, own.std, own.column.unit)));
-    format!("{} ({})", label(change.spec.family, change.spec.site), each.collect::<Vec<_>>().join(", "))
+    let each: Vec<String> = change.quantities(&[], None).iter().take(QUANTITIES).map(number).collect();
+    format!("{} ({})", change.spec, each.join(", "))
 }
 
 pub(super) fn label(id: &str, site: Site) -> String {

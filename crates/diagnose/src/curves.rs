@@ -4,8 +4,9 @@ use super::evidence::Evidence;
 use super::fallback::Unexplained;
 use super::select::Search;
 use super::state::State;
-use nalgebra::DVector;
-use plumbline_model::term::effect::Spec;
+use nalgebra::{DMatrix, DVector};
+use plumbline_model::term::Motion;
+use plumbline_model::term::effect::{Ground, PlotOver, Spec};
 
 /// Joints that are drawn at most.
 const JOINTS: usize = 4;
@@ -152,13 +153,21 @@ fn spectrum(evidence: &Evidence, joint: usize, before: &State, after: &State) ->
     Spectrum { joint, f: mean(0), before: mean(1), after: mean(2), noise }
 }
 
-/// What an effect of each kind is best seen over.
-fn variable(spec: &Spec) -> (&'static str, fn(&[f64; 3]) -> f64) {
-    match spec.family {
-        "torque-offset" | "spring" | "position-ripple" | "position-dependent-friction" => ("q", |state| state[0]),
-        "rotor-inertia" => ("ddq", |state| state[2]),
-        _ => ("dq", |state| state[1]),
-    }
+/// The horizontal axis of an effect's plot: its name, and its values along a motion.
+fn axis(ground: &Ground, over: PlotOver, joint: usize, motion: &Motion) -> Option<(String, Vec<f64>)> {
+    let column = |of: &DMatrix<f64>| of.column(joint).iter().copied().collect();
+    let (name, unit, values) = match over {
+        PlotOver::Position => ("q", "rad", column(&motion.q)),
+        PlotOver::Velocity => ("dq", "rad/s", column(&motion.dq)),
+        PlotOver::Acceleration => ("ddq", "rad/s2", column(&motion.ddq)),
+        PlotOver::Load => ("tau_rb", "Nm", column(&ground.load.along(motion))),
+        PlotOver::Time => {
+            let times = (0..motion.samples()).map(|k| motion.start + k as f64 * motion.dt).collect();
+            return Some(("t [s]".into(), times));
+        }
+        PlotOver::Nothing => return None,
+    };
+    Some((format!("{name}{} [{unit}]", joint + 1), values))
 }
 
 fn effect(search: &Search, state: &State, item: usize) -> Option<EffectCurve> {
@@ -170,21 +179,24 @@ fn effect(search: &Search, state: &State, item: usize) -> Option<EffectCurve> {
     let range = state.range(item);
     let fitted = part * state.fit.theta.rows(range.start, range.len());
     let without = state.residual(joint) + &fitted;
-    let (name, of) = variable(&spec);
+    let over = spec.family().ok()?.form(spec.form)?.plot_over;
+    let mut variable = String::new();
+    let mut values: Vec<Vec<f64>> = Vec::new();
+    for experiment in 0..evidence.experiments() {
+        let (name, own) = axis(search.ground, over, cause, evidence.motion(experiment))?;
+        variable = name;
+        values.push(own);
+    }
     let mut points: Vec<[f64; 3]> = Vec::new();
     for (index, fold) in evidence.folds().iter().enumerate() {
-        let motion = evidence.motion(fold.experiment);
         let residual = evidence.signal(index, &in_fold(evidence, joint, &without, index));
         let effect = evidence.signal(index, &in_fold(evidence, joint, &fitted, index));
         for ((k, residual), effect) in evidence.thinned(index).zip(residual).zip(effect) {
-            let x = of(&[motion.q[(k, cause)], motion.dq[(k, cause)], motion.ddq[(k, cause)]]);
-            points.push([x, residual, effect]);
+            points.push([values[fold.experiment][k], residual, effect]);
         }
     }
     // Bins of equal numbers show what happens where the arm is often.
     points.sort_by(|a, b| a[0].total_cmp(&b[0]));
-    let unit = ["q", "dq", "ddq"].iter().position(|own| *own == name).map_or("", |k| ["rad", "rad/s", "rad/s2"][k]);
-    let variable = format!("{name}{} [{unit}]", cause + 1);
     let mut curve = EffectCurve { spec, joint, variable, x: vec![], mean: vec![], error: vec![], fitted: vec![] };
     for bin in points.chunks(points.len().div_ceil(BINS).max(1)) {
         let count = bin.len() as f64;

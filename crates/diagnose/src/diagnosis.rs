@@ -18,8 +18,8 @@ use nalgebra::DVector;
 use plumbline_identify::solve::identify_with;
 use plumbline_identify::{EstimateError, Experiment, solve};
 use plumbline_model::Structure;
+use plumbline_model::term::effect;
 use plumbline_model::term::effect::Ground;
-use plumbline_model::term::{effect, torque_offset};
 
 /// What is diagnosed.
 pub struct Input<'a> {
@@ -153,7 +153,7 @@ fn seeds(search: &Search, base: &State) -> Vec<Candidate> {
         return Vec::new();
     }
     let offset = |item: &&Candidate| {
-        item.spec.family == torque_offset::ID
+        item.spec.family().is_ok_and(|family| family.rare.in_every_arm)
             && base.try_in(&search.problem, item).is_some_and(|tried| tried.independence > LEAST)
     };
     search.library.iter().filter(offset).cloned().collect()

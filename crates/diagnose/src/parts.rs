@@ -1,12 +1,11 @@
 //! Effects that are parts of another one.
 //!
-//! A torque sensor that takes a share of another joint's torque takes the same share of that joint's friction. The column of
-//! [`torque_crosstalk`] is the rigid body's torque alone, so the search finds the rest as friction between the two joints. Where its
-//! coefficients are the cross-talk's share of the other joint's own friction, it is no finding of its own: the two are told as one.
+//! A torque sensor with cross-talk measures a share of another joint's torque, friction included. The column of `torque-crosstalk` is the
+//! rigid-body torque alone, so the search finds the rest as friction between the two joints. A family declares this ([`PartOf`]): where the
+//! form's first coefficient is the other effect's share of the cause's own friction, both are reported as one effect.
 
 use super::outcome::{Effect, Estimate};
-use plumbline_model::term::effect::Site;
-use plumbline_model::term::{torque_crosstalk, transmission_coupling};
+use plumbline_model::term::effect::{PartOf, Site};
 
 /// How many standard deviations a coefficient may be off the share.
 const DEVIATIONS: f64 = 4.0;
@@ -15,17 +14,15 @@ const FORM: f64 = 0.25;
 
 /// Puts the parts with what they belong to. `friction` gives a joint's Coulomb friction \[Nm\], joints from 0.
 pub fn together(effects: Vec<Effect>, friction: impl Fn(usize) -> Option<f64>) -> Vec<Effect> {
-    let (parts, mut whole): (Vec<Effect>, Vec<Effect>) = effects.into_iter().partition(|effect| {
-        effect.in_model && effect.spec.family == transmission_coupling::ID && effect.spec.form == "friction"
-    });
+    let (parts, mut whole): (Vec<Effect>, Vec<Effect>) =
+        effects.into_iter().partition(|effect| effect.in_model && part_of(effect).is_some());
     for part in parts {
-        let Site::Pair { cause, .. } = part.spec.site else {
+        let (Site::Pair { cause, .. }, Some(of)) = (part.spec.site, part_of(&part)) else {
             whole.push(part);
             continue;
         };
         let belongs = |effect: &&mut Effect| {
-            let own =
-                effect.in_model && effect.spec.family == torque_crosstalk::ID && effect.spec.site == part.spec.site;
+            let own = effect.in_model && effect.spec.family == of.family && effect.spec.site == part.spec.site;
             own && friction(cause).is_some_and(|fc| is_share(&effect.parameters, &part.parameters, fc))
         };
         match whole.iter_mut().find(belongs) {
@@ -35,6 +32,11 @@ pub fn together(effects: Vec<Effect>, friction: impl Fn(usize) -> Option<f64>) -
     }
     whole.sort_by(|a, b| b.score.total_cmp(&a.score));
     whole
+}
+
+/// The declaration of an effect's family that its form may be part of another effect.
+fn part_of(effect: &Effect) -> Option<PartOf> {
+    effect.spec.family().ok()?.rare.part_of.filter(|part| part.form == effect.spec.form)
 }
 
 /// Whether the first coefficient of `coupling` is the share in `crosstalk` of the Coulomb friction `fc` \[Nm\].
