@@ -81,8 +81,8 @@ fn fr3_mjcf() -> PathBuf {
 fn assert_ended_in_order(run: &Run, who: &str, soft: f64) {
     let statistics = &run.statistics;
     eprintln!(
-        "{who}: {} cycles, {} lost, {} passed over, {} late commands, success rate {:.3} to {:.3}; tracking {:?} rad; work p50 {:.0} p99 {:.0} \
-         us, wake p50 {:.0} p99 {:.0} us, round trip p50 {:.0} p99 {:.0} us ({}), limited {}, returning {}, unexplained {}",
+        "{who}: {} cycles, {} lost, {} passed over, {} late commands, success rate {:.3} to {:.3}; tracking {:?} rad; p50, p99, p99.9 and max in us: \
+         execution {:.1?}, socket {:.1?}, round trip {:.1?} ({}), limited {}, returning {}, unexplained {}",
         run.outcome.summary.cycles,
         statistics.lost,
         statistics.skipped,
@@ -90,12 +90,9 @@ fn assert_ended_in_order(run: &Run, who: &str, soft: f64) {
         statistics.success_rate.min,
         statistics.success_rate.last,
         run.tracking().map(|rms| (rms * 1e5).round() / 1e5),
-        statistics.work.p50,
-        statistics.work.p99,
-        statistics.wake.p50,
-        statistics.wake.p99,
-        statistics.round_trip.p50,
-        statistics.round_trip.p99,
+        statistics.work.in_us(),
+        statistics.wake.in_us(),
+        statistics.round_trip.in_us(),
         statistics.round_trip.count,
         statistics.limited,
         statistics.returning,

@@ -147,7 +147,7 @@ fn recording(of: &Told, first: u64, lose: Option<u64>) -> Recording {
     events.for_each(|told| history.tell(*told));
     let window = history.window(first, &[]);
     let last = *window.records.last().unwrap();
-    let about = about(&window, of.run.outcome.end.to_string(), of.run.outcome.summary.untold);
+    let about = about(&window, of.run.outcome.end.to_string(), of.run.outcome.summary.dropped_events);
     let unanswered =
         of.run.outcome.unanswered.map(|state| Record { cycle: last.cycle + 1, state, ..Record::default() });
     let texts = vec![("robot.toml".to_string(), "name = \"x\"".to_string())];

@@ -93,22 +93,20 @@ impl Collector {
                 extra.push((format!("tau_ff{}", j + 1), column));
             }
         }
-        let run = Run {
-            file: format!("{}.csv", motion.name),
-            role: match motion.role {
-                Role::Identify | Role::Counter => dataset::Role::Identify,
-                Role::Validate | Role::Live => dataset::Role::Validate,
-            },
-            note: String::new(),
-            period: Some(motion.plan.period),
-            session: 1,
-            mounting: motion.mounting,
+        let data = plumbline_identify::Run {
+            name: format!("{}.csv", motion.name),
             t: kept.iter().map(|record| record.tick as f64 * 1e-3).collect(),
             q: matrix(|record| &record.state.q),
             dq: Some(matrix(|record| &record.state.dq)),
             tau: matrix(|record| &record.state.tau),
-            extra,
+            mounting: motion.mounting,
+            period: Some(motion.plan.period),
         };
+        let role = match motion.role {
+            Role::Identify | Role::Counter => dataset::Role::Identify,
+            Role::Validate | Role::Live => dataset::Role::Validate,
+        };
+        let run = Run { extra, ..Run::new(data, role) };
         // The last sample of a motion is one tick behind its last period.
         let complete = !broken && records.last().is_some_and(|record| record.tick + 1 >= motion.ticks() as u64);
         Recorded { number: motion.number, role: motion.role, run, complete }

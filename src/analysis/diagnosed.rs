@@ -84,14 +84,14 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
         measured.iter().zip(modelled).map(|(experiment, (before, after))| (experiment, before, after)).collect();
     let compared = errors::compare(&pairs, question.of).unwrap_or_default();
     bar.done();
-    let names = question.unseen[veto.len()..].iter().map(|run| run.file.clone()).collect();
+    let names = question.unseen[veto.len()..].iter().map(|run| run.data.name.clone()).collect();
     let mut block = block(&outcome, &compared, names);
     block.band = match question.of {
         Of::Raw => Band::Raw,
         Of::Filtered => Band::Filtered { cutoff: question.settings.torque_cutoff },
     };
     if let Some(run) = question.unseen[..veto.len()].first() {
-        block.notes.push(format!("findings were held against {}, which no figure here is measured on", run.file));
+        block.notes.push(format!("findings were held against {}, which no figure here is measured on", run.data.name));
     }
     if question.of == Of::Raw && block.noise_floor.is_empty() {
         // Unseen runs that do not repeat: the noise is that of the runs that do.

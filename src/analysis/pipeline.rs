@@ -54,10 +54,11 @@ pub fn measured_velocities(option: &str) -> Result<bool, BadInput> {
 /// The parameters that runs in these mountings can determine: one mounting has its own base set, several need the general one.
 pub fn structure(robot: &Robot, runs: &[&Run], terms: &[&str]) -> Result<Structure, Failure> {
     let chain = robot.chain.clone();
-    let same =
-        runs.windows(2).all(|pair| pair[0].mounting.angle_to(&pair[1].mounting) < crate::analysis::SAME_MOUNTING);
+    let same = runs
+        .windows(2)
+        .all(|pair| pair[0].data.mounting.angle_to(&pair[1].data.mounting) < crate::analysis::SAME_MOUNTING);
     let reduction = match runs.first() {
-        Some(first) if same => Reduction::in_mounting(&chain, &first.mounting),
+        Some(first) if same => Reduction::in_mounting(&chain, &first.data.mounting),
         _ => Reduction::any_mounting(&chain),
     };
     Ok(Structure::of(chain, reduction, terms).map_err(Failure::job)?.identifiable())
@@ -68,9 +69,9 @@ pub fn check_channels(runs: &[&Run]) -> Result<(), BadInput> {
     check_torques(runs)?;
     let Some(first) = runs.first() else { return Ok(()) };
     for j in 0..first.joints() {
-        if runs.iter().all(|run| constant(&run.q, j).is_some()) {
+        if runs.iter().all(|run| constant(&run.data.q, j).is_some()) {
             let expected = "a position that varies in at least one run to identify from: move, or check the encoder of";
-            return Err(not_varying(first, "q", &first.q, j, expected));
+            return Err(not_varying(first, "q", &first.data.q, j, expected));
         }
     }
     Ok(())
@@ -80,8 +81,8 @@ pub fn check_channels(runs: &[&Run]) -> Result<(), BadInput> {
 /// infinite.
 pub fn check_torques(runs: &[&Run]) -> Result<(), BadInput> {
     for run in runs {
-        if let Some(j) = (0..run.tau.ncols()).find(|&j| constant(&run.tau, j).is_some()) {
-            return Err(not_varying(run, "tau", &run.tau, j, "a torque that varies: check the torque sensor of"));
+        if let Some(j) = (0..run.data.tau.ncols()).find(|&j| constant(&run.data.tau, j).is_some()) {
+            return Err(not_varying(run, "tau", &run.data.tau, j, "a torque that varies: check the torque sensor of"));
         }
     }
     Ok(())
@@ -95,27 +96,18 @@ fn constant(channel: &DMatrix<f64>, j: usize) -> Option<f64> {
 
 fn not_varying(run: &Run, name: &str, channel: &DMatrix<f64>, j: usize, expected: &str) -> BadInput {
     let found = format!("{} in all {} samples", channel[(0, j)], run.samples());
-    BadInput::new(&run.file, format!("column {name}{}", j + 1), found, format!("{expected} joint {}", j + 1))
+    BadInput::new(&run.data.name, format!("column {name}{}", j + 1), found, format!("{expected} joint {}", j + 1))
 }
 
 /// Averages, filters and differentiates a run.
-pub fn experiment(run: &Run, settings: &Settings) -> Result<Experiment, Failure> {
-    let input = plumbline_identify::Run {
-        name: run.file.clone(),
-        t: run.t.clone(),
-        q: run.q.clone(),
-        dq: run.dq.clone(),
-        tau: run.tau.clone(),
-        gravity: run.mounting.gravity(),
-        period: run.period,
-    };
+pub fn experiment(run: &plumbline_identify::Run, settings: &Settings) -> Result<Experiment, Failure> {
     let expected = "a run that is long and even enough for the filters";
-    Experiment::prepare(&input, settings).map_err(|error| BadInput::new(&run.file, "samples", error, expected).into())
+    Experiment::prepare(run, settings).map_err(|error| BadInput::new(&run.name, "samples", error, expected).into())
 }
 
 /// [`experiment`] of several runs, on all processors.
 pub fn experiments(runs: &[&Run], settings: &Settings) -> Result<Vec<Experiment>, Failure> {
-    parallel(runs, threads(), |run| experiment(run, settings)).into_iter().collect()
+    parallel(runs, threads(), |run| experiment(&run.data, settings)).into_iter().collect()
 }
 
 /// Runs made ready with all that an estimator wants of them.
@@ -123,7 +115,7 @@ pub fn for_estimator(runs: &[&Run], settings: &Settings, options: &solve::Option
     let keep_periods = settings.keep_periods || options.estimator.wants_periods();
     let settings = Settings { keep_periods, ..settings.clone() };
     let prepare = |run: &&Run| {
-        let experiment = experiment(run, &settings)?;
+        let experiment = experiment(&run.data, &settings)?;
         if !options.estimator.wants_periods() {
             return Ok(experiment);
         }
@@ -162,8 +154,8 @@ pub fn identified(
 ) -> Result<Identified, Failure> {
     let mut mountings = Vec::new();
     for run in runs {
-        if !mountings.contains(&run.mounting) {
-            mountings.push(run.mounting);
+        if !mountings.contains(&run.data.mounting) {
+            mountings.push(run.data.mounting);
         }
     }
     let model = TorqueModel::new(&robot.name, structure, mountings, &identification.values()).map_err(Failure::job)?;
@@ -177,8 +169,8 @@ fn desired(run: &Run, experiment: Experiment) -> Result<Experiment, Failure> {
     let q_d = DMatrix::from_fn(run.samples(), run.joints(), |k, j| columns[j][k]);
     let expected = "one finite desired position per sample and joint";
     experiment
-        .with_desired(&run.t, &q_d)
-        .map_err(|error| BadInput::new(&run.file, "columns q_d1..q_dn", error, expected).into())
+        .with_desired(&run.data.t, &q_d)
+        .map_err(|error| BadInput::new(&run.data.name, "columns q_d1..q_dn", error, expected).into())
 }
 
 /// [`judge`] of several runs, on all processors.
@@ -192,7 +184,7 @@ pub fn judge_all<'a>(
 
 /// Predicts a run with a model, in the run's own mounting.
 pub fn judge(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Judged, Failure> {
-    let experiment = experiment(run, settings)?;
+    let experiment = experiment(&run.data, settings)?;
     let modelled = Modelled::of(&experiment, |motion| model.predict(motion));
     let rms = compare(&experiment, &modelled);
     let figure = TorqueFigure {
@@ -208,7 +200,7 @@ pub fn judge(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Judg
 
 /// Measured and modelled torque of a run after the estimator's low-pass, with the raw torque behind them.
 pub fn figure_in_band(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<TorqueFigure, Failure> {
-    let experiment = experiment(run, settings)?;
+    let experiment = experiment(&run.data, settings)?;
     let modelled = model.predict(&experiment.motion);
     let noise = experiment.scatter.as_ref().map(|scatter| scatter.std_of_mean(|f| experiment.gain(f)));
     let n = experiment.joints();
@@ -224,7 +216,7 @@ pub fn figure_in_band(model: &TorqueModel, run: &Run, settings: &Settings) -> Re
 }
 
 fn title(run: &Run) -> String {
-    run.file.replace(".csv", "")
+    run.data.name.replace(".csv", "")
 }
 
 /// Times of the samples since the start of the recording, of a periodic run since the start of a period \[s\].
@@ -251,9 +243,9 @@ pub struct Predicted {
 
 /// Torques of a model at every sample of a recorded motion.
 pub fn predict(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Predicted, Failure> {
-    let measured = run.tau.ncols() > 0;
+    let measured = run.data.tau.ncols() > 0;
     // Every sample is wanted, not the mean period.
-    let mut whole = Run { period: None, ..run.clone() };
+    let mut whole = plumbline_identify::Run { period: None, ..run.data.clone() };
     if !measured {
         whole.tau = DMatrix::zeros(run.samples(), run.joints());
     }
@@ -263,15 +255,15 @@ pub fn predict(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Pr
     let even = model.predict(&motion);
     let samples = even.nrows();
     // The grid begins with the recording and may end up to one step before its last sample.
-    let place = |t: f64| ((t - run.t[0]) / motion.dt).clamp(0.0, samples as f64);
+    let place = |t: f64| ((t - run.data.t[0]) / motion.dt).clamp(0.0, samples as f64);
     let torques = DMatrix::from_fn(run.samples(), run.joints(), |k, j| {
-        let at = place(run.t[k]);
+        let at = place(run.data.t[k]);
         let before = (at as usize).min(samples - 2);
         even[(before, j)] + (at - before as f64) * (even[(before + 1, j)] - even[(before, j)])
     });
     let kept = edge as f64..=(samples - 1 - edge) as f64;
     // A time stamp is not exact to the last digit.
-    let at_end = run.t.iter().map(|&t| !kept.contains(&((place(t) * 1e6).round() / 1e6))).collect();
+    let at_end = run.data.t.iter().map(|&t| !kept.contains(&((place(t) * 1e6).round() / 1e6))).collect();
     Ok(Predicted { torques, at_end, rms })
 }
 

@@ -8,8 +8,8 @@ use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
 use crate::report::figures::{Figures, PlanFigure};
 use crate::report::{
-    Base, Consistency, CounterExperiment, EstimatorFacts, Fit, GravityFacts, Identifiability, IpcFacts, LoopFacts,
-    MotionUsage, Quantiles, Report, SessionFacts, Validation,
+    Base, Consistency, CounterExperiment, EstimatorFacts, Fit, GravityFacts, Identifiability, IpcReport, LoopReport,
+    MotionUsage, Report, Validation,
 };
 use crate::setup::programme::{Motion, Programme, Role};
 use crate::store::{ModelFile, Provenance, Validated};
@@ -18,7 +18,7 @@ use plumbline_diagnose::errors::Of;
 use plumbline_excite::PlanUsage;
 use plumbline_identify::Settings;
 use plumbline_identify::solve::Outcome;
-use plumbline_ipc::{Session, Status, StreamCounters};
+use plumbline_ipc::{Status, StreamCounters};
 use plumbline_model::{Mounting, Robot};
 use std::path::{Path, PathBuf};
 
@@ -66,12 +66,12 @@ impl Results {
 
     /// The mounting of the first motion that was recorded.
     pub fn first_mounting(&self) -> Option<Mounting> {
-        self.recorded.first().map(|recorded| recorded.run.mounting)
+        self.recorded.first().map(|recorded| recorded.run.data.mounting)
     }
 
     /// Keeps a recorded motion.
     pub fn take(&mut self, recorded: Recorded) {
-        tracing::info!("{} was recorded: {} samples", recorded.run.file, recorded.run.samples());
+        tracing::info!("{} was recorded: {} samples", recorded.run.data.name, recorded.run.samples());
         self.recorded.push(recorded);
     }
 
@@ -108,9 +108,9 @@ impl Results {
         let judged = pipeline::judge_all(&identified.model, &self.runs(Role::Validate), &self.settings)?;
         let counter = self.counter_experiment(&judged)?;
         let validated = judged.iter().map(|(run, judged)| Validated {
-            run: run.file.clone(),
-            rho: run.mounting.rho,
-            phi: run.mounting.phi,
+            run: run.data.name.clone(),
+            rho: run.data.mounting.rho,
+            phi: run.data.mounting.phi,
             rms: judged.rms.raw.clone(),
         });
         let model = self.model_file(identified, validated.collect(), Some(dataset.content_hash()));
@@ -131,15 +131,12 @@ impl Results {
         report.consistency = model.consistent.as_ref().map(|found| Consistency::of_model(&model.model, found));
         report.counter_experiment = counter.map(|(facts, _)| facts);
         report.gravity = status.gravity.as_ref().and_then(|said| {
-            let runs = self.recorded.iter().map(|own| (own.number, own.run.file.as_str(), own.run.mounting));
+            let runs = self.recorded.iter().map(|own| (own.number, own.run.data.name.as_str(), own.run.data.mounting));
             GravityFacts::of(said, self.job.mounting, runs)
         });
         report.motions = self.motions.clone();
-        report.cycle = Some(self.loop_facts(status));
-        let wall_clock = self.wall_clock();
-        report.sessions = status.sessions.iter().map(|session| SessionFacts::of(session, wall_clock)).collect();
-        report.ipc =
-            Some(IpcFacts { sent, received: counters.received, replayed: counters.replayed, missed: counters.missed });
+        report.control_loop = Some(LoopReport::new(status, !self.job.backend.is_fast()));
+        report.ipc = Some(IpcReport { sent, counters: *counters });
         report.notes.extend(self.notes.iter().cloned());
         let mut figures = self.figures(identified, judged)?;
         if let Some(diagnosed) = diagnosed {
@@ -156,7 +153,7 @@ impl Results {
         }
         let (identify, unseen) = (self.runs(Role::Identify), self.runs(Role::Validate));
         let unseen: Vec<&Run> =
-            unseen.into_iter().filter(|run| identified.model.valid_in(&run.mounting).is_ok()).collect();
+            unseen.into_iter().filter(|run| identified.model.valid_in(&run.data.mounting).is_ok()).collect();
         let Diagnosis { band, threshold, .. } = self.job.diagnosis;
         let settings = plumbline_diagnose::Settings {
             band,
@@ -187,7 +184,8 @@ impl Results {
         let Some(first) = runs.first() else { return Ok(None) };
         let vertical = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings, &self.job.solver())?;
         let Err(refused) = vertical.model.valid_in(&self.job.mounting) else { return Ok(None) };
-        let here: Vec<&(&Run, Judged)> = judged.iter().filter(|(run, _)| run.mounting == self.job.mounting).collect();
+        let here: Vec<&(&Run, Judged)> =
+            judged.iter().filter(|(run, _)| run.data.mounting == self.job.mounting).collect();
         let mut forced = vec![0.0; self.joints()];
         let mut general = forced.clone();
         for (run, judged) in &here {
@@ -198,7 +196,7 @@ impl Results {
             }
         }
         let facts = CounterExperiment {
-            identified_in: first.mounting.into(),
+            identified_in: first.data.mounting.into(),
             kind: vertical.model.kind().to_string(),
             count: vertical.model.parameters().len(),
             refused_in: self.job.mounting.into(),
@@ -248,36 +246,6 @@ impl Results {
         std::path::absolute(&path).unwrap_or(path).display().to_string()
     }
 
-    fn wall_clock(&self) -> bool {
-        !self.job.backend.is_fast()
-    }
-
-    fn loop_facts(&self, status: &Status) -> LoopFacts {
-        let wall_clock = self.wall_clock();
-        // Quantiles can't be added up: those of the longest session stand for the whole.
-        let longest = status.sessions.iter().max_by_key(|session| session.cycles);
-        let times =
-            |of: fn(&Session) -> &plumbline_core::Distribution| longest.and_then(|session| Quantiles::of(of(session)));
-        let mut realtime: Vec<String> = Vec::new();
-        for refusal in status.sessions.iter().flat_map(|session| &session.refusals) {
-            if !realtime.contains(refusal) {
-                realtime.push(refusal.clone());
-            }
-        }
-        LoopFacts {
-            pace: if wall_clock { "wall-clock" } else { "fast" }.to_string(),
-            cycles: status.cycles,
-            late: wall_clock.then_some(status.late),
-            lost: status.lost,
-            records_lost: status.dropped,
-            // Unknown as soon as one session was not watched.
-            allocations: status.sessions.iter().map(|session| session.allocations.map(u64::from)).sum(),
-            wake_us: times(|session| &session.wake).filter(|_| wall_clock),
-            work_us: times(|session| &session.work),
-            realtime,
-        }
-    }
-
     /// The identification and the first unseen motion of every mounting.
     fn figures(&self, identified: &Identified, judged: Vec<(&Run, Judged)>) -> Result<Figures, Failure> {
         let mut figures = Figures::default();
@@ -286,9 +254,9 @@ impl Results {
         }
         let mut shown = Vec::new();
         for (run, judged) in judged {
-            if !shown.contains(&run.mounting) {
-                shown.push(run.mounting);
-                let title = format!("{} (unseen, {})", judged.figure.title, run.mounting);
+            if !shown.contains(&run.data.mounting) {
+                shown.push(run.data.mounting);
+                let title = format!("{} (unseen, {})", judged.figure.title, run.data.mounting);
                 figures.runs.push(crate::report::figures::TorqueFigure { title, ..judged.figure });
             }
         }
@@ -317,16 +285,16 @@ fn usage(motion: &Motion) -> Option<MotionUsage> {
 fn validation(run: &Run, judged: &Judged) -> Validation {
     let served: Option<Vec<&[f64]>> = (1..=run.joints()).map(|j| run.extra(&format!("tau_ff{j}"))).collect();
     Validation {
-        run: run.file.clone(),
+        run: run.data.name.clone(),
         rms: judged.rms.raw.clone(),
         rms_raw: judged.rms.raw.clone(),
         rms_filtered: judged.rms.filtered.clone(),
         served_rms: served.map(|served| {
-            let error = |j: usize, k: usize| run.tau[(k, j)] - served[j][k];
+            let error = |j: usize, k: usize| run.data.tau[(k, j)] - served[j][k];
             let square = |j: usize| (0..run.samples()).map(|k| error(j, k).powi(2)).sum::<f64>();
             (0..run.joints()).map(|j| (square(j) / run.samples() as f64).sqrt()).collect()
         }),
-        mounting: run.mounting.into(),
+        mounting: run.data.mounting.into(),
     }
 }
 

@@ -52,8 +52,8 @@ impl Reference<'_> {
         let mut untrusted = Vec::new();
         for (session, runs) in later {
             let (held, refused): (Vec<&Run>, Vec<&Run>) =
-                runs.iter().partition(|run| self.model.valid_in(&run.mounting).is_ok());
-            untrusted.extend(refused.iter().map(|run| run.file.clone()));
+                runs.iter().partition(|run| self.model.valid_in(&run.data.mounting).is_ok());
+            untrusted.extend(refused.iter().map(|run| run.data.name.clone()));
             if !held.is_empty() {
                 self.one(*session, &held, block, out)?;
             }
@@ -73,8 +73,8 @@ impl Reference<'_> {
         let kept = stored.stand_the_test(&unseen)?;
         let mut told = Told::new(&changes, self.model, &kept);
         told.band = Band::Filtered { cutoff: self.settings.torque_cutoff };
-        told.declared = runs.first().map(|run| run.mounting);
-        let names: Vec<String> = judge.iter().map(|run| run.file.clone()).collect();
+        told.declared = runs.first().map(|run| run.data.mounting);
+        let names: Vec<String> = judge.iter().map(|run| run.data.name.clone()).collect();
         let compared = stored.compared(&kept, &unseen)?;
         let mut own = told.diagnosis(&format!("session {}", self.session), &names, &compared);
         own.effects.iter_mut().for_each(|effect| effect.since_session = Some(session));

@@ -26,10 +26,10 @@ pub fn split(dataset: &mut Dataset, hold_out: f64) -> Result<Split, Failure> {
         let file = format!("dataset {}", dataset.name);
         return Err(BadInput::new(file, "[[run]] role", "no run", "at least one run with role = \"identify\"").into());
     };
-    if let Some(other) = identify.iter().find(|run| run.mounting.angle_to(&first.mounting) > SAME_MOUNTING) {
+    if let Some(other) = identify.iter().find(|run| run.data.mounting.angle_to(&first.data.mounting) > SAME_MOUNTING) {
         notes.push(format!(
             "the parameters are identified from several mountings at once: {} and {}",
-            first.mounting, other.mounting
+            first.data.mounting, other.data.mounting
         ));
     }
     if !validate.is_empty() {
@@ -63,8 +63,9 @@ pub fn find_and_judge(runs: &[&Run], notes: &mut Vec<String>) -> (Vec<Run>, Vec<
 
 /// A part of a periodic run that is shorter than its period does not repeat.
 fn whole_periods(mut part: Run) -> Run {
-    let length = part.t.last().zip(part.t.first()).map_or(0.0, |(last, first)| last - first);
-    part.period = part.period.filter(|period| *period <= length);
+    let data = &mut part.data;
+    let length = data.t.last().zip(data.t.first()).map_or(0.0, |(last, first)| last - first);
+    data.period = data.period.filter(|period| *period <= length);
     part
 }
 
@@ -72,13 +73,13 @@ fn whole_periods(mut part: Run) -> Run {
 fn cut(run: &Run, share: f64) -> (Run, Run) {
     let at = (run.samples() as f64 * share) as usize;
     let part = |from: usize, count: usize, name: &str| Run {
-        file: format!("{} ({name} part)", run.file),
-        t: run.t[from..from + count].to_vec(),
-        q: run.q.rows(from, count).into_owned(),
-        dq: run.dq.as_ref().map(|dq| dq.rows(from, count).into_owned()),
-        tau: run.tau.rows(from, count).into_owned(),
+        data: plumbline_identify::Run {
+            name: format!("{} ({name} part)", run.data.name),
+            ..run.data.part(from, count)
+        },
+        note: run.note.clone(),
         extra: run.extra.iter().map(|(name, values)| (name.clone(), values[from..from + count].to_vec())).collect(),
-        ..run.clone()
+        ..*run
     };
     (part(0, at, "first"), part(at, run.samples() - at, "last"))
 }

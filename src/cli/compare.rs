@@ -53,7 +53,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let model = &file.model;
 
     let (held, refused): (Vec<&Run>, Vec<&Run>) =
-        dataset.runs.iter().partition(|run| model.valid_in(&run.mounting).is_ok());
+        dataset.runs.iter().partition(|run| model.valid_in(&run.data.mounting).is_ok());
     let mut notes = Vec::new();
     let (find, judge) = find_and_judge(&held, &mut notes);
 
@@ -79,11 +79,11 @@ pub fn run(options: Options) -> Result<(), Failure> {
 
     let after = stored.with(&kept, u32::MAX)?;
     let errors_after = stored.errors(&kept, &unseen)?;
-    let names: Vec<String> = judge.iter().map(|run| run.file.clone()).collect();
+    let names: Vec<String> = judge.iter().map(|run| run.data.name.clone()).collect();
     let since = since(&options, &file);
     let mut told = changed::Told::new(&changes, model, &kept);
     told.band = Band::Filtered { cutoff: settings.torque_cutoff };
-    told.declared = find.first().map(|run| run.mounting);
+    told.declared = find.first().map(|run| run.data.mounting);
     let mut diagnosis = told.diagnosis(&since, &names, &stored.compared(&kept, &unseen)?);
     let identifiability = identifiability(model, &refused, &changes.doubt);
     if held.is_empty() {
@@ -101,12 +101,12 @@ pub fn run(options: Options) -> Result<(), Failure> {
             .iter()
             .zip(&errors_after)
             .map(|(run, rms)| Validation {
-                run: run.file.clone(),
+                run: run.data.name.clone(),
                 rms: rms.filtered.clone(),
                 rms_raw: rms.raw.clone(),
                 rms_filtered: rms.filtered.clone(),
                 served_rms: None,
-                mounting: run.mounting.into(),
+                mounting: run.data.mounting.into(),
             })
             .collect(),
         band: Band::Filtered { cutoff: settings.torque_cutoff },
@@ -129,9 +129,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
                 .iter()
                 .zip(&errors_after)
                 .map(|(run, rms)| Validated {
-                    run: run.file.clone(),
-                    rho: run.mounting.rho,
-                    phi: run.mounting.phi,
+                    run: run.data.name.clone(),
+                    rho: run.data.mounting.rho,
+                    phi: run.data.mounting.phi,
                     rms: rms.filtered.clone(),
                 })
                 .collect(),
@@ -180,7 +180,7 @@ fn diagnose_settings(options: &Options) -> Result<plumbline_diagnose::Settings, 
 fn identifiability(model: &TorqueModel, refused: &[&Run], doubt: &reference::Doubt) -> Identifiability {
     let mut facts = Identifiability {
         not_identifiable: doubt.parameters.clone(),
-        untrusted_runs: refused.iter().map(|run| run.file.clone()).chain(doubt.runs.iter().cloned()).collect(),
+        untrusted_runs: refused.iter().map(|run| run.data.name.clone()).chain(doubt.runs.iter().cloned()).collect(),
     };
     if !refused.is_empty() {
         let own: Vec<&str> = model.parameters().iter().map(|own| own.column.name.as_str()).collect();

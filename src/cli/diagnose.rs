@@ -46,8 +46,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let along_axis_1 = structure.kind() == plumbline_model::BaseKind::Vbs;
     let (trusted, untrusted): (Vec<&Run>, Vec<&Run>) = validate
         .iter()
-        .partition(|run| !along_axis_1 || run.mounting.is_along_axis_1(plumbline_model::VERTICAL_TOLERANCE));
-    let repeats = identify.iter().all(|run| run.period.is_some());
+        .partition(|run| !along_axis_1 || run.data.mounting.is_along_axis_1(plumbline_model::VERTICAL_TOLERANCE));
+    let repeats = identify.iter().all(|run| run.data.period.is_some());
     let diagnosis = diagnosis_settings(&options, repeats)?;
     let question = Question {
         robot: &robot,
@@ -81,7 +81,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         settings: &settings,
     };
     done.write(&given.out, |report| {
-        let untrusted = untrusted.iter().map(|run| run.file.clone());
+        let untrusted = untrusted.iter().map(|run| run.data.name.clone());
         report.identifiability.untrusted_runs = untrusted.chain(not_valid).collect();
         report.notes.append(&mut notes);
         report.diagnosis = Some(block);

@@ -83,10 +83,10 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let mut judged: Vec<(&Run, Judged)> = Vec::new();
     let mut untrusted = Vec::new();
     for (k, run) in validate.iter().enumerate() {
-        bar.at(0.5 + 0.5 * k as f64 / validate.len() as f64, &run.file);
-        match identified.model.valid_in(&run.mounting) {
+        bar.at(0.5 + 0.5 * k as f64 / validate.len() as f64, &run.data.name);
+        match identified.model.valid_in(&run.data.mounting) {
             Ok(()) => judged.push((run, pipeline::judge(&identified.model, run, &settings)?)),
-            Err(_) => untrusted.push(run.file.clone()),
+            Err(_) => untrusted.push(run.data.name.clone()),
         }
     }
     bar.done();
@@ -138,12 +138,12 @@ impl Done<'_> {
         report.validate = judged
             .iter()
             .map(|(run, judged)| Validation {
-                run: run.file.clone(),
+                run: run.data.name.clone(),
                 rms: judged.rms.filtered.clone(),
                 rms_raw: judged.rms.raw.clone(),
                 rms_filtered: judged.rms.filtered.clone(),
                 served_rms: None,
-                mounting: run.mounting.into(),
+                mounting: run.data.mounting.into(),
             })
             .collect();
         let diagnosis = add(&mut report);
@@ -153,9 +153,9 @@ impl Done<'_> {
             validation: judged
                 .iter()
                 .map(|(run, judged)| Validated {
-                    run: run.file.clone(),
-                    rho: run.mounting.rho,
-                    phi: run.mounting.phi,
+                    run: run.data.name.clone(),
+                    rho: run.data.mounting.rho,
+                    phi: run.data.mounting.phi,
                     rms: judged.rms.filtered.clone(),
                 })
                 .collect(),

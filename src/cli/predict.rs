@@ -45,7 +45,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let (file, _) = models::load(&options.model)?;
     let model = &chosen(&options, &file)?;
     let run = motion(&options, model)?;
-    if let Err(refused) = model.valid_in(&run.mounting)
+    if let Err(refused) = model.valid_in(&run.data.mounting)
         && !options.force
     {
         let name = options.model.display().to_string();
@@ -60,7 +60,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         write!(text, ",tau{j}").expect("a string takes everything");
     }
     text.push_str(",at_end\n");
-    for (k, t) in run.t.iter().enumerate() {
+    for (k, t) in run.data.t.iter().enumerate() {
         write!(text, "{t}").expect("a string takes everything");
         for j in 0..run.joints() {
             write!(text, ",{}", torques[(k, j)]).expect("a string takes everything");
@@ -99,7 +99,10 @@ fn motion(options: &Options, model: &TorqueModel) -> Result<Run, Failure> {
     let of_dataset = match folder {
         Some(folder) => {
             let dataset = Dataset::read(folder)?;
-            dataset.runs.into_iter().find(|run| options.run.file_name().is_some_and(|name| name == run.file.as_str()))
+            dataset
+                .runs
+                .into_iter()
+                .find(|run| options.run.file_name().is_some_and(|name| name == run.data.name.as_str()))
         }
         None => None,
     };
@@ -108,7 +111,7 @@ fn motion(options: &Options, model: &TorqueModel) -> Result<Run, Failure> {
         None => Run::read_csv(&options.run, model.mountings().first().copied().unwrap_or(Mounting::UPRIGHT))?,
     };
     if let Some(text) = &options.mounting {
-        run.mounting = parse_mounting("--mounting", text)?;
+        run.data.mounting = parse_mounting("--mounting", text)?;
     }
     let n = model.structure().chain().len();
     if run.joints() != n {

@@ -528,10 +528,10 @@ impl Desk {
             joints: self.robot.chain.len(),
             phase: self.last.phase,
             motion: self.last.motion,
-            cycles: self.sessions.iter().map(|session| session.cycles).sum(),
-            lost: self.sessions.iter().map(|session| session.lost).sum(),
-            late: self.sessions.iter().map(|session| session.late).sum(),
-            dropped: self.sessions.iter().map(|session| session.unrecorded).sum(),
+            cycles: self.sessions.iter().map(|session| session.statistics.cycles).sum(),
+            lost: self.sessions.iter().map(|session| session.statistics.lost).sum(),
+            late: self.sessions.iter().filter_map(|session| session.statistics.late).sum(),
+            dropped_records: self.sessions.iter().map(|session| session.statistics.dropped_records).sum(),
             model: self
                 .model
                 .as_ref()
@@ -553,7 +553,7 @@ impl Desk {
             status.cycles += controls.cycles();
             status.lost += controls.lost();
             status.late += controls.late();
-            status.dropped += controls.unrecorded();
+            status.dropped_records += controls.dropped_records();
         }
         status
     }

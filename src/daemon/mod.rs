@@ -28,6 +28,7 @@ use arm::Purpose;
 use check::{Answerable, Checked, Checker};
 use clap::Args;
 use desk::Desk;
+use plumbline_core::Distribution;
 use plumbline_ipc::{
     Asked, Lock, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener, now_ns,
 };
@@ -270,24 +271,24 @@ impl Daemon {
 
 /// How a connection's time was kept, in one line.
 fn account(of: &SessionStatistics) -> String {
-    let us = |what: &str, times: &plumbline_core::Distribution| {
-        let [p50, p99, p999, max] = [times.p50, times.p99, times.p999, times.max].map(|ns| ns as f64 / 1e3);
-        format!("{what} p50 {p50:.1} p99 {p99:.1} p99.9 {p999:.1} max {max:.1} us")
+    let us = |what: &str, times: &Distribution| {
+        let [p50, p99, p999, max] = times.in_us()?;
+        Some(format!("; {what} p50 {p50:.1} p99 {p99:.1} p99.9 {p999:.1} max {max:.1} us"))
     };
-    let equal = if of.elapsed == of.cycles + of.lost { "=" } else { "DIFFERS FROM" };
-    let clock = of.clock.map_or(String::new(), |clock| format!(", {clock} by this machine's clock"));
+    let counts = &of.statistics;
+    let equal = if counts.accounted() { "=" } else { "DIFFERS FROM" };
+    let clock = counts.clock.map_or(String::new(), |clock| format!(", {clock} by this machine's clock"));
+    let late = counts.late.map_or(String::new(), |late| format!("{late} late, "));
+    let times = [("wake-up", &counts.wake_up), ("execution", &counts.execution), ("bridge", &of.bridge)];
     format!(
-        "session `{}`: {} periods {equal} {} cycles + {} skipped (longest run {}){clock}; {} late, {} records lost, {} allocations; {}; {}; {}",
+        "session `{}`: {} periods {equal} {} cycles + {} skipped (longest run {}){clock}; {late}{} dropped records, {} allocations{}",
         of.name,
-        of.elapsed,
-        of.cycles,
-        of.lost,
-        of.longest_lost,
-        of.late,
-        of.unrecorded,
+        counts.elapsed,
+        counts.cycles,
+        counts.lost,
+        counts.longest_lost,
+        counts.dropped_records,
         of.allocations.map_or("unwatched".to_string(), |count| count.to_string()),
-        us("wake", &of.wake),
-        us("work", &of.work),
-        us("bridge", &of.bridge),
+        times.into_iter().filter_map(|(what, times)| us(what, times)).collect::<String>(),
     )
 }

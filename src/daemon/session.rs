@@ -478,22 +478,11 @@ impl Session {
     }
 
     fn statistics(&self, outcome: &Outcome) -> SessionStatistics {
-        let summary = &outcome.summary;
-        let bridge = self.bridged.distribution();
         SessionStatistics {
             name: self.name.clone(),
-            elapsed: summary.elapsed,
-            cycles: summary.cycles,
-            lost: summary.lost,
-            longest_lost: summary.longest_lost,
-            clock: Some(summary.clock).filter(|&clock| clock > 0),
-            late: summary.late,
-            unrecorded: summary.unrecorded,
+            statistics: outcome.summary,
             allocations: outcome.allocations,
-            wake: summary.wake,
-            work: summary.work,
-            period: summary.period,
-            bridge,
+            bridge: self.bridged.distribution(),
             refusals: outcome.granted.refusals().map(str::to_string).collect(),
             end: match outcome.last_stop {
                 Some(reason) if outcome.end == End::Quit => format!("stopped: {reason}"),

@@ -13,17 +13,17 @@ pub(super) fn content_hash(dataset: &Dataset) -> String {
             Role::Identify => 0.0,
             Role::Validate => 1.0,
         });
-        number(run.period.unwrap_or(0.0));
+        number(run.data.period.unwrap_or(0.0));
         number(f64::from(run.session));
-        number(run.mounting.rho);
-        number(run.mounting.phi);
+        number(run.data.mounting.rho);
+        number(run.data.mounting.phi);
         number(run.samples() as f64);
         number(run.joints() as f64);
-        run.t.iter().copied().for_each(&mut number);
-        run.q.iter().copied().for_each(&mut number);
-        number(if run.dq.is_some() { 1.0 } else { 0.0 });
-        run.dq.iter().flat_map(|dq| dq.iter()).copied().for_each(&mut number);
-        run.tau.iter().copied().for_each(&mut number);
+        run.data.t.iter().copied().for_each(&mut number);
+        run.data.q.iter().copied().for_each(&mut number);
+        number(if run.data.dq.is_some() { 1.0 } else { 0.0 });
+        run.data.dq.iter().flat_map(|dq| dq.iter()).copied().for_each(&mut number);
+        run.data.tau.iter().copied().for_each(&mut number);
     }
     hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }

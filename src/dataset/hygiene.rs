@@ -26,11 +26,12 @@ pub struct Hygiene {
 
 impl Hygiene {
     pub(super) fn of(run: &Run) -> Hygiene {
-        let steps: Vec<f64> = run.t.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let steps: Vec<f64> = run.data.t.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let mut moving: Vec<f64> = steps.iter().copied().filter(|&step| step > 0.0).collect();
         moving.sort_by(f64::total_cmp);
         let dt = moving.get(moving.len() / 2).copied().unwrap_or(0.0);
-        let same = |k: usize| run.q.row(k) == run.q.row(k - 1) && run.tau.row(k) == run.tau.row(k - 1);
+        let same =
+            |k: usize| run.data.q.row(k) == run.data.q.row(k - 1) && run.data.tau.row(k) == run.data.tau.row(k - 1);
         Hygiene {
             samples: run.samples(),
             dt,
@@ -38,8 +39,8 @@ impl Hygiene {
             repeated_rows: (1..run.samples()).filter(|&k| same(k)).count(),
             gaps: moving.iter().filter(|&&step| step > 1.5 * dt).count(),
             longest_gap: moving.last().copied().unwrap_or(0.0),
-            q_quantum: run.q.column_iter().map(quantum).collect(),
-            tau_quantum: run.tau.column_iter().map(quantum).collect(),
+            q_quantum: run.data.q.column_iter().map(quantum).collect(),
+            tau_quantum: run.data.tau.column_iter().map(quantum).collect(),
         }
     }
 }

@@ -108,19 +108,24 @@ pub(super) fn read(dir: &Path) -> Result<Dataset, BadInput> {
         if let Some(first) = runs.first()
             && first.joints() != run.joints()
         {
-            let expected = format!("q1..q{}, the joints of {}", first.joints(), first.file);
-            let place = dir.join(&run.file).display().to_string();
+            let expected = format!("q1..q{}, the joints of {}", first.joints(), first.data.name);
+            let place = dir.join(&run.data.name).display().to_string();
             return Err(BadInput::new(place, "line 1, columns q", format!("q1..q{}", run.joints()), expected));
         }
-        if runs.iter().any(|other| other.file == run.file) {
-            return Err(BadInput::new(&file, format!("key `run[{index}].file`"), &run.file, "a file named only once"));
+        if runs.iter().any(|other| other.data.name == run.data.name) {
+            return Err(BadInput::new(
+                &file,
+                format!("key `run[{index}].file`"),
+                &run.data.name,
+                "a file named only once",
+            ));
         }
         runs.push(run);
     }
     let n = runs[0].joints();
     if let Some(gain) = gain(&file, &manifest.torque, n)? {
         for run in &mut runs {
-            for (mut column, &gain) in run.tau.column_iter_mut().zip(&gain) {
+            for (mut column, &gain) in run.data.tau.column_iter_mut().zip(&gain) {
                 column *= gain;
             }
         }
@@ -145,19 +150,16 @@ fn read_run(dir: &Path, file: &str, index: usize, entry: &RunEntry, shared: Moun
     if entry.session == 0 {
         return Err(BadInput::new(file, key("session"), entry.session, "a number from 1"));
     }
-    Ok(Run {
-        file: entry.file.clone(),
-        role: entry.role,
-        note: entry.note.clone(),
-        period: entry.period,
-        session: entry.session,
-        mounting: entry.mounting.map_or(Ok(shared), |own| mounting(file, &format!("run[{index}].mounting"), own))?,
+    let data = plumbline_identify::Run {
+        name: entry.file.clone(),
         t: columns.t,
         q: columns.q,
         dq: columns.dq,
         tau: columns.tau,
-        extra: columns.extra,
-    })
+        mounting: entry.mounting.map_or(Ok(shared), |own| mounting(file, &format!("run[{index}].mounting"), own))?,
+        period: entry.period,
+    };
+    Ok(Run { data, role: entry.role, note: entry.note.clone(), session: entry.session, extra: columns.extra })
 }
 
 fn mounting(file: &str, key: &str, angles: GravityAngles) -> Result<Mounting, BadInput> {

@@ -15,7 +15,6 @@ mod write;
 pub use hygiene::Hygiene;
 pub use manifest::Role;
 
-use nalgebra::DMatrix;
 use plumbline_core::BadInput;
 use plumbline_model::Mounting;
 use std::path::Path;
@@ -38,26 +37,14 @@ pub struct Dataset {
 /// One recorded motion: N samples of n joints.
 #[derive(Clone, Debug)]
 pub struct Run {
-    /// File name in the dataset's folder.
-    pub file: String,
+    /// What was measured: its name is that of the file in the dataset's folder, its time never decreases.
+    pub data: plumbline_identify::Run,
     /// What the run is for.
     pub role: Role,
     /// A remark, for people.
     pub note: String,
-    /// Period where the motion is periodic \[s\].
-    pub period: Option<f64>,
     /// Between sessions something about the arm may have changed; session 1 is the reference for the others.
     pub session: u32,
-    /// Mounting in this run.
-    pub mounting: Mounting,
-    /// Time of every sample; never decreases, may repeat \[s\].
-    pub t: Vec<f64>,
-    /// Measured joint position, N x n \[rad\].
-    pub q: DMatrix<f64>,
-    /// Measured joint velocity, N x n \[rad/s\].
-    pub dq: Option<DMatrix<f64>>,
-    /// Measured joint torque after the gain, N x n \[Nm\].
-    pub tau: DMatrix<f64>,
     /// Further columns by name, in the order of the file.
     pub extra: Vec<(String, Vec<f64>)>,
 }
@@ -123,19 +110,24 @@ impl Run {
     /// As [`Dataset::read`], for this file.
     pub fn read_csv(path: &Path, mounting: Mounting) -> Result<Run, BadInput> {
         let csv::Columns { t, q, dq, tau, extra } = csv::read(path, csv::Torque::Optional)?;
-        let file = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-        let (note, period) = (String::new(), None);
-        Ok(Run { file, role: Role::Validate, note, period, session: 1, mounting, t, q, dq, tau, extra })
+        let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        let data = plumbline_identify::Run { name, t, q, dq, tau, mounting, period: None };
+        Ok(Run { extra, ..Run::new(data, Role::Validate) })
+    }
+
+    /// A run of session 1 without a remark and further columns.
+    pub fn new(data: plumbline_identify::Run, role: Role) -> Run {
+        Run { data, role, note: String::new(), session: 1, extra: Vec::new() }
     }
 
     /// Number of samples, N.
     pub fn samples(&self) -> usize {
-        self.t.len()
+        self.data.samples()
     }
 
     /// Number of joints, n.
     pub fn joints(&self) -> usize {
-        self.q.ncols()
+        self.data.joints()
     }
 
     /// Repeats, gaps and resolution of the recording.

@@ -19,19 +19,19 @@ pub(super) fn write(dataset: &Dataset, dir: &Path) -> io::Result<()> {
     let manifest = toml::to_string(&describe(dataset)).map_err(io::Error::other)?;
     atomic::write_folder(dir, |aside| {
         fs::write(aside.join(FILE), manifest)?;
-        dataset.runs.iter().try_for_each(|run| write_run(run, &aside.join(&run.file)))
+        dataset.runs.iter().try_for_each(|run| write_run(run, &aside.join(&run.data.name)))
     })
 }
 
 fn describe(dataset: &Dataset) -> Manifest {
     let angles = |mounting: Mounting| GravityAngles { rho: mounting.rho, phi: mounting.phi };
     let entry = |run: &Run| RunEntry {
-        file: run.file.clone(),
+        file: run.data.name.clone(),
         role: run.role,
         note: run.note.clone(),
-        period: run.period,
+        period: run.data.period,
         session: run.session,
-        mounting: (run.mounting != dataset.mounting).then(|| angles(run.mounting)),
+        mounting: (run.data.mounting != dataset.mounting).then(|| angles(run.data.mounting)),
     };
     Manifest {
         name: dataset.name.clone(),
@@ -47,10 +47,10 @@ fn describe(dataset: &Dataset) -> Manifest {
 fn write_run(run: &Run, path: &Path) -> io::Result<()> {
     let n = run.joints();
     let mut header = vec!["t".to_string()];
-    let mut columns: Vec<&[f64]> = vec![&run.t];
-    let mut blocks = vec![("q", &run.q)];
-    blocks.extend(run.dq.as_ref().map(|dq| ("dq", dq)));
-    blocks.push(("tau", &run.tau));
+    let mut columns: Vec<&[f64]> = vec![&run.data.t];
+    let mut blocks = vec![("q", &run.data.q)];
+    blocks.extend(run.data.dq.as_ref().map(|dq| ("dq", dq)));
+    blocks.push(("tau", &run.data.tau));
     for (stem, block) in blocks {
         header.extend((1..=n).map(|joint| format!("{stem}{joint}")));
         columns.extend(block.as_slice().chunks_exact(run.samples()));

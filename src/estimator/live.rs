@@ -38,7 +38,6 @@ pub struct Offer {
 
 /// What `live.json` holds.
 #[derive(Default, Serialize)]
-#[serde(rename_all = "kebab-case")]
 struct Log {
     /// What error was usual when the model was identified, and from where on it is bad, per joint \[Nm\].
     usual: Vec<f64>,
@@ -49,7 +48,7 @@ struct Log {
 
 /// Something that happened, at a time of the arm's clock \[s\].
 #[derive(Serialize)]
-#[serde(tag = "event", rename_all = "kebab-case", rename_all_fields = "kebab-case")]
+#[serde(tag = "event", rename_all = "kebab-case")]
 enum Event {
     /// The served model does not hold any more.
     Lost { t: f64, since: f64, joint: usize, rms: f64, usual: f64 },
@@ -68,7 +67,6 @@ enum Event {
 /// Errors over a stretch, per joint \[Nm\]: of the model along the measured motion after the low-pass, and of the torque that was
 /// served, raw.
 #[derive(Serialize)]
-#[serde(rename_all = "kebab-case")]
 struct Stretch {
     start: f64,
     end: f64,
@@ -94,7 +92,6 @@ pub struct Live {
     joints: usize,
     robot: Robot,
     settings: Settings,
-    gravity: nalgebra::Vector3<f64>,
     mounting: Mounting,
     out: PathBuf,
     noise_floor: Vec<f64>,
@@ -127,7 +124,6 @@ impl Live {
             joints: robot.chain.len(),
             robot: robot.clone(),
             settings: Settings { rest: Some(REST), ..job.settings() },
-            gravity: job.mounting.gravity(),
             mounting: job.mounting,
             out: out.to_path_buf(),
             noise_floor: Vec::new(),
@@ -154,15 +150,7 @@ impl Live {
         run: &Run,
     ) -> Result<(), Failure> {
         let samples = run.samples().min((CALIBRATION / DT) as usize);
-        let part = Run {
-            period: None,
-            t: run.t[..samples].to_vec(),
-            q: run.q.rows(0, samples).into_owned(),
-            dq: run.dq.as_ref().map(|dq| dq.rows(0, samples).into_owned()),
-            tau: run.tau.rows(0, samples).into_owned(),
-            extra: Vec::new(),
-            ..run.clone()
-        };
+        let part = plumbline_identify::Run { period: None, ..run.data.part(0, samples) };
         let floor = Floor::of(model, &pipeline::experiment(&part, &self.settings)?);
         (self.log.usual, self.log.limit) = (floor.usual.clone(), floor.limit.clone());
         self.noise_floor = noise_floor.to_vec();
@@ -380,7 +368,7 @@ impl Live {
     /// Some of the buffer's samples as one motion; `None` where they are too few or the arm stands.
     fn prepared(&self, first: usize, end: usize) -> Option<Experiment> {
         let records: Vec<Record> = self.buffer.range(first..end).copied().collect();
-        let run = plumbline_identify::Run::from_records("live", &records, self.joints, self.gravity, None);
+        let run = plumbline_identify::Run::from_records("live", &records, self.joints, self.mounting, None);
         let experiment = Experiment::prepare(&run, &self.settings).ok()?;
         let resting = experiment.resting().iter().filter(|rests| **rests).count();
         (2 * resting < experiment.resting().len()).then_some(experiment)

@@ -197,7 +197,7 @@ fn take(
     mut recorded: Recorded,
 ) -> Result<Option<String>, Failure> {
     if !recorded.complete {
-        tracing::warn!("{} is incomplete and left out", recorded.run.file);
+        tracing::warn!("{} is incomplete and left out", recorded.run.data.name);
         return Ok(None);
     }
     let role = recorded.role;
@@ -251,16 +251,18 @@ fn as_measured(status: &Status, first: Option<Mounting>, recorded: &mut Recorded
         Some(own) => {
             let measured = Mounting { rho: own.rho, phi: own.phi };
             let unmoved = first.filter(|first| first.angle_to(&measured) <= SAME_BASE * own.std);
-            recorded.run.mounting = unmoved.unwrap_or(measured);
+            recorded.run.data.mounting = unmoved.unwrap_or(measured);
             tracing::info!(
                 "{}: gravity as measured, rho = {:.5}, phi = {:.5} rad, +- {:.2} mrad",
-                recorded.run.file,
+                recorded.run.data.name,
                 own.rho,
                 own.phi,
                 1e3 * own.std
             );
         }
-        None => tracing::warn!("{}: no inclinometer when it began; the declared mounting is taken", recorded.run.file),
+        None => {
+            tracing::warn!("{}: no inclinometer when it began; the declared mounting is taken", recorded.run.data.name)
+        }
     }
 }
 

@@ -71,14 +71,14 @@ fn measure(wake_ups: u64) -> Option<Distribution> {
 
 fn finding(delays: &Distribution, seconds: u64) -> Finding {
     let us = |ns: u64| ns as f64 / 1e3;
-    let class = Class::of(delays.max);
+    let class = Class::of(delays.max_ns);
     let found = format!(
         "{}: p50 {:.1}, p99 {:.1}, p99.9 {:.1}, max {:.1} us over {seconds} s",
         class.words(),
-        us(delays.p50),
-        us(delays.p99),
-        us(delays.p999),
-        us(delays.max)
+        us(delays.p50_ns),
+        us(delays.p99_ns),
+        us(delays.p999_ns),
+        us(delays.max_ns)
     );
     let (verdict, change) = match class {
         Class::Excellent | Class::Good => (Verdict::Fit, None),

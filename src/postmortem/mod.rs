@@ -3,6 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `story` | the facts, in order: decides from the recording alone |
+//! | `timing` | how the loop kept its time |
 //! | `advice` | what the operator does next |
 //! | `text` | the story for a terminal |
 //! | `page`, `plot` | the story as one HTML file |
@@ -14,6 +15,7 @@ mod plot;
 pub mod replay;
 pub mod story;
 mod text;
+mod timing;
 
 pub use page::page;
 pub use text::text;

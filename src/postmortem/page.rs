@@ -4,6 +4,7 @@ use super::story::{Joint, Story};
 use super::{plot, text};
 use crate::recording::Recording;
 use minijinja::{AutoEscape, Environment, Value, context};
+use plumbline_core::PERIOD;
 use std::io;
 
 const TEMPLATE: &str = include_str!("page.html");
@@ -17,6 +18,7 @@ pub fn page(story: &Story, recording: &Recording) -> io::Result<String> {
     environment.set_auto_escape_callback(|_| AutoEscape::Html);
     environment.add_template("page", TEMPLATE).map_err(io::Error::other)?;
     let focus = plot::focus(story);
+    let of = &story.timing.statistics;
     let page = context! {
         headline => story.headline(),
         calm => story.kind == "on-demand",
@@ -42,8 +44,8 @@ pub fn page(story: &Story, recording: &Recording) -> io::Result<String> {
         tracking_rows => rows(&story.tracking),
         torque_rows => rows(&story.torque),
         timing => context! {
-            cycles => story.timing.cycles, seconds => format!("{:.3}", story.timing.seconds), lost => story.timing.lost,
-            longest => story.timing.longest_lost, late => story.timing.late, simulated => story.timing.simulated,
+            cycles => of.cycles, seconds => format!("{:.3}", of.elapsed as f64 * PERIOD), lost => of.lost,
+            longest => of.longest_lost, late => of.late.unwrap_or(0), simulated => of.late.is_none(),
             rows => timing_rows(story),
             outliers => story.timing.outliers.iter().map(|one| context! {
                 before => format!("{:.3}", -one.before), cycle => one.cycle, text => &one.text,
@@ -90,11 +92,11 @@ fn tiles(story: &Story) -> Vec<Value> {
             tiles.push(tile(format!("{:.0}", 100.0 * share), "%", what, class));
         }
     }
-    let timing = &story.timing;
-    let class = if timing.lost > 0 { "bad" } else { "good" };
-    let late = if timing.simulated { "simulated time".to_string() } else { format!("{} late", timing.late) };
-    let what = format!("states, at most {} in a row; {late}, of {} cycles", timing.longest_lost, timing.cycles);
-    tiles.push(tile(timing.lost.to_string(), "lost", what, class));
+    let of = &story.timing.statistics;
+    let class = if of.lost > 0 { "bad" } else { "good" };
+    let late = of.late.map_or("simulated time".to_string(), |late| format!("{late} late"));
+    let what = format!("states, at most {} in a row; {late}, of {} cycles", of.longest_lost, of.cycles);
+    tiles.push(tile(of.lost.to_string(), "lost", what, class));
     tiles
 }
 
@@ -109,12 +111,8 @@ fn rows(joints: &[Joint]) -> Vec<Value> {
 }
 
 fn timing_rows(story: &Story) -> Vec<Value> {
-    let timing = &story.timing;
-    let all = [("period", timing.period_us), ("wake-up", timing.wake_us), ("work", timing.work_us)];
-    let known = all.into_iter().filter(|(name, values)| values[2] > 0.0 && !(timing.simulated && *name == "period"));
-    known
-        .map(|(name, [p50, p99, max])| {
-            context! { name, p50 => format!("{p50:.1}"), p99 => format!("{p99:.1}"), max => format!("{max:.1}") }
-        })
-        .collect()
+    let row = |(name, [p50, p99, _, max]): (&str, [f64; 4])| {
+        context! { name, p50 => format!("{p50:.1}"), p99 => format!("{p99:.1}"), max => format!("{max:.1}") }
+    };
+    story.timing.times().into_iter().map(row).collect()
 }

@@ -57,7 +57,6 @@ pub enum ReplayError {
 
 /// What came out.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct Replayed {
     /// First cycle that was run again.
     pub first: u64,

@@ -1,20 +1,20 @@
 //! The facts of a recording, in order. Times are seconds before the end of the recording, by the arm's own counter.
 
 use super::advice;
-use super::replay::{Replayed, is_simulated};
+use super::replay::Replayed;
+use super::timing::Timing;
 use crate::recording::Recording;
 use crate::recording::about::Given;
 use crate::recording::messages::{limit_name, words};
-use plumbline_core::{PERIOD, PERIOD_NS, Phase, Record};
+use plumbline_core::{PERIOD, Phase, Record};
 use plumbline_rt::{Event, Limit, StopReason, Told, Violation};
 use serde::Serialize;
 
 /// Most lines of the timeline and of the lists of outliers.
-const LINES: usize = 60;
+pub(super) const LINES: usize = 60;
 
 /// What happened.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct Story {
     /// The file.
     pub file: String,
@@ -60,7 +60,6 @@ pub struct Story {
 
 /// A limit that was crossed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct Crossing {
     /// Name of the limit.
     pub limit: String,
@@ -80,7 +79,6 @@ pub struct Crossing {
 
 /// A controlled stop.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct Stop {
     /// When it began \[s before the end\].
     pub before: f64,
@@ -124,45 +122,6 @@ pub struct Joint {
     pub share: f64,
 }
 
-/// Cycles and their times.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub struct Timing {
-    /// Cycles recorded.
-    pub cycles: u64,
-    /// Time that they span by the arm's counter \[s\].
-    pub seconds: f64,
-    /// Whether the arm's time is simulated, so that nothing below but lost states means anything.
-    pub simulated: bool,
-    /// States that never arrived.
-    pub lost: u64,
-    /// Longest run of them.
-    pub longest_lost: u64,
-    /// Cycles more than half a period late.
-    pub late: u64,
-    /// Median, 99th percentile and largest of the time from state to state \[us\].
-    pub period_us: [f64; 3],
-    /// The same of the loop's work.
-    pub work_us: [f64; 3],
-    /// The same of the wake-up; zero where the arm has no deadlines.
-    pub wake_us: [f64; 3],
-    /// Lost states and late cycles, oldest first.
-    pub outliers: Vec<Outlier>,
-    /// Outliers that are not listed.
-    pub more: usize,
-}
-
-/// A cycle that was not as it should be.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Outlier {
-    /// When \[s before the end\].
-    pub before: f64,
-    /// The cycle.
-    pub cycle: u64,
-    /// What was odd.
-    pub text: String,
-}
-
 /// Name of a phase, for people.
 pub fn phase_name(phase: Phase) -> &'static str {
     match phase {
@@ -200,7 +159,7 @@ impl Story {
         let before = Before::of(recording);
         let first_limit = first_limit(recording, &before);
         let stop = stop(recording, &before);
-        let timing = timing(recording, &before);
+        let timing = Timing::of(recording, &before);
         let short: String = about.job_sha256.chars().take(12).collect();
         let mut story = Story {
             file: file.to_string(),
@@ -416,52 +375,6 @@ fn tracking(recording: &Recording, before: &Before) -> Vec<Joint> {
 fn torque(recording: &Recording, before: &Before) -> Vec<Joint> {
     let limits = recording.about.settings.limits();
     worst(recording, before, |j| limits.tau[j], |_, record, j| record.state.tau[j])
-}
-
-/// Median, 99th percentile, largest \[us\] of values in ns.
-fn quantiles(mut values: Vec<u64>) -> [f64; 3] {
-    if values.is_empty() {
-        return [0.0; 3];
-    }
-    values.sort_unstable();
-    let at = |share: f64| values[((values.len() - 1) as f64 * share).round() as usize] as f64 / 1e3;
-    [at(0.5), at(0.99), at(1.0)]
-}
-
-fn timing(recording: &Recording, before: &Before) -> Timing {
-    let records = &recording.records;
-    let simulated = is_simulated(recording);
-    let mut timing = Timing { cycles: records.len() as u64, simulated, ..Timing::default() };
-    if let (Some(first), Some(last)) = (records.first(), records.last()) {
-        timing.seconds = last.state.seq.saturating_sub(first.state.seq).saturating_add(1) as f64 * PERIOD;
-    }
-    let mut periods = Vec::with_capacity(records.len());
-    let mut outliers = Vec::new();
-    for pair in records.windows(2).filter(|pair| pair[1].cycle == pair[0].cycle + 1) {
-        let (earlier, later) = (&pair[0], &pair[1]);
-        let gap = later.state.seq.saturating_sub(earlier.state.seq).max(1);
-        let period = later.stamp_ns.saturating_sub(earlier.stamp_ns);
-        periods.push(period / gap);
-        let mut odd = |text: String| {
-            outliers.push(Outlier { before: before.at(later.state.seq), cycle: later.cycle, text });
-        };
-        if gap > 1 {
-            timing.lost += gap - 1;
-            timing.longest_lost = timing.longest_lost.max(gap - 1);
-            odd(format!("{} states lost", gap - 1));
-        }
-        if !simulated && period > gap.saturating_mul(PERIOD_NS).saturating_add(PERIOD_NS / 2) {
-            timing.late += 1;
-            odd(format!("{:.2} ms after the one before", period as f64 / 1e6));
-        }
-    }
-    timing.period_us = quantiles(periods);
-    timing.work_us = quantiles(records.iter().map(|record| record.work_ns).filter(|&ns| ns > 0).collect());
-    timing.wake_us = quantiles(records.iter().map(|record| record.wake_ns).filter(|&ns| ns > 0).collect());
-    // The last ones matter most.
-    timing.more = outliers.len().saturating_sub(LINES);
-    timing.outliers = outliers.split_off(timing.more);
-    timing
 }
 
 fn gaps(recording: &Recording) -> Vec<String> {

@@ -1,7 +1,9 @@
 //! The story for a terminal.
 
 use super::replay::Replayed;
-use super::story::{Joint, Story, Timing};
+use super::story::{Joint, Story};
+use super::timing::Timing;
+use plumbline_core::{LoopStatistics, PERIOD};
 use std::fmt::Write;
 
 /// The story in lines of plain text.
@@ -61,19 +63,14 @@ fn worst(out: &mut String, title: &str, unit: &str, joints: &[Joint]) -> std::fm
 
 fn timing(out: &mut String, timing: &Timing) -> std::fmt::Result {
     writeln!(out, "\nTiming")?;
-    let Timing { cycles, seconds, lost, longest_lost, late, .. } = timing;
-    writeln!(
-        out,
-        "  {cycles} cycles in {seconds:.3} s, {lost} states lost (at most {longest_lost} in a row), {late} late"
-    )?;
-    if timing.simulated {
+    let LoopStatistics { elapsed, cycles, lost, longest_lost, late, .. } = timing.statistics;
+    let (seconds, late) = (elapsed as f64 * PERIOD, late.map_or(String::new(), |late| format!(", {late} late")));
+    writeln!(out, "  {cycles} cycles in {seconds:.3} s, {lost} states lost (at most {longest_lost} in a row){late}")?;
+    if timing.statistics.late.is_none() {
         writeln!(out, "  simulated time, as fast as possible: its periods mean nothing")?;
     }
-    for (name, values) in [("period", timing.period_us), ("wake-up", timing.wake_us), ("work", timing.work_us)] {
-        if values[2] > 0.0 && !(timing.simulated && name == "period") {
-            let [median, p99, most] = values;
-            writeln!(out, "  {name:<8} p50 {median:.1}  p99 {p99:.1}  max {most:.1} us")?;
-        }
+    for (name, [p50, p99, _, max]) in timing.times() {
+        writeln!(out, "  {name:<9} p50 {p50:.1}  p99 {p99:.1}  max {max:.1} us")?;
     }
     for outlier in &timing.outliers {
         writeln!(out, "  {:>8.3}  {:>8}  {}", -outlier.before, outlier.cycle, outlier.text)?;

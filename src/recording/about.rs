@@ -11,7 +11,6 @@ pub const FORMAT: u32 = 1;
 
 /// Where a recording comes from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct About {
     /// [`FORMAT`].
     pub format: u32,
@@ -106,7 +105,6 @@ pub fn panic_message(panic: &(dyn Any + Send)) -> String {
 
 /// A remark of the daemon: something that did not happen in the loop.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct Note {
     /// `CLOCK_MONOTONIC` \[ns\].
     pub stamp_ns: u64,
@@ -267,7 +265,6 @@ pub struct Handed {
 
 /// [`CycleSettings`], as data.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct Settings {
     q_min: JointVec,
     q_max: JointVec,

@@ -1,8 +1,9 @@
 //! `report.html`: figures formatted here, laid out by the template. minijinja escapes every text; only our own SVG goes in as it is.
 
 use super::summary::{self, Group, against_floor, digits, groups, mean};
-use super::{Band, Figures, GravityFacts, MotionGravityFacts, Quantiles, Report, diagnosis, plot};
+use super::{Band, Figures, GravityFacts, LoopReport, MotionGravityFacts, Report, diagnosis, plot};
 use minijinja::{AutoEscape, Environment, Value, context};
+use plumbline_ipc::Session;
 use std::io;
 
 const TEMPLATE: &str = include_str!("report.html");
@@ -35,8 +36,9 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
         runs => runs(figures),
         plan => plan(figures),
         gravity => report.gravity.as_ref().map(gravity),
-        cycle => report.cycle.as_ref().map(summary::cycle),
-        fast => report.cycle.as_ref().is_some_and(|cycle| cycle.pace == "fast"),
+        control_loop => report.control_loop.as_ref().map(summary::control_loop),
+        refusals => refusals(report),
+        fast => report.control_loop.as_ref().is_some_and(LoopReport::is_fast),
         sessions => sessions(report),
         links => links(report),
         durations => durations(report),
@@ -117,7 +119,7 @@ fn verdicts(report: &Report) -> Vec<Value> {
         tiles.push(tile(number(mean(&group.per_joint())), "Nm", what, None));
     }
     if let Some(ipc) = &report.ipc {
-        let lost = ipc.sent.abs_diff(ipc.received);
+        let lost = ipc.sent.abs_diff(ipc.counters.received);
         tiles.push(tile(lost.to_string(), "lost", format!("samples of {}", ipc.sent), Some(lost == 0)));
     }
     tiles
@@ -292,20 +294,30 @@ fn motions(report: &Report) -> Vec<Value> {
     report.motions.iter().map(row).collect()
 }
 
+fn sessions_of(report: &Report) -> &[Session] {
+    report.control_loop.as_ref().map_or(&[], |of| &of.sessions)
+}
+
 fn sessions(report: &Report) -> Vec<Value> {
     let known = |count: Option<u64>| count.map_or("-".to_string(), |count| count.to_string());
-    let row = |s: &super::SessionFacts| {
+    let row = |s: &Session| {
+        let of = &s.statistics;
         context! {
-            name => &s.name, cycles => s.cycles, elapsed => s.elapsed, lost => s.lost, longest => s.longest_lost,
-            late => known(s.late), records => s.records_lost, allocations => known(s.allocations), end => &s.end,
+            name => &s.name, cycles => of.cycles, elapsed => of.elapsed, lost => of.lost, longest => of.longest_lost,
+            late => known(of.late), records => of.dropped_records, allocations => known(s.allocations.map(u64::from)), end => &s.end,
         }
     };
-    report.sessions.iter().map(row).collect()
+    sessions_of(report).iter().map(row).collect()
+}
+
+fn refusals(report: &Report) -> Vec<String> {
+    let of = report.control_loop.as_ref();
+    of.map_or(Vec::new(), |of| of.refusals().into_iter().map(str::to_string).collect())
 }
 
 /// Connections over a network, one row each.
 fn links(report: &Report) -> Vec<Value> {
-    let row = |s: &super::SessionFacts| {
+    let row = |s: &Session| {
         let link = s.link.as_ref()?;
         let percent = |share: f64| format!("{:.2} %", 100.0 * share);
         let success =
@@ -317,39 +329,35 @@ fn links(report: &Report) -> Vec<Value> {
             limited => link.limited, success, gravity, compensates, fault => &link.fault,
         })
     };
-    report.sessions.iter().filter_map(row).collect()
+    sessions_of(report).iter().filter_map(row).collect()
 }
 
-/// Every duration that was measured, with its name; of the whole loop where the report has no sessions.
-fn durations_of(report: &Report) -> Vec<(String, Quantiles)> {
-    let named = |what: &str, session: &str, q: Option<Quantiles>| {
-        let name = if session.is_empty() { what.to_string() } else { format!("{what}, {session}") };
-        q.map(|q| (name, q))
-    };
+/// Every duration that was measured, with its name: median, 99th and 99.9th percentile and largest value \[us\].
+fn durations_of(report: &Report) -> Vec<(String, [f64; 4])> {
     let mut rows = Vec::new();
-    for s in &report.sessions {
-        let times = [("wake-up", s.wake_us), ("work", s.work_us), ("period", s.period_us), ("bridge", s.bridge_us)];
-        rows.extend(times.into_iter().filter_map(|(what, q)| named(what, &s.name, q)));
+    for s in sessions_of(report) {
+        let of = &s.statistics;
+        let mut times =
+            vec![("wake-up", of.wake_up), ("execution", of.execution), ("period", of.period), ("bridge", s.bridge)];
         if let Some(link) = &s.link {
-            let times = [
-                ("turnaround", link.turnaround_us),
-                ("wait in the socket", link.wake_us),
-                ("round trip", link.round_trip_us),
-                ("state to state", link.interval_us),
-            ];
-            rows.extend(times.into_iter().filter_map(|(what, q)| named(what, &s.name, q)));
+            times.extend([
+                ("turnaround", link.turnaround),
+                ("wait in the socket", link.wake),
+                ("round trip", link.round_trip),
+                ("state to state", link.interval),
+            ]);
         }
-    }
-    if let (true, Some(cycle)) = (rows.is_empty(), &report.cycle) {
-        let times = [("wake-up", cycle.wake_us), ("work", cycle.work_us)];
-        rows.extend(times.into_iter().filter_map(|(what, q)| named(what, "", q)));
+        rows.extend(
+            times.into_iter().filter_map(|(what, times)| Some((format!("{what}, {}", s.name), times.in_us()?))),
+        );
     }
     rows
 }
 
 fn durations(report: &Report) -> Vec<Value> {
-    let row = |(what, q): (String, Quantiles)| {
-        context! { what, p50 => digits(q.p50), p99 => digits(q.p99), p999 => digits(q.p999), max => digits(q.max) }
+    let row = |(what, times): (String, [f64; 4])| {
+        let [p50, p99, p999, max] = times.map(digits);
+        context! { what, p50, p99, p999, max }
     };
     durations_of(report).into_iter().map(row).collect()
 }

@@ -15,7 +15,7 @@ pub use consistency::{Consistency, Moved};
 pub use diagnosis::Diagnosis;
 pub use figures::Figures;
 pub use gravity::{GravityFacts, MotionGravityFacts};
-pub use timing::{IpcFacts, LinkFacts, LoopFacts, Quantiles, SessionFacts};
+pub use timing::{IpcReport, LoopReport};
 
 use crate::atomic;
 use plumbline_model::{Mounting, Parameter, TorqueModel};
@@ -67,13 +67,10 @@ pub struct Report {
     pub gravity: Option<GravityFacts>,
     /// How the real-time loop did; absent for recorded data.
     #[serde(default, rename = "loop", skip_serializing_if = "Option::is_none")]
-    pub cycle: Option<LoopFacts>,
-    /// The same for each connection to the arm.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub sessions: Vec<SessionFacts>,
+    pub control_loop: Option<LoopReport>,
     /// What went through shared memory; absent for recorded data.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub ipc: Option<IpcFacts>,
+    pub ipc: Option<IpcReport>,
     /// Where the numbers came from: dataset hash, version, date, configuration.
     #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
     pub provenance: serde_json::Map<String, serde_json::Value>,

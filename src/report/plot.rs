@@ -3,7 +3,6 @@
 //! Colours are names in disguise: each is drawn in one fixed tint, which the page's style sheet maps to a colour that suits light and
 //! dark (`report.html`, "plot colours").
 
-use super::Quantiles;
 use super::figures::{PlanFigure, TorqueFigure, thin};
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -202,10 +201,10 @@ pub(super) fn path(plan: &PlanFigure, axes: [usize; 2], names: [&str; 2]) -> Str
 
 /// Distributions of durations, one bar each on a logarithmic axis: from the median to the 99th percentile thick, on to the largest
 /// thin, with a dot at p50, p99, p99.9 and the largest. The tail of a latency is what matters.
-pub(super) fn quantiles(rows: &[(String, Quantiles)]) -> String {
+pub(super) fn quantiles(rows: &[(String, [f64; 4])]) -> String {
     // Below a tenth of a microsecond no clock tells durations apart.
     let at = |us: f64| us.max(0.1);
-    let marks = |q: &Quantiles| [q.p50, q.p99, q.p999, q.max].map(at);
+    let marks = |times: &[f64; 4]| times.map(at);
     let all: Vec<f64> = rows.iter().flat_map(|(_, q)| marks(q)).filter(|us| us.is_finite()).collect();
     let (Some(low), Some(high)) = (all.iter().copied().reduce(f64::min), all.iter().copied().reduce(f64::max)) else {
         return String::new();

@@ -1,6 +1,6 @@
 //! The few lines that say how a job went.
 
-use super::{Band, Base, CounterExperiment, LoopFacts, MotionUsage, Report, TermCount, Validation, diagnosis};
+use super::{Band, Base, CounterExperiment, LoopReport, MotionUsage, Report, TermCount, Validation, diagnosis};
 
 /// Share by which an RMS has to differ before one calls it changed. The scatter of an RMS over ten thousand samples is below 1 %.
 pub(super) const CHANGED: f64 = 0.05;
@@ -114,10 +114,10 @@ pub(super) fn without_diagnosis(report: &Report) -> Vec<String> {
     lines.extend(report.consistency.as_ref().map(|facts| facts.sentence()));
     lines.extend(report.counter_experiment.as_ref().map(|of| format!("counter-experiment: {}", counter(of))));
     lines.extend(report.gravity.as_ref().map(|facts| format!("gravity: {}", facts.sentence())));
-    lines.extend(report.cycle.as_ref().map(cycle));
+    lines.extend(report.control_loop.as_ref().map(control_loop));
     if let Some(ipc) = &report.ipc {
-        let verdict = if ipc.sent == ipc.received { "none missing" } else { "NOT EQUAL" };
-        lines.push(format!("samples: {} sent, {} received, {verdict}", ipc.sent, ipc.received));
+        let verdict = if ipc.sent == ipc.counters.received { "none missing" } else { "NOT EQUAL" };
+        lines.push(format!("samples: {} sent, {} received, {verdict}", ipc.sent, ipc.counters.received));
     }
     let names = |names: &[String]| names.join(", ");
     if let Some(estimator) = report.estimator.as_ref().filter(|of| of.name != "wls" || !of.settled) {
@@ -200,28 +200,26 @@ pub(super) fn counter(of: &CounterExperiment) -> String {
 }
 
 /// How the loop ran. Nothing is late where no clock paces it.
-pub(super) fn cycle(cycle: &LoopFacts) -> String {
-    let degraded = (!cycle.realtime.is_empty()).then(|| "degraded".to_string());
+pub(super) fn control_loop(of: &LoopReport) -> String {
+    let degraded = (!of.refusals().is_empty()).then(|| "degraded".to_string());
     let mut parts: Vec<String> = degraded.into_iter().collect();
-    parts.push(format!("{} cycles", cycle.cycles));
-    parts.extend(cycle.late.map(|late| format!("{late} late")));
-    parts.push(format!("{} lost", cycle.lost));
-    if cycle.records_lost > 0 {
-        parts.push(format!("{} records lost", cycle.records_lost));
+    parts.push(format!("{} cycles", of.cycles));
+    parts.extend(of.late.map(|late| format!("{late} late")));
+    parts.push(format!("{} lost", of.lost));
+    if of.dropped_records > 0 {
+        parts.push(format!("{} dropped records", of.dropped_records));
     }
-    parts.push(cycle.allocations.map_or("allocations not watched".into(), |count| format!("{count} allocations")));
-    for (what, quantiles) in [("wake-up", cycle.wake_us), ("work", cycle.work_us)] {
-        let three = |q: super::Quantiles| {
-            format!("{what} p50 {} p99 {} max {} us", digits(q.p50), digits(q.p99), digits(q.max))
-        };
-        parts.extend(quantiles.map(three));
+    parts.push(of.allocations().map_or("allocations not watched".into(), |count| format!("{count} allocations")));
+    if let Some(session) = of.longest() {
+        for (what, times) in [("wake-up", session.statistics.wake_up), ("execution", session.statistics.execution)] {
+            let three = |[p50, p99, _, max]: [f64; 4]| {
+                format!("{what} p50 {} p99 {} max {} us", digits(p50), digits(p99), digits(max))
+            };
+            parts.extend(times.in_us().map(three));
+        }
     }
-    format!("loop ({}): {}", pace(cycle), parts.join(", "))
-}
-
-/// The pace in words.
-pub(super) fn pace(cycle: &LoopFacts) -> &str {
-    if cycle.pace == "fast" { "simulated time, as fast as possible" } else { &cycle.pace }
+    let pace = if of.is_fast() { "simulated time, as fast as possible" } else { &of.pace };
+    format!("loop ({pace}): {}", parts.join(", "))
 }
 
 /// About three significant digits.

@@ -98,7 +98,7 @@ fn drives_on(place: &Place) {
     }
     let now = place.status().expect("an answer");
     assert!(now.cycles > begin + 500 && received > 500, "{begin} to {} cycles, {received} records", now.cycles);
-    assert_eq!((now.dropped, now.progress, now.stopped), (0, Progress::Driving, None));
+    assert_eq!((now.dropped_records, now.progress, now.stopped), (0, Progress::Driving, None));
     place.command("stop").expect_code(0);
     wait_for("the stop", || place.status().filter(|now| now.phase == Phase::Stopped));
 }

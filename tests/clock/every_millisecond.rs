@@ -77,30 +77,30 @@ fn every_millisecond_is_accounted_for_and_clients_follow() {
     let done = run.end().expect_code(0);
     let report = place.report();
     assert_eq!(report.base.count, 59);
-    let cycle = report.cycle.unwrap();
+    let cycle = report.control_loop.unwrap();
     assert_eq!(
-        (cycle.pace.as_str(), cycle.records_lost, cycle.allocations),
+        (cycle.pace.as_str(), cycle.dropped_records, cycle.allocations()),
         ("wall-clock", 0, Some(0)),
         "{}",
         done.said()
     );
-    let wake = cycle.wake_us.expect("wake-ups of the loop");
-    assert!(wake.p50 > 0.0 && wake.p50 <= wake.p99 && wake.p99 <= wake.p999 && wake.p999 <= wake.max, "{wake:?}");
-    assert!(cycle.work_us.is_some_and(|work| work.p50 > 0.0));
+    let longest = &cycle.longest().unwrap().statistics;
+    let wake = longest.wake_up.in_us().expect("wake-ups of the loop");
+    assert!(wake[0] > 0.0 && wake.is_sorted(), "{wake:?}");
+    assert!(longest.execution.p50_ns > 0);
     // Held until told to start, which may be at once, then driven for as long as the motions take; each of its milliseconds was either a cycle or is counted as lost.
-    assert_eq!(report.sessions.len(), 2);
-    let driven = &report.sessions[1];
-    assert!(driven.elapsed > 14_000 && driven.wake_us.is_some(), "{driven:?}");
-    for session in &report.sessions {
-        assert_eq!(session.elapsed, session.cycles + session.lost, "{session:?}");
+    assert_eq!(cycle.sessions.len(), 2);
+    let driven = &cycle.sessions[1].statistics;
+    assert!(driven.elapsed > 14_000 && driven.wake_up.count > 0, "{driven:?}");
+    for session in cycle.sessions.iter().map(|session| &session.statistics) {
         // By two clocks: the arm's counter and this machine's own.
-        assert!(session.accounted && session.clock == Some(session.elapsed), "{session:?}");
+        assert!(session.accounted() && session.clock == Some(session.elapsed), "{session:?}");
     }
     // Of the hold that follows, the report has what had passed when the daemon was asked.
-    let in_sessions: u64 = report.sessions.iter().map(|session| session.cycles).sum();
+    let in_sessions: u64 = cycle.sessions.iter().map(|session| session.statistics.cycles).sum();
     assert!((in_sessions..in_sessions + 2_000).contains(&cycle.cycles), "{in_sessions} {}", cycle.cycles);
     let ipc = report.ipc.unwrap();
-    assert_eq!((ipc.received, ipc.missed), (ipc.sent, 0), "{ipc:?}");
+    assert_eq!((ipc.counters.received, ipc.counters.missed), (ipc.sent, 0), "{ipc:?}");
     assert!(done.out.contains("loop (wall-clock): "), "{}", done.said());
     assert!(anyone_with(&place.id).is_empty(), "a process lingers");
 }

@@ -111,7 +111,7 @@ fn hold<T>(test: &str, beside: impl FnOnce(&Place) -> T, during: impl FnOnce(&Pl
 /// The numbers of [`account`], where the session kept its promises.
 fn checked(what: &str, done: &Done) -> Vec<f64> {
     let (line, numbers) = account(done);
-    // periods = cycles + skipped (longest run), clock; late, records lost, allocations; ...
+    // periods = cycles + skipped (longest run), clock; late, dropped records, allocations; ...
     let [periods, cycles, skipped, _, clock, _, lost, allocations] = numbers[..8] else { panic!("{line}") };
     assert_eq!((periods, clock), (cycles + skipped, periods), "{what}: {line}");
     assert_eq!((lost, allocations), (0.0, 0.0), "{what}: {line}");
@@ -155,9 +155,9 @@ fn nonsense(k: u64) -> Vec<u8> {
 
 /// What is compared, and where [`account`] has it.
 const COMPARED: [(&str, usize); 7] = [
-    ("work p50 \\[us\\]", 16),
-    ("work p99", 18),
-    ("work p99.9", 20),
+    ("execution p50 \\[us\\]", 16),
+    ("execution p99", 18),
+    ("execution p99.9", 20),
     ("wake-up p50 \\[us\\]", 9),
     ("wake-up p99", 11),
     ("wake-up p99.9", 13),

@@ -112,7 +112,10 @@ fn a_motion_runs_and_ends_as_the_protocol_wants_it_at_every_version_and_interfac
             assert!(statistics.commands > 300 && statistics.work.count == statistics.commands, "{statistics:?}");
             assert!(statistics.wake.count > 300 && statistics.interval.count > 300, "{statistics:?}");
             if interface == Interface::JointPosition {
-                assert!(statistics.round_trip.count > 50 && statistics.round_trip.p50 < 50_000_000, "{statistics:?}");
+                assert!(
+                    statistics.round_trip.count > 50 && statistics.round_trip.p50_ns < 50_000_000,
+                    "{statistics:?}"
+                );
                 assert!((end.q_d[0] - end.q[0]).abs() < 1e-6);
             }
             assert!(statistics.success_rate.min > 0.0 && statistics.success_rate.mean <= 1.0);

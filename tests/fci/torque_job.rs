@@ -15,8 +15,8 @@ fn scene(name: &str) -> (Emulator, Place, Command) {
     static NEXT: AtomicU8 = AtomicU8::new(1);
     let address: IpAddr =
         Ipv4Addr::new(127, 50, (std::process::id() % 250) as u8, NEXT.fetch_add(1, Ordering::Relaxed)).into();
-    // A test machine stalls now and then: this robot's time waits for it.
-    let patience = Duration::from_millis(20);
+    // A loaded test machine stalls the daemon: the robot's time waits for its commands.
+    let patience = Duration::from_millis(500);
     let settings = Settings { mounting: Mounting::WALL, patience, ..Settings::new(address, Protocol::V5) };
     let place = Place::new(name);
     let mut command = plumbline();
@@ -25,7 +25,8 @@ fn scene(name: &str) -> (Emulator, Place, Command) {
         format!("serve.id={}", place.id),
         format!("backend.franka.address={address}"),
         "backend.franka.interface=torque".into(),
-        "backend.franka.state-timeout=1 s".into(),
+        "backend.franka.state-timeout=2 s".into(),
+        "safety.max-lost=19".into(),
         "excitation.period=4 s".into(),
         "excitation.periods=2".into(),
         "excitation.starts=1".into(),

@@ -13,23 +13,25 @@ fn made_up(samples: usize, n: usize) -> Dataset {
     let mut block =
         || DMatrix::from_fn(samples, n, |_, _| rng.random_range(-1.0..1.0_f64) * 10f64.powi(rng.random_range(-9..9)));
     let mut run = |file: &str, role| Run {
-        file: file.to_string(),
+        data: plumbline_identify::Run {
+            name: file.to_string(),
+            t: (0..samples).map(|k| k as f64 * 1e-3).collect(),
+            q: block(),
+            dq: Some(block()),
+            tau: block(),
+            mounting: Mounting::WALL,
+            period: Some(0.01),
+        },
         role,
         note: "seeded, with \"quotes\"".to_string(),
-        period: Some(0.01),
         session: 1,
-        mounting: Mounting::WALL,
-        t: (0..samples).map(|k| k as f64 * 1e-3).collect(),
-        q: block(),
-        dq: Some(block()),
-        tau: block(),
         extra: vec![("tau_cmd1".to_string(), block().column(0).iter().copied().collect())],
     };
     let mut runs = vec![run("a.csv", Role::Identify), run("b.csv", Role::Validate)];
-    runs[1].mounting = Mounting::UPRIGHT;
+    runs[1].data.mounting = Mounting::UPRIGHT;
     runs[1].session = 2;
-    runs[1].period = None;
-    runs[1].dq = None;
+    runs[1].data.period = None;
+    runs[1].data.dq = None;
     let source = "origin = \"a seed\"".parse().unwrap();
     Dataset { name: "made-up".into(), robot: "panda".into(), mounting: Mounting::WALL, source, runs }
 }
@@ -44,9 +46,15 @@ fn what_is_written_reads_back_bit_by_bit() {
     assert_eq!((&read.name, &read.robot, &read.source), (&written.name, &written.robot, &written.source));
     assert_eq!(read.runs.len(), 2);
     for (a, b) in read.runs.iter().zip(&written.runs) {
-        assert_eq!((&a.file, a.role, &a.note, a.period, a.session), (&b.file, b.role, &b.note, b.period, b.session));
-        assert_eq!(a.mounting, b.mounting);
-        assert_eq!((&a.t, &a.q, &a.dq, &a.tau, &a.extra), (&b.t, &b.q, &b.dq, &b.tau, &b.extra));
+        assert_eq!(
+            (&a.data.name, a.role, &a.note, a.data.period, a.session),
+            (&b.data.name, b.role, &b.note, b.data.period, b.session)
+        );
+        assert_eq!(a.data.mounting, b.data.mounting);
+        assert_eq!(
+            (&a.data.t, &a.data.q, &a.data.dq, &a.data.tau, &a.extra),
+            (&b.data.t, &b.data.q, &b.data.dq, &b.data.tau, &b.extra)
+        );
     }
     assert_eq!(read.content_hash(), written.content_hash());
     assert_eq!(read.content_hash().len(), 64);
@@ -62,10 +70,10 @@ fn the_hash_follows_the_content_alone() {
     renamed.runs[0].note.clear();
     assert_eq!(renamed.content_hash(), base.content_hash());
     let changes: [fn(&mut Dataset); 5] = [
-        |set| set.runs[0].tau[(3, 1)] += 1e-9,
-        |set| set.runs[1].mounting = Mounting::CEILING,
+        |set| set.runs[0].data.tau[(3, 1)] += 1e-9,
+        |set| set.runs[1].data.mounting = Mounting::CEILING,
         |set| set.runs[0].role = Role::Validate,
-        |set| set.runs[0].dq = None,
+        |set| set.runs[0].data.dq = None,
         |set| set.runs.swap(0, 1),
     ];
     for change in changes {
@@ -155,13 +163,13 @@ fn runs_and_robot_agree_on_the_number_of_joints() {
 #[test]
 fn hygiene_counts_what_was_put_in() {
     let mut run = made_up(100, 2).runs.remove(0);
-    run.t[10] = run.t[9];
+    run.data.t[10] = run.data.t[9];
     for k in 50..100 {
-        run.t[k] += 0.02;
+        run.data.t[k] += 0.02;
     }
     for joint in 0..2 {
-        run.q[(31, joint)] = run.q[(30, joint)];
-        run.tau[(31, joint)] = run.tau[(30, joint)];
+        run.data.q[(31, joint)] = run.data.q[(30, joint)];
+        run.data.tau[(31, joint)] = run.data.tau[(30, joint)];
     }
     let found = run.hygiene();
     // The sample after the repeated one is two steps away from it: that is a gap as well.
@@ -191,11 +199,11 @@ fn the_measured_logs_load() {
         assert!(!set.source.is_empty());
         for run in &set.runs {
             let found = run.hygiene();
-            assert!(found.dt > 5e-4 && found.dt < 0.1, "{name} {}: {found:?}", run.file);
-            assert!(run.tau.iter().all(|tau| tau.abs() < 400.0));
+            assert!(found.dt > 5e-4 && found.dt < 0.1, "{name} {}: {found:?}", run.data.name);
+            assert!(run.data.tau.iter().all(|tau| tau.abs() < 400.0));
         }
     }
     // Currents become torques: the UR10e carries itself with tens of Nm, not with tens of A.
     let currents = Dataset::read(&data.join("ur10e-currents")).unwrap();
-    assert!(currents.runs[0].tau.column(1).amax() > 40.0);
+    assert!(currents.runs[0].data.tau.column(1).amax() > 40.0);
 }

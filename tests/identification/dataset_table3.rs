@@ -28,15 +28,15 @@ fn smooth(signal: &[f64], sigma: f64) -> Vec<f64> {
 
 /// Linear interpolation onto an even 1 ms grid.
 fn even(run: &Run, column: &[f64]) -> Vec<f64> {
-    let (first, last) = (run.t[0], run.t[run.t.len() - 1]);
+    let (first, last) = (run.data.t[0], run.data.t[run.data.t.len() - 1]);
     let mut k = 0;
     (0..((last - first) / 1e-3) as usize)
         .map(|step| {
             let t = first + step as f64 * 1e-3;
-            while run.t[k + 1] <= t {
+            while run.data.t[k + 1] <= t {
                 k += 1;
             }
-            let share = (t - run.t[k]) / (run.t[k + 1] - run.t[k]);
+            let share = (t - run.data.t[k]) / (run.data.t[k + 1] - run.data.t[k]);
             column[k] + share * (column[k + 1] - column[k])
         })
         .collect()
@@ -54,13 +54,13 @@ fn errors(model: &ModelFile, run: &Run) -> (JointVec, f64) {
     let columns = |block: &DMatrix<f64>| -> Vec<Vec<f64>> {
         block.column_iter().map(|column| even(run, column.clone_owned().as_slice())).collect()
     };
-    let q: Vec<_> = columns(&run.q).iter().map(|q| smooth(q, 33.0)).collect();
+    let q: Vec<_> = columns(&run.data.q).iter().map(|q| smooth(q, 33.0)).collect();
     let dq: Vec<_> = q.iter().map(|q| central(q)).collect();
     let ddq: Vec<_> = dq.iter().map(|dq| central(dq)).collect();
-    let tau = columns(&run.tau);
+    let tau = columns(&run.data.tau);
     let samples = q[0].len();
     let block = |from: &[Vec<f64>]| DMatrix::from_fn(samples, 7, |k, j| from[j][k]);
-    let gravity = run.mounting.gravity();
+    let gravity = run.data.mounting.gravity();
     let motion =
         Motion { dt: 1e-3, q: block(&q), dq: block(&dq), ddq: block(&ddq), gravity, periodic: false, start: 0.0 };
     let modelled = model.model.predict(&motion);

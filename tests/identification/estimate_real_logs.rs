@@ -36,7 +36,7 @@ fn read(folder: &std::path::Path, file: &str, gain: &[f64]) -> Run {
         dq: None,
         q: matrix("q"),
         tau,
-        gravity: Mounting::UPRIGHT.gravity(),
+        mounting: Mounting::UPRIGHT,
         period: None,
     }
 }

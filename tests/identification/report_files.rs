@@ -3,8 +3,8 @@
 use plumbline::report::figures::{PlanFigure, TorqueFigure};
 use plumbline::report::*;
 use plumbline::store::ModelFile;
-use plumbline_core::{Distribution, Workspace};
-use plumbline_ipc::{Gravity, Link, MotionGravity, Session};
+use plumbline_core::{Distribution, LoopStatistics, Workspace};
+use plumbline_ipc::{Gravity, Link, MotionGravity, Session, StreamCounters};
 use plumbline_model::term::effect::{Site, Spec};
 use plumbline_model::{Mounting, Reduction, Robot, Structure, TorqueModel};
 use rand::{Rng, SeedableRng};
@@ -69,18 +69,14 @@ fn report() -> Report {
             .to_vec(),
         estimator: None,
         gravity: None,
-        cycle: Some(LoopFacts {
+        control_loop: Some(LoopReport {
             pace: "wall-clock".into(),
             cycles: 131_072,
             late: Some(3),
-            allocations: Some(0),
-            wake_us: Some(Quantiles { p50: 28.0, p99: 69.0, p999: 337.0, max: 8871.0 }),
-            work_us: Some(Quantiles { p50: 6.1, p99: 14.0, p999: 31.0, max: 402.0 }),
-            realtime: vec!["SCHED_FIFO 80 granted; memory locked; the kernel is not PREEMPT_RT".into()],
-            ..LoopFacts::default()
+            sessions: ["wall", "upright"].map(session).to_vec(),
+            ..LoopReport::default()
         }),
-        sessions: ["wall", "upright"].map(|name| SessionFacts::of(&session(name), true)).to_vec(),
-        ipc: Some(IpcFacts { sent: 131_072, received: 131_072, replayed: 12, missed: 0 }),
+        ipc: Some(ipc(131_072, 131_072)),
         provenance,
         notes: Vec::new(),
     }
@@ -101,20 +97,34 @@ fn counter_experiment() -> CounterExperiment {
     }
 }
 
-/// A connection as the daemon describes it, times in ns.
+fn ipc(sent: u64, received: u64) -> IpcReport {
+    IpcReport { sent, counters: StreamCounters { received, ..StreamCounters::default() } }
+}
+
+/// A connection as the daemon describes it.
 fn session(name: &str) -> Session {
-    let times = |p50: u64| Distribution { count: 65_536, p50, p99: 3 * p50, p999: 12 * p50, max: 300 * p50 };
-    Session {
-        name: name.into(),
+    let times = |p50_ns: u64| Distribution {
+        count: 65_536,
+        p50_ns,
+        p99_ns: 3 * p50_ns,
+        p999_ns: 12 * p50_ns,
+        max_ns: 300 * p50_ns,
+    };
+    let statistics = LoopStatistics {
         elapsed: 65_537,
         cycles: 65_536,
         lost: 1,
         longest_lost: 1,
-        late: 3,
-        allocations: Some(0),
-        wake: times(28_000),
-        work: times(6_100),
+        late: Some(3),
+        wake_up: times(28_000),
+        execution: times(6_100),
         period: times(1_000_000),
+        ..LoopStatistics::default()
+    };
+    Session {
+        name: name.into(),
+        statistics,
+        allocations: Some(0),
         bridge: times(600_000),
         refusals: vec!["CPU 1 is not isolated".into()],
         end: "ended on request, at rest".into(),
@@ -189,9 +199,9 @@ fn the_json_has_the_promised_shape_and_reads_back() {
         json["identifiability"]["not_identifiable"].is_array() && json["identifiability"]["untrusted_runs"].is_array()
     );
     assert!(json.get("diagnosis").is_none());
-    assert_eq!(json["loop"]["wake_us"]["p99"], 69.0);
+    assert_eq!(json["loop"]["cycles"], 131_072);
     assert_eq!(json["band"]["kind"], "raw");
-    assert_eq!(json["sessions"][1]["wake_us"]["p50"], 28.0);
+    assert_eq!(json["loop"]["sessions"][1]["wake_up"]["p50_ns"], 28_000);
     let mut keys = Vec::new();
     keys_of(&json, &mut keys);
     // `provenance` may hold any name that a caller gives; all of ours are words with underscores.
@@ -216,15 +226,14 @@ fn keys_of(json: &serde_json::Value, keys: &mut Vec<String>) {
 
 #[test]
 fn a_session_without_a_clock_has_no_lateness() {
-    let facts = SessionFacts::of(&session("wall"), false);
-    assert_eq!((facts.late, facts.wake_us, facts.period_us), (None, None, None));
-    assert_eq!((facts.lost, facts.longest_lost, facts.work_us.unwrap().max), (1, 1, 1830.0));
-    assert_eq!(Quantiles::of(&Distribution::default()), None);
+    assert_eq!(Distribution::default().in_us(), None);
 
     let mut report = report();
-    let cycle = report.cycle.as_mut().unwrap();
-    (cycle.pace, cycle.late, cycle.wake_us, cycle.allocations) = ("fast".into(), None, None, None);
-    report.sessions = vec![facts];
+    let mut fast = session("wall");
+    let statistics = &mut fast.statistics;
+    (statistics.late, statistics.wake_up, fast.allocations) = (None, Distribution::default(), None);
+    let of = report.control_loop.as_mut().unwrap();
+    (of.pace, of.late, of.sessions) = ("fast".into(), None, vec![fast]);
     let said = report.summary().join("\n");
     assert!(said.contains("as fast as possible") && said.contains("allocations not watched"), "{said}");
     let page = report.to_html(&Figures::default()).unwrap();
@@ -312,14 +321,14 @@ fn the_summary_says_what_the_job_promises() {
         "RMS upright [Nm], 5 unseen runs: ",
         "of the noise floor",
         "RMS wall [Nm], served feed-forward: ",
-        "wake-up p50 28.0 p99 69.0 max 8871 us",
+        "wake-up p50 28.0 p99 84.0 max 8400 us",
         "131072 cycles, 3 late, 0 lost",
         "131072 sent, 131072 received, none missing",
     ];
     for expected in lines {
         assert!(said.contains(expected), "no `{expected}` in\n{said}");
     }
-    report.ipc = Some(IpcFacts { sent: 10, received: 9, ..IpcFacts::default() });
+    report.ipc = Some(ipc(10, 9));
     report.identifiability.untrusted_runs = vec!["wall.csv".into()];
     let said = report.summary().join("\n");
     assert!(said.contains("10 sent, 9 received, NOT EQUAL") && said.contains("can't vouch for: wall.csv"), "{said}");
@@ -361,9 +370,9 @@ fn text_from_files_is_escaped() {
     report.base.parameters[0].expression = evil.into();
     report.notes = vec![evil.into()];
     report.counter_experiment.as_mut().unwrap().refusal = evil.into();
-    report.sessions[0].name = evil.into();
+    report.control_loop.as_mut().unwrap().sessions[0].name = evil.into();
     report.provenance.insert(evil.into(), evil.into());
-    report.cycle.as_mut().unwrap().realtime = vec![evil.into()];
+    report.control_loop.as_mut().unwrap().sessions[0].refusals = vec![evil.into()];
     let mut figures = figures(100);
     figures.runs[0].title = evil.into();
     let page = report.to_html(&figures).unwrap();

@@ -31,19 +31,7 @@ fn write(dir: &Path, seed: u64, added: impl Fn(usize, f64, &[f64], &mut [f64])) 
                 tau.iter().enumerate().for_each(|(j, tau)| run.tau[(row, j)] += tau);
             }
         }
-        runs.push(Run {
-            file: name,
-            role,
-            note: String::new(),
-            period: run.period,
-            session: 1,
-            mounting: Mounting::WALL,
-            t: run.t,
-            q: run.q,
-            dq: None,
-            tau: run.tau,
-            extra: Vec::new(),
-        });
+        runs.push(Run::new(plumbline_identify::Run { name, ..run }, role));
     }
     let source = toml::Table::new();
     let dataset = Dataset { name: "test".into(), robot: "panda".into(), mounting: Mounting::WALL, source, runs };

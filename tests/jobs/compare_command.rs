@@ -34,19 +34,8 @@ fn record(more: &str, mounting: Mounting, runs: [usize; 2], free: bool, seed: u6
             let noise = Noise { coloured: 0.05 };
             let periods = if free { 2 } else { 4 };
             let run = period(&chain, &arm, plan, mounting, &name).record(&arm, periods, noise, seed + k as u64);
-            recorded.push(Run {
-                file: name,
-                role,
-                note: String::new(),
-                period: run.period.filter(|_| !free),
-                session: 1,
-                mounting,
-                t: run.t,
-                q: run.q,
-                dq: None,
-                tau: run.tau,
-                extra: Vec::new(),
-            });
+            let period = run.period.filter(|_| !free);
+            recorded.push(Run::new(plumbline_identify::Run { name, period, ..run }, role));
         }
     }
     recorded
@@ -125,7 +114,10 @@ fn diagnose_compares_later_sessions_with_the_first() {
     let dir = place.path();
     let path = |name: &str| dir.join(name).display().to_string();
     let later = record(PAYLOAD, Mounting::WALL, [1, 1], false, 107).into_iter();
-    let later = later.map(|run| Run { file: format!("later-{}", run.file), session: 2, ..run });
+    let later = later.map(|mut run| {
+        run.data.name = format!("later-{}", run.data.name);
+        Run { session: 2, ..run }
+    });
     let runs = record("", Mounting::WALL, [2, 1], false, 7).into_iter().chain(later).collect();
     dataset(Mounting::WALL, runs).write(&dir.join("data")).unwrap();
     let printed = succeed(&["diagnose", &path("data"), "--out", &path("out")]);

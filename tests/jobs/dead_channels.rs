@@ -43,27 +43,27 @@ fn a_channel_that_does_not_vary_is_named() {
     model(&scene, &stored);
     type Spoil = fn(&mut Run, usize);
     let cases: [(&str, Spoil, &[&str]); 5] = [
-        ("all torques zero", |run, _| run.tau.fill(0.0), &["a.csv", "column tau1", "got 0 in all", "joint 1"]),
+        ("all torques zero", |run, _| run.data.tau.fill(0.0), &["a.csv", "column tau1", "got 0 in all", "joint 1"]),
         (
             "one torque zero in one run",
             |run, index| {
                 if index == 1 {
-                    run.tau.column_mut(2).fill(0.0)
+                    run.data.tau.column_mut(2).fill(0.0)
                 }
             },
             &["b.csv", "column tau3", "got 0 in all", "torque sensor of joint 3"],
         ),
         (
             "one torque constant",
-            |run, _| run.tau.column_mut(3).fill(1.5),
+            |run, _| run.data.tau.column_mut(3).fill(1.5),
             &["a.csv", "column tau4", "got 1.5 in all", "torque sensor of joint 4"],
         ),
         (
             "one position constant",
-            |run, _| run.q.column_mut(1).fill(-0.25),
+            |run, _| run.data.q.column_mut(1).fill(-0.25),
             &["a.csv", "column q2", "got -0.25 in all", "encoder of joint 2"],
         ),
-        ("all positions constant", |run, _| run.q.fill(0.5), &["a.csv", "column q1", "got 0.5 in all", "joint 1"]),
+        ("all positions constant", |run, _| run.data.q.fill(0.5), &["a.csv", "column q1", "got 0.5 in all", "joint 1"]),
     ];
     for (name, spoil, parts) in cases {
         for periodic in [true, false] {
@@ -90,7 +90,7 @@ fn a_channel_that_does_not_vary_is_named() {
     // A joint that stands in one run and moves in another is no fault, nor is an unseen run of an arm at rest.
     let standing = |run: &mut Run, index: usize| {
         if index == 1 {
-            run.q.column_mut(6).fill(0.5)
+            run.data.q.column_mut(6).fill(0.5)
         }
     };
     let data = dataset(&scene, place.path().join("standing"), true, standing);

@@ -62,10 +62,10 @@ fn a_guard_stop_in_mid_motion() {
     let file = recording(&place);
     assert!(done.err.contains(&format!("plumbline postmortem {}", file.display())), "{}", done.said());
     let story = story(&file);
-    assert_eq!((story["kind"].as_str(), story["first-limit"]["limit"].as_str()), (Some("guard"), Some("tracking")));
+    assert_eq!((story["kind"].as_str(), story["first_limit"]["limit"].as_str()), (Some("guard"), Some("tracking")));
     assert!(story["during"].as_str().unwrap().contains("identify-wall"), "{story}");
     assert_eq!(
-        (story["stop"]["at-rest"].as_bool(), story["replay"]["from-the-start"].as_bool()),
+        (story["stop"]["at_rest"].as_bool(), story["replay"]["from_the_start"].as_bool()),
         (Some(true), Some(false))
     );
     assert!(story["stop"]["seconds"].as_f64().unwrap() < 1.0);
@@ -78,8 +78,8 @@ fn a_guard_stop_in_mid_motion() {
             && place_of("is being stopped") < place_of("at rest")
     );
     assert!(story["next"].as_array().unwrap().iter().any(|step| step.as_str().unwrap().contains("command resume")));
-    let before = story["first-limit"]["before"].as_f64().unwrap();
-    let seconds = story["timing"]["seconds"].as_f64().unwrap();
+    let before = story["first_limit"]["before"].as_f64().unwrap();
+    let seconds = story["timing"]["elapsed"].as_u64().unwrap() as f64 * 1e-3;
     assert!((seconds - 1.0 - before).abs() < 0.005, "one second before the fault, and the stop: {seconds} {before}");
 
     // What plumbline wrote, it also takes as a run.
@@ -88,7 +88,7 @@ fn a_guard_stop_in_mid_motion() {
     std::fs::copy(&file, data.join("run.mcap")).unwrap();
     let run = plumbline::dataset::Run::read_csv(&data.join("run.mcap"), plumbline_model::Mounting::WALL).unwrap();
     let cycles = Recording::read(&file).unwrap().records.len();
-    assert_eq!((run.samples(), run.joints(), run.tau.ncols()), (cycles, 7, 7));
+    assert_eq!((run.samples(), run.joints(), run.data.tau.ncols()), (cycles, 7, 7));
 
     // Other people's reader finds every message.
     if let Some(python) = peers::interpreter_in("flight", &["mcap-ros2-support==0.5.*"]) {

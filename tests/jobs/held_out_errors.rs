@@ -116,19 +116,14 @@ fn record(folder: &Path) -> (Dataset, usize) {
         let recorded = period.record(&truth, PERIODS, Noise { coloured: 0.02 }, 40 + number as u64);
         let rows: Vec<usize> = (0..recorded.t.len()).step_by(EVERY).collect();
         samples = period.q.nrows() / EVERY;
-        runs.push(Run {
-            file: format!("run-{}.csv", number + 1),
-            role,
-            note: String::new(),
-            period: Some(period.seconds),
-            session: 1,
-            mounting,
+        let data = plumbline_identify::Run {
+            name: format!("run-{}.csv", number + 1),
             t: rows.iter().map(|&k| recorded.t[k]).collect(),
             q: recorded.q.select_rows(&rows),
-            dq: None,
             tau: recorded.tau.select_rows(&rows),
-            extra: Vec::new(),
-        });
+            ..recorded
+        };
+        runs.push(Run::new(data, role));
     }
     let dataset =
         Dataset { name: "undeclared".into(), robot: "panda".into(), mounting, source: toml::Table::new(), runs };

@@ -48,9 +48,9 @@ fn a_killed_estimator_is_replaced_and_nothing_is_lost() {
 
     let report = place.report();
     let ipc = report.ipc.unwrap();
-    assert_eq!((ipc.received, ipc.missed), (ipc.sent, 0), "{ipc:?}");
-    assert!(ipc.replayed > 0, "a successor has to ask for what it never saw: {ipc:?}");
-    assert_eq!((report.base.count, report.cycle.unwrap().lost), (59, 0));
+    assert_eq!((ipc.counters.received, ipc.counters.missed), (ipc.sent, 0), "{ipc:?}");
+    assert!(ipc.counters.replayed > 0, "a successor has to ask for what it never saw: {ipc:?}");
+    assert_eq!((report.base.count, report.control_loop.unwrap().lost), (59, 0));
     // Both say so: the daemon with its rule, the job with what it did about it.
     assert!(done.err.contains(&format!("estimator (process {estimator}) died after")), "{}", done.said());
     assert!(done.err.contains("by safety.on-estimator-loss, the arm "), "{}", done.said());
@@ -133,7 +133,7 @@ fn a_killed_daemon_ends_the_run_and_the_next_one_is_clean() {
 
     place.run(&short(&[])).expect_code(0);
     let ipc = place.report().ipc.unwrap();
-    assert_eq!((ipc.received, ipc.missed), (ipc.sent, 0), "{ipc:?}");
+    assert_eq!((ipc.counters.received, ipc.counters.missed), (ipc.sent, 0), "{ipc:?}");
     nobody_lingers(&place);
 }
 

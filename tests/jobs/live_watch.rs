@@ -35,7 +35,7 @@ fn served(log: &Value, from: f64, to: f64) -> f64 {
     let stretches = log["stretches"].as_array().unwrap().iter();
     let within = stretches.filter(|one| one["start"].as_f64().unwrap() >= from && one["end"].as_f64().unwrap() <= to);
     let worst: Vec<f64> = within
-        .map(|one| one["served-rms"].as_array().unwrap().iter().map(|rms| rms.as_f64().unwrap()).fold(0.0, f64::max))
+        .map(|one| one["served_rms"].as_array().unwrap().iter().map(|rms| rms.as_f64().unwrap()).fold(0.0, f64::max))
         .collect();
     assert!(worst.len() >= 3, "{} stretches from {from} s to {to} s", worst.len());
     mean(&worst)
@@ -77,8 +77,8 @@ fn it_finds_the_payload_and_the_served_torque_recovers() {
     assert!(during > 1.0 && before < 0.3 && after < 1.3 * before, "{before} {during} {after}");
     assert!(done.out.contains("live: since") && done.out.contains("payload (mass 0.7"), "{}", done.said());
     // The loop was not disturbed by any of it.
-    let cycle = place.report().cycle.unwrap();
-    assert_eq!((cycle.lost, cycle.records_lost, cycle.allocations), (0, 0, Some(0)));
+    let cycle = place.report().control_loop.unwrap();
+    assert_eq!((cycle.lost, cycle.dropped_records, cycle.allocations()), (0, 0, Some(0)));
     assert!(place.out().join("model-live.toml").is_file());
 }
 

@@ -105,12 +105,12 @@ fn finds_the_truth(report: &Report) {
 }
 
 fn served_what_it_identified(report: &Report) {
-    let (ipc, cycle) = (report.ipc.unwrap(), report.cycle.as_ref().unwrap());
+    let (ipc, cycle) = (report.ipc.unwrap(), report.control_loop.as_ref().unwrap());
     assert!(ipc.sent > 60_000, "{ipc:?}");
-    assert_eq!((ipc.sent, ipc.missed), (ipc.received, 0), "{ipc:?}");
+    assert_eq!((ipc.sent, ipc.counters.missed), (ipc.counters.received, 0), "{ipc:?}");
     assert_eq!(ipc.sent, cycle.cycles);
-    assert_eq!((cycle.lost, cycle.records_lost, cycle.allocations, cycle.late), (0, 0, Some(0), None));
-    assert_eq!(report.sessions.len(), 2);
+    assert_eq!((cycle.lost, cycle.dropped_records, cycle.allocations(), cycle.late), (0, 0, Some(0), None));
+    assert_eq!(cycle.sessions.len(), 2);
     for run in &report.validate {
         // Served along the desired motion, judged along the measured one: they differ by the tracking error of a fast motion.
         let served = run.served_rms.as_ref().unwrap_or_else(|| panic!("nothing was served in {}", run.run));

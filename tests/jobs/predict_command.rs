@@ -128,7 +128,7 @@ fn the_file_has_the_errors_that_the_program_prints() {
     assert_eq!(rows.len(), run.samples());
     for (j, printed) in printed.iter().enumerate() {
         let inside = || rows.iter().enumerate().filter(|(_, row)| !row.at_end);
-        let square: f64 = inside().map(|(k, row)| (row.tau[j] - run.tau[(k, j)]).powi(2)).sum();
+        let square: f64 = inside().map(|(k, row)| (row.tau[j] - run.data.tau[(k, j)]).powi(2)).sum();
         let of_file = (square / inside().count() as f64).sqrt();
         println!("joint {}: {of_file:.3} Nm in the file, {printed} printed", j + 1);
         // The program counts samples of the even grid, the file those of the recording.

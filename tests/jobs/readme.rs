@@ -3,7 +3,7 @@
 use plumbline_testkit::job::*;
 
 /// Figures that a faster or busier machine changes: of these lines, what follows the word.
-const OF_THE_MACHINE: [(&str, &str); 1] = [("loop (simulated time", "work")];
+const OF_THE_MACHINE: [(&str, &str); 1] = [("loop (simulated time", "execution")];
 
 /// The first indented block after a heading, without its indentation.
 fn block(text: &str, heading: &str) -> Vec<String> {
@@ -72,7 +72,7 @@ fn other_words_and_other_numbers_are_seen() {
     assert!(!says_the_same(shown, "RMS roof [Nm], 5 unseen runs: 0.152 [0.151 0.152]"));
     assert!(!says_the_same(shown, "RMS wall [Nm], 5 unseen runs: 0.152 [0.151 0.152"));
     let cycles =
-        "loop (simulated time, as fast as possible): 799820 cycles, 0 lost, work p50 0.736 p99 3.78 max 5212 us";
+        "loop (simulated time, as fast as possible): 799820 cycles, 0 lost, execution p50 0.736 p99 3.78 max 5212 us";
     assert!(says_the_same(cycles, &cycles.replace("5212", "1.2").replace("0.736", "20").replace("799820", "790000")));
     assert!(!says_the_same(cycles, &cycles.replace("0 lost", "1 lost")));
 }

@@ -9,13 +9,21 @@ pub struct Distribution {
     /// Number of values.
     pub count: u64,
     /// Median.
-    pub p50: u64,
+    pub p50_ns: u64,
     /// 99th percentile.
-    pub p99: u64,
+    pub p99_ns: u64,
     /// 99.9th percentile.
-    pub p999: u64,
+    pub p999_ns: u64,
     /// Largest value, exact.
-    pub max: u64,
+    pub max_ns: u64,
+}
+
+impl Distribution {
+    /// Median, 99th and 99.9th percentile and largest value \[us\]; `None` when nothing was measured.
+    pub fn in_us(&self) -> Option<[f64; 4]> {
+        let all = [self.p50_ns, self.p99_ns, self.p999_ns, self.max_ns];
+        (self.count > 0).then(|| all.map(|ns| ns as f64 / 1e3))
+    }
 }
 
 /// Longer durations count as this one in the percentiles.
@@ -68,7 +76,7 @@ impl Histogram {
             });
             reached.position(|reached| reached).map_or(max, |place| end_of(place).min(max))
         };
-        Distribution { count, p50: at(0.5), p99: at(0.99), p999: at(0.999), max }
+        Distribution { count, p50_ns: at(0.5), p99_ns: at(0.99), p999_ns: at(0.999), max_ns: max }
     }
 }
 
@@ -118,7 +126,13 @@ mod tests {
                 max = max.max(ns);
             }
             let at = |share| reference.value_at_quantile(share).min(max);
-            let expected = Distribution { count: reference.len(), p50: at(0.5), p99: at(0.99), p999: at(0.999), max };
+            let expected = Distribution {
+                count: reference.len(),
+                p50_ns: at(0.5),
+                p99_ns: at(0.99),
+                p999_ns: at(0.999),
+                max_ns: max,
+            };
             assert_eq!(histogram.distribution(), expected, "{case}");
         }
         assert_eq!(Histogram::default().distribution(), Distribution::default());

@@ -7,7 +7,7 @@
 //! | limits of an arm | [`Limits`], [`SpeedEnvelope`], [`Workspace`] |
 //! | interfaces of the loop | [`Backend`], [`Reference`], [`FeedForward`], [`Kinematics`], [`Sink`], [`Clock`], [`Fault`] |
 //! | bad input: file, place, value, expectation | [`BadInput`], [`from_toml`] |
-//! | histogram of durations and its percentiles | [`Histogram`], [`Distribution`] |
+//! | histogram of durations and its percentiles, counts of the loop | [`Histogram`], [`Distribution`], [`LoopStatistics`] |
 //! | decompositions with a bound on their iterations | [`svd`], [`singular_values`], [`symmetric_eigen`] |
 //! | work on all processors | [`parallel()`], [`threads`] |
 //!
@@ -31,6 +31,7 @@ mod histogram;
 mod input;
 mod joint;
 mod parallel;
+mod statistics;
 mod traits;
 
 pub use decomposition::{singular_values, svd, symmetric_eigen};
@@ -40,4 +41,5 @@ pub use joint::{
     Command, JointVec, Limits, MAX_JOINTS, Phase, Record, Setpoint, SpeedEnvelope, State, Torque, Validity, Workspace,
 };
 pub use parallel::{parallel, threads};
+pub use statistics::LoopStatistics;
 pub use traits::{Backend, Clock, Fault, FeedForward, Kinematics, LONGEST_ALONE, PERIOD, PERIOD_NS, Reference, Sink};

@@ -187,7 +187,7 @@ impl Experiment {
         let usual = quiet.clamp(usual_judged, CUTOFF_OF_MEAN);
         let differentiator = |usual: f64| {
             let cutoff = settings.position_cutoff.unwrap_or(usual).min(WIDEST * rate / 2.0);
-            Differentiator::new(settings.order, cutoff, settings.derivative, periodic, dt, run.gravity)
+            Differentiator::new(settings.order, cutoff, settings.derivative, periodic, dt, run.mounting.gravity())
         };
         let (judging, differentiator) = (differentiator(usual_judged)?, differentiator(usual)?);
 
@@ -391,14 +391,13 @@ fn noise_of_one(x: &[f64], order: usize, rate: f64) -> Result<f64, SignalError> 
 mod tests {
     use super::*;
     use crate::Derivative;
-    use nalgebra::Vector3;
 
     fn run(period: Option<f64>, seconds: f64) -> Run {
         let count = (seconds * 1000.0) as usize + 1;
         let t: Vec<f64> = (0..count).map(|k| k as f64 * 1e-3).collect();
         let q = DMatrix::from_fn(count, 2, |k, j| (PI * t[k] * (j + 1) as f64).sin());
         let tau = q.map(|q| 3.0 * q);
-        Run { name: "test".into(), t, dq: None, q, tau, gravity: Vector3::new(0.0, 0.0, -9.81), period }
+        Run { name: "test".into(), t, dq: None, q, tau, mounting: plumbline_model::Mounting::UPRIGHT, period }
     }
 
     #[test]

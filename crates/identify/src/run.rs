@@ -1,7 +1,8 @@
 //! One run as it was measured.
 
-use nalgebra::{DMatrix, Vector3};
+use nalgebra::DMatrix;
 use plumbline_core::Record;
+use plumbline_model::Mounting;
 
 /// Samples of one run, as they came: sampling may be uneven, samples may be missing or repeated.
 #[derive(Clone, Debug)]
@@ -16,8 +17,8 @@ pub struct Run {
     pub dq: Option<DMatrix<f64>>,
     /// Measured joint torques, gravity included, N x n \[Nm\].
     pub tau: DMatrix<f64>,
-    /// Gravitational acceleration in the base frame \[m/s2\].
-    pub gravity: Vector3<f64>,
+    /// How the arm was mounted.
+    pub mounting: Mounting,
     /// Period of the motion; `None` when it does not repeat \[s\].
     pub period: Option<f64>,
 }
@@ -28,7 +29,7 @@ impl Run {
         name: impl Into<String>,
         records: &[Record],
         joints: usize,
-        gravity: Vector3<f64>,
+        mounting: Mounting,
         period: Option<f64>,
     ) -> Run {
         Run {
@@ -37,9 +38,27 @@ impl Run {
             q: DMatrix::from_fn(records.len(), joints, |k, j| records[k].state.q[j]),
             dq: Some(DMatrix::from_fn(records.len(), joints, |k, j| records[k].state.dq[j])),
             tau: DMatrix::from_fn(records.len(), joints, |k, j| records[k].state.tau[j]),
-            gravity,
+            mounting,
             period,
         }
+    }
+
+    /// So many samples from one on, as a run of its own.
+    pub fn part(&self, from: usize, samples: usize) -> Run {
+        let rows = |of: &DMatrix<f64>| of.rows(from, samples).into_owned();
+        Run {
+            name: self.name.clone(),
+            t: self.t[from..from + samples].to_vec(),
+            q: rows(&self.q),
+            dq: self.dq.as_ref().map(rows),
+            tau: rows(&self.tau),
+            ..*self
+        }
+    }
+
+    /// Number of samples, N.
+    pub fn samples(&self) -> usize {
+        self.t.len()
     }
 
     /// Number of joints, n.

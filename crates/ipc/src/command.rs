@@ -6,7 +6,7 @@
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::error::IpcError;
-use plumbline_core::{Distribution, Phase};
+use plumbline_core::{Distribution, LoopStatistics, Phase};
 
 /// Longest request. A model file of 1 MiB fits in even when every second character needs an escape.
 pub const MAX_REQUEST_BYTES: usize = 2 << 20;
@@ -84,7 +84,6 @@ pub(super) struct Envelope {
 
 /// Why a model is proposed while another is served.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct Proposal {
     /// What has changed, for people to read: `payload of 0.731 +- 0.004 kg`.
     pub what: String,
@@ -100,7 +99,6 @@ pub struct Proposal {
 
 /// A proposed model that waits for a decision.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct Held {
     /// Identity of the model.
     pub model: u64,
@@ -136,7 +134,6 @@ pub enum Response {
 
 /// How the daemon is. Numbers are since its start.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct Status {
     /// The robot served.
     pub robot: String,
@@ -157,7 +154,7 @@ pub struct Status {
     /// Cycles that started after their deadline.
     pub late: u64,
     /// Records that found no room between the loop and the bridge thread.
-    pub dropped: u64,
+    pub dropped_records: u64,
     /// Identity of the served model, 0 while there is none.
     pub model: u64,
     /// A proposed model that waits for `adopt` or `reject`.
@@ -205,35 +202,16 @@ pub enum Progress {
     Stopped,
 }
 
-/// Counts and times of one connection to the arm: `elapsed == cycles + lost`.
+/// One connection to the arm, from its first state to its end.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct Session {
     /// What it was for.
     pub name: String,
-    /// Cycles of the arm, by the arm's own counter.
-    pub elapsed: u64,
-    /// Cycles of the loop.
-    pub cycles: u64,
-    /// States that never arrived.
-    pub lost: u64,
-    /// Longest run of lost states.
-    pub longest_lost: u64,
-    /// The same as `elapsed` by this machine's clock, from the first deadline to the last; absent where the arm has no deadlines.
-    #[serde(default)]
-    pub clock: Option<u64>,
-    /// Cycles that began more than half a period late.
-    pub late: u64,
-    /// Records that found no room between the loop and the bridge thread.
-    pub unrecorded: u64,
-    /// Allocations inside the loop; absent when nobody watched.
+    /// Counts and times of the loop.
+    #[serde(flatten)]
+    pub statistics: LoopStatistics,
+    /// Allocations inside the loop; `None` when the allocator was not watched.
     pub allocations: Option<u32>,
-    /// Lateness of a state after its deadline; empty where the arm has no deadlines.
-    pub wake: Distribution,
-    /// From state read to command written.
-    pub work: Distribution,
-    /// From one state to the next.
-    pub period: Distribution,
     /// From state read to shared memory, on the bridge thread.
     pub bridge: Distribution,
     /// What the operating system did not grant, with what to change.
@@ -247,7 +225,6 @@ pub struct Session {
 
 /// The connection to a robot over a network, by the session's own counts.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct Link {
     /// Robot, protocol version and system image, in words.
     pub robot: String,
@@ -295,7 +272,6 @@ pub struct Mounting {
 
 /// What is known of the direction of gravity. Directions are `[rho, phi]` of paper eq. 3 \[rad\].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct Gravity {
     /// Where the gravity that the model has comes from: `declared`, `measured`, or `held` from before the sensor was lost.
     pub source: String,
@@ -359,7 +335,6 @@ pub struct MotionGravity {
 
 /// What the shared-memory side has done since the daemon's start.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct Served {
     /// Identity of the daemon's start.
     pub epoch: u64,
@@ -390,7 +365,6 @@ pub struct Served {
 
 /// One follower of the samples.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct Follower {
     /// What it calls itself.
     pub name: String,

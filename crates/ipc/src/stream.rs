@@ -4,6 +4,7 @@
 //! fetched by replay. A regular request tells the daemon how far we are and brings back how far it is, so that a loss at the
 //! very end of the stream is found, too.
 
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -77,7 +78,7 @@ pub enum Delivery {
 }
 
 /// What a follower has counted, over all starts of the daemon.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StreamCounters {
     /// Records delivered.
     pub received: u64,

@@ -18,7 +18,7 @@ pub struct Controls {
     cycles: AtomicU64,
     lost: AtomicU64,
     late: AtomicU64,
-    unrecorded: AtomicU64,
+    dropped_records: AtomicU64,
     /// Goes on as long as somebody is there to hear the loop and to stop it.
     pulse: AtomicU64,
 }
@@ -80,8 +80,8 @@ impl Controls {
     }
 
     /// Records that found no room so far.
-    pub fn unrecorded(&self) -> u64 {
-        self.unrecorded.load(Ordering::Relaxed)
+    pub fn dropped_records(&self) -> u64 {
+        self.dropped_records.load(Ordering::Relaxed)
     }
 
     #[cfg_attr(no_panic, no_panic::no_panic)]
@@ -111,12 +111,12 @@ impl Controls {
     }
 
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    pub(crate) fn show(&self, phase: Phase, cycles: u64, lost: u64, late: u64, unrecorded: u64) {
+    pub(crate) fn show(&self, phase: Phase, cycles: u64, lost: u64, late: u64, dropped_records: u64) {
         self.phase.store(phase as u32, Ordering::Relaxed);
         self.cycles.store(cycles, Ordering::Relaxed);
         self.lost.store(lost, Ordering::Relaxed);
         self.late.store(late, Ordering::Relaxed);
-        self.unrecorded.store(unrecorded, Ordering::Relaxed);
+        self.dropped_records.store(dropped_records, Ordering::Relaxed);
     }
 }
 

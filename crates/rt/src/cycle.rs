@@ -19,11 +19,11 @@ use super::os::now_ns;
 use super::recorder::Flight;
 use super::rights::{Granted, Rights, become_realtime};
 use super::settings::{CycleSettings, SetupError};
-use super::stats::{NotForward, Summary, Tally};
+use super::stats::{NotForward, Tally};
 use super::torque::{Answer, TorqueSource, Torques};
 use assert_no_alloc::{assert_no_alloc, reset_violation_count, violation_count};
 use plumbline_core::{
-    Backend, Command, Fault, JointVec, Kinematics, MAX_JOINTS, Record, Reference, Sink, State, Validity,
+    Backend, Command, Fault, JointVec, Kinematics, LoopStatistics, MAX_JOINTS, Record, Reference, Sink, State, Validity,
 };
 
 /// How the loop ended.
@@ -64,7 +64,7 @@ pub struct Outcome {
     /// Reason of the last of them.
     pub last_stop: Option<StopReason>,
     /// Counts and percentiles.
-    pub summary: Summary,
+    pub summary: LoopStatistics,
     /// What the operating system granted.
     pub granted: Granted,
     /// Allocations and deallocations inside the loop; `None` when the program's allocator does not watch
@@ -384,7 +384,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
     }
 
     fn discard(&mut self, order: Order) {
-        self.tally.summary.discarded += 1;
+        self.tally.summary.discarded_orders += 1;
         self.tell(Event::Discarded { motion: order.motion });
         if let OrderKind::Follow(reference) = order.kind {
             self.retire(Some(reference));
@@ -443,10 +443,10 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         self.tally.worked(self.work_ns);
         self.flight.keep(&record);
         if !self.sink.put(&record) {
-            self.tally.summary.unrecorded += 1;
+            self.tally.summary.dropped_records += 1;
         }
-        let Summary { cycles, lost, late, unrecorded, .. } = self.tally.summary;
-        self.inlets.controls.show(record.phase, cycles, lost, late, unrecorded);
+        let LoopStatistics { cycles, lost, dropped_records, .. } = self.tally.summary;
+        self.inlets.controls.show(record.phase, cycles, lost, self.tally.late(), dropped_records);
     }
 
     #[cfg_attr(no_panic, no_panic::no_panic)]
@@ -469,7 +469,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         let cycle = self.tally.summary.cycles.saturating_sub(1);
         let told = Told { cycle, seq: self.tally.last(), stamp_ns: self.stamp_ns, orders: self.orders, event };
         if self.inlets.events.push(told).is_err() {
-            self.tally.summary.untold += 1;
+            self.tally.summary.dropped_events += 1;
         }
     }
 }

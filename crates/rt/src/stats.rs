@@ -1,46 +1,6 @@
 //! Deadline statistics of the loop, in memory that is allocated before it starts.
 
-use plumbline_core::{Distribution, Histogram, PERIOD_NS, Record};
-
-/// What the loop did and how well it kept its time.
-///
-/// Every cycle of the arm is accounted for: `elapsed == cycles + lost` ([`Summary::accounted`]). A cycle that the loop missed is skipped and
-/// counted under `lost`, whoever was late, the network or the loop itself; none is ever caught up in a burst.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Summary {
-    /// Cycles of the arm from the first state read to the last, by the arm's own counter.
-    pub elapsed: u64,
-    /// States read, each of which began one cycle of the loop.
-    pub cycles: u64,
-    /// States of the arm that never arrived.
-    pub lost: u64,
-    /// Longest run of lost states.
-    pub longest_lost: u64,
-    /// Periods of `CLOCK_MONOTONIC` from the first state's deadline to the last one's, both counted, as `elapsed` counts the arm's; 0 where
-    /// the arm has no deadlines. An arm with a clock of its own may drift away from it by parts in a million.
-    pub clock: u64,
-    /// Cycles that began more than half a period later after the one before than the arm's counter says.
-    pub late: u64,
-    /// Records that found no room in the sink.
-    pub unrecorded: u64,
-    /// Orders that a stop discarded.
-    pub discarded: u64,
-    /// Events that found no room.
-    pub untold: u64,
-    /// Lateness of the state after its deadline; empty where the arm has no deadlines.
-    pub wake: Distribution,
-    /// From state read to command written.
-    pub work: Distribution,
-    /// From one state read to the next, divided by the number of the arm's cycles between them.
-    pub period: Distribution,
-}
-
-impl Summary {
-    /// Whether `elapsed / period == cycles + skipped`: no cycle of the arm was counted twice or not at all.
-    pub fn accounted(&self) -> bool {
-        self.elapsed == self.cycles.saturating_add(self.lost)
-    }
-}
+use plumbline_core::{Distribution, Histogram, LoopStatistics, PERIOD_NS, Record};
 
 /// The arm's counter did not go forward, so its time can't be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,7 +15,8 @@ pub(super) struct Tally {
     last: u64,
     last_ns: u64,
     first_due_ns: Option<u64>,
-    pub summary: Summary,
+    late: u64,
+    pub summary: LoopStatistics,
     wake: Histogram,
     work: Histogram,
     period: Histogram,
@@ -69,7 +30,8 @@ impl Tally {
             last: 0,
             last_ns: 0,
             first_due_ns: None,
-            summary: Summary::default(),
+            late: 0,
+            summary: LoopStatistics::default(),
             wake: Histogram::default(),
             work: Histogram::default(),
             period: Histogram::default(),
@@ -89,7 +51,7 @@ impl Tally {
                 let gap = seq - self.last;
                 let period = now_ns.saturating_sub(self.last_ns);
                 self.period.add(period / gap);
-                self.summary.late += u64::from(period > gap.saturating_mul(PERIOD_NS).saturating_add(PERIOD_NS / 2));
+                self.late += u64::from(period > gap.saturating_mul(PERIOD_NS).saturating_add(PERIOD_NS / 2));
                 gap
             }
         };
@@ -99,6 +61,11 @@ impl Tally {
         self.summary.elapsed = (seq - self.first.unwrap_or(seq)).saturating_add(1);
         (self.last, self.last_ns) = (seq, now_ns);
         Ok(gap)
+    }
+
+    /// Cycles that began late, where the arm has deadlines.
+    pub fn late(&self) -> u64 {
+        if self.first_due_ns.is_some() { self.late } else { 0 }
     }
 
     /// The arm's counter in the state that arrived last.
@@ -122,7 +89,7 @@ impl Tally {
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn due(&mut self, deadline_ns: u64) {
         let first = *self.first_due_ns.get_or_insert(deadline_ns);
-        self.summary.clock = (deadline_ns.saturating_sub(first) + PERIOD_NS / 2) / PERIOD_NS + 1;
+        self.summary.clock = Some((deadline_ns.saturating_sub(first) + PERIOD_NS / 2) / PERIOD_NS + 1);
     }
 
     /// Adds a work time \[ns\].
@@ -132,11 +99,13 @@ impl Tally {
     }
 
     /// Counts and percentiles so far.
-    pub fn summary(&self) -> Summary {
-        Summary {
-            wake: self.wake.distribution(),
-            work: self.work.distribution(),
-            period: self.period.distribution(),
+    pub fn summary(&self) -> LoopStatistics {
+        let paced = self.first_due_ns.is_some();
+        LoopStatistics {
+            late: paced.then_some(self.late),
+            wake_up: self.wake.distribution(),
+            execution: self.work.distribution(),
+            period: if paced { self.period.distribution() } else { Distribution::default() },
             ..self.summary
         }
     }
@@ -156,7 +125,7 @@ mod tests {
         }
         let summary = tally.summary();
         assert_eq!((summary.elapsed, summary.cycles, summary.lost, summary.longest_lost), (12, 5, 7, 5));
-        assert_eq!(summary.late, 0);
+        assert_eq!((summary.late, summary.period.count), (None, 0), "this arm has no deadlines");
         assert!(summary.accounted());
         assert_eq!(tally.arrived(111, now), Err(NotForward { last: 111, seq: 111 }));
         assert_eq!(tally.arrived(3, now), Err(NotForward { last: 111, seq: 3 }));
@@ -171,18 +140,19 @@ mod tests {
             now = seq * PERIOD_NS + if seq % 100 == 50 { 600_000 } else { 0 };
             assert!(tally.arrived(seq, now).is_ok());
             tally.woke(seq);
+            tally.due(seq * PERIOD_NS);
         }
         let summary = tally.summary();
-        assert_eq!(summary.late, 10);
+        assert_eq!((summary.late, summary.clock), (Some(10), Some(1001)));
         let near = |got: u64, expected: u64| assert!(got.abs_diff(expected) <= expected / 500 + 1, "{got} {expected}");
-        near(summary.wake.p50, 500);
-        near(summary.wake.p99, 990);
-        near(summary.wake.p999, 999);
-        near(summary.period.p50, PERIOD_NS);
-        assert_eq!((summary.wake.max, summary.wake.count), (1000, 1001));
-        assert_eq!(summary.period.max, 1_600_000);
+        near(summary.wake_up.p50_ns, 500);
+        near(summary.wake_up.p99_ns, 990);
+        near(summary.wake_up.p999_ns, 999);
+        near(summary.period.p50_ns, PERIOD_NS);
+        assert_eq!((summary.wake_up.max_ns, summary.wake_up.count), (1000, 1001));
+        assert_eq!(summary.period.max_ns, 1_600_000);
         tally.woke(u64::MAX);
-        assert_eq!(tally.summary().wake.max, u64::MAX, "a value past the histogram's bounds is not lost");
+        assert_eq!(tally.summary().wake_up.max_ns, u64::MAX, "a value past the histogram's bounds is not lost");
         let _ = now;
     }
 }

@@ -120,7 +120,7 @@ fn a_stop_in_any_phase_ends_at_rest_and_smoothly() {
         assert_stopped(&run, StopReason::Requested);
         assert_eq!(run.records[read as usize - 1].phase, phase, "read {read}");
         assert_eq!(run.phases().last_chunk::<3>(), Some(&[phase, Phase::Stop, Phase::Stopped]));
-        assert!(run.outcome.summary.discarded >= 1, "what was queued does not run");
+        assert!(run.outcome.summary.discarded_orders >= 1, "what was queued does not run");
         assert!(!run.events.contains(&Event::Started { motion: 4 }));
     }
 }
@@ -142,7 +142,7 @@ fn nothing_moves_before_an_operator_resumes_and_only_what_was_ordered_since() {
         .run();
     run.assert_sound();
     run.assert_inside(&panda_limits(), 7);
-    assert_eq!(run.outcome.summary.discarded, 3);
+    assert_eq!(run.outcome.summary.discarded_orders, 3);
     let discarded: Vec<u32> = run
         .events
         .iter()
@@ -291,7 +291,7 @@ fn a_full_sink_is_counted_and_costs_the_motion_nothing() {
     let run = job.run();
     run.assert_sound();
     assert_eq!(run.records.len(), 500);
-    assert_eq!(run.outcome.summary.unrecorded, 2_001 - 500);
+    assert_eq!(run.outcome.summary.dropped_records, 2_001 - 500);
     assert!(run.events.contains(&Event::Ended { motion: 1 }));
     assert_eq!(run.outcome.flight.last().unwrap().cycle, 2_000);
 }
@@ -417,14 +417,14 @@ fn at_wall_clock_pace_every_deadline_is_met_or_counted() {
     // The arm's clock, the loop's count, the wall and the records agree.
     assert!(summary.cycles >= 301 && now_ns() - start >= (summary.cycles - 1) * PERIOD_NS);
     assert_eq!(
-        (summary.wake.count, summary.work.count, summary.period.count),
+        (summary.wake_up.count, summary.execution.count, summary.period.count),
         (summary.cycles, summary.cycles, summary.cycles - 1)
     );
     let whole_run = now_ns() - start;
     let mut records = Vec::new();
     assert_eq!(drain.take_into(&mut records, usize::MAX) as u64, summary.cycles);
     assert!(records.iter().all(|record| record.work_ns < whole_run));
-    assert_eq!(records.iter().map(|r| r.wake_ns).max(), Some(summary.wake.max));
+    assert_eq!(records.iter().map(|r| r.wake_ns).max(), Some(summary.wake_up.max_ns));
     assert!(records.windows(2).all(|pair| pair[1].stamp_ns > pair[0].stamp_ns && pair[1].work_ns > 0));
     assert!(drain.pop().is_none() && handles.controls.cycles() == summary.cycles);
 }

@@ -1,6 +1,6 @@
 use super::super::logged::logged;
 use super::*;
-use plumbline_core::{Backend, Command, Fault, MAX_JOINTS, Phase, State};
+use plumbline_core::{Backend, Command, Fault, LoopStatistics, MAX_JOINTS, Phase, State};
 use plumbline_ipc::Ticket;
 use plumbline_model::term::Sample;
 
@@ -560,17 +560,26 @@ fn the_status_sums_up_every_connection_and_the_running_loop() {
     desk.names = vec![(1, "approach".into()), (2, "excitation".into())];
     desk.last.motion = 2;
     let model = offered(&mut desk, MODEL.into());
-    let session = SessionStatistics { cycles: 1000, lost: 100, late: 10, unrecorded: 20, ..Default::default() };
+    let session = SessionStatistics {
+        statistics: LoopStatistics {
+            cycles: 1000,
+            lost: 100,
+            late: Some(10),
+            dropped_records: 20,
+            ..Default::default()
+        },
+        ..Default::default()
+    };
     desk.sessions = vec![session; 2];
     let (mut cycle, handles) = real_time_loop(desk.robot.limits);
     let outcome = cycle.run();
     let controls = &handles.controls;
-    let running = [controls.cycles(), controls.lost(), controls.late(), controls.unrecorded()];
+    let running = [controls.cycles(), controls.lost(), controls.late(), controls.dropped_records()];
     assert_eq!((running[0], running[1], running[3]), (5, 2, 3), "{:?}", outcome.end);
     assert!(running[2] > 0);
     for (controls, more) in [(None, [0; 4]), (Some(&**controls), running)] {
         let status = desk.status(&Served::default(), controls);
-        let counts = [status.cycles, status.lost, status.late, status.dropped];
+        let counts = [status.cycles, status.lost, status.late, status.dropped_records];
         assert_eq!(counts, [2000 + more[0], 200 + more[1], 20 + more[2], 40 + more[3]]);
         assert_eq!((status.joints, status.model, status.motion), (7, model, 2));
         assert!(status.job.ends_with(": excitation"), "{}", status.job);

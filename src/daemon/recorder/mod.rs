@@ -332,7 +332,7 @@ impl Tape {
             }
             Left::Ended(outcome) => {
                 let reason = kind_of_end(&outcome.end).map(|kind| Reason::new(kind, words));
-                (outcome.end.to_string(), reason, outcome.summary.untold, &outcome.flight, outcome.unanswered)
+                (outcome.end.to_string(), reason, outcome.summary.dropped_events, &outcome.flight, outcome.unanswered)
             }
         };
         let flight = flight.clone();

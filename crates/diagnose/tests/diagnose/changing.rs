@@ -344,7 +344,7 @@ fn driven(effects: &str, seed: u64) -> Run {
         }
     });
     let t = (0..rows).map(|k| k as f64 * DT).collect();
-    Run { name: "driven".into(), t, q, dq: None, tau, gravity: plan.mounting().gravity(), period: Some(plan.period) }
+    Run { name: "driven".into(), t, q, dq: None, tau, mounting: plan.mounting(), period: Some(plan.period) }
 }
 
 #[test]

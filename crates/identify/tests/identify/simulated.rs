@@ -127,7 +127,7 @@ fn simulate(truth: &Truth, fourier: &Fourier, periods: usize, mounting: Mounting
         }
     }
     let t = (0..periods * samples).map(|k| k as f64 * DT).collect();
-    Run { name: format!("run {seed}"), t, q, dq: None, tau, gravity, period: Some(fourier.period) }
+    Run { name: format!("run {seed}"), t, q, dq: None, tau, mounting, period: Some(fourier.period) }
 }
 
 fn prepare(run: &Run) -> Experiment {
@@ -322,7 +322,7 @@ fn an_uneven_record_with_gaps_and_repeats_that_does_not_repeat_is_identified() {
         let time = k as f64 * DT + rng.random_range(-3e-4..3e-4);
         let points: Vec<_> = (0..N).map(|j| fourier.at(j, time)).collect();
         let of = |f: fn(&plumbline_excite::Point) -> f64| points.iter().map(f).collect::<Vec<_>>();
-        let clean = truth.torque(&chain, &even.gravity, &of(|p| p.q), &of(|p| p.dq), &of(|p| p.ddq));
+        let clean = truth.torque(&chain, &even.mounting.gravity(), &of(|p| p.q), &of(|p| p.dq), &of(|p| p.ddq));
         t.push(time);
         q.push(points.iter().map(|p| p.q + 1e-6 * normal(&mut rng)).collect::<Vec<_>>());
         tau.push(clean.map(|tau| tau + 0.05 * normal(&mut rng)));
@@ -335,7 +335,7 @@ fn an_uneven_record_with_gaps_and_repeats_that_does_not_repeat_is_identified() {
     }
     let matrix = |of: &dyn Fn(usize, usize) -> f64| DMatrix::from_fn(t.len(), N, of);
     let (q, tau) = (matrix(&|k, j| q[k][j]), matrix(&|k, j| tau[k][j]));
-    let run = Run { name: "uneven".into(), t, dq: None, q, tau, gravity: even.gravity, period: None };
+    let run = Run { name: "uneven".into(), t, dq: None, q, tau, mounting: even.mounting, period: None };
     let settings = Settings { position_cutoff: Some(10.0), ..Settings::default() };
     let experiment = Experiment::prepare(&run, &settings).unwrap();
     assert!(experiment.sampling.repeated_rows > 700 && experiment.sampling.missing > 700, "{:?}", experiment.sampling);

@@ -108,6 +108,6 @@ fn the_state_at_a_glance_is_never_one_that_the_loop_was_not_in() {
         let (phase, cycles, lost) = looker.join().unwrap();
         assert!(matches!(phase, Phase::Hold | Phase::Excite));
         assert!([0, 10].contains(&cycles) && [0, 1].contains(&lost));
-        assert_eq!((controls.late(), controls.unrecorded()), (2, 3));
+        assert_eq!((controls.late(), controls.dropped_records()), (2, 3));
     });
 }

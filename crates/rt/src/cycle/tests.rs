@@ -141,7 +141,7 @@ fn events_without_room_are_counted_and_each_has_the_cycle_that_it_is_of() {
             assert!(cycle.cycle().is_ok());
         }
     }
-    assert_eq!(cycle.tally.summary.untold, 400 - 260);
+    assert_eq!(cycle.tally.summary.dropped_events, 400 - 260);
     let told: Vec<Told> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
     assert_eq!(told.len(), 260);
     for (index, told) in told.into_iter().enumerate() {
@@ -179,7 +179,7 @@ fn an_order_of_a_new_permission_runs_at_whatever_moment_of_a_cycle_both_are_give
             break;
         }
         (0..3).for_each(|_| assert!(cycle.cycle().is_ok()));
-        assert_eq!((cycle.tally.summary.discarded, cycle.motion.number()), (0, 1), "before access {access}");
+        assert_eq!((cycle.tally.summary.discarded_orders, cycle.motion.number()), (0, 1), "before access {access}");
         access += 1;
     }
     assert!(access > 4, "only {access} accesses");

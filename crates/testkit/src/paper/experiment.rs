@@ -101,7 +101,7 @@ impl Arm {
             }
         }
         let t = (0..rows).map(|k| k as f64 * DT).collect();
-        Run { name: format!("seed {seed}"), t, q, dq: None, tau, gravity, period: Some(motion.period) }
+        Run { name: format!("seed {seed}"), t, q, dq: None, tau, mounting, period: Some(motion.period) }
     }
 }
 

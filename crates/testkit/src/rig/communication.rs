@@ -53,7 +53,8 @@ pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
             reasons.push(format!(
                 "while {what}, {} states in a row were lost or passed over (at most {LONGEST_GAP}); the longest wait in the socket was {:.0} us. \
                  Lost: use a network port of its own and a direct cable. Passed over: this machine woke up late, use a kernel with PREEMPT_RT",
-                statistics.longest_gap, statistics.wake.max
+                statistics.longest_gap,
+                us(statistics.wake.max_ns)
             ));
         }
     }
@@ -63,11 +64,15 @@ pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
              socket {:.0} us",
             100.0 * held.success_rate.mean,
             100.0 * SUCCESS,
-            held.work.max,
-            held.wake.max
+            us(held.work.max_ns),
+            us(held.wake.max_ns)
         ));
     }
     Ok(Verdict::of(reasons, format!("{:.2} % of the commands came in time", 100.0 * held.success_rate.mean)))
+}
+
+fn us(ns: u64) -> f64 {
+    ns as f64 / 1e3
 }
 
 /// Reads so many states, and answers each with the pose of the first where the arm is driven.
@@ -97,8 +102,7 @@ fn show(what: &str, statistics: &Statistics) {
         "  {what}: {states} states, {lost} lost, {skipped} passed over because a newer one was there; at most {longest_gap} in a row"
     );
     let row = |name: &str, times: &Distribution| {
-        let [p50, p99, p999, max] = [times.p50, times.p99, times.p999, times.max].map(|ns| ns as f64 / 1e3);
-        if times.count > 0 {
+        if let Some([p50, p99, p999, max]) = times.in_us() {
             println!("  {name:<22} p50 {p50:>8.1}  p99 {p99:>8.1}  p99.9 {p999:>8.1}  max {max:>8.1} us");
         }
     };

@@ -65,7 +65,7 @@ pub fn full(rig: &Rig, given: &Given) -> Result<Verdict, Box<dyn Error>> {
     }
     let report = report(&out)?;
     let mut reasons = faults(&report);
-    if let Some(missed) = report.ipc.map(|ipc| ipc.missed).filter(|&missed| missed > 0) {
+    if let Some(missed) = report.ipc.map(|ipc| ipc.counters.missed).filter(|&missed| missed > 0) {
         reasons.push(format!("{missed} samples never reached the estimator: look at the load of this machine"));
     }
     let explained = report
@@ -108,5 +108,6 @@ fn report(out: &Path) -> Result<Report, Box<dyn Error>> {
 
 /// What the robot stopped for on the way, though the job went on.
 fn faults(report: &Report) -> Vec<String> {
-    report.sessions.iter().filter_map(|session| session.link.as_ref()?.fault.clone()).collect()
+    let sessions = report.control_loop.iter().flat_map(|of| &of.sessions);
+    sessions.filter_map(|session| session.link.as_ref()?.fault.clone()).collect()
 }

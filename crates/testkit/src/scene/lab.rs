@@ -92,7 +92,7 @@ impl Period {
             q,
             dq: None,
             tau,
-            gravity: self.mounting.gravity(),
+            mounting: self.mounting,
             period: Some(self.seconds),
         }
     }

@@ -115,19 +115,16 @@ impl Scene {
         let (periods, seed) = recorded;
         let recorded = self.record(periods, seed);
         let rows: Vec<usize> = (0..recorded.t.len()).step_by(every).collect();
-        dataset::Run {
-            file: file.into(),
-            role,
-            note: String::new(),
-            period: periodic.then_some(self.period),
-            session: 1,
-            mounting: self.mounting,
+        let data = Run {
+            name: file.into(),
             t: rows.iter().map(|&k| recorded.t[k]).collect(),
             q: recorded.q.select_rows(&rows),
             dq: None,
             tau: recorded.tau.select_rows(&rows),
-            extra: Vec::new(),
-        }
+            mounting: self.mounting,
+            period: periodic.then_some(self.period),
+        };
+        dataset::Run::new(data, role)
     }
 
     /// As [`Scene::record`], with more on top.
@@ -170,15 +167,7 @@ impl Scene {
             }
         }
         let t = (0..rows).map(|k| k as f64 * DT).collect();
-        Run {
-            name: format!("run {seed}"),
-            t,
-            q,
-            dq: None,
-            tau,
-            gravity: self.mounting.gravity(),
-            period: Some(self.period),
-        }
+        Run { name: format!("run {seed}"), t, q, dq: None, tau, mounting: self.mounting, period: Some(self.period) }
     }
 
     /// Another motion of the same arm, every fiftieth sample: the plan's amplitudes, each joint with those of the next, exact derivatives.

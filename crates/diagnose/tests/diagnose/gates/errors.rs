@@ -46,7 +46,7 @@ fn periodic() -> Run {
         q: DMatrix::from_fn(rows, 2, |row, j| (angle(row) + j as f64).sin()),
         dq: None,
         tau,
-        gravity: Mounting::WALL.gravity(),
+        mounting: Mounting::WALL,
         period: Some(PERIOD),
     }
 }
@@ -163,7 +163,7 @@ fn what_is_left_out_of_a_run_has_no_error() {
         q: DMatrix::from_fn(2500, 2, |k, j| (k as f64 * DT + j as f64).sin()),
         dq: None,
         tau: DMatrix::from_element(2500, 2, 1.0),
-        gravity: Mounting::WALL.gravity(),
+        mounting: Mounting::WALL,
         period: None,
     };
     let gone = LeftOut { run: "free".into(), from: 4.0, to: 5.0 };
@@ -185,7 +185,7 @@ fn minute() -> Experiment {
         q: DMatrix::from_fn(rows, 2, |k, j| (k as f64 * DT + j as f64).sin()),
         dq: None,
         tau: DMatrix::zeros(rows, 2),
-        gravity: Mounting::WALL.gravity(),
+        mounting: Mounting::WALL,
         period: None,
     };
     Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap()

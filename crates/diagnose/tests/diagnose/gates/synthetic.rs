@@ -181,7 +181,7 @@ fn along_in_noise(motions: &[Motion], seed: u64, noise: [f64; 2], added: impl Fn
             q,
             dq: None,
             tau,
-            gravity: motion.gravity,
+            mounting: Mounting::WALL,
             period: motion.periodic.then_some(PERIOD),
         };
         Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap()

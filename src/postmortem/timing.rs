@@ -1,0 +1,81 @@
+//! How the loop kept its time in the recorded cycles.
+
+use super::replay::is_simulated;
+use super::story::{Before, LINES};
+use crate::recording::Recording;
+use plumbline_core::{Histogram, LoopStatistics, PERIOD_NS};
+use serde::Serialize;
+
+/// Cycles and their times.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Timing {
+    /// Counts and times of the recorded cycles.
+    #[serde(flatten)]
+    pub statistics: LoopStatistics,
+    /// Lost states and late cycles, oldest first.
+    pub outliers: Vec<Outlier>,
+    /// Outliers that are not listed.
+    pub more: usize,
+}
+
+impl Timing {
+    /// Times that were measured, by name: median, 99th and 99.9th percentile and largest value \[us\].
+    pub fn times(&self) -> Vec<(&'static str, [f64; 4])> {
+        let of = &self.statistics;
+        let all = [("period", of.period), ("wake-up", of.wake_up), ("execution", of.execution)];
+        all.into_iter().filter_map(|(name, times)| Some((name, times.in_us()?))).collect()
+    }
+}
+
+/// A cycle that was not as it should be.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Outlier {
+    /// When \[s before the end\].
+    pub before: f64,
+    /// The cycle.
+    pub cycle: u64,
+    /// What was odd.
+    pub text: String,
+}
+
+impl Timing {
+    /// Counts and times of a recording.
+    pub(super) fn of(recording: &Recording, before: &Before) -> Timing {
+        let records = &recording.records;
+        let simulated = is_simulated(recording);
+        let mut of = LoopStatistics { cycles: records.len() as u64, ..LoopStatistics::default() };
+        if let (Some(first), Some(last)) = (records.first(), records.last()) {
+            of.elapsed = last.state.seq.saturating_sub(first.state.seq).saturating_add(1);
+        }
+        let [wake_up, execution, period] = [(); 3].map(|()| Histogram::default());
+        let mut late = 0;
+        let mut outliers = Vec::new();
+        for pair in records.windows(2).filter(|pair| pair[1].cycle == pair[0].cycle + 1) {
+            let (earlier, later) = (&pair[0], &pair[1]);
+            let gap = later.state.seq.saturating_sub(earlier.state.seq).max(1);
+            let between = later.stamp_ns.saturating_sub(earlier.stamp_ns);
+            period.add(between / gap);
+            let mut odd = |text: String| {
+                outliers.push(Outlier { before: before.at(later.state.seq), cycle: later.cycle, text });
+            };
+            if gap > 1 {
+                of.lost += gap - 1;
+                of.longest_lost = of.longest_lost.max(gap - 1);
+                odd(format!("{} states lost", gap - 1));
+            }
+            if !simulated && between > gap.saturating_mul(PERIOD_NS).saturating_add(PERIOD_NS / 2) {
+                late += 1;
+                odd(format!("{:.2} ms after the one before", between as f64 / 1e6));
+            }
+        }
+        records.iter().filter(|record| record.wake_ns > 0).for_each(|record| wake_up.add(record.wake_ns));
+        records.iter().filter(|record| record.work_ns > 0).for_each(|record| execution.add(record.work_ns));
+        (of.wake_up, of.execution) = (wake_up.distribution(), execution.distribution());
+        if !simulated {
+            (of.late, of.period) = (Some(late), period.distribution());
+        }
+        // The last ones matter most.
+        let more = outliers.len().saturating_sub(LINES);
+        Timing { statistics: of, outliers: outliers.split_off(more), more }
+    }
+}
