@@ -8,8 +8,12 @@
 //! and an effect has columns only in the sessions since it came.
 
 mod extend;
+mod held;
+mod outcome;
 
 pub use extend::extended;
+pub use held::Stored;
+pub use outcome::Comparison;
 
 use super::Settings;
 use super::evidence::{Evidence, Trial};

@@ -86,7 +86,8 @@ fn a_payload_is_found_with_its_mass_and_the_model_that_carries_it_predicts() {
     println!("payload of 0.73 kg at 0.15 m, 2 trajectories x {PERIODS} periods: {body:.5?}");
     // Mass, centre of mass, inertia: true value, and the largest standard deviation.
     let [mass, com, inertia] = [0.01, 0.005, 0.01];
-    let expected = [(0.73, mass), (0.0, com), (0.0, com), (0.15, com), (0.001, inertia), (0.0, inertia), (0.0, inertia)];
+    let expected =
+        [(0.73, mass), (0.0, com), (0.0, com), (0.15, com), (0.001, inertia), (0.0, inertia), (0.0, inertia)];
     let expected = expected.into_iter().chain([(0.0025, inertia), (0.0, inertia), (0.0017, inertia)]);
     assert_eq!(body.len(), 10);
     for (quantity, (truth, widest)) in body.iter().zip(expected) {

@@ -4,6 +4,7 @@ use super::Term;
 use super::load::Ground;
 use super::quantity::{self, Quantity, Results};
 use crate::chain::Chain;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::Arc;
 
@@ -209,9 +210,11 @@ impl Setting {
 }
 
 /// Where in the data an effect shows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Stratum {
     /// In what every period repeats.
+    #[default]
     Repeatable,
     /// In what differs from period to period.
     Changing,

@@ -58,7 +58,7 @@ fn parameters_and_factors(results: &Results) -> Vec<Quantity> {
             before(changed_parameter(&own.column.name)).filter(|stored| stored.value.abs() > f64::MIN_POSITIVE)?;
         let name = format!("{}_factor", stored.column.name);
         let std = own.std.map(|std| std / stored.value.abs());
-        Some(Quantity { name, value: 1.0 + own.value / stored.value, std, unit: "1" })
+        Some(Quantity { name, value: 1.0 + own.value / stored.value, std, unit: "1".into() })
     };
     quantity::own(results).into_iter().chain(results.parameters.iter().filter_map(factor)).collect()
 }

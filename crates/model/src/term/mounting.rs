@@ -88,7 +88,7 @@ fn angles(results: &Results) -> Vec<Quantity> {
     let variance =
         (0..2).flat_map(|i| (0..2).map(move |k| (i, k))).map(|(i, k)| share[i] * share[k] * results.covariance[(i, k)]);
     let std = (size > 0.0).then(|| variance.sum::<f64>().max(0.0).sqrt());
-    let angle = |name: &str, value: f64, std| Quantity { name: name.into(), value, std, unit: "rad" };
+    let angle = |name: &str, value: f64, std| Quantity { name: name.into(), value, std, unit: "rad".into() };
     let mounting = results.declared.map(|declared| tilted(declared, [a, b]));
     let mounting = mounting.map(|mounting| [angle("rho", mounting.rho, None), angle("phi", mounting.phi, None)]);
     let tilt = angle("tilt", size, std);

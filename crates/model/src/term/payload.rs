@@ -134,7 +134,7 @@ fn body(results: &Results) -> Option<Vec<Quantity>> {
         let known =
             undetermined.ncols() == 0 || undetermined.tr_mul(&slope.normalize()).norm_squared() <= UNDETERMINED_RATIO;
         let (name, unit) = NUMBERS[i];
-        Quantity { name: name.into(), value, std: known.then(|| variance.max(0.0).sqrt()), unit }
+        Quantity { name: name.into(), value, std: known.then(|| variance.max(0.0).sqrt()), unit: unit.into() }
     };
     Some(numbers(&values).into_iter().enumerate().map(quantity).collect())
 }

@@ -5,7 +5,7 @@ use crate::torque::Parameter;
 use nalgebra::DMatrix;
 
 /// A number with its standard deviation.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Quantity {
     /// Name.
     pub name: String,
@@ -14,7 +14,14 @@ pub struct Quantity {
     /// Standard deviation where the data determines one, in `unit`.
     pub std: Option<f64>,
     /// Unit.
-    pub unit: &'static str,
+    pub unit: String,
+}
+
+impl Quantity {
+    /// A number without a standard deviation.
+    pub fn new(name: impl Into<String>, value: f64, unit: impl Into<String>) -> Quantity {
+        Quantity { name: name.into(), value, std: None, unit: unit.into() }
+    }
 }
 
 /// Parameters of an effect and what its reported quantities may depend on.
@@ -35,7 +42,7 @@ pub struct Results<'a> {
 /// The parameters themselves.
 pub(super) fn own(results: &Results) -> Vec<Quantity> {
     let quantity = |own: &Parameter| {
-        let (name, unit) = (own.column.name.clone(), own.column.unit);
+        let (name, unit) = (own.column.name.clone(), own.column.unit.into());
         Quantity { name, value: own.value, std: own.std, unit }
     };
     results.parameters.iter().map(quantity).collect()
