@@ -10,7 +10,7 @@ use plumbline_diagnose::changing::{
 };
 use plumbline_identify::solve::ols;
 use plumbline_identify::solve::stack::Stack;
-use plumbline_identify::{Experiment, LeftOut, Settings};
+use plumbline_identify::{ExcludedSpan, Experiment, Settings};
 use plumbline_model::Structure;
 use plumbline_model::term::effect::{Ground, family};
 use plumbline_model::term::{base_motion, contact};
@@ -60,7 +60,7 @@ impl Looked {
         {
             cleaned(&mut experiments, &found);
         }
-        if !question.options.estimator.wants_periods() {
+        if !question.options.estimator.needs_periods() {
             experiments.iter_mut().for_each(|experiment| experiment.repeats = None);
         }
         Ok(Looked { experiments, found, runs, spared })
@@ -214,7 +214,7 @@ fn known(structure: &Structure, experiments: &[Experiment]) -> Result<Ground, Fa
 }
 
 /// Takes the stretches of those runs off the list that would lose too much, and gives their names.
-fn spare(leave_out: &mut Vec<LeftOut>, experiments: &[Experiment]) -> Vec<String> {
+fn spare(leave_out: &mut Vec<ExcludedSpan>, experiments: &[Experiment]) -> Vec<String> {
     let seconds = |run: &str| {
         let of = experiments.iter().find(|experiment| experiment.name == run);
         of.and_then(|experiment| Some((experiment, experiment.repeats.as_ref()?)))
