@@ -6,7 +6,7 @@ use super::timing::Timing;
 use crate::recording::Recording;
 use crate::recording::about::Given;
 use crate::recording::messages::{limit_name, words};
-use plumbline_core::{PERIOD, Phase, Record};
+use plumbline_core::{PERIOD_S, Phase, Record};
 use plumbline_rt::{Event, Limit, StopReason, TimedEvent, Violation};
 use serde::Serialize;
 
@@ -148,7 +148,7 @@ impl Before {
     }
 
     pub fn at(&self, seq: u64) -> f64 {
-        self.last.saturating_sub(seq) as f64 * PERIOD
+        self.last.saturating_sub(seq) as f64 * PERIOD_S
     }
 }
 
@@ -233,7 +233,9 @@ fn during(recording: &Recording) -> Option<String> {
     let name = own.or(to.map(|(_, name)| format!("the way to {name}")));
     Some(match (moving.phase, name) {
         (Phase::Return, _) => "the way back".to_string(),
-        (phase, Some(name)) => format!("{name} ({:.3} s into its {})", moving.tick as f64 * PERIOD, phase_name(phase)),
+        (phase, Some(name)) => {
+            format!("{name} ({:.3} s into its {})", moving.tick as f64 * PERIOD_S, phase_name(phase))
+        }
         (phase, None) => format!("motion {} ({})", moving.motion, phase_name(phase)),
     })
 }
@@ -275,7 +277,7 @@ fn stop(recording: &Recording, before: &Before) -> Option<Stop> {
             }
         }
     }
-    let seconds = last.saturating_sub(began.seq) as f64 * PERIOD;
+    let seconds = last.saturating_sub(began.seq) as f64 * PERIOD_S;
     Some(Stop { before: before.at(began.seq), seconds, at_rest: rest.is_some(), speed, travelled })
 }
 
