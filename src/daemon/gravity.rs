@@ -6,7 +6,7 @@ use super::rest::Rests;
 use crate::config::job::inclinometer::BaseMotion;
 use crate::config::job::{Job, MountingCheck};
 use crate::failure::Failure;
-use crate::inclinometer::follow::{Decision, FollowSettings, Follower, OnLoss, Source};
+use crate::inclinometer::follow::{Decision, FollowSettings, Follower, OnSensorLoss, Source};
 use crate::inclinometer::sensor::{Health, Reading, Sensor};
 use crate::inclinometer::socket::Listener;
 use nalgebra::Vector3;
@@ -37,7 +37,7 @@ pub enum Verdict {
 struct Inclinometer {
     listener: Listener,
     follower: Follower,
-    on_loss: OnLoss,
+    on_loss: OnSensorLoss,
     on_motion: BaseMotion,
     still: f64,
     health: Health,
@@ -214,9 +214,9 @@ impl Watch {
                 own.losses.count += 1;
                 own.losses.since = Some(now);
                 let rule = match own.on_loss {
-                    OnLoss::Refuse => "no torque is served",
-                    OnLoss::Hold => "the direction measured last holds",
-                    OnLoss::Declared => "the declared direction holds",
+                    OnSensorLoss::Refuse => "no torque is served",
+                    OnSensorLoss::Hold => "the direction measured last holds",
+                    OnSensorLoss::Declared => "the declared direction holds",
                 };
                 let rule = format!("by inclinometer.on-loss = \"{}\", {rule}", own.on_loss);
                 self.event(format!("the inclinometer is lost: {fault}; {rule}"));
