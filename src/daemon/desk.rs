@@ -7,7 +7,7 @@ use crate::config::job::{Adopt, Job, OnLoss};
 use crate::failure::Failure;
 use crate::process::signals::{Cause, Ending};
 use crate::recording::about::Reason;
-use crate::recording::messages::words;
+use crate::recording::messages::event_text;
 use plumbline_core::{BadInput, JointVec, Record};
 use plumbline_franka::{Interface, RobotLimits};
 use plumbline_identify::{Implausible, plausible};
@@ -500,7 +500,7 @@ impl Desk {
             Event::Discarded { motion } => tracing::debug!("order {motion} was discarded"),
             Event::Serving { model } => tracing::debug!("the loop serves model {model:016x}"),
             Event::Distrusted { model, instead } => {
-                tracing::error!(plumbline_event = "distrusted", "{}", words(event));
+                tracing::error!(plumbline_event = "distrusted", "{}", event_text(event));
                 self.distrust(*model, *instead);
             }
         }

@@ -11,7 +11,7 @@ use super::script::{Next, Planned, Script};
 use crate::config::job::{self, Job, OnRefusal};
 use crate::failure::Failure;
 use crate::process::service;
-use crate::recording::about::{Handed, Reason, panic_message};
+use crate::recording::about::{Reason, RecordedModel, panic_message};
 use crate::setup::{planner, programme};
 use nalgebra::Vector3;
 use plumbline_core::{Backend, Histogram, Limits, MAX_JOINTS, Phase, Record, Sink};
@@ -436,7 +436,8 @@ impl Session {
                     (self.model, self.gravity) = (accepted.id, gravity);
                     self.labels.handed(accepted.id, gravity);
                     let vendor = Some(self.vendor.into());
-                    self.tape.handed(Handed { id: accepted.id, gravity: gravity.into(), vendor }, &accepted.text);
+                    self.tape
+                        .handed(RecordedModel { id: accepted.id, gravity: gravity.into(), vendor }, &accepted.text);
                     self.open_gate();
                 }
             }
@@ -459,7 +460,7 @@ impl Session {
         } else if phase != Phase::Stop && self.handles.models.serve(Box::new(NoModel)).is_ok() {
             self.model = 0;
             self.labels.handed(0, self.gravity);
-            self.tape.handed(Handed { id: 0, gravity: [0.0; 3], vendor: None }, "");
+            self.tape.handed(RecordedModel { id: 0, gravity: [0.0; 3], vendor: None }, "");
         }
     }
 

@@ -63,7 +63,7 @@ pub(super) fn work(messages: &Receiver<Message>, folder: &Folder, requests: &Req
 impl Deck {
     fn drain(&mut self) {
         while let Ok(record) = self.records.pop() {
-            self.history.keep(&[record]);
+            self.history.push_records(&[record]);
         }
     }
 
@@ -72,10 +72,10 @@ impl Deck {
         match message {
             Message::Open(_) => {}
             Message::Told(told) => self.told(told, folder),
-            Message::Order(given) => self.history.ordered(given),
+            Message::Order(given) => self.history.push_order(given),
             Message::Model(handed, text) => {
                 let name = model_name(handed.id);
-                self.history.handed(handed);
+                self.history.push_model(handed);
                 if !text.is_empty() && self.texts.iter().all(|(other, _)| *other != name) {
                     self.texts.push((name, text));
                 }
@@ -83,7 +83,7 @@ impl Deck {
             Message::Note(text) => {
                 self.drain();
                 let seq = self.history.newest().map_or(0, |record| record.state.seq);
-                self.history.note(Note { stamp_ns: now_ns(), seq, text });
+                self.history.push_note(Note { stamp_ns: now_ns(), seq, text });
             }
             Message::Blame(reason) => self.blame = Some(reason),
             Message::OnDemand(newest) => {
@@ -102,7 +102,7 @@ impl Deck {
     }
 
     fn told(&mut self, told: Told, folder: &Folder) {
-        self.history.tell(told);
+        self.history.push_event(told);
         match told.event {
             Event::Stopping { reason, .. } => {
                 let asked = matches!(reason, StopReason::Requested | StopReason::Quit);
@@ -174,7 +174,8 @@ impl Deck {
         (about.orders_before, about.models_before) = (window.before.orders, window.before.models);
         let mut unanswered = None;
         if let Some(Close { end, next, goes_on, untold, unanswered: state, .. }) = close {
-            (about.end, about.next, about.goes_on, about.untold) = (Some(end), next, goes_on, untold);
+            (about.end, about.next, about.automatic_recovery, about.dropped_events) =
+                (Some(end), next, goes_on, untold);
             unanswered = state.map(|state| after(window.records.last(), state));
         }
         let kind = about.reason.kind.clone();

@@ -8,7 +8,7 @@ mod folder;
 
 use super::desk::Desk;
 use crate::config::job::Job;
-use crate::recording::about::{About, FORMAT, Given, Handed, LogClock, Reason, Settings, panicked};
+use crate::recording::about::{About, FORMAT, LogClock, Reason, RecordedModel, RecordedOrder, Settings, panicked};
 use crate::recording::history::History;
 use deck::{Deck, work};
 use folder::Folder;
@@ -41,8 +41,8 @@ const STOP: usize = 5000;
 enum Message {
     Open(Box<Deck>),
     Told(Told),
-    Order(Given),
-    Model(Handed, String),
+    Order(RecordedOrder),
+    Model(RecordedModel, String),
     Note(String),
     /// The next stop that is asked for has this reason.
     Blame(Reason),
@@ -158,11 +158,11 @@ impl Recorder {
             reason: Reason::default(),
             end: None,
             next: Vec::new(),
-            goes_on: false,
+            automatic_recovery: false,
             clock: LogClock::Wall { epoch_ns: 0 },
             lost: 0,
             late: 0,
-            untold: 0,
+            dropped_events: 0,
             motions: desk.names.clone(),
             notes: Vec::new(),
             settings: Settings::from(settings),
@@ -311,12 +311,12 @@ impl Tape {
     }
 
     /// The loop was given an order.
-    pub fn ordered(&self, given: Given) {
+    pub fn ordered(&self, given: RecordedOrder) {
         self.send(|| Message::Order(given));
     }
 
     /// The loop was given a model.
-    pub fn handed(&self, model: Handed, text: &str) {
+    pub fn handed(&self, model: RecordedModel, text: &str) {
         self.send(|| Message::Model(model, text.to_string()));
     }
 
