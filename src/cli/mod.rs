@@ -1,4 +1,4 @@
-//! The command line: one file per subcommand that reads options, calls what does the work, and prints what came of it.
+//! The command line: one file per subcommand that reads options, calls a library function and prints the result.
 
 mod command;
 mod compare;
@@ -35,7 +35,7 @@ struct Cli {
 enum Verb {
     /// Optimise an excitation and write it to a plan file
     Plan(plan::Options),
-    /// Do the whole job on one machine: daemon, estimator, report
+    /// Run a whole job on one machine: daemon, estimator, report
     Run(run::Options),
     /// Run the real-time process (what the systemd service starts)
     Daemon(daemon::Options),
@@ -43,25 +43,25 @@ enum Verb {
     Estimator(estimator::Options),
     /// Identify from files, offline
     Identify(identify::Options),
-    /// Say what changed since a model was identified: payload, tilt, friction, sensors
+    /// Show what changed since a model was identified: payload, tilt, friction, sensors
     Compare(compare::Options),
-    /// Find out what a plain model of recorded data lacks, offline
+    /// Find effects that a plain model of recorded data lacks, offline
     Diagnose(diagnose::Options),
     /// Compute the torques of a model along a recorded motion
     Predict(predict::Options),
     /// Write the identified arm as URDF, MuJoCo model or C function
     Export(export::Options),
-    /// Say whether this machine is fit for 1 kHz, and what to change
+    /// Check whether this machine is fit for 1 kHz, and list what to change
     Doctor(doctor::Options),
-    /// Say what happened before a fault, from its recording
+    /// Analyse the recording of a fault
     Postmortem(postmortem::Options),
-    /// List the effects that diagnosis knows, with their equations
+    /// List the effects of the diagnosis, with their equations
     Effects(effects::Options),
     /// Print the feed-forward torque that a daemon serves
     Torque(torque::Options),
-    /// Listen to the inclinometer of a job and print what it says
+    /// Print the readings of a job's inclinometer
     Inclinometer(inclinometer::Options),
-    /// Tell a running daemon what to do: start, stop, resume, quit, status
+    /// Send a request to a running daemon: start, stop, resume, quit, status, ...
     Command(command::Options),
 }
 
@@ -90,7 +90,7 @@ pub fn main() -> ExitCode {
     outcome.map_or_else(|failure| ExitCode::from(failure.code()), |()| ExitCode::SUCCESS)
 }
 
-/// A daemon that can't be reached; says so where it may be another user's.
+/// Failure for a daemon that can't be reached, with a hint if another user runs one.
 fn unreachable(error: IpcError) -> Failure {
     match error {
         IpcError::NoDaemon { .. } => no_daemon(error),
@@ -98,11 +98,11 @@ fn unreachable(error: IpcError) -> Failure {
     }
 }
 
-/// There is no daemon for this user.
+/// Failure for a missing daemon, with a hint if another user runs one.
 fn no_daemon(error: impl Display) -> Failure {
     match place::served_by_another() {
         Some(owner) => Failure::job(format!(
-            "{error}; the service on this machine belongs to user {owner}, and only that user may talk to it: `sudo -u plumbline plumbline ...`"
+            "{error}; the service on this machine belongs to user {owner}, and only that user may connect to it: `sudo -u plumbline plumbline ...`"
         )),
         None => Failure::job(error),
     }

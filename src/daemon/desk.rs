@@ -3,7 +3,7 @@
 use super::check::{Checked, check};
 use super::gravity::Watch;
 use super::recorder::Recorder;
-use crate::config::job::{Adopt, Job, OnLoss};
+use crate::config::job::{Adopt, Job, OnEstimatorLoss};
 use crate::failure::Failure;
 use crate::process::signals::{Cause, Ending};
 use crate::recording::about::Reason;
@@ -439,7 +439,7 @@ impl Desk {
         // Simulated time waits for an estimator that watches: its silence is no loss.
         let waited_for = self.job.live.watch && self.job.backend.is_fast();
         let silent = matches!(news, News::Silent { .. });
-        let stop = self.job.safety.on_estimator_loss == OnLoss::Stop && !(silent && waited_for);
+        let stop = self.job.safety.on_estimator_loss == OnEstimatorLoss::Stop && !(silent && waited_for);
         let rule = match (news, self.progress) {
             // One that leaves in mid-motion is gone, too: it may have failed, and taken leave on its way out.
             (News::Died { .. } | News::Left { .. } | News::Silent { .. }, Progress::Driving) if stop => "the arm stops",
