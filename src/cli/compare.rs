@@ -1,8 +1,7 @@
 //! `plumbline compare`: changes of the arm since a model was identified.
 
-use crate::analysis::changed::{self, Stored};
 use crate::analysis::split::find_and_judge;
-use crate::analysis::{diagnosed, pipeline};
+use crate::analysis::{diagnosis, pipeline};
 use crate::cli::identify::recorded_data_settings;
 use crate::cli::say::say;
 use crate::dataset::{Dataset, Run};
@@ -14,7 +13,7 @@ use crate::setup::models;
 use crate::store::{ModelFile, Provenance, Validated};
 use clap::Args;
 use plumbline_core::{BadInput, threads};
-use plumbline_diagnose::reference;
+use plumbline_diagnose::reference::{self, Comparison, Stored};
 use plumbline_identify::{Experiment, Rms};
 use plumbline_model::term::Term;
 use plumbline_model::term::rigid_body::RigidBody;
@@ -49,7 +48,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     dataset.expect_joints(robot.chain.len())?;
     let file = model_file(&options, &robot)?;
     let settings = recorded_data_settings(&options.velocities, options.trim)?;
-    let diagnosis = diagnose_settings(&options)?;
+    let search = diagnose_settings(&options)?;
     let model = &file.model;
 
     let (held, refused): (Vec<&Run>, Vec<&Run>) =
@@ -63,10 +62,10 @@ pub fn run(options: Options) -> Result<(), Failure> {
     pipeline::check_torques(&find)?;
     let experiments = pipeline::experiments(&find, &settings)?;
     let unseen = pipeline::experiments(&judge.iter().collect::<Vec<_>>(), &settings)?;
-    let trials = diagnosed::trials(&experiments, &find);
+    let trials = diagnosis::trials(&experiments, &find);
     bar.at(0.2, "searching");
     let steps = std::cell::Cell::new(0.2);
-    let changes = reference::changes(model, &trials, &diagnosis, &|step| {
+    let changes = reference::changes(model, &trials, &search, &|step| {
         steps.set(steps.get() + 0.1 * (0.9 - steps.get()));
         bar.at(steps.get(), step.item.spec.family);
     });
@@ -74,17 +73,23 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let stored = Stored { model, changes: &changes.effects };
     let sessions: Vec<u32> = judge.iter().map(|run| run.session).collect();
     let unseen: Vec<(&Experiment, u32)> = unseen.iter().zip(sessions).collect();
-    let kept = stored.stand_the_test(&unseen)?;
+    let kept = stored.held(&unseen).map_err(Failure::job)?;
     bar.done();
 
-    let after = stored.with(&kept, u32::MAX)?;
-    let errors_after = stored.errors(&kept, &unseen)?;
+    let after = stored.with(&kept, u32::MAX).map_err(Failure::job)?;
+    let errors_after = stored.errors(&kept, &unseen).map_err(Failure::job)?;
     let names: Vec<String> = judge.iter().map(|run| run.data.name.clone()).collect();
     let since = since(&options, &file);
-    let mut told = changed::Told::new(&changes, model, &kept);
-    told.band = Band::Filtered { cutoff: settings.torque_cutoff };
-    told.declared = find.first().map(|run| run.data.mounting);
-    let mut diagnosis = told.diagnosis(&since, &names, &stored.compared(&kept, &unseen)?);
+    let comparison = Comparison {
+        changes: &changes,
+        stored: model,
+        kept: &kept,
+        declared: find.first().map(|run| run.data.mounting),
+        band: Band::Filtered { cutoff: settings.torque_cutoff },
+        since: since.clone(),
+        runs: names,
+    };
+    let mut diagnosis = comparison.diagnosis(&stored.compared(&kept, &unseen).map_err(Failure::job)?);
     let identifiability = identifiability(model, &refused, &changes.doubt);
     if held.is_empty() {
         notes.push(format!(

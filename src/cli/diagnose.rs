@@ -1,6 +1,6 @@
 //! `plumbline diagnose`: finds effects that a plain model of recorded data lacks, offline.
 
-use crate::analysis::diagnosed::{self, Diagnosed, Question};
+use crate::analysis::diagnosis::{self, Diagnosed, Question};
 use crate::analysis::split::{Split, split};
 use crate::analysis::{pipeline, sessions};
 use crate::cli::identify::{self, Outcome};
@@ -59,7 +59,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         diagnosis: &diagnosis,
         of: Of::Filtered,
     };
-    let Diagnosed { after, mut block, figures: drawn } = diagnosed::run(&question)?;
+    let Diagnosed { after, mut block, figures: drawn } = diagnosis::run(&question)?;
     let reference = sessions::Reference {
         robot: &robot,
         model: &after.model,

@@ -7,7 +7,7 @@ use crate::cli::say::say;
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
 use crate::process::progress;
-use crate::report::figures::{DiagnosisFigures, Figures};
+use crate::report::figures::{Curves, Figures};
 use crate::report::{Band, Consistency, Report, Validation};
 use crate::store::{ModelFile, Validated};
 use clap::Args;
@@ -103,7 +103,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     done.write(&options.out, |report| {
         report.identifiability.untrusted_runs = untrusted;
         report.notes = notes;
-        DiagnosisFigures::default()
+        Curves::default()
     })
 }
 
@@ -127,7 +127,7 @@ pub(super) struct Outcome<'a> {
 
 impl Outcome<'_> {
     /// Writes model.toml, report.json and report.html, and prints a summary. `add` completes the report and returns its figures.
-    pub fn write(self, out: &Path, add: impl FnOnce(&mut Report) -> DiagnosisFigures) -> Result<(), Failure> {
+    pub fn write(self, out: &Path, add: impl FnOnce(&mut Report) -> Curves) -> Result<(), Failure> {
         let Outcome { robot, identified, runs, judged, mounting, hash, settings } = self;
         let provenance = crate::analysis::provenance(robot, Some(hash));
         let mut report = report_of(&identified, mounting, &provenance);

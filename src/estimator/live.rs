@@ -1,6 +1,6 @@
 //! The live watch of the estimator: follows the samples while a model is served, says when it no longer holds, and proposes a better one.
 
-use crate::analysis::{changed, pipeline};
+use crate::analysis::pipeline;
 use crate::config::job::{Adopt, Job};
 use crate::dataset::Run;
 use crate::failure::Failure;
@@ -326,7 +326,7 @@ impl Live {
 
     fn propose(&mut self, t: f64, since: f64, remedy: Remedy) -> Result<OfferedModel, Failure> {
         let Remedy { changes, model, before, after } = remedy;
-        let what = changes.iter().map(changed::line).collect::<Vec<_>>().join("; ");
+        let what = changes.iter().map(Change::line).collect::<Vec<_>>().join("; ");
         let source = format!("live, since {since:.1} s: {what}");
         let file = ModelFile {
             model,
@@ -358,7 +358,7 @@ impl Live {
 
     fn effects(&self, changes: &[Change]) -> Vec<Effect> {
         let Some(model) = self.model() else { return Vec::new() };
-        changes.iter().map(|change| changed::effect(change, model, Some(&self.mounting), true)).collect()
+        changes.iter().map(|change| change.effect(model, Some(&self.mounting), true)).collect()
     }
 
     fn model(&self) -> Option<&TorqueModel> {

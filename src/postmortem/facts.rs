@@ -7,7 +7,7 @@ use crate::recording::Recording;
 use crate::recording::about::RecordedOrder;
 use crate::recording::messages::{event_text, limit_name};
 use plumbline_core::{PERIOD, Phase, Record};
-use plumbline_rt::{Event, Limit, StopReason, Told, Violation};
+use plumbline_rt::{Event, Limit, StopReason, TimedEvent, Violation};
 use serde::Serialize;
 
 /// Maximum length of the timeline and of the list of outliers.
@@ -240,7 +240,7 @@ fn during(recording: &Recording) -> Option<String> {
 
 fn first_limit(recording: &Recording, time: &TimeBase) -> Option<LimitViolation> {
     // Only the last stop counts, and only if no resume followed it.
-    let of_a_stop = |told: &&Told| matches!(told.event, Event::Stopping { .. } | Event::Resumed);
+    let of_a_stop = |told: &&TimedEvent| matches!(told.event, Event::Stopping { .. } | Event::Resumed);
     let told = recording.events.iter().rfind(of_a_stop)?;
     let Event::Stopping { reason: StopReason::Guard(violation), .. } = told.event else { return None };
     let Violation { limit, joint, value, bound } = violation;

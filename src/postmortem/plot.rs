@@ -119,7 +119,7 @@ fn colour(j: usize) -> RGBColor {
 /// Start times of the controlled stops.
 fn stops(recording: &Recording) -> Vec<f64> {
     let time = TimeBase::of(recording);
-    let stopping = |told: &&plumbline_rt::Told| matches!(told.event, plumbline_rt::Event::Stopping { .. });
+    let stopping = |told: &&plumbline_rt::TimedEvent| matches!(told.event, plumbline_rt::Event::Stopping { .. });
     recording.events.iter().filter(stopping).map(|told| -time.before_end(told.seq)).collect()
 }
 

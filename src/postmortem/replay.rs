@@ -16,7 +16,7 @@ use crate::recording::about::{LogClock, RecordedModel, panic_message, panicked};
 use compare::{compare, same_events};
 use plumbline_core::{Backend, Command, Fault, FeedForward, Kinematics, Record, Sink, State};
 use plumbline_rt::cycle::{Cycle, End};
-use plumbline_rt::{Handles, Told, cycle};
+use plumbline_rt::{Handles, TimedEvent, cycle};
 use schedule::{InputSchedule, StartPoint};
 use serde::Serialize;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -138,7 +138,7 @@ pub fn replay(recording: &Recording, inputs: ReplayInputs) -> Result<ReplayResul
         .map_err(|panic| panicked(&panic_message(&*panic)));
     drop(again);
     let mut handles = lock(&shared).take().ok_or_else(|| ReplayError::Missing { what: "the loop's end".into() })?;
-    let told: Vec<Told> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
+    let told: Vec<TimedEvent> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
     handles.free_retired();
     let records_again = std::mem::take(&mut *lock(&records_again));
     let mut result = compare(records, &records_again, from_the_start);

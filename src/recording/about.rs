@@ -1,7 +1,7 @@
 //! Metadata of a recording: its origin, and all inputs of the loop, from which a replay is possible.
 
 use plumbline_core::{JointVec, Limits, Phase, Setpoint, SpeedEnvelope, Workspace};
-use plumbline_rt::os::Rights;
+use plumbline_rt::Rights;
 use plumbline_rt::{CycleSettings, GuardSettings, MoveFactors};
 use serde::{Deserialize, Serialize};
 use std::any::Any;
@@ -53,7 +53,7 @@ pub struct About {
     /// Late cycles since the loop started.
     pub late: u64,
     /// Events dropped since the loop started, because the ring was full; with any, there is no replay.
-    #[serde(rename = "untold")]
+    #[serde(alias = "untold")]
     pub dropped_events: u64,
     /// Names of the motions.
     #[serde(default)]

@@ -5,7 +5,7 @@
 
 use super::about::{Activity, Note, Point, RecordedModel, RecordedOrder};
 use plumbline_core::{JointVec, Record, Setpoint, State};
-use plumbline_rt::{Event, Told, braked_from};
+use plumbline_rt::{Event, TimedEvent, braked_from};
 use std::collections::VecDeque;
 
 /// Capacity for events. The state that older events led to is kept in `base`.
@@ -33,7 +33,7 @@ pub struct History {
 
 /// An event with the setpoint at its start.
 struct EventEntry {
-    told: Told,
+    told: TimedEvent,
     from: Option<Setpoint>,
 }
 
@@ -62,7 +62,7 @@ pub fn start_setpoint(event: &Event, last: &Record, own: Option<&Record>) -> Set
 
 impl LoopState {
     /// Updates the state with an event; `from` is the setpoint at its start.
-    pub fn apply(&mut self, told: &Told, from: Option<Setpoint>) {
+    pub fn apply(&mut self, told: &TimedEvent, from: Option<Setpoint>) {
         self.orders = told.orders;
         let from = from.map(Point::from);
         match told.event {
@@ -84,7 +84,7 @@ pub struct Window {
     /// Records, oldest first, possibly with gaps.
     pub records: Vec<Record>,
     /// Events in those cycles.
-    pub events: Vec<Told>,
+    pub events: Vec<TimedEvent>,
     /// Remarks.
     pub notes: Vec<Note>,
     /// State of the loop after the first of the cycles.
@@ -130,7 +130,7 @@ impl History {
     }
 
     /// Adds an event, overwriting the oldest.
-    pub fn push_event(&mut self, told: Told) {
+    pub fn push_event(&mut self, told: TimedEvent) {
         if self.ring.capacity() == 0 {
             return;
         }
@@ -266,8 +266,8 @@ mod tests {
         record
     }
 
-    fn told(cycle: u64, orders: u32, event: Event) -> Told {
-        Told { cycle, seq: cycle + 1, stamp_ns: 0, orders, event }
+    fn told(cycle: u64, orders: u32, event: Event) -> TimedEvent {
+        TimedEvent { cycle, seq: cycle + 1, stamp_ns: 0, orders, event }
     }
 
     fn cycles(window: &Window) -> Vec<u64> {

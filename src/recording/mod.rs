@@ -19,7 +19,7 @@ mod write;
 
 use about::About;
 use plumbline_core::Record;
-use plumbline_rt::Told;
+use plumbline_rt::TimedEvent;
 
 /// A recording in memory.
 #[derive(Clone, Debug)]
@@ -31,7 +31,7 @@ pub struct Recording {
     /// The last cycle, if it ended without a command: only its state is valid.
     pub unanswered: Option<Record>,
     /// Events in order.
-    pub events: Vec<Told>,
+    pub events: Vec<TimedEvent>,
     /// Texts by name: `robot.toml`, `job.toml`, `model-<identity>.toml`.
     pub texts: Vec<(String, String)>,
     /// Position and cause of a truncation or damage; `None` for a complete file.

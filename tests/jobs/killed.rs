@@ -185,7 +185,10 @@ fn a_daemon_takes_orders_and_refuses_what_it_can_not_do() {
 
     // A stop stands, also where nothing moves.
     let stopped = place.command("stop").expect_code(0);
-    assert!(stopped.out.contains(&format!("the daemon (process {}) has received the stop", daemon.pid())), "{stopped:?}");
+    assert!(
+        stopped.out.contains(&format!("the daemon (process {}) has received the stop", daemon.pid())),
+        "{stopped:?}"
+    );
     let refused = place.command("start").expect_code(1);
     assert!(refused.err.contains("plumbline command resume"), "{}", refused.said());
     place.command("resume").expect_code(0);

@@ -4,7 +4,7 @@
 use super::fourier::Fourier;
 use super::limits::{Bounds, Peak, Quantity, VERIFY_RATE};
 use plumbline_core::{Command, JointVec, MAX_JOINTS, PERIOD, Setpoint, State};
-use plumbline_rt::{Asked, Guard, GuardSettings, Limit, MoveFactors, Violation};
+use plumbline_rt::{Guard, GuardSettings, Limit, ModelTorques, MoveFactors, Violation};
 
 /// One period of a motion, from rest: the first rule of the guard that it breaks.
 pub fn rehearse(bounds: &Bounds, fourier: &Fourier) -> Option<Peak> {
@@ -30,7 +30,7 @@ pub fn rehearse_points(bounds: &Bounds, points: impl IntoIterator<Item = Setpoin
         });
         let state = State { q, ..State::default() };
         if let Err(violation) =
-            guard.check(PERIOD, &Command { desired, ..Command::default() }, &Asked::default(), &state)
+            guard.check(PERIOD, &Command { desired, ..Command::default() }, &ModelTorques::default(), &state)
         {
             return Some(peak(&violation, tick as f64 * PERIOD));
         }

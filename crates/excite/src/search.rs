@@ -79,7 +79,7 @@ pub struct Watch<'a> {
     pub threads: usize,
     /// Asked between the legs of a descent: when true, the search ends with the best that it has.
     pub stop: &'a (dyn Fn() -> bool + Sync),
-    /// Told how far it is, from any thread.
+    /// TimedEvent how far it is, from any thread.
     pub progress: &'a (dyn Fn(Progress) + Sync),
 }
 

@@ -6,7 +6,7 @@
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::error::IpcError;
-use plumbline_core::{Distribution, LoopStatistics, Phase};
+use plumbline_core::{Distribution, Link, LoopStatistics, Phase};
 
 /// Longest request. A model file of 1 MiB fits in even when every second character needs an escape.
 pub const MAX_REQUEST_BYTES: usize = 2 << 20;
@@ -221,42 +221,6 @@ pub struct Session {
     /// The network to the robot; absent where there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub link: Option<Link>,
-}
-
-/// The connection to a robot over a network, by the session's own counts.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Link {
-    /// Robot, protocol version and system image, in words.
-    pub robot: String,
-    /// States received.
-    pub states: u64,
-    /// States that never arrived.
-    pub lost: u64,
-    /// States that arrived and were passed over, for a newer one was there when the loop looked.
-    pub passed_over: u64,
-    /// Packets that came out of order, twice or damaged.
-    pub odd: u64,
-    /// Commands that left late for the robot's next cycle.
-    pub late: u64,
-    /// Commands that the rate limiter changed.
-    pub limited: u64,
-    /// The robot's own share of commands that reached it in time, of the last 100 at a time: least and mean.
-    pub success: Option<[f64; 2]>,
-    /// From a state's being read to its command on the way.
-    pub turnaround: Distribution,
-    /// From a state's arrival at this machine to its being read.
-    pub wake: Distribution,
-    /// From a command on the way to the first state that shows it.
-    pub round_trip: Distribution,
-    /// From one state's arrival to the next one's.
-    pub interval: Distribution,
-    /// Direction of gravity in the base frame that the robot's sensors show, or its own constant without any; a unit vector.
-    pub gravity: Option<[f64; 3]>,
-    /// Gravity in the base frame that the robot's own controller compensates \[m/s2\].
-    #[serde(default)]
-    pub compensates: Option<[f64; 3]>,
-    /// What the robot stopped for, by its own names, what that comes from, and what the operator does next.
-    pub fault: Option<String>,
 }
 
 /// Direction of the gravitational acceleration in the base frame, paper eq. 3.

@@ -53,14 +53,15 @@ mod trouble;
 pub use arm_lock::{ArmLock, ArmLockError};
 pub use client::Client;
 pub use command::{
-    Follower, Gravity, Held, Link, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request, Response,
-    Served, Session, Status,
+    Follower, Gravity, Held, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request, Response, Served,
+    Session, Status,
 };
 pub use error::IpcError;
 pub use feed_forward::{FeedForwardClient, FeedForwardSettings, Latest, Presence};
 pub use followers::News;
 pub use lock::{Lock, LockError};
 pub use messages::{FeedForwardMessage, FollowRequest, MessageError, ReplayHeader, SampleMessage};
+pub use plumbline_core::Link;
 pub use requests::{Asked, Ticket, read};
 pub use retain::RetainedLog;
 pub use robot::RobotId;

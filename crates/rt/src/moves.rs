@@ -184,6 +184,11 @@ pub fn stop_distances(dq_now: f64, ddq_now: f64, ddq: f64, jerk: f64) -> (f64, f
     (stop_distance_third_order(dq_now, ddq_now, ddq, jerk), stop_distance_third_order(-dq_now, -ddq_now, ddq, jerk))
 }
 
+/// Seconds in a number of the arm's cycles.
+pub(super) fn seconds(cycles: u64) -> f64 {
+    cycles as f64 * PERIOD
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -3,7 +3,7 @@
 use super::ReplayResult;
 use crate::recording::Recording;
 use plumbline_core::{MAX_JOINTS, Record};
-use plumbline_rt::{Event, StopReason, Told};
+use plumbline_rt::{Event, StopReason, TimedEvent};
 
 fn bitwise_equal(a: &[f64], b: &[f64]) -> bool {
     a.iter().map(|x| x.to_bits()).eq(b.iter().map(|x| x.to_bits()))
@@ -65,10 +65,10 @@ pub(super) fn compare(were: &[Record], are: &[Record], from_the_start: bool) -> 
 
 /// Whether the events from cycle `first` on are the recorded ones. Stops at the program's end and after a heartbeat timeout are replayed
 /// as requested stops, and discarded orders are not replayed.
-pub(super) fn same_events(recording: &Recording, told: &[Told], first: u64) -> bool {
-    let plain = |told: &Told| match told.event {
+pub(super) fn same_events(recording: &Recording, told: &[TimedEvent], first: u64) -> bool {
+    let plain = |told: &TimedEvent| match told.event {
         Event::Discarded { .. } => None,
-        Event::Stopping { motion, reason: StopReason::Quit | StopReason::Unattended { .. } } => {
+        Event::Stopping { motion, reason: StopReason::Quit | StopReason::HeartbeatLost { .. } } => {
             Some((told.cycle, Event::Stopping { motion, reason: StopReason::Requested }))
         }
         event => Some((told.cycle, event)),

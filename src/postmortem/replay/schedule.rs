@@ -7,7 +7,7 @@ use crate::recording::history::{LoopState, start_setpoint};
 use nalgebra::DMatrix;
 use plumbline_core::{FeedForward, Record, Reference, Setpoint};
 use plumbline_excite::{Fourier, PeriodicMotion};
-use plumbline_rt::{Checkpoint, Doing, Event, Handles, Order, OrderKind, StopReason, Succession, Told};
+use plumbline_rt::{Checkpoint, Doing, Event, Handles, Order, OrderKind, StopReason, Succession, TimedEvent};
 
 /// Start point of a replay.
 pub(super) struct StartPoint {
@@ -73,7 +73,7 @@ fn loop_state(recording: &Recording, cycle: u64) -> LoopState {
 }
 
 /// Setpoint at the start of an event.
-fn start_setpoint_of(records: &[Record], told: &Told) -> Option<Setpoint> {
+fn start_setpoint_of(records: &[Record], told: &TimedEvent) -> Option<Setpoint> {
     let find =
         |cycle: u64| records.binary_search_by_key(&cycle, |record| record.cycle).ok().map(|place| &records[place]);
     Some(start_setpoint(&told.event, find(told.cycle.checked_sub(1)?)?, find(told.cycle)))
@@ -199,7 +199,7 @@ impl InputSchedule {
             }
             match told.event {
                 Event::Stopping {
-                    reason: StopReason::Requested | StopReason::Quit | StopReason::Unattended { .. },
+                    reason: StopReason::Requested | StopReason::Quit | StopReason::HeartbeatLost { .. },
                     ..
                 } => hand(Input::Stop),
                 Event::Resumed => hand(Input::Resume),

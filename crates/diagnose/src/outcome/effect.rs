@@ -1,0 +1,157 @@
+//! One effect as it stands in `report.json`.
+
+use plumbline_model::term::effect::{Quantity, Stratum, family};
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+/// An effect that was found, with its evidence.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Effect {
+    /// Stable identity: `presliding`.
+    pub id: String,
+    /// Joints that it sits in, from 1; the joint whose torque it is first; of a contact the link that is touched. Empty for the arm as
+    /// a whole.
+    pub joints: Vec<usize>,
+    /// What it is called in texts; made of `id` and `joints` where empty.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub label: String,
+    /// Its parameters, linear and nonlinear.
+    #[serde(flatten)]
+    pub parameters: Parameters,
+    /// Evidence for it, the score of the extended Bayesian information criterion: `2 delta_log_likelihood - penalty`.
+    pub evidence: Option<f64>,
+    /// Gain in log likelihood \[nat\].
+    #[serde(default)]
+    pub delta_log_likelihood: Option<f64>,
+    /// What its parameters and the number of candidates cost, twice nats.
+    #[serde(default)]
+    pub penalty: Option<f64>,
+    /// Whether it holds in trajectories that were left out.
+    #[serde(default)]
+    pub folds: Folds,
+    /// Share of its torque's power that the base parameters can't absorb, 0 to 1.
+    #[serde(default)]
+    pub idf: Option<f64>,
+    /// RMS of its torque in the joint where that is largest \[Nm\].
+    #[serde(default)]
+    pub torque_rms: Option<f64>,
+    /// Share of the unmodelled power that it explains in the joint where that is largest, 0 to 1; of what differs between the periods
+    /// where it changes from period to period.
+    pub explained_share: Option<f64>,
+    /// Share of its joint's unmodelled power that all effects together explain, 0 to 1.
+    #[serde(default)]
+    pub adequacy: Option<f64>,
+    /// Ids of the effects that this data can't tell from it.
+    pub alternatives: Vec<String>,
+    /// The same with what would decide.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub alternatives_detail: Vec<Alternative>,
+    /// Whether it held across trajectories.
+    #[serde(default)]
+    pub confirmed: bool,
+    /// Where in the data it shows.
+    #[serde(default)]
+    pub stratum: Stratum,
+    /// First session that has it; absent where all have.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub since_session: Option<u32>,
+    /// Whether the delivered model has it; otherwise it is reported alone.
+    #[serde(default)]
+    pub in_model: bool,
+    /// Why the delivered model has not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub withheld: Option<String>,
+    /// Name of its form; empty where the effect has one.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub form: String,
+    /// Its columns: `tau_j = fp_j z, ...`.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub equation: String,
+    /// What happens, in one sentence.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub physics: String,
+}
+
+/// Trajectories that were left out in turn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Folds {
+    /// In how many the effect lowers the error.
+    pub positive: usize,
+    /// How many excite it enough to say.
+    pub informative: usize,
+}
+
+/// An effect that explains the data about as well.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Alternative {
+    /// Its id.
+    pub id: String,
+    /// Its joints, from 1.
+    #[serde(default)]
+    pub joints: Vec<usize>,
+    /// How much lower its score is.
+    #[serde(default)]
+    pub score_gap: Option<f64>,
+    /// The experiment that tells the two apart.
+    #[serde(default)]
+    pub deciding_experiment: String,
+}
+
+/// Parameters of an effect in their own order. In the file they are three objects by name: `parameters`, `std` and `units`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(from = "Maps", into = "Maps")]
+pub struct Parameters(pub Vec<Quantity>);
+
+#[derive(Serialize, Deserialize)]
+struct Maps {
+    parameters: Map<String, Value>,
+    #[serde(default)]
+    std: Map<String, Value>,
+    #[serde(default)]
+    units: Map<String, Value>,
+}
+
+impl From<Parameters> for Maps {
+    fn from(Parameters(list): Parameters) -> Maps {
+        let map = |of: fn(&Quantity) -> Value| list.iter().map(|p| (p.name.clone(), of(p))).collect();
+        Maps { parameters: map(|p| p.value.into()), std: map(|p| p.std.into()), units: map(|p| p.unit.clone().into()) }
+    }
+}
+
+impl From<Maps> for Parameters {
+    fn from(Maps { parameters, std, units }: Maps) -> Parameters {
+        let number = |map: &Map<String, Value>, name: &str| map.get(name).and_then(Value::as_f64);
+        let each = |name: &String| Quantity {
+            name: name.clone(),
+            value: number(&parameters, name).unwrap_or(f64::NAN),
+            std: number(&std, name),
+            unit: units.get(name).and_then(Value::as_str).unwrap_or_default().to_string(),
+        };
+        Parameters(parameters.keys().map(each).collect())
+    }
+}
+
+impl Effect {
+    /// What the catalogue has of a form of an effect; the caller adds what was found.
+    pub fn of(id: &str, form: &str) -> Effect {
+        let family = family(id);
+        let written = family.and_then(|family| family.form(form));
+        Effect {
+            id: id.into(),
+            form: form.into(),
+            stratum: family.map_or(Stratum::default(), |family| family.stratum),
+            equation: written.map_or(String::new(), |form| form.equation.into()),
+            physics: family.map_or(String::new(), |family| family.physics.into()),
+            ..Effect::default()
+        }
+    }
+
+    /// Identity and joints: `presliding in joint 4`.
+    pub fn place(&self) -> String {
+        match self.joints[..] {
+            [] => self.id.clone(),
+            [joint] => format!("{} in joint {joint}", self.id),
+            [row, cause, ..] => format!("{} in joint {row} from joint {cause}", self.id),
+        }
+    }
+}
