@@ -1,8 +1,8 @@
-//! `plumbline compare`: what changed since a model was identified.
+//! `plumbline compare`: changes of the arm since a model was identified.
 
 use crate::analysis::split::find_and_judge;
 use crate::analysis::{diagnosis, pipeline};
-use crate::cli::identify::quiet_settings;
+use crate::cli::identify::recorded_data_settings;
 use crate::cli::say::say;
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
@@ -36,18 +36,18 @@ pub struct Options {
     /// Time to leave out at both ends of runs that do not repeat, in s
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     trim: f64,
-    /// Least RMS of an effect that counts, in Nm; by default 0.7 of the noise of the mean period
+    /// Detection threshold in Nm: smallest RMS of an effect; by default 0.7 of the noise of the mean period
     #[arg(long, value_name = "NM")]
     threshold: Option<f64>,
 }
 
-/// Compares, judges by unseen runs, and writes the results.
+/// Searches for changes, validates them on held-out runs and writes the results.
 pub fn run(options: Options) -> Result<(), Failure> {
     let dataset = Dataset::read(&options.dataset)?;
     let robot = Robot::load(&dataset.robot, Some(&options.dataset))?;
     dataset.expect_joints(robot.chain.len())?;
     let file = model_file(&options, &robot)?;
-    let settings = quiet_settings(&options.velocities, options.trim)?;
+    let settings = recorded_data_settings(&options.velocities, options.trim)?;
     let search = diagnose_settings(&options)?;
     let model = &file.model;
 
@@ -124,7 +124,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     std::fs::create_dir_all(&options.out)
         .map_err(|error| Failure::job(format!("{}: {error}", options.out.display())))?;
     let written = if kept.is_empty() {
-        // Nothing changed: the very model that was stored.
+        // No change: the stored model.
         file
     } else {
         ModelFile {
@@ -158,7 +158,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The model, which must be of the robot that the dataset is of.
+/// Reads the model, which must be of the dataset's robot.
 fn model_file(options: &Options, robot: &Robot) -> Result<ModelFile, Failure> {
     let name = options.model.display().to_string();
     let text = std::fs::read_to_string(&options.model)
@@ -180,8 +180,8 @@ fn diagnose_settings(options: &Options) -> Result<plumbline_diagnose::Settings, 
     })
 }
 
-/// What the model can't vouch for: runs in mountings that it lacks parameters for, and parameters that were not identifiable when it
-/// was made and that these runs need.
+/// Limits of the model's validity: runs in mountings that it has no parameters for, and parameters that these runs need and that were
+/// not identifiable.
 fn identifiability(model: &TorqueModel, refused: &[&Run], doubt: &reference::Doubt) -> Identifiability {
     let mut facts = Identifiability {
         not_identifiable: doubt.parameters.clone(),
@@ -196,7 +196,7 @@ fn identifiability(model: &TorqueModel, refused: &[&Run], doubt: &reference::Dou
     facts
 }
 
-/// The model in a few words.
+/// Name and date of the model.
 fn since(options: &Options, file: &ModelFile) -> String {
     let name = options.model.file_name().map_or("the model".into(), |name| name.to_string_lossy().into_owned());
     let date = file.provenance.date.as_ref().map_or(String::new(), |date| format!(" of {date}"));

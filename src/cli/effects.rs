@@ -1,4 +1,4 @@
-//! `plumbline effects`: the effects that diagnosis knows, for people.
+//! `plumbline effects`: prints the effects of the diagnosis.
 
 use crate::failure::Failure;
 use clap::Args;
@@ -13,12 +13,12 @@ pub struct Options {
     id: Option<String>,
 }
 
-/// Columns of the text.
+/// Line width in characters.
 const WIDTH: usize = 100;
-/// Where the text behind a label begins.
+/// Column of the text after a label.
 const LABEL: usize = 14;
 
-/// Prints all of them, or one.
+/// Prints all effects, or one.
 pub fn run(options: Options) -> Result<(), Failure> {
     let text = match &options.id {
         None => FAMILIES.iter().map(|family| block(family)).collect::<Vec<_>>().join("\n"),
@@ -27,7 +27,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
             BadInput::new("command line", "effect", format!("`{id}`"), format!("one of {known}"))
         })?),
     };
-    // A reader that has seen enough (`| head`) is no failure.
+    // A closed pipe (`| head`) is not a failure.
     match std::io::stdout().write_all(text.as_bytes()) {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(Failure::job(error)),
         _ => Ok(()),

@@ -4,11 +4,11 @@ use super::gravity::{Decision, GravityMonitor, ServiceChange, Verdict};
 use super::job_setup::JobSetup;
 use super::models::{Accepted, Models};
 use super::recorder::Recorder;
-use crate::config::job::OnLoss;
+use crate::config::job::OnEstimatorLoss;
 use crate::failure::Failure;
 use crate::process::signals::{Cause, Ending};
 use crate::recording::about::Reason;
-use crate::recording::messages::words;
+use crate::recording::messages::event_text;
 use plumbline_core::{Fault, Record};
 use plumbline_ipc::{FollowerEvent, Progress, Session as SessionStatistics, StopOrder, now_ns};
 use plumbline_model::Mounting;
@@ -289,7 +289,7 @@ impl DaemonState {
         // Simulated time waits for an estimator that watches: its silence is no loss.
         let waited_for = job.live.watch && job.backend.is_fast();
         let silent = matches!(news, FollowerEvent::Silent { .. });
-        let stop = job.safety.on_estimator_loss == OnLoss::Stop && !(silent && waited_for);
+        let stop = job.safety.on_estimator_loss == OnEstimatorLoss::Stop && !(silent && waited_for);
         match (news, self.programme.progress) {
             // One that leaves during a motion is lost, too: it may have failed and disconnected in order.
             (
@@ -357,7 +357,7 @@ impl DaemonState {
             Event::Discarded { motion } => tracing::debug!("order {motion} was discarded"),
             Event::Serving { model } => tracing::debug!("the loop serves model {model:016x}"),
             Event::Distrusted { .. } => {
-                tracing::error!(plumbline_event = "distrusted", "{}", words(event));
+                tracing::error!(plumbline_event = "distrusted", "{}", event_text(event));
             }
         }
     }

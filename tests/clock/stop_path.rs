@@ -98,7 +98,7 @@ impl Scene {
         let begin = now_ns();
         let done = self.place.command("stop").expect_code(0);
         let command = now_ns();
-        assert!(done.out.contains("has taken the stop"), "{}", done.said());
+        assert!(done.out.contains("has received the stop"), "{}", done.said());
         let taken = self.taken_ns();
         assert!(taken > begin, "the stop before this one is shown");
         let braking = self.record("the brake", begin, |record| matches!(record.phase, Phase::Stop | Phase::Stopped));

@@ -148,14 +148,14 @@ fn the_loss_of_the_estimator_stops_an_arm_that_moves_where_the_job_says_so() {
         [(JOB, true, false), (&fast, true, true), (&fast, false, false), (JOB, false, false)]
     {
         for (news, lost) in [(&died, true), (&left, true), (&silent, !waited_for), (&joined, false)] {
-            for rule in [OnLoss::Stop, OnLoss::Finish] {
+            for rule in [OnEstimatorLoss::Stop, OnEstimatorLoss::Finish] {
                 for progress in [Progress::Driving, Progress::AwaitingModel, Progress::Idle] {
                     let (mut state, _place) = state_of(job);
                     (state.setup.job.live.watch, state.setup.job.safety.on_estimator_loss, state.programme.progress) =
                         (watch, rule, progress);
                     let controls = Controls::default();
                     let said = logged(|| state.news(news, Some(&controls)));
-                    let stops = lost && rule == OnLoss::Stop && progress == Progress::Driving;
+                    let stops = lost && rule == OnEstimatorLoss::Stop && progress == Progress::Driving;
                     assert_eq!(
                         (controls.stop_requested(), state.stops.barred),
                         (stops, stops),
@@ -187,7 +187,7 @@ fn the_flight_recorder_is_given_the_reason_of_every_stop_that_the_daemon_asks_fo
     state.announce_end();
     assert_eq!(remarks(), ["signal: signal SIGTERM arrived"]);
     let news = FollowerEvent::Left { name: "estimator".into(), pid: 7, acknowledged: 5 };
-    for (rule, count) in [(OnLoss::Stop, 2), (OnLoss::Finish, 1)] {
+    for (rule, count) in [(OnEstimatorLoss::Stop, 2), (OnEstimatorLoss::Finish, 1)] {
         (state.programme.progress, state.setup.job.safety.on_estimator_loss) = (Progress::Driving, rule);
         state.news(&news, Some(&controls));
         let found = remarks();
