@@ -7,7 +7,7 @@ use super::detectable;
 use super::errors::Of;
 use super::evidence::{Evidence, Trial};
 use super::fallback::{self, Residual};
-use super::fit::{LEAST, Problem, group};
+use super::fit::{MIN_INDEPENDENCE_RATIO, Problem, group};
 use super::gates;
 use super::library::{Candidate, library, repeatable};
 use super::outcome::{
@@ -23,7 +23,7 @@ use plumbline_identify::solve::identify_with;
 use plumbline_identify::{EstimateError, Experiment, solve};
 use plumbline_model::Structure;
 use plumbline_model::term::effect;
-use plumbline_model::term::effect::{Ground, Spec};
+use plumbline_model::term::effect::{OperatingPoint, Spec};
 
 /// What is diagnosed.
 pub struct Input<'a> {
@@ -47,21 +47,21 @@ impl<'a> Input<'a> {
 }
 
 /// What a joint's effects have to explain of what was unmodelled there, to be called an explanation.
-const EXPLAINED: f64 = 0.9;
+const MIN_EXPLAINED_RATIO: f64 = 0.9;
 /// Times the noise of the mean period that an explanation may leave.
-const LEFT_OVER: f64 = 2.5;
+const MAX_LEFT_OVER_FLOOR_RATIO: f64 = 2.5;
 /// Share of what is left over that has to follow some variables to be called unexplained, where the noise is not known.
-const FOLLOWS: f64 = 0.25;
+const MIN_DEPENDENCE_R2: f64 = 0.25;
 /// Lack of fit from which on a residual is unexplained that follows no variable.
-const FLAT: f64 = 2.0;
+const MIN_FLAT_LACK_OF_FIT_RATIO: f64 = 2.0;
 /// Times that the load is computed anew with the parameters of the model with effects,
-const GROUNDS: usize = 8;
+const MAX_RELINEARISATIONS: usize = 8;
 /// and twice the gain in log likelihood from which on it is worth another time.
-const GROUND_GAIN: f64 = 4.0;
+const MIN_RELINEARISATION_GAIN: f64 = 4.0;
 /// Candidates that an outcome lists.
 pub(super) const MAX_LISTED_SCORES: usize = 10;
 /// What is unmodelled counts from this share of the noise of the mean period on.
-pub(super) const THRESHOLD: f64 = 0.75;
+pub(super) const THRESHOLD_FLOOR_RATIO: f64 = 0.75;
 
 /// Diagnoses a set of runs of one arm. `progress` hears of every step.
 ///
@@ -75,21 +75,21 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let columns = columns_of(&evidence, structure, input.identify);
     let base = State::base(&Problem { evidence: &evidence, prior: None }, columns);
     // Columns that follow the load need parameters; the plain model's are near enough to begin with.
-    let ground = structure.ground(base.fit.theta.as_slice());
-    let candidates = library(&evidence, &ground, &repeatable(), None, settings.threads);
+    let operating_point = structure.operating_point(base.fit.theta.as_slice());
+    let candidates = library(&evidence, &operating_point, &repeatable(), None, settings.threads);
     let problem = Problem { evidence: &evidence, prior: None };
-    let search = Search { problem, ground: &ground, library: &candidates, settings };
+    let search = Search { problem, operating_point: &operating_point, library: &candidates, settings };
     let seeds = seeds(&search, &base);
     let mut draft = search.forward(base.clone(), &seeds, progress);
     let settled = settled(structure, &search, &mut draft.state);
-    let ground = settled.as_ref().unwrap_or(&ground);
-    let search = search.upon(ground);
+    let operating_point = settled.as_ref().unwrap_or(&operating_point);
+    let search = search.upon(operating_point);
     let selected = search.finish(draft, progress);
     let selected = vetoed(&search, selected, input, settings);
 
     let unseen = Evidence::of(structure.chain(), input.unseen(), settings.band);
     let (lacks, adequacy) = {
-        let model = Unseen::of(&unseen, structure, input.unseen(), &selected.state, ground);
+        let model = Unseen::of(&unseen, structure, input.unseen(), &selected.state, operating_point);
         let lacks = model.lacks(&base.fit.theta);
         let adequacy = model.explained(&lacks, &selected.state.fit.theta);
         (lacks, adequacy)
@@ -199,17 +199,17 @@ fn scores(selected: &Selected, effects: &[Effect]) -> Vec<Score> {
 
 /// Effects that follow the load were found upon the parameters of the plain model, which their lack has bent: brings them upon those of the model with
 /// the effects, until the likelihood has settled. The ground that they stand on then; `None` where the old one is as good.
-fn settled(structure: &Structure, search: &Search, state: &mut State) -> Option<Ground> {
+fn settled(structure: &Structure, search: &Search, state: &mut State) -> Option<OperatingPoint> {
     let mut settled = None;
-    for _ in 0..GROUNDS {
-        let ground = structure.ground(state.fit.theta.as_slice());
-        let Some(moved) = search.upon(&ground).upon_ground(state) else { break };
+    for _ in 0..MAX_RELINEARISATIONS {
+        let operating_point = structure.operating_point(state.fit.theta.as_slice());
+        let Some(moved) = search.upon(&operating_point).upon_ground(state) else { break };
         let gain = 2.0 * (moved.fit.likelihood - state.fit.likelihood);
         if gain <= 0.0 {
             break;
         }
-        (*state, settled) = (moved, Some(ground));
-        if gain < GROUND_GAIN {
+        (*state, settled) = (moved, Some(operating_point));
+        if gain < MIN_RELINEARISATION_GAIN {
             break;
         }
     }
@@ -224,7 +224,7 @@ fn seeds(search: &Search, base: &State) -> Vec<Candidate> {
     }
     let offset = |item: &&Candidate| {
         item.spec.family().is_ok_and(|family| family.rare.in_every_arm)
-            && base.try_in(&search.problem, item).is_some_and(|tried| tried.independence > LEAST)
+            && base.try_in(&search.problem, item).is_some_and(|tried| tried.independence > MIN_INDEPENDENCE_RATIO)
     };
     search.library.iter().filter(offset).cloned().collect()
 }
@@ -246,7 +246,7 @@ fn vetoed(search: &Search, mut selected: Selected, input: &Input, settings: &Set
     let mut item = 0;
     while item < selected.state.items.len() {
         let state = &selected.state;
-        let unseen = Unseen::of(&evidence, input.structure, input.veto, state, search.ground);
+        let unseen = Unseen::of(&evidence, input.structure, input.veto, state, search.operating_point);
         let rest = state.without(&search.problem, item);
         // The parameters without it, at their places among the columns with it.
         let gone = state.range(item);
@@ -287,7 +287,7 @@ fn effects_of(
     let mut effects = Vec::new();
     for (index, (item, found)) in state.items.iter().zip(&selected.found).enumerate() {
         let in_model = withheld[index].is_none();
-        let names = item.spec.build(search.ground).map(|term| term.columns()).unwrap_or_default();
+        let names = item.spec.build(search.operating_point).map(|term| term.columns()).unwrap_or_default();
         let fitted = |k: usize| {
             let at = state.range(index).start + k;
             (state.fit.theta[at], Some(state.fit.h[(at, at)].max(0.0).sqrt()))
@@ -331,7 +331,7 @@ fn settings_of(search: &Search, state: &State, index: usize) -> Vec<Quantity> {
         let mut moved = item.spec.clone();
         let setting = &form.settings[which];
         moved.settings[which] = setting.at(share).clamp(setting.low, setting.high);
-        let moved = super::library::Candidate::of(search.problem.evidence, search.ground, moved, item.since)?;
+        let moved = super::library::Candidate::of(search.problem.evidence, search.operating_point, moved, item.since)?;
         let cross = rest.columns.cross(search.problem.evidence, &moved.rows);
         Some(search.problem.gain(&rest.fit, &cross, &every, None)?.evidence)
     };
@@ -363,7 +363,7 @@ fn facts(evidence: &Evidence, settings: &Settings, joint: usize, base: &State, a
         rms: both(&|state| state.mean_square(evidence, joint).sqrt()),
         unmodelled: both(&|state| state.unmodelled(evidence, joint).sqrt()),
         lack_of_fit: floor.map_or(BeforeAfter::default(), |_| both(&ratio)),
-        threshold: floor.map(|floor| settings.threshold.unwrap_or(THRESHOLD * floor)),
+        threshold: floor.map(|floor| settings.threshold.unwrap_or(THRESHOLD_FLOOR_RATIO * floor)),
         ..JointFacts::default()
     }
 }
@@ -381,8 +381,9 @@ fn residuals(
     for (joint, facts) in joints.iter().enumerate() {
         // A share of much may still leave more than noise can be.
         let [floor, unmodelled] = [facts.floor_of_mean, facts.unmodelled.after];
-        let little = floor.zip(unmodelled).is_some_and(|(floor, unmodelled)| unmodelled <= LEFT_OVER * floor);
-        let explained = little && adequacy[joint].is_some_and(|share| share >= EXPLAINED);
+        let little =
+            floor.zip(unmodelled).is_some_and(|(floor, unmodelled)| unmodelled <= MAX_LEFT_OVER_FLOOR_RATIO * floor);
+        let explained = little && adequacy[joint].is_some_and(|share| share >= MIN_EXPLAINED_RATIO);
         if evidence.repeats() && (explained || !facts.lacking_after()) {
             continue;
         }
@@ -390,8 +391,8 @@ fn residuals(
         let counts = match facts.lack_of_fit.after {
             // The noise of the positions goes through the model into the mean, and the scatter of the torques knows nothing of it: so much may
             // be left over that follows no variable.
-            Some(after) => !one.flat() || after > FLAT,
-            None => one.r2() > FOLLOWS,
+            Some(after) => !one.flat() || after > MIN_FLAT_LACK_OF_FIT_RATIO,
+            None => one.r2() > MIN_DEPENDENCE_R2,
         };
         if counts {
             found.push(one);

@@ -9,19 +9,19 @@
 //! `phi` is estimated again with every candidate: estimated before it, an offset would explain itself away. Without repeats the noise
 //! has no known scale, and `phi` is near `RSS / n`.
 
-use super::evidence::{BANDS, Evidence};
+use super::evidence::{BAND_EDGES_HZ, Evidence};
 use super::moments::{Cross, Moments};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
 
 /// Directions of the equilibrated normal equations below this share of the largest are left alone.
-const RANK: f64 = 1e-11;
+const RANK_RATIO: f64 = 1e-11;
 /// Rows that the whole joint counts for in each of its bands, where the noise is not known.
-const DRAWN: f64 = 30.0;
+const POOLED_ROWS: f64 = 30.0;
 /// Rounds of weights.
-const ROUNDS: usize = 12;
+const MAX_WEIGHT_ROUNDS: usize = 12;
 /// Change of their logarithm at which they have settled.
-const SETTLED: f64 = 0.02;
+const SETTLED_LOG_RATIO: f64 = 0.02;
 
 /// Which folds count.
 pub type Chosen<'a> = &'a dyn Fn(usize) -> bool;
@@ -71,7 +71,7 @@ pub struct Gain {
 
 /// Group of a cell.
 pub fn group(joint: usize, band: usize) -> usize {
-    joint * BANDS.len() + band
+    joint * BAND_EDGES_HZ.len() + band
 }
 
 /// A model, its data and how its noise is known.
@@ -84,7 +84,7 @@ pub struct Problem<'a> {
 
 impl Problem<'_> {
     fn groups(&self) -> usize {
-        self.evidence.joints() * BANDS.len()
+        self.evidence.joints() * BAND_EDGES_HZ.len()
     }
 
     /// Over-dispersion of groups.
@@ -96,9 +96,9 @@ impl Problem<'_> {
             return rss.iter().zip(count).map(|(rss, count)| (rss / count.max(1.0)).max(1.0)).collect();
         }
         let mut phi = Vec::with_capacity(rss.len());
-        for (rss, count) in rss.chunks(BANDS.len()).zip(count.chunks(BANDS.len())) {
+        for (rss, count) in rss.chunks(BAND_EDGES_HZ.len()).zip(count.chunks(BAND_EDGES_HZ.len())) {
             let mean = rss.iter().sum::<f64>() / count.iter().sum::<f64>().max(1.0);
-            let drawn = |(rss, count): (&f64, &f64)| ((rss + DRAWN * mean) / (count + DRAWN)).max(1e-12);
+            let drawn = |(rss, count): (&f64, &f64)| ((rss + POOLED_ROWS * mean) / (count + POOLED_ROWS)).max(1e-12);
             phi.extend(rss.iter().zip(count).map(drawn));
         }
         phi
@@ -131,8 +131,8 @@ impl Problem<'_> {
     pub fn fit(&self, moments: &Moments, chosen: Chosen, phi: Option<&[f64]>) -> Fit {
         let phi = phi.map_or_else(|| vec![1.0; self.groups()], <[f64]>::to_vec);
         let mut fit = self.weighted(moments, chosen, &phi);
-        for _ in 1..ROUNDS {
-            let settled = |(new, old): (&f64, &f64)| (new / old).ln().abs() < SETTLED;
+        for _ in 1..MAX_WEIGHT_ROUNDS {
+            let settled = |(new, old): (&f64, &f64)| (new / old).ln().abs() < SETTLED_LOG_RATIO;
             if fit.phi.iter().zip(&fit.weights).all(settled) {
                 break;
             }
@@ -267,7 +267,7 @@ impl Problem<'_> {
     ) -> Vec<f64> {
         let mut rss = fit.rss.clone();
         for (at, sums) in fit.sums.iter().enumerate() {
-            let counts = joints.is_none_or(|joints| joints.contains(&(at / BANDS.len())));
+            let counts = joints.is_none_or(|joints| joints.contains(&(at / BAND_EDGES_HZ.len())));
             if let Some((g, slope)) = sums.as_ref().filter(|_| counts) {
                 rss[at] += (g * shift).dot(shift) - 2.0 * slope.dot(shift);
             }
@@ -303,13 +303,13 @@ pub fn inverse(g: &DMatrix<f64>) -> DMatrix<f64> {
     // The usual case has full rank.
     let well = scaled.clone().cholesky().filter(|factor| {
         let diagonal = factor.l_dirty().diagonal();
-        diagonal.min() > RANK.sqrt() * diagonal.max()
+        diagonal.min() > RANK_RATIO.sqrt() * diagonal.max()
     });
     let inverse = match well {
         Some(factor) => factor.inverse(),
         None => {
             let Some(eigen) = symmetric_eigen(scaled) else { return DMatrix::zeros(g.nrows(), g.ncols()) };
-            let least = RANK * eigen.eigenvalues.max();
+            let least = RANK_RATIO * eigen.eigenvalues.max();
             let weighted = DMatrix::from_fn(g.nrows(), g.ncols(), |i, k| {
                 let value = eigen.eigenvalues[k];
                 if value > least { eigen.eigenvectors[(i, k)] / value } else { 0.0 }
@@ -328,12 +328,12 @@ fn inverse_of_least(alone: &DMatrix<f64>, c: &DMatrix<f64>) -> Option<DMatrix<f6
     let eigen = symmetric_eigen(scaled)?;
     let weighted = DMatrix::from_fn(l, l, |i, k| {
         let value = eigen.eigenvalues[k];
-        if value > LEAST { eigen.eigenvectors[(i, k)] / value } else { 0.0 }
+        if value > MIN_INDEPENDENCE_RATIO { eigen.eigenvectors[(i, k)] / value } else { 0.0 }
     });
     let inverse = weighted * eigen.eigenvectors.transpose();
-    let found = eigen.eigenvalues.iter().any(|value| *value > LEAST);
+    let found = eigen.eigenvalues.iter().any(|value| *value > MIN_INDEPENDENCE_RATIO);
     found.then(|| DMatrix::from_fn(l, l, |i, k| inverse[(i, k)] * scale[i] * scale[k]))
 }
 
 /// What a candidate must have of its own, as a share of its square, in a direction that counts.
-pub const LEAST: f64 = 1e-3;
+pub const MIN_INDEPENDENCE_RATIO: f64 = 1e-3;

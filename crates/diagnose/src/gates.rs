@@ -9,13 +9,13 @@ use nalgebra::DVector;
 
 /// A fold with less than this share of the fitted effect says nothing about it, and one with more than the other is all that says
 /// anything.
-const INFORMATIVE: (f64, f64) = (0.03, 0.8);
+const INFORMATIVE_RATIOS: (f64, f64) = (0.03, 0.8);
 /// Share of the informative folds that have to agree.
-const AGREEMENT: f64 = 0.75;
+const MIN_AGREEMENT_RATIO: f64 = 0.75;
 /// Where nothing tells the noise, an effect has to show in so many of the blocks that were left out,
-const LEAST_FOLDS: usize = 3;
+const MIN_INFORMATIVE_FOLDS: usize = 3;
 /// and may not add this share to the mean square of any joint on blocks that were left out.
-const HARM: f64 = 0.3;
+const MAX_LEFT_OUT_LOSS_RATIO: f64 = 0.3;
 
 /// How the folds judge a candidate.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -40,17 +40,17 @@ impl FoldTest {
 
     /// Whether they confirm it; `None` when none can tell.
     pub fn confirm(self) -> Option<bool> {
-        (self.informative > 0).then_some(self.positive as f64 >= AGREEMENT * self.informative as f64)
+        (self.informative > 0).then_some(self.positive as f64 >= MIN_AGREEMENT_RATIO * self.informative as f64)
     }
 
     /// Whether a candidate that `penalty` is taken off holds on blocks that were left out, `blocks` in all, where nothing but the size of what
     /// the model lacks is known: that is no noise, and a likelihood on the data of the fit says too much. It has to show in several of them,
     /// the same score has to be reached there, at least `least_share` of one joint's mean square has to go, and no joint may lose much.
     pub fn hold(&self, blocks: usize, penalty: f64, least_share: f64) -> bool {
-        self.informative >= LEAST_FOLDS.min(blocks / 2)
+        self.informative >= MIN_INFORMATIVE_FOLDS.min(blocks / 2)
             && self.evidence > penalty
             && self.share >= least_share
-            && self.worst > -HARM
+            && self.worst > -MAX_LEFT_OUT_LOSS_RATIO
     }
 }
 
@@ -69,7 +69,7 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
     // Of each joint weighed and as it is, without and with the candidate.
     let mut errors = vec![[[0.0; 2]; 2]; problem.evidence.joints()];
     for (fold, share) in shares.into_iter().enumerate() {
-        let informative = (INFORMATIVE.0..=INFORMATIVE.1).contains(&share);
+        let informative = (INFORMATIVE_RATIOS.0..=INFORMATIVE_RATIOS.1).contains(&share);
         // Where the noise is known, the folds are asked for their sign alone.
         if known && !informative {
             continue;

@@ -2,7 +2,7 @@
 
 use super::evidence::{Evidence, Rows};
 use plumbline_core::parallel;
-use plumbline_model::term::effect::{Family, Form, Ground, Site, Spec, Stratum};
+use plumbline_model::term::effect::{Family, Form, OperatingPoint, Site, Spec, Stratum};
 use plumbline_model::term::{Expected, Term};
 
 /// An effect that may be missing from the model.
@@ -19,18 +19,28 @@ pub struct Candidate {
 }
 
 /// Times that a parameter may come out larger or smaller than what its column was computed for.
-const OFF: f64 = 2.0;
+const MAX_PARAMETER_RATIO: f64 = 2.0;
 
 impl Candidate {
     /// Computes the columns; `None` when they can't be built or are nothing in this data.
-    pub fn of(evidence: &Evidence, ground: &Ground, spec: Spec, since: Option<u32>) -> Option<Candidate> {
-        let term = spec.build(ground).ok()?;
+    pub fn of(
+        evidence: &Evidence,
+        operating_point: &OperatingPoint,
+        spec: Spec,
+        since: Option<u32>,
+    ) -> Option<Candidate> {
+        let term = spec.build(operating_point).ok()?;
         Candidate::with(&*term, evidence.columns(&*term, since), spec, since)
     }
 
     /// The same in a fraction of the time for effects that are integrated in time: good enough to tell where to look with care.
-    pub fn sketch(evidence: &Evidence, ground: &Ground, spec: Spec, since: Option<u32>) -> Option<Candidate> {
-        let term = spec.build(ground).ok()?;
+    pub fn sketch(
+        evidence: &Evidence,
+        operating_point: &OperatingPoint,
+        spec: Spec,
+        since: Option<u32>,
+    ) -> Option<Candidate> {
+        let term = spec.build(operating_point).ok()?;
         Candidate::with(&*term, evidence.sketch(&*term, since), spec, since)
     }
 
@@ -50,7 +60,7 @@ impl Candidate {
 
     /// Whether it may be taken with these parameters.
     pub fn allows(&self, parameters: &[f64]) -> bool {
-        self.truth(parameters) * OFF >= 1.0
+        self.truth(parameters) * MAX_PARAMETER_RATIO >= 1.0
     }
 
     /// The same effect in the forms that grow out of this one, which was fitted with `parameters`.
@@ -99,20 +109,20 @@ impl Candidate {
 /// A sketch of every candidate that these families have, computed on `threads` threads; in the order of the families whatever their number.
 pub fn library(
     evidence: &Evidence,
-    ground: &Ground,
+    operating_point: &OperatingPoint,
     families: &[&'static Family],
     since: Option<u32>,
     threads: usize,
 ) -> Vec<Candidate> {
     let mut specs = Vec::new();
     for family in families {
-        for site in family.place.sites(ground.chain.len()) {
+        for site in family.place.sites(operating_point.chain.len()) {
             for form in family.forms {
                 specs.extend(grid(family, form, site));
             }
         }
     }
-    parallel(&specs, threads, |spec| Candidate::sketch(evidence, ground, spec.clone(), since))
+    parallel(&specs, threads, |spec| Candidate::sketch(evidence, operating_point, spec.clone(), since))
         .into_iter()
         .flatten()
         .collect()

@@ -14,19 +14,19 @@ use plumbline_model::TorqueModel;
 use std::ops::Range;
 
 /// Length of a stretch \[s\].
-pub const STRETCH: f64 = 1.0;
+pub const STRETCH_S: f64 = 1.0;
 /// Room at both ends of a motion, where the filters know less \[s\].
-pub const ENDS: f64 = 0.4;
+pub const END_MARGIN_S: f64 = 0.4;
 /// A stretch is bad from so many times the usual error on.
-const BAD: f64 = 2.0;
+const BAD_USUAL_RATIO: f64 = 2.0;
 /// And from so many times the worst stretch of the identification on.
-const WORSE: f64 = 1.3;
+const BAD_WORST_RATIO: f64 = 1.3;
 /// Bad stretches in a row that are an alarm.
-const IN_A_ROW: usize = 2;
+const ALARM_STRETCHES: usize = 2;
 /// Share of the search's window that judges what was found.
-const JUDGED: f64 = 0.25;
+const JUDGED_RATIO: f64 = 0.25;
 /// An offer has to take so much off the error of the worst joint.
-const BETTER: f64 = 0.8;
+const MAX_REMAINING_RATIO: f64 = 0.8;
 
 /// Error in the band, per joint: what is usual, and from where on a stretch is bad \[Nm\].
 #[derive(Clone, Debug, PartialEq)]
@@ -73,14 +73,18 @@ impl Floor {
         let residual = residual(model, experiment);
         let inside = inside(experiment);
         let usual = rms(&residual, inside.clone());
-        let stretch = ((STRETCH / experiment.motion.dt) as usize).clamp(1, inside.len().max(1));
+        let stretch = ((STRETCH_S / experiment.motion.dt) as usize).clamp(1, inside.len().max(1));
         let mut worst = vec![0.0; experiment.joints()];
         for first in (inside.start..(inside.end + 1).saturating_sub(stretch)).step_by(stretch) {
             for (worst, own) in worst.iter_mut().zip(rms(&residual, first..first + stretch)) {
                 *worst = own.max(*worst);
             }
         }
-        let limit = usual.iter().zip(&worst).map(|(usual, worst)| (BAD * usual).max(WORSE * worst)).collect();
+        let limit = usual
+            .iter()
+            .zip(&worst)
+            .map(|(usual, worst)| (BAD_USUAL_RATIO * usual).max(BAD_WORST_RATIO * worst))
+            .collect();
         Floor { usual, limit }
     }
 }
@@ -107,7 +111,7 @@ impl Watch {
         }
         let (since, count) = self.bad.map_or((start, 1), |(since, count, _)| (since, count + 1));
         self.bad = Some((since, count, end));
-        if self.lost || count < IN_A_ROW {
+        if self.lost || count < ALARM_STRETCHES {
             return None;
         }
         self.lost = true;
@@ -162,7 +166,7 @@ pub fn search(model: &TorqueModel, find: &Experiment, judge: &Experiment, settin
     let Ok(extended) = reference::extended(model, &effects) else { return nothing(effects.len()) };
     let after = error(&extended);
     let worst = |rms: &[f64]| rms.iter().copied().fold(0.0, f64::max);
-    if effects.is_empty() || worst(&after) > BETTER * worst(&before) {
+    if effects.is_empty() || worst(&after) > MAX_REMAINING_RATIO * worst(&before) {
         return nothing(effects.len());
     }
     Found::Remedy(Box::new(Remedy { changes: effects, model: extended, before, after }))
@@ -170,7 +174,7 @@ pub fn search(model: &TorqueModel, find: &Experiment, judge: &Experiment, settin
 
 /// Where a window of so many samples is divided into a part to search and a part to judge by.
 pub fn divide(samples: usize) -> usize {
-    ((1.0 - JUDGED) * samples as f64) as usize
+    ((1.0 - JUDGED_RATIO) * samples as f64) as usize
 }
 
 /// Measured minus modelled torque in the band, N x n \[Nm\].
@@ -183,7 +187,7 @@ pub fn residual(model: &TorqueModel, experiment: &Experiment) -> DMatrix<f64> {
 /// Samples without the ends.
 fn inside(experiment: &Experiment) -> Range<usize> {
     let samples = experiment.motion.samples();
-    let ends = ((ENDS / experiment.motion.dt) as usize).min(samples / 3);
+    let ends = ((END_MARGIN_S / experiment.motion.dt) as usize).min(samples / 3);
     ends..samples - ends
 }
 

@@ -12,25 +12,25 @@ use super::outcome::{self, Alternative, Effect};
 use super::search;
 use super::state::{State, Tried, every};
 use plumbline_core::parallel;
-use plumbline_model::term::effect::{Ground, Setting, Spec};
+use plumbline_model::term::effect::{OperatingPoint, Setting, Spec};
 
 /// Candidates that are tried with all care at each step.
-const SHORTLIST: usize = 16;
+const MAX_SHORTLISTED: usize = 16;
 /// Of those, the best that are tried in a form that grows out of theirs.
-const SEEDLINGS: usize = 4;
+const MAX_GROWN_FORMS: usize = 4;
 /// Share of what an effect has to bring that it brings at the start of a search for several settings.
-const HOPE: f64 = 0.5;
+const MIN_START_GAIN_RATIO: f64 = 0.5;
 /// Where nothing tells the noise: candidates with this share of the best score are nearly as good.
-const NEARLY: f64 = 0.8;
+const TIE_RATIO: f64 = 0.8;
 /// A rival within so much of the score can't be told from the chosen one.
-pub const GAP: f64 = 12.0;
+pub const MAX_RIVAL_SCORE_GAP: f64 = 12.0;
 
 /// One look at the data: the evidence, what the terms stand upon, and every candidate.
 pub struct Search<'a> {
     /// Evidence and prior.
     pub problem: Problem<'a>,
     /// What the terms stand upon.
-    pub ground: &'a Ground,
+    pub operating_point: &'a OperatingPoint,
     /// Every candidate.
     pub library: &'a [Candidate],
     /// How it is done.
@@ -148,12 +148,12 @@ pub struct Selected {
 
 impl<'a> Search<'a> {
     /// The same look upon another ground. The candidates' columns stay those of the old one until they are tried with care.
-    pub fn upon<'b>(&self, ground: &'b Ground) -> Search<'b>
+    pub fn upon<'b>(&self, operating_point: &'b OperatingPoint) -> Search<'b>
     where
         'a: 'b,
     {
         let Problem { evidence, prior } = self.problem;
-        Search { problem: Problem { evidence, prior }, ground, library: self.library, settings: self.settings }
+        Search { problem: Problem { evidence, prior }, operating_point, library: self.library, settings: self.settings }
     }
 
     fn evidence(&self) -> &Evidence {
@@ -187,7 +187,7 @@ impl<'a> Search<'a> {
             if !short.iter().any(|one| one.alike(&self.library[k])) {
                 short.push(&self.library[k]);
             }
-            if short.len() == SHORTLIST {
+            if short.len() == MAX_SHORTLISTED {
                 break;
             }
         }
@@ -201,8 +201,8 @@ impl<'a> Search<'a> {
             for spec in one.item.grown(parameters.as_slice()) {
                 let since = one.item.since;
                 let known = state.items.iter().chain(&seedlings).any(|own| own.is_of(&spec, since));
-                if !known && seedlings.len() < SEEDLINGS {
-                    let seedling = Candidate::of(self.evidence(), self.ground, spec, since);
+                if !known && seedlings.len() < MAX_GROWN_FORMS {
+                    let seedling = Candidate::of(self.evidence(), self.operating_point, spec, since);
                     seedlings.extend(seedling.filter(|seedling| wanted(seedling)));
                 }
             }
@@ -235,7 +235,7 @@ impl<'a> Search<'a> {
         };
         let before = gain(&item);
         // A search in several dimensions is dear, and leads to nothing from where there is nothing.
-        if form.settings.len() > 1 && before < HOPE * self.penalty(&item) {
+        if form.settings.len() > 1 && before < MIN_START_GAIN_RATIO * self.penalty(&item) {
             return item;
         }
         let spec_at = |shares: &[f64]| {
@@ -243,7 +243,7 @@ impl<'a> Search<'a> {
             Spec { settings: form.settings.iter().zip(shares).map(setting).collect(), ..item.spec.clone() }
         };
         let at = |shares: &[f64]| {
-            let sketch = Candidate::sketch(self.evidence(), self.ground, spec_at(shares), item.since);
+            let sketch = Candidate::sketch(self.evidence(), self.operating_point, spec_at(shares), item.since);
             sketch.map_or(f64::NEG_INFINITY, |sketch| gain(&sketch))
         };
         let start: Vec<f64> =
@@ -251,7 +251,7 @@ impl<'a> Search<'a> {
         let steps: Vec<f64> = form.settings.iter().map(Setting::spacing).collect();
         let found = search::largest(&start, &steps, &at);
         // Sketches only tell where to look.
-        let found = Candidate::of(self.evidence(), self.ground, spec_at(&found), item.since);
+        let found = Candidate::of(self.evidence(), self.operating_point, spec_at(&found), item.since);
         match found {
             Some(found) if gain(&found) > before => found,
             _ => item,
@@ -260,7 +260,8 @@ impl<'a> Search<'a> {
 
     /// The same effect on the present ground.
     fn rebuilt(&self, item: &Candidate) -> Candidate {
-        Candidate::of(self.evidence(), self.ground, item.spec.clone(), item.since).unwrap_or_else(|| item.clone())
+        Candidate::of(self.evidence(), self.operating_point, item.spec.clone(), item.since)
+            .unwrap_or_else(|| item.clone())
     }
 
     /// [`Search::forward`] and [`Search::finish`].
@@ -362,7 +363,7 @@ impl<'a> Search<'a> {
         if self.evidence().repeats() {
             return Some(best);
         }
-        let least = NEARLY * best.score;
+        let least = TIE_RATIO * best.score;
         let near = proposals.take_while(|one| one.score >= least).filter(|one| self.passes(state, one));
         let cost = |one: &Scored| (one.tried.cross.width * one.item.joints().len(), one.item.parameters());
         Some(near.fold(best, |best, one| if cost(&one) < cost(&best) { one } else { best }))
@@ -412,7 +413,7 @@ impl<'a> Search<'a> {
                 continue;
             };
             let others = self.propose(&rest, |other| near(other) && !other.alike(&chosen));
-            let least = own.score + if self.evidence().repeats() { 0.0 } else { GAP };
+            let least = own.score + if self.evidence().repeats() { 0.0 } else { MAX_RIVAL_SCORE_GAP };
             let better = others.iter().find(|other| other.score > least && self.passes(&rest, other));
             if let Some(better) = better.filter(|_| swaps > 0) {
                 swaps -= 1;
@@ -426,7 +427,7 @@ impl<'a> Search<'a> {
             for other in others.iter().filter(|other| other.score > 0.0 && !other.item.same_effect(&chosen)) {
                 let gap = own.score - other.score;
                 let listed = rivals.iter().any(|rival| rival.item.same_effect(&other.item));
-                if gap < GAP && !listed && (gap > 0.0 || self.passes(&rest, other)) {
+                if gap < MAX_RIVAL_SCORE_GAP && !listed && (gap > 0.0 || self.passes(&rest, other)) {
                     rivals.push(Rival { item: other.item.clone(), gap });
                 }
             }

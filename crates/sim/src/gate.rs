@@ -6,7 +6,7 @@ use std::time::Duration;
 /// Tries before the waiting thread yields, and before it sleeps.
 const SPINS: u32 = 200;
 const YIELDS: u32 = 400;
-const NAP: Duration = Duration::from_micros(50);
+const POLL_INTERVAL: Duration = Duration::from_micros(50);
 
 /// Counts states delivered against records consumed. The arm waits at it while it is shut, or while `capacity` records are under way.
 ///
@@ -83,7 +83,7 @@ impl Gate {
             match tries {
                 0..SPINS => std::hint::spin_loop(),
                 SPINS..YIELDS => std::thread::yield_now(),
-                _ => std::thread::sleep(NAP),
+                _ => std::thread::sleep(POLL_INTERVAL),
             }
             tries = (tries + 1).min(YIELDS);
         }

@@ -53,7 +53,7 @@ pub use plant::Exact;
 pub use response::Response;
 pub use truth::{JointTruth, Truth};
 
-use commands::{Commands, Objection, TICK};
+use commands::{Commands, Objection, TICK_S};
 use effect::Effect;
 use nalgebra::Vector3;
 use plant::{MAX_STATES, Plant};
@@ -72,9 +72,9 @@ pub const REFUSED_STOPPED: u32 = 3;
 pub const REFLEX_COMMUNICATION: u32 = 25;
 
 /// Milliseconds that a late reader is led through before it counts whether they take longer than they last.
-const LED: u64 = 20;
+const MIN_CHASED_TICKS: u64 = 20;
 /// So long after a reader came late the arm's time stands still where nothing was caught up, whatever held it up \[ns\].
-const LONGEST_CHASE: u64 = 1_000_000_000;
+const MAX_CHASE_NS: u64 = 1_000_000_000;
 
 /// How a simulated arm keeps time.
 pub enum Pace {
@@ -257,7 +257,7 @@ impl SimArm {
         self.plant.advance(&self.commands);
         self.seq += 1;
         let (mut reading, exact) = self.plant.sense();
-        let mut time = self.seq as f64 * TICK;
+        let mut time = self.seq as f64 * TICK_S;
         self.sensors.distort(&mut reading);
         self.faults.spoil(&mut reading, &mut time);
         self.exact = exact;
@@ -282,8 +282,8 @@ impl SimArm {
             shortest = shortest.min(now.saturating_sub(before));
             before = now;
             let (lived, took) = (self.seq - first, now.saturating_sub(begin));
-            let behind = lived >= LED && took > lived * 1_000_000;
-            if behind && (shortest > 1_000_000 || took > LONGEST_CHASE) {
+            let behind = lived >= MIN_CHASED_TICKS && took > lived * 1_000_000;
+            if behind && (shortest > 1_000_000 || took > MAX_CHASE_NS) {
                 self.origin_ns = Some(now.saturating_sub(self.seq * 1_000_000));
                 break;
             }

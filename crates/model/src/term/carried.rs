@@ -2,7 +2,7 @@
 
 use super::Sample;
 use super::friction::SHARPNESS;
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::smooth_sign;
 use plumbline_core::{JointVec, MAX_JOINTS};
 
@@ -14,9 +14,9 @@ pub(super) struct CarriedFriction {
 
 impl CarriedFriction {
     /// That of a model.
-    pub fn of(ground: &Ground) -> CarriedFriction {
+    pub fn of(operating_point: &OperatingPoint) -> CarriedFriction {
         let mut parameters = [[0.0; 2]; MAX_JOINTS];
-        parameters.iter_mut().zip(&ground.friction).for_each(|(own, known)| *own = *known);
+        parameters.iter_mut().zip(&operating_point.friction).for_each(|(own, known)| *own = *known);
         CarriedFriction { parameters }
     }
 

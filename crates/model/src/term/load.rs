@@ -55,7 +55,7 @@ impl Load {
 }
 
 /// What effects are built upon.
-pub struct Ground {
+pub struct OperatingPoint {
     /// The arm.
     pub chain: Chain,
     /// Its rigid bodies, as far as they are known.
