@@ -17,15 +17,15 @@ use plumbline_model::TorqueModel;
 use plumbline_model::term::effect;
 use plumbline_model::term::effect::Spec;
 
-/// What a joint's effects have to explain of what was unmodelled there, to be put into the model.
+/// Smallest share of a joint's unmodelled power on unseen runs that its effects explain, to be delivered.
 const MIN_EXPLAINED_RATIO: f64 = 0.5;
-/// Times the noise that the unseen runs may show of what the plain model lacks, for an effect that hardly comes in there: the errors of the parameters
-/// are as large, and it has to do no harm alone.
+/// Largest unmodelled RMS on unseen runs, in units of the noise, for the effect to count as weak there. Errors of the parameters are as large then:
+/// a weak effect only has to do no harm.
 const WEAK_SIGNAL_RATIO: f64 = 1.5;
-/// Share of the plain model's error by which a joint must get worse for certain to be worse: the joints share the rigid body's parameters, and
-/// each of them moves a little with every effect.
+/// A joint is worse when the interval of its error's change lies above this share of the plain model's error. Joints share the rigid-body
+/// parameters, so every effect changes each of them a little.
 const MAX_WORSENING_RATIO: f64 = 0.05;
-/// Parameters that moved by less than this, times their standard deviation, are those that the load was computed with.
+/// Largest change of a parameter, in its standard deviations, at which the operating point has converged.
 const SETTLED_DEVIATIONS: f64 = 0.1;
 
 /// What a delivery is made of.
@@ -88,7 +88,7 @@ impl Delivery<'_> {
             if withheld.iter().zip(&kept).any(|(why, kept)| *kept && why.is_some()) {
                 continue;
             }
-            // One at a time, the least first: without it the others come out otherwise.
+            // One at a time, the lowest score first: the others change without it.
             let Some((index, why)) = self.reason(selected, &kept, &after, confirmed) else {
                 return Ok((after, withheld));
             };
@@ -150,7 +150,7 @@ impl Delivery<'_> {
     pub fn compared(&self, after: &Fitted) -> Option<Compared> {
         let runs = [self.input.judge, self.input.veto].into_iter().find(|runs| !runs.is_empty())?;
         let plain = Fitted { structure: self.input.structure.clone(), identification: self.before.clone() };
-        // As they are served: a regressor knows more of the samples to come.
+        // Evaluated causally as in the loop; a regressor may use later samples.
         let model = |fitted: &Fitted| {
             TorqueModel::new("", fitted.structure.clone(), Vec::new(), &fitted.identification.values()).ok()
         };
@@ -190,7 +190,7 @@ impl Delivery<'_> {
         let known = experiments.iter().all(|experiment| experiment.scatter.is_some());
         let own_weights = input.options.estimator == Estimator::Wls && !known;
         let sigma = own_weights.then(|| self.weights(&beta)).transpose()?;
-        // Once more with the load of the parameters just found.
+        // Once more at the operating point just found.
         for _ in 0..2 {
             let operating_point = input.structure.operating_point(&beta);
             let terms = effect::assemble(&specs, &operating_point).ok();

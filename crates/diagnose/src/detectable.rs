@@ -10,8 +10,8 @@ use std::collections::BTreeMap;
 /// An effect is found with high probability when what re-identification leaves of it is this share of the noise of the mean period.
 const FOUND_FLOOR_RATIO: f64 = 0.75;
 
-/// Every effect of the library once, with its candidate that the other columns take over least, and the share of it that they leave. The
-/// first, the middle and the last start value stand for all.
+/// Every effect of the library once: its most independent candidate among the first, middle and last start value, and its independence (the
+/// share of its square that the other columns cannot represent).
 pub fn independences<'a>(search: &Search<'a>, base: &State) -> Vec<(&'a Candidate, f64)> {
     let library = search.library;
     let mut seen: Vec<&Candidate> = Vec::new();
@@ -34,7 +34,7 @@ pub fn independences<'a>(search: &Search<'a>, base: &State) -> Vec<(&'a Candidat
 
 /// The least of every family that would have been found, joint by joint.
 ///
-/// With independence `idf` (the share of a column's square that the other columns can't take over), an effect of torque RMS `t` leaves
+/// With independence `idf`, an effect of torque RMS `t` leaves
 /// `t sqrt(idf)`, so the least that is found is `0.75 floor / sqrt(idf)`; the parameter is that over the column's RMS.
 pub fn minimum(search: &Search, independences: &[(&Candidate, f64)]) -> BTreeMap<String, MinimumDetectable> {
     let evidence = search.problem.evidence;
@@ -76,7 +76,7 @@ pub fn minimum(search: &Search, independences: &[(&Candidate, f64)]) -> BTreeMap
     found
 }
 
-/// Effects that the base parameters take over, whatever the data holds.
+/// Effects that the base parameters represent: no data in these mountings shows them.
 pub fn not_identifiable(independences: &[(&Candidate, f64)]) -> Vec<NotIdentifiable> {
     let absorbed = |&(best, independence): &(&Candidate, f64)| {
         (independence < MIN_INDEPENDENCE_RATIO).then(|| NotIdentifiable {

@@ -31,9 +31,9 @@ pub struct Input<'a> {
     pub structure: &'a Structure,
     /// Runs to identify from.
     pub identify: &'a [Trial<'a>],
-    /// Runs that a finding has to hold on before it is believed; not fitted.
+    /// Runs on which a finding has to lower the error to be accepted; not fitted.
     pub veto: &'a [Trial<'a>],
-    /// Runs that nothing is decided with but whether a joint is explained; not fitted.
+    /// Runs that measure whether a joint is explained; neither fitted nor used to accept findings.
     pub judge: &'a [Trial<'a>],
     /// How parameters are identified.
     pub options: &'a solve::Options,
@@ -46,24 +46,24 @@ impl<'a> Input<'a> {
     }
 }
 
-/// What a joint's effects have to explain of what was unmodelled there, to be called an explanation.
+/// Smallest share of a joint's unmodelled power that its effects explain, for the joint to count as explained.
 const MIN_EXPLAINED_RATIO: f64 = 0.9;
-/// Times the noise of the mean period that an explanation may leave.
+/// Largest unmodelled RMS of an explained joint, in units of the noise of the mean period.
 const MAX_LEFT_OVER_FLOOR_RATIO: f64 = 2.5;
-/// Share of what is left over that has to follow some variables to be called unexplained, where the noise is not known.
+/// Smallest R2 of a residual on its variables for it to count as unexplained, where the noise is unknown.
 const MIN_DEPENDENCE_R2: f64 = 0.25;
-/// Lack of fit from which on a residual is unexplained that follows no variable.
+/// Smallest lack of fit for a residual that depends on no variable to count as unexplained.
 const MIN_FLAT_LACK_OF_FIT_RATIO: f64 = 2.0;
-/// Times that the load is computed anew with the parameters of the model with effects,
+/// Largest number of relinearisations.
 const MAX_RELINEARISATIONS: usize = 8;
-/// and twice the gain in log likelihood from which on it is worth another time.
+/// Smallest gain, twice the log likelihood, for another relinearisation.
 const MIN_RELINEARISATION_GAIN: f64 = 4.0;
 /// Candidates that an outcome lists.
 pub(super) const MAX_LISTED_SCORES: usize = 10;
-/// What is unmodelled counts from this share of the noise of the mean period on.
+/// Smallest unmodelled RMS that counts, in units of the noise of the mean period.
 pub(super) const THRESHOLD_FLOOR_RATIO: f64 = 0.75;
 
-/// Diagnoses a set of runs of one arm. `progress` hears of every step.
+/// Diagnoses a set of runs of one arm. `progress` is called at every step of the selection.
 ///
 /// # Errors
 /// As [`identify_with`].
@@ -74,16 +74,16 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let evidence = Evidence::of(structure.chain(), input.identify, settings.band);
     let columns = columns_of(&evidence, structure, input.identify);
     let base = State::base(&Problem { evidence: &evidence, prior: None }, columns);
-    // Columns that follow the load need parameters; the plain model's are near enough to begin with.
+    // Columns that depend on the load need parameters: first those of the plain model.
     let operating_point = structure.operating_point(base.fit.theta.as_slice());
     let candidates = library(&evidence, &operating_point, &repeatable(), None, settings.threads);
     let problem = Problem { evidence: &evidence, prior: None };
     let search = Search { problem, operating_point: &operating_point, library: &candidates, settings };
     let seeds = seeds(&search, &base);
     let mut draft = search.forward(base.clone(), &seeds, progress);
-    let settled = settled(structure, &search, &mut draft.state);
-    let operating_point = settled.as_ref().unwrap_or(&operating_point);
-    let search = search.upon(operating_point);
+    let relinearised = relinearise(structure, &search, &mut draft.state);
+    let operating_point = relinearised.as_ref().unwrap_or(&operating_point);
+    let search = search.at(operating_point);
     let selected = search.finish(draft, progress);
     let selected = vetoed(&search, selected, input, settings);
 
@@ -101,7 +101,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let (after, withheld) = delivery.of(&selected, &lacks, &adequacy, &confirmed)?;
     let kept: Vec<bool> = withheld.iter().map(Option::is_none).collect();
     let effects = effects_of(&search, &selected, &withheld, &confirmed, &adequacy, &after);
-    // What the delivered model leaves over.
+    // The residual of the delivered model.
     let left = if kept.iter().any(|kept| *kept) { &selected.state } else { &base };
     let left_out = (evidence.folds().len() > 1).then(|| gates::left_out(&search.problem, &base, left));
     let facts = |joint: usize| {
@@ -167,7 +167,7 @@ fn notes(evidence: &Evidence, input: &Input, effects: &[Effect]) -> Vec<String> 
     notes
 }
 
-/// The steps of a selection, from a model that left so much unmodelled in each joint.
+/// The steps of a selection, from a model with this unmodelled RMS in each joint.
 pub(super) fn steps(from: &str, joints: &[JointFacts], path: &[Step]) -> Vec<outcome::Step> {
     let total: f64 = joints.iter().filter_map(|joint| joint.unmodelled.before).map(|rms| rms * rms).sum();
     let start = outcome::Step { action: Action::Start, what: from.into(), unmodelled: Some(total.sqrt()), score: None };
@@ -197,13 +197,13 @@ fn scores(selected: &Selected, effects: &[Effect]) -> Vec<Score> {
     selected.first.iter().take(MAX_LISTED_SCORES).map(score).collect()
 }
 
-/// Effects that follow the load were found upon the parameters of the plain model, which their lack has bent: brings them upon those of the model with
-/// the effects, until the likelihood has settled. The ground that they stand on then; `None` where the old one is as good.
-fn settled(structure: &Structure, search: &Search, state: &mut State) -> Option<OperatingPoint> {
+/// Re-evaluates columns that depend on parameters at the new estimate until the likelihood converges. Returns the last operating point; `None` where
+/// the likelihood does not rise.
+fn relinearise(structure: &Structure, search: &Search, state: &mut State) -> Option<OperatingPoint> {
     let mut settled = None;
     for _ in 0..MAX_RELINEARISATIONS {
         let operating_point = structure.operating_point(state.fit.theta.as_slice());
-        let Some(moved) = search.upon(&operating_point).upon_ground(state) else { break };
+        let Some(moved) = search.at(&operating_point).relinearised(state) else { break };
         let gain = 2.0 * (moved.fit.likelihood - state.fit.likelihood);
         if gain <= 0.0 {
             break;
@@ -216,8 +216,8 @@ fn settled(structure: &Structure, search: &Search, state: &mut State) -> Option<
     settled
 }
 
-/// Every torque sensor has an offset. Where nothing tells the noise, the model starts with all of them, and they have to hold: left to
-/// the search, a spring or another joint's load would take the place of one that it had not yet found.
+/// Effects that every arm has. Where the noise is unknown, the selection starts with them: otherwise a spring or another joint's load would be
+/// selected for an offset that is not yet in the model.
 fn seeds(search: &Search, base: &State) -> Vec<Candidate> {
     if search.problem.evidence.repeats() {
         return Vec::new();
@@ -237,7 +237,7 @@ fn confirmation(evidence: &Evidence) -> Confirmation {
     }
 }
 
-/// Takes out every effect without which the unseen runs are predicted no worse.
+/// Removes every effect without which the error on unseen runs does not rise.
 fn vetoed(search: &Search, mut selected: Selected, input: &Input, settings: &Settings) -> Selected {
     if input.veto.is_empty() || selected.state.items.is_empty() {
         return selected;
@@ -379,7 +379,7 @@ fn residuals(
 ) -> Vec<Residual> {
     let mut found = Vec::new();
     for (joint, facts) in joints.iter().enumerate() {
-        // A share of much may still leave more than noise can be.
+        // A large explained share may still leave a residual above the noise.
         let [floor, unmodelled] = [facts.floor_of_mean, facts.unmodelled.after];
         let little =
             floor.zip(unmodelled).is_some_and(|(floor, unmodelled)| unmodelled <= MAX_LEFT_OVER_FLOOR_RATIO * floor);
@@ -389,8 +389,8 @@ fn residuals(
         }
         let one = fallback::unexplained(evidence, state, joint, settings);
         let counts = match facts.lack_of_fit.after {
-            // The noise of the positions goes through the model into the mean, and the scatter of the torques knows nothing of it: so much may
-            // be left over that follows no variable.
+            // Position noise enters the mean through the model and is not in the scatter of the torques: a flat residual of this size is
+            // noise.
             Some(after) => !one.flat() || after > MIN_FLAT_LACK_OF_FIT_RATIO,
             None => one.r2() > MIN_DEPENDENCE_R2,
         };

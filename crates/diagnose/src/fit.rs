@@ -1,6 +1,6 @@
 //! Weighted fits, and how much likelihood a candidate brings.
 //!
-//! Rows are divided by their noise, so a model that lacks nothing leaves a mean square of one in every joint and band. What it lacks
+//! Rows are divided by their noise, so a complete model leaves a mean square of one in every joint and band. A missing effect
 //! shows as an over-dispersion `phi = max(1, RSS / n)` of that joint and band, and the profile log likelihood (Whittle's, with `phi` put
 //! in its best place) is
 //!
@@ -14,7 +14,7 @@ use super::moments::{Cross, Moments};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
 
-/// Directions of the equilibrated normal equations below this share of the largest are left alone.
+/// Directions of the equilibrated normal equations below this share of the largest are treated as undetermined.
 const RANK_RATIO: f64 = 1e-11;
 /// Rows that the whole joint counts for in each of its bands, where the noise is not known.
 const POOLED_ROWS: f64 = 30.0;
@@ -26,7 +26,7 @@ const SETTLED_LOG_RATIO: f64 = 0.02;
 /// Which folds count.
 pub type Chosen<'a> = &'a dyn Fn(usize) -> bool;
 
-/// What is known of the parameters before the data: minus twice the log likelihood is `theta' precision theta`.
+/// A Gaussian prior of the parameters: minus twice the log likelihood is `theta' precision theta`.
 #[derive(Clone, Debug)]
 pub struct Prior {
     /// Precision of the first parameters; the others are free.
@@ -40,9 +40,9 @@ pub struct Fit {
     pub theta: DVector<f64>,
     /// Inverse of the weighted normal equations, the parameters' covariance.
     pub h: DMatrix<f64>,
-    /// Over-dispersion that weighed each group, joint by joint, within that band by band: `h` goes with it.
+    /// Over-dispersion used as weight of each group, joint by joint, then band by band; `h` belongs to these weights.
     pub weights: Vec<f64>,
-    /// Over-dispersion of each group by what is left over, which the weights have settled to.
+    /// Over-dispersion of each group from its residual, to which the weights converged.
     pub phi: Vec<f64>,
     /// Squared residual of each group.
     pub rss: Vec<f64>,
@@ -63,7 +63,7 @@ pub struct Gain {
     pub gamma: DVector<f64>,
     /// Change of the other parameters.
     pub shift: DVector<f64>,
-    /// Share of its fitted part that the other columns can't take over, 0 to 1.
+    /// Share of its fitted torque that the other columns cannot represent, 0 to 1.
     pub independence: f64,
     /// Squared residual of each group with it.
     pub rss: Vec<f64>,
@@ -240,7 +240,7 @@ impl Problem<'_> {
         Some(Gain { evidence, gamma, shift, independence, rss })
     }
 
-    /// Share of a candidate's first column that the other columns can't take over.
+    /// Share of a candidate's first column that the other columns cannot represent.
     pub fn own_share(&self, fit: &Fit, cross: &Cross, chosen: Chosen) -> Option<f64> {
         let mut a = DVector::zeros(fit.theta.len());
         let mut c = 0.0;
@@ -320,7 +320,7 @@ pub fn inverse(g: &DMatrix<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(g.nrows(), g.ncols(), |i, k| inverse[(i, k)] * scale[i] * scale[k])
 }
 
-/// Inverse of what is left of a candidate's own sums `c` after the other columns; `None` when nothing is.
+/// Inverse of the Schur complement `alone` of a candidate's normal equations `c`, on its identifiable directions; `None` without any.
 fn inverse_of_least(alone: &DMatrix<f64>, c: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let l = c.nrows();
     let scale: Vec<f64> = c.diagonal().iter().map(|d| if *d > 0.0 { 1.0 / d.sqrt() } else { 0.0 }).collect();
@@ -335,5 +335,5 @@ fn inverse_of_least(alone: &DMatrix<f64>, c: &DMatrix<f64>) -> Option<DMatrix<f6
     found.then(|| DMatrix::from_fn(l, l, |i, k| inverse[(i, k)] * scale[i] * scale[k]))
 }
 
-/// What a candidate must have of its own, as a share of its square, in a direction that counts.
+/// Smallest share of a candidate's square that the other columns may leave in an identifiable direction.
 pub const MIN_INDEPENDENCE_RATIO: f64 = 1e-3;

@@ -7,9 +7,9 @@
 use super::outcome::{Effect, Quantity};
 use plumbline_model::term::effect::{PartOf, Site, Spec};
 
-/// How many standard deviations a coefficient may be off the share.
+/// Largest difference of the coefficient from the share, in standard deviations,
 const MAX_DEVIATIONS: f64 = 4.0;
-/// And how much of itself: friction jumps in one of the two columns and passes smoothly through zero in the other.
+/// plus this share of the coefficient: friction is a step in one column and smooth in the other.
 const FORM_ERROR_RATIO: f64 = 0.25;
 
 /// An effect with the search's own description of it.

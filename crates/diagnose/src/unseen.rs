@@ -61,8 +61,8 @@ impl<'a> Unseen<'a> {
         (0..self.evidence.joints()).map(|joint| self.lack(joint, theta)).collect()
     }
 
-    /// Share of what another model `lacks` in each joint that the parameters `theta` of all columns take away; `None` where nothing was unmodelled
-    /// or the noise is not known.
+    /// Share of another model's unmodelled power (`lacks`) that the parameters `theta` of all columns remove, per joint; `None` where nothing was
+    /// unmodelled or the noise is unknown.
     pub fn explained(&self, lacks: &[Option<f64>], theta: &DVector<f64>) -> Vec<Option<f64>> {
         let share = |(joint, before): (usize, &Option<f64>)| {
             let before = before.filter(|before| *before > THRESHOLD_FLOOR_RATIO * THRESHOLD_FLOOR_RATIO)?;

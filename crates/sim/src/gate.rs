@@ -20,7 +20,7 @@ pub struct Gate {
     ended: AtomicBool,
 }
 
-/// The program is shutting down; nobody waits at the gate any more.
+/// The program is shutting down; the gate is closed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ended;
 
@@ -36,7 +36,7 @@ impl Gate {
         }
     }
 
-    /// A gate for an arm whose records nobody has to keep up with.
+    /// A gate that never waits for a consumer.
     pub fn unlimited() -> Gate {
         Gate::new(u64::MAX)
     }

@@ -4,7 +4,7 @@
 //!
 //!   tau = K (q_d - q) + D (dq_d - dq) + M(q_d) ddq_d + C(q_d, dq_d) dq_d + g(q_d),
 //!
-//! with the arm's own nominal rigid model; or it holds torques that somebody else asks for. `tau` is what the torque sensors measure, and what the identified model has to explain:
+//! with the arm's own nominal rigid model; or it holds commanded torques. `tau` is what the torque sensors measure, and what the identified model has to explain:
 //! rigid body, friction and effects.
 
 // The walls of the real-time loop: clippy.toml.

@@ -28,8 +28,8 @@ use record::Record;
 /// Time before and after an event that is left out too \[s\].
 const EVENT_MARGIN_S: f64 = 0.2;
 
-/// Fewest periods that tell anything. Nobody knows which of two is right, and half of the frequencies of two are harmonics, which the
-/// deviations have none of; the median of three is one of them, and the scale of what differs from it too small: noise made events.
+/// Smallest number of periods. Two have no majority, and half of their frequencies are harmonics, where deviations vanish. The median of three is
+/// one of them, so that the scale of deviations is too small and noise is flagged as events.
 pub const LEAST_PERIODS: usize = 4;
 
 /// A run keeps everything where more than this share of it would be left out: what fills half of it did not happen once.
@@ -89,16 +89,16 @@ impl Changing {
     }
 }
 
-/// Looks at the deviations of runs that were prepared with [`plumbline_identify::Settings::keep_periods`].
+/// Analyses the deviations of runs that were prepared with [`plumbline_identify::Settings::keep_periods`].
 ///
-/// The ground's friction has `[fv, fc]` of each joint (\[Nms/rad\], \[Nm\]); without it, friction drifts are sought joint by joint alone. Runs without
+/// The operating point's friction has `[fv, fc]` of each joint (\[Nms/rad\], \[Nm\]); without it, friction drifts are sought joint by joint alone. Runs without
 /// repeats have no part in it but for their hygiene.
 pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing {
     let friction = &operating_point.friction[..];
     let mut found = Changing::default();
     let records = trials.iter().filter_map(|trial| Record::of(trial.experiment));
     let mut records: Vec<Record> = records.filter(|record| record.periods() >= LEAST_PERIODS).collect();
-    // Events are no drift, nor noise: what is far off stays out of the rest.
+    // Events are excluded from drifts and noise.
     let masked = parallel(&records, threads(), |record| {
         let x = transient::robust(record, None, true);
         transient::mask(record, &transient::events(record, &x), EVENT_MARGIN_S)

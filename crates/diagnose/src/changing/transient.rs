@@ -1,4 +1,4 @@
-//! Seconds in which one period differs from the others by far: somebody touched the arm, a cable caught, a gripper moved.
+//! Events of seconds in which one period differs from the others: a contact, a caught cable, a moving gripper.
 //!
 //! The energy of a second's deviation from the median of the periods is compared with that of all other seconds of the run.
 
@@ -58,7 +58,7 @@ pub(super) fn scales(x: &DMatrix<f64>) -> Vec<f64> {
 /// Events in deviations as [`robust`] gives them. Rows are in the order of time but for periods that were left out.
 pub(super) fn events(record: &Record, x: &DMatrix<f64>) -> Vec<Event> {
     if record.periods() < 3 {
-        // Nobody knows which of two is right.
+        // Two periods have no majority.
         return Vec::new();
     }
     let rows = x.nrows();

@@ -114,14 +114,14 @@ pub fn lack_of_fit(evidence: &Evidence, state: &State, joint: usize) -> Option<f
     evidence.repeats().then(|| sums.0 / f64::max(sums.1, 1.0))
 }
 
-/// Whether the model lacks something in this joint that matters. Without repeats nobody knows, and the answer is no.
+/// Whether the model lacks something relevant in this joint. False without repeats, where the noise is unknown.
 pub fn lacks(evidence: &Evidence, state: &State, joint: usize, settings: &Settings) -> bool {
     let (Some(floor), Some(lack)) = (evidence.floor(joint), lack_of_fit(evidence, state, joint)) else { return false };
     let threshold = settings.threshold.unwrap_or(settings.least_floor * floor);
     state.unmodelled(evidence, joint).sqrt() > threshold && lack > LACK_OF_FIT_RATIO
 }
 
-/// Looks at the residual of one joint, from 0.
+/// Analyses the residual of one joint, from 0.
 pub fn unexplained(evidence: &Evidence, state: &State, joint: usize, settings: &Settings) -> Residual {
     let courses = courses(evidence);
     let screen = Screen::of(evidence, state, joint);

@@ -1,6 +1,6 @@
 //! What changed: since a model was identified, or between the sessions of one recording.
 //!
-//! The selection is the one of `select`, on another operating_point. Against a stored model the torques are what that model
+//! The selection is the one of `select`, with a prior. Against a stored model the torques are what that model
 //! leaves over, and its parameters are not free: `theta = beta - beta_stored` has a Gaussian prior with the standard deviations of the
 //! file. That is what makes a payload visible: within one session the last link's parameters would absorb it. A parameter without a
 //! standard deviation was not identifiable when the model was made; it stays free, so that no effect is blamed for it, and
@@ -29,8 +29,7 @@ use plumbline_model::term::{Column, effect};
 use plumbline_model::{Mounting, Parameter, Structure, TorqueModel};
 use std::ops::Range;
 
-/// Factor on the stored standard deviations: they know the noise of their own recording, but neither what the model lacks nor that
-/// friction is never quite the same twice.
+/// Factor on the stored standard deviations, which contain the noise of their recording, but neither missing effects nor the variation of friction.
 const STD_ALLOWANCE_RATIO: f64 = 2.0;
 /// A parameter whose file has no standard deviation at all is held as if it were known to this share of its size.
 const ASSUMED_STD_RATIO: f64 = 1e-3;
@@ -38,13 +37,13 @@ const ASSUMED_STD_RATIO: f64 = 1e-3;
 const RANK_RATIO: f64 = 1e-9;
 /// A parameter is undetermined when more than this share of it lies in such directions.
 const UNDETERMINED_RATIO: f64 = 1e-3;
-/// A free parameter that moved by so many of its standard deviations is one that the data has something to say about.
+/// A free parameter is determined by the data from this many of its standard deviations on.
 const MIN_MOVED_DEVIATIONS: f64 = 4.0;
-/// RMS over noise from which on nearly every effect is found.
+/// RMS over noise at which an effect is found with high probability.
 const FOUND_FLOOR_RATIO: f64 = 0.75;
-/// A run in which the free parameters move a joint's torque by less than this share of its noise does not need them.
+/// A run needs the free parameters when they change a joint's torque by more than this share of its noise.
 const NEEDED_NOISE_RATIO: f64 = 1.0;
-/// The same without a known noise, of the residual.
+/// The same share of the residual where the noise is unknown.
 const NEEDED_RESIDUAL_RATIO: f64 = 0.3;
 
 /// One thing that changed.
@@ -73,7 +72,7 @@ impl Change {
     }
 }
 
-/// Parameters that the model can't vouch for, and where that matters.
+/// Parameters that were not identifiable in the stored model, and the runs that need them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Doubt {
     /// Names of parameters that were not identifiable when the model was made and that this data moves.
@@ -96,7 +95,7 @@ pub struct Changes {
     /// What is left over the noise, per joint, before and after, when the stored parameters may move within their errors: 1 where
     /// nothing but noise is left. Nothing without repeats.
     pub lack_of_fit: Option<Vec<[f64; 2]>>,
-    /// What the model can't vouch for.
+    /// Parameters that the model does not determine.
     pub doubt: Doubt,
     /// How it was found.
     pub path: Vec<Step>,
@@ -194,8 +193,8 @@ pub fn since_sessions(
     later.flat_map(|session| library::library(evidence, operating_point, families, Some(session), threads)).collect()
 }
 
-/// Precision of the stored parameters; none for those that were not identifiable. A file without any standard deviation is taken at
-/// its word.
+/// Precision of the stored parameters; none for those that were not identifiable. The parameters of a file without any
+/// standard deviation are assumed to be known.
 fn prior(parameters: &[Parameter]) -> Prior {
     let nobody = parameters.iter().all(|parameter| parameter.std.is_none());
     let largest = parameters.iter().map(|parameter| parameter.value.abs()).fold(0.0, f64::max);

@@ -6,7 +6,7 @@ use super::load::OperatingPoint;
 use super::one_row::smooth_sign;
 use plumbline_core::{JointVec, MAX_JOINTS};
 
-/// `fv_j dq_j + fc_j tanh(100 dq_j)` of every joint with the numbers of the model that an effect is built upon; 0 where it has none.
+/// `fv_j dq_j + fc_j tanh(100 dq_j)` of every joint with the numbers of the operating point; 0 where it has none.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct CarriedFriction {
     parameters: [[f64; 2]; MAX_JOINTS],

@@ -54,7 +54,7 @@ impl Load {
     }
 }
 
-/// What effects are built upon.
+/// Parameters at which the columns of effects are evaluated.
 pub struct OperatingPoint {
     /// The arm.
     pub chain: Chain,

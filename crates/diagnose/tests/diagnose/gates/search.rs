@@ -77,7 +77,7 @@ fn the_size_of_the_library_is_paid_for() {
         let few = search.forward(base.clone(), &[], &|_| {});
         assert_eq!(few.state.items.len(), 1);
         let library: Vec<_> = (0..copies).flat_map(|_| search.library.iter().cloned()).collect();
-        let many = Search { library: &library, ..search.upon(search.operating_point) };
+        let many = Search { library: &library, ..search.at(search.operating_point) };
         let dear = offset_2(&many, base);
         assert!((scored.score - dear.score - 2.0 * (copies as f64).ln()).abs() < 1e-6);
         assert!((-3.0..-1.0).contains(&dear.score), "{}", dear.score);
@@ -356,7 +356,7 @@ fn without_repeats_a_better_effect_has_to_be_better_by_twelve() {
             let gap = offset.score - drag.score;
             // One step: nothing comes beside it.
             let settings = Settings { steps: 0, ..Settings::default() };
-            let search = Search { settings: &settings, ..search.upon(search.operating_point) };
+            let search = Search { settings: &settings, ..search.at(search.operating_point) };
             let selected = search.select(base.clone(), std::slice::from_ref(&drag.item), &|_| {});
             println!("share {share}: gap {gap}, {:?}", taken(&selected));
             let passes = plumbline_diagnose::folds(&search.problem, base, &offset.tried).share >= 0.2;
@@ -449,7 +449,7 @@ fn without_repeats_the_simplest_of_nearly_the_same_score_is_taken() {
             let (best, offset) = (&proposals[0], proposals.iter().find(|one| one.item.spec.family == "torque-offset"));
             let near = offset.is_some_and(|offset| offset.score >= 0.8 * best.score);
             let settings = Settings { steps: 1, ..Settings::default() };
-            let search = Search { settings: &settings, ..search.upon(search.operating_point) };
+            let search = Search { settings: &settings, ..search.at(search.operating_point) };
             let taken = search.forward(base.clone(), &[], &|_| {}).state.items;
             println!(
                 "slope {slope}: best {} {}, near {near}, {:?}",
