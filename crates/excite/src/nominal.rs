@@ -119,7 +119,7 @@ mod tests {
         // With a payload it is a heavier arm; other effects are named and left out.
         let with = |family, site, settings| {
             let spec = Spec { family, form: "", site, settings };
-            let term = spec.build(&model.structure().ground(&model.beta())).unwrap();
+            let term = spec.build(&model.structure().operating_point(&model.beta())).unwrap();
             let structure = model.structure().clone().with(vec![term]).unwrap();
             let values: Vec<_> = (0..structure.columns().len()).map(|c| ((c as f64 * 1.7).sin(), None)).collect();
             TorqueModel::new("arm", structure, vec![], &values).unwrap()

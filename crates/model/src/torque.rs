@@ -139,10 +139,10 @@ impl TorqueModel {
         let value = |column: &Column| all.iter().find(|named| named.0 == column.name).map(|named| (named.1, named.2));
         let beta: Vec<f64> =
             structure.columns().iter().map(|column| value(column).map_or(0.0, |(value, _)| value)).collect();
-        let ground = structure.ground(&beta);
+        let operating_point = structure.operating_point(&beta);
         let mut built = Vec::new();
         for named in effects {
-            let term = named.spec()?.build(&ground)?;
+            let term = named.spec()?.build(&operating_point)?;
             check_names(named, &term.columns())?;
             built.extend(Subset::of(term, |column| named.parameters.iter().any(|(name, _, _)| *name == column.name)));
         }

@@ -6,7 +6,7 @@ use plumbline_diagnose::changing::{Changing, Course, Drifting, changing};
 use plumbline_excite::PeriodicMotion;
 use plumbline_identify::signal::spectral::Spectral;
 use plumbline_identify::{ExcludedSpan, Experiment, Run, Settings};
-use plumbline_model::term::effect::Ground;
+use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::{Chain, Placement, Reduction, Robot, Structure, rnea};
 use plumbline_sim::Truth;
 use plumbline_testkit::scene;
@@ -24,7 +24,7 @@ const PERIODS: usize = 10;
 struct Stage {
     chain: Chain,
     truth: Truth,
-    ground: Ground,
+    operating_point: OperatingPoint,
     friction: Vec<[f64; 2]>,
     periods: Vec<(Period, DMatrix<f64>)>,
 }
@@ -53,8 +53,8 @@ fn stage() -> &'static Stage {
         let base = structure.reduction().base_of(&delta);
         let beta: Vec<f64> = base.iter().copied().chain(vec![0.0; 2 * chain.len()]).collect();
         let friction: Vec<[f64; 2]> = truth.joints.iter().map(|joint| [joint.fv, joint.fc]).collect();
-        let ground = Ground { friction: friction.clone(), ..structure.ground(&beta) };
-        Stage { ground, chain, truth, friction, periods }
+        let operating_point = OperatingPoint { friction: friction.clone(), ..structure.operating_point(&beta) };
+        Stage { operating_point, chain, truth, friction, periods }
     })
 }
 
@@ -106,7 +106,7 @@ fn found(runs: &[Run]) -> Changing {
     let stage = stage();
     let experiments = prepared(runs, &kept());
     let trials: Vec<Trial> = experiments.iter().map(|experiment| Trial { experiment, session: 1 }).collect();
-    changing(&stage.ground, &trials)
+    changing(&stage.operating_point, &trials)
 }
 
 #[test]

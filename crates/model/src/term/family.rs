@@ -1,7 +1,7 @@
 //! What a kind of effect declares about itself. Every reader of the catalogue (search, plots, report, export) goes by these declarations.
 
 use super::Term;
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::quantity::{self, Quantity, Results};
 use crate::chain::Chain;
 use serde::{Deserialize, Serialize};
@@ -44,7 +44,7 @@ pub struct Form {
     /// Its nonlinear parameters.
     pub settings: &'static [Setting],
     /// Builds its term. The site is of the family's place and in the arm, the settings are as many as listed and in their ranges.
-    pub build: fn(&Ground, Site, &[f64]) -> Arc<dyn Term>,
+    pub build: fn(&OperatingPoint, Site, &[f64]) -> Arc<dyn Term>,
     /// The exported C function's part of it.
     pub in_c: InC,
     /// The horizontal axis of its plot.
