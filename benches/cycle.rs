@@ -13,7 +13,8 @@ use plumbline_core::{
 use plumbline_excite::{Fourier, PeriodicMotion};
 use plumbline_model::term::Sample;
 use plumbline_model::{Chain, Evaluator, Mounting, Reduction, Robot, Structure, TorqueModel};
-use plumbline_rt::os::{Rights, now_ns, sleep_until};
+use plumbline_rt::Rights;
+use plumbline_rt::os::{now_ns, sleep_until};
 use plumbline_rt::recorder::ring;
 use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, cycle};
 use std::sync::Arc;

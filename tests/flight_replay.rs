@@ -66,7 +66,7 @@ fn model(id: u64) -> Box<dyn FeedForward> {
 }
 
 /// A run and everything that its loop was given.
-struct Told {
+struct TimedEvent {
     run: Run,
     orders: Vec<Given>,
     models: Vec<u64>,
@@ -84,7 +84,7 @@ fn told(
     models: Vec<u64>,
     later: (Vec<Given>, Vec<u64>),
     outside: Vec<(u64, Act)>,
-) -> Told {
+) -> TimedEvent {
     let mut job = Job::on(arm, quit);
     for given in &orders {
         job = job.order(order(given));
@@ -93,11 +93,11 @@ fn told(
     for (read, act) in outside {
         job = job.outside(read, act);
     }
-    Told { run: job.run(), orders: [orders, later.0].concat(), models: [models, later.1].concat() }
+    TimedEvent { run: job.run(), orders: [orders, later.0].concat(), models: [models, later.1].concat() }
 }
 
 /// What the daemon would have said beside a window.
-fn about(window: &Window, end: String, untold: u64) -> About {
+fn about(window: &Window, end: String, dropped_events: u64) -> About {
     let last = window.records.last().unwrap();
     About {
         format: FORMAT,
@@ -119,7 +119,7 @@ fn about(window: &Window, end: String, untold: u64) -> About {
         clock: LogClock::Arm { seq: last.state.seq, epoch_ns: 1_700_000_000_000_000_000 },
         lost: 0,
         late: 0,
-        untold,
+        dropped_events,
         motions: vec![(1, "first".into())],
         notes: Vec::new(),
         settings: Settings::from(&settings()),
@@ -132,7 +132,7 @@ fn about(window: &Window, end: String, untold: u64) -> About {
 }
 
 /// The recording that the daemon would have written from cycle `first` on; near the start, through the file's bytes.
-fn recording(of: &Told, first: u64, lose: Option<u64>) -> Recording {
+fn recording(of: &TimedEvent, first: u64, lose: Option<u64>) -> Recording {
     let mut history = History::new(60_000, JOINTS, settings().guard.tracking);
     of.orders.iter().for_each(|given| history.ordered(given.clone()));
     of.models.iter().for_each(|&id| history.handed(Handed { id, gravity: [0.0, 0.0, -9.81], vendor: None }));
@@ -181,7 +181,7 @@ fn again(recording: &Recording) -> Result<Replayed, ReplayError> {
 
 /// The replay is identical from the loop's start, from its first cycles, and from places all over the run.
 #[track_caller]
-fn replays_from_everywhere(of: &Told) {
+fn replays_from_everywhere(of: &TimedEvent) {
     let cycles = of.run.records.len() as u64;
     let mut rng = ChaCha8Rng::seed_from_u64(cycles);
     let mut firsts = vec![0, 1, 3, cycles - 5];

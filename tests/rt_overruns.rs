@@ -163,18 +163,18 @@ fn a_daemon_that_was_stopped_and_goes_on_has_skipped_and_counted_what_it_slept_t
 fn an_arm_that_moves_while_nobody_could_stop_it_is_braked_and_one_at_rest_holds() {
     let silent = |job: Job| {
         let mut job = job;
-        job.settings.max_silence = Some(200);
+        job.settings.heartbeat_timeout = Some(200);
         job
     };
     // Somebody is there until read 700.
     let mut job = silent(Job::new(3_000).order(follow(1, Wave::gentle())));
     for read in (0..=700).step_by(100) {
-        job = job.outside(read, |handles| handles.controls.alive());
+        job = job.outside(read, |handles| handles.controls.heartbeat());
     }
     let run = job.run();
     run.assert_sound();
     run.assert_inside(&panda_limits(), 7);
-    assert_eq!((run.outcome.stops, run.outcome.last_stop), (1, Some(StopReason::Unattended { cycles: 201 })));
+    assert_eq!((run.outcome.stops, run.outcome.last_stop), (1, Some(StopReason::HeartbeatLost { cycles: 201 })));
     assert_eq!(run.records.last().unwrap().phase, Phase::Stopped);
 
     let run = silent(Job::new(3_000)).run();
@@ -200,7 +200,7 @@ proptest! {
     ) {
         let wave = Wave { frequency, amplitude: Wave::gentle().amplitude.map(|a| size * a), ..Wave::gentle() };
         let mut job = Job::new(4_000).order(follow(1, wave)).order(move_to(2, AWAY)).order(dwell(3, 50)).order(move_to(4, READY));
-        job.settings.max_silence = Some(300);
+        job.settings.heartbeat_timeout = Some(300);
         if model {
             job = job.model(Model(1, |d: &Setpoint| d.q.map(|q| 4.0 * q)));
         }
@@ -211,7 +211,7 @@ proptest! {
             job = job.outside(read, |handles| handles.controls.stop());
         }
         for read in (0..silent_after.unwrap_or(4_000)).step_by(100) {
-            job = job.outside(read, |handles| handles.controls.alive());
+            job = job.outside(read, |handles| handles.controls.heartbeat());
         }
         let run = job.run();
         run.assert_sound();

@@ -20,11 +20,11 @@ const HOMES: &[(&str, &str)] = &[
 /// Files outside `plumbline-rt` that run in the loop: the lint wall stands at their head, or at the head of the module that they belong to.
 const REAL_TIME: &[&str] = &[
     "crates/franka/src/arm.rs",
-    "crates/franka/src/halt.rs",
     "crates/franka/src/limiter.rs",
     "crates/franka/src/motion.rs",
     "crates/franka/src/reference.rs",
     "crates/franka/src/torque.rs",
+    "crates/franka/src/transport.rs",
     "crates/franka/src/udp.rs",
     "crates/model/src/lib.rs",
     "crates/rt/src/lib.rs",
@@ -74,6 +74,18 @@ fn product_code() -> Vec<(String, String)> {
             (name, lines.collect::<Vec<_>>().join("\n"))
         })
         .collect()
+}
+
+/// Files of the program that may name a backend's crate: its settings, and the line that selects it.
+const BACKENDS: &[&str] = &["src/config/job/", "src/setup/backend.rs"];
+
+#[test]
+fn a_backend_is_named_by_its_settings_and_in_one_line() {
+    for (file, code) in product_code().iter().filter(|(file, _)| file.starts_with("src/")) {
+        let names = ["plumbline_franka", "plumbline_sim"].into_iter().find(|name| code.contains(name));
+        let allowed = BACKENDS.iter().any(|home| file.starts_with(home));
+        assert!(names.is_none() || allowed, "{file} names {names:?}");
+    }
 }
 
 #[test]

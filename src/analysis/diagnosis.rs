@@ -94,7 +94,7 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing), Failure>
         experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
     }
     cleaned(&mut experiments, &found);
-    if !question.options.estimator.wants_periods() {
+    if !question.options.estimator.needs_periods() {
         experiments.iter_mut().for_each(|experiment| experiment.repeats = None);
     }
     Ok((experiments, found))

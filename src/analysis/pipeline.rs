@@ -1,6 +1,7 @@
 //! From recorded runs to a model and its errors: what `identify` and `estimator` share.
 
 use crate::dataset::Run;
+use crate::dataset::columns::DESIRED_POSITIONS;
 use crate::failure::Failure;
 use crate::report::figures::TorqueFigure;
 use nalgebra::DMatrix;
@@ -112,11 +113,11 @@ pub fn experiments(runs: &[&Run], settings: &Settings) -> Result<Vec<Experiment>
 
 /// Runs made ready with all that an estimator wants of them.
 pub fn for_estimator(runs: &[&Run], settings: &Settings, options: &solve::Options) -> Result<Vec<Experiment>, Failure> {
-    let keep_periods = settings.keep_periods || options.estimator.wants_periods();
+    let keep_periods = settings.keep_periods || options.estimator.needs_periods();
     let settings = Settings { keep_periods, ..settings.clone() };
     let prepare = |run: &&Run| {
         let experiment = experiment(&run.data, &settings)?;
-        if !options.estimator.wants_periods() {
+        if !options.estimator.needs_periods() {
             return Ok(experiment);
         }
         desired(run, experiment)
@@ -164,9 +165,7 @@ pub fn identified(
 
 /// With the desired motion, where the run has columns `q_d1` to `q_dn`.
 fn desired(run: &Run, experiment: Experiment) -> Result<Experiment, Failure> {
-    let columns: Option<Vec<&[f64]>> = (1..=run.joints()).map(|j| run.extra(&format!("q_d{j}"))).collect();
-    let Some(columns) = columns else { return Ok(experiment) };
-    let q_d = DMatrix::from_fn(run.samples(), run.joints(), |k, j| columns[j][k]);
+    let Some(q_d) = DESIRED_POSITIONS.of(run) else { return Ok(experiment) };
     let expected = "one finite desired position per sample and joint";
     experiment
         .with_desired(&run.data.t, &q_d)
@@ -191,7 +190,7 @@ pub fn judge(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Judg
         title: title(run),
         t: times(&experiment),
         measured: columns(&experiment.tau, experiment.joints()),
-        modelled: columns(modelled.judged(), experiment.joints()),
+        modelled: columns(modelled.comparison(), experiment.joints()),
         raw: Vec::new(),
         noise: rms.noise_floor.clone().unwrap_or_default(),
     };

@@ -4,9 +4,10 @@ use crate::cli::say::say;
 use crate::config::job::Job;
 use crate::failure::Failure;
 use crate::machine::{self, Finding, Tree, Verdict, Wanted};
-use crate::setup::JobOptions;
+use crate::setup::{JobOptions, backend};
 use clap::Args;
 use plumbline_rt::Rights;
+use std::net::IpAddr;
 use std::path::PathBuf;
 
 /// Options of `plumbline doctor`.
@@ -30,7 +31,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let wanted = match &options.config {
         Some(config) => {
             let job = JobOptions { config: config.clone(), sets: options.sets.clone(), out: None, root_owned: false };
-            wanted_by(&job.load()?.0)
+            let (job, robot, _) = job.load()?;
+            let address = backend::connector(&job, &robot)?.address();
+            wanted_by(&job, address)
         }
         None => Wanted { rights: Rights::default(), robot: None },
     };
@@ -54,7 +57,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
 }
 
-fn wanted_by(job: &Job) -> Wanted {
+fn wanted_by(job: &Job, robot: Option<IpAddr>) -> Wanted {
     let realtime = &job.realtime;
     Wanted {
         rights: Rights {
@@ -63,7 +66,7 @@ fn wanted_by(job: &Job) -> Wanted {
             lock_memory: realtime.lock_memory,
             preempt_rt: realtime.preempt_rt,
         },
-        robot: job.backend.franka.as_ref().map(|franka| franka.address),
+        robot,
     }
 }
 

@@ -5,7 +5,7 @@ use crate::failure::Failure;
 use crate::process::signals::Ending;
 use crate::process::{owned, progress};
 use crate::report::Report;
-use crate::setup::{JobOptions, models, planner, robot_id};
+use crate::setup::{JobOptions, models, programme, robot_id};
 use clap::Args;
 use plumbline_ipc::{Client, Progress, Request, Response, RobotId, Status};
 use rustix::process::{Pid, Signal, kill_process};
@@ -40,14 +40,15 @@ pub fn run(options: Options) -> Result<(), Failure> {
     // No other daemon comes up for this robot from here on, however long the planning takes: the daemon that is started below gets this very lock.
     let lock = crate::setup::lock(&id)?;
     // What a daemon would refuse is refused here, before anything starts.
-    let arm = crate::setup::arm_lock(&job)?;
-    crate::setup::truth(&job)?;
+    let connector = crate::setup::backend::connector(&job, &robot)?;
+    let arm = crate::setup::arm_lock(connector.as_ref())?;
     crate::setup::rest(&job, &robot)?;
     if let Some(model) = &options.model {
         models::of_robot(&model.display().to_string(), &owned::read_model(model)?, &robot, "the job's robot")?;
     }
     std::fs::create_dir_all(&out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
-    let programme = planner::programme(&job, &robot, &out, planner::arm_limits(&job)?.as_ref())?;
+    let arm_limits = connector.read_limits().map_err(Failure::job)?;
+    let programme = programme::plan_or_load(&job, &robot, &out, arm_limits.as_ref())?;
     let ticks: usize = programme.motions().map(|motion| motion.ticks()).sum();
 
     let ending = Ending::watch()?;

@@ -1,6 +1,6 @@
 //! Models that are offered or proposed, checked on a thread of their own: reading one takes milliseconds, and the bridge thread has none to spare.
 
-use super::desk::Accepted;
+use super::models::Accepted;
 use crate::recording::about::panic_message;
 use crate::setup::models;
 use crate::store::{ModelFile, model_identity};
@@ -10,7 +10,7 @@ use plumbline_model::{Mounting, Robot};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 
-/// Time between the beginnings of two checks: models come rarely, and a flood of them waits \[ns\].
+/// Time between the beginnings of two checks: models come rarely, and more of them wait \[ns\].
 const INTERVAL_NS: u64 = 100_000_000;
 
 /// Checks a model's text: the right robot, a set that holds in this mounting.
@@ -129,5 +129,48 @@ impl Checker {
             }
             Err(TryRecvError::Empty | TryRecvError::Disconnected) => None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::fixture::*;
+    use super::*;
+    use std::time::{Duration, Instant};
+
+    /// A request of many bytes is read on the other thread, which answers it whatever it is.
+    #[test]
+    fn the_checking_thread_takes_one_request_at_a_time() {
+        let (state, _place) = new_state();
+        let (robot, mounting) = (state.setup.robot.clone(), state.mounting);
+        let mut checker = Checker::start(robot, 5).unwrap();
+        let bytes = |request: &Request| serde_json::to_vec(request).unwrap();
+        let mut now = 1;
+        let mut check = |bytes: &[u8]| {
+            assert_eq!(checker.room(now), 1);
+            checker.give(Ticket::default(), bytes, mounting, now);
+            assert_eq!(checker.room(u64::MAX), 0, "it is busy");
+            let start = Instant::now();
+            let checked = loop {
+                match checker.take() {
+                    Some(Answerable { checked, .. }) => break checked,
+                    None => assert!(start.elapsed() < Duration::from_secs(60)),
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            };
+            assert_eq!(checker.room(now + 99_999_999), 0, "a flood of models waits");
+            assert_eq!(checker.room(now + 100_000_000), 1);
+            now += 1_000_000_000;
+            checked
+        };
+        assert!(matches!(check(&bytes(&offer())), Checked::Offered(_)));
+        assert!(matches!(check(&bytes(&Request::Status {})), Checked::Other(Request::Status {})));
+        assert!(matches!(check(&[b'['; 60_000]), Checked::Garbled(_)));
+        let nonsense = Request::OfferModel { toml: "x".into() };
+        assert!(matches!(check(&bytes(&nonsense)), Checked::Refused(_)));
+        let other_start = br#"{"epoch":6,"request":"status"}"#;
+        assert!(
+            matches!(check(other_start), Checked::Garbled(Response::Refused { reason }) if reason.contains("start 5"))
+        );
     }
 }

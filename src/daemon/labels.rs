@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 
 /// Gravity by cycle \[m/s2\].
 #[derive(Clone, Debug)]
-pub struct Labels {
+pub struct GravityLabels {
     now: Vector3<f64>,
     /// Models handed to the loop that have not served yet, in order.
     handed: VecDeque<(u64, Vector3<f64>)>,
@@ -17,10 +17,10 @@ pub struct Labels {
     from: VecDeque<(u64, Vector3<f64>)>,
 }
 
-impl Labels {
+impl GravityLabels {
     /// Before anything was handed over.
-    pub fn new(gravity: Vector3<f64>) -> Labels {
-        Labels { now: gravity, handed: VecDeque::new(), models: Succession::default(), from: VecDeque::new() }
+    pub fn new(gravity: Vector3<f64>) -> GravityLabels {
+        GravityLabels { now: gravity, handed: VecDeque::new(), models: Succession::default(), from: VecDeque::new() }
     }
 
     /// Model `id` for `gravity` is on its way into the loop.
@@ -28,7 +28,7 @@ impl Labels {
         self.handed.push_back((id, gravity));
     }
 
-    /// The loop says that the next one handed over is in force from `cycle` on. The ring is first in, first out.
+    /// By an event of the loop, the next model handed over serves from `cycle` on. The ring is first in, first out.
     pub fn serving(&mut self, cycle: u64) {
         if let Some((id, gravity)) = self.handed.pop_front() {
             self.models.serve(id, gravity);
@@ -63,7 +63,7 @@ mod tests {
     #[test]
     fn a_record_has_the_gravity_of_its_own_cycle() {
         let gravity = |of: f64| Vector3::new(of, 0.0, -9.81);
-        let mut labels = Labels::new(gravity(0.0));
+        let mut labels = GravityLabels::new(gravity(0.0));
         labels.handed(7, gravity(1.0));
         assert_eq!(labels.at(5), gravity(0.0));
         labels.handed(8, gravity(2.0));
@@ -83,7 +83,7 @@ mod tests {
     #[test]
     fn records_that_were_passed_over_change_nothing() {
         let gravity = |of: f64| Vector3::new(of, 0.0, -9.81);
-        let mut labels = Labels::new(gravity(0.0));
+        let mut labels = GravityLabels::new(gravity(0.0));
         (1..4u64).for_each(|of| labels.handed(of, gravity(of as f64)));
         [3, 4, 90].into_iter().for_each(|cycle| labels.serving(cycle));
         assert_eq!((labels.at(50).x, labels.at(90).x), (2.0, 3.0));

@@ -1,47 +1,53 @@
-//! `plumbline daemon`: connects to the arm, drives the job's programme when told to, serves the model.
+//! `plumbline daemon`: connects to the arm, drives the job's programme on request, serves the model.
 //!
-//! The main thread is the bridge thread: it owns everything that talks to other processes. The loop has a thread of its own for each
-//! connection to the arm (`session`), and knows this side only through its rings.
+//! The main thread is the bridge thread: it owns everything that communicates with other processes. The loop has a thread of its own for each
+//! connection to the arm (`session`), and reaches this side only through its rings.
 
-mod arm;
 mod check;
-mod desk;
+#[cfg(test)]
+mod fixture;
 mod gravity;
+mod job_setup;
 mod labels;
 #[cfg(test)]
 mod logged;
+mod models;
 mod recorder;
-mod rest;
-mod rhythm;
+mod requests;
+mod rest_poses;
+mod schedule;
 mod script;
 mod session;
-mod stop_line;
+mod state;
+mod status;
+mod stop_relay;
 
 use crate::config::job::Job;
 use crate::failure::Failure;
 use crate::process::service::{self, Service};
 use crate::process::signals::Ending;
 use crate::process::{journal, owned};
-use crate::setup::JobOptions;
 use crate::setup::programme::Programme;
-use arm::Purpose;
+use crate::setup::{self, JobOptions};
 use check::{Answerable, Checked, Checker};
 use clap::Args;
-use desk::Desk;
-use plumbline_core::Distribution;
+use job_setup::JobSetup;
+use plumbline_core::{ArmConnector, Distribution, Purpose};
 use plumbline_ipc::{
-    Asked, Lock, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener, now_ns,
+    IncomingRequest, Lock, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener, now_ns,
 };
 use plumbline_model::Mounting;
 use plumbline_rt::cycle::End;
-use plumbline_rt::{Controls, os};
+use plumbline_rt::{Controls, become_realtime};
 use recorder::Recorder;
-use rhythm::RequestShare;
+use schedule::RequestShare;
 use script::Script;
 use session::Session;
+use state::DaemonState;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
-use stop_line::StopLine;
+use stop_relay::StopRelay;
 
 /// Options of `plumbline daemon`.
 #[derive(Args)]
@@ -64,72 +70,73 @@ const CONNECTION: Duration = Duration::from_secs(90);
 
 /// What the bridge thread owns.
 pub struct Daemon {
-    stops: StopLine,
+    stops: StopRelay,
     server: Server,
     checker: Checker,
-    desk: Desk,
+    state: DaemonState,
     service: Service,
     /// When requests are answered next.
     share: RequestShare,
 }
 
-/// How a session was seen through.
+/// How a session ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Seen {
-    /// It ended as it was meant to.
-    Through,
-    /// The connection was lost, and the job allows another: what had not been driven to the end is driven again.
+enum SessionEnd {
+    /// Its script was driven, or the end was requested.
+    Completed,
+    /// The connection was lost, and the job allows another: motions that were not driven to their end are driven again.
     Interrupted,
 }
 
-/// Runs until it is told to quit.
+/// Runs until the end is requested.
 pub fn run(options: Options) -> Result<(), Failure> {
     let (job, robot, out) = options.job.load()?;
     let model = options.model.map(|path| model(path, options.job.root_owned)).transpose()?;
-    let id = crate::setup::robot_id(&job)?;
+    let id = setup::robot_id(&job)?;
     journal::about(id.as_str());
-    // Before anything else is touched: nobody else may drive this robot.
-    let lock = if options.adopt_lock { crate::setup::adopted_lock(&id)? } else { crate::setup::lock(&id)? };
+    // Before anything else: no other process may drive this robot.
+    let lock = if options.adopt_lock { setup::adopted_lock(&id)? } else { setup::lock(&id)? };
     // A stop is taken from here on, also while the excitation is planned.
-    let stops = stop_line(&lock, &job)?;
-    let _arm = crate::setup::arm_lock(&job)?;
-    let arm_limits = crate::setup::planner::arm_limits(&job)?;
-    let programme = crate::setup::planner::programme(&job, &robot, &out, arm_limits.as_ref())?;
+    let stops = stop_relay(&lock, &job)?;
+    let arm: Arc<dyn ArmConnector> = setup::backend::connector(&job, &robot)?.into();
+    let _arm = setup::arm_lock(arm.as_ref())?;
+    let arm_limits = arm.read_limits().map_err(Failure::job)?;
+    let programme = setup::programme::plan_or_load(&job, &robot, &out, arm_limits.as_ref())?;
     let ending = Ending::watch()?;
     if options.end_with_stdin {
         ending.watch_parent()?;
     }
-    // Its thread begins before anything asks for priority.
+    // Its thread begins before any other has a real-time priority.
     let recorder = Recorder::start(&job, &id, &out)?;
     let names = programme.motions().map(|motion| (motion.number, motion.name.clone())).collect();
-    let mut desk = Desk::new(job, robot, names, recorder, ending)?;
-    desk.arm_limits = arm_limits;
+    let rest = setup::rest(&job, &robot)?;
+    let setup = JobSetup { job, robot, arm, arm_limits, rest, names };
+    let mut state = DaemonState::new(setup, recorder, ending)?;
     if let Some((path, text)) = model {
-        desk.accept_text(&path, &text)?;
+        state.accept_text(&path, &text)?;
     }
     let server = Server::open(&id, ServerSettings::default()).map_err(Failure::job)?;
-    let checker = Checker::start(desk.robot.clone(), server.epoch()).map_err(Failure::job)?;
+    let checker = Checker::start(state.setup.robot.clone(), server.epoch()).map_err(Failure::job)?;
     let (service, share) = (Service::of_environment(), RequestShare::default());
-    let mut daemon = Daemon { stops, server, checker, desk, service, share };
+    let mut daemon = Daemon { stops, server, checker, state, service, share };
     tracing::info!("the daemon of robot `{id}` is ready; the arm moves after `plumbline command start`");
     daemon.service.ready("at rest; the arm moves after `plumbline command start`");
-    daemon.hold(daemon.desk.mounting)?;
-    if daemon.desk.start && !daemon.desk.must_quit() {
+    daemon.hold(daemon.state.mounting)?;
+    if daemon.state.programme.start && !daemon.state.must_quit() {
         daemon.drive(&programme)?;
-        daemon.hold(daemon.desk.mounting)?;
+        daemon.hold(daemon.state.mounting)?;
     }
     daemon.service.stopping();
     tracing::info!("the daemon ends; it has published {} samples", daemon.server.served().published);
     Ok(())
 }
 
-/// Begins to listen for stops. The thread's priority is above the bridge thread's, where the arm keeps the clock's time.
-fn stop_line(lock: &Lock, job: &Job) -> Result<StopLine, Failure> {
+/// Starts the thread that receives stops. Its priority is above the bridge thread's, where the arm keeps wall-clock time.
+fn stop_relay(lock: &Lock, job: &Job) -> Result<StopRelay, Failure> {
     let failed = |error: std::io::Error| Failure::job(format!("stops can't be listened for: {error}"));
     let listener = StopListener::open(lock).map_err(failed)?;
-    let rights = (!job.backend.is_fast()).then(|| session::listener_rights(&job.realtime));
-    StopLine::start(listener, move || rights.iter().for_each(|rights| drop(os::become_realtime(rights))))
-        .map_err(failed)
+    let rights = (!job.backend.is_fast()).then(|| session::stop_listener_rights(&job.realtime));
+    StopRelay::start(listener, move || rights.iter().for_each(|rights| drop(become_realtime(rights)))).map_err(failed)
 }
 
 /// A model file that a person named, with its text.
@@ -145,20 +152,20 @@ impl Daemon {
     /// Holds and serves until there is something to do. An arm in simulated time would only burn the processor meanwhile: it waits
     /// unconnected.
     fn hold(&mut self, mounting: Mounting) -> Result<(), Failure> {
-        if self.desk.job.backend.is_fast() {
-            while !self.desk.must_leave() {
-                self.talk(None);
+        if self.state.setup.job.backend.is_fast() {
+            while !self.state.must_leave() {
+                self.answer_requests(None);
                 self.service.beat(service::Progress::Waiting);
                 std::thread::sleep(Duration::from_millis(1));
             }
             return Ok(());
         }
         // Whoever has ended the job in mid-motion does not want another connection. A start may be taken back by a stop until the last moment.
-        while !self.desk.must_leave() {
+        while !self.state.must_leave() {
             self.service.long_step(CONNECTION);
-            let session = Session::open(self, "hold".into(), mounting, Purpose::Hold, Script::hold())?;
+            let session = Session::open(self, "hold".into(), mounting, Purpose::Monitor, Script::hold())?;
             self.service.status("at rest; the arm holds");
-            self.see_through(session)?;
+            self.run_session(session)?;
         }
         Ok(())
     }
@@ -166,105 +173,110 @@ impl Daemon {
     /// Drives every stage of the programme.
     fn drive(&mut self, programme: &Programme) -> Result<(), Failure> {
         for stage in &programme.stages {
-            self.desk.progress = Progress::Driving;
+            self.state.programme.progress = Progress::Driving;
             let place = stage.mounting.to_string();
             tracing::info!("the arm is mounted {place}; {} motions", stage.motions.len());
             loop {
-                let script = Script::of(stage, self.desk.rest, &self.desk.ended).map_err(Failure::job)?;
+                let script =
+                    Script::of(stage, self.state.setup.rest, &self.state.programme.ended).map_err(Failure::job)?;
                 self.service.long_step(CONNECTION);
                 let session = Session::open(self, place.clone(), stage.mounting, Purpose::Drive, script)?;
                 self.service.status(&format!("moving; mounted {place}"));
-                // Interrupted: once more, unless somebody has stopped it meanwhile.
-                if self.see_through(session)? == Seen::Through || self.desk.is_over() {
+                // Interrupted: once more, unless the arm was stopped meanwhile.
+                if self.run_session(session)? == SessionEnd::Completed || self.state.is_over() {
                     break;
                 }
             }
-            if self.desk.is_over() {
-                if self.desk.barred {
-                    self.desk.progress = Progress::Stopped;
+            if self.state.is_over() {
+                if self.state.stops.barred {
+                    self.state.programme.progress = Progress::Stopped;
                 }
                 return Ok(());
             }
         }
-        self.desk.driven = Some(self.server.served().published);
-        self.desk.progress = Progress::Done;
+        self.state.programme.driven = Some(self.server.served().published);
+        self.state.programme.progress = Progress::Done;
         tracing::info!("everything was driven");
         Ok(())
     }
 
     /// Runs a session to its end and keeps its figures.
-    fn see_through(&mut self, session: Session) -> Result<Seen, Failure> {
+    fn run_session(&mut self, session: Session) -> Result<SessionEnd, Failure> {
         let ended = session.run(self);
         self.stops.connect(None);
-        self.desk.braking = false;
+        self.state.stops.braking = false;
         let (statistics, end) = ended?;
         tracing::info!("{}", account(&statistics));
         let words = statistics.link.as_ref().and_then(|link| link.fault.clone()).unwrap_or_else(|| end.to_string());
-        self.desk.sessions.push(statistics);
+        self.state.history.sessions.push(statistics);
         match end {
-            End::Quit => Ok(Seen::Through),
-            end if arm::goes_on(&self.desk, &end) => {
-                self.desk.recoveries += 1;
-                tracing::warn!("{words}; going on by itself, time {}, as the job allows", self.desk.recoveries);
+            End::Quit => Ok(SessionEnd::Completed),
+            end if self.state.may_recover(&end) => {
+                self.state.programme.recoveries += 1;
+                tracing::warn!(
+                    "{words}; going on by itself, time {}, as the job allows",
+                    self.state.programme.recoveries
+                );
                 self.service.long_step(CONNECTION);
-                arm::recover(self)?;
-                Ok(Seen::Interrupted)
+                let arm = Arc::clone(&self.state.setup.arm);
+                self.meanwhile(|| arm.recover())?.map_err(Failure::job)?;
+                Ok(SessionEnd::Interrupted)
             }
             End::NotRealTime => {
-                let refusals = self.desk.degraded.join("; ");
+                let refusals = self.state.history.degraded.join("; ");
                 Err(Failure::job(format!("the loop ended: {words} (realtime.on-refusal): {refusals}")))
             }
             _ => Err(Failure::job(format!("the loop ended: {words}"))),
         }
     }
 
-    /// Does what takes a robot seconds on a thread of its own, and answers requests meanwhile: a stop is heard then, too.
+    /// Does `work` that may block for seconds on a thread of its own, and takes stops and answers requests meanwhile.
     fn meanwhile<T: Send>(&mut self, work: impl FnOnce() -> T + Send) -> Result<T, Failure> {
         std::thread::scope(|scope| {
             let thread = scope.spawn(work);
             while !thread.is_finished() {
-                self.talk(None);
+                self.answer_requests(None);
                 std::thread::sleep(Duration::from_millis(1));
             }
             thread.join().map_err(|_panic| Failure::job("the thread that connects to the arm panicked"))
         })
     }
 
-    /// Takes note of a stop that has come. `controls` are the running loop's, where one runs.
+    /// Takes a stop that has come. `controls` are the running loop's, where one runs.
     fn take_stop(&mut self, controls: Option<&Controls>) {
         if let Some(order) = self.stops.attend(controls) {
-            self.desk.take_stop(order, controls);
+            self.state.take_stop(order, controls);
         }
     }
 
-    /// Takes note of a stop; answers the requests that are waiting, where their share of the time allows that.
-    fn talk(&mut self, controls: Option<&Controls>) {
+    /// Takes a stop; answers the requests that wait, within their share of the time.
+    fn answer_requests(&mut self, controls: Option<&Controls>) {
         self.take_stop(controls);
-        self.desk.announce_end();
+        self.state.announce_end();
         let begin = now_ns();
         if !self.share.is_due(begin) {
             return;
         }
-        let Daemon { server, desk, checker, .. } = self;
+        let Daemon { server, state, checker, .. } = self;
         while let Some(Answerable { ticket, order, checked }) = checker.take() {
             if matches!(checked, Checked::Garbled(_)) {
-                server.garbled();
+                server.count_malformed_request();
             }
-            let response = desk.conclude(checked, &server.served(), controls);
+            let response = state.conclude(checked, &server.served(), controls);
             server.answer(ticket, order, &response);
         }
         server.serve(checker.room(begin), |asked, served| match asked {
-            Asked::Light(request) => Some(desk.answer(request, served, controls)),
-            Asked::Heavy(ticket, bytes) => {
-                checker.give(ticket, bytes, desk.mounting, begin);
+            IncomingRequest::Light(request) => Some(state.answer(request, served, controls)),
+            IncomingRequest::Heavy(ticket, bytes) => {
+                checker.give(ticket, bytes, state.mounting, begin);
                 None
             }
         });
-        while let Some(news) = server.take_news() {
-            desk.news(&news, controls);
+        while let Some(news) = server.take_follower_event() {
+            state.news(&news, controls);
         }
         let end = now_ns();
-        server.answered_for(end.saturating_sub(begin));
+        server.add_request_time(end.saturating_sub(begin));
         self.share.spent(begin, end);
     }
 }
@@ -292,3 +304,6 @@ fn account(of: &SessionStatistics) -> String {
         times.into_iter().filter_map(|(what, times)| us(what, times)).collect::<String>(),
     )
 }
+
+#[cfg(test)]
+mod tests;

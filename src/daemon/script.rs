@@ -1,4 +1,4 @@
-//! What the loop is told next: decides from events, without doing anything itself.
+//! The orders of a session: decides from events what the loop is ordered next, without acting.
 
 use crate::recording::about::{Given, Series};
 use crate::setup::programme::{Motion, Role, Stage};
@@ -18,7 +18,7 @@ const SETTLE: u64 = 500;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Next {
     /// Nothing.
-    GoOn,
+    Continue,
     /// Hold until there is a model, then give the orders that are left.
     AwaitModel,
     /// The stage is over and the arm is back where it started.
@@ -128,7 +128,7 @@ impl Script {
                 *self = Script::hold();
                 Next::Aborted
             }
-            _ => Next::GoOn,
+            _ => Next::Continue,
         }
     }
 }

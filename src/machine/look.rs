@@ -251,7 +251,7 @@ fn network(tree: &Tree, robot: IpAddr) -> Finding {
         return Finding::unfit(
             "network",
             format!("no route to the robot at {robot}"),
-            "give this machine's port an address in the robot's network (docs/guide/franka.md)",
+            "give the port that the robot is plugged into an address in the robot's network",
         );
     };
     let folder = Path::new("sys/class/net").join(&card);

@@ -9,7 +9,7 @@ const AGAIN: &str =
     "The daemon has ended. When it is safe to move, start it again; nothing moves before `plumbline command start`.";
 
 const STAND_CLEAR: &str = "Stay clear of the arm: the daemon recovers it and drives the interrupted motion again by itself, as the job allows \
-     (`backend.franka.recovery`), unless `plumbline command stop` keeps it from that.";
+     (`recovery` of its backend), unless `plumbline command stop` keeps it from that.";
 
 /// Steps, first things first.
 pub(super) fn next(story: &Story, about: &About) -> Vec<String> {

@@ -4,7 +4,7 @@ use super::story::{Joint, Story};
 use super::{plot, text};
 use crate::recording::Recording;
 use minijinja::{AutoEscape, Environment, Value, context};
-use plumbline_core::PERIOD;
+use plumbline_core::PERIOD_S;
 use std::io;
 
 const TEMPLATE: &str = include_str!("page.html");
@@ -44,7 +44,7 @@ pub fn page(story: &Story, recording: &Recording) -> io::Result<String> {
         tracking_rows => rows(&story.tracking),
         torque_rows => rows(&story.torque),
         timing => context! {
-            cycles => of.cycles, seconds => format!("{:.3}", of.elapsed as f64 * PERIOD), lost => of.lost,
+            cycles => of.cycles, seconds => format!("{:.3}", of.elapsed as f64 * PERIOD_S), lost => of.lost,
             longest => of.longest_lost, late => of.late.unwrap_or(0), simulated => of.late.is_none(),
             rows => timing_rows(story),
             outliers => story.timing.outliers.iter().map(|one| context! {

@@ -119,7 +119,7 @@ fn colour(j: usize) -> RGBColor {
 /// When the stops of the recording began.
 fn stops(recording: &Recording) -> Vec<f64> {
     let before = Before::of(recording);
-    let stopping = |told: &&plumbline_rt::Told| matches!(told.event, plumbline_rt::Event::Stopping { .. });
+    let stopping = |told: &&plumbline_rt::TimedEvent| matches!(told.event, plumbline_rt::Event::Stopping { .. });
     recording.events.iter().filter(stopping).map(|told| -before.at(told.seq)).collect()
 }
 

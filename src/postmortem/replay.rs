@@ -17,7 +17,7 @@ use plumbline_core::{
 };
 use plumbline_excite::{Fourier, PeriodicMotion};
 use plumbline_rt::cycle::{Cycle, End};
-use plumbline_rt::{Checkpoint, Doing, Event, Handles, Order, OrderKind, StopReason, Succession, Told, cycle};
+use plumbline_rt::{Checkpoint, Doing, Event, Handles, Order, OrderKind, StopReason, Succession, TimedEvent, cycle};
 use serde::Serialize;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -34,10 +34,10 @@ pub enum ReplayError {
         needed: usize,
     },
     /// The loop had no room to say what it did.
-    #[error("{untold} events never left the loop, so what it was given is not known")]
-    Untold {
+    #[error("{dropped_events} events never left the loop, so what it was given is not known")]
+    DroppedEvents {
         /// How many.
-        untold: u64,
+        dropped_events: u64,
     },
     /// Something that the loop was given is not in the recording.
     #[error("{what} is not in the recording")]
@@ -104,8 +104,8 @@ pub struct Parts<'p> {
 /// [`ReplayError`] where something that the loop was given is not in the recording.
 pub fn replay(recording: &Recording, parts: Parts) -> Result<Replayed, ReplayError> {
     let about = &recording.about;
-    if about.untold > 0 {
-        return Err(ReplayError::Untold { untold: about.untold });
+    if about.dropped_events > 0 {
+        return Err(ReplayError::DroppedEvents { dropped_events: about.dropped_events });
     }
     let start = Start::find(recording, parts.model)?;
     let handing = Handing::plan(recording, &start, parts.model)?;
@@ -138,7 +138,7 @@ pub fn replay(recording: &Recording, parts: Parts) -> Result<Replayed, ReplayErr
         .map_err(|panic| panicked(&panic_message(&*panic)));
     drop(again);
     let mut handles = lock(&shared).take().ok_or_else(|| ReplayError::Missing { what: "the loop's end".into() })?;
-    let told: Vec<Told> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
+    let told: Vec<TimedEvent> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
     handles.free_retired();
     let kept = std::mem::take(&mut *lock(&kept));
     let mut result = compare(records, &kept, from_the_start);
@@ -219,7 +219,7 @@ fn fold(recording: &Recording, cycle: u64) -> Fold {
 }
 
 /// The setpoint that what an event speaks of began from.
-fn begun_before(records: &[Record], told: &Told) -> Option<Setpoint> {
+fn begun_before(records: &[Record], told: &TimedEvent) -> Option<Setpoint> {
     let find =
         |cycle: u64| records.binary_search_by_key(&cycle, |record| record.cycle).ok().map(|place| &records[place]);
     Some(begun_from(&told.event, find(told.cycle.checked_sub(1)?)?, find(told.cycle)))
@@ -342,7 +342,7 @@ impl Handing {
             }
             match told.event {
                 Event::Stopping {
-                    reason: StopReason::Requested | StopReason::Quit | StopReason::Unattended { .. },
+                    reason: StopReason::Requested | StopReason::Quit | StopReason::HeartbeatLost { .. },
                     ..
                 } => hand(Hand::Stop),
                 Event::Resumed => hand(Hand::Resume),
@@ -497,10 +497,10 @@ fn compare(were: &[Record], are: &[Record], from_the_start: bool) -> Replayed {
 
 /// Whether the loop told the same as in the recording from a cycle on. A stop before the program's end is asked for as any stop; what was
 /// discarded is not handed over again.
-fn same_events(recording: &Recording, told: &[Told], first: u64) -> bool {
-    let plain = |told: &Told| match told.event {
+fn same_events(recording: &Recording, told: &[TimedEvent], first: u64) -> bool {
+    let plain = |told: &TimedEvent| match told.event {
         Event::Discarded { .. } => None,
-        Event::Stopping { motion, reason: StopReason::Quit | StopReason::Unattended { .. } } => {
+        Event::Stopping { motion, reason: StopReason::Quit | StopReason::HeartbeatLost { .. } } => {
             Some((told.cycle, Event::Stopping { motion, reason: StopReason::Requested }))
         }
         event => Some((told.cycle, event)),

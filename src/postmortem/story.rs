@@ -6,8 +6,8 @@ use super::timing::Timing;
 use crate::recording::Recording;
 use crate::recording::about::Given;
 use crate::recording::messages::{limit_name, words};
-use plumbline_core::{PERIOD, Phase, Record};
-use plumbline_rt::{Event, Limit, StopReason, Told, Violation};
+use plumbline_core::{PERIOD_S, Phase, Record};
+use plumbline_rt::{Event, Limit, StopReason, TimedEvent, Violation};
 use serde::Serialize;
 
 /// Most lines of the timeline and of the lists of outliers.
@@ -148,7 +148,7 @@ impl Before {
     }
 
     pub fn at(&self, seq: u64) -> f64 {
-        self.last.saturating_sub(seq) as f64 * PERIOD
+        self.last.saturating_sub(seq) as f64 * PERIOD_S
     }
 }
 
@@ -198,7 +198,7 @@ impl Story {
             "guard" => "The guard stopped the arm",
             "lost-states" => "The arm was stopped because states were lost",
             "requested" => "Somebody stopped the arm",
-            "unattended" => "The arm was stopped because the program around the loop was silent",
+            "unattended" => "The arm was stopped because the supervisor's heartbeat timed out",
             "not-real-time" => "The loop did not begin, for the machine is not real-time",
             "mounting" => "The arm was stopped because its mounting was in doubt",
             "estimator-lost" => "The arm was stopped because the estimator was gone",
@@ -233,14 +233,16 @@ fn during(recording: &Recording) -> Option<String> {
     let name = own.or(to.map(|(_, name)| format!("the way to {name}")));
     Some(match (moving.phase, name) {
         (Phase::Return, _) => "the way back".to_string(),
-        (phase, Some(name)) => format!("{name} ({:.3} s into its {})", moving.tick as f64 * PERIOD, phase_name(phase)),
+        (phase, Some(name)) => {
+            format!("{name} ({:.3} s into its {})", moving.tick as f64 * PERIOD_S, phase_name(phase))
+        }
         (phase, None) => format!("motion {} ({})", moving.motion, phase_name(phase)),
     })
 }
 
 fn first_limit(recording: &Recording, before: &Before) -> Option<Crossing> {
     // Of the stop that this is about: one that an operator has lifted is another story.
-    let of_a_stop = |told: &&Told| matches!(told.event, Event::Stopping { .. } | Event::Resumed);
+    let of_a_stop = |told: &&TimedEvent| matches!(told.event, Event::Stopping { .. } | Event::Resumed);
     let told = recording.events.iter().rfind(of_a_stop)?;
     let Event::Stopping { reason: StopReason::Guard(violation), .. } = told.event else { return None };
     let Violation { limit, joint, value, bound } = violation;
@@ -275,7 +277,7 @@ fn stop(recording: &Recording, before: &Before) -> Option<Stop> {
             }
         }
     }
-    let seconds = last.saturating_sub(began.seq) as f64 * PERIOD;
+    let seconds = last.saturating_sub(began.seq) as f64 * PERIOD_S;
     Some(Stop { before: before.at(began.seq), seconds, at_rest: rest.is_some(), speed, travelled })
 }
 
@@ -388,8 +390,8 @@ fn gaps(recording: &Recording) -> Vec<String> {
             gaps.push(format!("Cycles {} to {} never reached the recorder.", pair[0].cycle + 1, pair[1].cycle - 1));
         }
     }
-    if recording.about.untold > 0 {
-        gaps.push(format!("{} events never left the loop.", recording.about.untold));
+    if recording.about.dropped_events > 0 {
+        gaps.push(format!("{} events never left the loop.", recording.about.dropped_events));
     }
     if recording.records.is_empty() {
         gaps.push("There is no cycle in it.".to_string());

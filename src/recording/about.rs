@@ -1,7 +1,7 @@
 //! What a recording says beside its cycles: where it comes from, and everything that the loop was given, so that it can be run again.
 
 use plumbline_core::{JointVec, Limits, Phase, Setpoint, SpeedEnvelope, Workspace};
-use plumbline_rt::os::Rights;
+use plumbline_rt::Rights;
 use plumbline_rt::{CycleSettings, GuardSettings, MoveFactors};
 use serde::{Deserialize, Serialize};
 use std::any::Any;
@@ -52,8 +52,9 @@ pub struct About {
     pub lost: u64,
     /// Late cycles since the loop started.
     pub late: u64,
-    /// Events that never left the loop since it started; more than none makes a replay impossible.
-    pub untold: u64,
+    /// Events that found no room in the ring since the loop started; with any of them a replay is impossible.
+    #[serde(alias = "untold")]
+    pub dropped_events: u64,
     /// Names of the motions.
     #[serde(default)]
     pub motions: Vec<(u32, String)>,

@@ -5,7 +5,7 @@
 
 use super::about::{Given, Handed, Note, Point, UnderWay};
 use plumbline_core::{JointVec, Record, Setpoint, State};
-use plumbline_rt::{Event, Told, braked_from};
+use plumbline_rt::{Event, TimedEvent, braked_from};
 use std::collections::VecDeque;
 
 /// Events that are kept; what they mean for the loop's state outlives them.
@@ -33,7 +33,7 @@ pub struct History {
 
 /// An event and the setpoint that was sent before it.
 struct Happened {
-    told: Told,
+    told: TimedEvent,
     from: Option<Setpoint>,
 }
 
@@ -62,7 +62,7 @@ pub fn begun_from(event: &Event, last: &Record, own: Option<&Record>) -> Setpoin
 
 impl Fold {
     /// After one more event; `from` is the setpoint that was sent before it.
-    pub fn after(&mut self, told: &Told, from: Option<Setpoint>) {
+    pub fn after(&mut self, told: &TimedEvent, from: Option<Setpoint>) {
         self.orders = told.orders;
         let from = from.map(Point::from);
         match told.event {
@@ -84,7 +84,7 @@ pub struct Window {
     /// The cycles, oldest first; numbers that are missing were never recorded.
     pub records: Vec<Record>,
     /// What happened in them.
-    pub events: Vec<Told>,
+    pub events: Vec<TimedEvent>,
     /// Remarks.
     pub notes: Vec<Note>,
     /// What the loop was in the middle of after the first of the cycles.
@@ -130,7 +130,7 @@ impl History {
     }
 
     /// Keeps an event.
-    pub fn tell(&mut self, told: Told) {
+    pub fn tell(&mut self, told: TimedEvent) {
         if self.ring.capacity() == 0 {
             return;
         }
@@ -264,8 +264,8 @@ mod tests {
         record
     }
 
-    fn told(cycle: u64, orders: u32, event: Event) -> Told {
-        Told { cycle, seq: cycle + 1, stamp_ns: 0, orders, event }
+    fn told(cycle: u64, orders: u32, event: Event) -> TimedEvent {
+        TimedEvent { cycle, seq: cycle + 1, stamp_ns: 0, orders, event }
     }
 
     fn cycles(window: &Window) -> Vec<u64> {

@@ -5,7 +5,7 @@
 
 use super::cdr::{CdrError, Decoder, Encoder};
 use plumbline_core::{MAX_JOINTS, Phase, Record, Validity};
-use plumbline_rt::{Event, Limit, StopReason, Told, Violation};
+use plumbline_rt::{Event, Limit, StopReason, TimedEvent, Violation};
 
 const RULE: &str = "================================================================================";
 
@@ -246,7 +246,7 @@ fn flat(event: &Event) -> Flat {
                 StopReason::Requested => of("requested"),
                 StopReason::Quit => of("quit"),
                 StopReason::LostStates { lost } => Flat { lost, ..of("lost-states") },
-                StopReason::Unattended { cycles } => Flat { lost: cycles, ..of("unattended") },
+                StopReason::HeartbeatLost { cycles } => Flat { lost: cycles, ..of("unattended") },
                 StopReason::NotAtStart { joint, distance, .. } => {
                     Flat { joint: joint as u32 + 1, value: distance, ..of("not-at-start") }
                 }
@@ -257,7 +257,7 @@ fn flat(event: &Event) -> Flat {
 }
 
 /// One event.
-pub(super) fn event(told: &Told) -> Vec<u8> {
+pub(super) fn event(told: &TimedEvent) -> Vec<u8> {
     let Flat { kind, motion, model, reason, limit, joint, value, bound, lost, instead } = flat(&told.event);
     let mut message = Encoder::default();
     message.u64(told.cycle).u64(told.seq).u64(told.stamp_ns).u64(model).u64(lost);
@@ -267,7 +267,7 @@ pub(super) fn event(told: &Told) -> Vec<u8> {
 }
 
 /// The event of a message.
-pub(super) fn read_event(bytes: &[u8]) -> Result<Told, MessageError> {
+pub(super) fn read_event(bytes: &[u8]) -> Result<TimedEvent, MessageError> {
     let mut message = Decoder::new(bytes)?;
     let (cycle, seq, stamp_ns) = (message.u64()?, message.u64()?, message.u64()?);
     let (model, lost, orders) = (message.u64()?, message.u64()?, message.u32()?);
@@ -295,7 +295,7 @@ pub(super) fn read_event(bytes: &[u8]) -> Result<Told, MessageError> {
                 "requested" => StopReason::Requested,
                 "quit" => StopReason::Quit,
                 "lost-states" => StopReason::LostStates { lost },
-                "unattended" => StopReason::Unattended { cycles: lost },
+                "unattended" => StopReason::HeartbeatLost { cycles: lost },
                 "not-at-start" => StopReason::NotAtStart { motion, joint, distance: value },
                 "no-path" => StopReason::NoPath { motion },
                 other => return Err(unknown(other, "the reason of a stop")),
@@ -304,7 +304,7 @@ pub(super) fn read_event(bytes: &[u8]) -> Result<Told, MessageError> {
         }
         other => return Err(unknown(other, "a kind of event")),
     };
-    Ok(Told { cycle, seq, stamp_ns, orders, event })
+    Ok(TimedEvent { cycle, seq, stamp_ns, orders, event })
 }
 
 /// A line for a viewer's log; `level` as in `rcl_interfaces/Log`.

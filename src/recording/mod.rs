@@ -19,7 +19,7 @@ mod write;
 
 use about::About;
 use plumbline_core::Record;
-use plumbline_rt::Told;
+use plumbline_rt::TimedEvent;
 
 /// A recording in memory.
 #[derive(Clone, Debug)]
@@ -31,7 +31,7 @@ pub struct Recording {
     /// The cycle that was begun and not answered: only its state means anything.
     pub unanswered: Option<Record>,
     /// What happened, in order.
-    pub events: Vec<Told>,
+    pub events: Vec<TimedEvent>,
     /// Texts by name: `robot.toml`, `job.toml`, `model-<identity>.toml`.
     pub texts: Vec<(String, String)>,
     /// Where the file ends early, and why, for people; `None` for a whole file.

@@ -6,7 +6,7 @@ use mcap::parse_record;
 use mcap::records::{Record as Raw, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use plumbline_core::{BadInput, MAX_JOINTS, Record, expectation};
-use plumbline_rt::Told;
+use plumbline_rt::TimedEvent;
 use std::collections::{BTreeMap, HashMap};
 use std::io::Read;
 use std::path::Path;
@@ -58,7 +58,7 @@ struct Parts {
     cycles: BTreeMap<u64, (Record, [bool; 3])>,
     /// States and commands whose cycle's own message has not come yet, by the low half of its number.
     waiting: HashMap<u32, (Record, [bool; 3])>,
-    events: Vec<Told>,
+    events: Vec<TimedEvent>,
     /// Records of the file so far.
     count: u64,
 }

@@ -1,5 +1,6 @@
 //! What a job needs before anything moves: its options, its robot and arm, the locks, the rest pose, the programme of motions.
 
+pub mod backend;
 pub mod models;
 pub mod planner;
 pub mod programme;
@@ -8,19 +9,11 @@ use crate::config::job::Job;
 use crate::failure::Failure;
 use crate::process::owned;
 use clap::Args;
-use plumbline_core::{BadInput, JointVec, MAX_JOINTS};
+use plumbline_core::{ArmConnector, BadInput, JointVec, MAX_JOINTS};
 use plumbline_excite::{Bounds, Margins, check_pose};
 use plumbline_ipc::{ArmLock, Lock, RobotId};
 use plumbline_model::{Mounting, Reduction, Robot, Structure};
-use plumbline_sim::Truth;
 use std::path::PathBuf;
-
-/// Simulated arms that the program carries.
-const ARMS: [(&str, &str); 3] = [
-    ("sim-panda", include_str!("../../config/arms/sim-panda.toml")),
-    ("sim-panda-effect", include_str!("../../config/arms/sim-panda-effect.toml")),
-    ("sim-paper-2dof", include_str!("../../config/arms/sim-paper-2dof.toml")),
-];
 
 /// A job file and what overrides it.
 #[derive(Args, Clone)]
@@ -76,18 +69,9 @@ pub fn adopted_lock(id: &RobotId) -> Result<Lock, Failure> {
     Lock::adopt(id).map_err(Failure::job)
 }
 
-/// Takes the arm for this process, where there is one: a simulated arm is each daemon's own.
-pub fn arm_lock(job: &Job) -> Result<Option<ArmLock>, Failure> {
-    let Some(franka) = &job.backend.franka else { return Ok(None) };
-    let arm = format!("franka/{}", franka.address.to_canonical());
-    ArmLock::take(&arm).map(Some).map_err(Failure::job)
-}
-
-/// What the simulated arm is made of.
-pub fn truth(job: &Job) -> Result<Option<Truth>, Failure> {
-    let Some(arm) = &job.backend.arm else { return Ok(None) };
-    let (file, text) = arm.read("backend.arm", &ARMS)?;
-    Ok(Some(Truth::parse(&file, &text)?))
+/// Takes the physical arm for this process; `None` for a simulated arm, of which each daemon has its own.
+pub fn arm_lock(arm: &dyn ArmConnector) -> Result<Option<ArmLock>, Failure> {
+    arm.lock_name().map(|name| ArmLock::take(&name)).transpose().map_err(Failure::job)
 }
 
 /// Where the arm starts and returns to: the job's own pose, inside every limit.

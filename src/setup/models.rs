@@ -19,12 +19,12 @@ pub fn load(path: &Path) -> Result<(ModelFile, Robot), BadInput> {
         let robot = described(&file, name, description, path.parent())?;
         Ok(found.insert(robot).chain.clone())
     })?;
-    // The arm was asked for: there is no model without it.
+    // The closure was called: there is no model without an arm.
     let robot = found.ok_or_else(|| BadInput::new(&file, "key `robot`", "no robot", "a robot"))?;
     Ok((model, robot))
 }
 
-/// The model in a file's text, which has to be of a robot that is known already; `whose` says what that is: `which this daemon drives`.
+/// The model in a file's text, which must be of `robot`; `whose` describes it in errors: `which this daemon drives`.
 ///
 /// # Errors
 /// As [`ModelFile::parse`]; a model of a robot of another name, or of other kinematics under the same name.

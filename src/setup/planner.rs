@@ -2,16 +2,13 @@
 
 use crate::config::job::Job;
 use crate::failure::Failure;
-use crate::process::progress;
-use crate::setup::programme::Programme;
 use crate::setup::{friction_structure, models};
 use crate::store::load_plan;
-use plumbline_core::{BadInput, Limits, SpeedEnvelope, Workspace, threads};
+use plumbline_core::{ArmLimits, BadInput, Limits, SpeedEnvelope, Workspace, threads};
 use plumbline_excite::{
-    Bounds, ExciteError, Fourier, Margins, Nominal, Plan, PlanUsage, Problem, Progress, Search, Usage, Watch,
-    check_excitation, check_usage, motion_samples, optimise, search_verdict, usage,
+    Bounds, ExciteError, Fourier, Margins, Nominal, Plan, PlanUsage, Problem, Progress, Search, SearchControl, Usage,
+    check_excitation, check_usage, motion_samples, optimise, usage, verify_with_guard,
 };
-use plumbline_franka::RobotLimits;
 use plumbline_model::{Mounting, Robot};
 use plumbline_rt::MoveFactors;
 use sha2::{Digest, Sha256};
@@ -36,50 +33,13 @@ pub fn nominal(path: &Path, robot: &Robot) -> Result<Nominal, Failure> {
     })
 }
 
-/// The limits of the arm that a job drives, as it serves them; `None` for a simulated arm, whose limits are those of the robot file. Connects
-/// for a moment; nothing moves.
-pub fn arm_limits(job: &Job) -> Result<Option<RobotLimits>, Failure> {
-    let Some(franka) = &job.backend.franka else { return Ok(None) };
-    let settings = franka.settings(job, plumbline_franka::Purpose::Watch)?;
-    plumbline_franka::read_limits(&settings).map(Some).map_err(Failure::job)
-}
-
-/// What motions of a job and the loop's guard are held to: the limits of robot file and job and, inside them, those that the adapter of the
-/// connected `arm` holds commands to.
-pub fn held_to(
-    job: &Job,
-    robot: &Robot,
-    arm: Option<&RobotLimits>,
-) -> Result<(Limits, Option<SpeedEnvelope>), Failure> {
+/// What motions of a job and the loop's guard are held to: the limits of robot file and job and, inside them, those of the connected `arm`.
+pub fn held_to(job: &Job, robot: &Robot, arm: Option<&ArmLimits>) -> Result<(Limits, Option<SpeedEnvelope>), Failure> {
     let limits = job.guard_limits(&robot.limits, robot.chain.len())?;
-    let (Some(arm), Some(franka)) = (arm, &job.backend.franka) else { return Ok((limits, robot.envelope)) };
-    let share = franka.limits_share;
-    Ok((
-        plumbline_franka::guard_limits(arm, &limits, share),
-        plumbline_franka::guard_envelope(arm, robot.envelope.as_ref(), share),
-    ))
-}
-
-/// The job's programme, inside the limits of robot, job and the connected `arm`: the plans of an earlier run of the same job where they
-/// are, else new ones, which are then kept in `out/plans`.
-pub fn programme(job: &Job, robot: &Robot, out: &Path, arm: Option<&RobotLimits>) -> Result<Programme, Failure> {
-    let dir = out.join("plans");
-    let planner = Planner::of(job, robot, arm)?;
-    let stamp = planner.fingerprint();
-    let stamp_file = dir.join("planned-for");
-    if std::fs::read_to_string(&stamp_file).is_ok_and(|text| text.trim() == stamp) {
-        let known = Programme::load(job, &dir)?;
-        match known.check(&planner, &dir) {
-            Ok(()) => return Ok(known),
-            Err(broken) => tracing::warn!("the plans in {} are not driven, new ones are made: {broken}", dir.display()),
-        }
-    }
-    let bar = progress::bar("planning");
-    let programme = Programme::plan(&planner, &|name, share| bar.at(share, name))?;
-    bar.done();
-    programme.save(&dir)?;
-    crate::atomic::write_file(&stamp_file, stamp.as_bytes()).map_err(Failure::job)?;
-    Ok(programme)
+    Ok(match arm {
+        Some(arm) => (arm.within(&limits), arm.envelope_within(robot.envelope.as_ref())),
+        None => (limits, robot.envelope),
+    })
 }
 
 /// What plans the motions of a job.
@@ -90,21 +50,23 @@ pub struct Planner<'a> {
     pub robot: &'a Robot,
     room: Room,
     nominal: Option<Nominal>,
+    /// The limits of a connected arm are among those of `room`.
+    connected: bool,
 }
 
 impl<'a> Planner<'a> {
     /// Reads what the job names; `arm` is the connected arm. Errors on limits that are none, and on a nominal model that can't be read.
-    pub fn of(job: &'a Job, robot: &'a Robot, arm: Option<&RobotLimits>) -> Result<Planner<'a>, Failure> {
+    pub fn of(job: &'a Job, robot: &'a Robot, arm: Option<&ArmLimits>) -> Result<Planner<'a>, Failure> {
         let held_to = held_to(job, robot, arm)?;
         let nominal = job.excitation.model.as_deref().map(|path| nominal(path, robot)).transpose()?;
         let links_in_box = job.workspace.is_some_and(|own| own.links_in_box);
         let room = Room::of(held_to, job.workspace(&robot.workspace), links_in_box);
-        Ok(Planner { job, robot, room, nominal })
+        Ok(Planner { job, robot, room, nominal, connected: arm.is_some() })
     }
 
     /// Hash of everything that the plans depend on.
-    fn fingerprint(&self) -> String {
-        let Planner { job, robot, room, nominal } = self;
+    pub fn fingerprint(&self) -> String {
+        let Planner { job, robot, room, nominal, connected: _ } = self;
         let parts = (&job.excitation, &job.validation, &job.limits, &job.mounting, robot, room, nominal);
         let version = env!("CARGO_PKG_VERSION");
         Sha256::digest(format!("{version} {parts:?}")).iter().map(|byte| format!("{byte:02x}")).collect()
@@ -119,7 +81,7 @@ impl<'a> Planner<'a> {
             return Ok(Plan { usage: Some(usage), ..plan });
         }
         let hear = |now: Progress| progress(now.done as f64 / now.of as f64);
-        let watch = Watch { threads: threads(), stop: &|| false, progress: &hear };
+        let watch = SearchControl { threads: threads(), stop: &|| false, progress: &hear };
         self.task(mounting, self.job.margins())
             .best(&self.search(seed), &[], &watch)
             .map_err(|error| self.no_plan(error))
@@ -137,7 +99,7 @@ impl<'a> Planner<'a> {
         }
     }
 
-    /// A random motion to judge the model by.
+    /// A random motion to validate the model on.
     pub fn random(&self, mounting: &Mounting, seed: u64) -> Result<Plan, Failure> {
         self.task(mounting, self.job.margins()).random(&self.search(seed)).map_err(|error| self.no_plan(error))
     }
@@ -154,11 +116,12 @@ impl<'a> Planner<'a> {
             return Err(BadInput::new(&file, "key `q0`", format!("{} joints", fourier.joints()), expected).into());
         }
         let verdict =
-            self.task(&plan.mounting(), Margins::none()).with_problem(|problem| search_verdict(problem, &fourier));
+            self.task(&plan.mounting(), Margins::none()).with_problem(|problem| verify_with_guard(problem, &fourier));
         if let Some(peak) = verdict.violations().next() {
-            let expected = match self.job.backend.franka {
-                Some(_) => "a motion inside every limit of the job and of the connected arm",
-                None => "a motion inside every limit of the job",
+            let expected = if self.connected {
+                "a motion inside every limit of the job and of the connected arm"
+            } else {
+                "a motion inside every limit of the job"
             };
             return Err(BadInput::new(&file, "motion", peak, expected).into());
         }
@@ -267,7 +230,7 @@ pub struct Task<'a> {
 }
 
 impl Task<'_> {
-    pub fn best(&self, search: &Search, prior: &[Fourier], watch: &Watch) -> Result<Plan, ExciteError> {
+    pub fn best(&self, search: &Search, prior: &[Fourier], watch: &SearchControl) -> Result<Plan, ExciteError> {
         self.with_problem(|problem| optimise(problem, search, prior, watch))
     }
 
@@ -278,7 +241,7 @@ impl Task<'_> {
     pub fn with_problem<T>(&self, find: impl FnOnce(&Problem) -> T) -> T {
         let n = self.robot.chain.len();
         let structure = friction_structure(self.robot, &self.mounting);
-        // Before anything is measured, the torque range of a joint stands for the size of its noise.
+        // Before anything is measured, the noise of a joint is taken as proportional to its torque range.
         let sigma: Vec<f64> = self.room.limits.tau[..n].iter().map(|tau| tau * 1e-3).collect();
         find(&Problem {
             robot: &self.robot.name,

@@ -2,11 +2,11 @@
 
 use crate::config::job::Job;
 use crate::failure::Failure;
+use crate::process::progress;
 use crate::setup::planner::Planner;
 use crate::store::{load_plan, save_plan};
-use plumbline_core::{BadInput, JointVec, Limits, Setpoint};
-use plumbline_excite::{Bounds, Fourier, Peak, Plan, Quantity, check_pose, rehearse_points};
-use plumbline_franka::RobotLimits;
+use plumbline_core::{ArmLimits, BadInput, JointVec, Limits, Setpoint};
+use plumbline_excite::{Bounds, Fourier, Peak, Plan, Quantity, check_points_with_guard, check_pose};
 use plumbline_model::{Mounting, Robot, VERTICAL_TOLERANCE};
 use plumbline_rt::MoveFactors;
 use std::path::Path;
@@ -16,7 +16,7 @@ use std::path::Path;
 pub enum Role {
     /// The parameters are identified from it.
     Identify,
-    /// The model is judged by it.
+    /// The model is validated on it.
     Validate,
     /// The model is watched along it, and nothing else.
     Live,
@@ -84,7 +84,7 @@ struct Slot {
 }
 
 impl Programme {
-    /// Plans every motion; `progress` hears which one is being planned and how far it is.
+    /// Plans every motion; `progress` is called with the name of the motion and the share done.
     pub fn plan(planner: &Planner, progress: &(dyn Fn(&str, f64) + Sync)) -> Result<Programme, Failure> {
         let job = planner.job;
         let slots = slots(job);
@@ -161,6 +161,28 @@ impl Programme {
     }
 }
 
+/// The job's programme, inside the limits of robot, job and the connected `arm`: the plans of an earlier run of the same job where they
+/// are, else new ones, which are then kept in `out/plans`.
+pub fn plan_or_load(job: &Job, robot: &Robot, out: &Path, arm: Option<&ArmLimits>) -> Result<Programme, Failure> {
+    let dir = out.join("plans");
+    let planner = Planner::of(job, robot, arm)?;
+    let stamp = planner.fingerprint();
+    let stamp_file = dir.join("planned-for");
+    if std::fs::read_to_string(&stamp_file).is_ok_and(|text| text.trim() == stamp) {
+        let known = Programme::load(job, &dir)?;
+        match known.check(&planner, &dir) {
+            Ok(()) => return Ok(known),
+            Err(broken) => tracing::warn!("the plans in {} are not driven, new ones are made: {broken}", dir.display()),
+        }
+    }
+    let bar = progress::bar("planning");
+    let programme = Programme::plan(&planner, &|name, share| bar.at(share, name))?;
+    bar.done();
+    programme.save(&dir)?;
+    crate::atomic::write_file(&stamp_file, stamp.as_bytes()).map_err(Failure::job)?;
+    Ok(programme)
+}
+
 /// Motions that are tried when the way to a motion's start leaves the workspace.
 const ATTEMPTS: u64 = 20;
 /// Distance of the seeds of two tries, so that no motion takes another's.
@@ -183,7 +205,7 @@ impl<'a> Ways<'a> {
         let rest = crate::setup::rest(planner.job, planner.robot)?;
         let bounds = planner.bounds();
         if let Some((j, [min, max])) = outside(bounds.limits, &rest[..bounds.chain.len()]) {
-            // The job's own limits were asked before: these are the connected arm's.
+            // The job's own limits were checked before: these are the connected arm's.
             let expected = format!("{min} to {max} rad for joint {}, the range of the connected arm", j + 1);
             let file = planner.job.file.display().to_string();
             return Err(BadInput::new(file, "key `backend.start`", format!("{} rad", rest[j]), expected).into());
@@ -192,7 +214,7 @@ impl<'a> Ways<'a> {
     }
 
     /// Goes to the start of a motion, where the arm can also go home from: it does after the last motion of a mounting, and after a
-    /// stop. Otherwise stays, and says what the way would break.
+    /// stop. Otherwise stays; the error is what the way would break.
     fn go(&mut self, mounting: &Mounting, q0: &[f64]) -> Result<(), Peak> {
         if self.mounting.replace(*mounting) != Some(*mounting) {
             self.at = self.rest;
@@ -229,11 +251,11 @@ impl<'a> Ways<'a> {
                 }
             }
         }
-        rehearse_points(&self.bounds, (0..=moves.last_tick()).map(|tick| moves.at(tick))).map_or(Ok(()), Err)
+        check_points_with_guard(&self.bounds, (0..=moves.last_tick()).map(|tick| moves.at(tick))).map_or(Ok(()), Err)
     }
 }
 
-/// The first joint (from 0) that stands outside its range, and that range \[rad\].
+/// The first joint (from 0) outside its range, and that range \[rad\].
 pub fn outside(limits: &Limits, q: &[f64]) -> Option<(usize, [f64; 2])> {
     let range = |j: usize| [limits.q_min[j], limits.q_max[j]];
     // Written so that a NaN is outside, too.
@@ -241,11 +263,11 @@ pub fn outside(limits: &Limits, q: &[f64]) -> Option<(usize, [f64; 2])> {
     (0..q.len()).find(|&j| !inside(j)).map(|j| (j, range(j)))
 }
 
-/// Whether the connected `arm` can go from where it stands to where a programme begins.
+/// Whether the connected `arm` can move from its position to the programme's first one.
 ///
 /// # Errors
 /// A way that leaves the workspace or meets the arm itself, with what it breaks.
-pub fn free_way(job: &Job, robot: &Robot, arm: &RobotLimits, from: &JointVec, to: &JointVec) -> Result<(), Failure> {
+pub fn free_way(job: &Job, robot: &Robot, arm: &ArmLimits, from: &JointVec, to: &JointVec) -> Result<(), Failure> {
     let planner = Planner::of(job, robot, Some(arm))?;
     let ways = Ways::new(&planner)?;
     ways.way(from, to).map_err(|peak| {
@@ -277,7 +299,7 @@ fn slug(name: &str) -> String {
     words.join("-")
 }
 
-/// The motions a job asks for: the identification's mounting first, then the others.
+/// The motions of a job: the identification's mounting first, then the others.
 fn slots(job: &Job) -> Vec<Slot> {
     let mut mountings = vec![job.mounting];
     mountings.extend(job.validation.mountings.iter().filter(|&&other| other != job.mounting));

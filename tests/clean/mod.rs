@@ -2,13 +2,16 @@
 //! return, the end. Sealed, the loop's thread dies at its first stray system call, and the program with it.
 
 use plumbline::store::ModelFile;
-use plumbline_core::{Backend, Clock, Command, Fault, FeedForward, JointVec, MAX_JOINTS, Setpoint, State, Torque};
+use plumbline_core::{
+    ArmLimits, Backend, Clock, Command, Fault, FeedForward, JointVec, MAX_JOINTS, Setpoint, State, Torque,
+};
 use plumbline_franka::RobotKind;
 use plumbline_franka::wire::Protocol;
 use plumbline_model::term::Sample;
 use plumbline_model::{Evaluator, Mounting, Robot};
+use plumbline_rt::Rights;
 use plumbline_rt::cycle::{End, Outcome};
-use plumbline_rt::os::{Rights, now_ns, sleep_until};
+use plumbline_rt::os::{now_ns, sleep_until};
 use plumbline_rt::recorder::{Drain, ring};
 use plumbline_rt::{CycleSettings, Event, GuardSettings, Handles, cycle};
 use plumbline_sim::{Gate, Pace};
@@ -235,7 +238,7 @@ pub fn run(name: &str, seal: Seal) -> Result<Outcome, Interrupted> {
             let _emulator = emulator::Emulator::start(emulated).unwrap();
             let (arm, connection) =
                 plumbline_franka::connect(&plumbline_franka::Settings::new(address.into(), robot)).unwrap();
-            let (limits, envelope) = connection.info.limits.for_guard();
+            let ArmLimits { limits, envelope, .. } = connection.info.limits.for_guard(1.0);
             let limits = GuardSettings { limits, envelope, workspace: None, tracking: [0.2; MAX_JOINTS] };
             whole(SealedArm::new(arm, name, seal), None, limits, name)
         }

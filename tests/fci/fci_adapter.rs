@@ -128,7 +128,7 @@ fn a_motion_runs_and_ends_as_the_protocol_wants_it_at_every_version_and_interfac
 #[test]
 fn an_arm_that_is_watched_is_never_moved() {
     let fake = Fake::start(Protocol::V10, |world| world.state.robot_mode = RobotMode::UserStopped);
-    let watch = Settings { purpose: Purpose::Watch, ..settings(&fake, Protocol::V10) };
+    let watch = Settings { purpose: Purpose::Monitor, ..settings(&fake, Protocol::V10) };
     let (mut arm, connection) = connect(&watch).unwrap();
     let first = arm.read().unwrap();
     for _ in 0..50 {

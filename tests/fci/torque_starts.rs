@@ -3,12 +3,12 @@
 //! `hil/torque-starts/run.sh` makes ten starts per mounting and prints the table of docs/results/franka-clients.md.
 
 use nalgebra::Vector3;
-use plumbline_core::{FeedForward, JointVec, Record, Setpoint, Torque};
+use plumbline_core::{ArmLimits, FeedForward, JointVec, Record, Setpoint, Torque};
 use plumbline_franka::wire::Protocol;
 use plumbline_franka::{Interface, RobotKind, Settings, connect, explain, recover};
 use plumbline_model::{Chain, LinkParameters, Mounting, Robot, rnea};
+use plumbline_rt::Rights;
 use plumbline_rt::cycle::End;
-use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::ring;
 use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, cycle};
 use plumbline_testkit::emulator::{Emulator, Settings as Emulated};
@@ -60,7 +60,7 @@ struct Start {
 /// One second of a torque motion that holds the arm where it stands, with the arm's model in the loop.
 fn start(settings: &Settings, mounting: &Mounting) -> Start {
     let (arm, connection) = connect(settings).unwrap_or_else(|error| panic!("{mounting}: {error}"));
-    let (limits, envelope) = connection.info.limits.for_guard();
+    let ArmLimits { limits, envelope, .. } = connection.info.limits.for_guard(1.0);
     // The guard's tolerance lies beyond the adapter's reach: what moves is measured, not stopped.
     let guard = GuardSettings { limits, envelope, workspace: None, tracking: [0.2; 8] };
     let rights = Rights { priority: Some(10), ..Rights::NONE };

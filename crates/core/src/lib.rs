@@ -6,6 +6,7 @@
 //! | values of one cycle: fixed size, `Copy`, `repr(C)` | [`State`], [`Setpoint`], [`Command`], [`Record`], [`JointVec`] |
 //! | limits of an arm | [`Limits`], [`SpeedEnvelope`], [`Workspace`] |
 //! | interfaces of the loop | [`Backend`], [`Reference`], [`FeedForward`], [`Kinematics`], [`Sink`], [`Clock`], [`Fault`] |
+//! | what a backend crate provides beside the loop | [`ArmConnector`], [`Connected`], [`ArmMonitor`], [`ArmLimits`], [`Explanation`], [`Link`] |
 //! | bad input: file, place, value, expectation | [`BadInput`], [`from_toml`] |
 //! | histogram of durations and its percentiles, counts of the loop | [`Histogram`], [`Distribution`], [`LoopStatistics`] |
 //! | decompositions with a bound on their iterations | [`svd`], [`singular_values`], [`symmetric_eigen`] |
@@ -26,6 +27,7 @@
 
 #![forbid(unsafe_code)]
 
+mod arm;
 mod decomposition;
 mod histogram;
 mod input;
@@ -34,6 +36,10 @@ mod parallel;
 mod statistics;
 mod traits;
 
+pub use arm::{
+    ArmConnector, ArmError, ArmLimits, ArmMonitor, CommandMode, ConnectOptions, Connected, Explanation, Hardware, Link,
+    MeasuredGravity, ModeChange, Purpose, TimeGate,
+};
 pub use decomposition::{singular_values, svd, symmetric_eigen};
 pub use histogram::{Distribution, Histogram};
 pub use input::{BadInput, expectation, from_toml};
@@ -42,4 +48,6 @@ pub use joint::{
 };
 pub use parallel::{parallel, threads};
 pub use statistics::LoopStatistics;
-pub use traits::{Backend, Clock, Fault, FeedForward, Kinematics, LONGEST_ALONE, PERIOD, PERIOD_NS, Reference, Sink};
+pub use traits::{
+    Backend, Clock, Fault, FeedForward, Kinematics, MAX_MISSED_COMMANDS, PERIOD_NS, PERIOD_S, Reference, Sink,
+};

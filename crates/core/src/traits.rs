@@ -3,12 +3,12 @@
 use crate::joint::{Command, JointVec, Record, Setpoint, State, Torque};
 
 /// Time between two states of the arm \[s\].
-pub const PERIOD: f64 = 1e-3;
+pub const PERIOD_S: f64 = 1e-3;
 /// The same \[ns\].
 pub const PERIOD_NS: u64 = 1_000_000;
 /// Commands in a row that an arm goes on without, at constant acceleration, before it stops by itself: the FCI's
 /// `communication_constraints_violation`.
-pub const LONGEST_ALONE: u32 = 20;
+pub const MAX_MISSED_COMMANDS: u32 = 20;
 
 /// The hardware seam. Connecting is the constructor's business.
 pub trait Backend: Send {

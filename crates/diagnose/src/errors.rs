@@ -144,9 +144,9 @@ pub fn compare(runs: &[(&Experiment, Modelled, Modelled)], of: Of) -> Option<Com
 /// Measured minus modelled torque, N x n.
 fn residual(experiment: &Experiment, modelled: &Modelled, of: Of) -> DMatrix<f64> {
     match of {
-        Of::Raw => &experiment.tau - modelled.judged(),
+        Of::Raw => &experiment.tau - modelled.comparison(),
         Of::Filtered => {
-            let rest = &experiment.tau - modelled.along();
+            let rest = &experiment.tau - modelled.regression();
             let stacked = DMatrix::from_column_slice(rest.len(), 1, rest.as_slice());
             DMatrix::from_column_slice(rest.nrows(), rest.ncols(), experiment.filter(&stacked).as_slice())
         }

@@ -1,4 +1,15 @@
-//! The arm in the loop.
+//! The arm in the loop: the state machine of one session.
+//!
+//! | phase | call | what happens | next phase |
+//! |---|---|---|---|
+//! | ready | `read`, [`Purpose::Drive`] | Move is called; returns with the first state that shows it | moving, ended |
+//! | ready | `read`, [`Purpose::Monitor`] | the newest state | ready |
+//! | moving | `read` | the newest state; a state or an answer may show the end | moving, ended |
+//! | moving | `write` | one command per state, inside the arm's limits | moving |
+//! | moving | `stop` | brakes, finishes; asks the arm to stop where that does not work | stopped |
+//! | ended | `read` | the same fault again | ended |
+//! | ended | `stop` | reads the arm's final answer; asks the arm to stop where it has not reported the end | stopped |
+//! | stopped | `read` | the newest state | stopped |
 
 // The walls of the real-time loop: clippy.toml.
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
@@ -12,237 +23,83 @@
 )]
 
 use super::codes::{
-    REFUSED_BEFORE_START, REFUSED_JUMP, REFUSED_NOT_FINITE, REFUSED_POSITION, REFUSED_REACH, REFUSED_STOPPED,
-    REFUSED_UNSENT,
+    REFLEX_MODE, REFUSED_BEFORE_START, REFUSED_JUMP, REFUSED_MOVE, REFUSED_NO_START, REFUSED_NOT_FINITE,
+    REFUSED_POSITION, REFUSED_REACH, REFUSED_STOPPED,
 };
-use super::connect::Info;
-use super::error::ConnectError;
 use super::limiter::{Limited, Objection};
 use super::limits::{RobotLimits, narrow, widen};
-use super::motion::{Answer, Motion};
+use super::motion::{Answer, Motion, request};
 use super::reference::{Followed, Point};
-use super::session::Session;
 use super::settings::{Interface, Purpose, Settings};
-use super::tcp::{CommandLink, Gone};
-use super::telemetry::{Arrivals, Recent, Telemetry};
 use super::torque::Tracking;
-use super::udp::{Found, StateLink};
-use super::wire::{Protocol, RobotCommand, RobotState};
-use plumbline_core::{Backend, Command, Fault, PERIOD, PERIOD_NS, State};
+use super::transport::Transport;
+use super::wire::{ControllerMode, ErrorBit, Errors, MotionGeneratorMode, MoveStatus, RobotMode};
+use plumbline_core::{Backend, Command, Fault, PERIOD_S, State};
 use plumbline_rt::os::now_ns;
-use std::sync::Arc;
 use std::time::Duration;
 
-/// Datagrams that one read looks at, so that a flood can't hold it.
-const MOST_PER_READ: u32 = 4096;
-/// Commands in a row that the system may refuse.
-const MOST_UNSENT: u32 = 20;
-/// States in a row with smaller numbers than the last one before them that are no late ones: the numbers have started again.
-const RESTARTED: u64 = 3;
-/// Milliseconds behind the newest state beyond which none is late.
-const LATEST: u64 = 1000;
-/// Cycles of a motion before the arm's count of commands says something.
-const RATE_FROM: u64 = 100;
+/// Longest wait for the motion to start \[ns\].
+const START_TIMEOUT_NS: u64 = 1_000_000_000;
+/// Cycles of a motion before the arm's success rate of commands is counted.
+const RATE_AFTER_CYCLES: u64 = 100;
 
-/// Where a session is.
+const MS: u64 = 1_000_000;
+/// Longest stop \[ns\].
+const STOP_TIMEOUT_NS: u64 = 950 * MS;
+/// Longest braking and finishing \[ns\]; what is left is for StopMove.
+const FINISH_TIMEOUT_NS: u64 = 700 * MS;
+/// Longest wait for a state during a stop.
+const STOP_STATE_TIMEOUT: Duration = Duration::from_millis(60);
+/// Longest wait for the arm's final answer once it rests \[ns\].
+const ANSWER_TIMEOUT_NS: u64 = 100 * MS;
+
+/// Phase of a session.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Phase {
+enum Phase {
     /// Nothing was commanded yet.
     Ready,
     /// A motion runs.
     Moving,
-    /// The motion is over, for this reason.
-    Over(Fault),
-    /// Stopped by us.
+    /// The motion has ended, for this reason.
+    Ended(Fault),
+    /// Stopped by this side.
     Stopped,
 }
 
 /// A Franka arm with an open session. Made by [`super::connect()`]; dropping it ends its motion.
 #[derive(Debug)]
 pub struct FrankaArm {
-    pub(super) commands: CommandLink,
-    pub(super) states: StateLink,
-    pub(super) telemetry: Arc<Telemetry>,
-    pub(super) limits: RobotLimits,
-    pub(super) settings: Settings,
-    pub(super) phase: Phase,
-    pub(super) motion: Motion,
-    pub(super) recent: Recent,
-    /// The newest state.
-    pub(super) state: RobotState,
-    /// The first state of a running motion that no longer shows it.
-    pub(super) changed: Option<RobotState>,
-    pub(super) followed: Followed,
+    transport: Transport,
+    limits: RobotLimits,
+    settings: Settings,
+    phase: Phase,
+    motion: Motion,
+    followed: Followed,
     first_id: u64,
-    begun: bool,
-    /// When the newest state reached the kernel, and when it was read \[ns\].
-    arrived_ns: Option<u64>,
-    read_ns: u64,
-    /// When the datagram before it reached the kernel \[ns\].
-    before_ns: Option<u64>,
-    unsent: u32,
 }
 
 impl FrankaArm {
-    pub(super) fn new(
-        settings: &Settings,
-        session: Session,
-        info: &Info,
-        telemetry: Arc<Telemetry>,
-    ) -> Result<FrankaArm, ConnectError> {
-        let address = settings.address;
-        let cant = |cause| ConnectError::Socket { address, what: "switching blocking off", cause };
-        let state = info.state;
-        let point = Point::at_rest(state.q_d);
-        Ok(FrankaArm {
-            commands: session.commands.into_nonblocking().map_err(cant)?,
-            states: session.states,
-            telemetry,
-            limits: info.limits,
+    pub(super) fn new(settings: &Settings, transport: Transport, limits: RobotLimits) -> FrankaArm {
+        let state = transport.state;
+        FrankaArm {
+            limits,
             settings: settings.clone(),
             phase: Phase::Ready,
-            motion: Motion::new(settings, &info.limits, &state, info.protocol),
-            recent: Recent::default(),
-            state,
-            changed: None,
-            followed: Followed { point, alone: 0, own: true, shown_ns: None, late: false },
+            motion: Motion::new(settings, &limits, &state, state.reflex_reason, transport.protocol()),
+            followed: Followed { point: Point::at_rest(state.q_d), missed: 0, own: true, shown_ns: None, late: false },
             first_id: state.message_id,
-            begun: false,
-            arrived_ns: None,
-            read_ns: 0,
-            before_ns: None,
-            unsent: 0,
-        })
-    }
-
-    pub(super) fn protocol(&self) -> Protocol {
-        self.states.protocol()
-    }
-
-    /// Waits up to `timeout` for a state that is newer than the last, and takes the newest that is there.
-    pub(super) fn take_newest(&mut self, timeout: Duration) -> Result<(), Fault> {
-        let begin = now_ns();
-        let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
-        let before = self.state.message_id;
-        let (mut taken, mut oldest_ns, mut interval_ns) = (0u64, None, None);
-        // Of states with a smaller number than the last: how many, and the last of their numbers.
-        let mut older = (0u64, 0u64);
-        for _ in 0..MOST_PER_READ {
-            match self.states.receive(taken == 0) {
-                Found::State(state, at_ns) => {
-                    if self.takes(&state) {
-                        taken += 1;
-                        oldest_ns = oldest_ns.or(at_ns);
-                        interval_ns =
-                            interval_ns.or(at_ns.zip(self.before_ns).map(|(now, last)| now.saturating_sub(last)));
-                        self.before_ns = at_ns.or(self.before_ns);
-                        self.arrived_ns = at_ns;
-                        self.look_for_an_end(&state);
-                        self.state = state;
-                    } else if state.message_id < before && state.message_id > older.1 {
-                        older = (older.0 + 1, state.message_id);
-                    }
-                }
-                Found::Bad => self.telemetry.bad(),
-                Found::Foreign => self.telemetry.foreign(),
-                Found::Nothing if taken > 0 => break,
-                Found::Nothing => {}
-                Found::Broken => return Err(Fault::Disconnected),
-            }
-            if taken == 0 {
-                if self.phase == Phase::Moving && self.hear().is_err() {
-                    return Err(Fault::Disconnected);
-                }
-                let waited = now_ns().saturating_sub(begin);
-                if waited >= timeout_ns {
-                    if older.0 >= RESTARTED && before.saturating_sub(older.1) > LATEST {
-                        self.telemetry.restarted(before, older.1);
-                    }
-                    // An arm that has closed the connection falls silent, too.
-                    if self.hear().is_err() {
-                        return Err(Fault::Disconnected);
-                    }
-                    return Err(Fault::Silent { waited_ms: (waited / 1_000_000).min(u64::from(u32::MAX)) as u32 });
-                }
-            }
+            transport,
         }
-        if taken == 0 {
-            return Err(Fault::Silent { waited_ms: (now_ns().saturating_sub(begin) / 1_000_000) as u32 });
-        }
-        self.read_ns = now_ns();
-        // What queued up before the motion began is nobody's loss.
-        let gap = if self.begun { self.state.message_id.saturating_sub(before) } else { taken };
-        let lost = gap.saturating_sub(taken);
-        let wake_ns = oldest_ns.map(|oldest| self.read_ns.saturating_sub(oldest)).filter(|_| self.begun);
-        let interval_ns = interval_ns.filter(|_| self.begun);
-        let arrivals =
-            Arrivals { skipped: taken.saturating_sub(1), lost, gap: gap.saturating_sub(1), interval_ns, wake_ns };
-        self.telemetry.took(&arrivals, self.state.robot_mode);
-        self.recent.read(wake_ns.unwrap_or(0), interval_ns.unwrap_or(0), lost);
-        self.begun = true;
-        Ok(())
-    }
-
-    /// Lets go of the states that have queued up since the session was opened; the newest of them may be old, because a full socket
-    /// keeps the oldest.
-    pub(super) fn discard_backlog(&mut self) -> Result<(), Fault> {
-        self.take_newest(self.settings.state_timeout)?;
-        self.begun = false;
-        self.take_newest(self.settings.state_timeout)?;
-        self.recent = Recent::default();
-        Ok(())
-    }
-
-    /// Whether `state` is newer than what was taken before; counts it otherwise.
-    #[cfg_attr(no_panic, no_panic::no_panic)]
-    fn takes(&self, state: &RobotState) -> bool {
-        match state.message_id.cmp(&self.state.message_id) {
-            std::cmp::Ordering::Greater => true,
-            std::cmp::Ordering::Equal => {
-                self.telemetry.duplicate();
-                false
-            }
-            std::cmp::Ordering::Less => {
-                self.telemetry.out_of_order();
-                false
-            }
-        }
-    }
-
-    /// Keeps the first state that no longer shows the running motion: its reasons are the ones to report.
-    #[cfg_attr(no_panic, no_panic::no_panic)]
-    fn look_for_an_end(&mut self, state: &RobotState) {
-        if self.phase == Phase::Moving && self.changed.is_none() && !self.motion.is_shown_by(state) {
-            self.changed = Some(*state);
-        }
-    }
-
-    /// Hears what the arm says about the motion over TCP.
-    pub(super) fn hear(&mut self) -> Result<(), Gone> {
-        let heard = self.take_answers();
-        if let Err(Gone::Garbled(bytes)) = heard {
-            self.telemetry.garbled(&bytes);
-        }
-        heard
-    }
-
-    fn take_answers(&mut self) -> Result<(), Gone> {
-        let Some(id) = self.motion.call else { return self.commands.pass_over() };
-        while let Some(status) = self.commands.move_answer(self.protocol(), id)? {
-            self.motion.heard(status);
-            self.telemetry.move_answered(status);
-        }
-        Ok(())
     }
 
     /// The newest state as the loop takes it.
     #[cfg_attr(no_panic, no_panic::no_panic)]
     fn report(&self) -> State {
-        let state = &self.state;
-        let q_d = if self.phase == Phase::Moving { self.motion.position(&self.followed) } else { state.q_d };
+        let state = &self.transport.state;
+        let q_d = if self.phase == Phase::Moving { self.followed.point.q } else { state.q_d };
         State {
             seq: state.message_id,
-            time: state.message_id.saturating_sub(self.first_id) as f64 * PERIOD,
+            time: state.message_id.saturating_sub(self.first_id) as f64 * PERIOD_S,
             q: widen(&state.q),
             dq: widen(&state.dq),
             tau: widen(&state.tau_j),
@@ -250,47 +107,70 @@ impl FrankaArm {
         }
     }
 
-    /// One cycle of a running motion: the newest state, and whether the motion goes on.
-    fn go_on(&mut self) -> Result<State, Fault> {
-        let taken = self.take_newest(self.settings.state_timeout);
-        let heard = self.hear();
-        if self.changed.is_some() || self.motion.is_over() {
-            return Err(self.conclude());
+    // Ready to moving.
+
+    /// Asks for the motion and returns with the first state that shows it running.
+    fn begin(&mut self) -> Result<(), Fault> {
+        let timeout = self.settings.state_timeout;
+        self.transport.discard_backlog(timeout)?;
+        let protocol = self.transport.protocol();
+        let old_reasons = self.transport.state.reflex_reason;
+        self.transport.telemetry.motion_began();
+        self.transport.call_move(request(&self.settings, protocol)).map_err(|_| Fault::Disconnected)?;
+        let begin = now_ns();
+        while !self.transport.shows_motion() {
+            self.transport.read_answers().map_err(|_| Fault::Disconnected)?;
+            if let Some(status) = self.transport.answer() {
+                return Err(refused(status));
+            }
+            if now_ns().saturating_sub(begin) > START_TIMEOUT_NS {
+                return Err(Fault::Refused { code: REFUSED_NO_START });
+            }
+            self.transport.take_newest(timeout)?;
+        }
+        self.motion = Motion::new(&self.settings, &self.limits, &self.transport.state, old_reasons, protocol);
+        if !self.transport.state.q_d.iter().all(|q| q.is_finite()) {
+            return Err(Fault::Refused { code: REFUSED_NOT_FINITE });
+        }
+        self.transport.set_running(true);
+        self.phase = Phase::Moving;
+        self.follow();
+        Ok(())
+    }
+
+    // Moving.
+
+    /// One cycle of a running motion: the newest state, or the reason of the motion's end.
+    fn continue_motion(&mut self) -> Result<State, Fault> {
+        let taken = self.transport.take_newest(self.settings.state_timeout);
+        let answers = self.transport.read_answers();
+        if self.transport.motion_has_ended() {
+            return Err(self.end_reason());
         }
         taken?;
-        heard.map_err(|_| Fault::Disconnected)?;
+        answers.map_err(|_| Fault::Disconnected)?;
         self.follow();
-        if self.motion.cycles >= RATE_FROM {
-            self.telemetry.rate(self.state.control_command_success_rate);
+        if self.motion.cycles >= RATE_AFTER_CYCLES {
+            self.transport.telemetry.rate(self.transport.state.control_command_success_rate);
         }
         Ok(self.report())
     }
 
-    /// Finds out where the arm goes on from.
+    /// Determines the arm's reference in the newest state.
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    pub(super) fn follow(&mut self) {
-        self.followed = self.motion.follow(&self.state);
-        let arrived_ns = self.arrived_ns.unwrap_or(self.read_ns);
-        let round_trip_ns = self.followed.shown_ns.map(|sent_ns| arrived_ns.saturating_sub(sent_ns));
-        self.telemetry.followed(self.followed.late, self.followed.own, round_trip_ns);
+    fn follow(&mut self) {
+        self.followed = self.motion.follow(&self.transport.state);
+        let arrival_ns = self.transport.arrival_ns();
+        let round_trip_ns = self.followed.shown_ns.map(|sent_ns| arrival_ns.saturating_sub(sent_ns));
+        self.transport.telemetry.followed(self.followed.late, self.followed.own, round_trip_ns);
     }
 
-    /// Sends `answer`, and remembers it if it has left.
-    pub(super) fn send(&mut self, answer: &Answer) -> Result<(), Fault> {
-        let command = self.motion.command(&self.state, answer);
-        let sent = self.states.send(&command);
-        let now = now_ns();
-        if !sent {
-            self.telemetry.unsent();
-            self.unsent += 1;
-            return if self.unsent >= MOST_UNSENT { Err(Fault::Refused { code: REFUSED_UNSENT }) } else { Ok(()) };
-        }
-        self.unsent = 0;
-        self.motion.sent(self.state.message_id, now, answer);
-        let work_ns = now.saturating_sub(self.read_ns);
-        let slow = now.saturating_sub(self.arrived_ns.unwrap_or(self.read_ns)) > PERIOD_NS;
-        self.telemetry.sent(work_ns, slow, answer.held, answer.returning);
-        self.recent.sent(work_ns);
+    /// Sends `answer`, and keeps it if it has left.
+    fn send(&mut self, answer: &Answer) -> Result<(), Fault> {
+        let command = self.motion.command(&self.transport.state, answer);
+        let Some(now) = self.transport.send(&command)? else { return Ok(()) };
+        self.motion.sent(self.transport.state.message_id, now, answer);
+        self.transport.count_sent(now, answer.held, answer.returning);
         Ok(())
     }
 
@@ -311,13 +191,13 @@ impl FrankaArm {
             Some(Objection::Jump) => return refused(REFUSED_JUMP),
             None => {}
         }
-        let ticks = self.motion.ticks_since(self.state.message_id);
+        let ticks = self.motion.ticks_since(self.transport.state.message_id);
         if ticks == 0 {
             // This state was answered before; one command per state is all that the arm takes.
             return Ok(());
         }
         if self.settings.interface == Interface::Torque {
-            let tracking = Tracking::of(desired, dq_d, &self.state);
+            let tracking = Tracking::of(desired, dq_d, &self.transport.state);
             if self.motion.torque.out_of_reach(&tracking) {
                 return refused(REFUSED_REACH);
             }
@@ -325,9 +205,129 @@ impl FrankaArm {
             let point = Point { q: desired, dq: dq_d, ddq: [0.0; 7] };
             return self.send(&Answer { point, tau, held, ..Answer::default() });
         }
-        let own = self.followed.own && self.followed.alone == 0;
+        let own = self.followed.own && self.followed.missed == 0;
         let Limited { point, held, returning, aim } = self.motion.step(&from, &desired, ticks, own);
         self.send(&Answer { point, held, returning, aim: Some(aim), ..Answer::default() })
+    }
+
+    // Moving to ended.
+
+    /// Why a motion ended by itself: by the first state after it, else by the arm's answer.
+    fn end_reason(&mut self) -> Fault {
+        // After an answer the state that explains it is on its way.
+        let timeout = self.settings.state_timeout;
+        let begin = now_ns();
+        while self.transport.ended_in().is_none() && u128::from(now_ns().saturating_sub(begin)) < timeout.as_nanos() {
+            // An arm that sends no states has lost its commands for the same reason.
+            if let Err(fault) = self.transport.take_newest(timeout) {
+                return fault;
+            }
+        }
+        let stall = self.transport.recent.worst();
+        let Some(state) = self.transport.ended_in().copied() else {
+            self.transport.telemetry.stalled(&stall);
+            return self.transport.answer().map_or(Fault::Disconnected, refused);
+        };
+        let _ = self.transport.read_answers();
+        self.transport.telemetry.motion_ended(state.reflex_reason, state.errors, state.robot_mode, &stall);
+        // A user stop leaves the reasons of an earlier end where they were.
+        let named = state.robot_mode == RobotMode::Reflex || state.reflex_reason != self.motion.old_reasons;
+        match (gravest(state.reflex_reason), self.transport.answer()) {
+            (Some(bit), _) if named => Fault::Reflex { code: bit as u32 },
+            // Ended in order, though not by this side.
+            (_, Some(status)) if state.robot_mode == RobotMode::Idle => refused(status),
+            _ => Fault::Reflex { code: REFLEX_MODE + u32::from(state.robot_mode.code()) },
+        }
+    }
+
+    fn end(&mut self, fault: Fault) {
+        self.transport.telemetry.stalled(&self.transport.recent.worst());
+        self.transport.set_running(false);
+        self.phase = Phase::Ended(fault);
+    }
+
+    // Any phase to stopped.
+
+    /// Ends whatever runs, within a second.
+    fn halt(&mut self) {
+        let begin = now_ns();
+        match self.phase {
+            Phase::Moving => {
+                if !self.finish(begin + FINISH_TIMEOUT_NS) {
+                    self.abort(begin + STOP_TIMEOUT_NS);
+                }
+            }
+            // Ended by a fault: unless the arm has reported the end itself, it may still move.
+            Phase::Ended(_) if self.transport.call.is_some() && self.settings.purpose == Purpose::Drive => {
+                if self.transport.motion_has_ended() {
+                    self.await_answer(begin + ANSWER_TIMEOUT_NS);
+                } else {
+                    self.abort(begin + STOP_TIMEOUT_NS);
+                }
+            }
+            Phase::Ended(_) | Phase::Ready | Phase::Stopped => {}
+        }
+        self.transport.set_running(false);
+        self.phase = Phase::Stopped;
+    }
+
+    /// Brakes, commands the end of the motion until states show it, and reads the final answer; `false` where that failed.
+    fn finish(&mut self, deadline_ns: u64) -> bool {
+        let mut resting = false;
+        while now_ns() < deadline_ns {
+            if self.transport.take_newest(STOP_STATE_TIMEOUT).is_err() || self.transport.read_answers().is_err() {
+                return false;
+            }
+            if self.transport.motion_has_ended() {
+                self.await_answer(now_ns() + ANSWER_TIMEOUT_NS);
+                return true;
+            }
+            self.follow();
+            if self.brake(resting).is_err() {
+                return false;
+            }
+            resting = self.motion.rests();
+        }
+        false
+    }
+
+    /// One command of the brake; at rest it ends the motion.
+    fn brake(&mut self, finished: bool) -> Result<(), Fault> {
+        let point = self.motion.brake(&self.followed.point);
+        let mut tau = [0.0; 7];
+        if self.settings.interface == Interface::Torque {
+            let tracking = Tracking::of(point.q, point.dq, &self.transport.state);
+            (tau, _) = self.motion.torque.torque(&tracking, &[0.0; 7]);
+        }
+        self.send(&Answer { point, tau, finished, ..Answer::default() })
+    }
+
+    /// Asks the arm to stop by itself and waits until a state shows that it has.
+    fn abort(&mut self, deadline_ns: u64) {
+        if self.transport.call_stop().is_err() {
+            return;
+        }
+        while now_ns() < deadline_ns {
+            let state = &self.transport.state;
+            let idle = state.motion_generator_mode == MotionGeneratorMode::Idle
+                && state.controller_mode == ControllerMode::Other;
+            if idle || self.transport.ended_in().is_some() {
+                self.await_answer(deadline_ns.min(now_ns() + ANSWER_TIMEOUT_NS));
+                return;
+            }
+            if self.transport.take_newest(STOP_STATE_TIMEOUT).is_err() || self.transport.read_answers().is_err() {
+                return;
+            }
+        }
+    }
+
+    /// The arm always ends Move with a final answer; it is read, but not awaited beyond the deadline.
+    fn await_answer(&mut self, deadline_ns: u64) {
+        while self.transport.answer().is_none() && now_ns() < deadline_ns {
+            if self.transport.read_answers().is_err() || self.transport.take_newest(STOP_STATE_TIMEOUT).is_err() {
+                return;
+            }
+        }
     }
 }
 
@@ -337,28 +337,28 @@ impl Backend for FrankaArm {
     }
 
     fn read(&mut self) -> Result<State, Fault> {
+        let timeout = self.settings.state_timeout;
         let state = match self.phase {
-            Phase::Over(fault) => return Err(fault),
+            Phase::Ended(fault) => return Err(fault),
             Phase::Ready if self.settings.purpose == Purpose::Drive => self.begin().map(|()| self.report()),
-            Phase::Moving => self.go_on(),
-            Phase::Ready if !self.begun => return self.discard_backlog().map(|()| self.report()),
-            Phase::Ready | Phase::Stopped => {
-                return self.take_newest(self.settings.state_timeout).map(|()| self.report());
+            Phase::Moving => self.continue_motion(),
+            Phase::Ready if !self.transport.has_read => {
+                return self.transport.discard_backlog(timeout).map(|()| self.report());
             }
+            Phase::Ready | Phase::Stopped => return self.transport.take_newest(timeout).map(|()| self.report()),
         };
         if let Err(fault) = state {
-            self.telemetry.stalled(&self.recent.worst());
-            self.phase = Phase::Over(fault);
+            self.end(fault);
         }
         state
     }
 
     fn write(&mut self, command: &Command) -> Result<(), Fault> {
         match (self.settings.purpose, self.phase) {
-            (Purpose::Watch, _) => Ok(()),
+            (Purpose::Monitor, _) => Ok(()),
             (Purpose::Drive, Phase::Moving) => self.answer(command),
             (Purpose::Drive, Phase::Ready) => Err(Fault::Refused { code: REFUSED_BEFORE_START }),
-            (Purpose::Drive, Phase::Over(_) | Phase::Stopped) => Err(Fault::Refused { code: REFUSED_STOPPED }),
+            (Purpose::Drive, Phase::Ended(_) | Phase::Stopped) => Err(Fault::Refused { code: REFUSED_STOPPED }),
         }
     }
 
@@ -366,9 +366,9 @@ impl Backend for FrankaArm {
         self.halt();
     }
 
-    /// When the kernel took the newest state in: what lies between that and its being read is the wake-up.
+    /// When the kernel received the newest state: from then to its read is the wake-up latency.
     fn deadline_ns(&self) -> Option<u64> {
-        self.arrived_ns
+        self.transport.arrived_ns()
     }
 }
 
@@ -378,7 +378,15 @@ impl Drop for FrankaArm {
     }
 }
 
-/// A command with nothing in it but the number of the state that it answers.
-pub(super) fn answer_to(state: &RobotState) -> RobotCommand {
-    RobotCommand { message_id: state.message_id, ..RobotCommand::default() }
+/// The reason that represents all of them: the first, but lost communication only where there is no other. It is the one that a job may
+/// recover from by itself.
+fn gravest(reasons: Errors) -> Option<ErrorBit> {
+    let lost = ErrorBit::CommunicationConstraintsViolation;
+    reasons.iter().find(|bit| *bit != lost).or(reasons.iter().next())
+}
+
+/// The fault of a motion that the arm ended or did not begin.
+fn refused(status: MoveStatus) -> Fault {
+    let index = MoveStatus::ALL.iter().position(|other| *other == status).unwrap_or(0);
+    Fault::Refused { code: REFUSED_MOVE + index as u32 }
 }

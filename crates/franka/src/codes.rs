@@ -1,4 +1,4 @@
-//! Codes of [`plumbline_core::Fault`] that this arm gives; [`super::explain()`] has the words.
+//! Codes of [`plumbline_core::Fault`] that this arm gives; [`super::explain()`] explains them.
 
 /// `Fault::Refused`: a commanded position, velocity or torque was not a number.
 pub const REFUSED_NOT_FINITE: u32 = 1;

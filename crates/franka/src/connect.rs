@@ -7,24 +7,25 @@ use super::limits::{self, RobotLimits, widen};
 use super::session::Session;
 use super::settings::{Interface, Purpose, RobotKind, Settings};
 use super::telemetry::Telemetry;
+use super::transport::Transport;
 use super::wire::{ErrorBit, Errors, Protocol, RecoveryStatus, Request, Response, RobotMode, RobotState};
 use plumbline_core::JointVec;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Longest time that a recovery may take: the arm may have to move back into its range.
-const RECOVERY: Duration = Duration::from_secs(30);
+const RECOVERY_TIMEOUT: Duration = Duration::from_secs(30);
 /// Pause before an arm that can't be reached is tried again.
-const AGAIN: Duration = Duration::from_millis(200);
+const RETRY_PAUSE: Duration = Duration::from_millis(200);
 /// Longest wait for states at rest.
-const REST: Duration = Duration::from_secs(2);
+const GRAVITY_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// What is known of an arm at connection.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Info {
     /// Version of the protocol: what libfranka calls the robot server version.
     pub protocol: Protocol,
-    /// Robots, system images and libfranka versions of that version, in words.
+    /// Robots, system images and libfranka versions of that version.
     pub image: &'static str,
     /// The state at connection.
     pub state: RobotState,
@@ -89,7 +90,9 @@ pub fn connect(settings: &Settings) -> Result<(FrankaArm, Connection), ConnectEr
         gravity,
         refused_options: std::mem::take(&mut session.refused),
     };
-    let arm = FrankaArm::new(settings, session, &info, telemetry.clone())?;
+    let cant = |cause| ConnectError::Socket { address: settings.address, what: "switching blocking off", cause };
+    let transport = Transport::new(session.commands, session.states, telemetry.clone(), state).map_err(cant)?;
+    let arm = FrankaArm::new(settings, transport, limits);
     Ok((arm, Connection { info, telemetry }))
 }
 
@@ -119,10 +122,10 @@ fn limits_of(session: &mut Session, settings: &Settings) -> Result<(Option<Strin
     Ok((urdf, limits, from_arm))
 }
 
-/// Asks an arm that was stopped by a reflex to recover, and waits until it is idle. An arm that is idle already is left alone.
+/// Asks an arm that was stopped by a reflex to recover, and waits until it is idle. An arm that is idle already is not changed.
 ///
-/// It may move a little, back into its range. Whatever the reflex was of: for an operator who has looked at the arm. A program that goes on
-/// by itself has [`recover_communication`].
+/// It may move a little, back into its range. Recovers from every reflex: only for an operator who has looked at the arm. A program without an operator
+/// uses [`recover_communication`].
 ///
 /// # Errors
 ///
@@ -132,8 +135,8 @@ pub fn recover(settings: &Settings) -> Result<(), ConnectError> {
     recover_in(session, settings)
 }
 
-/// The same for a program that goes on by itself: only from a reflex of `communication_constraints_violation` and nothing else, by the
-/// arm's own state at this moment. The fault that the loop saw is not enough: while states were lost the arm may have met something.
+/// The same for a program without an operator: only from a reflex of `communication_constraints_violation` and nothing else, by the
+/// arm's own state at this moment. The fault that the loop saw is not enough: while states were lost the arm may have collided.
 ///
 /// # Errors
 ///
@@ -144,10 +147,10 @@ pub fn recover_communication(settings: &Settings) -> Result<(), ConnectError> {
     recover_in(session, settings)
 }
 
-/// Whether a reflex, if there is one, came of lost communication alone. Reasons that the arm does not tell are no such reasons.
+/// Whether a reflex, if there is one, was caused by lost communication alone. A reflex without a reason was not.
 fn for_communication_alone(state: &RobotState) -> Result<(), ConnectError> {
     const ALONE: Errors = Errors::NONE.with(ErrorBit::CommunicationConstraintsViolation);
-    // The errors of the moment may have cleared; where they have not they tell no less than the reasons.
+    // The present errors may have cleared; where they have not they count like the reasons.
     let alone = state.reflex_reason == ALONE && (state.errors == ALONE || state.errors.is_empty());
     if state.robot_mode != RobotMode::Reflex || alone {
         return Ok(());
@@ -157,14 +160,14 @@ fn for_communication_alone(state: &RobotState) -> Result<(), ConnectError> {
 }
 
 fn recover_in(mut session: Session, settings: &Settings) -> Result<(), ConnectError> {
-    // The mode decides: the errors of a reflex clear by themselves as soon as the arm stands.
+    // The mode decides: the errors of a reflex clear as soon as the arm rests.
     match session.first.robot_mode {
         RobotMode::Reflex => {}
         RobotMode::Idle => return Ok(()),
         _ => return ready(&session.first),
     }
     let request = Request::AutomaticErrorRecovery;
-    let payload = session.commands.call(session.protocol, &request, RECOVERY)?;
+    let payload = session.commands.call(session.protocol, &request, RECOVERY_TIMEOUT)?;
     if let Response::AutomaticErrorRecovery(status) = Response::decode(session.protocol, request.kind(), &payload)?
         && status != RecoveryStatus::Success
     {
@@ -183,13 +186,13 @@ fn recover_in(mut session: Session, settings: &Settings) -> Result<(), ConnectEr
     Err(ConnectError::StillNotIdle { mode, waited: settings.connect_timeout })
 }
 
-/// Opens a session with an arm whose network may be coming back: what is refused or unreachable is tried again for as long as a
+/// Opens a session with an arm whose network may be recovering: an unreachable arm is tried again for as long as a
 /// connection may take.
 fn reach(settings: &Settings) -> Result<Session, ConnectError> {
     let deadline = Instant::now() + settings.connect_timeout;
     loop {
         match Session::open(settings) {
-            Err(ConnectError::Unreachable { .. }) if Instant::now() < deadline => std::thread::sleep(AGAIN),
+            Err(ConnectError::Unreachable { .. }) if Instant::now() < deadline => std::thread::sleep(RETRY_PAUSE),
             outcome => return outcome,
         }
     }
@@ -234,7 +237,7 @@ fn configure(session: &mut Session, settings: &Settings) -> Result<(), ConnectEr
 }
 
 fn estimate_gravity(session: &mut Session, first: &RobotState) -> Option<Gravity> {
-    let deadline = Instant::now() + REST;
+    let deadline = Instant::now() + GRAVITY_TIMEOUT;
     let mut estimate = Estimate::default();
     let mut id = first.message_id;
     while !estimate.is_complete() && Instant::now() < deadline {

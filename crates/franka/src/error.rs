@@ -20,9 +20,9 @@ pub enum ConnectError {
     Unreachable {
         /// Where the arm should be.
         address: IpAddr,
-        /// What the system says.
+        /// Error of the system.
         cause: io::Error,
-        /// What to look at.
+        /// What to check.
         hint: String,
     },
     /// A socket could not be made or set.
@@ -32,10 +32,10 @@ pub enum ConnectError {
         address: IpAddr,
         /// What was attempted.
         what: &'static str,
-        /// What the system says.
+        /// Error of the system.
         cause: io::Error,
     },
-    /// The arm speaks a version that this program does not.
+    /// The arm's protocol version is not one of this program.
     #[error("{}", version_words(*.robot, *.tried))]
     Version {
         /// The arm's version.
@@ -75,7 +75,7 @@ pub enum ConnectError {
         /// The first bytes of what came.
         bytes: [u8; HEADER_BYTES],
     },
-    /// No state came over UDP though the connection stands.
+    /// No state came over UDP though the TCP connection is open.
     #[error(
         "the arm accepted the connection, but none of its states arrived at UDP port {port} whole within {waited:?}. {hint}"
     )]
@@ -84,7 +84,7 @@ pub enum ConnectError {
         port: u16,
         /// How long was waited.
         waited: Duration,
-        /// What to look at.
+        /// What to check.
         hint: String,
     },
     /// The arm is in a mode that no motion can start from.
@@ -134,15 +134,15 @@ pub enum ConnectError {
     /// The description can't be used.
     #[error(transparent)]
     Urdf(#[from] UrdfError),
-    /// The arm is another robot than the settings say.
+    /// The arm is not the robot of the settings.
     #[error("the settings expect a {expected}, but the arm speaks {protocol}, which is {}", .protocol.images())]
     Robot {
         /// `Panda`, `FR3`.
         expected: &'static str,
-        /// What it speaks.
+        /// Its protocol version.
         protocol: Protocol,
     },
-    /// A message that is none.
+    /// A message that can't be decoded.
     #[error("a message of the arm can't be read: {0}")]
     Wire(#[from] WireError),
     /// Recovery failed.

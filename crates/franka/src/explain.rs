@@ -1,33 +1,12 @@
-//! A fault in words: what happened, why, and what the operator does next.
+//! Explanation of a fault: what happened, why, and what the operator does next.
 
 use super::codes::*;
 use super::error::{first_bytes, next_step};
 use super::telemetry::{Stall, Statistics};
 use super::wire::{ErrorBit, MoveStatus, RobotMode};
-use plumbline_core::Fault;
+use plumbline_core::{Explanation, Fault};
 
-/// What is said about a fault.
-#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
-pub struct Explanation {
-    /// What happened, with the arm's own names of its errors.
-    pub what: String,
-    /// Why, where the counters tell.
-    pub cause: Option<String>,
-    /// What the operator does next.
-    pub next: String,
-}
-
-impl std::fmt::Display for Explanation {
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(out, "{}.", self.what)?;
-        if let Some(cause) = &self.cause {
-            write!(out, " {cause}.")?;
-        }
-        write!(out, " Next: {}", self.next)
-    }
-}
-
-/// Puts `fault` of a [`super::FrankaArm`] into words; `telemetry` is a snapshot taken after it.
+/// Explains `fault` of a [`super::FrankaArm`]; `telemetry` is a snapshot taken after it.
 pub fn explain(fault: &Fault, telemetry: &Statistics) -> Explanation {
     match fault {
         Fault::Silent { waited_ms } => silent(*waited_ms, telemetry),
@@ -71,7 +50,7 @@ fn silent(waited_ms: u32, telemetry: &Statistics) -> Explanation {
             "{} datagrams of the arm were no states: something on the way changes or cuts them",
             telemetry.bad_packets
         )),
-        // What answers our own stop says nothing about the cause.
+        // The answer to StopMove of this side is not the cause.
         Some(status) if status != MoveStatus::Preempted && status != MoveStatus::Success => {
             Some(format!("over its command connection it says that {status}: the way of its states alone is broken"))
         }

@@ -1,6 +1,7 @@
 //! The gravity that the arm compensates, from its state and the settings; the direction that its sensors show, from states at rest.
 
 use super::error::ConnectError;
+use super::settings::PLAUSIBLE_GRAVITY;
 use super::wire::RobotState;
 
 /// States at rest that an estimate needs.
@@ -9,8 +10,6 @@ pub(super) const STATES: usize = 200;
 const REST: f64 = 0.02;
 /// Sensors that are farther apart than this don't mean what is assumed of their frames \[rad\].
 const AGREE: f64 = 0.35;
-/// A reading outside these bounds is no gravity \[m/s2\].
-pub(super) const PLAUSIBLE: std::ops::Range<f64> = 8.0..12.0;
 
 /// Where a direction comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -164,7 +163,7 @@ fn sum(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 
 fn unit(x: [f64; 3]) -> Option<[f64; 3]> {
     let norm = x.iter().map(|x| x * x).sum::<f64>().sqrt();
-    PLAUSIBLE.contains(&norm).then(|| x.map(|x| x / norm))
+    PLAUSIBLE_GRAVITY.contains(&norm).then(|| x.map(|x| x / norm))
 }
 
 fn angle(a: &[f64; 3], b: &[f64; 3]) -> f64 {

@@ -1,4 +1,4 @@
-//! What to look at when nothing comes back, judged by this machine's own routes.
+//! What to check when no answer comes, by this machine's routing table.
 
 use super::wire::Protocol;
 use std::io::ErrorKind;
@@ -6,7 +6,7 @@ use std::net::{IpAddr, Ipv4Addr};
 
 /// How this machine reaches an address.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Way {
+pub(super) enum Route {
     /// It is this machine itself.
     Loopback,
     /// Through the network of this interface.
@@ -20,19 +20,19 @@ pub(super) enum Way {
 }
 
 /// The way to `address` by the kernel's table.
-pub(super) fn way_to(address: IpAddr) -> Way {
+pub(super) fn route_to(address: IpAddr) -> Route {
     match (address, std::fs::read_to_string("/proc/net/route")) {
-        (address, _) if address.is_loopback() => Way::Loopback,
-        (IpAddr::V4(address), Ok(table)) => way_in(&table, address),
-        _ => Way::Unknown,
+        (address, _) if address.is_loopback() => Route::Loopback,
+        (IpAddr::V4(address), Ok(table)) => route_in(&table, address),
+        _ => Route::Unknown,
     }
 }
 
 /// The way to `address` in the text of `/proc/net/route`: interface, destination, gateway, ..., mask in column 8, each
 /// address printed as one number of this machine, whose bytes are in network order.
-fn way_in(table: &str, address: Ipv4Addr) -> Way {
+fn route_in(table: &str, address: Ipv4Addr) -> Route {
     let word = |text: &str| u32::from_str_radix(text, 16).ok().map(|word| u32::from_be_bytes(word.to_ne_bytes()));
-    let mut best: Option<(u32, Way)> = None;
+    let mut best: Option<(u32, Route)> = None;
     for line in table.lines().skip(1) {
         let columns: Vec<&str> = line.split_whitespace().collect();
         let [interface, destination, gateway, _, _, _, _, mask, ..] = columns[..] else { continue };
@@ -42,31 +42,31 @@ fn way_in(table: &str, address: Ipv4Addr) -> Way {
         let fits = u32::from(address) & mask == destination & mask;
         if fits && best.as_ref().is_none_or(|(longest, _)| mask > *longest) {
             let way = if gateway == 0 {
-                Way::Direct(interface.to_string())
+                Route::Direct(interface.to_string())
             } else {
-                Way::Gateway(Ipv4Addr::from(gateway), interface.to_string())
+                Route::Gateway(Ipv4Addr::from(gateway), interface.to_string())
             };
             best = Some((mask, way));
         }
     }
-    best.map_or(Way::None, |(_, way)| way)
+    best.map_or(Route::None, |(_, way)| way)
 }
 
-/// What to look at when the TCP connection fails with `kind`.
-pub(super) fn unreachable(way: &Way, kind: ErrorKind) -> String {
+/// What to check when the TCP connection fails with `kind`.
+pub(super) fn unreachable(way: &Route, kind: ErrorKind) -> String {
     let subnet = match way {
-        Way::Gateway(gateway, interface) => format!(
+        Route::Gateway(gateway, interface) => format!(
             "The address is in none of this machine's own subnets: it would be reached through the gateway {gateway} on {interface}. \
              Give the port that the robot is plugged into an address in the robot's subnet (the control unit's LAN port, not \
              the arm's). "
         ),
-        Way::None => {
+        Route::None => {
             "This machine has no route to that address: give the port that the robot is plugged into an address in its \
                       subnet (the control unit's LAN port, not the arm's). "
                 .to_string()
         }
-        Way::Direct(interface) => format!("The address is in the subnet of {interface}. "),
-        Way::Loopback | Way::Unknown => String::new(),
+        Route::Direct(interface) => format!("The address is in the subnet of {interface}. "),
+        Route::Loopback | Route::Unknown => String::new(),
     };
     let kind = match kind {
         ErrorKind::ConnectionRefused => {
@@ -80,7 +80,7 @@ pub(super) fn unreachable(way: &Way, kind: ErrorKind) -> String {
     subnet + kind
 }
 
-/// What to look at when datagrams of the arm come, of which the last had so many `bytes`, and none is a state.
+/// What to check when datagrams of the arm come, of which the last had so many `bytes`, and none is a state.
 pub(super) fn damaged(protocol: Protocol, bytes: usize) -> String {
     format!(
         "Datagrams of the arm did come, but none is a state of {protocol}, which has {} bytes (the last had {bytes}): something on the way \
@@ -89,10 +89,10 @@ pub(super) fn damaged(protocol: Protocol, bytes: usize) -> String {
     )
 }
 
-/// What to look at when the connection stands but no state comes.
-pub(super) fn no_states(way: &Way, protocol: Protocol, port: u16, stranger: Option<IpAddr>) -> String {
-    let mut words = stranger.map_or_else(String::new, |stranger| {
-        format!("Datagrams came from {stranger} instead: is that the arm, behind an address translation? Use its own address. ")
+/// What to check when the TCP connection is open but no state comes.
+pub(super) fn no_states(way: &Route, protocol: Protocol, port: u16, other_sender: Option<IpAddr>) -> String {
+    let mut words = other_sender.map_or_else(String::new, |other_sender| {
+        format!("Datagrams came from {other_sender} instead: is that the arm, behind an address translation? Use its own address. ")
     });
     words += &match protocol {
         Protocol::V10 => String::new(),
@@ -106,13 +106,13 @@ pub(super) fn no_states(way: &Way, protocol: Protocol, port: u16, stranger: Opti
         "A firewall on this machine may drop UDP: allow what comes from the robot (now to port {port}, it changes). "
     );
     match way {
-        Way::Gateway(gateway, interface) => {
+        Route::Gateway(gateway, interface) => {
             words += &format!(
                 "The robot is not in this machine's subnet but behind {gateway} on {interface}: address translation does not pass its \
                  datagrams. Connect it directly."
             );
         }
-        Way::Direct(_) | Way::Loopback | Way::Unknown | Way::None => {
+        Route::Direct(_) | Route::Loopback | Route::Unknown | Route::None => {
             words += "A second address of this machine in the same subnet may be taken for the sender, too: keep one.";
         }
     }
@@ -148,24 +148,24 @@ mod tests {
             ("eth0", [10, 0, 0, 0], [0, 0, 0, 0], [255, 255, 255, 0]),
             ("eth1", [172, 16, 0, 0], [0, 0, 0, 0], [255, 255, 255, 0]),
         ]);
-        let way = |text: &str| way_in(&table, text.parse().unwrap());
-        assert_eq!(way("172.16.0.2"), Way::Direct("eth1".into()));
-        assert_eq!(way("10.0.0.77"), Way::Direct("eth0".into()));
-        assert_eq!(way("172.16.1.2"), Way::Gateway(Ipv4Addr::new(10, 0, 0, 1), "eth0".into()));
-        assert_eq!(way_in("header\n", "172.16.0.2".parse().unwrap()), Way::None);
+        let way = |text: &str| route_in(&table, text.parse().unwrap());
+        assert_eq!(way("172.16.0.2"), Route::Direct("eth1".into()));
+        assert_eq!(way("10.0.0.77"), Route::Direct("eth0".into()));
+        assert_eq!(way("172.16.1.2"), Route::Gateway(Ipv4Addr::new(10, 0, 0, 1), "eth0".into()));
+        assert_eq!(route_in("header\n", "172.16.0.2".parse().unwrap()), Route::None);
     }
 
     #[test]
     fn every_hint_names_its_cause() {
-        let gateway = Way::Gateway(Ipv4Addr::new(10, 0, 0, 1), "eth0".into());
+        let gateway = Route::Gateway(Ipv4Addr::new(10, 0, 0, 1), "eth0".into());
         assert!(unreachable(&gateway, ErrorKind::TimedOut).contains("none of this machine's own subnets"));
-        assert!(unreachable(&Way::Direct("eth1".into()), ErrorKind::ConnectionRefused).contains("activate FCI"));
-        assert!(no_states(&Way::Loopback, Protocol::V5, 4000, None).contains("fragments"));
-        assert!(!no_states(&Way::Loopback, Protocol::V10, 4000, None).contains("fragments"));
-        assert!(no_states(&Way::Loopback, Protocol::V10, 4000, None).contains("port 4000"));
+        assert!(unreachable(&Route::Direct("eth1".into()), ErrorKind::ConnectionRefused).contains("activate FCI"));
+        assert!(no_states(&Route::Loopback, Protocol::V5, 4000, None).contains("fragments"));
+        assert!(!no_states(&Route::Loopback, Protocol::V10, 4000, None).contains("fragments"));
+        assert!(no_states(&Route::Loopback, Protocol::V10, 4000, None).contains("port 4000"));
         assert!(no_states(&gateway, Protocol::V10, 4000, None).contains("10.0.0.1"));
-        let stranger = Some("10.9.8.7".parse().unwrap());
-        assert!(no_states(&Way::Unknown, Protocol::V10, 4000, stranger).contains("came from 10.9.8.7"));
-        assert_eq!(way_to("127.0.0.9".parse().unwrap()), Way::Loopback);
+        let other_sender = Some("10.9.8.7".parse().unwrap());
+        assert!(no_states(&Route::Unknown, Protocol::V10, 4000, other_sender).contains("came from 10.9.8.7"));
+        assert_eq!(route_to("127.0.0.9".parse().unwrap()), Route::Loopback);
     }
 }

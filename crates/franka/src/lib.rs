@@ -1,4 +1,4 @@
-//! Franka arms (Panda, FER, FR3) over the Franka Control Interface, the 1 kHz network interface that libfranka speaks too.
+//! Franka arms (Panda, FER, FR3) over the Franka Control Interface, the 1 kHz network interface of libfranka.
 //!
 //! [`connect()`] opens a session and does everything that may block or allocate; [`FrankaArm`] is the arm in the loop. A motion begins with
 //! the first read of an arm that is to be driven, on the loop's own thread, and ends with [`plumbline_core::Backend::stop`].
@@ -9,27 +9,28 @@
 //! | `settings`, `limits` | what a session is opened with; what the arm holds commands against |
 //! | `session`, `tcp`, `udp`, `hints`, `error` | connecting, and what to do when that fails |
 //! | `gravity` | the gravity that the arm compensates, and the direction that its sensors show |
-//! | `arm`, `motion`, `halt` | the arm in the loop: beginning, cycle, end of a motion |
+//! | `arm`, `transport`, `motion` | the arm in the loop: the state machine of a session; its connections; the commands of a motion |
 //! | `reference`, `limiter`, `torque` | what the arm goes by, in double precision; commands inside its limits; the impedance law |
-//! | `telemetry`, `explain` | counters that any thread may look at; faults in words |
+//! | `connector` | the arm as a backend of the daemon |
+//! | `telemetry`, `explain` | counters that any thread may read; explanations of faults |
 //!
 //! What goes for every motion:
 //!
 //! - The first command is the arm's own `q_d`, to the bit. From there on the arm's point is known from the commands sent, because states
-//!   of version 10 come in single precision, whose differences would look like jerks.
-//! - An arm that misses a command goes on at constant acceleration. The state tells how far it went alone; the next command goes on
+//!   of version 10 come in single precision, whose differences are no jerks.
+//! - An arm that misses a command extrapolates at constant acceleration. The state shows how far; the next command continues
 //!   from there and comes back to the motion smoothly, inside [`Settings::limits_share`] of the limits.
-//! - Errors are read from `reflex_reason` of the first state that shows the end of the motion, and the arm's final word is always
+//! - Errors are read from `reflex_reason` of the first state that shows the end of the motion, and the arm's final answer is always
 //!   read, within a time limit.
-//! - Nothing recovers by itself: [`recover`] is for the operator; a rule that the operator has set has [`recover_communication`], which
-//!   leaves a collision, a limit, and whatever else is a person's to judge as it is.
+//! - Nothing recovers by itself: [`recover`] is for the operator; a rule that the operator has set uses [`recover_communication`], which
+//!   does not recover from a collision or a limit.
 //!
 //! ```no_run
 //! use plumbline_core::Backend;
 //! use plumbline_franka::{Purpose, RobotKind, Settings, connect};
 //!
 //! // Reads states; the arm's own controller holds it.
-//! let settings = Settings { purpose: Purpose::Watch, ..Settings::new("172.16.0.2".parse()?, RobotKind::Fr3) };
+//! let settings = Settings { purpose: Purpose::Monitor, ..Settings::new("172.16.0.2".parse()?, RobotKind::Fr3) };
 //! let (mut arm, _connection) = connect(&settings)?;
 //! println!("{:?}", arm.read()?.q);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -40,10 +41,10 @@
 mod arm;
 mod codes;
 mod connect;
+mod connector;
 mod error;
 mod explain;
 mod gravity;
-mod halt;
 mod hints;
 mod limiter;
 mod limits;
@@ -54,18 +55,18 @@ mod settings;
 mod tcp;
 mod telemetry;
 mod torque;
+mod transport;
 mod udp;
 pub mod wire;
 
 pub use arm::FrankaArm;
 pub use codes::*;
 pub use connect::{Connection, Info, connect, read_limits, recover, recover_communication};
+pub use connector::FrankaConnector;
 pub use error::{ConnectError, next_step};
-pub use explain::{Explanation, explain};
+pub use explain::explain;
 pub use gravity::{Gravity, Source};
-pub use limits::{
-    RobotLimits, UrdfError, fr3 as fr3_limits, from_urdf as limits_from_urdf, guard_envelope, guard_limits,
-};
+pub use limits::{RobotLimits, UrdfError, fr3 as fr3_limits, from_urdf as limits_from_urdf};
 pub use settings::{
     BadSetting, Collision, Controller, Interface, Load, Purpose, RobotKind, Settings, SocketOptions, TorqueControl,
 };

@@ -1,4 +1,4 @@
-//! Holds commanded positions below the arm's limits, and leads back to the motion without a jump after the arm went on alone.
+//! Holds commanded positions below the arm's limits, and leads back to the motion without a jump after missed commands.
 
 // The walls of the real-time loop: clippy.toml.
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
@@ -14,7 +14,7 @@
 use super::limits::RobotLimits;
 use super::reference::{Point, TICK};
 
-/// Pole of the way back to the motion, per cycle: a small distance is gone after some 150 ms.
+/// Pole of the return to the motion, per cycle: a small distance vanishes within some 150 ms.
 const POLE: f64 = 0.95;
 /// Farthest that the way back may begin from the motion \[rad\].
 const REACH: f64 = 0.02;
@@ -43,7 +43,7 @@ pub(super) struct Limited {
     pub held: bool,
     /// Whether it is on its way back to the motion.
     pub returning: bool,
-    /// What the limiter goes on from once it has left.
+    /// The limiter's next start once the command has left.
     pub aim: Aim,
 }
 
@@ -70,14 +70,14 @@ impl Limiter {
         Limiter { limits, share, aim: Aim { target: Point::at_rest(q), returning: false } }
     }
 
-    /// Whether `desired` may be commanded at all when the arm goes on from `from`.
+    /// Whether `desired` may be commanded at all when the arm's reference is `from`.
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn objection(&self, from: &Point, desired: &[f64; 7]) -> Option<Objection> {
         if desired.iter().any(|q| !q.is_finite()) || !from.is_finite() {
             return Some(Objection::NotFinite);
         }
         for (j, &desired) in desired.iter().enumerate() {
-            // An arm that stands outside its range may be led back into it.
+            // An arm outside its range may be led back into it.
             let (low, high) = (self.limits.q_min[j].min(from.q[j]), self.limits.q_max[j].max(from.q[j]));
             if desired < low - ROUNDING || desired > high + ROUNDING {
                 return Some(Objection::Position);
@@ -90,7 +90,7 @@ impl Limiter {
     }
 
     /// The command that leads from `from`, where the arm is now, towards `desired`, `ticks` cycles after the last one that left. `own`
-    /// says that the arm has done what it was told, and nothing else, since then. It changes nothing before it is [`sent`](Limiter::sent).
+    /// means that the arm has followed the commands, and nothing else, since then. It changes nothing before it is [`sent`](Limiter::sent).
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn step(&self, from: &Point, desired: &[f64; 7], ticks: u64, own: bool) -> Limited {
         let last = self.target_before(desired, ticks);

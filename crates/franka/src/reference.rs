@@ -1,4 +1,4 @@
-//! What the arm goes by between two commands: position, velocity and acceleration as it differences them, once per millisecond.
+//! The arm's reference between two commands: position, velocity and acceleration by its own differences, once per millisecond.
 
 // The walls of the real-time loop: clippy.toml.
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
@@ -12,7 +12,7 @@
 )]
 
 /// The arm's cycle \[s\].
-pub(super) const TICK: f64 = plumbline_core::PERIOD;
+pub(super) const TICK: f64 = plumbline_core::PERIOD_S;
 
 /// A commanded point with the derivatives that the arm makes of it: `dq = (q - q_last) / T`, `ddq = (dq - dq_last) / T`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -41,7 +41,7 @@ impl Point {
         next
     }
 
-    /// The point `ticks` cycles on, where the arm got no command: it goes on at constant acceleration.
+    /// The point `ticks` cycles on, where the arm got no command: it extrapolates at constant acceleration.
     pub fn after(&self, ticks: u64) -> Point {
         let mut next = *self;
         // The sum of the same steps that the arm makes: q += n T dq + n (n + 1) / 2 T^2 ddq.
@@ -64,8 +64,8 @@ impl Point {
     }
 }
 
-/// Commands kept: more than the arm goes on without.
-const KEPT: usize = 32;
+/// Commands kept: more than the arm may miss.
+const MAX_KEPT: usize = 32;
 
 /// A command that was sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -79,16 +79,16 @@ struct Sent {
     seen: bool,
 }
 
-/// What a state says about the commands before it.
+/// The arm's reference in a state, by the commands before it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Followed {
-    /// Where the arm goes on from.
+    /// The arm's reference.
     pub point: Point,
-    /// Cycles that the arm went on by itself since the command that it followed last.
-    pub alone: u64,
-    /// Whether `point` is our own in double precision; otherwise it is what the state says.
+    /// Cycles extrapolated since the command that the arm followed last.
+    pub missed: u64,
+    /// Whether `point` is our own in double precision; otherwise it is the state's.
     pub own: bool,
-    /// When the command left that this state is the first to show \[ns\]; only where it can be told from the one before.
+    /// When the command left that this state is the first to show \[ns\]; only where it differs from the one before.
     pub shown_ns: Option<u64>,
     /// Whether the newest command was sent in answer to the state before, and the arm did not use it.
     pub late: bool,
@@ -97,7 +97,7 @@ pub(super) struct Followed {
 /// The commands sent last, and where the motion began.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Commands {
-    ring: [Sent; KEPT],
+    ring: [Sent; MAX_KEPT],
     count: usize,
     start: Point,
     /// How far a state's `q_d` may be off what was sent \[rad\].
@@ -107,7 +107,7 @@ pub(super) struct Commands {
 impl Commands {
     /// A motion that begins at rest at `q_d`. `tolerance` is the rounding of states \[rad\].
     pub fn new(q_d: [f64; 7], tolerance: f64) -> Commands {
-        Commands { ring: [Sent::default(); KEPT], count: 0, start: Point::at_rest(q_d), tolerance }
+        Commands { ring: [Sent::default(); MAX_KEPT], count: 0, start: Point::at_rest(q_d), tolerance }
     }
 
     /// The command sent last.
@@ -123,57 +123,57 @@ impl Commands {
     /// Takes in a command that left.
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn push(&mut self, id: u64, at_ns: u64, point: Point) {
-        if let Some(slot) = self.ring.get_mut(self.count % KEPT) {
+        if let Some(slot) = self.ring.get_mut(self.count % MAX_KEPT) {
             *slot = Sent { id, at_ns, point, seen: false };
         }
         self.count = self.count.wrapping_add(1);
     }
 
     fn back(&self, age: usize) -> Option<&Sent> {
-        if age >= self.count.min(KEPT) { None } else { self.ring.get((self.count - 1 - age) % KEPT) }
+        if age >= self.count.min(MAX_KEPT) { None } else { self.ring.get((self.count - 1 - age) % MAX_KEPT) }
     }
 
     /// Which of the commands the arm is following in state `id`, newest first: each of them predicts where the arm is now, if it was
-    /// the last one to arrive. `state` is the arm's own word, the point of last resort.
+    /// the last one to arrive. `state` is the arm's own reference, used where no command explains it.
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn follow(&mut self, id: u64, state: &Point) -> Followed {
         let Some(newest) = self.back(0).copied() else {
             let own = self.agrees(&self.start, state);
             let point = if own || !state.is_finite() { self.start } else { *state };
-            return Followed { point, alone: 0, own, shown_ns: None, late: false };
+            return Followed { point, missed: 0, own, shown_ns: None, late: false };
         };
         let answered_last = newest.id + 1 == id;
-        for age in 0..self.count.min(KEPT) {
+        for age in 0..self.count.min(MAX_KEPT) {
             let Some(sent) = self.back(age).copied() else { break };
-            let Some(alone) = id.checked_sub(sent.id + 1) else { continue };
-            if alone as usize > KEPT {
+            let Some(missed) = id.checked_sub(sent.id + 1) else { continue };
+            if missed as usize > MAX_KEPT {
                 break;
             }
-            let point = sent.point.after(alone);
+            let point = sent.point.after(missed);
             if self.agrees(&point, state) {
-                let shown_ns = if alone == 0 { self.first_shown(age) } else { None };
-                return Followed { point, alone, own: true, shown_ns, late: answered_last && age > 0 };
+                let shown_ns = if missed == 0 { self.first_shown(age) } else { None };
+                return Followed { point, missed, own: true, shown_ns, late: answered_last && age > 0 };
             }
-            // An arm that shows commands a cycle later: the newest one is still to be used, and the next goes on from it.
-            if alone == 1 && age == 1 && answered_last && self.agrees(&sent.point, state) {
+            // An arm that shows commands a cycle later: the newest one is still to be used, and the next continues from it.
+            if missed == 1 && age == 1 && answered_last && self.agrees(&sent.point, state) {
                 let shown_ns = self.first_shown(age);
-                return Followed { point: newest.point, alone: 0, own: true, shown_ns, late: false };
+                return Followed { point: newest.point, missed: 0, own: true, shown_ns, late: false };
             }
         }
-        let alone = id.saturating_sub(newest.id + 1);
+        let missed = id.saturating_sub(newest.id + 1);
         // An arm that takes a late command when it comes, instead of dropping it.
-        if alone > 0 && self.agrees(&newest.point, state) {
-            return Followed { point: newest.point, alone, own: true, shown_ns: self.first_shown(0), late: true };
+        if missed > 0 && self.agrees(&newest.point, state) {
+            return Followed { point: newest.point, missed, own: true, shown_ns: self.first_shown(0), late: true };
         }
-        // A state that is no number says nothing.
-        let point = if state.is_finite() { *state } else { newest.point.after(alone) };
-        Followed { point, alone, own: false, shown_ns: None, late: answered_last }
+        // A state with a NaN shows nothing.
+        let point = if state.is_finite() { *state } else { newest.point.after(missed) };
+        Followed { point, missed, own: false, shown_ns: None, late: answered_last }
     }
 
-    /// When the command left, if no state has shown it yet and it can be told from the one before.
+    /// When the command left, if no state has shown it yet and it differs from the one before.
     fn first_shown(&mut self, age: usize) -> Option<u64> {
         let before = self.back(age + 1).map_or(self.start.q, |sent| sent.point.q);
-        let index = (self.count - 1 - age) % KEPT;
+        let index = (self.count - 1 - age) % MAX_KEPT;
         let sent = self.ring.get_mut(index)?;
         let first = !sent.seen;
         sent.seen = true;
@@ -255,7 +255,7 @@ mod tests {
     fn a_healthy_arm_is_known_in_double_precision_though_it_answers_in_single() {
         for tolerance in [F64, F32] {
             for (id, followed, truth) in drive(tolerance, &[], &[], false) {
-                assert!(followed.own && !followed.late && followed.alone == 0, "{id} {followed:?}");
+                assert!(followed.own && !followed.late && followed.missed == 0, "{id} {followed:?}");
                 assert!(followed.point.q.iter().zip(&truth.q).all(|(a, b)| (a - b).abs() < 1e-12), "{id}");
                 if id > 200 {
                     assert_eq!(followed.shown_ns, Some((id - 1) * 1_000_000 + 200_000));
@@ -271,14 +271,14 @@ mod tests {
             for (id, followed, truth) in drive(tolerance, &[200, 201, 202], &[300, 301, 302, 303, 304], false) {
                 assert!(followed.own, "{id} {followed:?}");
                 assert!(followed.point.q.iter().zip(&truth.q).all(|(a, b)| (a - b).abs() <= tolerance), "{id}");
-                let alone = match id {
+                let missed = match id {
                     201..=203 => id - 200,
                     305 => 5,
                     _ => 0,
                 };
-                // In single precision going on alone can look like having been told so.
+                // In single precision going on missed can look like having been told so.
                 if tolerance < 1e-8 {
-                    assert_eq!((followed.alone, followed.late), (alone, (201..=203).contains(&id)), "{id}");
+                    assert_eq!((followed.missed, followed.late), (missed, (201..=203).contains(&id)), "{id}");
                 }
             }
         }
@@ -298,7 +298,7 @@ mod tests {
         let moving = Point { q: Q, dq: [0.3; 7], ddq: [2.0; 7] };
         commands.push(5, 1, moving);
         let followed = commands.follow(9, &moving);
-        assert_eq!((followed.point, followed.own, followed.alone, followed.late), (moving, true, 3, true));
+        assert_eq!((followed.point, followed.own, followed.missed, followed.late), (moving, true, 3, true));
         assert_eq!(commands.follow(9, &moving.after(3)).point, moving.after(3), "unless it went on by itself");
     }
 
@@ -308,7 +308,7 @@ mod tests {
         commands.push(5, 1, Point::at_rest(Q));
         let elsewhere = Point { q: Q.map(|q| q + 0.01), dq: [0.2; 7], ddq: [1.0; 7] };
         let followed = commands.follow(8, &elsewhere);
-        assert_eq!((followed.point, followed.own, followed.alone), (elsewhere, false, 2));
+        assert_eq!((followed.point, followed.own, followed.missed), (elsewhere, false, 2));
         let nowhere = Point { q: [f64::NAN; 7], ..elsewhere };
         assert!(commands.follow(8, &nowhere).point.is_finite());
         assert!(Commands::new(Q, F64).follow(1, &nowhere).point.is_finite());

@@ -4,7 +4,7 @@ use super::error::ConnectError;
 use super::hints;
 use super::settings::{RobotKind, Settings};
 use super::tcp::CommandLink;
-use super::udp::{Found, StateLink};
+use super::udp::{Received, StateLink};
 use super::wire::{
     COMMAND_PORT, CommandKind, Connect, ConnectStatus, Connected, Protocol, Request, Response, RobotModelStatus,
     RobotState, SetterStatus,
@@ -69,7 +69,7 @@ impl Session {
             waited: settings.connect_timeout,
             hint: match states.damaged() {
                 Some(bytes) => hints::damaged(protocol, bytes),
-                None => hints::no_states(&hints::way_to(address), protocol, port, states.stranger()),
+                None => hints::no_states(&hints::route_to(address), protocol, port, states.other_sender()),
             },
         })?;
         Ok(Session { protocol, commands, states, first, refused, timeout: settings.connect_timeout })
@@ -86,7 +86,7 @@ impl Session {
         }
     }
 
-    /// Sends a setter and judges its answer.
+    /// Sends a setter and checks its answer.
     pub fn set(&mut self, request: &Request) -> Result<(), ConnectError> {
         let command = request.kind();
         let payload = self.commands.call(self.protocol, request, self.timeout)?;
@@ -118,9 +118,9 @@ fn next_state(states: &mut StateLink, timeout: Duration) -> Option<RobotState> {
     let deadline = Instant::now() + timeout;
     loop {
         match states.receive(true) {
-            Found::State(state, _) => return Some(state),
-            Found::Broken => return None,
-            Found::Bad | Found::Foreign | Found::Nothing => {}
+            Received::State(state, _) => return Some(state),
+            Received::Broken => return None,
+            Received::Bad | Received::Foreign | Received::Nothing => {}
         }
         if Instant::now() >= deadline {
             return None;
@@ -137,7 +137,7 @@ fn attempt(settings: &Settings, protocol: Protocol) -> Result<Attempt, ConnectEr
     let address = settings.address;
     let timeout = settings.connect_timeout;
     let stream = TcpStream::connect_timeout(&SocketAddr::new(address, COMMAND_PORT), timeout).map_err(|cause| {
-        let hint = hints::unreachable(&hints::way_to(address), cause.kind());
+        let hint = hints::unreachable(&hints::route_to(address), cause.kind());
         ConnectError::Unreachable { address, cause, hint }
     })?;
     let cant = |what| move |cause| ConnectError::Socket { address, what, cause };
@@ -159,7 +159,7 @@ fn attempt(settings: &Settings, protocol: Protocol) -> Result<Attempt, ConnectEr
     })
 }
 
-/// As libfranka sets it: a peer that is gone is noticed after some four seconds.
+/// As libfranka sets it: a lost peer is detected after some four seconds.
 fn keep_alive(stream: &TcpStream) -> std::io::Result<()> {
     use rustix::net::sockopt;
     sockopt::set_socket_keepalive(stream, true)?;
@@ -186,7 +186,7 @@ fn set_options(settings: &Settings, socket: &UdpSocket) -> Vec<String> {
     if let Some(bytes) = settings.socket.receive_buffer {
         let set = rustix::net::sockopt::set_socket_recv_buffer_size(socket, bytes);
         note(format!("receive buffer of {bytes} bytes"), set.map_err(Into::into));
-        // Linux doubles the size asked for, and cuts it to net.core.rmem_max without a word.
+        // Linux doubles the size asked for, and cuts it to net.core.rmem_max silently.
         if let Ok(got) = rustix::net::sockopt::socket_recv_buffer_size(socket)
             && got < 2 * bytes
         {

@@ -1,12 +1,15 @@
 //! What a session with an arm is opened with.
 
-use super::gravity::PLAUSIBLE;
 use super::wire;
 use serde::Deserialize;
 use std::net::IpAddr;
 use std::time::Duration;
 
 pub use super::wire::{CollisionBehavior as Collision, Load};
+pub use plumbline_core::Purpose;
+
+/// Strengths that a gravity can have \[m/s2\].
+pub(super) const PLAUSIBLE_GRAVITY: std::ops::Range<f64> = 8.0..12.0;
 
 /// Which robot is expected: it decides the limits where the arm does not serve its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,15 +31,6 @@ pub enum Interface {
     JointVelocity,
     /// Joint torques from an impedance law in this program, see [`TorqueControl`].
     Torque,
-}
-
-/// Whether the arm may be moved.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Purpose {
-    /// The first read starts a motion, and every command is sent.
-    Drive,
-    /// States are read, no motion is ever started, and commands are ignored.
-    Watch,
 }
 
 /// The arm's own controller under a motion of positions or velocities.
@@ -78,7 +72,7 @@ impl Default for TorqueControl {
     }
 }
 
-/// What the sockets are asked for. What the system refuses is no error: it is listed in [`super::Info::refused_options`].
+/// Socket options. One that the system refuses is no error: it is listed in [`super::Info::refused_options`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SocketOptions {
     /// `SO_PRIORITY` of commands, 0 to 6 without further rights.
@@ -98,7 +92,8 @@ pub struct Settings {
     pub robot: RobotKind,
     /// What the commands hold.
     pub interface: Interface,
-    /// Whether the arm may be moved.
+    /// With [`Purpose::Drive`] the first read starts a motion and every command is sent; with [`Purpose::Monitor`] no motion is started, and
+    /// commands are ignored.
     pub purpose: Purpose,
     /// The arm's own controller, not used by [`Interface::Torque`].
     pub controller: Controller,
@@ -114,9 +109,9 @@ pub struct Settings {
     pub torque: TorqueControl,
     /// Gravity that the arm's own controller compensates, in the base frame, as declared \[m/s2\]; `None` takes `O_ddP_O` of the arm's state.
     pub compensates: Option<[f64; 3]>,
-    /// What the sockets are asked for.
+    /// Socket options.
     pub socket: SocketOptions,
-    /// Longest silence of the arm before a read gives up.
+    /// Timeout of a read without a state.
     pub state_timeout: Duration,
     /// Longest wait for any one answer at connection.
     pub connect_timeout: Duration,
@@ -169,7 +164,7 @@ impl Settings {
         positive("torque reach", &[self.torque.reach])?;
         if let Some(gravity) = self.compensates {
             let norm = gravity.iter().map(|x| x * x).sum::<f64>().sqrt();
-            if !PLAUSIBLE.contains(&norm) {
+            if !PLAUSIBLE_GRAVITY.contains(&norm) {
                 return Err(BadSetting { what: "compensates", value: norm, expected: "a gravity of 8 to 12 m/s2" });
             }
         }

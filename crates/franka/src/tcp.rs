@@ -1,4 +1,4 @@
-//! The command connection: one request and its answer at connection, and nonblocking looks at it while a motion runs.
+//! The command connection: one request and its answer at connection, nonblocking reads while a motion runs.
 
 use super::error::ConnectError;
 use super::wire::{
@@ -9,8 +9,8 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-/// Bytes of a message that are looked at while a motion runs: all answers of that time are shorter.
-const LOOK: usize = 64;
+/// Bytes of a message that are read while a motion runs: all answers of that time are shorter.
+const MAX_READ_BYTES: usize = 64;
 
 /// A connection and the numbers of its calls.
 #[derive(Debug)]
@@ -18,24 +18,24 @@ pub(super) struct CommandLink {
     stream: TcpStream,
     next_id: u32,
     /// Front of the message that is arriving.
-    message: [u8; LOOK],
+    message: [u8; MAX_READ_BYTES],
     filled: usize,
-    /// Bytes still to come of a message that is longer than is looked at.
+    /// Bytes still to come of a longer message, which are skipped.
     skip: usize,
 }
 
 /// The connection is of no use any more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Gone {
+pub(super) enum ConnectionLost {
     /// The arm or the network has closed it.
     Closed,
-    /// What came is no message of the protocol; it began with these bytes.
+    /// The bytes received are no message of the protocol; it began with these.
     Garbled([u8; HEADER_BYTES]),
 }
 
 impl CommandLink {
     pub fn new(stream: TcpStream) -> CommandLink {
-        CommandLink { stream, next_id: 0, message: [0; LOOK], filled: 0, skip: 0 }
+        CommandLink { stream, next_id: 0, message: [0; MAX_READ_BYTES], filled: 0, skip: 0 }
     }
 
     fn take_id(&mut self) -> u32 {
@@ -68,7 +68,7 @@ impl CommandLink {
             let header = Header::decode(&head, MAX_MESSAGE).map_err(garbled)?;
             let mut payload = vec![0; header.payload_bytes()];
             self.stream.read_exact(&mut payload).map_err(failed)?;
-            // Whatever answers an earlier call is of no interest any more.
+            // An answer to an earlier call is skipped.
             if header.command_id == id && Some(header.command) == command.number(protocol) {
                 return Ok(payload);
             }
@@ -82,26 +82,26 @@ impl CommandLink {
     }
 
     /// Sends a request without waiting; its number is what the answers will carry.
-    pub fn post(&mut self, protocol: Protocol, request: &Request) -> Result<u32, Gone> {
+    pub fn post(&mut self, protocol: Protocol, request: &Request) -> Result<u32, ConnectionLost> {
         let id = self.take_id();
         let mut bytes = [0; MAX_REQUEST];
-        let length = request.encode(protocol, id, &mut bytes).map_err(|_| Gone::Closed)?;
-        let bytes = bytes.get(..length).ok_or(Gone::Closed)?;
+        let length = request.encode(protocol, id, &mut bytes).map_err(|_| ConnectionLost::Closed)?;
+        let bytes = bytes.get(..length).ok_or(ConnectionLost::Closed)?;
         let flags = SendFlags::DONTWAIT | SendFlags::NOSIGNAL;
         match rustix::net::send(&self.stream, bytes, flags) {
             Ok(sent) if sent == length => Ok(id),
             // Half a request can't be taken back.
-            Ok(_) | Err(_) => Err(Gone::Closed),
+            Ok(_) | Err(_) => Err(ConnectionLost::Closed),
         }
     }
 
     /// The next answer to the call `id` of Move, if it is there; other answers are passed over.
-    pub fn move_answer(&mut self, protocol: Protocol, id: u32) -> Result<Option<MoveStatus>, Gone> {
+    pub fn move_answer(&mut self, protocol: Protocol, id: u32) -> Result<Option<MoveStatus>, ConnectionLost> {
         while let Some((header, length)) = self.arrived()? {
             if header.command_id != id || Some(header.command) != CommandKind::Move.number(protocol) {
                 continue;
             }
-            let payload = self.message.get(HEADER_BYTES..length).ok_or(Gone::Closed)?;
+            let payload = self.message.get(HEADER_BYTES..length).ok_or(ConnectionLost::Closed)?;
             match Response::decode(protocol, CommandKind::Move, payload) {
                 Ok(Response::Move(status)) => return Ok(Some(status)),
                 _ => return Err(self.garbled()),
@@ -110,19 +110,19 @@ impl CommandLink {
         Ok(None)
     }
 
-    /// Passes over whatever is there, to learn whether the connection still stands.
-    pub fn pass_over(&mut self) -> Result<(), Gone> {
+    /// Skips what has arrived, to learn whether the connection is still open.
+    pub fn skip_arrived(&mut self) -> Result<(), ConnectionLost> {
         while self.arrived()?.is_some() {}
         Ok(())
     }
 
     /// Header of the next message that is there in full, and how much of it is in `message`.
-    fn arrived(&mut self) -> Result<Option<(Header, usize)>, Gone> {
+    fn arrived(&mut self) -> Result<Option<(Header, usize)>, ConnectionLost> {
         loop {
             if self.skip > 0 {
                 let mut rest = [0; 256];
                 let most = self.skip.min(rest.len());
-                match self.receive_into(rest.get_mut(..most).ok_or(Gone::Closed)?)? {
+                match self.receive_into(rest.get_mut(..most).ok_or(ConnectionLost::Closed)?)? {
                     None => return Ok(None),
                     Some(got) => self.skip -= got.min(self.skip),
                 }
@@ -132,42 +132,43 @@ impl CommandLink {
             if self.filled >= HEADER_BYTES {
                 let header = self.header()?;
                 let size = header.size as usize;
-                wanted = size.min(LOOK);
+                wanted = size.min(MAX_READ_BYTES);
                 if self.filled == wanted {
                     self.filled = 0;
                     self.skip = size - wanted;
                     return Ok(Some((header, wanted)));
                 }
             }
-            let mut bytes = [0; LOOK];
-            let room = wanted.checked_sub(self.filled).and_then(|room| bytes.get_mut(..room)).ok_or(Gone::Closed)?;
+            let mut bytes = [0; MAX_READ_BYTES];
+            let room =
+                wanted.checked_sub(self.filled).and_then(|room| bytes.get_mut(..room)).ok_or(ConnectionLost::Closed)?;
             let Some(got) = self.receive_into(room)? else { return Ok(None) };
-            let fresh = bytes.get(..got).ok_or(Gone::Closed)?;
-            let place = self.message.get_mut(self.filled..self.filled + got).ok_or(Gone::Closed)?;
+            let fresh = bytes.get(..got).ok_or(ConnectionLost::Closed)?;
+            let place = self.message.get_mut(self.filled..self.filled + got).ok_or(ConnectionLost::Closed)?;
             place.copy_from_slice(fresh);
             self.filled += got;
         }
     }
 
-    fn header(&self) -> Result<Header, Gone> {
-        let head = self.message.first_chunk::<HEADER_BYTES>().ok_or(Gone::Closed)?;
+    fn header(&self) -> Result<Header, ConnectionLost> {
+        let head = self.message.first_chunk::<HEADER_BYTES>().ok_or(ConnectionLost::Closed)?;
         Header::decode(head, MAX_MESSAGE).map_err(|_| self.garbled())
     }
 
-    /// The message that is arriving is none.
-    fn garbled(&self) -> Gone {
-        self.message.first_chunk::<HEADER_BYTES>().map_or(Gone::Closed, |head| Gone::Garbled(*head))
+    /// The message that is arriving can't be decoded.
+    fn garbled(&self) -> ConnectionLost {
+        self.message.first_chunk::<HEADER_BYTES>().map_or(ConnectionLost::Closed, |head| ConnectionLost::Garbled(*head))
     }
 
     /// Bytes that are there now; `None` when there are none.
-    fn receive_into(&self, room: &mut [u8]) -> Result<Option<usize>, Gone> {
+    fn receive_into(&self, room: &mut [u8]) -> Result<Option<usize>, ConnectionLost> {
         loop {
             return match rustix::net::recv(&self.stream, &mut *room, RecvFlags::DONTWAIT) {
-                Ok((0, _)) => Err(Gone::Closed),
+                Ok((0, _)) => Err(ConnectionLost::Closed),
                 Ok((got, _)) => Ok(Some(got)),
                 Err(rustix::io::Errno::INTR) => continue,
                 Err(rustix::io::Errno::AGAIN) => Ok(None),
-                Err(_) => Err(Gone::Closed),
+                Err(_) => Err(ConnectionLost::Closed),
             };
         }
     }
@@ -184,7 +185,7 @@ mod tests {
         (CommandLink::new(client).into_nonblocking().unwrap(), listener.accept().unwrap().0)
     }
 
-    fn until(link: &mut CommandLink, id: u32) -> Result<MoveStatus, Gone> {
+    fn until(link: &mut CommandLink, id: u32) -> Result<MoveStatus, ConnectionLost> {
         let deadline = Instant::now() + Duration::from_secs(2);
         loop {
             match link.move_answer(Protocol::V10, id) {
@@ -220,18 +221,18 @@ mod tests {
         assert_eq!(until(&mut link, 7), Ok(MoveStatus::MotionStarted));
         assert_eq!(until(&mut link, 7), Ok(MoveStatus::Success));
         drop(sender.join().unwrap());
-        assert_eq!(until(&mut link, 7), Err(Gone::Closed));
+        assert_eq!(until(&mut link, 7), Err(ConnectionLost::Closed));
     }
 
     #[test]
     fn garbage_is_told_from_a_closed_connection_by_its_first_bytes() {
         let (mut link, mut server) = pair();
         server.write_all(b"HTTP/1.1 400 Bad Request").unwrap();
-        assert_eq!(until(&mut link, 0), Err(Gone::Garbled(*b"HTTP/1.1 400")));
+        assert_eq!(until(&mut link, 0), Err(ConnectionLost::Garbled(*b"HTTP/1.1 400")));
         let (mut link, mut server) = pair();
         let header = Header { command: 1, command_id: 0, size: 13 };
         server.write_all(&header.encode()).unwrap();
         server.write_all(&[99]).unwrap();
-        assert_eq!(until(&mut link, 0), Err(Gone::Garbled(header.encode())));
+        assert_eq!(until(&mut link, 0), Err(ConnectionLost::Garbled(header.encode())));
     }
 }

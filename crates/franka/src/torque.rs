@@ -21,7 +21,7 @@ use super::wire::RobotState;
 /// The arm differences a torque with the one that it holds: it repeats the last that reached it. Its state shows that one as `tau_J_d`
 /// (desired, without gravity, as commands are), so each torque stays within a cycle's rate of it, as in libfranka. A state may be a command
 /// behind, though: the torque stays within the rate of the one sent last, too. The two lie apart by one cycle's rate at most, because every
-/// torque is bound by both, so there is a torque that suits both; where the arm has gone its own way it is the arm's that counts.
+/// torque is bound by both, so there is a torque that suits both; where both contradict each other the arm's counts.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TorqueLaw {
     control: TorqueControl,
@@ -92,7 +92,7 @@ impl TorqueLaw {
     /// Where the next torque of joint `j` may be when the arm shows `shown`: within a cycle's rate of it and of the one sent last.
     fn window(&self, j: usize, shown: f64) -> (f64, f64) {
         let (sent, step) = (self.sent[j], self.step[j]);
-        // A state that is no number says nothing.
+        // A state with a NaN shows nothing.
         let shown = if shown.is_finite() { shown } else { sent };
         let (low, high) = (shown.max(sent) - step, shown.min(sent) + step);
         if low <= high { (low, high) } else { (shown - step, shown + step) }

@@ -17,8 +17,8 @@ use rustix::net::{RecvFlags, SendFlags};
 use std::net::{IpAddr, SocketAddr, UdpSocket};
 use std::time::Duration;
 
-/// A receive that finds nothing returns after this, so that its caller can look at the clock and at the other socket.
-pub(super) const SLICE: Duration = Duration::from_millis(10);
+/// A receive that finds nothing returns after this, so that its caller can check the clock and the other socket.
+pub(super) const RECEIVE_TIMEOUT: Duration = Duration::from_millis(10);
 
 /// The socket of a session.
 #[derive(Debug)]
@@ -27,7 +27,7 @@ pub(super) struct StateLink {
     arm: IpAddr,
     /// Where the last state came from, which is where commands go.
     peer: Option<SocketAddr>,
-    stranger: Option<IpAddr>,
+    other_sender: Option<IpAddr>,
     /// Bytes of the arm's last datagram that was no state.
     damaged: Option<usize>,
     protocol: Protocol,
@@ -35,16 +35,16 @@ pub(super) struct StateLink {
     buffer: [u8; MAX_STATE + 1],
 }
 
-/// What a look at the socket found.
+/// Result of a receive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 // It stays on the stack: a box would allocate in the loop.
 #[allow(clippy::large_enum_variant)]
-pub(super) enum Found {
+pub(super) enum Received {
     /// A state, and when the kernel took it in, on `CLOCK_MONOTONIC` \[ns\].
     State(RobotState, Option<u64>),
     /// A datagram of the arm that is no state.
     Bad,
-    /// A datagram of somebody else.
+    /// A datagram of another sender.
     Foreign,
     /// Nothing.
     Nothing,
@@ -53,17 +53,25 @@ pub(super) enum Found {
 }
 
 impl StateLink {
-    /// Takes states of the arm at `arm` from `socket`, whose receives give up after [`SLICE`] from now on.
+    /// Takes states of the arm at `arm` from `socket`, whose receives give up after [`RECEIVE_TIMEOUT`] from now on.
     pub fn new(socket: UdpSocket, arm: IpAddr, protocol: Protocol) -> std::io::Result<StateLink> {
-        socket.set_read_timeout(Some(SLICE))?;
+        socket.set_read_timeout(Some(RECEIVE_TIMEOUT))?;
         // The first question switches the kernel's time stamps on.
         datagram_age_ns(&socket);
-        Ok(StateLink { socket, arm, peer: None, stranger: None, damaged: None, protocol, buffer: [0; MAX_STATE + 1] })
+        Ok(StateLink {
+            socket,
+            arm,
+            peer: None,
+            other_sender: None,
+            damaged: None,
+            protocol,
+            buffer: [0; MAX_STATE + 1],
+        })
     }
 
     /// Who else has sent something.
-    pub fn stranger(&self) -> Option<IpAddr> {
-        self.stranger
+    pub fn other_sender(&self) -> Option<IpAddr> {
+        self.other_sender
     }
 
     /// Bytes of the arm's last datagram that was no state.
@@ -80,34 +88,34 @@ impl StateLink {
         self.protocol
     }
 
-    /// The next datagram; `wait` blocks for up to [`SLICE`].
-    pub fn receive(&mut self, wait: bool) -> Found {
+    /// The next datagram; `wait` blocks for up to [`RECEIVE_TIMEOUT`].
+    pub fn receive(&mut self, wait: bool) -> Received {
         let flags = if wait { RecvFlags::empty() } else { RecvFlags::DONTWAIT };
         let (length, from) = loop {
             match rustix::net::recvfrom(&self.socket, &mut self.buffer[..], flags) {
                 Ok((_, length, from)) => break (length, from),
                 Err(rustix::io::Errno::INTR) => continue,
-                Err(rustix::io::Errno::AGAIN) => return Found::Nothing,
-                // Something on the way told us that a command was not delivered; the next states say more.
-                Err(rustix::io::Errno::CONNREFUSED | rustix::io::Errno::HOSTUNREACH) => return Found::Nothing,
-                Err(_) => return Found::Broken,
+                Err(rustix::io::Errno::AGAIN) => return Received::Nothing,
+                // An ICMP message: a command was not delivered. The next states show it.
+                Err(rustix::io::Errno::CONNREFUSED | rustix::io::Errno::HOSTUNREACH) => return Received::Nothing,
+                Err(_) => return Received::Broken,
             }
         };
         let now = now_ns();
         let from = from.and_then(|from| SocketAddr::try_from(from).ok());
         let Some(from) = from.filter(|from| self.is_arm(from.ip())) else {
-            self.stranger = from.map(|from| from.ip()).or(self.stranger);
-            return Found::Foreign;
+            self.other_sender = from.map(|from| from.ip()).or(self.other_sender);
+            return Received::Foreign;
         };
         match RobotState::decode(self.protocol, self.buffer.get(..length).unwrap_or_default()) {
             Ok(state) => {
                 self.peer = Some(from);
                 let at = datagram_age_ns(&self.socket).map(|age| now.saturating_sub(age));
-                Found::State(state, at)
+                Received::State(state, at)
             }
             Err(_) => {
                 self.damaged = Some(length);
-                Found::Bad
+                Received::Bad
             }
         }
     }

@@ -153,7 +153,7 @@ fn a_franka_arm_allocates_nothing_whatever_happens_to_it() {
             });
             assert!(long, "{protocol} {interface:?} {troubles:?}: no long motion in five");
         }
-        let (allocations, cycles, _) = run_franka(protocol, JointPosition, Purpose::Watch, &[], false);
+        let (allocations, cycles, _) = run_franka(protocol, JointPosition, Purpose::Monitor, &[], false);
         assert_eq!((allocations, cycles), (0, 400));
     };
     // Each has an address of its own, each thread an account of its own, and most of the time all of them wait.

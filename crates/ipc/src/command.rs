@@ -6,7 +6,7 @@
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::error::IpcError;
-use plumbline_core::{Distribution, LoopStatistics, Phase};
+use plumbline_core::{Distribution, Link, LoopStatistics, Phase};
 
 /// Longest request. A model file of 1 MiB fits in even when every second character needs an escape.
 pub const MAX_REQUEST_BYTES: usize = 2 << 20;
@@ -99,7 +99,7 @@ pub struct Proposal {
 
 /// A proposed model that waits for a decision.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Held {
+pub struct HeldModel {
     /// Identity of the model.
     pub model: u64,
     /// Why it was proposed.
@@ -159,7 +159,7 @@ pub struct Status {
     pub model: u64,
     /// A proposed model that waits for `adopt` or `reject`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub offered: Option<Held>,
+    pub offered: Option<HeldModel>,
     /// Direction of gravity, as far as it is known.
     pub mounting: Option<Mounting>,
     /// Where that direction comes from, who agrees with it, and what has happened to it.
@@ -221,42 +221,6 @@ pub struct Session {
     /// The network to the robot; absent where there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub link: Option<Link>,
-}
-
-/// The connection to a robot over a network, by the session's own counts.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Link {
-    /// Robot, protocol version and system image, in words.
-    pub robot: String,
-    /// States received.
-    pub states: u64,
-    /// States that never arrived.
-    pub lost: u64,
-    /// States that arrived and were passed over, for a newer one was there when the loop looked.
-    pub passed_over: u64,
-    /// Packets that came out of order, twice or damaged.
-    pub odd: u64,
-    /// Commands that left late for the robot's next cycle.
-    pub late: u64,
-    /// Commands that the rate limiter changed.
-    pub limited: u64,
-    /// The robot's own share of commands that reached it in time, of the last 100 at a time: least and mean.
-    pub success: Option<[f64; 2]>,
-    /// From a state's being read to its command on the way.
-    pub turnaround: Distribution,
-    /// From a state's arrival at this machine to its being read.
-    pub wake: Distribution,
-    /// From a command on the way to the first state that shows it.
-    pub round_trip: Distribution,
-    /// From one state's arrival to the next one's.
-    pub interval: Distribution,
-    /// Direction of gravity in the base frame that the robot's sensors show, or its own constant without any; a unit vector.
-    pub gravity: Option<[f64; 3]>,
-    /// Gravity in the base frame that the robot's own controller compensates \[m/s2\].
-    #[serde(default)]
-    pub compensates: Option<[f64; 3]>,
-    /// What the robot stopped for, by its own names, what that comes from, and what the operator does next.
-    pub fault: Option<String>,
 }
 
 /// Direction of the gravitational acceleration in the base frame, paper eq. 3.
@@ -378,7 +342,7 @@ pub struct Follower {
 
 /// Writes `value` as JSON of at most `limit` bytes.
 pub(super) fn encode<T: Serialize>(what: &'static str, value: &T, limit: usize) -> Result<Vec<u8>, IpcError> {
-    let bytes = serde_json::to_vec(value).map_err(|error| IpcError::Garbled { what, reason: error.to_string() })?;
+    let bytes = serde_json::to_vec(value).map_err(|error| IpcError::Malformed { what, reason: error.to_string() })?;
     if bytes.len() > limit {
         return Err(IpcError::TooLong { what, bytes: bytes.len(), limit });
     }
@@ -390,7 +354,7 @@ pub(super) fn decode<T: DeserializeOwned>(what: &'static str, bytes: &[u8], limi
     if bytes.len() > limit {
         return Err(IpcError::TooLong { what, bytes: bytes.len(), limit });
     }
-    serde_json::from_slice(bytes).map_err(|error| IpcError::Garbled { what, reason: error.to_string() })
+    serde_json::from_slice(bytes).map_err(|error| IpcError::Malformed { what, reason: error.to_string() })
 }
 
 /// A phase by its name, as people read it.
@@ -444,7 +408,7 @@ mod tests {
         for code in 0..6 {
             let status = Status {
                 phase: Phase::from_u32(code).unwrap(),
-                offered: Some(Held { model: 7, proposal: Proposal { since: 30.0, ..Proposal::default() } }),
+                offered: Some(HeldModel { model: 7, proposal: Proposal { since: 30.0, ..Proposal::default() } }),
                 mounting: Some(Mounting { rho: 1.0, phi: 0.25, gravity: [0.0, 0.0, -9.81] }),
                 served: Served { followers: vec![Follower::default()], ..Served::default() },
                 ..Status::default()
@@ -470,7 +434,7 @@ mod tests {
         }
         for text in [r#"{"request":"stop","now":1}"#, r#"{"epoch":1}"#, r#"{"epoch":"a","request":"stop"}"#] {
             let error = decode::<Envelope>("request", text.as_bytes(), MAX_REQUEST_BYTES).unwrap_err();
-            assert!(matches!(error, IpcError::Garbled { .. }), "{text:?}: {error}");
+            assert!(matches!(error, IpcError::Malformed { .. }), "{text:?}: {error}");
         }
     }
 
@@ -485,7 +449,7 @@ mod tests {
     fn garbage_is_an_error() {
         for text in ["", "{", "null", "[]", r#"{"request":"dance"}"#, r#"{"request":"stop","now":1}"#, "\u{0}\u{1}"] {
             let error = decode::<Request>("request", text.as_bytes(), MAX_REQUEST_BYTES).unwrap_err();
-            assert!(matches!(error, IpcError::Garbled { .. }), "{text:?}: {error}");
+            assert!(matches!(error, IpcError::Malformed { .. }), "{text:?}: {error}");
         }
         let deep = "[".repeat(100_000);
         assert!(decode::<Request>("request", deep.as_bytes(), MAX_REQUEST_BYTES).is_err());

@@ -1,4 +1,4 @@
-//! Where a loop was, so that another can go on from there: what a replay of a recording begins with.
+//! State of a loop between two cycles, from which another loop continues: the start of a replay.
 //!
 //! Everything that the next command depends on is the motion under way and the last three commands: the planner's motions are planned again
 //! from the setpoint that they began at, and the guard differences three positions. So a checkpoint can be had from any four cycles in a row.
@@ -41,6 +41,6 @@ pub struct Checkpoint {
     pub doing: Doing,
     /// Its last three cycles, oldest first, consecutive.
     pub last: [Record; 3],
-    /// The model that it asks, and the one that takes its place when it breaks a limit.
+    /// The serving model, and its fallback.
     pub models: Succession<Box<dyn FeedForward>>,
 }

@@ -1,4 +1,4 @@
-//! Requests to the loop and its state at a glance: atomics alone, so that neither side ever waits for the other.
+//! Requests to the loop, and its state: atomics only, so that neither side waits for the other.
 //!
 //! `hil/loom/run.sh` runs it under every order in which two processors may see it.
 
@@ -19,20 +19,20 @@ pub struct Controls {
     lost: AtomicU64,
     late: AtomicU64,
     dropped_records: AtomicU64,
-    /// Goes on as long as somebody is there to hear the loop and to stop it.
-    pulse: AtomicU64,
+    /// Heartbeats of the supervisor: it takes the loop's events and can stop it.
+    heartbeats: AtomicU64,
 }
 
 impl Controls {
     /// Brakes the arm and waits for [`resume`](Controls::resume). Orders given so far are discarded.
     pub fn stop(&self) {
-        // A swap, as on the loop's side: read-modify-writes have one order, in which a stop can't slip between a look and its taking back.
+        // A swap, as on the loop's side: read-modify-writes have one order, in which a stop can't be lost between a read and its reset.
         self.stop.swap(true, Ordering::AcqRel);
     }
 
-    /// Says that the outside is alive; see [`CycleSettings::max_silence`](super::settings::CycleSettings::max_silence).
-    pub fn alive(&self) {
-        self.pulse.fetch_add(1, Ordering::Relaxed);
+    /// One heartbeat of the supervisor; see [`CycleSettings::heartbeat_timeout`](super::settings::CycleSettings::heartbeat_timeout).
+    pub fn heartbeat(&self) {
+        self.heartbeats.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Ends the loop: at once when the arm rests, after a controlled stop when it moves.
@@ -89,10 +89,10 @@ impl Controls {
         self.stop.swap(false, Ordering::AcqRel)
     }
 
-    /// Heartbeats given so far by [`alive`](Controls::alive).
+    /// Heartbeats so far.
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    pub fn pulse(&self) -> u64 {
-        self.pulse.load(Ordering::Relaxed)
+    pub fn heartbeats(&self) -> u64 {
+        self.heartbeats.load(Ordering::Relaxed)
     }
 
     #[cfg_attr(no_panic, no_panic::no_panic)]

@@ -2,21 +2,22 @@
 //!
 //! It runs on a thread of its own and is paced by the arm's blocking `read`. One pass per state: at most one order and one model are taken
 //! in, one command leaves, one record is made. Any failure of the arm ends the motion; any failure of a command ends in a controlled
-//! stop, and the loop then holds until an operator says otherwise.
+//! stop, and the loop then holds until an operator resumes it.
 //!
 //! - The feed-forward torque is the served model's at the desired setpoint, every cycle, at rest too. Models change between two cycles; the
-//!   torque gets from one model's to another's within the torque rate. A model whose torque breaks a limit is not asked again: the
+//!   torque gets from one model's to another's within the torque rate. A model whose torque breaks a limit is not evaluated again: the
 //!   one before it serves, or the torque goes back to zero ([`torque`](super::torque)).
 //! - A lost state is a cycle of the arm without an answer. Motions keep the arm's time: the next sample is the one that is due by
 //!   the arm's counter, and the guard differences over the time that really passed.
 
 use super::checkpoint::Checkpoint;
 use super::guard::{Guard, Violation};
-use super::motion::{Finished, Motion, seconds};
-use super::moves::{NoMotion, Planner};
-use super::order::{Event, Handles, Inlets, Order, OrderKind, Retired, StopReason, Told, rings};
+use super::motion::{Finished, Motion};
+use super::moves::{NoMotion, Planner, seconds};
+use super::order::{Event, Handles, Inlets, Order, OrderKind, StopReason, TimedEvent, rings};
 use super::os::now_ns;
 use super::recorder::Flight;
+use super::retired::Retired;
 use super::rights::{Granted, Rights, become_realtime};
 use super::settings::{CycleSettings, SetupError};
 use super::stats::{NotForward, Tally};
@@ -29,10 +30,10 @@ use plumbline_core::{
 /// How the loop ended.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum End {
-    /// It was asked to, and the arm was at rest.
+    /// It was requested, and the arm was at rest.
     #[error("ended on request, at rest")]
     Quit,
-    /// The arm could not go on.
+    /// The backend reported a fault.
     #[error("{0}")]
     Fault(Fault),
     /// The controlled stop itself broke a limit; the arm was stopped by its own means.
@@ -41,7 +42,7 @@ pub enum End {
     /// No controlled stop could be planned; the arm was stopped by its own means.
     #[error("no controlled stop from the last setpoint")]
     NoBrake,
-    /// The machine did not grant what was asked, and the settings want all of it: nothing was read or sent.
+    /// The machine did not grant the rights requested, and the settings require them: nothing was read or sent.
     #[error("not real-time, and the configuration refuses to run so")]
     NotRealTime,
     /// The arm's cycle counter did not go forward.
@@ -54,7 +55,7 @@ pub enum End {
     },
 }
 
-/// What the loop leaves behind.
+/// Result of the loop.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
     /// How it ended.
@@ -89,9 +90,9 @@ pub struct Cycle<B: Backend, S: Sink> {
     joints: usize,
     tracking: JointVec,
     max_lost: u64,
-    max_silence: Option<u64>,
-    /// The outside's last pulse, and the cycles of the arm since it.
-    heard: (u64, u64),
+    heartbeat_timeout: Option<u64>,
+    /// The outside's last heartbeats, and the cycles of the arm since it.
+    last_heartbeat: (u64, u64),
     rights: Rights,
     must_be_realtime: bool,
     inlets: Inlets,
@@ -134,8 +135,8 @@ pub fn new<B: Backend, S: Sink>(
         joints,
         tracking: settings.guard.tracking,
         max_lost: settings.max_consecutive_lost,
-        max_silence: settings.max_silence,
-        heard: (0, 0),
+        heartbeat_timeout: settings.heartbeat_timeout,
+        last_heartbeat: (0, 0),
         rights: settings.rights,
         must_be_realtime: settings.must_be_realtime,
         inlets,
@@ -160,7 +161,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
     /// Runs until something ends it; call it on the thread that is to be real-time.
     pub fn run(&mut self) -> Outcome {
         let granted = become_realtime(&self.rights);
-        // Said before the first cycle, so that everybody can know what this loop is worth while it runs.
+        // Published before the first cycle, so that the supervisor can report a degraded loop while it runs.
         let _ = self.inlets.granted.set(granted.clone());
         let watched = allocations_are_watched();
         let before = violation_count();
@@ -228,12 +229,12 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         let stamp_ns = now_ns();
         (self.stamp_ns, self.unanswered) = (stamp_ns, Some(state));
         let gap = self.arrived(&state, stamp_ns)?;
-        // Reference: where the motion is by the arm's clock, after hearing what the outside wants.
+        // Reference: requests first, then the motion's place by the arm's clock.
         self.advance(gap);
         self.listen(gap)?;
         // Feed-forward: the served model at the desired setpoint.
         let mut next = self.answer(state.seq);
-        // Guard: a command that breaks a limit is not sent; the first sample of the stop takes its place.
+        // Guard: a command that breaks a limit is not sent; the first sample of the stop is sent instead.
         if self.motion.is_stopping() {
             next = self.check_brake(gap, next, Some(&state))?;
         } else if let Err(violation) = self.guard.check(seconds(gap), &next.0, &next.1.asked, &state) {
@@ -251,7 +252,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         written.map_err(End::Fault)
     }
 
-    /// The sample of a stop that is sent. A stop goes on without a model that breaks limits; anything else it can't answer.
+    /// The sample of a stop that is sent. A stop continues without a model that breaks limits; any other violation ends the loop.
     fn check_brake(&mut self, gap: u64, next: Next, state: Option<&State>) -> Result<Next, End> {
         let mut next = next;
         // The model, the one before it, and none.
@@ -267,7 +268,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         }
     }
 
-    /// Counts the state; the first one says where the arm holds.
+    /// Counts the state; the first one is where the arm holds.
     fn arrived(&mut self, state: &State, stamp_ns: u64) -> Result<u64, End> {
         let first = self.tally.summary.cycles == 0;
         let gap = self.tally.arrived(state.seq, stamp_ns)?;
@@ -289,35 +290,35 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
             None => {}
             Some(Finished::Order { motion, reference }) => {
                 self.retire(reference);
-                self.tell(Event::Ended { motion });
+                self.emit(Event::Ended { motion });
             }
             Some(Finished::Brake) => {
                 self.inlets.controls.wait_for_permission();
-                self.tell(Event::Stopped);
+                self.emit(Event::Stopped);
             }
         }
     }
 
-    /// Takes in what the outside wants: permission, stop, one model, one order.
+    /// Takes requests: permission, stop, one model, one order.
     fn listen(&mut self, gap: u64) -> Result<(), End> {
         if let Some(reference) = self.leaving.take() {
             self.retire(Some(reference));
         }
         self.torque.hand_out(&mut self.inlets.retired);
         // The stop is looked at before the permission: one that was given after a permission would else meet an arm that still waits for it,
-        // count as carried out, and the arm would go on.
+        // count as carried out, and the arm would continue.
         let stop = self.inlets.controls.take_stop();
         let permission = self.inlets.controls.permission();
         if self.motion.is_stopped() && permission != self.permission {
             self.permission = permission;
             self.motion.resume();
-            self.tell(Event::Resumed);
+            self.emit(Event::Resumed);
         }
         let lost = gap.saturating_sub(1);
         if lost > self.max_lost {
             self.brake(StopReason::LostStates { lost }, gap)?;
         }
-        self.heed_silence(gap)?;
+        self.check_heartbeat(gap)?;
         if stop {
             self.brake(StopReason::Requested, gap)?;
         }
@@ -328,14 +329,14 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         self.take_order(gap)
     }
 
-    /// An arm that moves while nobody could stop it is braked. At rest it holds: that is where it is safe.
-    fn heed_silence(&mut self, gap: u64) -> Result<(), End> {
-        let pulse = self.inlets.controls.pulse();
-        let silent = if pulse == self.heard.0 { self.heard.1.saturating_add(gap) } else { 0 };
-        self.heard = (pulse, silent);
-        match self.max_silence {
-            Some(most) if silent > most && !self.motion.is_holding() => {
-                self.brake(StopReason::Unattended { cycles: silent }, gap)
+    /// Brakes a moving arm when the supervisor's heartbeat has timed out. At rest the arm holds.
+    fn check_heartbeat(&mut self, gap: u64) -> Result<(), End> {
+        let heartbeats = self.inlets.controls.heartbeats();
+        let cycles = if heartbeats == self.last_heartbeat.0 { self.last_heartbeat.1.saturating_add(gap) } else { 0 };
+        self.last_heartbeat = (heartbeats, cycles);
+        match self.heartbeat_timeout {
+            Some(most) if cycles > most && !self.motion.is_holding() => {
+                self.brake(StopReason::HeartbeatLost { cycles }, gap)
             }
             _ => Ok(()),
         }
@@ -349,7 +350,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         if let Ok(model) = self.inlets.models.pop() {
             let id = model.id();
             self.torque.serve(model, &mut self.inlets.retired);
-            self.tell(Event::Serving { model: id });
+            self.emit(Event::Serving { model: id });
         }
     }
 
@@ -376,7 +377,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         // Begun in either case, so that events and records name the order that the stop belongs to.
         match aim.and(self.motion.begin(permitted.order)) {
             Ok(()) => {
-                self.tell(Event::Started { motion });
+                self.emit(Event::Started { motion });
                 Ok(())
             }
             Err(reason) => self.brake(reason, gap),
@@ -385,7 +386,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
 
     fn discard(&mut self, order: Order) {
         self.tally.summary.discarded_orders += 1;
-        self.tell(Event::Discarded { motion: order.motion });
+        self.emit(Event::Discarded { motion: order.motion });
         if let OrderKind::Follow(reference) = order.kind {
             self.retire(Some(reference));
         }
@@ -398,7 +399,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         }
         self.stops = self.stops.saturating_add(1);
         self.last_stop = Some(reason);
-        self.tell(Event::Stopping { motion: self.motion.number(), reason });
+        self.emit(Event::Stopping { motion: self.motion.number(), reason });
         if let StopReason::Guard(violation) = reason {
             self.distrust(violation);
         }
@@ -407,13 +408,13 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         Ok(())
     }
 
-    /// A model to blame for `violation` is not asked again; whether there was one.
+    /// Rejects the serving model where its torque is the `violation`; whether it did.
     fn distrust(&mut self, violation: Violation) -> bool {
         if !violation.blames_model() {
             return false;
         }
         let Some((model, instead)) = self.torque.fall_back() else { return false };
-        self.tell(Event::Distrusted { model, instead });
+        self.emit(Event::Distrusted { model, instead });
         true
     }
 
@@ -465,16 +466,16 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
     }
 
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    fn tell(&mut self, event: Event) {
+    fn emit(&mut self, event: Event) {
         let cycle = self.tally.summary.cycles.saturating_sub(1);
-        let told = Told { cycle, seq: self.tally.last(), stamp_ns: self.stamp_ns, orders: self.orders, event };
-        if self.inlets.events.push(told).is_err() {
+        let timed = TimedEvent { cycle, seq: self.tally.last(), stamp_ns: self.stamp_ns, orders: self.orders, event };
+        if self.inlets.events.push(timed).is_err() {
             self.tally.summary.dropped_events += 1;
         }
     }
 }
 
-/// Whatever ends the loop's thread, a panic in a model included, the arm does not go on.
+/// Stops the arm however the loop's thread ends, by a panic in a model, too.
 impl<B: Backend, S: Sink> Drop for Cycle<B, S> {
     fn drop(&mut self) {
         self.backend.stop();

@@ -7,7 +7,7 @@
 //! |---|---|
 //! | the loop | [`cycle::new`], [`cycle::Cycle::run`], [`CycleSettings`] |
 //! | orders and events over lock-free rings | [`Order`], [`Event`], [`Handles`] |
-//! | stop, resume, quit, state at a glance | [`Controls`] |
+//! | stop, resume, quit, state | [`Controls`] |
 //! | limits of commands and states | [`Guard`], [`GuardSettings`], [`Violation`] |
 //! | feed-forward torque and the hand-over from model to model | [`Torques`], [`Succession`] |
 //! | records for the rest of the program | [`recorder`] |
@@ -17,7 +17,7 @@
 //! use plumbline_core::{Backend, Command, Fault, Limits, Phase, State};
 //! use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, Rights, cycle, recorder};
 //!
-//! /// An arm that is at once where it is told to be.
+//! /// An ideal arm: it reaches every commanded position at once.
 //! struct Ideal(State);
 //!
 //! impl Backend for Ideal {
@@ -48,7 +48,7 @@
 //! assert!(handles.orders.give(Order { motion: 1, kind: OrderKind::MoveTo { target, phase: Phase::Approach } }).is_ok());
 //! let outcome = std::thread::scope(|scope| {
 //!     let running = scope.spawn(|| cycle.run());
-//!     while !matches!(handles.events.pop().map(|told| told.event), Ok(Event::Ended { motion: 1 })) {
+//!     while !matches!(handles.events.pop().map(|timed| timed.event), Ok(Event::Ended { motion: 1 })) {
 //!         std::thread::yield_now();
 //!     }
 //!     handles.controls.quit();
@@ -77,6 +77,7 @@ mod moves;
 mod order;
 pub mod os;
 pub mod recorder;
+mod retired;
 mod rights;
 mod settings;
 mod stats;
@@ -88,7 +89,8 @@ pub use controls::Controls;
 pub use guard::{Guard, GuardSettings, Limit, Violation};
 pub use motion::braked_from;
 pub use moves::{MoveFactors, Planner};
-pub use order::{Event, Handles, Order, OrderKind, StopReason, Told};
-pub use rights::{Grant, Granted, Rights, become_realtime};
+pub use order::{Event, Handles, Order, OrderKind, StopReason, TimedEvent};
+pub use retired::Retired;
+pub use rights::{Grant, Granted, Rights, become_realtime, preempt_rt};
 pub use settings::{CycleSettings, SetupError};
-pub use torque::{Asked, Succession, Torques};
+pub use torque::{ModelTorques, Succession, Torques};

@@ -1,9 +1,9 @@
-//! What the loop is doing: every mode is a source of setpoints, so the loop itself knows no modes.
+//! The present motion. Every mode is a source of setpoints, so the loop itself has no modes.
 
 use super::checkpoint;
-use super::moves::{NoMotion, Planner};
+use super::moves::{NoMotion, Planner, seconds};
 use super::order::{Order, OrderKind, StopReason};
-use plumbline_core::{JointVec, LONGEST_ALONE, MAX_JOINTS, PERIOD, Phase, Record, Reference, Setpoint};
+use plumbline_core::{JointVec, MAX_JOINTS, MAX_MISSED_COMMANDS, Phase, Record, Reference, Setpoint};
 
 /// A reference may start this far from where the arm rests \[rad\]; more would be a step that no arm can follow.
 const START_TOLERANCE: f64 = 1e-6;
@@ -18,7 +18,7 @@ enum Doing {
 }
 
 impl Doing {
-    /// The number of samples is asked for once, and not in every cycle.
+    /// The number of samples is read once, not in every cycle.
     fn follow(reference: Box<dyn Reference>) -> Doing {
         let last_tick = reference.ticks().saturating_sub(1);
         Doing::Follow { reference, last_tick }
@@ -45,7 +45,7 @@ pub(super) struct Motion {
 }
 
 impl Motion {
-    /// Holds at zero until [`start`](Motion::start) says where.
+    /// Holds at zero until [`start`](Motion::start).
     pub fn new(joints: usize, planner: Planner) -> Motion {
         let joints = joints.min(MAX_JOINTS);
         Motion { joints, planner, doing: Doing::Hold, number: 0, tick: 0, last: Setpoint::default() }
@@ -123,13 +123,13 @@ impl Motion {
 
     /// Brakes from the setpoint sent last, `gap` cycles of the arm ago; the reference under way is done with.
     ///
-    /// Where states were lost the arm has gone on alone, at constant acceleration, as the FCI's does: the stop begins where that has brought
+    /// Where states were lost the arm has extrapolated at constant acceleration, as the FCI does: the stop begins where that has brought
     /// it, or the first sample would be a jump. Where no stop can begin there, it begins at what was sent, as if it had begun then.
     pub fn brake(&mut self, gap: u64) -> Result<Option<Box<dyn Reference>>, NoMotion> {
-        let alone = gap.saturating_sub(1).min(u64::from(LONGEST_ALONE));
-        let planned = match self.planner.stop(&gone_on(&self.last, seconds(alone))) {
+        let missed = gap.saturating_sub(1).min(u64::from(MAX_MISSED_COMMANDS));
+        let planned = match self.planner.stop(&extrapolate(&self.last, seconds(missed))) {
             Ok(()) => {
-                self.tick = gap - alone;
+                self.tick = gap - missed;
                 Ok(())
             }
             Err(NoMotion) => {
@@ -229,13 +229,13 @@ impl Motion {
 
 /// The setpoint that a stop began from whose first sample was number `tick`, `gap` cycles of the arm after `last` had been sent.
 pub fn braked_from(last: &Setpoint, gap: u64, tick: u64) -> Setpoint {
-    let alone = gap.saturating_sub(1).min(u64::from(LONGEST_ALONE));
-    if tick.saturating_add(alone) == gap { gone_on(last, seconds(alone)) } else { *last }
+    let missed = gap.saturating_sub(1).min(u64::from(MAX_MISSED_COMMANDS));
+    if tick.saturating_add(missed) == gap { extrapolate(last, seconds(missed)) } else { *last }
 }
 
 /// Where a setpoint leads at constant acceleration in `t` seconds.
 #[cfg_attr(no_panic, no_panic::no_panic)]
-fn gone_on(from: &Setpoint, t: f64) -> Setpoint {
+fn extrapolate(from: &Setpoint, t: f64) -> Setpoint {
     let mut to = *from;
     for j in 0..MAX_JOINTS {
         to.q[j] += t * (from.dq[j] + 0.5 * t * from.ddq[j]);
@@ -244,16 +244,12 @@ fn gone_on(from: &Setpoint, t: f64) -> Setpoint {
     to
 }
 
-/// Seconds in a number of the arm's cycles.
-pub(super) fn seconds(cycles: u64) -> f64 {
-    cycles as f64 * PERIOD
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::moves::MoveFactors;
     use super::*;
     use plumbline_core::Limits;
+    use plumbline_core::PERIOD_S;
 
     fn planner() -> Planner {
         let of = |value: f64| [value; MAX_JOINTS];
@@ -270,15 +266,15 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_begins_where_the_arm_has_gone_on_to_alone() {
+    fn a_stop_begins_where_the_arm_has_gone_on_to_missed() {
         let sent = Setpoint {
             q: [0.1, -0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
             dq: [0.5, -0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
             ddq: [4.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         };
-        // Cycles since the last command, cycles that the arm went on alone for, and the sample of the stop that is due.
-        for (gap, alone, tick) in [(1, 0.0, 1), (2, 1.0, 1), (8, 7.0, 1), (21, 20.0, 1), (26, 20.0, 6)] {
-            let t = alone * PERIOD;
+        // Cycles since the last command, cycles that the arm extrapolated, and the sample of the stop that is due.
+        for (gap, missed, tick) in [(1, 0.0, 1), (2, 1.0, 1), (8, 7.0, 1), (21, 20.0, 1), (26, 20.0, 6)] {
+            let t = missed * PERIOD_S;
             let mut from = sent;
             for j in 0..2 {
                 from.q[j] = sent.q[j] + sent.dq[j] * t + sent.ddq[j] * t * t / 2.0;

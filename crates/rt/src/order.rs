@@ -1,11 +1,12 @@
-//! What the loop and the rest of the program say to each other, over lock-free rings and atomics.
+//! Orders, models and events between the loop and its supervisor, over lock-free rings and atomics.
 //!
-//! [`Handles`] is the outside end. Nothing here ever blocks the loop; every box that the loop has done with travels back over the
+//! [`Handles`] is the outside end. Nothing here ever blocks the loop; every box that the loop no longer uses travels back over the
 //! `retired` ring, so that it is freed on the outside.
 
 pub use super::controls::Controls;
 
 use super::guard::Violation;
+use super::retired::Retired;
 use super::rights::Granted;
 use plumbline_core::{FeedForward, JointVec, Phase, Reference};
 use rtrb::{Consumer, Producer, PushError};
@@ -43,18 +44,10 @@ pub(super) struct Permitted {
     pub permission: u32,
 }
 
-/// Something the loop has done with; dropping it frees memory, so the loop hands it out.
-pub enum Retired {
-    /// A model that another has replaced.
-    Model(Box<dyn FeedForward>),
-    /// A motion that has ended, or an order that a stop discarded.
-    Reference(Box<dyn Reference>),
-}
-
 /// Why the arm was braked.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum StopReason {
-    /// The guard refused a command, or did not like what the arm measured.
+    /// A command or a measured state broke a limit of the guard.
     #[error("guard: {0}")]
     Guard(Violation),
     /// [`Controls::stop`] was called.
@@ -69,13 +62,13 @@ pub enum StopReason {
         /// Length of the run of lost states.
         lost: u64,
     },
-    /// Nobody has said for too long that he is there: whoever gives orders and could stop the arm may be gone.
-    #[error("the program around the loop was silent for {cycles} cycles")]
-    Unattended {
-        /// Cycles of the arm since it was heard of last.
+    /// The supervisor's heartbeat timed out: it may be unable to stop the arm.
+    #[error("the supervisor's heartbeat timed out: none for {cycles} cycles")]
+    HeartbeatLost {
+        /// Cycles of the arm since the last heartbeat.
         cycles: u64,
     },
-    /// A reference starts somewhere else than where the arm rests.
+    /// A reference does not start where the arm rests.
     #[error("motion {motion} starts {distance:.6} rad away from where joint {} rests", .joint + 1)]
     NotAtStart {
         /// Number of the motion.
@@ -85,7 +78,7 @@ pub enum StopReason {
         /// Signed distance \[rad\].
         distance: f64,
     },
-    /// Ruckig found no way from here to the target.
+    /// Ruckig found no motion from here to the target.
     #[error("no point-to-point motion was found for motion {motion}")]
     NoPath {
         /// Number of the motion.
@@ -131,14 +124,14 @@ pub enum Event {
     Distrusted {
         /// Its identity.
         model: u64,
-        /// Identity of the model that serves in its place, 0 for none until the next is handed over.
+        /// Identity of the model that serves instead, 0 for none until the next is handed over.
         instead: u64,
     },
 }
 
 /// An event and the cycle that it belongs to.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Told {
+pub struct TimedEvent {
     /// Number of the cycle, as in [`Record::cycle`](plumbline_core::Record::cycle).
     pub cycle: u64,
     /// The arm's counter in that cycle.
@@ -189,18 +182,18 @@ pub struct Handles {
     pub orders: Orders,
     /// Models into the loop.
     pub models: Models,
-    /// What the loop has done with. Drain it: a full ring keeps new orders and models waiting.
+    /// Boxes that the loop no longer uses. Drain it: a full ring keeps new orders and models waiting.
     pub retired: Consumer<Retired>,
     /// What happened, and when.
-    pub events: Consumer<Told>,
-    /// Stop, resume, quit, and the state at a glance.
+    pub events: Consumer<TimedEvent>,
+    /// Stop, resume, quit, and the loop's state.
     pub controls: Arc<Controls>,
-    /// What the operating system granted; empty until the loop's thread has asked, which is before its first cycle.
+    /// Rights that the operating system granted; empty until the loop's thread has requested them, before its first cycle.
     pub granted: Arc<OnceLock<Granted>>,
 }
 
 impl Handles {
-    /// Frees everything the loop has done with; the number of things freed.
+    /// Frees every box that the loop no longer uses; their number.
     pub fn free_retired(&mut self) -> usize {
         let mut freed = 0;
         while self.retired.pop().is_ok() {
@@ -215,7 +208,7 @@ pub(super) struct Inlets {
     pub orders: Consumer<Permitted>,
     pub models: Consumer<Box<dyn FeedForward>>,
     pub retired: Producer<Retired>,
-    pub events: Producer<Told>,
+    pub events: Producer<TimedEvent>,
     pub controls: Arc<Controls>,
     pub granted: Arc<OnceLock<Granted>>,
 }
@@ -226,13 +219,13 @@ pub(super) fn rings(orders: usize) -> (Inlets, Handles) {
     let (give, given) = rtrb::RingBuffer::new(orders.max(1));
     let (serve, served) = rtrb::RingBuffer::new(4);
     let (retire, retired) = rtrb::RingBuffer::new(orders + 16);
-    let (tell, told) = rtrb::RingBuffer::new(4 * orders + 256);
+    let (emit, emitted) = rtrb::RingBuffer::new(4 * orders + 256);
     let granted = Arc::new(OnceLock::new());
     let inlets = Inlets {
         orders: given,
         models: served,
         retired: retire,
-        events: tell,
+        events: emit,
         controls: Arc::clone(&controls),
         granted: Arc::clone(&granted),
     };
@@ -240,7 +233,7 @@ pub(super) fn rings(orders: usize) -> (Inlets, Handles) {
         orders: Orders { ring: give, controls: Arc::clone(&controls) },
         models: Models { ring: serve },
         retired,
-        events: told,
+        events: emitted,
         controls,
         granted,
     };

@@ -1,9 +1,7 @@
-//! What the loop asks of the operating system: a clock, absolute deadlines, a priority, socket options. The only unsafe code of the
-//! crate; what it asks for and what it is given is in [`super::rights`].
+//! What the loop needs of the operating system: a clock, absolute deadlines, a priority, socket options. The only unsafe code of the
+//! crate; rights requested and granted are in [`super::rights`].
 
 #![allow(unsafe_code)]
-
-pub use super::rights::{Grant, Granted, Rights, become_realtime, preempt_rt};
 
 use rustix::thread::ClockId;
 use rustix::time::{Timespec, clock_gettime};
@@ -79,7 +77,7 @@ pub(super) fn touch_stack() {
 /// Kernel's queueing priority of what a socket sends (`SO_PRIORITY`); above 6 it needs CAP_NET_ADMIN.
 ///
 /// # Errors
-/// What the system says.
+/// Answer of the system.
 pub fn set_socket_priority(socket: impl AsFd, priority: u32) -> io::Result<()> {
     set_socket_number(socket, libc::SO_PRIORITY, priority)
 }
@@ -87,7 +85,7 @@ pub fn set_socket_priority(socket: impl AsFd, priority: u32) -> io::Result<()> {
 /// How long a blocking receive polls the network card before it sleeps (`SO_BUSY_POLL`) \[us\]; raising it needs CAP_NET_ADMIN.
 ///
 /// # Errors
-/// What the system says.
+/// Answer of the system.
 pub fn set_socket_busy_poll(socket: impl AsFd, micros: u32) -> io::Result<()> {
     set_socket_number(socket, libc::SO_BUSY_POLL, micros)
 }
@@ -103,7 +101,7 @@ fn set_socket_number(socket: impl AsFd, option: libc::c_int, value: u32) -> io::
 
 /// `SIOCGSTAMPNS` of Linux (`asm-generic/sockios.h`), which the libc crate does not name.
 const SIOCGSTAMPNS: u32 = 0x8907;
-/// A datagram that seems older than this says that the real-time clock was set.
+/// Where a datagram seems older than this, the real-time clock was set.
 const OLDEST_NS: u64 = 10 * SECOND_NS;
 
 /// How long the datagram that was read last from `socket` had waited since the kernel took it in \[ns\]: what its reader slept through.
@@ -154,7 +152,7 @@ mod tests {
             assert!(age <= now_ns() - before + 5_000_000, "{age}");
             age
         };
-        // The kernel switches its own stamping on behind the scenes: the first datagrams may be stamped only when they are read.
+        // The kernel switches its time stamps on asynchronously: the first datagrams may be stamped only when they are read.
         assert!((0..50).any(|_| waited() >= 15_000_000), "no datagram aged");
         set_socket_priority(&receiver, 6).unwrap();
         assert!(set_socket_priority(&receiver, u32::MAX).is_err());

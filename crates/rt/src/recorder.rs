@@ -44,7 +44,7 @@ impl Drain {
         self.consumer.slots()
     }
 
-    /// Whether the loop's end is gone and nothing more will come.
+    /// Whether the loop's end was dropped: nothing more will come.
     pub fn is_over(&self) -> bool {
         self.consumer.is_abandoned() && self.consumer.is_empty()
     }

@@ -1,10 +1,10 @@
-//! Real-time rights: what the loop's thread asks of the machine, and what the machine really granted.
+//! Real-time rights: requested by the loop's thread, and granted by the machine.
 //!
 //! A call that succeeds is not yet a right: a container may swallow it, a later limit may take it back. So every grant is read back from the
 //! kernel before it is believed: the policy by `sched_getscheduler`, the locked pages by `VmLck` of `/proc/self/status`, the CPUs by
 //! `sched_getaffinity`, the kernel's kind by `/sys/kernel/realtime`.
 
-// It asks and reads back before the first cycle: what the walls keep out of the loop is at home here.
+// Rights are requested and read back before the first cycle: the lint walls of the loop do not apply here.
 #![allow(clippy::disallowed_methods)]
 
 use super::os::{Scheduling, now_ns, schedule_fifo, scheduling, touch_stack};
@@ -16,7 +16,7 @@ use std::io;
 /// Bit of `CAP_IPC_LOCK` in a capability mask.
 const CAP_IPC_LOCK: u64 = 1 << 14;
 
-/// What the loop's thread should ask for.
+/// Rights that a thread requests.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Rights {
     /// `SCHED_FIFO` priority, 1 to 99; `None` leaves the thread at normal priority.
@@ -44,11 +44,11 @@ impl Rights {
 /// What became of one request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Grant {
-    /// It was not asked for.
+    /// It was not requested.
     NotAsked,
-    /// It holds; the text says exactly what.
+    /// It holds; the details.
     Granted(String),
-    /// It does not hold; the text says why and what to change.
+    /// It does not hold; why, and what to change.
     Refused(String),
 }
 
@@ -127,7 +127,7 @@ fn fifo(priority: u8) -> Grant {
     fifo_by_kernel(priority, scheduling())
 }
 
-/// Holds what the kernel says against what was asked.
+/// Compares the kernel's answer with the request.
 fn fifo_by_kernel(priority: u8, found: io::Result<Scheduling>) -> Grant {
     match found {
         Ok(Scheduling { fifo: true, priority: held, reset_on_fork: true }) if held == i32::from(priority) => {

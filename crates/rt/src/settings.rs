@@ -12,16 +12,16 @@ pub struct CycleSettings {
     pub guard: GuardSettings,
     /// Share of the limits that point-to-point motions and the stop use.
     pub moves: MoveFactors,
-    /// Longest run of lost states that a motion goes on after.
+    /// Longest run of lost states after which a motion continues.
     pub max_consecutive_lost: u64,
-    /// Longest silence of the outside ([`Controls::alive`](super::controls::Controls::alive)) that a motion goes on in, in cycles of the
-    /// arm; `None` where nobody has to be there.
-    pub max_silence: Option<u64>,
+    /// Cycles of the arm without a [heartbeat](super::controls::Controls::heartbeat) after which a moving
+    /// arm is braked; `None` where no supervisor is required.
+    pub heartbeat_timeout: Option<u64>,
     /// Room for orders in the queue.
     pub queue: usize,
     /// Records kept for the outcome, whatever happens to the sink.
     pub flight: usize,
-    /// What the loop's thread asks of the operating system.
+    /// Rights that the loop's thread requests.
     pub rights: Rights,
     /// Whether the loop ends before its first cycle when one of these is refused, instead of running degraded.
     pub must_be_realtime: bool,
@@ -34,7 +34,7 @@ impl CycleSettings {
             guard,
             moves: MoveFactors::default(),
             max_consecutive_lost: 10,
-            max_silence: None,
+            heartbeat_timeout: None,
             queue: 64,
             flight: 200,
             rights: Rights::default(),

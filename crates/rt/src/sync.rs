@@ -1,4 +1,4 @@
-//! The atomics of the hand-overs, by one name, so that a model checker can put its own in their place (`hil/loom/`), and unit tests those that
+//! The atomics of the hand-overs under one name, so that a model checker can replace them (`hil/loom/`), and unit tests by those that
 //! let another thread act between any two accesses of this one.
 
 #[cfg(loom)]

@@ -1,12 +1,12 @@
-//! The feed-forward torque: which model is asked, and how the torque gets from one model's to another's.
+//! The feed-forward torque: the serving model, and the transition from one model's torque to another's.
 //!
 //! - A hand-over moves the torque to the new model's at a share of the torque-rate limit, joint by joint, from what was sent last (bumpless
 //!   transfer). It holds for the first model, for a change of gravity, for a withdrawal and for a fall-back alike.
 //! - A model whose torque breaks a limit is replaced by the one that served before it; without one the torque goes back to zero, in the same way.
-//! - While the arm brakes the torque follows the model within the whole rate limit: a stop within the jerk limit may ask for more.
+//! - While the arm brakes the torque follows the model within the whole rate limit: a stop within the jerk limit may need more.
 
-use super::order::Retired;
-use plumbline_core::{FeedForward, JointVec, MAX_JOINTS, PERIOD, Setpoint, Torque, Validity};
+use super::retired::Retired;
+use plumbline_core::{FeedForward, JointVec, MAX_JOINTS, PERIOD_S, Setpoint, Torque, Validity};
 use rtrb::{Producer, PushError};
 
 /// Share of the torque-rate limit that a hand-over uses.
@@ -32,25 +32,25 @@ impl Torques {
     }
 }
 
-/// What the serving model answered; zero while none serves.
+/// Torques of the serving model; zero while none serves.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Asked {
+pub struct ModelTorques {
     /// In this cycle.
     pub now: Torques,
-    /// The same model in the cycle before, where it was asked.
+    /// The same model in the cycle before, where it was evaluated.
     pub before: Option<Torques>,
 }
 
 /// The torque of one cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Answer {
-    pub asked: Asked,
+    pub asked: ModelTorques,
     /// What is sent.
     pub served: Torques,
     pub validity: Validity,
 }
 
-/// The model that serves, and the one that takes its place when it breaks a limit: the one that served before it.
+/// The serving model, and its fallback when it breaks a limit: the one that served before it.
 #[derive(Clone, Debug)]
 pub struct Succession<T> {
     serving: Option<(u64, T)>,
@@ -74,7 +74,7 @@ impl<T> Succession<T> {
         self.serving.as_ref().map(|(_, model)| model)
     }
 
-    /// The serving model, and the one behind it.
+    /// The serving model, and its fallback.
     pub fn into_parts(self) -> [Option<(u64, T)>; 2] {
         [self.serving, self.reserve]
     }
@@ -122,7 +122,7 @@ impl TorqueSource {
     pub fn new(joints: usize, dtau: &JointVec) -> TorqueSource {
         TorqueSource {
             joints: joints.min(MAX_JOINTS),
-            step: dtau.map(|dtau| dtau * PERIOD),
+            step: dtau.map(|dtau| dtau * PERIOD_S),
             models: Succession::default(),
             spent: [None, None],
             before: None,
@@ -132,7 +132,7 @@ impl TorqueSource {
         }
     }
 
-    /// Goes on after a cycle at `desired` that sent `sent`. The serving model is asked once more for it.
+    /// Continues after a cycle at `desired` that sent `sent`. The serving model is evaluated once more for it.
     pub fn restore(
         &mut self,
         models: Succession<Box<dyn FeedForward>>,
@@ -173,7 +173,7 @@ impl TorqueSource {
             (false, true) => Validity::Withdrawn,
             (false, false) => Validity::None,
         };
-        Answer { asked: Asked { now, before: self.before }, served, validity }
+        Answer { asked: ModelTorques { now, before: self.before }, served, validity }
     }
 
     /// `now`, or as near to it as the rate allows where the torque is on its way.
@@ -216,7 +216,7 @@ impl TorqueSource {
         (self.before, self.hand_over, self.withdrawn) = (None, true, id == 0);
     }
 
-    /// The serving model broke a limit. Gives its identity and that of the model that serves in its place, 0 for none; nothing where none served.
+    /// The serving model broke a limit. Returns its identity and that of its fallback, 0 for none; `None` where none served.
     pub fn fall_back(&mut self) -> Option<(u64, u64)> {
         let id = self.id();
         let broken = self.models.fall_back()?;

@@ -406,7 +406,7 @@ fn at_wall_clock_pace_every_deadline_is_met_or_counted() {
     let start = now_ns();
     let outcome = std::thread::scope(|scope| {
         let looping = scope.spawn(|| cycle.run());
-        while !handles.events.pop().is_ok_and(|told| told.event == Event::Ended { motion: 1 }) {
+        while !handles.events.pop().is_ok_and(|timed| timed.event == Event::Ended { motion: 1 }) {
             std::thread::yield_now();
         }
         handles.controls.quit();

@@ -2,7 +2,7 @@
 
 use plumbline_core::{Command, FeedForward, JointVec, MAX_JOINTS, Phase, Record, Setpoint, State, Torque, Validity};
 use plumbline_rt::cycle::End;
-use plumbline_rt::{Asked, Event, Guard, Handles, Limit, StopReason, Torques, Violation};
+use plumbline_rt::{Event, Guard, Handles, Limit, ModelTorques, StopReason, Torques, Violation};
 use plumbline_testkit::fake_arm::drive::{Job, READY, Run, Wave, follow, panda_limits};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -308,7 +308,7 @@ fn the_guard_refuses_a_torque_that_jumps_in_motion_and_in_the_brake() {
         let Torques { tau_ff, tau_vendor } = torques(tau);
         Command { desired: Setpoint { q: READY, ..Setpoint::default() }, tau_ff, tau_vendor, ..Command::default() }
     };
-    let asked = |tau: f64| Asked { now: torques(tau), before: None };
+    let asked = |tau: f64| ModelTorques { now: torques(tau), before: None };
     let state = State { q: READY, ..State::default() };
     for (tau, allowed) in [(0.99, true), (1.01, false), (-1.01, false)] {
         let made = || {

@@ -9,6 +9,7 @@
 //! | `commands`, `plant` | the controller's smooth target; the integration of everything |
 //! | `sensors`, `gate` | noise, faults and loss; back-pressure at full speed |
 //! | `response` | a periodic motion at once, without a loop |
+//! | `connector` | the arm as a backend of the daemon |
 //! | `hardware` | the arm alone, for a program that is the robot around it |
 //!
 //! It takes positions: `desired.q` of a command, nothing else. A motion begins with the first command, which must be where the arm stands.
@@ -38,6 +39,7 @@
 
 mod aba;
 mod commands;
+mod connector;
 mod effect;
 mod gate;
 mod hardware;
@@ -47,6 +49,7 @@ mod sensors;
 mod spatial;
 mod truth;
 
+pub use connector::SimConnector;
 pub use gate::Gate;
 pub use hardware::{Hardware, Sensed};
 pub use plant::Exact;
@@ -57,7 +60,7 @@ use commands::{Commands, Objection, TICK_S};
 use effect::Effect;
 use nalgebra::Vector3;
 use plant::{MAX_STATES, Plant};
-use plumbline_core::{Backend, BadInput, Clock, Command, Fault, JointVec, LONGEST_ALONE, State};
+use plumbline_core::{Backend, BadInput, Clock, Command, Fault, JointVec, MAX_MISSED_COMMANDS, State};
 use plumbline_model::{Chain, Mounting};
 use sensors::{Faults, Losses, Sensors};
 use std::sync::Arc;
@@ -185,19 +188,19 @@ impl SimArm {
         seed: u64,
         pace: Pace,
     ) -> Result<SimArm, SimError> {
-        SimArm::with_effects(chain, truth, mounting, start, seed, pace, truth.build_effects())
+        SimArm::with_effects(chain, truth, mounting.gravity(), start, seed, pace, truth.build_effects())
     }
 
     fn with_effects(
         chain: &Chain,
         truth: &Truth,
-        mounting: Mounting,
+        gravity: Vector3<f64>,
         start: JointVec,
         seed: u64,
         pace: Pace,
         effects: Vec<Box<dyn Effect>>,
     ) -> Result<SimArm, SimError> {
-        let (n, gravity) = (chain.len(), mounting.gravity());
+        let n = chain.len();
         check(chain, truth, &gravity, &start, &effects)?;
         Ok(SimArm {
             joints: n,
@@ -210,7 +213,7 @@ impl SimArm {
             mode: Mode::Idle,
             pending: None,
             missing: 0,
-            patience: LONGEST_ALONE,
+            patience: MAX_MISSED_COMMANDS,
             seq: 0,
             exact: Exact::default(),
             origin_ns: None,
@@ -225,7 +228,7 @@ impl SimArm {
 
     /// Whether it has missed commands and forgives that.
     fn forgives(&self) -> bool {
-        self.patience > LONGEST_ALONE && self.missing > 0 && self.mode == Mode::Moving
+        self.patience > MAX_MISSED_COMMANDS && self.missing > 0 && self.mode == Mode::Moving
     }
 
     /// The arm's exact motion at the state read last, for comparisons; no real arm has this.

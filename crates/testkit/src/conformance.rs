@@ -3,7 +3,7 @@
 //! `make` connects a fresh arm at rest; it is called several times, each arm is dropped before the next is made. A broken promise panics
 //! and says which. The arm moves by a few hundredths of a radian about where it stands. At 1 kHz the suite takes about three seconds.
 
-use plumbline_core::{Backend, Command, Fault, JointVec, LONGEST_ALONE, Setpoint, State};
+use plumbline_core::{Backend, Command, Fault, JointVec, MAX_MISSED_COMMANDS, Setpoint, State};
 
 /// How far an arm that holds still may be off \[rad\].
 const HOLD: f64 = 2e-3;
@@ -68,7 +68,7 @@ fn follows_a_small_motion(mut arm: impl Backend) {
         send(&mut arm, &last, desired).expect("a slow motion is not refused");
         let state = next(&mut arm);
         // Whoever comes late by more finds the arm further on, where nobody had told it to be.
-        if state.seq - last.seq <= u64::from(LONGEST_ALONE) {
+        if state.seq - last.seq <= u64::from(MAX_MISSED_COMMANDS) {
             assert_near(&state.q, &desired.q, TRACK, joints, "following");
         }
         last = state;

@@ -1,12 +1,12 @@
 //! The whole loop on a Franka arm over real sockets: to the start of an excitation, through one period of it, and to an orderly end.
 
-use plumbline_core::{FeedForward, JointVec, Phase, Record};
+use plumbline_core::{ArmLimits, FeedForward, JointVec, Phase, Record};
 use plumbline_excite::{Fourier, PeriodicMotion, parse_plan};
 use plumbline_franka::{ConnectError, Connection, FrankaArm, Settings, Statistics, connect, explain, recover};
+use plumbline_rt::Rights;
 use plumbline_rt::cycle::{End, Outcome};
-use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::ring;
-use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, StopReason, Told, cycle};
+use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, StopReason, TimedEvent, cycle};
 use std::time::{Duration, Instant};
 
 /// What a run left behind.
@@ -73,7 +73,7 @@ pub fn drive_serving(
     let motion = PeriodicMotion::new(fourier, 1).unwrap();
     let mut start = JointVec::default();
     (0..7).for_each(|j| start[j] = fourier.at(j, 0.0).q);
-    let (limits, envelope) = connection.info.limits.for_guard();
+    let ArmLimits { limits, envelope, .. } = connection.info.limits.for_guard(1.0);
     let guard = GuardSettings { limits, envelope, workspace: None, tracking: [0.2; 8] };
     // A test machine is no robot PC: what it loses is for the arm to judge, not for the loop; and what it grants in priority, it grants.
     let rights = Rights { priority: Some(10), ..Rights::NONE };
@@ -94,7 +94,7 @@ pub fn drive_serving(
     let deadline = Instant::now() + most;
     let mut ended = false;
     while !loop_thread.is_finished() && Instant::now() < deadline {
-        while let Ok(Told { event, .. }) = handles.events.pop() {
+        while let Ok(TimedEvent { event, .. }) = handles.events.pop() {
             ended |= event == (Event::Ended { motion: 3 });
             if matches!(event, Event::Stopping { .. } | Event::Stopped) {
                 handles.controls.quit();

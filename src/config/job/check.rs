@@ -1,7 +1,7 @@
 //! Ranges of a job's values, and the limits that come out of it for one robot.
 
 use super::{BackendKind, Franka, Job, Limits, OwnLimits, Workspace};
-use plumbline_core::{BadInput, JointVec, LONGEST_ALONE, MAX_JOINTS};
+use plumbline_core::{BadInput, JointVec, MAX_JOINTS, MAX_MISSED_COMMANDS};
 use plumbline_excite::Margins;
 use plumbline_identify::{Settings, solve};
 
@@ -151,7 +151,7 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
         return bad("safety.tracking-error", &format!("{} rad", job.safety.tracking_error), "above 0, at most 1 rad");
     }
     // A Franka that is told nothing for longer has stopped by itself before the loop could.
-    let most = if job.backend.franka.is_some() { LONGEST_ALONE - 1 } else { 1000 };
+    let most = if job.backend.franka.is_some() { MAX_MISSED_COMMANDS - 1 } else { 1000 };
     if !(1..=most).contains(&job.safety.max_lost) {
         return bad("safety.max-lost", &job.safety.max_lost, &format!("1 to {most} states"));
     }

@@ -2,8 +2,8 @@
 
 use crate::config::units;
 use nalgebra::Matrix3;
-use plumbline_core::{BadInput, symmetric_eigen};
-use plumbline_franka::{Controller, Interface, RobotKind, TorqueControl};
+use plumbline_core::{BadInput, Purpose, symmetric_eigen};
+use plumbline_franka::{Controller, FrankaConnector, Interface, RobotKind, TorqueControl};
 use plumbline_model::Mounting;
 use serde::de::value::SeqAccessDeserializer;
 use serde::de::{Error, SeqAccess, Unexpected, Visitor};
@@ -217,15 +217,23 @@ impl Franka {
         }
     }
 
+    /// The arm as a backend.
+    ///
+    /// # Errors
+    /// A job for a robot that is no Franka.
+    pub fn connector(&self, job: &super::Job) -> Result<FrankaConnector, BadInput> {
+        let max_recoveries = match self.recovery {
+            Recovery::Operator => 0,
+            Recovery::Automatic => self.max_recoveries,
+        };
+        Ok(FrankaConnector { settings: self.settings(job, Purpose::Drive)?, max_recoveries })
+    }
+
     /// What a session with the arm is opened with.
     ///
     /// # Errors
     /// A job for a robot that is no Franka.
-    pub fn settings(
-        &self,
-        job: &super::Job,
-        purpose: plumbline_franka::Purpose,
-    ) -> Result<plumbline_franka::Settings, BadInput> {
+    pub fn settings(&self, job: &super::Job, purpose: Purpose) -> Result<plumbline_franka::Settings, BadInput> {
         let robot = Franka::robot(job)?;
         let Collision { contact_torque, collision_torque, contact_force, collision_force } = self.collision;
         let Socket { priority, busy_poll, receive_buffer } = self.socket;

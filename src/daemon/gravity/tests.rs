@@ -1,39 +1,12 @@
 use super::*;
-use crate::inclinometer::attitude::Attitude;
 use crate::store::ModelFile;
-use nalgebra::Matrix3;
 use plumbline_core::JointVec;
+use plumbline_ipc::now_ns;
 use plumbline_model::Robot;
 use plumbline_model::term::Sample;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType};
 use std::os::fd::OwnedFd;
 use std::path::Path;
-
-const STILL: f64 = 2e-3;
-
-/// A base that leans by `tilt` \[rad\].
-fn leaning(tilt: f64) -> Option<Reading> {
-    let gravity = Vector3::new(tilt.sin(), 0.0, -tilt.cos()) * 9.80665;
-    let attitude = Attitude { gravity, covariance: Matrix3::identity() * 1e-8 };
-    Some(Reading { at: 0, attitude, raw: attitude, still: true })
-}
-
-#[test]
-fn a_base_turns_against_what_was_measured_first_in_its_motion() {
-    let mut during = During { motion: 1, reading: leaning(0.0), moved: false };
-    assert_eq!(during.turned(leaning(0.9 * STILL), STILL), None);
-    assert_eq!(during.turned(None, STILL), None);
-    let by = during.turned(leaning(1.5 * STILL), STILL).unwrap();
-    assert!((by - 1.5 * STILL).abs() < 1e-9, "{by}");
-}
-
-#[test]
-fn a_motion_that_began_without_a_reading_is_watched_from_the_first_one_on() {
-    let mut during = During { motion: 1, reading: None, moved: false };
-    assert_eq!(during.turned(None, STILL), None);
-    assert_eq!(during.turned(leaning(0.1), STILL), None);
-    assert!(during.turned(leaning(0.1 + 1.5 * STILL), STILL).is_some());
-}
 
 const JOB: &str = "robot = \"panda\"\nmounting = \"upright\"\n[backend]\nkind = \"sim\"\narm = \"sim-panda\"\npace = \"wall-clock\"\n";
 /// Stretched straight up: the torques say next to nothing of gravity.
@@ -48,29 +21,36 @@ fn accepted() -> Accepted {
     Accepted { id: 1, model: ModelFile::parse(path, &text, chain).unwrap().model, text, noise: vec![20.0; 7] }
 }
 
+/// Decides, and takes the decision over.
+fn verdict(monitor: &mut GravityMonitor, model: &Accepted) -> Verdict {
+    let decision = monitor.decide(model);
+    monitor.apply(&decision);
+    decision.verdict
+}
+
 /// The arm rests at `q` as it does in `mounting`.
-fn rest(watch: &mut Watch, model: &Accepted, mounting: &Mounting, q: JointVec) {
+fn rest(monitor: &mut GravityMonitor, model: &Accepted, mounting: &Mounting, q: JointVec) {
     let tau = model.model.evaluator(&mounting.gravity()).torque(&Sample { q, ..Sample::default() }).0;
     let mut record = Record { phase: Phase::Hold, ..Record::default() };
     (record.state.q, record.state.tau, record.command.desired.q) = (q, tau, q);
-    watch.take(&vec![record; 400]);
+    monitor.take(&vec![record; 400]);
 }
 
 #[test]
 fn torques_that_tell_nothing_end_the_wait_and_not_the_questions() {
     let job = Job::parse(Path::new("job.toml"), JOB, &[]).unwrap();
-    let (mut watch, model) = (Watch::open(&job).unwrap(), accepted());
-    assert!(matches!(watch.verdict(&model), Verdict::Wait(_)));
-    rest(&mut watch, &model, &Mounting::UPRIGHT, STRAIGHT);
-    assert!(matches!(watch.verdict(&model), Verdict::Serve(_)), "{:?}", watch.said);
+    let (mut monitor, model) = (GravityMonitor::open(&job).unwrap(), accepted());
+    assert!(matches!(verdict(&mut monitor, &model), Verdict::Wait));
+    rest(&mut monitor, &model, &Mounting::UPRIGHT, STRAIGHT);
+    assert!(matches!(verdict(&mut monitor, &model), Verdict::Serve(_)), "{:?}", monitor.refused());
     // An arm that hangs on a wall, as its next poses tell.
     for k in 0..8 {
         let mut q = READY;
         q[0] += 0.1 * f64::from(k);
-        rest(&mut watch, &model, &Mounting::WALL, q);
+        rest(&mut monitor, &model, &Mounting::WALL, q);
     }
-    let verdict = watch.verdict(&model);
-    assert!(matches!(&verdict, Verdict::Refuse(why) if why.contains("torques at rest")), "{verdict:?}");
+    let last = verdict(&mut monitor, &model);
+    assert!(matches!(&last, Verdict::Refuse(why) if why.to_string().contains("torques at rest")), "{last:?}");
 }
 
 /// A socket that stands for a bus on which nobody answers.
@@ -94,18 +74,18 @@ fn an_inclinometer_that_is_not_up_yet_decides_as_one_that_is_lost() {
             path.display()
         );
         let job = Job::parse(Path::new("job.toml"), &format!("{JOB}{more}"), &[]).unwrap();
-        let (mut watch, model) = (Watch::open(&job).unwrap(), accepted());
+        let (mut monitor, model) = (GravityMonitor::open(&job).unwrap(), accepted());
         // Before the daemon has looked at it for the first time, and after that.
         for _ in 0..2 {
-            match watch.verdict(&model) {
+            match verdict(&mut monitor, &model) {
                 Verdict::Serve(gravity) => assert!(is_served && gravity == Mounting::UPRIGHT.gravity(), "{gravity}"),
                 Verdict::Refuse(why) => {
-                    assert!(!is_served && why.contains("inclinometer.on-loss = \"refuse\""), "{why}")
+                    assert!(!is_served && why.to_string().contains("inclinometer.on-loss = \"refuse\""), "{why}")
                 }
-                Verdict::Wait(why) => panic!("{why}"),
+                Verdict::Wait => panic!("waits"),
             }
-            assert_eq!(watch.refusal().is_some(), !is_served);
-            watch.tick(now_ns(), false);
+            assert_eq!(monitor.refusal().is_some(), !is_served);
+            monitor.poll(now_ns(), false);
         }
     }
 }
@@ -119,12 +99,15 @@ fn a_vertical_model_is_refused_where_the_arm_compensates_another_gravity_than_al
     let values = vec![(0.5, None); structure.columns().len()];
     let model = plumbline_model::TorqueModel::new("panda", structure, vec![Mounting::UPRIGHT], &values).unwrap();
     let model = Accepted { id: 1, model, text: String::new(), noise: vec![20.0; 7] };
-    let mut watch = Watch::open(&job).unwrap();
+    let mut monitor = GravityMonitor::open(&job).unwrap();
     for (vendor, served) in [(Mounting::UPRIGHT, true), (Mounting::CEILING, true), (Mounting::WALL, false)] {
-        watch.connect(Mounting::UPRIGHT, None, vendor.gravity(), false);
-        match watch.verdict(&model) {
+        monitor.connect(Mounting::UPRIGHT, None, vendor.gravity(), false);
+        match verdict(&mut monitor, &model) {
             Verdict::Refuse(why) => {
-                assert!(!served && why.contains("VBS") && why.contains("not in the mounting wall"), "{why}")
+                assert!(
+                    !served && why.to_string().contains("VBS") && why.to_string().contains("not in the mounting wall"),
+                    "{why}"
+                )
             }
             other => assert!(served, "{other:?}"),
         }

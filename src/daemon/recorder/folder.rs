@@ -40,7 +40,7 @@ impl Folder {
     }
 
     /// Removes the oldest recordings of this robot and of the `fresh` one's sort beyond those that are kept: on demand ones never remove what a
-    /// fault has left. The `fresh` one is kept whatever the clock says: after it was
+    /// fault has left. The `fresh` one is kept whatever the clock: after the clock was
     /// set back, the newest file has the oldest time.
     fn prune(&self, fresh: &Path) -> io::Result<()> {
         let on_demand = |path: &Path| self.kind(path).is_some_and(|kind| kind.starts_with(ON_DEMAND));
@@ -58,13 +58,13 @@ impl Folder {
         let surplus = (others.len() + 1).saturating_sub(keep);
         for (_, path) in others.iter().take(surplus) {
             std::fs::remove_file(path)?;
-            // Its page, where somebody has made one.
+            // Its page, where there is one.
             let _ = std::fs::remove_file(path.with_extension("html"));
         }
         Ok(())
     }
 
-    /// What the name of a recording says after its time, `guard-2`, where it is one of this robot, `panda`, and not of another one that is
+    /// The part of a recording's name after its time, `guard-2`, where it is one of this robot, `panda`, and not of another one that is
     /// called `panda-left`.
     fn kind<'p>(&self, path: &'p Path) -> Option<&'p str> {
         let name = path.file_name()?.to_str()?;

@@ -1,22 +1,21 @@
 //! The flight recorder: keeps the last seconds of the running loop, and writes them to disk after a fault.
 //!
-//! It has a thread of its own, started before anything asks for priority. The bridge thread copies every record into a ring of that thread's
+//! It has a thread of its own, started before any thread has a real-time priority. The bridge thread copies every record into a ring of that thread's
 //! and never waits for it, unless simulated time does; a disk that is slow, full or read-only costs the recording and nothing else.
 
-mod deck;
 mod folder;
+mod thread;
 
-use super::desk::Desk;
+use super::job_setup::JobSetup;
 use crate::config::job::Job;
 use crate::recording::about::{About, FORMAT, Given, Handed, LogClock, Reason, Settings, panicked};
 use crate::recording::history::History;
-use deck::{Deck, work};
 use folder::Folder;
 use plumbline_core::{BadInput, Fault, Record, State};
 use plumbline_ipc::RobotId;
 use plumbline_model::{Mounting, Robot};
 use plumbline_rt::cycle::{End, Outcome};
-use plumbline_rt::{Controls, CycleSettings, Told};
+use plumbline_rt::{Controls, CycleSettings, TimedEvent};
 use rtrb::{Producer, RingBuffer};
 use sha2::{Digest, Sha256};
 use std::path::Path;
@@ -25,27 +24,28 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+use thread::{RecorderThread, work};
 
 /// Records between the bridge thread and the recorder's: four seconds.
 const RING: usize = 4096;
-/// How often the recorder looks after its ring.
+/// Pause between two polls of the ring.
 const PAUSE: Duration = Duration::from_millis(5);
 /// Pause after a recording on demand \[ns\].
-const BETWEEN_NS: u64 = 2_000_000_000;
+const ON_DEMAND_PAUSE_NS: u64 = 2_000_000_000;
 /// How long the end of the program may take because of recordings: with the stop before it, less than systemd's `TimeoutStopSec`.
-const LAST_WRITE: Duration = Duration::from_secs(8);
+const LAST_WRITE_TIMEOUT: Duration = Duration::from_secs(8);
 /// Room behind the fault: no stop takes this long \[cycles\].
 const STOP: usize = 5000;
 
-/// What the recorder's thread hears.
+/// Messages to the recorder's thread.
 enum Message {
-    Open(Box<Deck>),
-    Told(Told),
+    Open(Box<RecorderThread>),
+    Event(TimedEvent),
     Order(Given),
     Model(Handed, String),
     Note(String),
-    /// The next stop that is asked for has this reason.
-    Blame(Reason),
+    /// Reason of the next requested stop.
+    StopReason(Reason),
     /// A recording on demand, with the newest record that was kept before this was sent.
     OnDemand(u64),
     Close(Box<Close>),
@@ -53,23 +53,23 @@ enum Message {
 
 /// The end of a loop.
 struct Close {
-    /// `None` when there is nothing to tell.
+    /// `None` for an end without a fault.
     reason: Option<Reason>,
     end: String,
     next: Vec<String>,
     goes_on: bool,
-    untold: u64,
+    dropped_events: u64,
     flight: Vec<Record>,
     unanswered: Option<State>,
 }
 
 /// What was left behind by the loop's thread.
-pub enum Left {
+pub enum LoopEnd {
     /// The loop ended by itself.
     Ended(Box<Outcome>),
     /// It panicked; its last cycles and the state that was not answered.
     Panicked {
-        /// What the panic said.
+        /// Message of the panic.
         message: String,
         /// The last cycles, oldest first.
         flight: Vec<Record>,
@@ -88,7 +88,7 @@ pub struct Recorder {
     about: Sheet,
 }
 
-/// What is known before a connection is.
+/// What is the same in every recording.
 struct Sheet {
     id: String,
     job: String,
@@ -97,7 +97,7 @@ struct Sheet {
 }
 
 impl Recorder {
-    /// Starts the recorder's thread, which inherits the ordinary scheduling of its caller: call it before anything asks for more.
+    /// Starts the recorder's thread, which inherits the ordinary scheduling of its caller: call it before the priority of this thread goes up.
     ///
     /// # Errors
     /// A job or robot description that can't be read a second time.
@@ -130,22 +130,24 @@ impl Recorder {
     /// A tape for a loop that is about to begin. Its memory is allocated here.
     pub fn tape(
         &self,
-        desk: &Desk,
+        setup: &JobSetup,
         mounting: Mounting,
         session: &str,
         settings: &CycleSettings,
         controls: &Arc<Controls>,
-    ) -> Tape {
-        let waits = desk.job.backend.is_fast();
-        let Some(inbox) = &self.inbox else { return Tape { inbox: None, ring: RingBuffer::new(1).0, waits, lost: 0 } };
+    ) -> LoopRecorder {
+        let waits = setup.job.backend.is_fast();
+        let Some(inbox) = &self.inbox else {
+            return LoopRecorder { inbox: None, ring: RingBuffer::new(1).0, waits, lost: 0 };
+        };
         let (ring, records) = RingBuffer::new(RING);
-        let joints = desk.robot.chain.len();
+        let joints = setup.robot.chain.len();
         let depth = (self.span * 1e3) as usize + STOP;
         let Sheet { id, job, job_text, robot_text } = &self.about;
         let about = About {
             format: FORMAT,
             plumbline: env!("CARGO_PKG_VERSION").into(),
-            robot: desk.robot.name.clone(),
+            robot: setup.robot.name.clone(),
             id: id.clone(),
             joints,
             mounting: mounting.to_string(),
@@ -162,8 +164,8 @@ impl Recorder {
             clock: LogClock::Wall { epoch_ns: 0 },
             lost: 0,
             late: 0,
-            untold: 0,
-            motions: desk.names.clone(),
+            dropped_events: 0,
+            motions: setup.names.clone(),
             notes: Vec::new(),
             settings: Settings::from(settings),
             under_way: Default::default(),
@@ -173,7 +175,7 @@ impl Recorder {
             models: Vec::new(),
         };
         let texts = vec![("robot.toml".into(), robot_text.clone()), ("job.toml".into(), job_text.clone())];
-        let deck = Deck {
+        let recorder = RecorderThread {
             records,
             history: History::new(depth, joints, settings.guard.tracking),
             about,
@@ -181,11 +183,11 @@ impl Recorder {
             before: (self.span * 1e3) as u64,
             simulated: waits,
             controls: Arc::clone(controls),
-            blame: None,
+            stop_reason: None,
             pending: None,
         };
-        let opened = inbox.send(Message::Open(Box::new(deck))).is_ok();
-        Tape { inbox: opened.then(|| inbox.clone()), ring, waits, lost: 0 }
+        let opened = inbox.send(Message::Open(Box::new(recorder))).is_ok();
+        LoopRecorder { inbox: opened.then(|| inbox.clone()), ring, waits, lost: 0 }
     }
 
     /// Keeps a remark of the daemon's.
@@ -193,12 +195,12 @@ impl Recorder {
         self.send(Message::Note(text.into()));
     }
 
-    /// The stop that is asked for next has this reason.
-    pub fn blame(&self, reason: Reason) {
-        self.send(Message::Blame(reason));
+    /// Reason of the next requested stop.
+    pub fn set_reason(&self, reason: Reason) {
+        self.send(Message::StopReason(reason));
     }
 
-    /// Writes what is there up to `newest`, the cycle that was kept last, because somebody asks for it at `now_ns`.
+    /// Writes what is there up to `newest`, the cycle that was kept last, on request at `now_ns`.
     ///
     /// # Errors
     /// Why nothing is written.
@@ -218,7 +220,7 @@ impl Recorder {
         self.inbox = Some(inbox);
         let words = |message: Message| match message {
             Message::Note(text) => Some(text),
-            Message::Blame(reason) => Some(format!("{}: {}", reason.kind, reason.text)),
+            Message::StopReason(reason) => Some(format!("{}: {}", reason.kind, reason.text)),
             _ => None,
         };
         move || messages.try_iter().filter_map(words).collect()
@@ -226,7 +228,7 @@ impl Recorder {
 
     fn send(&self, message: Message) {
         if let Some(inbox) = &self.inbox {
-            // A recorder that is gone has said so in the log.
+            // A recorder that has ended has logged why.
             let _ = inbox.send(message);
         }
     }
@@ -237,33 +239,35 @@ impl Drop for Recorder {
     fn drop(&mut self) {
         self.inbox = None;
         let Some(thread) = self.thread.take() else { return };
-        let deadline = Instant::now() + LAST_WRITE;
+        let deadline = Instant::now() + LAST_WRITE_TIMEOUT;
         while !thread.is_finished() && Instant::now() < deadline {
             std::thread::sleep(PAUSE);
         }
         if !thread.is_finished() {
-            tracing::error!("the flight recorder was still writing after {LAST_WRITE:?}; its last recording is lost");
+            tracing::error!(
+                "the flight recorder was still writing after {LAST_WRITE_TIMEOUT:?}; its last recording is lost"
+            );
         }
     }
 }
 
-/// Recordings on demand: one at a time, and a pause between two, so that nobody who asks for them keeps the recorder from anything else.
+/// Recordings on demand: one at a time, and a pause between two, so that requests do not block the recorder.
 #[derive(Debug, Default)]
 struct Requests {
-    /// When the next may be asked for; the end of time while one is queued or being written \[ns\].
+    /// When the next may be requested; `u64::MAX` while one is queued or being written \[ns\].
     free_ns: AtomicU64,
 }
 
 impl Requests {
-    /// Takes the place of the one recording, or says why not.
+    /// Begins the one recording; the error is why not.
     fn begin(&self, now_ns: u64) -> Result<(), String> {
         match self.free_ns.load(Ordering::Acquire) {
             u64::MAX => Err("a recording on demand is being written; ask again when it is there".into()),
             free_ns if now_ns < free_ns => {
-                let pause = BETWEEN_NS / 1_000_000_000;
+                let pause = ON_DEMAND_PAUSE_NS / 1_000_000_000;
                 Err(format!("the last recording on demand has just been written; there is one in {pause} s at most"))
             }
-            // The bridge thread alone comes here.
+            // Called by the bridge thread only.
             _ => {
                 self.free_ns.store(u64::MAX, Ordering::Release);
                 Ok(())
@@ -273,12 +277,12 @@ impl Requests {
 
     /// The recording is written, or was found to be of nothing.
     fn end(&self, now_ns: u64) {
-        self.free_ns.store(now_ns.saturating_add(BETWEEN_NS), Ordering::Release);
+        self.free_ns.store(now_ns.saturating_add(ON_DEMAND_PAUSE_NS), Ordering::Release);
     }
 }
 
 /// The bridge thread's end of the recorder, for one loop.
-pub struct Tape {
+pub struct LoopRecorder {
     inbox: Option<Sender<Message>>,
     ring: Producer<Record>,
     /// Simulated time waits for the recorder; a real arm does not.
@@ -286,7 +290,7 @@ pub struct Tape {
     lost: u64,
 }
 
-impl Tape {
+impl LoopRecorder {
     /// Keeps records.
     pub fn keep(&mut self, records: &[Record]) {
         if self.inbox.is_none() {
@@ -301,13 +305,13 @@ impl Tape {
     }
 
     /// Keeps an event.
-    pub fn tell(&self, told: Told) {
-        self.send(|| Message::Told(told));
+    pub fn event(&self, event: TimedEvent) {
+        self.send(|| Message::Event(event));
     }
 
-    /// The stop that the loop tells of next has this reason.
-    pub fn blame(&self, reason: Reason) {
-        self.send(|| Message::Blame(reason));
+    /// Reason of the loop's next requested stop.
+    pub fn set_reason(&self, reason: Reason) {
+        self.send(|| Message::StopReason(reason));
     }
 
     /// The loop was given an order.
@@ -320,23 +324,25 @@ impl Tape {
         self.send(|| Message::Model(model, text.to_string()));
     }
 
-    /// The loop has ended; `words` are the backend's own for a fault, `next` what an operator does about it, unless the daemon `goes_on` by itself.
-    pub fn close(&mut self, left: &Left, words: &str, next: Vec<String>, goes_on: bool) {
+    /// The loop has ended. `words` explain it, `next` is what the operator does; `goes_on`: the daemon recovers the arm without an operator.
+    pub fn close(&mut self, left: &LoopEnd, words: &str, next: Vec<String>, goes_on: bool) {
         if self.lost > 0 {
             tracing::warn!("{} records did not reach the flight recorder in time", self.lost);
         }
-        let (end, reason, untold, flight, unanswered) = match left {
-            Left::Panicked { message, flight, unanswered } => {
+        let (end, reason, dropped_events, flight, unanswered) = match left {
+            LoopEnd::Panicked { message, flight, unanswered } => {
                 let text = panicked(message);
                 (text.clone(), Some(Reason::new("panic", text)), 0, flight, unanswered.as_deref().copied())
             }
-            Left::Ended(outcome) => {
+            LoopEnd::Ended(outcome) => {
                 let reason = kind_of_end(&outcome.end).map(|kind| Reason::new(kind, words));
                 (outcome.end.to_string(), reason, outcome.summary.dropped_events, &outcome.flight, outcome.unanswered)
             }
         };
         let flight = flight.clone();
-        self.send(|| Message::Close(Box::new(Close { reason, end, next, goes_on, untold, flight, unanswered })));
+        self.send(|| {
+            Message::Close(Box::new(Close { reason, end, next, goes_on, dropped_events, flight, unanswered }))
+        });
     }
 
     fn send(&self, message: impl FnOnce() -> Message) {
@@ -346,7 +352,7 @@ impl Tape {
     }
 }
 
-/// One word for an end that is a fault.
+/// Kind of an end that is a fault.
 fn kind_of_end(end: &End) -> Option<&'static str> {
     Some(match end {
         End::Quit => return None,
@@ -372,7 +378,7 @@ mod tests {
         assert!(requests.begin(6).unwrap_err().contains("is being written"));
         assert!(requests.begin(u64::MAX - 1).unwrap_err().contains("is being written"));
         requests.end(100);
-        assert!(requests.begin(99 + BETWEEN_NS).unwrap_err().contains("one in 2 s"));
-        requests.begin(100 + BETWEEN_NS).unwrap();
+        assert!(requests.begin(99 + ON_DEMAND_PAUSE_NS).unwrap_err().contains("one in 2 s"));
+        requests.begin(100 + ON_DEMAND_PAUSE_NS).unwrap();
     }
 }

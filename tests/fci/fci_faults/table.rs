@@ -187,7 +187,7 @@ fn conditions() -> String {
     let kernel = release.split('.').take(2).collect::<Vec<_>>().join(".");
     let processors = std::thread::available_parallelism().map_or(0, usize::from);
     let load: Vec<String> = read("/proc/loadavg").split(' ').take(3).map(str::to_string).collect();
-    let real_time = if plumbline_rt::os::preempt_rt() { "PREEMPT_RT" } else { "no real-time kernel" };
+    let real_time = if plumbline_rt::preempt_rt() { "PREEMPT_RT" } else { "no real-time kernel" };
     format!(
         "Linux {} ({real_time}), {processors} processors, load {} at the end; robot and daemon on the same machine over the loopback \
          device, both with SCHED_FIFO where the system grants it, {AT_A_TIME} cases at a time.",

@@ -21,7 +21,7 @@ use super::evidence::Trial;
 use nalgebra::DMatrix;
 use plumbline_core::{parallel, threads};
 use plumbline_identify::signal::spectral::Spectral;
-use plumbline_identify::{Experiment, LeftOut, Scatter};
+use plumbline_identify::{ExcludedSpan, Experiment, Scatter};
 use plumbline_model::term::effect::OperatingPoint;
 use record::Record;
 
@@ -73,7 +73,7 @@ pub struct Changing {
     /// Names of runs that keep everything, because too much would be left out.
     pub spared: Vec<String>,
     /// Stretches to be left out of the mean.
-    pub leave_out: Vec<LeftOut>,
+    pub leave_out: Vec<ExcludedSpan>,
     /// Scatter of each trial's torques without the drifts and the events; `None` without repeats.
     pub scatter: Vec<Option<Scatter>>,
 }
@@ -188,9 +188,9 @@ fn mask_again(records: &mut [Record], friction: &[[f64; 2]], drifts: &[Drift]) -
 }
 
 /// Stretches that touch or overlap as one, in the order of runs and time.
-fn merged(mut stretches: Vec<LeftOut>) -> Vec<LeftOut> {
+fn merged(mut stretches: Vec<ExcludedSpan>) -> Vec<ExcludedSpan> {
     stretches.sort_by(|a, b| a.run.cmp(&b.run).then(a.from.total_cmp(&b.from)));
-    let mut out: Vec<LeftOut> = Vec::new();
+    let mut out: Vec<ExcludedSpan> = Vec::new();
     for one in stretches {
         match out.last_mut() {
             Some(last) if last.run == one.run && one.from <= last.to + 1e-9 => last.to = last.to.max(one.to),
@@ -233,12 +233,12 @@ fn transient_of(record: &Record, x: &DMatrix<f64>, event: &transient::Event) -> 
 }
 
 /// Stretches of masked rows in the run's own time.
-fn left_out(record: &Record, masked: &[bool]) -> Vec<LeftOut> {
+fn left_out(record: &Record, masked: &[bool]) -> Vec<ExcludedSpan> {
     let mut found = Vec::new();
     for (period, rows) in record.repeats.periods.iter().zip(masked.chunks(record.samples)) {
         for (first, last) in transient::stretches(rows) {
             let time = |row: usize| (period * record.samples + row) as f64 * record.dt;
-            found.push(LeftOut { run: record.experiment.name.clone(), from: time(first), to: time(last) });
+            found.push(ExcludedSpan { run: record.experiment.name.clone(), from: time(first), to: time(last) });
         }
     }
     found

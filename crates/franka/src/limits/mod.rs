@@ -7,10 +7,9 @@
 mod guard;
 mod urdf;
 
-pub use guard::{guard_envelope, guard_limits};
 pub use urdf::{UrdfError, from_urdf};
 
-use plumbline_core::{JointVec, Limits, SpeedEnvelope};
+use plumbline_core::JointVec;
 
 /// Limits of the seven joints.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -91,7 +90,7 @@ pub fn fr3_before_5_9() -> RobotLimits {
 
 impl RobotLimits {
     /// Lowest and highest velocity of joint `j` (from 0) at position `q`:
-    /// `min(dq, max(0, sqrt(2 dec (end - q)) - offset))` and its mirror image. `None` for a joint that is none.
+    /// `min(dq, max(0, sqrt(2 dec (end - q)) - offset))` and its mirror image. `None` past the last joint.
     pub fn velocities(&self, j: usize, q: f64) -> Option<(f64, f64)> {
         let (most, offset, dec) = (*self.dq.get(j)?, *self.dq_offset.get(j)?, *self.dq_dec.get(j)?);
         if dec == 0.0 {
@@ -101,22 +100,6 @@ impl RobotLimits {
         // Not `clamp`, which panics where `most` is negative or no number.
         let speed = |room: f64| ((2.0 * dec * room).max(0.0).sqrt() - offset).max(0.0).min(most);
         Some((-speed(q - low.get(j)?), speed(high.get(j)? - q)))
-    }
-
-    /// The limits and the speed envelope as the loop's guard takes them. Its envelope ends at `q_min` and `q_max`, so where `dq_ends` lie
-    /// outside it is the stricter one.
-    pub fn for_guard(&self) -> (Limits, Option<SpeedEnvelope>) {
-        let limits = Limits {
-            q_min: widen(&self.q_min),
-            q_max: widen(&self.q_max),
-            dq: widen(&self.dq),
-            ddq: widen(&self.ddq),
-            jerk: widen(&self.jerk),
-            tau: widen(&self.tau),
-            dtau: widen(&self.dtau),
-        };
-        let envelope = SpeedEnvelope { offset: widen(&self.dq_offset), deceleration: widen(&self.dq_dec) };
-        (limits, self.dq_dec.iter().any(|dec| *dec != 0.0).then_some(envelope))
     }
 }
 
@@ -158,8 +141,8 @@ mod tests {
     #[test]
     fn the_guards_envelope_is_never_wider_than_the_arms() {
         for robot in [fr3(), fr3_before_5_9()] {
-            let (limits, envelope) = robot.for_guard();
-            let envelope = envelope.unwrap();
+            let guard = robot.for_guard(1.0);
+            let (limits, envelope) = (guard.limits, guard.envelope.unwrap());
             for j in 0..7 {
                 for step in 0..=100 {
                     let q = robot.q_min[j] + (robot.q_max[j] - robot.q_min[j]) * f64::from(step) / 100.0;
@@ -169,6 +152,6 @@ mod tests {
                 }
             }
         }
-        assert_eq!(panda().for_guard().1, None);
+        assert_eq!(panda().for_guard(1.0).envelope, None);
     }
 }

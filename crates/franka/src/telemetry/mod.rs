@@ -1,4 +1,4 @@
-//! What the real-time thread counts, for any other thread to look at without a lock.
+//! Counters of the real-time thread, which any other thread reads without a lock.
 
 use super::wire::{Errors, HEADER_BYTES, MoveStatus, RobotMode};
 use plumbline_core::{Distribution, Histogram};
@@ -62,7 +62,7 @@ pub struct Statistics {
     pub states: u64,
     /// States that never arrived, or only after a newer one had been taken.
     pub lost: u64,
-    /// States that arrived and were passed over, because a newer one was there already when we looked.
+    /// States that arrived and were passed over, because a newer one had arrived by the time of the read.
     pub skipped: u64,
     /// States that came after a newer one.
     pub out_of_order: u64,
@@ -70,7 +70,7 @@ pub struct Statistics {
     pub duplicates: u64,
     /// Datagrams of the arm that were no state.
     pub bad_packets: u64,
-    /// Datagrams of somebody else.
+    /// Datagrams of other senders.
     pub foreign_packets: u64,
     /// Commands sent.
     pub commands: u64,
@@ -82,9 +82,9 @@ pub struct Statistics {
     pub slow_cycles: u64,
     /// Commands that were changed to hold a limit of the arm.
     pub limited: u64,
-    /// Commands that led the arm back to the motion after it had gone on alone or had been held.
+    /// Commands that led the arm back to the motion after missed commands or a held limit.
     pub returning: u64,
-    /// States whose desired position followed from none of our commands.
+    /// States whose desired position follows from none of the commands sent.
     pub unexplained_points: u64,
     /// Most states missing in a row.
     pub longest_gap: u64,
@@ -96,7 +96,7 @@ pub struct Statistics {
     pub errors: u64,
     /// `robot_mode` of the newest state, as a number on the wire.
     pub robot_mode: u8,
-    /// The arm's last word about the last motion, as an index into [`MoveStatus::ALL`].
+    /// The arm's final answer about the last motion, as an index into [`MoveStatus::ALL`].
     pub move_status: Option<u8>,
     /// First bytes of what came over TCP and was no message.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -113,7 +113,7 @@ pub struct Statistics {
     /// Between the arrivals of states in the kernel \[us\].
     pub interval: Distribution,
     /// From a command's leaving to the arrival of the first state whose `q_d` shows it; not measured where torques are commanded \[us\]. It holds the way there,
-    /// the wait for the arm's next cycle, and the way back; commands that can't be told from the one before don't count.
+    /// the wait for the arm's next cycle, and the way back; commands that equal the one before don't count.
     pub round_trip: Distribution,
 }
 
@@ -155,7 +155,7 @@ pub(super) struct Arrivals {
     pub wake_ns: Option<u64>,
 }
 
-/// A counter that one thread alone writes.
+/// Adds to a counter with a single writer.
 fn add(counter: &AtomicU64, more: u64) {
     if more > 0 {
         counter.store(counter.load(Relaxed).wrapping_add(more), Relaxed);

@@ -16,36 +16,26 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
 #![deny(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::unreachable)]
 
-mod bits;
+mod bytes;
 mod codes;
-mod cursor;
-mod error;
-mod header;
-mod kind;
+mod errors;
 pub mod layout;
-mod packet;
-mod payload;
 mod protocol;
 mod request;
 mod response;
-mod robot_command;
 mod state;
-mod status;
 
-pub use bits::{ERROR_BITS, ErrorBit, Errors};
-pub use codes::{Architecture, ControllerMode, MotionGeneratorMode, MoveController, MoveGenerator, RobotMode, System};
-pub use error::WireError;
-pub use header::{HEADER_BYTES, Header, MAX_MESSAGE};
-pub use kind::CommandKind;
-pub use payload::{CollisionBehavior, Connect, Deviation, Filters, GuidingMode, LibraryTarget, Load, Move};
-pub use protocol::{Protocol, images_of};
-pub use request::{MAX_REQUEST, Request};
-pub use response::{CartesianLimit, Connected, MAX_FIXED_RESPONSE, Response};
-pub use robot_command::{MAX_COMMAND, RobotCommand};
-pub use state::{MAX_STATE, RobotState};
-pub use status::{
-    ConnectStatus, LoadModelStatus, MoveStatus, RecoveryStatus, RobotModelStatus, SetterStatus, StopStatus,
+pub use codes::{
+    Architecture, ConnectStatus, ControllerMode, LoadModelStatus, MotionGeneratorMode, MoveController, MoveGenerator,
+    MoveStatus, RecoveryStatus, RobotMode, RobotModelStatus, SetterStatus, StopStatus, System,
 };
+pub use errors::{ERROR_BITS, ErrorBit, Errors};
+pub use protocol::{CommandKind, HEADER_BYTES, Header, MAX_MESSAGE, Protocol, WireError, images_of};
+pub use request::{
+    CollisionBehavior, Connect, Deviation, Filters, GuidingMode, LibraryTarget, Load, MAX_REQUEST, Move, Request,
+};
+pub use response::{CartesianLimit, Connected, MAX_FIXED_RESPONSE, Response};
+pub use state::{MAX_COMMAND, MAX_STATE, RobotCommand, RobotState};
 
 /// TCP port of the arm's control interface, the same in every version.
 pub const COMMAND_PORT: u16 = 1337;

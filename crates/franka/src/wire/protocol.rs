@@ -1,9 +1,4 @@
-//! The protocol versions that this codec speaks, and what each of them is found on.
-
-use super::layout::Slot;
-use super::robot_command::RobotCommand;
-use super::state::RobotState;
-use super::{header, layout};
+//! Protocol versions, commands with their numbers in each, the head of every message, and the error of every decoder.
 
 /// A version of the protocol ("robot server version"). Client and arm must agree exactly.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -17,7 +12,7 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// All versions spoken, in rising order.
+    /// All versions of this program, in rising order.
     pub const ALL: [Protocol; 3] = [Protocol::V5, Protocol::V9, Protocol::V10];
 
     /// The number that [`super::Connect`] carries.
@@ -29,7 +24,7 @@ impl Protocol {
         }
     }
 
-    /// The version of a number; `None` for those that are not spoken.
+    /// The version of a number; `None` for those that this program does not have.
     pub fn from_number(number: u16) -> Option<Protocol> {
         Protocol::ALL.into_iter().find(|protocol| protocol.number() == number)
     }
@@ -52,14 +47,14 @@ impl Protocol {
 
     /// Length of a request to move, header included \[bytes\].
     pub const fn move_bytes(self) -> usize {
-        header::HEADER_BYTES
+        HEADER_BYTES
             + match self {
                 Protocol::V5 | Protocol::V9 => 56,
                 Protocol::V10 => 113,
             }
     }
 
-    /// Robots, system images and libfranka versions of this protocol version, in words.
+    /// Robots, system images and libfranka versions of this protocol version.
     pub fn images(self) -> &'static str {
         match self {
             Protocol::V5 => IMAGES_5,
@@ -73,16 +68,6 @@ impl Protocol {
     pub const fn has_torque_only(self) -> bool {
         !matches!(self, Protocol::V5)
     }
-
-    /// The fields of a state in the order of their offsets, without gaps.
-    pub fn state_layout(self) -> &'static [Slot<RobotState>] {
-        layout::state(self)
-    }
-
-    /// The fields of a command in the order of their offsets, without gaps.
-    pub fn command_layout(self) -> &'static [Slot<RobotCommand>] {
-        layout::command(self)
-    }
 }
 
 impl std::fmt::Display for Protocol {
@@ -95,7 +80,7 @@ const IMAGES_5: &str = "Panda or FER with system image 4.2.1 or later (libfranka
 const IMAGES_9: &str = "FR3 with system image 5.7.2 or later (libfranka 0.15.0 to 0.17.0)";
 const IMAGES_10: &str = "FR3 with system image 5.9.0 or later (libfranka 0.18 and later)";
 
-/// The same as [`Protocol::images`] for versions 3 to 10, spoken or not: for messages about an arm that speaks another one.
+/// The same as [`Protocol::images`] for versions 3 to 10: for messages about an arm of another version.
 ///
 /// Source: the compatibility table of Franka's documentation (github.com/frankarobotics/docs) and libfranka's changelog.
 pub fn images_of(version: u16) -> Option<&'static str> {
@@ -110,4 +95,306 @@ pub fn images_of(version: u16) -> Option<&'static str> {
         10 => IMAGES_10,
         _ => return None,
     })
+}
+
+/// A command over TCP.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum CommandKind {
+    /// Opens a session; the same number and layout in every version.
+    Connect,
+    /// Starts a motion; answered when it starts and again when it ends.
+    Move,
+    /// Ends the running motion.
+    StopMove,
+    /// Reads a virtual wall; version 5 alone.
+    GetCartesianLimit,
+    /// Sets the thresholds of contact and collision.
+    SetCollisionBehavior,
+    /// Sets the stiffness of the joint impedance controller.
+    SetJointImpedance,
+    /// Sets the stiffness of the Cartesian impedance controller.
+    SetCartesianImpedance,
+    /// Sets which directions can be guided by hand.
+    SetGuidingMode,
+    /// Sets the stiffness frame in the end effector.
+    SetEeToK,
+    /// Sets the end effector in the nominal one.
+    SetNeToEe,
+    /// Sets the load.
+    SetLoad,
+    /// Sets cut-off frequencies of the arm's filters; version 5 alone.
+    SetFilters,
+    /// Recovers from a reflex.
+    AutomaticErrorRecovery,
+    /// Loads the arm's model as a shared library; until version 9.
+    LoadModelLibrary,
+    /// Reads the arm's model as URDF; from version 8 on.
+    GetRobotModel,
+}
+
+impl CommandKind {
+    /// All commands, in the order of version 5.
+    pub const ALL: [CommandKind; 15] = [
+        CommandKind::Connect,
+        CommandKind::Move,
+        CommandKind::StopMove,
+        CommandKind::GetCartesianLimit,
+        CommandKind::SetCollisionBehavior,
+        CommandKind::SetJointImpedance,
+        CommandKind::SetCartesianImpedance,
+        CommandKind::SetGuidingMode,
+        CommandKind::SetEeToK,
+        CommandKind::SetNeToEe,
+        CommandKind::SetLoad,
+        CommandKind::SetFilters,
+        CommandKind::AutomaticErrorRecovery,
+        CommandKind::LoadModelLibrary,
+        CommandKind::GetRobotModel,
+    ];
+
+    /// Number of [`CommandKind::Connect`], which is read before the version is known.
+    pub const CONNECT: u32 = 0;
+
+    /// The number in a header; `None` when `protocol` does not have the command.
+    pub const fn number(self, protocol: Protocol) -> Option<u32> {
+        // Versions 3 to 5, 6 to 9, and 10.
+        let (a, b, c) = match self {
+            CommandKind::Connect => {
+                (Some(CommandKind::CONNECT), Some(CommandKind::CONNECT), Some(CommandKind::CONNECT))
+            }
+            CommandKind::Move => (Some(1), Some(1), Some(1)),
+            CommandKind::StopMove => (Some(2), Some(2), Some(2)),
+            CommandKind::GetCartesianLimit => (Some(3), None, None),
+            CommandKind::SetCollisionBehavior => (Some(4), Some(3), Some(3)),
+            CommandKind::SetJointImpedance => (Some(5), Some(4), Some(4)),
+            CommandKind::SetCartesianImpedance => (Some(6), Some(5), Some(5)),
+            CommandKind::SetGuidingMode => (Some(7), Some(6), Some(6)),
+            CommandKind::SetEeToK => (Some(8), Some(7), Some(7)),
+            CommandKind::SetNeToEe => (Some(9), Some(8), Some(8)),
+            CommandKind::SetLoad => (Some(10), Some(9), Some(9)),
+            CommandKind::SetFilters => (Some(11), None, None),
+            CommandKind::AutomaticErrorRecovery => (Some(12), Some(10), Some(10)),
+            CommandKind::LoadModelLibrary => (Some(13), Some(11), None),
+            CommandKind::GetRobotModel => (None, Some(12), Some(11)),
+        };
+        match protocol {
+            Protocol::V5 => a,
+            Protocol::V9 => b,
+            Protocol::V10 => c,
+        }
+    }
+
+    /// The command of a number in a header.
+    ///
+    /// # Errors
+    ///
+    /// [`WireError::Command`] when `protocol` has no such number.
+    pub fn from_number(protocol: Protocol, number: u32) -> Result<CommandKind, WireError> {
+        let found = CommandKind::ALL.into_iter().find(|kind| kind.number(protocol) == Some(number));
+        found.ok_or(WireError::Command { found: number, version: protocol.number() })
+    }
+
+    /// The number, or the error of a command that `protocol` does not have.
+    pub(super) fn number_or_absent(self, protocol: Protocol) -> Result<u32, WireError> {
+        self.number(protocol).ok_or(WireError::Absent { what: self.name(), version: protocol.number() })
+    }
+
+    /// Length of the request without its header \[bytes\].
+    pub const fn request_bytes(self, protocol: Protocol) -> usize {
+        match self {
+            CommandKind::Connect | CommandKind::GetCartesianLimit => 4,
+            CommandKind::Move => protocol.move_bytes() - HEADER_BYTES,
+            CommandKind::StopMove | CommandKind::AutomaticErrorRecovery | CommandKind::GetRobotModel => 0,
+            CommandKind::SetCollisionBehavior => 416,
+            CommandKind::SetJointImpedance => 56,
+            CommandKind::SetCartesianImpedance => 48,
+            CommandKind::SetGuidingMode => 7,
+            CommandKind::SetEeToK | CommandKind::SetNeToEe => 128,
+            CommandKind::SetLoad => 104,
+            CommandKind::SetFilters => 40,
+            CommandKind::LoadModelLibrary => 2,
+        }
+    }
+
+    /// Whether the arm answers with a [`super::SetterStatus`] and nothing else.
+    pub const fn is_setter(self) -> bool {
+        matches!(
+            self,
+            CommandKind::SetCollisionBehavior
+                | CommandKind::SetJointImpedance
+                | CommandKind::SetCartesianImpedance
+                | CommandKind::SetGuidingMode
+                | CommandKind::SetEeToK
+                | CommandKind::SetNeToEe
+                | CommandKind::SetLoad
+                | CommandKind::SetFilters
+        )
+    }
+
+    /// The name in libfranka's headers.
+    pub const fn name(self) -> &'static str {
+        match self {
+            CommandKind::Connect => "Connect",
+            CommandKind::Move => "Move",
+            CommandKind::StopMove => "StopMove",
+            CommandKind::GetCartesianLimit => "GetCartesianLimit",
+            CommandKind::SetCollisionBehavior => "SetCollisionBehavior",
+            CommandKind::SetJointImpedance => "SetJointImpedance",
+            CommandKind::SetCartesianImpedance => "SetCartesianImpedance",
+            CommandKind::SetGuidingMode => "SetGuidingMode",
+            CommandKind::SetEeToK => "SetEEToK",
+            CommandKind::SetNeToEe => "SetNEToEE",
+            CommandKind::SetLoad => "SetLoad",
+            CommandKind::SetFilters => "SetFilters",
+            CommandKind::AutomaticErrorRecovery => "AutomaticErrorRecovery",
+            CommandKind::LoadModelLibrary => "LoadModelLibrary",
+            CommandKind::GetRobotModel => "GetRobotModel",
+        }
+    }
+}
+
+impl std::fmt::Display for CommandKind {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.write_str(self.name())
+    }
+}
+
+/// Length of a header \[bytes\].
+pub const HEADER_BYTES: usize = 12;
+
+/// Bound for the length of any message \[bytes\]: far above a model library or a robot description, the longest things there are.
+pub const MAX_MESSAGE: u32 = 16 << 20;
+
+/// Which command, which of its calls, and how long the message is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Header {
+    /// Number of the command, see [`super::CommandKind::from_number`].
+    pub command: u32,
+    /// Chosen by the client; every response to the call carries it.
+    pub command_id: u32,
+    /// Length of header and payload \[bytes\].
+    pub size: u32,
+}
+
+impl Header {
+    /// The header that `bytes` hold, whose message may have at most `most` bytes (a server takes [`super::MAX_REQUEST`], a client
+    /// [`MAX_MESSAGE`]).
+    ///
+    /// # Errors
+    ///
+    /// [`WireError::Size`] when the message would be shorter than its header, or longer than `most`.
+    pub fn decode(bytes: &[u8; HEADER_BYTES], most: u32) -> Result<Header, WireError> {
+        let [a0, a1, a2, a3, b0, b1, b2, b3, c0, c1, c2, c3] = *bytes;
+        let size = u32::from_le_bytes([c0, c1, c2, c3]);
+        let least = HEADER_BYTES as u32;
+        if !(least..=most).contains(&size) {
+            return Err(WireError::Size { least, most, found: size });
+        }
+        let command = u32::from_le_bytes([a0, a1, a2, a3]);
+        Ok(Header { command, command_id: u32::from_le_bytes([b0, b1, b2, b3]), size })
+    }
+
+    /// The header as bytes.
+    pub fn encode(&self) -> [u8; HEADER_BYTES] {
+        let mut bytes = [0; HEADER_BYTES];
+        let words = [self.command, self.command_id, self.size];
+        for (chunk, word) in bytes.as_chunks_mut().0.iter_mut().zip(words) {
+            *chunk = word.to_le_bytes();
+        }
+        bytes
+    }
+
+    /// Length of what follows the header \[bytes\].
+    pub fn payload_bytes(&self) -> usize {
+        (self.size as usize).saturating_sub(HEADER_BYTES)
+    }
+}
+
+/// What was expected and what was found. `Copy` and without text of its own, so that it can leave the real-time loop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum WireError {
+    /// A packet or payload of fixed length has another one.
+    #[error("{what} has {found} bytes instead of {expected}")]
+    Length {
+        /// The message.
+        what: &'static str,
+        /// Its length in this version.
+        expected: usize,
+        /// The length that came.
+        found: usize,
+    },
+    /// A message ends before its last field.
+    #[error("{what} has {found} bytes, but needs at least {least}")]
+    Short {
+        /// The message.
+        what: &'static str,
+        /// The least length that holds every field.
+        least: usize,
+        /// The length that came.
+        found: usize,
+    },
+    /// The size field of a header is out of bounds.
+    #[error("a header says {found} bytes, expected {least} to {most}")]
+    Size {
+        /// Length of a header alone.
+        least: u32,
+        /// The bound of the reader.
+        most: u32,
+        /// The size in the header.
+        found: u32,
+    },
+    /// An enumeration holds a number that this version does not know.
+    #[error("{what} is {found}, expected 0 to {most}")]
+    Value {
+        /// The field.
+        what: &'static str,
+        /// The greatest number that this version knows.
+        most: u32,
+        /// The number that came.
+        found: u32,
+    },
+    /// A byte that is a flag holds neither 0 nor 1.
+    #[error("{what}[{index}] is {found}, expected 0 or 1")]
+    Flag {
+        /// The field.
+        what: &'static str,
+        /// Place in the field, 0 where it is a single flag.
+        index: usize,
+        /// The byte that came.
+        found: u8,
+    },
+    /// The number of a command that this version does not have.
+    #[error("command number {found} does not exist in protocol version {version}")]
+    Command {
+        /// The number in the header.
+        found: u32,
+        /// The protocol version.
+        version: u16,
+    },
+    /// Something that this version has no bytes for.
+    #[error("{what} does not exist in protocol version {version}")]
+    Absent {
+        /// The command, status, mode or option.
+        what: &'static str,
+        /// The protocol version.
+        version: u16,
+    },
+    /// A response that does not belong to the command that it names.
+    #[error("{kind} does not answer with the status of a setter")]
+    NotASetter {
+        /// The command named.
+        kind: CommandKind,
+    },
+    /// A robot description that is not UTF-8.
+    #[error("the robot description is not UTF-8 from byte {valid} on")]
+    NotText {
+        /// Bytes that are good.
+        valid: usize,
+    },
+    /// The buffer to write to is too small.
+    #[error("a buffer of {found} bytes is too small for the message")]
+    Buffer {
+        /// Length of the buffer.
+        found: usize,
+    },
 }

@@ -1,13 +1,10 @@
 //! What the arm answers over TCP.
 
-use super::cursor::{Reader, Writer, message};
-use super::error::WireError;
-use super::header::HEADER_BYTES;
-use super::kind::CommandKind;
-use super::protocol::Protocol;
-use super::status::{
+use super::bytes::{Reader, Writer, message};
+use super::codes::{
     ConnectStatus, LoadModelStatus, MoveStatus, RecoveryStatus, RobotModelStatus, SetterStatus, StopStatus,
 };
+use super::protocol::{CommandKind, HEADER_BYTES, Protocol, WireError};
 
 /// Length of the longest response that carries neither library nor text, header included \[bytes\].
 pub const MAX_FIXED_RESPONSE: usize = HEADER_BYTES + 154;

@@ -9,7 +9,7 @@ use std::cell::Cell;
 use std::rc::Rc;
 use std::sync::Arc;
 
-/// An arm that is at once where it is told to be.
+/// An ideal arm: it reaches every commanded position at once.
 struct Perfect(State, u32);
 
 impl Backend for Perfect {
@@ -142,12 +142,12 @@ fn events_without_room_are_counted_and_each_has_the_cycle_that_it_is_of() {
         }
     }
     assert_eq!(cycle.tally.summary.dropped_events, 400 - 260);
-    let told: Vec<Told> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
-    assert_eq!(told.len(), 260);
-    for (index, told) in told.into_iter().enumerate() {
+    let timed: Vec<TimedEvent> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
+    assert_eq!(timed.len(), 260);
+    for (index, timed) in timed.into_iter().enumerate() {
         let (motion, ended) = (index as u32 / 2 + 1, index % 2 == 1);
-        assert_eq!(told.event, if ended { Event::Ended { motion } } else { Event::Started { motion } });
-        assert_eq!((told.orders, told.cycle + 1), (motion, told.seq));
+        assert_eq!(timed.event, if ended { Event::Ended { motion } } else { Event::Started { motion } });
+        assert_eq!((timed.orders, timed.cycle + 1), (motion, timed.seq));
     }
 }
 

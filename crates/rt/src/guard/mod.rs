@@ -6,12 +6,11 @@
 
 mod history;
 
-use super::motion::seconds;
-use super::moves::stop_distances;
-use super::torque::{Asked, Torques};
+use super::moves::{seconds, stop_distances};
+use super::torque::{ModelTorques, Torques};
 use history::History;
 use plumbline_core::{
-    Command, JointVec, Kinematics, Limits, MAX_JOINTS, PERIOD, Record, Setpoint, SpeedEnvelope, State, Workspace,
+    Command, JointVec, Kinematics, Limits, MAX_JOINTS, PERIOD_S, Record, Setpoint, SpeedEnvelope, State, Workspace,
 };
 use std::fmt;
 use std::ops::Range;
@@ -127,12 +126,12 @@ pub struct GuardSettings {
     pub tracking: JointVec,
 }
 
-/// Rounding of positions and their differences must not look like a violation: this share of a limit is forgiven.
-const ROUNDING: f64 = 1e-6;
+/// Ratio by which a limit may be exceeded: rounding of positions and their differences is no violation.
+const ROUNDING_RATIO: f64 = 1e-6;
 
-/// Stated derivatives may need up to so many times the jerk limit to go with the positions: a motion that is a little past the limit is
-/// told so by its differences, and only one that no such motion explains contradicts itself.
-const EXPLAINED: f64 = 1.5;
+/// Ratio to the jerk limit up to which stated derivatives agree with the positions: a motion slightly beyond the limit violates it by its
+/// differences; only derivatives that need more jerk contradict the positions.
+const MAX_JERK_RATIO: f64 = 1.5;
 
 /// The guard: limits, and the history of what was sent.
 pub struct Guard {
@@ -146,7 +145,7 @@ pub struct Guard {
 }
 
 impl Guard {
-    /// A guard for an arm that rests at zero until [`start`](Guard::start) says where. `brake` is the share of the acceleration
+    /// A guard for an arm that rests at zero until [`start`](Guard::start). `brake` is the share of the acceleration
     /// and jerk limits that the controlled stop uses.
     pub fn new(
         joints: usize,
@@ -161,21 +160,21 @@ impl Guard {
             settings,
             brake,
             kinematics,
-            history: History::at_rest(JointVec::default(), PERIOD),
+            history: History::at_rest(JointVec::default(), PERIOD_S),
             last: None,
         }
     }
 
     /// The arm rests at `q` \[rad\].
     pub fn start(&mut self, q: JointVec) {
-        self.history = History::at_rest(q, PERIOD);
+        self.history = History::at_rest(q, PERIOD_S);
         self.last = None;
     }
 
     /// Goes on after the last three cycles, oldest first.
     pub fn restore(&mut self, last: &[Record; 3]) {
         let dt = |earlier: &Record, later: &Record| seconds(later.state.seq.saturating_sub(earlier.state.seq).max(1));
-        self.history = History::at_rest(last[0].command.desired.q, PERIOD);
+        self.history = History::at_rest(last[0].command.desired.q, PERIOD_S);
         self.history.push(last[1].command.desired.q, dt(&last[0], &last[1]));
         self.history.push(last[2].command.desired.q, dt(&last[1], &last[2]));
         self.last = Some(torques(&last[2].command));
@@ -183,7 +182,7 @@ impl Guard {
 
     /// Checks the command that is to be sent `dt` \[s\] after the last one, what the model answered for it, and the state that it answers. A
     /// command that passes becomes part of the history.
-    pub fn check(&mut self, dt: f64, command: &Command, asked: &Asked, state: &State) -> Result<(), Violation> {
+    pub fn check(&mut self, dt: f64, command: &Command, asked: &ModelTorques, state: &State) -> Result<(), Violation> {
         self.limits(dt, command, asked, state)?;
         if let (Some(space), Some(kinematics)) = (&self.settings.workspace, &self.kinematics) {
             inside(space, kinematics.end_effector(&command.desired.q))?;
@@ -194,7 +193,7 @@ impl Guard {
 
     /// All of [`check`](Guard::check) but the workspace.
     #[cfg_attr(no_panic, no_panic::no_panic)]
-    fn limits(&self, dt: f64, command: &Command, asked: &Asked, state: &State) -> Result<(), Violation> {
+    fn limits(&self, dt: f64, command: &Command, asked: &ModelTorques, state: &State) -> Result<(), Violation> {
         let desired = &command.desired;
         self.finite_command(desired)?;
         self.finite_state(state)?;
@@ -215,7 +214,7 @@ impl Guard {
         &mut self,
         dt: f64,
         command: &Command,
-        asked: &Asked,
+        asked: &ModelTorques,
         state: Option<&State>,
     ) -> Result<(), Violation> {
         self.finite_command(&command.desired)?;
@@ -266,9 +265,9 @@ impl Guard {
     /// `low` and `high` against the position limits; a NaN fails.
     fn between(&self, limit: Limit, joint: usize, low: f64, high: f64) -> Result<(), Violation> {
         let (q_min, q_max) = (self.settings.limits.q_min[joint], self.settings.limits.q_max[joint]);
-        if low.is_nan() || low < q_min - ROUNDING {
+        if low.is_nan() || low < q_min - ROUNDING_RATIO {
             Err(Violation { limit, joint, value: low, bound: q_min })
-        } else if high.is_nan() || high > q_max + ROUNDING {
+        } else if high.is_nan() || high > q_max + ROUNDING_RATIO {
             Err(Violation { limit, joint, value: high, bound: q_max })
         } else {
             Ok(())
@@ -289,10 +288,10 @@ impl Guard {
         // The stop starts from the stated derivatives, so they must be ones that some motion inside the jerk limit has at these positions:
         // `|dq - seen - ddq dt / 2| <= jerk dt^2 / 6` and `|ddq - seen| <= jerk lag`, with the lag of the mean of three samples.
         let dq_seen = seen.dq + 0.5 * ddq * dt;
-        if (dq - dq_seen).abs() > EXPLAINED * limits.jerk[j] * dt * dt / 6.0 {
+        if (dq - dq_seen).abs() > MAX_JERK_RATIO * limits.jerk[j] * dt * dt / 6.0 {
             return Err(Violation { limit: Limit::StatedVelocity, joint: j, value: dq, bound: dq_seen });
         }
-        if (ddq - seen.ddq).abs() > EXPLAINED * limits.jerk[j] * (dt + seen.span) / 3.0 {
+        if (ddq - seen.ddq).abs() > MAX_JERK_RATIO * limits.jerk[j] * (dt + seen.span) / 3.0 {
             return Err(Violation { limit: Limit::StatedAcceleration, joint: j, value: ddq, bound: seen.ddq });
         }
         Ok(())
@@ -312,7 +311,7 @@ impl Guard {
         let (q, dq, ddq) = (desired.q[j], desired.dq[j], desired.ddq[j]);
         let (ddq_brake, jerk_brake) = (self.brake * limits.ddq[j], self.brake * limits.jerk[j]);
         let ahead = dq + ddq * ddq.abs() / (2.0 * jerk_brake);
-        // Until the stop brakes with all it has, the joint goes on with no more than that speed.
+        // Until the stop brakes with all it has, the joint continues with no more than that speed.
         let way = ahead * (ddq_brake + ddq.abs()) / jerk_brake;
         within(Limit::VelocityAhead, j, ahead, self.speed(j, q + way, ahead))?;
         let (up, down) = stop_distances(dq, ddq, ddq_brake, jerk_brake);
@@ -336,7 +335,7 @@ impl Guard {
         Ok(())
     }
 
-    /// The arm's own joints. The second bound is there for the compiler: behind it no index is out of bounds.
+    /// The arm's own joints. The second bound lets the compiler prove that no index is out of bounds.
     fn own_joints(&self) -> Range<usize> {
         0..self.joints.min(MAX_JOINTS)
     }
@@ -373,7 +372,7 @@ fn finite<const N: usize>(limit: Limit, joint: usize, values: [f64; N]) -> Resul
 
 /// `|value| <= bound` but for rounding; a NaN fails.
 fn within(limit: Limit, joint: usize, value: f64, bound: f64) -> Result<(), Violation> {
-    if value.abs() <= bound * (1.0 + ROUNDING) { Ok(()) } else { Err(Violation { limit, joint, value, bound }) }
+    if value.abs() <= bound * (1.0 + ROUNDING_RATIO) { Ok(()) } else { Err(Violation { limit, joint, value, bound }) }
 }
 
 #[cfg(test)]

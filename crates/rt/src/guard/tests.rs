@@ -32,11 +32,11 @@ impl Follows {
         Follows { guard: Guard::new(2, settings, 0.5, None), q: 0.0 }
     }
 
-    /// What the guard says to a setpoint of joint 1 that is sent `dt` after the last.
+    /// The guard's result for a setpoint of joint 1 that is sent `dt` after the last.
     fn send(&mut self, dt: f64, [q, dq, ddq]: [f64; 3]) -> Result<(), Violation> {
         let mut state = State::default();
         state.q[0] = self.q;
-        let checked = self.guard.check(dt, &command([q, dq, ddq]), &Asked::default(), &state);
+        let checked = self.guard.check(dt, &command([q, dq, ddq]), &ModelTorques::default(), &state);
         self.q = q;
         checked
     }
@@ -85,7 +85,8 @@ fn rounding_alone_is_forgiven() {
             }
             let mut state = State::default();
             state.tau[joint] = -80.0 * (1.0 + past);
-            let checked = Guard::new(2, settings(), 0.5, None).check(DT, &command([0.0; 3]), &Asked::default(), &state);
+            let checked =
+                Guard::new(2, settings(), 0.5, None).check(DT, &command([0.0; 3]), &ModelTorques::default(), &state);
             assert_eq!(checked.is_ok(), passes, "{checked:?}");
         }
     }
@@ -182,7 +183,7 @@ fn a_guard_that_goes_on_from_records_answers_as_the_one_before_it() {
 fn a_brake_with_a_number_that_is_none_is_not_sent() {
     for spoiled in [[f64::NAN, 0.0, 0.0], [0.0, f64::INFINITY, 0.0], [0.0, 0.0, f64::NAN]] {
         let mut guard = Guard::new(2, settings(), 0.5, None);
-        let checked = guard.check_brake(DT, &command(spoiled), &Asked::default(), None);
+        let checked = guard.check_brake(DT, &command(spoiled), &ModelTorques::default(), None);
         assert_eq!(checked.map_err(|why| why.limit), Err(Limit::NotFinite));
     }
 }

@@ -123,7 +123,7 @@ fn a_source_that_goes_on_from_a_record_answers_as_the_one_before_it() {
         let torques = Torques { tau_ff: Torque([1.0; MAX_JOINTS]), ..Torques::default() };
         after.restore(Succession::default(), &Setpoint::default(), torques, validity);
         let answer = after.answer(&Setpoint::default(), false);
-        assert_eq!((answer.validity, answer.asked), (validity, Asked::default()));
+        assert_eq!((answer.validity, answer.asked), (validity, ModelTorques::default()));
         assert_eq!(answer.served.tau_ff.0[..2], [0.8; 2]);
     }
 }

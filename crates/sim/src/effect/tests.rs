@@ -63,7 +63,7 @@ fn run(truth: &Truth, effects: Vec<Box<dyn Effect>>, ticks: usize) -> Vec<(State
     let mut all = truth.build_effects();
     all.extend(effects);
     let pace = Pace::Fast(Arc::new(Gate::unlimited()));
-    let mut arm = SimArm::with_effects(&chain(), truth, Mounting::UPRIGHT, START, 0, pace, all).unwrap();
+    let mut arm = SimArm::with_effects(&chain(), truth, Mounting::UPRIGHT.gravity(), START, 0, pace, all).unwrap();
     let mut step = || {
         let state = arm.read().unwrap();
         let command = Command { seq: state.seq, desired: desired(state.seq), ..Command::default() };

@@ -4,10 +4,10 @@ use super::{FakeArm, Seen, Trick};
 use plumbline_core::{
     FeedForward, JointVec, Kinematics, Limits, MAX_JOINTS, Phase, Record, Reference, Setpoint, Torque,
 };
+use plumbline_rt::Rights;
 use plumbline_rt::cycle::Outcome;
-use plumbline_rt::os::Rights;
 use plumbline_rt::recorder::ring;
-use plumbline_rt::{CycleSettings, Event, GuardSettings, Handles, Order, OrderKind, Told, cycle};
+use plumbline_rt::{CycleSettings, Event, GuardSettings, Handles, Order, OrderKind, TimedEvent, cycle};
 use std::sync::{Arc, Mutex};
 
 /// The Panda's limits (FCI documentation), with joint 8 unused.
@@ -143,7 +143,7 @@ pub struct Run {
     pub outcome: Outcome,
     pub records: Vec<Record>,
     pub events: Vec<Event>,
-    pub told: Vec<Told>,
+    pub told: Vec<TimedEvent>,
     pub seen: Arc<Seen>,
 }
 
@@ -201,7 +201,7 @@ impl Job {
         let mut handles = shared.lock().unwrap().take().unwrap();
         let mut records = Vec::new();
         drain.take_into(&mut records, usize::MAX);
-        let told: Vec<Told> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
+        let told: Vec<TimedEvent> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
         let events = told.iter().map(|told| told.event).collect();
         handles.free_retired();
         Run { outcome, records, events, told, seen }

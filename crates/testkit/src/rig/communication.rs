@@ -5,7 +5,7 @@ use super::{Given, Rig};
 use clap::Args;
 use plumbline_core::{Backend, Command, Distribution, Fault, Setpoint};
 use plumbline_franka::{Connection, Purpose, Statistics};
-use plumbline_rt::os::{Rights, become_realtime};
+use plumbline_rt::{Rights, become_realtime};
 use std::error::Error;
 
 /// Most states that may be missing in a row.
@@ -38,7 +38,7 @@ pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
     granted.refusals().for_each(|refusal| println!("not real-time: {refusal}"));
 
     println!("watching {} s of states; nothing moves", options.watch);
-    let (watched, fault) = session(rig, Purpose::Watch, 1000 * options.watch)?;
+    let (watched, fault) = session(rig, Purpose::Monitor, 1000 * options.watch)?;
     show("watched", &watched);
     if let Some(fault) = fault {
         return Ok(Verdict::Fail(vec![plumbline_franka::explain(&fault, &watched).to_string()]));

@@ -55,7 +55,7 @@ pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
 
     println!("reading {} s of states; nothing moves", STATES / 1000);
     let (mut arm, Connection { info, .. }) =
-        plumbline_franka::connect(&rig.franka.settings(&rig.job, Purpose::Watch)?)?;
+        plumbline_franka::connect(&rig.franka.settings(&rig.job, Purpose::Monitor)?)?;
     println!("connected to {}", info.image);
     let pose = mean(&mut arm)?;
     let declared = rig.job.mounting;

@@ -1,0 +1,173 @@
+//! The models of the daemon: the one that is served, the one before it, and one that waits for a person's decision.
+
+use nalgebra::Vector3;
+use plumbline_core::{BadInput, Limits, Record};
+use plumbline_identify::{Implausible, plausible};
+use plumbline_ipc::{HeldModel, Proposal};
+use plumbline_model::{Mounting, TorqueModel};
+use std::collections::VecDeque;
+
+/// Every so many cycles one record of the arm is kept for checks of models.
+const DECIMATION: u64 = 16;
+/// Records kept: about one second.
+const MAX_RECENT: usize = 64;
+
+/// A model that passed every check of its text.
+pub struct Accepted {
+    /// Identity of its text.
+    pub id: u64,
+    /// Its text.
+    pub text: String,
+    /// The model.
+    pub model: TorqueModel,
+    /// Noise of the measured torque by its file, per joint \[Nm\]; empty where unknown.
+    pub noise: Vec<f64>,
+}
+
+/// The last second of the arm: every [`DECIMATION`]th record.
+#[derive(Default)]
+pub struct Recent(VecDeque<Record>);
+
+impl Recent {
+    /// Takes in records of the loop.
+    pub fn take(&mut self, records: &[Record]) {
+        for record in records.iter().filter(|record| record.cycle.is_multiple_of(DECIMATION)) {
+            if self.0.len() == MAX_RECENT {
+                self.0.pop_front();
+            }
+            self.0.push_back(*record);
+        }
+    }
+
+    /// Another connection to the arm.
+    pub fn clear(&mut self) {
+        self.0.clear();
+    }
+}
+
+/// The models of the daemon.
+#[derive(Default)]
+pub struct Models {
+    /// The model that is served.
+    served: Option<Accepted>,
+    /// The model that was served before: the loop falls back to it.
+    reserve: Option<Accepted>,
+    /// A proposed model that waits for a decision, and why it was proposed.
+    held: Option<(Accepted, Proposal)>,
+    /// The model whose torque broke a limit: it is not handed to another loop.
+    rejected: Option<u64>,
+    /// The last second of the arm.
+    pub recent: Recent,
+}
+
+impl Models {
+    /// The model that is served, also where a loop has rejected it.
+    pub fn served(&self) -> Option<&Accepted> {
+        self.served.as_ref()
+    }
+
+    /// The served model, if it may be handed to a loop: it holds in that loop's mounting, and no loop has rejected it.
+    pub fn for_loop(&self, mounting: &Mounting) -> Option<&Accepted> {
+        self.trusted().filter(|served| served.model.holds_in(mounting))
+    }
+
+    /// The served model, unless a loop has rejected it.
+    fn trusted(&self) -> Option<&Accepted> {
+        self.served.as_ref().filter(|served| self.rejected != Some(served.id))
+    }
+
+    /// Identity of the served model; 0 for none.
+    pub fn served_id(&self) -> u64 {
+        self.trusted().map_or(0, |served| served.id)
+    }
+
+    /// The held model, for the status.
+    pub fn offer(&self) -> Option<HeldModel> {
+        self.held.as_ref().map(|(held, proposal)| HeldModel { model: held.id, proposal: proposal.clone() })
+    }
+
+    /// Checks a model against what changes after its text was checked: the mounting, and what the arm has measured in the last second under
+    /// `gravity` \[m/s2\].
+    ///
+    /// # Errors
+    /// The model does not hold in `mounting`, or its torques are not those of the arm.
+    pub fn admit(
+        &mut self,
+        file: &str,
+        model: &TorqueModel,
+        mounting: &Mounting,
+        gravity: &Vector3<f64>,
+        limits: &Limits,
+    ) -> Result<(), BadInput> {
+        model.valid_in(mounting).map_err(|refused| {
+            BadInput::new(file, "key `kind`", refused, "a model that holds in the present mounting")
+        })?;
+        self.plausible(model, gravity, limits)
+            .map_err(|why| BadInput::new(file, "parameters", why, "a model of this arm"))
+    }
+
+    /// Whether a model's torques go with what the arm has measured in the last second.
+    fn plausible(&mut self, model: &TorqueModel, gravity: &Vector3<f64>, limits: &Limits) -> Result<(), Implausible> {
+        let recent = self.recent.0.make_contiguous();
+        let served = self.served.as_ref().filter(|served| self.rejected != Some(served.id));
+        plausible(model, served.map(|served| &served.model), gravity, recent, limits)
+    }
+
+    /// Serves a model; its identity. What was proposed before is about another model.
+    pub fn serve(&mut self, model: Accepted) -> u64 {
+        self.held = None;
+        let id = model.id;
+        let before = self.served.replace(model);
+        if before.as_ref().is_some_and(|before| before.id != id && self.rejected != Some(before.id)) {
+            self.reserve = before;
+        }
+        self.rejected = None;
+        id
+    }
+
+    /// Holds a proposed model for a decision; its identity.
+    pub fn hold(&mut self, model: Accepted, proposal: Proposal) -> u64 {
+        self.held.insert((model, proposal)).0.id
+    }
+
+    /// Takes out the model that is held.
+    pub fn take_held(&mut self) -> Option<(Accepted, Proposal)> {
+        self.held.take()
+    }
+
+    /// Checks the held model in `mounting` and takes it out; `None` where none is held.
+    ///
+    /// # Errors
+    /// It does not hold there, or its torques are not those of the arm. It stays held.
+    pub fn adopt(
+        &mut self,
+        mounting: &Mounting,
+        gravity: &Vector3<f64>,
+        limits: &Limits,
+    ) -> Option<Result<Accepted, String>> {
+        let (held, proposal) = self.held.take()?;
+        let holds = held.model.valid_in(mounting).map_err(|refused| refused.to_string());
+        let checked = holds.and_then(|()| self.plausible(&held.model, gravity, limits).map_err(|why| why.to_string()));
+        Some(match checked {
+            Ok(()) => Ok(held),
+            Err(reason) => {
+                self.held = Some((held, proposal));
+                Err(reason)
+            }
+        })
+    }
+
+    /// The loop has rejected `model`, whose torque broke a limit, and falls back to `instead`, 0 for none.
+    pub fn reject(&mut self, model: u64, instead: u64) {
+        self.rejected = Some(model);
+        let reserve = self.reserve.take_if(|reserve| reserve.id == instead || reserve.id == model);
+        if self.served.as_ref().is_some_and(|served| served.id == model)
+            && let Some(reserve) = reserve.filter(|reserve| reserve.id == instead)
+        {
+            self.served = Some(reserve);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

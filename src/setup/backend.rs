@@ -1,0 +1,60 @@
+//! The backends that a job can name, each by one line of [`connector`].
+
+use crate::config::job::{BackendKind, Job};
+use crate::failure::Failure;
+use plumbline_core::{ArmConnector, Clock};
+use plumbline_model::Robot;
+use plumbline_rt::os;
+use plumbline_sim::{SimConnector, Truth};
+
+/// Simulated arms that the program carries.
+const ARMS: [(&str, &str); 3] = [
+    ("sim-panda", include_str!("../../config/arms/sim-panda.toml")),
+    ("sim-panda-effect", include_str!("../../config/arms/sim-panda-effect.toml")),
+    ("sim-paper-2dof", include_str!("../../config/arms/sim-paper-2dof.toml")),
+];
+
+/// The arm that a job drives. Connects to nothing.
+///
+/// # Errors
+/// The job's settings of the arm can't be used.
+pub fn connector(job: &Job, robot: &Robot) -> Result<Box<dyn ArmConnector>, Failure> {
+    let backend = &job.backend;
+    Ok(match (backend.kind, &backend.franka) {
+        (BackendKind::Franka, Some(franka)) => Box::new(franka.connector(job)?),
+        // `check` of the job refuses one without its table.
+        (BackendKind::Franka, None) => return Err(Failure::job("the job has no `backend.franka`")),
+        (BackendKind::Sim, _) => Box::new(simulated(job, robot)?),
+    })
+}
+
+fn simulated(job: &Job, robot: &Robot) -> Result<SimConnector, Failure> {
+    let arm = job.backend.arm.as_ref().ok_or_else(|| Failure::job("there is no simulated arm to drive"))?;
+    let (file, text) = arm.read("backend.arm", &ARMS)?;
+    let wall_clock = !job.backend.is_fast();
+    Ok(SimConnector {
+        chain: robot.chain.clone(),
+        truth: Truth::parse(&file, &text)?,
+        start: super::rest(job, robot)?,
+        seed: job.backend.seed,
+        clock: wall_clock.then_some(monotonic),
+        max_missed: job.safety.max_lost,
+    })
+}
+
+/// `CLOCK_MONOTONIC`.
+struct Monotonic;
+
+fn monotonic() -> Box<dyn Clock> {
+    Box::new(Monotonic)
+}
+
+impl Clock for Monotonic {
+    fn now_ns(&self) -> u64 {
+        os::now_ns()
+    }
+
+    fn sleep_until(&self, deadline_ns: u64) {
+        os::sleep_until(deadline_ns);
+    }
+}
