@@ -1,4 +1,4 @@
-//! What the operator does next: the backend's own words first, then what goes with the kind of fault.
+//! What the operator does next: the backend's own advice first, then advice by the kind of the fault.
 
 use super::story::{Story, is_measured};
 use crate::recording::about::About;
