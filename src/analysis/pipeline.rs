@@ -1,6 +1,7 @@
 //! From recorded runs to a model and its errors: what `identify` and `estimator` share.
 
 use crate::dataset::Run;
+use crate::dataset::columns::DESIRED_POSITIONS;
 use crate::failure::Failure;
 use crate::report::figures::TorqueFigure;
 use nalgebra::DMatrix;
@@ -164,9 +165,7 @@ pub fn identified(
 
 /// With the desired motion, where the run has columns `q_d1` to `q_dn`.
 fn desired(run: &Run, experiment: Experiment) -> Result<Experiment, Failure> {
-    let columns: Option<Vec<&[f64]>> = (1..=run.joints()).map(|j| run.extra(&format!("q_d{j}"))).collect();
-    let Some(columns) = columns else { return Ok(experiment) };
-    let q_d = DMatrix::from_fn(run.samples(), run.joints(), |k, j| columns[j][k]);
+    let Some(q_d) = DESIRED_POSITIONS.of(run) else { return Ok(experiment) };
     let expected = "one finite desired position per sample and joint";
     experiment
         .with_desired(&run.data.t, &q_d)

@@ -4,11 +4,12 @@ use crate::analysis::collector::Recorded;
 use crate::analysis::diagnosed::{self, Diagnosed, Question};
 use crate::analysis::pipeline::{self, Identified, Judged};
 use crate::config::job::{Diagnosis, Job};
+use crate::dataset::columns::SERVED_TORQUES;
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
 use crate::report::figures::{Figures, PlanFigure};
 use crate::report::{
-    Base, Consistency, CounterExperiment, EstimatorFacts, Fit, GravityFacts, Identifiability, IpcReport, LoopReport,
+    Base, Consistency, CounterExperiment, EstimatorFacts, Fit, GravityReport, Identifiability, IpcReport, LoopReport,
     MotionUsage, Report, Validation,
 };
 use crate::setup::programme::{Motion, Programme, Role};
@@ -132,7 +133,7 @@ impl Results {
         report.counter_experiment = counter.map(|(facts, _)| facts);
         report.gravity = status.gravity.as_ref().and_then(|said| {
             let runs = self.recorded.iter().map(|own| (own.number, own.run.data.name.as_str(), own.run.data.mounting));
-            GravityFacts::of(said, self.job.mounting, runs)
+            GravityReport::new(said, self.job.mounting, runs)
         });
         report.motions = self.motions.clone();
         report.control_loop = Some(LoopReport::new(status, !self.job.backend.is_fast()));
@@ -283,16 +284,14 @@ fn usage(motion: &Motion) -> Option<MotionUsage> {
 
 /// One line of the paper's Tables IV and V.
 fn validation(run: &Run, judged: &Judged) -> Validation {
-    let served: Option<Vec<&[f64]>> = (1..=run.joints()).map(|j| run.extra(&format!("tau_ff{j}"))).collect();
     Validation {
         run: run.data.name.clone(),
         rms: judged.rms.raw.clone(),
         rms_raw: judged.rms.raw.clone(),
         rms_filtered: judged.rms.filtered.clone(),
-        served_rms: served.map(|served| {
-            let error = |j: usize, k: usize| run.data.tau[(k, j)] - served[j][k];
-            let square = |j: usize| (0..run.samples()).map(|k| error(j, k).powi(2)).sum::<f64>();
-            (0..run.joints()).map(|j| (square(j) / run.samples() as f64).sqrt()).collect()
+        served_rms: SERVED_TORQUES.of(run).map(|served| {
+            let error = &run.data.tau - served;
+            error.column_iter().map(|column| column.norm() / (run.samples() as f64).sqrt()).collect()
         }),
         mounting: run.data.mounting.into(),
     }

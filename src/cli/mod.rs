@@ -18,7 +18,7 @@ mod torque;
 use crate::failure::Failure;
 use crate::process::journal;
 use crate::{daemon, estimator};
-use clap::{Parser, Subcommand};
+use clap::Parser;
 use plumbline_ipc::{IpcError, place};
 use std::fmt::Display;
 use std::process::ExitCode;
@@ -28,64 +28,66 @@ use std::process::ExitCode;
 #[command(name = "plumbline", version, max_term_width = 100)]
 struct Cli {
     #[command(subcommand)]
-    verb: Verb,
+    subcommand: Subcommand,
 }
 
-#[derive(Subcommand)]
-enum Verb {
+/// The subcommands, each with the module that has its `Options` and its `run`.
+macro_rules! subcommands {
+    ($($(#[$doc:meta])* $name:ident => $module:ident,)+) => {
+        #[derive(clap::Subcommand)]
+        enum Subcommand {
+            $($(#[$doc])* $name($module::Options),)+
+        }
+
+        impl Subcommand {
+            fn run(self) -> Result<(), Failure> {
+                match self {
+                    $(Subcommand::$name(options) => $module::run(options),)+
+                }
+            }
+        }
+    };
+}
+
+subcommands! {
     /// Optimise an excitation and write it to a plan file
-    Plan(plan::Options),
+    Plan => plan,
     /// Do the whole job on one machine: daemon, estimator, report
-    Run(run::Options),
+    Run => run,
     /// Run the real-time process (what the systemd service starts)
-    Daemon(daemon::Options),
+    Daemon => daemon,
     /// Run the estimator process (what the systemd service starts)
-    Estimator(estimator::Options),
+    Estimator => estimator,
     /// Identify from files, offline
-    Identify(identify::Options),
+    Identify => identify,
     /// Say what changed since a model was identified: payload, tilt, friction, sensors
-    Compare(compare::Options),
+    Compare => compare,
     /// Find out what a plain model of recorded data lacks, offline
-    Diagnose(diagnose::Options),
+    Diagnose => diagnose,
     /// Compute the torques of a model along a recorded motion
-    Predict(predict::Options),
+    Predict => predict,
     /// Write the identified arm as URDF, MuJoCo model or C function
-    Export(export::Options),
+    Export => export,
     /// Say whether this machine is fit for 1 kHz, and what to change
-    Doctor(doctor::Options),
+    Doctor => doctor,
     /// Say what happened before a fault, from its recording
-    Postmortem(postmortem::Options),
+    Postmortem => postmortem,
     /// List the effects that diagnosis knows, with their equations
-    Effects(effects::Options),
+    Effects => effects,
     /// Print the feed-forward torque that a daemon serves
-    Torque(torque::Options),
+    Torque => torque,
     /// Listen to the inclinometer of a job and print what it says
-    Inclinometer(inclinometer::Options),
+    Inclinometer => inclinometer,
     /// Tell a running daemon what to do: start, stop, resume, quit, status
-    Command(command::Options),
+    Command => command,
 }
 
 /// Runs the command line and turns its outcome into an exit code: 0 success, 1 a failed job, 2 bad input.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    journal::start(matches!(cli.verb, Verb::Run(_) | Verb::Daemon(_) | Verb::Estimator(_)));
-    let outcome = match cli.verb {
-        Verb::Plan(options) => plan::run(options),
-        Verb::Run(options) => run::run(options),
-        Verb::Daemon(options) => daemon::run(options),
-        Verb::Estimator(options) => estimator::run(options),
-        Verb::Identify(options) => identify::run(options),
-        Verb::Compare(options) => compare::run(options),
-        Verb::Diagnose(options) => diagnose::run(options),
-        Verb::Predict(options) => predict::run(options),
-        Verb::Export(options) => export::run(options),
-        Verb::Doctor(options) => doctor::run(options),
-        Verb::Postmortem(options) => postmortem::run(options),
-        Verb::Effects(options) => effects::run(options),
-        Verb::Torque(options) => torque::run(options),
-        Verb::Inclinometer(options) => inclinometer::run(options),
-        Verb::Command(options) => command::run(options),
-    };
+    let logs = matches!(cli.subcommand, Subcommand::Run(_) | Subcommand::Daemon(_) | Subcommand::Estimator(_));
+    journal::start(logs);
+    let outcome = cli.subcommand.run();
     journal::finish(outcome.as_ref().err().map(|failure| failure as &dyn std::fmt::Display));
     outcome.map_or_else(|failure| ExitCode::from(failure.code()), |()| ExitCode::SUCCESS)
 }
@@ -105,5 +107,52 @@ fn no_daemon(error: impl Display) -> Failure {
             "{error}; the service on this machine belongs to user {owner}, and only that user may talk to it: `sudo -u plumbline plumbline ...`"
         )),
         None => Failure::job(error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Follows the recipe "Add a subcommand" of CONTRIBUTING.md with a subcommand that is made up.
+    mod recipe {
+        use super::*;
+
+        mod made_up {
+            use crate::failure::Failure;
+
+            /// Options of the made-up subcommand.
+            #[derive(clap::Args)]
+            pub struct Options {
+                /// Exit code that the job fails with where this is given
+                #[arg(long)]
+                fails: bool,
+            }
+
+            /// Succeeds, or fails where it was asked to.
+            pub fn run(options: Options) -> Result<(), Failure> {
+                if options.fails { Err(Failure::job("as asked")) } else { Ok(()) }
+            }
+        }
+
+        subcommands! {
+            /// Do what is asked
+            MadeUp => made_up,
+        }
+
+        #[derive(Parser)]
+        struct Cli {
+            #[command(subcommand)]
+            subcommand: Subcommand,
+        }
+
+        #[test]
+        fn a_subcommand_is_a_module_and_a_line() {
+            let run = |arguments: &[&str]| Cli::try_parse_from(arguments).map(|cli| cli.subcommand.run());
+            assert!(run(&["plumbline", "made-up"]).is_ok_and(|outcome| outcome.is_ok()));
+            let failed = run(&["plumbline", "made-up", "--fails"]).ok().and_then(Result::err).expect("a failure");
+            assert_eq!((failed.code(), failed.to_string().as_str()), (1, "as asked"));
+            assert!(run(&["plumbline", "other"]).is_err());
+        }
     }
 }

@@ -98,6 +98,14 @@ impl Layout {
         let none = torque == Torque::Optional && highest("tau") == 0;
         let tau = if none { Vec::new() } else { all("tau", "with a joint torque")? };
         let dq = if highest("dq") > 0 { all("dq", "like those of the other joints")? } else { Vec::new() };
+        // A quantity that the program reads is there for all joints or for none.
+        for known in super::columns::ALL.iter().filter(|known| highest(known.stem) > 0) {
+            if highest(known.stem) > n {
+                let (found, expected) = (highest(known.stem), format!("columns of {n} joints, as many as q has"));
+                return Err(BadInput::new(file, "line 1", format!("column `{}{found}`", known.stem), expected));
+            }
+            all(known.stem, "like those of the other joints")?;
+        }
         let extra = (0..header.len())
             .filter(|&column| column != t && ![&q, &dq, &tau].iter().any(|known| known.contains(&column)))
             .collect();

@@ -1,6 +1,6 @@
 //! Identity of a dataset's content, for provenance.
 
-use super::{Dataset, Role};
+use super::{Dataset, Role, columns};
 use sha2::{Digest, Sha256};
 
 /// Hash over numbers, not over text: a dataset written anew keeps its hash.
@@ -24,6 +24,8 @@ pub(super) fn content_hash(dataset: &Dataset) -> String {
         number(if run.data.dq.is_some() { 1.0 } else { 0.0 });
         run.data.dq.iter().flat_map(|dq| dq.iter()).copied().for_each(&mut number);
         run.data.tau.iter().copied().for_each(&mut number);
+        let further = columns::ALL.iter().filter(|known| known.identifies).filter_map(|known| known.of(run));
+        further.for_each(|matrix| matrix.iter().copied().for_each(&mut number));
     }
     hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -5,6 +5,7 @@
 //! columns of numbers (`temp1`, `tau_cmd1`, ...), which are kept by name. Sampling may be uneven; samples may be missing or repeated.
 //! A run whose file name ends in `.mcap` is a recording of the flight recorder.
 
+pub mod columns;
 mod csv;
 mod flight;
 mod hash;

@@ -5,125 +5,85 @@ use plumbline_ipc::Gravity;
 use plumbline_model::Mounting;
 use serde::{Deserialize, Serialize};
 
-/// What the inclinometer did, and what was made of it.
+/// What the inclinometer measured and what the daemon did with it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct GravityFacts {
-    /// Whether a socket played the bus, and no sensor was there.
-    pub simulated: bool,
-    /// Where the model's gravity came from at the end: `measured`, `held` from before the sensor was lost, or `declared`.
-    pub source: String,
-    /// How the inclinometer was at the end.
-    pub inclinometer: String,
-    /// What is served without a reading, by the job: `refuse`, `hold` or `declared`.
-    pub on_loss: String,
+pub struct GravityReport {
     /// The mounting by the job.
     pub declared: MountingFacts,
-    /// What was measured last; absent where nothing ever was.
-    pub measured: Option<MountingFacts>,
-    /// Angle between that and the declared direction \[rad\].
-    pub tilt: Option<f64>,
-    /// Standard deviation of the direction measured last \[rad\].
-    pub std: Option<f64>,
-    /// What the torques at rest imply under the model, where they were asked.
-    pub implied: Option<MountingFacts>,
-    /// How often the inclinometer was lost after it had been there.
-    pub losses: u64,
-    /// How long it was gone, all together \[s\].
-    pub lost_s: f64,
-    /// How often the served model got another gravity.
-    pub hand_overs: u64,
-    /// Largest angle between the gravity that the served model had and the declared one \[rad\].
-    pub furthest: f64,
-    /// With which mounting each motion was evaluated.
-    pub motions: Vec<MotionGravityFacts>,
-    /// What has happened, the latest last.
-    pub events: Vec<String>,
-    /// Older events that were not kept.
-    pub forgotten: u64,
+    /// The daemon's status at the end.
+    pub status: Gravity,
+    /// The mounting that each run was evaluated with.
+    pub runs: Vec<RunGravity>,
 }
 
-/// The direction of gravity of one motion.
+/// The direction of gravity of one run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct MotionGravityFacts {
-    /// Name of its run.
+pub struct RunGravity {
+    /// Name of the run.
     pub run: String,
     /// The mounting that the run was evaluated with. A base that has not moved since the first run keeps the first run's.
     pub used: MountingFacts,
-    /// Where that comes from: `measured` or `declared`, where the inclinometer had no reading as the motion began.
-    pub source: String,
     /// Angle between it and the declared direction \[rad\].
     pub tilt: f64,
-    /// Standard deviation of the direction measured as the motion began \[rad\].
+    /// Standard deviation of the direction measured as the motion began \[rad\]; `None` where the inclinometer had no reading then and the
+    /// declared mounting is used.
     pub std: Option<f64>,
 }
 
-impl GravityFacts {
-    /// From the daemon's word, for runs by number, name and the mounting that they were evaluated with; `None` where no inclinometer
-    /// was there.
-    pub fn of<'r>(
-        said: &Gravity,
+impl RunGravity {
+    /// `measured` or `declared`.
+    pub fn source(&self) -> &'static str {
+        if self.std.is_some() { "measured" } else { "declared" }
+    }
+}
+
+impl GravityReport {
+    /// From the daemon's status, for runs by number, name and the mounting that they were evaluated with; `None` without an inclinometer.
+    pub fn new<'r>(
+        status: &Gravity,
         declared: Mounting,
         runs: impl IntoIterator<Item = (u32, &'r str, Mounting)>,
-    ) -> Option<GravityFacts> {
-        let (inclinometer, on_loss) = (said.inclinometer.clone()?, said.on_loss.clone().unwrap_or_default());
-        let mounting = |[rho, phi]: [f64; 2]| Mounting { rho, phi };
-        let motion = |(number, run, used): (u32, &str, Mounting)| {
-            let measured = said.motions.iter().rev().find(|own| own.motion == number);
-            MotionGravityFacts {
+    ) -> Option<GravityReport> {
+        status.inclinometer.as_ref()?;
+        let run = |(number, run, used): (u32, &str, Mounting)| {
+            let measured = status.motions.iter().rev().find(|motion| motion.motion == number);
+            RunGravity {
                 run: run.to_string(),
                 used: used.into(),
-                source: if measured.is_some() { "measured" } else { "declared" }.to_string(),
                 tilt: used.angle_to(&declared),
-                std: measured.map(|own| own.std),
+                std: measured.map(|motion| motion.std),
             }
         };
-        let measured = said.measured.map(mounting);
-        Some(GravityFacts {
-            simulated: said.simulated,
-            source: said.source.clone(),
-            inclinometer,
-            on_loss,
-            declared: declared.into(),
-            measured: measured.map(MountingFacts::from),
-            tilt: measured.map(|measured| measured.angle_to(&declared)),
-            std: said.uncertainty,
-            implied: said.torques.map(mounting).map(MountingFacts::from),
-            losses: said.losses,
-            lost_s: said.lost_s,
-            hand_overs: said.hand_overs,
-            furthest: said.furthest,
-            motions: runs.into_iter().map(motion).collect(),
-            events: said.events.clone(),
-            forgotten: said.forgotten,
-        })
+        let runs = runs.into_iter().map(run).collect();
+        Some(GravityReport { declared: declared.into(), status: status.clone(), runs })
+    }
+
+    /// Angle between the direction measured last and the declared one \[rad\]; `None` where nothing was measured.
+    pub fn tilt(&self) -> Option<f64> {
+        let [rho, phi] = self.status.measured?;
+        let MountingFacts { rho: declared_rho, phi: declared_phi, .. } = self.declared;
+        Some(Mounting { rho, phi }.angle_to(&Mounting { rho: declared_rho, phi: declared_phi }))
     }
 
     /// In one sentence, without its full stop.
     pub fn sentence(&self) -> String {
-        let sensor = if self.simulated { "a SIMULATED inclinometer" } else { "the inclinometer" };
-        let measured = self.tilt.map_or("has measured nothing".to_string(), |tilt| {
-            let std = self.std.map_or(String::new(), |std| format!(" +- {:.2}", std.to_degrees()));
-            format!(
-                "measured gravity {:.2}{std} deg off the declared mounting {}",
-                tilt.to_degrees(),
-                self.declared.name
-            )
+        let status = &self.status;
+        let sensor = if status.simulated { "a SIMULATED inclinometer" } else { "the inclinometer" };
+        let measured = self.tilt().map_or("has measured nothing".to_string(), |tilt| {
+            let std = status.uncertainty.map_or(String::new(), |std| format!(" +- {:.2}", std.to_degrees()));
+            let (tilt, declared) = (tilt.to_degrees(), &self.declared.name);
+            format!("measured gravity {tilt:.2}{std} deg off the declared mounting {declared}")
         });
-        let lost = match self.losses {
+        let on_loss = status.on_loss.as_deref().unwrap_or_default();
+        let lost = match status.losses {
             0 => "never lost".to_string(),
-            times => {
-                let times = if times == 1 { "once".to_string() } else { format!("{times} times") };
-                format!("lost {times}, for {:.1} s in all (on-loss = \"{}\")", self.lost_s, self.on_loss)
-            }
+            1 => format!("lost once, for {:.1} s in all (on-loss = \"{on_loss}\")", status.lost_s),
+            times => format!("lost {times} times, for {:.1} s in all (on-loss = \"{on_loss}\")", status.lost_s),
         };
-        let declared = self.motions.iter().filter(|motion| motion.source == "declared").count();
-        let without = match declared {
+        let without = match self.runs.iter().filter(|run| run.std.is_none()).count() {
             0 => String::new(),
-            some => format!(
-                "; {some} of {} motions began without it and stand by the declared mounting",
-                self.motions.len()
-            ),
+            some => format!("; {some} of {} motions began without it and have the declared mounting", self.runs.len()),
         };
-        format!("{sensor} {measured}; {lost}{without}; {} at the end", self.source)
+        format!("{sensor} {measured}; {lost}{without}; {} at the end", status.source)
     }
 }

@@ -1,7 +1,7 @@
 //! `report.html`: figures formatted here, laid out by the template. minijinja escapes every text; only our own SVG goes in as it is.
 
 use super::summary::{self, Group, against_floor, digits, groups, mean};
-use super::{Band, Figures, GravityFacts, LoopReport, MotionGravityFacts, Report, diagnosis, plot};
+use super::{Band, Figures, GravityReport, LoopReport, Report, RunGravity, diagnosis, plot};
 use minijinja::{AutoEscape, Environment, Value, context};
 use plumbline_ipc::Session;
 use std::io;
@@ -223,27 +223,28 @@ fn counter(report: &Report) -> Option<Value> {
 }
 
 /// What the inclinometer did, angles in degrees.
-fn gravity(of: &GravityFacts) -> Value {
+fn gravity(of: &GravityReport) -> Value {
     let angle = |rad: f64| format!("{:.3}", rad.to_degrees());
-    let row = |motion: &MotionGravityFacts| {
+    let row = |run: &RunGravity| {
         context! {
-            run => name(&motion.run),
-            source => &motion.source,
-            rho => angle(motion.used.rho),
-            phi => angle(motion.used.phi),
-            tilt => angle(motion.tilt),
-            std => motion.std.map_or("-".to_string(), angle),
+            run => name(&run.run),
+            source => run.source(),
+            rho => angle(run.used.rho),
+            phi => angle(run.used.phi),
+            tilt => angle(run.tilt),
+            std => run.std.map_or("-".to_string(), angle),
         }
     };
+    let status = &of.status;
     context! {
         sentence => of.sentence(),
-        inclinometer => &of.inclinometer,
-        on_loss => &of.on_loss,
-        hand_overs => of.hand_overs,
-        furthest => angle(of.furthest),
-        motions => of.motions.iter().map(row).collect::<Vec<_>>(),
-        events => &of.events,
-        forgotten => of.forgotten,
+        inclinometer => &status.inclinometer,
+        on_loss => &status.on_loss,
+        hand_overs => status.hand_overs,
+        furthest => angle(status.furthest),
+        runs => of.runs.iter().map(row).collect::<Vec<_>>(),
+        events => &status.events,
+        forgotten => status.forgotten,
     }
 }
 

@@ -14,7 +14,7 @@ mod timing;
 pub use consistency::{Consistency, Moved};
 pub use diagnosis::Diagnosis;
 pub use figures::Figures;
-pub use gravity::{GravityFacts, MotionGravityFacts};
+pub use gravity::{GravityReport, RunGravity};
 pub use timing::{IpcReport, LoopReport};
 
 use crate::atomic;
@@ -64,7 +64,7 @@ pub struct Report {
     pub consistency: Option<Consistency>,
     /// What the inclinometer did; absent where none was there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub gravity: Option<GravityFacts>,
+    pub gravity: Option<GravityReport>,
     /// How the real-time loop did; absent for recorded data.
     #[serde(default, rename = "loop", skip_serializing_if = "Option::is_none")]
     pub control_loop: Option<LoopReport>,

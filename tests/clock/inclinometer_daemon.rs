@@ -343,17 +343,16 @@ fn a_runs_report_says_what_the_inclinometer_did() {
     comes("its return", |gravity| gravity.source == "measured");
     let done = running.unwrap().end().expect_code(0);
 
-    let facts = place.report().gravity.unwrap();
-    let tilt = 1.5f64.hypot(0.5);
-    assert!(facts.simulated && facts.source == "measured" && facts.on_loss == "hold" && facts.losses == 1, "{facts:?}");
-    assert!((facts.tilt.unwrap().to_degrees() - tilt).abs() < 0.1, "{facts:?}");
-    assert!((0.1..1.0).contains(&facts.std.unwrap().to_degrees()) && facts.lost_s > 0.0, "{facts:?}");
-    assert!(
-        facts.events.len() == 2 && facts.events[0].contains("is lost") && facts.events[1].contains("is back"),
-        "{facts:?}"
-    );
-    let first = &facts.motions[0];
-    assert!(first.source == "measured" && (first.tilt.to_degrees() - tilt).abs() < 0.1, "{first:?}");
+    let report = place.report().gravity.unwrap();
+    let (status, tilt) = (&report.status, 1.5f64.hypot(0.5));
+    assert_eq!((status.simulated, status.source.as_str(), status.losses), (true, "measured", 1), "{report:?}");
+    assert_eq!(status.on_loss.as_deref(), Some("hold"));
+    assert!((report.tilt().unwrap().to_degrees() - tilt).abs() < 0.1, "{report:?}");
+    assert!((0.1..1.0).contains(&status.uncertainty.unwrap().to_degrees()) && status.lost_s > 0.0, "{report:?}");
+    let [lost, back] = &status.events[..] else { panic!("{report:?}") };
+    assert!(lost.contains("is lost") && back.contains("is back"), "{report:?}");
+    let first = &report.runs[0];
+    assert!(first.source() == "measured" && (first.tilt.to_degrees() - tilt).abs() < 0.1, "{first:?}");
     assert!(done.out.contains("gravity: a SIMULATED inclinometer measured"), "{}", done.said());
     let html = std::fs::read_to_string(place.out().join("report.html")).unwrap();
     assert!(html.contains("Direction of gravity") && html.contains("a SIMULATED inclinometer"));

@@ -1,6 +1,7 @@
 //! The dataset's folder form: what is written reads back, bad descriptions are refused, the measured logs load.
 
 use nalgebra::DMatrix;
+use plumbline::dataset::columns::{self, JointColumns};
 use plumbline::dataset::{Dataset, Role, Run};
 use plumbline_model::Mounting;
 use rand::{Rng, SeedableRng};
@@ -80,6 +81,41 @@ fn the_hash_follows_the_content_alone() {
         let mut changed = base.clone();
         change(&mut changed);
         assert_ne!(changed.content_hash(), base.content_hash());
+    }
+}
+
+/// Follows the recipe "Add a dataset column" of CONTRIBUTING.md with a quantity that is made up.
+#[test]
+fn a_quantity_per_joint_is_written_read_and_hashed_where_it_identifies() {
+    const MADE_UP: JointColumns =
+        JointColumns { stem: "temp", unit: "K", purpose: "a made-up temperature", identifies: false };
+    let column = |stem: &str, joint: usize, factor: f64| {
+        (format!("{stem}{joint}"), (0..20).map(|k| factor * k as f64 + joint as f64).collect::<Vec<f64>>())
+    };
+    let with = |stem: &str, factor: f64| {
+        let mut set = made_up(20, 2);
+        set.runs[0].extra = vec![column(stem, 1, factor), column(stem, 2, factor)];
+        set
+    };
+    let room = tempfile::tempdir().unwrap();
+    for known in [&MADE_UP, &columns::DESIRED_POSITIONS, &columns::SERVED_TORQUES] {
+        let set = with(known.stem, 0.5);
+        set.write(&room.path().join(known.stem)).unwrap();
+        let read = Dataset::read(&room.path().join(known.stem)).unwrap();
+        let values = known.of(&read.runs[0]).expect("the columns are there");
+        assert_eq!((values.shape(), values[(4, 1)]), ((20, 2), 4.0), "{}", known.stem);
+        assert!(known.of(&read.runs[1]).is_none());
+        let same = with(known.stem, 0.6).content_hash() == set.content_hash();
+        assert_eq!(same, !known.identifies, "{}", known.stem);
+    }
+    // Of one joint alone, or of a joint that the arm does not have.
+    for (joints, says) in [(vec![1], "no column `q_d2`"), (vec![1, 2, 3], "column `q_d3`")] {
+        let mut set = made_up(20, 2);
+        set.runs[0].extra = joints.into_iter().map(|joint| column("q_d", joint, 0.5)).collect();
+        let dir = room.path().join(says.replace('`', ""));
+        set.write(&dir).unwrap();
+        let said = Dataset::read(&dir).expect_err("a refusal").to_string();
+        assert!(said.contains("a.csv") && said.contains(says), "{said}");
     }
 }
 

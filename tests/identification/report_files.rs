@@ -433,10 +433,10 @@ fn tilted() -> Gravity {
 fn what_the_inclinometer_did_stands_in_both_files() {
     let seen = Mounting { rho: Mounting::WALL.rho + 0.01, ..Mounting::WALL };
     let runs = [(1, "identify-1.csv", seen), (2, "wall-1.csv", Mounting::WALL)];
-    let facts = GravityFacts::of(&tilted(), Mounting::WALL, runs).unwrap();
-    assert!((facts.tilt.unwrap() - 0.02).abs() < 1e-9 && (facts.motions[0].tilt - 0.01).abs() < 1e-9);
-    assert_eq!((facts.motions[0].source.as_str(), facts.motions[0].std), ("measured", Some(0.003)));
-    assert_eq!((facts.motions[1].source.as_str(), facts.motions[1].std), ("declared", None));
+    let facts = GravityReport::new(&tilted(), Mounting::WALL, runs).unwrap();
+    assert!((facts.tilt().unwrap() - 0.02).abs() < 1e-9 && (facts.runs[0].tilt - 0.01).abs() < 1e-9);
+    assert_eq!((facts.runs[0].source(), facts.runs[0].std), ("measured", Some(0.003)));
+    assert_eq!((facts.runs[1].source(), facts.runs[1].std), ("declared", None));
     let sentence = facts.sentence();
     for part in [
         "1.15 +- 0.20 deg off",
@@ -455,7 +455,7 @@ fn what_the_inclinometer_did_stands_in_both_files() {
     assert!(report.summary().iter().any(|line| line.starts_with("gravity: the inclinometer measured")));
 
     // A socket that plays the bus is named as what it is; without an inclinometer nothing is said of one.
-    let simulated = GravityFacts::of(&Gravity { simulated: true, ..tilted() }, Mounting::WALL, []).unwrap();
+    let simulated = GravityReport::new(&Gravity { simulated: true, ..tilted() }, Mounting::WALL, []).unwrap();
     assert!(simulated.sentence().starts_with("a SIMULATED inclinometer"));
-    assert_eq!(GravityFacts::of(&Gravity { inclinometer: None, ..tilted() }, Mounting::WALL, []), None);
+    assert_eq!(GravityReport::new(&Gravity { inclinometer: None, ..tilted() }, Mounting::WALL, []), None);
 }

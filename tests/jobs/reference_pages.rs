@@ -180,6 +180,16 @@ fn the_robot_file_shows_every_key() {
 }
 
 #[test]
+fn the_dataset_page_has_every_column_that_is_read_by_joint() {
+    let text = page::read("docs/reference/dataset.md");
+    for known in plumbline::dataset::columns::ALL {
+        let (stem, unit, purpose) = (known.stem, known.unit, known.purpose);
+        let row = format!("| `{stem}1` .. `{stem}n` | {unit} | optional: {purpose} |");
+        assert!(text.contains(&row), "docs/reference/dataset.md lacks\n{row}");
+    }
+}
+
+#[test]
 fn dataset_and_model_file_show_every_key() {
     let folder = tempfile::tempdir().unwrap();
     let refused = |command: &[&str], file: &Path, text: &str| {

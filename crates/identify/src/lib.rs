@@ -31,7 +31,7 @@
 //!     dq: None,
 //!     tau: DMatrix::from_fn(t.len(), 1, |k, _| tau(t[k])),
 //!     t,
-//!     gravity: Mounting::UPRIGHT.gravity(),
+//!     mounting: Mounting::UPRIGHT,
 //!     period: Some(2.0),
 //! };
 //! let structure = Structure::of(chain.clone(), Reduction::in_mounting(&chain, &Mounting::UPRIGHT), &["friction"])?;
