@@ -7,7 +7,7 @@ use plumbline::postmortem::story::Story;
 use plumbline::postmortem::{page, text};
 use plumbline::recording::Recording;
 use plumbline::recording::about::{
-    About, FORMAT, Given, Handed, LogClock, Reason, Series, Settings, panic_message, panicked,
+    About, FORMAT, Given, Handed, LogClock, Reason, ReasonKind, Series, Settings, panic_message, panicked,
 };
 use plumbline::recording::history::{History, Window};
 use plumbline_core::{Fault, FeedForward, JointVec, MAX_JOINTS, Phase, Record, Setpoint, Sink};
@@ -112,7 +112,7 @@ fn about(window: &Window, end: String, dropped_events: u64) -> About {
         job: "none".into(),
         job_sha256: String::new(),
         recorded: "2026-01-01T00:00:00Z".into(),
-        reason: Reason::new("guard", "a test"),
+        reason: Reason::new(ReasonKind::Guard, "a test"),
         end: Some(end),
         next: Vec::new(),
         goes_on: false,

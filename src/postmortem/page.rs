@@ -3,6 +3,7 @@
 use super::story::{Joint, Story};
 use super::{plot, text};
 use crate::recording::Recording;
+use crate::recording::about::ReasonKind;
 use minijinja::{AutoEscape, Environment, Value, context};
 use plumbline_core::PERIOD;
 use std::io;
@@ -21,7 +22,7 @@ pub fn page(story: &Story, recording: &Recording) -> io::Result<String> {
     let of = &story.timing.statistics;
     let page = context! {
         headline => story.headline(),
-        calm => story.kind == "on-demand",
+        calm => story.kind == ReasonKind::OnDemand,
         reason => &story.reason,
         tiles => tiles(story),
         next => story.next.iter().map(|step| safe(with_code(step))).collect::<Vec<_>>(),

@@ -4,7 +4,7 @@ use super::advice;
 use super::replay::Replayed;
 use super::timing::Timing;
 use crate::recording::Recording;
-use crate::recording::about::Given;
+use crate::recording::about::{Given, ReasonKind};
 use crate::recording::messages::{limit_name, words};
 use plumbline_core::{PERIOD, Phase, Record};
 use plumbline_rt::{Event, Limit, StopReason, TimedEvent, Violation};
@@ -31,7 +31,7 @@ pub struct Story {
     /// The model that served last, in hexadecimal.
     pub model: Option<String>,
     /// Why it was recorded, in one word.
-    pub kind: String,
+    pub kind: ReasonKind,
     /// Why it was recorded, in one sentence.
     pub reason: String,
     /// How the loop ended, where it did.
@@ -173,7 +173,7 @@ impl Story {
             recorded: about.recorded.clone(),
             job: format!("{} (SHA-256 {short}...)", about.job),
             model: recording.records.iter().rev().map(|r| r.model).find(|&id| id != 0).map(|id| format!("{id:016x}")),
-            kind: about.reason.kind.clone(),
+            kind: about.reason.kind,
             reason: about.reason.text.clone(),
             end: about.end.clone(),
             during: during(recording),
@@ -194,26 +194,29 @@ impl Story {
     /// The one sentence that says what happened.
     pub fn headline(&self) -> String {
         let during = self.during.as_ref().map_or(String::new(), |during| format!(", during {during}"));
-        let happened = match self.kind.as_str() {
-            "guard" => "The guard stopped the arm",
-            "lost-states" => "The arm was stopped because states were lost",
-            "requested" => "Somebody stopped the arm",
-            "unattended" => "The arm was stopped because the supervisor's heartbeat timed out",
-            "not-real-time" => "The loop did not begin, for the machine is not real-time",
-            "mounting" => "The arm was stopped because its mounting was in doubt",
-            "estimator-lost" => "The arm was stopped because the estimator was gone",
-            "not-at-start" | "no-path" => "A motion could not begin",
-            "reflex" => "The arm stopped by itself",
-            "refused" => "The arm refused a command",
-            "disconnected" => "The connection to the arm was lost",
-            "silent" => "The arm fell silent",
-            "panic" => "The loop's thread panicked",
-            "unsafe" | "no-brake" => "No controlled stop was possible: the arm was stopped by its own means",
-            "clock" => "The arm's counter did not go forward",
-            "signal" => "A signal ended the program, and the arm was stopped",
-            "parent-ended" => "The program that had started the daemon ended, and the arm was stopped",
-            "on-demand" => "A recording was asked for",
-            other => return format!("{other}{during}"),
+        let happened = match self.kind {
+            ReasonKind::Guard => "The guard stopped the arm",
+            ReasonKind::LostStates => "The arm was stopped because states were lost",
+            ReasonKind::Requested => "A stop was requested",
+            ReasonKind::HeartbeatLost => "The arm was stopped because the supervisor's heartbeat timed out",
+            ReasonKind::NotRealTime => "The loop did not begin, for the machine is not real-time",
+            ReasonKind::Mounting => "The arm was stopped because its mounting was in doubt",
+            ReasonKind::EstimatorLost => "The arm was stopped because the estimator was lost",
+            ReasonKind::NotAtStart | ReasonKind::NoPath => "A motion could not begin",
+            ReasonKind::Reflex => "The arm stopped by itself",
+            ReasonKind::Refused => "The arm refused a command",
+            ReasonKind::Disconnected => "The connection to the arm was lost",
+            ReasonKind::Silent => "No state came from the arm in time",
+            ReasonKind::Panic => "The loop's thread panicked",
+            ReasonKind::Unsafe | ReasonKind::NoBrake => {
+                "No controlled stop was possible: the arm was stopped by its own means"
+            }
+            ReasonKind::Clock => "The arm's counter did not go forward",
+            ReasonKind::Signal => "A signal ended the program, and the arm was stopped",
+            ReasonKind::ParentEnded => "The program that had started the daemon ended, and the arm was stopped",
+            ReasonKind::OnDemand => "A recording was requested",
+            ReasonKind::ModelTimeout => "The arm was stopped because no model came in time",
+            ReasonKind::Unknown => return format!("{}{during}", self.reason),
         };
         format!("{happened}{during}")
     }

@@ -4,6 +4,7 @@
 //! it can't cut a controlled stop short.
 
 use crate::failure::Failure;
+use crate::recording::about::ReasonKind;
 use signal_hook::low_level::signal_name;
 use std::fmt;
 use std::io::Read;
@@ -50,10 +51,10 @@ pub enum Cause {
 
 impl Cause {
     /// Kind in the name of a recording.
-    pub fn kind(self) -> &'static str {
+    pub fn kind(self) -> ReasonKind {
         match self {
-            Cause::Signal(_) => "signal",
-            Cause::ParentEnded => "parent-ended",
+            Cause::Signal(_) => ReasonKind::Signal,
+            Cause::ParentEnded => ReasonKind::ParentEnded,
         }
     }
 }
