@@ -7,8 +7,8 @@ use crate::process::outbox::Outbox;
 use sd_notify::NotifyState;
 use std::time::{Duration, Instant};
 
-/// Words that may be on their way at a time; what comes on top of them is lost.
-const WORDS: usize = 64;
+/// Notifications queued at a time; more are dropped.
+const MAX_MESSAGES: usize = 64;
 /// Timeout of the last notification of a process.
 const FAREWELL: Duration = Duration::from_secs(1);
 
@@ -71,17 +71,17 @@ impl Service {
 
     /// The process is up; units that wait for it may start.
     pub fn ready(&self, status: &str) {
-        self.tell(&[NotifyState::Ready, NotifyState::Status(status)]);
+        self.notify(&[NotifyState::Ready, NotifyState::Status(status)]);
     }
 
     /// What `systemctl status` shows.
     pub fn status(&self, status: &str) {
-        self.tell(&[NotifyState::Status(status)]);
+        self.notify(&[NotifyState::Status(status)]);
     }
 
     /// The process is about to end by itself.
     pub fn stopping(&self) {
-        self.tell(&[NotifyState::Stopping]);
+        self.notify(&[NotifyState::Stopping]);
     }
 
     /// Feeds the watchdog where something has got on since it was fed last.
@@ -92,7 +92,7 @@ impl Service {
         if std::mem::take(&mut self.extended) {
             self.limit(self.watchdog);
         }
-        self.tell(&[NotifyState::Watchdog]);
+        self.notify(&[NotifyState::Watchdog]);
     }
 
     /// The process's own loop has come round once more.
@@ -107,19 +107,19 @@ impl Service {
             self.extended = true;
             self.pulse = Pulse::new(self.watchdog);
             self.limit(Some(watchdog.max(longest)));
-            self.tell(&[NotifyState::Watchdog]);
+            self.notify(&[NotifyState::Watchdog]);
         }
     }
 
     fn limit(&self, limit: Option<Duration>) {
         let micros = limit.and_then(|limit| u32::try_from(limit.as_micros()).ok());
-        self.tell(&micros.map(NotifyState::WatchdogUsec).into_iter().collect::<Vec<_>>());
+        self.notify(&micros.map(NotifyState::WatchdogUsec).into_iter().collect::<Vec<_>>());
     }
 
     /// systemd is not needed for anything: what it does not take is not an error of the job.
-    fn tell(&self, state: &[NotifyState]) {
+    fn notify(&self, state: &[NotifyState]) {
         if let Some(messenger) = self.messenger.as_ref().filter(|_| !state.is_empty()) {
-            messenger.tell(state.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"));
+            messenger.send(state.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"));
         }
     }
 }
@@ -130,8 +130,8 @@ struct Messenger(Outbox<String>);
 
 impl Messenger {
     fn start() -> Option<Messenger> {
-        let started = Outbox::start("plumbline-notify", WORDS, |_dropped, word: String| {
-            if let Err(error) = sd_notify::notify(&[NotifyState::Custom(&word)]) {
+        let started = Outbox::start("plumbline-notify", MAX_MESSAGES, |_dropped, message: String| {
+            if let Err(error) = sd_notify::notify(&[NotifyState::Custom(&message)]) {
                 tracing::debug!("systemd was not notified: {error}");
             }
         });
@@ -141,8 +141,8 @@ impl Messenger {
             .ok()
     }
 
-    fn tell(&self, word: String) {
-        if !self.0.offer(word) {
+    fn send(&self, message: String) {
+        if !self.0.offer(message) {
             tracing::debug!("systemd does not read its notifications");
         }
     }
