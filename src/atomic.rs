@@ -1,62 +1,62 @@
-//! How results reach the disk: written aside, flushed, then renamed, so that no reader ever sees half a result.
+//! Atomic writes of results: a temporary file is written and flushed, then renamed.
 
 use crate::failure::Failure;
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// Writes `bytes` to `path`: whoever opens it sees the old content or the new one, also after a power cut.
+/// Writes `bytes` to `path` atomically: a reader gets the old or the new content, also after a power cut.
 ///
-/// Missing parent folders are made. Errors carry the path.
+/// Missing parent folders are created. Errors contain the path.
 pub fn write_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let parent = parent_of(path);
-    fs::create_dir_all(&parent).map_err(|error| named(&parent, error))?;
-    sweep(&parent, path);
-    let aside = aside_of(path)?;
-    let written = (|| {
-        let mut file = File::create(&aside)?;
+    fs::create_dir_all(&parent).map_err(|error| with_path(&parent, error))?;
+    remove_stale(&parent, path);
+    let temporary = temporary_of(path)?;
+    let result = (|| {
+        let mut file = File::create(&temporary)?;
         file.write_all(bytes)?;
         file.sync_all()?;
-        fs::rename(&aside, path)?;
+        fs::rename(&temporary, path)?;
         sync_folder(&parent)
     })();
-    if written.is_err() {
-        let _ = fs::remove_file(&aside);
+    if result.is_err() {
+        let _ = fs::remove_file(&temporary);
     }
-    written.map_err(|error| named(path, error))
+    result.map_err(|error| with_path(path, error))
 }
 
-/// [`write_file`] for a result of a command: a failure is one of the job.
+/// [`write_file`] for a result of a command; an error is [`Failure::Job`].
 pub fn write_result(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     write_file(path, bytes).map_err(Failure::job)
 }
 
-/// Fills a new folder beside `path` with `fill`, flushes its files, then puts it in `path`'s place; an older folder there goes.
+/// Fills a temporary folder with `fill`, flushes its files, and replaces folder `path` with it.
 ///
-/// When `fill` fails nothing at `path` has changed and the new folder is removed. The caller makes sure that the older
-/// folder is one of its own making.
+/// If `fill` fails, `path` is unchanged and the temporary folder is removed. The caller checks that an old folder at `path` may be
+/// deleted.
 pub fn write_folder(path: &Path, fill: impl FnOnce(&Path) -> io::Result<()>) -> io::Result<()> {
     let parent = parent_of(path);
-    fs::create_dir_all(&parent).map_err(|error| named(&parent, error))?;
-    sweep(&parent, path);
-    let aside = aside_of(path)?;
-    let written = (|| {
-        fs::create_dir(&aside)?;
-        fill(&aside)?;
-        for entry in fs::read_dir(&aside)? {
+    fs::create_dir_all(&parent).map_err(|error| with_path(&parent, error))?;
+    remove_stale(&parent, path);
+    let temporary = temporary_of(path)?;
+    let result = (|| {
+        fs::create_dir(&temporary)?;
+        fill(&temporary)?;
+        for entry in fs::read_dir(&temporary)? {
             File::open(entry?.path())?.sync_all()?;
         }
-        sync_folder(&aside)?;
-        replace_folder(&aside, path)?;
+        sync_folder(&temporary)?;
+        replace_folder(&temporary, path)?;
         sync_folder(&parent)
     })();
-    if written.is_err() {
-        let _ = fs::remove_dir_all(&aside);
+    if result.is_err() {
+        let _ = fs::remove_dir_all(&temporary);
     }
-    written.map_err(|error| named(path, error))
+    result.map_err(|error| with_path(path, error))
 }
 
-/// Puts folder `new` in the place of folder `path`, in one step where the file system can exchange two names.
+/// Replaces folder `path` with folder `new`, in one step if the file system can exchange names.
 fn replace_folder(new: &Path, path: &Path) -> io::Result<()> {
     use rustix::fs::{CWD, RenameFlags, renameat_with};
     if !path.exists() {
@@ -74,18 +74,17 @@ fn replace_folder(new: &Path, path: &Path) -> io::Result<()> {
     fs::remove_dir_all(old)
 }
 
-/// A hidden name in the same folder (a rename can't cross file systems), one per process and call.
-fn aside_of(path: &Path) -> io::Result<PathBuf> {
+/// Hidden temporary name in the same folder, unique per process and call. A rename can't cross file systems.
+fn temporary_of(path: &Path) -> io::Result<PathBuf> {
     use std::sync::atomic::{AtomicU64, Ordering};
     static CALLS: AtomicU64 = AtomicU64::new(0);
-    let name = path.file_name().ok_or_else(|| named(path, io::Error::other("has no file name")))?;
+    let name = path.file_name().ok_or_else(|| with_path(path, io::Error::other("has no file name")))?;
     let call = CALLS.fetch_add(1, Ordering::Relaxed);
     Ok(parent_of(path).join(format!(".{}.{}-{call}.aside", name.to_string_lossy(), std::process::id())))
 }
 
-/// Removes what processes that died in the midst of writing `path` have left in its folder. What can't be removed stays: it is in nobody's
-/// way.
-fn sweep(folder: &Path, path: &Path) {
+/// Removes temporary files of ended processes that wrote `path`. Errors are ignored, because such files do no harm.
+fn remove_stale(folder: &Path, path: &Path) {
     let Some(name) = path.file_name().map(|name| format!(".{}.", name.to_string_lossy())) else { return };
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let found = entry.file_name().to_string_lossy().into_owned();
@@ -111,7 +110,7 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
     File::open(folder)?.sync_all()
 }
 
-fn named(path: &Path, error: io::Error) -> io::Error {
+fn with_path(path: &Path, error: io::Error) -> io::Error {
     let shown = path.display().to_string();
     let text = error.to_string();
     if text.contains(&shown) { error } else { io::Error::new(error.kind(), format!("{shown}: {text}")) }
@@ -129,9 +128,9 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_replaced_whole_and_leaves_nothing_behind() {
-        let room = tempfile::tempdir().unwrap();
-        let path = room.path().join("deep/er/model.toml");
+    fn a_file_is_replaced_without_leftovers() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("deep/er/model.toml");
         write_file(&path, b"old").unwrap();
         write_file(&path, b"new").unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"new");
@@ -139,46 +138,46 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_cannot_be_placed_leaves_nothing_behind() {
-        let room = tempfile::tempdir().unwrap();
-        let path = room.path().join("taken");
+    fn a_failed_write_leaves_no_temporary_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("taken");
         fs::create_dir(&path).unwrap();
         let error = write_file(&path, b"x").unwrap_err();
         assert!(error.to_string().contains("taken"), "{error}");
-        assert_eq!(names(room.path()), ["taken"]);
+        assert_eq!(names(folder.path()), ["taken"]);
     }
 
     #[test]
-    fn what_the_dead_left_aside_goes_and_what_the_living_write_stays() {
-        let room = tempfile::tempdir().unwrap();
+    fn temporary_files_of_ended_processes_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
         let (dead, alive) = ("2000000000", std::process::id());
         for name in
             [format!(".model.toml.{dead}-0.aside"), format!(".model.toml.{alive}-900.aside"), ".other.1-0.aside".into()]
         {
-            fs::write(room.path().join(name), "half").unwrap();
+            fs::write(folder.path().join(name), "half").unwrap();
         }
-        fs::create_dir(room.path().join(format!(".model.toml.{dead}-1.old"))).unwrap();
-        write_file(&room.path().join("model.toml"), b"new").unwrap();
+        fs::create_dir(folder.path().join(format!(".model.toml.{dead}-1.old"))).unwrap();
+        write_file(&folder.path().join("model.toml"), b"new").unwrap();
         assert_eq!(
-            names(room.path()),
+            names(folder.path()),
             [format!(".model.toml.{alive}-900.aside"), ".other.1-0.aside".into(), "model.toml".into()]
         );
     }
 
     #[test]
-    fn a_folder_is_replaced_whole() {
-        let room = tempfile::tempdir().unwrap();
-        let path = room.path().join("data");
+    fn a_folder_is_replaced_as_a_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("data");
         write_folder(&path, |to| fs::write(to.join("old.csv"), "1")).unwrap();
         write_folder(&path, |to| fs::write(to.join("new.csv"), "2")).unwrap();
         assert_eq!(names(&path), ["new.csv"]);
-        assert_eq!(names(room.path()), ["data"]);
+        assert_eq!(names(folder.path()), ["data"]);
     }
 
     #[test]
-    fn a_folder_whose_filling_fails_leaves_the_old_one() {
-        let room = tempfile::tempdir().unwrap();
-        let path = room.path().join("data");
+    fn a_failed_folder_keeps_the_old_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("data");
         write_folder(&path, |to| fs::write(to.join("old.csv"), "1")).unwrap();
         let failed = write_folder(&path, |to| {
             fs::write(to.join("half.csv"), "2")?;
@@ -186,6 +185,6 @@ mod tests {
         });
         assert!(failed.unwrap_err().to_string().contains("disk full"));
         assert_eq!(names(&path), ["old.csv"]);
-        assert_eq!(names(room.path()), ["data"]);
+        assert_eq!(names(folder.path()), ["data"]);
     }
 }

@@ -1,6 +1,6 @@
-//! Dates and times in UTC, as results carry them.
+//! Dates and times in UTC for results.
 
-/// Now in UTC, as in 2026-11-20T08:15:00Z.
+/// Current time in UTC, as in 2026-11-20T08:15:00Z.
 pub fn utc() -> String {
     let seconds = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_secs());
     let (hour, minute, second) = (seconds / 3600 % 24, seconds / 60 % 60, seconds % 60);
@@ -12,9 +12,9 @@ pub fn today() -> String {
     date(std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_secs()))
 }
 
-/// The date of a moment, seconds after 1970.
+/// Date of a time \[s since 1970\].
 fn date(seconds: u64) -> String {
-    // Days to a civil date (Howard Hinnant's algorithm): years are counted from March, so that the leap day is the last.
+    // Howard Hinnant's algorithm from days to a civil date: years start in March, so the leap day is the last day.
     let days = (seconds / 86_400) as i64 + 719_468;
     let era = days.div_euclid(146_097);
     let day_of_era = days.rem_euclid(146_097);

@@ -1,19 +1,19 @@
-//! How a command fails: exit code 1 for a job that failed, 2 for input that can't be used.
+//! Failure of a command: exit code 1 for a failed job, 2 for bad input.
 
 use plumbline_core::BadInput;
 use std::fmt;
 
-/// Why a command did not succeed.
+/// Failure of a command.
 #[derive(Debug)]
 pub enum Failure {
-    /// Something a person wrote can't be used; exit code 2.
+    /// Bad input from a file or the command line; exit code 2.
     Input(BadInput),
     /// The job itself failed; exit code 1.
     Job(String),
 }
 
 impl Failure {
-    /// A failed job, said in one sentence.
+    /// A failed job, described in one sentence.
     pub fn job(what: impl fmt::Display) -> Failure {
         Failure::Job(what.to_string())
     }

@@ -4,12 +4,12 @@
 //!
 //! | crate | what |
 //! |---|---|
-//! | [`plumbline_core`] | per-joint values, the traits between the loop and what surrounds it, bad input |
+//! | [`plumbline_core`] | per-joint values, interfaces of the loop (backend, reference, feed-forward, kinematics), bad input |
 //! | [`plumbline_model`] | the arm's dynamics: kinematics, Newton-Euler, regressor, base parameters, effects |
 //! | [`plumbline_rt`] | the 1 kHz loop: orders, guard, controlled stop, hand-over of models |
-//! | [`plumbline_excite`] | motions that excite, inside the limits of the arm |
+//! | [`plumbline_excite`] | optimal excitation trajectories within the limits of the arm |
 //! | [`plumbline_identify`] | parameters with standard deviations from samples |
-//! | [`plumbline_diagnose`] | what a model lacks |
+//! | [`plumbline_diagnose`] | detection of effects that a model lacks |
 //! | [`plumbline_sim`], [`plumbline_franka`] | arms: simulated, and over the Franka Control Interface |
 //! | [`plumbline_ipc`] | samples, torques, commands between processes |
 //!
@@ -19,14 +19,14 @@
 //! |---|---|
 //! | [`cli`] | one file per subcommand |
 //! | `daemon` | the process that drives the arm and serves the torque |
-//! | `estimator` | the process that turns samples into models |
-//! | `setup` | what a job needs before anything moves: robot, locks, plans |
+//! | `estimator` | the process that identifies models from samples |
+//! | `setup` | preparation of a job: robot, locks, plans |
 //! | `analysis` | from recorded runs to model, errors and diagnosis; shared by estimator and offline commands |
 //! | [`config`], [`dataset`], [`store`], [`recording`] | files: jobs, recorded motions, models and plans, the last seconds before a fault |
-//! | [`report`], [`postmortem`] | what a job found; what happened before a fault |
-//! | [`inclinometer`], [`machine`], `process` | the gravity sensor; fitness of the computer; log, signals and systemd |
+//! | [`report`], [`postmortem`] | report of a job; analysis of a recording |
+//! | [`inclinometer`], [`machine`], `process` | the gravity sensor; real-time fitness of the computer; log, signals and systemd |
 //!
-//! The way of the data: `excite` plans a motion, `rt` drives it through a backend and puts one record per cycle into a ring, the daemon's
+//! Data flow: `excite` plans a motion, `rt` drives it through a backend and puts one record per cycle into a ring, the daemon's
 //! bridge thread publishes the records through `ipc`, the estimator turns them into a model with `identify`, and the daemon serves that
 //! model's torque.
 

@@ -1,10 +1,10 @@
-//! The `plumbline` program: parses the command line and hands over to [`plumbline::cli`].
+//! The `plumbline` program; see [`plumbline::cli`].
 
 #![forbid(unsafe_code)]
 
 use std::process::ExitCode;
 
-/// Counts allocations inside the real-time cycle, where there must be none; elsewhere it is the system's allocator.
+/// The system's allocator, with a check that the real-time cycle does not allocate.
 #[global_allocator]
 static ALLOCATOR: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
 

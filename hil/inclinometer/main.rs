@@ -1,10 +1,9 @@
-//! A simulated CiA 410 inclinometer on a CAN interface, for programs that have none at hand. Made for `vcan`; on a real bus it is a real
-//! node.
+//! A simulated CiA 410 inclinometer on a CAN interface. Made for `vcan`; on a real bus it is a real node.
 
-mod orders;
+mod commands;
 
 use clap::Parser;
-use orders::Order;
+use commands::Command;
 use plumbline_testkit::inclinometer::Device;
 use socketcan::{CanDataFrame, CanErrorFrame, CanFrame, CanSocket, EmbeddedFrame, ShouldRetry, Socket, StandardId};
 use std::error::Error;
@@ -15,7 +14,8 @@ use std::time::{Duration, Instant};
 
 /// Serves SDO, NMT, heartbeat, emergency and slopes as a two-axis inclinometer after CiA 410 does.
 ///
-/// Lines on standard input play what happens to it; `help` lists them. The rate of slopes and heartbeat is what the master sets.
+/// Lines on standard input are commands that tilt the device or make faults; `help` lists them. The master sets the rates of slopes and
+/// heartbeat.
 #[derive(Parser)]
 #[command(name = "sim-inclinometer", version)]
 struct Options {
@@ -31,7 +31,7 @@ struct Options {
     /// Noise of a slope, standard deviation \[deg\]
     #[arg(long, default_value_t = 0.02)]
     noise: f64,
-    /// Decides the noise
+    /// Seed of the noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
@@ -50,63 +50,63 @@ fn run(options: Options) -> Result<(), Box<dyn Error>> {
     let start = Instant::now();
     let now = || u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
     let mut device = Device::new(options.node, options.tilt, options.noise, options.seed, now());
-    let orders = listen();
+    let commands = read_commands();
     eprintln!("sim-inclinometer: node {} on {}", options.node, options.interface);
     loop {
-        while let Ok(order) = orders.try_recv() {
-            eprintln!("sim-inclinometer: {:.3} s: {order:?}", start.elapsed().as_secs_f64());
-            match order {
-                Order::Quit => return Ok(()),
-                Order::Bus(error) => send_error(&socket, error)?,
-                order => order.carry_out(&mut device, now()),
+        while let Ok(command) = commands.try_recv() {
+            eprintln!("sim-inclinometer: {:.3} s: {command:?}", start.elapsed().as_secs_f64());
+            match command {
+                Command::Quit => return Ok(()),
+                Command::Bus(error) => send_error(&socket, error)?,
+                command => command.apply(&mut device, now()),
             }
         }
         match socket.read_frame() {
             Ok(CanFrame::Data(data)) => {
                 if let socketcan::Id::Standard(id) = data.id() {
-                    device.hear(now(), id.as_raw(), data.data());
+                    device.receive(now(), id.as_raw(), data.data());
                 }
             }
             Ok(_) => {}
             Err(error) if error.should_retry() => {}
-            // A bus that is down is waited for, as a device does.
+            // A bus that is down: try again later.
             Err(_) => std::thread::sleep(Duration::from_millis(100)),
         }
         device.tick(now());
-        while let Some((id, data)) = device.send() {
+        while let Some((id, data)) = device.transmit() {
             let frame = StandardId::new(id).and_then(|id| CanDataFrame::new(id, &data));
             if let Some(frame) = frame {
-                // Without a bus the frame is lost, as it would be.
+                // Without a bus the frame is lost.
                 let _ = socket.write_frame(&frame);
             }
         }
     }
 }
 
-/// An error frame as a controller's driver makes it; a virtual bus has no controller of its own.
+/// Sends an error frame as a controller's driver does; a virtual bus has no controller.
 fn send_error(socket: &CanSocket, (class, data): (u32, [u8; 8])) -> Result<(), Box<dyn Error>> {
     let frame = CanErrorFrame::new_error(class, &data)?;
     socket.write_frame(&CanFrame::Error(frame))?;
     Ok(())
 }
 
-/// Lines of standard input, on a thread of their own; its end is no order.
-fn listen() -> mpsc::Receiver<Order> {
-    let (tell, told) = mpsc::channel();
+/// Commands from standard input, read on a thread. The end of standard input is not a command.
+fn read_commands() -> mpsc::Receiver<Command> {
+    let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {
         for line in std::io::stdin().lock().lines().map_while(Result::ok) {
             match line.trim() {
                 "" => {}
-                "help" => eprintln!("{}", orders::HELP),
-                text => match Order::parse(text) {
-                    Some(order) if tell.send(order).is_ok() => {}
+                "help" => eprintln!("{}", commands::HELP),
+                text => match Command::parse(text) {
+                    Some(command) if sender.send(command).is_ok() => {}
                     Some(_) => return,
-                    None => eprintln!("sim-inclinometer: `{text}` is no order; `help` lists them"),
+                    None => eprintln!("sim-inclinometer: `{text}` is not a command; `help` lists them"),
                 },
             }
         }
     });
-    told
+    receiver
 }
 
 fn main() -> ExitCode {

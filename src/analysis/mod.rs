@@ -1,9 +1,7 @@
 //! From recorded runs to what is written: model, errors, diagnosis, comparison. Shared by the offline commands and the estimator.
 
-pub mod changed;
-pub mod changing;
 pub mod collector;
-pub mod diagnosed;
+pub mod diagnosis;
 pub mod pipeline;
 pub mod results;
 pub mod sessions;

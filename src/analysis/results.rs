@@ -1,7 +1,7 @@
 //! What a job leaves behind: identifies, judges, and writes model, dataset and report.
 
 use crate::analysis::collector::Recorded;
-use crate::analysis::diagnosed::{self, Diagnosed, Question};
+use crate::analysis::diagnosis::{self, Diagnosed, Question};
 use crate::analysis::pipeline::{self, Identified, Judged};
 use crate::config::job::{Diagnosis, Job};
 use crate::dataset::columns::SERVED_TORQUES;
@@ -172,7 +172,7 @@ impl Results {
             diagnosis: &settings,
             of: Of::Raw,
         };
-        diagnosed::run(&question).map(Some)
+        diagnosis::run(&question).map(Some)
     }
 
     fn runs(&self, role: Role) -> Vec<&Run> {

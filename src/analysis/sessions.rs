@@ -1,13 +1,13 @@
 //! What changed between the sessions of a dataset: the first is the reference, every later one is compared with its model.
 
-use crate::analysis::changed::{Stored, TimedEvent};
 use crate::analysis::{pipeline, split};
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
 use crate::report::Band;
 use crate::report::diagnosis::{Changes, Diagnosis, Verdict};
 use crate::store::{ModelFile, Provenance};
-use plumbline_diagnose::{Trial, reference};
+use plumbline_diagnose::Trial;
+use plumbline_diagnose::reference::{self, Comparison, Stored};
 use plumbline_identify::{Experiment, Settings};
 use plumbline_model::{Robot, TorqueModel};
 use std::path::Path;
@@ -70,13 +70,18 @@ impl Reference<'_> {
         let changes = reference::changes(self.model, &trials, self.diagnosis, &|_| {});
         let stored = Stored { model: self.model, changes: &changes.effects };
         let unseen: Vec<(&Experiment, u32)> = unseen.iter().map(|experiment| (experiment, session)).collect();
-        let kept = stored.stand_the_test(&unseen)?;
-        let mut told = TimedEvent::new(&changes, self.model, &kept);
-        told.band = Band::Filtered { cutoff: self.settings.torque_cutoff };
-        told.declared = runs.first().map(|run| run.data.mounting);
-        let names: Vec<String> = judge.iter().map(|run| run.data.name.clone()).collect();
-        let compared = stored.compared(&kept, &unseen)?;
-        let mut own = told.diagnosis(&format!("session {}", self.session), &names, &compared);
+        let kept = stored.held(&unseen).map_err(Failure::job)?;
+        let comparison = Comparison {
+            changes: &changes,
+            stored: self.model,
+            kept: &kept,
+            declared: runs.first().map(|run| run.data.mounting),
+            band: Band::Filtered { cutoff: self.settings.torque_cutoff },
+            since: format!("session {}", self.session),
+            runs: judge.iter().map(|run| run.data.name.clone()).collect(),
+        };
+        let compared = stored.compared(&kept, &unseen).map_err(Failure::job)?;
+        let mut own = comparison.diagnosis(&compared);
         own.effects.iter_mut().for_each(|effect| effect.since_session = Some(session));
         for Changes { session: of, effects, .. } in &mut own.changes {
             *of = format!("session {session}");
@@ -94,7 +99,7 @@ impl Reference<'_> {
         let name = format!("model-session-{session}.toml");
         let source = format!("the model of session {} with what changed by session {session}", self.session);
         let file = ModelFile {
-            model: stored.with(&kept, session)?,
+            model: stored.with(&kept, session).map_err(Failure::job)?,
             noise_floor: self.noise_floor.to_vec(),
             validation: Vec::new(),
             consistent: None,

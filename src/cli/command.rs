@@ -3,57 +3,58 @@
 use crate::cli::say::say;
 use crate::failure::Failure;
 use clap::{Args, ValueEnum};
-use plumbline_ipc::{Client, IpcError, Request, Response, RobotId, StopError, Way};
+use plumbline_ipc::{Client, IpcError, Request, Response, RobotId, StopError, StopPath};
 use std::time::Duration;
 
 /// Options of `plumbline command`.
 #[derive(Args)]
 pub struct Options {
-    /// What the daemon shall do
-    what: What,
+    /// Request to the daemon
+    #[arg(value_name = "WHAT")]
+    action: Action,
     /// Robot that the daemon drives
     #[arg(long, default_value = "panda")]
     robot: String,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum What {
-    /// Drive the programme of the job; the arm moves
+enum Action {
+    /// Start the programme of the job; the arm moves
     Start,
-    /// Brake now and stay at rest
+    /// Controlled stop; the arm then stays at rest
     Stop,
     /// Allow motion again after a stop
     Resume,
     /// Stop, then end the daemon
     Quit,
-    /// Serve the model that the estimator proposed
+    /// Serve the model proposed by the estimator
     Adopt,
-    /// Drop the model that the estimator proposed
+    /// Reject the model proposed by the estimator
     Reject,
     /// Write a recording of the last seconds, as after a fault
     Record,
-    /// Print how the daemon is, as JSON
+    /// Print the daemon's status as JSON
     Status,
 }
 
-const PATIENCE: Duration = Duration::from_secs(2);
+const TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Sends the request and prints the answer.
+/// Sends the request and prints the response.
 pub fn run(options: Options) -> Result<(), Failure> {
     let id = RobotId::parse("command line", "--robot", &options.robot)?;
-    let request = match options.what {
-        What::Stop => return stop(&id),
-        What::Start => Request::Start {},
-        What::Resume => Request::Resume {},
-        What::Quit => Request::Quit {},
-        What::Adopt => Request::Adopt {},
-        What::Reject => Request::Reject {},
-        What::Record => Request::Record {},
-        What::Status => Request::Status {},
+    let request = match options.action {
+        Action::Stop => return stop(&id),
+        Action::Start => Request::Start {},
+        Action::Resume => Request::Resume {},
+        Action::Quit => Request::Quit {},
+        Action::Adopt => Request::Adopt {},
+        Action::Reject => Request::Reject {},
+        Action::Record => Request::Record {},
+        Action::Status => Request::Status {},
     };
-    let mut client = Client::connect_operator(&id, PATIENCE).map_err(crate::cli::unreachable)?;
-    let answer = match client.send(&request, PATIENCE) {
-        // It was there a moment ago and has ended, which is what was asked for: its answer may have gone with it.
+    let mut client = Client::connect_operator(&id, TIMEOUT).map_err(crate::cli::unreachable)?;
+    let answer = match client.send(&request, TIMEOUT) {
+        // The daemon may end before its response arrives.
         Err(IpcError::NoDaemon { .. }) if request == (Request::Quit {}) => Response::Accepted {},
         answer => answer.map_err(Failure::job)?,
     };
@@ -70,16 +71,16 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
 }
 
-/// Stops the arm by the stop's own way, and says which.
+/// Stops the arm over the stop socket, or by a signal if that fails.
 fn stop(id: &RobotId) -> Result<(), Failure> {
     let taken = plumbline_ipc::stop(id).map_err(|error| match error {
         StopError::NoDaemon { .. } => crate::cli::no_daemon(error),
         other => Failure::job(other),
     })?;
     match taken.way {
-        Way::Socket => say!("accepted: the daemon (process {}) has taken the stop", taken.process),
-        Way::Signal { because } => say!(
-            "accepted: the daemon (process {}) has taken the stop by signal SIGUSR2, for its socket failed: {because}",
+        StopPath::Socket => say!("accepted: the daemon (process {}) has received the stop", taken.process),
+        StopPath::Signal { because } => say!(
+            "accepted: the daemon (process {}) has received the stop by signal SIGUSR2; its socket failed: {because}",
             taken.process
         ),
     }

@@ -1,9 +1,8 @@
-//! `plumbline compare`: what changed since a model was identified.
+//! `plumbline compare`: changes of the arm since a model was identified.
 
-use crate::analysis::changed::{self, Stored};
 use crate::analysis::split::find_and_judge;
-use crate::analysis::{diagnosed, pipeline};
-use crate::cli::identify::quiet_settings;
+use crate::analysis::{diagnosis, pipeline};
+use crate::cli::identify::recorded_data_settings;
 use crate::cli::say::say;
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
@@ -14,7 +13,7 @@ use crate::setup::models;
 use crate::store::{ModelFile, Provenance, Validated};
 use clap::Args;
 use plumbline_core::{BadInput, threads};
-use plumbline_diagnose::reference;
+use plumbline_diagnose::reference::{self, Comparison, Stored};
 use plumbline_identify::{Experiment, Rms};
 use plumbline_model::term::Term;
 use plumbline_model::term::rigid_body::RigidBody;
@@ -37,19 +36,19 @@ pub struct Options {
     /// Time to leave out at both ends of runs that do not repeat, in s
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     trim: f64,
-    /// Least RMS of an effect that counts, in Nm; by default 0.7 of the noise of the mean period
+    /// Detection threshold in Nm: smallest RMS of an effect; by default 0.7 of the noise of the mean period
     #[arg(long, value_name = "NM")]
     threshold: Option<f64>,
 }
 
-/// Compares, judges by unseen runs, and writes the results.
+/// Searches for changes, validates them on held-out runs and writes the results.
 pub fn run(options: Options) -> Result<(), Failure> {
     let dataset = Dataset::read(&options.dataset)?;
     let robot = Robot::load(&dataset.robot, Some(&options.dataset))?;
     dataset.expect_joints(robot.chain.len())?;
     let file = model_file(&options, &robot)?;
-    let settings = quiet_settings(&options.velocities, options.trim)?;
-    let diagnosis = diagnose_settings(&options)?;
+    let settings = recorded_data_settings(&options.velocities, options.trim)?;
+    let search = diagnose_settings(&options)?;
     let model = &file.model;
 
     let (held, refused): (Vec<&Run>, Vec<&Run>) =
@@ -63,10 +62,10 @@ pub fn run(options: Options) -> Result<(), Failure> {
     pipeline::check_torques(&find)?;
     let experiments = pipeline::experiments(&find, &settings)?;
     let unseen = pipeline::experiments(&judge.iter().collect::<Vec<_>>(), &settings)?;
-    let trials = diagnosed::trials(&experiments, &find);
+    let trials = diagnosis::trials(&experiments, &find);
     bar.at(0.2, "searching");
     let steps = std::cell::Cell::new(0.2);
-    let changes = reference::changes(model, &trials, &diagnosis, &|step| {
+    let changes = reference::changes(model, &trials, &search, &|step| {
         steps.set(steps.get() + 0.1 * (0.9 - steps.get()));
         bar.at(steps.get(), step.item.spec.family);
     });
@@ -74,17 +73,23 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let stored = Stored { model, changes: &changes.effects };
     let sessions: Vec<u32> = judge.iter().map(|run| run.session).collect();
     let unseen: Vec<(&Experiment, u32)> = unseen.iter().zip(sessions).collect();
-    let kept = stored.stand_the_test(&unseen)?;
+    let kept = stored.held(&unseen).map_err(Failure::job)?;
     bar.done();
 
-    let after = stored.with(&kept, u32::MAX)?;
-    let errors_after = stored.errors(&kept, &unseen)?;
+    let after = stored.with(&kept, u32::MAX).map_err(Failure::job)?;
+    let errors_after = stored.errors(&kept, &unseen).map_err(Failure::job)?;
     let names: Vec<String> = judge.iter().map(|run| run.data.name.clone()).collect();
     let since = since(&options, &file);
-    let mut told = changed::TimedEvent::new(&changes, model, &kept);
-    told.band = Band::Filtered { cutoff: settings.torque_cutoff };
-    told.declared = find.first().map(|run| run.data.mounting);
-    let mut diagnosis = told.diagnosis(&since, &names, &stored.compared(&kept, &unseen)?);
+    let comparison = Comparison {
+        changes: &changes,
+        stored: model,
+        kept: &kept,
+        declared: find.first().map(|run| run.data.mounting),
+        band: Band::Filtered { cutoff: settings.torque_cutoff },
+        since: since.clone(),
+        runs: names,
+    };
+    let mut diagnosis = comparison.diagnosis(&stored.compared(&kept, &unseen).map_err(Failure::job)?);
     let identifiability = identifiability(model, &refused, &changes.doubt);
     if held.is_empty() {
         notes.push(format!(
@@ -119,7 +124,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     std::fs::create_dir_all(&options.out)
         .map_err(|error| Failure::job(format!("{}: {error}", options.out.display())))?;
     let written = if kept.is_empty() {
-        // Nothing changed: the very model that was stored.
+        // No change: the stored model.
         file
     } else {
         ModelFile {
@@ -153,7 +158,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The model, which must be of the robot that the dataset is of.
+/// Reads the model, which must be of the dataset's robot.
 fn model_file(options: &Options, robot: &Robot) -> Result<ModelFile, Failure> {
     let name = options.model.display().to_string();
     let text = std::fs::read_to_string(&options.model)
@@ -175,8 +180,8 @@ fn diagnose_settings(options: &Options) -> Result<plumbline_diagnose::Settings, 
     })
 }
 
-/// What the model can't vouch for: runs in mountings that it lacks parameters for, and parameters that were not identifiable when it
-/// was made and that these runs need.
+/// Limits of the model's validity: runs in mountings that it has no parameters for, and parameters that these runs need and that were
+/// not identifiable.
 fn identifiability(model: &TorqueModel, refused: &[&Run], doubt: &reference::Doubt) -> Identifiability {
     let mut facts = Identifiability {
         not_identifiable: doubt.parameters.clone(),
@@ -191,7 +196,7 @@ fn identifiability(model: &TorqueModel, refused: &[&Run], doubt: &reference::Dou
     facts
 }
 
-/// The model in a few words.
+/// Name and date of the model.
 fn since(options: &Options, file: &ModelFile) -> String {
     let name = options.model.file_name().map_or("the model".into(), |name| name.to_string_lossy().into_owned());
     let date = file.provenance.date.as_ref().map_or(String::new(), |date| format!(" of {date}"));

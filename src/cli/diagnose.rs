@@ -1,9 +1,9 @@
-//! `plumbline diagnose`: what a plain model of recorded data lacks, offline, from files.
+//! `plumbline diagnose`: finds effects that a plain model of recorded data lacks, offline.
 
-use crate::analysis::diagnosed::{self, Diagnosed, Question};
+use crate::analysis::diagnosis::{self, Diagnosed, Question};
 use crate::analysis::split::{Split, split};
 use crate::analysis::{pipeline, sessions};
-use crate::cli::identify::{self, Done};
+use crate::cli::identify::{self, Outcome};
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
 use clap::Args;
@@ -17,15 +17,15 @@ use plumbline_model::Robot;
 pub struct Options {
     #[command(flatten)]
     identify: identify::Options,
-    /// Highest frequency that is looked at in Hz; by default 16 for motions that repeat, 10 for others
+    /// Highest analysed frequency in Hz; by default 16 for periodic motions, 10 for others
     #[arg(long, value_name = "HZ")]
     band: Option<f64>,
-    /// Least torque RMS of an effect that matters in Nm; by default 0.7 of the noise of the mean period
+    /// Detection threshold in Nm: smallest torque RMS of an effect; by default 0.7 of the noise of the mean period
     #[arg(long, value_name = "NM")]
     threshold: Option<f64>,
 }
 
-/// Looks for effects in recorded runs and writes the results.
+/// Searches for effects in recorded runs and writes the results.
 pub fn run(options: Options) -> Result<(), Failure> {
     let given = &options.identify;
     let mut dataset = Dataset::read(&given.dataset)?;
@@ -59,7 +59,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         diagnosis: &diagnosis,
         of: Of::Filtered,
     };
-    let Diagnosed { after, mut block, figures: drawn } = diagnosed::run(&question)?;
+    let Diagnosed { after, mut block, figures: drawn } = diagnosis::run(&question)?;
     let reference = sessions::Reference {
         robot: &robot,
         model: &after.model,
@@ -71,7 +71,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let not_valid = reference.compare(&later, &mut block, &given.out)?;
 
     let judged = pipeline::judge_all(&after.model, &trusted, &settings)?;
-    let done = Done {
+    let done = Outcome {
         robot: &robot,
         identified: after,
         runs: identified,
@@ -91,7 +91,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
 
 fn diagnosis_settings(options: &Options, repeats: bool) -> Result<plumbline_diagnose::Settings, Failure> {
     let plain = plumbline_diagnose::Settings { threads: threads(), ..plumbline_diagnose::Settings::default() };
-    let band = options.band.unwrap_or(if repeats { plain.band } else { BAND_OF_ONE });
+    let band = options.band.unwrap_or(if repeats { plain.band } else { NON_PERIODIC_BAND_HZ });
     if !(0.5..=200.0).contains(&band) {
         return Err(BadInput::new("command line", "--band", band, "0.5 to 200 Hz").into());
     }
@@ -101,5 +101,5 @@ fn diagnosis_settings(options: &Options, repeats: bool) -> Result<plumbline_diag
     Ok(plumbline_diagnose::Settings { band, threshold: options.threshold, ..plain })
 }
 
-/// Highest frequency that is looked at where motions do not repeat \[Hz\]: above it their accelerations are noise.
-const BAND_OF_ONE: f64 = 10.0;
+/// Highest analysed frequency of non-periodic motions \[Hz\]: above it their accelerations are noise.
+const NON_PERIODIC_BAND_HZ: f64 = 10.0;

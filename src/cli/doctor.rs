@@ -1,9 +1,9 @@
-//! `plumbline doctor`: is this machine fit for 1 kHz, and what to change.
+//! `plumbline doctor`: checks whether this computer is fit for 1 kHz, and lists what to change.
 
 use crate::cli::say::say;
 use crate::config::job::Job;
 use crate::failure::Failure;
-use crate::machine::{self, Finding, Tree, Verdict, Wanted};
+use crate::machine::{self, Finding, Requirements, Tree, Verdict};
 use crate::setup::{JobOptions, backend};
 use clap::Args;
 use plumbline_rt::Rights;
@@ -13,12 +13,12 @@ use std::path::PathBuf;
 /// Options of `plumbline doctor`.
 #[derive(Args)]
 pub struct Options {
-    /// The job that the machine is to be fit for; without one, the defaults of a job are taken
+    /// Job with the real-time settings; without one, the defaults are used
     config: Option<PathBuf>,
     /// Override one key of the job, as in --set realtime.cpu=3 (repeatable)
     #[arg(long = "set", value_name = "KEY.PATH=VALUE", requires = "config")]
     sets: Vec<String>,
-    /// How long wake-ups are measured, in seconds
+    /// Duration of the wake-up measurement in s
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=86_400))]
     seconds: u64,
     /// Write the findings as JSON
@@ -26,20 +26,20 @@ pub struct Options {
     json: bool,
 }
 
-/// Looks, measures, and says what to change.
+/// Inspects, measures and prints the findings.
 pub fn run(options: Options) -> Result<(), Failure> {
-    let wanted = match &options.config {
+    let requirements = match &options.config {
         Some(config) => {
             let job = JobOptions { config: config.clone(), sets: options.sets.clone(), out: None, root_owned: false };
             let (job, robot, _) = job.load()?;
             let address = backend::connector(&job, &robot)?.address();
-            wanted_by(&job, address)
+            requirements_of(&job, address)
         }
-        None => Wanted { rights: Rights::default(), robot: None },
+        None => Requirements { rights: Rights::default(), robot: None },
     };
-    let mut findings = machine::rights(&wanted);
-    findings.extend(machine::look(&Tree::default(), &wanted));
-    findings.push(machine::wake_ups(&wanted, options.seconds));
+    let mut findings = machine::rights(&requirements);
+    findings.extend(machine::inspect(&Tree::default(), &requirements));
+    findings.push(machine::wake_ups(&requirements, options.seconds));
     let unfit: Vec<&str> = findings.iter().filter(|one| one.verdict == Verdict::Unfit).map(|one| one.name).collect();
     if options.json {
         let report = serde_json::json!({ "fit": unfit.is_empty(), "unfit": unfit, "findings": findings });
@@ -57,9 +57,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
 }
 
-fn wanted_by(job: &Job, robot: Option<IpAddr>) -> Wanted {
+fn requirements_of(job: &Job, robot: Option<IpAddr>) -> Requirements {
     let realtime = &job.realtime;
-    Wanted {
+    Requirements {
         rights: Rights {
             priority: Some(realtime.priority).filter(|&priority| priority > 0),
             cpu: realtime.cpu,

@@ -1,9 +1,9 @@
-//! `plumbline effects`: the effects that diagnosis knows, for people.
+//! `plumbline effects`: prints the effects of the diagnosis.
 
 use crate::failure::Failure;
 use clap::Args;
 use plumbline_core::BadInput;
-use plumbline_model::term::effect::{FAMILIES, Family, Form, Place, Setting, Stratum, family};
+use plumbline_model::term::effect::{FAMILIES, Family, Form, InC, Place, Setting, Stratum, family};
 use std::io::Write;
 
 /// Options of `plumbline effects`.
@@ -13,12 +13,12 @@ pub struct Options {
     id: Option<String>,
 }
 
-/// Columns of the text.
+/// Line width in characters.
 const WIDTH: usize = 100;
-/// Where the text behind a label begins.
+/// Column of the text after a label.
 const LABEL: usize = 14;
 
-/// Prints all of them, or one.
+/// Prints all effects, or one.
 pub fn run(options: Options) -> Result<(), Failure> {
     let text = match &options.id {
         None => FAMILIES.iter().map(|family| block(family)).collect::<Vec<_>>().join("\n"),
@@ -27,7 +27,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
             BadInput::new("command line", "effect", format!("`{id}`"), format!("one of {known}"))
         })?),
     };
-    // A reader that has seen enough (`| head`) is no failure.
+    // A closed pipe (`| head`) is not a failure.
     match std::io::stdout().write_all(text.as_bytes()) {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(Failure::job(error)),
         _ => Ok(()),
@@ -54,6 +54,9 @@ fn block(family: &Family) -> String {
             false => "no: it explains a recording and does not come again",
         },
     );
+    let mut exported: Vec<String> = family.forms.iter().map(|form| in_c(form.in_c)).collect();
+    exported.dedup();
+    labelled(&mut text, "export to C", &exported.join("; "));
     labelled(&mut text, "size", family.typical);
     for alike in family.confounded {
         labelled(&mut text, "looks like", &format!("{}; to decide: {}", alike.with, alike.decided_by));
@@ -64,6 +67,16 @@ fn block(family: &Family) -> String {
 
 fn equation_label(form: &Form) -> String {
     if form.name.is_empty() { "torque".into() } else { form.name.into() }
+}
+
+/// Whether the exported C function has it.
+fn in_c(of: InC) -> String {
+    match of {
+        InC::Columns(_) | InC::Entries => "yes".into(),
+        InC::LastLink => "yes, as part of the last link".into(),
+        InC::Part { note, .. } => note.into(),
+        InC::Refused(reason) => format!("no: {reason}"),
+    }
 }
 
 fn setting_text(setting: &Setting) -> String {

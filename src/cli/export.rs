@@ -18,19 +18,19 @@ use std::path::{Path, PathBuf};
 pub struct Options {
     /// Model file
     model: PathBuf,
-    /// What to write: a URDF, a MuJoCo model, or a C function that needs nothing but math.h
+    /// Format: URDF, MuJoCo model, or a C function that depends on math.h only
     #[arg(long, value_enum)]
     format: Format,
     /// File to write
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// URDF of the same arm (from its maker, from CAD) whose bodies are preferred wherever the torques leave a choice
+    /// URDF of the same arm (from its maker, from CAD) whose bodies are the prior where the torques determine none
     #[arg(long, value_name = "FILE.urdf")]
     prior: Option<PathBuf>,
-    /// URDF of the same arm to put the identified bodies into; everything but its inertials stays as it is
+    /// URDF of the same arm to insert the identified inertials into; the rest is unchanged
     #[arg(long, value_name = "FILE.urdf")]
     into: Option<PathBuf>,
-    /// Export a model that holds only with gravity along axis 1; the file then says so
+    /// Export a model that is valid only with gravity along axis 1; the file states this
     #[arg(long)]
     vertical: bool,
 }
@@ -43,7 +43,7 @@ enum Format {
     C,
 }
 
-/// Reads, projects where the file has no bodies yet, writes, and says what the format can't hold.
+/// Exports a model; projects it to physically consistent bodies if the file has none.
 pub fn run(options: Options) -> Result<(), Failure> {
     let name = options.model.display().to_string();
     let (file, robot) = models::load(&options.model)?;
@@ -88,7 +88,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Options that don't go together.
+/// Refuses invalid combinations of options.
 fn check(options: &Options) -> Result<(), BadInput> {
     let refuse = |option: &str, format: &str, expected: &str| {
         Err(BadInput::new("command line", option, format!("--format {format}"), expected))
@@ -126,7 +126,7 @@ fn bodies(
         nearest(model.structure(), beta, Uncertainty::Deviations(&deviations), &prior).map_err(Failure::job)
     };
     if let Some(found) = &file.consistent {
-        // Real bodies have what the file's have: only those parameters are left to choose that the torques don't tell.
+        // Keeps the file's base parameters if they are consistent: only unidentifiable parameters come from the prior.
         let again = project(&found.beta)?;
         if again.exact {
             return Ok((Nearest { links: again.links, rotors: again.rotors, ..found.clone() }, notes));
@@ -139,7 +139,7 @@ fn bodies(
     Ok((found, notes))
 }
 
-/// The bodies of a URDF as a prior; links without any keep the usual one's.
+/// The bodies of a URDF as a prior; links without inertial keep the geometric prior.
 fn prior_of(path: &Path, robot: &Robot, usual: Prior) -> Result<(Prior, Vec<String>), Failure> {
     let (file, text) = read(path)?;
     let document = parse(&file, &text)?;
@@ -149,7 +149,7 @@ fn prior_of(path: &Path, robot: &Robot, usual: Prior) -> Result<(Prior, Vec<Stri
     for (i, body) in tree::bodies(&file, &document, &tree)?.into_iter().enumerate() {
         let link = &tree.segments[i].link;
         let Some(body) = body else {
-            notes.push(format!("link `{link}` of {file} has no mass: a rod of even density stands for it"));
+            notes.push(format!("link `{link}` of {file} has no mass: a uniform rod is used instead"));
             continue;
         };
         let parameters = body.link_parameters();

@@ -7,7 +7,7 @@ use crate::cli::say::say;
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
 use crate::process::progress;
-use crate::report::figures::{DiagnosisFigures, Figures};
+use crate::report::figures::{Curves, Figures};
 use crate::report::{Band, Consistency, Report, Validation};
 use crate::store::{ModelFile, Validated};
 use clap::Args;
@@ -31,7 +31,7 @@ pub struct Options {
     /// Estimator: ols, wls, wls-full, huber, tls or iv
     #[arg(long, default_value = "wls")]
     estimator: String,
-    /// Take out parameters that can't be told from zero in this data (essential parameters)
+    /// Remove parameters that are not significantly different from zero (essential parameters)
     #[arg(long)]
     essential: bool,
     /// Signal processing: spectral, or paper (order 20, 2 Hz, central differences)
@@ -52,18 +52,18 @@ pub struct Options {
     /// Time to leave out at both ends of runs that do not repeat, in s
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     trim: f64,
-    /// Count the samples at which the whole arm stands, too: Coulomb friction can be anything there
+    /// Use also samples at which the whole arm is at rest, where Coulomb friction is undetermined
     #[arg(long)]
     keep_rests: bool,
-    /// Share of every run to validate with, when the dataset has no run for it
+    /// Share of every run to validate with, if the dataset has no validation run
     #[arg(long, value_name = "SHARE", default_value_t = HOLD_OUT)]
     hold_out: f64,
 }
 
-/// Usual cut-off for recorded data, which seldom repeats so that its noise can't be averaged away \[Hz\].
-const CUTOFF: f64 = 4.0;
-/// Slower than this, a joint stands \[rad/s\]: the model's Coulomb friction turns within 0.01 rad/s.
-const REST: f64 = 0.01;
+/// Default cut-off of the torque low-pass for recorded data, which is rarely periodic \[Hz\].
+const TORQUE_CUTOFF_HZ: f64 = 4.0;
+/// Largest speed of a joint at rest \[rad/s\]: the model's Coulomb friction changes sign within 0.01 rad/s.
+const REST_SPEED: f64 = 0.01;
 
 /// Identifies, validates and writes the results.
 pub fn run(options: Options) -> Result<(), Failure> {
@@ -91,7 +91,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
     bar.done();
 
-    let done = Done {
+    let done = Outcome {
         robot: &robot,
         identified,
         runs: identified_runs,
@@ -103,36 +103,35 @@ pub fn run(options: Options) -> Result<(), Failure> {
     done.write(&options.out, |report| {
         report.identifiability.untrusted_runs = untrusted;
         report.notes = notes;
-        DiagnosisFigures::default()
+        Curves::default()
     })
 }
 
-/// A model from files, judged, on its way into a folder: what `identify` and `diagnose` leave behind.
-pub(super) struct Done<'a> {
+/// A validated model from files: the result of `identify` and `diagnose`.
+pub(super) struct Outcome<'a> {
     /// The arm.
     pub robot: &'a Robot,
     /// The model.
     pub identified: Identified,
-    /// Runs that it was identified from.
+    /// Identification runs.
     pub runs: Vec<&'a Run>,
-    /// Unseen runs with its errors.
+    /// Validation runs with the model's errors.
     pub judged: Vec<(&'a Run, Judged)>,
     /// Mounting of the dataset.
     pub mounting: Mounting,
-    /// Hash of its content.
+    /// Hash of the dataset's content.
     pub hash: String,
-    /// How runs are made ready.
+    /// Signal processing.
     pub settings: &'a Settings,
 }
 
-impl Done<'_> {
-    /// Writes model.toml, report.json and report.html, and prints what matters. `add` puts more into the report and gives what is drawn
-    /// of it.
-    pub fn write(self, out: &Path, add: impl FnOnce(&mut Report) -> DiagnosisFigures) -> Result<(), Failure> {
-        let Done { robot, identified, runs, judged, mounting, hash, settings } = self;
+impl Outcome<'_> {
+    /// Writes model.toml, report.json and report.html, and prints a summary. `add` completes the report and returns its figures.
+    pub fn write(self, out: &Path, add: impl FnOnce(&mut Report) -> Curves) -> Result<(), Failure> {
+        let Outcome { robot, identified, runs, judged, mounting, hash, settings } = self;
         let provenance = crate::analysis::provenance(robot, Some(hash));
         let mut report = report_of(&identified, mounting, &provenance);
-        // Recorded data rarely repeats, so there is no noise floor to hold raw samples against: `rms` is that of the filtered band.
+        // Recorded data is rarely periodic, so raw samples have no noise floor: `rms` is that of the filtered band.
         report.band = Band::Filtered { cutoff: settings.torque_cutoff };
         report.identify.rms.clone_from(&report.identify.rms_filtered);
         report.validate = judged
@@ -181,7 +180,7 @@ impl Done<'_> {
 
 pub(super) fn settings(options: &Options) -> Result<Settings, Failure> {
     let mut settings = match Method::by_id(&options.method) {
-        Some(Method::Spectral) => Settings { torque_cutoff: CUTOFF, ..Settings::default() },
+        Some(Method::Spectral) => Settings { torque_cutoff: TORQUE_CUTOFF_HZ, ..Settings::default() },
         Some(Method::Paper) => Settings::paper(),
         None => {
             let found = format!("`{}`", options.method);
@@ -208,17 +207,23 @@ pub(super) fn settings(options: &Options) -> Result<Settings, Failure> {
         return Err(BadInput::new("command line", "--trim", options.trim, "0 to 3600 s").into());
     }
     settings.trim = options.trim;
-    settings.rest = (!options.keep_rests).then_some(REST);
+    settings.rest = (!options.keep_rests).then_some(REST_SPEED);
     Ok(settings)
 }
 
-/// The usual settings of recorded data: 4 Hz, whole-arm rests left out.
-pub(super) fn quiet_settings(velocities: &str, trim: f64) -> Result<Settings, Failure> {
+/// Default settings for recorded data: 4 Hz, without samples at rest.
+pub(super) fn recorded_data_settings(velocities: &str, trim: f64) -> Result<Settings, Failure> {
     let measured_velocities = pipeline::measured_velocities(velocities)?;
     if !(0.0..=3600.0).contains(&trim) {
         return Err(BadInput::new("command line", "--trim", trim, "0 to 3600 s").into());
     }
-    Ok(Settings { torque_cutoff: CUTOFF, measured_velocities, trim, rest: Some(REST), ..Settings::default() })
+    Ok(Settings {
+        torque_cutoff: TORQUE_CUTOFF_HZ,
+        measured_velocities,
+        trim,
+        rest: Some(REST_SPEED),
+        ..Settings::default()
+    })
 }
 
 pub(super) fn hold_out(options: &Options) -> Result<f64, Failure> {

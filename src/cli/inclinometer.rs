@@ -1,4 +1,4 @@
-//! `plumbline inclinometer`: listens to the inclinometer of a job and prints what it says; no arm is touched.
+//! `plumbline inclinometer`: reads the inclinometer of a job and prints its readings; no arm is connected.
 
 use crate::cli::say::say;
 use crate::config::job::Job;
@@ -17,12 +17,12 @@ use std::time::Duration;
 /// Options of `plumbline inclinometer`.
 #[derive(Args)]
 pub struct Options {
-    /// The job whose inclinometer is listened to
+    /// Job file with the inclinometer
     config: PathBuf,
     /// Override one key of the job, as in --set inclinometer.interface=vcan0 (repeatable)
     #[arg(long = "set", value_name = "KEY.PATH=VALUE")]
     sets: Vec<String>,
-    /// Go on printing until interrupted
+    /// Print until interrupted
     #[arg(long)]
     watch: bool,
     /// Lines per second while watching
@@ -38,8 +38,8 @@ fn rate(text: &str) -> Result<f64, String> {
     if (0.1..=200.0).contains(&rate) { Ok(rate) } else { Err("expected 0.1 to 200 lines per second".into()) }
 }
 
-/// How long one reading is waited for \[ns\].
-const PATIENCE: u64 = 10_000_000_000;
+/// Timeout of the first reading \[ns\].
+const TIMEOUT_NS: u64 = 10_000_000_000;
 
 /// Prints the first reading, or one after another.
 pub fn run(options: Options) -> Result<(), Failure> {
@@ -60,10 +60,10 @@ pub fn run(options: Options) -> Result<(), Failure> {
     for _ in 0..options.count.unwrap_or(u64::MAX) {
         let now = now_ns();
         let line = match listener.health(now) {
-            Health::Good(reading) => words(&reading, &job.mounting),
+            Health::Good(reading) => line_of(&reading, &job.mounting),
             Health::Bad(fault) => format!("no reading: {fault}"),
         };
-        // A closed pipe is the reader's way of saying that it has seen enough.
+        // The reader has closed the pipe.
         if writeln!(out, "{:8.3} s  {line}", now.saturating_sub(start) as f64 * 1e-9).is_err() {
             break;
         }
@@ -77,16 +77,16 @@ fn once(listener: &mut Listener, start: u64, declared: &Mounting) -> Result<(), 
         let now = now_ns();
         match listener.health(now) {
             Health::Good(reading) => {
-                say!("{}", words(&reading, declared));
+                say!("{}", line_of(&reading, declared));
                 return Ok(());
             }
-            Health::Bad(fault) if now.saturating_sub(start) > PATIENCE => return Err(Failure::job(fault)),
+            Health::Bad(fault) if now.saturating_sub(start) > TIMEOUT_NS => return Err(Failure::job(fault)),
             Health::Bad(_) => std::thread::sleep(Duration::from_millis(10)),
         }
     }
 }
 
-fn words(reading: &Reading, declared: &Mounting) -> String {
+fn line_of(reading: &Reading, declared: &Mounting) -> String {
     let Mounting { rho, phi } = reading.attitude.mounting();
     let [std_rho, std_phi] = reading.attitude.std_of_angles().map(f64::to_degrees);
     let off = angle_between(&reading.attitude.gravity, &declared.gravity()).to_degrees();

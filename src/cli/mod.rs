@@ -1,4 +1,4 @@
-//! The command line: one file per subcommand that reads options, calls what does the work, and prints what came of it.
+//! The command line: one file per subcommand that reads options, calls a library function and prints the result.
 
 mod command;
 mod compare;
@@ -19,7 +19,7 @@ use crate::failure::Failure;
 use crate::process::journal;
 use crate::{daemon, estimator};
 use clap::Parser;
-use plumbline_ipc::{IpcError, place};
+use plumbline_ipc::{IpcError, runtime_dir};
 use std::fmt::Display;
 use std::process::ExitCode;
 
@@ -52,7 +52,7 @@ macro_rules! subcommands {
 subcommands! {
     /// Optimise an excitation and write it to a plan file
     Plan => plan,
-    /// Do the whole job on one machine: daemon, estimator, report
+    /// Run a whole job on one machine: daemon, estimator, report
     Run => run,
     /// Run the real-time process (what the systemd service starts)
     Daemon => daemon,
@@ -60,25 +60,25 @@ subcommands! {
     Estimator => estimator,
     /// Identify from files, offline
     Identify => identify,
-    /// Say what changed since a model was identified: payload, tilt, friction, sensors
+    /// Show what changed since a model was identified: payload, tilt, friction, sensors
     Compare => compare,
-    /// Find out what a plain model of recorded data lacks, offline
+    /// Find effects that a plain model of recorded data lacks, offline
     Diagnose => diagnose,
     /// Compute the torques of a model along a recorded motion
     Predict => predict,
     /// Write the identified arm as URDF, MuJoCo model or C function
     Export => export,
-    /// Say whether this machine is fit for 1 kHz, and what to change
+    /// Check whether this machine is fit for 1 kHz, and list what to change
     Doctor => doctor,
-    /// Say what happened before a fault, from its recording
+    /// Analyse the recording of a fault
     Postmortem => postmortem,
-    /// List the effects that diagnosis knows, with their equations
+    /// List the effects of the diagnosis, with their equations
     Effects => effects,
     /// Print the feed-forward torque that a daemon serves
     Torque => torque,
-    /// Listen to the inclinometer of a job and print what it says
+    /// Print the readings of a job's inclinometer
     Inclinometer => inclinometer,
-    /// Tell a running daemon what to do: start, stop, resume, quit, status
+    /// Send a request to a running daemon: start, stop, resume, quit, status, ...
     Command => command,
 }
 
@@ -92,7 +92,7 @@ pub fn main() -> ExitCode {
     outcome.map_or_else(|failure| ExitCode::from(failure.code()), |()| ExitCode::SUCCESS)
 }
 
-/// A daemon that can't be reached; says so where it may be another user's.
+/// Failure for a daemon that can't be reached, with a hint if another user runs one.
 fn unreachable(error: IpcError) -> Failure {
     match error {
         IpcError::NoDaemon { .. } => no_daemon(error),
@@ -100,11 +100,11 @@ fn unreachable(error: IpcError) -> Failure {
     }
 }
 
-/// There is no daemon for this user.
+/// Failure for a missing daemon, with a hint if another user runs one.
 fn no_daemon(error: impl Display) -> Failure {
-    match place::served_by_another() {
+    match runtime_dir::other_serving_user() {
         Some(owner) => Failure::job(format!(
-            "{error}; the service on this machine belongs to user {owner}, and only that user may talk to it: `sudo -u plumbline plumbline ...`"
+            "{error}; the service on this machine belongs to user {owner}, and only that user may connect to it: `sudo -u plumbline plumbline ...`"
         )),
         None => Failure::job(error),
     }
@@ -114,7 +114,7 @@ fn no_daemon(error: impl Display) -> Failure {
 mod tests {
     use super::*;
 
-    /// Follows the recipe "Add a subcommand" of CONTRIBUTING.md with a subcommand that is made up.
+    /// The recipe "Add a subcommand" of CONTRIBUTING.md, with a made-up subcommand.
     mod recipe {
         use super::*;
 
@@ -124,19 +124,19 @@ mod tests {
             /// Options of the made-up subcommand.
             #[derive(clap::Args)]
             pub struct Options {
-                /// Exit code that the job fails with where this is given
+                /// Whether the job fails
                 #[arg(long)]
                 fails: bool,
             }
 
-            /// Succeeds, or fails where it was asked to.
+            /// Succeeds, or fails with `--fails`.
             pub fn run(options: Options) -> Result<(), Failure> {
-                if options.fails { Err(Failure::job("as asked")) } else { Ok(()) }
+                if options.fails { Err(Failure::job("failed on request")) } else { Ok(()) }
             }
         }
 
         subcommands! {
-            /// Do what is asked
+            /// A made-up subcommand
             MadeUp => made_up,
         }
 
@@ -151,7 +151,7 @@ mod tests {
             let run = |arguments: &[&str]| Cli::try_parse_from(arguments).map(|cli| cli.subcommand.run());
             assert!(run(&["plumbline", "made-up"]).is_ok_and(|outcome| outcome.is_ok()));
             let failed = run(&["plumbline", "made-up", "--fails"]).ok().and_then(Result::err).expect("a failure");
-            assert_eq!((failed.code(), failed.to_string().as_str()), (1, "as asked"));
+            assert_eq!((failed.code(), failed.to_string().as_str()), (1, "failed on request"));
             assert!(run(&["plumbline", "other"]).is_err());
         }
     }

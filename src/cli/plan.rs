@@ -9,7 +9,7 @@ use crate::setup::planner::{Room, Task, motion, no_plan, nominal};
 use crate::store::save_plan;
 use clap::{Args, ValueEnum};
 use plumbline_core::{BadInput, threads};
-use plumbline_excite::{Criterion, Fourier, Margins, Plan, PlanUsage, Progress, Search, Watch};
+use plumbline_excite::{Criterion, Fourier, Margins, Plan, PlanUsage, Progress, Search, SearchControl};
 use plumbline_model::Robot;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -26,10 +26,10 @@ pub struct Options {
     /// Plan file to write; several motions become plan-1.toml, plan-2.toml, .., plan-validate-1.toml, ..
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// What is made small
+    /// Criterion to minimise
     #[arg(long, value_enum, default_value_t = Goal::Raw)]
     criterion: Goal,
-    /// Nominal model (a model file): torques and torque rates are held to the limits, too
+    /// Nominal model (a model file): with it, torques and torque rates are limited, too
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Motions to identify from; each one complements those before it
@@ -44,10 +44,10 @@ pub struct Options {
     /// Harmonics per joint
     #[arg(long, default_value_t = 5)]
     harmonics: usize,
-    /// Random motions that the search descends from; the best quarter is seen through
+    /// Random starting motions of the search; the best quarter is optimised fully
     #[arg(long, default_value_t = 32)]
     starts: usize,
-    /// Rounds in which the best motions are shaken and descended again
+    /// Rounds in which the best motions are perturbed and optimised again
     #[arg(long, default_value_t = 6)]
     rounds: usize,
     /// Search each motion for this long instead of --rounds; the result then depends on the machine's speed
@@ -56,7 +56,7 @@ pub struct Options {
     /// Seed of the search: the same seed finds the same motions
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Keep the surfaces of the links from link 3 on in the robot's box, too, not the end effector alone
+    /// Keep also the links from link 3 on inside the workspace box, not only the end effector
     #[arg(long)]
     links_in_box: bool,
 }
@@ -88,10 +88,10 @@ impl From<Goal> for Criterion {
     }
 }
 
-/// Rounds of a search that ends by the clock.
-const ENDLESS: usize = 100_000;
-/// Distance of the seeds of validation motions from those of the search.
-const VALIDATION_SEED: u64 = 1_000_003;
+/// Rounds of a search with a time limit.
+const UNLIMITED_ROUNDS: usize = 100_000;
+/// Offset of the seeds of validation motions from those of the search.
+const VALIDATION_SEED_OFFSET: u64 = 1_000_003;
 
 /// Optimises motions and writes them.
 pub fn run(options: Options) -> Result<(), Failure> {
@@ -110,19 +110,20 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let ending = Ending::interrupts()?;
     let mut done: Vec<Fourier> = Vec::new();
     for k in 1..=options.trajectories {
-        let plan = options.one(&task, &Search { seed: search.seed + (k - 1), ..search.clone() }, &done, &ending)?;
+        let plan =
+            options.search_one(&task, &Search { seed: search.seed + (k - 1), ..search.clone() }, &done, &ending)?;
         done.push(motion(&plan)?);
-        options.leave(&plan, &options.name("", k, options.trajectories), &done, &task)?;
+        options.write(&plan, &options.name("", k, options.trajectories), &done, &task)?;
         if ending.arrived() {
-            // Nobody asked for half-searched motions after this one.
+            // The remaining motions are not searched.
             return Ok(());
         }
     }
     for k in 1..=options.validate {
         let plan = task
-            .random(&Search { seed: search.seed + VALIDATION_SEED + k, ..search.clone() })
+            .random(&Search { seed: search.seed + VALIDATION_SEED_OFFSET + k, ..search.clone() })
             .map_err(|error| no_plan("command line", error))?;
-        options.leave(&plan, &options.name("-validate", k, 100), &[], &task)?;
+        options.write(&plan, &options.name("-validate", k, 100), &[], &task)?;
     }
     Ok(())
 }
@@ -139,17 +140,17 @@ impl Options {
         {
             return bad("--seconds", seconds.to_string(), "a time above 0 s");
         }
-        let rounds = if self.seconds.is_some() { ENDLESS } else { self.rounds };
+        let rounds = if self.seconds.is_some() { UNLIMITED_ROUNDS } else { self.rounds };
         let (period, harmonics, starts, seed) = (self.period, self.harmonics, self.starts, self.seed);
         Ok(Search { period, harmonics, criterion: self.criterion.into(), starts, rounds, seed, ..Search::default() })
     }
 
-    /// One search, with a bar, by the clock where asked; ctrl-C ends it with the best so far.
-    fn one(&self, task: &Task, search: &Search, prior: &[Fourier], ending: &Ending) -> Result<Plan, Failure> {
+    /// One search with a progress bar. A time limit or ctrl-C ends it with the best motion so far.
+    fn search_one(&self, task: &Task, search: &Search, prior: &[Fourier], ending: &Ending) -> Result<Plan, Failure> {
         let start = Instant::now();
         let limit = self.seconds.map(Duration::from_secs_f64);
         let bar = progress::bar("planning");
-        let hear = |now: Progress| {
+        let report = |now: Progress| {
             let share = match limit {
                 Some(limit) => start.elapsed().as_secs_f64() / limit.as_secs_f64(),
                 None => now.done as f64 / now.of as f64,
@@ -158,7 +159,7 @@ impl Options {
             bar.at(share, &best);
         };
         let stop = || ending.arrived() || limit.is_some_and(|limit| start.elapsed() > limit);
-        let watch = Watch { threads: threads(), stop: &stop, progress: &hear };
+        let watch = SearchControl { threads: threads(), stop: &stop, progress: &report };
         let plan = task.best(search, prior, &watch).map_err(|error| no_plan("command line", error))?;
         bar.done();
         if ending.arrived() {
@@ -178,15 +179,15 @@ impl Options {
         self.out.with_file_name(format!("{stem}{kind}-{k}.{extension}"))
     }
 
-    /// Writes a plan and says how good it is.
-    fn leave(&self, plan: &Plan, path: &Path, set: &[Fourier], task: &Task) -> Result<(), Failure> {
+    /// Writes a plan and prints its condition numbers.
+    fn write(&self, plan: &Plan, path: &Path, set: &[Fourier], task: &Task) -> Result<(), Failure> {
         save_plan(plan, path).map_err(Failure::job)?;
         say!("{}: condition {}", path.display(), crate::analysis::conditions_text(&plan.conditions));
         if let Some(usage) = &plan.usage {
             say!("  {}", usage_text(usage));
         }
         if set.len() > 1 {
-            let together = task.with_problem(|problem| plumbline_excite::conditions_together(problem, set));
+            let together = task.with_problem(|problem| plumbline_excite::stacked_conditions(problem, set));
             say!("  with the {} before it: condition {}", set.len() - 1, crate::analysis::conditions_text(&together));
         }
         Ok(())

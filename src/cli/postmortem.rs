@@ -1,11 +1,11 @@
-//! `plumbline postmortem`: what happened before a fault, from its recording.
+//! `plumbline postmortem`: analysis of the recording of a fault.
 
 use crate::cli::say::say;
 use crate::failure::Failure;
-use crate::postmortem::replay::{Parts, Replayed, replay};
-use crate::postmortem::story::Story;
+use crate::postmortem::facts::Facts;
+use crate::postmortem::replay::{ReplayInputs, ReplayResult, replay};
 use crate::postmortem::{page, text};
-use crate::recording::about::Handed;
+use crate::recording::about::RecordedModel;
 use crate::recording::{Recording, model_name};
 use crate::store::{ModelFile, model_identity};
 use clap::Args;
@@ -17,41 +17,41 @@ use std::path::PathBuf;
 /// Options of `plumbline postmortem`.
 #[derive(Args)]
 pub struct Options {
-    /// The recording, as the daemon wrote it
+    /// Recording of the daemon
     file: PathBuf,
-    /// Page with the plots instead of the one beside the recording
+    /// HTML page to write instead of the one beside the recording
     #[arg(long, value_name = "HTML")]
     out: Option<PathBuf>,
     /// Print the facts as JSON instead
     #[arg(long)]
     json: bool,
-    /// Run the recording through the loop again, and compare every command
+    /// Replay the recording through the loop and compare every command
     #[arg(long)]
     replay: bool,
 }
 
-/// Reads, tells, draws.
+/// Reads a recording, prints its facts and writes the page.
 pub fn run(options: Options) -> Result<(), Failure> {
     let recording = Recording::read(&options.file)?;
     let file = options.file.display().to_string();
-    let replayed = if options.replay { Some(again(&file, &recording)?) } else { None };
-    let identical = replayed.as_ref().is_none_or(Replayed::is_identical);
-    let story = Story::of(&file, &recording, replayed);
+    let replayed = if options.replay { Some(replayed_recording(&file, &recording)?) } else { None };
+    let identical = replayed.as_ref().is_none_or(ReplayResult::is_identical);
+    let facts = Facts::of(&file, &recording, replayed);
     if options.json {
-        say!("{}", serde_json::to_string_pretty(&story).map_err(Failure::job)?);
+        say!("{}", serde_json::to_string_pretty(&facts).map_err(Failure::job)?);
     } else {
-        say!("{}", text(&story).trim_end());
+        say!("{}", text(&facts).trim_end());
     }
     let path = options.out.unwrap_or_else(|| options.file.with_extension("html"));
-    crate::atomic::write_result(&path, page(&story, &recording).map_err(Failure::job)?.as_bytes())?;
+    crate::atomic::write_result(&path, page(&facts, &recording).map_err(Failure::job)?.as_bytes())?;
     if !options.json {
         say!("page: {}", path.display());
     }
-    if identical { Ok(()) } else { Err(Failure::job("the replay gave other commands than the recording")) }
+    if identical { Ok(()) } else { Err(Failure::job("the commands of the replay differ from the recording")) }
 }
 
-/// The recording through the loop again.
-fn again(file: &str, recording: &Recording) -> Result<Replayed, Failure> {
+/// Replays the recording.
+fn replayed_recording(file: &str, recording: &Recording) -> Result<ReplayResult, Failure> {
     let place = |name: &str| format!("{file}, attachment `{name}`");
     let needed = |name: &str| {
         let expected = format!("the attachment `{name}`, for a replay");
@@ -62,8 +62,8 @@ fn again(file: &str, recording: &Recording) -> Result<Replayed, Failure> {
         let expected = format!("{}, as in `about.json`", recording.about.joints);
         return Err(BadInput::new(place("robot.toml"), "joint", robot.chain.len(), expected).into());
     }
-    let mut model = |handed: &Handed| -> Result<Box<dyn FeedForward>, String> {
-        // Served in the place of a model that was withdrawn.
+    let mut model = |handed: &RecordedModel| -> Result<Box<dyn FeedForward>, String> {
+        // Identity 0 is the withdrawal of a model.
         if handed.id == 0 {
             return Ok(Box::new(NoModel));
         }
@@ -78,7 +78,6 @@ fn again(file: &str, recording: &Recording) -> Result<Replayed, Failure> {
         Ok(Box::new(ServedModel::new(handed.id, &file.model, &gravity, &vendor)))
     };
     let kinematics = Box::new(Reach(robot.chain.clone()));
-    replay(recording, Parts { kinematics: Some(kinematics), model: &mut model }).map_err(|error| {
-        BadInput::new(file, "replay", error, "a recording that holds all that the loop was given").into()
-    })
+    replay(recording, ReplayInputs { kinematics: Some(kinematics), model: &mut model })
+        .map_err(|error| BadInput::new(file, "replay", error, "a recording with all inputs of the loop").into())
 }

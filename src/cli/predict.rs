@@ -1,4 +1,4 @@
-//! `plumbline predict`: torques of a model along a recorded motion.
+//! `plumbline predict`: computes the torques of a model along a recorded motion.
 
 use crate::analysis::pipeline::{self, Predicted};
 use crate::cli::say::say;
@@ -25,14 +25,14 @@ pub struct Options {
     /// depends on how the filter continues the motion past its end; elsewhere 0
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Mounting of that motion: upright, wall, ceiling, or RHO,PHI with units; by default the dataset.toml beside the motion says
-    /// it, and where there is none, the model's own mounting holds
+    /// Mounting of that motion: upright, wall, ceiling, or RHO,PHI with units; by default that of the dataset.toml beside the
+    /// motion, else that of the model
     #[arg(long)]
     mounting: Option<String>,
     /// Predict even where the model is not valid
     #[arg(long)]
     force: bool,
-    /// Predict with the nearest parameters that real bodies can have (block `consistent` of the model file)
+    /// Predict with the nearest physically consistent parameters (block `consistent` of the model file)
     #[arg(long)]
     consistent: bool,
     /// Velocities of the motion: measured (where it has dq columns) or derived from the positions
@@ -40,7 +40,7 @@ pub struct Options {
     velocities: String,
 }
 
-/// Predicts, writes, and says how far off the measured torques are where there are any.
+/// Writes the predicted torques and prints the error against measured torques, if there are any.
 pub fn run(options: Options) -> Result<(), Failure> {
     let (file, _) = models::load(&options.model)?;
     let model = &chosen(&options, &file)?;
@@ -77,7 +77,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The model as it was identified, or moved to where real bodies have its parameters.
+/// The identified model, or its physically consistent projection.
 fn chosen(options: &Options, file: &ModelFile) -> Result<TorqueModel, Failure> {
     let model = &file.model;
     if !options.consistent {
@@ -93,7 +93,7 @@ fn chosen(options: &Options, file: &ModelFile) -> Result<TorqueModel, Failure> {
     TorqueModel::new(model.robot(), structure, mountings, &values).map_err(Failure::job)
 }
 
-/// The motion and its mounting: as `--mounting` says, else as the dataset that the file belongs to says, else as the model's own.
+/// The motion with its mounting: from `--mounting`, else from the dataset of the file, else from the model.
 fn motion(options: &Options, model: &TorqueModel) -> Result<Run, Failure> {
     let folder = options.run.parent().filter(|folder| folder.join("dataset.toml").is_file());
     let of_dataset = match folder {

@@ -1,4 +1,4 @@
-//! `plumbline run`: daemon, estimator and report on one machine, for people without systemd.
+//! `plumbline run`: daemon, estimator and report on one machine, without systemd.
 
 use crate::cli::say::say;
 use crate::failure::Failure;
@@ -19,27 +19,27 @@ use std::time::{Duration, Instant};
 pub struct Options {
     #[command(flatten)]
     job: JobOptions,
-    /// Serve this model from the start, until the identified one: torque control of an arm that is not mounted upright needs it
+    /// Model to serve until the identified one; needed for torque control of an arm that is not mounted upright
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
 }
 
-/// How long the two processes may take to find each other.
-const PATIENCE: Duration = Duration::from_secs(30);
-/// How long to wait for an answer.
-const ANSWER: Duration = Duration::from_secs(5);
-/// Pause between two looks at them.
-const LOOK: Duration = Duration::from_millis(100);
-/// How often a killed estimator is started again.
-const RESTARTS: usize = 3;
+/// Timeout of the start of daemon and estimator.
+const START_TIMEOUT: Duration = Duration::from_secs(30);
+/// Timeout of a response.
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(5);
+/// Interval of the status queries.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
+/// Restarts of a killed estimator.
+const MAX_ESTIMATOR_RESTARTS: usize = 3;
 
-/// Plans, starts both processes, waits for the results and says what they are.
+/// Plans, starts both processes, waits for the results and prints them.
 pub fn run(options: Options) -> Result<(), Failure> {
     let (job, robot, out) = options.job.load()?;
     let id = robot_id(&job)?;
-    // No other daemon comes up for this robot from here on, however long the planning takes: the daemon that is started below gets this very lock.
+    // The lock excludes another daemon for this robot during planning; the daemon below inherits it.
     let lock = crate::setup::lock(&id)?;
-    // What a daemon would refuse is refused here, before anything starts.
+    // The checks of the daemon, before any process starts.
     let connector = crate::setup::backend::connector(&job, &robot)?;
     let arm = crate::setup::arm_lock(connector.as_ref())?;
     crate::setup::rest(&job, &robot)?;
@@ -52,9 +52,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let ticks: usize = programme.motions().map(|motion| motion.ticks()).sum();
 
     let ending = Ending::watch()?;
-    // What is passed on here is closed again before anything else is started.
+    // The inheritable lock is closed again before another process starts.
     let passed_on = lock.pass_on().map_err(Failure::job)?;
-    // The daemon takes it again, or says who has it.
+    // The daemon locks the arm itself.
     drop(arm);
     let mut more: Vec<&OsStr> = ["--end-with-stdin", "--adopt-lock"].map(OsStr::new).to_vec();
     if let Some(model) = &options.model {
@@ -63,16 +63,16 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let mut daemon = Process::start("daemon", &options.job, &out, &more)?;
     drop(passed_on);
     let outcome = drive(&id, &options.job, &out, &mut daemon, ticks as u64, &ending);
-    // Whatever happened, the daemon ends by its own rules: it brakes first when the arm moves.
+    // The daemon ends with a controlled stop if the arm moves.
     let ended = daemon.end()?;
     outcome?;
     if !ended.success() {
-        return Err(Failure::job(format!("the daemon ended badly: {ended}")));
+        return Err(Failure::job(format!("the daemon failed: {ended}")));
     }
     summarise(&out)
 }
 
-/// Sees the programme through.
+/// Runs the programme to its end.
 fn drive(
     id: &RobotId,
     job: &JobOptions,
@@ -90,18 +90,18 @@ fn drive(
         let mut restarts = 0;
         let mut stopped: Option<Instant> = None;
         loop {
-            std::thread::sleep(LOOK);
+            std::thread::sleep(POLL_INTERVAL);
             if let Some(cause) = ending.cause() {
                 return Err(Failure::job(format!("interrupted, {cause}; the arm was stopped")));
             }
             if let Some(ended) = daemon.ended()? {
-                return Err(Failure::job(format!("the daemon ended in mid-job: {ended}")));
+                return Err(Failure::job(format!("the daemon ended during the job: {ended}")));
             }
             match estimator.ended()? {
                 Some(ended) if ended.success() => break,
-                Some(ended) if ended.code().is_none() && restarts < RESTARTS => {
+                Some(ended) if ended.code().is_none() && restarts < MAX_ESTIMATOR_RESTARTS => {
                     restarts += 1;
-                    tracing::warn!("the estimator was killed ({ended}); a new one goes on from what the daemon kept");
+                    tracing::warn!("the estimator was killed ({ended}); a new one continues with the daemon's samples");
                     estimator = Process::start("estimator", job, out, &[OsStr::new("--once")])?;
                 }
                 Some(ended) => {
@@ -112,11 +112,13 @@ fn drive(
                 }
                 None => {}
             }
-            // A daemon that is busy for a moment is no reason to give up; one that is gone is seen above.
+            // A missing response is ignored: an ended daemon is detected above.
             if let Some(now) = status(&mut client) {
                 bar.at(now.cycles as f64 / (1.3 * ticks as f64), &now.job);
-                // The estimator ends by itself then, unless it computes on and on.
-                if now.progress == Progress::Stopped && stopped.get_or_insert_with(Instant::now).elapsed() > PATIENCE {
+                // The estimator should end by itself after a stop.
+                if now.progress == Progress::Stopped
+                    && stopped.get_or_insert_with(Instant::now).elapsed() > START_TIMEOUT
+                {
                     let why = now.stopped.unwrap_or_default();
                     return Err(Failure::job(format!(
                         "the arm was stopped: {why}; the estimator did not end by itself"
@@ -134,15 +136,15 @@ fn drive(
     outcome
 }
 
-/// Waits for the daemon that this process has started. What is asked from here on is meant for that daemon alone.
+/// Waits for the daemon that this process has started. The client is bound to that daemon.
 fn await_daemon(id: &RobotId, daemon: &mut Process) -> Result<Client, Failure> {
     let start = Instant::now();
     loop {
         if let Some(ended) = daemon.ended()? {
             return Err(Failure::job(format!("the daemon did not start: {ended}")));
         }
-        let found = Client::connect(id, LOOK).and_then(|mut client| {
-            let answer = client.send(&Request::Status {}, ANSWER)?;
+        let found = Client::connect(id, POLL_INTERVAL).and_then(|mut client| {
+            let answer = client.send(&Request::Status {}, RESPONSE_TIMEOUT)?;
             Ok((client, answer))
         });
         match found {
@@ -150,7 +152,7 @@ fn await_daemon(id: &RobotId, daemon: &mut Process) -> Result<Client, Failure> {
                 let own = daemon.child.id();
                 if status.process != own {
                     return Err(Failure::job(format!(
-                        "another daemon (process {}) serves robot `{id}`; nothing was asked of it, and the daemon of this run (process {own}) is \
+                        "another daemon (process {}) serves robot `{id}`; it is left alone, and the daemon of this run (process {own}) is \
                          ended",
                         status.process
                     )));
@@ -159,18 +161,18 @@ fn await_daemon(id: &RobotId, daemon: &mut Process) -> Result<Client, Failure> {
                 return Ok(client);
             }
             Ok((_, other)) => {
-                return Err(Failure::job(format!("the daemon answered a question for its status with {other:?}")));
+                return Err(Failure::job(format!("unexpected response of the daemon to a status request: {other:?}")));
             }
-            Err(error) if start.elapsed() > PATIENCE => return Err(Failure::job(error)),
+            Err(error) if start.elapsed() > START_TIMEOUT => return Err(Failure::job(error)),
             Err(_) => {}
         }
     }
 }
 
-/// Waits until the daemon has heard of the estimator that this process has started, so that not even the first sample needs a replay.
+/// Waits until the daemon has registered the estimator of this process, so that the first samples need no replay.
 fn await_follower(client: &mut Client, daemon: &mut Process, estimator: &mut Process) -> Result<(), Failure> {
     let start = Instant::now();
-    while start.elapsed() < PATIENCE {
+    while start.elapsed() < START_TIMEOUT {
         let own = estimator.child.id();
         if status(client).is_some_and(|status| status.served.followers.iter().any(|follower| follower.pid == own)) {
             return Ok(());
@@ -180,30 +182,30 @@ fn await_follower(client: &mut Client, daemon: &mut Process, estimator: &mut Pro
                 return Err(Failure::job(format!("the {} did not start: {ended}", process.name)));
             }
         }
-        std::thread::sleep(LOOK);
+        std::thread::sleep(POLL_INTERVAL);
     }
     Err(Failure::job("the estimator did not find the daemon"))
 }
 
-/// How the daemon is, where it answers.
+/// The daemon's status, if it responds.
 fn status(client: &mut Client) -> Option<Status> {
-    match client.send(&Request::Status {}, ANSWER).ok()? {
+    match client.send(&Request::Status {}, RESPONSE_TIMEOUT).ok()? {
         Response::Status(status) => Some(*status),
         _ => None,
     }
 }
 
-/// Starts the programme. A daemon that refuses may still be on its way up, as its inclinometer is; it says what it waits for.
+/// Starts the programme. A refusal is retried, because the inclinometer may still be starting.
 fn start(client: &mut Client, ending: &Ending) -> Result<(), Failure> {
     let begin = Instant::now();
     loop {
-        match client.send(&Request::Start {}, PATIENCE).map_err(Failure::job)? {
+        match client.send(&Request::Start {}, START_TIMEOUT).map_err(Failure::job)? {
             Response::Accepted {} => return Ok(()),
-            Response::Refused { .. } if begin.elapsed() < PATIENCE && !ending.arrived() => {
-                std::thread::sleep(LOOK);
+            Response::Refused { .. } if begin.elapsed() < START_TIMEOUT && !ending.arrived() => {
+                std::thread::sleep(POLL_INTERVAL);
             }
             Response::Refused { reason } => return Err(Failure::job(format!("the daemon does not start: {reason}"))),
-            other => return Err(Failure::job(format!("the daemon answered a start with {other:?}"))),
+            other => return Err(Failure::job(format!("unexpected response of the daemon to a start: {other:?}"))),
         }
     }
 }
@@ -222,7 +224,7 @@ impl Process {
         for set in &job.sets {
             command.arg("--set").arg(set);
         }
-        // The daemon's standard input ends with this process, however that ends.
+        // The standard input of the child is closed when this process ends.
         command.stdin(Stdio::piped());
         let child = command.spawn().map_err(|error| Failure::job(format!("the {name} can't be started: {error}")))?;
         Ok(Process { name, child })
@@ -232,18 +234,18 @@ impl Process {
         self.child.try_wait().map_err(Failure::job)
     }
 
-    /// Ends it by SIGTERM, which reaches no other process than this child; by force where it takes too long.
+    /// Ends the child by SIGTERM, and by SIGKILL after a timeout.
     fn end(&mut self) -> Result<ExitStatus, Failure> {
         let start = Instant::now();
-        let mut asked = false;
+        let mut signalled = false;
         loop {
             if let Some(ended) = self.ended()? {
                 return Ok(ended);
             }
-            if !std::mem::replace(&mut asked, true) {
+            if !std::mem::replace(&mut signalled, true) {
                 kill_process(Pid::from_child(&self.child), Signal::TERM).map_err(Failure::job)?;
             }
-            if start.elapsed() > PATIENCE {
+            if start.elapsed() > START_TIMEOUT {
                 self.child.kill().map_err(Failure::job)?;
             }
             std::thread::sleep(Duration::from_millis(5));
@@ -251,7 +253,7 @@ impl Process {
     }
 }
 
-/// The last lines: what came out and where it lies.
+/// Prints the results and the path of the report.
 fn summarise(out: &Path) -> Result<(), Failure> {
     let path = out.join("report.json");
     let text = std::fs::read_to_string(&path).map_err(|error| Failure::job(format!("{}: {error}", path.display())))?;

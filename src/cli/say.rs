@@ -1,7 +1,6 @@
-//! What a command prints when its work is done. A standard output that nobody reads any more, or that is full, costs the words and not the work:
-//! `println!` would panic.
+//! Output of results. A closed or full standard output is ignored; `println!` would panic.
 
-/// Prints a line to standard output, if it can.
+/// Prints a line to standard output and ignores errors.
 macro_rules! say {
     ($($words:tt)*) => {{
         use std::io::Write as _;

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 /// Options of `plumbline torque`.
 #[derive(Args)]
 pub struct Options {
-    /// Go on printing until interrupted
+    /// Print until interrupted
     #[arg(long)]
     follow: bool,
     /// Robot that the daemon drives
@@ -29,18 +29,18 @@ fn rate(text: &str) -> Result<f64, String> {
     if (0.01..=1000.0).contains(&rate) { Ok(rate) } else { Err("expected 0.01 to 1000 lines per second".into()) }
 }
 
-const PATIENCE: Duration = Duration::from_secs(2);
+const TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Prints the latest value, or one after another.
 pub fn run(options: Options) -> Result<(), Failure> {
     let id = RobotId::parse("command line", "--robot", &options.robot)?;
     let mut client =
-        FeedForwardClient::connect(&id, FeedForwardSettings::default(), PATIENCE).map_err(crate::cli::unreachable)?;
+        FeedForwardClient::connect(&id, FeedForwardSettings::default(), TIMEOUT).map_err(crate::cli::unreachable)?;
     let count = if options.follow { options.count.unwrap_or(u64::MAX) } else { options.count.unwrap_or(1) };
     let mut out = std::io::stdout();
-    // A fresh subscriber sees its first value with the daemon's next cycle.
+    // A new subscriber receives its first value in the daemon's next cycle.
     let start = Instant::now();
-    while client.latest().map_err(Failure::job)?.is_none() && start.elapsed() < PATIENCE {
+    while client.latest().map_err(Failure::job)?.is_none() && start.elapsed() < TIMEOUT {
         std::thread::sleep(Duration::from_millis(1));
     }
     for _ in 0..count {
@@ -48,7 +48,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
             Some(latest) => line(&latest, client.daemon()),
             None => "no value yet".to_string(),
         };
-        // A closed pipe is the reader's way of saying that it has seen enough.
+        // The reader has closed the pipe.
         if writeln!(out, "{line}").is_err() {
             break;
         }
@@ -57,7 +57,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Sequence, age, model, torques; and whether the value may still be used.
+/// One line: sequence number, age, model, torques, validity.
 fn line(latest: &Latest, daemon: Presence) -> String {
     let torques: Vec<String> = latest.message.torque().iter().map(|tau| format!("{tau:9.4}")).collect();
     let state = match (daemon, latest.stale, latest.message.validity()) {

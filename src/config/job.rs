@@ -111,7 +111,7 @@ pub struct Backend {
     #[serde(default)]
     pub pace: Pace,
     /// Seed of the simulated noise and losses.
-    #[serde(default = "one")]
+    #[serde(default = "default_seed")]
     pub seed: u64,
     /// Pose that the arm returns to, and that a simulated one starts in; the middle of every joint's range where absent \[rad\].
     #[serde(default, deserialize_with = "units::optional_positions")]
@@ -291,20 +291,20 @@ pub struct Limits {
     pub torque: f64,
     /// Limits of one's own, for planning and guard; they can only be tighter than the robot's.
     #[serde(rename = "override")]
-    pub own: OwnLimits,
+    pub overrides: LimitOverrides,
 }
 
 impl Default for Limits {
     fn default() -> Limits {
         let Margins { position, velocity, acceleration, jerk, torque, .. } = Margins::default();
-        Limits { margin: position, speed: velocity, acceleration, jerk, torque, own: OwnLimits::default() }
+        Limits { margin: position, speed: velocity, acceleration, jerk, torque, overrides: LimitOverrides::default() }
     }
 }
 
 /// Limits in place of the robot's, one number per joint, named and in units as in robot descriptions.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
-pub struct OwnLimits {
+pub struct LimitOverrides {
     /// Lowest position \[rad\].
     pub q_min: Option<Vec<f64>>,
     /// Highest position \[rad\].
@@ -403,7 +403,7 @@ pub struct Safety {
     /// a controlled stop.
     pub max_lost: u32,
     /// What the arm does when the estimator is gone in mid-run.
-    pub on_estimator_loss: OnLoss,
+    pub on_estimator_loss: OnEstimatorLoss,
     /// How long the arm holds for the model after the motions that it is identified from; then the programme ends with a controlled stop \[s\].
     #[serde(deserialize_with = "units::duration")]
     pub model_timeout: f64,
@@ -411,14 +411,14 @@ pub struct Safety {
 
 impl Default for Safety {
     fn default() -> Safety {
-        Safety { tracking_error: 0.1, max_lost: 10, on_estimator_loss: OnLoss::Finish, model_timeout: 120.0 }
+        Safety { tracking_error: 0.1, max_lost: 10, on_estimator_loss: OnEstimatorLoss::Finish, model_timeout: 120.0 }
     }
 }
 
 /// What the arm does when the estimator is gone in mid-run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum OnLoss {
+pub enum OnEstimatorLoss {
     /// Drives the motion to its end; the samples are kept for the next estimator.
     #[default]
     Finish,
@@ -505,7 +505,7 @@ impl Default for Output {
     }
 }
 
-fn one() -> u64 {
+fn default_seed() -> u64 {
     1
 }
 
@@ -528,7 +528,7 @@ impl Job {
         let file = path.display().to_string();
         let mut job: Job = sets::typed(&file, text, sets)?;
         job.file = path.to_path_buf();
-        check::check(&job).map_err(|bad| sets::blame(bad, &file, sets))?;
+        check::check(&job).map_err(|bad| sets::attribute(bad, &file, sets))?;
         let dir = job.dir().to_path_buf();
         if let Some(Resource::File(arm)) = &mut job.backend.arm {
             *arm = dir.join(&*arm);

@@ -1,6 +1,6 @@
 //! The orders of a session: decides from events what the loop is ordered next, without acting.
 
-use crate::recording::about::{Given, Series};
+use crate::recording::about::{RecordedOrder, Series};
 use crate::setup::programme::{Motion, Role, Stage};
 use plumbline_core::{JointVec, MAX_JOINTS, Phase};
 use plumbline_excite::{ExciteError, Fourier, PeriodicMotion};
@@ -32,17 +32,20 @@ pub struct Planned {
     /// For the loop.
     pub order: Order,
     /// For the flight recorder.
-    pub given: Given,
+    pub given: RecordedOrder,
 }
 
 impl Planned {
     fn move_to(motion: u32, target: JointVec, phase: Phase) -> Planned {
-        let given = Given::Move { motion, target, phase: phase as u32 };
+        let given = RecordedOrder::Move { motion, target, phase: phase as u32 };
         Planned { order: Order { motion, kind: OrderKind::MoveTo { target, phase } }, given }
     }
 
     fn dwell(motion: u32, ticks: u64) -> Planned {
-        Planned { order: Order { motion, kind: OrderKind::Dwell { ticks } }, given: Given::Dwell { motion, ticks } }
+        Planned {
+            order: Order { motion, kind: OrderKind::Dwell { ticks } },
+            given: RecordedOrder::Dwell { motion, ticks },
+        }
     }
 
     fn follow(motion: u32, fourier: &Fourier, periods: u32) -> Result<Planned, ExciteError> {
@@ -51,7 +54,7 @@ impl Planned {
         let series = Series { period: fourier.period, periods, q0: fourier.q0.clone(), a, b };
         let reference = Box::new(PeriodicMotion::new(fourier, periods)?);
         let order = Order { motion, kind: OrderKind::Follow(reference) };
-        Ok(Planned { order, given: Given::Follow { motion, series } })
+        Ok(Planned { order, given: RecordedOrder::Follow { motion, series } })
     }
 }
 

@@ -46,7 +46,7 @@ impl Hygiene {
 }
 
 /// Share of steps between neighbouring values that must be whole multiples of the quantum.
-const WHOLE_SHARE: f64 = 0.95;
+const MIN_MULTIPLE_RATIO: f64 = 0.95;
 
 /// The step of a quantised signal: neighbouring values, once sorted, lie a whole number of steps apart.
 fn quantum(column: DVectorView<f64>) -> Option<f64> {
@@ -61,7 +61,7 @@ fn quantum(column: DVectorView<f64>) -> Option<f64> {
     let quantum = lowest.iter().sum::<f64>() / lowest.len() as f64;
     let whole = |step: f64| (step / quantum - (step / quantum).round()).abs() < 0.05;
     let share = steps.iter().filter(|&&step| whole(step)).count() as f64 / steps.len() as f64;
-    (share >= WHOLE_SHARE).then_some(quantum)
+    (share >= MIN_MULTIPLE_RATIO).then_some(quantum)
 }
 
 #[cfg(test)]
@@ -71,7 +71,7 @@ mod tests {
     use rand::{Rng, SeedableRng};
 
     #[test]
-    fn a_quantum_is_seen_where_there_is_one() {
+    fn quantisation_is_detected() {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
         let smooth = DVector::from_fn(2000, |_, _| rng.random_range(-30.0..30.0_f64));
         assert_eq!(quantum((&smooth).into()), None);

@@ -1,6 +1,6 @@
 //! The live watch of the estimator: follows the samples while a model is served, says when it no longer holds, and proposes a better one.
 
-use crate::analysis::{changed, pipeline};
+use crate::analysis::pipeline;
 use crate::config::job::{Adopt, Job};
 use crate::dataset::Run;
 use crate::failure::Failure;
@@ -20,16 +20,16 @@ use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 
 /// Time between records \[s\].
-const DT: f64 = 1e-3;
+const SAMPLE_PERIOD_S: f64 = 1e-3;
 /// Motion of the identification that tells what error is usual \[s\].
-const CALIBRATION: f64 = 20.0;
+const CALIBRATION_S: f64 = 20.0;
 /// Slower than this, a joint stands \[rad/s\].
-const REST: f64 = 0.01;
+const REST_SPEED: f64 = 0.01;
 /// Stretches that the log keeps.
-const KEPT: usize = 10_000;
+const MAX_LOGGED_STRETCHES: usize = 10_000;
 
 /// A model for the daemon, and why.
-pub struct Offer {
+pub struct OfferedModel {
     /// Text of its file.
     pub toml: String,
     /// What the daemon tells people.
@@ -76,7 +76,7 @@ struct Stretch {
 }
 
 /// A search under way.
-struct Searching {
+struct Search {
     /// When it began, and since when the model does not hold \[s\].
     t: f64,
     since: f64,
@@ -103,12 +103,12 @@ pub struct Live {
     /// Samples of one motion without a gap.
     buffer: VecDeque<Record>,
     /// Samples since the last stretch.
-    fresh: usize,
+    samples_since_stretch: usize,
     /// No search before this moment \[s\].
     not_before: f64,
     /// Simulated time waits: a search is waited for as well, so that the arm does not run away meanwhile.
-    patient: bool,
-    searching: Option<Searching>,
+    wait_for_search: bool,
+    searching: Option<Search>,
     /// A proposal is with the daemon.
     proposed: Option<u64>,
     log: Log,
@@ -123,7 +123,7 @@ impl Live {
             window: job.live.window,
             joints: robot.chain.len(),
             robot: robot.clone(),
-            settings: Settings { rest: Some(REST), ..job.settings() },
+            settings: Settings { rest: Some(REST_SPEED), ..job.settings() },
             mounting: job.mounting,
             out: out.to_path_buf(),
             noise_floor: Vec::new(),
@@ -131,9 +131,9 @@ impl Live {
             watch: None,
             serving: 0,
             buffer: VecDeque::new(),
-            fresh: 0,
+            samples_since_stretch: 0,
             not_before: 0.0,
-            patient: job.backend.is_fast(),
+            wait_for_search: job.backend.is_fast(),
             searching: None,
             proposed: None,
             log: Log::default(),
@@ -149,7 +149,7 @@ impl Live {
         text: &str,
         run: &Run,
     ) -> Result<(), Failure> {
-        let samples = run.samples().min((CALIBRATION / DT) as usize);
+        let samples = run.samples().min((CALIBRATION_S / SAMPLE_PERIOD_S) as usize);
         let part = plumbline_identify::Run { period: None, ..run.data.part(0, samples) };
         let floor = Floor::of(model, &pipeline::experiment(&part, &self.settings)?);
         (self.log.usual, self.log.limit) = (floor.usual.clone(), floor.limit.clone());
@@ -160,40 +160,40 @@ impl Live {
     }
 
     /// Takes the next record; gives a model to propose when there is one.
-    pub fn take(&mut self, record: &Record) -> Result<Option<Offer>, Failure> {
+    pub fn update(&mut self, record: &Record) -> Result<Option<OfferedModel>, Failure> {
         let known = self.models.iter().any(|(id, _)| *id == record.model);
         if record.phase != Phase::Excite || !known {
             self.clear();
             return Ok(None);
         }
         if self.serving != record.model {
-            self.now_serves(record);
+            self.handle_served_model(record);
         }
         if self.buffer.back().is_some_and(|before| before.motion != record.motion) {
             self.clear();
         }
         self.buffer.push_back(*record);
-        self.fresh += 1;
+        self.samples_since_stretch += 1;
         if self.buffer.len() > samples(self.window + 4.0 * STRETCH) {
             self.buffer.pop_front();
         }
         let needed = samples(STRETCH + 2.0 * ENDS) + 2 * self.edge();
-        if self.fresh < samples(STRETCH) || self.buffer.len() < needed {
+        if self.samples_since_stretch < samples(STRETCH) || self.buffer.len() < needed {
             return Ok(None);
         }
-        self.fresh = 0;
-        self.look(needed);
+        self.samples_since_stretch = 0;
+        self.evaluate_stretch(needed);
         self.search()
     }
 
     /// Samples are missing: what follows is another motion.
     pub fn clear(&mut self) {
         self.buffer.clear();
-        self.fresh = 0;
+        self.samples_since_stretch = 0;
     }
 
     /// Looks at what the daemon says: a proposal that is gone without being served was rejected.
-    pub fn heard(&mut self, status: &Status) {
+    pub fn process_status(&mut self, status: &Status) {
         let Some(proposed) = self.proposed else { return };
         if status.offered.is_none() && status.model != proposed {
             tracing::info!("the proposed model was rejected; the watch is silent until the served one holds again");
@@ -223,7 +223,7 @@ impl Live {
         samples(0.5)
     }
 
-    fn now_serves(&mut self, record: &Record) {
+    fn handle_served_model(&mut self, record: &Record) {
         let t = record.state.time;
         self.log.events.push(Event::Served { t, model: hex(record.model) });
         if self.serving != 0 {
@@ -238,7 +238,7 @@ impl Live {
     }
 
     /// Judges the last stretch that the filters know well.
-    fn look(&mut self, needed: usize) {
+    fn evaluate_stretch(&mut self, needed: usize) {
         let first = self.buffer.len() - needed;
         let Some(experiment) = self.prepared(first, self.buffer.len()) else { return };
         let Some(model) = self.model() else { return };
@@ -248,12 +248,12 @@ impl Live {
         let rms = live::rms(&residual, start..start + samples(STRETCH));
         // The preparation cuts as much off both ends.
         let cut = needed.saturating_sub(count) / 2;
-        let begin = self.buffer[first].state.time + (cut + start) as f64 * DT;
+        let begin = self.buffer[first].state.time + (cut + start) as f64 * SAMPLE_PERIOD_S;
         let end = begin + STRETCH;
         let served_rms = self.served(begin, end);
         let model = hex(self.serving);
         self.log.stretches.push_back(Stretch { start: begin, end, model, rms: rms.clone(), served_rms });
-        if self.log.stretches.len() > KEPT {
+        if self.log.stretches.len() > MAX_LOGGED_STRETCHES {
             self.log.stretches.pop_front();
         }
         let Some(news) = self.watch.as_mut().and_then(|watch| watch.look(begin, end, &rms)) else { return };
@@ -278,7 +278,7 @@ impl Live {
     }
 
     /// Goes over the time since the model was lost, once there is enough of it.
-    fn search(&mut self) -> Result<Option<Offer>, Failure> {
+    fn search(&mut self) -> Result<Option<OfferedModel>, Failure> {
         let Some(since) = self.watch.as_ref().and_then(Watch::lost_since) else { return Ok(None) };
         let now = self.now();
         if self.proposed.is_some() || self.searching.is_some() || now < self.not_before {
@@ -297,13 +297,13 @@ impl Live {
         let model = model.clone();
         // The samples go on meanwhile: an estimator that is silent counts as lost.
         let found = std::thread::spawn(move || live::search(&model, &find, &judge, &settings));
-        self.searching = Some(Searching { t: now, since, model: self.serving, found });
-        self.collect(self.patient)
+        self.searching = Some(Search { t: now, since, model: self.serving, found });
+        self.collect(self.wait_for_search)
     }
 
     /// Takes in what a search has found, once it has ended; `wait`s for that where told to.
-    pub fn collect(&mut self, wait: bool) -> Result<Option<Offer>, Failure> {
-        let Some(Searching { t, since, model, found }) = self.searching.take_if(|one| wait || one.found.is_finished())
+    pub fn collect(&mut self, wait: bool) -> Result<Option<OfferedModel>, Failure> {
+        let Some(Search { t, since, model, found }) = self.searching.take_if(|one| wait || one.found.is_finished())
         else {
             return Ok(None);
         };
@@ -324,9 +324,9 @@ impl Live {
         Ok(offer)
     }
 
-    fn propose(&mut self, t: f64, since: f64, remedy: Remedy) -> Result<Offer, Failure> {
+    fn propose(&mut self, t: f64, since: f64, remedy: Remedy) -> Result<OfferedModel, Failure> {
         let Remedy { changes, model, before, after } = remedy;
-        let what = changes.iter().map(changed::line).collect::<Vec<_>>().join("; ");
+        let what = changes.iter().map(Change::line).collect::<Vec<_>>().join("; ");
         let source = format!("live, since {since:.1} s: {what}");
         let file = ModelFile {
             model,
@@ -353,12 +353,12 @@ impl Live {
         self.models.push((id, file.model));
         self.proposed = Some(id);
         let proposal = Proposal { what, since, joint: worst + 1, before: of_worst, after: left };
-        Ok(Offer { toml, proposal })
+        Ok(OfferedModel { toml, proposal })
     }
 
     fn effects(&self, changes: &[Change]) -> Vec<Effect> {
         let Some(model) = self.model() else { return Vec::new() };
-        changes.iter().map(|change| changed::effect(change, model, Some(&self.mounting), true)).collect()
+        changes.iter().map(|change| change.effect(model, Some(&self.mounting), true)).collect()
     }
 
     fn model(&self) -> Option<&TorqueModel> {
@@ -384,7 +384,7 @@ impl Live {
 }
 
 fn samples(seconds: f64) -> usize {
-    (seconds / DT).round() as usize
+    (seconds / SAMPLE_PERIOD_S).round() as usize
 }
 
 fn hex(model: u64) -> String {

@@ -4,7 +4,7 @@ pub mod live;
 
 use crate::analysis::collector::{Collector, Recorded};
 use crate::analysis::results::Results;
-use crate::estimator::live::{Live, Offer};
+use crate::estimator::live::{Live, OfferedModel};
 use crate::failure::Failure;
 use crate::process::journal;
 use crate::process::service::Service;
@@ -30,13 +30,13 @@ pub struct Options {
 }
 
 /// How long to wait for a daemon that is just starting.
-const PATIENCE: Duration = Duration::from_secs(30);
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(30);
 /// How long to wait for an answer.
-const ANSWER: Duration = Duration::from_secs(5);
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long a computation goes on in silence.
-const SLOW: Duration = Duration::from_secs(20);
+const PROGRESS_LOG_INTERVAL: Duration = Duration::from_secs(20);
 /// How long to wait for samples before looking at the daemon again.
-const STEP: Duration = Duration::from_millis(200);
+const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Runs until the results are written, or for ever.
 pub fn run(options: Options) -> Result<(), Failure> {
@@ -46,7 +46,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let mut service = Service::of_environment();
     service.ready("waits for a daemon");
     loop {
-        let mut stream = match SampleStream::connect(&id, StreamSettings::default(), PATIENCE) {
+        let mut stream = match SampleStream::connect(&id, StreamSettings::default(), CONNECT_TIMEOUT) {
             Ok(stream) => stream,
             // A service is there before the daemon, and after it.
             Err(IpcError::NoDaemon { .. }) if !options.once => {
@@ -106,7 +106,7 @@ fn no_results(why: &str) -> String {
 /// There is nothing left to do in this start of the daemon.
 fn await_next_daemon(stream: &mut SampleStream, service: &mut Service, status: &str) -> Result<(), Failure> {
     service.status(status);
-    while !matches!(stream.next(STEP).map_err(Failure::job)?, Delivery::Restarted { .. }) {
+    while !matches!(stream.next(POLL_INTERVAL).map_err(Failure::job)?, Delivery::Restarted { .. }) {
         service.turned();
     }
     Ok(())
@@ -122,19 +122,19 @@ fn follow(
     service: &mut Service,
 ) -> Result<Outcome, Failure> {
     let mut collector = Collector::new(programme, results.joints());
-    let mut looked = Instant::now();
+    let mut last_poll = Instant::now();
     loop {
         service.turned();
-        match stream.next(STEP).map_err(Failure::job)? {
+        match stream.next(POLL_INTERVAL).map_err(Failure::job)? {
             Delivery::Records { records, .. } => {
                 for record in &records {
                     if let Some(recorded) = collector.take(record)
-                        && let Some(why) = take(id, stream.epoch(), &mut results, &mut live, recorded)?
+                        && let Some(why) = process_run(id, stream.epoch(), &mut results, &mut live, recorded)?
                     {
                         return Ok(Outcome::Unusable { why: format!("the daemon refused the model: {why}") });
                     }
                     if let Some(live) = &mut live
-                        && let Some(offer) = live.take(record)?
+                        && let Some(offer) = live.update(record)?
                     {
                         propose(id, stream.epoch(), offer)?;
                     }
@@ -155,16 +155,16 @@ fn follow(
             propose(id, stream.epoch(), offer)?;
         }
         // The samples alone don't tell the end: an arm that is served goes on sending them.
-        if looked.elapsed() < STEP {
+        if last_poll.elapsed() < POLL_INTERVAL {
             continue;
         }
-        looked = Instant::now();
+        last_poll = Instant::now();
         let status = status(id)?;
         // Of another start, which the stream is about to tell of.
         if status.served.epoch != stream.epoch() {
             continue;
         }
-        live.iter_mut().for_each(|live| live.heard(&status));
+        live.iter_mut().for_each(|live| live.process_status(&status));
         if let Some(driven) = status.driven
             && stream.position() >= driven
         {
@@ -178,7 +178,7 @@ fn follow(
                 }
                 live.finish()?.into_iter().for_each(|note| results.note(note));
             }
-            observed("the diagnosis and the report", || results.finish(&status, driven, &counters))?;
+            with_progress_log("the diagnosis and the report", || results.finish(&status, driven, &counters))?;
             return Ok(Outcome::Written);
         }
         if status.progress == Progress::Stopped {
@@ -189,7 +189,7 @@ fn follow(
 
 /// Takes one motion in; offers the model when it was the one to identify from. Why the daemon does not want it, if so. The motion, and so the
 /// model, are those of one start of the daemon, the `epoch`.
-fn take(
+fn process_run(
     id: &RobotId,
     epoch: u64,
     results: &mut Results,
@@ -202,19 +202,19 @@ fn take(
     }
     let role = recorded.role;
     if results.has_inclinometer() {
-        as_measured(&status_of(id, epoch)?, results.first_mounting(), &mut recorded);
+        set_measured_mounting(&status_of(id, epoch)?, results.first_mounting(), &mut recorded);
     }
     results.take(recorded);
     if role != Role::Identify {
         return Ok(None);
     }
-    let text = observed("the identification", || results.identify())?;
+    let text = with_progress_log("the identification", || results.identify())?;
     if let (Some(live), Some((identified, run))) = (live.as_mut(), results.identified()) {
         let floor = identified.identification.rms.noise_floor.clone().unwrap_or_default();
         live.identified(&identified.model, &floor, &text, run)?;
     }
     let offer = Request::OfferModel { toml: text };
-    match client_of(id, epoch)?.send(&offer, ANSWER).map_err(Failure::job)? {
+    match client_of(id, epoch)?.send(&offer, RESPONSE_TIMEOUT).map_err(Failure::job)? {
         Response::ModelAccepted { model } => {
             tracing::info!("the daemon serves model {model:016x}");
             Ok(None)
@@ -224,13 +224,13 @@ fn take(
     }
 }
 
-/// Computes, and reports it in the log every [`SLOW`].
-fn observed<T>(what: &str, compute: impl FnOnce() -> T) -> T {
+/// Computes, and reports it in the log every [`PROGRESS_LOG_INTERVAL`].
+fn with_progress_log<T>(what: &str, compute: impl FnOnce() -> T) -> T {
     std::thread::scope(|scope| {
         let (end, ended) = std::sync::mpsc::channel::<()>();
         scope.spawn(move || {
             let begin = Instant::now();
-            while ended.recv_timeout(SLOW) == Err(RecvTimeoutError::Timeout) {
+            while ended.recv_timeout(PROGRESS_LOG_INTERVAL) == Err(RecvTimeoutError::Timeout) {
                 tracing::warn!("{what} has been computing for {:.0} s", begin.elapsed().as_secs_f64());
             }
         });
@@ -241,16 +241,16 @@ fn observed<T>(what: &str, compute: impl FnOnce() -> T) -> T {
 }
 
 /// How many standard deviations two readings of a base that has not moved may differ by.
-const SAME_BASE: f64 = 4.0;
+const UNMOVED_BASE_SIGMAS: f64 = 4.0;
 
 /// A run was recorded in the mounting that was measured when it began, which is only about the declared one. A base that has not moved
 /// since the `first` run has one mounting, not one per reading: otherwise noise would pass for several mountings.
-fn as_measured(status: &Status, first: Option<Mounting>, recorded: &mut Recorded) {
+fn set_measured_mounting(status: &Status, first: Option<Mounting>, recorded: &mut Recorded) {
     let motions = status.gravity.iter().flat_map(|gravity| &gravity.motions);
     match motions.rev().find(|own| own.motion == recorded.number) {
         Some(own) => {
             let measured = Mounting { rho: own.rho, phi: own.phi };
-            let unmoved = first.filter(|first| first.angle_to(&measured) <= SAME_BASE * own.std);
+            let unmoved = first.filter(|first| first.angle_to(&measured) <= UNMOVED_BASE_SIGMAS * own.std);
             recorded.run.data.mounting = unmoved.unwrap_or(measured);
             tracing::info!(
                 "{}: gravity as measured, rho = {:.5}, phi = {:.5} rad, +- {:.2} mrad",
@@ -267,9 +267,9 @@ fn as_measured(status: &Status, first: Option<Mounting>, recorded: &mut Recorded
 }
 
 /// Proposes a model in place of the one that does not hold any more. A daemon that does not want it says why, and nothing else happens.
-fn propose(id: &RobotId, epoch: u64, offer: Offer) -> Result<(), Failure> {
+fn propose(id: &RobotId, epoch: u64, offer: OfferedModel) -> Result<(), Failure> {
     let request = Request::ProposeModel { toml: offer.toml, proposal: offer.proposal };
-    match client_of(id, epoch)?.send(&request, ANSWER).map_err(Failure::job)? {
+    match client_of(id, epoch)?.send(&request, RESPONSE_TIMEOUT).map_err(Failure::job)? {
         Response::ModelAccepted { model } => tracing::info!("the daemon serves model {model:016x}"),
         Response::ModelHeld { model } => tracing::info!("the daemon holds model {model:016x} until somebody adopts it"),
         Response::Refused { reason } => tracing::warn!("the daemon refused the model: {reason}"),
@@ -279,7 +279,7 @@ fn propose(id: &RobotId, epoch: u64, offer: Offer) -> Result<(), Failure> {
 }
 
 fn client(id: &RobotId) -> Result<Client, Failure> {
-    Client::connect(id, ANSWER).map_err(Failure::job)
+    Client::connect(id, RESPONSE_TIMEOUT).map_err(Failure::job)
 }
 
 /// A client of one start of the daemon alone.
@@ -300,7 +300,7 @@ fn status_of(id: &RobotId, epoch: u64) -> Result<Status, Failure> {
 }
 
 fn status_by(mut client: Client) -> Result<Status, Failure> {
-    match client.send(&Request::Status {}, ANSWER).map_err(Failure::job)? {
+    match client.send(&Request::Status {}, RESPONSE_TIMEOUT).map_err(Failure::job)? {
         Response::Status(status) => Ok(*status),
         other => Err(Failure::job(format!("the daemon answered a question for its status with {other:?}"))),
     }

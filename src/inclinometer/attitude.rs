@@ -1,24 +1,26 @@
-//! From two slopes to the direction of gravity in the base frame.
+//! Direction of gravity in the base frame from the two slopes of an inclinometer.
 //!
-//! A two-axis inclinometer measures how far its x and y axes stand out of the horizontal plane. With `u` the unit vector that points up,
-//! in the sensor's own frame,
+//! A two-axis inclinometer measures the angles between its x and y axes and the horizontal plane. `u` is the unit vector that points
+//! up, in the sensor frame:
 //!
 //! ```text
 //! against the horizon:   u = [sin a, sin b, s sqrt(1 - sin^2 a - sin^2 b)]
 //! projected:             u ~ s [tan a, tan b, 1]
 //! ```
 //!
-//! `a` is the longitudinal, `b` the lateral slope. The sign `s` (whether its z axis points up or down) can't be measured: a sensor that
-//! hangs shows the same slopes as one that stands. The declared mounting decides it, and a declaration that lies too close to the
-//! horizontal for that is refused. Gravity is `-g R u` with the sensor's axes `R` in the base frame.
+//! `a` is the longitudinal, `b` the lateral slope. The sign `s` is 1 if the sensor's z axis points up and -1 if it points down. The
+//! slopes do not contain it, so it is taken from the declared mounting. A declared mounting with the z axis too close to the horizontal
+//! is refused. Gravity is `-g R u` with the sensor's axes `R` in the base frame.
 
 use nalgebra::{Matrix3, Matrix3x2, Vector2, Vector3};
 use plumbline_core::symmetric_eigen;
 use plumbline_model::{G, Mounting};
+use serde::Deserialize;
 
-/// What the angles of a two-axis sensor mean; the data sheet says it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Slopes {
+/// Definition of the two slopes, given in the sensor's data sheet.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SlopeConvention {
     /// Each axis against the horizontal plane, `asin` of its share of gravity ("perpendicular", "pitch and roll").
     #[default]
     Horizon,
@@ -26,23 +28,23 @@ pub enum Slopes {
     Projected,
 }
 
-/// How the sensor sits on the base, and how good it is.
+/// Orientation of the sensor on the base, its slope definition and its accuracy.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Seat {
+pub struct Installation {
     axes: Matrix3<f64>,
-    /// Taken off the slopes before anything else \[rad\].
+    /// Zero offset, subtracted from the measured slopes \[rad\].
     pub zero: [f64; 2],
-    /// What the slopes mean.
-    pub slopes: Slopes,
+    /// Definition of the slopes.
+    pub slopes: SlopeConvention,
     /// Largest slope that the sensor measures \[rad\].
     pub range: f64,
     /// Standard deviation of a slope's error that does not average out \[rad\].
     pub accuracy: f64,
 }
 
-/// A seat that no sensor can have, or that can't see the declared mounting.
+/// Invalid sensor axes, or a declared mounting outside the measuring range.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum SeatError {
+pub enum InstallationError {
     /// The axes are not unit vectors at right angles.
     #[error("the sensor's x and z axes ({x:?} and {z:?}) are not two unit vectors at right angles")]
     Axes {
@@ -51,20 +53,20 @@ pub enum SeatError {
         /// The z axis.
         z: [f64; 3],
     },
-    /// In the declared mounting the sensor would stand too steep.
+    /// The declared mounting is outside the sensor's measuring range.
     #[error(
         "in the declared mounting the sensor's slopes would be {:.1} and {:.1} deg, its range is {:.0} deg and its z axis must be \
          within that of the vertical", .slopes[0].to_degrees(), .slopes[1].to_degrees(), .range.to_degrees()
     )]
-    Blind {
-        /// The slopes it would show \[rad\].
+    OutOfRange {
+        /// Slopes in the declared mounting \[rad\].
         slopes: [f64; 2],
-        /// Its range \[rad\].
+        /// Measuring range \[rad\].
         range: f64,
     },
 }
 
-/// A direction of gravity and how well it is known.
+/// Measured direction of gravity with its covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Attitude {
     /// Gravitational acceleration in the base frame \[m/s2\].
@@ -73,101 +75,111 @@ pub struct Attitude {
     pub covariance: Matrix3<f64>,
 }
 
-impl Seat {
-    /// A seat with the sensor's x and z axes given in the base frame.
+impl Installation {
+    /// Installation from the sensor's x and z axes in the base frame.
     ///
     /// # Errors
     /// Axes that are no unit vectors (to 1 per mille) or not at right angles (to 1 mrad).
-    pub fn new(x: [f64; 3], z: [f64; 3]) -> Result<Seat, SeatError> {
+    pub fn new(x: [f64; 3], z: [f64; 3]) -> Result<Installation, InstallationError> {
         let (right, up) = (Vector3::from(x), Vector3::from(z));
         let unit = |axis: &Vector3<f64>| (axis.norm() - 1.0).abs() < 1e-3;
         if !(unit(&right) && unit(&up) && right.dot(&up).abs() < 1e-3) {
-            return Err(SeatError::Axes { x, z });
+            return Err(InstallationError::Axes { x, z });
         }
         let up = up.normalize();
         let right = (right - up * up.dot(&right)).normalize();
         let axes = Matrix3::from_columns(&[right, up.cross(&right), up]);
-        Ok(Seat { axes, zero: [0.0; 2], slopes: Slopes::Horizon, range: 80f64.to_radians(), accuracy: 1e-3 })
+        Ok(Installation {
+            axes,
+            zero: [0.0; 2],
+            slopes: SlopeConvention::Horizon,
+            range: 80f64.to_radians(),
+            accuracy: 1e-3,
+        })
     }
 
-    /// The slopes that the sensor shows in a mounting, its zeros included \[rad\]: the inverse of [`Seat::attitude`].
+    /// Slopes in a mounting, zero offset included \[rad\]: the inverse of [`Installation::attitude`].
     pub fn expected(&self, mounting: &Mounting) -> [f64; 2] {
         let up = self.axes.transpose() * -mounting.gravity() / G;
         let raw = match self.slopes {
-            Slopes::Horizon => [up.x.clamp(-1.0, 1.0).asin(), up.y.clamp(-1.0, 1.0).asin()],
-            Slopes::Projected => [(up.x / up.z).atan(), (up.y / up.z).atan()],
+            SlopeConvention::Horizon => [up.x.clamp(-1.0, 1.0).asin(), up.y.clamp(-1.0, 1.0).asin()],
+            SlopeConvention::Projected => [(up.x / up.z).atan(), (up.y / up.z).atan()],
         };
         [raw[0] + self.zero[0], raw[1] + self.zero[1]]
     }
 
-    /// Which way the sensor's z axis points in a mounting: 1 up, -1 down.
+    /// Sign of the sensor's z axis in a mounting: 1 up, -1 down.
     ///
     /// # Errors
-    /// A mounting in which it lies too close to the horizontal, or a slope is out of range.
-    pub fn hemisphere(&self, declared: &Mounting) -> Result<f64, SeatError> {
+    /// A mounting in which the z axis is too close to the horizontal, or a slope is out of range.
+    pub fn hemisphere(&self, declared: &Mounting) -> Result<f64, InstallationError> {
         let up = (self.axes.transpose() * -declared.gravity() / G).z;
         let slopes = self.expected(declared);
-        let seen = slopes.iter().all(|slope| slope.abs() <= self.range) && up.abs() >= self.range.cos();
-        if seen && up != 0.0 { Ok(up.signum()) } else { Err(SeatError::Blind { slopes, range: self.range }) }
+        let in_range = slopes.iter().all(|slope| slope.abs() <= self.range) && up.abs() >= self.range.cos();
+        if in_range && up != 0.0 {
+            Ok(up.signum())
+        } else {
+            Err(InstallationError::OutOfRange { slopes, range: self.range })
+        }
     }
 
-    /// Gravity by two slopes \[rad\] with independent standard deviations \[rad\]. `None` where no direction has these slopes, or one of
-    /// them is out of range.
+    /// Gravity from two slopes \[rad\] with independent standard deviations \[rad\]. `None` for slopes that no direction has, or out of
+    /// range.
     pub fn attitude(&self, slopes: [f64; 2], std: [f64; 2], hemisphere: f64) -> Option<Attitude> {
         let [a, b] = [slopes[0] - self.zero[0], slopes[1] - self.zero[1]];
         if !slopes.iter().all(|slope| slope.abs() <= self.range) {
             return None;
         }
         let (up, jacobian) = match self.slopes {
-            Slopes::Horizon => horizon(a, b, hemisphere)?,
-            Slopes::Projected => projected(a, b, hemisphere)?,
+            SlopeConvention::Horizon => horizon(a, b, hemisphere)?,
+            SlopeConvention::Projected => projected(a, b, hemisphere)?,
         };
         let jacobian = self.axes * jacobian;
-        let spread = |own: f64| own.powi(2) + self.accuracy.powi(2);
-        let variance = nalgebra::Matrix2::from_diagonal(&Vector2::new(spread(std[0]), spread(std[1])));
+        let total = |random: f64| random.powi(2) + self.accuracy.powi(2);
+        let variance = nalgebra::Matrix2::from_diagonal(&Vector2::new(total(std[0]), total(std[1])));
         Some(Attitude { gravity: -G * (self.axes * up), covariance: jacobian * variance * jacobian.transpose() })
     }
 }
 
-/// Up and its derivatives for slopes against the horizon.
+/// Up vector and its derivatives for slopes against the horizontal plane.
 fn horizon(a: f64, b: f64, s: f64) -> Option<(Vector3<f64>, Matrix3x2<f64>)> {
     let (x, y) = (a.sin(), b.sin());
-    let rest = 1.0 - x * x - y * y;
-    // Two axes at right angles can't both stand on end.
-    if rest.is_nan() || rest <= 1e-6 {
+    let z_squared = 1.0 - x * x - y * y;
+    // Two perpendicular axes can't both be vertical.
+    if z_squared.is_nan() || z_squared <= 1e-6 {
         return None;
     }
-    let z = s * rest.sqrt();
+    let z = s * z_squared.sqrt();
     let jacobian = Matrix3x2::new(a.cos(), 0.0, 0.0, b.cos(), -x * a.cos() / z, -y * b.cos() / z);
     Some((Vector3::new(x, y, z), jacobian))
 }
 
-/// The same for projected slopes: `u = w / |w|`, `du = (1 - u u') dw / |w|`.
+/// Up vector and its derivatives for projected slopes: `u = w / |w|`, `du = (1 - u u') dw / |w|`.
 fn projected(a: f64, b: f64, s: f64) -> Option<(Vector3<f64>, Matrix3x2<f64>)> {
     if !(a.cos() > 1e-3 && b.cos() > 1e-3) {
         return None;
     }
-    let steep = s * Vector3::new(a.tan(), b.tan(), 1.0);
-    let length = steep.norm();
-    let up = steep / length;
-    let across = Matrix3::identity() - up * up.transpose();
-    let slope = s * Matrix3x2::new(a.cos().powi(-2), 0.0, 0.0, b.cos().powi(-2), 0.0, 0.0);
-    Some((up, across * slope / length))
+    let w = s * Vector3::new(a.tan(), b.tan(), 1.0);
+    let length = w.norm();
+    let up = w / length;
+    let projector = Matrix3::identity() - up * up.transpose();
+    let dw = s * Matrix3x2::new(a.cos().powi(-2), 0.0, 0.0, b.cos().powi(-2), 0.0, 0.0);
+    Some((up, projector * dw / length))
 }
 
 impl Attitude {
-    /// As angles of paper eq. 3.
+    /// The mounting angles of paper eq. 3.
     pub fn mounting(&self) -> Mounting {
         Mounting::along(&self.gravity)
     }
 
-    /// Standard deviation of the direction: the larger one across it \[rad\].
+    /// Standard deviation of the direction along its least certain axis \[rad\].
     pub fn std(&self) -> f64 {
         let eigen = symmetric_eigen(self.covariance);
         eigen.map_or(f64::INFINITY, |eigen| eigen.eigenvalues.max().max(0.0).sqrt())
     }
 
-    /// Standard deviations of `rho` and `phi` \[rad\]; that of `phi` is at most pi, for along axis 1 it means nothing.
+    /// Standard deviations of `rho` and `phi` \[rad\]. That of `phi` is at most pi: `phi` is undefined with gravity along axis 1.
     pub fn std_of_angles(&self) -> [f64; 2] {
         let Mounting { rho, phi } = self.mounting();
         let ((sin_rho, cos_rho), (sin_phi, cos_phi)) = (rho.sin_cos(), phi.sin_cos());

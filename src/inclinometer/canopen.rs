@@ -1,12 +1,12 @@
-//! CANopen services as values (CiA 301): what a master says to one node, and what it hears from it.
+//! CANopen services of CiA 301 as values: requests of a master to one node, and the node's messages.
 //!
-//! Only what an inclinometer needs: expedited SDO transfers (at most 4 bytes), NMT, heartbeat, emergency, one transmit PDO.
+//! The part that an inclinometer needs: expedited SDO transfers (at most 4 bytes), NMT, heartbeat, emergency, one transmit PDO.
 
 use super::frame::Frame;
 
 /// CiA 301: device type.
 pub const DEVICE_TYPE: Entry = Entry(0x1000, 0);
-/// CiA 301: error register, unsigned8; 0 while the device is well.
+/// CiA 301: error register, unsigned8; 0 without an error.
 pub const ERROR_REGISTER: Entry = Entry(0x1001, 0);
 /// CiA 301: time between two heartbeats of the device \[ms\], unsigned16.
 pub const HEARTBEAT_TIME: Entry = Entry(0x1017, 0);
@@ -16,9 +16,9 @@ pub const VENDOR: Entry = Entry(0x1018, 1);
 pub const PRODUCT: Entry = Entry(0x1018, 2);
 /// CiA 301: identity object: serial number, unsigned32.
 pub const SERIAL: Entry = Entry(0x1018, 4);
-/// CiA 301: identifier of the first transmit PDO; bit 31 switches it off, [`NO_REMOTE`] refuses remote requests for it.
+/// CiA 301: identifier of the first transmit PDO; bit 31 disables it, [`NO_REMOTE`] disables remote requests for it.
 pub const TPDO_ID: Entry = Entry(0x1800, 1);
-/// The bit of [`TPDO_ID`] that says that the PDO is not sent on remote requests.
+/// Bit of [`TPDO_ID`] that disables remote requests.
 pub const NO_REMOTE: u32 = 1 << 30;
 /// CiA 301: transmission type of the first transmit PDO, unsigned8.
 pub const TPDO_TYPE: Entry = Entry(0x1800, 2);
@@ -65,18 +65,18 @@ impl Width {
         }
     }
 
-    /// Their operating parameters: bit 0 turns the sign over, bit 1 adds offsets that are kept in the device.
+    /// Operating parameters of the slopes: bit 0 inverts the sign, bit 1 adds an offset stored in the device.
     pub fn operating(self) -> [Entry; 2] {
         self.slopes().map(|Entry(index, sub)| Entry(index + 1, sub))
     }
 
-    /// What [`MAP_FIRST`] and [`MAP_SECOND`] hold when the PDO carries exactly the two slopes.
+    /// Values of [`MAP_FIRST`] and [`MAP_SECOND`] for a PDO that carries exactly the two slopes.
     pub fn mapping(self) -> [u32; 2] {
         let bits: u32 = if self == Width::Bits16 { 16 } else { 32 };
         self.slopes().map(|Entry(index, sub)| u32::from(index) << 16 | u32::from(sub) << 8 | bits)
     }
 
-    /// The two slopes of a PDO, in units of the resolution; `None` when its length is another.
+    /// The two slopes of a PDO, in units of the resolution; `None` for another length.
     pub fn read(self, data: &[u8]) -> Option<[i32; 2]> {
         match (self, data) {
             (Width::Bits16, &[a, b, c, d]) => {
@@ -93,13 +93,13 @@ impl Width {
 /// NMT commands to one node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NmtCommand {
-    /// Process data from now on.
+    /// Enter operational: process data and SDO.
     Start = 0x01,
-    /// SDO only.
+    /// Enter pre-operational: SDO only.
     PreOperational = 0x80,
 }
 
-/// What a node's heartbeat says of it.
+/// NMT state in a node's heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NmtState {
     /// Neither process data nor SDO.
@@ -108,7 +108,7 @@ pub enum NmtState {
     Operational,
     /// SDO only.
     PreOperational,
-    /// A number that CiA 301 does not know.
+    /// A state that CiA 301 does not define.
     Other(u8),
 }
 
@@ -134,7 +134,7 @@ impl std::fmt::Display for NmtState {
     }
 }
 
-/// A value on its way to an object; its kind says how many bytes go.
+/// A value to write to an object, with its width.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Value {
     /// unsigned8
@@ -145,10 +145,10 @@ pub enum Value {
     U32(u32),
 }
 
-/// The answer to an SDO request.
+/// Response to an SDO request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reply {
-    /// The object's value, as many bytes as it said, little-endian.
+    /// Value of an object of up to 4 bytes, little-endian.
     Read {
         /// Object.
         entry: Entry,
@@ -160,7 +160,7 @@ pub enum Reply {
         /// Object.
         entry: Entry,
     },
-    /// The transfer was refused.
+    /// The device aborted the transfer.
     Abort {
         /// Object.
         entry: Entry,
@@ -169,30 +169,30 @@ pub enum Reply {
     },
 }
 
-/// The abort code for an object that a device does not have.
+/// Abort code: object does not exist.
 pub const ABORT_NO_OBJECT: u32 = 0x0602_0000;
-/// The abort code for a subindex that a device does not have.
+/// Abort code: subindex does not exist.
 pub const ABORT_NO_SUBINDEX: u32 = 0x0609_0011;
 
-/// What a node says.
+/// A message of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Said {
-    /// It has just started: everything that was set is gone.
+pub enum Message {
+    /// Boot-up: the device has lost its configuration.
     BootUp,
-    /// It lives.
+    /// Heartbeat with the NMT state.
     Heartbeat(NmtState),
-    /// Something is wrong with it; code 0 says that nothing is any more.
+    /// Emergency; code 0 clears it.
     Emergency {
         /// CiA 301's error code, or the profile's.
         code: u16,
         /// The error register, 1001h.
         register: u8,
     },
-    /// Process data.
+    /// Process data and their length.
     Pdo([u8; 8], usize),
-    /// An answer to an SDO request.
+    /// Response to an SDO request.
     Reply(Reply),
-    /// A frame under one of its identifiers that it can't have sent.
+    /// A frame with one of the node's identifiers and an invalid content.
     Malformed,
 }
 
@@ -223,29 +223,29 @@ fn sdo(node: u8, command: u8, Entry(index, sub): Entry, [a, b, c, d]: [u8; 4]) -
     Frame::full(0x600 + u16::from(node), [command, low, high, sub, a, b, c, d])
 }
 
-/// What `node` says with a frame; `None` for frames of others.
-pub fn hear(node: u8, frame: &Frame) -> Option<Said> {
+/// Parses a frame of `node`; `None` for frames of other nodes.
+pub fn parse(node: u8, frame: &Frame) -> Option<Message> {
     let data = frame.data();
     let base = frame.id().checked_sub(u16::from(node))?;
-    let said = match (base, data) {
-        (0x700, &[0]) => Said::BootUp,
-        (0x700, &[code]) => Said::Heartbeat(NmtState::of(code)),
+    let message = match (base, data) {
+        (0x700, &[0]) => Message::BootUp,
+        (0x700, &[code]) => Message::Heartbeat(NmtState::of(code)),
         (0x080, &[low, high, register, ..]) if data.len() == 8 => {
-            Said::Emergency { code: u16::from_le_bytes([low, high]), register }
+            Message::Emergency { code: u16::from_le_bytes([low, high]), register }
         }
         (0x180, _) => {
             let mut bytes = [0; 8];
             bytes[..data.len()].copy_from_slice(data);
-            Said::Pdo(bytes, data.len())
+            Message::Pdo(bytes, data.len())
         }
         (0x580, &[command, low, high, sub, a, b, c, d]) => {
             reply(command, Entry(u16::from_le_bytes([low, high]), sub), [a, b, c, d])
-                .map_or(Said::Malformed, Said::Reply)
+                .map_or(Message::Malformed, Message::Reply)
         }
-        (0x700 | 0x080 | 0x580, _) => Said::Malformed,
+        (0x700 | 0x080 | 0x580, _) => Message::Malformed,
         _ => return None,
     };
-    Some(said)
+    Some(message)
 }
 
 fn reply(command: u8, entry: Entry, bytes: [u8; 4]) -> Option<Reply> {
@@ -253,12 +253,12 @@ fn reply(command: u8, entry: Entry, bytes: [u8; 4]) -> Option<Reply> {
     match command {
         0x60 => Some(Reply::Written { entry }),
         0x80 => Some(Reply::Abort { entry, code: value }),
-        // Expedited upload: bit 1 says so, bit 0 that bits 2 and 3 count the bytes that hold no data.
+        // Expedited upload (bit 1). With bit 0 set, bits 2 and 3 are the number of unused bytes.
         _ if command & 0xe2 == 0x42 => {
             let unused = if command & 1 == 1 { u32::from(command >> 2 & 3) } else { 0 };
             Some(Reply::Read { entry, value: value & (u32::MAX >> (8 * unused)) })
         }
-        // A segmented transfer: nothing that is asked for here is longer than four bytes.
+        // A segmented transfer: no object that is read here is longer than four bytes.
         _ => None,
     }
 }

@@ -1,56 +1,58 @@
-//! Which gravity the model gets, and whether it may be served at all.
+//! Gravity vector of the served model, and refusal to serve.
 //!
-//! The measured direction is followed at a bounded rate and in steps that are worth a hand-over; every step makes the served torque
-//! step by at most `step` times the arm's gravity torque. Without a reading the configured fall-back decides.
+//! The gravity vector follows the measured direction at a bounded rate, in steps of at least `step`. Each step changes the served
+//! torque by at most twice `step` times the arm's gravity torque. Without a reading the configured fall-back applies.
 
-use super::node::Fault;
+use super::fault::Fault;
 use super::sensor::{Health, Reading};
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use plumbline_model::{Mounting, angle_between};
+use serde::Deserialize;
 
-/// What is served while the inclinometer is not.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum OnLoss {
-    /// No torque: the arm is stopped if it moves, and the model is withdrawn until the inclinometer is back.
+/// What is served while there is no reading.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum OnSensorLoss {
+    /// No torque: a moving arm is stopped, and the model is withdrawn until there is a reading again.
     #[default]
     Refuse,
-    /// The model with the direction measured last; the declared one where there was none.
+    /// The model with the last measured direction; the declared one if there was none.
     Hold,
     /// The model with the declared direction.
     Declared,
 }
 
-impl std::fmt::Display for OnLoss {
+impl std::fmt::Display for OnSensorLoss {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
-            OnLoss::Refuse => "refuse",
-            OnLoss::Hold => "hold",
-            OnLoss::Declared => "declared",
+            OnSensorLoss::Refuse => "refuse",
+            OnSensorLoss::Hold => "hold",
+            OnSensorLoss::Declared => "declared",
         })
     }
 }
 
-/// Settings of the following.
+/// Settings of the [`Follower`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FollowSettings {
     /// The declared mounting.
     pub declared: Mounting,
     /// Largest angle between the declared and the measured direction, beyond their uncertainty \[rad\].
     pub tolerance: f64,
-    /// Smallest change that is handed over \[rad\].
+    /// Smallest change of gravity that is handed over to the model \[rad\].
     pub step: f64,
-    /// Fastest change of the gravity served \[rad/s\].
+    /// Largest rate of change of the served gravity \[rad/s\].
     pub rate: f64,
     /// What is served without a reading.
-    pub on_loss: OnLoss,
+    pub on_loss: OnSensorLoss,
 }
 
-/// Where the gravity served comes from.
+/// Source of the served gravity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
     /// The inclinometer.
     Measured,
-    /// The inclinometer, before it was lost.
+    /// The last reading of the inclinometer.
     Held,
     /// The configuration.
     Declared,
@@ -66,73 +68,73 @@ impl std::fmt::Display for Source {
     }
 }
 
-/// Why nothing may be served.
+/// Reason why no torque is served.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
-    /// No reading, and the configuration wants none served then.
+    /// No reading, with `on-loss = "refuse"`.
     #[error("{0}; inclinometer.on-loss = \"refuse\"")]
     Lost(Fault),
-    /// The base is not as declared.
+    /// The measured direction disagrees with the declared mounting.
     #[error(
-        "the inclinometer says {measured}, {:.2} +- {:.2} deg off the declared {declared} (at most {:.2} deg are allowed)",
+        "the inclinometer measures {measured}, {:.2} +- {:.2} deg off the declared {declared} (at most {:.2} deg are allowed)",
         .angle.to_degrees(), .std.to_degrees(), .tolerance.to_degrees()
     )]
     Tilted {
         /// The declared mounting.
         declared: Mounting,
-        /// The measured one.
+        /// The measured mounting.
         measured: Mounting,
         /// Angle between them \[rad\].
         angle: f64,
-        /// Standard deviation of the measured one \[rad\].
+        /// Standard deviation of the measured direction \[rad\].
         std: f64,
-        /// Largest angle \[rad\].
+        /// Largest accepted angle \[rad\].
         tolerance: f64,
     },
 }
 
-/// How many standard deviations are allowed for on top of a tolerance.
-pub const SPREAD: f64 = 2.0;
+/// Standard deviations that are added to a tolerance.
+pub const CONFIDENCE_SIGMAS: f64 = 2.0;
 
-/// A decision.
+/// Gravity to serve, its source, and a refusal if there is one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Decision {
     /// Gravity for the model \[m/s2\].
     pub gravity: Vector3<f64>,
-    /// Where it comes from.
+    /// Source of that gravity.
     pub source: Source,
-    /// Why nothing may be served.
+    /// Reason why no torque is served.
     pub refusal: Option<Refusal>,
 }
 
-/// Follows the inclinometer.
+/// Rate limiter between measured and served gravity.
 #[derive(Clone, Debug)]
 pub struct Follower {
     settings: FollowSettings,
-    /// What the model has.
+    /// Gravity of the served model \[m/s2\].
     served: Vector3<f64>,
     last: Option<Reading>,
-    /// Time up to which the rate was used \[ns\].
-    moved: Option<u64>,
+    /// Time of the last change, or of the last decision with less than a step to go \[ns\].
+    last_change: Option<u64>,
 }
 
 impl Follower {
-    /// Begins with the declared direction.
+    /// A follower at the declared direction.
     pub fn new(settings: FollowSettings) -> Follower {
-        Follower { settings, served: settings.declared.gravity(), last: None, moved: None }
+        Follower { settings, served: settings.declared.gravity(), last: None, last_change: None }
     }
 
-    /// What was measured last.
+    /// The last reading.
     pub fn last(&self) -> Option<&Reading> {
         self.last.as_ref()
     }
 
-    /// Nothing is served yet: the next decision may go to the measured direction at once.
+    /// Lets the next decision take the measured direction without a rate limit. For use while no torque is served.
     pub fn restart(&mut self) {
-        self.moved = None;
+        self.last_change = None;
     }
 
-    /// What holds at `now` \[ns\].
+    /// Decision at `now` \[ns\].
     pub fn decide(&mut self, now: u64, health: &Health) -> Decision {
         if let Health::Good(reading) = health {
             self.last = Some(*reading);
@@ -140,53 +142,61 @@ impl Follower {
         let declared = self.settings.declared.gravity();
         let (target, source) = match (health, self.settings.on_loss, self.last) {
             (Health::Good(reading), _, _) => (reading.attitude.gravity, Source::Measured),
-            (Health::Bad(_), OnLoss::Hold | OnLoss::Refuse, Some(last)) => (last.attitude.gravity, Source::Held),
+            (Health::Bad(_), OnSensorLoss::Hold | OnSensorLoss::Refuse, Some(last)) => {
+                (last.attitude.gravity, Source::Held)
+            }
             (Health::Bad(_), _, _) => (declared, Source::Declared),
         };
         let refusal = match (health, self.settings.on_loss) {
-            (Health::Bad(fault), OnLoss::Refuse) => Some(Refusal::Lost(*fault)),
+            (Health::Bad(fault), OnSensorLoss::Refuse) => Some(Refusal::Lost(*fault)),
             _ => self.tilted(),
         };
         self.approach(now, &target);
         Decision { gravity: self.served, source, refusal }
     }
 
-    /// What was measured last must go with the declaration, also after the sensor was lost.
+    /// Compares the last reading with the declared mounting, also after the sensor was lost.
     fn tilted(&self) -> Option<Refusal> {
         let Reading { attitude, .. } = self.last?;
         let FollowSettings { declared, tolerance, .. } = self.settings;
         let (angle, std) = (angle_between(&attitude.gravity, &declared.gravity()), attitude.std());
         let measured = attitude.mounting();
-        (angle > tolerance + SPREAD * std).then_some(Refusal::Tilted { declared, measured, angle, std, tolerance })
+        (angle > tolerance + CONFIDENCE_SIGMAS * std).then_some(Refusal::Tilted {
+            declared,
+            measured,
+            angle,
+            std,
+            tolerance,
+        })
     }
 
-    /// Turns what is served towards `target`, no faster than the rate and not for less than a step.
+    /// Rotates the served gravity towards `target`, at most at `rate` and in steps of `step` to `2 step`.
     fn approach(&mut self, now: u64, target: &Vector3<f64>) {
         let FollowSettings { step, rate, .. } = self.settings;
-        let Some(moved) = self.moved else {
-            (self.served, self.moved) = (*target, Some(now));
+        let Some(last_change) = self.last_change else {
+            (self.served, self.last_change) = (*target, Some(now));
             return;
         };
         let angle = angle_between(&self.served, target);
         if angle < step {
-            // Rest does not save up for a leap.
-            self.moved = Some(now);
+            // Time at rest does not add to the next step.
+            self.last_change = Some(now);
             return;
         }
-        let allowed = rate * now.saturating_sub(moved) as f64 * 1e-9;
+        let allowed = rate * now.saturating_sub(last_change) as f64 * 1e-9;
         if allowed < step {
             return;
         }
-        self.moved = Some(now);
-        // A daemon that was busy for long does not leap either.
-        let by = angle.min(allowed).min(2.0 * step);
-        let about = self.served.cross(target);
-        let about = if about.norm() > 1e-9 { about } else { any_across(&self.served) };
-        self.served = UnitQuaternion::from_axis_angle(&Unit::new_normalize(about), by) * self.served;
+        self.last_change = Some(now);
+        // A late call does not make a larger step.
+        let angle = angle.min(allowed).min(2.0 * step);
+        let axis = self.served.cross(target);
+        let axis = if axis.norm() > 1e-9 { axis } else { any_perpendicular(&self.served) };
+        self.served = UnitQuaternion::from_axis_angle(&Unit::new_normalize(axis), angle) * self.served;
     }
 }
 
-/// Some vector at right angles: the way from a direction to its opposite is not determined.
-fn any_across(vector: &Vector3<f64>) -> Vector3<f64> {
+/// Some perpendicular vector, as rotation axis from a direction to its opposite.
+fn any_perpendicular(vector: &Vector3<f64>) -> Vector3<f64> {
     vector.cross(&Vector3::ith(vector.iamin(), 1.0))
 }

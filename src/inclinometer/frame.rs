@@ -1,4 +1,4 @@
-//! CAN frames and what a controller says of its bus.
+//! CAN frames and states of the CAN bus.
 
 /// A classic CAN data frame with an 11-bit identifier, the only kind that CANopen's predefined connection set uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,44 +16,44 @@ impl Frame {
         (id <= 0x7ff).then_some(Frame { id, len: payload.len() as u8, data })
     }
 
-    /// A frame of whole 8 bytes; the identifier loses what 11 bits don't hold.
+    /// A frame of 8 bytes; the identifier is cut to 11 bits.
     pub const fn full(id: u16, data: [u8; 8]) -> Frame {
         Frame { id: id & 0x7ff, len: 8, data }
     }
 
-    /// Its identifier.
+    /// CAN identifier.
     pub fn id(&self) -> u16 {
         self.id
     }
 
-    /// Its payload, at most 8 bytes.
+    /// Payload, at most 8 bytes.
     pub fn data(&self) -> &[u8] {
         &self.data[..usize::from(self.len).min(8)]
     }
 }
 
-/// What the CAN controller reports of its bus.
+/// State of the CAN bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BusState {
-    /// Frames come and go.
+    /// Error-active: normal operation.
     Active,
-    /// An error counter has passed 127: the controller takes part, but may not say so any more.
+    /// Error-passive: an error counter is above 127.
     Passive,
-    /// An error counter has passed 255: the controller has left the bus.
+    /// Bus-off: an error counter is above 255, and the controller is disconnected.
     Off,
-    /// The interface is down, or gone.
+    /// The interface is down or missing.
     Down,
-    /// Nothing could be sent: the queue is full (ENOBUFS), as it is when nobody acknowledges.
+    /// The transmit queue is full (ENOBUFS), as it is when no node acknowledges.
     Blocked,
 }
 
-/// What comes from the bus.
+/// Input from the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Heard {
+pub enum BusEvent {
     /// A frame.
     Frame(Frame),
-    /// The controller's state has changed.
+    /// The bus state has changed.
     Bus(BusState),
-    /// Nothing waited to be heard at that time: what is heard later was also sent later. Without it no second sender is noticed.
-    Nothing,
+    /// The receive queue was empty: later frames were sent after this time. Needed to detect a second sender.
+    Idle,
 }

@@ -1,23 +1,24 @@
-//! Which way gravity points, by a two-axis inclinometer on the arm's base.
+//! Direction of gravity from a two-axis inclinometer on the arm's base.
 //!
-//! A CANopen device after CiA 410 (device profile for inclinometers) and CiA 301 (application layer). Everything but [`socket`] is
-//! without input, output and clock: frames and times \[ns\] come in as arguments, frames to send come out.
+//! The sensor is a CANopen device of CiA 410 (device profile for inclinometers) and CiA 301 (application layer). Only [`socket`] does
+//! I/O and reads a clock. In the other modules received frames and times \[ns\] are arguments, and frames to send are results.
 //!
 //! | module | what |
 //! |---|---|
 //! | [`frame`], [`canopen`] | CAN frames; CANopen services as values: NMT, SDO, heartbeat, EMCY, TPDO |
-//! | [`node`] | brings one device up and watches it: SDO set-up, heartbeat, process data |
-//! | [`attitude`] | two slopes as a direction of gravity in the base frame, with its covariance |
-//! | [`smooth`] | low-pass, noise, rest, jumps |
-//! | [`sensor`] | the three together: frames in, [`Reading`](sensor::Reading) or fault out |
-//! | [`follow`] | which gravity the model gets: rate bound, fall-back, refusal |
-//! | [`socket`] | the same over SocketCAN on a thread of its own |
+//! | [`node`], [`fault`] | configures and monitors one device: SDO, heartbeat, process data; its faults |
+//! | [`attitude`] | direction of gravity in the base frame from two slopes, with its covariance |
+//! | [`slope_filter`] | low-pass, noise estimate, rest detection, jump detection |
+//! | [`sensor`] | node, filter and attitude: frames in, [`Reading`](sensor::Reading) or fault out |
+//! | [`follow`] | gravity of the served model: rate limit, fall-back, refusal |
+//! | [`socket`] | the sensor over SocketCAN on its own thread |
 
 pub mod attitude;
 pub mod canopen;
+pub mod fault;
 pub mod follow;
 pub mod frame;
 pub mod node;
 pub mod sensor;
-pub mod smooth;
+pub mod slope_filter;
 pub mod socket;

@@ -1,99 +1,100 @@
-//! The whole inclinometer: frames in, gravity or a fault out.
+//! The inclinometer: frames in, gravity or a fault out.
 
-use super::attitude::{Attitude, Seat, SeatError};
-use super::frame::{Frame, Heard};
-use super::node::{Fault, Identity, Node, NodeEvent, NodeSettings, unit};
-use super::smooth::{Calm, SmoothSettings, Smoother};
+use super::attitude::{Attitude, Installation, InstallationError};
+use super::fault::{Fault, unit};
+use super::frame::{BusEvent, Frame};
+use super::node::{Identity, Node, NodeEvent, NodeSettings};
+use super::slope_filter::{FilteredSlopes, SlopeFilter, SlopeFilterSettings};
 use plumbline_model::Mounting;
 use std::collections::VecDeque;
 
-/// Everything that is set of an inclinometer.
+/// Settings of an inclinometer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorSettings {
     /// The device on its bus.
     pub node: NodeSettings,
-    /// How it sits on the base.
-    pub seat: Seat,
-    /// How its slopes are made calm.
-    pub smooth: SmoothSettings,
-    /// The declared mounting: decides whether the sensor's z axis points up or down.
+    /// Orientation on the base, and accuracy.
+    pub installation: Installation,
+    /// Low-pass of the slopes.
+    pub filter: SlopeFilterSettings,
+    /// The declared mounting, which determines the sign of the sensor's z axis.
     pub declared: Mounting,
 }
 
-/// What the sensor says, calm.
+/// Filtered reading of the sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
-    /// When its last frame came \[ns\].
+    /// Arrival time of the last frame \[ns\].
     pub at: u64,
     /// Gravity in the base frame, with its covariance.
     pub attitude: Attitude,
-    /// The same without the low-pass: what a moving base shows first.
+    /// The same without the low-pass, for the detection of base motion.
     pub raw: Attitude,
-    /// The base has been at rest for three time constants.
+    /// Whether the base has been at rest for three time constants.
     pub still: bool,
 }
 
-/// How the inclinometer is.
+/// State of the inclinometer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Health {
-    /// It is served.
+    /// A valid reading.
     Good(Reading),
-    /// It is not.
+    /// No reading.
     Bad(Fault),
 }
 
-/// Something to be said.
+/// An event for the log.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Note {
-    /// The device is up.
+pub enum SensorEvent {
+    /// The device is operational.
     Up(Identity),
-    /// A fault has come.
+    /// A new fault.
     Fault(Fault),
-    /// The first reading after a fault, or at all.
-    Well,
-    /// A frame was passed over.
-    Odd(Fault),
+    /// The first reading, or the first one after a fault.
+    Recovered,
+    /// A malformed frame was ignored.
+    Malformed(Fault),
 }
 
-/// Notes that wait to be taken at most; what comes after them is not said.
-const NOTES: usize = 64;
+/// Capacity of the event queue; further events are dropped.
+const MAX_QUEUED_EVENTS: usize = 64;
 
-/// An inclinometer.
+/// An inclinometer: node, slope filter and attitude.
 #[derive(Clone, Debug)]
 pub struct Sensor {
     settings: SensorSettings,
     hemisphere: f64,
     node: Node,
-    smoother: Smoother,
+    filter: SlopeFilter,
     /// One unit of the device's slopes \[rad\].
     unit: f64,
     health: Health,
-    notes: VecDeque<Note>,
+    events: VecDeque<SensorEvent>,
 }
 
 impl Sensor {
-    /// An inclinometer that nobody has spoken to yet.
+    /// An inclinometer before its bring-up.
     ///
     /// # Errors
-    /// A declared mounting that the sensor can't see.
-    pub fn new(settings: SensorSettings) -> Result<Sensor, SeatError> {
+    /// A declared mounting outside the sensor's range.
+    pub fn new(settings: SensorSettings) -> Result<Sensor, InstallationError> {
         Ok(Sensor {
             settings,
-            hemisphere: settings.seat.hemisphere(&settings.declared)?,
-            node: Node::new(settings.node, settings.seat.range),
-            smoother: Smoother::new(settings.smooth),
+            hemisphere: settings.installation.hemisphere(&settings.declared)?,
+            node: Node::new(settings.node, settings.installation.range),
+            filter: SlopeFilter::new(settings.filter),
             unit: 0.0,
             health: Health::Bad(Fault::Starting),
-            notes: VecDeque::new(),
+            events: VecDeque::new(),
         })
     }
 
-    /// What it was made with.
+    /// The settings.
     pub fn settings(&self) -> &SensorSettings {
         &self.settings
     }
 
-    /// How it is.
+    /// Current state.
     pub fn health(&self) -> Health {
         self.health
     }
@@ -103,48 +104,48 @@ impl Sensor {
         self.node.transmit()
     }
 
-    /// What there is to say, in order.
-    pub fn note(&mut self) -> Option<Note> {
-        self.notes.pop_front()
+    /// The next event for the log.
+    pub fn event(&mut self) -> Option<SensorEvent> {
+        self.events.pop_front()
     }
 
-    /// Takes in what came from the bus at `now` \[ns\].
-    pub fn hear(&mut self, now: u64, heard: &Heard) {
-        self.node.hear(now, heard);
-        self.follow(now);
+    /// Processes an event of the bus at `now` \[ns\].
+    pub fn handle(&mut self, now: u64, event: &BusEvent) {
+        self.node.handle(now, event);
+        self.process_node_events(now);
     }
 
-    /// Lets time pass; call it at least every 10 ms.
+    /// Advances timers to `now` \[ns\]. Call it at least every 10 ms.
     pub fn tick(&mut self, now: u64) {
         self.node.tick(now);
-        self.follow(now);
+        self.process_node_events(now);
     }
 
-    fn follow(&mut self, now: u64) {
+    fn process_node_events(&mut self, now: u64) {
         while let Some(event) = self.node.event() {
             match event {
                 NodeEvent::Up(identity) => {
                     self.unit = unit(identity.resolution);
-                    self.smoother.reset();
-                    self.tell(Note::Up(identity));
+                    self.filter.reset();
+                    self.push_event(SensorEvent::Up(identity));
                 }
-                NodeEvent::Slopes(slopes) => self.slopes(now, slopes.map(|slope| f64::from(slope) * self.unit)),
+                NodeEvent::Slopes(slopes) => self.handle_slopes(now, slopes.map(|slope| f64::from(slope) * self.unit)),
                 NodeEvent::Down(fault) => {
-                    self.smoother.reset();
+                    self.filter.reset();
                     self.fail(fault);
                 }
-                NodeEvent::Odd(fault) => self.tell(Note::Odd(fault)),
+                NodeEvent::Malformed(fault) => self.push_event(SensorEvent::Malformed(fault)),
             }
         }
     }
 
-    fn tell(&mut self, note: Note) {
-        if self.notes.len() < NOTES {
-            self.notes.push_back(note);
+    fn push_event(&mut self, event: SensorEvent) {
+        if self.events.len() < MAX_QUEUED_EVENTS {
+            self.events.push_back(event);
         }
     }
 
-    /// The first fault is the cause; what follows from it is said only where it is of another kind.
+    /// Stores a fault. An event is queued only if the kind of fault has changed.
     fn fail(&mut self, fault: Fault) {
         let same = match self.health {
             Health::Bad(before) => std::mem::discriminant(&before) == std::mem::discriminant(&fault),
@@ -152,24 +153,24 @@ impl Sensor {
         };
         self.health = Health::Bad(fault);
         if !same {
-            self.tell(Note::Fault(fault));
+            self.push_event(SensorEvent::Fault(fault));
         }
     }
 
-    fn slopes(&mut self, now: u64, slopes: [f64; 2]) {
-        let Seat { range, .. } = self.settings.seat;
-        let Some(raw) = self.settings.seat.attitude(slopes, [0.0; 2], self.hemisphere) else {
-            self.smoother.reset();
+    fn handle_slopes(&mut self, now: u64, slopes: [f64; 2]) {
+        let Installation { range, .. } = self.settings.installation;
+        let Some(raw) = self.settings.installation.attitude(slopes, [0.0; 2], self.hemisphere) else {
+            self.filter.reset();
             return self.fail(Fault::OutOfRange { slopes, range });
         };
-        match self.smoother.take(now, slopes) {
+        match self.filter.update(now, slopes) {
             Err(by) => self.fail(Fault::Jump { by }),
             Ok(None) => {}
-            Ok(Some(Calm { slopes, std, still })) => {
-                // Two slopes in range have a mean in range.
-                let Some(attitude) = self.settings.seat.attitude(slopes, std, self.hemisphere) else { return };
+            Ok(Some(FilteredSlopes { slopes, std, still })) => {
+                // The mean of slopes in range is in range.
+                let Some(attitude) = self.settings.installation.attitude(slopes, std, self.hemisphere) else { return };
                 if matches!(self.health, Health::Bad(_)) {
-                    self.tell(Note::Well);
+                    self.push_event(SensorEvent::Recovered);
                 }
                 self.health = Health::Good(Reading { at: now, attitude, raw, still });
             }

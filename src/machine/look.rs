@@ -1,30 +1,30 @@
 //! What `/proc` and `/sys` say about a machine that is to keep time.
 
 use super::tree::list_has;
-use super::{Finding, Tree, Wanted};
+use super::{Finding, Requirements, Tree};
 use std::net::IpAddr;
 use std::path::Path;
 
 /// Idle states that take longer than this to leave cost a loop its punctuality \[us\].
-const IDLE_EXIT_US: i64 = 20;
+const MAX_IDLE_EXIT_US: i64 = 20;
 /// Shared memory that samples, replay and feed-forward of one robot want \[bytes\].
-const SHARED_MEMORY: u64 = 64 << 20;
+const REQUIRED_SHM_BYTES: u64 = 64 << 20;
 
 /// Everything that can be found out without measuring, in the order in which to change it.
-pub fn look(tree: &Tree, wanted: &Wanted) -> Vec<Finding> {
+pub fn inspect(tree: &Tree, requirements: &Requirements) -> Vec<Finding> {
     let mut findings = vec![
         hypervisor(tree),
         governor(tree),
-        idle_states(tree, wanted.rights.cpu),
-        isolation(tree, wanted.rights.cpu),
-        interrupts(tree, wanted.rights.cpu),
-        siblings(tree, wanted.rights.cpu),
+        idle_states(tree, requirements.rights.cpu),
+        isolation(tree, requirements.rights.cpu),
+        interrupts(tree, requirements.rights.cpu),
+        siblings(tree, requirements.rights.cpu),
         throttling(tree),
-        swap(tree, wanted.rights.lock_memory),
+        swap(tree, requirements.rights.lock_memory),
         clock_source(tree),
         shared_memory(),
     ];
-    findings.extend(wanted.robot.map(|robot| network(tree, robot)));
+    findings.extend(requirements.robot.map(|robot| network(tree, robot)));
     findings
 }
 
@@ -79,7 +79,7 @@ fn idle_states(tree: &Tree, cpu: Option<usize>) -> Finding {
     match worst {
         None if any => Finding::fit("idle-states", "all switched off"),
         None => Finding::unknown("idle-states", "none to be seen: firmware or host decides"),
-        Some((latency, name, _)) if latency <= IDLE_EXIT_US => {
+        Some((latency, name, _)) if latency <= MAX_IDLE_EXIT_US => {
             Finding::fit("idle-states", format!("the deepest, {name}, takes {latency} us to leave"))
         }
         Some((latency, name, number)) => Finding::advice(
@@ -87,7 +87,7 @@ fn idle_states(tree: &Tree, cpu: Option<usize>) -> Finding {
             format!("{name} takes {latency} us to leave (CPU {number})"),
             format!(
                 "hold /dev/cpu_dma_latency at 0 while the daemon runs (tuned's profile `realtime` does), or boot with \
-                 processor.max_cstate=1 intel_idle.max_cstate=1, or `cpupower idle-set -D {IDLE_EXIT_US}`"
+                 processor.max_cstate=1 intel_idle.max_cstate=1, or `cpupower idle-set -D {MAX_IDLE_EXIT_US}`"
             ),
         ),
     }
@@ -133,7 +133,7 @@ fn interrupts(tree: &Tree, cpu: Option<usize>) -> Finding {
         let list = tree.read(folder.join("effective_affinity_list")).filter(|list| !list.is_empty());
         let list = list.or_else(|| tree.read(folder.join("smp_affinity_list")))?;
         // Interrupts that nothing listens to have no name below their folder.
-        let name = tree.names(&folder).into_iter().find(|name| !FIXED.contains(&name.as_str()))?;
+        let name = tree.names(&folder).into_iter().find(|name| !IRQ_FILES.contains(&name.as_str()))?;
         list_has(&list, cpu).then(|| format!("{irq} ({name})"))
     };
     let irqs: Vec<String> = tree.names("proc/irq").iter().filter_map(here).collect();
@@ -151,7 +151,7 @@ fn interrupts(tree: &Tree, cpu: Option<usize>) -> Finding {
 }
 
 /// Files of `/proc/irq/N` that are not a handler's folder.
-const FIXED: [&str; 8] = [
+const IRQ_FILES: [&str; 8] = [
     "affinity_hint",
     "effective_affinity",
     "effective_affinity_list",
@@ -235,10 +235,14 @@ fn shared_memory() -> Finding {
     };
     let free = space.f_bavail.saturating_mul(space.f_frsize);
     let found = format!("{} MiB free in /dev/shm", free >> 20);
-    if free >= SHARED_MEMORY {
+    if free >= REQUIRED_SHM_BYTES {
         Finding::fit("shared-memory", found)
     } else {
-        Finding::unfit("shared-memory", found, format!("free {} MiB there, or mount it larger", SHARED_MEMORY >> 20))
+        Finding::unfit(
+            "shared-memory",
+            found,
+            format!("free {} MiB there, or mount it larger", REQUIRED_SHM_BYTES >> 20),
+        )
     }
 }
 
@@ -302,7 +306,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn reads_what_ethtool_says() {
+    fn rx_usecs_are_parsed_from_ethtool() {
         let report =
             "Coalesce parameters for eth0:\nAdaptive RX: on  TX: n/a\nrx-usecs:\t30\nrx-frames:\t0\n\ntx-usecs:\t8\n";
         assert_eq!(wait_us(report), Some(30));

@@ -10,7 +10,7 @@ mod look;
 mod tree;
 mod wake;
 
-pub use look::look;
+pub use look::inspect;
 pub use tree::Tree;
 pub use wake::{Class, wake_ups};
 
@@ -20,7 +20,7 @@ use std::net::IpAddr;
 
 /// What the machine is to be fit for.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Wanted {
+pub struct Requirements {
     /// What the loop's thread will ask for.
     pub rights: Rights,
     /// The robot at the other end of a network.
@@ -74,8 +74,8 @@ impl Finding {
 }
 
 /// Asks for the loop's rights on a thread of its own and says which are granted; empty when no thread could be started.
-pub fn rights(wanted: &Wanted) -> Vec<Finding> {
-    let rights = wanted.rights.clone();
+pub fn rights(requirements: &Requirements) -> Vec<Finding> {
+    let rights = requirements.rights.clone();
     let asked = std::thread::Builder::new().spawn(move || become_realtime(&rights)).map(|thread| thread.join());
     let Ok(Ok(Granted { fifo, memory, cpu, kernel })) = asked else { return Vec::new() };
     let finding = |(name, grant): (&'static str, Grant)| match grant {

@@ -1,6 +1,6 @@
 //! How late a thread with the loop's rights wakes up, for a few seconds.
 
-use super::{Finding, Verdict, Wanted};
+use super::{Finding, Requirements, Verdict};
 use plumbline_core::{Distribution, Histogram, PERIOD_NS};
 use plumbline_rt::become_realtime;
 use plumbline_rt::os::{now_ns, sleep_until};
@@ -43,8 +43,8 @@ impl Class {
 }
 
 /// Wakes up every millisecond for `seconds`, with the rights that are wanted and granted, and says how late.
-pub fn wake_ups(wanted: &Wanted, seconds: u64) -> Finding {
-    let rights = wanted.rights.clone();
+pub fn wake_ups(requirements: &Requirements, seconds: u64) -> Finding {
+    let rights = requirements.rights.clone();
     let measured = std::thread::Builder::new().spawn(move || {
         become_realtime(&rights);
         measure(seconds.saturating_mul(1000))

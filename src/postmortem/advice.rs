@@ -1,84 +1,83 @@
-//! What the operator does next: the backend's own advice first, then advice by the kind of the fault.
+//! Next steps for the operator: those of the backend first, then those of the kind of fault.
 
-use super::story::{Story, is_measured};
+use super::facts::{Facts, is_measured};
 use crate::recording::about::{About, ReasonKind};
 
-const RESUME: &str =
-    "When it is safe to move: `plumbline command resume`; what was under way is not driven on, start the job again.";
-const AGAIN: &str =
+const RESUME: &str = "When it is safe to move: `plumbline command resume`. The interrupted motion is not continued: start the job again.";
+const RESTART: &str =
     "The daemon has ended. When it is safe to move, start it again; nothing moves before `plumbline command start`.";
 
-const STAND_CLEAR: &str = "Stay clear of the arm: the daemon recovers it and drives the interrupted motion again by itself, as the job allows \
-     (`recovery` of its backend), unless `plumbline command stop` keeps it from that.";
+const STAND_CLEAR: &str = "Stay clear of the arm: the daemon recovers it and repeats the interrupted motion automatically \
+     (`backend.franka.recovery`). `plumbline command stop` prevents that.";
 
-/// Steps, first things first.
-pub(super) fn next(story: &Story, about: &About) -> Vec<String> {
-    if about.goes_on {
+/// Steps in order.
+pub(super) fn next(facts: &Facts, about: &About) -> Vec<String> {
+    if about.automatic_recovery {
         return vec![STAND_CLEAR.to_string()];
     }
     let mut steps = about.next.clone();
-    let joint = story.first_limit.as_ref().map_or(0, |crossing| crossing.joint);
-    match (story.kind, story.first_limit.as_ref().map(|crossing| crossing.limit.as_str())) {
+    let joint = facts.first_limit.as_ref().map_or(0, |crossing| crossing.joint);
+    match (facts.kind, facts.first_limit.as_ref().map(|crossing| crossing.limit.as_str())) {
         (ReasonKind::Guard | ReasonKind::Unsafe, Some(limit)) if is_measured(limit) => steps.push(match limit {
             "tracking" => format!(
-                "Look at joint {joint}: what kept it from following? A collision, a person, a payload that is not in the model, a \
-                 brake. If nothing did, `safety.tracking-error` may be too tight for this motion."
+                "Check joint {joint} for the cause of the tracking error: a collision, a person, a payload that is not in the model, a \
+                 brake. Without such a cause, `safety.tracking-error` may be too tight for this motion."
             ),
             "measured-torque" => format!(
-                "Look at joint {joint}: what pushed against it? A collision, a payload that is too heavy, a motion that is too fast."
+                "Check joint {joint} for the cause of the torque: a collision, a payload that is too heavy, a motion that is too fast."
             ),
-            _ => "The arm reported a number that is none: look at its own log, and its sensors.".to_string(),
+            _ => "The arm reported a value that is not finite: check its log and its sensors.".to_string(),
         }),
         (ReasonKind::Guard | ReasonKind::Unsafe, Some("torque" | "torque-rate" | "torque-not-finite")) => steps.push(
-            "The served model gave that torque; it is not asked again. Identify anew, or serve the model from before.".to_string(),
+            "The served model computed that torque and was withdrawn. Identify again, or serve the previous model.".to_string(),
         ),
         (ReasonKind::Guard | ReasonKind::Unsafe, Some("end-effector-box" | "base-sphere")) => steps
             .push("The motion leaves the workspace: compare `[workspace]` of the job with the plan, and plan again.".to_string()),
         (ReasonKind::Guard | ReasonKind::Unsafe, Some(_)) => steps.push(
             format!(
-                "The arm did nothing wrong: the commanded motion of joint {joint} breaks a limit, although the programme was held to the \
-                 guard's rules before it began. Keep this recording, and start the job again: that reads the arm's limits and plans again \
-                 where the plans do not keep them."
+                "The commanded motion of joint {joint} exceeds a limit, although the programme was checked against the guard's limits \
+                 before its start. Keep this recording and start the job again: the arm's limits are then read again, and plans that \
+                 exceed them are replaced."
             ),
         ),
         (ReasonKind::LostStates, _) => steps.push(
-            "States were lost between arm and loop: look at the late cycles below. Network, processor load, or priority? \
-             `safety.max-lost` says how many are borne."
+            "States were lost between arm and loop: check the late cycles below, the network, the processor load and the loop's \
+             priority. `safety.max-lost` is the accepted number."
                 .to_string(),
         ),
         (ReasonKind::HeartbeatLost, _) => steps.push(
-            "The daemon's own thread stood still while the arm moved: was the machine suspended, overloaded, or the process stopped? Run \
-             `plumbline doctor`."
+            "The daemon's main thread sent no heartbeat while the arm moved. Check whether the computer was suspended or overloaded, or the \
+             process stopped. Run `plumbline doctor`."
                 .to_string(),
         ),
         (ReasonKind::NotRealTime, _) => steps.push(
-            "The machine did not grant what `[realtime]` asks: run `plumbline doctor`, it names what to change.".to_string(),
+            "The computer did not grant the rights of `[realtime]`: run `plumbline doctor`, which lists the changes needed.".to_string(),
         ),
         (ReasonKind::Silent | ReasonKind::Disconnected, _) if about.next.is_empty() => {
-            steps.push("Look at the cable and at the arm's power.".to_string());
+            steps.push("Check the cable and the arm's power.".to_string());
         }
         (ReasonKind::Reflex | ReasonKind::Refused, _) if about.next.is_empty() => {
-            steps.push("Look at the arm's own log for its reason; the code is the arm's.".to_string());
+            steps.push("Check the arm's log for the cause; the code is the arm's.".to_string());
         }
         (ReasonKind::Clock, _) => steps.push("The arm or the network repeats states: restart the arm's controller.".to_string()),
         (ReasonKind::Mounting, _) => steps.push(
-            "Look at the base, and at the inclinometer and its cable; `plumbline command status` says what each side of the mounting check tells.".to_string(),
+            "Check the base, the inclinometer and its cable; `plumbline command status` shows each source of the mounting check.".to_string(),
         ),
         (ReasonKind::EstimatorLost, _) => {
-            steps.push("Look at the estimator's log for why it ended; the samples are kept for the next one.".to_string());
+            steps.push("Check the estimator's log for the cause; the samples are kept for the next estimator.".to_string());
         }
         (ReasonKind::Panic | ReasonKind::NoBrake, _) => {
             steps.push("This is a defect of plumbline: please report it, with this file.".to_string());
         }
         (ReasonKind::NotAtStart | ReasonKind::NoPath, _) => {
-            steps.push("The motion does not begin where the arm rests: start the job from its beginning.".to_string());
+            steps.push("The motion does not begin at the arm's position: start the job from its beginning.".to_string());
         }
         _ => {}
     }
-    match (story.kind, &story.end) {
+    match (facts.kind, &facts.end) {
         (ReasonKind::OnDemand, _) => {}
         (_, None) => steps.push(RESUME.to_string()),
-        (_, Some(_)) => steps.push(AGAIN.to_string()),
+        (_, Some(_)) => steps.push(RESTART.to_string()),
     }
     steps
 }

@@ -1,19 +1,21 @@
-//! What a recording of a fault tells, in words, as a page, and by running it again.
+//! Analysis of a recording: facts, text, HTML page, replay.
 //!
 //! | file | what |
 //! |---|---|
-//! | `story` | the facts, in order: decides from the recording alone |
-//! | `timing` | how the loop kept its time |
-//! | `advice` | what the operator does next |
-//! | `text` | the story for a terminal |
-//! | `page`, `plot` | the story as one HTML file |
-//! | `replay` | the recording through the loop again, command by command |
+//! | `facts` | facts of a recording, serialised as JSON |
+//! | `timing` | cycle times of the loop |
+//! | `advice` | next steps for the operator |
+//! | `text` | facts as text for a terminal |
+//! | `page`, `plot` | facts as one HTML file |
+//! | `replay` | executes the loop on the recorded inputs and compares every command |
+//!
+//! `facts` uses `advice` and `timing`, which read the unfinished facts: each is a part of the same analysis.
 
 mod advice;
+pub mod facts;
 mod page;
 mod plot;
 pub mod replay;
-pub mod story;
 mod text;
 mod timing;
 

@@ -1,8 +1,8 @@
-//! The curves of a recording as inline SVG, over the seconds before its end.
+//! Plots of a recording as inline SVG over the seconds before its end.
 //!
-//! As in the report, colours are fixed tints that the page's style sheet maps to ones that suit light and dark.
+//! As in the report, colours are fixed placeholders that the page's style sheet maps to a light and a dark theme.
 
-use super::story::{Before, Story, phase_name, tracking_error};
+use super::facts::{Facts, TimeBase, phase_name, tracking_error};
 use crate::recording::Recording;
 use plotters::prelude::*;
 use plumbline_core::{Phase, Record};
@@ -11,12 +11,12 @@ const MEASURED: RGBColor = RGBColor(1, 1, 1);
 const DESIRED: RGBColor = RGBColor(2, 2, 2);
 const GRID: RGBColor = RGBColor(5, 5, 5);
 const LIMIT: RGBColor = RGBColor(10, 10, 10);
-const MARK: RGBColor = RGBColor(9, 9, 9);
+const MARKER: RGBColor = RGBColor(9, 9, 9);
 /// The first of one colour per joint.
-const JOINT: RGBColor = RGBColor(11, 0, 0);
+const FIRST_JOINT_COLOUR: RGBColor = RGBColor(11, 0, 0);
 const TEXT: (&str, i32) = ("sans-serif", 17);
-/// Most points of a curve: each stands for the lowest and the highest value of its stretch.
-const POINTS: usize = 700;
+/// Number of intervals of a decimated curve; each contributes its lowest and highest value.
+const MAX_POINTS: usize = 700;
 
 type Points = Vec<(f64, f64)>;
 
@@ -26,20 +26,20 @@ struct Frame<'f> {
     lines: Vec<(Points, RGBColor, u32)>,
     /// Horizontal lines.
     bounds: Vec<f64>,
-    /// Moments to mark.
+    /// Times of vertical markers \[s\].
     marks: Vec<f64>,
     size: (u32, u32),
-    /// The y axis shows at least this much.
-    least: Option<(f64, f64)>,
+    /// The y axis shows at min_y_range this much.
+    min_y_range: Option<(f64, f64)>,
 }
 
-/// Extremes of every stretch, so that no peak is lost.
-fn thin(points: Points) -> Points {
-    let stretch = points.len().div_ceil(POINTS);
+/// Decimates a curve to the extremes of each interval, which keeps all peaks.
+fn decimate(points: Points) -> Points {
+    let stretch = points.len().div_ceil(MAX_POINTS);
     if stretch < 2 {
         return points;
     }
-    let mut out = Vec::with_capacity(2 * POINTS + 2);
+    let mut out = Vec::with_capacity(2 * MAX_POINTS + 2);
     for part in points.chunks(stretch) {
         let low = part.iter().copied().min_by(|a, b| a.1.total_cmp(&b.1));
         let high = part.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1));
@@ -57,13 +57,13 @@ fn draw(frame: Frame) -> String {
     };
     let x = all().map(|point| point.0).fold((f64::MAX, f64::MIN), finite);
     let mut y = all().map(|point| point.1).chain(frame.bounds.iter().copied()).fold((f64::MAX, f64::MIN), finite);
-    if let Some((low, high)) = frame.least {
+    if let Some((low, high)) = frame.min_y_range {
         y = finite(finite(y, low), high);
     }
     if x.0 >= x.1 || y.0 > y.1 {
         return String::new();
     }
-    let air = ((y.1 - y.0) * 0.05).max(1e-9);
+    let padding = ((y.1 - y.0) * 0.05).max(1e-9);
     let mut text = String::new();
     let drawn = (|| -> Result<(), DrawingAreaErrorKind<std::io::Error>> {
         let area = SVGBackend::with_string(&mut text, frame.size).into_drawing_area();
@@ -71,14 +71,14 @@ fn draw(frame: Frame) -> String {
             .margin(6)
             .set_label_area_size(LabelAreaPosition::Left, 84)
             .set_label_area_size(LabelAreaPosition::Bottom, 48)
-            .build_cartesian_2d(x.0..x.1, (y.0 - air)..(y.1 + air))?;
+            .build_cartesian_2d(x.0..x.1, (y.0 - padding)..(y.1 + padding))?;
         let mut mesh = chart.configure_mesh();
         mesh.light_line_style(TRANSPARENT).bold_line_style(GRID.stroke_width(1)).axis_style(GRID.stroke_width(1));
         mesh.axis_desc_style(TEXT).label_style(TEXT).y_labels(5).x_labels(8);
         mesh.x_label_formatter(&tick).y_label_formatter(&tick);
         mesh.x_desc("seconds before the end").y_desc(frame.y_name).draw()?;
         for &at in &frame.marks {
-            chart.draw_series(LineSeries::new([(at, y.0 - air), (at, y.1 + air)], MARK.stroke_width(1)))?;
+            chart.draw_series(LineSeries::new([(at, y.0 - padding), (at, y.1 + padding)], MARKER.stroke_width(1)))?;
         }
         for &bound in &frame.bounds {
             chart.draw_series(LineSeries::new([(x.0, bound), (x.1, bound)], LIMIT.stroke_width(1)))?;
@@ -92,42 +92,42 @@ fn draw(frame: Frame) -> String {
     if drawn.is_ok() { text } else { String::new() }
 }
 
-/// A number on an axis, without the digits that only rounding made.
+/// Axis label without rounding noise.
 fn tick(value: &f64) -> String {
     let rounded = (value * 1e6).round() / 1e6;
     if rounded == 0.0 { "0".to_string() } else { format!("{rounded}") }
 }
 
-/// The joint that the story is about, from 0: that of the first limit, else the farthest from its command.
-pub(super) fn focus(story: &Story) -> usize {
+/// Index of the joint to plot: that of the first exceeded limit, else that of the largest tracking error.
+pub(super) fn focus(facts: &Facts) -> usize {
     let axis = |limit: &str| matches!(limit, "end-effector-box" | "base-sphere");
-    let crossed = story.first_limit.as_ref().filter(|crossing| !axis(&crossing.limit)).map(|crossing| crossing.joint);
-    let farthest = || story.tracking.iter().max_by(|a, b| a.share.total_cmp(&b.share)).map(|joint| joint.joint);
+    let crossed = facts.first_limit.as_ref().filter(|crossing| !axis(&crossing.limit)).map(|crossing| crossing.joint);
+    let farthest = || facts.tracking.iter().max_by(|a, b| a.share.total_cmp(&b.share)).map(|joint| joint.joint);
     let joint = crossed.or_else(farthest).unwrap_or(1);
-    joint.saturating_sub(1).min(story.tracking.len().saturating_sub(1))
+    joint.saturating_sub(1).min(facts.tracking.len().saturating_sub(1))
 }
 
 fn curve(recording: &Recording, value: impl Fn(&Record) -> f64) -> Points {
-    let before = Before::of(recording);
-    thin(recording.records.iter().map(|record| (-before.at(record.state.seq), value(record))).collect())
+    let time = TimeBase::of(recording);
+    decimate(recording.records.iter().map(|record| (-time.before_end(record.state.seq), value(record))).collect())
 }
 
 fn colour(j: usize) -> RGBColor {
-    RGBColor(JOINT.0 + j as u8, 0, 0)
+    RGBColor(FIRST_JOINT_COLOUR.0 + j as u8, 0, 0)
 }
 
-/// When the stops of the recording began.
+/// Start times of the controlled stops.
 fn stops(recording: &Recording) -> Vec<f64> {
-    let before = Before::of(recording);
+    let time = TimeBase::of(recording);
     let stopping = |told: &&plumbline_rt::TimedEvent| matches!(told.event, plumbline_rt::Event::Stopping { .. });
-    recording.events.iter().filter(stopping).map(|told| -before.at(told.seq)).collect()
+    recording.events.iter().filter(stopping).map(|told| -time.before_end(told.seq)).collect()
 }
 
-/// What the arm was doing, as a strip over time, with the moments that matter.
-pub(super) fn strip(story: &Story, recording: &Recording) -> String {
-    let before = Before::of(recording);
+/// Phases over time as a strip, with markers at faults.
+pub(super) fn strip(facts: &Facts, recording: &Recording) -> String {
+    let time = TimeBase::of(recording);
     let (Some(first), Some(last)) = (recording.records.first(), recording.records.last()) else { return String::new() };
-    let (from, to) = (-before.at(first.state.seq), -before.at(last.state.seq));
+    let (from, to) = (-time.before_end(first.state.seq), -time.before_end(last.state.seq));
     if from >= to {
         return String::new();
     }
@@ -146,17 +146,17 @@ pub(super) fn strip(story: &Story, recording: &Recording) -> String {
     let mut start = first;
     for record in &recording.records {
         if record.phase != start.phase {
-            part(-before.at(start.state.seq), -before.at(record.state.seq), start.phase);
+            part(-time.before_end(start.state.seq), -time.before_end(record.state.seq), start.phase);
             start = record;
         }
     }
-    part(-before.at(start.state.seq), to, start.phase);
-    for line in story.timeline.iter().filter(|line| line.weight == "bad") {
+    part(-time.before_end(start.state.seq), to, start.phase);
+    for line in facts.timeline.iter().filter(|line| line.weight == "bad") {
         let at = x(-line.before);
         text +=
             &format!(r#"<path class="mark" d="M{at:.1} 14 V62"/><circle class="mark" cx="{at:.1}" cy="14" r="5"/>"#);
     }
-    // Some ten labels, whatever the numbers in the file are.
+    // About ten labels for any span.
     let decade = 10f64.powf((-from / 10.0).log10().floor());
     let step = [1.0, 2.0, 5.0, 10.0].map(|part| part * decade).into_iter().find(|step| -from / step <= 12.0);
     let step = step.unwrap_or(-from);
@@ -178,19 +178,19 @@ pub(super) fn position(recording: &Recording, j: usize) -> String {
         bounds: Vec::new(),
         marks: stops(recording),
         size: (820, 330),
-        least: None,
+        min_y_range: None,
     })
 }
 
-/// The same from shortly before the stop (or the end) on.
-pub(super) fn around_the_stop(story: &Story, recording: &Recording, j: usize) -> String {
-    let (began, lasted) = story.stop.as_ref().map_or((0.0, 0.0), |stop| (stop.before, stop.seconds));
-    let before = Before::of(recording);
+/// Desired and measured velocity of one joint around the last stop, or the end.
+pub(super) fn around_the_stop(facts: &Facts, recording: &Recording, j: usize) -> String {
+    let (began, lasted) = facts.stop.as_ref().map_or((0.0, 0.0), |stop| (stop.before, stop.seconds));
+    let time = TimeBase::of(recording);
     let (from, to) = (began + 0.25_f64.max(lasted), began - lasted - 0.1);
-    let within = |record: &&Record| (to..=from).contains(&before.at(record.state.seq));
+    let within = |record: &&Record| (to..=from).contains(&time.before_end(record.state.seq));
     let part: Vec<&Record> = recording.records.iter().filter(within).collect();
     let points = |value: &dyn Fn(&Record) -> f64| -> Points {
-        thin(part.iter().map(|record| (-before.at(record.state.seq), value(record))).collect())
+        decimate(part.iter().map(|record| (-time.before_end(record.state.seq), value(record))).collect())
     };
     draw(Frame {
         y_name: "dq / rad/s",
@@ -201,17 +201,17 @@ pub(super) fn around_the_stop(story: &Story, recording: &Recording, j: usize) ->
         bounds: Vec::new(),
         marks: stops(recording).into_iter().filter(|at| (to..=from).contains(&-at)).collect(),
         size: (820, 330),
-        least: None,
+        min_y_range: None,
     })
 }
 
-/// Distance of every joint from its command, as a share of the tolerance.
+/// Tracking error of every joint as a share of the tolerance.
 pub(super) fn tracking(recording: &Recording) -> String {
-    let (before, tolerance) = (Before::of(recording), recording.about.settings.tracking());
+    let (time, tolerance) = (TimeBase::of(recording), recording.about.settings.tracking());
     let line = |j: usize| {
         let pairs = recording.records.windows(2).filter(|pair| pair[1].cycle == pair[0].cycle + 1);
         let share = |pair: &[Record]| tracking_error(&pair[0], &pair[1], j) / tolerance[j];
-        (thin(pairs.map(|pair| (-before.at(pair[1].state.seq), share(pair))).collect()), colour(j), 1)
+        (decimate(pairs.map(|pair| (-time.before_end(pair[1].state.seq), share(pair))).collect()), colour(j), 1)
     };
     draw(Frame {
         y_name: "share of tolerance",
@@ -219,11 +219,11 @@ pub(super) fn tracking(recording: &Recording) -> String {
         bounds: vec![-1.0, 1.0],
         marks: stops(recording),
         size: (820, 330),
-        least: None,
+        min_y_range: None,
     })
 }
 
-/// Measured torque of every joint, as a share of its limit.
+/// Measured torque of every joint as a share of its limit.
 pub(super) fn torque(recording: &Recording) -> String {
     let limits = recording.about.settings.limits();
     draw(Frame {
@@ -234,13 +234,13 @@ pub(super) fn torque(recording: &Recording) -> String {
         bounds: vec![-1.0, 1.0],
         marks: stops(recording),
         size: (820, 330),
-        least: None,
+        min_y_range: None,
     })
 }
 
-/// Time from state to state and work, in ms; cycles of the arm in simulated time.
+/// Period and execution time in ms; in simulated time, the period in cycles of the arm.
 pub(super) fn timing(recording: &Recording) -> String {
-    let before = Before::of(recording);
+    let time = TimeBase::of(recording);
     let simulated = super::replay::is_simulated(recording);
     let pairs = || recording.records.windows(2).filter(|pair| pair[1].cycle == pair[0].cycle + 1);
     let period = |pair: &[Record]| {
@@ -250,12 +250,19 @@ pub(super) fn timing(recording: &Recording) -> String {
             pair[1].stamp_ns.saturating_sub(pair[0].stamp_ns) as f64 / 1e6
         }
     };
-    let at = |record: &Record| -before.at(record.state.seq);
-    let mut lines = vec![(thin(pairs().map(|pair| (at(&pair[1]), period(pair))).collect()), MEASURED, 1)];
+    let at = |record: &Record| -time.before_end(record.state.seq);
+    let mut lines = vec![(decimate(pairs().map(|pair| (at(&pair[1]), period(pair))).collect()), MEASURED, 1)];
     if !simulated {
-        // The work in a record is that of the cycle before.
-        lines.push((thin(pairs().map(|pair| (at(&pair[0]), pair[1].work_ns as f64 / 1e6)).collect()), DESIRED, 1));
+        // A record holds the execution time of the previous cycle.
+        lines.push((decimate(pairs().map(|pair| (at(&pair[0]), pair[1].work_ns as f64 / 1e6)).collect()), DESIRED, 1));
     }
     let y_name = if simulated { "arm's cycles" } else { "ms" };
-    draw(Frame { y_name, lines, bounds: vec![1.0], marks: stops(recording), size: (820, 330), least: Some((0.0, 2.0)) })
+    draw(Frame {
+        y_name,
+        lines,
+        bounds: vec![1.0],
+        marks: stops(recording),
+        size: (820, 330),
+        min_y_range: Some((0.0, 2.0)),
+    })
 }

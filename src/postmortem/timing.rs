@@ -1,12 +1,12 @@
-//! How the loop kept its time in the recorded cycles.
+//! Cycle times of the recorded loop.
 
+use super::facts::{MAX_LINES, TimeBase};
 use super::replay::is_simulated;
-use super::story::{Before, LINES};
 use crate::recording::Recording;
 use plumbline_core::{Histogram, LoopStatistics, PERIOD_NS};
 use serde::Serialize;
 
-/// Cycles and their times.
+/// Cycle times and outliers.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Timing {
     /// Counts and times of the recorded cycles.
@@ -19,7 +19,7 @@ pub struct Timing {
 }
 
 impl Timing {
-    /// Times that were measured, by name: median, 99th and 99.9th percentile and largest value \[us\].
+    /// Measured times by name: median, 99th and 99.9th percentile, maximum \[us\].
     pub fn times(&self) -> Vec<(&'static str, [f64; 4])> {
         let of = &self.statistics;
         let all = [("period", of.period), ("wake-up", of.wake_up), ("execution", of.execution)];
@@ -27,20 +27,20 @@ impl Timing {
     }
 }
 
-/// A cycle that was not as it should be.
+/// A late cycle, or lost states.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Outlier {
-    /// When \[s before the end\].
+    /// Time \[s before the end\].
     pub before: f64,
     /// The cycle.
     pub cycle: u64,
-    /// What was odd.
+    /// Description.
     pub text: String,
 }
 
 impl Timing {
     /// Counts and times of a recording.
-    pub(super) fn of(recording: &Recording, before: &Before) -> Timing {
+    pub(super) fn of(recording: &Recording, time: &TimeBase) -> Timing {
         let records = &recording.records;
         let simulated = is_simulated(recording);
         let mut of = LoopStatistics { cycles: records.len() as u64, ..LoopStatistics::default() };
@@ -55,17 +55,17 @@ impl Timing {
             let gap = later.state.seq.saturating_sub(earlier.state.seq).max(1);
             let between = later.stamp_ns.saturating_sub(earlier.stamp_ns);
             period.add(between / gap);
-            let mut odd = |text: String| {
-                outliers.push(Outlier { before: before.at(later.state.seq), cycle: later.cycle, text });
+            let mut push = |text: String| {
+                outliers.push(Outlier { before: time.before_end(later.state.seq), cycle: later.cycle, text });
             };
             if gap > 1 {
                 of.lost += gap - 1;
                 of.longest_lost = of.longest_lost.max(gap - 1);
-                odd(format!("{} states lost", gap - 1));
+                push(format!("{} states lost", gap - 1));
             }
             if !simulated && between > gap.saturating_mul(PERIOD_NS).saturating_add(PERIOD_NS / 2) {
                 late += 1;
-                odd(format!("{:.2} ms after the one before", between as f64 / 1e6));
+                push(format!("{:.2} ms after the previous cycle", between as f64 / 1e6));
             }
         }
         records.iter().filter(|record| record.wake_ns > 0).for_each(|record| wake_up.add(record.wake_ns));
@@ -74,8 +74,8 @@ impl Timing {
         if !simulated {
             (of.late, of.period) = (Some(late), period.distribution());
         }
-        // The last ones matter most.
-        let more = outliers.len().saturating_sub(LINES);
+        // The last outliers are kept.
+        let more = outliers.len().saturating_sub(MAX_LINES);
         Timing { statistics: of, outliers: outliers.split_off(more), more }
     }
 }

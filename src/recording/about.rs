@@ -1,4 +1,4 @@
-//! What a recording says beside its cycles: where it comes from, and everything that the loop was given, so that it can be run again.
+//! Metadata of a recording: its origin, and all inputs of the loop, from which a replay is possible.
 
 use plumbline_core::{JointVec, Limits, Phase, Setpoint, SpeedEnvelope, Workspace};
 use plumbline_rt::Rights;
@@ -6,10 +6,10 @@ use plumbline_rt::{CycleSettings, GuardSettings, MoveFactors};
 use serde::{Deserialize, Serialize};
 use std::any::Any;
 
-/// The format that this program writes and reads.
+/// Version of the recording format.
 pub const FORMAT: u32 = 1;
 
-/// Where a recording comes from.
+/// Metadata of a recording (`about.json`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct About {
     /// [`FORMAT`].
@@ -22,7 +22,7 @@ pub struct About {
     pub id: String,
     /// Number of joints.
     pub joints: usize,
-    /// How the arm was mounted, for people.
+    /// Mounting as text.
     pub mounting: String,
     /// Polar angle of gravity \[rad\].
     pub rho: f64,
@@ -30,29 +30,29 @@ pub struct About {
     pub phi: f64,
     /// Name of the connection to the arm.
     pub session: String,
-    /// The job's file, as it was named.
+    /// Path of the job file as given.
     pub job: String,
     /// SHA-256 of that file's text.
     pub job_sha256: String,
-    /// When the recording was written, UTC.
+    /// Time of writing, UTC.
     pub recorded: String,
-    /// Why it was written.
+    /// Reason for the recording.
     pub reason: Reason,
-    /// How the loop ended, where it has.
+    /// End of the loop; `None` while it runs.
     pub end: Option<String>,
-    /// What the operator does next, in the backend's own words.
+    /// Next steps for the operator, from the backend.
     #[serde(default)]
     pub next: Vec<String>,
-    /// Whether the daemon was about to go on by itself: to recover the arm, and to drive what was interrupted.
-    #[serde(default)]
-    pub goes_on: bool,
-    /// How the time stamps of the file's messages follow from the loop's.
+    /// Whether the daemon was about to recover the arm and repeat the interrupted motion without an operator.
+    #[serde(default, rename = "goes_on")]
+    pub automatic_recovery: bool,
+    /// Conversion from the loop's time stamps to those of the file's messages.
     pub clock: LogClock,
-    /// Cycles that the arm has lost since the loop started, as far as known.
+    /// Lost states since the loop started.
     pub lost: u64,
     /// Late cycles since the loop started.
     pub late: u64,
-    /// Events that found no room in the ring since the loop started; with any of them a replay is impossible.
+    /// Events dropped since the loop started, because the ring was full; with any, there is no replay.
     #[serde(alias = "untold")]
     pub dropped_events: u64,
     /// Names of the motions.
@@ -61,20 +61,20 @@ pub struct About {
     /// Remarks of the daemon.
     #[serde(default)]
     pub notes: Vec<Note>,
-    /// What the loop was built from.
+    /// Settings of the loop.
     pub settings: Settings,
-    /// What the loop was in the middle of after the first cycle of the recording.
-    pub under_way: UnderWay,
-    /// Orders taken out of the queue by then.
+    /// Activity of the loop after the first cycle of the recording.
+    pub under_way: Activity,
+    /// Orders taken from the queue up to the first cycle of the recording.
     pub orders_before: u32,
-    /// Models taken over by then.
+    /// Models of `models` taken over up to the first cycle of the recording.
     pub models_before: u32,
-    /// Every order that the loop was given since it started, in order.
+    /// All orders since the loop started.
     #[serde(default)]
-    pub orders: Vec<Given>,
-    /// Every model that the loop was given since it started, in order, but for those long before the recording; `models_before` counts these alone.
+    pub orders: Vec<RecordedOrder>,
+    /// Models handed over since the loop started, without old ones that no replay needs.
     #[serde(default)]
-    pub models: Vec<Handed>,
+    pub models: Vec<RecordedModel>,
 }
 
 /// Kind of a reason.
@@ -153,42 +153,42 @@ impl Reason {
     }
 }
 
-/// How a loop ended that a panic ended.
+/// [`About::end`] of a loop that panicked.
 pub fn panicked(message: &str) -> String {
     format!("the loop's thread panicked: {message}")
 }
 
-/// What a panic said.
+/// Message of a panic.
 pub fn panic_message(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<&str>().map(|text| text.to_string());
     text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
 }
 
-/// A remark of the daemon: something that did not happen in the loop.
+/// A remark of the daemon about something outside the loop.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Note {
     /// `CLOCK_MONOTONIC` \[ns\].
     pub stamp_ns: u64,
-    /// The arm's counter then.
+    /// Sequence number of the arm at that time.
     pub seq: u64,
     /// One sentence.
     pub text: String,
 }
 
-/// How the time stamps of the file's messages follow from the loop's.
+/// Conversion from the loop's time stamps to those of the file's messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum LogClock {
-    /// `CLOCK_MONOTONIC` plus this.
+    /// `CLOCK_MONOTONIC` plus an offset.
     Wall {
-        /// What has to be added \[ns\].
+        /// Offset \[ns\].
         epoch_ns: u64,
     },
     /// One millisecond per cycle of an arm in simulated time.
     Arm {
-        /// The arm's counter of one cycle.
+        /// Sequence number of a reference cycle.
         seq: u64,
-        /// Its time \[ns since 1970\].
+        /// Time of that cycle \[ns since 1970\].
         epoch_ns: u64,
     },
 }
@@ -207,23 +207,23 @@ impl LogClock {
     }
 }
 
-/// What the loop was in the middle of.
+/// Activity of the loop.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
-pub enum UnderWay {
+pub enum Activity {
     /// Holding.
     #[default]
     Hold,
-    /// An order.
+    /// Execution of an order.
     Order {
-        /// Its place in [`About::orders`].
+        /// Index in [`About::orders`].
         index: u32,
-        /// The setpoint that it began at, where that is known.
+        /// Setpoint at its start, if known.
         from: Option<Point>,
     },
     /// A controlled stop.
     Brake {
-        /// The setpoint that it began at, where that is known.
+        /// Setpoint at its start, if known.
         from: Option<Point>,
     },
     /// At rest after a stop.
@@ -253,17 +253,17 @@ impl From<Point> for Setpoint {
     }
 }
 
-/// An order, as data.
+/// An order in serialisable form.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
-pub enum Given {
+pub enum RecordedOrder {
     /// Point to point.
     Move {
         /// Number of the motion.
         motion: u32,
-        /// Where to \[rad\].
+        /// Target position \[rad\].
         target: JointVec,
-        /// How its records are marked: a number as in records.
+        /// Phase of its records, as in [`Phase::from_u32`].
         phase: u32,
     },
     /// A periodic motion.
@@ -280,18 +280,18 @@ pub enum Given {
         /// Length \[ms\].
         ticks: u64,
     },
-    /// A reference that can't be written down.
+    /// A reference without a serialisable form.
     Opaque {
         /// Number of the motion.
         motion: u32,
     },
 }
 
-impl Given {
+impl RecordedOrder {
     /// The phase of a point-to-point motion.
     pub fn phase(&self) -> Phase {
         match self {
-            Given::Move { phase, .. } => Phase::from_u32(*phase).unwrap_or_default(),
+            RecordedOrder::Move { phase, .. } => Phase::from_u32(*phase).unwrap_or_default(),
             _ => Phase::Hold,
         }
     }
@@ -312,19 +312,19 @@ pub struct Series {
     pub b: Vec<Vec<f64>>,
 }
 
-/// A model that the loop was given.
+/// A model that was handed over to the loop.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Handed {
-    /// Its identity; its text is the attachment `model-<identity>.toml`.
+pub struct RecordedModel {
+    /// Identity; the model's text is the attachment `model-<identity>.toml`.
     pub id: u64,
-    /// Gravity that it was evaluated for, in the base frame \[m/s2\].
+    /// Gravity of the model, in the base frame \[m/s2\].
     pub gravity: [f64; 3],
-    /// Gravity that the arm's own controller compensates, in the base frame; that of the model where a recording names none \[m/s2\].
+    /// Gravity that the arm's controller compensates, in the base frame \[m/s2\]; `gravity` if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vendor: Option<[f64; 3]>,
 }
 
-/// [`CycleSettings`], as data.
+/// [`CycleSettings`] in serialisable form.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     q_min: JointVec,
@@ -367,18 +367,18 @@ impl From<&CycleSettings> for Settings {
 }
 
 impl Settings {
-    /// The limits that the guard held commands against.
+    /// Limits of the guard.
     pub fn limits(&self) -> Limits {
         let Settings { q_min, q_max, dq, ddq, jerk, tau, dtau, .. } = *self;
         Limits { q_min, q_max, dq, ddq, jerk, tau, dtau }
     }
 
-    /// Largest distance of the measured position from the position sent last \[rad\].
+    /// Tracking tolerance of the guard: distance of the measured position from the previous command \[rad\].
     pub fn tracking(&self) -> JointVec {
         self.tracking
     }
 
-    /// Settings of a loop that asks nothing of the operating system, with room for so many orders.
+    /// Settings of a loop for a replay: without real-time rights, with a queue of `queue` orders.
     pub fn for_replay(&self, queue: usize) -> CycleSettings {
         let [velocity, acceleration, jerk, brake] = self.moves;
         let space = |(box_min, box_max, base_radius)| Workspace { box_min, box_max, base_radius };
@@ -388,7 +388,7 @@ impl Settings {
             workspace: self.workspace.map(space),
             tracking: self.tracking,
         };
-        // Nobody is silent in a replay: what came of silence is handed over as the stop that it was.
+        // No heartbeat is checked in a replay: a recorded heartbeat timeout is replayed as a stop.
         CycleSettings {
             moves: MoveFactors { velocity, acceleration, jerk, brake },
             max_consecutive_lost: self.max_lost,

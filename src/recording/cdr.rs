@@ -1,12 +1,12 @@
-//! Common Data Representation, little endian, as ROS 2 puts messages into recordings (OMG DDSI-RTPS, section 10: `CDR_LE`).
+//! Common Data Representation, little endian: the encoding of ROS 2 messages in recordings (OMG DDSI-RTPS, section 10: `CDR_LE`).
 //!
-//! Four bytes of encapsulation, then the fields one after the other, each aligned to its own size counted from the end of those four.
-//! Reading checks every length against what is left before it allocates anything.
+//! Four bytes of encapsulation, then the fields, each aligned to its own size counted from the end of the encapsulation. The decoder
+//! checks every length against the remaining bytes before it allocates.
 
 /// `CDR_LE` and no options.
 const HEADER: [u8; 4] = [0, 1, 0, 0];
 
-/// Writes one message.
+/// Encoder of one message.
 pub struct Encoder {
     bytes: Vec<u8>,
 }
@@ -47,7 +47,7 @@ impl Encoder {
         self.aligned(&value.to_le_bytes())
     }
 
-    /// `float64`, every bit of it.
+    /// `float64`, bitwise.
     pub fn f64(&mut self, value: f64) -> &mut Encoder {
         self.aligned(&value.to_le_bytes())
     }
@@ -80,21 +80,21 @@ impl Encoder {
         self
     }
 
-    /// The message.
+    /// The encoded message.
     pub fn finish(self) -> Vec<u8> {
         self.bytes
     }
 }
 
-/// What is wrong with a message.
+/// Error in the encoding of a message.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CdrError {
-    /// It ends too early.
+    /// The message is too short.
     #[error("{left} bytes where {needed} more were expected")]
     Short {
         /// Bytes needed.
         needed: usize,
-        /// Bytes there.
+        /// Bytes left.
         left: usize,
     },
     /// Another encoding.
@@ -103,19 +103,19 @@ pub enum CdrError {
         /// Its first bytes.
         found: Vec<u8>,
     },
-    /// A text that is no UTF-8, or has no end.
-    #[error("a text that is no UTF-8 with a NUL behind it")]
+    /// A string that is not UTF-8, or not terminated.
+    #[error("a string that is not NUL-terminated UTF-8")]
     Text,
 }
 
-/// Reads one message.
+/// Decoder of one message.
 pub struct Decoder<'b> {
     body: &'b [u8],
     at: usize,
 }
 
 impl<'b> Decoder<'b> {
-    /// Of a message's bytes.
+    /// Decoder of a message's bytes.
     pub fn new(bytes: &'b [u8]) -> Result<Decoder<'b>, CdrError> {
         match bytes.split_at_checked(HEADER.len()) {
             Some((head, body)) if head.starts_with(&HEADER[..2]) => Ok(Decoder { body, at: 0 }),
@@ -157,7 +157,7 @@ impl<'b> Decoder<'b> {
         Ok(u64::from_le_bytes(self.aligned()?))
     }
 
-    /// `float64`, every bit of it.
+    /// `float64`, bitwise.
     pub fn f64(&mut self) -> Result<f64, CdrError> {
         Ok(f64::from_le_bytes(self.aligned()?))
     }
@@ -169,13 +169,13 @@ impl<'b> Decoder<'b> {
         std::str::from_utf8(text).map(str::to_string).map_err(|_| CdrError::Text)
     }
 
-    /// `string[]`, passed over.
+    /// Skips a `string[]`.
     pub fn skip_strings(&mut self) -> Result<(), CdrError> {
-        // Each takes four bytes or more, so a length that lies ends soon.
+        // Each string takes four bytes or more, so a wrong count ends at the end of the message.
         (0..self.u32()?).try_for_each(|_| self.string().map(drop))
     }
 
-    /// `float64[]` into `out`; the number of values, which are at most its length.
+    /// Reads a `float64[]` into `out` and returns the number of values.
     pub fn f64s(&mut self, out: &mut [f64]) -> Result<usize, CdrError> {
         let count = self.u32()? as usize;
         if count > out.len() {
@@ -193,11 +193,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_message_has_the_bytes_of_the_standard_and_reads_back() {
+    fn encoding_matches_the_standard_and_round_trips() {
         let mut message = Encoder::default();
         message.u8(7).u32(0x0102_0304).string("ab").f64(-0.0).f64s(&[1.5]).strings(&["x".into()]).u64(u64::MAX).i32(-2);
         let bytes = message.finish();
-        // Written out by hand from the rules of alignment.
+        // Expected bytes from the alignment rules.
         assert_eq!(bytes[..15], [0, 1, 0, 0, 7, 0, 0, 0, 4, 3, 2, 1, 3, 0, 0]);
         assert_eq!(bytes[15..20], [0, b'a', b'b', 0, 0]);
         let mut back = Decoder::new(&bytes).unwrap();
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn lengths_that_lie_are_refused_before_anything_is_allocated() {
+    fn wrong_lengths_are_refused_before_allocation() {
         let mut message = Encoder::default();
         message.u32(u32::MAX);
         let bytes = message.finish();

@@ -1,7 +1,7 @@
-//! The messages of a recording: their ROS 2 definitions, and the way between them and the loop's own values.
+//! Messages of a recording: ROS 2 definitions, encoding and decoding.
 //!
-//! A cycle is three messages with the cycle's number as their sequence: the state and the command as `sensor_msgs/JointState`, which every
-//! viewer draws, and what has no place there as `plumbline_msgs/Cycle`.
+//! A cycle is three messages with the cycle's number as their sequence number. State and command are `sensor_msgs/JointState`, which
+//! viewers plot; the other values are `plumbline_msgs/Cycle`.
 
 use super::cdr::{CdrError, Decoder, Encoder};
 use plumbline_core::{MAX_JOINTS, Phase, Record, Validity};
@@ -13,11 +13,11 @@ const RULE: &str = "============================================================
 pub const STATES: &str = "/joint_states";
 /// Topic of the desired positions and velocities, and of the model's torque.
 pub const COMMANDS: &str = "/command";
-/// Topic of everything else about a cycle.
+/// Topic of the other values of a cycle.
 pub const CYCLES: &str = "/plumbline/cycle";
-/// Topic of what happened in the loop.
+/// Topic of the loop's events.
 pub const EVENTS: &str = "/plumbline/event";
-/// Topic of the same and of the daemon's remarks, as text.
+/// Topic of the events and the daemon's remarks as text.
 pub const LOG: &str = "/rosout";
 
 /// Name and definition of the type of `topic`.
@@ -38,16 +38,16 @@ pub(super) fn schema(topic: &str) -> (&'static str, String) {
              uint64 seq        # the arm's own counter\n\
              float64 time      # the arm's own clock [s]\n\
              uint64 stamp_ns   # CLOCK_MONOTONIC when the state had been read\n\
-             uint64 wake_ns    # how late that was\n\
-             uint64 work_ns    # work of the cycle before\n\
+             uint64 wake_ns    # wake-up latency of that read\n\
+             uint64 work_ns    # execution time of the previous cycle\n\
              uint64 model      # identity of the served model, 0 for none\n\
              uint64 tick       # sample of the motion\n\
              uint32 motion     # number of the motion\n\
              uint8 phase\n\
-             float64[] position_accepted    # the position that the arm last accepted as desired [rad]\n\
+             float64[] position_accepted    # desired position that the arm last accepted [rad]\n\
              float64[] acceleration_desired # [rad/s2]\n\
-             float64[] torque_vendor        # the model at rest under the gravity that the arm compensates [Nm]\n\
-             uint8 validity                 # 0 no model yet, 1 the model's torque, 2 on its way there, 3 no model any more\n"
+             float64[] torque_vendor        # model torque at rest for the gravity that the arm compensates [Nm]\n\
+             uint8 validity                 # 0 no model yet, 1 valid, 2 hand-over, 3 withdrawn\n"
                 .to_string(),
         ),
         EVENTS => (
@@ -60,13 +60,13 @@ pub(super) fn schema(topic: &str) -> (&'static str, String) {
              uint32 orders     # orders taken out of the queue so far\n\
              uint32 motion     # number of the motion\n\
              uint32 joint      # joint of the reason, from 1; 0 for none\n\
-             float64 value     # what was found\n\
-             float64 bound     # what it was held against\n\
+             float64 value     # value found\n\
+             float64 bound     # limit\n\
              string kind\n\
              string reason     # of `stopping`\n\
              string limit      # of the reason `guard`\n\
-             string text       # for people\n\
-             uint64 instead    # of `distrusted`: the model in its place, 0 for none\n"
+             string text       # description\n\
+             uint64 instead    # of `distrusted`: the model served instead, 0 for none\n"
                 .to_string(),
         ),
         _ => (
@@ -79,18 +79,18 @@ pub(super) fn schema(topic: &str) -> (&'static str, String) {
     }
 }
 
-/// What can be wrong with a message beside its bytes.
+/// Error in a message.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MessageError {
-    /// Its bytes.
+    /// Encoding.
     #[error(transparent)]
     Cdr(#[from] CdrError),
-    /// A word that this program does not know.
+    /// Unknown value.
     #[error("`{found}`, where {expected} was expected")]
     Word {
-        /// The word.
+        /// Value found.
         found: String,
-        /// What it should have been.
+        /// Expected values.
         expected: &'static str,
     },
 }
@@ -103,7 +103,7 @@ fn stamp(message: &mut Encoder, log_ns: u64) {
     message.i32((log_ns / 1_000_000_000).min(i32::MAX as u64) as i32).u32((log_ns % 1_000_000_000) as u32);
 }
 
-/// State, command and the rest of one cycle.
+/// The three messages of one cycle.
 pub(super) fn cycle(record: &Record, names: &[String], log_ns: u64) -> [(&'static str, Vec<u8>); 3] {
     let n = names.len().min(MAX_JOINTS);
     let joints = |position: &[f64], velocity: &[f64], effort: &[f64]| {
@@ -126,7 +126,7 @@ pub(super) fn cycle(record: &Record, names: &[String], log_ns: u64) -> [(&'stati
     ]
 }
 
-/// Puts one of the three messages of a cycle into the record that it belongs to.
+/// Decodes one of the three messages of a cycle into its record.
 pub(super) fn read_cycle(topic: &str, bytes: &[u8], record: &mut Record) -> Result<(), MessageError> {
     let mut message = Decoder::new(bytes)?;
     if topic == CYCLES {
@@ -145,7 +145,7 @@ pub(super) fn read_cycle(topic: &str, bytes: &[u8], record: &mut Record) -> Resu
         message.f64s(&mut record.state.q_d)?;
         message.f64s(&mut record.command.desired.ddq)?;
         message.f64s(&mut record.command.tau_vendor.0)?;
-        // Recordings of version 0.1 end here: there was no hand-over, and a model served or not.
+        // Recordings of version 0.1 have no validity: it follows from the model.
         let code = message.u8().unwrap_or(if record.model == 0 { 0 } else { 1 });
         record.validity = Validity::from_u32(code.into()).ok_or_else(|| unknown(code, "a validity from 0 to 3"))?;
         return Ok(());
@@ -167,7 +167,7 @@ pub(super) fn read_cycle(topic: &str, bytes: &[u8], record: &mut Record) -> Resu
     Ok(())
 }
 
-/// Every limit with its name in recordings.
+/// Names of the limits in recordings.
 const LIMITS: [(Limit, &str); 17] = [
     (Limit::NotFinite, "not-finite"),
     (Limit::TorqueNotFinite, "torque-not-finite"),
@@ -193,28 +193,28 @@ pub fn limit_name(limit: Limit) -> &'static str {
     LIMITS.iter().find(|(one, _)| *one == limit).map_or("another", |(_, name)| name)
 }
 
-/// What happened, for people.
-pub fn words(event: &Event) -> String {
+/// Description of an event.
+pub fn event_text(event: &Event) -> String {
     match event {
         Event::Started { motion } => format!("motion {motion} has started"),
         Event::Ended { motion } => format!("motion {motion} has ended"),
         Event::Stopping { reason, .. } => format!("the arm is being stopped: {reason}"),
-        Event::Stopped => "the arm is at rest and waits for an operator".to_string(),
+        Event::Stopped => "the arm is at rest after a stop; an operator has to resume".to_string(),
         Event::Resumed => "an operator has allowed motion again".to_string(),
         Event::Discarded { motion } => format!("order {motion} was discarded"),
-        Event::Serving { model } => format!("model {model:016x} serves"),
+        Event::Serving { model } => format!("model {model:016x} is served"),
         Event::Distrusted { model, instead: 0 } => {
-            format!("the torque of model {model:016x} broke a limit; none serves in its place")
+            format!("the torque of model {model:016x} exceeded a limit; no model is served instead")
         }
         Event::Distrusted { model, instead } => {
-            format!("the torque of model {model:016x} broke a limit; model {instead:016x} serves in its place")
+            format!("the torque of model {model:016x} exceeded a limit; model {instead:016x} is served instead")
         }
     }
 }
 
-/// An event's fields as they stand in its message.
+/// Fields of an event's message.
 #[derive(Default)]
-struct Flat {
+struct EventFields {
     kind: &'static str,
     motion: u32,
     model: u64,
@@ -227,28 +227,28 @@ struct Flat {
     instead: u64,
 }
 
-fn flat(event: &Event) -> Flat {
-    let of = |kind, motion| Flat { kind, motion, ..Flat::default() };
+fn event_fields(event: &Event) -> EventFields {
+    let of = |kind, motion| EventFields { kind, motion, ..EventFields::default() };
     match *event {
         Event::Started { motion } => of("started", motion),
         Event::Ended { motion } => of("ended", motion),
         Event::Stopped => of("stopped", 0),
         Event::Resumed => of("resumed", 0),
         Event::Discarded { motion } => of("discarded", motion),
-        Event::Serving { model } => Flat { model, ..of("serving", 0) },
-        Event::Distrusted { model, instead } => Flat { model, instead, ..of("distrusted", 0) },
+        Event::Serving { model } => EventFields { model, ..of("serving", 0) },
+        Event::Distrusted { model, instead } => EventFields { model, instead, ..of("distrusted", 0) },
         Event::Stopping { motion, reason } => {
-            let of = |reason| Flat { reason, ..of("stopping", motion) };
+            let of = |reason| EventFields { reason, ..of("stopping", motion) };
             match reason {
                 StopReason::Guard(Violation { limit, joint, value, bound }) => {
-                    Flat { limit: limit_name(limit), joint: joint as u32 + 1, value, bound, ..of("guard") }
+                    EventFields { limit: limit_name(limit), joint: joint as u32 + 1, value, bound, ..of("guard") }
                 }
                 StopReason::Requested => of("requested"),
                 StopReason::Quit => of("quit"),
-                StopReason::LostStates { lost } => Flat { lost, ..of("lost-states") },
-                StopReason::HeartbeatLost { cycles } => Flat { lost: cycles, ..of("heartbeat-lost") },
+                StopReason::LostStates { lost } => EventFields { lost, ..of("lost-states") },
+                StopReason::HeartbeatLost { cycles } => EventFields { lost: cycles, ..of("heartbeat-lost") },
                 StopReason::NotAtStart { joint, distance, .. } => {
-                    Flat { joint: joint as u32 + 1, value: distance, ..of("not-at-start") }
+                    EventFields { joint: joint as u32 + 1, value: distance, ..of("not-at-start") }
                 }
                 StopReason::NoPath { .. } => of("no-path"),
             }
@@ -258,11 +258,12 @@ fn flat(event: &Event) -> Flat {
 
 /// One event.
 pub(super) fn event(told: &TimedEvent) -> Vec<u8> {
-    let Flat { kind, motion, model, reason, limit, joint, value, bound, lost, instead } = flat(&told.event);
+    let EventFields { kind, motion, model, reason, limit, joint, value, bound, lost, instead } =
+        event_fields(&told.event);
     let mut message = Encoder::default();
     message.u64(told.cycle).u64(told.seq).u64(told.stamp_ns).u64(model).u64(lost);
     message.u32(told.orders).u32(motion).u32(joint).f64(value).f64(bound);
-    message.string(kind).string(reason).string(limit).string(&words(&told.event)).u64(instead);
+    message.string(kind).string(reason).string(limit).string(&event_text(&told.event)).u64(instead);
     message.finish()
 }
 
@@ -307,7 +308,7 @@ pub(super) fn read_event(bytes: &[u8]) -> Result<TimedEvent, MessageError> {
     Ok(TimedEvent { cycle, seq, stamp_ns, orders, event })
 }
 
-/// A line for a viewer's log; `level` as in `rcl_interfaces/Log`.
+/// A log message; `level` as in `rcl_interfaces/Log`.
 pub(super) fn log(text: &str, level: u8, source: &str, log_ns: u64) -> Vec<u8> {
     let mut message = Encoder::default();
     stamp(&mut message, log_ns);

@@ -3,12 +3,12 @@
 //! | file | what |
 //! |---|---|
 //! | `history` | the last seconds in memory |
-//! | `about` | everything that the loop was given, as data |
-//! | `messages`, `cdr` | the messages and their bytes |
+//! | `about` | metadata and the loop's inputs |
+//! | `messages`, `cdr` | messages and their encoding |
 //! | `write`, `read` | the file |
 //!
-//! Format: MCAP (<https://mcap.dev/spec>), profile `ros2`, messages in CDR with their definitions in the file, chunks of some tenths of
-//! a second with checksums, so that a file that was cut short reads up to the cut. Every `f64` of the loop reads back bit by bit.
+//! Format: MCAP (<https://mcap.dev/spec>), profile `ros2`, messages in CDR with their definitions in the file. Chunks of about 50 ms have
+//! checksums, so a truncated file is readable up to the cut. Every `f64` of the loop is stored bitwise.
 
 pub mod about;
 pub mod cdr;
@@ -24,22 +24,22 @@ use plumbline_rt::TimedEvent;
 /// A recording in memory.
 #[derive(Clone, Debug)]
 pub struct Recording {
-    /// Where it comes from, and what the loop was given.
+    /// Metadata and inputs of the loop.
     pub about: About,
-    /// The cycles, oldest first; numbers that are missing were never recorded.
+    /// Records, oldest first, possibly with gaps.
     pub records: Vec<Record>,
-    /// The cycle that was begun and not answered: only its state means anything.
+    /// The last cycle, if it ended without a command: only its state is valid.
     pub unanswered: Option<Record>,
-    /// What happened, in order.
+    /// Events in order.
     pub events: Vec<TimedEvent>,
     /// Texts by name: `robot.toml`, `job.toml`, `model-<identity>.toml`.
     pub texts: Vec<(String, String)>,
-    /// Where the file ends early, and why, for people; `None` for a whole file.
+    /// Position and cause of a truncation or damage; `None` for a complete file.
     pub cut: Option<String>,
 }
 
 impl Recording {
-    /// The text of this name.
+    /// The attached text `name`.
     pub fn text(&self, name: &str) -> Option<&str> {
         self.texts.iter().find(|(other, _)| other == name).map(|(_, text)| text.as_str())
     }

@@ -1,4 +1,4 @@
-//! A recording from bytes. Nothing is trusted: lengths are held against the file's own, every error names the byte or the record.
+//! Reads recordings. All lengths are checked against the file's length; every error names the byte or the record.
 
 use super::messages::{self, COMMANDS, CYCLES, EVENTS, STATES};
 use super::{Recording, about::About, about::FORMAT};
@@ -11,60 +11,59 @@ use std::collections::{BTreeMap, HashMap};
 use std::io::Read;
 use std::path::Path;
 
-/// Longest file that is read \[bytes\]: half an hour of recording.
-const LONGEST: u64 = 2 << 30;
-/// Longest single record, or chunk \[bytes\].
-const LONGEST_RECORD: usize = 64 << 20;
-/// How a cut reads that is the file's end.
-const ENDS: &str = "the file ends here";
+/// Maximum file size \[bytes\]: half an hour of recording.
+const MAX_FILE_BYTES: u64 = 2 << 30;
+/// Maximum size of a record or chunk \[bytes\].
+const MAX_RECORD_BYTES: usize = 64 << 20;
+/// Text of a truncation at the end of the file.
+const END_OF_FILE: &str = "the file ends here";
 
 impl Recording {
-    /// Reads a file. One that was cut short is read up to the cut, which `cut` tells.
+    /// Reads a file. A truncated file is read up to the cut, and `cut` is set.
     ///
     /// # Errors
-    /// A file that can't be read, is no recording of this program, or holds something that it never wrote; with byte or record, what
-    /// was found, and what was expected.
+    /// An unreadable file, another kind of file, or invalid content; with byte or record, found and expected value.
     pub fn read(path: &Path) -> Result<Recording, BadInput> {
         let file = path.display().to_string();
         let unreadable = |error: std::io::Error| BadInput::new(&file, "file", error, "a readable recording (MCAP)");
         let mut bytes = Vec::new();
         let opened = std::fs::File::open(path).map_err(unreadable)?;
-        opened.take(LONGEST + 1).read_to_end(&mut bytes).map_err(unreadable)?;
-        if bytes.len() as u64 > LONGEST {
-            let found = format!("more than {LONGEST} bytes");
-            return Err(BadInput::new(&file, "file", found, format!("a recording of at most {LONGEST} bytes")));
+        opened.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes).map_err(unreadable)?;
+        if bytes.len() as u64 > MAX_FILE_BYTES {
+            let found = format!("more than {MAX_FILE_BYTES} bytes");
+            return Err(BadInput::new(&file, "file", found, format!("a recording of at most {MAX_FILE_BYTES} bytes")));
         }
         Recording::parse(&file, &bytes)
     }
 
-    /// The same from bytes; `file` is only named in errors.
+    /// [`Recording::read`] from bytes; `file` is the name in errors.
     pub fn parse(file: &str, bytes: &[u8]) -> Result<Recording, BadInput> {
-        let mut parts = Parts::default();
-        let sound = sound(bytes);
-        let mut cut = walk(file, &bytes[..sound], &mut parts)?;
-        if sound < bytes.len() && cut.as_ref().is_none_or(|words| words.ends_with(ENDS)) {
-            cut = Some(format!("byte {sound}, record {}: a record goes beyond the end of its chunk", parts.count));
+        let mut parts = PartialRecording::default();
+        let valid = valid_prefix(bytes);
+        let mut cut = read_records(file, &bytes[..valid], &mut parts)?;
+        if valid < bytes.len() && cut.as_ref().is_none_or(|words| words.ends_with(END_OF_FILE)) {
+            cut = Some(format!("byte {valid}, record {}: a record goes beyond the end of its chunk", parts.count));
         }
         parts.finish(file, cut)
     }
 }
 
-/// What has been read so far.
+/// Content read so far.
 #[derive(Default)]
-struct Parts {
+struct PartialRecording {
     topics: HashMap<u16, String>,
     texts: Vec<(String, String)>,
-    /// Cycles by number, and which of the three messages were there: state, command, rest.
+    /// Cycles by number, with a flag for each of the three messages: state, command, other values.
     cycles: BTreeMap<u64, (Record, [bool; 3])>,
-    /// States and commands whose cycle's own message has not come yet, by the low half of its number.
-    waiting: HashMap<u32, (Record, [bool; 3])>,
+    /// States and commands without the cycle's third message, by the low 32 bits of the cycle's number.
+    pending: HashMap<u32, (Record, [bool; 3])>,
     events: Vec<TimedEvent>,
     /// Records of the file so far.
     count: u64,
 }
 
-/// Reads records to the end or to the first that can't be read; the second is told in words.
-fn walk(file: &str, bytes: &[u8], parts: &mut Parts) -> Result<Option<String>, BadInput> {
+/// Reads records up to the end (`None`) or the first unreadable one (`Some` with its position and cause).
+fn read_records(file: &str, bytes: &[u8], parts: &mut PartialRecording) -> Result<Option<String>, BadInput> {
     if !bytes.starts_with(mcap::MAGIC) {
         let shown: String = bytes.iter().take(8).map(|byte| format!("{byte:02x} ")).collect();
         let found = if bytes.is_empty() { "an empty file".to_string() } else { shown.trim_end().to_string() };
@@ -72,7 +71,7 @@ fn walk(file: &str, bytes: &[u8], parts: &mut Parts) -> Result<Option<String>, B
     }
     let options = LinearReaderOptions::default()
         .with_prevalidate_chunk_crcs(true)
-        .with_record_length_limit(bytes.len().min(LONGEST_RECORD));
+        .with_record_length_limit(bytes.len().min(MAX_RECORD_BYTES));
     let mut reader = LinearReader::new_with_options(options);
     let mut left = bytes;
     // A closure would borrow what the loop changes.
@@ -86,7 +85,7 @@ fn walk(file: &str, bytes: &[u8], parts: &mut Parts) -> Result<Option<String>, B
             Ok(LinearReadEvent::ReadRequest(wanted)) => {
                 let count = wanted.min(left.len());
                 let (now, later) = left.split_at(count);
-                // No more room than there is content: a length that lies costs nothing.
+                // Allocates no more than the remaining content, whatever the stated length.
                 reader.insert(count)[..count].copy_from_slice(now);
                 reader.notify_read(count);
                 left = later;
@@ -99,11 +98,11 @@ fn walk(file: &str, bytes: &[u8], parts: &mut Parts) -> Result<Option<String>, B
                     Ok(record) => record,
                     Err(error) => return Ok(Some(format!("{}: {error}", place!()))),
                 };
-                parts.take(record).map_err(|(found, expected)| BadInput::new(file, place!(), found, expected))?;
+                parts.add_record(record).map_err(|(found, expected)| BadInput::new(file, place!(), found, expected))?;
                 parts.count += 1;
             }
             Err(mcap::McapError::UnexpectedEof) => {
-                return Ok(Some(format!("{}: {ENDS}", place!())));
+                return Ok(Some(format!("{}: {END_OF_FILE}", place!())));
             }
             Err(error) => return Ok(Some(format!("{}: {error}", place!()))),
         }
@@ -111,9 +110,9 @@ fn walk(file: &str, bytes: &[u8], parts: &mut Parts) -> Result<Option<String>, B
     Ok(None)
 }
 
-/// How many bytes are to be read: up to the first chunk that holds more than it has room for. Without checksums, which a chunk may lack, nobody else
-/// notices: mcap 0.26 reckons on with a length below zero.
-fn sound(bytes: &[u8]) -> usize {
+/// Number of bytes before the first chunk with a record beyond its end. mcap 0.26 does not detect this in chunks without a checksum: its
+/// remaining length becomes negative.
+fn valid_prefix(bytes: &[u8]) -> usize {
     let mut at = mcap::MAGIC.len();
     while let Some((opcode, data)) = bytes.get(at..).and_then(first_record) {
         if opcode == op::CHUNK
@@ -122,18 +121,18 @@ fn sound(bytes: &[u8]) -> usize {
         {
             let mut left = &data[..];
             while let Some((_, record)) = first_record(left) {
-                left = &left[PREFIX + record.len()..];
+                left = &left[RECORD_HEADER_BYTES + record.len()..];
             }
             if !left.is_empty() {
                 return at;
             }
         }
-        at += PREFIX + data.len();
+        at += RECORD_HEADER_BYTES + data.len();
     }
     bytes.len()
 }
 
-/// Whether an attachment's parts leave room for its checksum, of which mcap 0.26 is sure: two times, name, type, length.
+/// Whether an attachment has room for its checksum after times, name, type and length. mcap 0.26 does not check this.
 fn attachment_fits(data: &[u8]) -> bool {
     let text = |rest: Option<&[u8]>| {
         let (length, rest) = rest?.split_first_chunk()?;
@@ -144,10 +143,10 @@ fn attachment_fits(data: &[u8]) -> bool {
     media.is_some_and(|at| at + 8 + 4 <= data.len())
 }
 
-/// Opcode and length of a record.
-const PREFIX: usize = 9;
+/// Size of opcode and length of a record \[bytes\].
+const RECORD_HEADER_BYTES: usize = 9;
 
-/// Opcode and content of the record that `bytes` begin with, if all of it is there.
+/// Opcode and content of the first record of `bytes`, if it is complete.
 fn first_record(bytes: &[u8]) -> Option<(u8, &[u8])> {
     let (&opcode, rest) = bytes.split_first()?;
     let (length, rest) = rest.split_first_chunk()?;
@@ -155,11 +154,11 @@ fn first_record(bytes: &[u8]) -> Option<(u8, &[u8])> {
     Some((opcode, rest.get(..length)?))
 }
 
-/// What was found and what was expected.
-type Wrong = (String, String);
+/// Found and expected value.
+type Mismatch = (String, String);
 
-impl Parts {
-    fn take(&mut self, record: Raw<'_>) -> Result<(), Wrong> {
+impl PartialRecording {
+    fn add_record(&mut self, record: Raw<'_>) -> Result<(), Mismatch> {
         match record {
             Raw::Header(header) if header.profile != "ros2" => Err((
                 format!("profile `{}`, written by `{}`", header.profile, header.library),
@@ -180,26 +179,26 @@ impl Parts {
                 self.topics.insert(channel.id, channel.topic);
                 Ok(())
             }
-            Raw::Message { header, data } => self.message(header.channel_id, header.sequence, &data),
+            Raw::Message { header, data } => self.add_message(header.channel_id, header.sequence, &data),
             _ => Ok(()),
         }
     }
 
-    fn message(&mut self, channel: u16, sequence: u32, data: &[u8]) -> Result<(), Wrong> {
+    fn add_message(&mut self, channel: u16, sequence: u32, data: &[u8]) -> Result<(), Mismatch> {
         let Some(topic) = self.topics.get(&channel) else {
             return Err((format!("a message on channel {channel}"), "a channel that was declared before".to_string()));
         };
         let wrong = |error: messages::MessageError| (format!("on `{topic}`: {error}"), "a message as declared".into());
         match topic.as_str() {
             STATES | COMMANDS | CYCLES => {
-                let (record, there) = self.waiting.entry(sequence).or_default();
+                let (record, present) = self.pending.entry(sequence).or_default();
                 messages::read_cycle(topic, data, record).map_err(wrong)?;
                 let which = [STATES, COMMANDS, CYCLES].iter().position(|one| one == topic).unwrap_or_default();
-                there[which] = true;
+                present[which] = true;
                 if which == 2
-                    && let Some((record, there)) = self.waiting.remove(&sequence)
+                    && let Some((record, present)) = self.pending.remove(&sequence)
                 {
-                    self.cycles.insert(record.cycle, (record, there));
+                    self.cycles.insert(record.cycle, (record, present));
                 }
                 Ok(())
             }
@@ -235,11 +234,12 @@ impl Parts {
         if !(1..=MAX_JOINTS).contains(&about.joints) {
             return bad("joints", about.joints.to_string(), format!("1 to {MAX_JOINTS}"));
         }
-        let unanswered = self.cycles.values().rfind(|(_, there)| *there == [true, false, true]).map(|(one, _)| *one);
+        let unanswered =
+            self.cycles.values().rfind(|(_, present)| *present == [true, false, true]).map(|(one, _)| *one);
         let records: Vec<Record> = self
             .cycles
             .into_values()
-            .filter(|(_, there)| there.iter().all(|there| *there))
+            .filter(|(_, present)| present.iter().all(|present| *present))
             .map(|(one, _)| one)
             .collect();
         let (events, texts) = (self.events, self.texts);

@@ -1,4 +1,4 @@
-//! A recording to bytes, and to disk.
+//! Writes recordings.
 
 use super::messages::{self, CYCLES, EVENTS, LOG};
 use super::{Recording, about::About};
@@ -10,19 +10,19 @@ use std::collections::BTreeMap;
 use std::io::{self, Cursor};
 use std::path::Path;
 
-/// Bytes of messages between two checksums: 50 cycles or so, the most that a cut costs.
-const CHUNK: u64 = 48 << 10;
+/// Size of a chunk \[bytes\]: about 50 cycles, the maximum loss of a truncation.
+const CHUNK_BYTES: u64 = 48 << 10;
 
-/// Levels of a viewer's log.
+/// Levels of `rcl_interfaces/Log`.
 const INFO: u8 = 20;
 const WARN: u8 = 30;
 const ERROR: u8 = 40;
 
 impl Recording {
-    /// Writes the recording to `path`, aside and then renamed; the number of bytes.
+    /// Writes the recording atomically to `path` and returns the number of bytes.
     ///
     /// # Errors
-    /// Those of the file system, with the path: a full disk, a read-only one.
+    /// Errors of the file system, with the path.
     pub fn write(&self, path: &Path) -> io::Result<usize> {
         let bytes = self.to_bytes()?;
         crate::atomic::write_file(path, &bytes)?;
@@ -32,24 +32,24 @@ impl Recording {
     /// The file's bytes.
     ///
     /// # Errors
-    /// Nothing in memory fails but numbers that JSON can't hold.
+    /// Values that JSON can't represent.
     pub fn to_bytes(&self) -> io::Result<Vec<u8>> {
         let options = WriteOptions::new()
             .compression(None)
             .profile("ros2")
             .library(format!("plumbline {}", env!("CARGO_PKG_VERSION")))
-            .chunk_size(Some(CHUNK));
+            .chunk_size(Some(CHUNK_BYTES));
         let mut bytes = Cursor::new(Vec::new());
         let mut writer = Writer::with_options(&mut bytes, options).map_err(failed)?;
-        // First what the rest can't be understood without: a cut takes the end.
-        self.put_texts(&mut writer)?;
-        self.put_messages(&mut writer)?;
+        // Metadata first: a truncation removes the end.
+        self.write_texts(&mut writer)?;
+        self.write_messages(&mut writer)?;
         writer.finish().map_err(failed)?;
         drop(writer);
         Ok(bytes.into_inner())
     }
 
-    fn put_texts(&self, writer: &mut Writer<&mut Cursor<Vec<u8>>>) -> io::Result<()> {
+    fn write_texts(&self, writer: &mut Writer<&mut Cursor<Vec<u8>>>) -> io::Result<()> {
         writer
             .write_metadata(&Metadata { name: "plumbline".into(), metadata: summary(&self.about) })
             .map_err(failed)?;
@@ -67,7 +67,7 @@ impl Recording {
         Ok(())
     }
 
-    fn put_messages(&self, writer: &mut Writer<&mut Cursor<Vec<u8>>>) -> io::Result<()> {
+    fn write_messages(&self, writer: &mut Writer<&mut Cursor<Vec<u8>>>) -> io::Result<()> {
         let mut channels = BTreeMap::new();
         for topic in [messages::STATES, messages::COMMANDS, CYCLES, EVENTS, LOG] {
             let (name, definition) = messages::schema(topic);
@@ -81,7 +81,7 @@ impl Recording {
             let header = MessageHeader { channel_id, sequence: sequence as u32, log_time, publish_time: log_time };
             writer.write_to_known_channel(&header, data).map_err(failed)
         };
-        // In the order of time: a cycle's events are told before its record.
+        // In order of time; events of a cycle precede its record.
         let mut events = self.events.iter().peekable();
         let mut notes = self.about.notes.iter().peekable();
         for record in &self.records {
@@ -90,7 +90,7 @@ impl Recording {
                 put(LOG, 0, at(note.seq, note.stamp_ns), &messages::log(&note.text, WARN, "daemon", log_ns))?;
             }
             while let Some(told) = events.next_if(|told| told.cycle <= record.cycle) {
-                let (log_ns, words) = (at(told.seq, told.stamp_ns), messages::words(&told.event));
+                let (log_ns, words) = (at(told.seq, told.stamp_ns), messages::event_text(&told.event));
                 put(EVENTS, told.cycle, log_ns, &messages::event(told))?;
                 put(LOG, told.cycle, log_ns, &messages::log(&words, level(&told.event), "loop", log_ns))?;
             }
@@ -99,7 +99,7 @@ impl Recording {
             }
         }
         for told in events {
-            let (log_ns, words) = (at(told.seq, told.stamp_ns), messages::words(&told.event));
+            let (log_ns, words) = (at(told.seq, told.stamp_ns), messages::event_text(&told.event));
             put(EVENTS, told.cycle, log_ns, &messages::event(told))?;
             put(LOG, told.cycle, log_ns, &messages::log(&words, level(&told.event), "loop", log_ns))?;
         }
@@ -110,7 +110,7 @@ impl Recording {
         if let Some(record) = &self.unanswered {
             let log_ns = at(record.state.seq, record.stamp_ns);
             for (topic, data) in messages::cycle(record, &names, log_ns) {
-                // A cycle without a command is one that was never answered.
+                // The missing command marks the cycle as unanswered.
                 if topic != messages::COMMANDS {
                     put(topic, record.cycle, log_ns, &data)?;
                 }
@@ -134,7 +134,7 @@ fn level(event: &Event) -> u8 {
     }
 }
 
-/// What a viewer shows of the whole recording.
+/// Metadata record that viewers show.
 fn summary(about: &About) -> BTreeMap<String, String> {
     let serving = about.models.last().map_or("none".to_string(), |model| format!("{:016x}", model.id));
     let rows = [

@@ -1,6 +1,6 @@
 //! The curves behind the plots. They are drawn with at most about 1500 points each, however long they are.
 
-pub use super::diagnosis::figures::{DiagnosisFigures, EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
+pub use plumbline_diagnose::figures::{Curves, EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
 
 use plumbline_core::Workspace;
 
@@ -13,7 +13,7 @@ pub struct Figures {
     /// The planned motion.
     pub plan: Option<PlanFigure>,
     /// What the residual shows; drawn where the report has a diagnosis.
-    pub diagnosis: DiagnosisFigures,
+    pub diagnosis: Curves,
 }
 
 /// Measured and modelled torque along one run.

@@ -15,6 +15,7 @@ pub use consistency::{Consistency, Moved};
 pub use diagnosis::Diagnosis;
 pub use figures::Figures;
 pub use gravity::{GravityReport, RunGravity};
+pub use plumbline_diagnose::errors::Band;
 pub use timing::{IpcReport, LoopReport};
 
 use crate::atomic;
@@ -182,20 +183,6 @@ pub struct ParameterFacts {
     pub relative_std: Option<f64>,
     /// Unit.
     pub unit: String,
-}
-
-/// What errors are taken of.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "snake_case")]
-pub enum Band {
-    /// Raw torque samples, noise and all: as in the paper's Tables IV and V.
-    #[default]
-    Raw,
-    /// Torques and model after the estimator's zero-phase low-pass; of a periodic motion, the mean period.
-    Filtered {
-        /// Its cut-off \[Hz\].
-        cutoff: f64,
-    },
 }
 
 /// The base set of the vertical mounting, identified there, refused elsewhere, and forced all the same.

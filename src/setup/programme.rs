@@ -6,7 +6,7 @@ use crate::process::progress;
 use crate::setup::planner::Planner;
 use crate::store::{load_plan, save_plan};
 use plumbline_core::{ArmLimits, BadInput, JointVec, Limits, Setpoint};
-use plumbline_excite::{Bounds, Fourier, Peak, Plan, Quantity, check_pose, rehearse_points};
+use plumbline_excite::{Bounds, Fourier, Peak, Plan, Quantity, check_points_with_guard, check_pose};
 use plumbline_model::{Mounting, Robot, VERTICAL_TOLERANCE};
 use plumbline_rt::MoveFactors;
 use std::path::Path;
@@ -251,7 +251,7 @@ impl<'a> Ways<'a> {
                 }
             }
         }
-        rehearse_points(&self.bounds, (0..=moves.last_tick()).map(|tick| moves.at(tick))).map_or(Ok(()), Err)
+        check_points_with_guard(&self.bounds, (0..=moves.last_tick()).map(|tick| moves.at(tick))).map_or(Ok(()), Err)
     }
 }
 

@@ -92,10 +92,10 @@ fn serve(mut stream: &UnixStream, device: &Mutex<Device>, start: Instant, end: &
         let mut device = device.lock().unwrap();
         let now = ns(start);
         if let Some((id, length)) = heard {
-            device.hear(now, u16::try_from(id).unwrap(), &frame[8..8 + usize::from(length)]);
+            device.receive(now, u16::try_from(id).unwrap(), &frame[8..8 + usize::from(length)]);
         }
         device.tick(now);
-        while let Some((id, data)) = device.send() {
+        while let Some((id, data)) = device.transmit() {
             let mut frame = [0; 16];
             frame[..4].copy_from_slice(&u32::from(id).to_ne_bytes());
             frame[4] = u8::try_from(data.len()).unwrap();

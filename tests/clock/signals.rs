@@ -173,7 +173,7 @@ fn a_terminal_that_closes_stops_the_arm_once() {
     }
     let done = run.end().expect_code(1);
     assert!(
-        done.err.contains("interrupted, signal SIGHUP arrived") || done.err.contains("ended in mid-job"),
+        done.err.contains("interrupted, signal SIGHUP arrived") || done.err.contains("ended during the job"),
         "{}",
         done.said()
     );

@@ -6,7 +6,7 @@
 use plumbline_core::{Phase, Record};
 use plumbline_ipc::{
     Client, Delivery, IpcError, Progress, Request, Response, RobotId, SampleStream, Status, StreamSettings, now_ns,
-    place,
+    runtime_dir,
 };
 use plumbline_testkit::job::*;
 use std::io::Write as _;
@@ -84,7 +84,7 @@ impl Scene {
     }
 
     fn lock(&self) -> PathBuf {
-        place::directory().unwrap().join(format!("{}.lock", self.place.id))
+        runtime_dir::directory().unwrap().join(format!("{}.lock", self.place.id))
     }
 
     /// When the daemon took the last stop.
@@ -98,7 +98,7 @@ impl Scene {
         let begin = now_ns();
         let done = self.place.command("stop").expect_code(0);
         let command = now_ns();
-        assert!(done.out.contains("has taken the stop"), "{}", done.said());
+        assert!(done.out.contains("has received the stop"), "{}", done.said());
         let taken = self.taken_ns();
         assert!(taken > begin, "the stop before this one is shown");
         let braking = self.record("the brake", begin, |record| matches!(record.phase, Phase::Stop | Phase::Stopped));

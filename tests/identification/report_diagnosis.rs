@@ -1,7 +1,7 @@
 //! The diagnosis in the report: the promised keys, the words of every verdict, the page with much, little and odd content.
 
 use plumbline::report::diagnosis::*;
-use plumbline::report::figures::{DiagnosisFigures, EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
+use plumbline::report::figures::{Curves, EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
 use plumbline::report::*;
 use plumbline_model::Mounting;
 use rand::{Rng, SeedableRng};
@@ -9,8 +9,8 @@ use rand_chacha::ChaCha8Rng;
 
 const FLOOR: [f64; 7] = [0.150, 0.151, 0.150, 0.149, 0.061, 0.060, 0.059];
 
-fn parameter(name: &str, value: f64, std: f64, unit: &str) -> EffectParameter {
-    EffectParameter { name: name.into(), value, std: Some(std), unit: unit.into() }
+fn parameter(name: &str, value: f64, std: f64, unit: &str) -> Quantity {
+    Quantity { name: name.into(), value, std: Some(std), unit: unit.into() }
 }
 
 /// Presliding in a joint as a diagnosis would hand it over.
@@ -32,8 +32,10 @@ fn presliding(joint: usize) -> Effect {
         alternatives: Vec::new(),
         alternatives_detail: Vec::new(),
         confirmed: true,
-        stratum: Occurrence::Repeatable,
+        stratum: Stratum::Repeatable,
         since_session: None,
+        withheld: None,
+        form: String::new(),
         in_model: true,
         equation: "tau_j = fp_j z, dz/dq_j = (1 - sign(dq_j) z) / delta".into(),
         physics: "After a reversal the contacts of gears, bearings and seals bend before they slide.".into(),
@@ -57,6 +59,7 @@ fn diagnosed() -> Diagnosis {
         floor_of_mean: Some(FLOOR[j] / 7.0),
         lack_of_fit: BeforeAfter { before: Some(if j == 3 { 60.0 } else { 1.1 }), after: Some(1.05) },
         unmodelled: BeforeAfter { before: Some(if j == 3 { 0.28 } else { 0.005 }), after: Some(0.004) },
+        rms: BeforeAfter::default(),
         threshold: Some(0.7 * FLOOR[j] / 7.0),
         adequacy: (j == 3).then_some(0.96),
         left_out: BeforeAfter { before: Some(if j == 3 { 0.32 } else { 0.15 }), after: Some(0.15) },
@@ -71,7 +74,7 @@ fn diagnosed() -> Diagnosis {
     };
     Diagnosis {
         verdict: Verdict::Diagnosed,
-        confirmation: "confirmed across trajectories".into(),
+        confirmation: Some(Confirmation::Full { trajectories: 3 }),
         effects: vec![presliding(4)],
         before: errors(&before),
         after: errors(&after),
@@ -248,7 +251,7 @@ fn several_effects_stand_one_below_the_other() {
     };
     let coupling = Effect { id: "transmission-coupling".into(), joints: vec![6, 5], in_model: false, ..presliding(6) };
     diagnosis.effects.extend([offset, coupling]);
-    diagnosis.confirmation = "one trajectory".into();
+    diagnosis.confirmation = Some(Confirmation::OneTrajectory);
     let lines = said(diagnosis);
     assert_eq!(lines[0], "diagnosis: 3 effects found");
     assert!(lines[1].starts_with("- presliding in joint 4 (delta 2.1"), "{}", lines[1]);
@@ -362,7 +365,7 @@ fn changes_say_since_when() {
         id: "payload".into(),
         joints: vec![7],
         parameters: Parameters(vec![parameter("mass", 0.7312, 0.0041, "kg"), parameter("com_x", 0.0123, 0.0008, "m")]),
-        stratum: Occurrence::Reference,
+        stratum: Stratum::Reference,
         in_model: false,
         ..presliding(7)
     };
@@ -391,7 +394,7 @@ fn a_report_without_a_diagnosis_says_nothing_of_it() {
 }
 
 /// Curves as a diagnosis hands them over: presliding in joint 4, and something over q2 and dq4 in joint 2.
-fn figures() -> DiagnosisFigures {
+fn figures() -> Curves {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let t: Vec<f64> = (0..2500).map(|k| k as f64 * 0.004).collect();
     let dahl = |t: f64| (3.0 * (1.3 * t).sin() + 5.0 * (2.1 * t + 0.4).sin()).tanh() * 0.16;
@@ -438,7 +441,7 @@ fn figures() -> DiagnosisFigures {
         fitted: Vec::new(),
         ..effect.clone()
     };
-    DiagnosisFigures {
+    Curves {
         periods: vec![period],
         effects: vec![effect],
         spectra: vec![spectrum],
@@ -448,7 +451,7 @@ fn figures() -> DiagnosisFigures {
 }
 
 /// The page of a diagnosis; `PLUMBLINE_SHOW=FOLDER` keeps it for somebody to look at.
-fn page(name: &str, report: &Report, diagnosis: DiagnosisFigures) -> String {
+fn page(name: &str, report: &Report, diagnosis: Curves) -> String {
     let page = report.to_html(&Figures { diagnosis, ..Figures::default() }).unwrap();
     if let Some(dir) = std::env::var_os("PLUMBLINE_SHOW") {
         std::fs::write(std::path::Path::new(&dir).join(format!("{name}.html")), &page).unwrap();
@@ -470,7 +473,7 @@ fn five() -> Diagnosis {
             "move the joint at constant speeds of 0.02 to 0.3 rad/s, both ways, and rest for a second between them"
                 .into(),
     };
-    let effect = |id: &str, joints: &[usize], parameters: Vec<EffectParameter>| Effect {
+    let effect = |id: &str, joints: &[usize], parameters: Vec<Quantity>| Effect {
         id: id.into(),
         joints: joints.to_vec(),
         parameters: Parameters(parameters),
@@ -498,7 +501,7 @@ fn five() -> Diagnosis {
     coupling.in_model = false;
     diagnosis.effects.extend([gear, offset, delay, coupling]);
     diagnosis.verdict = Verdict::Ambiguous;
-    diagnosis.confirmation = "no repeats".into();
+    diagnosis.confirmation = Some(Confirmation::NoRepeats);
     diagnosis.scores[1].equivalent = true;
     diagnosis.scores.extend((0..12).map(|k| Score {
         label: format!("position-dependent-friction of a high order in joint {k}"),
@@ -557,7 +560,7 @@ fn pages_of_much_little_and_odd_content() {
     let mut nothing = diagnosed();
     nothing.verdict = Verdict::NothingSignificant;
     (nothing.effects, nothing.change) = (Vec::new(), None);
-    let none = page("nothing", &report(nothing), DiagnosisFigures::default());
+    let none = page("nothing", &report(nothing), Curves::default());
     assert!(none.contains("<span>Nothing significant</span></h2>") && none.contains("would have been seen, unless"));
     let first = none.split("</section>").next().unwrap();
     assert!(first.contains("the model as it is") && first.matches("fill=\"#090909\"").count() == 1);
@@ -584,7 +587,7 @@ fn pages_of_much_little_and_odd_content() {
         ..Changes::default()
     };
     let bare = Diagnosis { verdict: Verdict::Diagnosed, changes: vec![changes], ..Diagnosis::default() };
-    let changed = page("payload", &report(bare), DiagnosisFigures::default());
+    let changed = page("payload", &report(bare), Curves::default());
     assert!(changed.contains("payload in joint 7</h2>") && changed.contains("since wall.toml"));
     assert!(
         changed.contains("worst joint (2): 0.900 \u{2192} 0.151 Nm with the changes")
@@ -606,7 +609,7 @@ fn a_page_of_one_joint_and_a_page_of_nothing_at_all() {
     let one = page("one-joint", &report(one), figures());
     assert!(one.contains("joint 1") && !one.contains("What would have been seen"));
 
-    let bare = page("bare", &report(Diagnosis::default()), DiagnosisFigures::default());
+    let bare = page("bare", &report(Diagnosis::default()), Curves::default());
     assert!(
         bare.contains("<span>Unexplained</span></h2>")
             && !bare.contains("<svg ")
@@ -621,7 +624,7 @@ fn what_is_missing_is_a_dash_and_what_can_not_be_drawn_is_left_out() {
     let mut diagnosis = diagnosed();
     let effect = &mut diagnosis.effects[0];
     (effect.evidence, effect.idf, effect.explained_share, effect.torque_rms) = (None, Some(f64::NAN), None, None);
-    effect.parameters.0[0] = EffectParameter { value: f64::NAN, ..effect.parameters.0[0].clone() };
+    effect.parameters.0[0] = Quantity { value: f64::NAN, ..effect.parameters.0[0].clone() };
     diagnosis.before.validate_rms[6] = f64::NAN;
     diagnosis.before.intervals.clear();
     diagnosis.after.intervals[0] = [f64::NAN, 0.2];
@@ -663,7 +666,7 @@ fn text_from_files_is_escaped() {
     effect.alternatives_detail =
         vec![Alternative { id: evil(), deciding_experiment: evil(), ..Alternative::default() }];
     effect.alternatives = vec![evil()];
-    (diagnosis.confirmation, diagnosis.notes, diagnosis.quality.notes) = (evil(), vec![evil()], vec![evil()]);
+    (diagnosis.notes, diagnosis.quality.notes) = (vec![evil()], vec![evil()]);
     diagnosis.unexplained =
         vec![Unexplained { depends_on: vec![evil()], deciding_experiment: evil(), note: evil(), ..unexplained() }];
     diagnosis.not_identifiable = vec![NotIdentifiable { effect: evil(), joints: vec![1], why: evil() }];

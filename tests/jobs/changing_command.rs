@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use plumbline::dataset::{Dataset, Role, Run};
 use plumbline::report::Report;
-use plumbline::report::diagnosis::{Occurrence, Verdict};
+use plumbline::report::diagnosis::{Stratum, Verdict};
 use plumbline_model::{Mounting, Robot};
 use plumbline_testkit::scene::DT;
 use plumbline_testkit::scene::lab::{Noise, of_force, period, plans, window};
@@ -69,10 +69,7 @@ fn a_drift_and_a_contact_are_reported_and_kept_out_of_the_model() {
         (["offset-drift", "contact"].as_slice(), Verdict::Diagnosed),
         "{printed}"
     );
-    assert!(
-        found.effects.iter().all(|effect| effect.stratum == Occurrence::Changing && !effect.in_model),
-        "{found:#?}"
-    );
+    assert!(found.effects.iter().all(|effect| effect.stratum == Stratum::Changing && !effect.in_model), "{found:#?}");
     assert!(found.unexplained.is_empty(), "{printed}");
     let [drift, contact] = &found.effects[..] else { panic!("{printed}") };
     let of = |effect: &plumbline::report::diagnosis::Effect, name: &str| {

@@ -2,6 +2,7 @@
 
 use plumbline::dataset::{Dataset, Role, Run};
 use plumbline::report::Report;
+use plumbline::report::diagnosis::Confirmation;
 use plumbline_model::{Mounting, Robot};
 use plumbline_sim::Truth;
 use plumbline_testkit::job::plumbline;
@@ -96,7 +97,7 @@ fn a_payload_is_reported_and_carried_by_the_model_that_is_written() {
     let (report, printed) = compare(dir, "free", "free-out");
     let diagnosis = report.diagnosis.unwrap();
     assert_eq!(diagnosis.effects.iter().map(|one| one.id.as_str()).collect::<Vec<_>>(), ["payload"], "{printed}");
-    assert_eq!(diagnosis.confirmation, "no repeats");
+    assert_eq!(diagnosis.confirmation, Some(Confirmation::NoRepeats));
     assert!(diagnosis.notes.iter().any(|note| note.contains("last 40 %")), "{:?}", diagnosis.notes);
 
     // Nothing changed: the very same model comes out.

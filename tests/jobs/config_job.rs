@@ -1,7 +1,7 @@
 //! The job configuration: shipped files load, every bad value is refused by name, overrides win over the file.
 
 use plumbline::config::job::franka::Recovery;
-use plumbline::config::job::{Job, OnLoss, Pace, Resource};
+use plumbline::config::job::{Job, OnEstimatorLoss, Pace, Resource};
 use plumbline_franka::Interface;
 use plumbline_identify::Settings;
 use plumbline_model::Mounting;
@@ -44,7 +44,7 @@ fn the_least_job_has_every_default() {
     assert_eq!((job.excitation.harmonics, job.excitation.period, job.excitation.periods), (5, 10.0, 10));
     assert_eq!(job.validation.mountings, [Mounting::WALL, Mounting::UPRIGHT]);
     assert_eq!(job.backend.arm, Some(Resource::BuiltIn("sim-panda".into())));
-    assert_eq!((job.backend.pace, job.safety.on_estimator_loss), (Pace::Fast, OnLoss::Finish));
+    assert_eq!((job.backend.pace, job.safety.on_estimator_loss), (Pace::Fast, OnEstimatorLoss::Finish));
     assert!(job.output.dataset && job.excitation.plan.is_none() && job.workspace.is_none());
 }
 

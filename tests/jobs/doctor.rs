@@ -1,6 +1,6 @@
 //! `plumbline doctor`: every finding against a machine of the test's own making, and the command on this one.
 
-use plumbline::machine::{Finding, Tree, Verdict, Wanted, look};
+use plumbline::machine::{Finding, Requirements, Tree, Verdict, inspect};
 use plumbline_rt::Rights;
 use plumbline_testkit::job::*;
 use std::net::IpAddr;
@@ -48,13 +48,13 @@ impl FakeMachine {
         std::fs::write(path, text).unwrap();
     }
 
-    fn look(&self, wanted: &Wanted) -> Vec<Finding> {
-        look(&Tree::at(self.0.path()), wanted)
+    fn inspect(&self, requirements: &Requirements) -> Vec<Finding> {
+        inspect(&Tree::at(self.0.path()), requirements)
     }
 }
 
-fn wanted(cpu: Option<usize>) -> Wanted {
-    Wanted { rights: Rights { cpu, ..Rights::default() }, robot: None }
+fn requirements(cpu: Option<usize>) -> Requirements {
+    Requirements { rights: Rights { cpu, ..Rights::default() }, robot: None }
 }
 
 fn named<'a>(findings: &'a [Finding], name: &str) -> &'a Finding {
@@ -63,7 +63,7 @@ fn named<'a>(findings: &'a [Finding], name: &str) -> &'a Finding {
 
 #[test]
 fn a_good_machine_has_nothing_to_change() {
-    for finding in FakeMachine::good().look(&wanted(Some(1))) {
+    for finding in FakeMachine::good().inspect(&requirements(Some(1))) {
         assert_eq!(finding.verdict, Verdict::Fit, "{finding:?}");
     }
 }
@@ -100,7 +100,7 @@ fn each_fault_is_found_by_name_with_what_to_change() {
         let path =
             if path.starts_with("proc") || path.starts_with("sys") { path.into() } else { format!("{cpu}/{path}") };
         machine.put(&path, text);
-        let findings = machine.look(&wanted(Some(1)));
+        let findings = machine.inspect(&requirements(Some(1)));
         let finding = named(&findings, name);
         assert_eq!(finding.verdict, verdict, "{path}: {finding:?}");
         assert!(finding.found.contains(found), "{path}: {finding:?}");
@@ -115,10 +115,11 @@ fn each_fault_is_found_by_name_with_what_to_change() {
 fn swap_matters_where_memory_is_not_locked_and_an_unpinned_loop_is_told() {
     let machine = FakeMachine::good();
     machine.put("proc/swaps", "Filename Type Size Used Priority\n/dev/sda2 partition 1 0 -2\n");
-    assert_eq!(named(&machine.look(&wanted(Some(1))), "swap").verdict, Verdict::Fit);
-    let unlocked = Wanted { rights: Rights { cpu: Some(1), lock_memory: false, ..Rights::default() }, robot: None };
-    assert_eq!(named(&machine.look(&unlocked), "swap").verdict, Verdict::Advice);
-    let findings = machine.look(&wanted(None));
+    assert_eq!(named(&machine.inspect(&requirements(Some(1))), "swap").verdict, Verdict::Fit);
+    let unlocked =
+        Requirements { rights: Rights { cpu: Some(1), lock_memory: false, ..Rights::default() }, robot: None };
+    assert_eq!(named(&machine.inspect(&unlocked), "swap").verdict, Verdict::Advice);
+    let findings = machine.inspect(&requirements(None));
     assert!(named(&findings, "isolation").change.as_ref().is_some_and(|text| text.contains("realtime.cpu")));
 }
 
@@ -127,7 +128,7 @@ fn the_way_to_the_robot_is_the_narrowest_route() {
     let machine = FakeMachine::good();
     let network = |robot: &str| {
         let robot: IpAddr = robot.parse().unwrap();
-        let findings = machine.look(&Wanted { robot: Some(robot), ..wanted(Some(1)) });
+        let findings = machine.inspect(&Requirements { robot: Some(robot), ..requirements(Some(1)) });
         named(&findings, "network").clone()
     };
     assert!(network("172.16.0.2").found.contains("plb7"));

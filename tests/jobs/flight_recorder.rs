@@ -30,16 +30,16 @@ fn recording(place: &Place) -> PathBuf {
 
 /// What `plumbline postmortem --replay --json` says of it; the replay gave the same commands, or this fails.
 #[track_caller]
-fn story(file: &Path) -> Value {
+fn facts(file: &Path) -> Value {
     let mut command = plumbline();
     command.arg("postmortem").arg(file).args(["--replay", "--json"]);
     let done = Done::of(command).expect_code(0);
     let page = std::fs::read_to_string(file.with_extension("html")).unwrap();
     assert!(page.contains("<svg") && !page.contains("src=") && !page.contains("href="));
-    let story: Value = serde_json::from_str(&done.out).unwrap();
-    let steps = story["next"].as_array().unwrap();
+    let facts: Value = serde_json::from_str(&done.out).unwrap();
+    let steps = facts["next"].as_array().unwrap();
     assert_eq!(page.contains("What to do next"), !steps.is_empty());
-    story
+    facts
 }
 
 /// A simulated arm with more in its truth file.
@@ -51,8 +51,8 @@ fn arm_with(place: &Place, keys: &str) -> String {
     format!("backend.arm={}", path.display())
 }
 
-fn texts<'v>(story: &'v Value, key: &str) -> Vec<&'v str> {
-    story["timeline"].as_array().unwrap().iter().map(|line| line[key].as_str().unwrap()).collect()
+fn texts<'v>(facts: &'v Value, key: &str) -> Vec<&'v str> {
+    facts["timeline"].as_array().unwrap().iter().map(|line| line[key].as_str().unwrap()).collect()
 }
 
 #[test]
@@ -61,25 +61,25 @@ fn a_guard_stop_in_mid_motion() {
     let done = place.run(&short(&[SPAN, "safety.tracking-error=0.1 deg"])).expect_code(1);
     let file = recording(&place);
     assert!(done.err.contains(&format!("plumbline postmortem {}", file.display())), "{}", done.said());
-    let story = story(&file);
-    assert_eq!((story["kind"].as_str(), story["first_limit"]["limit"].as_str()), (Some("guard"), Some("tracking")));
-    assert!(story["during"].as_str().unwrap().contains("identify-wall"), "{story}");
+    let facts = facts(&file);
+    assert_eq!((facts["kind"].as_str(), facts["first_limit"]["limit"].as_str()), (Some("guard"), Some("tracking")));
+    assert!(facts["during"].as_str().unwrap().contains("identify-wall"), "{facts}");
     assert_eq!(
-        (story["stop"]["at_rest"].as_bool(), story["replay"]["from_the_start"].as_bool()),
+        (facts["stop"]["at_rest"].as_bool(), facts["replay"]["from_the_start"].as_bool()),
         (Some(true), Some(false))
     );
-    assert!(story["stop"]["seconds"].as_f64().unwrap() < 1.0);
+    assert!(facts["stop"]["seconds"].as_f64().unwrap() < 1.0);
     // In order, with the cause before the effect and the end at zero.
-    let what = texts(&story, "text");
+    let what = texts(&facts, "text");
     let place_of =
         |part: &str| what.iter().position(|text| text.contains(part)).unwrap_or_else(|| panic!("{part}: {what:?}"));
     assert!(
         place_of("recording begins") < place_of("is being stopped")
             && place_of("is being stopped") < place_of("at rest")
     );
-    assert!(story["next"].as_array().unwrap().iter().any(|step| step.as_str().unwrap().contains("command resume")));
-    let before = story["first_limit"]["before"].as_f64().unwrap();
-    let seconds = story["timing"]["elapsed"].as_u64().unwrap() as f64 * 1e-3;
+    assert!(facts["next"].as_array().unwrap().iter().any(|step| step.as_str().unwrap().contains("command resume")));
+    let before = facts["first_limit"]["before"].as_f64().unwrap();
+    let seconds = facts["timing"]["elapsed"].as_u64().unwrap() as f64 * 1e-3;
     assert!((seconds - 1.0 - before).abs() < 0.005, "one second before the fault, and the stop: {seconds} {before}");
 
     // What plumbline wrote, it also takes as a run.
@@ -119,14 +119,14 @@ fn lost_states_and_a_reflex() {
         let place = Place::new(&format!("flight-{name}"));
         let arm = arm_with(&place, keys);
         place.run(&short(&[SPAN, &arm, set])).expect_code(1);
-        let story = story(&recording(&place));
-        assert_eq!(story["kind"].as_str(), Some(kind), "{story}");
+        let facts = facts(&recording(&place));
+        assert_eq!(facts["kind"].as_str(), Some(kind), "{facts}");
         if kind == "lost-states" {
-            assert!(story["timing"]["lost"].as_u64().unwrap() >= 4 && story["end"].is_null(), "{story}");
-            assert!(story["timing"]["outliers"].to_string().contains("4 states lost"), "{story}");
+            assert!(facts["timing"]["lost"].as_u64().unwrap() >= 4 && facts["end"].is_null(), "{facts}");
+            assert!(facts["timing"]["outliers"].to_string().contains("4 states lost"), "{facts}");
         } else {
-            assert!(story["end"].as_str().unwrap().contains("code 25"), "{story}");
-            assert!(texts(&story, "text").last().unwrap().contains("the loop ended"), "{story}");
+            assert!(facts["end"].as_str().unwrap().contains("code 25"), "{facts}");
+            assert!(texts(&facts, "text").last().unwrap().contains("the loop ended"), "{facts}");
         }
     }
 }
@@ -140,16 +140,16 @@ fn an_estimator_that_is_gone_a_recording_on_demand_and_an_end_that_is_none() {
     wait_for("the motion", || (place.status()?.cycles > 6_000).then_some(()));
     place.command("record").expect_code(0);
     let first = wait_for("a recording", || recordings(&place.out().join("flight")).first().cloned());
-    assert_eq!(story(&first)["kind"].as_str(), Some("on-demand"));
+    assert_eq!(facts(&first)["kind"].as_str(), Some("on-demand"));
     signal(estimator, "KILL");
     run.end().expect_code(1);
     let found = recordings(&place.out().join("flight"));
     assert_eq!(found.len(), 2, "{found:?}");
     let second =
         found.iter().find(|path| path.to_string_lossy().contains("estimator-lost")).expect("its reason is its name");
-    let story = story(second);
-    assert!(story["reason"].as_str().unwrap().contains("by safety.on-estimator-loss, the arm stops"), "{story}");
-    assert!(texts(&story, "text").iter().any(|text| text.contains("died")), "{story}");
+    let facts = facts(second);
+    assert!(facts["reason"].as_str().unwrap().contains("by safety.on-estimator-loss, the arm stops"), "{facts}");
+    assert!(texts(&facts, "text").iter().any(|text| text.contains("died")), "{facts}");
 
     // A program that is asked to end leaves none.
     let place = Place::new("flight-quit");
@@ -250,7 +250,7 @@ fn a_flood_of_requests_removes_no_recording_of_a_fault_and_holds_up_no_end() {
     daemon.end().expect_code(0);
     let found = recordings(&dir);
     assert!(found.len() == 2 && fault.exists(), "{found:?}");
-    assert_eq!(story(&fault)["kind"].as_str(), Some("guard"));
+    assert_eq!(facts(&fault)["kind"].as_str(), Some("guard"));
 }
 
 #[test]

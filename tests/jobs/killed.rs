@@ -127,7 +127,7 @@ fn a_killed_daemon_ends_the_run_and_the_next_one_is_clean() {
     let (run, daemon, _) = in_mid_run(&place, &[ENDLESS]);
     signal(daemon, "KILL");
     let done = run.end().expect_code(1);
-    assert!(done.err.contains("the daemon ended in mid-job") && done.err.contains("signal: 9"), "{}", done.said());
+    assert!(done.err.contains("the daemon ended during the job") && done.err.contains("signal: 9"), "{}", done.said());
     assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.said());
     nobody_lingers(&place);
 
@@ -185,7 +185,10 @@ fn a_daemon_takes_orders_and_refuses_what_it_can_not_do() {
 
     // A stop stands, also where nothing moves.
     let stopped = place.command("stop").expect_code(0);
-    assert!(stopped.out.contains(&format!("the daemon (process {}) has taken the stop", daemon.pid())), "{stopped:?}");
+    assert!(
+        stopped.out.contains(&format!("the daemon (process {}) has received the stop", daemon.pid())),
+        "{stopped:?}"
+    );
     let refused = place.command("start").expect_code(1);
     assert!(refused.err.contains("plumbline command resume"), "{}", refused.said());
     place.command("resume").expect_code(0);

@@ -75,7 +75,7 @@ fn it_finds_the_payload_and_the_served_torque_recovers() {
     let during = served(&log, PICKED_UP + 1.0, proposed);
     let after = served(&log, swapped, swapped + 10.0);
     assert!(during > 1.0 && before < 0.3 && after < 1.3 * before, "{before} {during} {after}");
-    assert!(done.out.contains("live: since") && done.out.contains("payload of 0.7"), "{}", done.said());
+    assert!(done.out.contains("live: since") && done.out.contains("payload (mass 0.7"), "{}", done.said());
     // The loop was not disturbed by any of it.
     let cycle = place.report().control_loop.unwrap();
     assert_eq!((cycle.lost, cycle.dropped_records, cycle.allocations()), (0, 0, Some(0)));
@@ -105,7 +105,7 @@ fn who_is_asked_decides() {
     assert_eq!(events(&log, "served").len(), 1, "nothing is served unasked");
     let now = status();
     let (serves, offered) = (now["model"].clone(), now["offered"].clone());
-    assert!(offered["what"].as_str().unwrap().starts_with("payload of 0.7"), "{offered}");
+    assert!(offered["what"].as_str().unwrap().starts_with("payload (mass 0.7"), "{offered}");
     assert!(offered["model"] != serves && offered["before"].as_f64() > offered["after"].as_f64(), "{offered}");
     assert!(served(&log, PICKED_UP + 25.0, PICKED_UP + 35.0) > 1.0, "the served torque is still the old one");
 

@@ -1,13 +1,13 @@
 //! `plumbline run` drives the arm of the daemon that it has started, and no other.
 
-use plumbline_ipc::{Progress, place};
+use plumbline_ipc::{Progress, runtime_dir};
 use plumbline_testkit::job::*;
 use std::path::PathBuf;
 use std::process::Command;
 
 /// The lock file of a place's robot.
 fn lock(of: &Place) -> PathBuf {
-    place::directory().unwrap().join(format!("{}.lock", of.id))
+    runtime_dir::directory().unwrap().join(format!("{}.lock", of.id))
 }
 
 fn holder(of: &Place) -> Option<String> {
@@ -62,7 +62,10 @@ fn a_run_s_daemon_has_the_run_s_lock() {
     // The run has taken the lock, and its daemon holds it: the daemon is the one that a signal goes to.
     std::fs::remove_file(lock(&place).with_extension("stop")).unwrap();
     let stopped = place.command("stop").expect_code(0);
-    assert!(stopped.out.contains(&format!("(process {daemon}) has taken the stop by signal SIGUSR2")), "{stopped:?}");
+    assert!(
+        stopped.out.contains(&format!("(process {daemon}) has received the stop by signal SIGUSR2")),
+        "{stopped:?}"
+    );
     let done = run.end().expect_code(1);
     assert!(done.err.contains("the arm was stopped"), "{}", done.said());
     wait_for("the end of every process", || anyone_with(&place.id).is_empty().then_some(()));

@@ -49,5 +49,5 @@ pub use joint::{
 pub use parallel::{parallel, threads};
 pub use statistics::LoopStatistics;
 pub use traits::{
-    Backend, Clock, Fault, FeedForward, Kinematics, MAX_MISSED_COMMANDS, PERIOD, PERIOD_NS, Reference, Sink,
+    Backend, Clock, Fault, FeedForward, Kinematics, MAX_MISSED_COMMANDS, PERIOD_NS, PERIOD_S, Reference, Sink,
 };

@@ -3,7 +3,7 @@
 use crate::joint::{Command, JointVec, Record, Setpoint, State, Torque};
 
 /// Time between two states of the arm \[s\].
-pub const PERIOD: f64 = 1e-3;
+pub const PERIOD_S: f64 = 1e-3;
 /// The same \[ns\].
 pub const PERIOD_NS: u64 = 1_000_000;
 /// Commands in a row that an arm goes on without, at constant acceleration, before it stops by itself: the FCI's

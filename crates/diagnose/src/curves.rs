@@ -1,11 +1,13 @@
 //! Residuals as people look at them: over time, over frequency, over the variable of an effect.
 
 use super::evidence::Evidence;
-use super::fallback::Unexplained;
+use super::fallback::{Map, Residual};
+use super::figures::{Curves, EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
 use super::select::Search;
 use super::state::State;
-use nalgebra::DVector;
-use plumbline_model::term::effect::Spec;
+use nalgebra::{DMatrix, DVector};
+use plumbline_model::term::Motion;
+use plumbline_model::term::effect::{Ground, PlotOver};
 
 /// Joints that are drawn at most.
 const JOINTS: usize = 4;
@@ -14,74 +16,12 @@ const FOLDS: usize = 2;
 /// Bins of a variable.
 const BINS: usize = 30;
 
-/// Everything that is drawn.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Curves {
-    /// Residuals over time.
-    pub periods: Vec<Period>,
-    /// Residuals over frequency.
-    pub spectra: Vec<Spectrum>,
-    /// Residuals over what effects depend on.
-    pub effects: Vec<EffectCurve>,
-}
-
-/// A joint's residual in the band along one trajectory.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Period {
-    /// The joint, from 0.
-    pub joint: usize,
-    /// Name of the run.
-    pub run: String,
-    /// Time since the start of the period, or of a run that does not repeat \[s\].
-    pub t: Vec<f64>,
-    /// Of the plain model \[Nm\].
-    pub before: Vec<f64>,
-    /// Of the model with effects \[Nm\].
-    pub after: Vec<f64>,
-    /// Standard deviation of the mean period; nothing without repeats \[Nm\].
-    pub floor: Option<f64>,
-}
-
-/// A joint's residual as a density, one-sided, of all trajectories together.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Spectrum {
-    /// The joint, from 0.
-    pub joint: usize,
-    /// Frequency \[Hz\].
-    pub f: Vec<f64>,
-    /// Of the plain model \[Nm2/Hz\].
-    pub before: Vec<f64>,
-    /// Of the model with effects \[Nm2/Hz\].
-    pub after: Vec<f64>,
-    /// Of the noise; nothing without repeats \[Nm2/Hz\].
-    pub noise: Vec<f64>,
-}
-
-/// A joint's residual without one effect, over that effect's variable.
-#[derive(Clone, Debug, PartialEq)]
-pub struct EffectCurve {
-    /// The effect.
-    pub spec: Spec,
-    /// The joint, from 0.
-    pub joint: usize,
-    /// What it is drawn over: `dq4 [rad/s]`.
-    pub variable: String,
-    /// Middle of each bin.
-    pub x: Vec<f64>,
-    /// Mean residual \[Nm\].
-    pub mean: Vec<f64>,
-    /// Its standard error \[Nm\].
-    pub error: Vec<f64>,
-    /// Mean of the fitted effect \[Nm\].
-    pub fitted: Vec<f64>,
-}
-
 /// Of the plain model and of what is delivered.
-pub fn of(search: &Search, before: &State, after: &State, unexplained: &[Unexplained]) -> Curves {
+pub fn of(search: &Search, before: &State, after: &State, residuals: &[Residual]) -> Curves {
     let evidence = search.problem.evidence;
     let mut joints: Vec<usize> = Vec::new();
     let touched = after.items.iter().flat_map(|item| item.spec.site.joints().into_iter().take(1));
-    for joint in touched.chain(unexplained.iter().map(|one| one.joint)) {
+    for joint in touched.chain(residuals.iter().map(|one| one.joint)) {
         if !joints.contains(&joint) && joints.len() < JOINTS {
             joints.push(joint);
         }
@@ -95,6 +35,8 @@ pub fn of(search: &Search, before: &State, after: &State, unexplained: &[Unexpla
         periods: joints.iter().flat_map(|&joint| periods(evidence, joint, before, after)).collect(),
         spectra: joints.iter().map(|&joint| spectrum(evidence, joint, before, after)).collect(),
         effects: (0..after.items.len()).filter_map(|item| effect(search, after, item)).collect(),
+        dependences: residuals.iter().filter_map(dependence).collect(),
+        maps: residuals.iter().filter_map(|one| map(one.joint, one.map.as_ref()?)).collect(),
     }
 }
 
@@ -108,20 +50,21 @@ fn in_fold(evidence: &Evidence, joint: usize, rows: &DVector<f64>, fold: usize) 
         .collect()
 }
 
-fn periods(evidence: &Evidence, joint: usize, before: &State, after: &State) -> Vec<Period> {
+fn periods(evidence: &Evidence, joint: usize, before: &State, after: &State) -> Vec<PeriodFigure> {
     let (was, is) = (before.residual(joint), after.residual(joint));
     let one = |fold: usize| {
         let own = &evidence.folds()[fold];
         let motion = evidence.motion(own.experiment);
         let t = evidence.thinned(fold).map(|k| motion.start + k as f64 * motion.dt).collect();
         let signal = |rows: &DVector<f64>| evidence.signal(fold, &in_fold(evidence, joint, rows, fold));
-        let floor = evidence.floor(joint);
-        Period { joint, run: own.name.clone(), t, before: signal(&was), after: signal(&is), floor }
+        let deviation = evidence.floor(joint).into_iter().collect();
+        let (before, after) = (signal(&was), signal(&is));
+        PeriodFigure { joint: joint + 1, trajectory: own.name.clone(), t, before, after, deviation }
     };
     (0..evidence.folds().len().min(FOLDS)).map(one).collect()
 }
 
-fn spectrum(evidence: &Evidence, joint: usize, before: &State, after: &State) -> Spectrum {
+fn spectrum(evidence: &Evidence, joint: usize, before: &State, after: &State) -> SpectrumFigure {
     let (was, is) = (before.residual(joint), after.residual(joint));
     let mut lines: Vec<[f64; 5]> = Vec::new();
     for (index, fold) in evidence.folds().iter().enumerate() {
@@ -149,19 +92,27 @@ fn spectrum(evidence: &Evidence, joint: usize, before: &State, after: &State) ->
     }
     let mean = |which: usize| merged.iter().map(|line| line[which] / line[4]).collect::<Vec<f64>>();
     let noise = if evidence.repeats() { mean(3) } else { Vec::new() };
-    Spectrum { joint, f: mean(0), before: mean(1), after: mean(2), noise }
+    SpectrumFigure { joint: joint + 1, f: mean(0), before: mean(1), after: mean(2), noise }
 }
 
-/// What an effect of each kind is best seen over.
-fn variable(spec: &Spec) -> (&'static str, fn(&[f64; 3]) -> f64) {
-    match spec.family {
-        "torque-offset" | "spring" | "position-ripple" | "position-dependent-friction" => ("q", |state| state[0]),
-        "rotor-inertia" => ("ddq", |state| state[2]),
-        _ => ("dq", |state| state[1]),
-    }
+/// The horizontal axis of an effect's plot: its name, and its values along a motion.
+fn axis(ground: &Ground, over: PlotOver, joint: usize, motion: &Motion) -> Option<(String, Vec<f64>)> {
+    let column = |of: &DMatrix<f64>| of.column(joint).iter().copied().collect();
+    let (name, unit, values) = match over {
+        PlotOver::Position => ("q", "rad", column(&motion.q)),
+        PlotOver::Velocity => ("dq", "rad/s", column(&motion.dq)),
+        PlotOver::Acceleration => ("ddq", "rad/s2", column(&motion.ddq)),
+        PlotOver::Load => ("tau_rb", "Nm", column(&ground.load.along(motion))),
+        PlotOver::Time => {
+            let times = (0..motion.samples()).map(|k| motion.start + k as f64 * motion.dt).collect();
+            return Some(("t [s]".into(), times));
+        }
+        PlotOver::Nothing => return None,
+    };
+    Some((format!("{name}{} [{unit}]", joint + 1), values))
 }
 
-fn effect(search: &Search, state: &State, item: usize) -> Option<EffectCurve> {
+fn effect(search: &Search, state: &State, item: usize) -> Option<EffectFigure> {
     let evidence = search.problem.evidence;
     let spec = state.items[item].spec.clone();
     let joints = spec.site.joints();
@@ -170,32 +121,71 @@ fn effect(search: &Search, state: &State, item: usize) -> Option<EffectCurve> {
     let range = state.range(item);
     let fitted = part * state.fit.theta.rows(range.start, range.len());
     let without = state.residual(joint) + &fitted;
-    let (name, of) = variable(&spec);
+    let over = spec.family().ok()?.form(spec.form)?.plot_over;
+    let mut variable = String::new();
+    let mut values: Vec<Vec<f64>> = Vec::new();
+    for experiment in 0..evidence.experiments() {
+        let (name, own) = axis(search.ground, over, cause, evidence.motion(experiment))?;
+        variable = name;
+        values.push(own);
+    }
     let mut points: Vec<[f64; 3]> = Vec::new();
     for (index, fold) in evidence.folds().iter().enumerate() {
-        let motion = evidence.motion(fold.experiment);
         let residual = evidence.signal(index, &in_fold(evidence, joint, &without, index));
         let effect = evidence.signal(index, &in_fold(evidence, joint, &fitted, index));
         for ((k, residual), effect) in evidence.thinned(index).zip(residual).zip(effect) {
-            let x = of(&[motion.q[(k, cause)], motion.dq[(k, cause)], motion.ddq[(k, cause)]]);
-            points.push([x, residual, effect]);
+            points.push([values[fold.experiment][k], residual, effect]);
         }
     }
     // Bins of equal numbers show what happens where the arm is often.
     points.sort_by(|a, b| a[0].total_cmp(&b[0]));
-    let unit = ["q", "dq", "ddq"].iter().position(|own| *own == name).map_or("", |k| ["rad", "rad/s", "rad/s2"][k]);
-    let variable = format!("{name}{} [{unit}]", cause + 1);
-    let mut curve = EffectCurve { spec, joint, variable, x: vec![], mean: vec![], error: vec![], fitted: vec![] };
+    let mut figure = EffectFigure { title: spec.to_string(), variable, joint: joint + 1, ..EffectFigure::default() };
     for bin in points.chunks(points.len().div_ceil(BINS).max(1)) {
         let count = bin.len() as f64;
         let mean = |which: usize| bin.iter().map(|point| point[which]).sum::<f64>() / count;
         let level = mean(1);
         let variance = bin.iter().map(|point| (point[1] - level).powi(2)).sum::<f64>() / count;
-        curve.x.push(mean(0));
-        curve.mean.push(level);
+        figure.x.push(mean(0));
+        figure.mean.push(level);
         // Neighbours in time are nearly the same sample: one in ten counts.
-        curve.error.push((variance / (count / 10.0).max(1.0)).sqrt());
-        curve.fitted.push(mean(2));
+        figure.deviation.push((variance / (count / 10.0).max(1.0)).sqrt());
+        figure.fitted.push((mean(0), mean(2)));
     }
-    Some(curve)
+    Some(figure)
+}
+
+/// A residual that no effect explains, over the variable that predicts it best.
+fn dependence(residual: &Residual) -> Option<EffectFigure> {
+    let variable = residual.singles.first()?.variables[0];
+    Some(EffectFigure {
+        title: format!("joint {}, unexplained", residual.joint + 1),
+        variable: format!("{variable} / {}", variable.unit()),
+        joint: residual.joint + 1,
+        x: residual.dependence.iter().map(|bin| bin.at).collect(),
+        mean: residual.dependence.iter().map(|bin| bin.mean).collect(),
+        deviation: residual.dependence.iter().map(|bin| bin.error).collect(),
+        fitted: Vec::new(),
+    })
+}
+
+/// A residual that no effect explains, over the two variables that predict it best.
+fn map(joint: usize, map: &Map) -> Option<MapFigure> {
+    let name = |which: usize| format!("{} / {}", map.variables[which], map.variables[which].unit());
+    let mean = |k: usize| (0..map.x.len()).map(move |i| map.mean[i * map.y.len() + k].unwrap_or(f64::NAN));
+    Some(MapFigure {
+        title: format!("joint {}, unexplained", joint + 1),
+        x_name: name(0),
+        y_name: name(1),
+        x: edges(&map.x)?,
+        y: edges(&map.y)?,
+        mean: (0..map.y.len()).map(|k| mean(k).collect()).collect(),
+    })
+}
+
+/// Edges of tiles that have these middles; `None` without tiles.
+fn edges(middles: &[f64]) -> Option<Vec<f64>> {
+    let (first, last) = (middles.first()?, middles.last()?);
+    let half = (last - first) / (2.0 * (middles.len() - 1).max(1) as f64);
+    let inner = middles.windows(2).map(|pair| 0.5 * (pair[0] + pair[1]));
+    Some([first - half].into_iter().chain(inner).chain([last + half]).collect())
 }

@@ -115,13 +115,13 @@ impl Delivery<'_> {
             }
         }
         let compared = self.compared(after)?;
-        let change = |joint: usize| (compared.change.rms[joint], compared.change.interval[joint]);
+        let change = |joint: usize| (compared.change.validate_rms[joint], compared.change.intervals[joint]);
         let words = |joint: usize| {
             let (change, [low, high]) = change(joint);
             format!("{change:+.4} [{low:.4}, {high:.4}] Nm in joint {}", joint + 1)
         };
-        for joint in 0..compared.before.rms.len() {
-            if change(joint).1[0] > WORSE * compared.before.rms[joint] {
+        for joint in 0..compared.before.validate_rms.len() {
+            if change(joint).1[0] > WORSE * compared.before.validate_rms[joint] {
                 let own = candidates.iter().copied().find(|&index| items[index].spec.site.joints().contains(&joint));
                 let index = own.or_else(|| self.costliest(selected, kept, &candidates, joint))?;
                 return Some((index, format!("with it, unseen runs are predicted worse: {}", words(joint))));
@@ -140,14 +140,14 @@ impl Delivery<'_> {
             let mut fewer = kept.to_vec();
             fewer[index] = false;
             let after = self.extended(&selected.state, &fewer).ok()?;
-            Some((index, self.compared(&after)?.after.rms[joint]))
+            Some((index, self.compared(&after)?.after.validate_rms[joint]))
         };
         let errors = candidates.iter().filter_map(error_without);
         errors.min_by(|(_, a), (_, b)| a.total_cmp(b)).map(|(index, _)| index)
     }
 
     /// Errors of the plain model and of another one on unseen runs; `None` where there are none.
-    fn compared(&self, after: &Fitted) -> Option<Compared> {
+    pub fn compared(&self, after: &Fitted) -> Option<Compared> {
         let runs = [self.input.judge, self.input.veto].into_iter().find(|runs| !runs.is_empty())?;
         let plain = Fitted { structure: self.input.structure.clone(), identification: self.before.clone() };
         // As they are served: a regressor knows more of the samples to come.

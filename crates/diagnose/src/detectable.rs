@@ -1,38 +1,46 @@
 //! How small an effect could be and still be found, so that "nothing" is a number.
 
 use super::fit::LEAST;
-use super::outcome::{Detectable, Hidden};
+use super::library::Candidate;
+use super::outcome::{self, MinimumDetectable, NotIdentifiable};
 use super::select::Search;
 use super::state::{State, every, mean_square};
+use std::collections::BTreeMap;
 
 /// An effect is found with high probability when what re-identification leaves of it is this share of the noise of the mean period.
 const FOUND: f64 = 0.75;
 
-/// Of every family, site by site; and what the base parameters take over.
+/// Every effect of the library once, with its candidate that the other columns take over least, and the share of it that they leave. The
+/// first, the middle and the last start value stand for all.
+pub fn independences<'a>(search: &Search<'a>, base: &State) -> Vec<(&'a Candidate, f64)> {
+    let library = search.library;
+    let mut seen: Vec<&Candidate> = Vec::new();
+    for item in library {
+        if !seen.iter().any(|one| one.same_effect(item)) {
+            seen.push(item);
+        }
+    }
+    let best = |item: &Candidate| {
+        let variants: Vec<&'a Candidate> = library.iter().filter(|one| one.alike(item)).collect();
+        let some = [0, variants.len() / 2, variants.len() - 1].map(|k| variants[k]);
+        let independences = some.into_iter().filter_map(|one| {
+            let cross = base.columns.cross(search.problem.evidence, &one.rows);
+            Some((one, search.problem.own_share(&base.fit, &cross, &every)?))
+        });
+        independences.max_by(|a, b| a.1.total_cmp(&b.1))
+    };
+    seen.into_iter().filter_map(best).collect()
+}
+
+/// The least of every family that would have been found, joint by joint.
 ///
 /// With independence `idf` (the share of a column's square that the other columns can't take over), an effect of torque RMS `t` leaves
 /// `t sqrt(idf)`, so the least that is found is `0.75 floor / sqrt(idf)`; the parameter is that over the column's RMS.
-pub fn of(search: &Search, base: &State) -> (Vec<Detectable>, Vec<Hidden>) {
+pub fn minimum(search: &Search, independences: &[(&Candidate, f64)]) -> BTreeMap<String, MinimumDetectable> {
     let evidence = search.problem.evidence;
-    let mut detectable: Vec<Detectable> = Vec::new();
-    let mut hidden: Vec<Hidden> = Vec::new();
-    let mut seen: Vec<&super::library::Candidate> = Vec::new();
-    for item in search.library {
-        if seen.iter().any(|one| one.same_effect(item)) {
-            continue;
-        }
-        seen.push(item);
-        // The first, the middle and the last start value stand for all.
-        let variants: Vec<_> = search.library.iter().filter(|one| one.alike(item)).collect();
-        let some = [0, variants.len() / 2, variants.len() - 1].map(|k| variants[k]);
-        let independences = some.into_iter().filter_map(|one| {
-            let cross = base.columns.cross(evidence, &one.rows);
-            let independence = search.problem.own_share(&base.fit, &cross, &every)?;
-            Some((one, independence))
-        });
-        let Some((best, independence)) = independences.max_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
+    let mut found: BTreeMap<String, MinimumDetectable> = BTreeMap::new();
+    for &(best, independence) in independences {
         if independence < LEAST {
-            hidden.push(Hidden { spec: item.spec.clone(), independence });
             continue;
         }
         let rms = |joint: usize| {
@@ -46,18 +54,35 @@ pub fn of(search: &Search, base: &State) -> (Vec<Detectable>, Vec<Hidden>) {
         };
         let Some(floor) = evidence.floor(joint) else { continue };
         let torque = FOUND * floor / independence.sqrt();
-        let site = item.spec.site.joints().first().copied().unwrap_or(joint);
+        let site = best.spec.site.joints().first().copied().unwrap_or(joint);
         let parameter = torque / rms(joint).max(f64::MIN_POSITIVE);
         let unit =
             best.spec.build(search.ground).ok().and_then(|term| term.columns().first().map(|column| column.unit));
-        match detectable.iter_mut().find(|one| one.family == item.spec.family) {
-            Some(one) => one.sites.push((site, torque, parameter)),
-            None => detectable.push(Detectable {
-                family: item.spec.family,
-                sites: vec![(site, torque, parameter)],
-                unit: unit.unwrap_or_default(),
-            }),
+        let unknown = || vec![f64::NAN; evidence.joints()];
+        let own = found.entry(best.spec.family.into()).or_insert_with(|| MinimumDetectable {
+            torque_rms: unknown(),
+            parameter: unknown(),
+            unit: unit.unwrap_or_default().into(),
+            ..MinimumDetectable::default()
+        });
+        // Of several sites in one joint the one that shows best.
+        if own.torque_rms[site].is_nan() || torque < own.torque_rms[site] {
+            (own.torque_rms[site], own.parameter[site]) = (torque, parameter);
         }
     }
-    (detectable, hidden)
+    found
+}
+
+/// Effects that the base parameters take over, whatever the data holds.
+pub fn not_identifiable(independences: &[(&Candidate, f64)]) -> Vec<NotIdentifiable> {
+    let absorbed = |&(best, independence): &(&Candidate, f64)| {
+        (independence < LEAST).then(|| NotIdentifiable {
+            effect: best.spec.family.into(),
+            joints: outcome::joints(best.spec.site),
+            why: format!(
+                "the base parameters take over all but {independence:.1e} of it; the torques in these mountings do not change"
+            ),
+        })
+    };
+    independences.iter().filter_map(absorbed).collect()
 }

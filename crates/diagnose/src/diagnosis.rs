@@ -4,22 +4,26 @@ use super::Settings;
 use super::curves;
 use super::delivery::Delivery;
 use super::detectable;
+use super::errors::Of;
 use super::evidence::{Evidence, Trial};
-use super::fallback::{self, Unexplained};
+use super::fallback::{self, Residual};
 use super::fit::{LEAST, Problem, group};
 use super::gates;
 use super::library::{Candidate, library, repeatable};
-use super::outcome::{Confirmation, Effect, Estimate, Fitted, JointFacts, Outcome, Verdict};
-use super::parts;
-use super::select::{Search, Selected, Step};
+use super::outcome::{
+    self, Action, BeforeAfter, Confirmation, Diagnosis, Effect, Fitted, JointFacts, Outcome, Parameters, Quantity,
+    Score, Verdict,
+};
+use super::parts::{self, Named};
+use super::select::{Scored, Search, Selected, Step};
 use super::state::{State, every};
 use super::unseen::{Unseen, columns_of};
 use nalgebra::DVector;
 use plumbline_identify::solve::identify_with;
 use plumbline_identify::{EstimateError, Experiment, solve};
 use plumbline_model::Structure;
-use plumbline_model::term::effect::Ground;
-use plumbline_model::term::{effect, torque_offset};
+use plumbline_model::term::effect;
+use plumbline_model::term::effect::{Ground, Spec};
 
 /// What is diagnosed.
 pub struct Input<'a> {
@@ -54,6 +58,8 @@ const FLAT: f64 = 2.0;
 const GROUNDS: usize = 8;
 /// and twice the gain in log likelihood from which on it is worth another time.
 const GROUND_GAIN: f64 = 4.0;
+/// Candidates that an outcome lists.
+pub(super) const MAX_LISTED_SCORES: usize = 10;
 /// What is unmodelled counts from this share of the noise of the mean period on.
 pub(super) const THRESHOLD: f64 = 0.75;
 
@@ -94,37 +100,101 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let confirmed: Vec<bool> = selected.found.iter().map(|found| full && found.folds.confirm() == Some(true)).collect();
     let (after, withheld) = delivery.of(&selected, &lacks, &adequacy, &confirmed)?;
     let kept: Vec<bool> = withheld.iter().map(Option::is_none).collect();
-    let mut effects = effects_of(&search, &selected, &kept, &adequacy, &after);
-    for effect in &mut effects {
-        let index = selected.state.items.iter().position(|item| item.spec == effect.spec);
-        effect.withheld = index.and_then(|index| withheld[index].clone());
-    }
+    let effects = effects_of(&search, &selected, &withheld, &confirmed, &adequacy, &after);
     // What the delivered model leaves over.
     let left = if kept.iter().any(|kept| *kept) { &selected.state } else { &base };
     let left_out = (evidence.folds().len() > 1).then(|| gates::left_out(&search.problem, &base, left));
     let facts = |joint: usize| {
-        let left_out = left_out.as_ref().map(|errors| errors[joint]);
+        let left_out = left_out.as_ref().map_or(BeforeAfter::default(), |errors| BeforeAfter::both(errors[joint]));
         JointFacts { left_out, adequacy: adequacy[joint], ..facts(&evidence, settings, joint, &base, left) }
     };
     let joints: Vec<JointFacts> = (0..evidence.joints()).map(facts).collect();
-    let unexplained = unexplained(&evidence, left, settings, &joints, &adequacy);
-    let verdict = verdict(&effects, &unexplained);
-    let curves = curves::of(&search, &base, left, &unexplained);
-    let (detectable, hidden) = detectable::of(&search, &base);
-    Ok(Outcome {
-        verdict,
-        confirmation: confirmation(&evidence),
+    let residuals = residuals(&evidence, left, settings, &joints, &adequacy);
+    let curves = curves::of(&search, &base, left, &residuals);
+    let compared = delivery.compared(&after);
+    let independences = detectable::independences(&search, &base);
+    let mut diagnosis = Diagnosis {
+        verdict: verdict(&effects, &residuals),
+        confirmation: Some(confirmation(&evidence)),
+        held_out_runs: input.judge.iter().map(|trial| trial.experiment.name.clone()).collect(),
+        unexplained: residuals.iter().map(|one| one.unexplained(joints[one.joint].floor_of_mean)).collect(),
+        minimum_detectable: detectable::minimum(&search, &independences),
+        not_identifiable: detectable::not_identifiable(&independences),
+        path: steps("the plain model", &joints, &selected.path),
+        scores: scores(&selected, &effects),
+        notes: notes(&evidence, input, &effects),
         effects,
         joints,
-        before: Fitted { structure: structure.clone(), identification: before },
-        after,
-        detectable,
-        hidden,
-        unexplained,
-        curves,
-        path: selected.path,
-        ranking: selected.first.iter().map(|one| (one.item.spec.clone(), one.score)).collect(),
-    })
+        ..Diagnosis::default()
+    };
+    if let Some(compared) = compared {
+        diagnosis.change = Some(compared.change.clone());
+        diagnosis.set_errors(compared);
+    }
+    if settings.judged_by == Of::Raw && diagnosis.noise_floor.is_empty() {
+        // Unseen runs that do not repeat: the noise is that of the runs that do.
+        diagnosis.noise_floor = after.identification.rms.noise_floor.clone().unwrap_or_default();
+    }
+    let before = Fitted { structure: structure.clone(), identification: before.clone() };
+    Ok(Outcome { diagnosis, before, after, residuals, curves })
+}
+
+/// Remarks on what the findings were tested on, and on effects that are not delivered.
+fn notes(evidence: &Evidence, input: &Input, effects: &[Effect]) -> Vec<String> {
+    let mut notes = Vec::new();
+    match confirmation(evidence) {
+        Confirmation::OneTrajectory => {
+            notes.push("one trajectory: no finding could be confirmed on another, each is \"unconfirmed\"".into());
+        }
+        Confirmation::NoRepeats => notes.push(format!(
+            "the motions do not repeat, so the noise is not known and nothing can be said to be at its floor; {} blocks of the runs stood in for \
+             trajectories",
+            evidence.folds().len()
+        )),
+        Confirmation::Full { .. } => {}
+    }
+    for effect in effects {
+        if let Some(why) = &effect.withheld {
+            notes.push(format!("{} was found and is not in the delivered model: {why}", effect.place()));
+        }
+    }
+    if !input.judge.is_empty() {
+        let used = |trial: &Trial| {
+            format!("{} was used to accept findings and is excluded from every error shown here", trial.experiment.name)
+        };
+        notes.extend(input.veto.iter().map(used));
+    }
+    notes
+}
+
+/// The steps of a selection, from a model that left so much unmodelled in each joint.
+pub(super) fn steps(from: &str, joints: &[JointFacts], path: &[Step]) -> Vec<outcome::Step> {
+    let total: f64 = joints.iter().filter_map(|joint| joint.unmodelled.before).map(|rms| rms * rms).sum();
+    let start = outcome::Step { action: Action::Start, what: from.into(), unmodelled: Some(total.sqrt()), score: None };
+    let step = |step: &Step| outcome::Step {
+        action: if step.added { Action::Added } else { Action::Removed },
+        what: step.item.spec.to_string(),
+        unmodelled: Some(step.unmodelled.sqrt()),
+        score: Some(step.score),
+    };
+    [start].into_iter().chain(path.iter().map(step)).collect()
+}
+
+/// The best candidates for the plain model.
+fn scores(selected: &Selected, effects: &[Effect]) -> Vec<Score> {
+    let joints = |spec: &Spec| outcome::joints(spec.site);
+    let chosen = |spec: &Spec| effects.iter().any(|own| own.id == spec.family && own.joints == joints(spec));
+    let rival = |spec: &Spec| {
+        let mut rivals = effects.iter().flat_map(|own| &own.alternatives_detail);
+        rivals.any(|rival| rival.id == spec.family && rival.joints == joints(spec))
+    };
+    let score = |one: &Scored| Score {
+        label: one.item.spec.to_string(),
+        score: one.score,
+        chosen: chosen(&one.item.spec),
+        equivalent: rival(&one.item.spec),
+    };
+    selected.first.iter().take(MAX_LISTED_SCORES).map(score).collect()
 }
 
 /// Effects that follow the load were found upon the parameters of the plain model, which their lack has bent: brings them upon those of the model with
@@ -153,7 +223,7 @@ fn seeds(search: &Search, base: &State) -> Vec<Candidate> {
         return Vec::new();
     }
     let offset = |item: &&Candidate| {
-        item.spec.family == torque_offset::ID
+        item.spec.family().is_ok_and(|family| family.rare.in_every_arm)
             && base.try_in(&search.problem, item).is_some_and(|tried| tried.independence > LEAST)
     };
     search.library.iter().filter(offset).cloned().collect()
@@ -163,7 +233,7 @@ fn confirmation(evidence: &Evidence) -> Confirmation {
     match (evidence.repeats(), evidence.folds().len()) {
         (true, 1) => Confirmation::OneTrajectory,
         (true, trajectories) => Confirmation::Full { trajectories },
-        (false, blocks) => Confirmation::NoRepeats { blocks },
+        (false, _) => Confirmation::NoRepeats,
     }
 }
 
@@ -208,13 +278,15 @@ fn vetoed(search: &Search, mut selected: Selected, input: &Input, settings: &Set
 fn effects_of(
     search: &Search,
     selected: &Selected,
-    kept: &[bool],
+    withheld: &[Option<String>],
+    confirmed: &[bool],
     adequacy: &[Option<f64>],
     after: &Fitted,
 ) -> Vec<Effect> {
     let state = &selected.state;
     let mut effects = Vec::new();
     for (index, (item, found)) in state.items.iter().zip(&selected.found).enumerate() {
+        let in_model = withheld[index].is_none();
         let names = item.spec.build(search.ground).map(|term| term.columns()).unwrap_or_default();
         let fitted = |k: usize| {
             let at = state.range(index).start + k;
@@ -225,25 +297,22 @@ fn effects_of(
             Some((after.identification.beta[at], after.identification.std[at]))
         };
         let estimate = |(k, column): (usize, &plumbline_model::term::Column)| {
-            let (value, std) = delivered(&column.name).filter(|_| kept[index]).unwrap_or_else(|| fitted(k));
-            Estimate { name: column.name.clone(), value, std, unit: column.unit }
+            let (value, std) = delivered(&column.name).filter(|_| in_model).unwrap_or_else(|| fitted(k));
+            Quantity { std, ..Quantity::new(&column.name, value, column.unit) }
         };
-        effects.push(Effect {
-            spec: item.spec.clone(),
-            since: item.since,
-            parameters: names.iter().enumerate().map(estimate).collect(),
-            settings: settings_of(search, state, index),
-            evidence: found.evidence,
-            penalty: found.penalty,
-            score: found.score,
-            folds: found.folds,
-            relevance: found.relevance.clone(),
-            independence: found.independence,
-            adequacy: adequacy[found.relevance.joint],
-            rivals: found.rivals.clone(),
-            in_model: kept[index],
-            withheld: None,
-        });
+        let linear: Vec<Quantity> = names.iter().enumerate().map(estimate).collect();
+        let joint = found.relevance.joint;
+        let effect = Effect {
+            parameters: Parameters(settings_of(search, state, index).into_iter().chain(linear.clone()).collect()),
+            adequacy: adequacy[joint],
+            explained_share: Some(found.relevance.share[joint].max(0.0)),
+            confirmed: confirmed[index],
+            in_model,
+            withheld: withheld[index].clone(),
+            since_session: item.since,
+            ..found.effect(&item.spec)
+        };
+        effects.push(Named { spec: item.spec.clone(), linear, effect });
     }
     let friction = |joint: usize| {
         let name = format!("fc{}", joint + 1);
@@ -254,7 +323,7 @@ fn effects_of(
 }
 
 /// Nonlinear parameters with standard deviations from the curvature of the likelihood about them.
-fn settings_of(search: &Search, state: &State, index: usize) -> Vec<Estimate> {
+fn settings_of(search: &Search, state: &State, index: usize) -> Vec<Quantity> {
     let item = &state.items[index];
     let Some(form) = item.spec.family().ok().and_then(|family| family.form(item.spec.form)) else { return Vec::new() };
     let rest = state.without(&search.problem, index);
@@ -280,7 +349,7 @@ fn settings_of(search: &Search, state: &State, index: usize) -> Vec<Estimate> {
             let slope = (setting.at((share + 1e-4).min(1.0)) - setting.at((share - 1e-4).max(0.0))) / 2e-4;
             (variance > 0.0).then(|| variance.sqrt() * slope.abs())
         })();
-        Estimate { name: setting.name.to_string(), value, std, unit: setting.unit }
+        Quantity { std, ..Quantity::new(setting.name, value, setting.unit) }
     };
     form.settings.iter().enumerate().map(estimate).collect()
 }
@@ -288,38 +357,40 @@ fn settings_of(search: &Search, state: &State, index: usize) -> Vec<Estimate> {
 fn facts(evidence: &Evidence, settings: &Settings, joint: usize, base: &State, after: &State) -> JointFacts {
     let floor = evidence.floor(joint);
     let ratio = |state: &State| state.residual(joint).norm_squared() / evidence.per_joint() as f64;
+    let both = |of: &dyn Fn(&State) -> f64| BeforeAfter::both([base, after].map(of));
     JointFacts {
-        floor,
-        rms: [base, after].map(|state| state.mean_square(evidence, joint).sqrt()),
-        unmodelled: [base, after].map(|state| state.unmodelled(evidence, joint).sqrt()),
-        lack_of_fit: floor.map(|_| [base, after].map(ratio)),
-        threshold: settings.threshold.unwrap_or(THRESHOLD * floor.unwrap_or(0.0)),
+        floor_of_mean: floor,
+        rms: both(&|state| state.mean_square(evidence, joint).sqrt()),
+        unmodelled: both(&|state| state.unmodelled(evidence, joint).sqrt()),
+        lack_of_fit: floor.map_or(BeforeAfter::default(), |_| both(&ratio)),
+        threshold: floor.map(|floor| settings.threshold.unwrap_or(THRESHOLD * floor)),
         ..JointFacts::default()
     }
 }
 
 /// Joints in which the model lacks something that no effect explains. Where the noise is not known, those in which what is left over
 /// follows some variables.
-fn unexplained(
+fn residuals(
     evidence: &Evidence,
     state: &State,
     settings: &Settings,
     joints: &[JointFacts],
     adequacy: &[Option<f64>],
-) -> Vec<Unexplained> {
+) -> Vec<Residual> {
     let mut found = Vec::new();
     for (joint, facts) in joints.iter().enumerate() {
         // A share of much may still leave more than noise can be.
-        let little = facts.floor.is_some_and(|floor| facts.unmodelled[1] <= LEFT_OVER * floor);
+        let [floor, unmodelled] = [facts.floor_of_mean, facts.unmodelled.after];
+        let little = floor.zip(unmodelled).is_some_and(|(floor, unmodelled)| unmodelled <= LEFT_OVER * floor);
         let explained = little && adequacy[joint].is_some_and(|share| share >= EXPLAINED);
-        if evidence.repeats() && (explained || !facts.lacking(1)) {
+        if evidence.repeats() && (explained || !facts.lacking_after()) {
             continue;
         }
         let one = fallback::unexplained(evidence, state, joint, settings);
-        let counts = match facts.lack_of_fit {
+        let counts = match facts.lack_of_fit.after {
             // The noise of the positions goes through the model into the mean, and the scatter of the torques knows nothing of it: so much may
             // be left over that follows no variable.
-            Some([_, after]) => !one.flat() || after > FLAT,
+            Some(after) => !one.flat() || after > FLAT,
             None => one.r2() > FOLLOWS,
         };
         if counts {
@@ -329,10 +400,10 @@ fn unexplained(
     found
 }
 
-fn verdict(effects: &[Effect], unexplained: &[Unexplained]) -> Verdict {
+fn verdict(effects: &[Effect], residuals: &[Residual]) -> Verdict {
     let found = effects.iter().any(|effect| effect.in_model);
-    let rivals = effects.iter().any(|effect| effect.in_model && !effect.rivals.is_empty());
-    match (found, !unexplained.is_empty()) {
+    let rivals = effects.iter().any(|effect| effect.in_model && !effect.alternatives.is_empty());
+    match (found, !residuals.is_empty()) {
         (false, false) => Verdict::NothingSignificant,
         (false, true) => Verdict::Unexplained,
         (true, true) => Verdict::Partly,

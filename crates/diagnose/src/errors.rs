@@ -1,9 +1,11 @@
 //! Errors of two models on runs that neither was fitted to, with intervals from a block bootstrap.
 
+use super::outcome::lenient;
 use nalgebra::DMatrix;
 use plumbline_identify::{Experiment, Modelled};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
 
 /// Length of a block \[s\]: longer than torques stay correlated.
 const BLOCK: f64 = 1.0;
@@ -21,13 +23,39 @@ pub enum Of {
     Filtered,
 }
 
-/// An error per joint with its 95 % interval \[Nm\].
-#[derive(Clone, Debug, Default, PartialEq)]
+/// What reported errors are taken of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Band {
+    /// Raw torque samples, noise and all: as in the paper's Tables IV and V.
+    #[default]
+    Raw,
+    /// Torques and model after the estimator's zero-phase low-pass; of a periodic motion, the mean period.
+    Filtered {
+        /// Its cut-off \[Hz\].
+        cutoff: f64,
+    },
+}
+
+impl Of {
+    /// The same with the low-pass.
+    pub fn band(self, cutoff: f64) -> Band {
+        match self {
+            Of::Raw => Band::Raw,
+            Of::Filtered => Band::Filtered { cutoff },
+        }
+    }
+}
+
+/// Errors per joint.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Errors {
-    /// RMS per joint, or a difference of two.
-    pub rms: Vec<f64>,
-    /// Low and high end of the interval, per joint.
-    pub interval: Vec<[f64; 2]>,
+    /// RMS of measured minus predicted torque over the held-out runs, per joint, or a difference of two \[Nm\].
+    #[serde(deserialize_with = "lenient::numbers")]
+    pub validate_rms: Vec<f64>,
+    /// Low and high end of each one's 95 % interval from a block bootstrap \[Nm\]; empty where there is none.
+    #[serde(default, deserialize_with = "lenient::intervals", skip_serializing_if = "Vec::is_empty")]
+    pub intervals: Vec<[f64; 2]>,
 }
 
 /// Errors before, after, and their difference, paired block by block.
@@ -99,8 +127,8 @@ pub fn compare(runs: &[(&Experiment, Modelled, Modelled)], of: Of) -> Option<Com
             [values[DRAWS / 40], values[DRAWS - 1 - DRAWS / 40]]
         };
         let mut push = |errors: fn(&mut Compared) -> &mut Errors, rms: f64, interval: [f64; 2]| {
-            errors(&mut compared).rms.push(rms);
-            errors(&mut compared).interval.push(interval);
+            errors(&mut compared).validate_rms.push(rms);
+            errors(&mut compared).intervals.push(interval);
         };
         push(|all| &mut all.before, before, interval(&|draw| draw[0]));
         push(|all| &mut all.after, after, interval(&|draw| draw[1]));
@@ -116,9 +144,9 @@ pub fn compare(runs: &[(&Experiment, Modelled, Modelled)], of: Of) -> Option<Com
 /// Measured minus modelled torque, N x n.
 fn residual(experiment: &Experiment, modelled: &Modelled, of: Of) -> DMatrix<f64> {
     match of {
-        Of::Raw => &experiment.tau - modelled.judged(),
+        Of::Raw => &experiment.tau - modelled.comparison(),
         Of::Filtered => {
-            let rest = &experiment.tau - modelled.along();
+            let rest = &experiment.tau - modelled.regression();
             let stacked = DMatrix::from_column_slice(rest.len(), 1, rest.as_slice());
             DMatrix::from_column_slice(rest.nrows(), rest.ncols(), experiment.filter(&stacked).as_slice())
         }

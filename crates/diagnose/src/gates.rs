@@ -3,6 +3,7 @@
 use super::evidence::Evidence;
 use super::fit::{Problem, group};
 use super::library::Candidate;
+use super::outcome;
 use super::state::{State, Tried, mean_square};
 use nalgebra::DVector;
 
@@ -18,10 +19,10 @@ const HARM: f64 = 0.3;
 
 /// How the folds judge a candidate.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Folds {
-    /// Folds whose error falls when the effect, fitted to the others, is added.
+pub struct FoldTest {
+    /// FoldTest whose error falls when the effect, fitted to the others, is added.
     pub positive: usize,
-    /// Folds that can tell.
+    /// FoldTest that can tell.
     pub informative: usize,
     /// Twice the gain in log likelihood on folds left out, `sum_j n_j ln(error_without / error_with)` over all joints.
     pub evidence: f64,
@@ -31,7 +32,12 @@ pub struct Folds {
     pub worst: f64,
 }
 
-impl Folds {
+impl FoldTest {
+    /// The counts.
+    pub fn counts(self) -> outcome::Folds {
+        outcome::Folds { positive: self.positive, informative: self.informative }
+    }
+
     /// Whether they confirm it; `None` when none can tell.
     pub fn confirm(self) -> Option<bool> {
         (self.informative > 0).then_some(self.positive as f64 >= AGREEMENT * self.informative as f64)
@@ -49,9 +55,9 @@ impl Folds {
 }
 
 /// Leaves out one fold after the other, fits with and without the candidate, and looks at the fold that was left out.
-pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> Folds {
+pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
     let count = problem.evidence.folds().len();
-    let mut found = Folds::default();
+    let mut found = FoldTest::default();
     if count < 2 {
         return found;
     }

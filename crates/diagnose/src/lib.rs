@@ -11,6 +11,7 @@
 //! | what changed since a model was identified | [`mod@reference`] |
 //! | the same while the model is served | [`live`] |
 //! | what differs from period to period | [`changing`] |
+//! | the outcome, as `report.json` has it | [`mod@outcome`], [`mod@figures`] |
 //! | errors before and after with confidence intervals | [`errors`] |
 //!
 //! ```no_run
@@ -24,7 +25,7 @@
 //!     let input =
 //!         Input { structure: model, identify: &identify, veto: &veto, judge: &[], options: &solve::Options::default() };
 //!     let outcome = diagnose(&input, &Settings::default(), &|_| {})?;
-//!     println!("{:?}: {} effects", outcome.verdict, outcome.effects.len());
+//!     println!("{}: {} effects", outcome.diagnosis.verdict, outcome.diagnosis.effects.len());
 //!     Ok(())
 //! }
 //! ```
@@ -39,13 +40,14 @@ mod diagnosis;
 pub mod errors;
 mod evidence;
 mod fallback;
+pub mod figures;
 mod fit;
 mod fold;
 mod gates;
 mod library;
 pub mod live;
 mod moments;
-mod outcome;
+pub mod outcome;
 mod parts;
 pub mod reference;
 mod search;
@@ -53,17 +55,15 @@ mod select;
 mod state;
 mod unseen;
 
-pub use curves::EffectCurve;
-pub use curves::{Period, Spectrum};
 pub use diagnosis::{Input, diagnose};
 pub use evidence::{Evidence, Trial};
-pub use fallback::{Unexplained, Variable, lack_of_fit, lacks, unexplained};
+pub use fallback::{Residual, Variable, lack_of_fit, lacks, unexplained};
 pub use fit::{Problem, group, inverse};
 pub use fold::Fold;
-pub use gates::{Folds, Relevance, folds, left_out, matters, relevance};
+pub use gates::{FoldTest, Relevance, folds, left_out, matters, relevance};
 pub use library::{Candidate, library};
 pub use moments::Columns;
-pub use outcome::{Confirmation, Detectable, Effect, Estimate, Fitted, Hidden, JointFacts, Outcome, Verdict};
+pub use outcome::{Confirmation, Diagnosis, Effect, Fitted, JointFacts, Outcome, Verdict};
 pub use select::{Rival, Scored, Search, Selected, Step};
 pub use state::{State, mean_square};
 

@@ -1,44 +1,57 @@
 //! Effects that are parts of another one.
 //!
-//! A torque sensor that takes a share of another joint's torque takes the same share of that joint's friction. The column of
-//! [`torque_crosstalk`] is the rigid body's torque alone, so the search finds the rest as friction between the two joints. Where its
-//! coefficients are the cross-talk's share of the other joint's own friction, it is no finding of its own: the two are told as one.
+//! A torque sensor with cross-talk measures a share of another joint's torque, friction included. The column of `torque-crosstalk` is the
+//! rigid-body torque alone, so the search finds the rest as friction between the two joints. A family declares this ([`PartOf`]): where the
+//! form's first coefficient is the other effect's share of the cause's own friction, both are reported as one effect.
 
-use super::outcome::{Effect, Estimate};
-use plumbline_model::term::effect::Site;
-use plumbline_model::term::{torque_crosstalk, transmission_coupling};
+use super::outcome::{Effect, Quantity};
+use plumbline_model::term::effect::{PartOf, Site, Spec};
 
 /// How many standard deviations a coefficient may be off the share.
 const DEVIATIONS: f64 = 4.0;
 /// And how much of itself: friction jumps in one of the two columns and passes smoothly through zero in the other.
 const FORM: f64 = 0.25;
 
-/// Puts the parts with what they belong to. `friction` gives a joint's Coulomb friction \[Nm\], joints from 0.
-pub fn together(effects: Vec<Effect>, friction: impl Fn(usize) -> Option<f64>) -> Vec<Effect> {
-    let (parts, mut whole): (Vec<Effect>, Vec<Effect>) = effects.into_iter().partition(|effect| {
-        effect.in_model && effect.spec.family == transmission_coupling::ID && effect.spec.form == "friction"
-    });
+/// An effect with the search's own description of it.
+pub struct Named {
+    /// What the search found.
+    pub spec: Spec,
+    /// Its linear parameters.
+    pub linear: Vec<Quantity>,
+    /// As it stands in files.
+    pub effect: Effect,
+}
+
+/// Merges parts into the effects that they belong to, the best score first. `friction` gives a joint's Coulomb friction \[Nm\], joints from 0.
+pub fn together(effects: Vec<Named>, friction: impl Fn(usize) -> Option<f64>) -> Vec<Effect> {
+    let (parts, mut whole): (Vec<Named>, Vec<Named>) =
+        effects.into_iter().partition(|one| one.effect.in_model && part_of(&one.spec).is_some());
     for part in parts {
-        let Site::Pair { cause, .. } = part.spec.site else {
+        let (Site::Pair { cause, .. }, Some(of)) = (part.spec.site, part_of(&part.spec)) else {
             whole.push(part);
             continue;
         };
-        let belongs = |effect: &&mut Effect| {
-            let own =
-                effect.in_model && effect.spec.family == torque_crosstalk::ID && effect.spec.site == part.spec.site;
-            own && friction(cause).is_some_and(|fc| is_share(&effect.parameters, &part.parameters, fc))
+        let belongs = |one: &&mut Named| {
+            let own = one.effect.in_model && one.spec.family == of.family && one.spec.site == part.spec.site;
+            own && friction(cause).is_some_and(|fc| is_share(&one.linear, &part.linear, fc))
         };
         match whole.iter_mut().find(belongs) {
-            Some(effect) => effect.parameters.extend(part.parameters),
+            Some(one) => one.effect.parameters.0.extend(part.linear),
             None => whole.push(part),
         }
     }
-    whole.sort_by(|a, b| b.score.total_cmp(&a.score));
-    whole
+    let mut effects: Vec<Effect> = whole.into_iter().map(|one| one.effect).collect();
+    effects.sort_by(|a, b| b.evidence.unwrap_or(f64::NAN).total_cmp(&a.evidence.unwrap_or(f64::NAN)));
+    effects
+}
+
+/// The declaration of an effect's family that its form may be part of another effect.
+fn part_of(spec: &Spec) -> Option<PartOf> {
+    spec.family().ok()?.rare.part_of.filter(|part| part.form == spec.form)
 }
 
 /// Whether the first coefficient of `coupling` is the share in `crosstalk` of the Coulomb friction `fc` \[Nm\].
-fn is_share(crosstalk: &[Estimate], coupling: &[Estimate], fc: f64) -> bool {
+fn is_share(crosstalk: &[Quantity], coupling: &[Quantity], fc: f64) -> bool {
     let (Some(share), Some(found)) = (crosstalk.first(), coupling.first()) else { return false };
     let expected = share.value * fc;
     let std = share.std.unwrap_or(0.0) * fc.abs();
@@ -50,8 +63,8 @@ fn is_share(crosstalk: &[Estimate], coupling: &[Estimate], fc: f64) -> bool {
 mod tests {
     use super::*;
 
-    fn estimate(value: f64, std: f64) -> Vec<Estimate> {
-        vec![Estimate { name: String::new(), value, std: Some(std), unit: "" }]
+    fn estimate(value: f64, std: f64) -> Vec<Quantity> {
+        vec![Quantity { value, std: Some(std), ..Quantity::default() }]
     }
 
     #[test]

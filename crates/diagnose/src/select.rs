@@ -6,8 +6,9 @@
 use super::Settings;
 use super::evidence::Evidence;
 use super::fit::Problem;
-use super::gates::{self, Folds, Relevance};
+use super::gates::{self, FoldTest, Relevance};
 use super::library::Candidate;
+use super::outcome::{self, Alternative, Effect};
 use super::search;
 use super::state::{State, Tried, every};
 use plumbline_core::parallel;
@@ -59,13 +60,48 @@ pub struct Found {
     /// Part of the score that pays for parameters and choice.
     pub penalty: f64,
     /// How the folds judge it.
-    pub folds: Folds,
+    pub folds: FoldTest,
     /// What it explains.
     pub relevance: Relevance,
     /// Share of its fitted part that the other columns can't take over.
     pub independence: f64,
     /// Rivals whose score is near, or that look alike.
     pub rivals: Vec<Rival>,
+}
+
+impl Found {
+    /// As an effect at a place; the caller adds parameters and where it stands in the model.
+    pub(super) fn effect(&self, spec: &Spec) -> Effect {
+        let mut alternatives: Vec<String> = Vec::new();
+        for rival in &self.rivals {
+            if !alternatives.iter().any(|known| known == rival.item.spec.family) {
+                alternatives.push(rival.item.spec.family.into());
+            }
+        }
+        let confounded = spec.family().map_or(&[][..], |family| family.confounded);
+        let decided =
+            |other: &str| confounded.iter().find(|one| one.with == other).map(|one| one.decided_by.to_string());
+        let detail = |rival: &Rival| Alternative {
+            id: rival.item.spec.family.into(),
+            joints: outcome::joints(rival.item.spec.site),
+            score_gap: Some(rival.gap),
+            deciding_experiment: decided(rival.item.spec.family).unwrap_or_default(),
+        };
+        let largest = |values: &[f64]| values.iter().copied().reduce(f64::max);
+        Effect {
+            joints: outcome::joints(spec.site),
+            evidence: Some(self.score),
+            delta_log_likelihood: Some(0.5 * self.evidence),
+            penalty: Some(self.penalty),
+            folds: self.folds.counts(),
+            idf: Some(self.independence),
+            torque_rms: largest(&self.relevance.rms),
+            explained_share: largest(&self.relevance.share),
+            alternatives,
+            alternatives_detail: self.rivals.iter().map(detail).collect(),
+            ..Effect::of(spec.family, spec.form)
+        }
+    }
 }
 
 /// What might be there instead of an effect.

@@ -100,14 +100,14 @@ pub enum ExciteError {
         expected: usize,
     },
     /// A joint hardly moves.
-    #[error("{}", frozen(*joint, usage, held_by, *draws))]
+    #[error("{}", frozen(*joint, usage, limited_by, *draws))]
     Frozen {
         /// Joint that moves least, counted from 1.
         joint: usize,
         /// What the motion uses of its limits.
         usage: Usage,
         /// The limit that kept the motion small, where that is known.
-        held_by: Option<limits::Peak>,
+        limited_by: Option<limits::Peak>,
         /// Random motions that were tried.
         draws: usize,
     },
@@ -143,8 +143,8 @@ pub enum ExciteError {
     },
 }
 
-fn frozen(joint: usize, usage: &Usage, held_by: &Option<limits::Peak>, draws: usize) -> String {
-    let held = held_by.as_ref().map_or(String::new(), |peak| format!("; a larger motion breaks: {peak}"));
+fn frozen(joint: usize, usage: &Usage, limited_by: &Option<limits::Peak>, draws: usize) -> String {
+    let held = limited_by.as_ref().map_or(String::new(), |peak| format!("; a larger motion breaks: {peak}"));
     let tried = if draws > 1 { format!(" in the best of {draws} random motions") } else { String::new() };
     let (range, speed) = (100.0 * usage.range, 100.0 * usage.speed);
     let least = 100.0 * MIN_USAGE;

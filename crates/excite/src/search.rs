@@ -3,11 +3,11 @@
 use super::ExciteError;
 use super::criterion::{Criterion, evaluate, sampled, stacked};
 use super::fourier::{Fourier, MAX_HARMONICS};
+use super::guard_check::check_with_guard;
 use super::limits::{Bounds, Check, Peak, Quantity, check, check_pose, verify};
 use super::nominal::Nominal;
 use super::optimiser::FINE;
 use super::plan::{Constraints, Plan, PlanUsage};
-use super::rehearsal::rehearse;
 use super::usage::{WANTED_USAGE, check_usage, least_usage, usage};
 use plumbline_core::JointVec;
 use plumbline_model::term::Motion;
@@ -74,7 +74,7 @@ pub struct Progress {
 
 /// Who watches a search, and what it may use.
 #[derive(Clone, Copy)]
-pub struct Watch<'a> {
+pub struct SearchControl<'a> {
     /// Threads that descents run on.
     pub threads: usize,
     /// Asked between the legs of a descent: when true, the search ends with the best that it has.
@@ -83,10 +83,10 @@ pub struct Watch<'a> {
     pub progress: &'a (dyn Fn(Progress) + Sync),
 }
 
-impl Watch<'_> {
+impl SearchControl<'_> {
     /// Nobody watches: all starts are seen through, on this many threads.
-    pub fn alone(threads: usize) -> Watch<'static> {
-        Watch { threads, stop: &|| false, progress: &|_| {} }
+    pub fn with_threads(threads: usize) -> SearchControl<'static> {
+        SearchControl { threads, stop: &|| false, progress: &|_| {} }
     }
 }
 
@@ -120,15 +120,15 @@ pub fn random_plan(problem: &Problem, search: &Search, amplitude: f64) -> Result
         |fourier: &Fourier| least_usage(&usage(&problem.bounds, fourier)).map_or(0.0, |(_, usage)| usage.largest());
     for _ in 0..DRAWS {
         let drawn = random_motion(problem, search, amplitude, &mut rng)?;
-        let held_by = coarse(problem, &drawn, search.samples).violations().next().copied();
+        let limited_by = coarse(problem, &drawn, search.samples).violations().next().copied();
         let better = |fourier: &Fourier| best.as_ref().is_none_or(|best| used(fourier) > best.least);
         // The judgement at 1 kHz takes the longest, and makes no motion larger.
         let kept = match shrink(drawn, |fourier| coarse(problem, fourier, search.samples)) {
             Ok(fourier) if !better(&fourier) => continue,
-            kept => kept.and_then(|fourier| shrink(fourier, |fourier| search_verdict(problem, fourier))),
+            kept => kept.and_then(|fourier| shrink(fourier, |fourier| verify_with_guard(problem, fourier))),
         };
         match kept {
-            Ok(fourier) if better(&fourier) => best = Some(Drawn { least: used(&fourier), fourier, held_by }),
+            Ok(fourier) if better(&fourier) => best = Some(Drawn { least: used(&fourier), fourier, limited_by }),
             Ok(_) => {}
             Err(error) => trouble = Some(error),
         }
@@ -137,8 +137,8 @@ pub fn random_plan(problem: &Problem, search: &Search, amplitude: f64) -> Result
         }
     }
     match (best, trouble) {
-        (Some(Drawn { fourier, held_by, .. }), _) => {
-            check_usage(&usage(&problem.bounds, &fourier), held_by, DRAWS)?;
+        (Some(Drawn { fourier, limited_by, .. }), _) => {
+            check_usage(&usage(&problem.bounds, &fourier), limited_by, DRAWS)?;
             plan_of(problem, search, fourier)
         }
         (None, Some(error)) => Err(error),
@@ -152,7 +152,7 @@ struct Drawn {
     /// Usage of the joint that it moves least.
     least: f64,
     /// What a larger motion of this form breaks.
-    held_by: Option<Peak>,
+    limited_by: Option<Peak>,
 }
 
 pub(super) fn validate(problem: &Problem, search: &Search) -> Result<(), ExciteError> {
@@ -322,10 +322,10 @@ fn coarse(problem: &Problem, fourier: &Fourier, samples: usize) -> Check {
 
 /// What the motion breaks at 1 kHz, by the limits less their margins and by the rules of the loop's guard: the judgement that a plan stands
 /// on.
-pub fn search_verdict(problem: &Problem, fourier: &Fourier) -> Check {
+pub fn verify_with_guard(problem: &Problem, fourier: &Fourier) -> Check {
     let mut check = with_torque(problem, |torque| verify(&problem.bounds, fourier, torque));
     if check.is_feasible() {
-        check.peaks.extend(rehearse(&problem.bounds, fourier));
+        check.peaks.extend(check_with_guard(&problem.bounds, fourier));
     }
     check
 }
@@ -347,13 +347,13 @@ pub fn motion_samples(problem: &Problem, motions: &[Fourier]) -> Motion {
 }
 
 /// Condition numbers of several motions together, stacked.
-pub fn conditions_together(problem: &Problem, motions: &[Fourier]) -> Conditions {
+pub fn stacked_conditions(problem: &Problem, motions: &[Fourier]) -> Conditions {
     evaluate(problem.structure, &motion_samples(problem, motions), problem.sigma)
 }
 
 /// The plan of a motion that keeps every limit at 1 kHz; an error when it does not.
 pub(super) fn plan_of(problem: &Problem, search: &Search, fourier: Fourier) -> Result<Plan, ExciteError> {
-    if let Some(violation) = search_verdict(problem, &fourier).violations().next() {
+    if let Some(violation) = verify_with_guard(problem, &fourier).violations().next() {
         return Err(ExciteError::NoMotion { violation: *violation });
     }
     let motion = sampled(&fourier, &problem.mounting.gravity(), FINE * search.samples);

@@ -62,13 +62,13 @@ pub fn least_usage(usage: &[Usage]) -> Option<(usize, Usage)> {
     joints.min_by(|(_, one), (_, other)| one.largest().total_cmp(&other.largest()))
 }
 
-/// Errors when a motion uses less than [`MIN_USAGE`] of every limit of some joint. `held_by` is what kept the motion small, where that is
+/// Errors when a motion uses less than [`MIN_USAGE`] of every limit of some joint. `limited_by` is what kept the motion small, where that is
 /// known, and `draws` the number of random motions that were tried.
-pub fn check_usage(usage: &[Usage], held_by: Option<Peak>, draws: usize) -> Result<(), ExciteError> {
+pub fn check_usage(usage: &[Usage], limited_by: Option<Peak>, draws: usize) -> Result<(), ExciteError> {
     match least_usage(usage) {
         // Also where the usage is not a number.
         Some((j, usage)) if usage.largest().is_nan() || usage.largest() < MIN_USAGE => {
-            Err(ExciteError::Frozen { joint: j + 1, usage, held_by, draws })
+            Err(ExciteError::Frozen { joint: j + 1, usage, limited_by, draws })
         }
         _ => Ok(()),
     }

@@ -12,7 +12,7 @@
 )]
 
 /// The arm's cycle \[s\].
-pub(super) const TICK: f64 = plumbline_core::PERIOD;
+pub(super) const TICK: f64 = plumbline_core::PERIOD_S;
 
 /// A commanded point with the derivatives that the arm makes of it: `dq = (q - q_last) / T`, `ddq = (dq - dq_last) / T`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -35,7 +35,7 @@ pub struct Experiment {
     /// The filtered motion with its derivatives on the even grid: one period of a periodic run, all but the ends of another.
     pub motion: Motion,
     /// The same behind a narrower low-pass, along which a model is compared with raw torques; `None` where `motion` does for that.
-    pub judged: Option<Motion>,
+    pub comparison_motion: Option<Motion>,
     /// Torques on the same grid, N x n, averaged over the periods and not filtered \[Nm\].
     pub tau: DMatrix<f64>,
     /// Scatter of the torques between the periods \[Nm\]; `None` without repeats.
@@ -207,7 +207,7 @@ impl Experiment {
         let mut experiment = Experiment {
             name: run.name.clone(),
             motion: motion(&differentiator),
-            judged: narrower.then(|| motion(&judging)),
+            comparison_motion: narrower.then(|| motion(&judging)),
             tau: values.view((edge, n), (count, n)).into_owned(),
             noise: scatter.as_ref().map(|_| NoiseOfMean::of(&of_tau(), samples, dt, |f| filter.zero_phase_gain(f))),
             repeats: (scatter.is_some() && settings.keep_periods).then(|| Repeats {
@@ -278,7 +278,7 @@ impl Experiment {
     /// The motion along which a model is compared with raw torques, with the samples that are cut off both ends of a run that does not
     /// repeat, and how many those are at each end. There the accelerations depend on the filter's continuation of the motion past its end.
     pub fn with_ends(&self) -> (Motion, usize) {
-        let differentiator = if self.judged.is_some() { &self.judging } else { &self.differentiator };
+        let differentiator = if self.comparison_motion.is_some() { &self.judging } else { &self.differentiator };
         (motion_of(differentiator, &self.q, self.dq.as_ref(), 0), self.edge)
     }
 

@@ -62,11 +62,11 @@ pub use covariance::Spread;
 pub use direction::{Direction, DirectionError, Pose, direction, wrong_sign};
 pub use essential::Dropped;
 pub use experiment::{Experiment, Repeats};
-pub use mounting_check::{Disagreement, Implied, Side, cross_check, implied};
+pub use mounting_check::{Disagreement, GravitySource, ImpliedGravity, cross_check, implied_gravity};
 pub use periods::Scatter;
 pub use plausibility::{Implausible, plausible};
 pub use run::Run;
-pub use settings::{Derivative, LeftOut, Method, Settings};
+pub use settings::{Derivative, ExcludedSpan, Method, Settings};
 pub use validate::{Modelled, Rms, compare, torques, validate, validate_parameters};
 
 /// Why samples could not be turned into parameters.

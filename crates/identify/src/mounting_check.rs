@@ -21,7 +21,7 @@ const STRENGTH: std::ops::RangeInclusive<f64> = 0.8..=1.25;
 
 /// Somebody who knows the direction of gravity.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Side {
+pub struct GravitySource {
     /// What it is called, with its article: `the inclinometer`.
     pub name: &'static str,
     /// Gravity in the base frame; its length counts for nothing.
@@ -30,10 +30,10 @@ pub struct Side {
     pub std: f64,
 }
 
-impl Side {
+impl GravitySource {
     /// The configuration, which has no uncertainty of its own: the tolerance is there for it.
-    pub fn declared(mounting: &Mounting) -> Side {
-        Side { name: "the declared mounting", gravity: mounting.gravity(), std: 0.0 }
+    pub fn declared(mounting: &Mounting) -> GravitySource {
+        GravitySource { name: "the declared mounting", gravity: mounting.gravity(), std: 0.0 }
     }
 }
 
@@ -41,9 +41,9 @@ impl Side {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair {
     /// One.
-    pub first: Side,
+    pub first: GravitySource,
     /// The other.
-    pub second: Side,
+    pub second: GravitySource,
     /// Angle between their directions \[rad\].
     pub angle: f64,
     /// Its standard deviation \[rad\].
@@ -51,7 +51,7 @@ pub struct Pair {
 }
 
 impl Pair {
-    fn of(first: Side, second: Side) -> Pair {
+    fn of(first: GravitySource, second: GravitySource) -> Pair {
         let angle = first.gravity.cross(&second.gravity).norm().atan2(first.gravity.dot(&second.gravity));
         Pair { first, second, angle, std: first.std.hypot(second.std) }
     }
@@ -78,7 +78,7 @@ pub enum Disagreement {
     )]
     Off {
         /// The side.
-        side: Side,
+        side: GravitySource,
         /// Its smallest angle to another side \[rad\].
         off: f64,
         /// Allowed \[rad\].
@@ -110,16 +110,17 @@ fn list(pairs: &[Pair]) -> String {
 ///
 /// # Errors
 /// A pair that disagrees by more than `tolerance` \[rad\] and twice its standard deviation.
-pub fn cross_check(sides: &[Side], tolerance: f64) -> Result<Vec<Pair>, Disagreement> {
+pub fn cross_check(sides: &[GravitySource], tolerance: f64) -> Result<Vec<Pair>, Disagreement> {
     let after = |i: usize| sides.iter().skip(i + 1).map(move |&second| (i, second));
     let pairs: Vec<Pair> = (0..sides.len()).flat_map(after).map(|(i, second)| Pair::of(sides[i], second)).collect();
     let bad: Vec<&Pair> = pairs.iter().filter(|pair| pair.disagree(tolerance)).collect();
     if bad.is_empty() {
         return Ok(pairs);
     }
-    let takes_part = |side: &Side, pair: &Pair| pair.first.name == side.name || pair.second.name == side.name;
+    let takes_part = |side: &GravitySource, pair: &Pair| pair.first.name == side.name || pair.second.name == side.name;
     // Off is who is in every quarrel while at least two others have none.
-    let culprits: Vec<&Side> = sides.iter().filter(|side| bad.iter().all(|pair| takes_part(side, pair))).collect();
+    let culprits: Vec<&GravitySource> =
+        sides.iter().filter(|side| bad.iter().all(|pair| takes_part(side, pair))).collect();
     match culprits[..] {
         [side] if sides.len() >= 3 => {
             let own = bad.iter().map(|pair| pair.angle);
@@ -132,16 +133,16 @@ pub fn cross_check(sides: &[Side], tolerance: f64) -> Result<Vec<Pair>, Disagree
 
 /// What the torques at rest say.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Implied {
+pub struct ImpliedGravity {
     /// The direction, its standard deviation widened where model and torques do not agree to within what was expected.
-    pub side: Side,
+    pub side: GravitySource,
     /// Strength of the implied gravity over the standard one.
     pub strength: f64,
     /// Squared misfit over its degrees of freedom; about 1 where the model explains the torques.
     pub misfit: f64,
 }
 
-impl Implied {
+impl ImpliedGravity {
     /// What else should be known of it, if anything.
     pub fn remark(&self) -> Option<String> {
         if STRENGTH.contains(&self.strength) {
@@ -159,11 +160,11 @@ impl Implied {
 ///
 /// # Errors
 /// `Ok(Err(_))` is a torque sensor with the wrong sign.
-pub fn implied(
+pub fn implied_gravity(
     model: &TorqueModel,
     poses: &[Pose],
     noise: &[f64],
-) -> Result<Result<Implied, Disagreement>, DirectionError> {
+) -> Result<Result<ImpliedGravity, Disagreement>, DirectionError> {
     let sigma = spread_at_rest(model, poses, noise);
     if let Some(joint) = wrong_sign(model, poses, &sigma)? {
         return Ok(Err(Disagreement::WrongSign { joint }));
@@ -172,8 +173,8 @@ pub fn implied(
     let freedom = (sigma.len() * poses.len()).saturating_sub(3).max(1) as f64;
     let misfit = found.misfit(&sigma) / freedom;
     let std = found.std() * misfit.max(1.0).sqrt();
-    let side = Side { name: "what the torques at rest imply", gravity: found.gravity, std };
-    Ok(Ok(Implied { side, strength: found.gravity.norm() / G, misfit }))
+    let side = GravitySource { name: "what the torques at rest imply", gravity: found.gravity, std };
+    Ok(Ok(ImpliedGravity { side, strength: found.gravity.norm() / G, misfit }))
 }
 
 /// Standard deviation of each joint's torque at rest: noise, the sensor's zero, and friction that holds the joint, which lies anywhere

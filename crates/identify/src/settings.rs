@@ -84,13 +84,13 @@ pub struct Settings {
     /// Stretches of the recordings that don't count, such as a contact that diagnosis found. Of a periodic run the other periods stand in
     /// for them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub leave_out: Vec<LeftOut>,
+    pub leave_out: Vec<ExcludedSpan>,
 }
 
 /// A stretch of one run that does not count.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
-pub struct LeftOut {
+pub struct ExcludedSpan {
     /// Name of the run.
     pub run: String,
     /// Begin, since the first sample of the run \[s\].
@@ -99,10 +99,10 @@ pub struct LeftOut {
     pub to: f64,
 }
 
-impl LeftOut {
+impl ExcludedSpan {
     /// One period of a run, counted from 0.
-    pub fn period(run: &str, period: usize, seconds: f64) -> LeftOut {
-        LeftOut { run: run.to_string(), from: period as f64 * seconds, to: (period + 1) as f64 * seconds }
+    pub fn period(run: &str, period: usize, seconds: f64) -> ExcludedSpan {
+        ExcludedSpan { run: run.to_string(), from: period as f64 * seconds, to: (period + 1) as f64 * seconds }
     }
 
     /// Marks samples `dt` apart \[s\], the first of them `first` samples after that of the run.
@@ -116,7 +116,7 @@ impl LeftOut {
 
 impl Settings {
     /// What of a run doesn't count.
-    pub(super) fn left_out<'a>(&'a self, run: &'a str) -> impl Iterator<Item = &'a LeftOut> {
+    pub(super) fn left_out<'a>(&'a self, run: &'a str) -> impl Iterator<Item = &'a ExcludedSpan> {
         self.leave_out.iter().filter(move |one| one.run == run)
     }
 

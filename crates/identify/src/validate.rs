@@ -46,26 +46,26 @@ impl Rms {
 /// Torques of a model along an experiment's motions, in its own mounting.
 pub struct Modelled {
     /// Along the motion of the regression, N x n \[Nm\].
-    of_motion: DMatrix<f64>,
-    /// Along [`Experiment::judged`], where that is another one, N x n \[Nm\].
-    of_judged: Option<DMatrix<f64>>,
+    along_regression: DMatrix<f64>,
+    /// Along [`Experiment::comparison_motion`], where that is another one, N x n \[Nm\].
+    along_comparison: Option<DMatrix<f64>>,
 }
 
 impl Modelled {
     /// `predict` gives the torques along a motion, N x n \[Nm\].
     pub fn of(experiment: &Experiment, predict: impl Fn(&Motion) -> DMatrix<f64>) -> Modelled {
-        let of_judged = experiment.judged.as_ref().map(&predict);
-        Modelled { of_motion: predict(&experiment.motion), of_judged }
+        let along_comparison = experiment.comparison_motion.as_ref().map(&predict);
+        Modelled { along_regression: predict(&experiment.motion), along_comparison }
     }
 
     /// Along the motion of the regression, which filtered torques are compared along, N x n \[Nm\].
-    pub fn along(&self) -> &DMatrix<f64> {
-        &self.of_motion
+    pub fn regression(&self) -> &DMatrix<f64> {
+        &self.along_regression
     }
 
     /// Along the motion that raw torques are compared along, whose accelerations have less noise, N x n \[Nm\].
-    pub fn judged(&self) -> &DMatrix<f64> {
-        self.of_judged.as_ref().unwrap_or(&self.of_motion)
+    pub fn comparison(&self) -> &DMatrix<f64> {
+        self.along_comparison.as_ref().unwrap_or(&self.along_regression)
     }
 }
 
@@ -76,11 +76,11 @@ pub fn validate(experiment: &Experiment, predict: impl Fn(&Motion) -> DMatrix<f6
 
 /// Compares torques of a model with those of the experiment.
 ///
-/// Raw torques are compared along [`Experiment::judged`], whose accelerations have less noise; filtered ones along the motion of the
+/// Raw torques are compared along [`Experiment::comparison_motion`], whose accelerations have less noise; filtered ones along the motion of the
 /// regression, whose noise the filter takes out.
 pub fn compare(experiment: &Experiment, modelled: &Modelled) -> Rms {
-    let of_filtered = &experiment.tau - &modelled.of_motion;
-    let residual = &experiment.tau - modelled.judged();
+    let of_filtered = &experiment.tau - &modelled.along_regression;
+    let residual = &experiment.tau - modelled.comparison();
     let (n, samples) = (experiment.joints(), experiment.motion.samples());
     let resting = experiment.resting();
     let counted = resting.iter().filter(|resting| !**resting).count().max(1);

@@ -8,8 +8,8 @@ use iceoryx2::prelude::*;
 
 use super::command::{self, Envelope, MAX_REQUEST_BYTES, MAX_RESPONSE_BYTES, Request, Response};
 use super::error::IpcError;
-use super::place;
 use super::robot::RobotId;
+use super::runtime_dir;
 use super::services::{self, ServiceNode, transport};
 
 /// First size of a request's memory; it grows when a model is offered \[bytes\].
@@ -82,7 +82,7 @@ impl Client {
     ///
     /// # Errors
     /// [`IpcError::NoDaemon`] when the daemon has ended, [`IpcError::NoAnswer`] when it is there but does not answer,
-    /// [`IpcError::TooLong`], [`IpcError::Garbled`], [`IpcError::Transport`].
+    /// [`IpcError::TooLong`], [`IpcError::Malformed`], [`IpcError::Transport`].
     pub fn send(&mut self, request: &Request, timeout: Duration) -> Result<Response, IpcError> {
         let envelope = Envelope { epoch: self.epoch, request: request.clone() };
         let bytes = command::encode("request", &envelope, MAX_REQUEST_BYTES)?;
@@ -95,7 +95,7 @@ impl Client {
     /// As [`Client::send`].
     pub fn send_bytes(&mut self, bytes: &[u8], timeout: Duration) -> Result<Response, IpcError> {
         let name = services::command_name(&self.robot);
-        if let Some(full) = place::no_room().filter(|_| bytes.len() > REQUEST_BYTES) {
+        if let Some(full) = runtime_dir::no_room().filter(|_| bytes.len() > REQUEST_BYTES) {
             return Err(transport("asking", &name, full));
         }
         let memory = self.port.loan_slice_uninit(bytes.len()).map_err(|error| transport("asking", &name, error))?;

@@ -99,7 +99,7 @@ pub struct Proposal {
 
 /// A proposed model that waits for a decision.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Held {
+pub struct HeldModel {
     /// Identity of the model.
     pub model: u64,
     /// Why it was proposed.
@@ -159,7 +159,7 @@ pub struct Status {
     pub model: u64,
     /// A proposed model that waits for `adopt` or `reject`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub offered: Option<Held>,
+    pub offered: Option<HeldModel>,
     /// Direction of gravity, as far as it is known.
     pub mounting: Option<Mounting>,
     /// Where that direction comes from, who agrees with it, and what has happened to it.
@@ -342,7 +342,7 @@ pub struct Follower {
 
 /// Writes `value` as JSON of at most `limit` bytes.
 pub(super) fn encode<T: Serialize>(what: &'static str, value: &T, limit: usize) -> Result<Vec<u8>, IpcError> {
-    let bytes = serde_json::to_vec(value).map_err(|error| IpcError::Garbled { what, reason: error.to_string() })?;
+    let bytes = serde_json::to_vec(value).map_err(|error| IpcError::Malformed { what, reason: error.to_string() })?;
     if bytes.len() > limit {
         return Err(IpcError::TooLong { what, bytes: bytes.len(), limit });
     }
@@ -354,7 +354,7 @@ pub(super) fn decode<T: DeserializeOwned>(what: &'static str, bytes: &[u8], limi
     if bytes.len() > limit {
         return Err(IpcError::TooLong { what, bytes: bytes.len(), limit });
     }
-    serde_json::from_slice(bytes).map_err(|error| IpcError::Garbled { what, reason: error.to_string() })
+    serde_json::from_slice(bytes).map_err(|error| IpcError::Malformed { what, reason: error.to_string() })
 }
 
 /// A phase by its name, as people read it.
@@ -408,7 +408,7 @@ mod tests {
         for code in 0..6 {
             let status = Status {
                 phase: Phase::from_u32(code).unwrap(),
-                offered: Some(Held { model: 7, proposal: Proposal { since: 30.0, ..Proposal::default() } }),
+                offered: Some(HeldModel { model: 7, proposal: Proposal { since: 30.0, ..Proposal::default() } }),
                 mounting: Some(Mounting { rho: 1.0, phi: 0.25, gravity: [0.0, 0.0, -9.81] }),
                 served: Served { followers: vec![Follower::default()], ..Served::default() },
                 ..Status::default()
@@ -434,7 +434,7 @@ mod tests {
         }
         for text in [r#"{"request":"stop","now":1}"#, r#"{"epoch":1}"#, r#"{"epoch":"a","request":"stop"}"#] {
             let error = decode::<Envelope>("request", text.as_bytes(), MAX_REQUEST_BYTES).unwrap_err();
-            assert!(matches!(error, IpcError::Garbled { .. }), "{text:?}: {error}");
+            assert!(matches!(error, IpcError::Malformed { .. }), "{text:?}: {error}");
         }
     }
 
@@ -449,7 +449,7 @@ mod tests {
     fn garbage_is_an_error() {
         for text in ["", "{", "null", "[]", r#"{"request":"dance"}"#, r#"{"request":"stop","now":1}"#, "\u{0}\u{1}"] {
             let error = decode::<Request>("request", text.as_bytes(), MAX_REQUEST_BYTES).unwrap_err();
-            assert!(matches!(error, IpcError::Garbled { .. }), "{text:?}: {error}");
+            assert!(matches!(error, IpcError::Malformed { .. }), "{text:?}: {error}");
         }
         let deep = "[".repeat(100_000);
         assert!(decode::<Request>("request", deep.as_bytes(), MAX_REQUEST_BYTES).is_err());

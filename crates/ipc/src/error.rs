@@ -47,7 +47,7 @@ pub enum IpcError {
     },
     /// Bytes that are not what they should be.
     #[error("{what} can't be read: {reason}")]
-    Garbled {
+    Malformed {
         /// What was expected.
         what: &'static str,
         /// Why it is not that.

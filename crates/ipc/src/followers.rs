@@ -6,7 +6,7 @@ use super::command::Follower;
 
 /// Something that the daemon should say about a follower.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum News {
+pub enum FollowerEvent {
     /// A follower was heard of for the first time.
     #[error("{name} (process {pid}) follows the samples from {from} on")]
     Joined {
@@ -87,12 +87,12 @@ struct Entry {
 pub(super) struct Followers {
     entries: Vec<Entry>,
     furthest: u64,
-    news: VecDeque<News>,
+    news: VecDeque<FollowerEvent>,
 }
 
 /// More followers than can be connected at once are not remembered; the oldest is forgotten.
 const MAX_ENTRIES: usize = 16;
-/// News that nobody takes are bounded, too.
+/// FollowerEvent that nobody takes are bounded, too.
 const MAX_NEWS: usize = 64;
 
 impl Followers {
@@ -104,7 +104,7 @@ impl Followers {
         if word.leaving {
             if let Some(index) = known {
                 self.entries.remove(index);
-                self.tell(News::Left { name: word.name, pid: word.pid, acknowledged });
+                self.tell(FollowerEvent::Left { name: word.name, pid: word.pid, acknowledged });
             }
             return;
         }
@@ -112,7 +112,7 @@ impl Followers {
             if self.entries.len() == MAX_ENTRIES {
                 self.entries.remove(0);
             }
-            self.tell(News::Joined { name: word.name.clone(), pid: word.pid, from: word.from });
+            self.tell(FollowerEvent::Joined { name: word.name.clone(), pid: word.pid, from: word.from });
             let Word { port, pid, name, .. } = word;
             self.entries.push(Entry { port, pid, name, acknowledged, heard_ns: now_ns, silent: false });
             return;
@@ -121,7 +121,7 @@ impl Followers {
         entry.heard_ns = now_ns;
         if entry.silent {
             entry.silent = false;
-            self.tell(News::Back { name: word.name, pid: word.pid, acknowledged });
+            self.tell(FollowerEvent::Back { name: word.name, pid: word.pid, acknowledged });
         }
     }
 
@@ -137,10 +137,10 @@ impl Followers {
             let (name, pid, acknowledged) = (entry.name.clone(), entry.pid, entry.acknowledged);
             if !alive(entry.port) {
                 dead.push(entry.port);
-                told.push(News::Died { name, pid, acknowledged });
+                told.push(FollowerEvent::Died { name, pid, acknowledged });
             } else if !entry.silent {
                 entry.silent = true;
-                told.push(News::Silent { name, pid, acknowledged, silent_ms: silent_ns / 1_000_000 });
+                told.push(FollowerEvent::Silent { name, pid, acknowledged, silent_ms: silent_ns / 1_000_000 });
             }
         }
         self.entries.retain(|entry| !dead.contains(&entry.port));
@@ -169,11 +169,11 @@ impl Followers {
     }
 
     /// The oldest piece of news that has not been taken yet.
-    pub(super) fn take_news(&mut self) -> Option<News> {
+    pub(super) fn take_follower_event(&mut self) -> Option<FollowerEvent> {
         self.news.pop_front()
     }
 
-    fn tell(&mut self, news: News) {
+    fn tell(&mut self, news: FollowerEvent) {
         if self.news.len() == MAX_NEWS {
             self.news.pop_front();
         }
@@ -192,7 +192,7 @@ mod tests {
     }
 
     fn news(followers: &mut Followers) -> Vec<String> {
-        std::iter::from_fn(|| followers.take_news()).map(|news| news.to_string()).collect()
+        std::iter::from_fn(|| followers.take_follower_event()).map(|news| news.to_string()).collect()
     }
 
     #[test]

@@ -13,7 +13,7 @@
 //! does not do, blocks the server: what does not fit into a client's buffer is discarded, and a follower of the samples
 //! fetches it from the daemon's [`RetainedLog`] afterwards. So the stream is complete without waiting for anyone.
 //!
-//! The trust boundary is the operating system's user: shared memory and the folder of names ([`place`]) are open to the daemon's own
+//! The trust boundary is the operating system's user: shared memory and the folder of names ([`runtime_dir`]) are open to the daemon's own
 //! user only. What
 //! arrives from that user is still checked; no value of a message can make the daemon panic.
 //!
@@ -34,38 +34,38 @@ mod arm_lock;
 mod client;
 mod command;
 mod error;
+mod error_counts;
 mod feed_forward;
 mod followers;
-mod half_made;
+mod incomplete_segments;
 mod lock;
 mod messages;
-pub mod place;
 mod requests;
 mod retain;
 mod robot;
+pub mod runtime_dir;
 mod sender;
 mod server;
 mod services;
 mod stop;
 mod stream;
-mod trouble;
 
 pub use arm_lock::{ArmLock, ArmLockError};
 pub use client::Client;
 pub use command::{
-    Follower, Gravity, Held, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request, Response, Served,
-    Session, Status,
+    Follower, Gravity, HeldModel, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request, Response,
+    Served, Session, Status,
 };
 pub use error::IpcError;
 pub use feed_forward::{FeedForwardClient, FeedForwardSettings, Latest, Presence};
-pub use followers::News;
+pub use followers::FollowerEvent;
 pub use lock::{Lock, LockError};
 pub use messages::{FeedForwardMessage, FollowRequest, MessageError, ReplayHeader, SampleMessage};
 pub use plumbline_core::Link;
-pub use requests::{Asked, Ticket, read};
+pub use requests::{IncomingRequest, Ticket, read};
 pub use retain::RetainedLog;
 pub use robot::RobotId;
 pub use server::{Server, ServerSettings};
 pub use services::{boot_ns, now_ns};
-pub use stop::{StopError, StopListener, StopOrder, Taken, Way, stop};
+pub use stop::{StopError, StopListener, StopOrder, StopPath, StopReceipt, stop};
 pub use stream::{Delivery, SampleStream, StreamCounters, StreamSettings};

@@ -8,8 +8,8 @@ use std::os::fd::OwnedFd;
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
-use super::place::{self, PlaceError};
 use super::robot::RobotId;
+use super::runtime_dir::{self, RuntimeDirError};
 
 /// Why the lock could not be had.
 #[derive(Debug, thiserror::Error)]
@@ -26,7 +26,7 @@ pub enum LockError {
     },
     /// There is no folder to trust.
     #[error(transparent)]
-    Place(#[from] PlaceError),
+    Place(#[from] RuntimeDirError),
     /// The lock file could not be used.
     #[error("lock file {}: {source}", path.display())]
     Io {
@@ -75,9 +75,9 @@ pub struct Lock {
 }
 
 impl Lock {
-    /// Takes the lock of `robot` in the user's own folder, [`place::directory`].
+    /// Takes the lock of `robot` in the user's own folder, [`runtime_dir::directory`].
     pub fn take(robot: &RobotId) -> Result<Lock, LockError> {
-        Lock::take_in(&place::directory()?, robot)
+        Lock::take_in(&runtime_dir::directory()?, robot)
     }
 
     /// Takes the lock of `robot` in `directory`, which is made if it is missing.
@@ -97,7 +97,7 @@ impl Lock {
     /// # Errors
     /// [`LockError::Held`] where this process does not hold the lock: it was not passed on, or another file has taken the place of the one that was.
     pub fn adopt(robot: &RobotId) -> Result<Lock, LockError> {
-        Lock::adopt_in(&place::directory()?, robot)
+        Lock::adopt_in(&runtime_dir::directory()?, robot)
     }
 
     fn adopt_in(directory: &Path, robot: &RobotId) -> Result<Lock, LockError> {

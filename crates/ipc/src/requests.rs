@@ -26,7 +26,7 @@ pub(super) type Port = RequestServer<ipc::Service, [u8], (), [u8], ()>;
 pub struct Ticket(u64);
 
 /// A request, as it is handed to whoever answers it.
-pub enum Asked<'a> {
+pub enum IncomingRequest<'a> {
     /// To be answered at once.
     Light(Request),
     /// The bytes of one that takes long to read or to check: [`read`] does the former. To be answered later, by its ticket.
@@ -50,7 +50,7 @@ pub fn read(bytes: &[u8], epoch: u64) -> Result<Request, Response> {
     }
 }
 
-struct Held {
+struct PendingRequest {
     ticket: Ticket,
     active: Active,
 }
@@ -58,9 +58,9 @@ struct Held {
 /// The command service's requests.
 pub(super) struct Requests {
     /// In the order of arrival.
-    waiting: VecDeque<Held>,
+    waiting: VecDeque<PendingRequest>,
     /// Handed over and not answered.
-    under_way: Vec<Held>,
+    under_way: Vec<PendingRequest>,
     next: u64,
     // The requests go before their port.
     port: Port,
@@ -110,7 +110,7 @@ impl Requests {
             match self.port.receive() {
                 Ok(Some(active)) => {
                     self.next += 1;
-                    self.waiting.push_back(Held { ticket: Ticket(self.next), active });
+                    self.waiting.push_back(PendingRequest { ticket: Ticket(self.next), active });
                 }
                 // Every client that has sent something has as many under way as it may.
                 Ok(None) | Err(ReceiveError::ExceedsMaxBorrows) => break,
@@ -131,7 +131,7 @@ impl Requests {
         epoch: u64,
         served: &Served,
         mut room: usize,
-        mut answer: impl FnMut(Asked, &Served) -> Option<Response>,
+        mut answer: impl FnMut(IncomingRequest, &Served) -> Option<Response>,
     ) -> Outcome {
         let mut outcome = Outcome::default();
         let begin = now_ns();
@@ -144,25 +144,25 @@ impl Requests {
             let bytes = held.active.payload();
             let asked = match bytes.len() {
                 0..=LIGHT_BYTES => read(bytes, epoch).map(|request| match request.is_heavy() {
-                    true => Asked::Heavy(held.ticket, bytes),
-                    false => Asked::Light(request),
+                    true => IncomingRequest::Heavy(held.ticket, bytes),
+                    false => IncomingRequest::Light(request),
                 }),
-                _ => Ok(Asked::Heavy(held.ticket, bytes)),
+                _ => Ok(IncomingRequest::Heavy(held.ticket, bytes)),
             };
             let order = match &asked {
-                Ok(Asked::Light(request)) => request.order(),
+                Ok(IncomingRequest::Light(request)) => request.order(),
                 // It is read elsewhere, and named with its answer.
-                Ok(Asked::Heavy(..)) | Err(_) => None,
+                Ok(IncomingRequest::Heavy(..)) | Err(_) => None,
             };
             let response = match asked {
                 // Whoever has gone waits for nothing: those that stay get the place.
-                Ok(Asked::Heavy(..)) if !held.active.is_connected() => continue,
-                Ok(Asked::Heavy(..)) if room == 0 => {
+                Ok(IncomingRequest::Heavy(..)) if !held.active.is_connected() => continue,
+                Ok(IncomingRequest::Heavy(..)) if room == 0 => {
                     no_room.push_back(held);
                     continue;
                 }
                 Ok(asked) => {
-                    room -= usize::from(matches!(asked, Asked::Heavy(..)));
+                    room -= usize::from(matches!(asked, IncomingRequest::Heavy(..)));
                     outcome.handled += 1;
                     answer(asked, served)
                 }

@@ -12,15 +12,15 @@ use serde::Deserialize;
 
 use super::command::{MAX_RESPONSE_BYTES, Request, Response, Served};
 use super::error::IpcError;
-use super::followers::{Followers, News, Word};
+use super::error_counts::ErrorCounts;
+use super::followers::{FollowerEvent, Followers, Word};
 use super::messages::{FeedForwardMessage, FollowRequest, ReplayHeader, SampleMessage};
-use super::place;
-use super::requests::{self, Asked, Order, Requests, Ticket};
+use super::requests::{self, IncomingRequest, Order, Requests, Ticket};
 use super::retain::RetainedLog;
 use super::robot::RobotId;
+use super::runtime_dir;
 use super::sender::Sender;
 use super::services::{self, BATCH, REPLAY, SERVER_PATIENCE, ServiceNode, now_ns, patiently};
-use super::trouble::Troubles;
 use plumbline_core::Record;
 
 /// Replay requests handled in one [`Server::poll`], so that a flood of them does not hold up the samples.
@@ -54,7 +54,7 @@ pub struct Server {
     log: RetainedLog,
     followers: Followers,
     counters: Served,
-    troubles: Troubles,
+    troubles: ErrorCounts,
     /// Clients whose connection could not be opened.
     unconnected: Arc<AtomicU64>,
     unconnected_said: u64,
@@ -112,7 +112,8 @@ impl Server {
             Ok(builder.backpressure_strategy(BackpressureStrategy::DiscardData).create())
         })?;
 
-        place::reserve_mapped().map_err(|error| services::transport("reserving memory for", robot.as_str(), error))?;
+        runtime_dir::reserve_mapped()
+            .map_err(|error| services::transport("reserving memory for", robot.as_str(), error))?;
 
         let epoch = new_epoch();
         Ok(Server {
@@ -121,7 +122,7 @@ impl Server {
             settings,
             followers: Followers::default(),
             counters: Served { epoch, ..Served::default() },
-            troubles: Troubles::default(),
+            troubles: ErrorCounts::default(),
             unconnected,
             unconnected_said: 0,
             checked_ns: now_ns(),
@@ -183,8 +184,8 @@ impl Server {
     pub fn poll(&mut self, mut handle: impl FnMut(Request, &Served) -> Response) -> usize {
         let (epoch, mut garbled, mut heavy) = (self.epoch, 0, Vec::new());
         let handled = self.serve(usize::MAX, |asked, served| match asked {
-            Asked::Light(request) => Some(handle(request, served)),
-            Asked::Heavy(ticket, bytes) => {
+            IncomingRequest::Light(request) => Some(handle(request, served)),
+            IncomingRequest::Heavy(ticket, bytes) => {
                 let request = requests::read(bytes, epoch).inspect_err(|_| garbled += 1);
                 let order = request.as_ref().ok().and_then(Request::order);
                 let response = request.map_or_else(|refused| refused, |request| handle(request, served));
@@ -199,7 +200,7 @@ impl Server {
 
     /// Answers what has arrived: replay by itself, light requests through `answer`, one client as much as any other. As many heavy requests as
     /// there is `room` for are given to `answer`, too, which returns `None` for them: [`Server::answer`] has the answer later. The others wait.
-    pub fn serve(&mut self, room: usize, answer: impl FnMut(Asked, &Served) -> Option<Response>) -> usize {
+    pub fn serve(&mut self, room: usize, answer: impl FnMut(IncomingRequest, &Served) -> Option<Response>) -> usize {
         self.poll_replay();
         self.look_after_followers();
         self.look_after_connections();
@@ -227,12 +228,12 @@ impl Server {
     }
 
     /// Counts a heavy request that could not be read.
-    pub fn garbled(&mut self) {
+    pub fn count_malformed_request(&mut self) {
         self.counters.garbled_requests += 1;
     }
 
     /// Counts time that was spent on requests \[ns\].
-    pub fn answered_for(&mut self, ns: u64) {
+    pub fn add_request_time(&mut self, ns: u64) {
         self.counters.answering_ns = self.counters.answering_ns.saturating_add(ns);
     }
 
@@ -257,8 +258,8 @@ impl Server {
     }
 
     /// The oldest piece of news about a follower that has not been taken yet: worth a line in the log.
-    pub fn take_news(&mut self) -> Option<News> {
-        self.followers.take_news()
+    pub fn take_follower_event(&mut self) -> Option<FollowerEvent> {
+        self.followers.take_follower_event()
     }
 
     fn poll_replay(&mut self) {
@@ -329,7 +330,7 @@ impl Server {
     fn look_after_connections(&mut self) {
         let failed = self.unconnected.load(Ordering::Relaxed);
         for _ in 0..failed.saturating_sub(self.unconnected_said).min(100) {
-            let cause = place::shortage().unwrap_or_else(|| "its shared memory can't be opened".into());
+            let cause = runtime_dir::shortage().unwrap_or_else(|| "its shared memory can't be opened".into());
             self.trouble("a client", format!("not connected: {cause}"));
         }
         self.unconnected_said = failed;

@@ -13,10 +13,10 @@ use iceoryx2::service::builder::{publish_subscribe as pubsub, request_response a
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
 use super::error::IpcError;
-use super::half_made;
+use super::incomplete_segments;
 use super::messages::{FeedForwardMessage, FollowRequest, ReplayHeader, SampleMessage};
-use super::place;
 use super::robot::RobotId;
+use super::runtime_dir;
 
 /// Records in one batch of the stream.
 pub(super) const BATCH: usize = 32;
@@ -63,7 +63,7 @@ pub fn now_ns() -> u64 {
 
 /// The node of a daemon, which makes the services: nothing is made beside a stranger's files of our names.
 pub(super) fn serving_node() -> Result<ServiceNode, IpcError> {
-    place::no_squatters().map_err(|error| transport("making a node for", "plumbline", error))?;
+    runtime_dir::no_squatters().map_err(|error| transport("making a node for", "plumbline", error))?;
     node()
 }
 
@@ -71,7 +71,7 @@ pub(super) fn serving_node() -> Result<ServiceNode, IpcError> {
 pub(super) fn joining_node() -> Result<ServiceNode, IpcError> {
     // Once: a client may connect for every question that it asks.
     static SAID: Once = Once::new();
-    if let Err(squatter) = place::no_squatters() {
+    if let Err(squatter) = runtime_dir::no_squatters() {
         SAID.call_once(|| {
             tracing::warn!("{squatter}; a daemon that runs is not touched, but the next one will not start")
         });
@@ -89,17 +89,17 @@ fn node() -> Result<ServiceNode, IpcError> {
         set_log_level_from_env_or(LogLevel::Error);
     });
     let failed = |error: String| transport("making a node for", "plumbline", error);
-    let root = place::directory().map_err(|error| failed(error.to_string()))?;
+    let root = runtime_dir::directory().map_err(|error| failed(error.to_string()))?;
     let config = config(&root).map_err(failed)?;
     // A segment that finds no room ends its maker by a signal (SIGBUS).
-    if let Some(full) = place::no_room() {
+    if let Some(full) = runtime_dir::no_room() {
         return Err(failed(full));
     }
-    half_made::look_after();
+    incomplete_segments::start_sweeper();
     // Signals belong to the program, not to this library.
     let builder = NodeBuilder::new().config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
     let node = builder.create().map_err(|error| failed(error.to_string()))?;
-    place::close_to_others();
+    runtime_dir::close_to_others();
     Ok(node)
 }
 
@@ -125,7 +125,7 @@ fn config(root: &Path) -> Result<Config, String> {
     let refused = |error| format!("{text}: {error:?}");
     let mut config = Config::default();
     config.global.set_root_path(&iceoryx2::prelude::Path::new(text.as_bytes()).map_err(refused)?);
-    config.global.prefix = FileName::new(place::prefix(place::user()).as_bytes()).map_err(refused)?;
+    config.global.prefix = FileName::new(runtime_dir::prefix(runtime_dir::user()).as_bytes()).map_err(refused)?;
     Ok(config)
 }
 
@@ -319,7 +319,7 @@ fn joined<T>(robot: &RobotId, patience: Duration, result: Result<T, IpcError>) -
         IpcError::Transport { reason, .. } if reason.contains("DoesNotExist") => no_daemon(robot, patience),
         other => other,
     })?;
-    place::only_ours_mapped().map_err(|error| transport("joining", robot.as_str(), error))?;
+    runtime_dir::only_ours_mapped().map_err(|error| transport("joining", robot.as_str(), error))?;
     Ok(opened)
 }
 

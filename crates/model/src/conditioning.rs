@@ -3,7 +3,7 @@
 //! The paper reports a "normalized condition number" without defining it, so all of them stand side by side.
 
 use super::structure::Structure;
-use super::term::friction;
+use super::term::Entry;
 use nalgebra::DMatrix;
 use plumbline_core::{singular_values, svd};
 use serde::{Deserialize, Serialize};
@@ -77,7 +77,12 @@ pub fn dependent_columns(w: &DMatrix<f64>, most: f64) -> (f64, Vec<usize>) {
 /// Which columns of a structure are friction, for [`conditions`].
 pub fn friction_columns(structure: &Structure) -> Vec<bool> {
     let terms = structure.terms().iter().zip(structure.ranges());
-    terms.flat_map(|(term, range)| range.map(|_| term.id() == friction::ID)).collect()
+    let friction = |entry: Option<&Entry>| matches!(entry, Some(Entry::Velocity { .. } | Entry::SmoothSign { .. }));
+    let of_term = |(term, range): (&std::sync::Arc<dyn super::term::Term>, std::ops::Range<usize>)| {
+        let entries = term.entries().unwrap_or_default();
+        (0..range.len()).map(|c| friction(entries.get(c))).collect::<Vec<bool>>()
+    };
+    terms.flat_map(of_term).collect()
 }
 
 /// Condition number by singular values; infinite for fewer rows than columns.

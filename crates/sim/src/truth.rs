@@ -168,10 +168,14 @@ impl Truth {
             let twisted = count(|effect, joint| effect.twists(joint));
             let found = |count| format!("{count} on joint {}", joint + 1);
             if replaced > 1 {
-                return wrong("effect".into(), found(replaced), "one presliding a joint");
+                return wrong(
+                    "effect".into(),
+                    found(replaced),
+                    "one effect per joint that replaces its Coulomb friction",
+                );
             }
             if twisted > 1 {
-                return wrong("effect".into(), found(twisted), "one joint-elasticity or backlash a joint");
+                return wrong("effect".into(), found(twisted), "one effect per joint that twists its transmission");
             }
         }
         Ok(())

@@ -1,40 +1,40 @@
 //! A simulated CiA 410 inclinometer: object dictionary, NMT states, heartbeat, boot-up, emergency, one transmit PDO, and faults on demand.
 //!
-//! Without input, output and clock, and without a line of the product's: what it says and what the product understands were written
-//! from the standards (CiA 301, CiA 410) apart from each other.
+//! Does no I/O, reads no clock and uses no code of the product: both sides were written from the standards (CiA 301, CiA 410)
+//! independently.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::{BTreeMap, VecDeque};
 
-const MS: u64 = 1_000_000;
-/// From switching on or a reset to the boot-up message \[ns\].
-const BOOT: u64 = 50 * MS;
+const NS_PER_MS: u64 = 1_000_000;
+/// Time from power-on or a reset to the boot-up message \[ns\].
+const BOOT_TIME_NS: u64 = 50 * NS_PER_MS;
 
 const INITIALISING: u8 = 0;
 const STOPPED: u8 = 4;
 const OPERATIONAL: u8 = 5;
 const PRE_OPERATIONAL: u8 = 127;
 
-/// One object of the dictionary: its bytes, and whether it can be written.
+/// One object of the dictionary.
 struct Object {
     bytes: Vec<u8>,
     writable: bool,
 }
 
-/// What is wrong with the device.
+/// Simulated faults of the device.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Faults {
-    /// It is unplugged: it neither hears nor says anything.
+    /// Unplugged: nothing is received or sent.
     pub unplugged: bool,
     /// No heartbeat.
     pub no_heartbeat: bool,
     /// No process data.
     pub no_slopes: bool,
     /// Process data a byte short.
-    pub short: bool,
+    pub short_pdo: bool,
     /// Heartbeats and process data twice: another node has the same id.
-    pub twin: bool,
+    pub duplicate_id: bool,
     /// The PDO mapping can't be written.
     pub fixed_mapping: bool,
 }
@@ -42,19 +42,19 @@ pub struct Faults {
 /// A frame: identifier and payload.
 pub type CanFrame = (u16, Vec<u8>);
 
-/// The device.
+/// A simulated inclinometer.
 pub struct Device {
     node: u8,
     state: u8,
     objects: BTreeMap<(u16, u8), Object>,
-    /// True slopes \[deg\], and where they go until when.
+    /// True slopes without a ramp \[deg\].
     tilt: [f64; 2],
     ramp: Option<Ramp>,
     noise: f64,
     rng: ChaCha8Rng,
-    /// What is wrong with it.
+    /// Active faults.
     pub faults: Faults,
-    boots_at: Option<u64>,
+    boot_at_ns: Option<u64>,
     next_beat: u64,
     next_slopes: u64,
     out: VecDeque<CanFrame>,
@@ -70,7 +70,7 @@ struct Ramp {
 }
 
 impl Device {
-    /// A device that is switched on at `now` \[ns\].
+    /// A device that is powered on at `now` \[ns\].
     pub fn new(node: u8, tilt: [f64; 2], noise: f64, seed: u64, now: u64) -> Device {
         Device {
             node,
@@ -81,7 +81,7 @@ impl Device {
             noise,
             rng: ChaCha8Rng::seed_from_u64(seed),
             faults: Faults::default(),
-            boots_at: Some(now + BOOT),
+            boot_at_ns: Some(now + BOOT_TIME_NS),
             next_beat: 0,
             next_slopes: 0,
             out: VecDeque::new(),
@@ -89,14 +89,14 @@ impl Device {
         }
     }
 
-    /// Puts bytes into an object, as somebody did before who set the device up for something else. A new object can't be written.
+    /// Sets the bytes of an object, as an earlier configuration of the device. A new object is read-only.
     pub fn set(&mut self, index: u16, sub: u8, bytes: &[u8]) {
         let writable = self.objects.get(&(index, sub)).is_some_and(|object| object.writable);
         self.objects.insert((index, sub), Object { bytes: bytes.to_vec(), writable });
     }
 
-    /// Takes an object away.
-    pub fn lacks(&mut self, index: u16, sub: u8) {
+    /// Removes an object.
+    pub fn remove(&mut self, index: u16, sub: u8) {
         self.objects.remove(&(index, sub));
     }
 
@@ -105,7 +105,7 @@ impl Device {
         self.objects.get(&(index, sub)).map(|object| &object.bytes[..])
     }
 
-    /// Whether it sends process data.
+    /// Whether the device is operational.
     pub fn is_operational(&self) -> bool {
         self.state == OPERATIONAL
     }
@@ -123,20 +123,20 @@ impl Device {
         [0, 1].map(|axis| from[axis] + share * (to[axis] - from[axis]))
     }
 
-    /// Noise of a slope from now on, standard deviation \[deg\].
+    /// Sets the standard deviation of a slope's noise \[deg\].
     pub fn noise(&mut self, noise: f64) {
         self.noise = noise;
     }
 
-    /// Restarts it: everything that it was told is gone.
+    /// Restarts the device with its factory configuration.
     pub fn reset(&mut self, now: u64) {
         self.state = INITIALISING;
         self.objects = factory(self.node);
-        self.boots_at = Some(now + BOOT);
+        self.boot_at_ns = Some(now + BOOT_TIME_NS);
         self.out.clear();
     }
 
-    /// Sends an emergency; code 0 says that it is over.
+    /// Sends an emergency; code 0 clears it.
     pub fn emergency(&mut self, code: u16) {
         let register = u8::from(code != 0);
         self.set(0x1001, 0, &[register]);
@@ -144,13 +144,13 @@ impl Device {
         self.out.push_back((0x080 + u16::from(self.node), vec![low, high, register, 0, 0, 0, 0, 0]));
     }
 
-    /// Sends a frame of somebody else's making.
-    pub fn say(&mut self, id: u16, data: &[u8]) {
+    /// Sends any frame in the device's place.
+    pub fn inject_frame(&mut self, id: u16, data: &[u8]) {
         self.out.push_back((id, data.to_vec()));
     }
 
-    /// Takes in a frame from the bus.
-    pub fn hear(&mut self, now: u64, id: u16, data: &[u8]) {
+    /// Processes a frame from the bus at `now` \[ns\].
+    pub fn receive(&mut self, now: u64, id: u16, data: &[u8]) {
         if self.faults.unplugged || self.state == INITIALISING {
             return;
         }
@@ -201,7 +201,7 @@ impl Device {
                 if length != object.bytes.len() {
                     return abort(0x0607_0010);
                 }
-                // It answers no remote requests and does not let itself be told to: bit 30 stays.
+                // Remote requests are not supported: a write that clears bit 30 is aborted.
                 if entry == (0x1800, 1) && object.bytes[3] & 0x40 != 0 && bytes[3] & 0x40 == 0 {
                     return abort(0x0609_0030);
                 }
@@ -212,15 +212,15 @@ impl Device {
         }
     }
 
-    /// Lets time pass.
+    /// Advances the timers to `now` \[ns\].
     pub fn tick(&mut self, now: u64) {
-        if self.boots_at.is_some_and(|at| now >= at) {
-            self.boots_at = None;
+        if self.boot_at_ns.is_some_and(|at| now >= at) {
+            self.boot_at_ns = None;
             self.state = PRE_OPERATIONAL;
             self.next_beat = now;
             self.out.push_back((0x700 + u16::from(self.node), vec![0]));
         }
-        let heartbeat = self.number(0x1017, 0) as u64 * MS;
+        let heartbeat = self.number(0x1017, 0) as u64 * NS_PER_MS;
         if self.state != INITIALISING && heartbeat > 0 && now >= self.next_beat {
             self.next_beat = now.max(self.next_beat + heartbeat);
             if !self.faults.no_heartbeat {
@@ -229,7 +229,7 @@ impl Device {
                 }
             }
         }
-        let (timer, id) = (self.number(0x1800, 5) as u64 * MS, self.number(0x1800, 1));
+        let (timer, id) = (self.number(0x1800, 5) as u64 * NS_PER_MS, self.number(0x1800, 1));
         if self.state == OPERATIONAL && timer > 0 && id >> 31 == 0 && now >= self.next_slopes {
             self.next_slopes = (self.next_slopes + timer).max(now.saturating_sub(timer) + timer);
             self.send_slopes(now, (id & 0x7ff) as u16);
@@ -250,7 +250,7 @@ impl Device {
             payload.extend_from_slice(&value.to_le_bytes()[..(mapped & 0xff) as usize / 8]);
         }
         payload.truncate(8);
-        if self.faults.short {
+        if self.faults.short_pdo {
             payload.pop();
         }
         for _ in 0..self.senders() {
@@ -258,12 +258,12 @@ impl Device {
         }
     }
 
-    /// How many nodes have this id.
+    /// Number of nodes with this id.
     fn senders(&self) -> usize {
-        1 + usize::from(self.faults.twin)
+        1 + usize::from(self.faults.duplicate_id)
     }
 
-    /// What a slope object shows, in units of the resolution.
+    /// Value of a slope object, in units of the resolution.
     fn slope(&mut self, index: u16, now: u64) -> i32 {
         let axis = usize::from(index & 0xff == 0x20);
         let gaussian: f64 = self.rng.sample(rand_distr::StandardNormal);
@@ -284,12 +284,12 @@ impl Device {
     }
 
     /// The next frame for the bus.
-    pub fn send(&mut self) -> Option<CanFrame> {
+    pub fn transmit(&mut self) -> Option<CanFrame> {
         self.out.pop_front()
     }
 }
 
-/// The dictionary of a device as it comes from the factory: slopes of 16 and 32 bits, unit 0.01 deg, sent on SYNC.
+/// The factory dictionary of the device: slopes of 16 and 32 bits, unit 0.01 deg, sent on SYNC.
 fn factory(node: u8) -> BTreeMap<(u16, u8), Object> {
     let mut objects = BTreeMap::new();
     let mut put = |index: u16, sub: u8, writable: bool, bytes: &[u8]| {

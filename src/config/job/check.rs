@@ -1,6 +1,6 @@
 //! Ranges of a job's values, and the limits that come out of it for one robot.
 
-use super::{BackendKind, Franka, Job, Limits, OwnLimits, Workspace};
+use super::{BackendKind, Franka, Job, LimitOverrides, Limits, Workspace};
 use plumbline_core::{BadInput, JointVec, MAX_JOINTS, MAX_MISSED_COMMANDS};
 use plumbline_excite::Margins;
 use plumbline_identify::{Settings, solve};
@@ -177,7 +177,7 @@ impl Job {
     /// # Errors
     /// A list of another length than the robot has joints (`n`), or a limit that is wider than the robot's.
     pub fn guard_limits(&self, robot: &plumbline_core::Limits, n: usize) -> Result<plumbline_core::Limits, BadInput> {
-        let OwnLimits { q_min, q_max, dq, ddq, jerk, tau, dtau } = &self.limits.own;
+        let LimitOverrides { q_min, q_max, dq, ddq, jerk, tau, dtau } = &self.limits.overrides;
         let mut limits = *robot;
         let below: fn(f64, f64) -> bool = |own, robots| own > 0.0 && own <= robots;
         self.tighten("q-min", q_min, n, &mut limits.q_min, |own, robots| own >= robots)?;

@@ -27,10 +27,10 @@ pub struct Franka {
     #[serde(default)]
     pub recovery: Recovery,
     /// How often a job goes on by itself where `recovery` is `automatic`.
-    #[serde(default = "two")]
+    #[serde(default = "default_max_recoveries")]
     pub max_recoveries: u32,
     /// Share of the robot's limits of velocity, acceleration and jerk that commands are held to.
-    #[serde(default = "most")]
+    #[serde(default = "default_limits_share")]
     pub limits_share: f64,
     /// Stiffness of the joint impedance controller \[Nm/rad\]; the robot's own where absent.
     #[serde(default)]
@@ -176,7 +176,7 @@ pub struct Socket {
 }
 
 /// Rated payload of both arms by their data sheets \[kg\].
-const PAYLOAD: f64 = 3.0;
+const RATED_PAYLOAD_KG: f64 = 3.0;
 
 /// Whether some body of `mass` \[kg\] has this inertia about its centre of mass: no principal moment below zero or above the sum of the others.
 fn is_inertia(mass: f64, &[xx, xy, xz, yy, yz, zz]: &[f64; 6]) -> bool {
@@ -187,11 +187,11 @@ fn is_inertia(mass: f64, &[xx, xy, xz, yy, yz, zz]: &[f64; 6]) -> bool {
     moments.iter().all(of_a_body) && moments.max() <= mass * 0.25
 }
 
-fn two() -> u32 {
+fn default_max_recoveries() -> u32 {
     2
 }
 
-fn most() -> f64 {
+fn default_limits_share() -> f64 {
     0.98
 }
 
@@ -323,7 +323,7 @@ impl Franka {
             }
         }
         if let Some(Load { mass, com, inertia }) = &self.load {
-            if !(0.0..=PAYLOAD).contains(mass) {
+            if !(0.0..=RATED_PAYLOAD_KG).contains(mass) {
                 return bad("load.mass", format!("{mass} kg"), "0 kg to 3 kg, the arm's rated payload");
             }
             if !com.iter().all(|value| value.is_finite()) || com.iter().map(|value| value * value).sum::<f64>() > 0.25 {

@@ -1,26 +1,26 @@
-//! `[inclinometer]`: a CiA 410 inclinometer on the base; `[mounting-check]`: what has to agree before anything is served.
+//! `[inclinometer]`: a CiA 410 inclinometer on the base. `[mounting-check]`: agreement of mountings before serving.
 
 use crate::config::units;
-use crate::inclinometer::attitude::{Seat, Slopes};
+use crate::inclinometer::attitude::{Installation, SlopeConvention};
 use crate::inclinometer::canopen::Width;
-use crate::inclinometer::follow::{FollowSettings, OnLoss};
+use crate::inclinometer::follow::{FollowSettings, OnSensorLoss};
 use crate::inclinometer::node::NodeSettings;
 use crate::inclinometer::sensor::SensorSettings;
-use crate::inclinometer::smooth::SmoothSettings;
-use crate::inclinometer::socket::SIMULATED;
+use crate::inclinometer::slope_filter::SlopeFilterSettings;
+use crate::inclinometer::socket::SIMULATED_PREFIX;
 use plumbline_core::BadInput;
 use plumbline_model::Mounting;
 use serde::Deserialize;
 
-/// What has to agree before anything is served.
+/// Check that all sources of the mounting agree before anything is served.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct MountingCheck {
-    /// Largest angle between any two of: the declared mounting, a sensor on the base, the direction that the torques at rest imply,
-    /// beyond their uncertainty \[rad\].
+    /// Largest angle, beyond the uncertainty, between any two of: declared mounting, inclinometer, direction of gravity from torques at
+    /// rest \[rad\].
     #[serde(deserialize_with = "units::angle")]
     pub tolerance: f64,
-    /// Whether the torques at rest are asked.
+    /// Whether torques at rest are part of the check.
     pub torques: bool,
 }
 
@@ -34,94 +34,70 @@ impl Default for MountingCheck {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Inclinometer {
-    /// CAN interface, such as `can0`. Its bit rate is set where it is brought up (`ip link`), not here. `simulated:PATH` is a Unix socket
-    /// that stands for a bus, beside a simulated arm alone.
+    /// CAN interface, such as `can0`; its bit rate is set with `ip link`. `simulated:PATH` is a Unix socket in place of a bus, for
+    /// simulated arms only.
     pub interface: String,
     /// CANopen node id of the device, 1 to 127.
     pub node: u8,
-    /// Serial number (1018h:4) that the device must have; any where absent.
+    /// Required serial number (1018h:4); any if absent.
     #[serde(default)]
     pub serial: Option<u32>,
-    /// Time between two heartbeats of the device; three missing ones are a loss \[s\].
+    /// Heartbeat period of the device; three missing heartbeats are a loss \[s\].
     #[serde(default = "heartbeat", deserialize_with = "units::duration")]
     pub heartbeat: f64,
-    /// How often the device sends its slopes \[Hz\].
+    /// Rate of the slopes \[Hz\].
     #[serde(default = "rate", deserialize_with = "units::frequency")]
     pub rate: f64,
     /// Slope objects: 16 (6010h, 6020h) or 32 bits (6110h, 6120h).
     #[serde(default = "bits")]
     pub bits: u8,
-    /// What the slopes mean.
+    /// Definition of the slopes.
     #[serde(default)]
-    pub slopes: Meaning,
+    pub slopes: SlopeConvention,
     /// The sensor's x axis (longitudinal slope) in the base frame.
     pub x: Axis,
     /// The sensor's z axis (normal to its mounting plate) in the base frame.
     pub z: Axis,
-    /// What the two slopes are when they should be zero \[rad\].
+    /// Zero offset of the two slopes \[rad\].
     #[serde(default, deserialize_with = "units::angle_pair")]
     pub zero: [f64; 2],
     /// Largest slope that the sensor measures \[rad\].
     #[serde(default = "range", deserialize_with = "units::angle")]
     pub range: f64,
-    /// Standard deviation of a slope's error that does not average out, by the data sheet \[rad\].
+    /// Systematic standard deviation of a slope, from the data sheet \[rad\].
     #[serde(default = "accuracy", deserialize_with = "units::angle")]
     pub accuracy: f64,
     /// Time constant of the low-pass \[s\].
     #[serde(default = "time_constant", deserialize_with = "units::duration")]
     pub time_constant: f64,
-    /// Step from one frame to the next from which on an angle is not believed \[rad\].
+    /// Largest plausible step of a slope between two frames \[rad\].
     #[serde(default = "jump", deserialize_with = "units::angle")]
     pub jump: f64,
-    /// Deviation from the low-pass from which on the base counts as moving \[rad\].
+    /// Largest deviation from the low-pass of a base at rest \[rad\].
     #[serde(default = "still", deserialize_with = "units::angle")]
     pub still: f64,
-    /// Smallest change of gravity that is handed to the model \[rad\].
+    /// Smallest change of gravity that is handed over to the model \[rad\].
     #[serde(default = "step", deserialize_with = "units::angle")]
     pub step: f64,
-    /// Fastest change of the gravity that the model has, in an angle per second \[rad/s\].
+    /// Largest rate of change of the model's gravity \[rad/s\].
     #[serde(default = "turn", deserialize_with = "units::angular_rate")]
     pub turn: f64,
     /// What is served while there is no reading.
     #[serde(default)]
-    pub on_loss: Loss,
+    pub on_loss: OnSensorLoss,
     /// What the arm does when the base moves during an excitation.
     #[serde(default)]
     pub on_base_motion: BaseMotion,
-}
-
-/// What the slopes of a sensor mean.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Meaning {
-    /// Each axis against the horizontal plane.
-    #[default]
-    Horizon,
-    /// `atan2` of the axis' share of gravity over the z axis'.
-    Projected,
-}
-
-/// What is served while there is no reading.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Loss {
-    /// Nothing; the arm is stopped if it moves.
-    #[default]
-    Refuse,
-    /// The model with the direction measured last.
-    Hold,
-    /// The model with the declared direction.
-    Declared,
 }
 
 /// What the arm does when the base moves during an excitation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BaseMotion {
-    /// Brakes to a stop: the motion's samples are of no mounting.
+    /// A controlled stop: the samples have no single mounting.
     #[default]
     Stop,
-    /// Goes on; the event is logged and stands in the status.
+    /// Continues; the event is logged and shown in the status.
     Say,
 }
 
@@ -130,7 +106,7 @@ pub enum BaseMotion {
 #[serde(untagged, expecting = "\"x\", \"-x\", \"y\", \"-y\", \"z\", \"-z\" or a unit vector such as [0.0, 0.6, 0.8]")]
 pub enum Axis {
     /// An axis of the base frame, or its opposite.
-    Named(Name),
+    Named(AxisName),
     /// A unit vector.
     Vector([f64; 3]),
 }
@@ -138,7 +114,7 @@ pub enum Axis {
 /// An axis of the base frame, or its opposite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Name {
+pub enum AxisName {
     /// Along x.
     X,
     /// Along y.
@@ -161,12 +137,12 @@ impl Axis {
         match self {
             Axis::Vector(vector) => vector,
             Axis::Named(name) => match name {
-                Name::X => [1.0, 0.0, 0.0],
-                Name::Y => [0.0, 1.0, 0.0],
-                Name::Z => [0.0, 0.0, 1.0],
-                Name::MinusX => [-1.0, 0.0, 0.0],
-                Name::MinusY => [0.0, -1.0, 0.0],
-                Name::MinusZ => [0.0, 0.0, -1.0],
+                AxisName::X => [1.0, 0.0, 0.0],
+                AxisName::Y => [0.0, 1.0, 0.0],
+                AxisName::Z => [0.0, 0.0, 1.0],
+                AxisName::MinusX => [-1.0, 0.0, 0.0],
+                AxisName::MinusY => [0.0, -1.0, 0.0],
+                AxisName::MinusZ => [0.0, 0.0, -1.0],
             },
         }
     }
@@ -193,15 +169,15 @@ fn accuracy() -> f64 {
 }
 
 fn time_constant() -> f64 {
-    SmoothSettings::default().time_constant
+    SlopeFilterSettings::default().time_constant
 }
 
 fn jump() -> f64 {
-    SmoothSettings::default().jump
+    SlopeFilterSettings::default().jump
 }
 
 fn still() -> f64 {
-    SmoothSettings::default().still
+    SlopeFilterSettings::default().still
 }
 
 fn step() -> f64 {
@@ -213,15 +189,15 @@ fn turn() -> f64 {
 }
 
 impl Inclinometer {
-    /// Checks ranges, and that the sensor can see the declared mounting.
+    /// Checks ranges, and that the declared mounting is in the sensor's range.
     pub(super) fn check(&self, file: &str, declared: &Mounting) -> Result<(), BadInput> {
         let bad = |key: &str, value: String, expected: &str| {
             Err(BadInput::new(file, format!("key `inclinometer.{key}`"), value, expected))
         };
         let name = &self.interface;
         let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
-        if let Some(path) = name.strip_prefix(SIMULATED) {
-            // What fits into sun_path.
+        if let Some(path) = name.strip_prefix(SIMULATED_PREFIX) {
+            // Capacity of sun_path.
             if path.is_empty() || path.len() > 107 {
                 return bad("interface", format!("`{name}`"), "a path of 1 to 107 bytes after `simulated:`");
             }
@@ -254,45 +230,44 @@ impl Inclinometer {
         ];
         for (key, value, low, high, expected) in angles {
             let (low, high): (f64, f64) = (low, high);
-            // The ends belong to it whatever the last bit of the conversion.
+            // Both ends are valid despite the rounding of the conversion.
             let (low, high) = (low.to_radians() - 1e-9, high.to_radians() + 1e-9);
             within(key, value, low, high, degrees(value), expected)?;
         }
-        let seat = match Seat::new(self.x.vector(), self.z.vector()) {
-            Ok(seat) => self.seat(seat),
+        let installation = match Installation::new(self.x.vector(), self.z.vector()) {
+            Ok(installation) => self.installation(installation),
             Err(error) => return bad("z", error.to_string(), "two unit vectors at right angles, as `x` and `z`"),
         };
-        match seat.hemisphere(declared) {
+        match installation.hemisphere(declared) {
             Ok(_) => Ok(()),
-            Err(error) => {
-                bad("z", error.to_string(), "a sensor that can see the declared `mounting`: put it on a bracket")
-            }
+            Err(error) => bad(
+                "z",
+                error.to_string(),
+                "a sensor whose range includes the declared `mounting`: put it on a bracket",
+            ),
         }
     }
 
-    /// Whether no bus is listened to, but a socket that plays one.
+    /// Whether the bus is simulated by a socket.
     pub fn is_simulated(&self) -> bool {
-        self.interface.starts_with(SIMULATED)
+        self.interface.starts_with(SIMULATED_PREFIX)
     }
 
-    fn seat(&self, mut seat: Seat) -> Seat {
-        seat.zero = self.zero;
-        seat.range = self.range;
-        seat.accuracy = self.accuracy;
-        seat.slopes = match self.slopes {
-            Meaning::Horizon => Slopes::Horizon,
-            Meaning::Projected => Slopes::Projected,
-        };
-        seat
+    fn installation(&self, mut installation: Installation) -> Installation {
+        installation.zero = self.zero;
+        installation.range = self.range;
+        installation.accuracy = self.accuracy;
+        installation.slopes = self.slopes;
+        installation
     }
 
-    /// Settings of the sensor on a base that is declared to be mounted so.
+    /// Settings of the sensor for the declared mounting.
     ///
     /// # Errors
-    /// Axes that are not at right angles; a job that was loaded has none.
+    /// Axes that are not at right angles; [`Job::load`](super::Job::load) has already refused those.
     pub fn sensor(&self, file: &str, declared: Mounting) -> Result<SensorSettings, BadInput> {
         self.check(file, &declared)?;
-        let seat = Seat::new(self.x.vector(), self.z.vector())
+        let installation = Installation::new(self.x.vector(), self.z.vector())
             .map_err(|error| BadInput::new(file, "key `inclinometer.z`", error, "axes at right angles"))?;
         let ms = |seconds: f64| (1e3 * seconds).round() as u16;
         Ok(SensorSettings {
@@ -303,30 +278,14 @@ impl Inclinometer {
                 width: if self.bits == 32 { Width::Bits32 } else { Width::Bits16 },
                 serial: self.serial,
             },
-            seat: self.seat(seat),
-            smooth: SmoothSettings { time_constant: self.time_constant, jump: self.jump, still: self.still },
+            installation: self.installation(installation),
+            filter: SlopeFilterSettings { time_constant: self.time_constant, jump: self.jump, still: self.still },
             declared,
         })
     }
 
-    /// How the model follows it.
+    /// Settings of the follower of the measured direction.
     pub fn follow(&self, declared: Mounting, check: &MountingCheck) -> FollowSettings {
-        FollowSettings {
-            declared,
-            tolerance: check.tolerance,
-            step: self.step,
-            rate: self.turn,
-            on_loss: self.on_loss.into(),
-        }
-    }
-}
-
-impl From<Loss> for OnLoss {
-    fn from(loss: Loss) -> OnLoss {
-        match loss {
-            Loss::Refuse => OnLoss::Refuse,
-            Loss::Hold => OnLoss::Hold,
-            Loss::Declared => OnLoss::Declared,
-        }
+        FollowSettings { declared, tolerance: check.tolerance, step: self.step, rate: self.turn, on_loss: self.on_loss }
     }
 }

@@ -11,21 +11,21 @@ pub(super) fn typed<T: DeserializeOwned>(file: &str, text: &str, sets: &[String]
     }
     let mut table: Table = from_toml(file, text)?;
     for set in sets {
-        lay(&mut table, set)?;
+        apply(&mut table, set)?;
     }
     let whole = Value::Table(table);
     serde_path_to_error::deserialize(whole.clone()).map_err(|error| {
         let path = error.path().to_string();
         let value = find(&whole, &path).map_or_else(|| "nothing".to_string(), |value| format!("`{value}`"));
         let message = expectation(error.into_inner().message());
-        let ours = blame(BadInput::new(file, format!("key `{path}`"), value, message), file, sets);
+        let ours = attribute(BadInput::new(file, format!("key `{path}`"), value, message), file, sets);
         // What the command line didn't bring, the file did, and reading it alone knows the line.
         if ours.file == file { from_toml::<T>(file, text).err().unwrap_or(ours) } else { ours }
     })
 }
 
 /// Names the override as the origin of an error about a key that it set.
-pub(super) fn blame(mut bad: BadInput, file: &str, sets: &[String]) -> BadInput {
+pub(super) fn attribute(mut bad: BadInput, file: &str, sets: &[String]) -> BadInput {
     let key = bad.place.trim_start_matches("key `").trim_end_matches('`').to_string();
     let touches = |set: &&String| {
         let path = set.split('=').next().unwrap_or("").trim();
@@ -43,7 +43,7 @@ pub(super) fn blame(mut bad: BadInput, file: &str, sets: &[String]) -> BadInput 
 }
 
 /// Puts one `key.path=value` into the table.
-fn lay(table: &mut Table, set: &str) -> Result<(), BadInput> {
+fn apply(table: &mut Table, set: &str) -> Result<(), BadInput> {
     let option = format!("--set {set}");
     let form = || BadInput::new(&option, "option", format!("`{set}`"), "key.path=value, such as backend.seed=7");
     let (path, text) = set.split_once('=').ok_or_else(form)?;

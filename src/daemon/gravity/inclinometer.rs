@@ -3,7 +3,7 @@
 use crate::config::job::Job;
 use crate::config::job::inclinometer::BaseMotion;
 use crate::failure::Failure;
-use crate::inclinometer::follow::{Decision, Follower, OnLoss, Source};
+use crate::inclinometer::follow::{Decision, Follower, OnSensorLoss, Source};
 use crate::inclinometer::sensor::{Health, Reading, Sensor};
 use crate::inclinometer::socket::Listener;
 use nalgebra::Vector3;
@@ -14,7 +14,7 @@ pub struct Inclinometer {
     listener: Listener,
     follower: Follower,
     /// What is served without a reading.
-    pub on_loss: OnLoss,
+    pub on_loss: OnSensorLoss,
     /// What a motion does when the base turns during it.
     pub on_motion: BaseMotion,
     /// Smallest turn of the base that counts \[rad\].
@@ -89,9 +89,9 @@ impl Inclinometer {
                 self.losses += 1;
                 self.lost_since = Some(now);
                 let rule = match self.on_loss {
-                    OnLoss::Refuse => "no torque is served",
-                    OnLoss::Hold => "the direction measured last holds",
-                    OnLoss::Declared => "the declared direction holds",
+                    OnSensorLoss::Refuse => "no torque is served",
+                    OnSensorLoss::Hold => "the direction measured last holds",
+                    OnSensorLoss::Declared => "the declared direction holds",
                 };
                 Some(HealthChange::Lost(format!("{fault}; by inclinometer.on-loss = \"{}\", {rule}", self.on_loss)))
             }

@@ -8,7 +8,9 @@ mod thread;
 
 use super::job_setup::JobSetup;
 use crate::config::job::Job;
-use crate::recording::about::{About, FORMAT, Given, Handed, LogClock, Reason, ReasonKind, Settings, panicked};
+use crate::recording::about::{
+    About, FORMAT, LogClock, Reason, ReasonKind, RecordedModel, RecordedOrder, Settings, panicked,
+};
 use crate::recording::history::History;
 use folder::Folder;
 use plumbline_core::{BadInput, Fault, Record, State};
@@ -41,8 +43,8 @@ const STOP: usize = 5000;
 enum Message {
     Open(Box<RecorderThread>),
     Event(TimedEvent),
-    Order(Given),
-    Model(Handed, String),
+    Order(RecordedOrder),
+    Model(RecordedModel, String),
     Note(String),
     /// Reason of the next requested stop.
     StopReason(Reason),
@@ -160,7 +162,7 @@ impl Recorder {
             reason: Reason::default(),
             end: None,
             next: Vec::new(),
-            goes_on: false,
+            automatic_recovery: false,
             clock: LogClock::Wall { epoch_ns: 0 },
             lost: 0,
             late: 0,
@@ -315,12 +317,12 @@ impl LoopRecorder {
     }
 
     /// The loop was given an order.
-    pub fn ordered(&self, given: Given) {
+    pub fn ordered(&self, given: RecordedOrder) {
         self.send(|| Message::Order(given));
     }
 
     /// The loop was given a model.
-    pub fn handed(&self, model: Handed, text: &str) {
+    pub fn handed(&self, model: RecordedModel, text: &str) {
         self.send(|| Message::Model(model, text.to_string()));
     }
 

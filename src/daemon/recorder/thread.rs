@@ -61,7 +61,7 @@ pub(super) fn work(messages: &Receiver<Message>, folder: &Folder, requests: &Req
 impl RecorderThread {
     fn drain(&mut self) {
         while let Ok(record) = self.records.pop() {
-            self.history.keep(&[record]);
+            self.history.push_records(&[record]);
         }
     }
 
@@ -70,10 +70,10 @@ impl RecorderThread {
         match message {
             Message::Open(_) => {}
             Message::Event(event) => self.take_event(event, folder),
-            Message::Order(given) => self.history.ordered(given),
+            Message::Order(given) => self.history.push_order(given),
             Message::Model(handed, text) => {
                 let name = model_name(handed.id);
-                self.history.handed(handed);
+                self.history.push_model(handed);
                 if !text.is_empty() && self.texts.iter().all(|(other, _)| *other != name) {
                     self.texts.push((name, text));
                 }
@@ -81,7 +81,7 @@ impl RecorderThread {
             Message::Note(text) => {
                 self.drain();
                 let seq = self.history.newest().map_or(0, |record| record.state.seq);
-                self.history.note(Note { stamp_ns: now_ns(), seq, text });
+                self.history.push_note(Note { stamp_ns: now_ns(), seq, text });
             }
             Message::StopReason(reason) => self.stop_reason = Some(reason),
             Message::OnDemand(newest) => {
@@ -100,7 +100,7 @@ impl RecorderThread {
     }
 
     fn take_event(&mut self, timed: TimedEvent, folder: &Folder) {
-        self.history.tell(timed);
+        self.history.push_event(timed);
         match timed.event {
             Event::Stopping { reason, .. } => {
                 let asked = matches!(reason, StopReason::Requested | StopReason::Quit);
@@ -172,7 +172,8 @@ impl RecorderThread {
         (about.orders_before, about.models_before) = (window.before.orders, window.before.models);
         let mut unanswered = None;
         if let Some(Close { end, next, goes_on, dropped_events, unanswered: state, .. }) = close {
-            (about.end, about.next, about.goes_on, about.dropped_events) = (Some(end), next, goes_on, dropped_events);
+            (about.end, about.next, about.automatic_recovery, about.dropped_events) =
+                (Some(end), next, goes_on, dropped_events);
             unanswered = state.map(|state| after(window.records.last(), state));
         }
         let recording = Recording {

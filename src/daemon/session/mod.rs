@@ -14,7 +14,7 @@ use super::script::{Next, Planned, Script};
 use super::state::DaemonState;
 use crate::failure::Failure;
 use crate::process::service;
-use crate::recording::about::{Handed, Reason, ReasonKind};
+use crate::recording::about::{Reason, ReasonKind, RecordedModel};
 use nalgebra::Vector3;
 use plumbline_core::{ArmMonitor, Histogram, Phase, Purpose, Record, TimeGate};
 use plumbline_ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, now_ns};
@@ -330,7 +330,8 @@ impl Session {
                     (self.model, self.gravity) = (accepted.id, gravity);
                     self.labels.handed(accepted.id, gravity);
                     let vendor = Some(self.vendor.into());
-                    self.tape.handed(Handed { id: accepted.id, gravity: gravity.into(), vendor }, &accepted.text);
+                    self.tape
+                        .handed(RecordedModel { id: accepted.id, gravity: gravity.into(), vendor }, &accepted.text);
                     self.open_gate();
                 }
                 return;
@@ -355,7 +356,7 @@ impl Session {
         } else if phase != Phase::Stop && self.handles.models.serve(Box::new(NoModel)).is_ok() {
             self.model = 0;
             self.labels.handed(0, self.gravity);
-            self.tape.handed(Handed { id: 0, gravity: [0.0; 3], vendor: None }, "");
+            self.tape.handed(RecordedModel { id: 0, gravity: [0.0; 3], vendor: None }, "");
         }
     }
 

@@ -139,32 +139,33 @@ fn the_programme_goes_on_when_the_model_that_it_waits_for_is_there() {
 #[test]
 fn the_loss_of_the_estimator_stops_an_arm_that_moves_where_the_job_says_so() {
     let (name, pid, acknowledged) = ("estimator".to_string(), 7, 5);
-    let died = News::Died { name: name.clone(), pid, acknowledged };
-    let left = News::Left { name: name.clone(), pid, acknowledged };
-    let silent = News::Silent { name: name.clone(), pid, acknowledged, silent_ms: 9 };
-    let joined = News::Joined { name, pid, from: 0 };
+    let died = FollowerEvent::Died { name: name.clone(), pid, acknowledged };
+    let left = FollowerEvent::Left { name: name.clone(), pid, acknowledged };
+    let silent = FollowerEvent::Silent { name: name.clone(), pid, acknowledged, silent_ms: 9 };
+    let joined = FollowerEvent::Joined { name, pid, from: 0 };
     let fast = JOB.replace("wall-clock", "fast");
     for (job, watch, waited_for) in
         [(JOB, true, false), (&fast, true, true), (&fast, false, false), (JOB, false, false)]
     {
         for (news, lost) in [(&died, true), (&left, true), (&silent, !waited_for), (&joined, false)] {
-            for rule in [OnLoss::Stop, OnLoss::Finish] {
+            for rule in [OnEstimatorLoss::Stop, OnEstimatorLoss::Finish] {
                 for progress in [Progress::Driving, Progress::AwaitingModel, Progress::Idle] {
                     let (mut state, _place) = state_of(job);
                     (state.setup.job.live.watch, state.setup.job.safety.on_estimator_loss, state.programme.progress) =
                         (watch, rule, progress);
                     let controls = Controls::default();
                     let said = logged(|| state.news(news, Some(&controls)));
-                    let stops = lost && rule == OnLoss::Stop && progress == Progress::Driving;
+                    let stops = lost && rule == OnEstimatorLoss::Stop && progress == Progress::Driving;
                     assert_eq!(
                         (controls.stop_requested(), state.stops.barred),
                         (stops, stops),
                         "{news}, {rule:?}, {progress:?}"
                     );
                     assert_eq!(said.contains("the arm stops"), stops, "{said}");
-                    let goes_on = progress == Progress::Driving && !stops && !matches!(news, News::Joined { .. });
+                    let goes_on =
+                        progress == Progress::Driving && !stops && !matches!(news, FollowerEvent::Joined { .. });
                     assert_eq!(said.contains("the arm goes on"), goes_on, "{said}");
-                    let waits = progress == Progress::AwaitingModel && matches!(news, News::Died { .. });
+                    let waits = progress == Progress::AwaitingModel && matches!(news, FollowerEvent::Died { .. });
                     assert_eq!(said.contains("the arm waits for a model"), waits, "{said}");
                 }
             }
@@ -185,8 +186,8 @@ fn the_flight_recorder_is_given_the_reason_of_every_stop_that_the_daemon_asks_fo
     state.announce_end();
     state.announce_end();
     assert_eq!(remarks(), ["signal: signal SIGTERM arrived"]);
-    let news = News::Left { name: "estimator".into(), pid: 7, acknowledged: 5 };
-    for (rule, count) in [(OnLoss::Stop, 2), (OnLoss::Finish, 1)] {
+    let news = FollowerEvent::Left { name: "estimator".into(), pid: 7, acknowledged: 5 };
+    for (rule, count) in [(OnEstimatorLoss::Stop, 2), (OnEstimatorLoss::Finish, 1)] {
         (state.programme.progress, state.setup.job.safety.on_estimator_loss) = (Progress::Driving, rule);
         state.news(&news, Some(&controls));
         let found = remarks();

@@ -1,12 +1,13 @@
 //! What the templates of a diagnosis show, formatted.
 
-use super::figures::DiagnosisFigures;
 use super::rows::{self, Bar, Kind, Pair};
 use super::words::{self, fixed, quantity};
-use super::{Action, BeforeAfter, Changes, Diagnosis, Effect, Errors, Occurrence, Verdict, plots};
+use super::{Action, BeforeAfter, Changes, Confirmation, Diagnosis, Effect, Errors, Stratum, Verdict, plots};
 use crate::report::html::safe;
 use crate::report::summary::{band_of, digits};
 use minijinja::{Value, context};
+use plumbline_diagnose::figures::Curves;
+use plumbline_diagnose::outcome::places;
 
 /// Templates by name: the box of the first screen, and the section that follows.
 pub(in crate::report) const TEMPLATES: [(&str, &str); 3] = [
@@ -19,7 +20,7 @@ pub(in crate::report) const TEMPLATES: [(&str, &str); 3] = [
 const DRAWN: usize = 10;
 
 /// Everything that the templates use of a diagnosis.
-pub(in crate::report) fn context(of: &Diagnosis, figures: &DiagnosisFigures) -> Value {
+pub(in crate::report) fn context(of: &Diagnosis, figures: &Curves) -> Value {
     let grown = words::grown(of);
     let errors = rows::pairs(&of.before, Some(&of.after).filter(|_| grown), &of.noise_floor);
     let plotted = |svg: String| (!svg.is_empty()).then(|| safe(svg));
@@ -33,10 +34,10 @@ pub(in crate::report) fn context(of: &Diagnosis, figures: &DiagnosisFigures) -> 
         headline => words::headline(of),
         sentences => words::sentences(of),
         error => words::error(of).map(arrow),
-        effects => effects(&of.effects, &of.confirmation),
-        changes => of.changes.iter().map(|changes| self::changes(changes, &of.confirmation)).collect::<Vec<_>>(),
+        effects => effects(&of.effects, of.confirmation),
+        changes => of.changes.iter().map(|changes| self::changes(changes, of.confirmation)).collect::<Vec<_>>(),
         grown,
-        changing => of.effects.iter().any(|effect| effect.stratum == Occurrence::Changing),
+        changing => of.effects.iter().any(|effect| effect.stratum == Stratum::Changing),
         rms => &rms,
         intervals => !of.before.intervals.is_empty(),
         floors => !of.noise_floor.is_empty(),
@@ -44,7 +45,7 @@ pub(in crate::report) fn context(of: &Diagnosis, figures: &DiagnosisFigures) -> 
         errors_plot => plotted(rows::dumbbells(&errors, &rms)),
         joints => joints(of, grown),
         notes => &of.notes,
-        confirmation => &of.confirmation,
+        confirmation => of.confirmation.map(|confirmation| confirmation.to_string()),
         periods => periods(figures),
         against => against(&figures.effects),
         spectra => spectra(figures),
@@ -90,7 +91,7 @@ fn percent(share: Option<f64>) -> String {
 }
 
 /// Rows of the tables of effects.
-fn effects(effects: &[Effect], confirmation: &str) -> Vec<Value> {
+fn effects(effects: &[Effect], confirmation: Option<Confirmation>) -> Vec<Value> {
     let row = |effect: &Effect| {
         let parameters: Vec<_> =
             effect.parameters.0.iter().map(|p| context! { name => &p.name, value => quantity(p, "\u{b1}") }).collect();
@@ -105,7 +106,7 @@ fn effects(effects: &[Effect], confirmation: &str) -> Vec<Value> {
         let bare = effect.alternatives.iter().filter(|_| rivals.is_empty());
         context! {
             id => &effect.id,
-            name => effect.name(),
+            name => words::name(effect),
             parameters,
             confirmed => words::confirmed(effect, confirmation),
             explained => percent(effect.explained_share),
@@ -117,9 +118,9 @@ fn effects(effects: &[Effect], confirmation: &str) -> Vec<Value> {
             idf => or_dash(effect.idf),
             torque => or_fixed(effect.torque_rms),
             stratum => match effect.stratum {
-                Occurrence::Repeatable => "repeatable",
-                Occurrence::Changing => "changing",
-                Occurrence::Reference => "since reference",
+                Stratum::Repeatable => "repeatable",
+                Stratum::Changing => "changing",
+                Stratum::Reference => "since reference",
             },
             in_model => effect.in_model,
             left => words::left(effect),
@@ -132,7 +133,7 @@ fn effects(effects: &[Effect], confirmation: &str) -> Vec<Value> {
     effects.iter().map(row).collect()
 }
 
-fn changes(of: &Changes, confirmation: &str) -> Value {
+fn changes(of: &Changes, confirmation: Option<Confirmation>) -> Value {
     let none = Errors::default();
     let (before, after) = (of.before.as_ref().unwrap_or(&none), of.after.as_ref());
     let plot = rows::dumbbells(&rows::pairs(before, after, &[]), "RMS / Nm");
@@ -214,8 +215,8 @@ fn path(of: &Diagnosis) -> String {
     rows::bars(&of.path.iter().map(bar).collect::<Vec<_>>(), true)
 }
 
-fn periods(figures: &DiagnosisFigures) -> Vec<Value> {
-    let plot = |figure: &super::figures::PeriodFigure| {
+fn periods(figures: &Curves) -> Vec<Value> {
+    let plot = |figure: &plumbline_diagnose::figures::PeriodFigure| {
         let svg = plots::period(figure);
         let trajectory = &figure.trajectory;
         (!svg.is_empty()).then(|| context! { joint => figure.joint, trajectory, plot => safe(svg) })
@@ -223,24 +224,24 @@ fn periods(figures: &DiagnosisFigures) -> Vec<Value> {
     figures.periods.iter().filter_map(plot).collect()
 }
 
-fn against(figures: &[super::figures::EffectFigure]) -> Vec<Value> {
-    let plot = |figure: &super::figures::EffectFigure| {
+fn against(figures: &[plumbline_diagnose::figures::EffectFigure]) -> Vec<Value> {
+    let plot = |figure: &plumbline_diagnose::figures::EffectFigure| {
         let svg = plots::effect(figure);
         (!svg.is_empty()).then(|| context! { joint => figure.joint, title => &figure.title, plot => safe(svg) })
     };
     figures.iter().filter_map(plot).collect()
 }
 
-fn spectra(figures: &DiagnosisFigures) -> Vec<Value> {
-    let plot = |figure: &super::figures::SpectrumFigure| {
+fn spectra(figures: &Curves) -> Vec<Value> {
+    let plot = |figure: &plumbline_diagnose::figures::SpectrumFigure| {
         let svg = plots::spectrum(figure);
         (!svg.is_empty()).then(|| context! { joint => figure.joint, plot => safe(svg) })
     };
     figures.spectra.iter().filter_map(plot).collect()
 }
 
-fn maps(figures: &DiagnosisFigures) -> Vec<Value> {
-    let plot = |figure: &super::figures::MapFigure| {
+fn maps(figures: &Curves) -> Vec<Value> {
+    let plot = |figure: &plumbline_diagnose::figures::MapFigure| {
         let svg = plots::map(figure);
         let most = digits(plots::most(figure));
         (!svg.is_empty()).then(|| context! { title => &figure.title, most, plot => safe(svg) })
@@ -272,7 +273,7 @@ fn detectable(of: &Diagnosis) -> Vec<Value> {
 fn absorbed(of: &Diagnosis) -> Vec<Value> {
     let mut groups: Vec<(&str, &str, Vec<String>)> = Vec::new();
     for one in &of.not_identifiable {
-        let place = words::places(&one.joints);
+        let place = places(&one.joints);
         match groups.iter_mut().find(|(effect, why, _)| (*effect, *why) == (&one.effect, &one.why)) {
             Some((.., places)) => places.push(place),
             None => groups.push((&one.effect, &one.why, vec![place])),

@@ -1,10 +1,10 @@
 //! Plots of a diagnosis over time, a variable, or frequency. Those with one row per joint or candidate are in `rows`.
 
-use super::figures::{EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
 use crate::report::figures::thin;
 use crate::report::plot::{AFTER, Area, BAND, BEFORE, Drawn, EDGE, GRID, LIMIT, TEXT, span, svg, tick, time_span};
 use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
 use plotters::prelude::*;
+use plumbline_diagnose::figures::{EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
 
 /// A chart on axes `X` and `Y`.
 type Framed<'a, 'd, X, Y> = ChartContext<

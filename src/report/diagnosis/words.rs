@@ -1,8 +1,9 @@
 //! A diagnosis in plain words.
 
-use super::{Changes, Diagnosis, Effect, EffectParameter, Errors, Occurrence, Unexplained, Verdict};
+use super::{Changes, Confirmation, Diagnosis, Effect, Errors, Quantity, Stratum, Unexplained, Verdict};
 use crate::report::Band;
 use crate::report::summary::{CHANGED, band_of, digits};
+use plumbline_diagnose::outcome::{listed, places};
 
 /// The diagnosis in a few lines, the verdict first; the first line begins with `diagnosis:`.
 pub(in crate::report) fn lines(of: &Diagnosis) -> Vec<String> {
@@ -25,7 +26,7 @@ pub(in crate::report) fn lines(of: &Diagnosis) -> Vec<String> {
 /// Effects, what stays unexplained and what changed, one sentence each.
 fn findings(of: &Diagnosis) -> Vec<String> {
     let effects = of.effects.iter().map(|effect| {
-        format!("{}{}", finding(effect, &of.confirmation), left(effect).map_or(String::new(), |why| format!("; {why}")))
+        format!("{}{}", finding(effect, of.confirmation), left(effect).map_or(String::new(), |why| format!("; {why}")))
     });
     let unexplained = of.unexplained.iter().map(self::unexplained);
     effects
@@ -34,7 +35,7 @@ fn findings(of: &Diagnosis) -> Vec<String> {
             of.changes
                 .iter()
                 .filter(|changes| !told(changes, of))
-                .map(|changes| self::changes(changes, &of.confirmation)),
+                .map(|changes| self::changes(changes, of.confirmation)),
         )
         .collect()
 }
@@ -44,7 +45,7 @@ pub(super) fn left(effect: &Effect) -> Option<&'static str> {
     match (effect.in_model, effect.stratum) {
         (true, _) => None,
         // The model is one of what repeats: nobody has weighed whether to add it.
-        (false, Occurrence::Changing) => Some("not in the model"),
+        (false, Stratum::Changing) => Some("not in the model"),
         (false, _) => Some("not added to the model"),
     }
 }
@@ -62,7 +63,7 @@ const NAMED: usize = 2;
 /// What was found, in a few words for the head of the page; what the verdict says by itself is not repeated.
 pub(super) fn headline(of: &Diagnosis) -> String {
     let changed = of.changes.iter().filter(|changes| !told(changes, of)).flat_map(|changes| &changes.effects);
-    let mut names: Vec<String> = of.effects.iter().chain(changed).map(Effect::name).collect();
+    let mut names: Vec<String> = of.effects.iter().chain(changed).map(name).collect();
     names.extend(of.unexplained.iter().map(|open| format!("a residual in joint {}", open.joint)));
     match (of.verdict, names.len()) {
         (Verdict::NothingSignificant, _) => String::new(),
@@ -79,7 +80,7 @@ pub(super) fn sentences(of: &Diagnosis) -> Vec<String> {
     }
     sentences.extend(of.unexplained.iter().map(unexplained));
     let unchanged = of.changes.iter().filter(|changes| changes.effects.is_empty());
-    sentences.extend(unchanged.map(|changes| self::changes(changes, &of.confirmation)));
+    sentences.extend(unchanged.map(|changes| self::changes(changes, of.confirmation)));
     sentences
 }
 
@@ -126,53 +127,33 @@ pub(super) fn plain(id: &str) -> String {
     id.replace('-', " ")
 }
 
-/// `joint 4`, `joints 4 and 5`; nothing for the arm as a whole.
-pub(crate) fn places(joints: &[usize]) -> String {
-    match joints {
-        [] => String::new(),
-        [joint] => format!("joint {joint}"),
-        _ => format!("joints {}", listed(joints.iter().map(usize::to_string))),
-    }
-}
-
-/// `a`, `a and b`, `a, b and c`.
-fn listed(items: impl IntoIterator<Item = String>) -> String {
-    let mut items: Vec<String> = items.into_iter().collect();
-    match items.pop() {
-        Some(last) if !items.is_empty() => format!("{} and {last}", items.join(", ")),
-        last => last.unwrap_or_default(),
-    }
-}
-
 /// An effect by id and place: `presliding in joint 4`.
 pub(super) fn placed(id: &str, joints: &[usize]) -> String {
     let place = places(joints);
     if place.is_empty() { plain(id) } else { format!("{} in {place}", plain(id)) }
 }
 
-impl Effect {
-    /// What it is called: `presliding in joint 4`, `mounting since session 2`, or its own label.
-    pub fn name(&self) -> String {
-        if !self.label.is_empty() {
-            return self.label.clone();
-        }
-        let since = self.since_session.map_or(String::new(), |session| format!(" since session {session}"));
-        placed(&self.id, &self.joints) + &since
+/// The name of an effect: `presliding in joint 4`, `mounting since session 2`, or its own label.
+pub(super) fn name(effect: &Effect) -> String {
+    if !effect.label.is_empty() {
+        return effect.label.clone();
     }
+    let since = effect.since_session.map_or(String::new(), |session| format!(" since session {session}"));
+    placed(&effect.id, &effect.joints) + &since
 }
 
 /// An effect in one sentence.
-fn finding(effect: &Effect, confirmation: &str) -> String {
+fn finding(effect: &Effect, confirmation: Option<Confirmation>) -> String {
     let parameters: Vec<String> =
         effect.parameters.0.iter().map(|p| format!("{} {}", p.name, quantity(p, "+-"))).collect();
     let parameters = if parameters.is_empty() { String::new() } else { format!(" ({})", parameters.join(", ")) };
-    format!("{}{parameters}, {}{}", effect.name(), confirmed(effect, confirmation), rivals(effect))
+    format!("{}{parameters}, {}{}", name(effect), confirmed(effect, confirmation), rivals(effect))
 }
 
 /// Whether an effect held in trajectories that were left out; `why` not, where nobody could say.
-pub(super) fn confirmed(effect: &Effect, why: &str) -> String {
+pub(super) fn confirmed(effect: &Effect, confirmation: Option<Confirmation>) -> String {
     let (positive, informative) = (effect.folds.positive, effect.folds.informative);
-    if effect.stratum == Occurrence::Changing {
+    if effect.stratum == Stratum::Changing {
         // No trajectory is left out for it; some effects show in each for itself.
         let trajectories =
             if informative > 1 { format!(" in {positive} of {informative} trajectories") } else { String::new() };
@@ -181,10 +162,12 @@ pub(super) fn confirmed(effect: &Effect, why: &str) -> String {
     match (effect.confirmed, informative) {
         (true, 0) => "confirmed".into(),
         (true, _) => format!("confirmed in {positive} of {informative} trajectories"),
-        (false, 0) if why.is_empty() || why.starts_with("confirmed") => "unconfirmed".into(),
-        (false, 0) => format!("unconfirmed ({why})"),
+        (false, 0) => match confirmation {
+            None | Some(Confirmation::Full { .. }) => "unconfirmed".into(),
+            Some(why) => format!("unconfirmed ({why})"),
+        },
         (false, _) => {
-            let left_out = if why == "no repeats" { "blocks" } else { "trajectories" };
+            let left_out = if confirmation == Some(Confirmation::NoRepeats) { "blocks" } else { "trajectories" };
             format!("unconfirmed (held in {positive} of {informative} {left_out})")
         }
     }
@@ -240,7 +223,7 @@ pub(super) fn unexplained(of: &Unexplained) -> String {
 }
 
 /// What changed, in one sentence.
-fn changes(of: &Changes, confirmation: &str) -> String {
+fn changes(of: &Changes, confirmation: Option<Confirmation>) -> String {
     let effects: Vec<String> = of.effects.iter().map(|effect| finding(effect, confirmation)).collect();
     let effects = if effects.is_empty() { "nothing changed".to_string() } else { effects.join("; ") };
     let session = if of.session.is_empty() { String::new() } else { format!("{}, ", of.session) };
@@ -345,7 +328,7 @@ pub(super) fn fixed(value: f64) -> String {
 
 /// Value, standard deviation and unit of a parameter, with as many decimals as the standard deviation has meaning; `sign` stands
 /// between the two.
-pub(super) fn quantity(p: &EffectParameter, sign: &str) -> String {
+pub(super) fn quantity(p: &Quantity, sign: &str) -> String {
     if !p.value.is_finite() {
         return "-".into();
     }
@@ -370,7 +353,7 @@ mod tests {
     use super::*;
 
     fn said(value: f64, std: Option<f64>, unit: &str) -> String {
-        quantity(&EffectParameter { name: "p".into(), value, std, unit: unit.into() }, "+-")
+        quantity(&Quantity { name: "p".into(), value, std, unit: unit.into() }, "+-")
     }
 
     #[test]

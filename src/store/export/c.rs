@@ -6,7 +6,6 @@
 
 use super::emit::{Program, Value, ZERO, expression};
 use super::{Exported, effects, validity};
-use plumbline_model::term::{friction, rotor_inertia, torque_offset};
 use plumbline_model::{Joint, JointKind, LINK_COLUMNS, TorqueModel};
 
 type Vector = [Value; 3];
@@ -44,31 +43,20 @@ pub fn write(model: &TorqueModel) -> Exported {
         tau = recursion(&mut program, chain.joints(), &links);
     }
     for (term, range) in structure.terms().iter().zip(structure.ranges()) {
-        let spec = term.spec();
-        for (c, (column, &value)) in structure.columns()[range.clone()].iter().zip(&beta[range]).enumerate() {
-            let one = Value::Known(1.0);
-            if let Some(spec) = &spec {
-                if let Some((row, factor)) = effects::column(&mut program, spec, term.original(c), &load) {
-                    tau[row] = program.sum(&[(tau[row].clone(), one), (Value::Known(value), factor)]);
-                }
-                continue;
-            }
-            let j = column.joint - 1;
-            let dq = Value::input(format!("dq[{j}]"));
-            let factor = match (term.id(), column.name.trim_end_matches(|c: char| c.is_ascii_digit())) {
-                (friction::ID, "fv") => dq,
-                (friction::ID, "fc") => {
-                    program.named(format!("s{j}"), format!("tanh({:?}*dq[{j}])", friction::SHARPNESS))
-                }
-                (torque_offset::ID, _) => one.clone(),
-                (rotor_inertia::ID, _) => Value::input(format!("ddq[{j}]")),
-                _ => continue,
+        let (spec, entries) = (term.spec(), term.entries());
+        for (c, value) in beta[range].iter().enumerate() {
+            let column = match (&spec, &entries) {
+                (Some(spec), _) => effects::column(&mut program, spec, term.original(c), &load),
+                (None, Some(entries)) => effects::entry(&mut program, entries[c]),
+                (None, None) => None,
             };
-            tau[j] = program.sum(&[(tau[j].clone(), one), (Value::Known(value), factor)]);
+            if let Some((row, factor)) = column {
+                tau[row] = program.sum(&[(tau[row].clone(), Value::Known(1.0)), (Value::Known(*value), factor)]);
+            }
         }
     }
 
-    let notes: Vec<String> = validity(model).into_iter().chain(effects::notes(&effects::unheld_by_c(model))).collect();
+    let notes: Vec<String> = validity(model).into_iter().chain(effects::notes_of_c(model)).collect();
     let name = function_name(model.robot());
     let mountings: Vec<String> = model.mountings().iter().map(|mounting| mounting.to_string()).collect();
     let about = notes.iter().map(|note| format!(" * {}\n", note.replace("*/", "* /"))).collect::<String>();

@@ -1,55 +1,70 @@
-//! Effects in exported files: what a format has a place for, and the laws of those in one row as C.
+//! Effects in exported files, by what each declares: its part of the C function, and what a description of rigid bodies has of it.
 
 use super::emit::{Program, Value, expression};
 use plumbline_identify::consistency::Nearest;
-use plumbline_model::term::effect::{Site, Spec, family};
+use plumbline_model::term::Entry;
+use plumbline_model::term::effect::{EffectError, Family, InBodies, InC, Inputs, Site, Spec};
 use plumbline_model::term::friction::SHARPNESS;
-use plumbline_model::term::{Term, payload, presliding};
 use plumbline_model::{LINK_COLUMNS, LinkParameters, TorqueModel, is_consistent};
-use std::collections::BTreeSet;
 
-/// Effects of a model that URDF and MJCF have no place for: all but a payload, which is part of the last link.
-pub fn unheld_by_bodies(model: &TorqueModel) -> Vec<&'static str> {
-    unheld(model, |spec| spec.family == payload::ID)
+/// Notes on effects of a model that URDF and MJCF lack, or have a part of.
+pub(super) fn notes_of_bodies(model: &TorqueModel) -> Vec<String> {
+    notes(model, |family, _| match family.in_bodies {
+        InBodies::LastLink => None,
+        InBodies::CoulombFriction { note } => Some(note.to_string()),
+        InBodies::Nothing => Some(format!("is left out: {}", family.physics)),
+    })
 }
 
-/// Effects of a model that the C function can't compute: what needs the samples before, or the rigid body in another motion.
-pub fn unheld_by_c(model: &TorqueModel) -> Vec<&'static str> {
-    unheld(model, |spec| spec.family == payload::ID || law(spec, 0, &Names::default()).is_some())
+/// Notes on effects of a model that the C function lacks, or has a part of.
+pub(super) fn notes_of_c(model: &TorqueModel) -> Vec<String> {
+    let mut notes = notes(model, |family, spec| match family.form(spec.form).map(|form| form.in_c) {
+        Some(InC::Columns(_) | InC::Entries | InC::LastLink) => None,
+        Some(InC::Part { note, .. }) => Some(note.to_string()),
+        Some(InC::Refused(reason)) => Some(format!("is left out, because {reason}: {}", family.physics)),
+        None => Some(format!("has no form `{}` and is left out", spec.form)),
+    });
+    let terms = model.structure().terms().iter();
+    let unknown = terms.filter(|term| term.spec().is_none() && term.entries().is_none());
+    notes.extend(unknown.map(|term| format!("term `{}` is left out: {}", term.id(), term.physics())));
+    notes
 }
 
-/// Coulomb friction that a joint's presliding becomes once the joint slides: what a format without memory holds of it \[Nm\].
+/// One note per kind of effect, ordered by identity.
+fn notes(model: &TorqueModel, what: impl Fn(&Family, &Spec) -> Option<String>) -> Vec<String> {
+    let note = |spec: Spec| {
+        let text = match spec.family() {
+            Ok(family) => what(family, &spec)?,
+            Err(error) => format!("is left out: {error}"),
+        };
+        Some(format!("effect `{}` {text}", spec.family))
+    };
+    let mut notes: Vec<String> =
+        model.structure().terms().iter().filter_map(|term| term.spec()).filter_map(note).collect();
+    notes.sort();
+    notes.dedup();
+    notes
+}
+
+/// What descriptions of rigid bodies have of an effect.
+fn in_bodies(spec: &Spec) -> Result<InBodies, EffectError> {
+    Ok(spec.family()?.in_bodies)
+}
+
+/// Coulomb friction of a joint that effects are in sliding: what a format without memory has of them \[Nm\].
 pub(super) fn sliding_friction(model: &TorqueModel, joint: usize) -> f64 {
-    let of_joint = |term: &dyn Term| term.spec().is_some_and(|spec| spec.site == Site::Joint(joint));
-    let own = model.terms().into_iter().filter(|(term, _)| term.id() == presliding::ID && of_joint(*term));
+    let slides = |spec: &Spec| {
+        spec.site == Site::Joint(joint) && matches!(in_bodies(spec), Ok(InBodies::CoulombFriction { .. }))
+    };
+    let own = model.terms().into_iter().filter(|(term, _)| term.spec().is_some_and(|spec| slides(&spec)));
     own.flat_map(|(_, parameters)| parameters).map(|parameter| parameter.value).sum()
 }
 
-/// Notes on effects that are left out, or held in part.
-pub(super) fn notes(ids: &[&'static str]) -> Vec<String> {
-    let note = |id: &&'static str| {
-        if *id == presliding::ID {
-            return "effect `presliding` is held as the Coulomb friction that it is in sliding; its memory, which tells where a joint that turns \
-                    back was, is left out"
-                .to_string();
-        }
-        let physics = family(id).map_or("", |family| family.physics);
-        format!("effect `{id}` is left out: {physics}")
-    };
-    ids.iter().map(note).collect()
-}
-
-fn unheld(model: &TorqueModel, holds: impl Fn(&Spec) -> bool) -> Vec<&'static str> {
-    let specs = model.structure().terms().iter().filter_map(|term| term.spec());
-    let ids: BTreeSet<&'static str> = specs.filter(|spec| !holds(spec)).map(|spec| spec.family).collect();
-    ids.into_iter().collect()
-}
-
-/// Parameters of a model's payload, about the last link's frame; zero where it has none.
+/// Parameters of what a model has on the last link, about that link's frame; zero where it has nothing.
 pub fn payload_of(model: &TorqueModel) -> LinkParameters {
     let mut sum = [0.0; LINK_COLUMNS];
     for (term, parameters) in model.terms() {
-        if term.id() == payload::ID {
+        if term.spec().is_some_and(|spec| in_bodies(&spec) == Ok(InBodies::LastLink)) {
             for (c, parameter) in parameters.iter().enumerate() {
                 sum[term.original(c)] += parameter.value;
             }
@@ -74,31 +89,41 @@ pub fn with_payload(model: &TorqueModel, bodies: &Nearest) -> Result<Nearest, Li
     Ok(bodies)
 }
 
-/// Column `c` of an effect in one row as a value of the program, and that row; `load` holds the rigid-body torques. `None` for an
-/// effect without such a law. Presliding is that of a joint that slides.
+/// Column `c` of an effect as a value of the program, and its row; `load` has the rigid-body torques. `None` for an effect that
+/// [`notes_of_c`] names, and for one that is part of the rigid bodies.
 pub(super) fn column(program: &mut Program, spec: &Spec, c: usize, load: &[Value]) -> Option<(usize, Value)> {
+    let (InC::Columns(columns) | InC::Part { columns, .. }) = spec.family().ok()?.form(spec.form)?.in_c else {
+        return None;
+    };
     let (row, cause) = joints(spec.site);
-    let sign = |joint: usize| format!("tanh({SHARPNESS:?}*dq[{joint}])");
-    let names = Names {
-        sign: expression(&program.named(format!("s{row}"), sign(row))),
-        other_sign: expression(&program.named(format!("s{cause}"), sign(cause))),
+    let inputs = Inputs {
+        q: format!("q[{row}]"),
+        dq: format!("dq[{row}]"),
+        sign: expression(&sign(program, row)),
+        cause_dq: format!("dq[{cause}]"),
+        cause_ddq: format!("ddq[{cause}]"),
+        cause_sign: expression(&sign(program, cause)),
         load: load.get(cause).map_or(String::new(), expression),
     };
-    let sliding = || (spec.family == presliding::ID).then(|| names.sign.clone());
-    let text = law(spec, c, &names).or_else(sliding)?;
+    let text = columns(&inputs, &spec.settings).into_iter().nth(c)?;
     let name = program.fresh("e");
     Some((row, program.named(name, text)))
 }
 
-/// What a law refers to.
-#[derive(Default)]
-struct Names {
-    /// `tanh(100 dq)` of the row's joint.
-    sign: String,
-    /// That of the joint that it comes from.
-    other_sign: String,
-    /// Rigid-body torque of the joint that it comes from.
-    load: String,
+/// Column of a term of the whole arm as a value of the program, and its row; `None` for a link's, which the recursion computes.
+pub(super) fn entry(program: &mut Program, entry: Entry) -> Option<(usize, Value)> {
+    match entry {
+        Entry::Link { .. } => None,
+        Entry::Velocity { joint } => Some((joint, Value::input(format!("dq[{joint}]")))),
+        Entry::SmoothSign { joint } => Some((joint, sign(program, joint))),
+        Entry::Acceleration { joint } => Some((joint, Value::input(format!("ddq[{joint}]")))),
+        Entry::Constant { joint } => Some((joint, Value::Known(1.0))),
+    }
+}
+
+/// `tanh(100 dq)` of a joint.
+fn sign(program: &mut Program, joint: usize) -> Value {
+    program.named(format!("s{joint}"), format!("tanh({SHARPNESS:?}*dq[{joint}])"))
 }
 
 /// Row and cause.
@@ -108,39 +133,4 @@ fn joints(site: Site) -> (usize, usize) {
         Site::Joint(joint) => (joint, joint),
         Site::Arm => (0, 0),
     }
-}
-
-/// Column `c` as a C expression. The second route to the laws in [`plumbline_model::term`]; the test of the C function compares the two.
-fn law(spec: &Spec, c: usize, names: &Names) -> Option<String> {
-    let (row, cause) = joints(spec.site);
-    let (q, dq, other) = (format!("q[{row}]"), format!("dq[{row}]"), format!("dq[{cause}]"));
-    let Names { sign, other_sign, load } = names;
-    let a = spec.settings.first().copied().unwrap_or_default();
-    let wave = ["sin", "cos"].get(c).copied().unwrap_or("cos");
-    Some(match (spec.family, spec.form, c) {
-        ("asymmetric-coulomb", "", 0) => format!("fabs({sign})"),
-        ("asymmetric-viscous", "", 0) => format!("fabs({dq})"),
-        ("stribeck", "gaussian", 0) => format!("exp(-({dq}/{a:?})*({dq}/{a:?}))*{sign}"),
-        ("stribeck", "exponential", 0) => format!("exp(-fabs({dq})/{a:?})*{sign}"),
-        ("nonlinear-viscous", "sigmoid", 0) => format!("tanh({dq}/{a:?})"),
-        ("nonlinear-viscous", "cubic", 0) => format!("{dq}*{dq}*{dq}"),
-        ("nonlinear-viscous", "quadratic", 0) => format!("{dq}*fabs({dq})"),
-        ("load-dependent-friction", "coulomb", 0) => format!("fabs({load})*{sign}"),
-        ("load-dependent-friction", "viscous", 0) => format!("fabs({load})*{dq}"),
-        ("position-dependent-friction", "", 0 | 1) => format!("{wave}({a:?}*{q})*{sign}"),
-        ("position-ripple", "", 0 | 1) => format!("{wave}({a:?}*{q})"),
-        ("spring", "linear" | "cubic", 0) => q,
-        ("spring", "linear" | "cubic", 1) => "1.0".to_string(),
-        ("spring", "cubic", 2) => format!("{q}*{q}*{q}"),
-        ("spring", "above", 0) => format!("fmax(0.0, {q} - ({a:?}))"),
-        ("spring", "below", 0) => format!("fmax(0.0, ({a:?}) - {q})"),
-        ("torque-gain" | "torque-crosstalk", "", 0) => load.clone(),
-        ("friction-change", "", 0) => dq,
-        ("friction-change", "", 1) => sign.clone(),
-        ("transmission-coupling", "friction", 0) => other_sign.clone(),
-        ("transmission-coupling", "friction", 1) => other,
-        ("transmission-coupling", "sum", 0) => format!("tanh({SHARPNESS:?}*({dq} + ({a:?})*{other}))"),
-        ("transmission-coupling", "inertia", 0) => format!("ddq[{cause}]"),
-        _ => return None,
-    })
 }

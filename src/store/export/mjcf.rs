@@ -3,7 +3,7 @@
 use super::effects;
 use super::{Arm, Exported, attribute, comment, numbers, offsets, placements, validity};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
-use plumbline_model::term::friction;
+use plumbline_model::term::Entry;
 use plumbline_model::{Body, JointKind, Placement};
 use std::fmt::Write;
 
@@ -49,14 +49,14 @@ pub fn write(arm: &Arm, gravity: &Vector3<f64>) -> Exported {
         let _ = writeln!(bodies, "{}</body>", "  ".repeat(j + 2));
     }
     notes.extend(validity(arm.model));
-    if arm.model.structure().terms().iter().any(|term| term.id() == friction::ID) {
+    if arm.has(|entry| matches!(entry, Entry::SmoothSign { .. })) {
         notes.push(
             "Coulomb friction is MuJoCo's frictionloss, a constraint that holds a joint at rest; the model's is smooth, fc tanh(100 dq)"
                 .into(),
         );
     }
     notes.extend(offsets(arm));
-    notes.extend(effects::notes(&effects::unheld_by_bodies(arm.model)));
+    notes.extend(effects::notes_of_bodies(arm.model));
     let head = comment([format!("Written by plumbline. {}", arm.origin())].into_iter().chain(notes.clone()));
     let text = format!(
         "{head}<mujoco model=\"{}\">\n  <compiler angle=\"radian\" autolimits=\"true\" balanceinertia=\"false\"/>\n  <option \

@@ -14,7 +14,7 @@ pub mod urdf;
 use nalgebra::Matrix3;
 use plumbline_core::Limits;
 use plumbline_identify::consistency::Nearest;
-use plumbline_model::term::torque_offset;
+use plumbline_model::term::Entry;
 use plumbline_model::{BaseKind, Chain, JointKind, Placement, TorqueModel};
 
 /// Text of a file and what the reader of it has to know.
@@ -44,6 +44,12 @@ impl Arm<'_> {
 
     fn joints(&self) -> usize {
         self.chain().len()
+    }
+
+    /// Whether a term of the whole arm has such a column.
+    fn has(&self, is: impl Fn(Entry) -> bool) -> bool {
+        let terms = self.model.structure().terms().iter();
+        terms.filter_map(|term| term.entries()).flatten().any(is)
     }
 
     /// Value of a column in the parameters that the bodies have; 0 where the model has no such column.
@@ -87,8 +93,7 @@ fn validity(model: &TorqueModel) -> Option<String> {
 
 /// The offsets of a model as a note: neither URDF nor MJCF holds a constant torque.
 fn offsets(arm: &Arm) -> Option<String> {
-    let has = arm.model.structure().terms().iter().any(|term| term.id() == torque_offset::ID);
-    has.then(|| {
+    arm.has(|entry| matches!(entry, Entry::Constant { .. })).then(|| {
         let values: Vec<String> = (0..arm.joints()).map(|j| format!("{:?}", arm.value("offset", j))).collect();
         format!("torque offsets are left out: [{}] Nm belong to the sensors", values.join(", "))
     })

@@ -2,7 +2,7 @@
 
 use super::effects;
 use super::{Arm, Exported, attribute, comment, numbers, offsets, placements, rpy, validity};
-use plumbline_model::term::{friction, rotor_inertia};
+use plumbline_model::term::Entry;
 use plumbline_model::{Body, JointKind, Placement};
 use std::fmt::Write;
 
@@ -52,23 +52,24 @@ pub fn write(arm: &Arm) -> Exported {
 
 /// What a URDF has no place for.
 pub(super) fn left_out(arm: &Arm) -> Vec<String> {
-    let has = |id: &str| arm.model.structure().terms().iter().any(|term| term.id() == id);
     let mut notes: Vec<String> = validity(arm.model).into_iter().collect();
-    if has(friction::ID) {
+    if arm.has(|entry| matches!(entry, Entry::SmoothSign { .. })) {
         notes.push(
             "Coulomb friction is the format's constant `friction`; the model's is smooth, fc tanh(100 dq), and simulators treat it in \
              their own ways"
                 .into(),
         );
     }
-    if has(rotor_inertia::ID) || arm.bodies.rotors.iter().any(|rotor| *rotor != 0.0) {
+    if arm.has(|entry| matches!(entry, Entry::Acceleration { .. }))
+        || arm.bodies.rotors.iter().any(|rotor| *rotor != 0.0)
+    {
         notes.push(format!(
             "rotor inertias are left out, a URDF has no place for them: [{}] kg m2 times the joint's acceleration",
             numbers(arm.bodies.rotors.iter().copied()).replace(' ', ", ")
         ));
     }
     notes.extend(offsets(arm));
-    notes.extend(effects::notes(&effects::unheld_by_bodies(arm.model)));
+    notes.extend(effects::notes_of_bodies(arm.model));
     notes
 }
 

@@ -15,6 +15,7 @@ use super::record::Record;
 use nalgebra::{DMatrix, DVector};
 use plumbline_identify::signal::spectral::Spectral;
 use plumbline_model::term::friction::SHARPNESS;
+use plumbline_model::term::{friction_drift, offset_drift};
 
 /// Upper edges of the bands \[Hz\].
 const EDGES: [f64; 8] = [0.3, 0.55, 1.05, 2.0, 4.0, 8.0, 16.0, f64::INFINITY];
@@ -68,8 +69,8 @@ impl Drifting {
     /// Identity of the family.
     pub fn family(self) -> &'static str {
         match self {
-            Drifting::Offset(_) => "offset-drift",
-            Drifting::Friction(_) | Drifting::AllFriction => "friction-drift",
+            Drifting::Offset(_) => offset_drift::ID,
+            Drifting::Friction(_) | Drifting::AllFriction => friction_drift::ID,
         }
     }
 

@@ -7,6 +7,7 @@
 mod base_motion;
 mod contact;
 mod drift;
+mod effects;
 mod outlier;
 mod record;
 mod transient;
@@ -20,7 +21,7 @@ use super::evidence::Trial;
 use nalgebra::DMatrix;
 use plumbline_core::{parallel, threads};
 use plumbline_identify::signal::spectral::Spectral;
-use plumbline_identify::{Experiment, LeftOut, Scatter};
+use plumbline_identify::{ExcludedSpan, Experiment, Scatter};
 use plumbline_model::term::effect::Ground;
 use record::Record;
 
@@ -30,6 +31,9 @@ const MARGIN: f64 = 0.2;
 /// Fewest periods that tell anything. Nobody knows which of two is right, and half of the frequencies of two are harmonics, which the
 /// deviations have none of; the median of three is one of them, and the scale of what differs from it too small: noise made events.
 pub const LEAST_PERIODS: usize = 4;
+
+/// A run keeps everything where more than this share of it would be left out: what fills half of it did not happen once.
+const MAX_LEFT_OUT_RATIO: f64 = 0.5;
 
 /// Most times that drifts are fitted again without what only they had made an event.
 const ROUNDS: usize = 2;
@@ -64,8 +68,12 @@ pub struct Changing {
     pub transients: Vec<Transient>,
     /// Single samples, run by run.
     pub hygiene: Vec<Hygiene>,
+    /// Names of the runs that repeat often enough.
+    pub runs: Vec<String>,
+    /// Names of runs that keep everything, because too much would be left out.
+    pub spared: Vec<String>,
     /// Stretches to be left out of the mean.
-    pub leave_out: Vec<LeftOut>,
+    pub leave_out: Vec<ExcludedSpan>,
     /// Scatter of each trial's torques without the drifts and the events; `None` without repeats.
     pub scatter: Vec<Option<Scatter>>,
 }
@@ -153,6 +161,13 @@ pub fn changing(ground: &Ground, trials: &[Trial]) -> Changing {
         found.hygiene.push(hygiene);
     }
     found.leave_out = merged(found.leave_out);
+    found.runs = records.iter().map(|record| record.experiment.name.clone()).collect();
+    let lost =
+        |run: &str| -> f64 { found.leave_out.iter().filter(|one| one.run == run).map(|one| one.to - one.from).sum() };
+    let seconds = |record: &Record| record.tau.nrows() as f64 * record.dt;
+    let too_much = records.iter().filter(|record| lost(&record.experiment.name) > MAX_LEFT_OUT_RATIO * seconds(record));
+    found.spared = too_much.map(|record| record.experiment.name.clone()).collect();
+    found.leave_out.retain(|one| !found.spared.contains(&one.run));
     found
 }
 
@@ -173,9 +188,9 @@ fn mask_again(records: &mut [Record], friction: &[[f64; 2]], drifts: &[Drift]) -
 }
 
 /// Stretches that touch or overlap as one, in the order of runs and time.
-fn merged(mut stretches: Vec<LeftOut>) -> Vec<LeftOut> {
+fn merged(mut stretches: Vec<ExcludedSpan>) -> Vec<ExcludedSpan> {
     stretches.sort_by(|a, b| a.run.cmp(&b.run).then(a.from.total_cmp(&b.from)));
-    let mut out: Vec<LeftOut> = Vec::new();
+    let mut out: Vec<ExcludedSpan> = Vec::new();
     for one in stretches {
         match out.last_mut() {
             Some(last) if last.run == one.run && one.from <= last.to + 1e-9 => last.to = last.to.max(one.to),
@@ -187,6 +202,14 @@ fn merged(mut stretches: Vec<LeftOut>) -> Vec<LeftOut> {
 
 /// Experiments whose noise spectrum is that of [`Changing::scatter`]. They may have fewer periods by now than those that were looked at.
 pub fn cleaned(experiments: &mut [Experiment], found: &Changing) {
+    // Single samples that are off hardly count in the noise.
+    if found.drifts.is_empty()
+        && found.base_motions.is_empty()
+        && found.contacts.is_empty()
+        && found.transients.is_empty()
+    {
+        return;
+    }
     for (experiment, scatter) in experiments.iter_mut().zip(&found.scatter) {
         if let (Some(own), Some(scatter)) = (&mut experiment.scatter, scatter) {
             *own = Scatter { periods: own.periods, ..scatter.clone() };
@@ -210,12 +233,12 @@ fn transient_of(record: &Record, x: &DMatrix<f64>, event: &transient::Event) -> 
 }
 
 /// Stretches of masked rows in the run's own time.
-fn left_out(record: &Record, masked: &[bool]) -> Vec<LeftOut> {
+fn left_out(record: &Record, masked: &[bool]) -> Vec<ExcludedSpan> {
     let mut found = Vec::new();
     for (period, rows) in record.repeats.periods.iter().zip(masked.chunks(record.samples)) {
         for (first, last) in transient::stretches(rows) {
             let time = |row: usize| (period * record.samples + row) as f64 * record.dt;
-            found.push(LeftOut { run: record.experiment.name.clone(), from: time(first), to: time(last) });
+            found.push(ExcludedSpan { run: record.experiment.name.clone(), from: time(first), to: time(last) });
         }
     }
     found

@@ -2,7 +2,7 @@
 
 use super::record::{from_median, spread};
 use nalgebra::DMatrix;
-use plumbline_identify::{Experiment, LeftOut, Repeats};
+use plumbline_identify::{ExcludedSpan, Experiment, Repeats};
 
 /// Robust standard deviations that make an outlier.
 const DEVIATIONS: f64 = 6.5;
@@ -31,7 +31,7 @@ pub struct Hygiene {
 }
 
 /// Counts them, and says what should be left out for them. `masked` are samples at the full rate, period below period, in which more happens than single samples.
-pub(super) fn hygiene(experiment: &Experiment, masked: &[bool]) -> (Hygiene, Vec<LeftOut>) {
+pub(super) fn hygiene(experiment: &Experiment, masked: &[bool]) -> (Hygiene, Vec<ExcludedSpan>) {
     let sampling = &experiment.sampling;
     let mut found = Hygiene {
         run: experiment.name.clone(),
@@ -91,13 +91,13 @@ fn outliers(column: &[f64], samples: usize, masked: &[bool]) -> Vec<usize> {
 }
 
 /// Stretches of spoiled rows in the run's own time.
-fn left_out(experiment: &Experiment, repeats: &Repeats, spoiled: &[bool], samples: usize) -> Vec<LeftOut> {
+fn left_out(experiment: &Experiment, repeats: &Repeats, spoiled: &[bool], samples: usize) -> Vec<ExcludedSpan> {
     let dt = experiment.motion.dt;
     let mut found = Vec::new();
     for (period, rows) in repeats.periods.iter().zip(spoiled.chunks(samples)) {
         for (first, last) in super::transient::stretches(rows) {
             let time = |row: usize| (period * samples + row) as f64 * dt;
-            found.push(LeftOut { run: experiment.name.clone(), from: time(first), to: time(last) });
+            found.push(ExcludedSpan { run: experiment.name.clone(), from: time(first), to: time(last) });
         }
     }
     found

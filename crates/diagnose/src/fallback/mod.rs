@@ -14,6 +14,7 @@ pub use variable::Variable;
 use super::Settings;
 use super::evidence::{BANDS, Evidence};
 use super::fit::group;
+use super::outcome::Unexplained;
 use super::state::State;
 use place::Signals;
 use plumbline_core::parallel;
@@ -37,9 +38,9 @@ pub struct Predictor {
     pub r2: f64,
 }
 
-/// What is known of a residual that no effect explains.
+/// A residual that no effect explains.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Unexplained {
+pub struct Residual {
     /// The joint, from 0.
     pub joint: usize,
     /// RMS of what repeats and the model lacks \[Nm\].
@@ -68,7 +69,7 @@ pub struct Unexplained {
     pub experiments: Vec<String>,
 }
 
-impl Unexplained {
+impl Residual {
     /// Whether no variable predicts it.
     pub fn flat(&self) -> bool {
         self.depends_on.is_empty()
@@ -78,6 +79,19 @@ impl Unexplained {
     pub fn r2(&self) -> f64 {
         let best = |list: &[Predictor]| list.first().map_or(f64::NEG_INFINITY, |one| one.r2);
         if self.depends_on.len() == 2 { best(&self.pairs) } else { best(&self.singles) }
+    }
+
+    /// As it stands in files; `floor` is the noise of the mean period \[Nm\].
+    pub fn unexplained(&self, floor: Option<f64>) -> Unexplained {
+        Unexplained {
+            joint: self.joint + 1,
+            rms: Some(self.unmodelled),
+            floor,
+            depends_on: self.depends_on.iter().map(|variable| variable.to_string()).collect(),
+            r2: Some(self.r2()).filter(|r2| r2.is_finite()),
+            deciding_experiment: self.experiments.first().cloned().unwrap_or_default(),
+            note: self.findings.join(" "),
+        }
     }
 
     /// Share of the residual's square in each trajectory.
@@ -108,7 +122,7 @@ pub fn lacks(evidence: &Evidence, state: &State, joint: usize, settings: &Settin
 }
 
 /// Looks at the residual of one joint, from 0.
-pub fn unexplained(evidence: &Evidence, state: &State, joint: usize, settings: &Settings) -> Unexplained {
+pub fn unexplained(evidence: &Evidence, state: &State, joint: usize, settings: &Settings) -> Residual {
     let courses = courses(evidence);
     let screen = Screen::of(evidence, state, joint);
     let sorted = |mut list: Vec<Predictor>| {
@@ -143,7 +157,7 @@ pub fn unexplained(evidence: &Evidence, state: &State, joint: usize, settings: &
     let course = |variable: &Variable| courses.iter().find(|course| course.variable == *variable);
     let best_single = singles.first().and_then(|one| course(&one.variables[0]));
     let best_pair = pairs.first().and_then(|pair| Some((course(&pair.variables[0])?, course(&pair.variables[1])?)));
-    let mut found = Unexplained {
+    let mut found = Residual {
         joint,
         unmodelled: state.unmodelled(evidence, joint).sqrt(),
         lack_of_fit: lack,

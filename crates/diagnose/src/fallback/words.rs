@@ -1,13 +1,13 @@
 //! What was found of an unexplained residual in sentences, and the experiments that would decide.
 
-use super::{Unexplained, Variable};
+use super::{Residual, Variable};
 use crate::evidence::Evidence;
 
 /// A window or trajectory with more than this share of the residual's square has it to itself.
 const MOST: f64 = 0.5;
 
 /// What the figures say.
-pub(super) fn findings(found: &Unexplained) -> Vec<String> {
+pub(super) fn findings(found: &Residual) -> Vec<String> {
     let mut said = Vec::new();
     let joint = found.joint + 1;
     let ceiling = found.ceiling.map_or(String::new(), |ceiling| format!(", at most {ceiling:.2} are possible"));
@@ -45,7 +45,7 @@ pub(super) fn findings(found: &Unexplained) -> Vec<String> {
 }
 
 /// Which experiments would tell more.
-pub(super) fn experiments(found: &Unexplained, evidence: &Evidence) -> Vec<String> {
+pub(super) fn experiments(found: &Residual, evidence: &Evidence) -> Vec<String> {
     let mut wanted = Vec::new();
     if !evidence.repeats() {
         wanted.push(

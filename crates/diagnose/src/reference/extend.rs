@@ -2,7 +2,7 @@
 
 use super::Change;
 use nalgebra::DMatrix;
-use plumbline_model::term::effect::assemble;
+use plumbline_model::term::effect::{Family, InBodies, assemble};
 use plumbline_model::{LINK_COLUMNS, ModelError, Parameter, TorqueModel};
 
 /// The model with the changes: a payload becomes part of the rigid bodies (`beta + regroup delta`), a change of friction or of an offset
@@ -15,9 +15,10 @@ pub fn extended(reference: &TorqueModel, changes: &[Change]) -> Result<TorqueMod
     let mut parameters = reference.parameters().to_vec();
     let mut rest: Vec<&Change> = Vec::new();
     for change in changes {
-        if change.spec.family == "payload" {
+        let family = change.spec.family()?;
+        if family.in_bodies == InBodies::LastLink {
             carry(reference, change, &mut parameters);
-        } else if !joined(change, &mut parameters) {
+        } else if !joined(change, family, &mut parameters) {
             rest.push(change);
         }
     }
@@ -51,17 +52,13 @@ fn carry(reference: &TorqueModel, change: &Change, parameters: &mut [Parameter])
 }
 
 /// Adds to parameters that the model has for the same thing; false when it lacks one of them.
-fn joined(change: &Change, parameters: &mut [Parameter]) -> bool {
+fn joined(change: &Change, family: &Family, parameters: &mut [Parameter]) -> bool {
     // The same name at other settings is another thing.
     if !change.spec.settings.is_empty() {
         return false;
     }
-    // `dfv3` changes `fv3`.
-    let name = |own: &Parameter| match change.spec.family {
-        "friction-change" => own.column.name.trim_start_matches('d').to_string(),
-        _ => own.column.name.clone(),
-    };
-    let place = |own: &Parameter| parameters.iter().position(|other| other.column.name == name(own));
+    let name = family.rare.changed_parameter;
+    let place = |own: &Parameter| parameters.iter().position(|other| other.column.name == name(&own.column.name));
     let Some(places) = change.parameters.iter().map(place).collect::<Option<Vec<usize>>>() else { return false };
     for (place, own) in places.into_iter().zip(&change.parameters) {
         let parameter = &mut parameters[place];

@@ -7,11 +7,13 @@
 //! [`Doubt`] names it where the new data has something to say about it. Between sessions the parameters are free but common to all,
 //! and an effect has columns only in the sessions since it came.
 
-mod body;
 mod extend;
+mod held;
+mod outcome;
 
-pub use body::{Estimate, NAMES, PayloadBody};
 pub use extend::extended;
+pub use held::Stored;
+pub use outcome::Comparison;
 
 use super::Settings;
 use super::evidence::{Evidence, Trial};
@@ -22,14 +24,10 @@ use super::select::{Found, Scored, Search, Selected, Step};
 use super::state::{State, every, mean_square};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
-use plumbline_model::term::effect::{Family, Ground, Spec};
+use plumbline_model::term::effect::{Family, Ground, Quantity, Results, Spec};
 use plumbline_model::term::{Column, effect};
-use plumbline_model::{Parameter, Structure, TorqueModel};
+use plumbline_model::{Mounting, Parameter, Structure, TorqueModel};
 use std::ops::Range;
-
-/// Kinds of effect that may have come or changed since.
-pub const FAMILIES: [&str; 7] =
-    ["payload", "mounting", "friction-change", "torque-offset", "torque-gain", "spring", "encoder-offset"];
 
 /// Factor on the stored standard deviations: they know the noise of their own recording, but neither what the model lacks nor that
 /// friction is never quite the same twice.
@@ -60,10 +58,19 @@ pub struct Change {
     pub parameters: Vec<Parameter>,
     /// Their covariance in the determined directions.
     pub covariance: DMatrix<f64>,
-    /// The body that a payload is.
-    pub body: Option<PayloadBody>,
+    /// Directions of the parameters that nothing determines, orthonormal; one row per parameter.
+    pub undetermined: DMatrix<f64>,
     /// The evidence for it.
     pub found: Found,
+}
+
+impl Change {
+    /// The quantities that are reported for its parameters. `stored` is the model that it changes, `declared` the mounting of the base.
+    pub fn quantities(&self, stored: &[Parameter], declared: Option<&Mounting>) -> Vec<Quantity> {
+        let Change { parameters, covariance, undetermined, .. } = self;
+        let results = Results { parameters, covariance, undetermined, stored, declared };
+        self.spec.family().map_or_else(|_| Vec::new(), |family| (family.rare.quantities)(&results))
+    }
 }
 
 /// Parameters that the model can't vouch for, and where that matters.
@@ -102,9 +109,9 @@ pub struct Changes {
     pub least: Vec<(&'static str, Vec<f64>)>,
 }
 
-/// The families of [`FAMILIES`].
+/// Kinds of effect that may have come or changed since an identification.
 pub fn families() -> Vec<&'static Family> {
-    FAMILIES.iter().filter_map(|id| effect::family(id)).collect()
+    effect::FAMILIES.iter().copied().filter(|family| family.rare.may_change).collect()
 }
 
 /// What changed since `reference` was identified; where the trials are of several sessions, before the first or with a later one. They
@@ -274,8 +281,8 @@ fn change(search: &Search, state: &State, item: usize, found: Found) -> Change {
         Parameter { column, value: state.fit.theta[range.start + k], std }
     };
     let parameters: Vec<Parameter> = columns.into_iter().enumerate().map(parameter).collect();
-    let body = (candidate.spec.family == "payload").then(|| PayloadBody::of(&parameters, &covariance, &unknown));
-    Change { spec: candidate.spec.clone(), since: candidate.since, parameters, covariance, body: body.flatten(), found }
+    let undetermined = unknown;
+    Change { spec: candidate.spec.clone(), since: candidate.since, parameters, covariance, undetermined, found }
 }
 
 /// Directions of some of the parameters that nothing determines, orthonormal when every parameter is scaled to its own square; one

@@ -5,7 +5,7 @@ use plumbline_diagnose::Trial;
 use plumbline_diagnose::changing::{Changing, Course, Drifting, changing};
 use plumbline_excite::PeriodicMotion;
 use plumbline_identify::signal::spectral::Spectral;
-use plumbline_identify::{Experiment, LeftOut, Run, Settings};
+use plumbline_identify::{ExcludedSpan, Experiment, Run, Settings};
 use plumbline_model::term::effect::Ground;
 use plumbline_model::{Chain, Placement, Reduction, Robot, Structure, rnea};
 use plumbline_sim::Truth;
@@ -282,7 +282,7 @@ fn a_contact_that_is_left_out_leaves_no_trace_in_the_mean() {
         assert!((a / b - 1.0).abs() < 0.01, "{a} {b}");
     }
     // A whole period that is left out is no period; the others are the mean.
-    let period = LeftOut::period(&runs[0].name, 3, 10.0);
+    let period = ExcludedSpan::period(&runs[0].name, 3, 10.0);
     let fewer = prepared(&runs, &Settings { leave_out: vec![period], ..kept() });
     let repeats = fewer[0].repeats.as_ref().unwrap();
     assert_eq!(repeats.periods, [0, 1, 2, 4, 5, 6, 7, 8, 9]);
@@ -298,7 +298,7 @@ fn a_contact_that_is_left_out_leaves_no_trace_in_the_mean() {
 #[test]
 fn a_stretch_of_a_free_run_that_is_left_out_does_not_count() {
     let run = Run { period: None, ..recorded(1, 10, |_, _| {}).remove(0) };
-    let leave_out = vec![LeftOut { run: run.name.clone(), from: 20.0, to: 25.0 }];
+    let leave_out = vec![ExcludedSpan { run: run.name.clone(), from: 20.0, to: 25.0 }];
     let whole = Experiment::prepare(&run, &Settings::default()).unwrap();
     let less = Experiment::prepare(&run, &Settings { leave_out, ..Settings::default() }).unwrap();
     assert_eq!(less.resting().iter().filter(|left_out| **left_out).count(), 5000);

@@ -82,18 +82,17 @@ fn a_payload_is_found_with_its_mass_and_the_model_that_carries_it_predicts() {
     let new = record(&truth(PAYLOAD), true, 2, Mounting::WALL, 107);
     let found = found(stored(), &new);
     assert_eq!(names(&found), ["payload the arm"]);
-    let body = found.effects[0].body.unwrap();
+    let body = found.effects[0].quantities(&[], None);
     println!("payload of 0.73 kg at 0.15 m, 2 trajectories x {PERIODS} periods: {body:.5?}");
-    let close = |estimate: plumbline_diagnose::reference::Estimate, truth: f64, widest: f64| {
-        let std = estimate.std.unwrap();
-        assert!(std < widest && (estimate.value - truth).abs() < 4.0 * std, "{estimate:?} for {truth}");
-    };
-    close(body.mass, 0.73, 0.01);
-    for (com, truth) in body.com.iter().zip([0.0, 0.0, 0.15]) {
-        close(*com, truth, 0.005);
-    }
-    for (inertia, truth) in body.inertia.iter().zip([0.001, 0.0, 0.0, 0.0025, 0.0, 0.0017]) {
-        close(*inertia, truth, 0.01);
+    // Mass, centre of mass, inertia: true value, and the largest standard deviation.
+    let [mass, com, inertia] = [0.01, 0.005, 0.01];
+    let expected =
+        [(0.73, mass), (0.0, com), (0.0, com), (0.15, com), (0.001, inertia), (0.0, inertia), (0.0, inertia)];
+    let expected = expected.into_iter().chain([(0.0025, inertia), (0.0, inertia), (0.0017, inertia)]);
+    assert_eq!(body.len(), 10);
+    for (quantity, (truth, widest)) in body.iter().zip(expected) {
+        let std = quantity.std.unwrap();
+        assert!(std < widest && (quantity.value - truth).abs() < 4.0 * std, "{quantity:?} for {truth}");
     }
     assert!(found.doubt.parameters.is_empty() && found.doubt.runs.is_empty());
 
@@ -195,7 +194,7 @@ fn sessions_tell_a_payload_without_a_stored_model() {
     let found = between_sessions(structure, &all, &settings(), &|_| {});
     assert_eq!(names(&found), ["payload the arm"]);
     assert_eq!(found.effects[0].since, Some(2));
-    let mass = found.effects[0].body.unwrap().mass;
+    let mass = found.effects[0].quantities(&[], None).swap_remove(0);
     assert!((mass.value - 0.73).abs() < 4.0 * mass.std.unwrap() && mass.std.unwrap() < 0.01, "{mass:?}");
     // In one session it can't be seen.
     assert!(between_sessions(structure, &trials(&second, 2), &settings(), &|_| {}).effects.is_empty());

@@ -29,8 +29,8 @@ fn diagnosed(scene: &Scene, identify: usize, extra: impl Fn(usize, &mut Run)) ->
 /// The delivered model is the plain one, and the effect is reported with the reason.
 #[track_caller]
 fn withheld<'o>(outcome: &'o Outcome, family: &str) -> &'o str {
-    let found = outcome.effects.iter().find(|effect| effect.spec.family == family);
-    let found = found.unwrap_or_else(|| panic!("no {family} among {:?}", outcome.effects));
+    let found = outcome.diagnosis.effects.iter().find(|effect| effect.id == family);
+    let found = found.unwrap_or_else(|| panic!("no {family} among {:?}", outcome.diagnosis.effects));
     assert!(!found.in_model, "{found:?}");
     assert_eq!(outcome.after.identification.beta, outcome.before.identification.beta);
     found.withheld.as_deref().unwrap_or_else(|| panic!("{found:?}"))
@@ -59,9 +59,9 @@ fn an_effect_that_unseen_runs_do_not_have_is_not_delivered() {
 fn an_effect_that_unseen_runs_have_is_delivered() {
     let scene = Scene::panda_on_the_wall();
     let outcome = diagnosed(&scene, 2, |_, run| run.tau.column_mut(4).add_scalar_mut(0.3));
-    assert_eq!(outcome.effects.len(), 1, "{:?}", outcome.effects);
-    let effect = &outcome.effects[0];
-    assert!(effect.in_model && effect.withheld.is_none() && effect.spec.family == "torque-offset", "{effect:?}");
+    assert_eq!(outcome.diagnosis.effects.len(), 1, "{:?}", outcome.diagnosis.effects);
+    let effect = &outcome.diagnosis.effects[0];
+    assert!(effect.in_model && effect.withheld.is_none() && effect.id == "torque-offset", "{effect:?}");
 }
 
 /// Torque of an effect along the arm's true motion, one column per joint.
@@ -87,12 +87,12 @@ fn a_parameter_that_physics_forbids_is_not_delivered() {
         }
     });
     let said: Vec<_> =
-        outcome.effects.iter().map(|one| (&one.spec, &one.parameters, one.in_model, &one.withheld)).collect();
+        outcome.diagnosis.effects.iter().map(|one| (&one.id, &one.parameters, one.in_model, &one.withheld)).collect();
     println!("{said:?}");
-    for effect in outcome.effects.iter().filter(|effect| effect.spec.family == "presliding") {
-        let negative = effect.parameters.iter().any(|one| one.value < 0.0);
+    for effect in outcome.diagnosis.effects.iter().filter(|effect| effect.id == "presliding") {
+        let negative = effect.parameters.0.iter().any(|one| one.value < 0.0);
         assert!(!negative || (!effect.in_model && effect.withheld.is_some()), "{effect:?}");
     }
-    let why = outcome.effects.iter().filter_map(|effect| effect.withheld.as_deref());
+    let why = outcome.diagnosis.effects.iter().filter_map(|effect| effect.withheld.as_deref());
     assert!(why.clone().any(|why| why.contains("can't be below 0")), "{said:?}");
 }

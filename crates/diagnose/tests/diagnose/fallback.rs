@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 use plumbline_diagnose::{
-    Columns, Evidence, Problem, Settings, State, Trial, Unexplained, Variable, lack_of_fit, lacks, unexplained,
+    Columns, Evidence, Problem, Residual, Settings, State, Trial, Variable, lack_of_fit, lacks, unexplained,
 };
 use plumbline_identify::signal::spectral::Spectral;
 use plumbline_identify::{Experiment, Run};
@@ -56,7 +56,7 @@ fn found(
     count: usize,
     seed: u64,
     disturbance: impl Fn(&[f64], &[f64], usize, f64) -> f64,
-) -> (Unexplained, bool) {
+) -> (Residual, bool) {
     let stage = stage();
     let recorded = |(k, (period, dq)): (usize, &(Period, DMatrix<f64>))| {
         let mut run: Run = period.record(&stage.truth, PERIODS, Noise { coloured: 0.05 }, 31 * seed + k as u64);

@@ -1,20 +1,20 @@
 //! Work shared among threads, its result independent of their number.
 
 use super::super::ExciteError;
-use super::super::search::{Progress, Watch};
+use super::super::search::{Progress, SearchControl};
 use super::Found;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard};
 
 /// The threads of one search, and what they tell about it.
 pub(super) struct Crew<'a> {
-    watch: &'a Watch<'a>,
+    watch: &'a SearchControl<'a>,
     told: Mutex<Progress>,
 }
 
 impl<'a> Crew<'a> {
     /// A search of so many steps.
-    pub fn new(watch: &'a Watch<'a>, steps: usize) -> Crew<'a> {
+    pub fn new(watch: &'a SearchControl<'a>, steps: usize) -> Crew<'a> {
         Crew { watch, told: Mutex::new(Progress { done: 0, of: steps, best: f64::INFINITY }) }
     }
 

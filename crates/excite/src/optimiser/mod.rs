@@ -28,12 +28,12 @@ use super::ExciteError;
 use super::criterion::{check_excitation, sampled, stacked};
 use super::fourier::Fourier;
 use super::plan::Plan;
-use super::search::{self, Problem, Search, Watch};
+use super::search::{self, Problem, Search, SearchControl};
 use super::usage::{check_usage, usage};
 use crew::Crew;
 use descent::Descent;
 use grid::Grid;
-use objective::{Objective, Sharpness};
+use objective::{Objective, Smoothing};
 use plumbline_model::term::Motion;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -97,7 +97,12 @@ struct Found {
 ///
 /// Every start and every hop draws its random numbers from a stream of its own, so the result depends on the seed and the numbers of
 /// starts and rounds, not on the number of threads. It depends on time when `watch.stop` does.
-pub fn optimise(problem: &Problem, search: &Search, prior: &[Fourier], watch: &Watch) -> Result<Plan, ExciteError> {
+pub fn optimise(
+    problem: &Problem,
+    search: &Search,
+    prior: &[Fourier],
+    watch: &SearchControl,
+) -> Result<Plan, ExciteError> {
     search::validate(problem, search)?;
     let hops = search.starts.div_ceil(KEPT);
     let groups = (0..search.starts).step_by(GROUP).map(|first| GROUP.min(search.starts - first).div_ceil(KEPT));
@@ -163,7 +168,7 @@ struct Task<'a> {
     problem: &'a Problem<'a>,
     search: &'a Search,
     prior: &'a [Fourier],
-    watch: &'a Watch<'a>,
+    watch: &'a SearchControl<'a>,
 }
 
 impl Task<'_> {
@@ -212,7 +217,7 @@ impl Task<'_> {
     }
 
     fn leg(&self, objective: &mut Objective, descent: &mut Descent, leg: Leg) -> f64 {
-        objective.sharpness = Sharpness { p: leg.p, sign: leg.sign };
+        objective.sharpness = Smoothing { p: leg.p, sign: leg.sign };
         objective.held.update(leg.rho);
         descent.run(leg.iterations, TOLERANCE, |x, gradient| objective.evaluate(x, gradient)).0
     }
@@ -221,7 +226,7 @@ impl Task<'_> {
     fn settle(&self, objective: &mut Objective, descent: &mut Descent) -> Result<Fourier, ExciteError> {
         for _ in 0..ROUNDS {
             let fourier = objective.unpack(descent.x());
-            let check = search::search_verdict(self.problem, &fourier);
+            let check = search::verify_with_guard(self.problem, &fourier);
             if check.is_feasible() {
                 return Ok(fourier);
             }
@@ -231,7 +236,7 @@ impl Task<'_> {
             objective.caps.tighten(&check);
             self.leg(objective, descent, Leg { iterations: ROUND_ITERATIONS, ..LAST });
         }
-        search::shrink(objective.unpack(descent.x()), |fourier| search::search_verdict(self.problem, fourier))
+        search::shrink(objective.unpack(descent.x()), |fourier| search::verify_with_guard(self.problem, fourier))
     }
 
     /// A motion on a fine grid, after those of `prior`: what the criterion is taken of.

@@ -22,7 +22,7 @@ use plumbline_model::{Capsule, FIRST_BOXED, LINK_COLUMNS, nearest};
 
 /// How sharply the criterion is taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sharpness {
+pub struct Smoothing {
     /// Order p of the surrogate.
     pub p: f64,
     /// Slope of the smoothed sign in the friction columns \[s/rad\]. The model's own (100) would be a step on a coarse grid.
@@ -63,7 +63,7 @@ pub struct Objective<'a> {
     /// Multipliers.
     pub held: Held,
     /// Surrogate and smoothing.
-    pub sharpness: Sharpness,
+    pub sharpness: Smoothing,
     // Room.
     samples: Vec<Sample>,
     motion: [DMatrix<f64>; 4],
@@ -100,7 +100,7 @@ impl<'a> Objective<'a> {
             fixed: problem.q0.map(<[f64]>::to_vec),
             caps: Caps::of(&problem.bounds),
             held: Held::new(1.0),
-            sharpness: Sharpness { p: 1.0, sign: 10.0 },
+            sharpness: Smoothing { p: 1.0, sign: 10.0 },
             samples: std::iter::repeat_with(sample).take(count).collect(),
             motion: std::array::from_fn(|_| DMatrix::zeros(count, n)),
             rows: columns.rows.iter().map(|row| DMatrix::zeros(row.global.len(), count)).collect(),
@@ -156,7 +156,7 @@ impl<'a> Objective<'a> {
             Some(prior) => &self.gram + prior,
             None => self.gram.clone(),
         };
-        let Sharpness { p, .. } = self.sharpness;
+        let Smoothing { p, .. } = self.sharpness;
         let Some((value, by_gram)) = surrogate(self.criterion, &total, self.columns.rigid, p) else {
             return f64::INFINITY;
         };

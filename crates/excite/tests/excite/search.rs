@@ -2,8 +2,8 @@
 
 use plumbline_core::{Limits, Workspace};
 use plumbline_excite::{
-    Bounds, ExciteError, MAX_CONDITION, MIN_USAGE, Margins, Nominal, Plan, Problem, Search, Watch, evaluate,
-    least_usage, optimise, random_plan, raw_condition, sampled, search_verdict, usage,
+    Bounds, ExciteError, MAX_CONDITION, MIN_USAGE, Margins, Nominal, Plan, Problem, Search, SearchControl, evaluate,
+    least_usage, optimise, random_plan, raw_condition, sampled, usage, verify_with_guard,
 };
 use plumbline_model::{Chain, Mounting, Reduction, Robot, Structure};
 
@@ -73,7 +73,7 @@ fn torque_limits_are_kept_with_a_nominal_model() {
     problem.bounds.margins.torque = 0.5;
     let free = random_plan(&problem, &short(), 1.0).unwrap();
     problem.nominal = Some(&nominal);
-    let check = |plan: &Plan| search_verdict(&problem, &plan.fourier().unwrap()).is_feasible();
+    let check = |plan: &Plan| verify_with_guard(&problem, &plan.fourier().unwrap()).is_feasible();
     assert!(!check(&free));
     let held = random_plan(&problem, &short(), 1.0).unwrap();
     assert!(check(&held));
@@ -87,7 +87,7 @@ fn random_motions_are_feasible_and_differ() {
     let mut plans: Vec<Plan> = Vec::new();
     for seed in 0..5 {
         let plan = random_plan(&problem, &Search { seed, ..Search::default() }, 0.6).unwrap();
-        assert!(search_verdict(&problem, &plan.fourier().unwrap()).is_feasible());
+        assert!(verify_with_guard(&problem, &plan.fourier().unwrap()).is_feasible());
         assert!(plans.iter().all(|other| other.a != plan.a));
         plans.push(plan);
     }
@@ -122,7 +122,7 @@ fn random_motions_move_every_joint_of_every_shipped_robot() {
             let plan =
                 random_plan(&problem, &search, 0.7).unwrap_or_else(|error| panic!("{name}, seed {seed}: {error}"));
             let fourier = plan.fourier().unwrap();
-            assert!(search_verdict(&problem, &fourier).is_feasible(), "{name}, seed {seed}");
+            assert!(verify_with_guard(&problem, &fourier).is_feasible(), "{name}, seed {seed}");
             let usage = usage(&problem.bounds, &fourier);
             let (joint, least) = least_usage(&usage).unwrap();
             assert!(least.largest() >= MIN_USAGE, "{name}, seed {seed}, joint {}: {least:?}", joint + 1);
@@ -140,9 +140,9 @@ fn limits_that_leave_a_joint_no_room_are_named_with_the_joint() {
     let at: [f64; 3] = panda().end_effector(&START).into();
     arm.workspace = Workspace { box_min: at.map(|x| x - 0.03), box_max: at.map(|x| x + 0.03), base_radius: 0.0 };
     let error = random_plan(&arm.problem(Some(&START)), &short(), 0.7).unwrap_err();
-    let ExciteError::Frozen { usage, held_by, draws, .. } = &error else { panic!("{error}") };
+    let ExciteError::Frozen { usage, limited_by, draws, .. } = &error else { panic!("{error}") };
     assert!(usage.largest() < MIN_USAGE && *draws > 1);
-    assert!(held_by.is_some_and(|peak| peak.joint.is_none()), "{error}");
+    assert!(limited_by.is_some_and(|peak| peak.joint.is_none()), "{error}");
     let words = error.to_string();
     assert!(words.contains("is frozen") && words.contains("a larger motion breaks: end effector"), "{words}");
 }
@@ -153,7 +153,7 @@ fn a_motion_that_determines_nothing_is_refused_with_the_parameters() {
     let mut arm = Arm::new();
     arm.limits.dq = arm.limits.dq.map(|dq| dq.min(0.001));
     let search = Search { starts: 1, rounds: 0, ..Search::default() };
-    let error = optimise(&arm.problem(None), &search, &[], &Watch::alone(2)).unwrap_err();
+    let error = optimise(&arm.problem(None), &search, &[], &SearchControl::with_threads(2)).unwrap_err();
     let ExciteError::Unexcited { condition, parameters } = &error else { panic!("{error}") };
     assert!(*condition > MAX_CONDITION && !parameters.is_empty(), "{error}");
     let known = |name: &String| arm.structure.columns().iter().any(|column| column.name == *name);

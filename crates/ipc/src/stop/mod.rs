@@ -7,7 +7,7 @@
 mod holder;
 mod send;
 
-pub use send::{StopError, Taken, Way, stop};
+pub use send::{StopError, StopPath, StopReceipt, stop};
 
 use std::fmt;
 use std::io::{self, IoSliceMut};

@@ -9,7 +9,7 @@ use super::holder::Holder;
 use super::{ORDER, socket_beside};
 use crate::RobotId;
 use crate::lock::{self, Entry};
-use crate::place::{self, PlaceError};
+use crate::runtime_dir::{self, RuntimeDirError};
 
 /// How long the daemon has for a stop that came by its socket before the signal follows.
 const BY_SOCKET: Duration = Duration::from_millis(300);
@@ -20,7 +20,7 @@ const LOOK: Duration = Duration::from_micros(200);
 
 /// How a stop reached the daemon.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Way {
+pub enum StopPath {
     /// By the daemon's socket.
     Socket,
     /// By SIGUSR2.
@@ -32,11 +32,11 @@ pub enum Way {
 
 /// A stop that the daemon has taken: where a loop ran, it has been told to brake.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Taken {
+pub struct StopReceipt {
     /// The daemon's process.
     pub process: u32,
     /// How the stop reached it.
-    pub way: Way,
+    pub way: StopPath,
     /// `CLOCK_MONOTONIC` when the daemon took it \[ns\].
     pub at_ns: u64,
 }
@@ -46,7 +46,7 @@ pub struct Taken {
 pub enum StopError {
     /// There is no folder to trust.
     #[error(transparent)]
-    Place(#[from] PlaceError),
+    Place(#[from] RuntimeDirError),
     /// No daemon serves this robot.
     #[error("no daemon serves robot `{robot}` ({reason})")]
     NoDaemon {
@@ -78,17 +78,19 @@ pub enum StopError {
 ///
 /// # Errors
 /// [`StopError`]: unless this returns `Ok`, nobody is known to have taken the stop.
-pub fn stop(robot: &RobotId) -> Result<Taken, StopError> {
-    stop_in(&place::directory()?, robot)
+pub fn stop(robot: &RobotId) -> Result<StopReceipt, StopError> {
+    stop_in(&runtime_dir::directory()?, robot)
 }
 
-pub(super) fn stop_in(directory: &Path, robot: &RobotId) -> Result<Taken, StopError> {
+pub(super) fn stop_in(directory: &Path, robot: &RobotId) -> Result<StopReceipt, StopError> {
     let lock = lock::path_in(directory, robot);
     let none = |reason: String| StopError::NoDaemon { robot: robot.to_string(), reason };
     let before = Entry::read(&lock).ok_or_else(|| none(format!("no process is named in {}", lock.display())))?;
     let by_socket = match send(&socket_beside(&lock)) {
         Ok(()) => match counted(&lock, before, BY_SOCKET) {
-            Some(entry) => return Ok(Taken { process: entry.process, way: Way::Socket, at_ns: entry.stop_ns }),
+            Some(entry) => {
+                return Ok(StopReceipt { process: entry.process, way: StopPath::Socket, at_ns: entry.stop_ns });
+            }
             None => format!("no answer within {} ms", BY_SOCKET.as_millis()),
         },
         Err(error) => error.to_string(),
@@ -97,8 +99,8 @@ pub(super) fn stop_in(directory: &Path, robot: &RobotId) -> Result<Taken, StopEr
     let by_signal = match Holder::verified(&lock, process).and_then(|holder| holder.signal()) {
         Ok(()) => match counted(&lock, before, BY_SIGNAL) {
             Some(entry) => {
-                let way = Way::Signal { because: by_socket };
-                return Ok(Taken { process, way, at_ns: entry.stop_ns });
+                let way = StopPath::Signal { because: by_socket };
+                return Ok(StopReceipt { process, way, at_ns: entry.stop_ns });
             }
             None => format!("no answer within {} ms", BY_SIGNAL.as_millis()),
         },

@@ -62,7 +62,7 @@ fn a_stop_is_taken_by_the_socket_and_its_sender_is_told_so() {
     assert_eq!(listening.heard(), 0, "nothing that the opening sends is a stop");
     let before = now_ns();
     let taken = stop_in(place.path(), &robot()).unwrap();
-    assert_eq!((taken.process, &taken.way), (std::process::id(), &Way::Socket));
+    assert_eq!((taken.process, &taken.way), (std::process::id(), &StopPath::Socket));
     assert!((before..=now_ns()).contains(&taken.at_ns), "{taken:?}");
     assert_eq!(listening.heard(), 1);
     // Whatever a datagram holds, it is a stop; an empty one is none.
@@ -101,7 +101,7 @@ fn a_signal_stops_where_the_socket_is_gone() {
     let listening = Listening::start(StopListener::open(&lock).unwrap());
     std::fs::remove_file(socket_beside(lock.path())).unwrap();
     let taken = stop_in(place.path(), &robot()).unwrap();
-    assert!(matches!(&taken.way, Way::Signal { because } if because.contains("No such file")), "{taken:?}");
+    assert!(matches!(&taken.way, StopPath::Signal { because } if because.contains("No such file")), "{taken:?}");
     assert!(listening.heard() >= 1);
 }
 

@@ -5,8 +5,8 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use plumbline_ipc::{
-    Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, IpcError, Lock, MAX_REQUEST_BYTES,
-    News, Presence, Request, Response, SampleStream, Server, ServerSettings, Status, StreamSettings,
+    Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, FollowerEvent, IpcError, Lock,
+    MAX_REQUEST_BYTES, Presence, Request, Response, SampleStream, Server, ServerSettings, Status, StreamSettings,
 };
 use plumbline_testkit::memory::*;
 use rand::{Rng, RngCore, SeedableRng};
@@ -75,7 +75,7 @@ fn a_follower_that_comes_late_and_one_that_stops_reading_miss_nothing() {
             server.poll(|_, _| unreachable!());
             std::thread::sleep(Duration::from_micros(200));
         }
-        (server.served(), std::iter::from_fn(|| server.take_news()).collect::<Vec<_>>())
+        (server.served(), std::iter::from_fn(|| server.take_follower_event()).collect::<Vec<_>>())
     });
     more.send(10_000).unwrap();
     let mut late = SampleStream::connect(&robot, settings(), PATIENCE).unwrap();
@@ -95,7 +95,7 @@ fn a_follower_that_comes_late_and_one_that_stops_reading_miss_nothing() {
     std::thread::sleep(Duration::from_millis(50));
     let (served, news) = daemon.stop();
     assert_eq!((served.published, served.acknowledged), (30_000, 30_000));
-    let left = |news: &&News| matches!(news, News::Left { acknowledged: 30_000, .. });
+    let left = |news: &&FollowerEvent| matches!(news, FollowerEvent::Left { acknowledged: 30_000, .. });
     assert_eq!(news.iter().filter(left).count(), 2, "{news:?}");
 }
 

@@ -11,8 +11,8 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use plumbline_ipc::{
-    Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, Lock, News, Presence, Request,
-    Response, RobotId, SampleStream, Server, ServerSettings, Status, StreamSettings,
+    Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, FollowerEvent, Lock, Presence,
+    Request, Response, RobotId, SampleStream, Server, ServerSettings, Status, StreamSettings,
 };
 use plumbline_testkit::memory::*;
 use rand::{Rng, SeedableRng};
@@ -72,7 +72,7 @@ impl Process {
     /// With iceoryx2's names in a folder of its own: nobody else tidies up behind it.
     fn apart(role: &str, robot: &RobotId, place: &Path) -> Process {
         let mut command = Command::new(std::env::current_exe().unwrap());
-        command.env(plumbline_ipc::place::VARIABLE, place);
+        command.env(plumbline_ipc::runtime_dir::VARIABLE, place);
         Process::of(command, role, robot, place)
     }
 
@@ -127,7 +127,7 @@ fn a_killed_follower_s_successor_gets_everything_and_the_daemon_never_waits() {
             next += 10;
             count.store(next, Ordering::Relaxed);
             server.poll(|_, _| unreachable!());
-            told.lock().unwrap().extend(std::iter::from_fn(|| server.take_news()));
+            told.lock().unwrap().extend(std::iter::from_fn(|| server.take_follower_event()));
             std::thread::sleep(Duration::from_micros(500));
         }
         poll_until(server, stop);
@@ -142,7 +142,7 @@ fn a_killed_follower_s_successor_gets_everything_and_the_daemon_never_waits() {
         let pid = follower.child.id();
         drop(follower);
         let at_death = published.load(Ordering::Relaxed);
-        let died = |news: &&News| matches!(news, News::Died { pid: dead, .. } if *dead == pid);
+        let died = |news: &&FollowerEvent| matches!(news, FollowerEvent::Died { pid: dead, .. } if *dead == pid);
         wait_for("word of its death", || news.lock().unwrap().iter().find(died).is_some());
         // The daemon went on meanwhile.
         assert!(published.load(Ordering::Relaxed) > at_death, "round {round}");

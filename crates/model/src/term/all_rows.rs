@@ -1,6 +1,6 @@
 //! Effects whose columns are in every joint's row.
 
-use super::effect::{Family, Site, Spec};
+use super::family::{Family, Site, Spec};
 use super::one_row::Nothing;
 use super::{Column, Expected, FixedTerm, Motion, Sample, Term};
 use crate::chain::Chain;

@@ -1,7 +1,8 @@
 //! Coulomb friction that is larger in one direction.
 
 use super::Term;
-use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
+use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum, joint};
+use super::load::Ground;
 use super::one_row::{OneRow, column, smooth_sign, unit};
 use std::sync::Arc;
 
@@ -13,7 +14,14 @@ pub static FAMILY: Family = Family {
     id: ID,
     physics: "Teeth and bearings under a preload rub harder in one direction than in the other.",
     place: Place::Joint,
-    forms: &[Form { name: "", equation: "tau_j = fca_j |tanh(100 dq_j)|", settings: &[], build }],
+    forms: &[Form {
+        name: "",
+        equation: "tau_j = fca_j |tanh(100 dq_j)|",
+        settings: &[],
+        build,
+        in_c: InC::Columns(|at, _| vec![format!("fabs({})", at.sign)]),
+        plot_over: PlotOver::Velocity,
+    }],
     stratum: Stratum::Repeatable,
     served: true,
     typical: "5 to 30 % of the Coulomb friction",
@@ -22,6 +30,8 @@ pub static FAMILY: Family = Family {
         Confounded { with: "spring", decided_by: "move the joint through more than 60 % of its range" },
     ],
     reference: "Elhami, Brookfield, Automatica 33 (1997)",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -1,7 +1,8 @@
 //! Viscous friction that is larger in one direction.
 
 use super::Term;
-use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
+use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum, joint};
+use super::load::Ground;
 use super::one_row::{OneRow, column, unit};
 use std::sync::Arc;
 
@@ -13,7 +14,14 @@ pub static FAMILY: Family = Family {
     id: ID,
     physics: "Lubricant resists more in one direction of motion than in the other.",
     place: Place::Joint,
-    forms: &[Form { name: "", equation: "tau_j = fva_j |dq_j|", settings: &[], build }],
+    forms: &[Form {
+        name: "",
+        equation: "tau_j = fva_j |dq_j|",
+        settings: &[],
+        build,
+        in_c: InC::Columns(|at, _| vec![format!("fabs({})", at.dq)]),
+        plot_over: PlotOver::Velocity,
+    }],
     stratum: Stratum::Repeatable,
     served: true,
     typical: "5 to 20 % of the viscous friction",
@@ -28,6 +36,8 @@ pub static FAMILY: Family = Family {
         },
     ],
     reference: "Elhami, Brookfield, Automatica 33 (1997)",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

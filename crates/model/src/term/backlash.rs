@@ -1,7 +1,10 @@
 //! Play in a gear.
 
 use super::all_rows::{AllRows, Clock, Law, Past};
-use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::family::{
+    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_MEMORY, Rare, Scale, Setting, Site, Stratum, joint,
+};
+use super::load::Ground;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
 use super::swing::{Gear, QUALITY, SWINGING, Swing};
@@ -23,12 +26,16 @@ pub static FAMILY: Family = Family {
             equation: "tau = gap_i lin_i(-tanh(tau_rb_i / width)), lin_i(e) = K_i e + V_i e' + M_i e'' in all rows",
             settings: &[WIDTH],
             build: of_body,
+            in_c: REFUSED_MEMORY,
+            plot_over: PlotOver::Load,
         },
         Form {
             name: SWINGING,
             equation: "tau = gap_i lin_i(-theta / g), theta = g tanh((tau_i - sqrt(M_ii width / g) / quality dtheta) / width), tau_i = tau_rb_i(q - theta) + f_i(dq_i - dtheta): the link's inertia swings in the gap",
             settings: &[HALF, WIDTH, QUALITY],
             build: swinging,
+            in_c: REFUSED_MEMORY,
+            plot_over: PlotOver::Load,
         },
     ],
     stratum: Stratum::Repeatable,
@@ -39,6 +46,8 @@ pub static FAMILY: Family = Family {
         Confounded { with: "joint-elasticity", decided_by: "pass through poses without load in several runs" },
     ],
     reference: "Nordin, Gutman, Automatica 38 (2002)",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 const HALF: Setting = Setting {

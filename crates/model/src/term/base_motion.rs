@@ -1,8 +1,10 @@
 //! A base that shakes.
 
 use super::all_rows::{AllRows, Clock, Law};
-use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum};
-use super::load::LoadUnder;
+use super::family::{
+    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_TIME, Rare, Scale, Setting, Site, Stratum,
+};
+use super::load::{Ground, LoadUnder};
 use super::mounting::at_rest;
 use super::one_row::column;
 use super::{Sample, Term};
@@ -32,12 +34,16 @@ pub static FAMILY: Family = Family {
             scale: Scale::Linear,
         }],
         build,
+        in_c: REFUSED_TIME,
+        plot_over: PlotOver::Nothing,
     }],
     stratum: Stratum::Changing,
     served: false,
     typical: "0.02 to 0.2 m/s2 at 3 to 15 Hz",
     confounded: &[Confounded { with: "contact", decided_by: "a longer recording: a vibration goes on, a touch ends" }],
     reference: "Wernholt, Gunnarsson, IFAC SYSID 2006, on resonances below the arm",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

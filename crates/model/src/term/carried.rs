@@ -1,8 +1,8 @@
 //! The friction that goes the same way as the rigid bodies' torque: through a gear, into a sensor.
 
 use super::Sample;
-use super::effect::Ground;
 use super::friction::SHARPNESS;
+use super::load::Ground;
 use super::one_row::smooth_sign;
 use plumbline_core::{JointVec, MAX_JOINTS};
 

@@ -1,7 +1,10 @@
 //! Something that touches the arm.
 
 use super::all_rows::{AllRows, Clock, Law};
-use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::family::{
+    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_TIME, Rare, Scale, Setting, Site, Stratum, joint,
+};
+use super::load::Ground;
 use super::one_row::column;
 use super::{Sample, Term};
 use crate::chain::{Chain, JointKind, Placement};
@@ -47,6 +50,8 @@ pub static FAMILY: Family = Family {
             },
         ],
         build,
+        in_c: REFUSED_TIME,
+        plot_over: PlotOver::Time,
     }],
     stratum: Stratum::Changing,
     served: false,
@@ -59,6 +64,8 @@ pub static FAMILY: Family = Family {
         Confounded { with: "base-motion", decided_by: "a longer recording: a vibration goes on, a touch ends" },
     ],
     reference: "Haddadin, De Luca, Albu-Schaeffer, IEEE Trans. Robotics 33 (2017)",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -2,8 +2,8 @@
 
 use super::all_rows::{AllRows, Clock, Law, PastOfJoints};
 use super::carried::CarriedFriction;
-use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum};
-use super::load::LoadUnder;
+use super::family::{Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_MEMORY, Rare, Site, Stratum};
+use super::load::{Ground, LoadUnder};
 use super::one_row::column;
 use super::{Sample, Term};
 use plumbline_core::JointVec;
@@ -25,6 +25,8 @@ pub static FAMILY: Family = Family {
         equation: "tau = -delay d (tau_rb + tau_friction) / dt, in all rows",
         settings: &[],
         build,
+        in_c: REFUSED_MEMORY,
+        plot_over: PlotOver::Nothing,
     }],
     stratum: Stratum::Repeatable,
     served: true,
@@ -37,6 +39,8 @@ pub static FAMILY: Family = Family {
         },
     ],
     reference: "Swevers et al., IEEE Trans. Robotics and Automation 13 (1997), on phases of filtered data",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -1,7 +1,10 @@
 //! An encoder that is not on the joint's axis.
 
 use super::all_rows::{AllRows, Clock, Law};
-use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
+use super::family::{
+    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_OTHER_STATE, Rare, Site, Stratum, joint,
+};
+use super::load::Ground;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
 use super::{Sample, Term};
@@ -21,6 +24,8 @@ pub static FAMILY: Family = Family {
         equation: "tau = es_i lin_i(sin q_i) + ec_i lin_i(cos q_i), lin_i(e) = K_i e + V_i e' + M_i e'' in all rows",
         settings: &[],
         build,
+        in_c: REFUSED_OTHER_STATE,
+        plot_over: PlotOver::Position,
     }],
     stratum: Stratum::Repeatable,
     served: true,
@@ -33,6 +38,8 @@ pub static FAMILY: Family = Family {
         },
     ],
     reference: "Hollerbach, Khalil, Gautier, Handbook of Robotics (2016), chapter 6",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

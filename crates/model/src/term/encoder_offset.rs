@@ -1,7 +1,10 @@
 //! An encoder whose zero is not where the model's is.
 
 use super::all_rows::{AllRows, Clock, Law};
-use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
+use super::family::{
+    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_OTHER_STATE, Rare, Site, Stratum, joint,
+};
+use super::load::Ground;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
 use super::{Sample, Term};
@@ -16,7 +19,14 @@ pub static FAMILY: Family = Family {
     id: ID,
     physics: "A joint's encoder was set to zero in another pose than the one that the robot's geometry is written for.",
     place: Place::Joint,
-    forms: &[Form { name: "", equation: "tau = zero_i d tau_rb / d q_i, in all rows", settings: &[], build }],
+    forms: &[Form {
+        name: "",
+        equation: "tau = zero_i d tau_rb / d q_i, in all rows",
+        settings: &[],
+        build,
+        in_c: REFUSED_OTHER_STATE,
+        plot_over: PlotOver::Position,
+    }],
     stratum: Stratum::Repeatable,
     served: true,
     typical: "1 to 10 mrad",
@@ -31,6 +41,8 @@ pub static FAMILY: Family = Family {
         },
     ],
     reference: "Khalil, Dombre, Modeling, Identification and Control of Robots (2002), chapter 11",
+    in_bodies: InBodies::Nothing,
+    rare: Rare { may_change: true, ..Rare::NONE },
 };
 
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -1,8 +1,11 @@
 //! Friction that is another one than when the model was identified.
 
 use super::Term;
-use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
+use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum, joint};
+use super::load::Ground;
 use super::one_row::{OneRow, column, smooth_sign, unit};
+use super::quantity::{self, Quantity, Results};
+use crate::torque::Parameter;
 use std::sync::Arc;
 
 /// Identity.
@@ -13,7 +16,14 @@ pub static FAMILY: Family = Family {
     id: ID,
     physics: "A joint's friction has changed since the model was identified: new grease, wear, another temperature.",
     place: Place::Joint,
-    forms: &[Form { name: "", equation: "tau_j = dfv_j dq_j + dfc_j tanh(100 dq_j)", settings: &[], build }],
+    forms: &[Form {
+        name: "",
+        equation: "tau_j = dfv_j dq_j + dfc_j tanh(100 dq_j)",
+        settings: &[],
+        build,
+        in_c: InC::Columns(|at, _| vec![at.dq.clone(), at.sign.clone()]),
+        plot_over: PlotOver::Velocity,
+    }],
     stratum: Stratum::Reference,
     served: true,
     typical: "20 to 50 % between a cold and a warm gear",
@@ -22,6 +32,8 @@ pub static FAMILY: Family = Family {
         Confounded { with: "load-dependent-friction", decided_by: "pass the same poses with and without a load" },
     ],
     reference: "Bittencourt, Gunnarsson, ASME J. Dynamic Systems, Measurement and Control 134 (2012)",
+    in_bodies: InBodies::Nothing,
+    rare: Rare { may_change: true, changed_parameter, quantities: parameters_and_factors, ..Rare::NONE },
 };
 
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
@@ -31,4 +43,22 @@ fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
         column("dfc", site, "", unit(ground, joint, "Nm", "N")),
     ];
     OneRow::new(&FAMILY, "", site, settings, columns, |at, _| [at.own.dq, smooth_sign(at.own.dq), 0.0]).term()
+}
+
+/// `dfv3` changes `fv3`.
+fn changed_parameter(column: &str) -> &str {
+    column.trim_start_matches('d')
+}
+
+/// The parameters, and each coefficient as a factor of the one before the change.
+fn parameters_and_factors(results: &Results) -> Vec<Quantity> {
+    let before = |name: &str| results.stored.iter().find(|stored| stored.column.name == name);
+    let factor = |own: &Parameter| {
+        let stored =
+            before(changed_parameter(&own.column.name)).filter(|stored| stored.value.abs() > f64::MIN_POSITIVE)?;
+        let name = format!("{}_factor", stored.column.name);
+        let std = own.std.map(|std| std / stored.value.abs());
+        Some(Quantity { name, value: 1.0 + own.value / stored.value, std, unit: "1".into() })
+    };
+    quantity::own(results).into_iter().chain(results.parameters.iter().filter_map(factor)).collect()
 }

@@ -1,7 +1,8 @@
 //! Friction that falls while an arm gets warm.
 
 use super::Term;
-use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
+use super::family::{Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_TIME, Rare, Site, Stratum, joint};
+use super::load::Ground;
 use super::offset_drift::{WARMING, warmed};
 use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
 use std::sync::Arc;
@@ -20,12 +21,16 @@ pub static FAMILY: Family = Family {
             equation: "tau_j = (fcdrift_j tanh(100 dq_j) + fvdrift_j dq_j) t / 60 s",
             settings: &[],
             build: linear,
+            in_c: REFUSED_TIME,
+            plot_over: PlotOver::Time,
         },
         Form {
             name: "exponential",
             equation: "tau_j = (fcdrift_j tanh(100 dq_j) + fvdrift_j dq_j) (1 - exp(-t / T))",
             settings: &[WARMING],
             build: exponential,
+            in_c: REFUSED_TIME,
+            plot_over: PlotOver::Time,
         },
     ],
     stratum: Stratum::Changing,
@@ -36,6 +41,8 @@ pub static FAMILY: Family = Family {
         decided_by: "a motion that is as long in either direction; a drift of friction turns with it",
     }],
     reference: "Simoni, Beschi, Legnani, Visioli, IROS 2015; Bittencourt, Gunnarsson, Trans. ASME J. Dynamic Systems 134 (2012)",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 fn linear(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

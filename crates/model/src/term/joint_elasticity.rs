@@ -2,7 +2,10 @@
 
 use super::all_rows::{AllRows, Clock, Law, Past};
 use super::carried::CarriedFriction;
-use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::family::{
+    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_MEMORY, Rare, Scale, Setting, Site, Stratum, joint,
+};
+use super::load::Ground;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
 use super::swing::{Gear, QUALITY, SWINGING, Swing};
@@ -30,18 +33,24 @@ pub static FAMILY: Family = Family {
             equation: "tau = c_i lin_i(-tau_rb_i), lin_i(e) = K_i e + V_i e' + M_i e'' in all rows",
             settings: &[],
             build: of_body,
+            in_c: REFUSED_MEMORY,
+            plot_over: PlotOver::Load,
         },
         Form {
             name: LINK_FRICTION,
             equation: "tau = c_i lin_i(-(tau_rb_i + fv_i dq_i + fc_i tanh(100 dq_i))): friction behind the gear",
             settings: &[],
             build: with_friction,
+            in_c: REFUSED_MEMORY,
+            plot_over: PlotOver::Load,
         },
         Form {
             name: SWINGING,
             equation: "tau = c_i lin_i(-theta / c), theta = c (tau_i - sqrt(M_ii / c) / quality dtheta), tau_i = tau_rb_i(q - theta) + f_i(dq_i - dtheta): with the resonance of the link",
             settings: &[COMPLIANCE, QUALITY],
             build: swinging,
+            in_c: REFUSED_MEMORY,
+            plot_over: PlotOver::Load,
         },
     ],
     stratum: Stratum::Repeatable,
@@ -55,6 +64,8 @@ pub static FAMILY: Family = Family {
         Confounded { with: "lx and ly of the same link", decided_by: "log the position on both sides of the gear" },
     ],
     reference: "Albu-Schaeffer, Ott, Hirzinger, Int. J. Robotics Research 26 (2007)",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 const COMPLIANCE: Setting = Setting {

@@ -8,6 +8,7 @@ use crate::regressor::LINK_COLUMNS;
 use crate::rnea::{LinkParameters, rnea};
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
+use std::sync::Arc;
 
 /// Rigid bodies with their numbers, `tau_rb = Y_b beta`.
 #[derive(Clone, Debug)]
@@ -51,6 +52,16 @@ impl Load {
         }
         tau
     }
+}
+
+/// What effects are built upon.
+pub struct Ground {
+    /// The arm.
+    pub chain: Chain,
+    /// Its rigid bodies, as far as they are known.
+    pub load: Arc<Load>,
+    /// `[fv, fc]` of each joint, as far as they are known: \[Nms/rad\], \[Nm\]. Empty where the model has no friction.
+    pub friction: Vec<[f64; 2]>,
 }
 
 /// A [`Load`] under a known gravity. Its torque neither allocates nor panics.

@@ -1,7 +1,8 @@
 //! Friction that grows with the torque that a gear carries.
 
 use super::Term;
-use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum, joint};
+use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum, joint};
+use super::load::Ground;
 use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
 use std::sync::Arc;
 
@@ -14,8 +15,22 @@ pub static FAMILY: Family = Family {
     physics: "Teeth that transmit more torque are pressed together harder, and so rub harder.",
     place: Place::Joint,
     forms: &[
-        Form { name: "coulomb", equation: "tau_j = fl_j |tau_rb_j| tanh(100 dq_j)", settings: &[], build: coulomb },
-        Form { name: "viscous", equation: "tau_j = fl_j |tau_rb_j| dq_j", settings: &[], build: viscous },
+        Form {
+            name: "coulomb",
+            equation: "tau_j = fl_j |tau_rb_j| tanh(100 dq_j)",
+            settings: &[],
+            build: coulomb,
+            in_c: InC::Columns(|at, _| vec![format!("fabs({})*{}", at.load, at.sign)]),
+            plot_over: PlotOver::Velocity,
+        },
+        Form {
+            name: "viscous",
+            equation: "tau_j = fl_j |tau_rb_j| dq_j",
+            settings: &[],
+            build: viscous,
+            in_c: InC::Columns(|at, _| vec![format!("fabs({})*{}", at.load, at.dq)]),
+            plot_over: PlotOver::Velocity,
+        },
     ],
     stratum: Stratum::Repeatable,
     served: true,
@@ -28,6 +43,8 @@ pub static FAMILY: Family = Family {
         Confounded { with: "torque-gain", decided_by: "pass the same poses slowly in both directions" },
     ],
     reference: "Hamon, Gautier, Garrec, IROS 2010; Bittencourt, Axelsson, IEEE/ASME Trans. Mechatronics 19 (2014)",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 fn coulomb(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -9,17 +9,21 @@ pub mod asymmetric_viscous;
 pub mod backlash;
 pub mod base_motion;
 mod carried;
+mod catalogue;
 pub mod contact;
 pub mod delay;
 pub mod effect;
 pub mod encoder_eccentricity;
 pub mod encoder_offset;
+mod family;
 pub mod friction;
 pub mod friction_change;
 pub mod friction_drift;
 pub mod joint_elasticity;
 pub mod load;
 pub mod load_dependent_friction;
+#[cfg(feature = "made-up-effect")]
+mod made_up;
 pub mod mounting;
 pub mod nonlinear_viscous;
 pub mod offset_drift;
@@ -29,6 +33,7 @@ pub mod position_dependent_friction;
 mod position_error;
 pub mod position_ripple;
 pub mod presliding;
+mod quantity;
 pub mod rigid_body;
 pub mod rotor_inertia;
 pub mod spring;
@@ -40,7 +45,7 @@ pub mod torque_gain;
 pub mod torque_offset;
 pub mod transmission_coupling;
 
-use subset::Subset;
+pub use catalogue::{KNOWN, by_id};
 
 use super::base::Reduction;
 use super::chain::{Chain, JointKind};
@@ -48,20 +53,6 @@ use super::fast::closed::ClosedForm;
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
 use std::sync::Arc;
-
-/// Every term that a model file can name.
-pub const KNOWN: [&str; 4] = [rigid_body::ID, friction::ID, torque_offset::ID, rotor_inertia::ID];
-
-/// The term of that identity for an arm, with all of its columns; `None` when it is not one of [`KNOWN`].
-pub fn by_id(id: &str, chain: &Chain, reduction: &Reduction) -> Option<Arc<dyn Term>> {
-    match id {
-        rigid_body::ID => Some(Arc::new(rigid_body::RigidBody::new(reduction))),
-        friction::ID => Some(Arc::new(friction::Friction::new(chain))),
-        torque_offset::ID => Some(Arc::new(torque_offset::TorqueOffset::new(chain))),
-        rotor_inertia::ID => Some(Arc::new(rotor_inertia::RotorInertia::new(chain))),
-        _ => None,
-    }
-}
 
 /// One column of a regressor, that is, one parameter of the model.
 #[derive(Clone, Debug, PartialEq, Eq)]

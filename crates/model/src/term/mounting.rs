@@ -1,10 +1,12 @@
 //! A base that stands tilted.
 
 use super::all_rows::{AllRows, Clock, Law};
-use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum};
-use super::load::LoadUnder;
+use super::family::{Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_OTHER_STATE, Rare, Site, Stratum};
+use super::load::{Ground, LoadUnder};
 use super::one_row::column;
+use super::quantity::{self, Quantity, Results};
 use super::{Sample, Term};
+use crate::gravity::Mounting;
 use nalgebra::Vector3;
 use plumbline_core::JointVec;
 use std::sync::Arc;
@@ -22,6 +24,8 @@ pub static FAMILY: Family = Family {
         equation: "tau = d tau_rb / d g (tilt_a a x g + tilt_b b x g), in all rows; upright a, b are the base x, y axes",
         settings: &[],
         build,
+        in_c: REFUSED_OTHER_STATE,
+        plot_over: PlotOver::Nothing,
     }],
     stratum: Stratum::Repeatable,
     served: true,
@@ -35,6 +39,8 @@ pub static FAMILY: Family = Family {
         Confounded { with: "torque-offset", decided_by: "turn joint 1 by more than 90 degrees" },
     ],
     reference: "the paper's equation 3, whose direction of gravity it turns",
+    in_bodies: InBodies::Nothing,
+    rare: Rare { may_change: true, quantities: angles, ..Rare::NONE },
 };
 
 /// The axes of the two tilts in the base frame: across gravity, and `a`, `b`, up a right-handed frame. `a` is the base's x axis
@@ -72,4 +78,26 @@ impl Law for Tilt {
 /// Torque that gravity alone takes in the pose of a sample: the part of `tau_rb` that is linear in gravity.
 pub(super) fn at_rest(load: &mut LoadUnder, sample: &Sample) -> JointVec {
     load.torque(&Sample { q: sample.q, ..Sample::default() })
+}
+
+/// The parameters, the tilt as one angle, and the mounting that the base then has.
+fn angles(results: &Results) -> Vec<Quantity> {
+    let [a, b] = [0, 1].map(|k| results.parameters.get(k).map_or(0.0, |own| own.value));
+    let size = a.hypot(b);
+    let share = [a / size, b / size];
+    let variance =
+        (0..2).flat_map(|i| (0..2).map(move |k| (i, k))).map(|(i, k)| share[i] * share[k] * results.covariance[(i, k)]);
+    let std = (size > 0.0).then(|| variance.sum::<f64>().max(0.0).sqrt());
+    let angle = |name: &str, value: f64, std| Quantity { name: name.into(), value, std, unit: "rad".into() };
+    let mounting = results.declared.map(|declared| tilted(declared, [a, b]));
+    let mounting = mounting.map(|mounting| [angle("rho", mounting.rho, None), angle("phi", mounting.phi, None)]);
+    let tilt = angle("tilt", size, std);
+    quantity::own(results).into_iter().chain([tilt]).chain(mounting.into_iter().flatten()).collect()
+}
+
+/// The declared mounting turned by a tilt.
+fn tilted(declared: &Mounting, tilt: [f64; 2]) -> Mounting {
+    let gravity = declared.gravity();
+    let [a, b] = axes(&gravity);
+    Mounting::along(&(gravity + tilt[0] * a.cross(&gravity) + tilt[1] * b.cross(&gravity)))
 }

@@ -1,7 +1,10 @@
 //! Friction that is no straight line over the speed.
 
 use super::Term;
-use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::family::{
+    Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
+};
+use super::load::Ground;
 use super::one_row::{At, OneRow, Settings, column, unit};
 use std::sync::Arc;
 
@@ -28,9 +31,25 @@ pub static FAMILY: Family = Family {
                 scale: Scale::Logarithmic,
             }],
             build: sigmoid,
+            in_c: InC::Columns(|at, settings| vec![format!("tanh({}/{:?})", at.dq, settings[0])]),
+            plot_over: PlotOver::Velocity,
         },
-        Form { name: "cubic", equation: "tau_j = fn_j dq_j^3", settings: &[], build: cubic },
-        Form { name: "quadratic", equation: "tau_j = fn_j dq_j |dq_j|", settings: &[], build: quadratic },
+        Form {
+            name: "cubic",
+            equation: "tau_j = fn_j dq_j^3",
+            settings: &[],
+            build: cubic,
+            in_c: InC::Columns(|at, _| vec![format!("{0}*{0}*{0}", at.dq)]),
+            plot_over: PlotOver::Velocity,
+        },
+        Form {
+            name: "quadratic",
+            equation: "tau_j = fn_j dq_j |dq_j|",
+            settings: &[],
+            build: quadratic,
+            in_c: InC::Columns(|at, _| vec![format!("{0}*fabs({0})", at.dq)]),
+            plot_over: PlotOver::Velocity,
+        },
     ],
     stratum: Stratum::Repeatable,
     served: true,
@@ -47,6 +66,8 @@ pub static FAMILY: Family = Family {
         Confounded { with: "fv and fc", decided_by: "they hold most of it: move the joint up to its rated speed" },
     ],
     reference: "Gaz et al., IEEE RA-L 4 (2019); Wolf, Iskandar, ICRA 2018",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 fn sigmoid(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -1,7 +1,10 @@
 //! A torque sensor's zero that creeps.
 
 use super::Term;
-use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::family::{
+    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_TIME, Rare, Scale, Setting, Site, Stratum, joint,
+};
+use super::load::Ground;
 use super::one_row::{At, OneRow, Settings, column, unit};
 use std::sync::Arc;
 
@@ -25,12 +28,21 @@ pub static FAMILY: Family = Family {
     physics: "The torque sensor's zero creeps while it gets warm.",
     place: Place::Joint,
     forms: &[
-        Form { name: "linear", equation: "tau_j = drift_j t / 60 s", settings: &[], build: linear },
+        Form {
+            name: "linear",
+            equation: "tau_j = drift_j t / 60 s",
+            settings: &[],
+            build: linear,
+            in_c: REFUSED_TIME,
+            plot_over: PlotOver::Time,
+        },
         Form {
             name: "exponential",
             equation: "tau_j = drift_j (1 - exp(-t / T))",
             settings: &[WARMING],
             build: exponential,
+            in_c: REFUSED_TIME,
+            plot_over: PlotOver::Time,
         },
     ],
     stratum: Stratum::Changing,
@@ -44,6 +56,8 @@ pub static FAMILY: Family = Family {
         Confounded { with: "contact", decided_by: "a second recording: a touch does not come back, a drift does" },
     ],
     reference: "Bittencourt, Gunnarsson, Trans. ASME J. Dynamic Systems 134 (2012), for the time constants",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 /// Share of the way to the warm state, `1 - exp(-t / T)`.

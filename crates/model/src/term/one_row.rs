@@ -1,8 +1,8 @@
 //! Effects whose columns are functions of one sample in one joint's row.
 
-use super::effect::{Family, Ground, Site, Spec};
+use super::family::{Family, Site, Spec};
 use super::friction::SHARPNESS;
-use super::load::{Load, LoadUnder};
+use super::load::{Ground, Load, LoadUnder};
 use super::{Column, FixedTerm, Motion, Sample, Term};
 use crate::chain::{Chain, JointKind};
 use nalgebra::{DMatrix, Vector3};

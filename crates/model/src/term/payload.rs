@@ -1,10 +1,14 @@
 //! A tool or load on the last link that the model was not told of.
 
 use super::all_rows::{AllRows, Clock, Law};
-use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum};
+use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum};
+use super::load::Ground;
+use super::quantity::{self, Quantity, Results};
 use super::{Column, Sample, Term};
 use crate::fast::links::LinkColumns;
+use crate::inertia::Body;
 use crate::regressor::LINK_COLUMNS;
+use nalgebra::DVector;
 use plumbline_core::JointVec;
 use std::sync::Arc;
 
@@ -21,6 +25,8 @@ pub static FAMILY: Family = Family {
         equation: "tau = Y_n [Lxx Lxy Lxz Lyy Lyz Lzz lx ly lz m], the body's in the last link's frame, in all rows",
         settings: &[],
         build,
+        in_c: InC::LastLink,
+        plot_over: PlotOver::Nothing,
     }],
     stratum: Stratum::Reference,
     served: true,
@@ -37,6 +43,8 @@ pub static FAMILY: Family = Family {
         },
     ],
     reference: "Khalil, Gautier, Lemoine, ICRA 2007; Swevers et al., IEEE Control Systems Magazine 27 (2007)",
+    in_bodies: InBodies::LastLink,
+    rare: Rare { may_change: true, quantities: body_or_parameters, ..Rare::NONE },
 };
 
 const PARAMETERS: [(&str, &str); LINK_COLUMNS] = [
@@ -62,14 +70,138 @@ fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
         let first = LINK_COLUMNS * (chain.len() - 1);
         let slots: Vec<usize> = (first..first + LINK_COLUMNS).collect();
-        Body(LinkColumns::new(&chain, &slots, gravity))
+        BodyColumns(LinkColumns::new(&chain, &slots, gravity))
     })
 }
 
-struct Body(LinkColumns);
+struct BodyColumns(LinkColumns);
 
-impl Law for Body {
+impl Law for BodyColumns {
     fn at(&mut self, sample: &Sample, _clock: &Clock, columns: &mut [JointVec]) {
         self.0.fill(sample, columns);
+    }
+}
+
+/// Names and units of a body's numbers: mass, centre of mass, inertia about it (entries of the matrix), in the frame of the last link.
+const NUMBERS: [(&str, &str); LINK_COLUMNS] = [
+    ("mass", "kg"),
+    ("com_x", "m"),
+    ("com_y", "m"),
+    ("com_z", "m"),
+    ("Ixx", "kg m2"),
+    ("Ixy", "kg m2"),
+    ("Ixz", "kg m2"),
+    ("Iyy", "kg m2"),
+    ("Iyz", "kg m2"),
+    ("Izz", "kg m2"),
+];
+
+/// Step of the differences, in standard deviations of the parameter.
+const STEP_RATIO: f64 = 1e-3;
+/// Largest share of a number's sensitivity in undetermined directions, for a number with a standard deviation.
+const UNDETERMINED_RATIO: f64 = 1e-3;
+/// Smallest mass that has a centre, in its standard deviations.
+const MASS_DEVIATIONS: f64 = 2.0;
+
+/// The body; the parameters where its mass may be zero, so that it has no centre of mass.
+fn body_or_parameters(results: &Results) -> Vec<Quantity> {
+    body(results).unwrap_or_else(|| quantity::own(results))
+}
+
+/// Mass, centre of mass and inertia with standard deviations of first order (delta method).
+fn body(results: &Results) -> Option<Vec<Quantity>> {
+    let Results { parameters, covariance, undetermined, .. } = *results;
+    let values: [f64; LINK_COLUMNS] =
+        std::array::from_fn(|k| parameters.get(k).map_or(0.0, |parameter| parameter.value));
+    let mass_std = covariance[(9, 9)].max(0.0).sqrt();
+    if values[9].abs() < MASS_DEVIATIONS * mass_std || values[9] == 0.0 {
+        return None;
+    }
+    let std = |k: usize| covariance[(k, k)].max(0.0).sqrt().max(1e-9);
+    let slope = |k: usize| {
+        let moved = |by: f64| {
+            let mut values = values;
+            values[k] += by * STEP_RATIO * std(k);
+            numbers(&values)
+        };
+        let (up, down) = (moved(1.0), moved(-1.0));
+        std::array::from_fn(|i| (up[i] - down[i]) / (2.0 * STEP_RATIO * std(k)))
+    };
+    let slopes: [[f64; LINK_COLUMNS]; LINK_COLUMNS] = std::array::from_fn(slope);
+    let quantity = |(i, value): (usize, f64)| {
+        let slope = DVector::from_fn(LINK_COLUMNS, |k, _| slopes[k][i]);
+        let variance = (covariance * &slope).dot(&slope);
+        let known =
+            undetermined.ncols() == 0 || undetermined.tr_mul(&slope.normalize()).norm_squared() <= UNDETERMINED_RATIO;
+        let (name, unit) = NUMBERS[i];
+        Quantity { name: name.into(), value, std: known.then(|| variance.max(0.0).sqrt()), unit: unit.into() }
+    };
+    Some(numbers(&values).into_iter().enumerate().map(quantity).collect())
+}
+
+/// The numbers of [`NUMBERS`] from standard parameters.
+fn numbers(values: &[f64; LINK_COLUMNS]) -> [f64; LINK_COLUMNS] {
+    let Body { mass, com, inertia: i } = Body::of(values);
+    [mass, com.x, com.y, com.z, i[(0, 0)], i[(0, 1)], i[(0, 2)], i[(1, 1)], i[(1, 2)], i[(2, 2)]]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::torque::Parameter;
+    use nalgebra::{DMatrix, Matrix3, Vector3};
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    fn parameters(values: &[f64]) -> Vec<Parameter> {
+        let column = |k: usize| {
+            let name = format!("p{k}");
+            Column { symbol: name.clone(), expression: name.clone(), name, joint: 7, unit: "kg" }
+        };
+        values.iter().enumerate().map(|(k, &value)| Parameter { column: column(k), value, std: None }).collect()
+    }
+
+    fn body_of(values: &[f64], covariance: &DMatrix<f64>, undetermined: &DMatrix<f64>) -> Option<Vec<Quantity>> {
+        let parameters = parameters(values);
+        body(&Results { parameters: &parameters, covariance, undetermined, stored: &[], declared: None })
+    }
+
+    #[test]
+    fn standard_deviations_are_those_of_random_draws() {
+        let inertia = Matrix3::new(0.001, 0.0, 0.0, 0.0, 0.0025, 0.0001, 0.0, 0.0001, 0.0017);
+        let payload = Body { mass: 0.73, com: Vector3::new(0.01, -0.02, 0.15), inertia };
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        // The sum of twelve uniform numbers has the variance of a normal one.
+        let mut normal = || (0..12).map(|_| rng.random_range(-0.5..0.5)).sum::<f64>();
+        let factor = DMatrix::from_fn(10, 10, |i, k| if k <= i { 2e-4 * normal() } else { 0.0 });
+        let covariance = &factor * factor.transpose();
+        let found = body_of(&payload.link_parameters(), &covariance, &DMatrix::zeros(10, 0)).unwrap();
+        assert!((found[0].value - 0.73).abs() < 1e-12 && (found[3].value - 0.15).abs() < 1e-12);
+        assert!((found[8].value - 0.0001).abs() < 1e-12);
+        let (draws, mut sum) = (20_000, [0.0; 10]);
+        for _ in 0..draws {
+            let noise = &factor * DVector::from_fn(10, |_, _| normal());
+            let drawn: [f64; 10] = std::array::from_fn(|k| payload.link_parameters()[k] + noise[k]);
+            let numbers = numbers(&drawn);
+            for (k, sum) in sum.iter_mut().enumerate() {
+                *sum += (numbers[k] - found[k].value).powi(2) / f64::from(draws);
+            }
+        }
+        for (quantity, square) in found.iter().zip(sum) {
+            let ratio = quantity.std.unwrap() / square.sqrt();
+            assert!((ratio - 1.0).abs() < 0.05, "{ratio}");
+        }
+    }
+
+    #[test]
+    fn an_undetermined_number_has_no_standard_deviation() {
+        let values = [0.02, 0.0, 0.0, 0.02, 0.0, 0.001, 0.0, 0.0, 0.1, 0.7];
+        let mut undetermined = DMatrix::zeros(10, 1);
+        undetermined[(3, 0)] = 1.0;
+        let covariance = DMatrix::from_diagonal_element(10, 10, 1e-6);
+        let found = body_of(&values, &covariance, &undetermined).unwrap();
+        assert!(found[0].std.is_some() && found[7].std.is_none());
+        // A mass that may be zero has no centre.
+        assert!(body_of(&[0.0; 10], &covariance, &DMatrix::zeros(10, 0)).is_none());
     }
 }

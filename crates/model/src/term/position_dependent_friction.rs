@@ -1,7 +1,10 @@
 //! Friction that changes with the joint's angle.
 
 use super::Term;
-use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::family::{
+    Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
+};
+use super::load::Ground;
 use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
 use super::position_ripple::order;
 use std::sync::Arc;
@@ -27,6 +30,10 @@ pub static FAMILY: Family = Family {
             scale: Scale::Linear,
         }],
         build,
+        in_c: InC::Columns(|at, settings| {
+            ["sin", "cos"].map(|wave| format!("{wave}({:?}*{})*{}", settings[0], at.q, at.sign)).to_vec()
+        }),
+        plot_over: PlotOver::Position,
     }],
     stratum: Stratum::Repeatable,
     served: true,
@@ -36,6 +43,8 @@ pub static FAMILY: Family = Family {
         decided_by: "pass the same poses under another load, or in another mounting",
     }],
     reference: "Popovic, Goldenberg, IEEE Trans. Robotics and Automation 14 (1998); Armstrong-Helouvry et al., Automatica 30 (1994)",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

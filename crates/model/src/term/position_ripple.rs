@@ -1,7 +1,10 @@
 //! Torque that ripples over the joint's angle.
 
 use super::Term;
-use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::family::{
+    Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
+};
+use super::load::Ground;
 use super::one_row::{At, OneRow, Settings, column, unit};
 use std::sync::Arc;
 
@@ -28,6 +31,10 @@ pub static FAMILY: Family = Family {
             scale: Scale::Linear,
         }],
         build,
+        in_c: InC::Columns(|at, settings| {
+            ["sin", "cos"].map(|wave| format!("{wave}({:?}*{})", settings[0], at.q)).to_vec()
+        }),
+        plot_over: PlotOver::Position,
     }],
     stratum: Stratum::Repeatable,
     served: true,
@@ -38,6 +45,8 @@ pub static FAMILY: Family = Family {
         Confounded { with: "lx and ly of the same link", decided_by: "order 1 only: identify in a second mounting" },
     ],
     reference: "Taghirad, Belanger, Trans. ASME J. Dynamic Systems 120 (1998)",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -1,6 +1,9 @@
 //! Presliding: friction that bends like a spring before it slides, so that it follows the displacement since the last reversal.
 
-use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Spec, Stratum, joint};
+use super::family::{
+    Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Spec, Stratum, joint,
+};
+use super::load::Ground;
 use super::{Column, FixedTerm, Motion, Sample, Term};
 use crate::chain::Chain;
 use nalgebra::{DMatrix, Vector3};
@@ -9,6 +12,10 @@ use std::sync::Arc;
 
 /// Identity of [`Presliding`].
 pub const ID: &str = "presliding";
+
+/// What formats without memory have of it.
+const SLIDING: &str = "is held as the Coulomb friction that it is in sliding; its memory, which tells where a joint that turns back was, is \
+                       left out";
 
 const PHYSICS: &str = "After a reversal the contacts of gears, bearings and seals bend before they slide.";
 
@@ -30,6 +37,8 @@ pub static FAMILY: Family = Family {
             scale: Scale::Logarithmic,
         }],
         build,
+        in_c: InC::Part { columns: |at, _| vec![at.sign.clone()], note: SLIDING },
+        plot_over: PlotOver::Velocity,
     }],
     stratum: Stratum::Repeatable,
     served: true,
@@ -43,6 +52,8 @@ pub static FAMILY: Family = Family {
         Confounded { with: "delay", decided_by: "add harmonics of a higher frequency: a delay grows with it" },
     ],
     reference: "Dahl, AIAA Journal 14 (1976); Canudas de Wit et al., IEEE Trans. Automatic Control 40 (1995)",
+    in_bodies: InBodies::CoulombFriction { note: SLIDING },
+    rare: Rare::NONE,
 };
 
 fn build(_ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

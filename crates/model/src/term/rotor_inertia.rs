@@ -1,6 +1,7 @@
 //! Inertia of the motors' rotors, seen through the gears.
 
-use super::effect::{Confounded, Family, Form, Place, Stratum, of_joint};
+use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Stratum};
+use super::subset::of_joint;
 use super::{Column, Entry, FixedTerm, Motion, Sample, Term, padded, per_joint};
 use crate::chain::{Chain, JointKind};
 use crate::fast::closed::ClosedForm;
@@ -24,6 +25,8 @@ pub static FAMILY: Family = Family {
         equation: "tau_j = ia_j ddq_j",
         settings: &[],
         build: |ground, site, _| of_joint(Arc::new(RotorInertia::new(&ground.chain)), site),
+        in_c: InC::Entries,
+        plot_over: PlotOver::Acceleration,
     }],
     stratum: Stratum::Repeatable,
     served: true,
@@ -33,6 +36,8 @@ pub static FAMILY: Family = Family {
         decided_by: "none is needed on the first joints: the two are one parameter there; further out, accelerate that joint harder",
     }],
     reference: "Khalil, Dombre, Modeling, Identification and Control of Robots (2002), section 9.4",
+    in_bodies: InBodies::Nothing,
+    rare: Rare { whole_arm: Some(|chain| Arc::new(RotorInertia::new(chain))), ..Rare::NONE },
 };
 
 /// `tau_j = ia_j ddq_j`, the rotor's inertia times the gear ratio squared, in the joint's own row. Columns `ia1 .. ian`.

@@ -1,7 +1,10 @@
 //! Springs on a joint: cables, hoses, gravity compensators.
 
 use super::Term;
-use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::family::{
+    Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
+};
+use super::load::Ground;
 use super::one_row::{At, OneRow, Settings, column, unit};
 use std::sync::Arc;
 
@@ -24,10 +27,38 @@ pub static FAMILY: Family = Family {
     physics: "Cables, hoses or a balancer are twisted or stretched when the joint moves, and pull back.",
     place: Place::Joint,
     forms: &[
-        Form { name: "linear", equation: "tau_j = k_j q_j + k0_j", settings: &[], build: linear },
-        Form { name: "above", equation: "tau_j = k_j max(0, q_j - q0)", settings: &[Q0], build: above },
-        Form { name: "below", equation: "tau_j = k_j max(0, q0 - q_j)", settings: &[Q0], build: below },
-        Form { name: "cubic", equation: "tau_j = k_j q_j + k3_j q_j^3 + k0_j", settings: &[], build: cubic },
+        Form {
+            name: "linear",
+            equation: "tau_j = k_j q_j + k0_j",
+            settings: &[],
+            build: linear,
+            in_c: InC::Columns(|at, _| vec![at.q.clone(), "1.0".into()]),
+            plot_over: PlotOver::Position,
+        },
+        Form {
+            name: "above",
+            equation: "tau_j = k_j max(0, q_j - q0)",
+            settings: &[Q0],
+            build: above,
+            in_c: InC::Columns(|at, settings| vec![format!("fmax(0.0, {} - ({:?}))", at.q, settings[0])]),
+            plot_over: PlotOver::Position,
+        },
+        Form {
+            name: "below",
+            equation: "tau_j = k_j max(0, q0 - q_j)",
+            settings: &[Q0],
+            build: below,
+            in_c: InC::Columns(|at, settings| vec![format!("fmax(0.0, ({:?}) - {})", settings[0], at.q)]),
+            plot_over: PlotOver::Position,
+        },
+        Form {
+            name: "cubic",
+            equation: "tau_j = k_j q_j + k3_j q_j^3 + k0_j",
+            settings: &[],
+            build: cubic,
+            in_c: InC::Columns(|at, _| vec![at.q.clone(), "1.0".into(), format!("{0}*{0}*{0}", at.q)]),
+            plot_over: PlotOver::Position,
+        },
     ],
     stratum: Stratum::Repeatable,
     served: true,
@@ -38,6 +69,8 @@ pub static FAMILY: Family = Family {
         Confounded { with: "lx and ly of the same link", decided_by: "identify in a second mounting" },
     ],
     reference: "Swevers et al., IEEE Trans. Robotics and Automation 13 (1997)",
+    in_bodies: InBodies::Nothing,
+    rare: Rare { may_change: true, ..Rare::NONE },
 };
 
 fn linear(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

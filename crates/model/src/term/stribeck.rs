@@ -1,7 +1,10 @@
 //! Friction that falls with speed before it rises.
 
 use super::Term;
-use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::family::{
+    Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
+};
+use super::load::Ground;
 use super::one_row::{At, Law, OneRow, Settings, column, smooth_sign, unit};
 use std::sync::Arc;
 
@@ -19,12 +22,18 @@ pub static FAMILY: Family = Family {
             equation: "tau_j = fs_j exp(-(dq_j / vs)^2) tanh(100 dq_j)",
             settings: &[SPEED],
             build: |ground, site, settings| build(ground, site, settings, "gaussian", gaussian),
+            in_c: InC::Columns(|at, settings| {
+                vec![format!("exp(-({0}/{1:?})*({0}/{1:?}))*{2}", at.dq, settings[0], at.sign)]
+            }),
+            plot_over: PlotOver::Velocity,
         },
         Form {
             name: "exponential",
             equation: "tau_j = fs_j exp(-|dq_j| / vs) tanh(100 dq_j)",
             settings: &[SPEED],
             build: |ground, site, settings| build(ground, site, settings, "exponential", exponential),
+            in_c: InC::Columns(|at, settings| vec![format!("exp(-fabs({})/{:?})*{}", at.dq, settings[0], at.sign)]),
+            plot_over: PlotOver::Velocity,
         },
     ],
     stratum: Stratum::Repeatable,
@@ -38,6 +47,8 @@ pub static FAMILY: Family = Family {
         Confounded { with: "nonlinear-viscous", decided_by: "move the joint at constant speeds up to its rated one" },
     ],
     reference: "Bittencourt, Gunnarsson, Trans. ASME J. Dynamic Systems 134 (2012)",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 const SPEED: Setting = Setting {

@@ -1,6 +1,6 @@
 //! A term with some of its columns left out.
 
-use super::effect::Spec;
+use super::family::{Site, Spec, joint};
 use super::{Column, Entry, Expected, FixedTerm, Motion, Term};
 use crate::chain::Chain;
 use nalgebra::{DMatrix, Vector3};
@@ -81,4 +81,11 @@ impl Term for Subset {
         }
         self.inner.fix(chain, gravity, &all)
     }
+}
+
+/// One joint's column of a term that has one per joint.
+pub(super) fn of_joint(term: Arc<dyn Term>, site: Site) -> Arc<dyn Term> {
+    let joint = joint(site) + 1;
+    let own = Subset::of(Arc::clone(&term), |column| column.joint == joint);
+    own.unwrap_or(term)
 }

@@ -2,7 +2,8 @@
 
 use super::all_rows::{AllRows, Clock, Law, Past};
 use super::carried::CarriedFriction;
-use super::effect::{Family, Ground, Scale, Setting, Site, joint};
+use super::family::{Family, Scale, Setting, Site, joint};
+use super::load::Ground;
 use super::position_error::PositionError;
 use super::{Column, Expected, Sample, Term};
 use plumbline_core::JointVec;

@@ -1,7 +1,8 @@
 //! A torque sensor that feels another joint's torque.
 
 use super::Term;
-use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum};
+use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum};
+use super::load::Ground;
 use super::one_row::{OneRow, column};
 use std::sync::Arc;
 
@@ -13,7 +14,14 @@ pub static FAMILY: Family = Family {
     id: ID,
     physics: "A torque sensor bends under loads across its axis and takes part of them for torque.",
     place: Place::Pair,
-    forms: &[Form { name: "", equation: "tau_j = cross_j_k tau_rb_k", settings: &[], build }],
+    forms: &[Form {
+        name: "",
+        equation: "tau_j = cross_j_k tau_rb_k",
+        settings: &[],
+        build,
+        in_c: InC::Columns(|at, _| vec![at.load.clone()]),
+        plot_over: PlotOver::Load,
+    }],
     stratum: Stratum::Repeatable,
     served: true,
     typical: "0.5 to 3 % of the other joint's torque",
@@ -26,6 +34,8 @@ pub static FAMILY: Family = Family {
         Confounded { with: "Lxy, Lxz and Lyz", decided_by: "pass the same poses slowly: products of inertia vanish" },
     ],
     reference: "Taghirad, Belanger, IEEE Trans. Control Systems Technology 9 (2001)",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
 };
 
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -1,7 +1,8 @@
 //! A torque sensor that reads too much or too little.
 
 use super::Term;
-use super::effect::{Confounded, Family, Form, Ground, Place, Site, Stratum};
+use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum};
+use super::load::Ground;
 use super::one_row::{OneRow, column};
 use std::sync::Arc;
 
@@ -13,7 +14,14 @@ pub static FAMILY: Family = Family {
     id: ID,
     physics: "A joint's torque sensor (or its motor's torque constant) is off by a share of what it reads.",
     place: Place::Joint,
-    forms: &[Form { name: "", equation: "tau_j = gain_j tau_rb_j", settings: &[], build }],
+    forms: &[Form {
+        name: "",
+        equation: "tau_j = gain_j tau_rb_j",
+        settings: &[],
+        build,
+        in_c: InC::Columns(|at, _| vec![at.load.clone()]),
+        plot_over: PlotOver::Load,
+    }],
     stratum: Stratum::Repeatable,
     served: true,
     typical: "0.5 to 3 %",
@@ -29,6 +37,8 @@ pub static FAMILY: Family = Family {
         },
     ],
     reference: "Gautier, Venture, IROS 2013; Ma, Hollerbach, ICRA 1996",
+    in_bodies: InBodies::Nothing,
+    rare: Rare { may_change: true, ..Rare::NONE },
 };
 
 fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -1,6 +1,7 @@
 //! A constant torque in every joint's measurement.
 
-use super::effect::{Confounded, Family, Form, Place, Stratum, of_joint};
+use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Stratum};
+use super::subset::of_joint;
 use super::{Column, Entry, FixedTerm, Motion, Sample, Term, padded, per_joint};
 use crate::chain::{Chain, JointKind};
 use crate::fast::closed::ClosedForm;
@@ -23,6 +24,8 @@ pub static FAMILY: Family = Family {
         equation: "tau_j = offset_j",
         settings: &[],
         build: |ground, site, _| of_joint(Arc::new(TorqueOffset::new(&ground.chain)), site),
+        in_c: InC::Entries,
+        plot_over: PlotOver::Position,
     }],
     stratum: Stratum::Repeatable,
     served: true,
@@ -33,6 +36,13 @@ pub static FAMILY: Family = Family {
         Confounded { with: "position-ripple", decided_by: "move the joint through a full turn, or as far as it goes" },
     ],
     reference: "Gautier, Janot, Vandanjon, IEEE Trans. Control Systems Technology 21 (2013); Gaz et al., IEEE RA-L 4 (2019)",
+    in_bodies: InBodies::Nothing,
+    rare: Rare {
+        whole_arm: Some(|chain| Arc::new(TorqueOffset::new(chain))),
+        in_every_arm: true,
+        may_change: true,
+        ..Rare::NONE
+    },
 };
 
 /// `tau_j = offset_j`. Columns `offset1 .. offsetn`.

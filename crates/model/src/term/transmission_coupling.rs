@@ -1,8 +1,13 @@
 //! Joints whose gears or seals are coupled.
 
 use super::Term;
-use super::effect::{Confounded, Family, Form, Ground, Place, Scale, Setting, Site, Stratum, joint};
+use super::family::{
+    Confounded, Family, Form, InBodies, InC, PartOf, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
+};
+use super::friction::SHARPNESS;
+use super::load::Ground;
 use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
+use super::torque_crosstalk;
 use crate::chain::JointKind::{Prismatic, Revolute};
 use std::sync::Arc;
 
@@ -20,6 +25,8 @@ pub static FAMILY: Family = Family {
             equation: "tau_j = cfc_j_k tanh(100 dq_k) + cfv_j_k dq_k",
             settings: &[],
             build: friction,
+            in_c: InC::Columns(|at, _| vec![at.cause_sign.clone(), at.cause_dq.clone()]),
+            plot_over: PlotOver::Velocity,
         },
         Form {
             name: "sum",
@@ -35,8 +42,19 @@ pub static FAMILY: Family = Family {
                 scale: Scale::Linear,
             }],
             build: sum,
+            in_c: InC::Columns(|at, settings| {
+                vec![format!("tanh({SHARPNESS:?}*({} + ({:?})*{}))", at.dq, settings[0], at.cause_dq)]
+            }),
+            plot_over: PlotOver::Velocity,
         },
-        Form { name: "inertia", equation: "tau_j = cia_j_k ddq_k", settings: &[], build: inertia },
+        Form {
+            name: "inertia",
+            equation: "tau_j = cia_j_k ddq_k",
+            settings: &[],
+            build: inertia,
+            in_c: InC::Columns(|at, _| vec![at.cause_ddq.clone()]),
+            plot_over: PlotOver::Acceleration,
+        },
     ],
     stratum: Stratum::Repeatable,
     served: true,
@@ -49,6 +67,8 @@ pub static FAMILY: Family = Family {
         },
     ],
     reference: "Khalil, Dombre, Modeling, Identification and Control of Robots (2002), chapter 9",
+    in_bodies: InBodies::Nothing,
+    rare: Rare { part_of: Some(PartOf { form: "friction", family: torque_crosstalk::ID }), ..Rare::NONE },
 };
 
 fn friction(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -3,7 +3,9 @@
 use assert_no_alloc::{assert_no_alloc, violation_count};
 use nalgebra::{DMatrix, DVector, Rotation3, Unit, Vector3};
 use plumbline_core::Torque;
-use plumbline_model::term::effect::{Confounded, FAMILIES, Family, Ground, Site, Spec, Stratum};
+use plumbline_model::term::effect::{
+    Confounded, FAMILIES, Family, Ground, InBodies, InC, Inputs, Place, PlotOver, Site, Spec, Stratum, assemble,
+};
 use plumbline_model::term::{Motion, Sample};
 use plumbline_model::{Mounting, NamedEffect, NamedTerm, Placement, Reduction, Structure, TorqueModel};
 use plumbline_testkit::arms::{any_mounting, chain, draw, torque};
@@ -269,6 +271,55 @@ fn the_catalogue_is_whole_and_says_what_people_have_to_know() {
             }
         }
     }
+}
+
+/// Declarations that readers of the catalogue rely on.
+#[test]
+fn declarations_of_a_family_agree() {
+    let mut rng = ChaCha8Rng::seed_from_u64(14);
+    let model = rigid_model("panda", &mut rng);
+    let inputs = Inputs { load: "load".into(), q: "q".into(), ..Inputs::default() };
+    for family in FAMILIES {
+        let id = family.id;
+        assert!(family.stratum != Stratum::Reference || family.rare.may_change, "{id}");
+        if let Some(part) = family.rare.part_of {
+            assert!(
+                family.form(part.form).is_some() && plumbline_model::term::effect::family(part.family).is_some(),
+                "{id}"
+            );
+        }
+        let last_link = family.in_bodies == InBodies::LastLink;
+        for spec in specs(family, 7, &mut rng) {
+            let term = spec.build(&ground(&model)).unwrap();
+            let form = family.form(spec.form).unwrap();
+            // A term of the whole arm has no spec of its own.
+            assert_eq!(term.spec().is_none(), family.rare.whole_arm.is_some(), "{spec:?}");
+            assert_eq!(matches!(form.in_c, InC::LastLink), last_link, "{spec:?}");
+            match form.in_c {
+                InC::Columns(columns) | InC::Part { columns, .. } => {
+                    assert_eq!(columns(&inputs, &spec.settings).len(), term.columns().len(), "{spec:?}");
+                }
+                InC::Entries => assert!(term.entries().is_some(), "{spec:?}"),
+                InC::LastLink => assert_eq!(term.columns().len(), 10, "{spec:?}"),
+                InC::Refused(reason) => assert!(reason.len() > 10, "{spec:?}"),
+            }
+            assert!(family.place != Place::Arm || form.plot_over == PlotOver::Nothing, "{spec:?}");
+        }
+    }
+}
+
+/// Two offsets and two rotors: columns of one term each, in the order of the specs.
+#[test]
+fn effects_with_a_term_of_the_whole_arm_are_columns_of_that_term() {
+    let mut rng = ChaCha8Rng::seed_from_u64(15);
+    let model = rigid_model("panda", &mut rng);
+    let one = |family, joint| Spec { family, form: "", site: Site::Joint(joint), settings: vec![] };
+    let specs = [one("rotor-inertia", 5), one("torque-offset", 1), one("spring", 2), one("torque-offset", 4)];
+    let specs = specs.map(|spec| if spec.family == "spring" { Spec { form: "linear", ..spec } } else { spec });
+    let terms = assemble(&specs, &ground(&model)).unwrap();
+    let names: Vec<Vec<String>> =
+        terms.iter().map(|term| term.columns().into_iter().map(|column| column.name).collect()).collect();
+    assert_eq!(names, [vec!["ia6"], vec!["offset2", "offset5"], vec!["spring3", "spring3_preload"]]);
 }
 
 /// Effects of one family side by side in one model: two joints, and two waves in one joint.

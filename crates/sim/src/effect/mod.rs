@@ -29,6 +29,8 @@ pub mod friction_drift;
 pub mod joint_elasticity;
 mod late;
 pub mod load_dependent_friction;
+#[cfg(feature = "made-up-effect")]
+pub mod made_up;
 pub mod mounting;
 pub mod nonlinear_viscous;
 pub mod offset_drift;
@@ -158,6 +160,11 @@ trait Spec {
     /// # Errors
     /// A joint that is not there, or a number that no arm can have.
     fn check(&self, place: &Place) -> Result<(), BadInput>;
+
+    /// Whether the effect replaces the Coulomb friction of `joint`, counted from 0.
+    fn replaces_coulomb(&self, _joint: usize) -> bool {
+        false
+    }
 
     /// The effect of an arm that passed `check`; it begins at `from` \[s\].
     fn build(&self, truth: &Truth, from: f64) -> Box<dyn Effect>;

@@ -113,6 +113,10 @@ impl Spec for Config {
         Ok(())
     }
 
+    fn replaces_coulomb(&self, joint: usize) -> bool {
+        self.joint == joint + 1
+    }
+
     fn build(&self, truth: &Truth, _from: f64) -> Box<dyn Effect> {
         let joint = self.joint - 1;
         let fc = truth.joints[joint].fc;

@@ -7,28 +7,28 @@ use serde::{Deserialize, Deserializer};
 
 /// Writes down the catalogue once: the enum a file is read into, its ids, and the way to each effect's own file.
 macro_rules! catalogue {
-    ($($(#[$doc:meta])* $variant:ident, $id:literal, $module:ident;)*) => {
+    ($($(#[doc = $doc:literal])* $(#[cfg($cfg:meta)])? $variant:ident, $id:literal, $module:ident;)*) => {
         /// What an effect is.
         #[derive(Clone, Debug, PartialEq, Deserialize)]
         #[serde(tag = "id")]
         pub enum Kind {
-            $($(#[$doc])* #[serde(rename = $id)] $variant($module::Config),)*
+            $($(#[doc = $doc])* $(#[cfg($cfg)])? #[serde(rename = $id)] $variant($module::Config),)*
         }
 
         impl Kind {
             /// The ids of all effects.
-            pub const IDS: &[&str] = &[$($id),*];
+            pub const IDS: &[&str] = &[$($(#[cfg($cfg)])? $id),*];
 
             /// The effect's id.
             pub fn id(&self) -> &'static str {
                 match self {
-                    $(Kind::$variant(_) => $id,)*
+                    $($(#[cfg($cfg)])? Kind::$variant(_) => $id,)*
                 }
             }
 
             fn spec(&self) -> &dyn Spec {
                 match self {
-                    $(Kind::$variant(config) => config,)*
+                    $($(#[cfg($cfg)])? Kind::$variant(config) => config,)*
                 }
             }
         }
@@ -88,6 +88,9 @@ catalogue! {
     Backlash, "backlash", backlash;
     /// A test's invention that no catalogue holds.
     Foreign, "foreign", foreign;
+    /// A test's invention that the catalogue of a test holds.
+    #[cfg(feature = "made-up-effect")]
+    MadeUp, "made-up", made_up;
 }
 
 /// An effect as it is written in a truth file.
@@ -116,7 +119,7 @@ impl EffectSpec {
 
     /// Whether it stands for the Coulomb friction of `joint`, counted from 0.
     pub(crate) fn replaces_coulomb(&self, joint: usize) -> bool {
-        matches!(&self.kind, Kind::Presliding(config) if config.joint == joint + 1)
+        self.kind.spec().replaces_coulomb(joint)
     }
 
     pub(crate) fn build(&self, truth: &Truth) -> Box<dyn Effect> {

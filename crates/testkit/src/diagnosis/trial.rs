@@ -5,11 +5,11 @@ use crate::scene::DT;
 use crate::scene::lab::{self, Noise, Period};
 use nalgebra::{DMatrix, DVector};
 use plumbline_diagnose::{
-    Columns, Effect, Evidence, Input, Outcome, Settings, Trial, Unexplained, Verdict, diagnose, inverse, mean_square,
+    Columns, Effect, Evidence, Input, Outcome, Residual, Settings, Trial, Verdict, diagnose, inverse, mean_square,
 };
 use plumbline_excite::Plan;
 use plumbline_identify::{Experiment, solve};
-use plumbline_model::term::effect::{Site, Spec};
+use plumbline_model::term::effect::{Site, Spec, family};
 use plumbline_model::{Chain, Reduction, Structure};
 use plumbline_sim::Truth;
 use rand::{Rng, SeedableRng};
@@ -44,7 +44,7 @@ pub struct Judged {
     /// RMS of the worst joint's residual over the floor of the judge run, before and after.
     pub held_out: [f64; 2],
     /// What the diagnosis says about the joint of a foreign effect, where it calls it unexplained.
-    pub fallback: Option<Unexplained>,
+    pub fallback: Option<Residual>,
     /// Seconds of the diagnosis.
     pub seconds: f64,
 }
@@ -95,7 +95,7 @@ impl Bench {
 
         let evidence = Evidence::of(&self.chain, identify, settings.band);
         let foreign = case.effects.iter().find(|one| one.family == "foreign").map(|one| one.site.joints()[0]);
-        let fallback = outcome.unexplained.iter().find(|one| Some(one.joint) == foreign).cloned();
+        let fallback = outcome.residuals.iter().find(|one| Some(one.joint) == foreign).cloned();
         let ratio = unabsorbed(&evidence, &structure, identify, &periods);
         let held_out = [&outcome.before, &outcome.after]
             .map(|model| worst(&self.chain, &model.structure, &model.identification.beta, judge, &settings));
@@ -212,18 +212,32 @@ fn part_of(spec: &Spec, truth: &Injected) -> bool {
 struct Judgement {
     ratio: f64,
     held_out: [f64; 2],
-    fallback: Option<Unexplained>,
+    fallback: Option<Residual>,
     seconds: f64,
 }
 
-fn judged(case: &Case, outcome: &Outcome, part: Judgement) -> Judged {
-    let (kept, left): (Vec<&Effect>, Vec<&Effect>) = outcome.effects.iter().partition(|effect| effect.in_model);
-    let rivals = |effects: &[&Effect]| -> Vec<Spec> {
-        effects.iter().flat_map(|effect| effect.rivals.iter().map(|rival| rival.item.spec.clone())).collect()
+/// An effect by its names in files, without its settings; joints count from 1.
+fn named(id: &str, form: &str, joints: &[usize]) -> Spec {
+    let family = family(id).expect("an effect of the catalogue");
+    let site = match *joints {
+        [] => Site::Arm,
+        [joint] => Site::Joint(joint - 1),
+        [row, cause, ..] => Site::Pair { row: row - 1, cause: cause - 1 },
     };
-    let found: Vec<Spec> = kept.iter().map(|effect| effect.spec.clone()).collect();
+    Spec { family: family.id, form: family.form(form).map_or("", |form| form.name), site, settings: Vec::new() }
+}
+
+fn judged(case: &Case, outcome: &Outcome, part: Judgement) -> Judged {
+    let effects = &outcome.diagnosis.effects;
+    let (kept, left): (Vec<&Effect>, Vec<&Effect>) = effects.iter().partition(|effect| effect.in_model);
+    let own = |effect: &&Effect| named(&effect.id, &effect.form, &effect.joints);
+    let rivals = |effects: &[&Effect]| -> Vec<Spec> {
+        let all = effects.iter().flat_map(|effect| &effect.alternatives_detail);
+        all.map(|rival| named(&rival.id, "", &rival.joints)).collect()
+    };
+    let found: Vec<Spec> = kept.iter().map(own).collect();
     let mut others = rivals(&kept);
-    others.extend(left.iter().map(|effect| effect.spec.clone()));
+    others.extend(left.iter().map(own));
     others.extend(rivals(&left));
     let right: Vec<bool> = case.effects.iter().map(|truth| found.iter().any(|spec| same(spec, truth))).collect();
     let listed = case.effects.iter().zip(&right);
@@ -232,7 +246,7 @@ fn judged(case: &Case, outcome: &Outcome, part: Judgement) -> Judged {
     let extra = found.iter().filter(|spec| !injected(spec)).count();
     Judged {
         ratio: part.ratio,
-        verdict: outcome.verdict,
+        verdict: outcome.diagnosis.verdict,
         found,
         others,
         right,

@@ -15,17 +15,32 @@ pub fn all() -> Vec<(&'static str, String)> {
     ]
 }
 
+/// Table I: one row per rigid-body parameter, one row per kind of friction.
 fn table_1() -> String {
     let mut text = String::from("| Nr. | symbol | GBS | VBS |\n|---|---|---|---|\n");
-    for (index, row) in experiment::table_1().iter().enumerate() {
+    let rows = experiment::table_1();
+    for (index, row) in rows.iter().enumerate().filter(|(_, row)| !is_friction(row)) {
         let vertical = match &row.vertical {
             None => "-",
-            Some(vertical) if *vertical == row.generalized => "the same",
+            Some(vertical) if *vertical == row.generalized => "=",
             Some(vertical) => vertical,
         };
         text.push_str(&format!("| {} | {} | {} | {vertical} |\n", index + 1, row.symbol, row.generalized));
     }
+    for kind in ["fv", "fc"] {
+        let own: Vec<usize> =
+            (0..rows.len()).filter(|&k| is_friction(&rows[k]) && rows[k].symbol.starts_with(kind)).collect();
+        if let (Some(first), Some(last)) = (own.first(), own.last()) {
+            let symbols = format!("{}..{}", rows[*first].symbol, rows[*last].symbol);
+            text.push_str(&format!("| {}-{} | {symbols} | {symbols} | = |\n", first + 1, last + 1));
+        }
+    }
     text
+}
+
+/// Whether a parameter is a friction parameter: not regrouped, the same in both sets.
+fn is_friction(row: &experiment::Regrouping) -> bool {
+    row.symbol == row.generalized && row.vertical.as_ref() == Some(&row.generalized) && row.symbol.starts_with('f')
 }
 
 fn table_2() -> String {

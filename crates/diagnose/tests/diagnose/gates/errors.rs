@@ -3,7 +3,7 @@
 use super::synthetic::{DT, PERIOD, PERIODS};
 use nalgebra::DMatrix;
 use plumbline_diagnose::errors::{Compared, Of, compare};
-use plumbline_identify::{Experiment, LeftOut, Modelled, Run};
+use plumbline_identify::{ExcludedSpan, Experiment, Modelled, Run};
 use plumbline_model::Mounting;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -97,9 +97,19 @@ fn raw_errors_are_the_root_mean_square_over_every_sample_of_every_period() {
         let direct = models
             .each_ref()
             .map(|model| rms((0..run.t.len()).map(|row| run.tau[(row, j)] - model[(row % samples, j)])));
-        assert!((found.before.rms[j] / direct[0] - 1.0).abs() < 1e-9, "{} {}", found.before.rms[j], direct[0]);
-        assert!((found.after.rms[j] / direct[1] - 1.0).abs() < 1e-9, "{} {}", found.after.rms[j], direct[1]);
-        assert!((found.change.rms[j] - (direct[1] - direct[0])).abs() < 1e-9);
+        assert!(
+            (found.before.validate_rms[j] / direct[0] - 1.0).abs() < 1e-9,
+            "{} {}",
+            found.before.validate_rms[j],
+            direct[0]
+        );
+        assert!(
+            (found.after.validate_rms[j] / direct[1] - 1.0).abs() < 1e-9,
+            "{} {}",
+            found.after.validate_rms[j],
+            direct[1]
+        );
+        assert!((found.change.validate_rms[j] - (direct[1] - direct[0])).abs() < 1e-9);
         let floor = found.floor.as_ref().unwrap()[j];
         assert!((floor / 0.3 - 1.0).abs() < 0.05, "{floor}");
     }
@@ -122,8 +132,18 @@ fn filtered_errors_are_those_of_the_mean_period_behind_the_low_pass() {
             let residual: Vec<f64> = (0..samples).map(|k| mean(k) - model[(k, j)]).collect();
             rms(low_passed(&residual, settings.order as i32, 2.0).into_iter())
         });
-        assert!((found.before.rms[j] / direct[0] - 1.0).abs() < 1e-6, "{} {}", found.before.rms[j], direct[0]);
-        assert!((found.after.rms[j] / direct[1] - 1.0).abs() < 1e-6, "{} {}", found.after.rms[j], direct[1]);
+        assert!(
+            (found.before.validate_rms[j] / direct[0] - 1.0).abs() < 1e-6,
+            "{} {}",
+            found.before.validate_rms[j],
+            direct[0]
+        );
+        assert!(
+            (found.after.validate_rms[j] / direct[1] - 1.0).abs() < 1e-6,
+            "{} {}",
+            found.after.validate_rms[j],
+            direct[1]
+        );
         // White noise of 0.3 Nm, averaged over four periods, in the share of the spectrum that the filter passes.
         let passed = (0..samples).map(|m| {
             let f = m.min(samples - m) as f64 / PERIOD;
@@ -142,14 +162,14 @@ fn raw_errors_are_taken_along_the_quieter_motion() {
     let mut rng = ChaCha8Rng::seed_from_u64(22);
     run.q.apply(|q| *q += 1e-6 * rng.sample::<f64, _>(StandardNormal));
     let experiment = Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap();
-    let judged = experiment.judged.as_ref().expect("a narrower filter").q.clone();
+    let judged = experiment.comparison_motion.as_ref().expect("a narrower filter").q.clone();
     let predict = |motion: &plumbline_model::term::Motion| {
         let off = if motion.q == judged { 1.0 } else { 2.0 };
         &experiment.tau - DMatrix::from_element(motion.samples(), 2, off)
     };
     let error = |of: Of| {
         let [before, after] = [Modelled::of(&experiment, predict), Modelled::of(&experiment, predict)];
-        compare(&[(&experiment, before, after)], of).unwrap().before.rms[0]
+        compare(&[(&experiment, before, after)], of).unwrap().before.validate_rms[0]
     };
     assert!((error(Of::Filtered) - 2.0).abs() < 1e-6, "{}", error(Of::Filtered));
     assert!((error(Of::Raw) - 1.0f64.hypot(0.3 * 0.75f64.sqrt())).abs() < 0.02, "{}", error(Of::Raw));
@@ -166,13 +186,13 @@ fn what_is_left_out_of_a_run_has_no_error() {
         mounting: Mounting::WALL,
         period: None,
     };
-    let gone = LeftOut { run: "free".into(), from: 4.0, to: 5.0 };
+    let gone = ExcludedSpan { run: "free".into(), from: 4.0, to: 5.0 };
     let settings = plumbline_identify::Settings { leave_out: vec![gone], ..plumbline_identify::Settings::default() };
     let experiment = Experiment::prepare(&run, &settings).unwrap();
     let residual =
         DMatrix::from_fn(experiment.motion.samples(), 2, |k, _| if experiment.resting()[k] { 1e3 } else { 0.5 });
     let found = compared(&experiment, [&residual, &residual], Of::Raw);
-    assert!((found.before.rms[0] - 0.5).abs() < 1e-12, "{}", found.before.rms[0]);
+    assert!((found.before.validate_rms[0] - 0.5).abs() < 1e-12, "{}", found.before.validate_rms[0]);
     assert!(found.floor.is_none());
 }
 
@@ -204,12 +224,12 @@ fn an_interval_holds_the_true_error_nineteen_times_out_of_twenty_and_is_no_wider
         let noise = coloured(&mut rng, samples, 2, CORRELATED);
         let found = compared(&experiment, [&noise, &noise], Of::Raw);
         for j in 0..2 {
-            let [low, high] = found.before.interval[j];
-            assert!(low < found.before.rms[j] && found.before.rms[j] < high);
+            let [low, high] = found.before.intervals[j];
+            assert!(low < found.before.validate_rms[j] && found.before.validate_rms[j] < high);
             inside += usize::from(low <= 1.0 && 1.0 <= high);
             width += (high - low) / (2 * draws) as f64;
             // The difference of a model with itself is nothing, and its interval is that.
-            assert_eq!((found.change.rms[j], found.change.interval[j]), (0.0, [0.0, 0.0]));
+            assert_eq!((found.change.validate_rms[j], found.change.intervals[j]), (0.0, [0.0, 0.0]));
         }
     }
     // Squares of first-order noise with pole a are correlated by a^2k: their mean has the variance (2 / N) (1 + a^2) / (1 - a^2).
@@ -234,10 +254,10 @@ fn the_interval_of_a_change_is_that_of_the_paired_difference() {
         let noise = coloured(&mut rng, samples, 2, CORRELATED);
         let found = compared(&experiment, [&(&noise + &effect), &noise], Of::Raw);
         for j in 0..2 {
-            let [low, high] = found.change.interval[j];
+            let [low, high] = found.change.intervals[j];
             inside += usize::from(low <= truth && truth <= high);
-            assert!(low < found.change.rms[j] && found.change.rms[j] < high);
-            let [before, after] = [&found.before, &found.after].map(|of| of.interval[j][1] - of.interval[j][0]);
+            assert!(low < found.change.validate_rms[j] && found.change.validate_rms[j] < high);
+            let [before, after] = [&found.before, &found.after].map(|of| of.intervals[j][1] - of.intervals[j][0]);
             paired += high - low;
             unpaired += before.hypot(after);
         }

@@ -1,7 +1,8 @@
 //! What becomes of a finding: veto, adequacy, delivery, verdict.
 
 use super::synthetic::{At, FLOOR, Recorded, once, recorded};
-use plumbline_diagnose::{Confirmation, Input, JointFacts, Outcome, Settings, Verdict, diagnose};
+use plumbline_diagnose::outcome::{Action, BeforeAfter, Confirmation, Diagnosis, JointFacts, Outcome, Verdict};
+use plumbline_diagnose::{Input, Settings, diagnose};
 use plumbline_identify::solve;
 use plumbline_model::term::torque_offset;
 use std::f64::consts::TAU;
@@ -17,15 +18,13 @@ fn outcome(identify: &Recorded, veto: &Recorded, judge: &Recorded) -> Outcome {
         options: &solve::Options::default(),
     };
     let outcome = diagnose(&input, &Settings::default(), &|_| {}).unwrap();
-    println!("{:?}, {:?}, joint 2: {:?}", outcome.verdict, labels(&outcome), outcome.joints[1]);
+    println!("{:?}, {:?}, joint 2: {:?}", outcome.diagnosis.verdict, labels(&outcome), outcome.diagnosis.joints[1]);
     outcome
 }
 
-fn labels(outcome: &Outcome) -> Vec<(&'static str, usize, bool)> {
-    let label = |effect: &plumbline_diagnose::Effect| {
-        (effect.spec.family, effect.spec.site.joints().first().map_or(0, |joint| joint + 1), effect.in_model)
-    };
-    outcome.effects.iter().map(label).collect()
+fn labels(outcome: &Outcome) -> Vec<(&str, usize, bool)> {
+    let effects = outcome.diagnosis.effects.iter();
+    effects.map(|one| (one.id.as_str(), one.joints.first().copied().unwrap_or(0), one.in_model)).collect()
 }
 
 /// An offset of joint 2 and a tone of 5 Hz whose phase is another one in every trajectory, in floors of the mean period.
@@ -49,17 +48,17 @@ fn of(seed: u64, identify: (f64, f64), veto: (f64, f64), judge: (f64, f64)) -> O
 fn what_unseen_runs_do_not_have_is_taken_out() {
     let held = of(31, (6.0, 0.0), (6.0, 0.0), (6.0, 0.0));
     assert_eq!(labels(&held), [("torque-offset", 2, true)]);
-    assert!(held.path.iter().all(|step| step.added));
+    assert!(held.diagnosis.path.iter().all(|step| step.action != Action::Removed));
     // Beside something larger the error falls by a fifth alone, and that is less.
     let beside = of(31, (6.0, 0.0), (6.0, 12.0), (6.0, 0.0));
     assert_eq!(labels(&beside), [("torque-offset", 2, true)]);
     let refuted = of(31, (6.0, 0.0), (0.0, 0.0), (6.0, 0.0));
     assert_eq!(labels(&refuted), []);
-    let last = refuted.path.last().unwrap();
-    assert!(!last.added && last.item.spec.family == torque_offset::ID, "{last:?}");
+    let last = refuted.diagnosis.path.last().unwrap();
+    assert!(last.action == Action::Removed && last.what == "torque-offset in joint 2", "{last:?}");
     // Nothing is delivered, and the joint stays unexplained.
     assert_eq!(refuted.after.structure.columns().len(), refuted.before.structure.columns().len());
-    assert_eq!(refuted.verdict, Verdict::Unexplained);
+    assert_eq!(refuted.diagnosis.verdict, Verdict::Unexplained);
 }
 
 #[test]
@@ -68,12 +67,12 @@ fn an_effect_is_delivered_when_it_explains_half_of_what_unseen_runs_lack() {
         let found = of(32, (6.0, 0.0), (6.0, 0.0), (offset, tone));
         assert_eq!(labels(&found), [("torque-offset", 2, delivered)]);
         let explained = offset * offset / (offset * offset + tone * tone);
-        let adequacy = found.effects[0].adequacy.unwrap();
+        let adequacy = found.diagnosis.effects[0].adequacy.unwrap();
         assert!((adequacy - explained).abs() < 0.08, "{adequacy} {explained}");
         let columns = found.before.structure.columns().len() + usize::from(delivered);
         assert_eq!(found.after.structure.columns().len(), columns);
         // What is stated of the joint is stated of the delivered model.
-        let [before, after] = found.joints[1].rms;
+        let BeforeAfter { before: Some(before), after: Some(after) } = found.diagnosis.joints[1].rms else { panic!() };
         assert!(if delivered { after < 0.5 * before } else { after == before }, "{before} {after}");
     }
 }
@@ -83,48 +82,53 @@ fn where_unseen_runs_hardly_show_it_an_effect_has_to_do_no_harm_alone() {
     // Of what the plain model lacks there, 1.2 and 2 times the noise, the effect explains about a third; at last it does harm.
     for (offset, tone, delivered) in [(0.8, 0.9, true), (1.2, 1.6, false), (0.4, 1.0, false)] {
         let found = of(33, (1.2, 0.0), (1.2, 0.0), (offset, tone));
-        assert_eq!(labels(&found), [("torque-offset", 2, delivered)], "{offset} {tone}: {:?}", found.joints[1]);
-        assert!(found.effects[0].adequacy.unwrap() < 0.5, "{:?}", found.effects[0].adequacy);
+        assert_eq!(
+            labels(&found),
+            [("torque-offset", 2, delivered)],
+            "{offset} {tone}: {:?}",
+            found.diagnosis.joints[1]
+        );
+        assert!(found.diagnosis.effects[0].adequacy.unwrap() < 0.5, "{:?}", found.diagnosis.effects[0].adequacy);
     }
 }
 
 #[test]
 fn a_verdict_says_what_is_left_over() {
     let same = |seed, size: (f64, f64)| of(seed, size, size, size);
-    assert_eq!(same(34, (0.0, 0.0)).verdict, Verdict::NothingSignificant);
-    assert!(matches!(same(34, (6.0, 0.0)).verdict, Verdict::Diagnosed | Verdict::Ambiguous));
+    assert_eq!(same(34, (0.0, 0.0)).diagnosis.verdict, Verdict::NothingSignificant);
+    assert!(matches!(same(34, (6.0, 0.0)).diagnosis.verdict, Verdict::Diagnosed | Verdict::Ambiguous));
     // Nine tenths of what was lacking, and less than 2.5 times the noise left over: explained.
     let most = same(34, (12.0, 2.0));
-    assert!(most.joints[1].lacking(1), "{:?}", most.joints[1]);
-    assert!(matches!(most.verdict, Verdict::Diagnosed | Verdict::Ambiguous), "{:?}", most.verdict);
+    assert!(most.diagnosis.joints[1].lacking_after(), "{:?}", most.diagnosis.joints[1]);
+    assert!(matches!(most.diagnosis.verdict, Verdict::Diagnosed | Verdict::Ambiguous), "{:?}", most.diagnosis.verdict);
     // More left over, or a smaller share.
-    assert_eq!(same(34, (20.0, 3.3)).verdict, Verdict::Partly);
-    assert_eq!(same(34, (5.0, 2.2)).verdict, Verdict::Partly);
+    assert_eq!(same(34, (20.0, 3.3)).diagnosis.verdict, Verdict::Partly);
+    assert_eq!(same(34, (5.0, 2.2)).diagnosis.verdict, Verdict::Partly);
 }
 
 #[test]
 fn what_follows_no_variable_is_unexplained_from_twice_its_noise_on() {
     let same = |seed, tone: f64| of(seed, (0.0, tone), (0.0, tone), (0.0, tone));
     let little = same(35, 0.9);
-    assert!(little.joints[1].lacking(0), "{:?}", little.joints[1]);
-    assert_eq!(little.verdict, Verdict::NothingSignificant);
+    assert!(little.diagnosis.joints[1].lacking_before(), "{:?}", little.diagnosis.joints[1]);
+    assert_eq!(little.diagnosis.verdict, Verdict::NothingSignificant);
     let more = same(35, 1.3);
-    assert_eq!(more.verdict, Verdict::Unexplained);
-    assert_eq!(more.unexplained.iter().map(|one| one.joint).collect::<Vec<_>>(), [1]);
+    assert_eq!(more.diagnosis.verdict, Verdict::Unexplained);
+    assert_eq!(more.diagnosis.unexplained.iter().map(|one| one.joint).collect::<Vec<_>>(), [1]);
 }
 
 #[test]
 fn a_joint_lacks_something_above_its_noise_and_above_the_threshold() {
     let lacking = |ratio: Option<f64>, unmodelled: f64| {
         let facts = JointFacts {
-            floor: Some(1.0),
-            unmodelled: [unmodelled, 0.0],
-            lack_of_fit: ratio.map(|ratio| [ratio, 1.0]),
-            threshold: 0.75,
+            floor_of_mean: Some(1.0),
+            unmodelled: BeforeAfter::both([unmodelled, 0.0]),
+            lack_of_fit: ratio.map_or(BeforeAfter::default(), |ratio| BeforeAfter::both([ratio, 1.0])),
+            threshold: Some(0.75),
             ..JointFacts::default()
         };
-        assert!(!facts.lacking(1));
-        facts.lacking(0)
+        assert!(!facts.lacking_after());
+        facts.lacking_before()
     };
     assert!(lacking(Some(1.31), 0.76));
     assert!(!lacking(Some(1.29), 0.76));
@@ -135,23 +139,25 @@ fn a_joint_lacks_something_above_its_noise_and_above_the_threshold() {
 #[test]
 fn facts_of_a_joint_are_those_of_its_residual() {
     let found = of(40, (6.0, 1.0), (6.0, 1.0), (6.0, 1.0));
-    let facts = &found.joints[1];
-    let floor = facts.floor.unwrap();
+    let facts = &found.diagnosis.joints[1];
+    let floor = facts.floor_of_mean.unwrap();
+    let both = |of: BeforeAfter| [of.before.unwrap(), of.after.unwrap()];
+    let (unmodelled, rms) = (both(facts.unmodelled), both(facts.rms));
     assert!((floor / FLOOR - 1.0).abs() < 0.05, "{floor} {FLOOR}");
-    assert!((facts.threshold - 0.75 * floor).abs() < 1e-12);
+    assert!((facts.threshold.unwrap() - 0.75 * floor).abs() < 1e-12);
     // The base parameters take a part of the offset over; the tone is left.
-    assert!((3.0..6.5).contains(&(facts.unmodelled[0] / FLOOR)), "{facts:?}");
-    let withheld: Vec<_> = found.effects.iter().map(|effect| &effect.withheld).collect();
-    assert!((facts.unmodelled[1] / FLOOR - 1.0).abs() < 0.25, "{facts:?} {withheld:?}");
+    assert!((3.0..6.5).contains(&(unmodelled[0] / FLOOR)), "{facts:?}");
+    let withheld: Vec<_> = found.diagnosis.effects.iter().map(|effect| &effect.withheld).collect();
+    assert!((unmodelled[1] / FLOOR - 1.0).abs() < 0.25, "{facts:?} {withheld:?}");
     for when in 0..2 {
-        let square = facts.rms[when].powi(2);
-        assert!((facts.unmodelled[when].powi(2) - (square - floor * floor)).abs() < 1e-12, "{facts:?}");
+        let square = rms[when].powi(2);
+        assert!((unmodelled[when].powi(2) - (square - floor * floor)).abs() < 1e-12, "{facts:?}");
     }
     // Power over that of the noise, row by row; the tone leaves as much as the noise.
-    let [was, is] = facts.lack_of_fit.unwrap();
+    let [was, is] = both(facts.lack_of_fit);
     assert!(was > 15.0 && (is / 2.0 - 1.0).abs() < 0.25, "{facts:?}");
     // Trajectories that were left out are predicted a little worse than those that were fitted.
-    for (left_out, fitted) in facts.left_out.unwrap().into_iter().zip(facts.rms) {
+    for (left_out, fitted) in both(facts.left_out).into_iter().zip(rms) {
         assert!((1.0..1.3).contains(&(left_out / fitted)), "{facts:?}");
     }
 }
@@ -159,9 +165,9 @@ fn facts_of_a_joint_are_those_of_its_residual() {
 #[test]
 fn the_least_offset_that_would_be_found_is_three_quarters_of_the_noise() {
     let found = of(37, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0));
-    let offsets = found.detectable.iter().find(|one| one.family == "torque-offset").unwrap();
+    let offsets = &found.diagnosis.minimum_detectable["torque-offset"];
     let identify = recorded(4, 37, torque(0.0, 0.0));
-    for &(joint, torque, parameter) in &offsets.sites {
+    for (joint, (torque, parameter)) in offsets.torque_rms.iter().zip(&offsets.parameter).enumerate() {
         // What the base columns leave of a constant, by projection on their rows.
         let independence = identify.search(&[&torque_offset::FAMILY], &Settings::default(), |search, base| {
             let item = search.library.iter().find(|item| item.joints() == [joint]).unwrap();
@@ -175,22 +181,38 @@ fn the_least_offset_that_would_be_found_is_three_quarters_of_the_noise() {
             let q = m.qr().q();
             (&c - &q * q.tr_mul(&c)).norm_squared() / whole
         });
-        let expected = 0.75 * found.joints[joint].floor.unwrap() / independence.sqrt();
+        let expected = 0.75 * found.diagnosis.joints[joint].floor_of_mean.unwrap() / independence.sqrt();
         assert!((torque / expected - 1.0).abs() < 0.05, "joint {}: {torque} {expected}", joint + 1);
         assert!((parameter - torque).abs() < 1e-6, "an offset of 1 Nm is a torque of 1 Nm");
     }
-    assert_eq!(offsets.sites.len(), 2);
+    assert_eq!(offsets.torque_rms.len(), 2);
 }
 
 #[test]
 fn what_a_finding_was_tested_on_is_said() {
     let size = (6.0, 0.0);
-    assert_eq!(of(38, size, size, size).confirmation, Confirmation::Full { trajectories: 4 });
+    assert_eq!(of(38, size, size, size).diagnosis.confirmation, Some(Confirmation::Full { trajectories: 4 }));
     let with = |count| recorded(count, 38, torque(size.0, size.1));
-    assert_eq!(outcome(&with(1), &with(2), &with(3)).confirmation, Confirmation::OneTrajectory);
+    assert_eq!(outcome(&with(1), &with(2), &with(3)).diagnosis.confirmation, Some(Confirmation::OneTrajectory));
     let free = once(12.0, 38, torque(0.0, 0.0));
     let other = once(6.0, 39, torque(0.0, 0.0));
     let found = outcome(&free, &other, &other);
-    assert!(matches!(found.confirmation, Confirmation::NoRepeats { blocks: 11..=12 }), "{:?}", found.confirmation);
-    assert!(found.joints.iter().all(|facts| facts.floor.is_none() && !facts.lacking(0)));
+    assert_eq!(found.diagnosis.confirmation, Some(Confirmation::NoRepeats));
+    let blocks = |count: usize| found.diagnosis.notes.iter().any(|note| note.contains(&format!("{count} blocks")));
+    assert!(blocks(11) || blocks(12), "{:?}", found.diagnosis.notes);
+    assert!(found.diagnosis.joints.iter().all(|facts| facts.floor_of_mean.is_none() && !facts.lacking_before()));
+}
+
+/// The file is written from the outcome's own types, and read into them.
+#[test]
+fn a_diagnosis_comes_back_from_its_file() {
+    let of = |torque: (f64, f64)| of(41, torque, torque, torque).diagnosis;
+    for diagnosis in [of((6.0, 4.0)), of((0.0, 0.0))] {
+        let text = serde_json::to_string_pretty(&diagnosis).unwrap();
+        let again: Diagnosis = serde_json::from_str(&text).unwrap();
+        // A figure that could not be measured is NaN, which equals nothing: the texts are compared.
+        assert_eq!(serde_json::to_string_pretty(&again).unwrap(), text);
+        assert_eq!((again.verdict, again.confirmation), (diagnosis.verdict, diagnosis.confirmation));
+        assert_eq!(again.effects, diagnosis.effects);
+    }
 }

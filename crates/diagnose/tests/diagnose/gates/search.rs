@@ -3,7 +3,7 @@
 use super::synthetic::{
     At, FLOOR, ROWS, Recorded, once, once_with_effect, recorded, scaled, with_effect, with_effect_in_noise,
 };
-use plumbline_diagnose::{Candidate, Folds, Relevance, Scored, Search, Selected, Settings, State};
+use plumbline_diagnose::{Candidate, FoldTest, Relevance, Scored, Search, Selected, Settings, State};
 use plumbline_model::term::effect::{Family, Site, Spec};
 use plumbline_model::term::{
     asymmetric_coulomb, asymmetric_viscous, joint_elasticity, position_ripple, spring, torque_offset,
@@ -88,7 +88,7 @@ fn the_size_of_the_library_is_paid_for() {
 
 #[test]
 fn three_of_four_folds_have_to_agree() {
-    let folds = |positive, informative| Folds { positive, informative, ..Folds::default() };
+    let folds = |positive, informative| FoldTest { positive, informative, ..FoldTest::default() };
     assert_eq!(folds(3, 4).confirm(), Some(true));
     assert_eq!(folds(6, 8).confirm(), Some(true));
     assert_eq!(folds(5, 8).confirm(), Some(false));
@@ -98,15 +98,15 @@ fn three_of_four_folds_have_to_agree() {
 
 #[test]
 fn without_repeats_every_condition_on_left_out_blocks_counts() {
-    let good = Folds { positive: 3, informative: 3, evidence: 20.1, share: 0.21, worst: -0.29 };
-    let holds = |folds: Folds, blocks: usize| folds.hold(blocks, 20.0, Settings::default().least_share_left_out);
+    let good = FoldTest { positive: 3, informative: 3, evidence: 20.1, share: 0.21, worst: -0.29 };
+    let holds = |folds: FoldTest, blocks: usize| folds.hold(blocks, 20.0, Settings::default().least_share_left_out);
     assert!(holds(good, 20));
-    assert!(!holds(Folds { informative: 2, ..good }, 20), "in three blocks");
-    assert!(holds(Folds { informative: 2, ..good }, 5), "of few blocks in half");
-    assert!(!holds(Folds { informative: 1, ..good }, 5));
-    assert!(!holds(Folds { evidence: 19.9, ..good }, 20), "as much as it costs");
-    assert!(!holds(Folds { share: 0.19, ..good }, 20), "a fifth of a joint's error");
-    assert!(!holds(Folds { worst: -0.31, ..good }, 20), "no joint loses more than 30 %");
+    assert!(!holds(FoldTest { informative: 2, ..good }, 20), "in three blocks");
+    assert!(holds(FoldTest { informative: 2, ..good }, 5), "of few blocks in half");
+    assert!(!holds(FoldTest { informative: 1, ..good }, 5));
+    assert!(!holds(FoldTest { evidence: 19.9, ..good }, 20), "as much as it costs");
+    assert!(!holds(FoldTest { share: 0.19, ..good }, 20), "a fifth of a joint's error");
+    assert!(!holds(FoldTest { worst: -0.31, ..good }, 20), "no joint loses more than 30 %");
 }
 
 #[test]

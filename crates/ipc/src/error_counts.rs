@@ -5,11 +5,11 @@ const MAX_CAUSES: usize = 16;
 
 /// Causes of trouble and how often each has come.
 #[derive(Debug, Default)]
-pub(super) struct Troubles {
+pub(super) struct ErrorCounts {
     causes: Vec<(String, u64)>,
 }
 
-impl Troubles {
+impl ErrorCounts {
     /// Counts `cause`; the line for the log, where it is due.
     pub(super) fn count(&mut self, cause: &str) -> Option<String> {
         let known = self.causes.iter().position(|(known, _)| known == cause);
@@ -36,7 +36,7 @@ mod tests {
 
     #[test]
     fn a_cause_is_logged_once_and_then_with_its_count() {
-        let mut troubles = Troubles::default();
+        let mut troubles = ErrorCounts::default();
         let lines: Vec<_> = (0..1000).filter_map(|_| troubles.count("no file descriptor is left")).collect();
         let text = |count| format!("no file descriptor is left ({count} times)");
         assert_eq!(lines, ["no file descriptor is left".to_string(), text(10), text(100), text(1000)]);

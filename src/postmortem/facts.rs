@@ -1,120 +1,120 @@
-//! The facts of a recording, in order. Times are seconds before the end of the recording, by the arm's own counter.
+//! Facts of a recording. Times are seconds before its end, from the arm's sequence numbers.
 
 use super::advice;
-use super::replay::Replayed;
+use super::replay::ReplayResult;
 use super::timing::Timing;
 use crate::recording::Recording;
-use crate::recording::about::{Given, ReasonKind};
-use crate::recording::messages::{limit_name, words};
-use plumbline_core::{PERIOD, Phase, Record};
+use crate::recording::about::{ReasonKind, RecordedOrder};
+use crate::recording::messages::{event_text, limit_name};
+use plumbline_core::{PERIOD_S, Phase, Record};
 use plumbline_rt::{Event, Limit, StopReason, TimedEvent, Violation};
 use serde::Serialize;
 
-/// Most lines of the timeline and of the lists of outliers.
-pub(super) const LINES: usize = 60;
+/// Maximum length of the timeline and of the list of outliers.
+pub(super) const MAX_LINES: usize = 60;
 
-/// What happened.
+/// Facts of a recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Story {
+pub struct Facts {
     /// The file.
     pub file: String,
-    /// The robot and how it was mounted.
+    /// Robot and its id.
     pub robot: String,
-    /// How the arm was mounted.
+    /// Mounting as text.
     pub mounting: String,
     /// Version of the program that recorded it.
     pub plumbline: String,
     /// When it was recorded, UTC.
     pub recorded: String,
-    /// The job's file and the beginning of its hash.
+    /// Job file and the start of its hash.
     pub job: String,
-    /// The model that served last, in hexadecimal.
+    /// Last served model, in hexadecimal.
     pub model: Option<String>,
-    /// Why it was recorded, in one word.
+    /// Identifier of the reason.
     pub kind: ReasonKind,
-    /// Why it was recorded, in one sentence.
+    /// Reason in one sentence.
     pub reason: String,
-    /// How the loop ended, where it did.
+    /// End of the loop, if it has ended.
     pub end: Option<String>,
-    /// What the arm was doing when it happened.
+    /// Motion and phase at the event.
     pub during: Option<String>,
-    /// The first limit that was crossed.
-    pub first_limit: Option<Crossing>,
+    /// The first limit that was exceeded.
+    pub first_limit: Option<LimitViolation>,
     /// The last controlled stop.
     pub stop: Option<Stop>,
-    /// What happened, oldest first.
-    pub timeline: Vec<Line>,
-    /// Distance from the command, per joint.
-    pub tracking: Vec<Joint>,
+    /// Events, oldest first.
+    pub timeline: Vec<TimelineEntry>,
+    /// Tracking error, per joint.
+    pub tracking: Vec<JointPeak>,
     /// Measured torque, per joint.
-    pub torque: Vec<Joint>,
-    /// Cycles and their times.
+    pub torque: Vec<JointPeak>,
+    /// Cycle times.
     pub timing: Timing,
-    /// What the operator does next.
+    /// Next steps for the operator.
     pub next: Vec<String>,
-    /// What is missing in the recording.
+    /// Gaps in the recording.
     pub gaps: Vec<String>,
-    /// The recording through the loop again, where that was asked for.
-    pub replay: Option<Replayed>,
+    /// Result of the replay, if one was requested.
+    pub replay: Option<ReplayResult>,
 }
 
-/// A limit that was crossed.
+/// A limit that was exceeded.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Crossing {
+pub struct LimitViolation {
     /// Name of the limit.
     pub limit: String,
     /// Joint, from 1 (axis of the base frame for the box).
     pub joint: usize,
-    /// What was found.
+    /// Value found.
     pub value: f64,
-    /// What it was held against.
+    /// The limit.
     pub bound: f64,
-    /// When \[s before the end\].
+    /// Time \[s before the end\].
     pub before: f64,
     /// The cycle.
     pub cycle: u64,
-    /// In words.
+    /// Description.
     pub text: String,
 }
 
 /// A controlled stop.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Stop {
-    /// When it began \[s before the end\].
+    /// Start \[s before the end\].
     pub before: f64,
-    /// How long it took \[s\]; until the end of the recording where the arm did not come to rest.
+    /// Duration, up to the end of the recording if the arm did not come to rest \[s\].
     pub seconds: f64,
-    /// Whether the arm came to rest by it.
+    /// Whether the arm came to rest.
     pub at_rest: bool,
-    /// Highest speed when it began \[rad/s\] and the joint, from 1.
+    /// Highest speed at the start \[rad/s\] and its joint, from 1.
     pub speed: (f64, usize),
-    /// Longest way on the stop \[rad\] and the joint, from 1.
+    /// Longest travel during the stop \[rad\] and its joint, from 1.
     pub travelled: (f64, usize),
 }
 
-/// Something that happened.
+/// An entry of the timeline.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Line {
-    /// When \[s before the end\].
+pub struct TimelineEntry {
+    /// Time \[s before the end\].
     pub before: f64,
     /// The cycle.
     pub cycle: u64,
-    /// What the arm was doing.
+    /// Phase of the arm.
     pub phase: String,
-    /// What happened.
+    /// Description.
     pub text: String,
     /// `plain`, `warn` or `bad`.
     pub weight: &'static str,
 }
 
-/// The worst of one joint.
+/// Peak value of one joint.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Joint {
-    /// From 1.
+pub struct JointPeak {
+    /// Joint, from 1.
     pub joint: usize,
-    /// The largest value, without a sign \[rad\] or \[Nm\].
+    /// Largest absolute value \[rad\] or \[Nm\].
     pub worst: f64,
-    /// When \[s before the end\].
+    /// Time \[s before the end\].
     pub before: f64,
     /// The limit.
     pub limit: f64,
@@ -122,7 +122,7 @@ pub struct Joint {
     pub share: f64,
 }
 
-/// Name of a phase, for people.
+/// Name of a phase.
 pub fn phase_name(phase: Phase) -> &'static str {
     match phase {
         Phase::Hold => "hold",
@@ -134,34 +134,34 @@ pub fn phase_name(phase: Phase) -> &'static str {
     }
 }
 
-/// Clock of a story: seconds before its end by the arm's counter.
-pub(super) struct Before {
+/// Conversion of sequence numbers to seconds before the end of the recording.
+pub(super) struct TimeBase {
     last: u64,
 }
 
-impl Before {
-    pub fn of(recording: &Recording) -> Before {
+impl TimeBase {
+    pub fn of(recording: &Recording) -> TimeBase {
         let newest = recording.records.last().map_or(0, |record| record.state.seq);
         let unanswered = recording.unanswered.as_ref().map_or(0, |record| record.state.seq);
         let told = recording.events.iter().map(|told| told.seq).max().unwrap_or(0);
-        Before { last: newest.max(unanswered).max(told) }
+        TimeBase { last: newest.max(unanswered).max(told) }
     }
 
-    pub fn at(&self, seq: u64) -> f64 {
-        self.last.saturating_sub(seq) as f64 * PERIOD
+    pub fn before_end(&self, seq: u64) -> f64 {
+        self.last.saturating_sub(seq) as f64 * PERIOD_S
     }
 }
 
-impl Story {
-    /// Of a recording in `file`.
-    pub fn of(file: &str, recording: &Recording, replay: Option<Replayed>) -> Story {
+impl Facts {
+    /// Facts of the recording in `file`.
+    pub fn of(file: &str, recording: &Recording, replay: Option<ReplayResult>) -> Facts {
         let about = &recording.about;
-        let before = Before::of(recording);
-        let first_limit = first_limit(recording, &before);
-        let stop = stop(recording, &before);
-        let timing = Timing::of(recording, &before);
+        let time = TimeBase::of(recording);
+        let first_limit = first_limit(recording, &time);
+        let stop = stop(recording, &time);
+        let timing = Timing::of(recording, &time);
         let short: String = about.job_sha256.chars().take(12).collect();
-        let mut story = Story {
+        let mut facts = Facts {
             file: file.to_string(),
             robot: if about.id == about.robot {
                 about.robot.clone()
@@ -177,9 +177,9 @@ impl Story {
             reason: about.reason.text.clone(),
             end: about.end.clone(),
             during: during(recording),
-            timeline: timeline(recording, &before),
-            tracking: tracking(recording, &before),
-            torque: torque(recording, &before),
+            timeline: timeline(recording, &time),
+            tracking: tracking(recording, &time),
+            torque: torque(recording, &time),
             gaps: gaps(recording),
             next: Vec::new(),
             first_limit,
@@ -187,31 +187,29 @@ impl Story {
             timing,
             replay,
         };
-        story.next = advice::next(&story, about);
-        story
+        facts.next = advice::next(&facts, about);
+        facts
     }
 
-    /// The one sentence that says what happened.
+    /// Summary in one sentence.
     pub fn headline(&self) -> String {
         let during = self.during.as_ref().map_or(String::new(), |during| format!(", during {during}"));
         let happened = match self.kind {
             ReasonKind::Guard => "The guard stopped the arm",
             ReasonKind::LostStates => "The arm was stopped because states were lost",
-            ReasonKind::Requested => "A stop was requested",
+            ReasonKind::Requested => "The arm was stopped on request",
             ReasonKind::HeartbeatLost => "The arm was stopped because the supervisor's heartbeat timed out",
-            ReasonKind::NotRealTime => "The loop did not begin, for the machine is not real-time",
-            ReasonKind::Mounting => "The arm was stopped because its mounting was in doubt",
+            ReasonKind::NotRealTime => "The loop did not start because the computer is not real-time",
+            ReasonKind::Mounting => "The arm was stopped because the mounting check failed",
             ReasonKind::EstimatorLost => "The arm was stopped because the estimator was lost",
             ReasonKind::NotAtStart | ReasonKind::NoPath => "A motion could not begin",
             ReasonKind::Reflex => "The arm stopped by itself",
             ReasonKind::Refused => "The arm refused a command",
             ReasonKind::Disconnected => "The connection to the arm was lost",
-            ReasonKind::Silent => "No state came from the arm in time",
+            ReasonKind::Silent => "The arm sent no more states",
             ReasonKind::Panic => "The loop's thread panicked",
-            ReasonKind::Unsafe | ReasonKind::NoBrake => {
-                "No controlled stop was possible: the arm was stopped by its own means"
-            }
-            ReasonKind::Clock => "The arm's counter did not go forward",
+            ReasonKind::Unsafe | ReasonKind::NoBrake => "No controlled stop was possible: the arm stopped itself",
+            ReasonKind::Clock => "The arm's sequence number did not increase",
             ReasonKind::Signal => "A signal ended the program, and the arm was stopped",
             ReasonKind::ParentEnded => "The program that had started the daemon ended, and the arm was stopped",
             ReasonKind::OnDemand => "A recording was requested",
@@ -222,7 +220,7 @@ impl Story {
     }
 }
 
-/// Motion and phase in which it happened.
+/// Motion and phase at the event.
 fn during(recording: &Recording) -> Option<String> {
     let braking = |record: &&Record| matches!(record.phase, Phase::Stop | Phase::Stopped);
     let moving = recording.records.iter().rev().find(|record| !braking(record))?;
@@ -231,34 +229,36 @@ fn during(recording: &Recording) -> Option<String> {
     }
     let names = &recording.about.motions;
     let own = names.iter().find(|(number, _)| *number == moving.motion).map(|(_, name)| name.clone());
-    // Approaches carry a number beyond those of the motions that they lead to.
+    // The number of an approach is that of its motion plus 2^16.
     let to = names.iter().find(|(number, _)| moving.motion.checked_sub(1 << 16) == Some(*number));
     let name = own.or(to.map(|(_, name)| format!("the way to {name}")));
     Some(match (moving.phase, name) {
         (Phase::Return, _) => "the way back".to_string(),
-        (phase, Some(name)) => format!("{name} ({:.3} s into its {})", moving.tick as f64 * PERIOD, phase_name(phase)),
+        (phase, Some(name)) => {
+            format!("{name} ({:.3} s into its {})", moving.tick as f64 * PERIOD_S, phase_name(phase))
+        }
         (phase, None) => format!("motion {} ({})", moving.motion, phase_name(phase)),
     })
 }
 
-fn first_limit(recording: &Recording, before: &Before) -> Option<Crossing> {
-    // Of the stop that this is about: one that an operator has lifted is another story.
+fn first_limit(recording: &Recording, time: &TimeBase) -> Option<LimitViolation> {
+    // Only the last stop counts, and only if no resume followed it.
     let of_a_stop = |told: &&TimedEvent| matches!(told.event, Event::Stopping { .. } | Event::Resumed);
     let told = recording.events.iter().rfind(of_a_stop)?;
     let Event::Stopping { reason: StopReason::Guard(violation), .. } = told.event else { return None };
     let Violation { limit, joint, value, bound } = violation;
-    Some(Crossing {
+    Some(LimitViolation {
         limit: limit_name(limit).to_string(),
         joint: joint + 1,
         value,
         bound,
-        before: before.at(told.seq),
+        before: time.before_end(told.seq),
         cycle: told.cycle,
         text: violation.to_string(),
     })
 }
 
-fn stop(recording: &Recording, before: &Before) -> Option<Stop> {
+fn stop(recording: &Recording, time: &TimeBase) -> Option<Stop> {
     let began = recording.events.iter().rfind(|told| matches!(told.event, Event::Stopping { .. }))?;
     let rest = recording.events.iter().find(|told| told.event == Event::Stopped && told.cycle >= began.cycle);
     let records = &recording.records;
@@ -278,18 +278,17 @@ fn stop(recording: &Recording, before: &Before) -> Option<Stop> {
             }
         }
     }
-    let seconds = last.saturating_sub(began.seq) as f64 * PERIOD;
-    Some(Stop { before: before.at(began.seq), seconds, at_rest: rest.is_some(), speed, travelled })
+    let seconds = last.saturating_sub(began.seq) as f64 * PERIOD_S;
+    Some(Stop { before: time.before_end(began.seq), seconds, at_rest: rest.is_some(), speed, travelled })
 }
 
-fn timeline(recording: &Recording, before: &Before) -> Vec<Line> {
+fn timeline(recording: &Recording, time: &TimeBase) -> Vec<TimelineEntry> {
     let phase_at = |cycle: u64| {
         let place = recording.records.partition_point(|record| record.cycle < cycle);
         let record = recording.records.get(place).or(recording.records.last());
         record.map_or(String::new(), |record| phase_name(record.phase).to_string())
     };
-    let name = |text: String| {
-        let mut text = text;
+    let named = |mut text: String| {
         for (number, name) in &recording.about.motions {
             for (from, to) in [
                 (format!("motion {number} has"), format!("{name} has")),
@@ -300,11 +299,17 @@ fn timeline(recording: &Recording, before: &Before) -> Vec<Line> {
         }
         text.replace(&format!("motion {} has", 1 << 17), "the way back has")
     };
-    let mut lines: Vec<Line> = Vec::new();
+    let mut lines: Vec<TimelineEntry> = Vec::new();
     if let Some(first) = recording.records.first() {
         let text = "the recording begins".to_string();
         let phase = phase_name(first.phase).to_string();
-        lines.push(Line { before: before.at(first.state.seq), cycle: first.cycle, phase, text, weight: "plain" });
+        lines.push(TimelineEntry {
+            before: time.before_end(first.state.seq),
+            cycle: first.cycle,
+            phase,
+            text,
+            weight: "plain",
+        });
     }
     for told in &recording.events {
         let weight = match told.event {
@@ -315,27 +320,42 @@ fn timeline(recording: &Recording, before: &Before) -> Vec<Line> {
             _ => "plain",
         };
         let resting = matches!(told.event, Event::Started { .. } | Event::Ended { .. })
-            && matches!(recording.about.orders.get(told.orders.saturating_sub(1) as usize), Some(Given::Dwell { .. }));
-        let text = name(words(&told.event));
+            && matches!(
+                recording.about.orders.get(told.orders.saturating_sub(1) as usize),
+                Some(RecordedOrder::Dwell { .. })
+            );
+        let text = named(event_text(&told.event));
         let text = if resting { text.replace("the way to ", "the rest before ") } else { text };
-        lines.push(Line { before: before.at(told.seq), cycle: told.cycle, phase: phase_at(told.cycle), text, weight });
+        lines.push(TimelineEntry {
+            before: time.before_end(told.seq),
+            cycle: told.cycle,
+            phase: phase_at(told.cycle),
+            text,
+            weight,
+        });
     }
     for note in &recording.about.notes {
         let place = recording.records.partition_point(|record| record.state.seq < note.seq);
         let cycle = recording.records.get(place).map_or(0, |record| record.cycle);
         let text = note.text.clone();
-        lines.push(Line { before: before.at(note.seq), cycle, phase: phase_at(cycle), text, weight: "warn" });
+        lines.push(TimelineEntry {
+            before: time.before_end(note.seq),
+            cycle,
+            phase: phase_at(cycle),
+            text,
+            weight: "warn",
+        });
     }
     lines.sort_by(|a, b| b.before.total_cmp(&a.before));
     if let Some(end) = recording.about.end.as_ref().filter(|_| !recording.records.is_empty()) {
         let cycle = recording.unanswered.as_ref().or(recording.records.last()).map_or(0, |record| record.cycle);
-        // In the backend's own words where it has any.
+        // The backend's description, if there is one.
         let text = if recording.about.reason.text.contains(end.as_str()) { &recording.about.reason.text } else { end };
         let text = format!("the loop ended: {text}");
-        lines.push(Line { before: 0.0, cycle, phase: phase_at(cycle), text, weight: "bad" });
+        lines.push(TimelineEntry { before: 0.0, cycle, phase: phase_at(cycle), text, weight: "bad" });
     }
-    if lines.len() > LINES {
-        let surplus = lines.len() - LINES;
+    if lines.len() > MAX_LINES {
+        let surplus = lines.len() - MAX_LINES;
         lines.drain(1..=surplus);
         if let Some(first) = lines.first_mut() {
             first.text = format!("the recording begins; {surplus} earlier events are left out here");
@@ -344,13 +364,13 @@ fn timeline(recording: &Recording, before: &Before) -> Vec<Line> {
     lines
 }
 
-/// The largest of a value over the records, per joint.
+/// Peak of a value over the records, per joint.
 fn worst(
     recording: &Recording,
-    before: &Before,
+    time: &TimeBase,
     limit: impl Fn(usize) -> f64,
     value: impl Fn(&Record, &Record, usize) -> f64,
-) -> Vec<Joint> {
+) -> Vec<JointPeak> {
     let one = |j: usize| {
         let (mut worst, mut seq) = (0.0_f64, 0);
         for pair in recording.records.windows(2).filter(|pair| pair[1].cycle == pair[0].cycle + 1) {
@@ -360,47 +380,47 @@ fn worst(
             }
         }
         let limit = limit(j);
-        Joint { joint: j + 1, worst, before: before.at(seq), limit, share: worst / limit }
+        JointPeak { joint: j + 1, worst, before: time.before_end(seq), limit, share: worst / limit }
     };
     (0..recording.about.joints).map(one).collect()
 }
 
-/// Distance of the measured position from the position sent last, as the guard takes it.
+/// Tracking error as in the guard: measured position minus previous command.
 pub(super) fn tracking_error(earlier: &Record, later: &Record, j: usize) -> f64 {
     later.state.q[j] - earlier.command.desired.q[j]
 }
 
-fn tracking(recording: &Recording, before: &Before) -> Vec<Joint> {
+fn tracking(recording: &Recording, time: &TimeBase) -> Vec<JointPeak> {
     let tolerance = recording.about.settings.tracking();
-    worst(recording, before, |j| tolerance[j], tracking_error)
+    worst(recording, time, |j| tolerance[j], tracking_error)
 }
 
-fn torque(recording: &Recording, before: &Before) -> Vec<Joint> {
+fn torque(recording: &Recording, time: &TimeBase) -> Vec<JointPeak> {
     let limits = recording.about.settings.limits();
-    worst(recording, before, |j| limits.tau[j], |_, record, j| record.state.tau[j])
+    worst(recording, time, |j| limits.tau[j], |_, record, j| record.state.tau[j])
 }
 
 fn gaps(recording: &Recording) -> Vec<String> {
     let mut gaps = Vec::new();
     if let Some(cut) = &recording.cut {
-        gaps.push(format!("The file is damaged or was cut short ({cut}); what is before that is told here."));
+        gaps.push(format!("The file is damaged or was cut short ({cut}); the part before that is shown."));
     }
     for pair in recording.records.windows(2) {
         let missing = pair[1].cycle.saturating_sub(pair[0].cycle).saturating_sub(1);
-        if missing > 0 && gaps.len() < LINES {
-            gaps.push(format!("Cycles {} to {} never reached the recorder.", pair[0].cycle + 1, pair[1].cycle - 1));
+        if missing > 0 && gaps.len() < MAX_LINES {
+            gaps.push(format!("Cycles {} to {} are missing.", pair[0].cycle + 1, pair[1].cycle - 1));
         }
     }
     if recording.about.dropped_events > 0 {
-        gaps.push(format!("{} events never left the loop.", recording.about.dropped_events));
+        gaps.push(format!("{} events were dropped by the loop.", recording.about.dropped_events));
     }
     if recording.records.is_empty() {
-        gaps.push("There is no cycle in it.".to_string());
+        gaps.push("The recording contains no cycle.".to_string());
     }
     gaps
 }
 
-/// Whether a limit is one of the measured state.
+/// Whether a limit is one of measured values.
 pub(super) fn is_measured(limit: &str) -> bool {
     [Limit::Tracking, Limit::MeasuredTorque, Limit::MeasuredNotFinite].iter().any(|one| limit_name(*one) == limit)
 }

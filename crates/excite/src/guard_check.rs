@@ -3,18 +3,18 @@
 
 use super::fourier::Fourier;
 use super::limits::{Bounds, Peak, Quantity, VERIFY_RATE};
-use plumbline_core::{Command, JointVec, MAX_JOINTS, PERIOD, Setpoint, State};
+use plumbline_core::{Command, JointVec, MAX_JOINTS, PERIOD_S, Setpoint, State};
 use plumbline_rt::{Guard, GuardSettings, Limit, ModelTorques, MoveFactors, Violation};
 
 /// One period of a motion, from rest: the first rule of the guard that it breaks.
-pub fn rehearse(bounds: &Bounds, fourier: &Fourier) -> Option<Peak> {
+pub fn check_with_guard(bounds: &Bounds, fourier: &Fourier) -> Option<Peak> {
     let ticks = (fourier.period * VERIFY_RATE).round() as u64;
-    rehearse_points(bounds, (0..=ticks).map(|tick| setpoint(fourier, tick)))
+    check_points_with_guard(bounds, (0..=ticks).map(|tick| setpoint(fourier, tick)))
 }
 
 /// The same for setpoints that follow each other at the loop's period; the arm rests at the first. Box, sphere and torques are left to
 /// [`super::limits::check`].
-pub fn rehearse_points(bounds: &Bounds, points: impl IntoIterator<Item = Setpoint>) -> Option<Peak> {
+pub fn check_points_with_guard(bounds: &Bounds, points: impl IntoIterator<Item = Setpoint>) -> Option<Peak> {
     let settings = GuardSettings {
         limits: *bounds.limits,
         envelope: bounds.envelope.copied(),
@@ -30,9 +30,9 @@ pub fn rehearse_points(bounds: &Bounds, points: impl IntoIterator<Item = Setpoin
         });
         let state = State { q, ..State::default() };
         if let Err(violation) =
-            guard.check(PERIOD, &Command { desired, ..Command::default() }, &ModelTorques::default(), &state)
+            guard.check(PERIOD_S, &Command { desired, ..Command::default() }, &ModelTorques::default(), &state)
         {
-            return Some(peak(&violation, tick as f64 * PERIOD));
+            return Some(peak(&violation, tick as f64 * PERIOD_S));
         }
         last = Some(desired.q);
     }
@@ -42,7 +42,7 @@ pub fn rehearse_points(bounds: &Bounds, points: impl IntoIterator<Item = Setpoin
 fn setpoint(fourier: &Fourier, tick: u64) -> Setpoint {
     let mut setpoint = Setpoint::default();
     for j in 0..fourier.joints() {
-        let point = fourier.at(j, tick as f64 * PERIOD);
+        let point = fourier.at(j, tick as f64 * PERIOD_S);
         (setpoint.q[j], setpoint.dq[j], setpoint.ddq[j]) = (point.q, point.dq, point.ddq);
     }
     setpoint
@@ -115,12 +115,12 @@ mod tests {
         fourier.q0[0] = 1.0 - (highest(&fourier) - fourier.q0[0]) - 1e-9;
         let check = verify(&bounds, &fourier, None);
         assert!(check.is_feasible(), "{}", check.violations().next().unwrap());
-        let found = rehearse(&bounds, &fourier).expect("a stop that runs over the end");
+        let found = check_with_guard(&bounds, &fourier).expect("a stop that runs over the end");
         assert_eq!((found.quantity, found.joint), (Quantity::StopMax, Some(1)), "{found}");
         assert!(found.is_violation() && found.to_string().contains("position after a stop"), "{found}");
         // Further inside the range it passes.
         fourier.q0[0] -= 0.2;
-        assert_eq!(rehearse(&bounds, &fourier), None);
+        assert_eq!(check_with_guard(&bounds, &fourier), None);
     }
 
     #[test]
@@ -129,8 +129,8 @@ mod tests {
         let bounds = Bounds::new(&chain, &limits, Margins::none());
         let mut fourier = Fourier::still(2.0, vec![0.0], 1).unwrap();
         fourier.a[(0, 0)] = 0.1;
-        assert!(rehearse(&bounds, &fourier).expect("a jump").is_violation());
+        assert!(check_with_guard(&bounds, &fourier).expect("a jump").is_violation());
         fourier.a[(0, 0)] = f64::NAN;
-        assert!(rehearse(&bounds, &fourier).expect("no number").is_violation());
+        assert!(check_with_guard(&bounds, &fourier).expect("no number").is_violation());
     }
 }

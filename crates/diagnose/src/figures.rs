@@ -1,11 +1,13 @@
 //! The curves behind the plots of a diagnosis. Scores, the path of the search and the unmodelled residuals are drawn from
-//! [`Diagnosis`](super::Diagnosis) itself.
+//! [`Diagnosis`](super::Diagnosis) itself. Joints count from 1.
 //!
-//! Whatever is empty is not drawn, and points that are not finite are left out.
+//! An empty list is not drawn; points that are not finite are left out.
+
+use serde::{Deserialize, Serialize};
 
 /// All curves of a diagnosis.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct DiagnosisFigures {
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Curves {
     /// Mean periods of the residual, in the order of drawing: the joints that have something to show rather than all.
     pub periods: Vec<PeriodFigure>,
     /// Each effect against its own variable.
@@ -19,7 +21,7 @@ pub struct DiagnosisFigures {
 }
 
 /// The part of one joint's residual that every period repeats.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PeriodFigure {
     /// Joint, from 1.
     pub joint: usize,
@@ -37,7 +39,7 @@ pub struct PeriodFigure {
 }
 
 /// A residual against a variable, averaged in bins of it.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EffectFigure {
     /// What is shown: `presliding in joint 4`.
     pub title: String,
@@ -56,7 +58,7 @@ pub struct EffectFigure {
 }
 
 /// Power density of one joint's residual, one-sided.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SpectrumFigure {
     /// Joint, from 1.
     pub joint: usize,
@@ -71,7 +73,7 @@ pub struct SpectrumFigure {
 }
 
 /// A residual over two variables.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MapFigure {
     /// What is shown: `joint 2, unexplained`.
     pub title: String,

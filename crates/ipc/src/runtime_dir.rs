@@ -19,7 +19,7 @@ const GLOBAL: &str = ".global_mgmt";
 
 /// Why the folder can't be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum PlaceError {
+pub enum RuntimeDirError {
     /// Somebody else made it, or opened it to others.
     #[error("{} {what}; expected a directory of user {uid} that nobody else can write to: remove it, or set {VARIABLE}", path.display())]
     Foreign {
@@ -46,8 +46,8 @@ pub enum PlaceError {
 /// that belongs to this user; `plumbline-UID` in the temporary directory.
 ///
 /// # Errors
-/// [`PlaceError::Foreign`] for anything that another user could have prepared, [`PlaceError::Io`].
-pub fn directory() -> Result<PathBuf, PlaceError> {
+/// [`RuntimeDirError::Foreign`] for anything that another user could have prepared, [`RuntimeDirError::Io`].
+pub fn directory() -> Result<PathBuf, RuntimeDirError> {
     let uid = user();
     let path = chosen(uid);
     secure(&path, uid)?;
@@ -55,7 +55,7 @@ pub fn directory() -> Result<PathBuf, PlaceError> {
 }
 
 /// The user that serves robots on this machine, where it is another than this process's.
-pub fn served_by_another() -> Option<u32> {
+pub fn other_serving_user() -> Option<u32> {
     let owner = fs::symlink_metadata(SERVICE).ok()?.uid();
     (owner != user()).then_some(owner)
 }
@@ -82,15 +82,15 @@ fn chosen(uid: u32) -> PathBuf {
 }
 
 /// Makes `path` if it is missing, and refuses it unless it is a directory of `uid` that others can't write to.
-fn secure(path: &Path, uid: u32) -> Result<(), PlaceError> {
-    let failed = |error: io::Error| PlaceError::Io { path: path.to_path_buf(), reason: error.to_string() };
+fn secure(path: &Path, uid: u32) -> Result<(), RuntimeDirError> {
+    let failed = |error: io::Error| RuntimeDirError::Io { path: path.to_path_buf(), reason: error.to_string() };
     match DirBuilder::new().mode(0o700).create(path) {
         Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(failed(error)),
         _ => {}
     }
     // Not `metadata`: a link that somebody laid here must not be followed.
     let found = fs::symlink_metadata(path).map_err(failed)?;
-    let foreign = |what: String| Err(PlaceError::Foreign { path: path.to_path_buf(), what, uid });
+    let foreign = |what: String| Err(RuntimeDirError::Foreign { path: path.to_path_buf(), what, uid });
     if !found.is_dir() {
         return foreign("is not a directory".into());
     }
@@ -106,31 +106,32 @@ fn secure(path: &Path, uid: u32) -> Result<(), PlaceError> {
 /// Whether nobody has laid files of our names into shared memory.
 ///
 /// # Errors
-/// [`PlaceError::Foreign`] names the first one.
-pub(super) fn no_squatters() -> Result<(), PlaceError> {
+/// [`RuntimeDirError::Foreign`] names the first one.
+pub(super) fn no_squatters() -> Result<(), RuntimeDirError> {
     squatters(Path::new(SHARED_MEMORY), user())
 }
 
-fn squatters(shared_memory: &Path, uid: u32) -> Result<(), PlaceError> {
+fn squatters(shared_memory: &Path, uid: u32) -> Result<(), RuntimeDirError> {
     ours_by_name(shared_memory, uid).into_iter().try_for_each(|(path, found)| genuine(path, &found, uid))
 }
 
-fn genuine(path: PathBuf, found: &fs::Metadata, uid: u32) -> Result<(), PlaceError> {
+fn genuine(path: PathBuf, found: &fs::Metadata, uid: u32) -> Result<(), RuntimeDirError> {
     if found.uid() == uid && found.is_file() {
         return Ok(());
     }
     let what = format!("belongs to user {} and has a name of ours", found.uid());
-    Err(PlaceError::Foreign { path, what, uid })
+    Err(RuntimeDirError::Foreign { path, what, uid })
 }
 
 /// Whether the shared memory that this process has opened by our names is this user's. While a daemon runs nobody can put another file
 /// in the place of its own; after its end a stranger could, and wait there for a client.
 ///
 /// # Errors
-/// [`PlaceError::Foreign`] names the first segment that is somebody else's.
-pub(super) fn only_ours_mapped() -> Result<(), PlaceError> {
+/// [`RuntimeDirError::Foreign`] names the first segment that is somebody else's.
+pub(super) fn only_ours_mapped() -> Result<(), RuntimeDirError> {
     let maps = PathBuf::from("/proc/self/maps");
-    let text = fs::read_to_string(&maps).map_err(|error| PlaceError::Io { path: maps, reason: error.to_string() })?;
+    let text =
+        fs::read_to_string(&maps).map_err(|error| RuntimeDirError::Io { path: maps, reason: error.to_string() })?;
     let uid = user();
     for path in mapped(&text, &format!("{SHARED_MEMORY}/{}", prefix(uid))) {
         // One that is gone by now was removed by its owner.
@@ -145,10 +146,11 @@ pub(super) fn only_ours_mapped() -> Result<(), PlaceError> {
 /// to, and where none is left then, the kernel ends the writer (SIGBUS).
 ///
 /// # Errors
-/// [`PlaceError::Io`] names the first segment that there is no room for.
-pub(super) fn reserve_mapped() -> Result<(), PlaceError> {
+/// [`RuntimeDirError::Io`] names the first segment that there is no room for.
+pub(super) fn reserve_mapped() -> Result<(), RuntimeDirError> {
     let maps = PathBuf::from("/proc/self/maps");
-    let text = fs::read_to_string(&maps).map_err(|error| PlaceError::Io { path: maps, reason: error.to_string() })?;
+    let text =
+        fs::read_to_string(&maps).map_err(|error| RuntimeDirError::Io { path: maps, reason: error.to_string() })?;
     let start = format!("{SHARED_MEMORY}/{}", prefix(user()));
     let mut paths: Vec<&str> = mapped(&text, &start).collect();
     paths.dedup();
@@ -158,8 +160,10 @@ pub(super) fn reserve_mapped() -> Result<(), PlaceError> {
         let length = file.metadata().map_or(0, |found| found.len());
         if length > 0 {
             let reserved = rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, length);
-            reserved
-                .map_err(|error| PlaceError::Io { path: path.into(), reason: format!("{length} bytes: {error}") })?;
+            reserved.map_err(|error| RuntimeDirError::Io {
+                path: path.into(),
+                reason: format!("{length} bytes: {error}"),
+            })?;
         }
     }
     Ok(())
@@ -243,7 +247,7 @@ mod tests {
         assert!(refusal("target", user()).contains("can be written to by others (mode 777)"));
         fs::set_permissions(path("target"), fs::Permissions::from_mode(0o700)).unwrap();
         assert!(refusal("target", user() + 1).contains(&format!("belongs to user {}", user())));
-        assert!(matches!(secure(&path("no/such/parent"), user()), Err(PlaceError::Io { .. })));
+        assert!(matches!(secure(&path("no/such/parent"), user()), Err(RuntimeDirError::Io { .. })));
     }
 
     #[test]

@@ -1,20 +1,8 @@
 //! One effect as it stands in `report.json`.
 
+use plumbline_model::term::effect::{Quantity, Stratum, family};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
-
-/// Where in the data an effect shows.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Occurrence {
-    /// In what every period repeats.
-    #[default]
-    Repeatable,
-    /// In what differs from period to period.
-    Changing,
-    /// Against another session or model.
-    Reference,
-}
 
 /// An effect that was found, with its evidence.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -63,13 +51,19 @@ pub struct Effect {
     pub confirmed: bool,
     /// Where in the data it shows.
     #[serde(default)]
-    pub stratum: Occurrence,
+    pub stratum: Stratum,
     /// First session that has it; absent where all have.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub since_session: Option<u32>,
     /// Whether the delivered model has it; otherwise it is reported alone.
     #[serde(default)]
     pub in_model: bool,
+    /// Why the delivered model has not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub withheld: Option<String>,
+    /// Name of its form; empty where the effect has one.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub form: String,
     /// Its columns: `tau_j = fp_j z, ...`.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub equation: String,
@@ -103,23 +97,10 @@ pub struct Alternative {
     pub deciding_experiment: String,
 }
 
-/// One parameter of an effect.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct EffectParameter {
-    /// Name: `delta`, `fp4`.
-    pub name: String,
-    /// Value, in `unit`.
-    pub value: f64,
-    /// Standard deviation where known, in `unit`.
-    pub std: Option<f64>,
-    /// Unit.
-    pub unit: String,
-}
-
 /// Parameters of an effect in their own order. In the file they are three objects by name: `parameters`, `std` and `units`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(from = "Maps", into = "Maps")]
-pub struct Parameters(pub Vec<EffectParameter>);
+pub struct Parameters(pub Vec<Quantity>);
 
 #[derive(Serialize, Deserialize)]
 struct Maps {
@@ -132,7 +113,7 @@ struct Maps {
 
 impl From<Parameters> for Maps {
     fn from(Parameters(list): Parameters) -> Maps {
-        let map = |of: fn(&EffectParameter) -> Value| list.iter().map(|p| (p.name.clone(), of(p))).collect();
+        let map = |of: fn(&Quantity) -> Value| list.iter().map(|p| (p.name.clone(), of(p))).collect();
         Maps { parameters: map(|p| p.value.into()), std: map(|p| p.std.into()), units: map(|p| p.unit.clone().into()) }
     }
 }
@@ -140,12 +121,37 @@ impl From<Parameters> for Maps {
 impl From<Maps> for Parameters {
     fn from(Maps { parameters, std, units }: Maps) -> Parameters {
         let number = |map: &Map<String, Value>, name: &str| map.get(name).and_then(Value::as_f64);
-        let each = |name: &String| EffectParameter {
+        let each = |name: &String| Quantity {
             name: name.clone(),
             value: number(&parameters, name).unwrap_or(f64::NAN),
             std: number(&std, name),
             unit: units.get(name).and_then(Value::as_str).unwrap_or_default().to_string(),
         };
         Parameters(parameters.keys().map(each).collect())
+    }
+}
+
+impl Effect {
+    /// What the catalogue has of a form of an effect; the caller adds what was found.
+    pub fn of(id: &str, form: &str) -> Effect {
+        let family = family(id);
+        let written = family.and_then(|family| family.form(form));
+        Effect {
+            id: id.into(),
+            form: form.into(),
+            stratum: family.map_or(Stratum::default(), |family| family.stratum),
+            equation: written.map_or(String::new(), |form| form.equation.into()),
+            physics: family.map_or(String::new(), |family| family.physics.into()),
+            ..Effect::default()
+        }
+    }
+
+    /// Identity and joints: `presliding in joint 4`.
+    pub fn place(&self) -> String {
+        match self.joints[..] {
+            [] => self.id.clone(),
+            [joint] => format!("{} in joint {joint}", self.id),
+            [row, cause, ..] => format!("{} in joint {row} from joint {cause}", self.id),
+        }
     }
 }

@@ -11,7 +11,7 @@ use std::path::Path;
 use std::sync::Once;
 use std::time::{Duration, SystemTime};
 
-use super::place;
+use super::runtime_dir;
 use super::services::process;
 
 /// Mode of a segment that is being made.
@@ -24,15 +24,15 @@ const LONGEST: Duration = Duration::from_secs(5);
 const LOOK: Duration = Duration::from_millis(50);
 
 /// Begins to look after such files, once in a process. To be called before anything asks for priority.
-pub(super) fn look_after() {
+pub(super) fn start_sweeper() {
     static ONCE: Once = Once::new();
-    if place::user() != 0 {
+    if runtime_dir::user() != 0 {
         return;
     }
     ONCE.call_once(|| {
         let thread = std::thread::Builder::new().name("plumbline-sweep".into()).spawn(|| {
             loop {
-                sweep(Path::new(place::SHARED_MEMORY), place::user(), SystemTime::now());
+                sweep(Path::new(runtime_dir::SHARED_MEMORY), runtime_dir::user(), SystemTime::now());
                 std::thread::sleep(LOOK);
             }
         });
@@ -50,7 +50,7 @@ fn sweep(shared_memory: &Path, uid: u32, now: SystemTime) -> usize {
         let longest = || if ends(path).any(|pid| !runs(pid)) { OF_THE_DEAD } else { LONGEST };
         empty && found.uid() == uid && age.is_some_and(|age| age > longest())
     };
-    let files = place::ours_by_name(shared_memory, uid).into_iter().filter(|(path, found)| given_up(path, found));
+    let files = runtime_dir::ours_by_name(shared_memory, uid).into_iter().filter(|(path, found)| given_up(path, found));
     files.filter(|(path, _)| std::fs::remove_file(path).is_ok()).count()
 }
 
@@ -72,9 +72,9 @@ mod tests {
     #[test]
     fn empty_unfinished_and_old_all_three() {
         let memory = tempfile::tempdir().unwrap();
-        let uid = place::user();
+        let uid = runtime_dir::user();
         let make = |name: &str, size: u64, mode: u32| {
-            let path = memory.path().join(format!("{}{name}", place::prefix(uid)));
+            let path = memory.path().join(format!("{}{name}", runtime_dir::prefix(uid)));
             File::create(&path).unwrap().set_len(size).unwrap();
             std::fs::set_permissions(&path, Permissions::from_mode(mode)).unwrap();
             path

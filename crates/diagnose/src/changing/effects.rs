@@ -1,0 +1,186 @@
+//! What differs from period to period as effects, notes and data quality of a diagnosis.
+
+use super::{BaseMotion, Changing, Contact, Course, Drift, Drifting, Hygiene};
+use crate::outcome::{Diagnosis, Effect, Folds, JointFacts, Parameters, Quantity, Verdict, places};
+use plumbline_model::term::{base_motion, contact};
+
+/// Lines of several runs that are nearer than this are one \[Hz\]. A line of a 100 s recording is known to about a hundredth of it.
+const SAME_LINE: f64 = 0.03;
+
+impl Changing {
+    /// Adds the findings to a diagnosis. An effect counts for the verdict from a share `least_floor` of the noise of the mean periods on, or
+    /// from `threshold` \[Nm\] where that is given.
+    pub fn add_to(&self, diagnosis: &mut Diagnosis, least_floor: f64, threshold: Option<f64>) {
+        let joints = &diagnosis.joints;
+        let matters = |rms: &[f64]| {
+            let enough = |(rms, facts): (&f64, &JointFacts)| {
+                let least = threshold.or(facts.floor_of_mean.map(|floor| least_floor * floor));
+                least.is_none_or(|least| *rms >= least)
+            };
+            rms.iter().zip(joints).any(enough)
+        };
+        let lines = lines(&self.base_motions);
+        let significant = !self.contacts.is_empty()
+            || self.drifts.iter().any(|drift| matters(&drift.rms))
+            || lines.iter().any(|(line, _)| matters(&line.rms));
+        diagnosis.verdict = match (diagnosis.verdict, significant) {
+            (Verdict::NothingSignificant, true) => Verdict::Diagnosed,
+            (Verdict::Unexplained, true) => Verdict::Partly,
+            (verdict, _) => verdict,
+        };
+        diagnosis.effects.extend(self.drifts.iter().map(|drift| self.drift(drift)));
+        diagnosis.effects.extend(lines.iter().map(|(line, count)| self.base_motion(line, *count)));
+        diagnosis.effects.extend(self.contacts.iter().map(touched));
+        diagnosis.notes.extend(self.notes());
+        self.quality(diagnosis);
+    }
+
+    fn drift(&self, drift: &Drift) -> Effect {
+        let joints = match drift.what {
+            Drifting::Offset(joint) | Drifting::Friction(joint) => vec![joint + 1],
+            Drifting::AllFriction => Vec::new(),
+        };
+        let form = match drift.course {
+            Course::Linear => "linear",
+            Course::Saturating { .. } => "exponential",
+        };
+        let mut parameters = Vec::new();
+        for (set, (values, std)) in drift.values.iter().zip(&drift.std).enumerate() {
+            for ((name, unit), (value, std)) in drift.what.parameters().iter().zip(values.iter().zip(std)) {
+                let unit = if drift.course == Course::Linear { format!("{unit}/min") } else { unit.to_string() };
+                let name = match self.runs.get(set).filter(|_| !drift.common) {
+                    Some(run) => format!("{name} in {run}"),
+                    None => name.to_string(),
+                };
+                parameters.push(Quantity { std: Some(*std), ..Quantity::new(name, *value, unit) });
+            }
+        }
+        if let Course::Saturating { time } = drift.course {
+            parameters.push(Quantity::new("T", time, "s"));
+        }
+        Effect {
+            joints,
+            parameters: Parameters(parameters),
+            evidence: Some(drift.score),
+            delta_log_likelihood: Some(0.5 * drift.evidence),
+            penalty: Some(drift.evidence - drift.score),
+            torque_rms: drift.rms.iter().copied().reduce(f64::max),
+            explained_share: Some(drift.explained),
+            // One set of parameters for all runs is what more than one of them says.
+            confirmed: drift.common && self.runs.len() > 1,
+            ..Effect::of(drift.what.family(), form)
+        }
+    }
+
+    fn base_motion(&self, line: &BaseMotion, count: usize) -> Effect {
+        let [x, y, z]: [f64; 3] = line.direction.into();
+        let amplitude = Quantity { std: Some(line.std), ..Quantity::new("amplitude", line.amplitude, "m/s2") };
+        let direction = [("direction_x", x), ("direction_y", y), ("direction_z", z)];
+        let direction = direction.map(|(name, share)| Quantity::new(name, share, "1"));
+        let parameters = [Quantity::new("f", line.frequency, "Hz"), amplitude].into_iter().chain(direction);
+        Effect {
+            label: format!("base motion at {:.2} Hz", line.frequency),
+            parameters: Parameters(parameters.collect()),
+            folds: Folds { positive: count, informative: self.runs.len() },
+            torque_rms: line.rms.iter().copied().reduce(f64::max),
+            explained_share: Some(line.explained),
+            confirmed: count > 1,
+            ..Effect::of(base_motion::ID, "")
+        }
+    }
+
+    fn notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        if !self.drifts.is_empty() {
+            notes.push("the parameters are those of the recordings' mean: what drifts is not in the model".into());
+        }
+        let mut events: Vec<(&str, f64, f64, String)> = Vec::new();
+        for one in &self.contacts {
+            events.push((&one.run, one.from, one.to, format!(": contact on link {}", one.link + 1)));
+        }
+        for one in &self.transients {
+            let joints: Vec<usize> = one.joints.iter().map(|joint| joint + 1).collect();
+            events.push((&one.run, one.from, one.to, format!(", {}: unexplained transient", places(&joints))));
+        }
+        events.sort_by(|a, b| a.0.cmp(b.0).then(a.1.total_cmp(&b.1)));
+        let left_out =
+            |run: &str| if self.spared.iter().any(|spared| spared == run) { "not left out" } else { "left out" };
+        for (run, from, to, what) in events {
+            notes.push(format!("run {run}, {from:.2} to {to:.2} s{what}, {}", left_out(run)));
+        }
+        for one in &self.hygiene {
+            let (torques, positions): (usize, usize) = (one.torques.iter().sum(), one.positions.iter().sum());
+            let of = |count: usize, what: &str| (count > 0).then(|| format!("{count} of the {what}"));
+            let counts: Vec<String> =
+                [of(torques, "torques"), of(positions, "positions")].into_iter().flatten().collect();
+            if !counts.is_empty() {
+                let counts = counts.join(" and ");
+                let left_out = left_out(&one.run);
+                notes.push(format!("run {}: single samples that stand out, {counts}, {left_out}", one.run));
+            }
+        }
+        notes.extend(self.spared.iter().map(|run| {
+            format!(
+                "run {run}: more than half of it would have to be left out, so nothing of it is; its mean has all of it"
+            )
+        }));
+        notes
+    }
+
+    fn quality(&self, diagnosis: &mut Diagnosis) {
+        if self.hygiene.is_empty() {
+            return;
+        }
+        let sum = |count: &dyn Fn(&Hygiene) -> usize| -> u64 { self.hygiene.iter().map(|one| count(one) as u64).sum() };
+        let quality = &mut diagnosis.quality;
+        quality.outliers = Some(sum(&|one| one.torques.iter().chain(&one.positions).sum()));
+        quality.repeated_stamps = Some(sum(&|one| one.repeated_stamps));
+        for (count, what) in [
+            (sum(&|one| one.repeated_rows), "rows repeat the one before"),
+            (sum(&|one| one.missing), "samples are missing"),
+        ] {
+            quality.notes.extend((count > 0).then(|| format!("{count} {what}")));
+        }
+    }
+}
+
+/// Lines by frequency: the strongest of each, and the number of runs that have it.
+fn lines(found: &[BaseMotion]) -> Vec<(&BaseMotion, usize)> {
+    let mut lines: Vec<(&BaseMotion, Vec<&str>)> = Vec::new();
+    for one in found {
+        match lines.iter_mut().find(|(line, _)| (line.frequency - one.frequency).abs() < SAME_LINE) {
+            Some((line, runs)) => {
+                if !runs.contains(&one.run.as_str()) {
+                    runs.push(&one.run);
+                }
+                if one.amplitude > line.amplitude {
+                    *line = one;
+                }
+            }
+            None => lines.push((one, vec![&one.run])),
+        }
+    }
+    lines.into_iter().map(|(line, runs)| (line, runs.len())).collect()
+}
+
+fn touched(one: &Contact) -> Effect {
+    let mut parameters = vec![Quantity::new("from", one.from, "s"), Quantity::new("to", one.to, "s")];
+    for (k, axis) in ["x", "y", "z"].into_iter().enumerate() {
+        let std = Some(one.force_std[k]);
+        parameters.push(Quantity { std, ..Quantity::new(format!("force_{axis}"), one.force[k], "N") });
+    }
+    if let Some(point) = one.point {
+        let axes = ["x", "y", "z"].into_iter().zip(point.iter());
+        parameters.extend(axes.map(|(axis, at)| Quantity::new(format!("point_{axis}"), *at, "m")));
+    } else {
+        let axes = ["x", "y", "z"].into_iter().zip(one.moment.iter());
+        parameters.extend(axes.map(|(axis, moment)| Quantity::new(format!("moment_{axis}"), *moment, "Nm")));
+    }
+    Effect {
+        joints: vec![one.link + 1],
+        label: format!("contact on link {} in {}, {:.2} to {:.2} s", one.link + 1, one.run, one.from, one.to),
+        parameters: Parameters(parameters),
+        explained_share: Some(one.explained),
+        ..Effect::of(contact::ID, "")
+    }
+}

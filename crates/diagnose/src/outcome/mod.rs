@@ -1,0 +1,412 @@
+//! What a diagnosis ends with, under the names that it has in `report.json`.
+//!
+//! Joints count from 1 here, as in everything that people read; elsewhere in this crate they count from 0. Lists "per joint" have one entry
+//! per joint of the arm or are empty. A figure that could not be measured is NaN (`null` in the file) in a list and `None` by itself.
+
+mod effect;
+pub(super) mod lenient;
+
+pub use effect::{Alternative, Effect, Folds, Parameters};
+pub use plumbline_model::term::effect::{Quantity, Stratum};
+
+use super::errors::{Band, Compared, Errors};
+use super::fallback::Residual;
+use super::figures::Curves;
+use plumbline_identify::solve::Identification;
+use plumbline_model::Structure;
+use plumbline_model::term::effect::Site;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt;
+
+/// Mean square of a residual over that of the noise from which on a model lacks something.
+const LACK_OF_FIT_RATIO: f64 = 1.3;
+
+/// Outcome of a diagnosis.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Verdict {
+    /// No joint has a residual that its noise does not explain.
+    NothingSignificant,
+    /// The effects that were found explain the residual, each without a rival.
+    Diagnosed,
+    /// They explain it, but this data can't tell some of them from an alternative.
+    Ambiguous,
+    /// They explain it in some joints, or a part of it.
+    Partly,
+    /// The residual is real and none of the known effects explains it.
+    #[default]
+    Unexplained,
+}
+
+impl Verdict {
+    /// Its name in files.
+    pub fn id(self) -> &'static str {
+        match self {
+            Verdict::NothingSignificant => "nothing-significant",
+            Verdict::Diagnosed => "diagnosed",
+            Verdict::Ambiguous => "ambiguous",
+            Verdict::Partly => "partly",
+            Verdict::Unexplained => "unexplained",
+        }
+    }
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Verdict::NothingSignificant => "nothing significant",
+            Verdict::Diagnosed => "diagnosed",
+            Verdict::Ambiguous => "ambiguous",
+            Verdict::Partly => "partly explained",
+            Verdict::Unexplained => "unexplained",
+        })
+    }
+}
+
+/// What findings could be tested on. In files it is the text of its `Display`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum Confirmation {
+    /// Several trajectories, and repeats that tell the noise.
+    Full {
+        /// Trajectories.
+        trajectories: usize,
+    },
+    /// Repeats, but one trajectory: no finding could be tested on another.
+    OneTrajectory,
+    /// No repeats: the noise is unknown, and blocks of the runs are the folds.
+    NoRepeats,
+}
+
+impl fmt::Display for Confirmation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Confirmation::Full { trajectories } => write!(f, "confirmed across {trajectories} trajectories"),
+            Confirmation::OneTrajectory => f.write_str("one trajectory"),
+            Confirmation::NoRepeats => f.write_str("no repeats"),
+        }
+    }
+}
+
+impl From<Confirmation> for String {
+    fn from(confirmation: Confirmation) -> String {
+        confirmation.to_string()
+    }
+}
+
+impl TryFrom<String> for Confirmation {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Confirmation, String> {
+        let trajectories = text.strip_prefix("confirmed across ").and_then(|rest| rest.strip_suffix(" trajectories"));
+        match (text.as_str(), trajectories.and_then(|count| count.parse().ok())) {
+            (_, Some(trajectories)) => Ok(Confirmation::Full { trajectories }),
+            ("one trajectory", _) => Ok(Confirmation::OneTrajectory),
+            ("no repeats", _) => Ok(Confirmation::NoRepeats),
+            _ => Err(format!("`{text}`: expected confirmed across N trajectories, one trajectory, or no repeats")),
+        }
+    }
+}
+
+/// Everything under `diagnosis` in `report.json`, under the names that it has there.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Diagnosis {
+    /// Outcome.
+    pub verdict: Verdict,
+    /// What the findings could be tested on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub confirmation: Option<Confirmation>,
+    /// Effects that were found, the strongest evidence first.
+    pub effects: Vec<Effect>,
+    /// Errors of the model without them on runs that took no part in anything.
+    pub before: Errors,
+    /// The same with those that are in the delivered model.
+    pub after: Errors,
+    /// `after` minus `before`, with intervals of the paired difference; negative is better.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub change: Option<Errors>,
+    /// What the errors and `noise_floor` are taken of.
+    #[serde(default)]
+    pub band: Band,
+    /// Names of the runs that the errors are taken from.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub held_out_runs: Vec<String>,
+    /// Noise per joint in that band: the least that the errors can be \[Nm\]; empty where nothing repeats.
+    #[serde(deserialize_with = "lenient::numbers")]
+    pub noise_floor: Vec<f64>,
+    /// Joints with a residual that no effect explains.
+    pub unexplained: Vec<Unexplained>,
+    /// By effect id: the least that would have been seen, so that "nothing" is a number.
+    pub minimum_detectable: BTreeMap<String, MinimumDetectable>,
+    /// Effects that this data can't tell from the base parameters.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub not_identifiable: Vec<NotIdentifiable>,
+    /// What was found wrong with the data.
+    #[serde(default)]
+    pub quality: Quality,
+    /// Facts about each joint; one entry per joint.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub joints: Vec<JointFacts>,
+    /// How the model grew.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub path: Vec<Step>,
+    /// The best candidates that were considered, highest score first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub scores: Vec<Score>,
+    /// What changed between sessions, or since a model was identified.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub changes: Vec<Changes>,
+    /// Remarks that the reader has to know.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
+}
+
+/// A residual that no effect explains.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Unexplained {
+    /// Joint, from 1.
+    pub joint: usize,
+    /// RMS of what is left over beyond the noise, of the mean period where the motion repeats \[Nm\].
+    pub rms: Option<f64>,
+    /// Noise of the same \[Nm\].
+    #[serde(default)]
+    pub floor: Option<f64>,
+    /// What it depends on, the strongest first: `q2`, `dq4`, `t`; empty where no dependence was found.
+    pub depends_on: Vec<String>,
+    /// Share of its variance that a function of `depends_on` predicts in trajectories that were left out.
+    #[serde(default)]
+    pub r2: Option<f64>,
+    /// The experiment that would tell more.
+    pub deciding_experiment: String,
+    /// What else is known: spectral lines, where and when it occurs.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub note: String,
+}
+
+/// The least of one kind of effect that would have been seen.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MinimumDetectable {
+    /// RMS of its torque in each joint \[Nm\]; NaN where it can't be seen at any size.
+    #[serde(deserialize_with = "lenient::numbers")]
+    pub torque_rms: Vec<f64>,
+    /// Its parameter in each joint, in `unit`.
+    #[serde(default, deserialize_with = "lenient::numbers", skip_serializing_if = "Vec::is_empty")]
+    pub parameter: Vec<f64>,
+    /// Name of that parameter.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub name: String,
+    /// Unit of that parameter.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub unit: String,
+}
+
+/// An effect that the base parameters absorb.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct NotIdentifiable {
+    /// Effect id.
+    pub effect: String,
+    /// Joints, from 1; empty for the arm as a whole.
+    pub joints: Vec<usize>,
+    /// Why: what absorbs it.
+    pub why: String,
+}
+
+/// What was found wrong with the data before anything was fitted.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Quality {
+    /// Samples that were masked because they stand out and don't repeat.
+    pub outliers: Option<u64>,
+    /// Rows whose time stamp is that of the row before.
+    pub repeated_stamps: Option<u64>,
+    /// Longest step between time stamps \[s\].
+    pub longest_gap: Option<f64>,
+    /// Samples at the limit of their sensor, per joint.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub saturated: Vec<u64>,
+    /// Smallest spacing of the torque's values, per joint \[Nm\]; zero where they are continuous.
+    #[serde(deserialize_with = "lenient::numbers", skip_serializing_if = "Vec::is_empty")]
+    pub quantum: Vec<f64>,
+    /// Anything else, in words.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
+}
+
+/// A figure without and with the effects.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct BeforeAfter {
+    /// Without.
+    pub before: Option<f64>,
+    /// With.
+    pub after: Option<f64>,
+}
+
+/// What the repeatable part of one joint's residual is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct JointFacts {
+    /// Noise of one sample in the band that is judged \[Nm\].
+    pub noise: Option<f64>,
+    /// Noise of the mean period in that band \[Nm\].
+    pub floor_of_mean: Option<f64>,
+    /// Lack of fit: power of the residual's mean period over what noise alone would leave there; 1 where the model lacks nothing.
+    pub lack_of_fit: BeforeAfter,
+    /// RMS of the residual's mean period in that band \[Nm\].
+    pub rms: BeforeAfter,
+    /// RMS of the residual's mean period beyond its noise \[Nm\].
+    pub unmodelled: BeforeAfter,
+    /// The least `unmodelled` that counts \[Nm\].
+    pub threshold: Option<f64>,
+    /// Share of the unmodelled power that the effects explain.
+    pub adequacy: Option<f64>,
+    /// RMS of the residual on trajectories, or blocks of motions that do not repeat, left out of the fit in turn \[Nm\].
+    #[serde(default)]
+    pub left_out: BeforeAfter,
+}
+
+/// What a step of the search did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Action {
+    /// Began with the model as it was.
+    #[default]
+    Start,
+    /// Took an effect in.
+    Added,
+    /// Took one out again.
+    Removed,
+}
+
+/// One step of the search.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Step {
+    /// What happened.
+    pub action: Action,
+    /// To which effect: `presliding in joint 4`.
+    pub what: String,
+    /// Unmodelled RMS afterwards, root of the sum of squares over the joints \[Nm\].
+    pub unmodelled: Option<f64>,
+    /// Score of the effect.
+    #[serde(default)]
+    pub score: Option<f64>,
+}
+
+/// A candidate that was considered.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Score {
+    /// Effect and joint for people: `presliding in joint 4`.
+    pub label: String,
+    /// Its score: evidence for it beyond its penalty, twice nats.
+    #[serde(deserialize_with = "lenient::number")]
+    pub score: f64,
+    /// Whether it was taken.
+    #[serde(default)]
+    pub chosen: bool,
+    /// Whether this data can't tell it from the chosen one.
+    #[serde(default)]
+    pub equivalent: bool,
+}
+
+/// What changed since another session or model.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Changes {
+    /// The session or model that it is compared with.
+    pub since: String,
+    /// The session that is compared.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub session: String,
+    /// What changed.
+    pub effects: Vec<Effect>,
+    /// Errors of that model on this session.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub before: Option<Errors>,
+    /// The same with the changes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub after: Option<Errors>,
+    /// What the reader has to know: what can't be told apart.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub note: String,
+}
+
+impl JointFacts {
+    /// Whether the model lacks something there. Unknown noise says nothing.
+    pub fn lacking(lack_of_fit: Option<f64>, unmodelled: Option<f64>, threshold: Option<f64>) -> bool {
+        let above = unmodelled.zip(threshold).is_some_and(|(unmodelled, threshold)| unmodelled > threshold);
+        lack_of_fit.is_some_and(|ratio| ratio > LACK_OF_FIT_RATIO) && above
+    }
+
+    /// [`JointFacts::lacking`] of the model without the effects.
+    pub fn lacking_before(&self) -> bool {
+        JointFacts::lacking(self.lack_of_fit.before, self.unmodelled.before, self.threshold)
+    }
+
+    /// [`JointFacts::lacking`] of the model with the effects.
+    pub fn lacking_after(&self) -> bool {
+        JointFacts::lacking(self.lack_of_fit.after, self.unmodelled.after, self.threshold)
+    }
+}
+
+impl BeforeAfter {
+    /// Both figures.
+    pub fn both(figures: [f64; 2]) -> BeforeAfter {
+        BeforeAfter { before: Some(figures[0]), after: Some(figures[1]) }
+    }
+}
+
+impl Diagnosis {
+    /// Takes over errors on held-out runs.
+    pub(super) fn set_errors(&mut self, compared: Compared) {
+        self.before = compared.before;
+        self.after = compared.after;
+        self.noise_floor = compared.floor.unwrap_or_default();
+    }
+}
+
+/// `joint 4`, `joints 4 and 5`; nothing for the arm as a whole.
+pub fn places(joints: &[usize]) -> String {
+    match joints {
+        [] => String::new(),
+        [joint] => format!("joint {joint}"),
+        _ => format!("joints {}", listed(joints.iter().map(usize::to_string))),
+    }
+}
+
+/// `a`, `a and b`, `a, b and c`.
+pub fn listed(items: impl IntoIterator<Item = String>) -> String {
+    let mut items: Vec<String> = items.into_iter().collect();
+    match items.pop() {
+        Some(last) if !items.is_empty() => format!("{} and {last}", items.join(", ")),
+        last => last.unwrap_or_default(),
+    }
+}
+
+/// Joints of a site, from 1.
+pub(super) fn joints(site: Site) -> Vec<usize> {
+    site.joints().into_iter().map(|joint| joint + 1).collect()
+}
+
+/// A model and how it came about.
+#[derive(Clone, Debug)]
+pub struct Fitted {
+    /// Its structure.
+    pub structure: Structure,
+    /// Its parameters.
+    pub identification: Identification,
+}
+
+/// What a diagnosis ends with.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// What was found, as it stands in files.
+    pub diagnosis: Diagnosis,
+    /// The model without effects.
+    pub before: Fitted,
+    /// The model with those that hold; as before where there is none.
+    pub after: Fitted,
+    /// Residuals of joints in which something is left that no effect explains.
+    pub residuals: Vec<Residual>,
+    /// Curves for people to look at.
+    pub curves: Curves,
+}

@@ -1,0 +1,358 @@
+//! What a kind of effect declares about itself. Every reader of the catalogue (search, plots, report, export) goes by these declarations.
+
+use super::Term;
+use super::load::Ground;
+use super::quantity::{self, Quantity, Results};
+use crate::chain::Chain;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::sync::Arc;
+
+/// A kind of effect.
+pub struct Family {
+    /// Stable identity in files and commands.
+    pub id: &'static str,
+    /// What happens, in one sentence.
+    pub physics: &'static str,
+    /// Kind of its site.
+    pub place: Place,
+    /// The ways to write it down; a model has one of them.
+    pub forms: &'static [Form],
+    /// Where it shows.
+    pub stratum: Stratum,
+    /// Whether the loop serves it. What depends on the time of an event explains a recording, and its [`FixedTerm`](super::FixedTerm) adds
+    /// nothing.
+    pub served: bool,
+    /// Sizes met on real arms.
+    pub typical: &'static str,
+    /// Effects and parameters with similar columns, and the experiment that decides.
+    pub confounded: &'static [Confounded],
+    /// Where it is described.
+    pub reference: &'static str,
+    /// What a description of rigid bodies (URDF, MJCF) has of it.
+    pub in_bodies: InBodies,
+    /// What only few families have.
+    pub rare: Rare,
+}
+
+/// One way to write an effect down.
+pub struct Form {
+    /// Name in files; empty where the family has one form.
+    pub name: &'static str,
+    /// The columns and what they depend on: `tau_j = k (q_j - q0)`.
+    pub equation: &'static str,
+    /// Its nonlinear parameters.
+    pub settings: &'static [Setting],
+    /// Builds its term. The site is of the family's place and in the arm, the settings are as many as listed and in their ranges.
+    pub build: fn(&Ground, Site, &[f64]) -> Arc<dyn Term>,
+    /// The exported C function's part of it.
+    pub in_c: InC,
+    /// The horizontal axis of its plot.
+    pub plot_over: PlotOver,
+}
+
+/// What only few families have.
+pub struct Rare {
+    /// The term of the whole arm with a column of this effect for every joint. Its columns belong to that term in models and files.
+    pub whole_arm: Option<fn(&Chain) -> Arc<dyn Term>>,
+    /// Whether every arm has it. Where the noise is unknown, the search starts from a model with it in every joint.
+    pub in_every_arm: bool,
+    /// Whether it may come or change after an identification, so that a comparison with a stored model searches for it.
+    pub may_change: bool,
+    /// The effect that one of its forms may be a part of.
+    pub part_of: Option<PartOf>,
+    /// The parameter of a stored model that a column of this effect changes, by the column's name.
+    pub changed_parameter: fn(&str) -> &str,
+    /// The quantities that are reported for its parameters.
+    pub quantities: fn(&Results) -> Vec<Quantity>,
+}
+
+impl Rare {
+    /// None of it.
+    pub const NONE: Rare = Rare {
+        whole_arm: None,
+        in_every_arm: false,
+        may_change: false,
+        part_of: None,
+        changed_parameter: |name| name,
+        quantities: quantity::own,
+    };
+}
+
+/// A form that is part of another effect where its first coefficient is that effect's share of the cause's Coulomb friction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PartOf {
+    /// Name of the form.
+    pub form: &'static str,
+    /// Identity of the other family.
+    pub family: &'static str,
+}
+
+/// Where in the arm an effect sits. Joints count from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Site {
+    /// The arm as a whole.
+    Arm,
+    /// One joint.
+    Joint(usize),
+    /// What one joint does to the torque of another.
+    Pair {
+        /// The joint whose torque it is.
+        row: usize,
+        /// The joint that it comes from.
+        cause: usize,
+    },
+}
+
+impl Site {
+    /// Joints that it names: none, one, or the row and its cause.
+    pub fn joints(self) -> Vec<usize> {
+        match self {
+            Site::Arm => Vec::new(),
+            Site::Joint(joint) => vec![joint],
+            Site::Pair { row, cause } => vec![row, cause],
+        }
+    }
+
+    /// End of a column's name, joints from 1: `4`, `5_6`, nothing for the whole arm.
+    pub fn suffix(self) -> String {
+        self.joints().iter().map(|joint| (joint + 1).to_string()).collect::<Vec<_>>().join("_")
+    }
+}
+
+impl fmt::Display for Site {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Site::Arm => f.write_str("the arm"),
+            Site::Joint(joint) => write!(f, "joint {}", joint + 1),
+            Site::Pair { row, cause } => write!(f, "joint {} from joint {}", row + 1, cause + 1),
+        }
+    }
+}
+
+/// What kind of [`Site`] a family needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// [`Site::Arm`].
+    Arm,
+    /// [`Site::Joint`].
+    Joint,
+    /// [`Site::Pair`], two different joints.
+    Pair,
+}
+
+impl Place {
+    /// Every such site of an arm with `n` joints.
+    pub fn sites(self, n: usize) -> Vec<Site> {
+        let pair = |row| (0..n).filter(move |&cause| cause != row).map(move |cause| Site::Pair { row, cause });
+        match self {
+            Place::Arm => vec![Site::Arm],
+            Place::Joint => (0..n).map(Site::Joint).collect(),
+            Place::Pair => (0..n).flat_map(pair).collect(),
+        }
+    }
+}
+
+/// How the values of a nonlinear parameter are spread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scale {
+    /// Evenly.
+    Linear,
+    /// Evenly in the logarithm.
+    Logarithmic,
+}
+
+/// A nonlinear parameter of an effect: its columns depend on it, and it is searched for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Setting {
+    /// Name in files: `delta`.
+    pub name: &'static str,
+    /// Unit.
+    pub unit: &'static str,
+    /// What it is.
+    pub what: &'static str,
+    /// Least value that makes sense.
+    pub low: f64,
+    /// Largest value that makes sense.
+    pub high: f64,
+    /// Values that a search starts from; 0 where it starts from the parameter that another form of the family has found.
+    pub steps: usize,
+    /// How they are spread.
+    pub scale: Scale,
+}
+
+impl Setting {
+    /// Position between `low` (0) and `high` (1) as a value.
+    pub fn at(&self, share: f64) -> f64 {
+        match self.scale {
+            Scale::Linear => self.low + share * (self.high - self.low),
+            Scale::Logarithmic => self.low * (self.high / self.low).powf(share),
+        }
+    }
+
+    /// Inverse of [`Setting::at`].
+    pub fn share(&self, value: f64) -> f64 {
+        match self.scale {
+            Scale::Linear => (value - self.low) / (self.high - self.low),
+            Scale::Logarithmic => (value / self.low).ln() / (self.high / self.low).ln(),
+        }
+    }
+
+    /// The values that a search starts from.
+    pub fn grid(&self) -> Vec<f64> {
+        (0..self.steps).map(|step| self.at(step as f64 * self.spacing())).collect()
+    }
+
+    /// Distance between two of them, as a share of the range: a search looks as far to either side.
+    pub fn spacing(&self) -> f64 {
+        if self.steps == 0 { 0.5 } else { 1.0 / (self.steps.max(2) - 1) as f64 }
+    }
+}
+
+/// Where in the data an effect shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Stratum {
+    /// In what every period repeats.
+    #[default]
+    Repeatable,
+    /// In what differs from period to period.
+    Changing,
+    /// Between sessions, or against a model identified before: within one session the base parameters absorb it.
+    Reference,
+}
+
+/// An effect or parameter with similar columns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Confounded {
+    /// Identity of the other family, or a base parameter.
+    pub with: &'static str,
+    /// The experiment that tells the two apart.
+    pub decided_by: &'static str,
+}
+
+/// The horizontal axis of an effect's plot: a variable of the joint that the effect comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PlotOver {
+    /// Position.
+    Position,
+    /// Velocity.
+    Velocity,
+    /// Acceleration.
+    Acceleration,
+    /// Rigid-body torque.
+    Load,
+    /// Time since the start of the recording, or of the period.
+    Time,
+    /// No plot: an effect in all joints' rows has no residual of its own.
+    Nothing,
+}
+
+/// An effect's part of the exported C function.
+#[derive(Clone, Copy)]
+pub enum InC {
+    /// An expression per column, for the torque in the row of its site.
+    Columns(Expressions),
+    /// The same for a part of the effect.
+    Part {
+        /// The expressions.
+        columns: Expressions,
+        /// What the file has of the effect, and what it lacks.
+        note: &'static str,
+    },
+    /// The [`Entry`](super::Entry) of every column of its whole-arm term.
+    Entries,
+    /// Standard parameters of a body on the last link, which the Newton-Euler recursion computes.
+    LastLink,
+    /// No C: the effect is named in the file with this reason.
+    Refused(&'static str),
+}
+
+/// C expressions of an effect's columns, by the names of its inputs and its settings.
+pub type Expressions = fn(&Inputs, &[f64]) -> Vec<String>;
+
+/// C expressions that an effect may use; `cause` is the joint that the effect comes from, the row's own where the site is no pair.
+#[derive(Clone, Debug, Default)]
+pub struct Inputs {
+    /// Position of the row's joint.
+    pub q: String,
+    /// Velocity of the row's joint.
+    pub dq: String,
+    /// `tanh(100 dq)` of the row's joint.
+    pub sign: String,
+    /// Velocity of the cause.
+    pub cause_dq: String,
+    /// Acceleration of the cause.
+    pub cause_ddq: String,
+    /// `tanh(100 dq)` of the cause.
+    pub cause_sign: String,
+    /// Rigid-body torque of the cause.
+    pub load: String,
+}
+
+/// The law needs samples before this one.
+pub(super) const REFUSED_MEMORY: InC = InC::Refused("its law needs earlier samples");
+/// The law needs the rigid-body torque at another position or under another gravity.
+pub(super) const REFUSED_OTHER_STATE: InC = InC::Refused("its law needs the rigid-body torque in another state");
+/// The law needs the time since the start of a recording.
+pub(super) const REFUSED_TIME: InC = InC::Refused("its law needs the time of a recording");
+
+/// What a description of rigid bodies with joint friction (URDF, MJCF) has of an effect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum InBodies {
+    /// All of it: its columns are standard parameters of a body on the last link.
+    LastLink,
+    /// The sum of its parameters as Coulomb friction of its joint.
+    CoulombFriction {
+        /// What the file has of the effect, and what it lacks.
+        note: &'static str,
+    },
+    /// Nothing: the effect is named in the file.
+    Nothing,
+}
+
+/// One effect in all detail but its linear parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Spec {
+    /// Identity of the family.
+    pub family: &'static str,
+    /// Name of the form.
+    pub form: &'static str,
+    /// Where it sits.
+    pub site: Site,
+    /// Nonlinear parameters, in the form's order.
+    pub settings: Vec<f64>,
+}
+
+impl fmt::Display for Spec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.site {
+            Site::Arm => f.write_str(self.family),
+            site => write!(f, "{} in {site}", self.family),
+        }
+    }
+}
+
+impl Family {
+    /// Its form of that name.
+    pub fn form(&self, name: &str) -> Option<&'static Form> {
+        self.forms.iter().find(|form| form.name == name)
+    }
+}
+
+impl Form {
+    /// Whether it starts where another form of the family ends, with that one's only parameter as the first of its settings and that one's settings
+    /// behind.
+    pub fn grown(&self) -> bool {
+        self.settings.first().is_some_and(|setting| setting.steps == 0)
+    }
+}
+
+/// The joint of a site that is one; families whose place is [`Place::Joint`] get no other.
+pub(super) fn joint(site: Site) -> usize {
+    match site {
+        Site::Joint(joint) => joint,
+        Site::Pair { row, .. } => row,
+        Site::Arm => 0,
+    }
+}

@@ -1,0 +1,38 @@
+//! Made up, for one test: a torque that no arm has. `tests/made_up_effect.rs` finds it in the program, as any effect that is added by the
+//! recipe in CONTRIBUTING.md. Only the feature `made-up-effect` has it.
+
+use super::Term;
+use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum, joint};
+use super::load::Ground;
+use super::one_row::{OneRow, column, unit};
+use std::sync::Arc;
+
+/// Identity.
+pub const ID: &str = "made-up";
+
+/// A torque in proportion to position times velocity.
+pub static FAMILY: Family = Family {
+    id: ID,
+    physics: "Made up for a test: a torque in proportion to position times velocity.",
+    place: Place::Joint,
+    forms: &[Form {
+        name: "",
+        equation: "tau_j = madeup_j q_j dq_j",
+        settings: &[],
+        build,
+        in_c: InC::Columns(|at, _| vec![format!("{}*{}", at.q, at.dq)]),
+        plot_over: PlotOver::Position,
+    }],
+    stratum: Stratum::Repeatable,
+    served: true,
+    typical: "none on any arm",
+    confounded: &[Confounded { with: "asymmetric-viscous", decided_by: "none is needed: no arm has it" }],
+    reference: "tests/made_up_effect.rs",
+    in_bodies: InBodies::Nothing,
+    rare: Rare::NONE,
+};
+
+fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("madeup", site, "", unit(ground, joint(site), "Nms/rad2", "Ns/m2"))];
+    OneRow::new(&FAMILY, "", site, settings, columns, |at, _| [at.own.q * at.own.dq, 0.0, 0.0]).smooth().term()
+}

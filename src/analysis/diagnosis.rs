@@ -1,0 +1,109 @@
+//! A diagnosis from recorded runs: shared by `diagnose` and the estimator.
+
+use crate::analysis::pipeline::{self, Identified};
+use crate::dataset::Run;
+use crate::failure::Failure;
+use crate::process::progress;
+use plumbline_diagnose::changing::{Changing, LEAST_PERIODS, changing, cleaned};
+use plumbline_diagnose::errors::Of;
+use plumbline_diagnose::figures::Curves;
+use plumbline_diagnose::{Diagnosis, Input, Trial, diagnose};
+use plumbline_identify::solve::{self, ols, stack::Stack};
+use plumbline_identify::{Experiment, Settings};
+use plumbline_model::term::effect::Ground;
+use plumbline_model::{Robot, Structure};
+
+/// What is diagnosed and how.
+pub struct Question<'a> {
+    /// The arm.
+    pub robot: &'a Robot,
+    /// The plain model.
+    pub structure: &'a Structure,
+    /// Runs to identify from.
+    pub identify: &'a [&'a Run],
+    /// Runs that nothing is fitted to.
+    pub unseen: &'a [&'a Run],
+    /// How runs are made ready.
+    pub settings: &'a Settings,
+    /// How parameters are identified.
+    pub options: &'a solve::Options,
+    /// How the diagnosis is done.
+    pub diagnosis: &'a plumbline_diagnose::Settings,
+    /// What the errors before and after are taken of.
+    pub of: Of,
+}
+
+/// A diagnosis and what follows from it.
+pub struct Diagnosed {
+    /// The model with the effects that hold; the plain one where none does.
+    pub after: Identified,
+    /// What the report says.
+    pub block: Diagnosis,
+    /// What it draws.
+    pub figures: Curves,
+}
+
+/// Diagnoses runs of one arm, with a progress bar.
+pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
+    pipeline::check_channels(question.identify)?;
+    let bar = progress::bar("diagnosing");
+    bar.at(0.02, "preparing");
+    let (identify, variation) = prepared(question)?;
+    let unseen = pipeline::experiments(question.unseen, question.settings)?;
+    let (identify, unseen) = (trials(&identify, question.identify), trials(&unseen, question.unseen));
+    // One run accepts or refuses findings, the others measure them; a single one measures.
+    let (veto, judge) = unseen.split_at(usize::from(unseen.len() > 1));
+    let input = Input { structure: question.structure, identify: &identify, veto, judge, options: question.options };
+    bar.at(0.1, "searching");
+    let share = std::cell::Cell::new(0.2);
+    let settings = plumbline_diagnose::Settings { judged_by: question.of, ..question.diagnosis.clone() };
+    let outcome = diagnose(&input, &settings, &|step| {
+        share.set(share.get() + 0.15 * (0.95 - share.get()));
+        bar.at(share.get(), step.item.spec.family);
+    })
+    .map_err(Failure::job)?;
+    bar.done();
+    let (structure, identification) = (outcome.after.structure, outcome.after.identification);
+    let after = pipeline::identified(question.robot, question.identify, structure, identification)?;
+    let mut block = outcome.diagnosis;
+    block.band = question.of.band(question.settings.torque_cutoff);
+    variation.add_to(&mut block, question.diagnosis.least_floor, question.diagnosis.threshold);
+    Ok(Diagnosed { after, block, figures: outcome.curves })
+}
+
+/// Experiments with the sessions of their runs.
+pub fn trials<'a>(experiments: &'a [Experiment], runs: &[&Run]) -> Vec<Trial<'a>> {
+    experiments.iter().zip(runs).map(|(experiment, run)| Trial { experiment, session: run.session }).collect()
+}
+
+/// The runs to identify from without events that happened once, with the noise of the rest; and what differs between their periods.
+fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing), Failure> {
+    let settings = Settings { keep_periods: true, ..question.settings.clone() };
+    let mut experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
+    let enough = |experiment: &Experiment| {
+        experiment.repeats.as_ref().is_some_and(|repeats| repeats.periods.len() >= LEAST_PERIODS)
+    };
+    let mut found = Changing::default();
+    if experiments.iter().any(enough) {
+        let ground = known(question.structure, &experiments)?;
+        found = changing(&ground, &trials(&experiments, question.identify));
+    }
+    if !found.leave_out.is_empty() {
+        let leave_out = settings.leave_out.iter().chain(&found.leave_out).cloned().collect();
+        let settings = Settings { leave_out, ..settings };
+        experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
+    }
+    cleaned(&mut experiments, &found);
+    if !question.options.estimator.needs_periods() {
+        experiments.iter_mut().for_each(|experiment| experiment.repeats = None);
+    }
+    Ok((experiments, found))
+}
+
+/// The rigid bodies and the friction as a plain identification finds them.
+fn known(structure: &Structure, experiments: &[Experiment]) -> Result<Ground, Failure> {
+    // Weights matter little for what the gravity columns and the shape of friction are.
+    let stack = Stack::of(structure, experiments).map_err(Failure::job)?;
+    let plain = ols::solve(&stack).map_err(Failure::job)?;
+    Ok(structure.ground(plain.beta.as_slice()))
+}

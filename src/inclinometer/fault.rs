@@ -1,0 +1,159 @@
+//! Faults of the inclinometer: the reasons why there is no reading.
+
+use super::canopen::{Entry, NmtState};
+use super::frame::BusState;
+
+/// Reason why there is no reading.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Fault {
+    /// The device is being brought up.
+    #[error("the inclinometer is being brought up")]
+    Starting,
+    /// No response to an SDO request.
+    #[error("node {node} does not answer a request for {entry}")]
+    Unanswered {
+        /// Node id.
+        node: u8,
+        /// Object.
+        entry: Entry,
+    },
+    /// The device aborted an SDO transfer.
+    #[error("the inclinometer refuses access to {entry} (abort code {code:08X}h)")]
+    Refused {
+        /// Object.
+        entry: Entry,
+        /// CiA 301's abort code.
+        code: u32,
+    },
+    /// The device is not an inclinometer.
+    #[error("the node's device type is {found:08X}h, expected profile 410 (inclinometer)")]
+    NoInclinometer {
+        /// Device type found.
+        found: u32,
+    },
+    /// The serial number is not the configured one.
+    #[error("the inclinometer's serial number is {found}, expected {expected}")]
+    WrongSerial {
+        /// Serial number found.
+        found: u32,
+        /// Configured serial number.
+        expected: u32,
+    },
+    /// The resolution is not one of CiA 410.
+    #[error("the inclinometer's resolution is {found}, expected 1, 10, 100 or 1000 (in 0.001 deg)")]
+    Resolution {
+        /// Resolution found \[0.001 deg\].
+        found: u32,
+    },
+    /// The slope objects can't represent the whole range: larger slopes would be clipped or wrap around.
+    #[error(
+        "the inclinometer's slopes of 16 bits end at {:.3} deg, the range is {:.1} deg: set `bits = 32`, or a `range` of at most \
+         {:.1} deg", max_slope(*.resolution).to_degrees(), .range.to_degrees(), (10.0 * max_slope(*.resolution).to_degrees()).floor() / 10.0
+    )]
+    RangeTooWide {
+        /// Resolution found \[0.001 deg\].
+        resolution: u32,
+        /// Configured range \[rad\].
+        range: f64,
+    },
+    /// An object reads back with another value than the written one.
+    #[error("{entry} holds {found:08X}h, expected {expected:08X}h")]
+    ReadbackMismatch {
+        /// Object.
+        entry: Entry,
+        /// Value read back.
+        found: u32,
+        /// Value written.
+        expected: u32,
+    },
+    /// Heartbeat timeout.
+    #[error("no heartbeat of the inclinometer for {elapsed_ms} ms")]
+    NoHeartbeat {
+        /// Time since the last heartbeat \[ms\].
+        elapsed_ms: u64,
+    },
+    /// Process data timeout.
+    #[error("no slopes from the inclinometer for {elapsed_ms} ms")]
+    NoSlopes {
+        /// Time since the last process data \[ms\].
+        elapsed_ms: u64,
+    },
+    /// The device has sent a boot-up message.
+    #[error("the inclinometer has restarted")]
+    Restarted,
+    /// The device is no longer operational.
+    #[error("the inclinometer is {state}, expected operational")]
+    State {
+        /// State found.
+        state: NmtState,
+    },
+    /// The device has sent an emergency message.
+    #[error("emergency {code:04X}h of the inclinometer, error register {register:02X}h")]
+    Emergency {
+        /// Error code.
+        code: u16,
+        /// Error register.
+        register: u8,
+    },
+    /// More heartbeats than one device sends.
+    #[error("{count} heartbeats in {passed_ms} ms, expected {expected}: does another node have the same id?")]
+    DuplicateNodeId {
+        /// Heartbeats received.
+        count: u32,
+        /// Time in which they were received \[ms\].
+        passed_ms: u64,
+        /// Heartbeats of one device in this time.
+        expected: u64,
+    },
+    /// A frame with the device's identifier and an invalid length.
+    #[error("frame of {length} bytes under the inclinometer's identifier {id:03X}h")]
+    Malformed {
+        /// Identifier.
+        id: u16,
+        /// Length.
+        length: usize,
+    },
+    /// The bus is not error-active.
+    #[error("{}", bus_text(*.0))]
+    Bus(BusState),
+    /// A slope outside the measuring range.
+    #[error("slopes of {:.2} and {:.2} deg, expected at most {:.0} deg", .slopes[0].to_degrees(), .slopes[1].to_degrees(), .range.to_degrees())]
+    OutOfRange {
+        /// Slopes \[rad\].
+        slopes: [f64; 2],
+        /// Measuring range \[rad\].
+        range: f64,
+    },
+    /// A slope has changed by more than `jump` between two frames.
+    #[error("a slope has jumped by {:.2} deg from one frame to the next", .by.to_degrees())]
+    Jump {
+        /// Size of the step \[rad\].
+        by: f64,
+    },
+    /// The listener thread has ended or hangs.
+    #[error("no report from the inclinometer's thread for {elapsed_ms} ms")]
+    ListenerTimeout {
+        /// Time since the last report \[ms\].
+        elapsed_ms: u64,
+    },
+}
+
+/// Largest slope in 16 bits with a unit of `resolution` \[0.001 deg\]; in rad.
+pub(super) fn max_slope(resolution: u32) -> f64 {
+    f64::from(i16::MAX) * unit(resolution)
+}
+
+/// Unit of the slopes for a resolution \[0.001 deg\]; in rad.
+pub(super) fn unit(resolution: u32) -> f64 {
+    f64::from(resolution) * 1e-3_f64.to_radians()
+}
+
+fn bus_text(state: BusState) -> &'static str {
+    match state {
+        BusState::Active => "the CAN controller is error-active",
+        BusState::Passive => "the CAN controller is error-passive: check wiring, termination and bit rate",
+        BusState::Off => "the CAN controller is bus-off: check wiring, termination and bit rate",
+        BusState::Down => "the CAN interface is down or gone",
+        BusState::Blocked => "the transmit queue of the CAN interface is full (ENOBUFS): no node acknowledges",
+    }
+}
