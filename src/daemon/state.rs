@@ -7,7 +7,7 @@ use super::recorder::Recorder;
 use crate::config::job::OnEstimatorLoss;
 use crate::failure::Failure;
 use crate::process::signals::{Cause, Ending};
-use crate::recording::about::Reason;
+use crate::recording::about::{Reason, ReasonKind};
 use crate::recording::messages::event_text;
 use plumbline_core::{Fault, Record};
 use plumbline_ipc::{FollowerEvent, Progress, Session as SessionStatistics, StopOrder, now_ns};
@@ -202,7 +202,7 @@ impl DaemonState {
         if let Some(moved) = self.gravity.take(records) {
             self.gravity_event(moved.event);
             if let Some(why) = moved.stop {
-                self.stop_because(Reason::new("mounting", why), Some(controls));
+                self.stop_because(Reason::new(ReasonKind::Mounting, why), Some(controls));
             }
         }
         self.models.recent.take(records);
@@ -279,7 +279,7 @@ impl DaemonState {
         tracing::warn!("{words}");
         self.recorder.note(&words);
         if response == LossResponse::Stop {
-            self.stop_because(Reason::new("estimator-lost", words), controls);
+            self.stop_because(Reason::new(ReasonKind::EstimatorLost, words), controls);
         }
     }
 

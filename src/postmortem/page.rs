@@ -3,6 +3,7 @@
 use super::facts::{Facts, JointPeak};
 use super::{plot, text};
 use crate::recording::Recording;
+use crate::recording::about::ReasonKind;
 use minijinja::{AutoEscape, Environment, Value, context};
 use plumbline_core::PERIOD_S;
 use std::io;
@@ -21,7 +22,7 @@ pub fn page(facts: &Facts, recording: &Recording) -> io::Result<String> {
     let of = &facts.timing.statistics;
     let page = context! {
         headline => facts.headline(),
-        calm => facts.kind == "on-demand",
+        calm => facts.kind == ReasonKind::OnDemand,
         reason => &facts.reason,
         tiles => tiles(facts),
         next => facts.next.iter().map(|step| safe(with_code(step))).collect::<Vec<_>>(),

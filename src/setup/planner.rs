@@ -80,8 +80,8 @@ impl<'a> Planner<'a> {
             let usage = PlanUsage::of(&self.usage(&motion(&plan)?));
             return Ok(Plan { usage: Some(usage), ..plan });
         }
-        let hear = |now: Progress| progress(now.done as f64 / now.of as f64);
-        let watch = SearchControl { threads: threads(), stop: &|| false, progress: &hear };
+        let report = |now: Progress| progress(now.done as f64 / now.of as f64);
+        let watch = SearchControl { threads: threads(), stop: &|| false, progress: &report };
         self.task(mounting, self.job.margins())
             .best(&self.search(seed), &[], &watch)
             .map_err(|error| self.no_plan(error))

@@ -97,10 +97,10 @@ impl Programme {
             let mut broken = None;
             for attempt in 0..attempts {
                 let seed = slot.seed + attempt * SEED_STEP;
-                let hear = |share: f64| progress(&slot.name, (done + share) / all);
-                hear(0.0);
+                let report = |share: f64| progress(&slot.name, (done + share) / all);
+                report(0.0);
                 let plan = if slot.first {
-                    planner.best(&slot.mounting, seed, &hear)?
+                    planner.best(&slot.mounting, seed, &report)?
                 } else {
                     planner.random(&slot.mounting, seed)?
                 };

@@ -138,7 +138,6 @@ fn session(name: &str) -> Session {
             fault: Some("joint_velocity_violation: a joint was too fast".into()),
             ..Link::default()
         }),
-        ..Session::default()
     }
 }
 

@@ -70,8 +70,8 @@ fn the_first_reason_to_end_is_that_of_the_stop_and_each_is_logged_once() {
 #[test]
 fn a_stop_is_recorded_with_the_daemons_own_reason_where_it_asked_for_it() {
     let stops: [fn(&mut DaemonState, &Controls); 2] = [
-        |state, controls| state.stop_because(Reason::new("mounting", "the base has turned"), Some(controls)),
-        |state, controls| state.stop_because(Reason::new("model-timeout", "no model came"), Some(controls)),
+        |state, controls| state.stop_because(Reason::new(ReasonKind::Mounting, "the base has turned"), Some(controls)),
+        |state, controls| state.stop_because(Reason::new(ReasonKind::ModelTimeout, "no model came"), Some(controls)),
     ];
     for (stop, why) in stops.into_iter().zip(["the base has turned", "no model came"]) {
         let (mut state, _place) = new_state();
@@ -178,9 +178,9 @@ fn the_flight_recorder_is_given_the_reason_of_every_stop_that_the_daemon_asks_fo
     let (mut state, _place) = new_state();
     let mut remarks = state.recorder.remarks();
     let controls = Controls::default();
-    state.stop_because(Reason::new("mounting", "the base has turned"), Some(&controls));
+    state.stop_because(Reason::new(ReasonKind::Mounting, "the base has turned"), Some(&controls));
     assert_eq!(remarks(), ["mounting: the base has turned"]);
-    state.stop_because(Reason::new("model-timeout", "no model came"), Some(&controls));
+    state.stop_because(Reason::new(ReasonKind::ModelTimeout, "no model came"), Some(&controls));
     assert_eq!(remarks(), ["model-timeout: no model came"]);
     state.end.ending.arrive(Cause::Signal(libc::SIGTERM));
     state.announce_end();

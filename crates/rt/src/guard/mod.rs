@@ -69,7 +69,7 @@ pub struct Violation {
 
 impl Violation {
     /// Whether a torque, and so the model, is at fault.
-    pub fn blames_model(&self) -> bool {
+    pub fn is_of_model(&self) -> bool {
         matches!(self.limit, Limit::TorqueNotFinite | Limit::Torque | Limit::TorqueRate)
     }
 }
