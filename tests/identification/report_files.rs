@@ -331,7 +331,7 @@ fn the_summary_says_what_the_job_promises() {
     report.ipc = Some(ipc(10, 9));
     report.identifiability.untrusted_runs = vec!["wall.csv".into()];
     let said = report.summary().join("\n");
-    assert!(said.contains("10 sent, 9 received, NOT EQUAL") && said.contains("can't vouch for: wall.csv"), "{said}");
+    assert!(said.contains("10 sent, 9 received, NOT EQUAL") && said.contains("not valid: wall.csv"), "{said}");
 }
 
 #[test]
@@ -405,8 +405,8 @@ fn a_motion_that_excites_too_little_and_restricted_parameters_come_back_from_jso
     let back: Report = serde_json::from_str(&json).unwrap();
     assert_eq!(back, report);
     let summary = back.summary().join("\n");
-    assert!(summary.contains("estimator: huber, whose weights did not settle"), "{summary}");
-    assert!(summary.contains("restricted to zero, not to be told from it in this data: Lxy3, Lyz2"), "{summary}");
+    assert!(summary.contains("estimator: huber, whose weights did not converge"), "{summary}");
+    assert!(summary.contains("restricted to zero because not significant in this data: Lxy3, Lyz2"), "{summary}");
     assert!(back.base.parameters.iter().all(|p| p.relative_std.is_some() == (p.std.is_some() && p.value != 0.0)));
 }
 

@@ -84,7 +84,7 @@ fn every_wrong_model_is_refused_by_name() {
         line.split(", ").find(|part| part.starts_with("value")).unwrap().to_string()
     };
     let cases = [
-        (spoil("format = 1", "format = 2"), "key `format`: got 2, expected 1, the format this program knows"),
+        (spoil("format = 1", "format = 2"), "key `format`: got 2, expected 1, the format of this program"),
         (spoil("format = 1", "formt = 1"), "formt"),
         (spoil("\"GBS\"", "\"VBS\""), "[[term]]: got term `rigid-body`"),
         (spoil("\"GBS\"", "\"gbs\""), "key `kind`: got `\"gbs\"`"),

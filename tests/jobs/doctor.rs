@@ -76,11 +76,11 @@ fn each_fault_is_found_by_name_with_what_to_change() {
     use Verdict::{Advice, Unfit};
     let cpu = "sys/devices/system/cpu";
     let cases: [Spoiled; 11] = [
-        ("proc/cpuinfo", "flags\t: fpu hypervisor\n", "hypervisor", Advice, "virtual", "real machine"),
+        ("proc/cpuinfo", "flags\t: fpu hypervisor\n", "hypervisor", Advice, "virtual", "physical machine"),
         ("cpu0/cpufreq/scaling_governor", "powersave", "governor", Advice, "powersave on CPU 0", "cpupower"),
         ("cpu1/cpuidle/state1/latency", "133", "idle-states", Advice, "133 us", "cpu_dma_latency"),
         ("isolated", "", "isolation", Advice, "also runs other programs", "isolcpus=1"),
-        ("nohz_full", "", "isolation", Advice, "keeps its tick", "nohz_full=1"),
+        ("nohz_full", "", "isolation", Advice, "not tickless", "nohz_full=1"),
         ("online", "0", "isolation", Unfit, "online are `0`", "realtime.cpu"),
         ("proc/irq/24/smp_affinity_list", "0-1", "interrupts", Advice, "24 (eth0)", "smp_affinity_list"),
         ("cpu1/topology/thread_siblings_list", "0-1", "hyper-threading", Advice, "share one core", "nosmt"),
