@@ -181,7 +181,7 @@ fn figures(samples: usize) -> Figures {
 }
 
 #[test]
-fn the_json_has_the_promised_shape_and_reads_back() {
+fn the_json_has_the_specified_schema_and_round_trips() {
     let report = report();
     let text = report.to_json().unwrap();
     let json: serde_json::Value = serde_json::from_str(&text).unwrap();
@@ -225,7 +225,7 @@ fn keys_of(json: &serde_json::Value, keys: &mut Vec<String>) {
 }
 
 #[test]
-fn a_session_without_a_clock_has_no_lateness() {
+fn a_session_in_simulated_time_has_no_late_cycles() {
     assert_eq!(Distribution::default().in_us(), None);
 
     let mut report = report();
@@ -241,7 +241,7 @@ fn a_session_without_a_clock_has_no_lateness() {
 }
 
 #[test]
-fn filtered_errors_say_so_and_are_not_held_against_a_raw_floor() {
+fn filtered_errors_are_labelled_and_not_compared_with_a_raw_floor() {
     let mut report = report();
     report.band = Band::Filtered { cutoff: 4.0 };
     for run in &mut report.validate {
@@ -335,7 +335,7 @@ fn the_summary_says_what_the_job_promises() {
 }
 
 #[test]
-fn the_page_is_one_file_of_bearable_size() {
+fn the_page_is_one_file_of_limited_size() {
     let room = tempfile::tempdir().unwrap();
     let dir = std::env::var_os("PLUMBLINE_SHOW").map_or(room.path().to_path_buf(), PathBuf::from);
     report().write(&dir, &figures(60_000)).unwrap();
@@ -381,7 +381,7 @@ fn text_from_files_is_escaped() {
 }
 
 #[test]
-fn a_bare_report_is_a_page_too() {
+fn an_empty_report_is_a_valid_page() {
     let page = Report { robot: "panda".into(), ..Report::default() }.to_html(&Figures::default()).unwrap();
     assert!(page.contains("panda") && !page.contains("<svg "));
     let one =
