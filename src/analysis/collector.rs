@@ -5,17 +5,17 @@ use crate::setup::programme::{Motion, Programme, Role};
 use nalgebra::DMatrix;
 use plumbline_core::{JointVec, Phase, Record};
 
-/// A motion that was driven, and what was recorded of it.
+/// A recorded motion of the programme.
 #[derive(Clone, Debug)]
 pub struct Recorded {
     /// Its number in the programme.
     pub number: u32,
-    /// What it was for.
+    /// Role in the programme.
     pub role: Role,
     /// The samples after the lead-in; the served torque is in the further columns `tau_ff1` to `tau_ffn`.
     pub run: Run,
-    /// Whether every sample of the motion is there, states that the arm lost apart: none before its first one, after its last one, or
-    /// in between has been given up by the daemon.
+    /// Whether the recording is complete but for states that the arm lost: no record before the first one, after the last one, or
+    /// in between was dropped by the daemon.
     pub complete: bool,
 }
 
@@ -24,7 +24,7 @@ pub struct Collector {
     joints: usize,
     motions: Vec<Motion>,
     present: Option<Present>,
-    /// Records before the next one are gone.
+    /// Records before the next one are missing.
     gap: bool,
 }
 
@@ -32,12 +32,12 @@ pub struct Collector {
 struct Present {
     motion: Motion,
     records: Vec<Record>,
-    /// Records of it are gone.
+    /// Records of this motion are missing.
     broken: bool,
 }
 
 impl Present {
-    /// Whether `record` goes on with it. The same motion driven once more begins at its first tick again.
+    /// Whether `record` belongs to the same motion. A repetition of a motion starts again at its first tick.
     fn goes_on(&self, record: &Record) -> bool {
         let forward = self.records.last().is_none_or(|last| last.tick < record.tick);
         record.phase == Phase::Excite && record.motion == self.motion.number && forward
@@ -47,12 +47,12 @@ impl Present {
 impl Collector {
     /// A collector for an arm of `joints` joints.
     pub fn new(programme: &Programme, joints: usize) -> Collector {
-        // A live motion may last for days; the watch has a window of its own.
+        // Motions of the live watch are not collected: they have no bounded length.
         let recorded = programme.motions().filter(|motion| motion.role != Role::Live);
         Collector { joints, motions: recorded.cloned().collect(), present: None, gap: false }
     }
 
-    /// Takes the next record; gives the motion that it ends.
+    /// Processes a record; returns the motion that ends with it.
     pub fn take(&mut self, record: &Record) -> Option<Recorded> {
         let gap = std::mem::take(&mut self.gap);
         let ended = self.present.take_if(|present| !present.goes_on(record));
@@ -62,7 +62,7 @@ impl Collector {
                 self.present = motion.map(|motion| Present {
                     motion: motion.clone(),
                     records: Vec::with_capacity(motion.ticks()),
-                    // What is gone may have been its beginning.
+                    // The missing records may be the start of the motion.
                     broken: gap && record.tick > 0,
                 });
             }
@@ -73,7 +73,7 @@ impl Collector {
         ended.map(|present| self.recorded(&present))
     }
 
-    /// Records are gone between the last one and the next; gives the name of the motion that is incomplete for it.
+    /// Reports missing records before the next one; returns the name of the motion that is incomplete because of them.
     pub fn missed(&mut self) -> Option<&str> {
         self.gap = true;
         let present = self.present.as_mut()?;
@@ -107,7 +107,7 @@ impl Collector {
             Role::Validate | Role::Live => dataset::Role::Validate,
         };
         let run = Run { extra, ..Run::new(data, role) };
-        // The last sample of a motion is one tick behind its last period.
+        // The last sample of a motion is one tick after its last period.
         let complete = !broken && records.last().is_some_and(|record| record.tick + 1 >= motion.ticks() as u64);
         Recorded { number: motion.number, role: motion.role, run, complete }
     }
@@ -145,7 +145,7 @@ mod tests {
         ticks.filter_map(|tick| collector.take(&record(tick))).last()
     }
 
-    /// Whether the motion is complete after what has been fed.
+    /// Whether the motion is complete after the given records.
     fn complete(collector: &mut Collector) -> bool {
         feed(collector, Phase::Hold, 0..1).unwrap().complete
     }
@@ -157,7 +157,7 @@ mod tests {
         assert!(complete(&mut collector));
         feed(&mut collector, Phase::Excite, 0..TICKS - 1);
         assert!(!complete(&mut collector));
-        // A state that the arm lost is no record that the daemon gave up.
+        // A lost state is not a missing record.
         feed(&mut collector, Phase::Excite, 0..5);
         feed(&mut collector, Phase::Excite, 6..TICKS);
         assert!(complete(&mut collector));
@@ -166,20 +166,20 @@ mod tests {
     #[test]
     fn records_that_were_given_up_make_their_motion_incomplete_and_no_other() {
         let mut collector = collector();
-        // Its beginning.
+        // Missing start.
         assert_eq!(collector.missed(), None);
         feed(&mut collector, Phase::Excite, 12..TICKS);
         assert!(!complete(&mut collector));
-        // Something within.
+        // Missing middle.
         feed(&mut collector, Phase::Excite, 0..12);
         assert_eq!(collector.missed(), Some("identify-wall"));
         feed(&mut collector, Phase::Excite, 14..TICKS);
         assert!(!complete(&mut collector));
-        // All up to its first record.
+        // Missing records before the first one.
         collector.missed();
         feed(&mut collector, Phase::Excite, 0..TICKS);
         assert!(complete(&mut collector));
-        // Its end, and whatever was between it and the same motion once more.
+        // Missing end before a repetition of the motion.
         feed(&mut collector, Phase::Excite, 0..20);
         collector.missed();
         assert!(!feed(&mut collector, Phase::Excite, 0..TICKS).unwrap().complete);

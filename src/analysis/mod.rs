@@ -1,4 +1,4 @@
-//! From recorded runs to what is written: model, errors, diagnosis, comparison. Shared by the offline commands and the estimator.
+//! From recorded runs to results: model, errors, diagnosis, comparison. Used by the offline commands and the estimator.
 
 pub mod collector;
 pub mod diagnosis;
@@ -15,7 +15,7 @@ use plumbline_model::{Conditions, Robot};
 /// Two gravity directions closer than this are one mounting \[rad\].
 pub const SAME_MOUNTING: f64 = 1e-3;
 
-/// Condition numbers as the report has them.
+/// Condition numbers for the report.
 pub fn conditions_facts(conditions: &Conditions) -> Vec<Condition> {
     let fact = |definition: &str, with_friction, without_friction| Condition {
         definition: definition.to_string(),

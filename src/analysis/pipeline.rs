@@ -1,4 +1,4 @@
-//! From recorded runs to a model and its errors: what `identify` and `estimator` share.
+//! From recorded runs to a model and its errors, for `identify` and `estimator`.
 
 use crate::dataset::Run;
 use crate::dataset::columns::DESIRED_POSITIONS;
@@ -13,15 +13,15 @@ use plumbline_identify::solve::{Identification, identify_with};
 use plumbline_model::term::{Motion, torque_offset};
 use plumbline_model::{Reduction, Robot, Structure, TorqueModel, TorqueSensing};
 
-/// A model and how it came about.
+/// A model with its identification.
 pub struct Identified {
     /// The model.
     pub model: TorqueModel,
-    /// Everything the estimator says about it.
+    /// Result of the estimator.
     pub identification: Identification,
 }
 
-/// How well a model predicts one run.
+/// Errors of a model on one run.
 pub struct Judged {
     /// Errors, raw and filtered.
     pub rms: Rms,
@@ -29,7 +29,7 @@ pub struct Judged {
     pub figure: TorqueFigure,
 }
 
-/// Terms that an arm's torques need besides its rigid body, when nobody says otherwise: motor-side torques feel the rotors, and every
+/// Default terms beside the rigid body: motor-side torques contain rotor inertia, and every
 /// torque sensor has an offset.
 pub fn usual_terms(robot: &Robot) -> Vec<&'static str> {
     match robot.torque_sensing {
@@ -38,12 +38,12 @@ pub fn usual_terms(robot: &Robot) -> Vec<&'static str> {
     }
 }
 
-/// The same for a diagnosis, to which an offset is a finding.
+/// Default terms of a diagnosis, which reports an offset as an effect.
 pub fn plain_terms(robot: &Robot) -> Vec<&'static str> {
     usual_terms(robot).into_iter().filter(|id| *id != torque_offset::ID).collect()
 }
 
-/// Whether `--velocities` asks for those that the arm measured.
+/// Whether `--velocities` selects measured velocities.
 pub fn measured_velocities(option: &str) -> Result<bool, BadInput> {
     match option {
         "measured" => Ok(true),
@@ -78,7 +78,7 @@ pub fn check_channels(runs: &[&Run]) -> Result<(), BadInput> {
     Ok(())
 }
 
-/// Refuses runs in which a torque does not vary: a sensor that measures nothing looks like this, and its noise would be zero, its weight
+/// Refuses runs with a constant torque, as from a dead sensor: its noise would be zero and its weight
 /// infinite.
 pub fn check_torques(runs: &[&Run]) -> Result<(), BadInput> {
     for run in runs {
@@ -111,7 +111,7 @@ pub fn experiments(runs: &[&Run], settings: &Settings) -> Result<Vec<Experiment>
     parallel(runs, threads(), |run| experiment(&run.data, settings)).into_iter().collect()
 }
 
-/// Runs made ready with all that an estimator wants of them.
+/// Prepared runs, with the data that the chosen estimator needs.
 pub fn for_estimator(runs: &[&Run], settings: &Settings, options: &solve::Options) -> Result<Vec<Experiment>, Failure> {
     let keep_periods = settings.keep_periods || options.estimator.needs_periods();
     let settings = Settings { keep_periods, ..settings.clone() };
@@ -233,7 +233,7 @@ fn columns(matrix: &DMatrix<f64>, joints: usize) -> Vec<Vec<f64>> {
 pub struct Predicted {
     /// At the time stamps of the recording, N x n \[Nm\].
     pub torques: DMatrix<f64>,
-    /// Whether each sample is so near to an end of the recording that its acceleration depends on the filter's continuation of the motion
+    /// Whether the acceleration of a sample depends on the filter's continuation of the motion
     /// past that end, N.
     pub at_end: Vec<bool>,
     /// Errors without those samples, where the recording has measured torques.
@@ -243,7 +243,7 @@ pub struct Predicted {
 /// Torques of a model at every sample of a recorded motion.
 pub fn predict(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Predicted, Failure> {
     let measured = run.data.tau.ncols() > 0;
-    // Every sample is wanted, not the mean period.
+    // All samples, not the mean period.
     let mut whole = plumbline_identify::Run { period: None, ..run.data.clone() };
     if !measured {
         whole.tau = DMatrix::zeros(run.samples(), run.joints());
@@ -266,7 +266,7 @@ pub fn predict(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Pr
     Ok(Predicted { torques, at_end, rms })
 }
 
-/// Real bodies for what was identified, by the whole covariance; `None`, with a warning, where none were found.
+/// Nearest physically consistent bodies in the metric of the covariance; `None`, with a warning, on failure.
 pub fn real_bodies(identified: &Identified) -> Option<Nearest> {
     let identification = &identified.identification;
     let uncertainty = Uncertainty::Covariance(&identification.covariance, &identification.std);

@@ -1,4 +1,4 @@
-//! What a job leaves behind: identifies, judges, and writes model, dataset and report.
+//! Results of a job: identifies, validates, and writes model, dataset and report.
 
 use crate::analysis::collector::Recorded;
 use crate::analysis::diagnosis::{self, Diagnosed, Question};
@@ -26,7 +26,7 @@ use std::path::{Path, PathBuf};
 /// Terms of the paper's model, besides the rigid body.
 const TERMS: [&str; 1] = ["friction"];
 
-/// Motions as they come in, and the model once it is there.
+/// Recorded motions of a job, and the identified model.
 pub struct Results {
     job: Job,
     robot: Robot,
@@ -70,13 +70,13 @@ impl Results {
         self.recorded.first().map(|recorded| recorded.run.data.mounting)
     }
 
-    /// Keeps a recorded motion.
+    /// Adds a recorded motion.
     pub fn take(&mut self, recorded: Recorded) {
         tracing::info!("{} was recorded: {} samples", recorded.run.data.name, recorded.run.samples());
         self.recorded.push(recorded);
     }
 
-    /// Identifies the model from the motions that are there for it; writes `model.toml` and returns its text.
+    /// Identifies the model from the identification motions; writes `model.toml` and returns its text.
     pub fn identify(&mut self) -> Result<String, Failure> {
         let runs = self.runs(Role::Identify);
         let identified = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings, &self.job.solver())?;
@@ -91,20 +91,20 @@ impl Results {
         self.model.as_ref().zip(self.runs(Role::Identify).first().copied())
     }
 
-    /// Something that the report should say.
+    /// Adds a note to the report.
     pub fn note(&mut self, note: String) {
         self.notes.push(note);
     }
 
-    /// Judges the model by every unseen motion and writes everything. `sent` is the number of samples of the whole programme.
+    /// Validates the model and writes all results. `sent` is the number of samples of the whole programme.
     pub fn finish(&mut self, status: &Status, sent: u64, counters: &StreamCounters) -> Result<(), Failure> {
         let Some(identified) = self.model.take() else {
-            return Err(Failure::job("the daemon is done, but no motion to identify from was recorded"));
+            return Err(Failure::job("the programme has ended, but no identification motion was recorded"));
         };
         let dataset = self.dataset();
         let plain = identified;
         let diagnosed = self.diagnose(&plain)?;
-        // From here on the model is the one with what was found.
+        // From here on the model contains the accepted effects.
         let identified = diagnosed.as_ref().map_or(&plain, |diagnosed| &diagnosed.after);
         let judged = pipeline::judge_all(&identified.model, &self.runs(Role::Validate), &self.settings)?;
         let counter = self.counter_experiment(&judged)?;
@@ -117,7 +117,7 @@ impl Results {
         let model = self.model_file(identified, validated.collect(), Some(dataset.content_hash()));
         crate::atomic::write_result(&self.out.join("model.toml"), model.to_toml().as_bytes())?;
         if diagnosed.as_ref().is_some_and(|diagnosed| diagnosed.block.effects.iter().any(|effect| effect.in_model)) {
-            // What the daemon has served so far.
+            // The served model.
             let served = self.model_file(&plain, Vec::new(), Some(dataset.content_hash()));
             crate::atomic::write_result(&self.out.join("model-plain.toml"), served.to_toml().as_bytes())?;
         }
@@ -147,7 +147,7 @@ impl Results {
         report.write(&self.out, &figures).map_err(Failure::job)
     }
 
-    /// What the model lacks, where the job wants to know: found on the motions of the identification, measured on unseen ones.
+    /// Diagnosis, if enabled: found on the identification set, evaluated on the validation set.
     fn diagnose(&self, identified: &Identified) -> Result<Option<Diagnosed>, Failure> {
         if !self.job.diagnosis.enabled {
             return Ok(None);
@@ -179,7 +179,7 @@ impl Results {
         self.recorded.iter().filter(|recorded| recorded.role == role).map(|recorded| &recorded.run).collect()
     }
 
-    /// The usual set from the vertical mounting: refused elsewhere, and forced, to show where it fails.
+    /// Errors of the vertical base set in another mounting.
     fn counter_experiment(&self, judged: &[(&Run, Judged)]) -> Result<Option<(CounterExperiment, ModelFile)>, Failure> {
         let runs = self.runs(Role::Counter);
         let Some(first) = runs.first() else { return Ok(None) };
@@ -276,13 +276,13 @@ impl Results {
     }
 }
 
-/// What a motion uses of the joints' limits, as its plan says.
+/// Use of the joints' limits by a motion, from its plan.
 fn usage(motion: &Motion) -> Option<MotionUsage> {
     let PlanUsage { range, speed } = motion.plan.usage.clone()?;
     Some(MotionUsage { motion: motion.name.clone(), range, speed })
 }
 
-/// One line of the paper's Tables IV and V.
+/// One row of the paper's Tables IV and V.
 fn validation(run: &Run, judged: &Judged) -> Validation {
     Validation {
         run: run.data.name.clone(),

@@ -1,4 +1,4 @@
-//! How runs are divided into those that are fitted and those that judge the fit.
+//! Division of runs into identification set and validation set.
 
 use crate::analysis::SAME_MOUNTING;
 use crate::dataset::{Dataset, Role, Run};
@@ -8,11 +8,11 @@ use plumbline_core::BadInput;
 /// Ratio of every run's samples that validate, in a dataset without validation runs.
 pub const HOLD_OUT: f64 = 0.4;
 
-/// Who does what.
+/// Identification set and validation set.
 pub struct Split {
     pub identify: Vec<Run>,
     pub validate: Vec<Run>,
-    /// What the reader has to know about it.
+    /// Remarks on the division.
     pub notes: Vec<String>,
 }
 
@@ -61,7 +61,7 @@ pub fn find_and_judge(runs: &[&Run], notes: &mut Vec<String>) -> (Vec<Run>, Vec<
     parts.unzip()
 }
 
-/// A part of a periodic run that is shorter than its period does not repeat.
+/// Period of a part of a run; `None` if the part is shorter than the period.
 fn whole_periods(mut part: Run) -> Run {
     let data = &mut part.data;
     let length = data.t.last().zip(data.t.first()).map_or(0.0, |(last, first)| last - first);

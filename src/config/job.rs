@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Job {
-    /// The file that the job came from, as it was named.
+    /// Path of the job file as given.
     #[serde(skip)]
     pub file: PathBuf,
     /// A shipped robot (`panda`), or the path of a robot description.
@@ -36,56 +36,56 @@ pub struct Job {
     /// The motion that parameters are identified from.
     #[serde(default)]
     pub excitation: Excitation,
-    /// The motions that the model is judged by.
+    /// Validation motions.
     #[serde(default)]
     pub validation: Validation,
-    /// How far the arm's limits are used.
+    /// Use of the arm's limits.
     #[serde(default)]
     pub limits: Limits,
-    /// Where the end effector may be, in place of the robot's own setting.
+    /// Workspace of the end effector; the robot's if absent.
     #[serde(default)]
     pub workspace: Option<Workspace>,
     /// Signal processing before the least squares.
     #[serde(default)]
     pub estimator: Estimator,
-    /// The search for what the model lacks.
+    /// Diagnosis of effects that the model lacks.
     #[serde(default)]
     pub diagnosis: Diagnosis,
-    /// What the loop's thread asks of the machine.
+    /// Real-time rights of the loop's thread.
     #[serde(default)]
     pub realtime: Realtime,
-    /// When a motion is ended.
+    /// Conditions of a controlled stop.
     #[serde(default)]
     pub safety: Safety,
     /// An inclinometer on the base.
     #[serde(default)]
     pub inclinometer: Option<Inclinometer>,
-    /// What has to agree on the mounting before anything is served.
+    /// Check of the mounting before anything is served.
     #[serde(default)]
     pub mounting_check: MountingCheck,
     /// The served feed-forward torque.
     #[serde(default)]
     pub serve: Serve,
-    /// The watch over the served model.
+    /// Live watch of the served model.
     #[serde(default)]
     pub live: Live,
-    /// What is kept of a fault.
+    /// Flight recorder.
     #[serde(default)]
     pub recorder: Recorder,
-    /// What is left behind.
+    /// Results.
     #[serde(default)]
     pub output: Output,
 }
 
-/// The search for what the model lacks, after the identification.
+/// Diagnosis of effects that the model lacks.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Diagnosis {
-    /// Whether it is done.
+    /// Whether the diagnosis runs.
     pub enabled: bool,
-    /// Highest frequency that is looked at \[Hz\].
+    /// Highest analysed frequency \[Hz\].
     pub band: f64,
-    /// Least torque RMS of an effect that matters \[Nm\]; by default 0.7 of the noise of the mean period.
+    /// Detection threshold: smallest torque RMS of an effect \[Nm\]; by default 0.7 of the noise of the mean period.
     pub threshold: Option<f64>,
 }
 
@@ -124,7 +124,7 @@ pub struct Backend {
 pub enum BackendKind {
     /// The simulated arm.
     Sim,
-    /// A Franka arm behind the Franka Control Interface, or what emulates one.
+    /// A Franka arm, or its emulator, over the Franka Control Interface.
     Franka,
 }
 
@@ -139,14 +139,14 @@ impl Backend {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Pace {
-    /// As fast as the machine can, without losing a sample.
+    /// As fast as possible, without losing a sample.
     #[default]
     Fast,
     /// One cycle per millisecond of the clock.
     WallClock,
 }
 
-/// Something that ships with the program under a name, or a file of the user's.
+/// A built-in resource by name, or a file.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(from = "String")]
 pub enum Resource {
@@ -195,7 +195,7 @@ impl Resource {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Excitation {
-    /// A plan to drive instead of searching one; period, harmonics and seed then come from it.
+    /// A plan to use instead of a search; it also sets period, harmonics and seed.
     pub plan: Option<PathBuf>,
     /// Harmonics per joint, N.
     pub harmonics: usize,
@@ -209,11 +209,11 @@ pub struct Excitation {
     pub periods: usize,
     /// Periods driven before those, while transients die out.
     pub lead_in: usize,
-    /// What the search makes small.
+    /// Criterion of the search.
     pub criterion: Criterion,
-    /// Random motions that the search descends from.
+    /// Random starting motions of the search.
     pub starts: usize,
-    /// Rounds in which the search shakes its best motions and descends again.
+    /// Rounds in which the best motions are perturbed and optimised again.
     pub rounds: usize,
     /// Nominal model (a model file) whose torques are held to the limits, too; relative to the job's folder.
     pub model: Option<PathBuf>,
@@ -243,7 +243,7 @@ impl Default for Excitation {
     }
 }
 
-/// Random motions that the model did not see (paper, Tables IV and V).
+/// Validation motions (paper, Tables IV and V).
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Validation {
@@ -272,7 +272,7 @@ impl Default for Validation {
     }
 }
 
-/// How far planned motions may use the robot's limits, and limits of one's own.
+/// Ratios of the robot's limits for planned motions, and tighter limits of the job.
 ///
 /// Shares hold for planned motions alone; the guard stops the arm at the limits themselves.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -289,7 +289,7 @@ pub struct Limits {
     pub jerk: f64,
     /// Share of the limits of torque and torque rate.
     pub torque: f64,
-    /// Limits of one's own, for planning and guard; they can only be tighter than the robot's.
+    /// Limits for planning and guard; they can only be tighter than the robot's.
     #[serde(rename = "override")]
     pub overrides: LimitOverrides,
 }
@@ -321,7 +321,7 @@ pub struct LimitOverrides {
     pub dtau: Option<Vec<f64>>,
 }
 
-/// Where the end effector may be, in the base frame (paper eq. 14).
+/// Workspace of the end effector in the base frame (paper eq. 14).
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Workspace {
@@ -337,13 +337,13 @@ pub struct Workspace {
     pub links_in_box: bool,
 }
 
-/// Signal processing and estimator; what is absent is left to the estimator's own defaults.
+/// Signal processing and estimator; absent keys have the estimator's defaults.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Estimator {
     /// Estimator: `ols`, `wls`, `wls-full`, `huber`, `tls` or `iv`.
     pub solver: solve::Estimator,
-    /// Whether parameters that can't be told from zero are taken out.
+    /// Whether parameters that are not significantly different from zero are removed.
     pub essential: bool,
     /// Signal processing: `spectral`, or `paper` (order 20, 2 Hz, central differences); the keys below go over it.
     pub method: Method,
@@ -359,7 +359,7 @@ pub struct Estimator {
     pub derivative: Option<Derivative>,
 }
 
-/// What the loop's thread asks of the machine, and what is done when the machine does not grant it.
+/// Real-time rights of the loop's thread, and the action if they are refused.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Realtime {
@@ -371,18 +371,18 @@ pub struct Realtime {
     pub lock_memory: bool,
     /// Whether the kernel should be a PREEMPT_RT one.
     pub preempt_rt: bool,
-    /// What the daemon does when one of these is not granted.
+    /// Action if a right is refused.
     pub on_refusal: OnRefusal,
 }
 
-/// What the daemon does when the machine does not grant what the loop's thread asks for.
+/// Action if a real-time right is refused.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OnRefusal {
-    /// Runs without it, and says so: in the log, in the status and in the report.
+    /// Run without it and report that in log, status and report.
     #[default]
     Degrade,
-    /// Ends before the arm is commanded anything.
+    /// End before the first command.
     Refuse,
 }
 
@@ -392,19 +392,19 @@ impl Default for Realtime {
     }
 }
 
-/// When a motion is ended.
+/// Conditions of a controlled stop.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Safety {
     /// Largest distance of a joint from its desired position \[rad\].
     #[serde(deserialize_with = "units::angle")]
     pub tracking_error: f64,
-    /// Most states that may be lost in a row. A Franka stops by itself after 20 missing commands, and more abruptly: half of that leaves room for
+    /// Maximum number of states lost in a row. A Franka stops by itself, and more abruptly, after 20 missing commands; half of that leaves time for
     /// a controlled stop.
     pub max_lost: u32,
-    /// What the arm does when the estimator is gone in mid-run.
+    /// Action if the estimator is lost during a motion.
     pub on_estimator_loss: OnEstimatorLoss,
-    /// How long the arm holds for the model after the motions that it is identified from; then the programme ends with a controlled stop \[s\].
+    /// Timeout of the model after the identification motions, while the arm holds; then there is a controlled stop \[s\].
     #[serde(deserialize_with = "units::duration")]
     pub model_timeout: f64,
 }
@@ -415,18 +415,18 @@ impl Default for Safety {
     }
 }
 
-/// What the arm does when the estimator is gone in mid-run.
+/// Action if the estimator is lost during a motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OnEstimatorLoss {
-    /// Drives the motion to its end; the samples are kept for the next estimator.
+    /// Complete the motion; the samples are kept for the next estimator.
     #[default]
     Finish,
-    /// Brakes to a stop.
+    /// Controlled stop.
     Stop,
 }
 
-/// The served feed-forward torque. From which age on a value is stale, each client says itself
+/// The served feed-forward torque. Each client sets the age of a stale value
 /// (`FeedForwardSettings::stale_after_ms`).
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
@@ -435,18 +435,18 @@ pub struct Serve {
     pub id: Option<String>,
 }
 
-/// The watch over the served model: whether it still holds, and what is done when it does not.
+/// Live watch: monitors the residual of the served model.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Live {
     /// Whether the estimator watches the model while it is served and the arm moves.
     pub watch: bool,
-    /// How long the model must have been wrong before the search for a change \[s\].
+    /// Duration of an alarm before the search for a change \[s\].
     #[serde(deserialize_with = "units::duration")]
     pub window: f64,
-    /// Who decides that a model with the changes is served.
+    /// Whether a proposed model is served at once or after an operator's decision.
     pub adopt: Adopt,
-    /// How long an unseen motion is repeated after the validation, so that there is something to watch; 0 s for none \[s\].
+    /// Duration of a repeated motion after the validation, for the live watch; 0 s for none \[s\].
     #[serde(deserialize_with = "units::duration")]
     pub motion: f64,
 }
@@ -457,29 +457,29 @@ impl Default for Live {
     }
 }
 
-/// Who decides that an offered model is served.
+/// Decision on a proposed model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Adopt {
-    /// A person: `plumbline command adopt`, or `reject`.
+    /// By an operator: `plumbline command adopt`, or `reject`.
     #[default]
     Ask,
-    /// The daemon, at once.
+    /// At once by the daemon.
     Auto,
 }
 
-/// The flight recorder: the last seconds before a fault, and what follows up to the end of the stop.
+/// The flight recorder: the last seconds before a fault, up to the end of the stop.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Recorder {
-    /// How long before the fault a recording begins; 0 s records nothing \[s\].
+    /// Recorded time before a fault; 0 s for no recordings \[s\].
     #[serde(deserialize_with = "units::duration")]
     pub span: f64,
     /// Folder of the recordings, relative to the working directory; `flight` in the folder of the results where absent.
     pub dir: Option<PathBuf>,
-    /// How many recordings of this robot's faults and stops are kept there; the oldest go.
+    /// Maximum number of recordings of faults and stops; the oldest are removed.
     pub keep: usize,
-    /// How many recordings on demand are kept beside them; the oldest go.
+    /// Maximum number of recordings on demand; the oldest are removed.
     pub keep_on_demand: usize,
 }
 
@@ -489,7 +489,7 @@ impl Default for Recorder {
     }
 }
 
-/// What is left behind.
+/// Results.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Output {

@@ -1,4 +1,4 @@
-//! Quantities that a person writes with their unit: `"90 deg"`, `"10 s"`, `"5 Hz"`. A bare number is refused.
+//! Quantities with a unit: `"90 deg"`, `"10 s"`, `"5 Hz"`. A bare number is refused.
 
 use plumbline_core::BadInput;
 use plumbline_model::Mounting;
@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer};
 use std::f64::consts::PI;
 use std::fmt;
 
-/// One kind of quantity: what it is called in errors, and its units as factors to the SI unit.
+/// A kind of quantity: description for errors, and units with their factors to the SI unit.
 pub struct Quantity {
     what: &'static str,
     units: &'static [(&'static str, f64)],
@@ -41,7 +41,7 @@ impl Quantity {
     /// The value of `text` in the SI unit, or `None` when the number or the unit is missing, wrong, or not finite.
     pub fn parse(&self, text: &str) -> Option<f64> {
         let text = text.trim();
-        // The unit is what follows the last character a number can end with.
+        // The unit follows the last digit or point.
         let split = text.rfind(|c: char| c.is_ascii_digit() || c == '.')? + 1;
         let (number, unit) = text.split_at(split);
         let factor = self.units.iter().find(|(name, _)| *name == unit.trim())?.1;
@@ -50,7 +50,7 @@ impl Quantity {
     }
 }
 
-/// Reads a quantity from a string and says what was expected when it is anything else, a bare number above all.
+/// Deserializes a quantity from a string; other types are refused.
 struct QuantityVisitor(&'static Quantity);
 
 impl Visitor<'_> for QuantityVisitor {
@@ -65,7 +65,7 @@ impl Visitor<'_> for QuantityVisitor {
     }
 
     fn visit_f64<E: Error>(self, _: f64) -> Result<f64, E> {
-        Err(E::custom(format!("{} (a number without a unit says too little)", self.0.what)))
+        Err(E::custom(format!("{} (a number needs a unit)", self.0.what)))
     }
 
     fn visit_i64<E: Error>(self, value: i64) -> Result<f64, E> {
@@ -175,7 +175,7 @@ impl<'de> Deserialize<'de> for Setting {
             }
 
             fn visit_f64<E: Error>(self, _: f64) -> Result<Setting, E> {
-                Err(E::custom(format!("{MOUNTING} (a number without a unit says too little)")))
+                Err(E::custom(format!("{MOUNTING} (a number needs a unit)")))
             }
 
             fn visit_i64<E: Error>(self, value: i64) -> Result<Setting, E> {

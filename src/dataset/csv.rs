@@ -1,4 +1,4 @@
-//! One run's CSV file: columns are found by name, every cell is checked.
+//! CSV file of one run: columns by name, every cell checked.
 
 use nalgebra::DMatrix;
 use plumbline_core::{BadInput, MAX_JOINTS};
@@ -59,7 +59,7 @@ pub(super) fn parse(file: &str, bytes: &[u8], torque: Torque) -> Result<Columns,
     })
 }
 
-/// Where in the header each quantity stands.
+/// Column index of each quantity.
 struct Layout {
     t: usize,
     q: Vec<usize>,
@@ -73,7 +73,7 @@ impl Layout {
         for (index, name) in header.iter().enumerate() {
             if name.is_empty() || header[..index].contains(name) {
                 let place = format!("line 1, column {}", index + 1);
-                return Err(BadInput::new(file, place, format!("`{name}`"), "a column name that stands only once"));
+                return Err(BadInput::new(file, place, format!("`{name}`"), "a unique column name"));
             }
         }
         let place = |name: &str| header.iter().position(|other| other == name);
@@ -152,7 +152,7 @@ fn cells(file: &str, header: &[String], reader: &mut ::csv::Reader<&[u8]>) -> Re
     }
 }
 
-/// Time may stand still (a repeated sample) but never runs backwards, and it must advance somewhere.
+/// Time must not decrease, may repeat, and must advance at least once.
 fn check_time(file: &str, t: &[f64]) -> Result<(), BadInput> {
     for (index, pair) in t.windows(2).enumerate() {
         if pair[1] < pair[0] {

@@ -1,4 +1,4 @@
-//! A recording of the flight recorder as a run: what the arm measured, on its own clock.
+//! A recording of the flight recorder as a run: measured values with the arm's time.
 
 use super::Run;
 use super::csv::Columns;
@@ -11,7 +11,7 @@ pub(super) fn read(path: &Path) -> Result<Columns, BadInput> {
     let file = path.display().to_string();
     let recording = Recording::read(path)?;
     if let Some(cut) = &recording.cut {
-        return Err(BadInput::new(file, "end of the file", cut, "a whole recording: half a motion is no run"));
+        return Err(BadInput::new(file, "end of the file", cut, "a complete recording"));
     }
     let (records, n) = (&recording.records, recording.about.joints);
     if records.len() < Run::LEAST_SAMPLES {

@@ -3,7 +3,7 @@
 use super::{Dataset, Role, columns};
 use sha2::{Digest, Sha256};
 
-/// Hash over numbers, not over text: a dataset written anew keeps its hash.
+/// Hash over numbers, not over text: independent of the number format.
 pub(super) fn content_hash(dataset: &Dataset) -> String {
     let mut hasher = Sha256::new();
     let mut number = |value: f64| hasher.update((value + 0.0).to_le_bytes());

@@ -1,4 +1,4 @@
-//! What is wrong or coarse about a recording, as facts for the report.
+//! Quality of a recording: repeats, gaps, resolution.
 
 use super::Run;
 use nalgebra::DVectorView;
@@ -56,7 +56,7 @@ fn quantum(column: DVectorView<f64>) -> Option<f64> {
     let mut steps: Vec<f64> =
         values.windows(2).map(|pair| pair[1] - pair[0]).filter(|&step| step > 1e-9 * range).collect();
     steps.sort_by(f64::total_cmp);
-    // A few values prove nothing. The lowest tenth averages rounding away and is still a single step.
+    // Needs five steps. The mean of the lowest tenth averages rounding errors.
     let lowest = steps.get(..(steps.len() / 10).max(1)).filter(|_| steps.len() >= 5)?;
     let quantum = lowest.iter().sum::<f64>() / lowest.len() as f64;
     let whole = |step: f64| (step / quantum - (step / quantum).round()).abs() < 0.05;

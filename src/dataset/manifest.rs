@@ -1,4 +1,4 @@
-//! `dataset.toml`: what it may say, and how a dataset comes together from it and its CSV files.
+//! `dataset.toml`: format and reading of a dataset.
 
 use super::{Dataset, Run, csv};
 use plumbline_core::{BadInput, from_toml, parallel, threads};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Component, Path};
 
-/// What a run is for.
+/// Role of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
@@ -17,7 +17,7 @@ pub enum Role {
     Validate,
 }
 
-/// `dataset.toml` as it stands in the file.
+/// Serialised form of `dataset.toml`.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub(super) struct Manifest {
@@ -135,7 +135,7 @@ pub(super) fn read(dir: &Path) -> Result<Dataset, BadInput> {
 
 fn read_run(dir: &Path, file: &str, index: usize, entry: &RunEntry, shared: Mounting) -> Result<Run, BadInput> {
     let key = |name: &str| format!("key `run[{index}].{name}`");
-    // A dataset may come from anywhere: its runs lie in its own folder.
+    // Runs outside the dataset's folder are refused, because a dataset is untrusted input.
     if !Path::new(&entry.file).components().all(|part| matches!(part, Component::Normal(_))) || entry.file.is_empty() {
         return Err(BadInput::new(file, key("file"), format!("`{}`", entry.file), "a file in the dataset's folder"));
     }
@@ -164,7 +164,7 @@ fn read_run(dir: &Path, file: &str, index: usize, entry: &RunEntry, shared: Moun
 
 fn mounting(file: &str, key: &str, angles: GravityAngles) -> Result<Mounting, BadInput> {
     for (name, value) in [("rho", angles.rho), ("phi", angles.phi)] {
-        // Nobody turns a base more than once around: larger numbers are degrees.
+        // Larger numbers are probably degrees.
         if !(value.is_finite() && value.abs() <= 6.3) {
             return Err(BadInput::new(file, format!("key `{key}.{name}`"), value, "an angle in rad, at most one turn"));
         }

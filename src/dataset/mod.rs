@@ -1,4 +1,4 @@
-//! Datasets, the folder form in which recorded motions are imported and exported.
+//! Datasets: folders of recorded motions for import and export.
 //!
 //! A dataset is a folder with `dataset.toml` and one CSV file per run. The CSV has a header row, then one row per sample: `t` \[s\],
 //! `q1..qn` \[rad\], optional `dq1..dqn` \[rad/s\], `tau1..taun` (\[Nm\], or \[A\] where `dataset.toml` gives a gain), and any further
@@ -23,13 +23,13 @@ use std::path::Path;
 /// Recorded motions of one arm.
 #[derive(Clone, Debug)]
 pub struct Dataset {
-    /// Name, for people.
+    /// Name.
     pub name: String,
     /// The robot description that fits the arm: a shipped name or a path.
     pub robot: String,
     /// Mounting of every run that has none of its own.
     pub mounting: Mounting,
-    /// Where the data came from, as it stands in `[source]`; empty where it says nothing.
+    /// Source of the data: the table `[source]`, possibly empty.
     pub source: toml::Table,
     /// The runs, in the order of the file; at least one, all with the same number of joints.
     pub runs: Vec<Run>,
@@ -38,11 +38,11 @@ pub struct Dataset {
 /// One recorded motion: N samples of n joints.
 #[derive(Clone, Debug)]
 pub struct Run {
-    /// What was measured: its name is that of the file in the dataset's folder, its time never decreases.
+    /// Measured data, named after the file in the dataset's folder; time never decreases.
     pub data: plumbline_identify::Run,
-    /// What the run is for.
+    /// Role.
     pub role: Role,
-    /// A remark, for people.
+    /// A remark.
     pub note: String,
     /// Between sessions something about the arm may have changed; session 1 is the reference for the others.
     pub session: u32,
@@ -54,14 +54,14 @@ impl Dataset {
     /// Reads the dataset in folder `dir`.
     ///
     /// # Errors
-    /// Everything that doesn't fit the form, with file, line, column, value and what was expected: an unknown key, a missing column, a
+    /// Any deviation from the format, with file, line, column, found and expected value: an unknown key, a missing column, a
     /// cell that is no finite number, time that runs backwards, fewer than [`Run::LEAST_SAMPLES`] samples, currents without gains, runs
     /// with different numbers of joints.
     pub fn read(dir: &Path) -> Result<Dataset, BadInput> {
         manifest::read(dir)
     }
 
-    /// Writes the dataset as folder `dir`: aside first, then renamed, so that there is either the whole dataset or none.
+    /// Writes the dataset atomically as folder `dir`.
     ///
     /// Torques are written in Nm; every number reads back as the same `f64`.
     ///
@@ -102,7 +102,7 @@ impl Dataset {
 }
 
 impl Run {
-    /// A run shorter than this says nothing about an arm.
+    /// Minimum number of samples of a run.
     pub const LEAST_SAMPLES: usize = 10;
 
     /// One motion from a CSV file alone, in a given mounting; torques (in Nm) may be absent, `tau` then has no columns.

@@ -13,7 +13,7 @@ pub(super) fn write(dataset: &Dataset, dir: &Path) -> io::Result<()> {
         && entries.next().is_some()
         && !dir.join(FILE).exists()
     {
-        let text = format!("{}: is a folder with content that is no dataset; it stays as it is", dir.display());
+        let text = format!("{}: is a folder with content that is not a dataset; it is not changed", dir.display());
         return Err(io::Error::new(io::ErrorKind::AlreadyExists, text));
     }
     let manifest = toml::to_string(&describe(dataset)).map_err(io::Error::other)?;

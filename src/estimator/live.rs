@@ -1,4 +1,4 @@
-//! The live watch of the estimator: follows the samples while a model is served, says when it no longer holds, and proposes a better one.
+//! Live watch of the estimator: monitors the residual of the served model, detects changes and proposes a new model.
 
 use crate::analysis::pipeline;
 use crate::config::job::{Adopt, Job};
@@ -21,42 +21,42 @@ use std::thread::JoinHandle;
 
 /// Time between records \[s\].
 const SAMPLE_PERIOD_S: f64 = 1e-3;
-/// Motion of the identification that tells what error is usual \[s\].
+/// Length of the identification motion from which the usual error is computed \[s\].
 const CALIBRATION_S: f64 = 20.0;
-/// Slower than this, a joint stands \[rad/s\].
+/// Largest speed of a joint at rest \[rad/s\].
 const REST_SPEED: f64 = 0.01;
-/// Stretches that the log keeps.
+/// Capacity of the log for stretches.
 const MAX_LOGGED_STRETCHES: usize = 10_000;
 
-/// A model for the daemon, and why.
+/// A model for the daemon, with the reason.
 pub struct OfferedModel {
-    /// Text of its file.
+    /// Text of the model file.
     pub toml: String,
-    /// What the daemon tells people.
+    /// Description for the operator.
     pub proposal: Proposal,
 }
 
-/// What `live.json` holds.
+/// Content of `live.json`.
 #[derive(Default, Serialize)]
 struct Log {
-    /// What error was usual when the model was identified, and from where on it is bad, per joint \[Nm\].
+    /// Usual error at the identification, and alarm threshold, per joint \[Nm\].
     usual: Vec<f64>,
     limit: Vec<f64>,
     events: Vec<Event>,
     stretches: VecDeque<Stretch>,
 }
 
-/// Something that happened, at a time of the arm's clock \[s\].
+/// An event, with the time of the arm \[s\].
 #[derive(Serialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
 enum Event {
-    /// The served model does not hold any more.
+    /// The error exceeds the alarm threshold.
     Lost { t: f64, since: f64, joint: usize, rms: f64, usual: f64 },
-    /// It holds again.
+    /// The error is below the threshold again.
     Holds { t: f64, since: f64 },
-    /// Something was found and proposed.
+    /// A change was found and a model proposed.
     Proposed { t: f64, model: String, what: String, effects: Vec<Effect>, before: Vec<f64>, after: Vec<f64> },
-    /// Nothing was found that lowers the error.
+    /// No change was found that lowers the error.
     Unexplained { t: f64, tried: usize, rms: Vec<f64> },
     /// The loop serves another model.
     Served { t: f64, model: String },
@@ -77,15 +77,15 @@ struct Stretch {
 
 /// A search under way.
 struct Search {
-    /// When it began, and since when the model does not hold \[s\].
+    /// Start of the search, and start of the alarm \[s\].
     t: f64,
     since: f64,
-    /// The model that it is about.
+    /// The served model.
     model: u64,
     found: JoinHandle<Found>,
 }
 
-/// The watch and all it has to know.
+/// State of the live watch.
 pub struct Live {
     adopt: Adopt,
     window: f64,
@@ -104,19 +104,19 @@ pub struct Live {
     buffer: VecDeque<Record>,
     /// Samples since the last stretch.
     samples_since_stretch: usize,
-    /// No search before this moment \[s\].
+    /// Earliest time of the next search \[s\].
     not_before: f64,
-    /// Simulated time waits: a search is waited for as well, so that the arm does not run away meanwhile.
+    /// Whether searches block, as in simulated time, which would otherwise run ahead.
     wait_for_search: bool,
     searching: Option<Search>,
-    /// A proposal is with the daemon.
+    /// Identity of the model that was proposed to the daemon.
     proposed: Option<u64>,
     log: Log,
     notes: Vec<String>,
 }
 
 impl Live {
-    /// A watch that begins when there is a model; `None` where the job wants none.
+    /// A live watch, which starts with the first model; `None` if disabled.
     pub fn new(job: &Job, robot: &Robot, out: &Path) -> Option<Live> {
         job.live.watch.then(|| Live {
             adopt: job.live.adopt,
@@ -141,7 +141,7 @@ impl Live {
         })
     }
 
-    /// The model that was identified from `run`, and its text.
+    /// Stores the model identified from `run`, and its usual error.
     pub fn identified(
         &mut self,
         model: &TorqueModel,
@@ -159,7 +159,7 @@ impl Live {
         Ok(())
     }
 
-    /// Takes the next record; gives a model to propose when there is one.
+    /// Processes a record; returns a model to propose, if there is one.
     pub fn update(&mut self, record: &Record) -> Result<Option<OfferedModel>, Failure> {
         let known = self.models.iter().any(|(id, _)| *id == record.model);
         if record.phase != Phase::Excite || !known {
@@ -186,13 +186,13 @@ impl Live {
         self.search()
     }
 
-    /// Samples are missing: what follows is another motion.
+    /// Clears the buffer after missing samples.
     pub fn clear(&mut self) {
         self.buffer.clear();
         self.samples_since_stretch = 0;
     }
 
-    /// Looks at what the daemon says: a proposal that is gone without being served was rejected.
+    /// Processes the daemon's status: a proposal that is neither pending nor served was rejected.
     pub fn process_status(&mut self, status: &Status) {
         let Some(proposed) = self.proposed else { return };
         if status.offered.is_none() && status.model != proposed {
@@ -203,7 +203,7 @@ impl Live {
         }
     }
 
-    /// Writes `live.json`, and gives what the report should say.
+    /// Writes `live.json` and returns notes for the report.
     pub fn finish(&mut self) -> Result<Vec<String>, Failure> {
         self.write()?;
         Ok(std::mem::take(&mut self.notes))
@@ -218,7 +218,7 @@ impl Live {
         self.buffer.back().map_or(0.0, |record| record.state.time)
     }
 
-    /// Samples that the preparation may cut off each end.
+    /// Maximum number of samples that the preparation removes at each end.
     fn edge(&self) -> usize {
         samples(0.5)
     }
@@ -237,7 +237,7 @@ impl Live {
         self.clear();
     }
 
-    /// Judges the last stretch that the filters know well.
+    /// Evaluates the last stretch without filter transients.
     fn evaluate_stretch(&mut self, needed: usize) {
         let first = self.buffer.len() - needed;
         let Some(experiment) = self.prepared(first, self.buffer.len()) else { return };
@@ -246,7 +246,7 @@ impl Live {
         let (count, ends) = (residual.nrows(), samples(END_MARGIN_S));
         let Some(start) = count.checked_sub(samples(STRETCH_S) + ends) else { return };
         let rms = live::rms(&residual, start..start + samples(STRETCH_S));
-        // The preparation cuts as much off both ends.
+        // The preparation removes the same number at both ends.
         let cut = needed.saturating_sub(count) / 2;
         let begin = self.buffer[first].state.time + (cut + start) as f64 * SAMPLE_PERIOD_S;
         let end = begin + STRETCH_S;
@@ -277,14 +277,14 @@ impl Live {
         }
     }
 
-    /// Goes over the time since the model was lost, once there is enough of it.
+    /// Searches for a change once the alarm has lasted for the window.
     fn search(&mut self) -> Result<Option<OfferedModel>, Failure> {
         let Some(since) = self.watch.as_ref().and_then(Watch::lost_since) else { return Ok(None) };
         let now = self.now();
         if self.proposed.is_some() || self.searching.is_some() || now < self.not_before {
             return Ok(None);
         }
-        // The change happened somewhere in the first bad stretch.
+        // The change lies in the first stretch above the threshold.
         let after = self.buffer.partition_point(|record| record.state.time < since + STRETCH_S);
         if self.buffer.len() - after < samples(self.window) {
             return Ok(None);
@@ -295,13 +295,13 @@ impl Live {
         let threads = threads();
         let settings = plumbline_diagnose::Settings { threads, ..plumbline_diagnose::Settings::default() };
         let model = model.clone();
-        // The samples go on meanwhile: an estimator that is silent counts as lost.
+        // The search has its own thread: samples have to be acknowledged meanwhile.
         let found = std::thread::spawn(move || live::search(&model, &find, &judge, &settings));
         self.searching = Some(Search { t: now, since, model: self.serving, found });
         self.collect(self.wait_for_search)
     }
 
-    /// Takes in what a search has found, once it has ended; `wait`s for that where told to.
+    /// Returns the result of an ended search; with `wait`, blocks until its end.
     pub fn collect(&mut self, wait: bool) -> Result<Option<OfferedModel>, Failure> {
         let Some(Search { t, since, model, found }) = self.searching.take_if(|one| wait || one.found.is_finished())
         else {
@@ -314,7 +314,7 @@ impl Live {
         let offer = match found {
             Found::Remedy(remedy) => Some(self.propose(t, since, *remedy)?),
             Found::Nothing { tried, before } => {
-                tracing::warn!("no change that is known explains it; the error is {}", list(&before));
+                tracing::warn!("no known change explains the error of {}", list(&before));
                 self.log.events.push(Event::Unexplained { t, tried, rms: before });
                 self.not_before = t + self.window;
                 None
@@ -340,7 +340,7 @@ impl Live {
         let worst = (0..self.joints).max_by(|&a, &b| before[a].total_cmp(&before[b])).unwrap_or(0);
         let effects = self.effects(&changes);
         let id = model_identity(&toml);
-        let asks = if self.adopt == Adopt::Ask { ", if somebody adopts it" } else { "" };
+        let asks = if self.adopt == Adopt::Ask { ", if adopted" } else { "" };
         self.notes.push(format!(
             "live: {what}; error in joint {} {:.3} -> {:.3} Nm with model {id:016x}{asks}",
             worst + 1,
@@ -365,7 +365,7 @@ impl Live {
         self.models.iter().find(|(id, _)| *id == self.serving).map(|(_, model)| model)
     }
 
-    /// Some of the buffer's samples as one motion; `None` where they are too few or the arm stands.
+    /// Samples of the buffer as one prepared motion; `None` if they are too few or mostly at rest.
     fn prepared(&self, first: usize, end: usize) -> Option<Experiment> {
         let records: Vec<Record> = self.buffer.range(first..end).copied().collect();
         let run = plumbline_identify::Run::from_records("live", &records, self.joints, self.mounting, None);

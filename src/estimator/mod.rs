@@ -1,4 +1,4 @@
-//! `plumbline estimator`: follows the daemon's samples, identifies, offers the model, writes the results.
+//! `plumbline estimator`: receives the daemon's samples, identifies, offers the model, writes the results.
 
 pub mod live;
 
@@ -29,16 +29,16 @@ pub struct Options {
     once: bool,
 }
 
-/// How long to wait for a daemon that is just starting.
+/// Timeout of the connection to a daemon.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(30);
-/// How long to wait for an answer.
+/// Timeout of a response.
 const RESPONSE_TIMEOUT: Duration = Duration::from_secs(5);
-/// How long a computation goes on in silence.
+/// Interval of log messages during a computation.
 const PROGRESS_LOG_INTERVAL: Duration = Duration::from_secs(20);
-/// How long to wait for samples before looking at the daemon again.
+/// Timeout for samples, and interval of the status queries.
 const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Runs until the results are written, or for ever.
+/// Runs until the results are written with `--once`, else until it is ended.
 pub fn run(options: Options) -> Result<(), Failure> {
     let (job, robot, out) = options.job.load()?;
     let id = robot_id(&job)?;
@@ -48,7 +48,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     loop {
         let mut stream = match SampleStream::connect(&id, StreamSettings::default(), CONNECT_TIMEOUT) {
             Ok(stream) => stream,
-            // A service is there before the daemon, and after it.
+            // As a service, the estimator also runs without a daemon.
             Err(IpcError::NoDaemon { .. }) if !options.once => {
                 service.turned();
                 continue;
@@ -72,7 +72,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
                 await_next_daemon(&mut stream, &mut service, "the arm was stopped; waits for the daemon's next start")?;
             }
             Outcome::Unusable { why } if options.once => return Err(Failure::job(why)),
-            // Another try would find the same.
+            // A retry would fail again.
             Outcome::Unusable { why } => {
                 tracing::error!("no results: {why}");
                 await_next_daemon(&mut stream, &mut service, "no results; waits for the daemon's next start")?;
@@ -85,15 +85,15 @@ pub fn run(options: Options) -> Result<(), Failure> {
 
 enum Outcome {
     Written,
-    /// The programme can't come to its end any more.
+    /// The programme was stopped.
     Stopped {
-        /// What the daemon says about it.
+        /// Reason given by the daemon.
         why: String,
     },
-    /// What was recorded, or the model that comes of it, can't be used. Nobody wrote it, so it is no bad input, after which a service would
+    /// The recording or its model is unusable. This is not bad input (exit code 2), after which a service would
     /// stay down.
     Unusable {
-        /// What was found, and expected; or the daemon's reason.
+        /// Found and expected value, or the daemon's reason.
         why: String,
     },
     DaemonGone,
@@ -103,7 +103,7 @@ fn no_results(why: &str) -> String {
     format!("the arm was stopped, so there are no complete results: {why}")
 }
 
-/// There is nothing left to do in this start of the daemon.
+/// Waits for the next start of the daemon.
 fn await_next_daemon(stream: &mut SampleStream, service: &mut Service, status: &str) -> Result<(), Failure> {
     service.status(status);
     while !matches!(stream.next(POLL_INTERVAL).map_err(Failure::job)?, Delivery::Restarted { .. }) {
@@ -112,7 +112,7 @@ fn await_next_daemon(stream: &mut SampleStream, service: &mut Service, status: &
     Ok(())
 }
 
-/// Follows one start of the daemon.
+/// Processes the samples of one start of the daemon.
 fn follow(
     id: &RobotId,
     stream: &mut SampleStream,
@@ -154,13 +154,13 @@ fn follow(
         if let Some(offer) = live.as_mut().map_or(Ok(None), |live| live.collect(false))? {
             propose(id, stream.epoch(), offer)?;
         }
-        // The samples alone don't tell the end: an arm that is served goes on sending them.
+        // The end of the programme is read from the status: samples continue after it.
         if last_poll.elapsed() < POLL_INTERVAL {
             continue;
         }
         last_poll = Instant::now();
         let status = status(id)?;
-        // Of another start, which the stream is about to tell of.
+        // The status of another start, which the stream reports next.
         if status.served.epoch != stream.epoch() {
             continue;
         }
@@ -168,7 +168,7 @@ fn follow(
         if let Some(driven) = status.driven
             && stream.position() >= driven
         {
-            // What came after the programme's last sample is not part of it.
+            // Samples after the end of the programme are not counted.
             let beyond = stream.position() - driven;
             let StreamCounters { received, .. } = stream.counters();
             let counters = StreamCounters { received: received.saturating_sub(beyond), ..stream.counters() };
@@ -220,7 +220,7 @@ fn process_run(
             Ok(None)
         }
         Response::Refused { reason } => Ok(Some(reason)),
-        other => Err(Failure::job(format!("the daemon answered a model with {other:?}"))),
+        other => Err(Failure::job(format!("unexpected response of the daemon to a model: {other:?}"))),
     }
 }
 
@@ -240,7 +240,7 @@ fn with_progress_log<T>(what: &str, compute: impl FnOnce() -> T) -> T {
     })
 }
 
-/// How many standard deviations two readings of a base that has not moved may differ by.
+/// Largest difference of two readings of an unmoved base, in standard deviations.
 const UNMOVED_BASE_SIGMAS: f64 = 4.0;
 
 /// A run was recorded in the mounting that was measured when it began, which is only about the declared one. A base that has not moved
@@ -266,14 +266,14 @@ fn set_measured_mounting(status: &Status, first: Option<Mounting>, recorded: &mu
     }
 }
 
-/// Proposes a model in place of the one that does not hold any more. A daemon that does not want it says why, and nothing else happens.
+/// Proposes a model to the daemon. A refusal is logged.
 fn propose(id: &RobotId, epoch: u64, offer: OfferedModel) -> Result<(), Failure> {
     let request = Request::ProposeModel { toml: offer.toml, proposal: offer.proposal };
     match client_of(id, epoch)?.send(&request, RESPONSE_TIMEOUT).map_err(Failure::job)? {
         Response::ModelAccepted { model } => tracing::info!("the daemon serves model {model:016x}"),
-        Response::ModelHeld { model } => tracing::info!("the daemon holds model {model:016x} until somebody adopts it"),
+        Response::ModelHeld { model } => tracing::info!("the daemon holds model {model:016x} until it is adopted"),
         Response::Refused { reason } => tracing::warn!("the daemon refused the model: {reason}"),
-        other => return Err(Failure::job(format!("the daemon answered a proposal with {other:?}"))),
+        other => return Err(Failure::job(format!("unexpected response of the daemon to a proposal: {other:?}"))),
     }
     Ok(())
 }
@@ -282,7 +282,7 @@ fn client(id: &RobotId) -> Result<Client, Failure> {
     Client::connect(id, RESPONSE_TIMEOUT).map_err(Failure::job)
 }
 
-/// A client of one start of the daemon alone.
+/// A client bound to one start of the daemon.
 fn client_of(id: &RobotId, epoch: u64) -> Result<Client, Failure> {
     let mut client = client(id)?;
     client.bind(epoch);
@@ -294,7 +294,7 @@ fn status(id: &RobotId) -> Result<Status, Failure> {
     status_by(client(id)?)
 }
 
-/// The status of one start of the daemon alone.
+/// The status of one start of the daemon.
 fn status_of(id: &RobotId, epoch: u64) -> Result<Status, Failure> {
     status_by(client_of(id, epoch)?)
 }
@@ -302,6 +302,6 @@ fn status_of(id: &RobotId, epoch: u64) -> Result<Status, Failure> {
 fn status_by(mut client: Client) -> Result<Status, Failure> {
     match client.send(&Request::Status {}, RESPONSE_TIMEOUT).map_err(Failure::job)? {
         Response::Status(status) => Ok(*status),
-        other => Err(Failure::job(format!("the daemon answered a question for its status with {other:?}"))),
+        other => Err(Failure::job(format!("unexpected response of the daemon to a status request: {other:?}"))),
     }
 }

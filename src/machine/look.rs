@@ -1,16 +1,16 @@
-//! What `/proc` and `/sys` say about a machine that is to keep time.
+//! Real-time fitness of the computer from `/proc` and `/sys`.
 
 use super::tree::list_has;
 use super::{Finding, Requirements, Tree};
 use std::net::IpAddr;
 use std::path::Path;
 
-/// Idle states that take longer than this to leave cost a loop its punctuality \[us\].
+/// Largest acceptable exit latency of an idle state \[us\].
 const MAX_IDLE_EXIT_US: i64 = 20;
-/// Shared memory that samples, replay and feed-forward of one robot want \[bytes\].
+/// Shared memory needed for one robot \[bytes\].
 const REQUIRED_SHM_BYTES: u64 = 64 << 20;
 
-/// Everything that can be found out without measuring, in the order in which to change it.
+/// All findings that need no measurement, in order of importance.
 pub fn inspect(tree: &Tree, requirements: &Requirements) -> Vec<Finding> {
     let mut findings = vec![
         hypervisor(tree),
@@ -32,15 +32,13 @@ fn hypervisor(tree: &Tree) -> Finding {
     let cpuinfo = tree.read("proc/cpuinfo").unwrap_or_default();
     let flags = cpuinfo.lines().find(|line| line.starts_with("flags")).unwrap_or_default();
     if !flags.split_whitespace().any(|flag| flag == "hypervisor") {
-        return Finding::fit("hypervisor", "none: the machine is a real one");
+        return Finding::fit("hypervisor", "none: a physical machine");
     }
     let maker = tree.read("sys/class/dmi/id/sys_vendor").unwrap_or_else(|| "of unknown make".to_string());
     Finding::advice(
         "hypervisor",
-        format!(
-            "a virtual machine ({maker}): its host takes processors away for milliseconds and nobody here can tell when"
-        ),
-        "drive a real arm from a real machine",
+        format!("a virtual machine ({maker}): its host may take processors away for milliseconds"),
+        "drive a real arm from a physical machine",
     )
 }
 
@@ -56,7 +54,7 @@ fn governor(tree: &Tree) -> Finding {
         .map(|(cpu, governor)| format!("{governor} on CPU {cpu}"))
         .collect();
     match (governors.is_empty(), slow.is_empty()) {
-        (true, _) => Finding::unknown("governor", "no frequency scaling here: firmware or host decides"),
+        (true, _) => Finding::unknown("governor", "no frequency scaling visible: set by firmware or host"),
         (_, true) => Finding::fit("governor", "performance on every CPU"),
         _ => Finding::advice("governor", slow.join(", "), "cpupower frequency-set -g performance"),
     }
@@ -78,7 +76,7 @@ fn idle_states(tree: &Tree, cpu: Option<usize>) -> Finding {
     }
     match worst {
         None if any => Finding::fit("idle-states", "all switched off"),
-        None => Finding::unknown("idle-states", "none to be seen: firmware or host decides"),
+        None => Finding::unknown("idle-states", "none visible: set by firmware or host"),
         Some((latency, name, _)) if latency <= MAX_IDLE_EXIT_US => {
             Finding::fit("idle-states", format!("the deepest, {name}, takes {latency} us to leave"))
         }
@@ -108,14 +106,14 @@ fn isolation(tree: &Tree, cpu: Option<usize>) -> Finding {
         return Finding::unfit(
             "isolation",
             format!("realtime.cpu = {cpu}, but the CPUs online are `{online}`"),
-            "set realtime.cpu to one that there is",
+            "set realtime.cpu to an online CPU",
         );
     }
     match (list_has(&isolated, cpu), list_has(&tickless, cpu)) {
-        (true, true) => Finding::fit("isolation", format!("CPU {cpu} is isolated and without a tick")),
+        (true, true) => Finding::fit("isolation", format!("CPU {cpu} is isolated and tickless")),
         (true, false) => Finding::advice(
             "isolation",
-            format!("CPU {cpu} is isolated, but keeps its tick"),
+            format!("CPU {cpu} is isolated, but not tickless"),
             format!("boot with nohz_full={cpu} rcu_nocbs={cpu}"),
         ),
         _ => Finding::advice(
@@ -166,10 +164,10 @@ fn siblings(tree: &Tree, cpu: Option<usize>) -> Finding {
     let pair = cpu.unwrap_or(0);
     let list = tree.read(format!("sys/devices/system/cpu/cpu{pair}/topology/thread_siblings_list"));
     match list {
-        None => Finding::unknown("hyper-threading", "not to be seen"),
+        None => Finding::unknown("hyper-threading", "unknown"),
         Some(list) if list.contains([',', '-']) => Finding::advice(
             "hyper-threading",
-            format!("CPUs {list} share one core: what one does, the other waits for"),
+            format!("CPUs {list} share one core and its execution time"),
             "switch it off in the firmware or boot with nosmt",
         ),
         Some(_) => Finding::fit("hyper-threading", "every CPU is a core of its own"),
@@ -214,13 +212,13 @@ fn swap(tree: &Tree, locked: bool) -> Finding {
 fn clock_source(tree: &Tree) -> Finding {
     let folder = Path::new("sys/devices/system/clocksource/clocksource0");
     let Some(current) = tree.read(folder.join("current_clocksource")) else {
-        return Finding::unknown("clock-source", "not to be seen");
+        return Finding::unknown("clock-source", "unknown");
     };
     match current.as_str() {
         "tsc" | "kvm-clock" | "arch_sys_counter" => Finding::fit("clock-source", current),
         slow => Finding::advice(
             "clock-source",
-            format!("{slow}: every look at the clock is a system call and takes microseconds"),
+            format!("{slow}: every clock read is a system call and takes microseconds"),
             format!(
                 "boot with clocksource=tsc tsc=reliable if the processor's counter is good; available: {}",
                 tree.read(folder.join("available_clocksource")).unwrap_or_default()
@@ -231,7 +229,7 @@ fn clock_source(tree: &Tree) -> Finding {
 
 fn shared_memory() -> Finding {
     let Ok(space) = rustix::fs::statvfs("/dev/shm") else {
-        return Finding::unfit("shared-memory", "/dev/shm is not there", "mount a tmpfs at /dev/shm");
+        return Finding::unfit("shared-memory", "/dev/shm does not exist", "mount a tmpfs at /dev/shm");
     };
     let free = space.f_bavail.saturating_mul(space.f_frsize);
     let found = format!("{} MiB free in /dev/shm", free >> 20);
@@ -246,7 +244,7 @@ fn shared_memory() -> Finding {
     }
 }
 
-/// The network card on the way to the robot, and how long it keeps packets to itself.
+/// Network card of the route to the robot, and its interrupt coalescing.
 fn network(tree: &Tree, robot: IpAddr) -> Finding {
     if robot.is_loopback() {
         return Finding::unknown("network", format!("{robot} is on this machine"));
@@ -269,10 +267,10 @@ fn network(tree: &Tree, robot: IpAddr) -> Finding {
     let report = std::process::Command::new("ethtool").args(["-c", &card]).output();
     let report = report.map(|done| String::from_utf8_lossy(&done.stdout).into_owned()).unwrap_or_default();
     match (wait_us(&report), tree.number(folder.join("speed"))) {
-        (Some(0), _) => Finding::fit("network", format!("{card} passes packets on at once")),
+        (Some(0), _) => Finding::fit("network", format!("{card} does not coalesce interrupts")),
         (Some(us), _) => Finding::advice(
             "network",
-            format!("{card} keeps packets for up to {us} us before it says so"),
+            format!("{card} delays interrupts of packets by up to {us} us"),
             format!("ethtool -C {card} rx-usecs 0 tx-usecs 0 adaptive-rx off"),
         ),
         (None, speed) => Finding::unknown(
@@ -287,7 +285,7 @@ fn wait_us(report: &str) -> Option<i64> {
     report.lines().find_map(|line| line.trim().strip_prefix("rx-usecs:")?.trim().parse().ok())
 }
 
-/// The card that the most narrow route to `robot` goes over.
+/// The card of the most specific route to `robot`.
 fn card_to(tree: &Tree, robot: IpAddr) -> Option<String> {
     let IpAddr::V4(robot) = robot else { return None };
     let robot = u32::from_le_bytes(robot.octets());

@@ -1,10 +1,10 @@
-//! Whether this computer is fit for a loop at 1 kHz, and what to change where it is not.
+//! Fitness of this computer for a 1 kHz loop, and changes that improve it.
 //!
 //! | file | what |
 //! |---|---|
 //! | `tree` | reads `/proc` and `/sys`, or a copy of them |
-//! | `look` | what is found there: kernel, processors, interrupts, memory, network |
-//! | `wake` | a short measurement: how late a thread with the loop's rights wakes up |
+//! | `look` | findings: kernel, processors, interrupts, memory, network |
+//! | `wake` | measurement of the wake-up latency with the loop's rights |
 
 mod look;
 mod tree;
@@ -18,39 +18,39 @@ use plumbline_rt::{Grant, Granted, Rights, become_realtime};
 use serde::Serialize;
 use std::net::IpAddr;
 
-/// What the machine is to be fit for.
+/// Requirements on the computer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Requirements {
-    /// What the loop's thread will ask for.
+    /// Rights of the loop's thread.
     pub rights: Rights,
-    /// The robot at the other end of a network.
+    /// Address of a robot on the network.
     pub robot: Option<IpAddr>,
 }
 
-/// What a finding means.
+/// Rating of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
-    /// As it should be.
+    /// Suitable.
     Fit,
-    /// It could not be found out, or it does not apply.
+    /// Unknown or not applicable.
     Unknown,
-    /// It costs wake-ups now and then: worth changing, and no reason to refuse.
+    /// Occasionally causes late wake-ups: a change is recommended.
     Advice,
-    /// A loop at 1 kHz can't be trusted here.
+    /// Not suitable for a 1 kHz loop.
     Unfit,
 }
 
-/// One thing that was looked at.
+/// One checked property.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {
     /// Its name.
     pub name: &'static str,
-    /// What it means.
+    /// Rating.
     pub verdict: Verdict,
-    /// What was found.
+    /// State found.
     pub found: String,
-    /// What to change, where there is something to change.
+    /// Recommended change, if any.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub change: Option<String>,
 }
@@ -73,7 +73,7 @@ impl Finding {
     }
 }
 
-/// Asks for the loop's rights on a thread of its own and says which are granted; empty when no thread could be started.
+/// Requests the loop's rights on a separate thread and returns the result; empty if no thread could be started.
 pub fn rights(requirements: &Requirements) -> Vec<Finding> {
     let rights = requirements.rights.clone();
     let asked = std::thread::Builder::new().spawn(move || become_realtime(&rights)).map(|thread| thread.join());
@@ -81,7 +81,7 @@ pub fn rights(requirements: &Requirements) -> Vec<Finding> {
     let finding = |(name, grant): (&'static str, Grant)| match grant {
         Grant::Granted(found) => Finding::fit(name, found),
         Grant::NotAsked => Finding::unknown(name, "not asked for"),
-        // The refusal says both, what is and what to change.
+        // The text of the refusal contains the change.
         Grant::Refused(text) => Finding { name, verdict: Verdict::Unfit, found: text, change: None },
     };
     [("priority", fifo), ("locked-memory", memory), ("pinning", cpu), ("kernel", kernel)].map(finding).into()

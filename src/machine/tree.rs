@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 pub struct Tree(PathBuf);
 
 impl Default for Tree {
-    /// This machine's own.
+    /// The root of this computer.
     fn default() -> Tree {
         Tree::at("/")
     }

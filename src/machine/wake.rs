@@ -1,4 +1,4 @@
-//! How late a thread with the loop's rights wakes up, for a few seconds.
+//! Wake-up latency of a thread with the loop's rights, measured for a few seconds.
 
 use super::{Finding, Requirements, Verdict};
 use plumbline_core::{Distribution, Histogram, PERIOD_NS};
@@ -22,7 +22,7 @@ pub enum Class {
 }
 
 impl Class {
-    /// Of a largest delay \[ns\].
+    /// Class of a largest delay \[ns\].
     pub fn of(max_ns: u64) -> Class {
         match max_ns {
             0..20_000 => Class::Excellent,
@@ -42,7 +42,7 @@ impl Class {
     }
 }
 
-/// Wakes up every millisecond for `seconds`, with the rights that are wanted and granted, and says how late.
+/// Measures the wake-up latency of a 1 ms period for `seconds`, with the granted rights.
 pub fn wake_ups(requirements: &Requirements, seconds: u64) -> Finding {
     let rights = requirements.rights.clone();
     let measured = std::thread::Builder::new().spawn(move || {
@@ -62,7 +62,7 @@ fn measure(wake_ups: u64) -> Option<Distribution> {
         sleep_until(deadline);
         let now = now_ns();
         delays.add(now.saturating_sub(deadline));
-        // As in the loop: what was slept through is skipped.
+        // As in the loop, missed periods are skipped.
         let slept = now.saturating_sub(deadline) / PERIOD_NS;
         deadline = deadline.saturating_add((slept + 1).saturating_mul(PERIOD_NS));
     }
@@ -82,9 +82,9 @@ fn finding(delays: &Distribution, seconds: u64) -> Finding {
     );
     let (verdict, change) = match class {
         Class::Excellent | Class::Good => (Verdict::Fit, None),
-        Class::Usable => (Verdict::Fit, Some("the advice above makes it better")),
+        Class::Usable => (Verdict::Fit, Some("follow the advice above")),
         Class::Unfit => {
-            (Verdict::Unfit, Some("what is said above; then firmware: power saving, system management, updates"))
+            (Verdict::Unfit, Some("the changes above, then firmware: power saving, system management, updates"))
         }
     };
     Finding { name: "wake-up", verdict, found, change: change.map(str::to_string) }

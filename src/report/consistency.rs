@@ -1,4 +1,4 @@
-//! Whether real bodies have the identified parameters.
+//! Physical consistency of the identified parameters.
 
 use plumbline_identify::consistency::Nearest;
 use plumbline_model::TorqueModel;
@@ -6,41 +6,41 @@ use serde::{Deserialize, Serialize};
 
 /// Parameters named in one sentence.
 const NAMED: usize = 3;
-/// A parameter counts as moved from here on, in standard deviations.
+/// Smallest reported change of a parameter, in standard deviations.
 const MOVED: f64 = 0.01;
 
 /// Physical consistency of the identified parameters.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Consistency {
-    /// Real bodies have exactly these parameters.
+    /// Whether the parameters are physically consistent.
     pub exact: bool,
-    /// Distance of the nearest parameters that bodies have, in standard deviations: the root of the Mahalanobis distance squared.
+    /// Mahalanobis distance of the nearest consistent parameters, in standard deviations.
     pub distance: f64,
-    /// What the distance is measured by, for people.
+    /// Metric of the distance, as text.
     pub weights: String,
     /// Parameters that moved, the farthest first.
     pub moved: Vec<Moved>,
 }
 
-/// A parameter that no real bodies have.
+/// A parameter that the projection changes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Moved {
     /// Its name.
     pub name: String,
-    /// Its value in the nearest bodies.
+    /// Value in the nearest consistent parameters.
     pub value: f64,
-    /// How far that is from the estimate, in standard deviations.
+    /// Change from the estimate, in standard deviations.
     pub deviations: f64,
 }
 
 impl Consistency {
-    /// Of the bodies that were found for a model.
+    /// Consistency of a model with its nearest bodies.
     pub fn of_model(model: &TorqueModel, found: &Nearest) -> Consistency {
         let names: Vec<&str> = model.structure().columns().iter().map(|column| column.name.as_str()).collect();
         Consistency::of(found, &names)
     }
 
-    /// Of bodies that were found; `names` are those of the columns.
+    /// Consistency of nearest bodies; `names` are those of the columns.
     fn of(found: &Nearest, names: &[&str]) -> Consistency {
         let mut moved: Vec<Moved> = names
             .iter()

@@ -1,10 +1,10 @@
-//! The curves behind the plots. They are drawn with at most about 1500 points each, however long they are.
+//! Data of the plots; each curve is decimated to about 1500 points.
 
 pub use plumbline_diagnose::figures::{Curves, EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
 
 use plumbline_core::Workspace;
 
-/// All curves of a report; whatever is absent is not drawn.
+/// All curves of a report; absent ones are not drawn.
 #[derive(Clone, Debug, Default)]
 pub struct Figures {
     /// Torques per run, in the order of drawing. All joints of a run cost about 0.2 MB: hand over the identification and one run
@@ -12,18 +12,18 @@ pub struct Figures {
     pub runs: Vec<TorqueFigure>,
     /// The planned motion.
     pub plan: Option<PlanFigure>,
-    /// What the residual shows; drawn where the report has a diagnosis.
+    /// Curves of the diagnosis, if the report has one.
     pub diagnosis: Curves,
 }
 
 /// Measured and modelled torque along one run.
 #[derive(Clone, Debug, Default)]
 pub struct TorqueFigure {
-    /// What is shown.
+    /// Title.
     pub title: String,
     /// Time \[s\].
     pub t: Vec<f64>,
-    /// Measured torque per joint, each as long as `t`, in the band that is judged \[Nm\].
+    /// Measured torque per joint, each as long as `t`, in the report's band \[Nm\].
     pub measured: Vec<Vec<f64>>,
     /// Modelled torque per joint in the same band \[Nm\].
     pub modelled: Vec<Vec<f64>>,
@@ -42,14 +42,14 @@ pub struct PlanFigure {
     pub q: Vec<Vec<f64>>,
     /// Position of the end effector in the base frame at `t` \[m\].
     pub end_effector: Vec<[f64; 3]>,
-    /// Where the end effector may be.
+    /// Workspace of the end effector.
     pub workspace: Option<Workspace>,
 }
 
-/// Most points of a drawn curve.
+/// Maximum number of points of a curve.
 pub const MOST_POINTS: usize = 1500;
 
-/// Thins a curve for drawing: of every stretch its lowest and highest point stay, so that no peak disappears.
+/// Decimates a curve to the lowest and highest point of each interval, which keeps all peaks.
 pub fn thin(t: &[f64], y: &[f64]) -> Vec<(f64, f64)> {
     let samples = t.len().min(y.len());
     if samples <= MOST_POINTS {

@@ -1,11 +1,11 @@
-//! What was known of the direction of gravity while a job was driven, as it stands in `report.json`. Angles in rad.
+//! Direction of gravity during a job, in `report.json`. Angles in rad.
 
 use super::MountingFacts;
 use plumbline_ipc::Gravity;
 use plumbline_model::Mounting;
 use serde::{Deserialize, Serialize};
 
-/// What the inclinometer measured and what the daemon did with it.
+/// Readings of the inclinometer and their use by the daemon.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GravityReport {
     /// The mounting by the job.
@@ -58,7 +58,7 @@ impl GravityReport {
         Some(GravityReport { declared: declared.into(), status: status.clone(), runs })
     }
 
-    /// Angle between the direction measured last and the declared one \[rad\]; `None` where nothing was measured.
+    /// Angle between the last measured direction and the declared one \[rad\]; `None` without a reading.
     pub fn tilt(&self) -> Option<f64> {
         let [rho, phi] = self.status.measured?;
         let MountingFacts { rho: declared_rho, phi: declared_phi, .. } = self.declared;

@@ -1,4 +1,4 @@
-//! `report.html`: figures formatted here, laid out by the template. minijinja escapes every text; only our own SVG goes in as it is.
+//! `report.html`: values formatted for the template. minijinja escapes all text except the plots' SVG.
 
 use super::summary::{self, Group, against_floor, digits, groups, mean};
 use super::{Band, Figures, GravityReport, LoopReport, Report, RunGravity, diagnosis, plot};
@@ -64,12 +64,12 @@ fn cells(values: &[f64]) -> Vec<String> {
     values.iter().copied().map(number).collect()
 }
 
-/// A recording's name for people.
+/// Name of a run without its file extension.
 fn name(file: &str) -> &str {
     file.strip_suffix(".csv").unwrap_or(file)
 }
 
-/// What the reader has to know before trusting a figure.
+/// Warnings about the validity of the results.
 fn notices(report: &Report) -> Vec<String> {
     let mut notices = report.notes.clone();
     if report.noise_floor.is_empty() && !report.validate.is_empty() {
@@ -85,12 +85,12 @@ fn notices(report: &Report) -> Vec<String> {
     }
     if !identifiability.untrusted_runs.is_empty() {
         let names: Vec<&str> = identifiability.untrusted_runs.iter().map(|file| name(file)).collect();
-        notices.push(format!("The model can't vouch for these runs, so they are not judged: {}.", names.join(", ")));
+        notices.push(format!("The model is not valid in these runs, so they are not evaluated: {}.", names.join(", ")));
     }
     notices
 }
 
-/// The large figures of the first screen: value, unit, what it is, and whether it is as it should be.
+/// Key figures of the first screen: value, unit, description, rating.
 fn verdicts(report: &Report) -> Vec<Value> {
     let tile = |value: String, unit: &str, what: String, good: Option<bool>| {
         let class = good.map_or("", |good| if good { "good" } else { "bad" });
@@ -139,7 +139,7 @@ fn conditions(report: &Report) -> Vec<Value> {
     report.conditions.iter().map(row).collect()
 }
 
-/// Rows below a table of runs: what it says of each joint besides the runs.
+/// Rows below a table of runs: mean and reference values per joint.
 fn extra_columns(report: &Report, group: &Group) -> Vec<(&'static str, Vec<f64>)> {
     let mut columns = Vec::new();
     if report.band != Band::Raw {
@@ -222,7 +222,7 @@ fn counter(report: &Report) -> Option<Value> {
     })
 }
 
-/// What the inclinometer did, angles in degrees.
+/// Readings of the inclinometer, angles in degrees.
 fn gravity(of: &GravityReport) -> Value {
     let angle = |rad: f64| format!("{:.3}", rad.to_degrees());
     let row = |run: &RunGravity| {
@@ -250,7 +250,7 @@ fn gravity(of: &GravityReport) -> Value {
 
 fn parameters(report: &Report) -> Vec<Value> {
     let row = |p: &super::ParameterFacts| {
-        // As many decimals as the standard deviation has meaning.
+        // Decimals that match the standard deviation.
         let decimals =
             p.std.filter(|std| *std > 0.0).map_or(4, |std| (1 - std.log10().floor() as i32).clamp(0, 9) as usize);
         let relative = p.std.filter(|_| p.value != 0.0).map(|std| 100.0 * std / p.value.abs());
@@ -286,7 +286,7 @@ fn plan(figures: &Figures) -> Option<Value> {
     })
 }
 
-/// What every motion uses of each joint's limits, range and speed in %.
+/// Use of each joint's range and speed by every motion in %.
 fn motions(report: &Report) -> Vec<Value> {
     let cell = |(range, speed): (&f64, &f64)| format!("{:.0} / {:.0}", 100.0 * range, 100.0 * speed);
     let row = |of: &super::MotionUsage| {

@@ -1,6 +1,6 @@
-//! What a job says when it is done: `report.json` for programs, `report.html` for people.
+//! Report of a job: `report.json` and `report.html`.
 //!
-//! The report is plain data that the caller fills; nothing here computes a figure that the caller did not hand over.
+//! The report is plain data filled by the caller; no results are computed here.
 
 mod consistency;
 pub mod diagnosis;
@@ -24,7 +24,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use std::io;
 use std::path::Path;
 
-/// Everything in `report.json`, under the names that it has there. Torques in Nm, one entry per joint.
+/// Content of `report.json`. Torques in Nm, one entry per joint.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// Robot.
@@ -33,49 +33,49 @@ pub struct Report {
     pub mounting: MountingFacts,
     /// The identified parameters.
     pub base: Base,
-    /// How well the model fits the data it was identified from.
+    /// Errors on the identification set.
     pub identify: Fit,
-    /// How well it predicts data that it was not identified from.
+    /// Errors on the validation set.
     pub validate: Vec<Validation>,
-    /// What `rms` is taken of, here and in `identify`.
+    /// Frequency band of `rms`, in `validate` and `identify`.
     #[serde(default)]
     pub band: Band,
-    /// The usual vertical set, tried where it does not hold.
+    /// Errors of the vertical base set in a mounting where it is not valid.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub counter_experiment: Option<CounterExperiment>,
     /// Noise of one raw sample of the measured torque, from the scatter between repetitions \[Nm\]; empty where no motion repeats. It
-    /// is the least that `rms_raw` can be, whatever the band.
+    /// is the lower bound of `rms_raw`.
     pub noise_floor: Vec<f64>,
-    /// What is left over, and what it comes from; absent where nobody asked.
+    /// Diagnosis of the residual; absent if not requested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diagnosis: Option<Diagnosis>,
-    /// What this data can't say.
+    /// Parameters and runs that this data does not determine.
     pub identifiability: Identifiability,
     /// Condition numbers of the stacked regressor.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<Condition>,
-    /// How much of the joints' limits the job's motions use; empty for recorded data.
+    /// Use of the joints' limits by the job's motions; empty for recorded data.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub motions: Vec<MotionUsage>,
     /// How the parameters were estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub estimator: Option<EstimatorFacts>,
-    /// Whether real bodies have these parameters.
+    /// Physical consistency of the parameters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub consistency: Option<Consistency>,
-    /// What the inclinometer did; absent where none was there.
+    /// Readings of the inclinometer; absent without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gravity: Option<GravityReport>,
-    /// How the real-time loop did; absent for recorded data.
+    /// Statistics of the real-time loop; absent for recorded data.
     #[serde(default, rename = "loop", skip_serializing_if = "Option::is_none")]
     pub control_loop: Option<LoopReport>,
-    /// What went through shared memory; absent for recorded data.
+    /// Counters of the sample stream; absent for recorded data.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ipc: Option<IpcReport>,
-    /// Where the numbers came from: dataset hash, version, date, configuration.
+    /// Provenance: dataset hash, version, date, configuration.
     #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
     pub provenance: serde_json::Map<String, serde_json::Value>,
-    /// Remarks that the reader has to know.
+    /// Remarks on the validity of the results.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
 }
@@ -83,7 +83,7 @@ pub struct Report {
 /// A mounting by name and angles.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MountingFacts {
-    /// Name, or both angles where it has none.
+    /// Name, or both angles if it has no name.
     pub name: String,
     /// Polar angle of gravity \[rad\].
     pub rho: f64,
@@ -104,7 +104,7 @@ pub struct Base {
     pub kind: String,
     /// Number of base parameters: those of rigid body, friction and the other terms of the whole arm. Effects are not among them.
     pub count: usize,
-    /// Number of parameters of effects that were found beyond those.
+    /// Number of parameters of identified effects.
     #[serde(default)]
     pub effects: usize,
     /// Base parameters by term, in the order of the model.
@@ -172,7 +172,7 @@ pub struct ParameterFacts {
     pub name: String,
     /// Symbol, with R where it is regrouped.
     pub symbol: String,
-    /// Standard parameters that it is made of.
+    /// Linear combination of standard parameters.
     pub expression: String,
     /// Value, in `unit`.
     pub value: f64,
@@ -185,22 +185,22 @@ pub struct ParameterFacts {
     pub unit: String,
 }
 
-/// The base set of the vertical mounting, identified there, refused elsewhere, and forced all the same.
+/// Errors of the vertical base set in another mounting, where it is refused by default.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CounterExperiment {
-    /// Where it was identified.
+    /// Mounting of its identification.
     pub identified_in: MountingFacts,
     /// `VBS`.
     pub kind: String,
     /// Number of its parameters.
     pub count: usize,
-    /// Where it was forced.
+    /// Mounting of the errors.
     pub refused_in: MountingFacts,
-    /// What the program says to somebody who does not force it.
+    /// Text of the refusal.
     pub refusal: String,
     /// RMS over the unseen motions there, per joint, mean of the motions \[Nm\].
     pub forced_rms: Vec<f64>,
-    /// The same of the generalized set \[Nm\].
+    /// The same for the generalized base set \[Nm\].
     pub general_rms: Vec<f64>,
 }
 
@@ -237,12 +237,12 @@ pub struct Validation {
     pub mounting: MountingFacts,
 }
 
-/// What the data can't say.
+/// Parameters and runs that the data does not determine.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Identifiability {
     /// Parameters that this data can't determine.
     pub not_identifiable: Vec<String>,
-    /// Runs that the model can't vouch for.
+    /// Runs in which the model is not valid.
     pub untrusted_runs: Vec<String>,
 }
 
@@ -259,7 +259,7 @@ pub struct Condition {
     pub without_friction: f64,
 }
 
-/// JSON has no infinity: what the motion does not excite at all is written as `null`.
+/// Writes infinity, for parameters that are not excited, as `null`.
 fn number_or_infinity<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     Ok(Option::deserialize(deserializer)?.unwrap_or(f64::INFINITY))
 }
@@ -269,11 +269,11 @@ fn number_or_infinity<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64,
 pub struct EstimatorFacts {
     /// `ols`, `wls`, `wls-full`, `huber`, `tls` or `iv`.
     pub name: String,
-    /// Rounds of weights.
+    /// Iterations of the weights.
     pub rounds: usize,
-    /// Whether the weights settled before the rounds were over.
+    /// Whether the weights converged.
     pub settled: bool,
-    /// Parameters restricted to zero, because this data can't tell them from it.
+    /// Parameters restricted to zero because they are not significant.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub restricted: Vec<String>,
 }
@@ -282,22 +282,22 @@ impl Report {
     /// The text of `report.json`.
     ///
     /// # Errors
-    /// None in practice: what JSON can't hold, NaN and infinity, is written as `null`.
+    /// None in practice: NaN and infinity are written as `null`.
     pub fn to_json(&self) -> serde_json::Result<String> {
         serde_json::to_string_pretty(self).map(|text| text + "\n")
     }
 
-    /// The text of `report.html`: one file with everything inside, for any browser without a network.
+    /// The text of `report.html`, a self-contained file.
     pub fn to_html(&self, figures: &Figures) -> io::Result<String> {
         html::render(self, figures)
     }
 
-    /// What matters, in a few lines of text: also the last lines that a job prints.
+    /// Summary in a few lines, printed at the end of a job.
     pub fn summary(&self) -> Vec<String> {
         summary::lines(self)
     }
 
-    /// Writes `report.json` and `report.html` into folder `dir`, each aside first, then renamed.
+    /// Writes `report.json` and `report.html` into folder `dir`, each atomically.
     pub fn write(&self, dir: &Path, figures: &Figures) -> io::Result<()> {
         let html = self.to_html(figures)?;
         let json = self.to_json().map_err(io::Error::other)?;

@@ -1,7 +1,7 @@
 //! Plots as inline SVG.
 //!
-//! Colours are names in disguise: each is drawn in one fixed tint, which the page's style sheet maps to a colour that suits light and
-//! dark (`report.html`, "plot colours").
+//! Colours are placeholders: the page's style sheet maps each fixed tint to a colour of the light and the
+//! dark theme (`report.html`, "plot colours").
 
 use super::figures::{PlanFigure, TorqueFigure, thin};
 use plotters::coord::Shift;
@@ -26,7 +26,7 @@ pub(super) const RAW: RGBColor = RGBColor(7, 7, 7);
 pub(super) const BEFORE: RGBColor = RGBColor(8, 8, 8);
 /// With them.
 pub(super) const AFTER: RGBColor = RGBColor(9, 9, 9);
-/// What a figure is held against: noise floors, thresholds.
+/// Reference lines: noise floors, thresholds.
 pub(super) const LIMIT: RGBColor = RGBColor(10, 10, 10);
 /// Axes and grid.
 pub(super) const GRID: RGBColor = RGBColor(5, 5, 5);
@@ -35,7 +35,7 @@ const JOINT: RGBColor = RGBColor(11, 0, 0);
 
 pub(super) const TEXT: (&str, i32) = ("sans-serif", 18);
 
-/// Draws into a fresh SVG of the given size. A plot of finite data in memory can't fail; a plot that does is left out.
+/// Draws an SVG of the given size; empty on an error, which finite data does not cause.
 pub(super) fn svg(size: (u32, u32), draw: impl FnOnce(Area) -> Drawn) -> String {
     let mut text = String::new();
     match draw(SVGBackend::with_string(&mut text, size).into_drawing_area()) {
@@ -44,7 +44,7 @@ pub(super) fn svg(size: (u32, u32), draw: impl FnOnce(Area) -> Drawn) -> String 
     }
 }
 
-/// Lowest and highest value with some air; never empty.
+/// Lowest and highest value with padding; never empty.
 pub(super) fn span<'v>(values: impl IntoIterator<Item = &'v f64>) -> (f64, f64) {
     let finite = values.into_iter().copied().filter(|value| value.is_finite());
     let (low, high) = finite.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
@@ -63,7 +63,7 @@ pub(super) fn time_span(t: &[f64]) -> (f64, f64) {
     }
 }
 
-/// Axis numbers without needless zeros.
+/// Axis label without trailing zeros.
 pub(super) fn tick(value: &f64) -> String {
     let rounded = (value * 1e4).round() / 1e4 + 0.0;
     format!("{rounded}")
@@ -116,7 +116,7 @@ fn curves(area: &Area, of: Curves) -> Drawn {
     Ok(())
 }
 
-/// Joint `j` of a run: measured and modelled torque above, what is left over and the noise band below.
+/// Joint `j` of a run: measured and modelled torque above, residual and noise band below.
 pub(super) fn torque(figure: &TorqueFigure, j: usize) -> String {
     let (Some(measured), Some(modelled)) = (figure.measured.get(j), figure.modelled.get(j)) else {
         return String::new();
@@ -166,7 +166,7 @@ pub(super) fn path(plan: &PlanFigure, axes: [usize; 2], names: [&str; 2]) -> Str
         corners.push((space.box_max[axes[0]], space.box_max[axes[1]]));
         corners.extend([-space.base_radius, space.base_radius].map(|radius| (radius, radius)));
     }
-    // Equal scales: a circle shall look like one.
+    // Equal scales on both axes.
     let (x, y) = (span(corners.iter().map(|(x, _)| x)), span(corners.iter().map(|(_, y)| y)));
     let half = 0.5 * (x.1 - x.0).max(y.1 - y.0);
     let around = |(low, high): (f64, f64)| (0.5 * (low + high) - half, 0.5 * (low + high) + half);
@@ -200,9 +200,9 @@ pub(super) fn path(plan: &PlanFigure, axes: [usize; 2], names: [&str; 2]) -> Str
 }
 
 /// Distributions of durations, one bar each on a logarithmic axis: from the median to the 99th percentile thick, on to the largest
-/// thin, with a dot at p50, p99, p99.9 and the largest. The tail of a latency is what matters.
+/// thin, with a dot at p50, p99, p99.9 and the largest.
 pub(super) fn quantiles(rows: &[(String, [f64; 4])]) -> String {
-    // Below a tenth of a microsecond no clock tells durations apart.
+    // Resolution of the clock: a tenth of a microsecond.
     let at = |us: f64| us.max(0.1);
     let marks = |times: &[f64; 4]| times.map(at);
     let all: Vec<f64> = rows.iter().flat_map(|(_, q)| marks(q)).filter(|us| us.is_finite()).collect();

@@ -1,8 +1,8 @@
-//! The few lines that say how a job went.
+//! Summary of a job in a few lines.
 
 use super::{Band, Base, CounterExperiment, LoopReport, MotionUsage, Report, TermCount, Validation, diagnosis};
 
-/// Share by which an RMS has to differ before one calls it changed. The scatter of an RMS over ten thousand samples is below 1 %.
+/// Ratio from which an RMS counts as changed. The scatter of an RMS over ten thousand samples is below 1 %.
 pub(super) const CHANGED: f64 = 0.05;
 
 /// Runs of one mounting, in the order of the report.
@@ -29,12 +29,12 @@ impl Group<'_> {
         self.mean_of(|run| Some(&run.rms))
     }
 
-    /// The same of raw samples; empty where the report does not have them.
+    /// The same for raw samples; empty if the report has none.
     pub fn raw(&self) -> Vec<f64> {
         self.mean_of(|run| Some(&run.rms_raw))
     }
 
-    /// The same of the feed-forward that was served; empty where none was.
+    /// The same for the served feed-forward; empty without one.
     pub fn served(&self) -> Vec<f64> {
         self.mean_of(|run| run.served_rms.as_ref())
     }
@@ -50,12 +50,12 @@ pub(super) fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len().max(1) as f64
 }
 
-/// What errors are taken of, to follow "RMS": empty for raw samples.
+/// Band of the errors as a suffix of "RMS": empty for raw samples.
 pub(super) fn band(report: &Report) -> String {
     band_of(&report.band)
 }
 
-/// The same of any band.
+/// Band of the errors as text.
 pub(super) fn band_of(band: &Band) -> String {
     match band {
         Band::Raw => String::new(),
@@ -63,13 +63,13 @@ pub(super) fn band_of(band: &Band) -> String {
     }
 }
 
-/// How raw errors compare with the noise floor, in words; `None` where there is no floor.
+/// Ratio of raw errors to the noise floor as text; `None` without a floor.
 pub(super) fn against_floor(report: &Report, raw: &[f64]) -> Option<String> {
     let floor = mean(&report.noise_floor);
     (floor > 0.0 && !raw.is_empty()).then(|| format!("{:.2} of the noise floor", mean(raw) / floor))
 }
 
-/// How many parameters there are, those of effects apart.
+/// Number of parameters, with effects counted separately.
 pub(super) fn counts(base: &Base) -> String {
     let one = |term: &TermCount| format!("{} {}", term.count, term.term.replace('-', " "));
     let terms = base.terms.iter().map(one).collect::<Vec<_>>().join(", ");
@@ -78,7 +78,7 @@ pub(super) fn counts(base: &Base) -> String {
     format!("{} base parameters ({}{terms}){effects}", base.count, base.kind)
 }
 
-/// What every motion of the job uses at least of each joint's range and speed.
+/// Smallest use of each joint's range and speed over all motions.
 fn usage(report: &Report) -> Option<String> {
     let least = |of: fn(&MotionUsage) -> &Vec<f64>| {
         let joints = report.motions.iter().map(|motion| of(motion).len()).min().unwrap_or(0);
@@ -100,7 +100,7 @@ pub(super) fn lines(report: &Report) -> Vec<String> {
     lines
 }
 
-/// The lines but those of the diagnosis; the first names the robot.
+/// The lines without those of the diagnosis; the first names the robot.
 pub(super) fn without_diagnosis(report: &Report) -> Vec<String> {
     let mut lines = vec![format!("{}, mounting {}: {}", report.robot, report.mounting.name, counts(&report.base))];
     if !report.conditions.is_empty() {
@@ -121,17 +121,17 @@ pub(super) fn without_diagnosis(report: &Report) -> Vec<String> {
     }
     let names = |names: &[String]| names.join(", ");
     if let Some(estimator) = report.estimator.as_ref().filter(|of| of.name != "wls" || !of.settled) {
-        let end = if estimator.settled { "" } else { ", whose weights did not settle" };
+        let end = if estimator.settled { "" } else { ", whose weights did not converge" };
         lines.push(format!("estimator: {}{end}", estimator.name));
     }
     if let Some(restricted) = report.estimator.as_ref().map(|of| &of.restricted).filter(|list| !list.is_empty()) {
-        lines.push(format!("restricted to zero, not to be told from it in this data: {}", names(restricted)));
+        lines.push(format!("restricted to zero because not significant in this data: {}", names(restricted)));
     }
     if !report.identifiability.not_identifiable.is_empty() {
         lines.push(format!("not identifiable from this data: {}", names(&report.identifiability.not_identifiable)));
     }
     if !report.identifiability.untrusted_runs.is_empty() {
-        lines.push(format!("runs that the model can't vouch for: {}", names(&report.identifiability.untrusted_runs)));
+        lines.push(format!("runs in which the model is not valid: {}", names(&report.identifiability.untrusted_runs)));
     }
     lines.extend(report.notes.iter().map(|note| format!("note: {note}")));
     lines
@@ -147,7 +147,7 @@ fn errors(report: &Report, lines: &mut Vec<String>) {
     if !report.noise_floor.is_empty() {
         lines.push(format!("noise floor [Nm]: {}", row(&report.noise_floor)));
     } else if !report.validate.is_empty() {
-        lines.push("noise floor: unknown, because no motion of this data repeats".to_string());
+        lines.push("noise floor: unknown, because no motion of this data is periodic".to_string());
     }
     let filtered = band(report);
     let after = if filtered.is_empty() { String::new() } else { format!(" {filtered}") };
@@ -171,7 +171,7 @@ fn errors(report: &Report, lines: &mut Vec<String>) {
     }
 }
 
-/// What the vertical set does where it does not hold, in one sentence. Joints whose error changes stand with their figures.
+/// Errors of the vertical set in a mounting where it is not valid, in one sentence.
 pub(super) fn counter(of: &CounterExperiment) -> String {
     let place = &of.refused_in.name;
     let change = |forced: f64, general: f64| (forced - general) / general.max(f64::MIN_POSITIVE);
@@ -199,7 +199,7 @@ pub(super) fn counter(of: &CounterExperiment) -> String {
     )
 }
 
-/// How the loop ran. Nothing is late where no clock paces it.
+/// Statistics of the loop. Simulated time has no late cycles.
 pub(super) fn control_loop(of: &LoopReport) -> String {
     let degraded = (!of.refusals().is_empty()).then(|| "degraded".to_string());
     let mut parts: Vec<String> = degraded.into_iter().collect();

@@ -1,4 +1,4 @@
-//! How the real-time loop and shared memory did, as it stands in `report.json`.
+//! Statistics of the real-time loop and the sample stream in `report.json`.
 
 use plumbline_ipc::{Session, Status, StreamCounters};
 use serde::{Deserialize, Serialize};
@@ -12,9 +12,9 @@ pub struct LoopReport {
     pub cycles: u64,
     /// Cycles that came late; `None` where simulated time doesn't follow the clock.
     pub late: Option<u64>,
-    /// States of the arm that never arrived.
+    /// Lost states.
     pub lost: u64,
-    /// Records that found no room on their way to the bridge thread.
+    /// Records dropped because the ring to the bridge thread was full.
     pub dropped_records: u64,
     /// Connections to the arm that have ended, in their order.
     pub sessions: Vec<Session>,
@@ -38,7 +38,7 @@ impl LoopReport {
         self.pace == "fast"
     }
 
-    /// Allocations inside cycles; `None` as soon as one session was not watched.
+    /// Allocations inside cycles; `None` if one session was not counted.
     pub fn allocations(&self) -> Option<u32> {
         self.sessions.iter().map(|session| session.allocations).sum()
     }
@@ -48,7 +48,7 @@ impl LoopReport {
         self.sessions.iter().max_by_key(|session| session.statistics.cycles)
     }
 
-    /// What the operating system did not grant, each once.
+    /// Rights refused by the operating system, each once.
     pub fn refusals(&self) -> Vec<&str> {
         let mut all: Vec<&str> = Vec::new();
         for refusal in self.sessions.iter().flat_map(|session| &session.refusals) {
@@ -60,12 +60,12 @@ impl LoopReport {
     }
 }
 
-/// What went through shared memory.
+/// Counters of the sample stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IpcReport {
     /// Samples that the daemon published.
     pub sent: u64,
-    /// What the estimator counted.
+    /// Counters of the estimator.
     #[serde(flatten)]
     pub counters: StreamCounters,
 }

@@ -1,4 +1,4 @@
-//! The `[consistent]` block of `model.toml`: bodies that have the model's parameters, or the nearest to them.
+//! The `[consistent]` block of `model.toml`: physically consistent bodies with the model's parameters, or the nearest ones.
 
 use super::model_text::quoted;
 use plumbline_core::BadInput;
@@ -6,10 +6,10 @@ use plumbline_identify::consistency::{Nearest, Weights, parameters_of};
 use plumbline_model::{LinkParameters, TorqueModel, is_consistent};
 use serde::Deserialize;
 
-/// Bodies may differ from the parameters they stand for by this share of the largest.
+/// Tolerance between bodies and their parameters, as a ratio of the largest parameter.
 const SAME: f64 = 1e-9;
 
-/// The block as it stands in the file.
+/// Serialised form of the block.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub(super) struct Raw {
@@ -39,7 +39,7 @@ struct RawParameter {
     moved: f64,
 }
 
-/// Writes the block with `line`; nothing but finite numbers.
+/// Writes the block with `line`; all numbers are finite.
 pub(super) fn write(line: &mut impl FnMut(std::fmt::Arguments), model: &TorqueModel, found: &Nearest) {
     let weights = match found.weights {
         Weights::Covariance => "covariance",
@@ -69,7 +69,7 @@ impl Raw {
     /// The block of `model`.
     ///
     /// # Errors
-    /// Numbers that are not finite, too few or too many, bodies that can't be, and bodies that do not have the parameters.
+    /// Non-finite numbers, wrong counts, inconsistent bodies, and bodies that do not have the parameters.
     pub(super) fn check(&self, file: &str, model: &TorqueModel) -> Result<Nearest, BadInput> {
         let bad = |key: &str, value: String, expected: &str| {
             Err(BadInput::new(file, format!("[consistent], key `{key}`"), value, expected))

@@ -1,4 +1,4 @@
-//! The files that plumbline keeps: identified models, planned motions, and what other programs read.
+//! Files of results: identified models, plans, exports.
 
 mod consistent;
 pub mod export;

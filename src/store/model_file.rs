@@ -1,4 +1,4 @@
-//! `model.toml`: an identified model with everything needed to trust and to serve it.
+//! `model.toml`: an identified model with its uncertainty, validation and provenance.
 
 use super::{consistent, model_text};
 use crate::atomic;
@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A model with its proof and its origin.
+/// A model with its validation and provenance.
 #[derive(Clone, Debug)]
 pub struct ModelFile {
     /// The model.
@@ -19,9 +19,9 @@ pub struct ModelFile {
     pub noise_floor: Vec<f64>,
     /// Errors on motions that were not fitted.
     pub validation: Vec<Validated>,
-    /// Real bodies with these parameters, or the nearest to them; `None` where nobody looked for them.
+    /// Physically consistent bodies with these parameters, or the nearest ones; `None` if not computed.
     pub consistent: Option<Nearest>,
-    /// Where the numbers came from.
+    /// Provenance.
     pub provenance: Provenance,
 }
 
@@ -39,7 +39,7 @@ pub struct Validated {
     pub rms: Vec<f64>,
 }
 
-/// Where a model's numbers came from.
+/// Provenance of a model.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Provenance {
@@ -47,15 +47,15 @@ pub struct Provenance {
     pub dataset: Option<String>,
     /// Version of the program that identified it.
     pub plumbline: Option<String>,
-    /// When it was identified, for people.
+    /// Date of the identification.
     pub date: Option<String>,
-    /// Where the numbers stand, when they were not identified here.
+    /// Source of parameters that were not identified by this program.
     pub source: Option<String>,
     /// Text of the robot's description, where it is not a built-in robot.
     pub robot_description: Option<String>,
 }
 
-/// `model.toml` as it stands in the file.
+/// Serialised form of `model.toml`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 struct Raw {
@@ -139,12 +139,12 @@ impl RawTerm {
 pub(super) const FORMAT: u32 = 1;
 
 impl ModelFile {
-    /// The file's text; `parse` of it gives the same model bit by bit.
+    /// The file's text; `parse` restores the model bitwise.
     pub fn to_toml(&self) -> String {
         model_text::write(self)
     }
 
-    /// Reads a model from text; `file` is only named in errors. `chain_of` finds the arm of a robot's name.
+    /// Parses a model; `file` is the name in errors. `chain_of` returns the kinematic chain of a robot's name.
     ///
     /// # Errors
     /// A text that is not what was written (a file that was edited or cut off, by the hash in its `content`; a file without one was
@@ -164,17 +164,12 @@ impl ModelFile {
         text: &str,
         chain_of: impl FnOnce(&str, Option<&str>) -> Result<Chain, BadInput>,
     ) -> Result<ModelFile, BadInput> {
-        // The version first: a file of another format shall not be called a bad file of this one.
+        // The version is checked first, so that another format gets a clear error.
         let head: toml::Table = from_toml(file, text)?;
         if let Some(format) = head.get("format")
             && format.as_integer() != Some(i64::from(FORMAT))
         {
-            return Err(BadInput::new(
-                file,
-                "key `format`",
-                format,
-                format!("{FORMAT}, the format this program knows"),
-            ));
+            return Err(BadInput::new(file, "key `format`", format, format!("{FORMAT}, the format of this program")));
         }
         let raw: Raw = from_toml(file, text)?;
         debug_assert_eq!(raw.format, FORMAT);
@@ -193,7 +188,7 @@ impl ModelFile {
         })?;
         check_units(file, &raw, &model)?;
         let consistent = raw.consistent.map(|raw| raw.check(file, &model)).transpose()?;
-        // Last: whatever is wrong with a file has a better name than that it was edited.
+        // Checked last: other errors are more specific.
         check_content(file, text, &head)?;
         let Raw { noise_floor, validation, provenance, .. } = raw;
         Ok(ModelFile { model, noise_floor, validation, consistent, provenance })
@@ -207,13 +202,13 @@ impl ModelFile {
         ModelFile::parse(&file, &text, chain_of)
     }
 
-    /// Writes the file aside, then renames it.
+    /// Writes the file atomically.
     pub fn save(&self, path: &Path) -> std::io::Result<()> {
         atomic::write_file(path, self.to_toml().as_bytes())
     }
 }
 
-/// How the line with the hash begins.
+/// Prefix of the line with the hash.
 const CONTENT: &str = "content = \"sha256:";
 
 /// `text` with the hash of everything else in it, as its second line.
@@ -231,7 +226,7 @@ fn content_hash(text: &str) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Whether the text is what was written, where it says what that was.
+/// Checks the hash of the text, if there is one.
 fn check_content(file: &str, text: &str, head: &toml::Table) -> Result<(), BadInput> {
     let Some(written) = head.get("content") else { return Ok(()) };
     let found = format!("sha256:{}", content_hash(text));
@@ -239,11 +234,11 @@ fn check_content(file: &str, text: &str, head: &toml::Table) -> Result<(), BadIn
         return Ok(());
     }
     let expected =
-        "the file as plumbline wrote it: it was edited or cut off (whoever wants an edited model removes this line)";
+        "the file as plumbline wrote it: it was edited or truncated (to use an edited model, remove this line)";
     Err(BadInput::new(file, "key `content`", written, expected))
 }
 
-/// Identity of a model file's text, never 0: what the loop calls the model that it serves.
+/// Identity of a model file's text, as used by the loop; never 0.
 pub fn model_identity(text: &str) -> u64 {
     let hash = Sha256::digest(text.as_bytes());
     let mut first = [0; 8];

@@ -1,10 +1,10 @@
-//! The text of `model.toml`: one line per parameter, for people who read and compare such files.
+//! The text of `model.toml`: one line per parameter.
 
 use super::model_file::{FORMAT, ModelFile, Validated, sealed};
 use plumbline_model::term::effect::Spec;
 use std::fmt::Write;
 
-/// Everything in the order in which a reader asks for it; numbers are the shortest text that reads back as the same `f64`.
+/// The text of a model; numbers are the shortest text that parses to the same `f64`.
 pub(super) fn write(file: &ModelFile) -> String {
     let model = &file.model;
     let mut text = String::new();
@@ -33,9 +33,9 @@ pub(super) fn write(file: &ModelFile) -> String {
         for parameter in parameters {
             let column = &parameter.column;
             let std = parameter.std.map_or(String::new(), |std| format!(", std = {std:?}"));
-            // A zero without a standard deviation was not measured.
+            // A zero without a standard deviation was restricted, not estimated.
             let zero = parameter.value == 0.0 && parameter.std.is_none();
-            let note = if zero { " # restricted to zero: the data does not show it" } else { "" };
+            let note = if zero { " # restricted to zero: not significant" } else { "" };
             line(format_args!(
                 "  {{ name = {}, value = {:?}{std}, unit = {}, symbol = {}, expression = {} }},{note}",
                 quoted(&column.name),
@@ -65,7 +65,7 @@ pub(super) fn write(file: &ModelFile) -> String {
     sealed(&text)
 }
 
-/// What tells an effect from others of its kind.
+/// Settings that identify an effect among others of its kind.
 fn effect(line: &mut dyn FnMut(std::fmt::Arguments), spec: &Spec) {
     if !spec.form.is_empty() {
         line(format_args!("form = {}", quoted(spec.form)));

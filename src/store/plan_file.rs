@@ -1,11 +1,11 @@
-//! `plan.toml`: an excitation that anyone can rebuild the motion from.
+//! `plan.toml`: a plan of an excitation.
 
 use crate::atomic;
 use plumbline_core::BadInput;
 use plumbline_excite::{Plan, parse_plan, plan_text};
 use std::path::Path;
 
-/// Writes a plan aside, then renames it.
+/// Writes a plan atomically.
 pub fn save_plan(plan: &Plan, path: &Path) -> std::io::Result<()> {
     atomic::write_file(path, plan_text(plan).map_err(std::io::Error::other)?.as_bytes())
 }

@@ -182,7 +182,7 @@ fn what_no_arm_has_is_moved_to_the_nearest() {
 
 /// The paper's Table III: no arm has its Lzz7 = -0.005, which nothing is regrouped with.
 #[test]
-fn table_3_is_moved_and_says_so() {
+fn table_3_is_projected_and_labelled() {
     let text = include_str!("../../config/models/panda-paper-table3.toml");
     let file = ModelFile::parse("Table III", text, |name| Ok(Robot::load(name, None)?.chain)).unwrap();
     let (beta, structure) = (file.model.beta(), file.model.structure());
@@ -198,7 +198,7 @@ fn table_3_is_moved_and_says_so() {
 /// Motor-side torques hold rotor inertias; those of joints 1 and 2 are part of Lzz1 and Lzz2, and no inertia of a link has to stand
 /// for them.
 #[test]
-fn rotors_are_told_from_links() {
+fn rotor_inertias_are_separated_from_links() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let chain = chain("ur10");
     let structure = structure(&chain, &["friction", "torque-offset", "rotor-inertia"]);
@@ -241,7 +241,7 @@ fn rotors_are_told_from_links() {
 }
 
 #[test]
-fn a_prior_that_is_no_body_is_refused() {
+fn an_inconsistent_prior_is_refused() {
     let panda = structure(&chain("panda"), &[]);
     let beta = vec![0.1; 45];
     let good = Prior::of_geometry(&panda, &beta);

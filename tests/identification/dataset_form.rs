@@ -197,7 +197,7 @@ fn runs_and_robot_agree_on_the_number_of_joints() {
 }
 
 #[test]
-fn hygiene_counts_what_was_put_in() {
+fn hygiene_counts_inserted_faults() {
     let mut run = made_up(100, 2).runs.remove(0);
     run.data.t[10] = run.data.t[9];
     for k in 50..100 {

@@ -73,12 +73,15 @@ fn errors(model: &ModelFile, run: &Run) -> (JointVec, f64) {
 }
 
 #[test]
-fn the_papers_table_predicts_another_labs_panda() {
+fn the_papers_table_predicts_the_panda_of_another_laboratory() {
     let shared = std::env::var_os("PLUMBLINE_SHARED")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
     let data = shared.join("data/panda-gaz2019");
     if !data.exists() {
-        eprintln!("SKIPPED the_papers_table_predicts_another_labs_panda: no measured data at {}", data.display());
+        eprintln!(
+            "SKIPPED the_papers_table_predicts_the_panda_of_another_laboratory: no measured data at {}",
+            data.display()
+        );
         return;
     }
     let set = Dataset::read(&data).unwrap();
@@ -98,7 +101,7 @@ fn the_papers_table_predicts_another_labs_panda() {
 }
 
 #[test]
-fn the_shipped_table_is_whole_and_reads_back() {
+fn the_shipped_table_is_complete_and_round_trips() {
     let file = table3();
     assert_eq!((file.model.parameters().len(), file.model.kind()), (59, BaseKind::Gbs));
     assert_eq!(file.model.mountings(), [Mounting::WALL]);

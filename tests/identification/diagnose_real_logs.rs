@@ -98,7 +98,7 @@ fn a_wrist_whose_joints_share_a_motor_is_found_in_a_real_log() {
 
 #[test]
 #[ignore = "takes minutes"]
-fn real_logs_are_predicted_better_with_what_is_found() {
+fn real_logs_are_predicted_better_with_the_found_effects() {
     let Some(data) = logs::data() else { return };
     OTHERS.iter().for_each(|row| check(&data, row));
 }

@@ -44,7 +44,7 @@ fn exact_torques_give_the_exact_direction_in_any_mounting() {
 }
 
 #[test]
-fn the_standard_deviation_is_that_of_many_draws() {
+fn the_standard_deviation_matches_the_sample_scatter() {
     let model = panda();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let truth = at_rest(&model, &Mounting::WALL, READY);
@@ -90,7 +90,7 @@ fn a_torque_sensor_with_the_wrong_sign_is_named() {
 }
 
 #[test]
-fn poses_that_do_not_tell_are_refused() {
+fn uninformative_poses_are_refused() {
     let model = panda();
     assert_eq!(direction(&model, &[], &SIGMA), Err(DirectionError::NoPose));
     // Stretched straight up, the torques say next to nothing of gravity along the arm.

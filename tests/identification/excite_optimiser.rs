@@ -141,7 +141,7 @@ fn a_search_improves_keeps_every_limit_and_repeats_by_seed_on_any_number_of_thre
 }
 
 #[test]
-fn a_criterion_is_best_served_by_its_own_search() {
+fn each_criterion_is_lowest_after_its_own_search() {
     let arm = Arm::panda();
     let problem = arm.problem(None);
     let search = |criterion| Search { criterion, starts: 2, rounds: 0, ..short() };

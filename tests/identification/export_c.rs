@@ -100,7 +100,7 @@ fn the_c_function_has_the_effects_of_one_sample() {
 }
 
 #[test]
-fn names_are_names_in_c() {
+fn robot_names_become_valid_c_identifiers() {
     assert_eq!(c::function_name("kuka-lwr4p"), "kuka_lwr4p_torque");
     assert_eq!(c::function_name("7-axis Arm"), "arm_7_axis_arm_torque");
 }

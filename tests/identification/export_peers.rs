@@ -126,7 +126,7 @@ fn two() -> (plumbline_model::Robot, String) {
 }
 
 #[test]
-fn bodies_go_into_somebody_elses_urdf() {
+fn bodies_are_inserted_into_another_urdf() {
     let (robot, text) = two();
     let document = roxmltree::Document::parse(&text).unwrap();
     let tree = tree::Tree::of("foreign.urdf", &document, &robot.chain).unwrap_or_else(|error| panic!("{error}"));

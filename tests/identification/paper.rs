@@ -181,7 +181,7 @@ fn figures_are_drawn_and_shown() {
 
 /// docs/results/paper.md shows what the program computes; `cargo run --release --example paper` writes it.
 #[test]
-fn the_page_says_what_the_program_says() {
+fn the_page_matches_the_program() {
     let page = plumbline_testkit::page::read("docs/results/paper.md");
     for (name, content) in plumbline_testkit::paper::tables::all() {
         assert!(

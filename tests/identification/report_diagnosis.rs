@@ -153,7 +153,7 @@ fn unexplained() -> Unexplained {
 }
 
 #[test]
-fn the_json_has_the_keys_of_the_design_and_reads_back() {
+fn the_json_has_the_specified_keys_and_round_trips() {
     let mut diagnosis = diagnosed();
     diagnosis.effects[0].alternatives = vec!["stribeck".into()];
     diagnosis.unexplained = vec![unexplained()];
@@ -181,7 +181,7 @@ fn the_json_has_the_keys_of_the_design_and_reads_back() {
 }
 
 #[test]
-fn the_bare_schema_of_the_design_is_enough_to_read() {
+fn the_minimal_schema_is_readable() {
     let text = r#"{ "verdict": "nothing-significant",
         "effects": [{ "id": "payload", "joints": [], "parameters": { "mass": 0.73 }, "std": {}, "evidence": null, "alternatives": [],
                       "explained_share": null }],
@@ -216,7 +216,7 @@ fn what_is_not_a_number_becomes_null_and_comes_back() {
 }
 
 #[test]
-fn one_effect_stands_in_the_first_line() {
+fn one_effect_is_in_the_first_line() {
     let lines = said(diagnosed());
     assert_eq!(
         lines[0],
@@ -239,7 +239,7 @@ fn one_effect_stands_in_the_first_line() {
 }
 
 #[test]
-fn several_effects_stand_one_below_the_other() {
+fn several_effects_are_listed() {
     let mut diagnosis = diagnosed();
     let offset = Effect {
         id: "torque-offset".into(),
@@ -263,7 +263,7 @@ fn several_effects_stand_one_below_the_other() {
 }
 
 #[test]
-fn nothing_is_a_number() {
+fn non_numeric_values() {
     let mut diagnosis = diagnosed();
     diagnosis.verdict = Verdict::NothingSignificant;
     diagnosis.effects.clear();
@@ -285,7 +285,7 @@ fn nothing_is_a_number() {
 }
 
 #[test]
-fn rivals_stand_beside_the_effect_with_what_decides() {
+fn rivals_are_listed_with_the_deciding_experiment() {
     let mut diagnosis = diagnosed();
     diagnosis.verdict = Verdict::Ambiguous;
     diagnosis.effects[0].alternatives = vec!["stribeck".into(), "delay".into()];
@@ -345,7 +345,7 @@ fn partly_explained_names_both_sides() {
 }
 
 #[test]
-fn an_effect_that_is_not_added_leaves_the_error_as_it_was() {
+fn a_withheld_effect_does_not_change_the_error() {
     let mut diagnosis = diagnosed();
     diagnosis.verdict = Verdict::Unexplained;
     diagnosis.effects[0].in_model = false;
@@ -360,7 +360,7 @@ fn an_effect_that_is_not_added_leaves_the_error_as_it_was() {
 }
 
 #[test]
-fn changes_say_since_when() {
+fn changes_name_the_reference() {
     let payload = Effect {
         id: "payload".into(),
         joints: vec![7],
@@ -387,7 +387,7 @@ fn changes_say_since_when() {
 }
 
 #[test]
-fn a_report_without_a_diagnosis_says_nothing_of_it() {
+fn a_report_without_a_diagnosis_has_no_such_section() {
     let bare = Report { robot: "panda".into(), ..Report::default() };
     assert!(!bare.summary().join("\n").contains("diagnosis"));
     assert!(!bare.to_json().unwrap().contains("diagnosis"));
@@ -520,7 +520,7 @@ fn five() -> Diagnosis {
 }
 
 #[test]
-fn the_first_screen_says_what_was_found_and_how_much_it_helps() {
+fn the_first_screen_has_the_finding_and_its_improvement() {
     let mut diagnosis = diagnosed();
     let absorbed = NotIdentifiable { joints: vec![2], ..diagnosis.not_identifiable[0].clone() };
     diagnosis.not_identifiable.push(absorbed);
@@ -596,7 +596,7 @@ fn pages_of_much_little_and_odd_content() {
 }
 
 #[test]
-fn a_page_of_one_joint_and_a_page_of_nothing_at_all() {
+fn pages_of_one_joint_and_of_an_empty_report() {
     let mut one = diagnosed();
     one.effects = vec![presliding(1)];
     for list in [&mut one.before, &mut one.after] {

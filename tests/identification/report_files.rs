@@ -180,7 +180,7 @@ fn figures(samples: usize) -> Figures {
 }
 
 #[test]
-fn the_json_has_the_promised_shape_and_reads_back() {
+fn the_json_has_the_specified_schema_and_round_trips() {
     let report = report();
     let text = report.to_json().unwrap();
     let json: serde_json::Value = serde_json::from_str(&text).unwrap();
@@ -224,7 +224,7 @@ fn keys_of(json: &serde_json::Value, keys: &mut Vec<String>) {
 }
 
 #[test]
-fn a_session_without_a_clock_has_no_lateness() {
+fn a_session_in_simulated_time_has_no_late_cycles() {
     assert_eq!(Distribution::default().in_us(), None);
 
     let mut report = report();
@@ -240,7 +240,7 @@ fn a_session_without_a_clock_has_no_lateness() {
 }
 
 #[test]
-fn filtered_errors_say_so_and_are_not_held_against_a_raw_floor() {
+fn filtered_errors_are_labelled_and_not_compared_with_a_raw_floor() {
     let mut report = report();
     report.band = Band::Filtered { cutoff: 4.0 };
     for run in &mut report.validate {
@@ -330,11 +330,11 @@ fn the_summary_says_what_the_job_promises() {
     report.ipc = Some(ipc(10, 9));
     report.identifiability.untrusted_runs = vec!["wall.csv".into()];
     let said = report.summary().join("\n");
-    assert!(said.contains("10 sent, 9 received, NOT EQUAL") && said.contains("can't vouch for: wall.csv"), "{said}");
+    assert!(said.contains("10 sent, 9 received, NOT EQUAL") && said.contains("not valid: wall.csv"), "{said}");
 }
 
 #[test]
-fn the_page_is_one_file_of_bearable_size() {
+fn the_page_is_one_file_of_limited_size() {
     let room = tempfile::tempdir().unwrap();
     let dir = std::env::var_os("PLUMBLINE_SHOW").map_or(room.path().to_path_buf(), PathBuf::from);
     report().write(&dir, &figures(60_000)).unwrap();
@@ -380,7 +380,7 @@ fn text_from_files_is_escaped() {
 }
 
 #[test]
-fn a_bare_report_is_a_page_too() {
+fn an_empty_report_is_a_valid_page() {
     let page = Report { robot: "panda".into(), ..Report::default() }.to_html(&Figures::default()).unwrap();
     assert!(page.contains("panda") && !page.contains("<svg "));
     let one =
@@ -404,8 +404,8 @@ fn a_motion_that_excites_too_little_and_restricted_parameters_come_back_from_jso
     let back: Report = serde_json::from_str(&json).unwrap();
     assert_eq!(back, report);
     let summary = back.summary().join("\n");
-    assert!(summary.contains("estimator: huber, whose weights did not settle"), "{summary}");
-    assert!(summary.contains("restricted to zero, not to be told from it in this data: Lxy3, Lyz2"), "{summary}");
+    assert!(summary.contains("estimator: huber, whose weights did not converge"), "{summary}");
+    assert!(summary.contains("restricted to zero because not significant in this data: Lxy3, Lyz2"), "{summary}");
     assert!(back.base.parameters.iter().all(|p| p.relative_std.is_some() == (p.std.is_some() && p.value != 0.0)));
 }
 

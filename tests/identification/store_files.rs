@@ -40,7 +40,7 @@ fn parse(text: &str) -> Result<ModelFile, String> {
 }
 
 #[test]
-fn a_model_reads_back_bit_by_bit() {
+fn a_model_file_round_trips_bitwise() {
     for kind in [BaseKind::Gbs, BaseKind::Vbs] {
         let written = made_up(kind);
         let read = parse(&written.to_toml()).unwrap();
@@ -61,7 +61,7 @@ fn a_model_reads_back_bit_by_bit() {
 }
 
 #[test]
-fn a_model_is_saved_whole() {
+fn a_model_is_saved_atomically() {
     let room = tempfile::tempdir().unwrap();
     let path = room.path().join("out/model.toml");
     let file = made_up(BaseKind::Gbs);
@@ -84,7 +84,7 @@ fn every_wrong_model_is_refused_by_name() {
         line.split(", ").find(|part| part.starts_with("value")).unwrap().to_string()
     };
     let cases = [
-        (spoil("format = 1", "format = 2"), "key `format`: got 2, expected 1, the format this program knows"),
+        (spoil("format = 1", "format = 2"), "key `format`: got 2, expected 1, the format of this program"),
         (spoil("format = 1", "formt = 1"), "formt"),
         (spoil("\"GBS\"", "\"VBS\""), "[[term]]: got term `rigid-body`"),
         (spoil("\"GBS\"", "\"gbs\""), "key `kind`: got `\"gbs\"`"),
@@ -111,7 +111,7 @@ fn every_wrong_model_is_refused_by_name() {
 }
 
 #[test]
-fn a_model_that_was_edited_or_cut_off_is_refused_by_name() {
+fn an_edited_or_truncated_model_is_refused() {
     let text = made_up(BaseKind::Gbs).to_toml();
     let seal = text.lines().nth(1).unwrap().to_string();
     assert!(seal.starts_with("content = \"sha256:") && seal.len() == 19 + 64, "{seal}");
@@ -194,7 +194,7 @@ fn plan() -> Plan {
 }
 
 #[test]
-fn a_plan_reads_back_bit_by_bit() {
+fn a_plan_file_round_trips_bitwise() {
     let room = tempfile::tempdir().unwrap();
     let path = room.path().join("plan.toml");
     save_plan(&plan(), &path).unwrap();

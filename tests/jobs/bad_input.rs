@@ -132,7 +132,7 @@ fn a_second_daemon_on_the_same_robot() {
 }
 
 #[test]
-fn a_cell_that_is_no_number() {
+fn a_cell_that_is_not_a_number() {
     for (name, cell) in [("nan", "NaN"), ("inf", "-inf"), ("empty", ""), ("text", "7,5")] {
         let place = Place::new(name);
         put(&place, "data/dataset.toml", DATASET);
@@ -160,7 +160,7 @@ fn a_term_that_does_not_exist() {
 }
 
 #[test]
-fn a_file_that_is_not_there() {
+fn a_missing_file() {
     let place = Place::new("missing");
     let missing = |name: &str| place.path().join(name);
     refused(&place, on_files(&place, "run", &[missing("job.toml")]), &["job.toml", "readable"]);
@@ -182,7 +182,7 @@ fn a_file_that_is_not_there() {
 }
 
 #[test]
-fn a_dataset_that_is_broken() {
+fn a_broken_dataset() {
     for (name, text, parts) in [
         ("syntax", DATASET.replace("robot = ", "robot "), ["line 2", "robot"]),
         ("data-key", DATASET.replace("role", "roll"), ["run[0]", "roll"]),
@@ -200,7 +200,7 @@ fn a_dataset_that_is_broken() {
 }
 
 #[test]
-fn a_model_that_is_broken() {
+fn a_broken_model() {
     let table3 = std::fs::read_to_string("config/models/panda-paper-table3.toml").unwrap();
     let cut = table3.lines().take(40).fold(String::new(), |text, line| text + line + "\n");
     let without_one =
@@ -232,7 +232,7 @@ fn a_model_that_is_broken() {
 }
 
 #[test]
-fn a_plan_that_is_broken() {
+fn a_broken_plan() {
     let place = Place::new("plan");
     let mut command = plumbline();
     command.args(["plan", "--robot", "panda", "--mounting", "wall", "--starts", "1", "--rounds", "0", "--out"]);

@@ -62,7 +62,7 @@ fn compare(dir: &Path, data: &str, out: &str) -> (Report, String) {
 }
 
 #[test]
-fn a_payload_is_reported_and_carried_by_the_model_that_is_written() {
+fn a_payload_is_reported_and_part_of_the_written_model() {
     let place = tempfile::tempdir().unwrap();
     let dir = place.path();
     let path = |name: &str| dir.join(name).display().to_string();
@@ -147,7 +147,7 @@ fn diagnose_compares_later_sessions_with_the_first() {
 }
 
 #[test]
-fn an_upright_model_asked_about_the_wall_blames_nothing() {
+fn an_upright_model_compared_on_the_wall_reports_no_change() {
     let place = tempfile::tempdir().unwrap();
     let dir = place.path();
     let path = |name: &str| dir.join(name).display().to_string();

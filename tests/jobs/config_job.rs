@@ -38,7 +38,7 @@ fn every_shipped_job_loads() {
 }
 
 #[test]
-fn the_least_job_has_every_default() {
+fn the_minimal_job_has_every_default() {
     let job = parse(LEAST, &[]).unwrap();
     assert_eq!(job.mounting, Mounting::WALL);
     assert_eq!((job.excitation.harmonics, job.excitation.period, job.excitation.periods), (5, 10.0, 10));
@@ -245,7 +245,7 @@ fn an_inclinometer_has_defaults_and_every_bad_value_of_it_is_named() {
 }
 
 #[test]
-fn overrides_win_and_are_blamed_for_what_they_bring() {
+fn overrides_take_precedence_and_are_named_in_errors() {
     let sets =
         ["backend.pace=wall-clock", "excitation.period=12 s", "backend.seed=7", "validation.mountings=[\"wall\"]"];
     let job = parse(LEAST, &sets).unwrap();
@@ -289,7 +289,7 @@ fn files_are_found_beside_the_configuration() {
 }
 
 #[test]
-fn own_limits_only_tighten_and_shares_leave_the_guard_alone() {
+fn limit_overrides_only_tighten_and_ratios_do_not_affect_the_guard() {
     let eight = |value: f64| [value; plumbline_core::MAX_JOINTS];
     let robot = plumbline_core::Limits {
         q_min: eight(-2.0),

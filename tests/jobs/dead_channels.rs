@@ -36,7 +36,7 @@ fn model(scene: &Scene, path: &Path) {
 }
 
 #[test]
-fn a_channel_that_does_not_vary_is_named() {
+fn a_constant_channel_is_named() {
     let scene = Scene::panda_on_the_wall();
     let place = Place::new("dead-channels");
     let stored = place.path().join("model.toml");
@@ -121,7 +121,7 @@ fn a_job_of_an_arm_with_dead_torque_sensors_ends() {
 }
 
 #[test]
-fn an_arm_that_gets_no_model_is_stopped() {
+fn an_arm_without_a_model_is_stopped() {
     let place = Place::new("no-model");
     let sets = short(&["safety.model-timeout=2 s"]);
     let daemon = Running::start(place.job("daemon", &sets));
@@ -138,7 +138,7 @@ fn an_arm_that_gets_no_model_is_stopped() {
 }
 
 #[test]
-fn a_run_whose_estimator_computes_on_and_on_ends() {
+fn a_run_ends_although_its_estimator_hangs() {
     let place = Place::new("endless-estimator");
     let run = Running::start(place.job("run", &short(&["safety.model-timeout=1 s", "excitation.periods=30"])));
     let estimator = wait_for("the estimator", || children(run.pid(), "estimator").first().copied());

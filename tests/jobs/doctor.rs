@@ -62,7 +62,7 @@ fn named<'a>(findings: &'a [Finding], name: &str) -> &'a Finding {
 }
 
 #[test]
-fn a_good_machine_has_nothing_to_change() {
+fn a_suitable_machine_has_no_advice() {
     for finding in FakeMachine::good().inspect(&requirements(Some(1))) {
         assert_eq!(finding.verdict, Verdict::Fit, "{finding:?}");
     }
@@ -72,15 +72,15 @@ fn a_good_machine_has_nothing_to_change() {
 type Spoiled = (&'static str, &'static str, &'static str, Verdict, &'static str, &'static str);
 
 #[test]
-fn each_fault_is_found_by_name_with_what_to_change() {
+fn each_unsuitable_setting_is_found_with_its_change() {
     use Verdict::{Advice, Unfit};
     let cpu = "sys/devices/system/cpu";
     let cases: [Spoiled; 11] = [
-        ("proc/cpuinfo", "flags\t: fpu hypervisor\n", "hypervisor", Advice, "virtual", "real machine"),
+        ("proc/cpuinfo", "flags\t: fpu hypervisor\n", "hypervisor", Advice, "virtual", "physical machine"),
         ("cpu0/cpufreq/scaling_governor", "powersave", "governor", Advice, "powersave on CPU 0", "cpupower"),
         ("cpu1/cpuidle/state1/latency", "133", "idle-states", Advice, "133 us", "cpu_dma_latency"),
         ("isolated", "", "isolation", Advice, "also runs other programs", "isolcpus=1"),
-        ("nohz_full", "", "isolation", Advice, "keeps its tick", "nohz_full=1"),
+        ("nohz_full", "", "isolation", Advice, "not tickless", "nohz_full=1"),
         ("online", "0", "isolation", Unfit, "online are `0`", "realtime.cpu"),
         ("proc/irq/24/smp_affinity_list", "0-1", "interrupts", Advice, "24 (eth0)", "smp_affinity_list"),
         ("cpu1/topology/thread_siblings_list", "0-1", "hyper-threading", Advice, "share one core", "nosmt"),
@@ -112,7 +112,7 @@ fn each_fault_is_found_by_name_with_what_to_change() {
 }
 
 #[test]
-fn swap_matters_where_memory_is_not_locked_and_an_unpinned_loop_is_told() {
+fn swap_without_locked_memory_and_an_unpinned_loop_are_advised_against() {
     let machine = FakeMachine::good();
     machine.put("proc/swaps", "Filename Type Size Used Priority\n/dev/sda2 partition 1 0 -2\n");
     assert_eq!(named(&machine.inspect(&requirements(Some(1))), "swap").verdict, Verdict::Fit);
@@ -150,7 +150,7 @@ fn doctor(arguments: &[&str]) -> Done {
 }
 
 #[test]
-fn the_exit_code_is_the_verdict_and_a_bad_job_is_bad_input() {
+fn the_exit_code_follows_the_verdict() {
     let config = Path::new("config/sim-panda-wall.toml").to_str().unwrap();
     let done = doctor(&[config, "--json"]);
     let report: serde_json::Value = serde_json::from_str(&done.out).unwrap_or_else(|_| panic!("{}", done.said()));

@@ -18,7 +18,7 @@ fn flat(text: &str) -> String {
 }
 
 #[test]
-fn every_effect_is_listed_with_all_that_is_known_of_it() {
+fn every_effect_is_listed_with_all_its_facts() {
     let done = effects(&[]);
     assert!(done.status.success());
     let listed = text(done.stdout);

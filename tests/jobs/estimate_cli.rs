@@ -77,7 +77,7 @@ fn every_estimator_and_both_methods_run_from_the_command_line() {
 }
 
 #[test]
-fn instruments_that_are_not_there_are_asked_for_and_used_when_they_are() {
+fn iv_requires_instruments_and_uses_them() {
     let scene = Scene::panda_on_the_wall();
     let place = Place::new("instruments");
     let alone = run(&scene, "once.csv", Role::Identify, 3, false);
@@ -99,7 +99,7 @@ fn instruments_that_are_not_there_are_asked_for_and_used_when_they_are() {
 }
 
 #[test]
-fn names_that_do_not_exist() {
+fn unknown_names() {
     let place = Place::new("names");
     let scene = Scene::panda_on_the_wall();
     let data = dataset(&scene, &place.path().join("data"), vec![run(&scene, "run.csv", Role::Identify, 4, true)]);

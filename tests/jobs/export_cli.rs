@@ -91,7 +91,7 @@ fn a_model_file_with_bodies_exports_those() {
 }
 
 #[test]
-fn a_vertical_model_says_where_it_holds() {
+fn a_vertical_model_states_its_mounting() {
     let room = tempfile::tempdir().unwrap();
     let chain = robot("panda").chain;
     let structure = Structure::of(chain.clone(), Reduction::in_mounting(&chain, &Mounting::UPRIGHT), &[]).unwrap();
@@ -165,7 +165,7 @@ fn what_cannot_be_used_is_refused_by_name() {
 }
 
 #[test]
-fn bodies_in_a_model_file_read_back_bit_by_bit() {
+fn bodies_in_a_model_file_round_trip_bitwise() {
     let chain = robot("panda").chain;
     let exact = model(&robot("panda"), &["friction"], 3);
     // The same arm with an inertia that nothing has.

@@ -56,7 +56,7 @@ fn texts<'v>(facts: &'v Value, key: &str) -> Vec<&'v str> {
 }
 
 #[test]
-fn a_guard_stop_in_mid_motion() {
+fn a_guard_stop_during_a_motion() {
     let place = Place::new("flight-guard");
     let done = place.run(&short(&[SPAN, "safety.tracking-error=0.1 deg"])).expect_code(1);
     let file = recording(&place);
@@ -166,7 +166,7 @@ fn an_estimator_that_is_gone_a_recording_on_demand_and_an_end_that_is_none() {
 }
 
 #[test]
-fn a_disk_that_does_not_take_it_is_said_and_changes_nothing() {
+fn a_full_disk_is_reported_and_keeps_old_results() {
     let place = Place::new("flight-disk");
     let not_a_folder = place.path().join("file");
     std::fs::write(&not_a_folder, "x").unwrap();
@@ -193,7 +193,7 @@ fn a_disk_that_does_not_take_it_is_said_and_changes_nothing() {
 }
 
 #[test]
-fn a_kill_while_it_writes_leaves_whole_files_and_old_ones_go() {
+fn a_kill_during_a_write_leaves_complete_files_and_old_ones_are_removed() {
     let place = Place::new("flight-kill");
     let dir = place.out().join("flight");
     for round in 0..4 {
@@ -220,7 +220,7 @@ fn a_kill_while_it_writes_leaves_whole_files_and_old_ones_go() {
 }
 
 #[test]
-fn a_flood_of_requests_removes_no_recording_of_a_fault_and_holds_up_no_end() {
+fn many_requests_remove_no_fault_recording_and_delay_no_shutdown() {
     let place = Place::new("flight-flood");
     let dir = place.out().join("flight");
     let sets = [SPAN, "safety.tracking-error=0.1 deg", "recorder.keep=1", "recorder.keep-on-demand=1"];

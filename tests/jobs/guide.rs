@@ -34,7 +34,7 @@ fn blocks(text: &str) -> Vec<(String, String)> {
 }
 
 #[test]
-fn every_block_says_what_it_is() {
+fn every_block_has_a_known_language() {
     let guide = Path::new(plumbline_testkit::ROOT).join("docs/guide");
     for entry in std::fs::read_dir(guide).unwrap() {
         let name = format!("docs/guide/{}", entry.unwrap().file_name().display());

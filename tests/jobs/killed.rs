@@ -61,7 +61,7 @@ fn a_killed_estimator_is_replaced_and_nothing_is_lost() {
 }
 
 #[test]
-fn a_killed_estimator_stops_the_arm_where_that_is_the_rule() {
+fn a_killed_estimator_stops_the_arm_with_on_estimator_loss_stop() {
     let _turn = JOBS.take();
     let place = Place::new("stop-rule");
     let (run, _, estimator) = in_mid_run(&place, &["safety.on-estimator-loss=stop", ENDLESS]);
@@ -99,7 +99,7 @@ fn whoever_follows_and_takes_leave_in_mid_motion_is_lost_too() {
 }
 
 #[test]
-fn an_estimator_in_service_waits_where_the_data_can_not_be_used() {
+fn an_estimator_service_waits_after_unusable_data() {
     let _turn = JOBS.take();
     let place = Place::new("unusable");
     // One second, for a filter that needs eight.
@@ -152,7 +152,7 @@ fn an_interrupt_ends_everything() {
 }
 
 #[test]
-fn a_stop_stands_until_an_operator_lifts_it() {
+fn a_stop_is_in_force_until_resume() {
     let _turn = JOBS.take();
     let place = Place::new("stop-stands");
     let daemon = Running::start(place.job("daemon", &short(&["backend.pace=wall-clock", "safety.max-lost=1000"])));
@@ -176,7 +176,7 @@ fn a_stop_stands_until_an_operator_lifts_it() {
 }
 
 #[test]
-fn a_daemon_takes_orders_and_refuses_what_it_can_not_do() {
+fn a_daemon_accepts_valid_requests_and_refuses_others() {
     let _turn = JOBS.take();
     let place = Place::new("orders");
     let daemon = Running::start(place.job("daemon", &short(&[])));

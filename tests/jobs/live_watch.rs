@@ -60,7 +60,7 @@ fn found_the_payload(log: &Value) -> f64 {
 }
 
 #[test]
-fn it_finds_the_payload_and_the_served_torque_recovers() {
+fn the_payload_is_found_and_the_served_error_recovers() {
     let place = Place::new("live-auto");
     let done = Done::of(job(&place, "run", &[])).expect_code(0);
     let log = live(&place);

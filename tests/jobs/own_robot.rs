@@ -61,7 +61,7 @@ fn compare(place: &Place, model: &Path, data: &Path) -> Done {
 }
 
 #[test]
-fn its_model_is_used_wherever_its_description_is() {
+fn the_model_of_an_own_robot_is_independent_of_its_file() {
     let place = Place::new("own-robot");
     let (folder, data, model) = identified(&place);
     // Without the dataset beside it, a run has the mounting that the command line says.
@@ -96,7 +96,7 @@ fn its_model_is_used_wherever_its_description_is() {
 }
 
 #[test]
-fn a_description_in_a_model_file_is_sealed_and_checked() {
+fn a_robot_description_in_a_model_file_is_covered_by_its_hash() {
     let place = Place::new("own-robot-tampered");
     let (_, _, model) = identified(&place);
     let text = std::fs::read_to_string(&model).unwrap();

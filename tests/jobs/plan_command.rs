@@ -58,7 +58,7 @@ fn random_motions_of_an_fr3_move_every_joint() {
 
 /// Nothing can be identified from a motion of a millimetre a second: a failed job that names the parameters, and no file.
 #[test]
-fn a_plan_that_determines_nothing_is_a_failed_job() {
+fn a_plan_without_excitation_is_a_failed_job() {
     let place = Place::new("plan-useless");
     let text = std::fs::read_to_string("config/robots/panda.toml").unwrap();
     let slow: Vec<&str> =
@@ -113,7 +113,7 @@ fn catches(pid: u32, signal: i32) -> bool {
 }
 
 #[test]
-fn the_clock_ends_a_search() {
+fn a_time_limit_ends_a_search() {
     let place = Place::new("plan-clock");
     let out = place.path().join("plan.toml");
     let done = Done::of(plan(&out, &["--seconds", "1"])).expect_code(0);
@@ -140,7 +140,7 @@ fn bad_options_are_named() {
 
 /// A plan file whose motion, or whose way there, brings the arm into itself is refused with the links by name.
 #[test]
-fn a_plan_that_touches_the_arm_itself_is_refused() {
+fn a_self_colliding_plan_is_refused() {
     let place = Place::new("plan-touch");
     let out = place.path().join("plan.toml");
     Done::of(plan(&out, &["--rounds", "0"])).expect_code(0);

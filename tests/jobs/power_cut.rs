@@ -229,7 +229,7 @@ fn subjects(place: &Place) -> Vec<Subject> {
 }
 
 #[test]
-fn a_cut_at_a_write_leaves_old_or_new() {
+fn an_interrupted_write_leaves_the_old_or_the_new_file() {
     if !traceable() {
         return;
     }
@@ -240,7 +240,7 @@ fn a_cut_at_a_write_leaves_old_or_new() {
 }
 
 #[test]
-fn a_disk_that_is_full_or_read_only_is_said_and_costs_nothing() {
+fn a_full_or_read_only_disk_is_reported_without_effect_on_the_loop() {
     if !traceable() {
         return;
     }
@@ -254,7 +254,7 @@ fn a_disk_that_is_full_or_read_only_is_said_and_costs_nothing() {
 
 #[test]
 #[ignore = "minutes; hil/power-cut/run.sh runs it and writes its table into docs/results/campaigns.md"]
-fn a_cut_at_every_write_of_every_result() {
+fn every_result_survives_an_interruption_at_every_write() {
     assert!(traceable(), "strace is needed");
     let place = Place::new("power-cut-all");
     let mut table = String::new();

@@ -64,7 +64,7 @@ fn the_guide_shows_what_the_main_job_prints() {
 }
 
 #[test]
-fn other_words_and_other_numbers_are_seen() {
+fn different_words_and_numbers_are_detected() {
     let shown = "RMS wall [Nm], 5 unseen runs: 0.152 [0.151 0.152]";
     assert!(says_the_same(shown, shown) && says_the_same(shown, "RMS wall [Nm], 5 unseen runs: 0.153 [0.151 0.151]"));
     assert!(!says_the_same(shown, "RMS wall [Nm], 5 unseen runs: 0.184 [0.151 0.152]"));

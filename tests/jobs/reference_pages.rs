@@ -23,7 +23,7 @@ fn printed(arguments: &str) -> String {
 }
 
 #[test]
-fn the_command_line_is_what_help_prints() {
+fn the_command_line_page_matches_help() {
     let text = page::read(COMMAND_LINE);
     let shown: Vec<&str> =
         text.lines().filter_map(|line| line.strip_prefix("<!-- output: plumbline ")?.strip_suffix(" -->")).collect();
@@ -66,7 +66,7 @@ macro_rules! layout {
 }
 
 #[test]
-fn messages_lie_in_memory_as_their_tables_say() {
+fn message_layouts_match_their_tables() {
     let text = page::read(MESSAGES);
     let feed_forward = layout!(FeedForwardMessage: sequence, stamp_ns, epoch, model, n, phase, q_d, dq_d, tau_ff, gravity, tau_vendor,
         gravity_vendor, validity, reserved);

@@ -32,7 +32,7 @@ fn other_daemon(place: &Place) -> Command {
 }
 
 #[test]
-fn no_daemon_comes_up_while_a_run_plans() {
+fn no_daemon_starts_during_the_planning_of_a_run() {
     let place = Place::new("run-lock");
     let run = planning(&place, &["excitation.starts=16", "excitation.rounds=400"]);
     let refused = Done::of(other_daemon(&place));
@@ -72,7 +72,7 @@ fn a_run_s_daemon_has_the_run_s_lock() {
 }
 
 #[test]
-fn a_run_asks_nothing_of_a_daemon_that_it_has_not_started() {
+fn a_run_sends_no_request_to_another_daemon() {
     let place = Place::new("run-other");
     let run = planning(&place, &["excitation.starts=4", "excitation.rounds=2"]);
     signal(run.pid(), "STOP");

@@ -59,7 +59,7 @@ fn draw(rng: &mut ChaCha8Rng) -> (&'static str, usize, String) {
 }
 
 #[test]
-fn an_effect_that_nobody_declared_is_found_named_and_added() {
+fn an_undeclared_effect_is_found_named_and_added() {
     let mut rng = ChaCha8Rng::seed_from_u64(20_261_121);
     let (id, joint, entry) = draw(&mut rng);
     let (found, report) = diagnosed("undeclared", &entry);

@@ -42,7 +42,7 @@ impl Left {
 }
 
 #[test]
-fn a_vertical_model_is_refused_where_it_does_not_hold() {
+fn a_vertical_model_is_refused_in_other_mountings() {
     let place = Place::new("vertical");
     place.run(&JOB).expect_code(0);
     let left = Left { tau: place.path().join("tau.csv"), place };

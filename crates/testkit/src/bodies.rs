@@ -22,7 +22,7 @@ pub fn robot(name: &str) -> Robot {
     Robot::load(&at, Some(root)).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// A body with mass and extent.
+/// A random body with mass and inertia.
 pub fn random_body(rng: &mut ChaCha8Rng) -> LinkParameters {
     let second = Vector3::from_fn(|_, _| rng.random_range(0.002..0.05));
     let axes = Rotation3::from_euler_angles(
@@ -36,7 +36,7 @@ pub fn random_body(rng: &mut ChaCha8Rng) -> LinkParameters {
     Body { mass, com: Vector3::from_fn(|_, _| rng.random_range(-0.2..0.2)), inertia }.link_parameters()
 }
 
-/// A model of an arm that can be: random bodies, friction, and what else the terms hold.
+/// A physically consistent random model: bodies, friction and the other terms.
 pub fn model(robot: &Robot, terms: &[&str], seed: u64) -> TorqueModel {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let structure = Structure::of(robot.chain.clone(), Reduction::any_mounting(&robot.chain), terms).unwrap();

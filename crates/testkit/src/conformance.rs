@@ -1,13 +1,13 @@
-//! The promises of [`Backend`], as checks that run against every implementation.
+//! Conformance tests of [`Backend`] for every implementation.
 //!
 //! `make` connects a fresh arm at rest; it is called several times, each arm is dropped before the next is made. A broken promise panics
-//! and says which. The arm moves by a few hundredths of a radian about where it stands. At 1 kHz the suite takes about three seconds.
+//! with its name. The arm moves by a few hundredths of a radian. At 1 kHz the suite takes about three seconds.
 
 use plumbline_core::{Backend, Command, Fault, JointVec, MAX_MISSED_COMMANDS, Setpoint, State};
 
-/// How far an arm that holds still may be off \[rad\].
+/// Position tolerance at rest \[rad\].
 const HOLD: f64 = 2e-3;
-/// How far an arm that moves slowly may be behind \[rad\].
+/// Tracking tolerance of a slow motion \[rad\].
 const TRACK: f64 = 5e-3;
 /// Distance and duration of the small motion \[rad\], \[ms\].
 const DISTANCE: f64 = 0.03;
@@ -46,7 +46,7 @@ fn states_follow_each_other(mut arm: impl Backend) {
     assert_eq!(arm.joints(), joints, "joints() changed");
 }
 
-/// With the same position commanded again and again the arm stays there.
+/// An arm holds a constant commanded position.
 fn holds_still(mut arm: impl Backend) {
     let start = first(&mut arm);
     let joints = arm.joints();
@@ -57,7 +57,7 @@ fn holds_still(mut arm: impl Backend) {
     }
 }
 
-/// A slow motion out and back is followed, by every joint at once, at the arm's own clock even where states are lost.
+/// A slow motion of all joints is tracked by the arm's clock, also after lost states.
 fn follows_a_small_motion(mut arm: impl Backend) {
     let start = first(&mut arm);
     let joints = arm.joints();
@@ -67,7 +67,7 @@ fn follows_a_small_motion(mut arm: impl Backend) {
         let desired = small_motion(&start.q_d, last.seq + 1 - start.seq, joints);
         send(&mut arm, &last, desired).expect("a slow motion is not refused");
         let state = next(&mut arm);
-        // Whoever comes late by more finds the arm further on, where nobody had told it to be.
+        // After a longer delay the arm has extrapolated the motion.
         if state.seq - last.seq <= u64::from(MAX_MISSED_COMMANDS) {
             assert_near(&state.q, &desired.q, TRACK, joints, "following");
         }
@@ -87,7 +87,7 @@ fn reports_what_it_accepted(mut arm: impl Backend) {
         let desired = small_motion(&start.q_d, tick, joints);
         send(&mut arm, &last, desired).expect("a slow motion is not refused");
         let state = next(&mut arm);
-        // A lost state lets the arm go on alone from there.
+        // After a lost state the arm extrapolates.
         if state.seq == last.seq + 1 {
             assert_near(&state.q_d, &desired.q, 1e-6, joints, "q_d after a command");
         }
@@ -130,7 +130,7 @@ fn stops_before_anything_happened(mut arm: impl Backend) {
     }
 }
 
-/// After a stop in motion the arm comes to rest, and whatever is read is finite.
+/// After a stop during a motion the arm comes to rest, and all states are finite.
 fn stops_in_motion_and_stays_stopped(mut arm: impl Backend) {
     let start = first(&mut arm);
     let joints = arm.joints();

@@ -1,4 +1,4 @@
-//! What the whole-program tests share: the real binary, a job of its own for every test, the truth to hold results against.
+//! Fixtures for tests of the whole program: the binary, a separate job per test, true parameter values.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -16,13 +16,13 @@ use plumbline_model::{Reduction, Robot};
 use plumbline_sim::Truth;
 use tempfile::TempDir;
 
-/// Long enough for a loaded machine; nothing waits this long when it works.
+/// Timeout, long enough for a loaded machine.
 pub const PATIENCE: Duration = Duration::from_secs(300);
 
-/// The shipped job that every test is a variant of.
+/// The shipped job that the tests vary.
 pub const WALL: &str = "config/sim-panda-wall.toml";
 
-/// The shipped job without what it is there to show: an arm that has nothing undeclared, and one motion to identify from.
+/// The shipped job with an arm without undeclared effects, and one identification motion.
 pub const PLAIN: [&str; 2] = ["backend.arm=arms/sim-panda.toml", "excitation.trajectories=1"];
 
 /// Overrides that make the shipped job short: 4 s periods, few of them, a coarse search, no counter-experiment.
@@ -40,7 +40,7 @@ pub const SHORT: [&str; 8] = [
 /// The program that was built beside the test, benchmark or example that runs.
 ///
 /// # Panics
-/// Where it was not: Cargo builds it for the tests of its own package.
+/// A missing program; Cargo builds it for the tests of its package.
 pub fn program() -> PathBuf {
     let test = std::env::current_exe().unwrap();
     let built = test.ancestors().skip(1).map(|folder| folder.join("plumbline")).find(|path| path.is_file());
@@ -54,12 +54,12 @@ pub fn plumbline() -> Command {
     command
 }
 
-/// A folder and a robot of one test, so that tests can run side by side.
+/// A separate folder and robot of one test, so that tests can run in parallel.
 pub struct Place {
     /// Name of the robot in shared memory.
     pub id: String,
     dir: TempDir,
-    /// What the plans of its job depend on.
+    /// Key of the plans of the job.
     planned_for: Mutex<Option<String>>,
 }
 
@@ -74,7 +74,7 @@ type Files = Vec<(OsString, Vec<u8>)>;
 const PLANNED_BY: [&str; 6] = ["excitation.", "validation.", "limits.", "workspace.", "mounting=", "robot="];
 
 impl Place {
-    /// A place that no other test uses.
+    /// A unique place.
     pub fn new(test: &str) -> Place {
         let id = format!("test-{test}-{}", std::process::id());
         Place { id, dir: tempfile::tempdir().unwrap(), planned_for: Mutex::new(None) }
@@ -127,13 +127,13 @@ impl Place {
         Done::of(command)
     }
 
-    /// What the daemon says of itself, where it answers.
+    /// The daemon's status, if it responds.
     pub fn status(&self) -> Option<Status> {
         let done = self.command("status");
         (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
     }
 
-    /// The report that the job left behind.
+    /// The report of the job.
     pub fn report(&self) -> Report {
         let text = std::fs::read_to_string(self.out().join("report.json")).unwrap();
         serde_json::from_str(&text).unwrap()
@@ -188,7 +188,7 @@ impl Done {
         Done::from(command.output().unwrap())
     }
 
-    /// Everything it said, for the message of an assertion that failed.
+    /// All output, for the message of a failed assertion.
     pub fn said(&self) -> String {
         format!("exit code {:?}\n--- stdout\n{}--- stderr\n{}", self.code, self.out, self.err)
     }
@@ -207,7 +207,7 @@ impl From<Output> for Done {
     }
 }
 
-/// A process of the test's own, killed when the test ends before it does.
+/// A process of the test, killed on drop.
 pub struct Running(Option<Process>);
 
 struct Process {
@@ -232,7 +232,7 @@ impl Running {
         self.0.as_mut().unwrap().child.try_wait().unwrap().is_none()
     }
 
-    /// Waits for its end, which must come within [`PATIENCE`].
+    /// Waits for its end, at most [`PATIENCE`].
     pub fn end(mut self) -> Done {
         let start = Instant::now();
         while self.runs() {
@@ -251,13 +251,13 @@ impl Drop for Running {
         let _ = process.child.kill();
         let _ = process.child.wait();
         if std::thread::panicking() {
-            // Whoever reads that the test failed needs to know what its process was at.
+            // The output helps to find the cause of the failure.
             eprintln!("--- stdout until then\n{}--- stderr until then\n{}", process.out.so_far(), process.err.so_far());
         }
     }
 }
 
-/// What a process says, read all the time: one that talks a lot must not wait for its reader.
+/// Output of a process, read continuously, so that the process does not block on a full pipe.
 struct Said {
     bytes: Arc<Mutex<Vec<u8>>>,
     reader: JoinHandle<()>,
@@ -280,7 +280,7 @@ impl Said {
         String::from_utf8_lossy(&self.bytes.lock().unwrap()).into_owned()
     }
 
-    /// Waits for those who hold the other end.
+    /// Waits until the other end is closed.
     fn whole(self) -> String {
         self.reader.join().unwrap();
         String::from_utf8(std::mem::take(&mut *self.bytes.lock().unwrap())).unwrap()

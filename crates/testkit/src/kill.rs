@@ -1,4 +1,4 @@
-//! What the kill campaign needs: the processes of a robot, witnesses that read along, and the moments at which something is killed.
+//! Kill campaign: processes of a robot, monitors of its data, and times of the kills.
 
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,12 +12,12 @@ use plumbline_ipc::{
     Status, StreamSettings,
 };
 
-/// Nothing that works takes this long.
+/// Timeout of any step.
 pub const PATIENCE: Duration = Duration::from_secs(30);
-/// A restarted process has to be up within this time.
+/// Timeout of a restart.
 pub const RESTART: Duration = Duration::from_secs(2);
 
-/// A child process, killed when it goes out of scope. What it says goes into a file.
+/// A child process, killed on drop. Its output is written to a file.
 pub struct Process {
     child: Child,
     pub log: std::path::PathBuf,
@@ -40,7 +40,7 @@ impl Process {
         signal(self.pid(), name);
     }
 
-    /// Its exit code once it has ended; -1 for a signal.
+    /// Exit code, if it has ended; -1 for a signal.
     pub fn ended(&mut self) -> Option<i32> {
         self.child.try_wait().unwrap().map(|status| status.code().unwrap_or(-1))
     }
@@ -49,7 +49,7 @@ impl Process {
         std::fs::read_to_string(&self.log).unwrap_or_default()
     }
 
-    /// SIGKILL, and its end.
+    /// Sends SIGKILL and waits for the end.
     pub fn kill(mut self) {
         self.kill_now();
     }
@@ -110,7 +110,7 @@ impl Robot {
     }
 }
 
-/// Waits for `condition` up to `limit`; the time that it took.
+/// Waits for `condition` up to `limit`; returns the elapsed time.
 pub fn within(limit: Duration, mut condition: impl FnMut() -> bool) -> Option<Duration> {
     let start = Instant::now();
     loop {
@@ -124,10 +124,10 @@ pub fn within(limit: Duration, mut condition: impl FnMut() -> bool) -> Option<Du
     }
 }
 
-/// What the witnesses have seen go wrong.
+/// Violations found by the monitors.
 pub type Complaints = Arc<Mutex<Vec<String>>>;
 
-/// Two readers on threads of their own: one follows every sample, one the newest torque.
+/// Two monitor threads: one reads every sample, one the newest torque.
 pub struct Witnesses {
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
@@ -139,7 +139,7 @@ pub struct Witnesses {
 }
 
 impl Witnesses {
-    /// Begins to watch a robot that has a daemon.
+    /// Starts the monitors of a robot with a daemon.
     pub fn watch(id: &RobotId) -> Witnesses {
         let stop = Arc::new(AtomicBool::new(false));
         let complaints: Complaints = Arc::default();
@@ -162,7 +162,7 @@ impl Witnesses {
     }
 }
 
-/// Every record exactly once and in order, over all starts of the daemon: what was delivered once is never asked for again.
+/// Checks that every record arrives exactly once and in order, over all starts of the daemon.
 fn follow_samples(robot: &RobotId, stop: &AtomicBool, complaints: &Complaints, count: &AtomicU64) {
     let settings = StreamSettings { name: "witness".into(), ..StreamSettings::default() };
     let mut stream = SampleStream::connect(robot, settings, PATIENCE).unwrap();
@@ -175,7 +175,7 @@ fn follow_samples(robot: &RobotId, stop: &AtomicBool, complaints: &Complaints, c
                     complain(format!("sample {first} came where {next} was due"));
                 }
                 for record in &records {
-                    // Within a connection the cycles count up; a new connection begins anew.
+                    // Cycle numbers increase within a connection and restart with a new one.
                     if cycle.is_some_and(|last| record.cycle <= last && record.cycle > 1) {
                         complain(format!("cycle {} came after {cycle:?}", record.cycle));
                     }
@@ -195,7 +195,7 @@ fn follow_samples(robot: &RobotId, stop: &AtomicBool, complaints: &Complaints, c
     }
 }
 
-/// The newest torque: numbers only go up within a start, and a value that is not marked stale is younger than the limit.
+/// Checks the newest torque: sequence numbers increase within a start, and a value not marked stale is younger than the limit.
 fn follow_torque(robot: &RobotId, stop: &AtomicBool, complaints: &Complaints, count: &AtomicU64, stale: &AtomicBool) {
     let settings = FeedForwardSettings::default();
     let mut client = FeedForwardClient::connect(robot, settings, PATIENCE).unwrap();
@@ -204,7 +204,7 @@ fn follow_torque(robot: &RobotId, stop: &AtomicBool, complaints: &Complaints, co
         match client.latest() {
             Ok(Some(latest)) => {
                 let now = (latest.message.epoch, latest.message.sequence);
-                // The clock is read anew here: this process may have stood still since the value was judged.
+                // The clock is read again, because this process may have been suspended.
                 let age = plumbline_ipc::boot_ns().saturating_sub(latest.message.stamp_ns);
                 let slack = 50_000_000;
                 if !latest.stale && age > settings.stale_after_ms * 1_000_000 + slack {
@@ -226,7 +226,7 @@ fn follow_torque(robot: &RobotId, stop: &AtomicBool, complaints: &Complaints, co
     }
 }
 
-/// Lines of `plumbline torque` whose value was too old to be used and not marked so.
+/// Lines of `plumbline torque` with a stale value that is not marked.
 pub fn unmarked(lines: &str) -> Vec<String> {
     let age = |line: &str| line.split("age").nth(1)?.split_whitespace().next()?.parse::<f64>().ok();
     let old = |line: &&str| age(line).is_some_and(|age| age > 5.0);
@@ -238,7 +238,7 @@ pub fn unmarked(lines: &str) -> Vec<String> {
         .collect()
 }
 
-/// Whether the robot's programme is under way.
+/// Whether the robot's programme is running.
 pub fn driving(status: &Status) -> bool {
     status.progress == Progress::Driving && status.motion != 0
 }

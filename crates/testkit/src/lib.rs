@@ -1,4 +1,4 @@
-//! What the tests, benchmarks and campaigns of plumbline share. A feature brings a part and the crates that it needs, so that the tests of
+//! Fixtures shared by tests, benchmarks and campaigns. Each feature adds a part with the crates that it needs, so that the tests of
 //! one crate build no more than that crate does.
 //!
 //! | feature | modules |

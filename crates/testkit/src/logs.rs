@@ -1,4 +1,4 @@
-//! Public logs of real arms, which are no part of the repository.
+//! Public logs of real arms, which are not part of the repository.
 
 use std::path::PathBuf;
 
@@ -15,7 +15,7 @@ pub fn data() -> Option<PathBuf> {
 
 /// Asserts that the line of docs/results/real-arms.md that begins with `head` has these figures, one per joint.
 ///
-/// Which instructions a processor has moves their last digit: 0.002 and half a percent are let pass.
+/// The last digit depends on the processor: the tolerance is 0.002 and half a percent.
 #[allow(dead_code, reason = "not every program of tests compares with the page")]
 pub fn page_says(head: &str, figures: &[f64]) {
     let shown: Vec<String> = figures.iter().map(|figure| format!("{figure:.3}")).collect();

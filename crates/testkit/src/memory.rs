@@ -1,4 +1,4 @@
-//! What the tests of the process boundary share: a daemon on a thread, records that can be told apart.
+//! Fixtures for tests of inter-process communication: a server on a thread, distinct records.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 use plumbline_core::{Phase, Record, Validity};
 use plumbline_ipc::{Delivery, RobotId, SampleStream, Server, ServerSettings, now_ns};
 
-/// Long enough for a loaded machine; nothing waits this long when it works.
+/// Timeout, long enough for a loaded machine.
 pub const PATIENCE: Duration = Duration::from_secs(20);
 
-/// A robot that no other test uses.
+/// A unique robot id.
 pub fn robot(test: &str) -> RobotId {
     RobotId::parse("test", "robot", &format!("test-{test}-{}", std::process::id())).unwrap()
 }
@@ -27,12 +27,12 @@ pub fn record(cycle: u64) -> Record {
     record
 }
 
-/// The same apart from the time.
+/// Whether two records are equal but for their time.
 pub fn assert_is_record(record_: &Record, cycle: u64) {
     assert_eq!(*record_, Record { stamp_ns: record_.stamp_ns, ..record(cycle) });
 }
 
-/// A daemon on a thread of its own, as `Server` is not `Send`.
+/// A server on its own thread, because `Server` is not `Send`.
 pub struct Daemon<T> {
     stop: Arc<AtomicBool>,
     thread: JoinHandle<T>,
@@ -57,7 +57,7 @@ impl<T: Send + 'static> Daemon<T> {
     }
 }
 
-/// Polls until told to stop.
+/// Polls until the flag is set.
 pub fn poll_until(server: &mut Server, stop: &AtomicBool) {
     while !stop.load(Ordering::Relaxed) {
         server.poll(|_, _| unreachable!("nobody sends commands"));

@@ -11,7 +11,7 @@ pub fn read(name: &str) -> String {
 /// Replaces one block of the page `name`.
 ///
 /// # Panics
-/// Where the page has no such block: a campaign of half an hour shall not end without its table.
+/// A page without such a block.
 pub fn write_block(name: &str, block: &str, content: &str) {
     let text = fill(&read(name), block, content);
     std::fs::write(crate::path(name), text).unwrap_or_else(|error| panic!("{name}: {error}"));
@@ -28,7 +28,7 @@ pub fn block<'p>(page: &'p str, block: &str) -> Option<&'p str> {
     split(page, block).map(|[_, content, _]| content)
 }
 
-/// What stands before the content of a block, the content, and what follows it.
+/// Text before a block, its content, and the text after it.
 fn split<'p>(page: &'p str, block: &str) -> Option<[&'p str; 3]> {
     let open = format!("<!-- {block} -->\n");
     let start = page.find(&open)? + open.len();

@@ -1,4 +1,4 @@
-//! What the tests of the simulated arm share.
+//! Fixtures for tests of the simulated arm.
 
 use plumbline_core::{Clock, Command, JointVec, MAX_JOINTS, Setpoint};
 use plumbline_model::{Chain, Mounting, Robot};
@@ -6,7 +6,7 @@ use plumbline_sim::{Pace, SimArm, Truth};
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::time::{Duration, Instant};
 
-/// Somewhere in the middle of the Panda's range.
+/// A pose in the middle of the Panda's range.
 pub const READY: JointVec = [0.0, -0.4, 0.0, -2.0, 0.3, 1.8, 0.5, 0.0];
 
 pub fn panda() -> Chain {
@@ -39,7 +39,7 @@ pub fn sim(truth: &Truth, seed: u64, pace: Pace) -> SimArm {
     SimArm::new(&panda(), truth, Mounting::WALL, READY, seed, pace).expect("truth fits the chain")
 }
 
-/// A lively periodic motion about [`READY`] that starts at rest: peaks of about 1.5 rad/s.
+/// A periodic motion about [`READY`] that starts at rest, with peaks of about 1.5 rad/s.
 pub fn excitation(tick: u64) -> Setpoint {
     let t = tick as f64 * 1e-3;
     let mut desired = Setpoint { q: READY, ..Setpoint::default() };

@@ -1,14 +1,14 @@
-//! So many at a time: tests that share a program but not the machine.
+//! Limits the number of tests that run at the same time.
 
 use std::sync::{Condvar, Mutex, PoisonError};
 
-/// Turns that are free.
+/// Free slots.
 pub struct Turns {
     free: Mutex<usize>,
     given_back: Condvar,
 }
 
-/// A turn, given back when it goes out of scope, in a panic too.
+/// A slot, released on drop.
 pub struct Turn<'t>(&'t Turns);
 
 impl Turns {
@@ -16,7 +16,7 @@ impl Turns {
         Turns { free: Mutex::new(at_a_time), given_back: Condvar::new() }
     }
 
-    /// Waits for a turn.
+    /// Waits for a slot.
     pub fn take(&self) -> Turn<'_> {
         let free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
         let mut free = self.given_back.wait_while(free, |free| *free == 0).unwrap_or_else(PoisonError::into_inner);

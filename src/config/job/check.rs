@@ -1,4 +1,4 @@
-//! Ranges of a job's values, and the limits that come out of it for one robot.
+//! Ranges of a job's values, and the resulting limits for one robot.
 
 use super::{BackendKind, Franka, Job, LimitOverrides, Limits, Workspace};
 use plumbline_core::{BadInput, JointVec, MAX_JOINTS, MAX_MISSED_COMMANDS};
@@ -21,14 +21,14 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
             return bad("backend.franka", &"nothing", "a table with the robot's `address`, for kind = \"franka\"");
         }
         (BackendKind::Franka, Some(_), _) => {
-            return bad("backend.arm", &"a value", "none, for kind = \"franka\": the arm is what it is");
+            return bad("backend.arm", &"a value", "none, for kind = \"franka\"");
         }
         (BackendKind::Sim, Some(_), None) => {}
         (BackendKind::Franka, None, Some(franka)) => {
             Franka::robot(job)?;
             franka.check(&file)?;
             if let Some(other) = job.validation.mountings.iter().find(|other| other.angle_to(&job.mounting) > 1e-3) {
-                let expected = "`mounting` alone: a real arm is not mounted anew in mid-job";
+                let expected = "`mounting` alone: the mounting of a real arm is constant during a job";
                 return bad("validation.mountings", &format!("`{other}`"), expected);
             }
         }
@@ -126,11 +126,11 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
             return bad("inclinometer.interface", &format!("`{}`", inclinometer.interface), expected);
         }
         if job.backend.is_fast() {
-            let expected = "a wall-clock pace: an inclinometer does not live in simulated time";
+            let expected = "a wall-clock pace: an inclinometer has no simulated time";
             return bad("backend.pace", &"`fast`", expected);
         }
         if let Some(other) = job.validation.mountings.iter().find(|other| other.angle_to(&job.mounting) > 1e-3) {
-            let expected = "`mounting` alone: the inclinometer's base is not mounted anew in mid-job";
+            let expected = "`mounting` alone: the inclinometer's base is not mounted again during a job";
             return bad("validation.mountings", &format!("`{other}`"), expected);
         }
     }
@@ -150,7 +150,7 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     if !(job.safety.tracking_error > 0.0 && job.safety.tracking_error <= 1.0) {
         return bad("safety.tracking-error", &format!("{} rad", job.safety.tracking_error), "above 0, at most 1 rad");
     }
-    // A Franka that is told nothing for longer has stopped by itself before the loop could.
+    // A Franka stops by itself after more missing commands.
     let most = if job.backend.franka.is_some() { MAX_MISSED_COMMANDS - 1 } else { 1000 };
     if !(1..=most).contains(&job.safety.max_lost) {
         return bad("safety.max-lost", &job.safety.max_lost, &format!("1 to {most} states"));
@@ -172,7 +172,7 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
 }
 
 impl Job {
-    /// The limits that the guard holds the arm to: the robot's, or tighter ones of the job.
+    /// Limits of the guard: the robot's, or tighter ones of the job.
     ///
     /// # Errors
     /// A list of another length than the robot has joints (`n`), or a limit that is wider than the robot's.
@@ -195,7 +195,7 @@ impl Job {
         }
     }
 
-    /// How far planned motions stay inside those limits.
+    /// Margins of planned motions to those limits.
     pub fn margins(&self) -> Margins {
         let Limits { margin, speed, acceleration, jerk, torque, .. } = self.limits;
         Margins {
@@ -209,7 +209,7 @@ impl Job {
         }
     }
 
-    /// Signal processing of the estimator: its defaults with what the job says over them.
+    /// Signal processing of the estimator: defaults with the job's values.
     pub fn settings(&self) -> Settings {
         let own = &self.estimator;
         let defaults = own.method.settings();
@@ -250,7 +250,7 @@ impl Job {
             return Err(BadInput::new(file, place, format!("{} values", own.len()), format!("{n}, one per joint")));
         }
         for (j, (&own, limit)) in own.iter().zip(limits).enumerate() {
-            // Also refuses NaN, which compares with nothing.
+            // Also refuses NaN.
             if !tighter(own, *limit) {
                 return Err(self.bad_limit(name, j, own, format!("a limit not wider than the robot's {limit}")));
             }

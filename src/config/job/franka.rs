@@ -1,4 +1,4 @@
-//! `[backend.franka]`: how a Franka arm is reached and driven.
+//! `[backend.franka]`: connection and control of a Franka arm.
 
 use crate::config::units;
 use nalgebra::Matrix3;
@@ -15,21 +15,21 @@ use std::time::Duration;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Franka {
-    /// Address of the robot's control unit, the one that the shop-floor network gave it.
+    /// Address of the robot's control unit in the shop-floor network.
     pub address: IpAddr,
-    /// What is commanded.
+    /// Command interface.
     #[serde(default)]
     pub interface: Interface,
-    /// Which of the robot's own controllers tracks commanded positions and velocities.
+    /// Controller of the robot for commanded positions and velocities.
     #[serde(default)]
     pub controller: Controller,
-    /// Who decides that the arm may move again after it stopped by itself.
+    /// Recovery after a reflex: by an operator or automatic.
     #[serde(default)]
     pub recovery: Recovery,
-    /// How often a job goes on by itself where `recovery` is `automatic`.
+    /// Maximum number of automatic recoveries in a job.
     #[serde(default = "default_max_recoveries")]
     pub max_recoveries: u32,
-    /// Share of the robot's limits of velocity, acceleration and jerk that commands are held to.
+    /// Ratio of the robot's limits of velocity, acceleration and jerk for commands.
     #[serde(default = "default_limits_share")]
     pub limits_share: f64,
     /// Stiffness of the joint impedance controller \[Nm/rad\]; the robot's own where absent.
@@ -42,32 +42,32 @@ pub struct Franka {
     /// frame \[m/s2\]; the robot's own value (`O_ddP_O` of its state) where absent. One that disagrees with the robot's is refused.
     #[serde(default, deserialize_with = "compensates")]
     pub compensates: Option<Compensates>,
-    /// From which forces on the robot reports a contact, and from which it stops.
+    /// Thresholds of contact and collision detection.
     #[serde(default)]
     pub collision: Collision,
-    /// What the flange carries beyond the end effector set up in Desk.
+    /// Load at the flange beside the end effector configured in Desk.
     #[serde(default)]
     pub load: Option<Load>,
-    /// How the socket of the real-time path is set up.
+    /// Options of the UDP socket.
     #[serde(default)]
     pub socket: Socket,
-    /// How long the loop waits for a state before it gives the connection up \[s\].
+    /// Timeout of a state \[s\].
     #[serde(default = "state_timeout", deserialize_with = "units::duration")]
     pub state_timeout: f64,
-    /// How long a connection may take \[s\].
+    /// Timeout of the connection \[s\].
     #[serde(default = "connect_timeout", deserialize_with = "units::duration")]
     pub connect_timeout: f64,
 }
 
-/// Who decides that the arm may move again.
+/// Recovery after a reflex.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Recovery {
-    /// A person: the job ends, and says what to do.
+    /// By an operator: the job ends with the next steps.
     #[default]
     Operator,
-    /// The daemon, after a lost connection in time alone (`communication_constraints_violation`), `max-recoveries` times in a job:
-    /// it drives the interrupted motion again from its beginning. Every other reflex is a person's to judge.
+    /// Automatic after `communication_constraints_violation`, at most `max-recoveries` times in a job:
+    /// the interrupted motion is repeated from its beginning. Other reflexes need an operator.
     Automatic,
 }
 
@@ -139,7 +139,7 @@ pub struct Collision {
 }
 
 impl Default for Collision {
-    /// What libfranka's examples set before they move.
+    /// The thresholds of libfranka's examples.
     fn default() -> Collision {
         Collision {
             contact_torque: [20.0, 20.0, 18.0, 18.0, 16.0, 14.0, 12.0],
@@ -163,7 +163,7 @@ pub struct Load {
     pub inertia: [f64; 6],
 }
 
-/// Options of the UDP socket; absent ones stay as the system has them.
+/// Options of the UDP socket; absent ones have the system's defaults.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Socket {
@@ -204,7 +204,7 @@ fn connect_timeout() -> f64 {
 }
 
 impl Franka {
-    /// Which of the arms that speak the interface a job is for.
+    /// Kind of Franka robot of a job.
     pub(super) fn robot(job: &super::Job) -> Result<RobotKind, BadInput> {
         match job.robot.as_str() {
             "panda" => Ok(RobotKind::Panda),
@@ -229,7 +229,7 @@ impl Franka {
         Ok(FrankaConnector { settings: self.settings(job, Purpose::Drive)?, max_recoveries })
     }
 
-    /// What a session with the arm is opened with.
+    /// Settings of a session with the arm.
     ///
     /// # Errors
     /// A job for a robot that is no Franka.

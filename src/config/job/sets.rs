@@ -1,10 +1,10 @@
-//! Command-line overrides: `--set key.path=value` laid over the file before it is read as a typed job.
+//! Command-line overrides: `--set key.path=value` replaces keys of the file before it is deserialized.
 
 use plumbline_core::{BadInput, expectation, from_toml};
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
 
-/// The file's text with every override on top, as a typed value. Errors name the override that brought the bad value, else the file.
+/// Deserializes the file's text with the overrides. Errors name the override with the bad value, else the file.
 pub(super) fn typed<T: DeserializeOwned>(file: &str, text: &str, sets: &[String]) -> Result<T, BadInput> {
     if sets.is_empty() {
         return from_toml(file, text);
@@ -19,12 +19,12 @@ pub(super) fn typed<T: DeserializeOwned>(file: &str, text: &str, sets: &[String]
         let value = find(&whole, &path).map_or_else(|| "nothing".to_string(), |value| format!("`{value}`"));
         let message = expectation(error.into_inner().message());
         let ours = attribute(BadInput::new(file, format!("key `{path}`"), value, message), file, sets);
-        // What the command line didn't bring, the file did, and reading it alone knows the line.
+        // An error of the file: parsing the file alone gives the line.
         if ours.file == file { from_toml::<T>(file, text).err().unwrap_or(ours) } else { ours }
     })
 }
 
-/// Names the override as the origin of an error about a key that it set.
+/// Attributes an error to the override that set the key.
 pub(super) fn attribute(mut bad: BadInput, file: &str, sets: &[String]) -> BadInput {
     let key = bad.place.trim_start_matches("key `").trim_end_matches('`').to_string();
     let touches = |set: &&String| {
@@ -34,7 +34,7 @@ pub(super) fn attribute(mut bad: BadInput, file: &str, sets: &[String]) -> BadIn
         };
         under(&key, path) || under(path, &key)
     };
-    // The last one wins, so the last one is to blame.
+    // The last override of a key is in effect.
     if let Some(set) = sets.iter().rev().find(touches) {
         bad.file = format!("--set {set}");
         bad.place = format!("key `{key}` (over {file})");
@@ -42,7 +42,7 @@ pub(super) fn attribute(mut bad: BadInput, file: &str, sets: &[String]) -> BadIn
     bad
 }
 
-/// Puts one `key.path=value` into the table.
+/// Sets one `key.path=value` in the table.
 fn apply(table: &mut Table, set: &str) -> Result<(), BadInput> {
     let option = format!("--set {set}");
     let form = || BadInput::new(&option, "option", format!("`{set}`"), "key.path=value, such as backend.seed=7");
@@ -55,7 +55,7 @@ fn apply(table: &mut Table, set: &str) -> Result<(), BadInput> {
     let mut at = table;
     for key in keys {
         let inner = at.entry(key).or_insert_with(|| Value::Table(Table::new()));
-        // `mounting.rho=...` over `mounting = "wall"`: the text gives way to the table that is being set.
+        // `mounting.rho=...` over `mounting = "wall"` replaces the string by a table.
         if inner.is_str() {
             *inner = Value::Table(Table::new());
         }
@@ -68,7 +68,7 @@ fn apply(table: &mut Table, set: &str) -> Result<(), BadInput> {
     Ok(())
 }
 
-/// TOML where it is TOML, else a string.
+/// Value as TOML if it parses, else as a string.
 fn value(text: &str) -> Value {
     let parsed = format!("value = {text}\n").parse::<Table>().ok().filter(|table| table.len() == 1);
     parsed.and_then(|mut table| table.remove("value")).unwrap_or_else(|| Value::String(text.to_string()))
