@@ -6,7 +6,7 @@
 pub use super::catalogue::{FAMILIES, family};
 pub use super::family::{
     Confounded, Expressions, Family, Form, InBodies, InC, Inputs, PartOf, Place, PlotOver, Rare, Scale, Setting, Site,
-    Spec, Stratum,
+    Spec, Stratum, WholeArm,
 };
 pub use super::load::OperatingPoint;
 pub use super::quantity::{Quantity, Results};

@@ -51,10 +51,13 @@ pub struct Form {
     pub plot_over: PlotOver,
 }
 
+/// Builds a term with a column for every joint of the arm.
+pub type WholeArm = fn(&Chain) -> Arc<dyn Term>;
+
 /// What only few families have.
 pub struct Rare {
     /// The term of the whole arm with a column of this effect for every joint. Its columns belong to that term in models and files.
-    pub whole_arm: Option<fn(&Chain) -> Arc<dyn Term>>,
+    pub whole_arm: Option<WholeArm>,
     /// Whether every arm has it. Where the noise is unknown, the search starts from a model with it in every joint.
     pub in_every_arm: bool,
     /// Whether it may come or change after an identification, so that a comparison with a stored model searches for it.
