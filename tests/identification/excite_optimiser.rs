@@ -75,7 +75,7 @@ fn the_gradient_agrees_with_central_differences() {
         if index % 2 == 1 {
             objective = objective.with_prior(&[prior]);
         }
-        objective.sharpness = Smoothing { p: 3.0, sign: 5.0 };
+        objective.smoothing = Smoothing { p: 3.0, sign: 5.0 };
         let n = objective.unknowns();
         assert_eq!(n, if q0.is_some() { 49 } else { 56 });
         let mut x: Vec<f64> = (0..n).map(|_| rng.random_range(-0.6..0.6)).collect();
@@ -85,9 +85,9 @@ fn the_gradient_agrees_with_central_differences() {
         // A first walk leaves multipliers behind.
         let mut gradient = vec![0.0; n];
         assert!(objective.evaluate(&x, &mut gradient).is_finite());
-        objective.held.update(4.0);
+        objective.constraints.update(4.0);
         let value = objective.evaluate(&x, &mut gradient);
-        assert!(value.is_finite() && objective.held.psi() > 1.0, "{criterion:?}: constraints that pull");
+        assert!(value.is_finite() && objective.constraints.psi() > 1.0, "{criterion:?}: constraints that pull");
         let h = 1e-6;
         for i in 0..n {
             let mut there = |by: f64| {
