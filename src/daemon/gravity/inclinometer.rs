@@ -65,7 +65,7 @@ impl Inclinometer {
         Ok(Some(Inclinometer {
             listener,
             follower,
-            on_loss: own.on_loss.into(),
+            on_loss: own.on_loss,
             on_motion: own.on_base_motion,
             still: own.still,
             health,
