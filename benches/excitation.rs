@@ -6,7 +6,7 @@
 
 use plumbline::store::ModelFile;
 use plumbline_excite::{
-    Bounds, Criterion, Margins, Nominal, Problem, Progress, Search, Watch, optimise, search_verdict,
+    Bounds, Criterion, Margins, Nominal, Problem, Progress, Search, SearchControl, optimise, verify_with_guard,
 };
 use plumbline_model::{Mounting, Reduction, Robot, Structure};
 use std::path::Path;
@@ -55,10 +55,10 @@ fn main() {
             };
             let stop = || start.elapsed().as_secs_f64() > seconds;
             let search = Search { criterion, rounds: 100_000, ..Search::default() };
-            let plan = optimise(&problem, &search, &[], &Watch { threads, stop: &stop, progress: &hear });
+            let plan = optimise(&problem, &search, &[], &SearchControl { threads, stop: &stop, progress: &hear });
             let plan = plan.expect("a motion");
             let took = start.elapsed().as_secs_f64();
-            assert!(search_verdict(&problem, &plan.fourier().expect("a motion")).is_feasible());
+            assert!(verify_with_guard(&problem, &plan.fourier().expect("a motion")).is_feasible());
             let c = plan.conditions;
             let value = match criterion {
                 Criterion::RawRigid => c.raw_rigid,

@@ -36,7 +36,7 @@ fn main() {
 }
 
 fn identify(scene: &Scene, run: &Run, settings: &Settings, estimator: Estimator) -> Identification {
-    let settings = Settings { keep_periods: estimator.wants_periods(), ..settings.clone() };
+    let settings = Settings { keep_periods: estimator.needs_periods(), ..settings.clone() };
     let experiment = Experiment::prepare(run, &settings).unwrap();
     identify_with(&scene.structure, &[experiment], &Options { estimator, essential: false }).unwrap()
 }

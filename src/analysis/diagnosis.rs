@@ -10,7 +10,7 @@ use plumbline_diagnose::figures::Curves;
 use plumbline_diagnose::{Diagnosis, Input, Trial, diagnose};
 use plumbline_identify::solve::{self, ols, stack::Stack};
 use plumbline_identify::{Experiment, Settings};
-use plumbline_model::term::effect::Ground;
+use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::{Robot, Structure};
 
 /// What is diagnosed and how.
@@ -85,8 +85,8 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing), Failure>
     };
     let mut found = Changing::default();
     if experiments.iter().any(enough) {
-        let ground = known(question.structure, &experiments)?;
-        found = changing(&ground, &trials(&experiments, question.identify));
+        let operating_point = known(question.structure, &experiments)?;
+        found = changing(&operating_point, &trials(&experiments, question.identify));
     }
     if !found.leave_out.is_empty() {
         let leave_out = settings.leave_out.iter().chain(&found.leave_out).cloned().collect();
@@ -94,16 +94,16 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing), Failure>
         experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
     }
     cleaned(&mut experiments, &found);
-    if !question.options.estimator.wants_periods() {
+    if !question.options.estimator.needs_periods() {
         experiments.iter_mut().for_each(|experiment| experiment.repeats = None);
     }
     Ok((experiments, found))
 }
 
 /// The rigid bodies and the friction as a plain identification finds them.
-fn known(structure: &Structure, experiments: &[Experiment]) -> Result<Ground, Failure> {
+fn known(structure: &Structure, experiments: &[Experiment]) -> Result<OperatingPoint, Failure> {
     // Weights matter little for what the gravity columns and the shape of friction are.
     let stack = Stack::of(structure, experiments).map_err(Failure::job)?;
     let plain = ols::solve(&stack).map_err(Failure::job)?;
-    Ok(structure.ground(plain.beta.as_slice()))
+    Ok(structure.operating_point(plain.beta.as_slice()))
 }

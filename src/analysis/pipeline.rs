@@ -113,11 +113,11 @@ pub fn experiments(runs: &[&Run], settings: &Settings) -> Result<Vec<Experiment>
 
 /// Prepared runs, with the data that the chosen estimator needs.
 pub fn for_estimator(runs: &[&Run], settings: &Settings, options: &solve::Options) -> Result<Vec<Experiment>, Failure> {
-    let keep_periods = settings.keep_periods || options.estimator.wants_periods();
+    let keep_periods = settings.keep_periods || options.estimator.needs_periods();
     let settings = Settings { keep_periods, ..settings.clone() };
     let prepare = |run: &&Run| {
         let experiment = experiment(&run.data, &settings)?;
-        if !options.estimator.wants_periods() {
+        if !options.estimator.needs_periods() {
             return Ok(experiment);
         }
         desired(run, experiment)
@@ -190,7 +190,7 @@ pub fn judge(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Judg
         title: title(run),
         t: times(&experiment),
         measured: columns(&experiment.tau, experiment.joints()),
-        modelled: columns(modelled.judged(), experiment.joints()),
+        modelled: columns(modelled.comparison(), experiment.joints()),
         raw: Vec::new(),
         noise: rms.noise_floor.clone().unwrap_or_default(),
     };

@@ -3,7 +3,7 @@
 use crate::cli::say::say;
 use crate::failure::Failure;
 use clap::{Args, ValueEnum};
-use plumbline_ipc::{Client, IpcError, Request, Response, RobotId, StopError, Way};
+use plumbline_ipc::{Client, IpcError, Request, Response, RobotId, StopError, StopPath};
 use std::time::Duration;
 
 /// Options of `plumbline command`.
@@ -78,8 +78,8 @@ fn stop(id: &RobotId) -> Result<(), Failure> {
         other => Failure::job(other),
     })?;
     match taken.way {
-        Way::Socket => say!("accepted: the daemon (process {}) has received the stop", taken.process),
-        Way::Signal { because } => say!(
+        StopPath::Socket => say!("accepted: the daemon (process {}) has received the stop", taken.process),
+        StopPath::Signal { because } => say!(
             "accepted: the daemon (process {}) has received the stop by signal SIGUSR2; its socket failed: {because}",
             taken.process
         ),

@@ -19,7 +19,7 @@ use crate::failure::Failure;
 use crate::process::journal;
 use crate::{daemon, estimator};
 use clap::Parser;
-use plumbline_ipc::{IpcError, place};
+use plumbline_ipc::{IpcError, runtime_dir};
 use std::fmt::Display;
 use std::process::ExitCode;
 
@@ -102,7 +102,7 @@ fn unreachable(error: IpcError) -> Failure {
 
 /// Failure for a missing daemon, with a hint if another user runs one.
 fn no_daemon(error: impl Display) -> Failure {
-    match place::served_by_another() {
+    match runtime_dir::other_serving_user() {
         Some(owner) => Failure::job(format!(
             "{error}; the service on this machine belongs to user {owner}, and only that user may connect to it: `sudo -u plumbline plumbline ...`"
         )),

@@ -9,7 +9,7 @@ use crate::setup::planner::{Room, Task, motion, no_plan, nominal};
 use crate::store::save_plan;
 use clap::{Args, ValueEnum};
 use plumbline_core::{BadInput, threads};
-use plumbline_excite::{Criterion, Fourier, Margins, Plan, PlanUsage, Progress, Search, Watch};
+use plumbline_excite::{Criterion, Fourier, Margins, Plan, PlanUsage, Progress, Search, SearchControl};
 use plumbline_model::Robot;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -159,7 +159,7 @@ impl Options {
             bar.at(share, &best);
         };
         let stop = || ending.arrived() || limit.is_some_and(|limit| start.elapsed() > limit);
-        let watch = Watch { threads: threads(), stop: &stop, progress: &report };
+        let watch = SearchControl { threads: threads(), stop: &stop, progress: &report };
         let plan = task.best(search, prior, &watch).map_err(|error| no_plan("command line", error))?;
         bar.done();
         if ending.arrived() {
@@ -187,7 +187,7 @@ impl Options {
             say!("  {}", usage_text(usage));
         }
         if set.len() > 1 {
-            let together = task.with_problem(|problem| plumbline_excite::conditions_together(problem, set));
+            let together = task.with_problem(|problem| plumbline_excite::stacked_conditions(problem, set));
             say!("  with the {} before it: condition {}", set.len() - 1, crate::analysis::conditions_text(&together));
         }
         Ok(())

@@ -34,7 +34,7 @@ use clap::Args;
 use job_setup::JobSetup;
 use plumbline_core::{ArmConnector, Distribution, Purpose};
 use plumbline_ipc::{
-    Asked, Lock, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener, now_ns,
+    IncomingRequest, Lock, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener, now_ns,
 };
 use plumbline_model::Mounting;
 use plumbline_rt::cycle::End;
@@ -260,23 +260,23 @@ impl Daemon {
         let Daemon { server, state, checker, .. } = self;
         while let Some(Answerable { ticket, order, checked }) = checker.take() {
             if matches!(checked, Checked::Garbled(_)) {
-                server.garbled();
+                server.count_malformed_request();
             }
             let response = state.conclude(checked, &server.served(), controls);
             server.answer(ticket, order, &response);
         }
         server.serve(checker.room(begin), |asked, served| match asked {
-            Asked::Light(request) => Some(state.answer(request, served, controls)),
-            Asked::Heavy(ticket, bytes) => {
+            IncomingRequest::Light(request) => Some(state.answer(request, served, controls)),
+            IncomingRequest::Heavy(ticket, bytes) => {
                 checker.give(ticket, bytes, state.mounting, begin);
                 None
             }
         });
-        while let Some(news) = server.take_news() {
+        while let Some(news) = server.take_follower_event() {
             state.news(&news, controls);
         }
         let end = now_ns();
-        server.answered_for(end.saturating_sub(begin));
+        server.add_request_time(end.saturating_sub(begin));
         self.share.spent(begin, end);
     }
 }

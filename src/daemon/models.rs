@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use plumbline_core::{BadInput, Limits, Record};
 use plumbline_identify::{Implausible, plausible};
-use plumbline_ipc::{Held, Proposal};
+use plumbline_ipc::{HeldModel, Proposal};
 use plumbline_model::{Mounting, TorqueModel};
 use std::collections::VecDeque;
 
@@ -82,8 +82,8 @@ impl Models {
     }
 
     /// The held model, for the status.
-    pub fn offer(&self) -> Option<Held> {
-        self.held.as_ref().map(|(held, proposal)| Held { model: held.id, proposal: proposal.clone() })
+    pub fn offer(&self) -> Option<HeldModel> {
+        self.held.as_ref().map(|(held, proposal)| HeldModel { model: held.id, proposal: proposal.clone() })
     }
 
     /// Checks a model against what changes after its text was checked: the mounting, and what the arm has measured in the last second under

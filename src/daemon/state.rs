@@ -7,10 +7,10 @@ use super::recorder::Recorder;
 use crate::config::job::OnEstimatorLoss;
 use crate::failure::Failure;
 use crate::process::signals::{Cause, Ending};
-use crate::recording::about::Reason;
+use crate::recording::about::{Reason, ReasonKind};
 use crate::recording::messages::event_text;
 use plumbline_core::{Fault, Record};
-use plumbline_ipc::{News, Progress, Session as SessionStatistics, StopOrder, now_ns};
+use plumbline_ipc::{FollowerEvent, Progress, Session as SessionStatistics, StopOrder, now_ns};
 use plumbline_model::Mounting;
 use plumbline_rt::cycle::End;
 use plumbline_rt::{Controls, Event, StopReason};
@@ -202,7 +202,7 @@ impl DaemonState {
         if let Some(moved) = self.gravity.take(records) {
             self.gravity_event(moved.event);
             if let Some(why) = moved.stop {
-                self.stop_because(Reason::new("mounting", why), Some(controls));
+                self.stop_because(Reason::new(ReasonKind::Mounting, why), Some(controls));
             }
         }
         self.models.recent.take(records);
@@ -267,7 +267,7 @@ impl DaemonState {
     }
 
     /// Logs news of a follower of the samples, and stops the arm where the job wants that.
-    pub fn news(&mut self, news: &News, controls: Option<&Controls>) {
+    pub fn news(&mut self, news: &FollowerEvent, controls: Option<&Controls>) {
         let response = self.response_to(news);
         let rule = match response {
             LossResponse::None => return tracing::info!("{news}"),
@@ -279,24 +279,28 @@ impl DaemonState {
         tracing::warn!("{words}");
         self.recorder.note(&words);
         if response == LossResponse::Stop {
-            self.stop_because(Reason::new("estimator-lost", words), controls);
+            self.stop_because(Reason::new(ReasonKind::EstimatorLost, words), controls);
         }
     }
 
     /// What the job wants done about `news`.
-    fn response_to(&self, news: &News) -> LossResponse {
+    fn response_to(&self, news: &FollowerEvent) -> LossResponse {
         let job = &self.setup.job;
         // Simulated time waits for an estimator that watches: its silence is no loss.
         let waited_for = job.live.watch && job.backend.is_fast();
-        let silent = matches!(news, News::Silent { .. });
+        let silent = matches!(news, FollowerEvent::Silent { .. });
         let stop = job.safety.on_estimator_loss == OnEstimatorLoss::Stop && !(silent && waited_for);
         match (news, self.programme.progress) {
             // One that leaves during a motion is lost, too: it may have failed and disconnected in order.
-            (News::Died { .. } | News::Left { .. } | News::Silent { .. }, Progress::Driving) if stop => {
-                LossResponse::Stop
-            }
-            (News::Died { .. } | News::Left { .. } | News::Silent { .. }, Progress::Driving) => LossResponse::Continue,
-            (News::Died { .. }, Progress::AwaitingModel) => LossResponse::Wait,
+            (
+                FollowerEvent::Died { .. } | FollowerEvent::Left { .. } | FollowerEvent::Silent { .. },
+                Progress::Driving,
+            ) if stop => LossResponse::Stop,
+            (
+                FollowerEvent::Died { .. } | FollowerEvent::Left { .. } | FollowerEvent::Silent { .. },
+                Progress::Driving,
+            ) => LossResponse::Continue,
+            (FollowerEvent::Died { .. }, Progress::AwaitingModel) => LossResponse::Wait,
             // Nothing moves, so nothing is decided. An estimator that computes is silent, too.
             _ => LossResponse::None,
         }

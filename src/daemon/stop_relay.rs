@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn the_loop_s_heartbeat_ends_where_no_stop_would_be_read() {
+    fn without_polls_of_the_socket_there_is_no_heartbeat() {
         let controls = Controls::default();
         let mut line = silent();
         (0..3).for_each(|_| assert_eq!(line.attend(Some(&controls)), None));

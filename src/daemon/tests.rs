@@ -6,7 +6,7 @@ use crate::setup::planner::{self, Planner};
 use crate::setup::programme::{Motion, Role, Stage};
 use plumbline_core::{
     ArmError, ArmLimits, ArmMonitor, Backend, Command, ConnectOptions, Connected, Explanation, Fault, Hardware,
-    JointVec, Link, MeasuredGravity, ModeChange, PERIOD, PERIOD_NS, State,
+    JointVec, Link, MeasuredGravity, ModeChange, PERIOD_NS, PERIOD_S, State,
 };
 use plumbline_ipc::RobotId;
 use plumbline_rt::os;
@@ -41,7 +41,7 @@ impl Backend for MadeUpArm {
         self.next_ns += PERIOD_NS;
         os::sleep_until(self.next_ns);
         self.state.seq += 1;
-        self.state.time = self.state.seq as f64 * PERIOD;
+        self.state.time = self.state.seq as f64 * PERIOD_S;
         Ok(self.state)
     }
 

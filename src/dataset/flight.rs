@@ -4,7 +4,7 @@ use super::Run;
 use super::csv::Columns;
 use crate::recording::Recording;
 use nalgebra::DMatrix;
-use plumbline_core::{BadInput, JointVec, PERIOD, Record};
+use plumbline_core::{BadInput, JointVec, PERIOD_S, Record};
 use std::path::Path;
 
 pub(super) fn read(path: &Path) -> Result<Columns, BadInput> {
@@ -38,7 +38,7 @@ pub(super) fn read(path: &Path) -> Result<Columns, BadInput> {
     let matrix =
         |of: fn(&Record) -> &JointVec| DMatrix::from_fn(records.len(), n, |row, joint| of(&records[row])[joint]);
     Ok(Columns {
-        t: records.iter().map(|record| (record.state.seq - first) as f64 * PERIOD).collect(),
+        t: records.iter().map(|record| (record.state.seq - first) as f64 * PERIOD_S).collect(),
         q: matrix(|record| &record.state.q),
         dq: Some(matrix(|record| &record.state.dq)),
         tau: matrix(|record| &record.state.tau),

@@ -8,7 +8,7 @@ use crate::report::diagnosis::Effect;
 use crate::store::{ModelFile, Provenance, model_identity};
 use plumbline_core::{Phase, Record, Validity, threads};
 use plumbline_diagnose::live;
-use plumbline_diagnose::live::{ENDS, Floor, Found, News, Remedy, STRETCH, Watch};
+use plumbline_diagnose::live::{END_MARGIN_S, Floor, Found, News, Remedy, STRETCH_S, Watch};
 use plumbline_diagnose::reference::Change;
 use plumbline_identify::{Experiment, Settings};
 
@@ -174,11 +174,11 @@ impl Live {
         }
         self.buffer.push_back(*record);
         self.samples_since_stretch += 1;
-        if self.buffer.len() > samples(self.window + 4.0 * STRETCH) {
+        if self.buffer.len() > samples(self.window + 4.0 * STRETCH_S) {
             self.buffer.pop_front();
         }
-        let needed = samples(STRETCH + 2.0 * ENDS) + 2 * self.edge();
-        if self.samples_since_stretch < samples(STRETCH) || self.buffer.len() < needed {
+        let needed = samples(STRETCH_S + 2.0 * END_MARGIN_S) + 2 * self.edge();
+        if self.samples_since_stretch < samples(STRETCH_S) || self.buffer.len() < needed {
             return Ok(None);
         }
         self.samples_since_stretch = 0;
@@ -243,13 +243,13 @@ impl Live {
         let Some(experiment) = self.prepared(first, self.buffer.len()) else { return };
         let Some(model) = self.model() else { return };
         let residual = live::residual(model, &experiment);
-        let (count, ends) = (residual.nrows(), samples(ENDS));
-        let Some(start) = count.checked_sub(samples(STRETCH) + ends) else { return };
-        let rms = live::rms(&residual, start..start + samples(STRETCH));
+        let (count, ends) = (residual.nrows(), samples(END_MARGIN_S));
+        let Some(start) = count.checked_sub(samples(STRETCH_S) + ends) else { return };
+        let rms = live::rms(&residual, start..start + samples(STRETCH_S));
         // The preparation removes the same number at both ends.
         let cut = needed.saturating_sub(count) / 2;
         let begin = self.buffer[first].state.time + (cut + start) as f64 * SAMPLE_PERIOD_S;
-        let end = begin + STRETCH;
+        let end = begin + STRETCH_S;
         let served_rms = self.served(begin, end);
         let model = hex(self.serving);
         self.log.stretches.push_back(Stretch { start: begin, end, model, rms: rms.clone(), served_rms });
@@ -285,7 +285,7 @@ impl Live {
             return Ok(None);
         }
         // The change lies in the first stretch above the threshold.
-        let after = self.buffer.partition_point(|record| record.state.time < since + STRETCH);
+        let after = self.buffer.partition_point(|record| record.state.time < since + STRETCH_S);
         if self.buffer.len() - after < samples(self.window) {
             return Ok(None);
         }

@@ -1,7 +1,7 @@
 //! Next steps for the operator: those of the backend first, then those of the kind of fault.
 
 use super::facts::{Facts, is_measured};
-use crate::recording::about::About;
+use crate::recording::about::{About, ReasonKind};
 
 const RESUME: &str = "When it is safe to move: `plumbline command resume`. The interrupted motion is not continued: start the job again.";
 const RESTART: &str =
@@ -17,8 +17,8 @@ pub(super) fn next(facts: &Facts, about: &About) -> Vec<String> {
     }
     let mut steps = about.next.clone();
     let joint = facts.first_limit.as_ref().map_or(0, |crossing| crossing.joint);
-    match (facts.kind.as_str(), facts.first_limit.as_ref().map(|crossing| crossing.limit.as_str())) {
-        ("guard" | "unsafe", Some(limit)) if is_measured(limit) => steps.push(match limit {
+    match (facts.kind, facts.first_limit.as_ref().map(|crossing| crossing.limit.as_str())) {
+        (ReasonKind::Guard | ReasonKind::Unsafe, Some(limit)) if is_measured(limit) => steps.push(match limit {
             "tracking" => format!(
                 "Check joint {joint} for the cause of the tracking error: a collision, a person, a payload that is not in the model, a \
                  brake. Without such a cause, `safety.tracking-error` may be too tight for this motion."
@@ -28,54 +28,54 @@ pub(super) fn next(facts: &Facts, about: &About) -> Vec<String> {
             ),
             _ => "The arm reported a value that is not finite: check its log and its sensors.".to_string(),
         }),
-        ("guard" | "unsafe", Some("torque" | "torque-rate" | "torque-not-finite")) => steps.push(
+        (ReasonKind::Guard | ReasonKind::Unsafe, Some("torque" | "torque-rate" | "torque-not-finite")) => steps.push(
             "The served model computed that torque and was withdrawn. Identify again, or serve the previous model.".to_string(),
         ),
-        ("guard" | "unsafe", Some("end-effector-box" | "base-sphere")) => steps
+        (ReasonKind::Guard | ReasonKind::Unsafe, Some("end-effector-box" | "base-sphere")) => steps
             .push("The motion leaves the workspace: compare `[workspace]` of the job with the plan, and plan again.".to_string()),
-        ("guard" | "unsafe", Some(_)) => steps.push(
+        (ReasonKind::Guard | ReasonKind::Unsafe, Some(_)) => steps.push(
             format!(
                 "The commanded motion of joint {joint} exceeds a limit, although the programme was checked against the guard's limits \
                  before its start. Keep this recording and start the job again: the arm's limits are then read again, and plans that \
                  exceed them are replaced."
             ),
         ),
-        ("lost-states", _) => steps.push(
+        (ReasonKind::LostStates, _) => steps.push(
             "States were lost between arm and loop: check the late cycles below, the network, the processor load and the loop's \
              priority. `safety.max-lost` is the accepted number."
                 .to_string(),
         ),
-        ("unattended", _) => steps.push(
+        (ReasonKind::HeartbeatLost, _) => steps.push(
             "The daemon's main thread sent no heartbeat while the arm moved. Check whether the computer was suspended or overloaded, or the \
              process stopped. Run `plumbline doctor`."
                 .to_string(),
         ),
-        ("not-real-time", _) => steps.push(
+        (ReasonKind::NotRealTime, _) => steps.push(
             "The computer did not grant the rights of `[realtime]`: run `plumbline doctor`, which lists the changes needed.".to_string(),
         ),
-        ("silent" | "disconnected", _) if about.next.is_empty() => {
+        (ReasonKind::Silent | ReasonKind::Disconnected, _) if about.next.is_empty() => {
             steps.push("Check the cable and the arm's power.".to_string());
         }
-        ("reflex" | "refused", _) if about.next.is_empty() => {
+        (ReasonKind::Reflex | ReasonKind::Refused, _) if about.next.is_empty() => {
             steps.push("Check the arm's log for the cause; the code is the arm's.".to_string());
         }
-        ("clock", _) => steps.push("The arm or the network repeats states: restart the arm's controller.".to_string()),
-        ("mounting", _) => steps.push(
+        (ReasonKind::Clock, _) => steps.push("The arm or the network repeats states: restart the arm's controller.".to_string()),
+        (ReasonKind::Mounting, _) => steps.push(
             "Check the base, the inclinometer and its cable; `plumbline command status` shows each source of the mounting check.".to_string(),
         ),
-        ("estimator-lost", _) => {
+        (ReasonKind::EstimatorLost, _) => {
             steps.push("Check the estimator's log for the cause; the samples are kept for the next estimator.".to_string());
         }
-        ("panic" | "no-brake", _) => {
+        (ReasonKind::Panic | ReasonKind::NoBrake, _) => {
             steps.push("This is a defect of plumbline: please report it, with this file.".to_string());
         }
-        ("not-at-start" | "no-path", _) => {
+        (ReasonKind::NotAtStart | ReasonKind::NoPath, _) => {
             steps.push("The motion does not begin at the arm's position: start the job from its beginning.".to_string());
         }
         _ => {}
     }
-    match (facts.kind.as_str(), &facts.end) {
-        ("on-demand", _) => {}
+    match (facts.kind, &facts.end) {
+        (ReasonKind::OnDemand, _) => {}
         (_, None) => steps.push(RESUME.to_string()),
         (_, Some(_)) => steps.push(RESTART.to_string()),
     }

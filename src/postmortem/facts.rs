@@ -4,9 +4,9 @@ use super::advice;
 use super::replay::ReplayResult;
 use super::timing::Timing;
 use crate::recording::Recording;
-use crate::recording::about::RecordedOrder;
+use crate::recording::about::{ReasonKind, RecordedOrder};
 use crate::recording::messages::{event_text, limit_name};
-use plumbline_core::{PERIOD, Phase, Record};
+use plumbline_core::{PERIOD_S, Phase, Record};
 use plumbline_rt::{Event, Limit, StopReason, TimedEvent, Violation};
 use serde::Serialize;
 
@@ -31,7 +31,7 @@ pub struct Facts {
     /// Last served model, in hexadecimal.
     pub model: Option<String>,
     /// Identifier of the reason.
-    pub kind: String,
+    pub kind: ReasonKind,
     /// Reason in one sentence.
     pub reason: String,
     /// End of the loop, if it has ended.
@@ -148,7 +148,7 @@ impl TimeBase {
     }
 
     pub fn before_end(&self, seq: u64) -> f64 {
-        self.last.saturating_sub(seq) as f64 * PERIOD
+        self.last.saturating_sub(seq) as f64 * PERIOD_S
     }
 }
 
@@ -173,7 +173,7 @@ impl Facts {
             recorded: about.recorded.clone(),
             job: format!("{} (SHA-256 {short}...)", about.job),
             model: recording.records.iter().rev().map(|r| r.model).find(|&id| id != 0).map(|id| format!("{id:016x}")),
-            kind: about.reason.kind.clone(),
+            kind: about.reason.kind,
             reason: about.reason.text.clone(),
             end: about.end.clone(),
             during: during(recording),
@@ -194,26 +194,27 @@ impl Facts {
     /// Summary in one sentence.
     pub fn headline(&self) -> String {
         let during = self.during.as_ref().map_or(String::new(), |during| format!(", during {during}"));
-        let happened = match self.kind.as_str() {
-            "guard" => "The guard stopped the arm",
-            "lost-states" => "The arm was stopped because states were lost",
-            "requested" => "The arm was stopped on request",
-            "unattended" => "The arm was stopped because the supervisor's heartbeat timed out",
-            "not-real-time" => "The loop did not start because the computer is not real-time",
-            "mounting" => "The arm was stopped because the mounting check failed",
-            "estimator-lost" => "The arm was stopped because the estimator was lost",
-            "not-at-start" | "no-path" => "A motion could not begin",
-            "reflex" => "The arm stopped by itself",
-            "refused" => "The arm refused a command",
-            "disconnected" => "The connection to the arm was lost",
-            "silent" => "The arm sent no more states",
-            "panic" => "The loop's thread panicked",
-            "unsafe" | "no-brake" => "No controlled stop was possible: the arm stopped itself",
-            "clock" => "The arm's sequence number did not increase",
-            "signal" => "A signal ended the program, and the arm was stopped",
-            "parent-ended" => "The program that had started the daemon ended, and the arm was stopped",
-            "on-demand" => "A recording was requested",
-            other => return format!("{other}{during}"),
+        let happened = match self.kind {
+            ReasonKind::Guard => "The guard stopped the arm",
+            ReasonKind::LostStates => "The arm was stopped because states were lost",
+            ReasonKind::Requested => "The arm was stopped on request",
+            ReasonKind::HeartbeatLost => "The arm was stopped because the supervisor's heartbeat timed out",
+            ReasonKind::NotRealTime => "The loop did not start because the computer is not real-time",
+            ReasonKind::Mounting => "The arm was stopped because the mounting check failed",
+            ReasonKind::EstimatorLost => "The arm was stopped because the estimator was lost",
+            ReasonKind::NotAtStart | ReasonKind::NoPath => "A motion could not begin",
+            ReasonKind::Reflex => "The arm stopped by itself",
+            ReasonKind::Refused => "The arm refused a command",
+            ReasonKind::Disconnected => "The connection to the arm was lost",
+            ReasonKind::Silent => "The arm sent no more states",
+            ReasonKind::Panic => "The loop's thread panicked",
+            ReasonKind::Unsafe | ReasonKind::NoBrake => "No controlled stop was possible: the arm stopped itself",
+            ReasonKind::Clock => "The arm's sequence number did not increase",
+            ReasonKind::Signal => "A signal ended the program, and the arm was stopped",
+            ReasonKind::ParentEnded => "The program that had started the daemon ended, and the arm was stopped",
+            ReasonKind::OnDemand => "A recording was requested",
+            ReasonKind::ModelTimeout => "The arm was stopped because no model came in time",
+            ReasonKind::Unknown => return format!("{}{during}", self.reason),
         };
         format!("{happened}{during}")
     }
@@ -233,7 +234,9 @@ fn during(recording: &Recording) -> Option<String> {
     let name = own.or(to.map(|(_, name)| format!("the way to {name}")));
     Some(match (moving.phase, name) {
         (Phase::Return, _) => "the way back".to_string(),
-        (phase, Some(name)) => format!("{name} ({:.3} s into its {})", moving.tick as f64 * PERIOD, phase_name(phase)),
+        (phase, Some(name)) => {
+            format!("{name} ({:.3} s into its {})", moving.tick as f64 * PERIOD_S, phase_name(phase))
+        }
         (phase, None) => format!("motion {} ({})", moving.motion, phase_name(phase)),
     })
 }
@@ -275,7 +278,7 @@ fn stop(recording: &Recording, time: &TimeBase) -> Option<Stop> {
             }
         }
     }
-    let seconds = last.saturating_sub(began.seq) as f64 * PERIOD;
+    let seconds = last.saturating_sub(began.seq) as f64 * PERIOD_S;
     Some(Stop { before: time.before_end(began.seq), seconds, at_rest: rest.is_some(), speed, travelled })
 }
 

@@ -3,8 +3,9 @@
 use super::facts::{Facts, JointPeak};
 use super::{plot, text};
 use crate::recording::Recording;
+use crate::recording::about::ReasonKind;
 use minijinja::{AutoEscape, Environment, Value, context};
-use plumbline_core::PERIOD;
+use plumbline_core::PERIOD_S;
 use std::io;
 
 const TEMPLATE: &str = include_str!("page.html");
@@ -21,7 +22,7 @@ pub fn page(facts: &Facts, recording: &Recording) -> io::Result<String> {
     let of = &facts.timing.statistics;
     let page = context! {
         headline => facts.headline(),
-        calm => facts.kind == "on-demand",
+        calm => facts.kind == ReasonKind::OnDemand,
         reason => &facts.reason,
         tiles => tiles(facts),
         next => facts.next.iter().map(|step| safe(with_code(step))).collect::<Vec<_>>(),
@@ -44,7 +45,7 @@ pub fn page(facts: &Facts, recording: &Recording) -> io::Result<String> {
         tracking_rows => rows(&facts.tracking),
         torque_rows => rows(&facts.torque),
         timing => context! {
-            cycles => of.cycles, seconds => format!("{:.3}", of.elapsed as f64 * PERIOD), lost => of.lost,
+            cycles => of.cycles, seconds => format!("{:.3}", of.elapsed as f64 * PERIOD_S), lost => of.lost,
             longest => of.longest_lost, late => of.late.unwrap_or(0), simulated => of.late.is_none(),
             rows => timing_rows(facts),
             outliers => facts.timing.outliers.iter().map(|one| context! {

@@ -3,7 +3,7 @@
 use super::facts::{Facts, JointPeak};
 use super::replay::ReplayResult;
 use super::timing::Timing;
-use plumbline_core::{LoopStatistics, PERIOD};
+use plumbline_core::{LoopStatistics, PERIOD_S};
 use std::fmt::Write;
 
 /// Facts as plain text.
@@ -64,7 +64,7 @@ fn worst(out: &mut String, title: &str, unit: &str, joints: &[JointPeak]) -> std
 fn timing(out: &mut String, timing: &Timing) -> std::fmt::Result {
     writeln!(out, "\nTiming")?;
     let LoopStatistics { elapsed, cycles, lost, longest_lost, late, .. } = timing.statistics;
-    let (seconds, late) = (elapsed as f64 * PERIOD, late.map_or(String::new(), |late| format!(", {late} late")));
+    let (seconds, late) = (elapsed as f64 * PERIOD_S, late.map_or(String::new(), |late| format!(", {late} late")));
     writeln!(out, "  {cycles} cycles in {seconds:.3} s, {lost} states lost (at most {longest_lost} in a row){late}")?;
     if timing.statistics.late.is_none() {
         writeln!(out, "  simulated time: no periods")?;

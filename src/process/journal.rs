@@ -4,7 +4,7 @@
 //! stalled journal) costs lines, which are counted, and nothing else.
 //!
 //! In the journal, every line of a robot's processes carries `PLUMBLINE_ROBOT`, and lines about the arm carry `PLUMBLINE_EVENT`, so that
-//! `journalctl PLUMBLINE_EVENT=stopping` finds every stop. On standard error these fields are left out: the sentence says it all.
+//! `journalctl PLUMBLINE_EVENT=stopping` finds every stop. On standard error these fields are left out.
 
 use crate::process::outbox::Outbox;
 use std::fmt::{Debug, Display};
@@ -112,7 +112,7 @@ fn flush() {
     LINES_OUT.get().map(|lines| lines.outbox.flush(FLUSH));
 }
 
-/// A line without more than its words.
+/// A line without fields.
 fn plain(journal: bool, priority: u8, words: &str) -> Vec<u8> {
     if !journal {
         return format!("{words}\n").into_bytes();

@@ -1,4 +1,4 @@
-//! What every process does: log, tell systemd how it is, take signals, check whose files it reads.
+//! Common parts of every process: logging, systemd notification, signals, ownership of the files that it reads.
 
 pub mod journal;
 mod outbox;

@@ -1,4 +1,4 @@
-//! A thread that hands items on to a reader who may stall: the log's standard error or journal, systemd's notification socket.
+//! A thread that passes items on to a reader that may stall: the log's standard error or journal, systemd's notification socket.
 
 use std::io;
 use std::sync::Arc;
@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
-/// Pause between two looks in [`Outbox::flush`].
+/// Pause between two polls in [`Outbox::flush`].
 const PAUSE: Duration = Duration::from_millis(1);
 
 /// The sending end: a queue of bounded length. What finds it full is dropped and counted; no call waits for the reader.
@@ -21,7 +21,7 @@ pub struct Outbox<T> {
 
 impl<T: Send + 'static> Outbox<T> {
     /// Starts the thread, which calls `deliver` with each item and the number of items dropped right before it. It inherits the scheduling of its
-    /// caller: call this before anything asks for priority.
+    /// caller: call this before the priority of this thread goes up.
     pub fn start(name: &str, room: usize, mut deliver: impl FnMut(u64, T) + Send + 'static) -> io::Result<Outbox<T>> {
         let (queue, items) = sync_channel::<(u64, T)>(room);
         let pending = Arc::new(AtomicUsize::new(0));
@@ -84,7 +84,7 @@ mod tests {
         })
         .unwrap();
         let queued = (0..100).filter(|&item| outbox.offer(item)).count();
-        // Four in the queue, and one in the reader's hands if it was quick.
+        // Four in the queue, and one taken by the reader if it was quick.
         assert!((4..=5).contains(&queued), "{queued}");
         assert!(!outbox.flush(Duration::ZERO));
 

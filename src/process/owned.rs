@@ -1,4 +1,4 @@
-//! Whose files a process takes. What sets the arm's limits is root's alone (`--root-owned`), and so are the plans and models that a job names then;
+//! Ownership of the files that a process reads. Files that set the arm's limits must be root's (`--root-owned`), and so are the plans and models that a job names then;
 //! a model that is served and a plan that the process itself has left, which become torque and motion, are root's or the process's own user's.
 
 use crate::failure::Failure;
@@ -8,7 +8,7 @@ use std::io::Read;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::Path;
 
-/// Bits of a mode by which somebody besides the owner can write.
+/// Mode bits by which others than the owner can write.
 const WRITABLE: u32 = 0o022;
 /// The one of them for the owner's group.
 const GROUP_WRITABLE: u32 = 0o020;
@@ -16,7 +16,7 @@ const GROUP_WRITABLE: u32 = 0o020;
 const STICKY: u32 = 0o1000;
 
 /// Refuses a file that sets limits where another user could change it: the file and its folder have to belong to root and to be closed
-/// to writing by others. The services ask for this with `--root-owned`; elsewhere the files are a person's own.
+/// to writing by others. The services require this with `--root-owned`; elsewhere the files are the user's own.
 pub fn trusted(file: &Path) -> Result<(), Failure> {
     for path in [file, folder_of(file)] {
         let found = std::fs::metadata(path)
@@ -39,7 +39,7 @@ fn distrusted(owner: u32, mode: u32) -> Option<String> {
     }
 }
 
-/// Refuses plans in `out` that an earlier run has left there, or somebody else: they become motions. Root's and this process's own user's are
+/// Refuses plans in `out` of an earlier run or another user: they become motions. Root's and this process's own user's are
 /// taken, as with [`read_model`].
 pub fn plans(out: &Path) -> Result<(), BadInput> {
     let dir = out.join("plans");
@@ -50,7 +50,7 @@ pub fn plans(out: &Path) -> Result<(), BadInput> {
         .try_for_each(|path| open_own(&path, "plan").map(drop))
 }
 
-/// Text of a model file that nobody but root and this process's user can have written or can put another one in place of. The process's own
+/// Text of a model file that only root and this process's user can have written or replaced. The process's own
 /// group counts as the user: where a user has a group to himself, as on Debian and its kin, new files are open to it.
 ///
 /// # Errors
@@ -68,7 +68,7 @@ fn open_own(path: &Path, kind: &str) -> Result<File, BadInput> {
     let file = path.display().to_string();
     let own = (rustix::process::geteuid().as_raw(), rustix::process::getegid().as_raw());
     let unreadable = |error: std::io::Error| BadInput::new(&file, "file", error, format!("a readable {kind} file"));
-    // A pipe that somebody has laid there must not be waited for.
+    // A pipe in its place must not be waited for.
     let opened = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(unreadable)?;
     // The owner of what is read, whatever becomes of its name meanwhile.
     let found = opened.metadata().map_err(unreadable)?;
@@ -93,7 +93,7 @@ fn open_own(path: &Path, kind: &str) -> Result<File, BadInput> {
     Ok(opened)
 }
 
-/// By whom something could have been made or changed besides root and `own`, a user and its group, in words; `None` where by nobody.
+/// By whom something could have been made or changed besides root and `own`, a user and its group, for an error; `None` where by no one else.
 fn forgeable(own: (u32, u32), found: &Metadata) -> Option<String> {
     judged(own, (found.uid(), found.gid()), found.mode())
 }
@@ -161,7 +161,7 @@ mod tests {
     fn what_others_can_write_or_replace_is_not_read_and_the_error_says_why() {
         let (_place, path) = laid(0o600, 0o700);
         assert_eq!(read_model(&path).unwrap(), "text");
-        // As in /tmp, where nobody can take another one's name away.
+        // As in /tmp, where users can't remove each other's names.
         let (_place, path) = laid(0o600, 0o1777);
         assert_eq!(read_model(&path).unwrap(), "text");
         let own = (rustix::process::geteuid().as_raw(), rustix::process::getegid().as_raw());

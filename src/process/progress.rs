@@ -1,4 +1,4 @@
-//! A progress bar when a person watches, silence otherwise.
+//! A progress bar on a terminal; nothing otherwise.
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 

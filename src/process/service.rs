@@ -1,27 +1,27 @@
-//! What a process tells systemd, when it runs as a service: that it is ready, what it is at, and that it gets on.
+//! Notifications to systemd, when a process runs as a service: ready, status, watchdog.
 //!
-//! The watchdog is fed by progress alone. A bridge thread that still turns while the real-time loop hangs says nothing, and systemd
+//! Only progress triggers the watchdog. A bridge thread that still runs while the real-time loop hangs does not, and systemd
 //! ends the process; the arm then stops by its own means.
 
 use crate::process::outbox::Outbox;
 use sd_notify::NotifyState;
 use std::time::{Duration, Instant};
 
-/// Words that may be on their way at a time; what comes on top of them is lost.
-const WORDS: usize = 64;
-/// How long the last words of a process may take.
+/// Notifications queued at a time; more are dropped.
+const MAX_MESSAGES: usize = 64;
+/// Timeout of the last notification of a process.
 const FAREWELL: Duration = Duration::from_secs(1);
 
-/// What a process has got on with since it was asked last.
+/// Progress of a process since the last call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
-    /// Nothing has to move: there is no connection to an arm, or the arm's time stands still on purpose.
+    /// None required: there is no connection to an arm, or simulated time is paused.
     Waiting,
-    /// The count of the loop that has to go on.
+    /// Cycles of the loop, which must increase.
     Count(u64),
 }
 
-/// Decides when the watchdog is fed. Time is an argument, sending is somebody else's business.
+/// Decides when the watchdog is triggered. Time is an argument; the caller sends.
 #[derive(Clone, Copy, Debug)]
 struct Pulse {
     /// At most this often; `None` where no watchdog runs.
@@ -50,7 +50,7 @@ impl Pulse {
     }
 }
 
-/// This process as systemd sees it; silent where it runs otherwise.
+/// This process as a service of systemd; does nothing outside systemd.
 pub struct Service {
     watchdog: Option<Duration>,
     pulse: Pulse,
@@ -62,7 +62,7 @@ pub struct Service {
 }
 
 impl Service {
-    /// Looks at what systemd has set up. Begins a thread where it listens: to be called before this one asks for priority.
+    /// Reads systemd's environment. Starts a thread under systemd: call it before the priority of this thread goes up.
     pub fn of_environment() -> Service {
         let watchdog = sd_notify::watchdog_enabled();
         let messenger = std::env::var_os("NOTIFY_SOCKET").and_then(|_| Messenger::start());
@@ -71,17 +71,17 @@ impl Service {
 
     /// The process is up; units that wait for it may start.
     pub fn ready(&self, status: &str) {
-        self.tell(&[NotifyState::Ready, NotifyState::Status(status)]);
+        self.notify(&[NotifyState::Ready, NotifyState::Status(status)]);
     }
 
     /// What `systemctl status` shows.
     pub fn status(&self, status: &str) {
-        self.tell(&[NotifyState::Status(status)]);
+        self.notify(&[NotifyState::Status(status)]);
     }
 
     /// The process is about to end by itself.
     pub fn stopping(&self) {
-        self.tell(&[NotifyState::Stopping]);
+        self.notify(&[NotifyState::Stopping]);
     }
 
     /// Feeds the watchdog where something has got on since it was fed last.
@@ -92,7 +92,7 @@ impl Service {
         if std::mem::take(&mut self.extended) {
             self.limit(self.watchdog);
         }
-        self.tell(&[NotifyState::Watchdog]);
+        self.notify(&[NotifyState::Watchdog]);
     }
 
     /// The process's own loop has come round once more.
@@ -107,49 +107,49 @@ impl Service {
             self.extended = true;
             self.pulse = Pulse::new(self.watchdog);
             self.limit(Some(watchdog.max(longest)));
-            self.tell(&[NotifyState::Watchdog]);
+            self.notify(&[NotifyState::Watchdog]);
         }
     }
 
     fn limit(&self, limit: Option<Duration>) {
         let micros = limit.and_then(|limit| u32::try_from(limit.as_micros()).ok());
-        self.tell(&micros.map(NotifyState::WatchdogUsec).into_iter().collect::<Vec<_>>());
+        self.notify(&micros.map(NotifyState::WatchdogUsec).into_iter().collect::<Vec<_>>());
     }
 
     /// systemd is not needed for anything: what it does not take is not an error of the job.
-    fn tell(&self, state: &[NotifyState]) {
+    fn notify(&self, state: &[NotifyState]) {
         if let Some(messenger) = self.messenger.as_ref().filter(|_| !state.is_empty()) {
-            messenger.tell(state.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"));
+            messenger.send(state.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"));
         }
     }
 }
 
-/// Carries words to systemd. A socket that is not read makes its sender wait, and that must be a thread of its own: an arm does not stop turning
+/// Sends notifications to systemd. A socket that is not read blocks its sender, which must be a thread of its own: an arm does not stop turning
 /// because the first process of its machine has died.
 struct Messenger(Outbox<String>);
 
 impl Messenger {
     fn start() -> Option<Messenger> {
-        let started = Outbox::start("plumbline-notify", WORDS, |_dropped, word: String| {
-            if let Err(error) = sd_notify::notify(&[NotifyState::Custom(&word)]) {
-                tracing::debug!("systemd was not told: {error}");
+        let started = Outbox::start("plumbline-notify", MAX_MESSAGES, |_dropped, message: String| {
+            if let Err(error) = sd_notify::notify(&[NotifyState::Custom(&message)]) {
+                tracing::debug!("systemd was not notified: {error}");
             }
         });
         started
             .map(Messenger)
-            .inspect_err(|error| tracing::warn!("systemd will not be told how this process does: {error}"))
+            .inspect_err(|error| tracing::warn!("systemd can't be notified of this process: {error}"))
             .ok()
     }
 
-    fn tell(&self, word: String) {
-        if !self.0.offer(word) {
-            tracing::debug!("systemd does not read what it is told");
+    fn send(&self, message: String) {
+        if !self.0.offer(message) {
+            tracing::debug!("systemd does not read its notifications");
         }
     }
 }
 
 impl Drop for Messenger {
-    /// The last words get some time to arrive.
+    /// The last notification gets some time to arrive.
     fn drop(&mut self) {
         self.0.flush(FAREWELL);
     }
@@ -170,7 +170,7 @@ mod tests {
         // Not more often than needed.
         assert!(!pulse.beats(Progress::Count(900), at(1)));
         assert!(pulse.beats(Progress::Count(2000), at(2)));
-        // The loop hangs: not another word, however often it is asked.
+        // The loop hangs: no further trigger, however often this is called.
         assert!((3..40).all(|second| !pulse.beats(Progress::Count(2000), at(second))));
         assert!(pulse.beats(Progress::Count(2001), at(40)));
     }

@@ -1,9 +1,10 @@
 //! Signals that end a process, and the death of a parent process: an arm that moves is braked first.
 //!
-//! A handler only stores which signal arrived; the thread that talks to the loop reads it. A second signal stores its number and nothing else, so
+//! A handler only stores which signal arrived; the bridge thread reads it. A second signal stores its number and nothing else, so
 //! it can't cut a controlled stop short.
 
 use crate::failure::Failure;
+use crate::recording::about::ReasonKind;
 use signal_hook::low_level::signal_name;
 use std::fmt;
 use std::io::Read;
@@ -13,8 +14,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Every signal that ends a process by default, except the real-time ones, which [`caught`] adds, and these:
 ///
 /// - SIGUSR2 has a meaning of its own.
-/// - SIGPIPE is ignored, as in every Rust program: a log or a client that is gone is no reason to stop.
-/// - SIGABRT, SIGBUS, SIGFPE, SIGILL, SIGSEGV, SIGSYS and SIGTRAP say that the program itself is broken. systemd's watchdog sends SIGABRT.
+/// - SIGPIPE is ignored, as in every Rust program: a closed log or client is no reason to stop.
+/// - SIGABRT, SIGBUS, SIGFPE, SIGILL, SIGSEGV, SIGSYS and SIGTRAP are faults of the program itself. systemd's watchdog sends SIGABRT.
 /// - SIGKILL and SIGSTOP can't be caught.
 ///
 /// SIGTSTP (Ctrl-Z) stops a process by default, and a stopped process can't control an arm.
@@ -34,7 +35,7 @@ const ENDING: [i32; 14] = [
     libc::SIGIO,
     libc::SIGPWR,
 ];
-/// What ends a computation. SIGTSTP (Ctrl-Z) stops it and SIGCONT lets it go on, as of any program.
+/// What ends a computation. SIGTSTP (Ctrl-Z) stops it and SIGCONT continues it, as any program.
 const INTERRUPTS: [i32; 2] = [libc::SIGINT, libc::SIGTERM];
 /// Stored where no signal number can be: the parent process has ended.
 const PARENT_ENDED: usize = usize::MAX;
@@ -49,11 +50,11 @@ pub enum Cause {
 }
 
 impl Cause {
-    /// One word for the name of a recording.
-    pub fn kind(self) -> &'static str {
+    /// Kind in the name of a recording.
+    pub fn kind(self) -> ReasonKind {
         match self {
-            Cause::Signal(_) => "signal",
-            Cause::ParentEnded => "parent-ended",
+            Cause::Signal(_) => ReasonKind::Signal,
+            Cause::ParentEnded => ReasonKind::ParentEnded,
         }
     }
 }
@@ -133,7 +134,7 @@ impl Ending {
     }
 }
 
-/// The signals to catch. A hangup that is ignored from the start stays ignored: that is what `nohup` asks for.
+/// The signals to catch. A hangup that is ignored from the start stays ignored: `nohup` requires that.
 fn caught(hangup_ignored: bool) -> impl Iterator<Item = i32> {
     let named = ENDING.into_iter().filter(move |&signal| !(hangup_ignored && signal == libc::SIGHUP));
     named.chain(libc::SIGRTMIN()..=libc::SIGRTMAX())

@@ -77,19 +77,79 @@ pub struct About {
     pub models: Vec<RecordedModel>,
 }
 
-/// Reason for a recording.
+/// Kind of a reason.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ReasonKind {
+    /// A recording was requested.
+    OnDemand,
+    /// The guard stopped the arm.
+    Guard,
+    /// A stop was requested.
+    Requested,
+    /// States were lost.
+    LostStates,
+    /// The supervisor's heartbeat timed out.
+    #[serde(alias = "unattended")]
+    HeartbeatLost,
+    /// A motion did not start where the arm rested.
+    NotAtStart,
+    /// No point-to-point motion was found.
+    NoPath,
+    /// No state came in time.
+    Silent,
+    /// The arm stopped by itself.
+    Reflex,
+    /// The arm refused a command.
+    Refused,
+    /// The connection was lost.
+    Disconnected,
+    /// The first command was unsafe.
+    Unsafe,
+    /// No controlled stop was possible.
+    NoBrake,
+    /// The machine did not grant real-time rights.
+    NotRealTime,
+    /// The arm's counter did not go forward.
+    Clock,
+    /// A thread panicked.
+    Panic,
+    /// The mounting was in doubt.
+    Mounting,
+    /// No model came in time.
+    ModelTimeout,
+    /// The estimator was lost.
+    EstimatorLost,
+    /// A signal ended the program.
+    Signal,
+    /// The program that started the daemon ended.
+    ParentEnded,
+    /// Of another version of the program.
+    #[default]
+    #[serde(other)]
+    Unknown,
+}
+
+/// The name in a recording and in its file name: `lost-states`.
+impl std::fmt::Display for ReasonKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        self.serialize(f)
+    }
+}
+
+/// Why a recording was written.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Reason {
-    /// Identifier: `guard`, `lost-states`, `reflex`, ...
-    pub kind: String,
+    /// Kind, for advice and file names.
+    pub kind: ReasonKind,
     /// One sentence.
     pub text: String,
 }
 
 impl Reason {
-    /// Reason from its identifier and text.
-    pub fn new(kind: impl Into<String>, text: impl Into<String>) -> Reason {
-        Reason { kind: kind.into(), text: text.into() }
+    /// Both parts.
+    pub fn new(kind: ReasonKind, text: impl Into<String>) -> Reason {
+        Reason { kind, text: text.into() }
     }
 }
 

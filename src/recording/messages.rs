@@ -56,7 +56,7 @@ pub(super) fn schema(topic: &str) -> (&'static str, String) {
              uint64 seq        # the arm's own counter in it\n\
              uint64 stamp_ns   # CLOCK_MONOTONIC when that cycle's state had been read\n\
              uint64 model      # of `serving` and `distrusted`\n\
-             uint64 lost       # states of `lost-states`, cycles of `unattended`\n\
+             uint64 lost       # states of `lost-states`, cycles of `heartbeat-lost`\n\
              uint32 orders     # orders taken out of the queue so far\n\
              uint32 motion     # number of the motion\n\
              uint32 joint      # joint of the reason, from 1; 0 for none\n\
@@ -246,7 +246,7 @@ fn event_fields(event: &Event) -> EventFields {
                 StopReason::Requested => of("requested"),
                 StopReason::Quit => of("quit"),
                 StopReason::LostStates { lost } => EventFields { lost, ..of("lost-states") },
-                StopReason::HeartbeatLost { cycles } => EventFields { lost: cycles, ..of("unattended") },
+                StopReason::HeartbeatLost { cycles } => EventFields { lost: cycles, ..of("heartbeat-lost") },
                 StopReason::NotAtStart { joint, distance, .. } => {
                     EventFields { joint: joint as u32 + 1, value: distance, ..of("not-at-start") }
                 }
@@ -296,7 +296,7 @@ pub(super) fn read_event(bytes: &[u8]) -> Result<TimedEvent, MessageError> {
                 "requested" => StopReason::Requested,
                 "quit" => StopReason::Quit,
                 "lost-states" => StopReason::LostStates { lost },
-                "unattended" => StopReason::HeartbeatLost { cycles: lost },
+                "heartbeat-lost" | "unattended" => StopReason::HeartbeatLost { cycles: lost },
                 "not-at-start" => StopReason::NotAtStart { motion, joint, distance: value },
                 "no-path" => StopReason::NoPath { motion },
                 other => return Err(unknown(other, "the reason of a stop")),

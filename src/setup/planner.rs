@@ -6,8 +6,8 @@ use crate::setup::{friction_structure, models};
 use crate::store::load_plan;
 use plumbline_core::{ArmLimits, BadInput, Limits, SpeedEnvelope, Workspace, threads};
 use plumbline_excite::{
-    Bounds, ExciteError, Fourier, Margins, Nominal, Plan, PlanUsage, Problem, Progress, Search, Usage, Watch,
-    check_excitation, check_usage, motion_samples, optimise, search_verdict, usage,
+    Bounds, ExciteError, Fourier, Margins, Nominal, Plan, PlanUsage, Problem, Progress, Search, SearchControl, Usage,
+    check_excitation, check_usage, motion_samples, optimise, usage, verify_with_guard,
 };
 use plumbline_model::{Mounting, Robot};
 use plumbline_rt::MoveFactors;
@@ -80,8 +80,8 @@ impl<'a> Planner<'a> {
             let usage = PlanUsage::of(&self.usage(&motion(&plan)?));
             return Ok(Plan { usage: Some(usage), ..plan });
         }
-        let hear = |now: Progress| progress(now.done as f64 / now.of as f64);
-        let watch = Watch { threads: threads(), stop: &|| false, progress: &hear };
+        let report = |now: Progress| progress(now.done as f64 / now.of as f64);
+        let watch = SearchControl { threads: threads(), stop: &|| false, progress: &report };
         self.task(mounting, self.job.margins())
             .best(&self.search(seed), &[], &watch)
             .map_err(|error| self.no_plan(error))
@@ -116,7 +116,7 @@ impl<'a> Planner<'a> {
             return Err(BadInput::new(&file, "key `q0`", format!("{} joints", fourier.joints()), expected).into());
         }
         let verdict =
-            self.task(&plan.mounting(), Margins::none()).with_problem(|problem| search_verdict(problem, &fourier));
+            self.task(&plan.mounting(), Margins::none()).with_problem(|problem| verify_with_guard(problem, &fourier));
         if let Some(peak) = verdict.violations().next() {
             let expected = if self.connected {
                 "a motion inside every limit of the job and of the connected arm"
@@ -230,7 +230,7 @@ pub struct Task<'a> {
 }
 
 impl Task<'_> {
-    pub fn best(&self, search: &Search, prior: &[Fourier], watch: &Watch) -> Result<Plan, ExciteError> {
+    pub fn best(&self, search: &Search, prior: &[Fourier], watch: &SearchControl) -> Result<Plan, ExciteError> {
         self.with_problem(|problem| optimise(problem, search, prior, watch))
     }
 

@@ -6,7 +6,7 @@ use crate::process::progress;
 use crate::setup::planner::Planner;
 use crate::store::{load_plan, save_plan};
 use plumbline_core::{ArmLimits, BadInput, JointVec, Limits, Setpoint};
-use plumbline_excite::{Bounds, Fourier, Peak, Plan, Quantity, check_pose, rehearse_points};
+use plumbline_excite::{Bounds, Fourier, Peak, Plan, Quantity, check_points_with_guard, check_pose};
 use plumbline_model::{Mounting, Robot, VERTICAL_TOLERANCE};
 use plumbline_rt::MoveFactors;
 use std::path::Path;
@@ -97,10 +97,10 @@ impl Programme {
             let mut broken = None;
             for attempt in 0..attempts {
                 let seed = slot.seed + attempt * SEED_STEP;
-                let hear = |share: f64| progress(&slot.name, (done + share) / all);
-                hear(0.0);
+                let report = |share: f64| progress(&slot.name, (done + share) / all);
+                report(0.0);
                 let plan = if slot.first {
-                    planner.best(&slot.mounting, seed, &hear)?
+                    planner.best(&slot.mounting, seed, &report)?
                 } else {
                     planner.random(&slot.mounting, seed)?
                 };
@@ -251,7 +251,7 @@ impl<'a> Ways<'a> {
                 }
             }
         }
-        rehearse_points(&self.bounds, (0..=moves.last_tick()).map(|tick| moves.at(tick))).map_or(Ok(()), Err)
+        check_points_with_guard(&self.bounds, (0..=moves.last_tick()).map(|tick| moves.at(tick))).map_or(Ok(()), Err)
     }
 }
 

@@ -70,7 +70,7 @@ fn controlled_stop(place: &Place, what: &str) -> (String, String) {
     assert!(stop < rest && phases[stop..rest].iter().all(|&phase| phase == Phase::Stop), "{what}");
     assert!(fastest(&recording.records[stop - 1]) > 0.01, "{what}: the arm did not move");
     assert!(recording.records[rest..].iter().all(|record| fastest(record) == 0.0), "{what}");
-    (recording.about.reason.kind, recording.about.reason.text)
+    (recording.about.reason.kind.to_string(), recording.about.reason.text)
 }
 
 fn daemon(place: &Place) -> Running {

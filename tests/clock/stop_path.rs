@@ -6,7 +6,7 @@
 use plumbline_core::{Phase, Record};
 use plumbline_ipc::{
     Client, Delivery, IpcError, Progress, Request, Response, RobotId, SampleStream, Status, StreamSettings, now_ns,
-    place,
+    runtime_dir,
 };
 use plumbline_testkit::job::*;
 use std::io::Write as _;
@@ -84,7 +84,7 @@ impl Scene {
     }
 
     fn lock(&self) -> PathBuf {
-        place::directory().unwrap().join(format!("{}.lock", self.place.id))
+        runtime_dir::directory().unwrap().join(format!("{}.lock", self.place.id))
     }
 
     /// When the daemon took the last stop.

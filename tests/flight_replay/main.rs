@@ -7,7 +7,8 @@ use nalgebra::DMatrix;
 use plumbline::postmortem::replay::{ReplayError, ReplayInputs, ReplayResult, replay};
 use plumbline::recording::Recording;
 use plumbline::recording::about::{
-    About, FORMAT, LogClock, Reason, RecordedModel, RecordedOrder, Series, Settings, panic_message, panicked,
+    About, FORMAT, LogClock, Reason, ReasonKind, RecordedModel, RecordedOrder, Series, Settings, panic_message,
+    panicked,
 };
 use plumbline::recording::history::{History, Window};
 use plumbline_core::{Fault, FeedForward, JointVec, MAX_JOINTS, Phase, Record, Setpoint, Sink};
@@ -112,7 +113,7 @@ fn about(window: &Window, end: String, dropped_events: u64) -> About {
         job: "none".into(),
         job_sha256: String::new(),
         recorded: "2026-01-01T00:00:00Z".into(),
-        reason: Reason::new("guard", "a test"),
+        reason: Reason::new(ReasonKind::Guard, "a test"),
         end: Some(end),
         next: Vec::new(),
         automatic_recovery: false,

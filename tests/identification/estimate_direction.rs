@@ -95,5 +95,5 @@ fn uninformative_poses_are_refused() {
     assert_eq!(direction(&model, &[], &SIGMA), Err(DirectionError::NoPose));
     // Stretched straight up, the torques say next to nothing of gravity along the arm.
     let straight = at_rest(&model, &Mounting::UPRIGHT, [0.0, 0.0, 0.0, -0.07, 0.0, 0.0, 0.0, 0.0]);
-    assert!(matches!(direction(&model, &[straight], &[20.0; 7]), Err(DirectionError::Blind { .. })));
+    assert!(matches!(direction(&model, &[straight], &[20.0; 7]), Err(DirectionError::NotIdentifiable { .. })));
 }

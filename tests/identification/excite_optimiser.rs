@@ -3,8 +3,8 @@
 use plumbline::store::ModelFile;
 use plumbline_core::{Limits, MAX_JOINTS};
 use plumbline_excite::{
-    Bounds, Criterion, ExciteError, Grid, Margins, Nominal, Objective, Problem, Progress, Quantity, Search, Sharpness,
-    Watch, conditions_together, optimise, random_plan, search_verdict,
+    Bounds, Criterion, ExciteError, Grid, Margins, Nominal, Objective, Problem, Progress, Quantity, Search,
+    SearchControl, Smoothing, optimise, random_plan, stacked_conditions, verify_with_guard,
 };
 use plumbline_model::{Mounting, Reduction, Robot, Structure};
 use rand::{Rng, SeedableRng};
@@ -75,7 +75,7 @@ fn the_gradient_agrees_with_central_differences() {
         if index % 2 == 1 {
             objective = objective.with_prior(&[prior]);
         }
-        objective.sharpness = Sharpness { p: 3.0, sign: 5.0 };
+        objective.smoothing = Smoothing { p: 3.0, sign: 5.0 };
         let n = objective.unknowns();
         assert_eq!(n, if q0.is_some() { 49 } else { 56 });
         let mut x: Vec<f64> = (0..n).map(|_| rng.random_range(-0.6..0.6)).collect();
@@ -85,9 +85,9 @@ fn the_gradient_agrees_with_central_differences() {
         // A first walk leaves multipliers behind.
         let mut gradient = vec![0.0; n];
         assert!(objective.evaluate(&x, &mut gradient).is_finite());
-        objective.held.update(4.0);
+        objective.constraints.update(4.0);
         let value = objective.evaluate(&x, &mut gradient);
-        assert!(value.is_finite() && objective.held.psi() > 1.0, "{criterion:?}: constraints that pull");
+        assert!(value.is_finite() && objective.constraints.psi() > 1.0, "{criterion:?}: constraints that pull");
         let h = 1e-6;
         for i in 0..n {
             let mut there = |by: f64| {
@@ -113,7 +113,8 @@ fn a_search_improves_keeps_every_limit_and_repeats_by_seed_on_any_number_of_thre
     let problem = arm.problem(None);
     let seen = Mutex::new(Vec::new());
     let hear = |now: Progress| seen.lock().unwrap().push(now);
-    let plan = optimise(&problem, &short(), &[], &Watch { threads: 1, stop: &|| false, progress: &hear }).unwrap();
+    let plan =
+        optimise(&problem, &short(), &[], &SearchControl { threads: 1, stop: &|| false, progress: &hear }).unwrap();
     let seen = seen.into_inner().unwrap();
     assert!(seen.windows(2).all(|w| w[1].best <= w[0].best && w[1].done > w[0].done));
     let last = seen.last().unwrap();
@@ -121,7 +122,7 @@ fn a_search_improves_keeps_every_limit_and_repeats_by_seed_on_any_number_of_thre
     assert!((last.best / plan.conditions.raw - 1.0).abs() < 1e-9, "{} {}", last.best, plan.conditions.raw);
 
     let fourier = plan.fourier().unwrap();
-    let check = search_verdict(&problem, &fourier);
+    let check = verify_with_guard(&problem, &fourier);
     assert!(check.is_feasible());
     for kind in
         [Quantity::Jerk, Quantity::TorqueRate, Quantity::BaseSphere, Quantity::LinkBoxMin(2), Quantity::Clearance(0, 7)]
@@ -134,8 +135,8 @@ fn a_search_improves_keeps_every_limit_and_repeats_by_seed_on_any_number_of_thre
     let any = random_plan(&problem, &short(), 1.0).unwrap();
     assert!(plan.conditions.raw < 50.0 && any.conditions.raw > 100.0, "{} {}", plan.conditions.raw, any.conditions.raw);
 
-    assert_eq!(optimise(&problem, &short(), &[], &Watch::alone(3)).unwrap(), plan);
-    let other = optimise(&problem, &Search { seed: 6, ..short() }, &[], &Watch::alone(2)).unwrap();
+    assert_eq!(optimise(&problem, &short(), &[], &SearchControl::with_threads(3)).unwrap(), plan);
+    let other = optimise(&problem, &Search { seed: 6, ..short() }, &[], &SearchControl::with_threads(2)).unwrap();
     assert_ne!(plan.a, other.a);
 }
 
@@ -144,8 +145,9 @@ fn each_criterion_is_lowest_after_its_own_search() {
     let arm = Arm::panda();
     let problem = arm.problem(None);
     let search = |criterion| Search { criterion, starts: 2, rounds: 0, ..short() };
-    let found = Criterion::ALL
-        .map(|criterion| optimise(&problem, &search(criterion), &[], &Watch::alone(2)).unwrap().conditions);
+    let found = Criterion::ALL.map(|criterion| {
+        optimise(&problem, &search(criterion), &[], &SearchControl::with_threads(2)).unwrap().conditions
+    });
     let [raw, rigid, equilibrated, weighted, log_det] = found;
     let others = [raw, rigid, weighted, log_det];
     assert!(others.iter().all(|other| equilibrated.equilibrated < 0.8 * other.equilibrated), "{found:?}");
@@ -161,8 +163,9 @@ fn a_stopped_search_keeps_a_motion_inside_every_limit() {
     for after in [0, 3, 9] {
         let asked = AtomicUsize::new(0);
         let stop = || asked.fetch_add(1, Ordering::Relaxed) >= after;
-        let plan = optimise(&problem, &short(), &[], &Watch { threads: 1, stop: &stop, progress: &|_| {} }).unwrap();
-        assert!(search_verdict(&problem, &plan.fourier().unwrap()).is_feasible());
+        let plan =
+            optimise(&problem, &short(), &[], &SearchControl { threads: 1, stop: &stop, progress: &|_| {} }).unwrap();
+        assert!(verify_with_guard(&problem, &plan.fourier().unwrap()).is_feasible());
     }
 }
 
@@ -172,13 +175,16 @@ fn a_second_motion_complements_the_first() {
     let problem = arm.problem(None);
     let search = Search { starts: 2, rounds: 0, ..short() };
     let find = |seed, prior: &[_]| {
-        optimise(&problem, &Search { seed, ..search.clone() }, prior, &Watch::alone(2)).unwrap().fourier().unwrap()
+        optimise(&problem, &Search { seed, ..search.clone() }, prior, &SearchControl::with_threads(2))
+            .unwrap()
+            .fourier()
+            .unwrap()
     };
     let first = find(1, &[]);
-    let alone = conditions_together(&problem, from_ref(&first)).raw;
+    let alone = stacked_conditions(&problem, from_ref(&first)).raw;
     let second = find(2, from_ref(&first));
-    let both = conditions_together(&problem, &[first.clone(), second]).raw;
-    let any = conditions_together(&problem, &[first.clone(), find(2, &[])]).raw;
+    let both = stacked_conditions(&problem, &[first.clone(), second]).raw;
+    let any = stacked_conditions(&problem, &[first.clone(), find(2, &[])]).raw;
     assert!(both < 0.9 * alone && both < any, "{alone} alone, {both} with its complement, {any} with any other");
 }
 
@@ -186,6 +192,6 @@ fn a_second_motion_complements_the_first() {
 fn too_few_harmonics_are_refused() {
     let arm = Arm::panda();
     let search = Search { harmonics: 2, ..short() };
-    let error = optimise(&arm.problem(None), &search, &[], &Watch::alone(1)).unwrap_err();
+    let error = optimise(&arm.problem(None), &search, &[], &SearchControl::with_threads(1)).unwrap_err();
     assert_eq!(error, ExciteError::Harmonics { harmonics: 2 });
 }

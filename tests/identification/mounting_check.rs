@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use plumbline::store::ModelFile;
 use plumbline_core::JointVec;
-use plumbline_identify::{Disagreement, Pose, Side, cross_check, implied};
+use plumbline_identify::{Disagreement, GravitySource, Pose, cross_check, implied_gravity};
 use plumbline_model::term::Sample;
 use plumbline_model::{Mounting, Robot, TorqueModel};
 use rand::{Rng, SeedableRng};
@@ -29,8 +29,8 @@ fn tilted(mounting: Mounting, degrees: f64) -> Mounting {
     Mounting { rho: mounting.rho - degrees.to_radians(), ..mounting }
 }
 
-fn sensor(mounting: &Mounting, degrees: f64) -> Side {
-    Side { name: "the inclinometer", gravity: mounting.gravity(), std: degrees.to_radians() }
+fn sensor(mounting: &Mounting, degrees: f64) -> GravitySource {
+    GravitySource { name: "the inclinometer", gravity: mounting.gravity(), std: degrees.to_radians() }
 }
 
 #[test]
@@ -39,12 +39,16 @@ fn three_sides_that_agree_pass_and_the_one_that_is_off_is_named_with_its_angle()
     for base in [Mounting::UPRIGHT, Mounting::WALL, Mounting { rho: 2.0, phi: 0.7 }] {
         for off in [0.0, 4.0, -4.0, 12.0, -30.0] {
             let other = tilted(base, off);
-            let torques =
-                |mounting: &Mounting| implied(&model, &[at_rest(&model, mounting, READY)], &NOISE).unwrap().unwrap();
+            let torques = |mounting: &Mounting| {
+                implied_gravity(&model, &[at_rest(&model, mounting, READY)], &NOISE).unwrap().unwrap()
+            };
             let cases = [
-                ("the declared mounting", [Side::declared(&other), sensor(&base, 0.2), torques(&base).side]),
-                ("the inclinometer", [Side::declared(&base), sensor(&other, 0.2), torques(&base).side]),
-                ("what the torques at rest imply", [Side::declared(&base), sensor(&base, 0.2), torques(&other).side]),
+                ("the declared mounting", [GravitySource::declared(&other), sensor(&base, 0.2), torques(&base).side]),
+                ("the inclinometer", [GravitySource::declared(&base), sensor(&other, 0.2), torques(&base).side]),
+                (
+                    "what the torques at rest imply",
+                    [GravitySource::declared(&base), sensor(&base, 0.2), torques(&other).side],
+                ),
             ];
             for (name, sides) in cases {
                 match cross_check(&sides, TOLERANCE) {
@@ -66,8 +70,8 @@ fn three_sides_that_agree_pass_and_the_one_that_is_off_is_named_with_its_angle()
 fn the_words_say_who_and_by_how_much() {
     let model = panda();
     let poses = [at_rest(&model, &Mounting::WALL, READY)];
-    let torques = implied(&model, &poses, &NOISE).unwrap().unwrap();
-    let sides = [Side::declared(&Mounting::WALL), sensor(&tilted(Mounting::WALL, 9.0), 0.3), torques.side];
+    let torques = implied_gravity(&model, &poses, &NOISE).unwrap().unwrap();
+    let sides = [GravitySource::declared(&Mounting::WALL), sensor(&tilted(Mounting::WALL, 9.0), 0.3), torques.side];
     let said = cross_check(&sides, TOLERANCE).unwrap_err().to_string();
     for part in [
         "the inclinometer is off by 9.00 deg",
@@ -77,27 +81,27 @@ fn the_words_say_who_and_by_how_much() {
         assert!(said.contains(part), "no `{part}` in {said}");
     }
     // Two that disagree: nobody can say who is wrong.
-    let two = [Side::declared(&Mounting::WALL), sensor(&Mounting::UPRIGHT, 0.3)];
+    let two = [GravitySource::declared(&Mounting::WALL), sensor(&Mounting::UPRIGHT, 0.3)];
     let said = cross_check(&two, TOLERANCE).unwrap_err();
     assert!(matches!(said, Disagreement::Unclear { .. }) && said.to_string().contains("90.00 +- 0.30 deg"), "{said}");
     // Three of which no two agree: likewise.
     let three = [
-        Side::declared(&Mounting::WALL),
+        GravitySource::declared(&Mounting::WALL),
         sensor(&Mounting::UPRIGHT, 0.3),
-        Side { name: "c", ..sensor(&Mounting::CEILING, 0.3) },
+        GravitySource { name: "c", ..sensor(&Mounting::CEILING, 0.3) },
     ];
     assert!(matches!(cross_check(&three, TOLERANCE), Err(Disagreement::Unclear { .. })));
     // One alone agrees with itself.
     assert_eq!(cross_check(&two[..1], TOLERANCE), Ok(vec![]));
     // A direction that is no number agrees with nobody.
-    let nan = Side { name: "c", gravity: Vector3::from_element(f64::NAN), std: 0.0 };
+    let nan = GravitySource { name: "c", gravity: Vector3::from_element(f64::NAN), std: 0.0 };
     assert!(cross_check(&[two[0], nan], TOLERANCE).is_err());
-    assert!(cross_check(&[two[0], Side { std: f64::NAN, ..two[0] }], TOLERANCE).is_err());
+    assert!(cross_check(&[two[0], GravitySource { std: f64::NAN, ..two[0] }], TOLERANCE).is_err());
 }
 
 #[test]
 fn uncertainty_is_taken_into_account() {
-    let sides = |std: f64| [Side::declared(&Mounting::UPRIGHT), sensor(&tilted(Mounting::UPRIGHT, 6.0), std)];
+    let sides = |std: f64| [GravitySource::declared(&Mounting::UPRIGHT), sensor(&tilted(Mounting::UPRIGHT, 6.0), std)];
     assert!(cross_check(&sides(0.2), TOLERANCE).is_err());
     assert!(cross_check(&sides(0.6), TOLERANCE).is_ok());
 }
@@ -113,8 +117,8 @@ fn noise_and_friction_that_holds_the_arm_do_not_raise_a_false_alarm() {
         for tau in pose.tau.iter_mut().take(7) {
             *tau += rng.random_range(-0.35..0.35);
         }
-        let torques = implied(&model, &[pose], &NOISE).unwrap().unwrap();
-        let pairs = cross_check(&[Side::declared(&base), torques.side], TOLERANCE);
+        let torques = implied_gravity(&model, &[pose], &NOISE).unwrap().unwrap();
+        let pairs = cross_check(&[GravitySource::declared(&base), torques.side], TOLERANCE);
         worst = worst.max(pairs.as_ref().map_or(f64::INFINITY, |pairs| pairs[0].angle));
         alarms += usize::from(pairs.is_err());
     }
@@ -124,12 +128,13 @@ fn noise_and_friction_that_holds_the_arm_do_not_raise_a_false_alarm() {
 #[test]
 fn an_upside_down_base_and_a_wrong_sign_are_found_without_any_motion() {
     let model = panda();
-    let hanging = implied(&model, &[at_rest(&model, &Mounting::CEILING, READY)], &NOISE).unwrap().unwrap();
-    let said = cross_check(&[Side::declared(&Mounting::UPRIGHT), hanging.side], TOLERANCE).unwrap_err().to_string();
+    let hanging = implied_gravity(&model, &[at_rest(&model, &Mounting::CEILING, READY)], &NOISE).unwrap().unwrap();
+    let said =
+        cross_check(&[GravitySource::declared(&Mounting::UPRIGHT), hanging.side], TOLERANCE).unwrap_err().to_string();
     assert!(said.contains("180.00"), "{said}");
     let mut pose = at_rest(&model, &Mounting::UPRIGHT, READY);
     pose.tau[3] = -pose.tau[3];
-    let wrong = implied(&model, &[pose], &NOISE).unwrap().unwrap_err();
+    let wrong = implied_gravity(&model, &[pose], &NOISE).unwrap().unwrap_err();
     assert_eq!(wrong, Disagreement::WrongSign { joint: 3 });
     assert!(wrong.to_string().contains("joint 4"), "{wrong}");
 }
@@ -142,10 +147,10 @@ fn a_payload_shows_as_strength_and_widens_the_uncertainty_instead_of_turning_gra
     for tau in &mut loaded.tau {
         *tau *= 1.4;
     }
-    let found = implied(&model, &[loaded], &NOISE).unwrap().unwrap();
+    let found = implied_gravity(&model, &[loaded], &NOISE).unwrap().unwrap();
     assert!(
         (found.strength - 1.4).abs() < 0.1 && found.remark().is_some_and(|said| said.contains("payload")),
         "{found:?}"
     );
-    assert_eq!(implied(&model, &[right], &NOISE).unwrap().unwrap().remark(), None);
+    assert_eq!(implied_gravity(&model, &[right], &NOISE).unwrap().unwrap().remark(), None);
 }

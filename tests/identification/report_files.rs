@@ -138,7 +138,6 @@ fn session(name: &str) -> Session {
             fault: Some("joint_velocity_violation: a joint was too fast".into()),
             ..Link::default()
         }),
-        ..Session::default()
     }
 }
 
@@ -292,7 +291,7 @@ fn the_parameters_of_effects_are_counted_apart() {
     let values = |structure: &Structure| vec![(0.5, None); structure.columns().len()];
     let plain = TorqueModel::new("panda", structure.clone(), vec![], &values(&structure)).unwrap();
     let spec = Spec { family: "presliding", form: "", site: Site::Joint(4), settings: vec![0.002] };
-    let term = spec.build(&plain.structure().ground(&plain.beta())).unwrap();
+    let term = spec.build(&plain.structure().operating_point(&plain.beta())).unwrap();
     let structure = structure.with(vec![term]).unwrap();
     let with_effect = TorqueModel::new("panda", structure.clone(), vec![], &values(&structure)).unwrap();
     let said = |model: &TorqueModel| {

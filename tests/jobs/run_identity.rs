@@ -1,13 +1,13 @@
 //! `plumbline run` drives the arm of the daemon that it has started, and no other.
 
-use plumbline_ipc::{Progress, place};
+use plumbline_ipc::{Progress, runtime_dir};
 use plumbline_testkit::job::*;
 use std::path::PathBuf;
 use std::process::Command;
 
 /// The lock file of a place's robot.
 fn lock(of: &Place) -> PathBuf {
-    place::directory().unwrap().join(format!("{}.lock", of.id))
+    runtime_dir::directory().unwrap().join(format!("{}.lock", of.id))
 }
 
 fn holder(of: &Place) -> Option<String> {

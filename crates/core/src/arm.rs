@@ -48,7 +48,7 @@ pub trait ArmConnector: Send + Sync {
         0
     }
 
-    /// Lets an arm that stopped by itself move again. May block for seconds.
+    /// Recovers an arm that stopped by itself. May block for seconds.
     ///
     /// # Errors
     /// The arm's own state does not allow a recovery without an operator, or the recovery failed.
@@ -170,13 +170,13 @@ pub struct MeasuredGravity {
 
 /// Pauses simulated time.
 pub trait TimeGate: Send + Sync {
-    /// Simulated time goes on.
+    /// Resumes simulated time.
     fn open(&self);
 
-    /// Simulated time stops before the next state.
+    /// Pauses simulated time before the next state.
     fn shut(&self);
 
-    /// The consumer has taken `records` more records.
+    /// Reports that the consumer has taken `records` more records.
     fn consumed(&self, records: u64);
 }
 
@@ -237,7 +237,7 @@ pub struct Link {
     pub states: u64,
     /// States that never arrived.
     pub lost: u64,
-    /// States that arrived and were passed over, for a newer one was there when the loop looked.
+    /// States that arrived and were skipped because a newer one was available at the read.
     pub passed_over: u64,
     /// Packets that came out of order, twice or damaged.
     pub odd: u64,
@@ -247,19 +247,19 @@ pub struct Link {
     pub limited: u64,
     /// The robot's own share of commands that reached it in time, of the last 100 at a time: least and mean.
     pub success: Option<[f64; 2]>,
-    /// From a state's being read to its command on the way.
+    /// From the read of a state to the send of its command.
     pub turnaround: Distribution,
-    /// From a state's arrival at this machine to its being read.
+    /// From the arrival of a state at this machine to its read.
     pub wake: Distribution,
-    /// From a command on the way to the first state that shows it.
+    /// From the send of a command to the first state that contains it.
     pub round_trip: Distribution,
     /// From one state's arrival to the next one's.
     pub interval: Distribution,
-    /// Direction of gravity in the base frame that the robot's sensors show, or its own constant without any; a unit vector.
+    /// Direction of gravity in the base frame by the robot's sensors, or the robot's constant where it has none; a unit vector.
     pub gravity: Option<[f64; 3]>,
     /// Gravity in the base frame that the robot's own controller compensates \[m/s2\].
     #[serde(default)]
     pub compensates: Option<[f64; 3]>,
-    /// What the robot stopped for, by its own names, what that comes from, and what the operator does next.
+    /// Error that the robot stopped for by its own name, the cause, and the operator's next step.
     pub fault: Option<String>,
 }

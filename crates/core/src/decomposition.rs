@@ -1,27 +1,27 @@
 //! Eigenvalues and singular values with a bound on the iterations.
 //!
-//! nalgebra's own `svd`, `singular_values` and `symmetric_eigen` iterate until they converge, and on a matrix with an entry that is not finite they
-//! never do. Everything that decomposes a matrix calls these functions (`tests/walls.rs` holds that).
+//! nalgebra's own `svd`, `singular_values` and `symmetric_eigen` iterate until convergence, which never
+//! comes for a matrix with an entry that is not finite. Every decomposition in plumbline calls these functions (tested by `tests/walls.rs`).
 
 use nalgebra::allocator::Allocator;
 use nalgebra::{DMatrix, DVector, DefaultAllocator, Dim, DimDiff, DimSub, Dyn, OMatrix, SVD, SymmetricEigen, U1};
 
-/// Most iterations per row or column; two or three are usual, and LAPACK allows 30.
-const ITERATIONS: usize = 100;
+/// Maximum iterations per row or column. Two or three are usual; LAPACK allows 30.
+const MAX_ITERATIONS_PER_ROW: usize = 100;
 
-/// Eigenvalues, not sorted, and eigenvectors of a symmetric matrix, of which the lower triangle is read. `None` where an entry is not
-/// finite, or where the iterations do not converge.
+/// Eigenvalues (not sorted) and eigenvectors of a symmetric matrix; only its lower triangle is read. `None` for an entry that is not
+/// finite, or when the iterations do not converge.
 pub fn symmetric_eigen<D>(m: OMatrix<f64, D, D>) -> Option<SymmetricEigen<f64, D>>
 where
     D: Dim + DimSub<U1>,
     DefaultAllocator: Allocator<D, D> + Allocator<D> + Allocator<DimDiff<D, U1>>,
 {
-    let bound = ITERATIONS * (m.nrows() + 1);
+    let bound = MAX_ITERATIONS_PER_ROW * (m.nrows() + 1);
     let finite = m.iter().all(|value| value.is_finite());
     finite.then(|| SymmetricEigen::try_new(m, f64::EPSILON, bound)).flatten()
 }
 
-/// Singular values, the largest first, with both sets of singular vectors. `None` as in [`symmetric_eigen`].
+/// Singular value decomposition `m = U S V'`, the largest singular value first, with both sets of singular vectors. `None` as in [`symmetric_eigen`].
 pub fn svd(m: DMatrix<f64>) -> Option<SVD<f64, Dyn, Dyn>> {
     bounded(m, true)
 }
@@ -32,9 +32,9 @@ pub fn singular_values(m: DMatrix<f64>) -> Option<DVector<f64>> {
 }
 
 fn bounded(m: DMatrix<f64>, vectors: bool) -> Option<SVD<f64, Dyn, Dyn>> {
-    let bound = ITERATIONS * (m.nrows().min(m.ncols()) + 1);
-    let sound = !m.is_empty() && m.iter().all(|value| value.is_finite());
-    sound.then(|| SVD::try_new(m, vectors, vectors, f64::EPSILON, bound)).flatten()
+    let bound = MAX_ITERATIONS_PER_ROW * (m.nrows().min(m.ncols()) + 1);
+    let finite = !m.is_empty() && m.iter().all(|value| value.is_finite());
+    finite.then(|| SVD::try_new(m, vectors, vectors, f64::EPSILON, bound)).flatten()
 }
 
 #[cfg(test)]
@@ -43,7 +43,7 @@ mod tests {
     use nalgebra::Matrix3;
 
     #[test]
-    fn they_are_nalgebras_for_a_finite_matrix() {
+    fn finite_matrices_give_the_results_of_nalgebra() {
         let m = DMatrix::from_fn(9, 5, |i, k| ((3 * i + 7 * k) as f64).sin());
         let found = svd(m.clone()).unwrap();
         assert!((&found.singular_values - m.singular_values()).amax() < 1e-12);
@@ -56,14 +56,14 @@ mod tests {
     }
 
     #[test]
-    fn a_matrix_that_is_not_finite_has_none() {
+    fn a_matrix_with_a_non_finite_entry_gives_none() {
         for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-            for place in 0..9 {
+            for index in 0..9 {
                 let mut m = Matrix3::new(2.0, 1.0, 0.5, 1.0, 3.0, 0.2, 0.5, 0.2, 1.0);
-                m[place] = value;
-                let many = DMatrix::from_fn(3, 3, |i, k| m[(i, k)]);
+                m[index] = value;
+                let dynamic = DMatrix::from_fn(3, 3, |i, k| m[(i, k)]);
                 assert!(symmetric_eigen(m).is_none());
-                assert!(svd(many.clone()).is_none() && singular_values(many).is_none());
+                assert!(svd(dynamic.clone()).is_none() && singular_values(dynamic).is_none());
             }
         }
     }

@@ -1,9 +1,9 @@
-//! Durations, counted without a lock in memory that is allocated beforehand.
+//! Histogram of durations: preallocated and lock-free.
 
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// Distribution of one duration \[ns\]; all zero when nothing was measured.
+/// Percentiles of a duration \[ns\]; all zero when nothing was measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Distribution {
     /// Number of values.
@@ -26,15 +26,15 @@ impl Distribution {
     }
 }
 
-/// Longer durations count as this one in the percentiles.
+/// Upper bound of the percentiles \[ns\]: longer durations count as this one.
 const CLAMP_NS: u64 = 10_000_000_000;
-/// Shorter durations have a place each; from there on an octave has half as many places, so that none is off by more than 0.1 %.
-const EXACT: u64 = 2048;
-const HALF: usize = EXACT as usize / 2;
+/// Durations below this have one bin each \[ns\]. Above it an octave has half as many bins, a resolution of 0.1 %.
+const EXACT_BELOW_NS: u64 = 2048;
+const BINS_PER_OCTAVE: usize = EXACT_BELOW_NS as usize / 2;
 
-/// A histogram of durations: 0.1 % up to 10 s, and the exact maximum. One thread adds, any thread reads.
+/// Histogram of durations with a resolution of 0.1 % up to 10 s, and the exact maximum. One thread adds, any thread reads.
 ///
-/// The layout is that of HdrHistogram at three digits, whose crate can grow while it records, and so allocate and panic.
+/// The layout is that of HdrHistogram at three digits. That crate can grow while it records, so it can allocate and panic.
 #[derive(Debug)]
 pub struct Histogram {
     counts: Vec<AtomicU64>,
@@ -43,7 +43,7 @@ pub struct Histogram {
 
 impl Default for Histogram {
     fn default() -> Histogram {
-        Histogram { counts: (0..=place(CLAMP_NS)).map(|_| AtomicU64::new(0)).collect(), max: AtomicU64::new(0) }
+        Histogram { counts: (0..=bin_of(CLAMP_NS)).map(|_| AtomicU64::new(0)).collect(), max: AtomicU64::new(0) }
     }
 }
 
@@ -51,8 +51,8 @@ impl Histogram {
     /// Counts a duration \[ns\]. No allocation; real-time safe.
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn add(&self, ns: u64) {
-        if let Some(count) = self.counts.get(place(ns.min(CLAMP_NS))) {
-            // One writer: no increment is lost.
+        if let Some(count) = self.counts.get(bin_of(ns.min(CLAMP_NS))) {
+            // Single writer: no increment is lost.
             count.store(count.load(Relaxed) + 1, Relaxed);
         }
         if ns > self.max.load(Relaxed) {
@@ -60,36 +60,42 @@ impl Histogram {
         }
     }
 
-    /// Count and percentiles so far; a percentile is the longest duration that shares the place of the value it names.
+    /// Count and percentiles so far. A percentile is the upper bound of its bin, at most the maximum.
     pub fn distribution(&self) -> Distribution {
         let counts: Vec<u64> = self.counts.iter().map(|count| count.load(Relaxed)).collect();
         let (count, max) = (counts.iter().sum::<u64>(), self.max.load(Relaxed));
         if count == 0 {
             return Distribution::default();
         }
-        let at = |share: f64| {
-            let wanted = ((share * count as f64).ceil() as u64).max(1);
+        let percentile = |share: f64| {
+            let rank = ((share * count as f64).ceil() as u64).max(1);
             let mut below = 0;
             let mut reached = counts.iter().map(|count| {
                 below += count;
-                below >= wanted
+                below >= rank
             });
-            reached.position(|reached| reached).map_or(max, |place| end_of(place).min(max))
+            reached.position(|reached| reached).map_or(max, |bin| upper_bound_ns(bin).min(max))
         };
-        Distribution { count, p50_ns: at(0.5), p99_ns: at(0.99), p999_ns: at(0.999), max_ns: max }
+        Distribution {
+            count,
+            p50_ns: percentile(0.5),
+            p99_ns: percentile(0.99),
+            p999_ns: percentile(0.999),
+            max_ns: max,
+        }
     }
 }
 
-/// Where a duration is counted.
-fn place(ns: u64) -> usize {
-    let octave = (ns | (EXACT - 1)).ilog2() - (EXACT - 1).ilog2();
-    octave as usize * HALF + (ns >> octave) as usize
+/// Bin that a duration is counted in.
+fn bin_of(ns: u64) -> usize {
+    let octave = (ns | (EXACT_BELOW_NS - 1)).ilog2() - (EXACT_BELOW_NS - 1).ilog2();
+    octave as usize * BINS_PER_OCTAVE + (ns >> octave) as usize
 }
 
-/// The longest duration of a place \[ns\].
-fn end_of(place: usize) -> u64 {
-    let octave = (place / HALF).saturating_sub(1);
-    (((place - octave * HALF) as u64 + 1) << octave) - 1
+/// Longest duration of a bin \[ns\].
+fn upper_bound_ns(bin: usize) -> u64 {
+    let octave = (bin / BINS_PER_OCTAVE).saturating_sub(1);
+    (((bin - octave * BINS_PER_OCTAVE) as u64 + 1) << octave) - 1
 }
 
 #[cfg(test)]
@@ -100,14 +106,14 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     #[test]
-    fn places_follow_each_other_without_gaps() {
+    fn bins_follow_each_other_without_gaps() {
         let mut last = 0;
         for ns in (0..10_000).chain((14..34).flat_map(|power| (1u64 << power) - 2..(1 << power) + 2)) {
-            let place = place(ns);
-            assert!(ns <= end_of(place) && (place == 0 || ns > end_of(place - 1)), "{ns}");
-            assert!(ns >= 10_000 || place == last || place == last + 1, "{ns}");
-            assert!(end_of(place) - ns <= ns / 1000, "{ns}");
-            last = place;
+            let bin = bin_of(ns);
+            assert!(ns <= upper_bound_ns(bin) && (bin == 0 || ns > upper_bound_ns(bin - 1)), "{ns}");
+            assert!(ns >= 10_000 || bin == last || bin == last + 1, "{ns}");
+            assert!(upper_bound_ns(bin) - ns <= ns / 1000, "{ns}");
+            last = bin;
         }
     }
 
@@ -119,7 +125,7 @@ mod tests {
             let mut reference = Reference::<u64>::new_with_bounds(1, CLAMP_NS, 3).unwrap();
             let mut max = 0;
             for _ in 0..=case * case {
-                // From nothing to past the end, every magnitude alike.
+                // From 0 to beyond the upper bound, evenly over all orders of magnitude.
                 let ns = rng.random_range(0..20_000_000_000) >> rng.random_range(0..34);
                 histogram.add(ns);
                 reference.record(ns.min(CLAMP_NS)).unwrap();

@@ -1,8 +1,8 @@
-//! How bad input is reported. Every such error names the file, the place in it, the value, and what was expected.
+//! Error type of invalid input. It names the file, the position in it, the value and what was expected.
 
 use serde::de::DeserializeOwned;
 
-/// Something a person wrote or a file held that can't be used. The program ends with exit code 2.
+/// Invalid input of a user or a file. The program ends with exit code 2.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{file}: {place}: got {value}, expected {expected}")]
 pub struct BadInput {
@@ -12,12 +12,12 @@ pub struct BadInput {
     pub place: String,
     /// The value found.
     pub value: String,
-    /// What would have been right.
+    /// Description of a valid value.
     pub expected: String,
 }
 
 impl BadInput {
-    /// All four parts at once.
+    /// An error from its four parts.
     pub fn new(
         file: impl Into<String>,
         place: impl Into<String>,
@@ -28,12 +28,12 @@ impl BadInput {
     }
 }
 
-/// Parses TOML text into a typed value; `file` is only named in the error.
+/// Parses TOML text into a typed value; `file` appears in the error only.
 pub fn from_toml<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, BadInput> {
     let syntax = |error: toml::de::Error| {
         let line = error.span().map_or(0, |span| 1 + text[..span.start.min(text.len())].matches('\n').count());
         let found = error.span().and_then(|span| text.get(span)).unwrap_or("").lines().next().unwrap_or("").to_string();
-        // Where something is missing, the span is empty: the line itself says what stands there.
+        // The span of a missing key is empty: the whole line is quoted instead.
         let whole_line = || text.lines().nth(line.saturating_sub(1)).unwrap_or("").trim().to_string();
         let found = if found.trim().is_empty() { whole_line() } else { found };
         BadInput::new(file, format!("line {line}"), format!("`{found}`"), expectation(error.message()))
@@ -49,7 +49,7 @@ pub fn from_toml<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, BadIn
     })
 }
 
-/// Turns serde's message about a value into what would have been right, for [`BadInput::expected`].
+/// Extracts the description of a valid value from serde's error message, for [`BadInput::expected`].
 pub fn expectation(message: &str) -> String {
     if message.starts_with("unknown field") {
         return format!("a known key ({message})");

@@ -1,5 +1,5 @@
-//! What every crate of plumbline exchanges: per-joint values with their units, the traits between the real-time loop and its surroundings, and
-//! the report of bad input.
+//! Types shared by the crates of plumbline: per-joint values with units, the traits around the real-time loop, and the error type of invalid
+//! input.
 //!
 //! | what | items |
 //! |---|---|
@@ -7,10 +7,10 @@
 //! | limits of an arm | [`Limits`], [`SpeedEnvelope`], [`Workspace`] |
 //! | interfaces of the loop | [`Backend`], [`Reference`], [`FeedForward`], [`Kinematics`], [`Sink`], [`Clock`], [`Fault`] |
 //! | what a backend crate provides beside the loop | [`ArmConnector`], [`Connected`], [`ArmMonitor`], [`ArmLimits`], [`Explanation`], [`Link`] |
-//! | bad input: file, place, value, expectation | [`BadInput`], [`from_toml`] |
+//! | invalid input: file, position, value, expectation | [`BadInput`], [`from_toml`] |
 //! | histogram of durations and its percentiles, counts of the loop | [`Histogram`], [`Distribution`], [`LoopStatistics`] |
 //! | decompositions with a bound on their iterations | [`svd`], [`singular_values`], [`symmetric_eigen`] |
-//! | work on all processors | [`parallel()`], [`threads`] |
+//! | parallel map over all processors | [`parallel()`], [`threads`] |
 //!
 //! ```
 //! use plumbline_core::from_toml;
@@ -49,5 +49,5 @@ pub use joint::{
 pub use parallel::{parallel, threads};
 pub use statistics::LoopStatistics;
 pub use traits::{
-    Backend, Clock, Fault, FeedForward, Kinematics, MAX_MISSED_COMMANDS, PERIOD, PERIOD_NS, Reference, Sink,
+    Backend, Clock, Fault, FeedForward, Kinematics, MAX_MISSED_COMMANDS, PERIOD_NS, PERIOD_S, Reference, Sink,
 };

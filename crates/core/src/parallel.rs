@@ -1,32 +1,33 @@
-//! The same work on many things, on all processors.
+//! Parallel map over a slice.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
-/// Threads that long work may use: all that the machine has.
+/// Number of threads for long computations: all processors of the machine.
 pub fn threads() -> usize {
     thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// `work` on every item, on `threads` threads; the results in the order of the items.
+/// Applies `work` to every item on `threads` threads. The results are in the order of the items.
 ///
 /// # Panics
-/// Where `work` does.
+/// When `work` panics.
 pub fn parallel<T: Sync, R: Send>(items: &[T], threads: usize, work: impl Fn(&T) -> R + Sync) -> Vec<R> {
     let threads = threads.clamp(1, items.len().max(1));
     if threads == 1 {
         return items.iter().map(work).collect();
     }
-    // Items cost what they cost, and threads are held up by others: whoever is done takes the next.
+    // Items differ in cost: each thread takes the next item when it is free.
     let (work, next) = (&work, &AtomicUsize::new(0));
-    let share = || -> Vec<(usize, R)> {
-        let mine = std::iter::from_fn(|| Some(next.fetch_add(1, Ordering::Relaxed)));
-        mine.map_while(|index| Some((index, work(items.get(index)?)))).collect()
+    let run = || -> Vec<(usize, R)> {
+        let taken = std::iter::from_fn(|| Some(next.fetch_add(1, Ordering::Relaxed)));
+        taken.map_while(|index| Some((index, work(items.get(index)?)))).collect()
     };
     let mut done: Vec<(usize, R)> = thread::scope(|scope| {
-        let running: Vec<_> = (0..threads).map(|_| scope.spawn(share)).collect();
-        let join =
-            |one: thread::ScopedJoinHandle<_>| one.join().unwrap_or_else(|cause| std::panic::resume_unwind(cause));
+        let running: Vec<_> = (0..threads).map(|_| scope.spawn(run)).collect();
+        let join = |thread: thread::ScopedJoinHandle<_>| {
+            thread.join().unwrap_or_else(|cause| std::panic::resume_unwind(cause))
+        };
         running.into_iter().flat_map(join).collect()
     });
     done.sort_unstable_by_key(|(index, _)| *index);
@@ -38,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn keeps_the_order_whatever_the_number_of_threads() {
+    fn results_are_in_order_for_any_number_of_threads() {
         let items: Vec<usize> = (0..23).collect();
         let squares: Vec<usize> = items.iter().map(|k| k * k).collect();
         for count in [0, 1, 2, 5, 23, 100] {
@@ -49,7 +50,7 @@ mod tests {
 
     #[test]
     #[should_panic(expected = "this one")]
-    fn passes_a_panic_on() {
+    fn a_panic_of_the_work_is_propagated() {
         parallel(&[1, 2, 3], 2, |k| assert!(*k != 2, "this one"));
     }
 }

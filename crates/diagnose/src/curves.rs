@@ -7,14 +7,14 @@ use super::select::Search;
 use super::state::State;
 use nalgebra::{DMatrix, DVector};
 use plumbline_model::term::Motion;
-use plumbline_model::term::effect::{Ground, PlotOver};
+use plumbline_model::term::effect::{OperatingPoint, PlotOver};
 
 /// Joints that are drawn at most.
-const JOINTS: usize = 4;
+const MAX_JOINTS_DRAWN: usize = 4;
 /// Trajectories that are drawn at most.
-const FOLDS: usize = 2;
+const MAX_TRAJECTORIES_DRAWN: usize = 2;
 /// Bins of a variable.
-const BINS: usize = 30;
+const BIN_COUNT: usize = 30;
 
 /// Of the plain model and of what is delivered.
 pub fn of(search: &Search, before: &State, after: &State, residuals: &[Residual]) -> Curves {
@@ -22,7 +22,7 @@ pub fn of(search: &Search, before: &State, after: &State, residuals: &[Residual]
     let mut joints: Vec<usize> = Vec::new();
     let touched = after.items.iter().flat_map(|item| item.spec.site.joints().into_iter().take(1));
     for joint in touched.chain(residuals.iter().map(|one| one.joint)) {
-        if !joints.contains(&joint) && joints.len() < JOINTS {
+        if !joints.contains(&joint) && joints.len() < MAX_JOINTS_DRAWN {
             joints.push(joint);
         }
     }
@@ -61,7 +61,7 @@ fn periods(evidence: &Evidence, joint: usize, before: &State, after: &State) -> 
         let (before, after) = (signal(&was), signal(&is));
         PeriodFigure { joint: joint + 1, trajectory: own.name.clone(), t, before, after, deviation }
     };
-    (0..evidence.folds().len().min(FOLDS)).map(one).collect()
+    (0..evidence.folds().len().min(MAX_TRAJECTORIES_DRAWN)).map(one).collect()
 }
 
 fn spectrum(evidence: &Evidence, joint: usize, before: &State, after: &State) -> SpectrumFigure {
@@ -96,13 +96,13 @@ fn spectrum(evidence: &Evidence, joint: usize, before: &State, after: &State) ->
 }
 
 /// The horizontal axis of an effect's plot: its name, and its values along a motion.
-fn axis(ground: &Ground, over: PlotOver, joint: usize, motion: &Motion) -> Option<(String, Vec<f64>)> {
+fn axis(operating_point: &OperatingPoint, over: PlotOver, joint: usize, motion: &Motion) -> Option<(String, Vec<f64>)> {
     let column = |of: &DMatrix<f64>| of.column(joint).iter().copied().collect();
     let (name, unit, values) = match over {
         PlotOver::Position => ("q", "rad", column(&motion.q)),
         PlotOver::Velocity => ("dq", "rad/s", column(&motion.dq)),
         PlotOver::Acceleration => ("ddq", "rad/s2", column(&motion.ddq)),
-        PlotOver::Load => ("tau_rb", "Nm", column(&ground.load.along(motion))),
+        PlotOver::Load => ("tau_rb", "Nm", column(&operating_point.load.along(motion))),
         PlotOver::Time => {
             let times = (0..motion.samples()).map(|k| motion.start + k as f64 * motion.dt).collect();
             return Some(("t [s]".into(), times));
@@ -125,7 +125,7 @@ fn effect(search: &Search, state: &State, item: usize) -> Option<EffectFigure> {
     let mut variable = String::new();
     let mut values: Vec<Vec<f64>> = Vec::new();
     for experiment in 0..evidence.experiments() {
-        let (name, own) = axis(search.ground, over, cause, evidence.motion(experiment))?;
+        let (name, own) = axis(search.operating_point, over, cause, evidence.motion(experiment))?;
         variable = name;
         values.push(own);
     }
@@ -140,7 +140,7 @@ fn effect(search: &Search, state: &State, item: usize) -> Option<EffectFigure> {
     // Bins of equal numbers show what happens where the arm is often.
     points.sort_by(|a, b| a[0].total_cmp(&b[0]));
     let mut figure = EffectFigure { title: spec.to_string(), variable, joint: joint + 1, ..EffectFigure::default() };
-    for bin in points.chunks(points.len().div_ceil(BINS).max(1)) {
+    for bin in points.chunks(points.len().div_ceil(BIN_COUNT).max(1)) {
         let count = bin.len() as f64;
         let mean = |which: usize| bin.iter().map(|point| point[which]).sum::<f64>() / count;
         let level = mean(1);

@@ -17,16 +17,16 @@ use plumbline_model::TorqueModel;
 use plumbline_model::term::effect;
 use plumbline_model::term::effect::Spec;
 
-/// What a joint's effects have to explain of what was unmodelled there, to be put into the model.
-const HELPFUL: f64 = 0.5;
-/// Times the noise that the unseen runs may show of what the plain model lacks, for an effect that hardly comes in there: the errors of the parameters
-/// are as large, and it has to do no harm alone.
-const FAINT: f64 = 1.5;
-/// Share of the plain model's error by which a joint must get worse for certain to be worse: the joints share the rigid body's parameters, and
-/// each of them moves a little with every effect.
-const WORSE: f64 = 0.05;
-/// Parameters that moved by less than this, times their standard deviation, are those that the load was computed with.
-const SETTLED: f64 = 0.1;
+/// Smallest share of a joint's unmodelled power on unseen runs that its effects explain, to be delivered.
+const MIN_EXPLAINED_RATIO: f64 = 0.5;
+/// Largest unmodelled RMS on unseen runs, in units of the noise, for the effect to count as weak there. Errors of the parameters are as large then:
+/// a weak effect only has to do no harm.
+const WEAK_SIGNAL_RATIO: f64 = 1.5;
+/// A joint is worse when the interval of its error's change lies above this share of the plain model's error. Joints share the rigid-body
+/// parameters, so every effect changes each of them a little.
+const MAX_WORSENING_RATIO: f64 = 0.05;
+/// Largest change of a parameter, in its standard deviations, at which the operating point has converged.
+const SETTLED_DEVIATIONS: f64 = 0.1;
 
 /// What a delivery is made of.
 pub struct Delivery<'a> {
@@ -69,8 +69,8 @@ impl Delivery<'_> {
             })
         };
         let least = |found: &Found| {
-            let faint = lacks[found.relevance.joint].is_some_and(|lack| lack <= FAINT * FAINT);
-            if faint { 0.0 } else { HELPFUL }
+            let faint = lacks[found.relevance.joint].is_some_and(|lack| lack <= WEAK_SIGNAL_RATIO * WEAK_SIGNAL_RATIO);
+            if faint { 0.0 } else { MIN_EXPLAINED_RATIO }
         };
         let mut withheld: Vec<Option<String>> =
             selected.found.iter().map(|found| too_little(adequacy, found, least(found))).collect();
@@ -88,7 +88,7 @@ impl Delivery<'_> {
             if withheld.iter().zip(&kept).any(|(why, kept)| *kept && why.is_some()) {
                 continue;
             }
-            // One at a time, the least first: without it the others come out otherwise.
+            // One at a time, the lowest score first: the others change without it.
             let Some((index, why)) = self.reason(selected, &kept, &after, confirmed) else {
                 return Ok((after, withheld));
             };
@@ -121,7 +121,7 @@ impl Delivery<'_> {
             format!("{change:+.4} [{low:.4}, {high:.4}] Nm in joint {}", joint + 1)
         };
         for joint in 0..compared.before.validate_rms.len() {
-            if change(joint).1[0] > WORSE * compared.before.validate_rms[joint] {
+            if change(joint).1[0] > MAX_WORSENING_RATIO * compared.before.validate_rms[joint] {
                 let own = candidates.iter().copied().find(|&index| items[index].spec.site.joints().contains(&joint));
                 let index = own.or_else(|| self.costliest(selected, kept, &candidates, joint))?;
                 return Some((index, format!("with it, unseen runs are predicted worse: {}", words(joint))));
@@ -150,7 +150,7 @@ impl Delivery<'_> {
     pub fn compared(&self, after: &Fitted) -> Option<Compared> {
         let runs = [self.input.judge, self.input.veto].into_iter().find(|runs| !runs.is_empty())?;
         let plain = Fitted { structure: self.input.structure.clone(), identification: self.before.clone() };
-        // As they are served: a regressor knows more of the samples to come.
+        // Evaluated causally as in the loop; a regressor may use later samples.
         let model = |fitted: &Fitted| {
             TorqueModel::new("", fitted.structure.clone(), Vec::new(), &fitted.identification.values()).ok()
         };
@@ -168,7 +168,8 @@ impl Delivery<'_> {
     /// it shares with the others would follow what it still lacks.
     fn weights(&self, beta: &[f64]) -> Result<Vec<f64>, EstimateError> {
         let specs: Vec<Spec> = self.seeds.iter().map(|seed| seed.spec.clone()).collect();
-        let terms = effect::assemble(&specs, &self.input.structure.ground(beta)).ok().filter(|_| !specs.is_empty());
+        let terms =
+            effect::assemble(&specs, &self.input.structure.operating_point(beta)).ok().filter(|_| !specs.is_empty());
         match terms.and_then(|terms| self.input.structure.clone().with(terms).ok()) {
             Some(structure) => Ok(identify_with(&structure, self.experiments, self.input.options)?.sigma),
             None => Ok(self.before.sigma.clone()),
@@ -189,10 +190,10 @@ impl Delivery<'_> {
         let known = experiments.iter().all(|experiment| experiment.scatter.is_some());
         let own_weights = input.options.estimator == Estimator::Wls && !known;
         let sigma = own_weights.then(|| self.weights(&beta)).transpose()?;
-        // Once more with the load of the parameters just found.
+        // Once more at the operating point just found.
         for _ in 0..2 {
-            let ground = input.structure.ground(&beta);
-            let terms = effect::assemble(&specs, &ground).ok();
+            let operating_point = input.structure.operating_point(&beta);
+            let terms = effect::assemble(&specs, &operating_point).ok();
             let Some(structure) = terms.and_then(|terms| input.structure.clone().with(terms).ok()) else {
                 return Ok(plain());
             };
@@ -202,7 +203,8 @@ impl Delivery<'_> {
             };
             let plain = 0..input.structure.columns().len();
             let near = plain.into_iter().all(|c| {
-                identification.std[c].is_none_or(|std| (identification.beta[c] - beta[c]).abs() <= SETTLED * std)
+                identification.std[c]
+                    .is_none_or(|std| (identification.beta[c] - beta[c]).abs() <= SETTLED_DEVIATIONS * std)
             });
             beta.clone_from(&identification.beta);
             fitted = Fitted { structure, identification };

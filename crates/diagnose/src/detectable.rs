@@ -1,6 +1,6 @@
 //! How small an effect could be and still be found, so that "nothing" is a number.
 
-use super::fit::LEAST;
+use super::fit::MIN_INDEPENDENCE_RATIO;
 use super::library::Candidate;
 use super::outcome::{self, MinimumDetectable, NotIdentifiable};
 use super::select::Search;
@@ -8,10 +8,10 @@ use super::state::{State, every, mean_square};
 use std::collections::BTreeMap;
 
 /// An effect is found with high probability when what re-identification leaves of it is this share of the noise of the mean period.
-const FOUND: f64 = 0.75;
+const FOUND_FLOOR_RATIO: f64 = 0.75;
 
-/// Every effect of the library once, with its candidate that the other columns take over least, and the share of it that they leave. The
-/// first, the middle and the last start value stand for all.
+/// Every effect of the library once: its most independent candidate among the first, middle and last start value, and its independence (the
+/// share of its square that the other columns cannot represent).
 pub fn independences<'a>(search: &Search<'a>, base: &State) -> Vec<(&'a Candidate, f64)> {
     let library = search.library;
     let mut seen: Vec<&Candidate> = Vec::new();
@@ -34,13 +34,13 @@ pub fn independences<'a>(search: &Search<'a>, base: &State) -> Vec<(&'a Candidat
 
 /// The least of every family that would have been found, joint by joint.
 ///
-/// With independence `idf` (the share of a column's square that the other columns can't take over), an effect of torque RMS `t` leaves
+/// With independence `idf`, an effect of torque RMS `t` leaves
 /// `t sqrt(idf)`, so the least that is found is `0.75 floor / sqrt(idf)`; the parameter is that over the column's RMS.
 pub fn minimum(search: &Search, independences: &[(&Candidate, f64)]) -> BTreeMap<String, MinimumDetectable> {
     let evidence = search.problem.evidence;
     let mut found: BTreeMap<String, MinimumDetectable> = BTreeMap::new();
     for &(best, independence) in independences {
-        if independence < LEAST {
+        if independence < MIN_INDEPENDENCE_RATIO {
             continue;
         }
         let rms = |joint: usize| {
@@ -53,11 +53,14 @@ pub fn minimum(search: &Search, independences: &[(&Candidate, f64)]) -> BTreeMap
             continue;
         };
         let Some(floor) = evidence.floor(joint) else { continue };
-        let torque = FOUND * floor / independence.sqrt();
+        let torque = FOUND_FLOOR_RATIO * floor / independence.sqrt();
         let site = best.spec.site.joints().first().copied().unwrap_or(joint);
         let parameter = torque / rms(joint).max(f64::MIN_POSITIVE);
-        let unit =
-            best.spec.build(search.ground).ok().and_then(|term| term.columns().first().map(|column| column.unit));
+        let unit = best
+            .spec
+            .build(search.operating_point)
+            .ok()
+            .and_then(|term| term.columns().first().map(|column| column.unit));
         let unknown = || vec![f64::NAN; evidence.joints()];
         let own = found.entry(best.spec.family.into()).or_insert_with(|| MinimumDetectable {
             torque_rms: unknown(),
@@ -73,10 +76,10 @@ pub fn minimum(search: &Search, independences: &[(&Candidate, f64)]) -> BTreeMap
     found
 }
 
-/// Effects that the base parameters take over, whatever the data holds.
+/// Effects that the base parameters represent: no data in these mountings shows them.
 pub fn not_identifiable(independences: &[(&Candidate, f64)]) -> Vec<NotIdentifiable> {
     let absorbed = |&(best, independence): &(&Candidate, f64)| {
-        (independence < LEAST).then(|| NotIdentifiable {
+        (independence < MIN_INDEPENDENCE_RATIO).then(|| NotIdentifiable {
             effect: best.spec.family.into(),
             joints: outcome::joints(best.spec.site),
             why: format!(

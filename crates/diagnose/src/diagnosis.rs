@@ -7,7 +7,7 @@ use super::detectable;
 use super::errors::Of;
 use super::evidence::{Evidence, Trial};
 use super::fallback::{self, Residual};
-use super::fit::{LEAST, Problem, group};
+use super::fit::{MIN_INDEPENDENCE_RATIO, Problem, group};
 use super::gates;
 use super::library::{Candidate, library, repeatable};
 use super::outcome::{
@@ -23,7 +23,7 @@ use plumbline_identify::solve::identify_with;
 use plumbline_identify::{EstimateError, Experiment, solve};
 use plumbline_model::Structure;
 use plumbline_model::term::effect;
-use plumbline_model::term::effect::{Ground, Spec};
+use plumbline_model::term::effect::{OperatingPoint, Spec};
 
 /// What is diagnosed.
 pub struct Input<'a> {
@@ -31,9 +31,9 @@ pub struct Input<'a> {
     pub structure: &'a Structure,
     /// Runs to identify from.
     pub identify: &'a [Trial<'a>],
-    /// Runs that a finding has to hold on before it is believed; not fitted.
+    /// Runs on which a finding has to lower the error to be accepted; not fitted.
     pub veto: &'a [Trial<'a>],
-    /// Runs that nothing is decided with but whether a joint is explained; not fitted.
+    /// Runs that measure whether a joint is explained; neither fitted nor used to accept findings.
     pub judge: &'a [Trial<'a>],
     /// How parameters are identified.
     pub options: &'a solve::Options,
@@ -46,24 +46,24 @@ impl<'a> Input<'a> {
     }
 }
 
-/// What a joint's effects have to explain of what was unmodelled there, to be called an explanation.
-const EXPLAINED: f64 = 0.9;
-/// Times the noise of the mean period that an explanation may leave.
-const LEFT_OVER: f64 = 2.5;
-/// Share of what is left over that has to follow some variables to be called unexplained, where the noise is not known.
-const FOLLOWS: f64 = 0.25;
-/// Lack of fit from which on a residual is unexplained that follows no variable.
-const FLAT: f64 = 2.0;
-/// Times that the load is computed anew with the parameters of the model with effects,
-const GROUNDS: usize = 8;
-/// and twice the gain in log likelihood from which on it is worth another time.
-const GROUND_GAIN: f64 = 4.0;
+/// Smallest share of a joint's unmodelled power that its effects explain, for the joint to count as explained.
+const MIN_EXPLAINED_RATIO: f64 = 0.9;
+/// Largest unmodelled RMS of an explained joint, in units of the noise of the mean period.
+const MAX_LEFT_OVER_FLOOR_RATIO: f64 = 2.5;
+/// Smallest R2 of a residual on its variables for it to count as unexplained, where the noise is unknown.
+const MIN_DEPENDENCE_R2: f64 = 0.25;
+/// Smallest lack of fit for a residual that depends on no variable to count as unexplained.
+const MIN_FLAT_LACK_OF_FIT_RATIO: f64 = 2.0;
+/// Largest number of relinearisations.
+const MAX_RELINEARISATIONS: usize = 8;
+/// Smallest gain, twice the log likelihood, for another relinearisation.
+const MIN_RELINEARISATION_GAIN: f64 = 4.0;
 /// Candidates that an outcome lists.
 pub(super) const MAX_LISTED_SCORES: usize = 10;
-/// What is unmodelled counts from this share of the noise of the mean period on.
-pub(super) const THRESHOLD: f64 = 0.75;
+/// Smallest unmodelled RMS that counts, in units of the noise of the mean period.
+pub(super) const THRESHOLD_FLOOR_RATIO: f64 = 0.75;
 
-/// Diagnoses a set of runs of one arm. `progress` hears of every step.
+/// Diagnoses a set of runs of one arm. `progress` is called at every step of the selection.
 ///
 /// # Errors
 /// As [`identify_with`].
@@ -74,22 +74,22 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let evidence = Evidence::of(structure.chain(), input.identify, settings.band);
     let columns = columns_of(&evidence, structure, input.identify);
     let base = State::base(&Problem { evidence: &evidence, prior: None }, columns);
-    // Columns that follow the load need parameters; the plain model's are near enough to begin with.
-    let ground = structure.ground(base.fit.theta.as_slice());
-    let candidates = library(&evidence, &ground, &repeatable(), None, settings.threads);
+    // Columns that depend on the load need parameters: first those of the plain model.
+    let operating_point = structure.operating_point(base.fit.theta.as_slice());
+    let candidates = library(&evidence, &operating_point, &repeatable(), None, settings.threads);
     let problem = Problem { evidence: &evidence, prior: None };
-    let search = Search { problem, ground: &ground, library: &candidates, settings };
+    let search = Search { problem, operating_point: &operating_point, library: &candidates, settings };
     let seeds = seeds(&search, &base);
     let mut draft = search.forward(base.clone(), &seeds, progress);
-    let settled = settled(structure, &search, &mut draft.state);
-    let ground = settled.as_ref().unwrap_or(&ground);
-    let search = search.upon(ground);
+    let relinearised = relinearise(structure, &search, &mut draft.state);
+    let operating_point = relinearised.as_ref().unwrap_or(&operating_point);
+    let search = search.at(operating_point);
     let selected = search.finish(draft, progress);
     let selected = vetoed(&search, selected, input, settings);
 
     let unseen = Evidence::of(structure.chain(), input.unseen(), settings.band);
     let (lacks, adequacy) = {
-        let model = Unseen::of(&unseen, structure, input.unseen(), &selected.state, ground);
+        let model = Unseen::of(&unseen, structure, input.unseen(), &selected.state, operating_point);
         let lacks = model.lacks(&base.fit.theta);
         let adequacy = model.explained(&lacks, &selected.state.fit.theta);
         (lacks, adequacy)
@@ -101,7 +101,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let (after, withheld) = delivery.of(&selected, &lacks, &adequacy, &confirmed)?;
     let kept: Vec<bool> = withheld.iter().map(Option::is_none).collect();
     let effects = effects_of(&search, &selected, &withheld, &confirmed, &adequacy, &after);
-    // What the delivered model leaves over.
+    // The residual of the delivered model.
     let left = if kept.iter().any(|kept| *kept) { &selected.state } else { &base };
     let left_out = (evidence.folds().len() > 1).then(|| gates::left_out(&search.problem, &base, left));
     let facts = |joint: usize| {
@@ -167,7 +167,7 @@ fn notes(evidence: &Evidence, input: &Input, effects: &[Effect]) -> Vec<String> 
     notes
 }
 
-/// The steps of a selection, from a model that left so much unmodelled in each joint.
+/// The steps of a selection, from a model with this unmodelled RMS in each joint.
 pub(super) fn steps(from: &str, joints: &[JointFacts], path: &[Step]) -> Vec<outcome::Step> {
     let total: f64 = joints.iter().filter_map(|joint| joint.unmodelled.before).map(|rms| rms * rms).sum();
     let start = outcome::Step { action: Action::Start, what: from.into(), unmodelled: Some(total.sqrt()), score: None };
@@ -197,34 +197,34 @@ fn scores(selected: &Selected, effects: &[Effect]) -> Vec<Score> {
     selected.first.iter().take(MAX_LISTED_SCORES).map(score).collect()
 }
 
-/// Effects that follow the load were found upon the parameters of the plain model, which their lack has bent: brings them upon those of the model with
-/// the effects, until the likelihood has settled. The ground that they stand on then; `None` where the old one is as good.
-fn settled(structure: &Structure, search: &Search, state: &mut State) -> Option<Ground> {
+/// Re-evaluates columns that depend on parameters at the new estimate until the likelihood converges. Returns the last operating point; `None` where
+/// the likelihood does not rise.
+fn relinearise(structure: &Structure, search: &Search, state: &mut State) -> Option<OperatingPoint> {
     let mut settled = None;
-    for _ in 0..GROUNDS {
-        let ground = structure.ground(state.fit.theta.as_slice());
-        let Some(moved) = search.upon(&ground).upon_ground(state) else { break };
+    for _ in 0..MAX_RELINEARISATIONS {
+        let operating_point = structure.operating_point(state.fit.theta.as_slice());
+        let Some(moved) = search.at(&operating_point).relinearised(state) else { break };
         let gain = 2.0 * (moved.fit.likelihood - state.fit.likelihood);
         if gain <= 0.0 {
             break;
         }
-        (*state, settled) = (moved, Some(ground));
-        if gain < GROUND_GAIN {
+        (*state, settled) = (moved, Some(operating_point));
+        if gain < MIN_RELINEARISATION_GAIN {
             break;
         }
     }
     settled
 }
 
-/// Every torque sensor has an offset. Where nothing tells the noise, the model starts with all of them, and they have to hold: left to
-/// the search, a spring or another joint's load would take the place of one that it had not yet found.
+/// Effects that every arm has. Where the noise is unknown, the selection starts with them: otherwise a spring or another joint's load would be
+/// selected for an offset that is not yet in the model.
 fn seeds(search: &Search, base: &State) -> Vec<Candidate> {
     if search.problem.evidence.repeats() {
         return Vec::new();
     }
     let offset = |item: &&Candidate| {
         item.spec.family().is_ok_and(|family| family.rare.in_every_arm)
-            && base.try_in(&search.problem, item).is_some_and(|tried| tried.independence > LEAST)
+            && base.try_in(&search.problem, item).is_some_and(|tried| tried.independence > MIN_INDEPENDENCE_RATIO)
     };
     search.library.iter().filter(offset).cloned().collect()
 }
@@ -237,7 +237,7 @@ fn confirmation(evidence: &Evidence) -> Confirmation {
     }
 }
 
-/// Takes out every effect without which the unseen runs are predicted no worse.
+/// Removes every effect without which the error on unseen runs does not rise.
 fn vetoed(search: &Search, mut selected: Selected, input: &Input, settings: &Settings) -> Selected {
     if input.veto.is_empty() || selected.state.items.is_empty() {
         return selected;
@@ -246,7 +246,7 @@ fn vetoed(search: &Search, mut selected: Selected, input: &Input, settings: &Set
     let mut item = 0;
     while item < selected.state.items.len() {
         let state = &selected.state;
-        let unseen = Unseen::of(&evidence, input.structure, input.veto, state, search.ground);
+        let unseen = Unseen::of(&evidence, input.structure, input.veto, state, search.operating_point);
         let rest = state.without(&search.problem, item);
         // The parameters without it, at their places among the columns with it.
         let gone = state.range(item);
@@ -287,7 +287,7 @@ fn effects_of(
     let mut effects = Vec::new();
     for (index, (item, found)) in state.items.iter().zip(&selected.found).enumerate() {
         let in_model = withheld[index].is_none();
-        let names = item.spec.build(search.ground).map(|term| term.columns()).unwrap_or_default();
+        let names = item.spec.build(search.operating_point).map(|term| term.columns()).unwrap_or_default();
         let fitted = |k: usize| {
             let at = state.range(index).start + k;
             (state.fit.theta[at], Some(state.fit.h[(at, at)].max(0.0).sqrt()))
@@ -331,7 +331,7 @@ fn settings_of(search: &Search, state: &State, index: usize) -> Vec<Quantity> {
         let mut moved = item.spec.clone();
         let setting = &form.settings[which];
         moved.settings[which] = setting.at(share).clamp(setting.low, setting.high);
-        let moved = super::library::Candidate::of(search.problem.evidence, search.ground, moved, item.since)?;
+        let moved = super::library::Candidate::of(search.problem.evidence, search.operating_point, moved, item.since)?;
         let cross = rest.columns.cross(search.problem.evidence, &moved.rows);
         Some(search.problem.gain(&rest.fit, &cross, &every, None)?.evidence)
     };
@@ -363,7 +363,7 @@ fn facts(evidence: &Evidence, settings: &Settings, joint: usize, base: &State, a
         rms: both(&|state| state.mean_square(evidence, joint).sqrt()),
         unmodelled: both(&|state| state.unmodelled(evidence, joint).sqrt()),
         lack_of_fit: floor.map_or(BeforeAfter::default(), |_| both(&ratio)),
-        threshold: floor.map(|floor| settings.threshold.unwrap_or(THRESHOLD * floor)),
+        threshold: floor.map(|floor| settings.threshold.unwrap_or(THRESHOLD_FLOOR_RATIO * floor)),
         ..JointFacts::default()
     }
 }
@@ -379,19 +379,20 @@ fn residuals(
 ) -> Vec<Residual> {
     let mut found = Vec::new();
     for (joint, facts) in joints.iter().enumerate() {
-        // A share of much may still leave more than noise can be.
+        // A large explained share may still leave a residual above the noise.
         let [floor, unmodelled] = [facts.floor_of_mean, facts.unmodelled.after];
-        let little = floor.zip(unmodelled).is_some_and(|(floor, unmodelled)| unmodelled <= LEFT_OVER * floor);
-        let explained = little && adequacy[joint].is_some_and(|share| share >= EXPLAINED);
+        let little =
+            floor.zip(unmodelled).is_some_and(|(floor, unmodelled)| unmodelled <= MAX_LEFT_OVER_FLOOR_RATIO * floor);
+        let explained = little && adequacy[joint].is_some_and(|share| share >= MIN_EXPLAINED_RATIO);
         if evidence.repeats() && (explained || !facts.lacking_after()) {
             continue;
         }
         let one = fallback::unexplained(evidence, state, joint, settings);
         let counts = match facts.lack_of_fit.after {
-            // The noise of the positions goes through the model into the mean, and the scatter of the torques knows nothing of it: so much may
-            // be left over that follows no variable.
-            Some(after) => !one.flat() || after > FLAT,
-            None => one.r2() > FOLLOWS,
+            // Position noise enters the mean through the model and is not in the scatter of the torques: a flat residual of this size is
+            // noise.
+            Some(after) => !one.flat() || after > MIN_FLAT_LACK_OF_FIT_RATIO,
+            None => one.r2() > MIN_DEPENDENCE_R2,
         };
         if counts {
             found.push(one);

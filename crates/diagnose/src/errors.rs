@@ -8,9 +8,9 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 /// Length of a block \[s\]: longer than torques stay correlated.
-const BLOCK: f64 = 1.0;
+const BLOCK_S: f64 = 1.0;
 /// Draws.
-const DRAWS: usize = 1000;
+const DRAW_COUNT: usize = 1000;
 /// Seed of the draws.
 const SEED: u64 = 0x626c_6f63_6b73;
 
@@ -84,7 +84,7 @@ pub fn compare(runs: &[(&Experiment, Modelled, Modelled)], of: Of) -> Option<Com
     for (experiment, before, after) in runs {
         let residuals = [before, after].map(|modelled| residual(experiment, modelled, of));
         let samples = experiment.motion.samples();
-        let length = ((BLOCK / experiment.motion.dt) as usize).clamp(1, samples);
+        let length = ((BLOCK_S / experiment.motion.dt) as usize).clamp(1, samples);
         let resting = experiment.resting();
         for (joint, blocks) in blocks.iter_mut().enumerate() {
             for first in (0..samples).step_by(length) {
@@ -120,11 +120,11 @@ pub fn compare(runs: &[(&Experiment, Modelled, Modelled)], of: Of) -> Option<Com
             let picks: Vec<&Block> = (0..blocks.len()).map(|_| &blocks[rng.random_range(0..blocks.len())]).collect();
             rms(&mut picks.into_iter())
         };
-        let draws: Vec<[f64; 2]> = (0..DRAWS).map(draw).collect();
+        let draws: Vec<[f64; 2]> = (0..DRAW_COUNT).map(draw).collect();
         let interval = |of: &dyn Fn(&[f64; 2]) -> f64| {
             let mut values: Vec<f64> = draws.iter().map(of).collect();
             values.sort_by(f64::total_cmp);
-            [values[DRAWS / 40], values[DRAWS - 1 - DRAWS / 40]]
+            [values[DRAW_COUNT / 40], values[DRAW_COUNT - 1 - DRAW_COUNT / 40]]
         };
         let mut push = |errors: fn(&mut Compared) -> &mut Errors, rms: f64, interval: [f64; 2]| {
             errors(&mut compared).validate_rms.push(rms);
@@ -144,9 +144,9 @@ pub fn compare(runs: &[(&Experiment, Modelled, Modelled)], of: Of) -> Option<Com
 /// Measured minus modelled torque, N x n.
 fn residual(experiment: &Experiment, modelled: &Modelled, of: Of) -> DMatrix<f64> {
     match of {
-        Of::Raw => &experiment.tau - modelled.judged(),
+        Of::Raw => &experiment.tau - modelled.comparison(),
         Of::Filtered => {
-            let rest = &experiment.tau - modelled.along();
+            let rest = &experiment.tau - modelled.regression();
             let stacked = DMatrix::from_column_slice(rest.len(), 1, rest.as_slice());
             DMatrix::from_column_slice(rest.nrows(), rest.ncols(), experiment.filter(&stacked).as_slice())
         }

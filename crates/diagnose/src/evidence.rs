@@ -6,7 +6,7 @@
 //! left out, and the noise of the coefficients is nearly independent. Every coefficient is divided by the standard deviation of its
 //! noise, which repetitions tell; without them by 1 Nm, and the scale of each band is estimated with the model.
 
-use super::fold::{BLOCK, Fold, Thinned, Thinning, folds_of};
+use super::fold::{BLOCK_LIMITS_S, Fold, Thinned, Thinning, folds_of};
 use nalgebra::{DMatrix, DVector};
 use plumbline_identify::Experiment;
 use plumbline_model::term::{Motion, Term};
@@ -14,11 +14,11 @@ use plumbline_model::{Chain, Structure};
 use std::ops::Range;
 
 /// Upper edges of the bands that have a scale of their own \[Hz\].
-pub const BANDS: [f64; 7] = [0.55, 1.05, 2.0, 4.0, 8.0, 16.0, f64::INFINITY];
+pub const BAND_EDGES_HZ: [f64; 7] = [0.55, 1.05, 2.0, 4.0, 8.0, 16.0, f64::INFINITY];
 /// Noise is averaged over frequencies from `f / 1.3` to `1.3 f`.
-const SMOOTHING: f64 = 1.3;
+const SMOOTHING_RATIO: f64 = 1.3;
 /// Blocks that the motions that do not repeat are cut into, all together.
-const BLOCKS: f64 = 20.0;
+const WANTED_BLOCKS: f64 = 20.0;
 
 /// Rows of one joint, one fold and one band.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -72,7 +72,7 @@ impl Evidence {
             .filter(|trial| !trial.experiment.motion.periodic)
             .map(|trial| trial.experiment.motion.samples() as f64 * trial.experiment.motion.dt)
             .sum();
-        let length = (free / BLOCKS).clamp(BLOCK.0, BLOCK.1);
+        let length = (free / WANTED_BLOCKS).clamp(BLOCK_LIMITS_S.0, BLOCK_LIMITS_S.1);
         let (mut folds, mut motions) = (Vec::new(), Vec::new());
         for (index, trial) in trials.iter().enumerate() {
             let thinned = Thinned::of(&trial.experiment.motion);
@@ -296,7 +296,7 @@ impl Evidence {
 fn cells_of(joint: usize, fold: usize, of: &Fold) -> Vec<Cell> {
     let mut cells: Vec<Cell> = Vec::new();
     for (k, frequency) in of.frequencies.iter().enumerate() {
-        let band = BANDS.iter().position(|edge| frequency <= edge).unwrap_or(BANDS.len() - 1);
+        let band = BAND_EDGES_HZ.iter().position(|edge| frequency <= edge).unwrap_or(BAND_EDGES_HZ.len() - 1);
         let row = of.rows.start + k;
         match cells.last_mut() {
             Some(cell) if cell.band == band => cell.rows.end = row + 1,
@@ -320,8 +320,8 @@ fn noise(trials: &[Trial], folds: &[Fold], joint: usize, repeats: bool) -> Vec<f
             let (mut power, mut weight) = (0.0, 0.0);
             for scatter in trials.iter().filter_map(|trial| trial.experiment.scatter.as_ref()) {
                 let width = 1.0 / (scatter.samples as f64 * scatter.dt);
-                let low = (frequency / SMOOTHING / width).round() as usize;
-                let high = ((frequency * SMOOTHING / width).round() as usize).max(low + 1);
+                let low = (frequency / SMOOTHING_RATIO / width).round() as usize;
+                let high = ((frequency * SMOOTHING_RATIO / width).round() as usize).max(low + 1);
                 for bin in low..=high.min(scatter.power.nrows() - 1) {
                     let freedom = (scatter.periods - 1) as f64;
                     power += freedom * scatter.power[(bin, joint)];

@@ -1,6 +1,6 @@
 //! Weighted fits, and how much likelihood a candidate brings.
 //!
-//! Rows are divided by their noise, so a model that lacks nothing leaves a mean square of one in every joint and band. What it lacks
+//! Rows are divided by their noise, so a complete model leaves a mean square of one in every joint and band. A missing effect
 //! shows as an over-dispersion `phi = max(1, RSS / n)` of that joint and band, and the profile log likelihood (Whittle's, with `phi` put
 //! in its best place) is
 //!
@@ -9,24 +9,24 @@
 //! `phi` is estimated again with every candidate: estimated before it, an offset would explain itself away. Without repeats the noise
 //! has no known scale, and `phi` is near `RSS / n`.
 
-use super::evidence::{BANDS, Evidence};
+use super::evidence::{BAND_EDGES_HZ, Evidence};
 use super::moments::{Cross, Moments};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
 
-/// Directions of the equilibrated normal equations below this share of the largest are left alone.
-const RANK: f64 = 1e-11;
+/// Directions of the equilibrated normal equations below this share of the largest are treated as undetermined.
+const RANK_RATIO: f64 = 1e-11;
 /// Rows that the whole joint counts for in each of its bands, where the noise is not known.
-const DRAWN: f64 = 30.0;
+const POOLED_ROWS: f64 = 30.0;
 /// Rounds of weights.
-const ROUNDS: usize = 12;
+const MAX_WEIGHT_ROUNDS: usize = 12;
 /// Change of their logarithm at which they have settled.
-const SETTLED: f64 = 0.02;
+const SETTLED_LOG_RATIO: f64 = 0.02;
 
 /// Which folds count.
 pub type Chosen<'a> = &'a dyn Fn(usize) -> bool;
 
-/// What is known of the parameters before the data: minus twice the log likelihood is `theta' precision theta`.
+/// A Gaussian prior of the parameters: minus twice the log likelihood is `theta' precision theta`.
 #[derive(Clone, Debug)]
 pub struct Prior {
     /// Precision of the first parameters; the others are free.
@@ -40,9 +40,9 @@ pub struct Fit {
     pub theta: DVector<f64>,
     /// Inverse of the weighted normal equations, the parameters' covariance.
     pub h: DMatrix<f64>,
-    /// Over-dispersion that weighed each group, joint by joint, within that band by band: `h` goes with it.
+    /// Over-dispersion used as weight of each group, joint by joint, then band by band; `h` belongs to these weights.
     pub weights: Vec<f64>,
-    /// Over-dispersion of each group by what is left over, which the weights have settled to.
+    /// Over-dispersion of each group from its residual, to which the weights converged.
     pub phi: Vec<f64>,
     /// Squared residual of each group.
     pub rss: Vec<f64>,
@@ -63,7 +63,7 @@ pub struct Gain {
     pub gamma: DVector<f64>,
     /// Change of the other parameters.
     pub shift: DVector<f64>,
-    /// Share of its fitted part that the other columns can't take over, 0 to 1.
+    /// Share of its fitted torque that the other columns cannot represent, 0 to 1.
     pub independence: f64,
     /// Squared residual of each group with it.
     pub rss: Vec<f64>,
@@ -71,7 +71,7 @@ pub struct Gain {
 
 /// Group of a cell.
 pub fn group(joint: usize, band: usize) -> usize {
-    joint * BANDS.len() + band
+    joint * BAND_EDGES_HZ.len() + band
 }
 
 /// A model, its data and how its noise is known.
@@ -84,7 +84,7 @@ pub struct Problem<'a> {
 
 impl Problem<'_> {
     fn groups(&self) -> usize {
-        self.evidence.joints() * BANDS.len()
+        self.evidence.joints() * BAND_EDGES_HZ.len()
     }
 
     /// Over-dispersion of groups.
@@ -96,9 +96,9 @@ impl Problem<'_> {
             return rss.iter().zip(count).map(|(rss, count)| (rss / count.max(1.0)).max(1.0)).collect();
         }
         let mut phi = Vec::with_capacity(rss.len());
-        for (rss, count) in rss.chunks(BANDS.len()).zip(count.chunks(BANDS.len())) {
+        for (rss, count) in rss.chunks(BAND_EDGES_HZ.len()).zip(count.chunks(BAND_EDGES_HZ.len())) {
             let mean = rss.iter().sum::<f64>() / count.iter().sum::<f64>().max(1.0);
-            let drawn = |(rss, count): (&f64, &f64)| ((rss + DRAWN * mean) / (count + DRAWN)).max(1e-12);
+            let drawn = |(rss, count): (&f64, &f64)| ((rss + POOLED_ROWS * mean) / (count + POOLED_ROWS)).max(1e-12);
             phi.extend(rss.iter().zip(count).map(drawn));
         }
         phi
@@ -131,8 +131,8 @@ impl Problem<'_> {
     pub fn fit(&self, moments: &Moments, chosen: Chosen, phi: Option<&[f64]>) -> Fit {
         let phi = phi.map_or_else(|| vec![1.0; self.groups()], <[f64]>::to_vec);
         let mut fit = self.weighted(moments, chosen, &phi);
-        for _ in 1..ROUNDS {
-            let settled = |(new, old): (&f64, &f64)| (new / old).ln().abs() < SETTLED;
+        for _ in 1..MAX_WEIGHT_ROUNDS {
+            let settled = |(new, old): (&f64, &f64)| (new / old).ln().abs() < SETTLED_LOG_RATIO;
             if fit.phi.iter().zip(&fit.weights).all(settled) {
                 break;
             }
@@ -240,7 +240,7 @@ impl Problem<'_> {
         Some(Gain { evidence, gamma, shift, independence, rss })
     }
 
-    /// Share of a candidate's first column that the other columns can't take over.
+    /// Share of a candidate's first column that the other columns cannot represent.
     pub fn own_share(&self, fit: &Fit, cross: &Cross, chosen: Chosen) -> Option<f64> {
         let mut a = DVector::zeros(fit.theta.len());
         let mut c = 0.0;
@@ -267,7 +267,7 @@ impl Problem<'_> {
     ) -> Vec<f64> {
         let mut rss = fit.rss.clone();
         for (at, sums) in fit.sums.iter().enumerate() {
-            let counts = joints.is_none_or(|joints| joints.contains(&(at / BANDS.len())));
+            let counts = joints.is_none_or(|joints| joints.contains(&(at / BAND_EDGES_HZ.len())));
             if let Some((g, slope)) = sums.as_ref().filter(|_| counts) {
                 rss[at] += (g * shift).dot(shift) - 2.0 * slope.dot(shift);
             }
@@ -303,13 +303,13 @@ pub fn inverse(g: &DMatrix<f64>) -> DMatrix<f64> {
     // The usual case has full rank.
     let well = scaled.clone().cholesky().filter(|factor| {
         let diagonal = factor.l_dirty().diagonal();
-        diagonal.min() > RANK.sqrt() * diagonal.max()
+        diagonal.min() > RANK_RATIO.sqrt() * diagonal.max()
     });
     let inverse = match well {
         Some(factor) => factor.inverse(),
         None => {
             let Some(eigen) = symmetric_eigen(scaled) else { return DMatrix::zeros(g.nrows(), g.ncols()) };
-            let least = RANK * eigen.eigenvalues.max();
+            let least = RANK_RATIO * eigen.eigenvalues.max();
             let weighted = DMatrix::from_fn(g.nrows(), g.ncols(), |i, k| {
                 let value = eigen.eigenvalues[k];
                 if value > least { eigen.eigenvectors[(i, k)] / value } else { 0.0 }
@@ -320,7 +320,7 @@ pub fn inverse(g: &DMatrix<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(g.nrows(), g.ncols(), |i, k| inverse[(i, k)] * scale[i] * scale[k])
 }
 
-/// Inverse of what is left of a candidate's own sums `c` after the other columns; `None` when nothing is.
+/// Inverse of the Schur complement `alone` of a candidate's normal equations `c`, on its identifiable directions; `None` without any.
 fn inverse_of_least(alone: &DMatrix<f64>, c: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let l = c.nrows();
     let scale: Vec<f64> = c.diagonal().iter().map(|d| if *d > 0.0 { 1.0 / d.sqrt() } else { 0.0 }).collect();
@@ -328,12 +328,12 @@ fn inverse_of_least(alone: &DMatrix<f64>, c: &DMatrix<f64>) -> Option<DMatrix<f6
     let eigen = symmetric_eigen(scaled)?;
     let weighted = DMatrix::from_fn(l, l, |i, k| {
         let value = eigen.eigenvalues[k];
-        if value > LEAST { eigen.eigenvectors[(i, k)] / value } else { 0.0 }
+        if value > MIN_INDEPENDENCE_RATIO { eigen.eigenvectors[(i, k)] / value } else { 0.0 }
     });
     let inverse = weighted * eigen.eigenvectors.transpose();
-    let found = eigen.eigenvalues.iter().any(|value| *value > LEAST);
+    let found = eigen.eigenvalues.iter().any(|value| *value > MIN_INDEPENDENCE_RATIO);
     found.then(|| DMatrix::from_fn(l, l, |i, k| inverse[(i, k)] * scale[i] * scale[k]))
 }
 
-/// What a candidate must have of its own, as a share of its square, in a direction that counts.
-pub const LEAST: f64 = 1e-3;
+/// Smallest share of a candidate's square that the other columns may leave in an identifiable direction.
+pub const MIN_INDEPENDENCE_RATIO: f64 = 1e-3;

@@ -10,9 +10,9 @@ use std::ops::Range;
 use std::sync::Arc;
 
 /// Columns of candidates are computed at no less than this rate \[Hz\].
-const RATE: f64 = 180.0;
+const MIN_RATE_HZ: f64 = 180.0;
 /// A block of a motion that does not repeat is no shorter than this \[s\] and no longer than the other.
-pub(super) const BLOCK: (f64, f64) = (1.0, 10.0);
+pub(super) const BLOCK_LIMITS_S: (f64, f64) = (1.0, 10.0);
 
 /// A trajectory, or a block of a motion that does not repeat: what is left out as a whole when findings are tested.
 #[derive(Clone, Debug)]
@@ -97,7 +97,7 @@ impl Thinned {
     /// Every `step`-th sample, from the middle of the first so many on; `step` is odd, and divides the samples of a period.
     pub fn of(motion: &Motion) -> Thinned {
         let samples = motion.samples();
-        let most = (1.0 / (RATE * motion.dt)).floor().max(1.0) as usize;
+        let most = (1.0 / (MIN_RATE_HZ * motion.dt)).floor().max(1.0) as usize;
         let fits = |step: &usize| step % 2 == 1 && (!motion.periodic || samples.is_multiple_of(*step));
         let step = (1..=most).rev().find(fits).unwrap_or(1);
         let kept: Vec<usize> = (0..samples / step).map(|k| k * step + step / 2).collect();
@@ -211,7 +211,7 @@ pub(super) fn folds_of(
     let mut folds = Vec::new();
     for moving in stretches(experiment.resting()) {
         let seconds = moving.len() as f64 * dt;
-        if seconds < 0.5 * BLOCK.0 {
+        if seconds < 0.5 * BLOCK_LIMITS_S.0 {
             continue;
         }
         let blocks = (seconds / length).round().max(1.0) as usize;

@@ -7,28 +7,28 @@ use super::outcome;
 use super::state::{State, Tried, mean_square};
 use nalgebra::DVector;
 
-/// A fold with less than this share of the fitted effect says nothing about it, and one with more than the other is all that says
-/// anything.
-const INFORMATIVE: (f64, f64) = (0.03, 0.8);
+/// A fold is informative between these shares of the fitted effect's energy: below, the effect hardly shows in it; above, it is the only fold
+/// in which the effect shows.
+const INFORMATIVE_RATIOS: (f64, f64) = (0.03, 0.8);
 /// Share of the informative folds that have to agree.
-const AGREEMENT: f64 = 0.75;
-/// Where nothing tells the noise, an effect has to show in so many of the blocks that were left out,
-const LEAST_FOLDS: usize = 3;
-/// and may not add this share to the mean square of any joint on blocks that were left out.
-const HARM: f64 = 0.3;
+const MIN_AGREEMENT_RATIO: f64 = 0.75;
+/// Smallest number of informative folds where the noise is unknown.
+const MIN_INFORMATIVE_FOLDS: usize = 3;
+/// Largest share by which the mean square of any joint may rise on folds left out, where the noise is unknown.
+const MAX_LEFT_OUT_LOSS_RATIO: f64 = 0.3;
 
 /// How the folds judge a candidate.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FoldTest {
-    /// FoldTest whose error falls when the effect, fitted to the others, is added.
+    /// Folds whose error falls when the effect, fitted to the others, is added.
     pub positive: usize,
-    /// FoldTest that can tell.
+    /// Informative folds.
     pub informative: usize,
     /// Twice the gain in log likelihood on folds left out, `sum_j n_j ln(error_without / error_with)` over all joints.
     pub evidence: f64,
-    /// Share of the mean square that it takes away on folds left out, in the joint where that is most.
+    /// Share of the mean square removed on folds left out, in the joint with the largest share.
     pub share: f64,
-    /// The same in the joint where it is least, among all: what it harms.
+    /// The same in the joint with the smallest share; negative where the error rises.
     pub worst: f64,
 }
 
@@ -38,23 +38,23 @@ impl FoldTest {
         outcome::Folds { positive: self.positive, informative: self.informative }
     }
 
-    /// Whether they confirm it; `None` when none can tell.
+    /// Whether they confirm the candidate; `None` without an informative fold.
     pub fn confirm(self) -> Option<bool> {
-        (self.informative > 0).then_some(self.positive as f64 >= AGREEMENT * self.informative as f64)
+        (self.informative > 0).then_some(self.positive as f64 >= MIN_AGREEMENT_RATIO * self.informative as f64)
     }
 
-    /// Whether a candidate that `penalty` is taken off holds on blocks that were left out, `blocks` in all, where nothing but the size of what
-    /// the model lacks is known: that is no noise, and a likelihood on the data of the fit says too much. It has to show in several of them,
-    /// the same score has to be reached there, at least `least_share` of one joint's mean square has to go, and no joint may lose much.
+    /// Whether a candidate is accepted on folds left out, `blocks` in all, where the noise is unknown, so that the likelihood of fitted data is
+    /// optimistic. It needs several informative folds, a gain above `penalty`, a reduction of one joint's mean square by `least_share`, and no
+    /// joint whose error rises much.
     pub fn hold(&self, blocks: usize, penalty: f64, least_share: f64) -> bool {
-        self.informative >= LEAST_FOLDS.min(blocks / 2)
+        self.informative >= MIN_INFORMATIVE_FOLDS.min(blocks / 2)
             && self.evidence > penalty
             && self.share >= least_share
-            && self.worst > -HARM
+            && self.worst > -MAX_LEFT_OUT_LOSS_RATIO
     }
 }
 
-/// Leaves out one fold after the other, fits with and without the candidate, and looks at the fold that was left out.
+/// Cross-validation: fits with and without the candidate, each fold left out in turn, and compares the errors on that fold.
 pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
     let count = problem.evidence.folds().len();
     let mut found = FoldTest::default();
@@ -66,16 +66,16 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
     let known = problem.evidence.repeats();
     let with = problem.left_out(&tried.moments, phi);
     let without = if tried.held { Vec::new() } else { problem.left_out(&state.moments, phi) };
-    // Of each joint weighed and as it is, without and with the candidate.
+    // Per joint: weighted and plain error, each without and with the candidate.
     let mut errors = vec![[[0.0; 2]; 2]; problem.evidence.joints()];
     for (fold, share) in shares.into_iter().enumerate() {
-        let informative = (INFORMATIVE.0..=INFORMATIVE.1).contains(&share);
-        // Where the noise is known, the folds are asked for their sign alone.
+        let informative = (INFORMATIVE_RATIOS.0..=INFORMATIVE_RATIOS.1).contains(&share);
+        // With known noise, only the sign of the change is used.
         if known && !informative {
             continue;
         }
         let error_with = problem.of_fold(&tried.moments, &with[fold], fold, phi);
-        // Parameters that a prior holds stay as they are with the candidate.
+        // With a prior, the other parameters are those of the fit with the candidate.
         let held = || with[fold].rows(0, state.fit.theta.len()).into_owned();
         let theta = without.get(fold).cloned().unwrap_or_else(held);
         let error_without = problem.of_fold(&state.moments, &theta, fold, phi);
@@ -121,7 +121,7 @@ pub fn left_out(problem: &Problem, before: &State, after: &State) -> Vec<[f64; 2
     errors.into_iter().map(|sums| sums.map(|sum| (sum / evidence.samples()).sqrt())).collect()
 }
 
-/// Share of each fold in the energy of what the candidate changes.
+/// Share of each fold in the energy of the torque that the candidate changes.
 fn shares(problem: &Problem, state: &State, tried: &Tried) -> Vec<f64> {
     let change = change(state, tried);
     let mut energy = vec![0.0; problem.evidence.folds().len()];
@@ -133,7 +133,7 @@ fn shares(problem: &Problem, state: &State, tried: &Tried) -> Vec<f64> {
     energy.iter().map(|one| one / total.max(f64::MIN_POSITIVE)).collect()
 }
 
-/// Change of all parameters when the candidate comes in; of the candidate's alone where a prior holds the others.
+/// Change of all parameters when the candidate is added; only the candidate's own where the others have a prior.
 fn change(state: &State, tried: &Tried) -> DVector<f64> {
     let mut change = tried.fit.theta.clone();
     let own = state.fit.theta.len();
@@ -151,7 +151,7 @@ fn change(state: &State, tried: &Tried) -> DVector<f64> {
 pub struct Relevance {
     /// RMS of the torque that it changes, per joint \[Nm\].
     pub rms: Vec<f64>,
-    /// Share of the unmodelled mean square that it takes away, per joint.
+    /// Share of the unmodelled mean square that it removes, per joint.
     pub share: Vec<f64>,
     /// Joint in which it explains most, against the noise there where that is known.
     pub joint: usize,
@@ -177,7 +177,7 @@ pub fn relevance(evidence: &Evidence, state: &State, tried: &Tried, item: &Candi
         let taken = square - mean_square(evidence, joint, &(residual - &fitted));
         found.rms.push(mean_square(evidence, joint, &fitted).sqrt());
         let share = (taken / before.max(f64::MIN_POSITIVE)).clamp(-1.0, 1.0);
-        // Of next to nothing even all is little.
+        // Normalised by the noise floor: a large share of a tiny residual is irrelevant.
         worth.push(if floor > 0.0 { taken / (floor * floor) } else { share });
         found.share.push(share);
     }

@@ -2,7 +2,7 @@
 
 use super::evidence::{Evidence, Rows};
 use plumbline_core::parallel;
-use plumbline_model::term::effect::{Family, Form, Ground, Site, Spec, Stratum};
+use plumbline_model::term::effect::{Family, Form, OperatingPoint, Site, Spec, Stratum};
 use plumbline_model::term::{Expected, Term};
 
 /// An effect that may be missing from the model.
@@ -14,23 +14,33 @@ pub struct Candidate {
     pub since: Option<u32>,
     /// Its columns on the evidence.
     pub rows: Rows,
-    /// What its only parameter can be.
+    /// Range of its only parameter.
     expected: Expected,
 }
 
-/// Times that a parameter may come out larger or smaller than what its column was computed for.
-const OFF: f64 = 2.0;
+/// Largest ratio of a parameter to the setting that its column was evaluated at, or its inverse.
+const MAX_PARAMETER_RATIO: f64 = 2.0;
 
 impl Candidate {
-    /// Computes the columns; `None` when they can't be built or are nothing in this data.
-    pub fn of(evidence: &Evidence, ground: &Ground, spec: Spec, since: Option<u32>) -> Option<Candidate> {
-        let term = spec.build(ground).ok()?;
+    /// Evaluates the columns; `None` when they can't be built or are zero in this data.
+    pub fn of(
+        evidence: &Evidence,
+        operating_point: &OperatingPoint,
+        spec: Spec,
+        since: Option<u32>,
+    ) -> Option<Candidate> {
+        let term = spec.build(operating_point).ok()?;
         Candidate::with(&*term, evidence.columns(&*term, since), spec, since)
     }
 
-    /// The same in a fraction of the time for effects that are integrated in time: good enough to tell where to look with care.
-    pub fn sketch(evidence: &Evidence, ground: &Ground, spec: Spec, since: Option<u32>) -> Option<Candidate> {
-        let term = spec.build(ground).ok()?;
+    /// Approximate and faster for effects that are integrated in time; used to screen candidates.
+    pub fn sketch(
+        evidence: &Evidence,
+        operating_point: &OperatingPoint,
+        spec: Spec,
+        since: Option<u32>,
+    ) -> Option<Candidate> {
+        let term = spec.build(operating_point).ok()?;
         Candidate::with(&*term, evidence.sketch(&*term, since), spec, since)
     }
 
@@ -39,8 +49,9 @@ impl Candidate {
         (finite && !rows.parts.is_empty()).then_some(Candidate { spec, since, rows, expected: term.expects() })
     }
 
-    /// How far the parameter can be believed, 0 to 1: a gap below zero is none, and one that is not the gap that the link swings in explains less.
-    pub fn truth(&self, parameters: &[f64]) -> f64 {
+    /// Plausibility of the parameter, 0 to 1: 0 for a negative gap, less than 1 for a gap that differs from the setting that its column was evaluated
+    /// at.
+    pub fn plausibility(&self, parameters: &[f64]) -> f64 {
         match (self.expected, parameters, self.spec.settings.first()) {
             (Expected::NotNegative, &[parameter], _) if parameter < 0.0 => 0.0,
             (Expected::FirstSetting, &[parameter], Some(value)) => (parameter / value).min(value / parameter).max(0.0),
@@ -48,9 +59,9 @@ impl Candidate {
         }
     }
 
-    /// Whether it may be taken with these parameters.
+    /// Whether these parameters are plausible enough for the candidate to be selected.
     pub fn allows(&self, parameters: &[f64]) -> bool {
-        self.truth(parameters) * OFF >= 1.0
+        self.plausibility(parameters) * MAX_PARAMETER_RATIO >= 1.0
     }
 
     /// The same effect in the forms that grow out of this one, which was fitted with `parameters`.
@@ -99,20 +110,20 @@ impl Candidate {
 /// A sketch of every candidate that these families have, computed on `threads` threads; in the order of the families whatever their number.
 pub fn library(
     evidence: &Evidence,
-    ground: &Ground,
+    operating_point: &OperatingPoint,
     families: &[&'static Family],
     since: Option<u32>,
     threads: usize,
 ) -> Vec<Candidate> {
     let mut specs = Vec::new();
     for family in families {
-        for site in family.place.sites(ground.chain.len()) {
+        for site in family.place.sites(operating_point.chain.len()) {
             for form in family.forms {
                 specs.extend(grid(family, form, site));
             }
         }
     }
-    parallel(&specs, threads, |spec| Candidate::sketch(evidence, ground, spec.clone(), since))
+    parallel(&specs, threads, |spec| Candidate::sketch(evidence, operating_point, spec.clone(), since))
         .into_iter()
         .flatten()
         .collect()
@@ -153,6 +164,6 @@ mod tests {
         let swinging = of(Expected::FirstSetting);
         assert!(swinging.allows(&[0.6e-3]) && swinging.allows(&[1.9e-3]));
         assert!([0.4e-3, 2.1e-3, -1e-3, 0.0].iter().all(|gap| !swinging.allows(&[*gap])));
-        assert!((swinging.truth(&[0.5e-3]) - 0.5).abs() < 1e-12 && swinging.truth(&[1e-3]) == 1.0);
+        assert!((swinging.plausibility(&[0.5e-3]) - 0.5).abs() < 1e-12 && swinging.plausibility(&[1e-3]) == 1.0);
     }
 }

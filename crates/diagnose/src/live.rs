@@ -1,6 +1,6 @@
-//! The live watch: does the served model still hold, and if not, what has changed?
+//! The live watch: detects when the served model no longer predicts the torques, and searches for what changed.
 //!
-//! The cheap part looks at one short stretch of samples after the other. It compares the RMS of measured minus modelled torque in the
+//! The detector checks one short stretch of samples after the other. It compares the RMS of measured minus modelled torque in the
 //! band with what it was on the motion that the model was identified from, joint by joint. Two bad stretches in a row are an alarm,
 //! which says since when and in which joint. When the model has been wrong for long enough, the search of [`mod@super::reference`] goes over that
 //! time; the last part of it takes no part in the search and judges what was found.
@@ -14,19 +14,19 @@ use plumbline_model::TorqueModel;
 use std::ops::Range;
 
 /// Length of a stretch \[s\].
-pub const STRETCH: f64 = 1.0;
-/// Room at both ends of a motion, where the filters know less \[s\].
-pub const ENDS: f64 = 0.4;
-/// A stretch is bad from so many times the usual error on.
-const BAD: f64 = 2.0;
-/// And from so many times the worst stretch of the identification on.
-const WORSE: f64 = 1.3;
+pub const STRETCH_S: f64 = 1.0;
+/// Time excluded at both ends of a motion because of the filters \[s\].
+pub const END_MARGIN_S: f64 = 0.4;
+/// A stretch is bad above this multiple of the usual error
+const BAD_USUAL_RATIO: f64 = 2.0;
+/// and above this multiple of the worst stretch of the identification.
+const BAD_WORST_RATIO: f64 = 1.3;
 /// Bad stretches in a row that are an alarm.
-const IN_A_ROW: usize = 2;
-/// Share of the search's window that judges what was found.
-const JUDGED: f64 = 0.25;
-/// An offer has to take so much off the error of the worst joint.
-const BETTER: f64 = 0.8;
+const ALARM_STRETCHES: usize = 2;
+/// Share of the search's window that is held out to accept the changes.
+const JUDGED_RATIO: f64 = 0.25;
+/// Largest error of the worst joint with the changes, as a share of the error without them, for a proposal.
+const MAX_REMAINING_RATIO: f64 = 0.8;
 
 /// Error in the band, per joint: what is usual, and from where on a stretch is bad \[Nm\].
 #[derive(Clone, Debug, PartialEq)]
@@ -37,7 +37,7 @@ pub struct Floor {
     pub limit: Vec<f64>,
 }
 
-/// What the watch thinks after a stretch.
+/// A change of the watch's state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum News {
     /// The model does not hold any more.
@@ -58,7 +58,7 @@ pub enum News {
     },
 }
 
-/// Looks at stretches in their order.
+/// Detector over consecutive stretches.
 #[derive(Clone, Debug)]
 pub struct Watch {
     floor: Floor,
@@ -73,20 +73,24 @@ impl Floor {
         let residual = residual(model, experiment);
         let inside = inside(experiment);
         let usual = rms(&residual, inside.clone());
-        let stretch = ((STRETCH / experiment.motion.dt) as usize).clamp(1, inside.len().max(1));
+        let stretch = ((STRETCH_S / experiment.motion.dt) as usize).clamp(1, inside.len().max(1));
         let mut worst = vec![0.0; experiment.joints()];
         for first in (inside.start..(inside.end + 1).saturating_sub(stretch)).step_by(stretch) {
             for (worst, own) in worst.iter_mut().zip(rms(&residual, first..first + stretch)) {
                 *worst = own.max(*worst);
             }
         }
-        let limit = usual.iter().zip(&worst).map(|(usual, worst)| (BAD * usual).max(WORSE * worst)).collect();
+        let limit = usual
+            .iter()
+            .zip(&worst)
+            .map(|(usual, worst)| (BAD_USUAL_RATIO * usual).max(BAD_WORST_RATIO * worst))
+            .collect();
         Floor { usual, limit }
     }
 }
 
 impl Watch {
-    /// Nothing seen yet.
+    /// Before the first stretch.
     pub fn new(floor: Floor) -> Watch {
         Watch { floor, bad: None, lost: false }
     }
@@ -96,7 +100,7 @@ impl Watch {
         &self.floor
     }
 
-    /// Takes a stretch from `start` to `end` \[s\] with its RMS per joint in the band \[Nm\]; says what is new.
+    /// Takes a stretch from `start` to `end` \[s\] with its RMS per joint in the band \[Nm\]; returns a change of state.
     pub fn look(&mut self, start: f64, end: f64, rms: &[f64]) -> Option<News> {
         let over = |joint: &usize| rms[*joint] / self.floor.limit[*joint].max(f64::MIN_POSITIVE);
         let worst = (0..rms.len()).max_by(|a, b| over(a).total_cmp(&over(b)))?;
@@ -107,7 +111,7 @@ impl Watch {
         }
         let (since, count) = self.bad.map_or((start, 1), |(since, count, _)| (since, count + 1));
         self.bad = Some((since, count, end));
-        if self.lost || count < IN_A_ROW {
+        if self.lost || count < ALARM_STRETCHES {
             return None;
         }
         self.lost = true;
@@ -125,7 +129,7 @@ impl Watch {
     }
 }
 
-/// What was found to have changed, with the model that knows it.
+/// Changes that were found, and the model with them.
 #[derive(Clone, Debug)]
 pub struct Remedy {
     /// The changes.
@@ -145,7 +149,7 @@ pub enum Found {
     Remedy(Box<Remedy>),
     /// Nothing that does: how many changes were tried, and the error per joint \[Nm\].
     Nothing {
-        /// Effects that were found but did not stand the test.
+        /// Effects that were found but do not lower the held-out error.
         tried: usize,
         /// RMS per joint in the band of the served model \[Nm\].
         before: Vec<f64>,
@@ -162,15 +166,15 @@ pub fn search(model: &TorqueModel, find: &Experiment, judge: &Experiment, settin
     let Ok(extended) = reference::extended(model, &effects) else { return nothing(effects.len()) };
     let after = error(&extended);
     let worst = |rms: &[f64]| rms.iter().copied().fold(0.0, f64::max);
-    if effects.is_empty() || worst(&after) > BETTER * worst(&before) {
+    if effects.is_empty() || worst(&after) > MAX_REMAINING_RATIO * worst(&before) {
         return nothing(effects.len());
     }
     Found::Remedy(Box::new(Remedy { changes: effects, model: extended, before, after }))
 }
 
-/// Where a window of so many samples is divided into a part to search and a part to judge by.
+/// Sample that divides a window into the part to search and the held-out part.
 pub fn divide(samples: usize) -> usize {
-    ((1.0 - JUDGED) * samples as f64) as usize
+    ((1.0 - JUDGED_RATIO) * samples as f64) as usize
 }
 
 /// Measured minus modelled torque in the band, N x n \[Nm\].
@@ -183,7 +187,7 @@ pub fn residual(model: &TorqueModel, experiment: &Experiment) -> DMatrix<f64> {
 /// Samples without the ends.
 fn inside(experiment: &Experiment) -> Range<usize> {
     let samples = experiment.motion.samples();
-    let ends = ((ENDS / experiment.motion.dt) as usize).min(samples / 3);
+    let ends = ((END_MARGIN_S / experiment.motion.dt) as usize).min(samples / 3);
     ends..samples - ends
 }
 
@@ -206,7 +210,7 @@ mod tests {
     fn two_bad_stretches_in_a_row_are_an_alarm_that_says_where_and_since_when() {
         let mut watch = watch();
         assert_eq!(watch.look(0.0, 1.0, &[0.02, 0.01]), None);
-        // One alone may be anything.
+        // One bad stretch is no alarm.
         assert_eq!(watch.look(1.0, 2.0, &[0.02, 0.9]), None);
         assert_eq!(watch.look(2.0, 3.0, &[0.02, 0.01]), None);
         assert_eq!(watch.look(3.0, 4.0, &[0.06, 0.30]), None);
@@ -214,7 +218,7 @@ mod tests {
         let news = watch.look(4.0, 5.0, &[0.06, 0.30]);
         assert_eq!(news, Some(News::Lost { since: 3.0, joint: 1, rms: 0.30, floor: 0.01 }));
         assert_eq!(watch.lost_since(), Some(3.0));
-        // It is said once.
+        // Reported once.
         assert_eq!(watch.look(5.0, 6.0, &[0.06, 0.30]), None);
         assert_eq!(watch.look(6.0, 7.0, &[0.02, 0.01]), Some(News::Holds { since: 6.0 }));
         assert_eq!((watch.lost_since(), watch.look(7.0, 8.0, &[0.02, 0.01])), (None, None));

@@ -7,10 +7,10 @@
 use super::outcome::{Effect, Quantity};
 use plumbline_model::term::effect::{PartOf, Site, Spec};
 
-/// How many standard deviations a coefficient may be off the share.
-const DEVIATIONS: f64 = 4.0;
-/// And how much of itself: friction jumps in one of the two columns and passes smoothly through zero in the other.
-const FORM: f64 = 0.25;
+/// Largest difference of the coefficient from the share, in standard deviations,
+const MAX_DEVIATIONS: f64 = 4.0;
+/// plus this share of the coefficient: friction is a step in one column and smooth in the other.
+const FORM_ERROR_RATIO: f64 = 0.25;
 
 /// An effect with the search's own description of it.
 pub struct Named {
@@ -56,7 +56,8 @@ fn is_share(crosstalk: &[Quantity], coupling: &[Quantity], fc: f64) -> bool {
     let expected = share.value * fc;
     let std = share.std.unwrap_or(0.0) * fc.abs();
     let spread = std.hypot(found.std.unwrap_or(0.0));
-    expected * found.value > 0.0 && (found.value - expected).abs() <= DEVIATIONS * spread + FORM * expected.abs()
+    expected * found.value > 0.0
+        && (found.value - expected).abs() <= MAX_DEVIATIONS * spread + FORM_ERROR_RATIO * expected.abs()
 }
 
 #[cfg(test)]

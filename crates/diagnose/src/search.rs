@@ -1,12 +1,12 @@
 //! Searches for the settings of an effect: the largest value of a function of a few variables, each within `0 ..= 1`.
 
 /// Evaluations of [`golden`]
-const ON_A_LINE: usize = 12;
+const MAX_LINE_EVALUATIONS: usize = 12;
 /// and of [`simplex`].
-const IN_SPACE: usize = 120;
+const MAX_SIMPLEX_EVALUATIONS: usize = 120;
 /// Sides of the first simplex, as a share of the distance to the next place that a search starts from: what several settings decide together may
 /// be a ridge, narrow against that.
-const SIDE: f64 = 0.2;
+const SIMPLEX_SIDE_RATIO: f64 = 0.2;
 
 /// Where `at` is largest near `start`, no farther than about `steps`.
 pub fn largest(start: &[f64], steps: &[f64], at: &dyn Fn(&[f64]) -> f64) -> Vec<f64> {
@@ -23,7 +23,7 @@ fn golden(mut low: f64, mut high: f64, at: &dyn Fn(f64) -> f64) -> f64 {
     let ratio = (5.0_f64.sqrt() - 1.0) / 2.0;
     let (mut left, mut right) = (high - ratio * (high - low), low + ratio * (high - low));
     let (mut at_left, mut at_right) = (at(left), at(right));
-    for _ in 2..ON_A_LINE {
+    for _ in 2..MAX_LINE_EVALUATIONS {
         if at_left > at_right {
             (high, right, at_right) = (right, left, at_left);
             left = high - ratio * (high - low);
@@ -47,11 +47,15 @@ fn simplex(start: &[f64], steps: &[f64], at: &dyn Fn(&[f64]) -> f64) -> Vec<f64>
     let mut corners = vec![corner(start.to_vec())];
     for (k, step) in steps.iter().enumerate() {
         let mut x = start.to_vec();
-        x[k] += if x[k] + SIDE * step <= 1.0 { SIDE * step } else { -SIDE * step };
+        x[k] += if x[k] + SIMPLEX_SIDE_RATIO * step <= 1.0 {
+            SIMPLEX_SIDE_RATIO * step
+        } else {
+            -SIMPLEX_SIDE_RATIO * step
+        };
         corners.push(corner(x));
     }
     let mut evaluations = n + 1;
-    while evaluations < IN_SPACE {
+    while evaluations < MAX_SIMPLEX_EVALUATIONS {
         corners.sort_by(|a, b| b.0.total_cmp(&a.0));
         let (worst, others) = (corners[n].clone(), &corners[..n]);
         let middle: Vec<f64> = (0..n).map(|k| others.iter().map(|(_, x)| x[k]).sum::<f64>() / n as f64).collect();

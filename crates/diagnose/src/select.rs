@@ -12,25 +12,25 @@ use super::outcome::{self, Alternative, Effect};
 use super::search;
 use super::state::{State, Tried, every};
 use plumbline_core::parallel;
-use plumbline_model::term::effect::{Ground, Setting, Spec};
+use plumbline_model::term::effect::{OperatingPoint, Setting, Spec};
 
-/// Candidates that are tried with all care at each step.
-const SHORTLIST: usize = 16;
-/// Of those, the best that are tried in a form that grows out of theirs.
-const SEEDLINGS: usize = 4;
-/// Share of what an effect has to bring that it brings at the start of a search for several settings.
-const HOPE: f64 = 0.5;
-/// Where nothing tells the noise: candidates with this share of the best score are nearly as good.
-const NEARLY: f64 = 0.8;
-/// A rival within so much of the score can't be told from the chosen one.
-pub const GAP: f64 = 12.0;
+/// Candidates that are fitted in full at each step.
+const MAX_SHORTLISTED: usize = 16;
+/// Largest number of forms grown out of those per step.
+const MAX_GROWN_FORMS: usize = 4;
+/// Smallest gain at the start of a search for several settings, as a share of the penalty.
+const MIN_START_GAIN_RATIO: f64 = 0.5;
+/// Candidates above this share of the best score are tied, where the noise is unknown.
+const TIE_RATIO: f64 = 0.8;
+/// Largest score difference of a rival that the data cannot separate from the chosen effect.
+pub const MAX_RIVAL_SCORE_GAP: f64 = 12.0;
 
-/// One look at the data: the evidence, what the terms stand upon, and every candidate.
+/// A search: the data, the operating point of the columns, and every candidate.
 pub struct Search<'a> {
     /// Evidence and prior.
     pub problem: Problem<'a>,
-    /// What the terms stand upon.
-    pub ground: &'a Ground,
+    /// Parameters that candidates' columns are evaluated at.
+    pub operating_point: &'a OperatingPoint,
     /// Every candidate.
     pub library: &'a [Candidate],
     /// How it is done.
@@ -63,9 +63,9 @@ pub struct Found {
     pub folds: FoldTest,
     /// What it explains.
     pub relevance: Relevance,
-    /// Share of its fitted part that the other columns can't take over.
+    /// Share of its fitted torque that the other columns cannot represent.
     pub independence: f64,
-    /// Rivals whose score is near, or that look alike.
+    /// Effects with a score as good.
     pub rivals: Vec<Rival>,
 }
 
@@ -104,7 +104,7 @@ impl Found {
     }
 }
 
-/// What might be there instead of an effect.
+/// An effect that explains the data as well.
 #[derive(Clone, Debug)]
 pub struct Rival {
     /// The other effect.
@@ -142,18 +142,18 @@ pub struct Selected {
     pub found: Vec<Found>,
     /// How it came about.
     pub path: Vec<Step>,
-    /// The best candidates at the first step: what the data says of every kind of effect alone.
+    /// The best candidates at the first step, each added alone to the model.
     pub first: Vec<Scored>,
 }
 
 impl<'a> Search<'a> {
-    /// The same look upon another ground. The candidates' columns stay those of the old one until they are tried with care.
-    pub fn upon<'b>(&self, ground: &'b Ground) -> Search<'b>
+    /// The same search at another operating point. Columns of the library are re-evaluated only for shortlisted candidates.
+    pub fn at<'b>(&self, operating_point: &'b OperatingPoint) -> Search<'b>
     where
         'a: 'b,
     {
         let Problem { evidence, prior } = self.problem;
-        Search { problem: Problem { evidence, prior }, ground, library: self.library, settings: self.settings }
+        Search { problem: Problem { evidence, prior }, operating_point, library: self.library, settings: self.settings }
     }
 
     fn evidence(&self) -> &Evidence {
@@ -177,7 +177,7 @@ impl<'a> Search<'a> {
             let cross = state.columns.cross(self.evidence(), &item.rows);
             let gain = self.problem.gain(&state.fit, &cross, &every, Some(&item.joints()));
             gain.map_or(f64::NEG_INFINITY, |gain| {
-                item.truth(gain.gamma.as_slice()) * gain.evidence - self.penalty(item)
+                item.plausibility(gain.gamma.as_slice()) * gain.evidence - self.penalty(item)
             })
         });
         let mut order: Vec<usize> = (0..self.library.len()).filter(|&k| screened[k].is_finite()).collect();
@@ -187,27 +187,27 @@ impl<'a> Search<'a> {
             if !short.iter().any(|one| one.alike(&self.library[k])) {
                 short.push(&self.library[k]);
             }
-            if short.len() == SHORTLIST {
+            if short.len() == MAX_SHORTLISTED {
                 break;
             }
         }
         let tried = parallel(&short, threads, |item| self.score(state, &self.refined(state, self.rebuilt(item))));
         let mut scored: Vec<Scored> = tried.into_iter().flatten().collect();
         scored.sort_by(|a, b| b.score.total_cmp(&a.score));
-        let mut seedlings: Vec<Candidate> = Vec::new();
+        let mut grown_forms: Vec<Candidate> = Vec::new();
         for one in scored.iter().filter(|one| one.score > 0.0) {
             let theta = &one.tried.fit.theta;
             let parameters = theta.rows(theta.len() - one.item.rows.width, one.item.rows.width);
             for spec in one.item.grown(parameters.as_slice()) {
                 let since = one.item.since;
-                let known = state.items.iter().chain(&seedlings).any(|own| own.is_of(&spec, since));
-                if !known && seedlings.len() < SEEDLINGS {
-                    let seedling = Candidate::of(self.evidence(), self.ground, spec, since);
-                    seedlings.extend(seedling.filter(|seedling| wanted(seedling)));
+                let known = state.items.iter().chain(&grown_forms).any(|own| own.is_of(&spec, since));
+                if !known && grown_forms.len() < MAX_GROWN_FORMS {
+                    let form = Candidate::of(self.evidence(), self.operating_point, spec, since);
+                    grown_forms.extend(form.filter(|form| wanted(form)));
                 }
             }
         }
-        let grown = parallel(&seedlings, threads, |item| self.score(state, &self.refined(state, item.clone())));
+        let grown = parallel(&grown_forms, threads, |item| self.score(state, &self.refined(state, item.clone())));
         scored.extend(grown.into_iter().flatten());
         scored.sort_by(|a, b| b.score.total_cmp(&a.score));
         scored
@@ -224,18 +224,18 @@ impl<'a> Search<'a> {
         Some(Scored { score: tried.evidence - penalty, penalty, tried, item: item.clone() })
     }
 
-    /// A candidate on the present ground with its settings where the likelihood is largest, near where they are.
+    /// A candidate with its settings at the nearest maximum of the likelihood.
     pub fn refined(&self, state: &State, item: Candidate) -> Candidate {
         let form = item.spec.family().ok().and_then(|family| family.form(item.spec.form));
         let Some(form) = form.filter(|form| !form.settings.is_empty()) else { return item };
         let gain = |item: &Candidate| {
             let cross = state.columns.cross(self.evidence(), &item.rows);
             let gain = self.problem.gain(&state.fit, &cross, &every, None);
-            gain.map_or(f64::NEG_INFINITY, |gain| item.truth(gain.gamma.as_slice()) * gain.evidence)
+            gain.map_or(f64::NEG_INFINITY, |gain| item.plausibility(gain.gamma.as_slice()) * gain.evidence)
         };
         let before = gain(&item);
-        // A search in several dimensions is dear, and leads to nothing from where there is nothing.
-        if form.settings.len() > 1 && before < HOPE * self.penalty(&item) {
+        // Expensive. Skipped when the starting gain is below half the penalty.
+        if form.settings.len() > 1 && before < MIN_START_GAIN_RATIO * self.penalty(&item) {
             return item;
         }
         let spec_at = |shares: &[f64]| {
@@ -243,24 +243,25 @@ impl<'a> Search<'a> {
             Spec { settings: form.settings.iter().zip(shares).map(setting).collect(), ..item.spec.clone() }
         };
         let at = |shares: &[f64]| {
-            let sketch = Candidate::sketch(self.evidence(), self.ground, spec_at(shares), item.since);
+            let sketch = Candidate::sketch(self.evidence(), self.operating_point, spec_at(shares), item.since);
             sketch.map_or(f64::NEG_INFINITY, |sketch| gain(&sketch))
         };
         let start: Vec<f64> =
             form.settings.iter().zip(&item.spec.settings).map(|(own, value)| own.share(*value)).collect();
         let steps: Vec<f64> = form.settings.iter().map(Setting::spacing).collect();
         let found = search::largest(&start, &steps, &at);
-        // Sketches only tell where to look.
-        let found = Candidate::of(self.evidence(), self.ground, spec_at(&found), item.since);
+        // A sketch is approximate: the found settings are evaluated exactly.
+        let found = Candidate::of(self.evidence(), self.operating_point, spec_at(&found), item.since);
         match found {
             Some(found) if gain(&found) > before => found,
             _ => item,
         }
     }
 
-    /// The same effect on the present ground.
+    /// The same effect with its columns at this operating point.
     fn rebuilt(&self, item: &Candidate) -> Candidate {
-        Candidate::of(self.evidence(), self.ground, item.spec.clone(), item.since).unwrap_or_else(|| item.clone())
+        Candidate::of(self.evidence(), self.operating_point, item.spec.clone(), item.since)
+            .unwrap_or_else(|| item.clone())
     }
 
     /// [`Search::forward`] and [`Search::finish`].
@@ -268,7 +269,7 @@ impl<'a> Search<'a> {
         self.finish(self.forward(base, seeds, progress), progress)
     }
 
-    /// Adds effects as long as one is worth it, each time with everything fitted again. It starts from `seeds`, as far as they hold.
+    /// Forward selection: adds the best effect that passes the gates and fits everything again. It starts from `seeds` that pay for themselves.
     pub fn forward(&self, base: State, seeds: &[Candidate], progress: &dyn Fn(&Step)) -> Draft {
         let mut state = base;
         let mut path: Vec<Step> = Vec::new();
@@ -301,16 +302,16 @@ impl<'a> Search<'a> {
         Draft { state, path, first }
     }
 
-    /// Holds every effect of a draft against its rivals.
+    /// Compares every effect of a draft with its rivals.
     pub fn finish(&self, draft: Draft, progress: &dyn Fn(&Step)) -> Selected {
         let Draft { state, mut path, first } = draft;
         let (state, found) = self.judge(state, &mut path, progress);
         Selected { state, found, path, first }
     }
 
-    /// The same effects upon the present ground, which is another one than they were found on; those that it changes are searched for their settings
-    /// again. `None` when it changes none.
-    pub fn upon_ground(&self, state: &State) -> Option<State> {
+    /// Re-evaluates columns that depend on parameters at this search's operating point, and refines the settings of the effects that they belong to.
+    /// `None` when no column depends on it.
+    pub fn relinearised(&self, state: &State) -> Option<State> {
         let rebuilt: Vec<Candidate> = state.items.iter().map(|item| self.rebuilt(item)).collect();
         let changed: Vec<bool> = rebuilt.iter().zip(&state.items).map(|(new, old)| new.rows != old.rows).collect();
         if !changed.contains(&true) {
@@ -318,7 +319,7 @@ impl<'a> Search<'a> {
         }
         let mut now = state.clone();
         for (item, changed) in rebuilt.into_iter().zip(changed) {
-            // The first goes, and comes in again as the last: after one round the order is the same.
+            // The first is removed and appended: after one round the order is the same.
             let rest = now.without(&self.problem, 0);
             now = rest.with(&self.problem, if changed { self.refined(&rest, item) } else { item });
         }
@@ -362,7 +363,7 @@ impl<'a> Search<'a> {
         if self.evidence().repeats() {
             return Some(best);
         }
-        let least = NEARLY * best.score;
+        let least = TIE_RATIO * best.score;
         let near = proposals.take_while(|one| one.score >= least).filter(|one| self.passes(state, one));
         let cost = |one: &Scored| (one.tried.cross.width * one.item.joints().len(), one.item.parameters());
         Some(near.fold(best, |best, one| if cost(&one) < cost(&best) { one } else { best }))
@@ -379,7 +380,7 @@ impl<'a> Search<'a> {
             let better = self.refined(&rest, self.rebuilt(&state.items[item]));
             let moved = rest.with(&self.problem, better);
             if moved.fit.likelihood > state.fit.likelihood {
-                // It is the last one now; the loop goes on with its neighbour next time.
+                // Appended as the last effect; its former neighbour is skipped in this pass.
                 state = moved;
             }
         }
@@ -396,7 +397,7 @@ impl<'a> Search<'a> {
         scores.filter(|(_, score)| *score <= 0.0).min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// Tries every other candidate in the place of each effect: a better one takes it, near ones are its rivals.
+    /// Replaces each effect by every other candidate in turn: a better one is kept, those with a near score are its rivals.
     fn judge(&self, mut state: State, path: &mut Vec<Step>, progress: &dyn Fn(&Step)) -> (State, Vec<Found>) {
         let mut swaps = state.items.len();
         let mut found = Vec::new();
@@ -412,21 +413,21 @@ impl<'a> Search<'a> {
                 continue;
             };
             let others = self.propose(&rest, |other| near(other) && !other.alike(&chosen));
-            let least = own.score + if self.evidence().repeats() { 0.0 } else { GAP };
+            let least = own.score + if self.evidence().repeats() { 0.0 } else { MAX_RIVAL_SCORE_GAP };
             let better = others.iter().find(|other| other.score > least && self.passes(&rest, other));
             if let Some(better) = better.filter(|_| swaps > 0) {
                 swaps -= 1;
                 self.record(path, &rest, chosen, false, own.score, progress);
                 state = rest.with(&self.problem, better.item.clone());
                 self.record(path, &state, better.item.clone(), true, better.score, progress);
-                // The newcomer is the last one now, and its turn comes.
+                // The replacement is the last effect now and is compared later.
                 continue;
             }
             let mut rivals: Vec<Rival> = Vec::new();
             for other in others.iter().filter(|other| other.score > 0.0 && !other.item.same_effect(&chosen)) {
                 let gap = own.score - other.score;
                 let listed = rivals.iter().any(|rival| rival.item.same_effect(&other.item));
-                if gap < GAP && !listed && (gap > 0.0 || self.passes(&rest, other)) {
+                if gap < MAX_RIVAL_SCORE_GAP && !listed && (gap > 0.0 || self.passes(&rest, other)) {
                     rivals.push(Rival { item: other.item.clone(), gap });
                 }
             }

@@ -63,7 +63,7 @@ impl State {
         State { base: self.base, items, columns: self.columns.without(gone), moments, fit }
     }
 
-    /// What a candidate would be with it, and its likelihood when the weights have settled; `None` when the data can't tell it.
+    /// Fits state and candidate together until the weights converge; `None` when the candidate is not identifiable.
     pub fn try_in(&self, problem: &Problem, item: &Candidate) -> Option<Tried> {
         let cross = self.columns.cross(problem.evidence, &item.rows);
         let gain = problem.gain(&self.fit, &cross, &every, None)?;
@@ -108,9 +108,8 @@ pub struct Tried {
     pub fit: Fit,
     /// Twice the gain in log likelihood.
     pub evidence: f64,
-    /// Share of its fitted part that the other columns can't take over.
+    /// Share of its fitted torque that the other columns cannot represent.
     pub independence: f64,
-    /// Whether a prior holds the other parameters: what they take over of the candidate they take over at a price, and it is the
-    /// candidate's all the same.
+    /// Whether the other parameters have a prior. Then torque that they represent at the prior's cost still counts for the candidate.
     pub held: bool,
 }

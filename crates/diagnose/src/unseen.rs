@@ -1,13 +1,13 @@
 //! Models on runs that they were not fitted to.
 
-use super::diagnosis::THRESHOLD;
+use super::diagnosis::THRESHOLD_FLOOR_RATIO;
 use super::evidence::{Evidence, Trial};
 use super::moments::Columns;
 use super::outcome::Fitted;
 use super::state::{State, mean_square};
 use nalgebra::DVector;
 use plumbline_model::Structure;
-use plumbline_model::term::effect::Ground;
+use plumbline_model::term::effect::OperatingPoint;
 
 /// Columns of a structure and torques of runs.
 pub fn columns_of(evidence: &Evidence, structure: &Structure, trials: &[Trial]) -> Columns {
@@ -28,11 +28,11 @@ impl<'a> Unseen<'a> {
         structure: &Structure,
         trials: &[Trial],
         state: &State,
-        ground: &Ground,
+        operating_point: &OperatingPoint,
     ) -> Unseen<'a> {
         let mut columns = columns_of(evidence, structure, trials);
         for item in &state.items {
-            if let Ok(term) = item.spec.build(ground) {
+            if let Ok(term) = item.spec.build(operating_point) {
                 columns.push(&evidence.columns(&*term, item.since));
             }
         }
@@ -61,11 +61,11 @@ impl<'a> Unseen<'a> {
         (0..self.evidence.joints()).map(|joint| self.lack(joint, theta)).collect()
     }
 
-    /// Share of what another model `lacks` in each joint that the parameters `theta` of all columns take away; `None` where nothing was unmodelled
-    /// or the noise is not known.
+    /// Share of another model's unmodelled power (`lacks`) that the parameters `theta` of all columns remove, per joint; `None` where nothing was
+    /// unmodelled or the noise is unknown.
     pub fn explained(&self, lacks: &[Option<f64>], theta: &DVector<f64>) -> Vec<Option<f64>> {
         let share = |(joint, before): (usize, &Option<f64>)| {
-            let before = before.filter(|before| *before > THRESHOLD * THRESHOLD)?;
+            let before = before.filter(|before| *before > THRESHOLD_FLOOR_RATIO * THRESHOLD_FLOOR_RATIO)?;
             Some(1.0 - self.lack(joint, theta)? / before)
         };
         lacks.iter().enumerate().map(share).collect()

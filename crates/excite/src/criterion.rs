@@ -1,4 +1,4 @@
-//! How well a motion excites the parameters of a model: paper eq. 11 and its other readings.
+//! Excitation criteria of a motion: condition numbers of the base regressor (paper eq. 11 and variants), and D-optimality.
 
 use super::ExciteError;
 use super::fourier::Fourier;
@@ -8,35 +8,35 @@ use plumbline_model::term::Motion;
 use plumbline_model::{Conditions, Structure, conditions, dependent_columns, friction_columns};
 use serde::{Deserialize, Serialize};
 
-/// What a search makes small.
+/// Criterion that a search minimises.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Criterion {
-    /// Condition number of the stacked base regressor `W` as it is.
+    /// Condition number of the stacked base regressor `W`.
     #[default]
     Raw,
-    /// Of `W` without the columns of friction and other terms: the rigid body alone.
+    /// Condition number of the rigid-body columns of `W`.
     RawRigid,
-    /// Of `W` with every column divided by its norm.
+    /// Condition number of `W` with every column divided by its norm.
     Equilibrated,
-    /// Of `Sigma^-1/2 W`, every row divided by its joint's torque noise (paper eq. 11).
+    /// Condition number of `Sigma^-1/2 W`: every row divided by its joint's torque noise (paper eq. 11).
     Weighted,
     /// `-log det(W' Sigma^-1 W)`: the volume of the parameters' confidence ellipsoid (D-optimality).
     LogDet,
 }
 
 impl Criterion {
-    /// All of them.
+    /// All criteria.
     pub const ALL: [Criterion; 5] =
         [Criterion::Raw, Criterion::RawRigid, Criterion::Equilibrated, Criterion::Weighted, Criterion::LogDet];
 
-    /// Whether rows are divided by their joint's noise.
+    /// Whether rows are divided by their joint's torque noise.
     pub fn is_weighted(self) -> bool {
         matches!(self, Criterion::Weighted | Criterion::LogDet)
     }
 
-    /// The number to be small, as a logarithm: natural log of the condition number, or `-(1/2b) log det (W' Sigma^-1 W / N)` for b
-    /// columns and N samples. Infinite when the motion leaves a parameter alone.
+    /// Value to minimise: natural logarithm of the condition number, or `-(1/2b) log det (W' Sigma^-1 W / N)` for b columns and N
+    /// samples. Infinite when the motion does not excite a parameter.
     pub fn value(self, structure: &Structure, motion: &Motion, sigma: &[f64]) -> f64 {
         let w = structure.regressor(motion);
         let found = conditions(&w, &friction_columns(structure), sigma);
@@ -59,15 +59,18 @@ impl Criterion {
     }
 }
 
-/// Highest condition number of the column-equilibrated regressor of motions to identify from. Torque noise of 1 % leaves an error of
-/// 0.01 % after 10 000 samples (10 s at 1 kHz), and at a condition number of 1e4 that can change the combination of parameters that is
-/// determined worst by its whole size. Usual plans have 5 to 20.
+/// Maximum condition number of the column-equilibrated regressor of motions for identification. Torque noise of 1 % leaves an error of
+/// 0.01 % after 10 000 samples (10 s at 1 kHz). At a condition number of 1e4 this error is as large as the least-determined combination of
+/// parameters. Usual plans have 5 to 20.
 pub const MAX_CONDITION: f64 = 1e4;
 
-/// Errors when motions together leave parameters undetermined ([`MAX_CONDITION`]), with their names.
+/// Checks that motions together determine every parameter ([`MAX_CONDITION`]).
+///
+/// # Errors
+/// [`ExciteError::Unexcited`] with the names of undetermined parameters.
 pub fn check_excitation(structure: &Structure, motion: &Motion) -> Result<(), ExciteError> {
     let (condition, columns) = dependent_columns(&structure.regressor(motion), MAX_CONDITION);
-    // Also where it is not a number.
+    // A condition number that is NaN is an error too.
     if condition <= MAX_CONDITION {
         return Ok(());
     }
@@ -75,7 +78,7 @@ pub fn check_excitation(structure: &Structure, motion: &Motion) -> Result<(), Ex
     Err(ExciteError::Unexcited { condition, parameters })
 }
 
-/// One period of a Fourier motion on an even grid of `samples`, in a mounting.
+/// Samples of one period of a Fourier motion on an even grid, under `gravity` in the base frame \[m/s2\].
 pub fn sampled(fourier: &Fourier, gravity: &Vector3<f64>, samples: usize) -> Motion {
     let n = fourier.joints();
     let dt = fourier.period / samples as f64;
@@ -91,7 +94,7 @@ pub fn sampled(fourier: &Fourier, gravity: &Vector3<f64>, samples: usize) -> Mot
     motion
 }
 
-/// Several motions of one arm in one mounting, one after the other. Panics when there is none, or when they differ in joints.
+/// Concatenates several motions of one arm in one mounting. Panics when there is none, or when they differ in joints.
 pub fn stacked(motions: &[Motion]) -> Motion {
     let rows: usize = motions.iter().map(Motion::samples).sum();
     let join = |of: fn(&Motion) -> &DMatrix<f64>| {
@@ -110,15 +113,4 @@ pub fn stacked(motions: &[Motion]) -> Motion {
 /// All condition numbers of a motion's stacked base regressor; `sigma` is each joint's torque noise, n \[Nm\].
 pub fn evaluate(structure: &Structure, motion: &Motion, sigma: &[f64]) -> Conditions {
     conditions(&structure.regressor(motion), &friction_columns(structure), sigma)
-}
-
-/// Condition number of the raw stacked base regressor, for searching: from the eigenvalues of `W' W`, which is three times as fast
-/// as [`evaluate`] and good to 1e-3 below a condition number of 1e6. Infinite above 1e7.
-pub fn raw_condition(structure: &Structure, motion: &Motion) -> f64 {
-    let w = structure.regressor(motion);
-    let gram = w.tr_mul(&w);
-    // Those of a product `W' W` are its singular values.
-    let Some(eigenvalues) = singular_values(gram) else { return f64::INFINITY };
-    let (least, largest) = (eigenvalues.min(), eigenvalues.max());
-    if least > 1e-14 * largest { (largest / least).sqrt() } else { f64::INFINITY }
 }

@@ -1,10 +1,10 @@
-//! What keeps a motion from being built or found.
+//! Errors of building and searching motions.
 
 use super::criterion::MAX_CONDITION;
 use super::limits;
 use super::usage::{MIN_USAGE, Usage};
 
-/// Why a motion can't be built or found.
+/// Error of building or searching a motion.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ExciteError {
     /// The period is not a positive number.
@@ -13,7 +13,7 @@ pub enum ExciteError {
         /// The period \[s\].
         period: f64,
     },
-    /// The amplitudes do not fit the joints, or there is no room for them.
+    /// The shapes of the amplitudes do not match the joints, or exceed the maximum.
     #[error("q0 has {q0} joints, a is {a:?}, b is {b:?}: expected both n x N for 1 to 8 joints and 1 to 16 harmonics")]
     Shape {
         /// Entries of `q0`.
@@ -26,10 +26,10 @@ pub enum ExciteError {
     /// An amplitude or a position is not a finite number.
     #[error("{value} is not a finite position or amplitude")]
     NotFinite {
-        /// The number found.
+        /// The value found.
         value: f64,
     },
-    /// The motion has no whole number of 1 ms samples.
+    /// The period is not a whole number of 1 ms samples.
     #[error("{periods} periods of {period} s: expected at least one period of a whole number of milliseconds")]
     Ticks {
         /// The period \[s\].
@@ -55,40 +55,40 @@ pub enum ExciteError {
         /// Highest position allowed \[rad\].
         max: f64,
     },
-    /// The start pose holds the end effector where it must not be.
+    /// The end effector is outside the workspace at the start pose.
     #[error("start pose: end effector at [{:.3}, {:.3}, {:.3}] m, which leaves the workspace: {reason}", at[0], at[1], at[2])]
     StartWorkspace {
         /// Position of the end effector in the base frame \[m\].
         at: [f64; 3],
-        /// The bound it breaks.
+        /// The violated bound.
         reason: String,
     },
-    /// The start pose needs more torque than a joint has, or brings a link where it must not be.
+    /// The start pose violates a torque limit, a link's box or a clearance.
     #[error("start pose: {violation}")]
     StartPose {
-        /// The limit that it breaks.
+        /// The violated limit.
         violation: limits::Peak,
     },
-    /// No start pose inside joint limits and workspace was found.
-    #[error("no start pose that the arm can rest at in {tried} random ones{}", last.as_ref().map_or(String::new(), |last| format!("; the last: {last}")))]
+    /// No feasible start pose was found.
+    #[error("no feasible start pose among {tried} random ones{}", last.as_ref().map_or(String::new(), |last| format!("; the last: {last}")))]
     NoStart {
         /// Poses tried.
         tried: usize,
-        /// What was wrong with the last one.
+        /// Why the last one was rejected.
         last: Option<Box<ExciteError>>,
     },
-    /// The limits leave a joint no room.
+    /// Limits less margins leave no room for a joint.
     #[error("joint {joint}: limits less their margins leave no {what}")]
     NoRoom {
         /// Joint, counted from 1.
         joint: usize,
-        /// What is left over: `range`, `speed`, `acceleration`.
+        /// The quantity: `range`, `speed`, `acceleration` or `jerk`.
         what: &'static str,
     },
-    /// Shrinking a motion did not bring it inside the limits.
-    #[error("no motion about this start pose keeps the limits: {violation}")]
+    /// Scaling a motion down did not make it feasible.
+    #[error("no motion about this start pose satisfies the limits: {violation}")]
     NoMotion {
-        /// The limit that the smallest motion still broke.
+        /// The limit that the smallest motion violated.
         violation: limits::Peak,
     },
     /// The arm of the structure and the arm of the limits differ.
@@ -99,52 +99,52 @@ pub enum ExciteError {
         /// Joints of the arm.
         expected: usize,
     },
-    /// A joint hardly moves.
-    #[error("{}", frozen(*joint, usage, held_by, *draws))]
+    /// A joint's motion is too small ([`MIN_USAGE`]).
+    #[error("{}", frozen(*joint, usage, limited_by, *draws))]
     Frozen {
         /// Joint that moves least, counted from 1.
         joint: usize,
-        /// What the motion uses of its limits.
+        /// Shares of its limits that the motion uses.
         usage: Usage,
-        /// The limit that kept the motion small, where that is known.
-        held_by: Option<limits::Peak>,
+        /// The limit that bounded the motion, where known.
+        limited_by: Option<limits::Peak>,
         /// Random motions that were tried.
         draws: usize,
     },
-    /// No motion was found that determines every parameter.
+    /// The motion does not determine every parameter.
     #[error("{}", unexcited(*condition, parameters))]
     Unexcited {
         /// Condition number of the column-equilibrated regressor; infinite where a parameter is not excited at all.
         condition: f64,
-        /// Names of the parameters that can't be told apart, or are not excited.
+        /// Names of the parameters that are confounded or not excited.
         parameters: Vec<String>,
     },
-    /// The search was given nothing to spend.
+    /// The search has no starts or too few samples.
     #[error("{starts} starts on {samples} samples a period: expected at least 1 and 20")]
     Budget {
-        /// Starts granted.
+        /// Number of starts.
         starts: usize,
         /// Samples of the coarse grid.
         samples: usize,
     },
-    /// The model has a term that the optimiser can't differentiate.
-    #[error("column `{name}` of term `{term}`: the optimiser knows rigid body, friction, offset and rotor")]
+    /// The model has a term without a gradient in the optimiser.
+    #[error("column `{name}` of term `{term}`: the optimiser has gradients of rigid body, friction, offset and rotor")]
     Column {
         /// The term.
         term: String,
         /// Its column.
         name: String,
     },
-    /// Too few harmonics to move at all.
+    /// Too few or too many harmonics.
     #[error("{harmonics} harmonics: expected 3 to 16, so that a motion can start and end at rest")]
     Harmonics {
-        /// Harmonics asked for.
+        /// Number of harmonics.
         harmonics: usize,
     },
 }
 
-fn frozen(joint: usize, usage: &Usage, held_by: &Option<limits::Peak>, draws: usize) -> String {
-    let held = held_by.as_ref().map_or(String::new(), |peak| format!("; a larger motion breaks: {peak}"));
+fn frozen(joint: usize, usage: &Usage, limited_by: &Option<limits::Peak>, draws: usize) -> String {
+    let held = limited_by.as_ref().map_or(String::new(), |peak| format!("; a larger motion violates: {peak}"));
     let tried = if draws > 1 { format!(" in the best of {draws} random motions") } else { String::new() };
     let (range, speed) = (100.0 * usage.range, 100.0 * usage.speed);
     let least = 100.0 * MIN_USAGE;

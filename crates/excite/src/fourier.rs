@@ -6,10 +6,10 @@ use plumbline_core::{JointVec, MAX_JOINTS, Reference, Setpoint};
 use std::f64::consts::PI;
 use std::num::NonZeroU64;
 
-/// Room for harmonics in a [`PeriodicMotion`].
+/// Maximum number of harmonics of a [`PeriodicMotion`].
 pub const MAX_HARMONICS: usize = 16;
-/// Samples per second of a motion in the loop \[Hz\].
-const TICKS_PER_SECOND: f64 = 1000.0;
+/// Sampling rate of a motion in the loop \[Hz\].
+const TICK_RATE_HZ: f64 = 1000.0;
 
 /// `q_i(t) = q0_i + sum_k a_ik sin(k w t) + b_ik cos(k w t)`, `w = 2 pi / period`, k = 1..N (paper eq. 12).
 #[derive(Clone, Debug, PartialEq)]
@@ -38,7 +38,7 @@ pub struct Point {
 }
 
 impl Fourier {
-    /// Checks shapes and numbers: `a` and `b` are n x N with n = `q0.len()` and N from 1 to [`MAX_HARMONICS`], all finite.
+    /// A motion from checked shapes and numbers: `a` and `b` are n x N with n = `q0.len()` and N from 1 to [`MAX_HARMONICS`], all finite.
     pub fn new(period: f64, q0: Vec<f64>, a: DMatrix<f64>, b: DMatrix<f64>) -> Result<Fourier, ExciteError> {
         if !(period > 0.0 && period.is_finite()) {
             return Err(ExciteError::Period { period });
@@ -58,7 +58,7 @@ impl Fourier {
         Ok(Fourier { period, q0, a, b })
     }
 
-    /// At rest at `q0` for ever.
+    /// A constant position `q0`.
     pub fn still(period: f64, q0: Vec<f64>, harmonics: usize) -> Result<Fourier, ExciteError> {
         let zero = DMatrix::zeros(q0.len(), harmonics);
         Fourier::new(period, q0, zero.clone(), zero)
@@ -74,12 +74,12 @@ impl Fourier {
         self.a.ncols()
     }
 
-    /// Fundamental pulsation `w = 2 pi / T` \[rad/s\].
+    /// Fundamental angular frequency `w = 2 pi / T` \[rad/s\].
     pub fn omega(&self) -> f64 {
         2.0 * PI / self.period
     }
 
-    /// Joint `i` at time `t` \[s\], with exact derivatives.
+    /// Position of a joint (from 0) at time `t` \[s\] with exact derivatives.
     pub fn at(&self, joint: usize, t: f64) -> Point {
         let mut point = Point { q: self.q0[joint], ..Point::default() };
         for k in 0..self.harmonics() {
@@ -95,7 +95,7 @@ impl Fourier {
         point
     }
 
-    /// How far the motion is from starting at rest at `q0`: the largest offset \[rad\], speed \[rad/s\] and acceleration \[rad/s2\]
+    /// Violation of the boundary conditions: the largest offset from `q0` \[rad\], speed \[rad/s\] and acceleration \[rad/s2\]
     /// at t = 0 over all joints.
     pub fn boundary_error(&self) -> [f64; 3] {
         (0..self.joints()).fold([0.0; 3], |worst: [f64; 3], joint| {
@@ -108,7 +108,7 @@ impl Fourier {
         })
     }
 
-    /// Moves the amplitudes to the nearest ones that start and end at rest at `q0`:
+    /// Projects the amplitudes onto those that start and end at rest at `q0`:
     /// `sum_k k a_k = 0`, `sum_k b_k = 0`, `sum_k k^2 b_k = 0`.
     ///
     /// The paper prints `sum_k a_k = 0` (eq. 13), which does not make the velocity zero at t = 0; these three do.
@@ -119,7 +119,7 @@ impl Fourier {
         let rest = orthonormal(vec![power(0).collect(), power(2).collect()]);
         for joint in 0..self.joints() {
             for (amplitudes, conditions) in [(&mut self.a, &speed), (&mut self.b, &rest)] {
-                // Twice, so that the conditions hold to the last bits whatever the amplitudes were.
+                // Twice, to remove the rounding error of the first projection.
                 for _ in 0..2 {
                     for condition in conditions {
                         let along: f64 = (0..harmonics).map(|k| amplitudes[(joint, k)] * condition[k]).sum();
@@ -132,14 +132,14 @@ impl Fourier {
         }
     }
 
-    /// Multiplies all amplitudes of one joint, which keeps the boundary conditions.
+    /// Scales all amplitudes of one joint; the boundary conditions still hold.
     pub fn scale_joint(&mut self, joint: usize, factor: f64) {
         self.a.row_mut(joint).scale_mut(factor);
         self.b.row_mut(joint).scale_mut(factor);
     }
 }
 
-/// Orthonormal basis of the span of the rows (Gram-Schmidt); rows that bring nothing new are left out.
+/// Orthonormal basis of the span of the rows (Gram-Schmidt); linearly dependent rows are left out.
 pub(super) fn orthonormal(rows: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     let mut basis: Vec<Vec<f64>> = Vec::new();
     for mut row in rows {
@@ -156,9 +156,9 @@ pub(super) fn orthonormal(rows: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     basis
 }
 
-/// A Fourier motion of a number of periods for the real-time loop, one sample per ms.
+/// Fourier motion of several periods for the real-time loop, one sample per ms.
 ///
-/// `at` allocates nothing, and its samples repeat bit by bit from period to period.
+/// `at` allocates nothing, and every period has bitwise equal samples.
 #[derive(Clone, Debug)]
 pub struct PeriodicMotion {
     q0: JointVec,
@@ -172,11 +172,13 @@ pub struct PeriodicMotion {
 }
 
 impl PeriodicMotion {
-    /// `periods` (at least 1) repetitions. Errors: a period that is no whole number of ms, no period at all, or amplitudes that do
-    /// not start at rest within 1e-6 rad, rad/s and rad/s2.
+    /// A motion of `periods` (at least 1) periods.
+    ///
+    /// # Errors
+    /// A period that is not a whole number of ms, no period, or amplitudes that do not start at rest within 1e-6 rad, rad/s and rad/s2.
     pub fn new(fourier: &Fourier, periods: u32) -> Result<PeriodicMotion, ExciteError> {
-        let period_ticks = (fourier.period * TICKS_PER_SECOND).round();
-        let whole = (period_ticks / TICKS_PER_SECOND - fourier.period).abs() <= 1e-9;
+        let period_ticks = (fourier.period * TICK_RATE_HZ).round();
+        let whole = (period_ticks / TICK_RATE_HZ - fourier.period).abs() <= 1e-9;
         let Some(period_ticks) = NonZeroU64::new(period_ticks as u64).filter(|_| whole && periods > 0) else {
             return Err(ExciteError::Ticks { period: fourier.period, periods });
         };
@@ -215,13 +217,13 @@ impl Reference for PeriodicMotion {
         self.ticks
     }
 
-    /// Past the last sample the motion rests where it ended.
+    /// After the last sample the motion stays at its last setpoint.
     #[cfg_attr(no_panic, no_panic::no_panic)]
     fn at(&self, tick: u64) -> Setpoint {
         let phase = tick.min(self.ticks.saturating_sub(1)) % self.period_ticks;
-        let angle = self.omega * (phase as f64 / TICKS_PER_SECOND);
+        let angle = self.omega * (phase as f64 / TICK_RATE_HZ);
         let mut point = Setpoint { q: self.q0, ..Setpoint::default() };
-        // The second bounds are there for the compiler: behind them no index is out of bounds.
+        // The constant bounds let the compiler remove the index checks.
         for k in 0..self.harmonics.min(MAX_HARMONICS) {
             let order = (k + 1) as f64;
             let kw = order * self.omega;
@@ -277,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn the_printed_boundary_condition_of_eq_13_does_not_stop_the_arm() {
+    fn the_printed_boundary_condition_of_eq_13_leaves_a_velocity() {
         // sum_k a_k = 0, as printed, leaves a velocity at t = 0.
         let mut f = Fourier::still(10.0, vec![0.0], 5).unwrap();
         f.a.set_row(0, &nalgebra::RowDVector::from_vec(vec![1.0, -0.5, -0.5, 0.25, -0.25]));
@@ -307,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_motions_are_refused() {
+    fn invalid_motions_are_errors() {
         let mut f = random(2, 5);
         assert!(matches!(PeriodicMotion::new(&f, 1), Err(ExciteError::Boundary { .. })));
         f.project();

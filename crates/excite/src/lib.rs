@@ -1,11 +1,10 @@
-//! Excitation motions: Fourier series that begin and end at rest, the limits they keep, how well they excite the parameters, and the search for
-//! good ones.
+//! Excitation motions: Fourier series that start and end at rest, their limits, excitation criteria, and the search for optimal motions.
 //!
 //! | what | items |
 //! |---|---|
 //! | the motion and its samples for the loop | [`Fourier`], [`PeriodicMotion`] |
 //! | limits of joints, workspace, self-collision, torques | [`Bounds`], [`verify`], [`check_pose`] |
-//! | the same motion through the guard of the loop | [`rehearse_points`] |
+//! | the rules of the loop's guard | [`check_points_with_guard`] |
 //! | condition numbers and information | [`Criterion`], [`evaluate`], [`check_excitation`] |
 //! | search | [`Problem`], [`Search`], [`optimise`], [`random_plan`] |
 //! | plan file | [`Plan`], [`parse_plan`], [`plan_text`] |
@@ -29,24 +28,26 @@
 mod criterion;
 mod error;
 mod fourier;
+mod guard_check;
 mod limits;
 mod nominal;
 mod optimiser;
 mod plan;
-mod rehearsal;
 mod search;
 mod usage;
 
-pub use criterion::{Criterion, MAX_CONDITION, check_excitation, evaluate, raw_condition, sampled};
+pub use criterion::{Criterion, MAX_CONDITION, check_excitation, evaluate, sampled};
 pub use fourier::{Fourier, PeriodicMotion, Point};
+pub use guard_check::check_points_with_guard;
 pub use limits::{Bounds, Margins, Peak, Quantity, check_pose, verify};
 pub use nominal::Nominal;
 pub use optimiser::grid::Grid;
-pub use optimiser::objective::{Objective, Sharpness};
+pub use optimiser::objective::{Objective, Smoothing};
 pub use optimiser::optimise;
 pub use plan::{Constraints, Plan, PlanUsage, parse_plan, plan_text};
-pub use rehearsal::rehearse_points;
-pub use search::{Problem, Progress, Search, Watch, conditions_together, motion_samples, random_plan, search_verdict};
+pub use search::{
+    Problem, Progress, Search, SearchControl, motion_samples, random_plan, stacked_conditions, verify_with_guard,
+};
 pub use usage::{MIN_USAGE, Usage, check_usage, least_usage, usage};
 
 pub use error::ExciteError;

@@ -1,4 +1,4 @@
-//! The limits a motion must keep, and how near it comes to each of them.
+//! Limits of a planned motion and the headroom to each of them.
 
 use super::fourier::Fourier;
 use plumbline_core::{JointVec, Limits, MAX_JOINTS, SpeedEnvelope, Workspace};
@@ -6,28 +6,28 @@ use plumbline_model::{Chain, FIRST_BOXED, Shape, nearest};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Samples per second at which a finished motion is verified \[Hz\].
-pub const VERIFY_RATE: f64 = 1000.0;
+/// Sampling rate at which a motion is verified \[Hz\].
+pub const VERIFY_RATE_HZ: f64 = 1000.0;
 
-/// What a planned motion leaves free of each limit, for tracking errors and noise.
+/// Margins of a planned motion to its limits, for tracking errors and noise.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case", default)]
 pub struct Margins {
-    /// Kept away from both ends of a joint's range \[rad\].
+    /// Distance to both ends of a joint's range \[rad\].
     pub position: f64,
-    /// Share of the velocity limit that may be used.
+    /// Ratio of the velocity limit that may be used.
     pub velocity: f64,
-    /// Share of the acceleration limit that may be used.
+    /// Ratio of the acceleration limit that may be used.
     pub acceleration: f64,
-    /// Share of the jerk limit that may be used.
+    /// Ratio of the jerk limit that may be used.
     pub jerk: f64,
-    /// Share of the torque limit that may be used.
+    /// Ratio of the torque limit that may be used.
     pub torque: f64,
-    /// Share of the torque rate limit that may be used.
+    /// Ratio of the torque rate limit that may be used.
     pub torque_rate: f64,
-    /// Kept away from the box and from the sphere round the base \[m\].
+    /// Distance to the box and to the sphere around the base \[m\].
     pub workspace: f64,
-    /// Kept between links that are no neighbours \[m\].
+    /// Distance between links that are not adjacent \[m\].
     pub clearance: f64,
 }
 
@@ -47,7 +47,7 @@ impl Default for Margins {
 }
 
 impl Margins {
-    /// Every limit to its full.
+    /// No margins: every limit may be used fully.
     pub fn none() -> Margins {
         Margins {
             position: 0.0,
@@ -62,33 +62,33 @@ impl Margins {
     }
 }
 
-/// Everything a motion of one arm is held to.
+/// Limits of a motion of one arm.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds<'a> {
     /// The arm.
     pub chain: &'a Chain,
     /// Limits of its joints.
     pub limits: &'a Limits,
-    /// Where its end effector may be (paper eq. 14); `None` leaves it free.
+    /// Workspace of its end effector (paper eq. 14); `None` for no constraint.
     pub workspace: Option<&'a Workspace>,
-    /// Bodies of the links, which are held off each other; `None` leaves them free.
+    /// Bodies of the links for clearances; `None` for no constraint.
     pub shape: Option<&'a Shape>,
-    /// Whether the bodies, from link [`FIRST_BOXED`] on, are held in the end effector's box, too. The paper asks it of the end effector
+    /// Whether the bodies from link [`FIRST_BOXED`] on must stay in the end effector's box too. The paper constrains the end effector
     /// alone (eq. 14).
     pub links_in_box: bool,
-    /// Speed limits that depend on position, on top of those of `limits`.
+    /// Position-dependent speed limits in addition to those of `limits`.
     pub envelope: Option<&'a SpeedEnvelope>,
-    /// What to leave free of each limit.
+    /// Margins to the limits.
     pub margins: Margins,
 }
 
 impl<'a> Bounds<'a> {
-    /// An arm and the limits of its joints; workspace, bodies and speed envelope are left free, and links may leave the box.
+    /// Joint limits of an arm, without workspace, bodies and speed envelope.
     pub fn new(chain: &'a Chain, limits: &'a Limits, margins: Margins) -> Bounds<'a> {
         Bounds { chain, limits, workspace: None, shape: None, links_in_box: false, envelope: None, margins }
     }
 
-    /// Highest speeds of joint `j` (from 0) at position `q`, downwards and upwards, both as positive numbers, less their margin
+    /// Maximum speeds of joint `j` (from 0) at position `q` in the negative and positive direction, both positive, less their margin
     /// \[rad/s\].
     pub fn speeds(&self, j: usize, q: f64) -> [f64; 2] {
         let most = self.limits.dq[j];
@@ -100,7 +100,7 @@ impl<'a> Bounds<'a> {
 /// Torque that a nominal model needs at a position, velocity and acceleration \[Nm\].
 pub type NominalTorque<'a> = &'a dyn Fn(&JointVec, &JointVec, &JointVec) -> JointVec;
 
-/// What a limit is about.
+/// Limited quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Quantity {
@@ -114,7 +114,7 @@ pub enum Quantity {
     StopMax,
     /// Speed \[rad/s\].
     Velocity,
-    /// Speed that the acceleration leads to even if a stop takes it back from here on \[rad/s\].
+    /// Peak speed of a stop that starts here, by its initial acceleration \[rad/s\].
     VelocityAhead,
     /// Acceleration \[rad/s2\].
     Acceleration,
@@ -159,42 +159,42 @@ impl Quantity {
         }
     }
 
-    /// Whether the value must stay above the limit rather than below.
+    /// Whether the limit is a lower bound.
     fn is_lower(self) -> bool {
         use Quantity::{BaseSphere, BoxMin, Clearance, LinkBoxMin, PositionMin, StopMin};
         matches!(self, PositionMin | StopMin | BoxMin(_) | BaseSphere | LinkBoxMin(_) | Clearance(..))
     }
 
-    /// Whether the limit is one joint's own: a smaller motion of that joint alone keeps it.
+    /// Whether the limit depends on one joint only: scaling down that joint's motion satisfies it.
     pub(super) fn is_of_one_joint(self) -> bool {
         use Quantity::{Acceleration, Jerk, PositionMax, PositionMin, StopMax, StopMin, Velocity, VelocityAhead};
         matches!(self, PositionMin | PositionMax | StopMin | StopMax | Velocity | VelocityAhead | Acceleration | Jerk)
     }
 }
 
-/// The point of a motion that comes nearest to one limit, or breaks it most.
+/// Point of a motion with the least headroom to one limit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Peak {
-    /// What the limit is about.
+    /// Limited quantity.
     pub quantity: Quantity,
-    /// Joint or link, counted from 1; `None` for the end effector and for what two links have between them.
+    /// Joint or link, counted from 1; `None` for the end effector and for clearances.
     pub joint: Option<usize>,
-    /// When \[s\].
+    /// Time \[s\].
     pub time: f64,
-    /// Value there, without sign where the limit is on the size.
+    /// Value there; the absolute value for symmetric limits.
     pub value: f64,
     /// The limit less its margin.
     pub limit: f64,
 }
 
 impl Peak {
-    /// What is left of the limit less its margin; negative when it is broken. Unit of the quantity.
+    /// Headroom to the limit less its margin, in the unit of the quantity; negative when it is violated.
     pub fn headroom(&self) -> f64 {
         if self.quantity.is_lower() { self.value - self.limit } else { self.limit - self.value }
     }
 
-    /// Whether the limit is broken. A value that is not a number breaks every limit.
+    /// Whether the limit is violated. NaN violates every limit.
     pub fn is_violation(&self) -> bool {
         let headroom = self.headroom();
         headroom.is_nan() || headroom < -1e-9 * self.limit.abs().max(1.0)
@@ -214,7 +214,7 @@ impl fmt::Display for Peak {
     }
 }
 
-/// How near a motion comes to every limit.
+/// Headroom of a motion to every limit.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Check {
     /// One peak per limit and joint.
@@ -222,17 +222,25 @@ pub struct Check {
 }
 
 impl Check {
-    /// The limits that are broken.
+    /// The violated limits.
     pub fn violations(&self) -> impl Iterator<Item = &Peak> {
         self.peaks.iter().filter(|peak| peak.is_violation())
     }
 
-    /// Whether every limit is kept.
+    /// Whether every limit is satisfied.
     pub fn is_feasible(&self) -> bool {
         self.violations().next().is_none()
     }
 
-    fn note(&mut self, slot: &mut usize, quantity: Quantity, joint: Option<usize>, time: f64, value: f64, limit: f64) {
+    fn record(
+        &mut self,
+        slot: &mut usize,
+        quantity: Quantity,
+        joint: Option<usize>,
+        time: f64,
+        value: f64,
+        limit: f64,
+    ) {
         let peak = Peak { quantity, joint, time, value, limit };
         match self.peaks.get_mut(*slot) {
             None => self.peaks.push(peak),
@@ -242,18 +250,18 @@ impl Check {
         *slot += 1;
     }
 
-    /// Notes where end effector and links are at a pose.
-    fn note_space(&mut self, slot: &mut usize, bounds: &Bounds, q: &[f64], time: f64) {
+    /// Records workspace, link boxes and clearances at a pose.
+    fn record_space(&mut self, slot: &mut usize, bounds: &Bounds, q: &[f64], time: f64) {
         let margins = &bounds.margins;
         if let Some(workspace) = bounds.workspace {
             let at = bounds.chain.end_effector(q);
             for axis in 0..3 {
                 let (low, high) =
                     (workspace.box_min[axis] + margins.workspace, workspace.box_max[axis] - margins.workspace);
-                self.note(slot, Quantity::BoxMin(axis), None, time, at[axis], low);
-                self.note(slot, Quantity::BoxMax(axis), None, time, at[axis], high);
+                self.record(slot, Quantity::BoxMin(axis), None, time, at[axis], low);
+                self.record(slot, Quantity::BoxMax(axis), None, time, at[axis], high);
             }
-            self.note(slot, Quantity::BaseSphere, None, time, at.norm(), workspace.base_radius + margins.workspace);
+            self.record(slot, Quantity::BaseSphere, None, time, at.norm(), workspace.base_radius + margins.workspace);
         }
         let Some(shape) = bounds.shape else { return };
         let segments = shape.placed(bounds.chain, q);
@@ -264,8 +272,8 @@ impl Check {
                 for (axis, (low, high)) in low.iter().zip(&high).enumerate() {
                     let least = workspace.box_min[axis] + margins.workspace;
                     let most = workspace.box_max[axis] - margins.workspace;
-                    self.note(slot, Quantity::LinkBoxMin(axis), link, time, low - capsule.radius, least);
-                    self.note(slot, Quantity::LinkBoxMax(axis), link, time, high + capsule.radius, most);
+                    self.record(slot, Quantity::LinkBoxMin(axis), link, time, low - capsule.radius, least);
+                    self.record(slot, Quantity::LinkBoxMax(axis), link, time, high + capsule.radius, most);
                 }
             }
         }
@@ -273,22 +281,21 @@ impl Check {
             let (one, other) = (&shape.capsules()[a], &shape.capsules()[b]);
             let distance = nearest(&segments[a], &segments[b]).between.norm() - one.radius - other.radius;
             let (low, high) = (one.link.min(other.link), one.link.max(other.link));
-            self.note(slot, Quantity::Clearance(low, high), None, time, distance, margins.clearance);
+            self.record(slot, Quantity::Clearance(low, high), None, time, distance, margins.clearance);
         }
     }
 }
 
-/// What a motion breaks of box, sphere and clearances at rest in a pose, if anything.
+/// Check of box, sphere and clearances at a pose.
 pub fn check_pose(bounds: &Bounds, q: &[f64]) -> Check {
     let mut check = Check::default();
-    check.note_space(&mut 0, bounds, q, 0.0);
+    check.record_space(&mut 0, bounds, q, 0.0);
     check
 }
 
-/// Walks one period of a motion (`samples` even steps) and notes the peak of every quantity.
+/// Peaks of every limited quantity over one period of a motion (`samples` even steps).
 ///
-/// `torque` adds the torque and torque-rate limits. At 1 kHz ([`verify`]) this is the promise that a plan makes; a coarse grid is
-/// for searching.
+/// `torque` adds the torque and torque-rate limits. A plan is verified at 1 kHz ([`verify`]); a coarse grid is for searching.
 pub fn check(bounds: &Bounds, fourier: &Fourier, samples: usize, torque: Option<NominalTorque>) -> Check {
     let n = fourier.joints();
     let (limits, margins) = (bounds.limits, &bounds.margins);
@@ -303,23 +310,23 @@ pub fn check(bounds: &Bounds, fourier: &Fourier, samples: usize, torque: Option<
             let point = fourier.at(j, time);
             (q[j], dq[j], ddq[j]) = (point.q, point.dq, point.ddq);
             let joint = Some(j + 1);
-            let mut note = |quantity, value, limit| check.note(&mut slot, quantity, joint, time, value, limit);
-            note(Quantity::PositionMin, point.q, limits.q_min[j] + margins.position);
-            note(Quantity::PositionMax, point.q, limits.q_max[j] - margins.position);
+            let mut record = |quantity, value, limit| check.record(&mut slot, quantity, joint, time, value, limit);
+            record(Quantity::PositionMin, point.q, limits.q_min[j] + margins.position);
+            record(Quantity::PositionMax, point.q, limits.q_max[j] - margins.position);
             let [down, up] = bounds.speeds(j, point.q);
-            note(Quantity::Velocity, point.dq.abs(), if point.dq < 0.0 { down } else { up });
-            note(Quantity::Acceleration, point.ddq.abs(), limits.ddq[j] * margins.acceleration);
-            note(Quantity::Jerk, point.jerk.abs(), limits.jerk[j] * margins.jerk);
+            record(Quantity::Velocity, point.dq.abs(), if point.dq < 0.0 { down } else { up });
+            record(Quantity::Acceleration, point.ddq.abs(), limits.ddq[j] * margins.acceleration);
+            record(Quantity::Jerk, point.jerk.abs(), limits.jerk[j] * margins.jerk);
         }
-        check.note_space(&mut slot, bounds, &q[..n], time);
+        check.record_space(&mut slot, bounds, &q[..n], time);
         if let Some(torque) = torque {
             let tau = torque(&q, &dq, &ddq);
             let before = last_tau.unwrap_or(tau);
             for j in 0..n {
                 let joint = Some(j + 1);
                 let rate = (tau[j] - before[j]).abs() / dt;
-                check.note(&mut slot, Quantity::Torque, joint, time, tau[j].abs(), limits.tau[j] * margins.torque);
-                check.note(&mut slot, Quantity::TorqueRate, joint, time, rate, limits.dtau[j] * margins.torque_rate);
+                check.record(&mut slot, Quantity::Torque, joint, time, tau[j].abs(), limits.tau[j] * margins.torque);
+                check.record(&mut slot, Quantity::TorqueRate, joint, time, rate, limits.dtau[j] * margins.torque_rate);
             }
             last_tau = Some(tau);
         }
@@ -329,7 +336,7 @@ pub fn check(bounds: &Bounds, fourier: &Fourier, samples: usize, torque: Option<
 
 /// [`check`] at 1 kHz.
 pub fn verify(bounds: &Bounds, fourier: &Fourier, torque: Option<NominalTorque>) -> Check {
-    check(bounds, fourier, (fourier.period * VERIFY_RATE).round().max(1.0) as usize, torque)
+    check(bounds, fourier, (fourier.period * VERIFY_RATE_HZ).round().max(1.0) as usize, torque)
 }
 
 #[cfg(test)]
@@ -373,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn peaks_are_those_of_the_sine() {
+    fn peaks_of_a_sine_are_exact() {
         let (chain, limits) = (pendulum(), limits());
         let margins = Margins::default();
         let bounds = Bounds::new(&chain, &limits, margins);
@@ -397,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_limit_names_joint_time_value_and_limit() {
+    fn a_violation_is_described_by_joint_time_value_and_limit() {
         let (chain, limits) = (pendulum(), limits());
         let bounds = Bounds::new(&chain, &limits, Margins::default());
         let check = verify(&bounds, &sine(0.98), None);
@@ -406,21 +413,21 @@ mod tests {
     }
 
     #[test]
-    fn the_end_effector_stays_in_the_box_and_out_of_the_sphere() {
+    fn the_end_effector_is_checked_against_box_and_sphere() {
         let (chain, limits) = (pendulum(), limits());
         let space =
             |y: f64, radius: f64| Workspace { box_min: [-1.0, -y, -1.0], box_max: [1.0, y, 1.0], base_radius: radius };
-        let broken = |workspace: Workspace| {
+        let violated = |workspace: Workspace| {
             let bounds = Bounds { workspace: Some(&workspace), ..Bounds::new(&chain, &limits, Margins::default()) };
             verify(&bounds, &sine(0.3), None).violations().map(|p| p.quantity).collect::<Vec<_>>()
         };
-        assert_eq!(broken(space(0.2, 0.3)), []);
-        assert_eq!(broken(space(0.15, 0.3)), [Quantity::BoxMin(1), Quantity::BoxMax(1)]);
-        assert_eq!(broken(space(0.2, 0.49)), [Quantity::BaseSphere]);
+        assert_eq!(violated(space(0.2, 0.3)), []);
+        assert_eq!(violated(space(0.15, 0.3)), [Quantity::BoxMin(1), Quantity::BoxMax(1)]);
+        assert_eq!(violated(space(0.2, 0.49)), [Quantity::BaseSphere]);
     }
 
     #[test]
-    fn the_surfaces_of_links_stay_in_the_box_and_off_each_other() {
+    fn link_surfaces_are_checked_against_the_box_and_each_other() {
         let (chain, limits) = (three_links(), limits());
         let capsule = |link, length| Capsule { link, from: [0.0; 3], to: [length, 0.0, 0.0], radius: 0.05 };
         let shape = Shape::new(
@@ -447,7 +454,7 @@ mod tests {
         assert!(!clearance.is_violation());
         let side = peak(Quantity::LinkBoxMin(1));
         assert!((side.value + 0.05).abs() < 1e-9 && side.joint == Some(3), "{side}");
-        // Nobody asked for it: the paper's box is the end effector's.
+        // Without `links_in_box` the box applies to the end effector only.
         let free = verify(&Bounds { links_in_box: false, ..bounds }, &fourier, None);
         assert!(free.peaks.iter().all(|p| !matches!(p.quantity, Quantity::LinkBoxMin(_) | Quantity::LinkBoxMax(_))));
         let near = Bounds { margins: Margins { clearance: 0.09, ..bounds.margins }, ..bounds };
@@ -461,7 +468,7 @@ mod tests {
     }
 
     #[test]
-    fn speed_falls_towards_the_end_of_the_range() {
+    fn the_speed_limit_falls_towards_the_end_of_the_range() {
         let (chain, limits) = (pendulum(), limits());
         let envelope = SpeedEnvelope { offset: [0.2; MAX_JOINTS], deceleration: [2.0; MAX_JOINTS] };
         let margins = Margins { velocity: 0.5, ..Margins::default() };
@@ -487,7 +494,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motion_that_is_not_a_number_is_not_feasible() {
+    fn a_motion_with_nan_is_not_feasible() {
         let (chain, limits) = (pendulum(), limits());
         let bounds = Bounds::new(&chain, &limits, Margins::default());
         let mut motion = sine(0.1);
@@ -495,9 +502,9 @@ mod tests {
         assert!(!verify(&bounds, &motion, None).is_feasible());
     }
 
-    /// A motion planner can find poses: a fair share of all that the joints allow keeps flange and links where they may be.
+    /// More than a fifth of random poses within the joint limits satisfy workspace and clearances.
     #[test]
-    fn the_workspace_leaves_room() {
+    fn the_workspace_of_every_shipped_robot_contains_poses() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         for name in Robot::names() {
             let Robot { chain, limits, workspace, shape, .. } = Robot::load(name, None).unwrap();

@@ -1,4 +1,4 @@
-//! The nominal model that a plan's torques are computed with, in the form that they have a gradient in.
+//! Nominal model of a plan's torques, restricted to terms with a gradient.
 
 use super::ExciteError;
 use nalgebra::Vector3;
@@ -7,7 +7,7 @@ use plumbline_model::term::friction::SHARPNESS;
 use plumbline_model::term::{friction, payload, rigid_body, rotor_inertia, torque_offset};
 use plumbline_model::{Chain, LINK_COLUMNS, LinkParameters, TorqueModel, rnea};
 
-/// Rigid body, friction, offsets and rotors of an arm.
+/// Nominal model: rigid body, friction, offsets and rotors of an arm.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Nominal {
     /// Standard parameters of every link, or base parameters in the slots of their names.
@@ -23,8 +23,10 @@ pub struct Nominal {
 }
 
 impl Nominal {
-    /// Takes the numbers out of a model; a payload becomes part of the last link, and [`Nominal::left_out`] says which effects have no
-    /// place here. Errors when it has a term of another kind, whose torque would be missing.
+    /// Nominal model of `model`. A payload becomes part of the last link; [`Nominal::left_out`] lists the omitted effects.
+    ///
+    /// # Errors
+    /// A term without a spec of another kind: its torque would be missing.
     pub fn of(model: &TorqueModel) -> Result<Nominal, ExciteError> {
         let structure = model.structure();
         let mut nominal =
@@ -60,7 +62,7 @@ impl Nominal {
         Ok(nominal)
     }
 
-    /// Effects of a model that [`Nominal::of`] leaves out: small against the limits that torques are held to.
+    /// Effects of a model that [`Nominal::of`] omits: they are small against the torque limits.
     pub fn left_out(model: &TorqueModel) -> Vec<&'static str> {
         let mut ids: Vec<&str> = Vec::new();
         for id in model.structure().terms().iter().filter_map(|term| term.spec()).map(|spec| spec.family) {
@@ -101,7 +103,7 @@ mod tests {
     use plumbline_model::{Joint, JointKind, Placement, Reduction, Structure};
 
     #[test]
-    fn it_is_the_model() {
+    fn the_nominal_torque_is_that_of_the_model() {
         let joint = |alpha: f64| Joint { kind: JointKind::Revolute, a: 0.1, alpha, d: 0.2, theta: 0.0 };
         let chain = Chain::modified(vec![joint(0.0), joint(1.2), joint(-0.7)], Placement::identity());
         let ids = ["friction", "torque-offset", "rotor-inertia"];
@@ -116,10 +118,10 @@ mod tests {
         assert!((0..3).all(|j| (found[j] - expected[j]).abs() < 1e-12), "{found:?} {expected:?}");
         assert!(Nominal::left_out(&model).is_empty());
 
-        // With a payload it is a heavier arm; other effects are named and left out.
+        // A payload is included; other effects are listed as omitted.
         let with = |family, site, settings| {
             let spec = Spec { family, form: "", site, settings };
-            let term = spec.build(&model.structure().ground(&model.beta())).unwrap();
+            let term = spec.build(&model.structure().operating_point(&model.beta())).unwrap();
             let structure = model.structure().clone().with(vec![term]).unwrap();
             let values: Vec<_> = (0..structure.columns().len()).map(|c| ((c as f64 * 1.7).sin(), None)).collect();
             TorqueModel::new("arm", structure, vec![], &values).unwrap()

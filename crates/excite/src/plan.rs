@@ -1,4 +1,4 @@
-//! A planned motion as plain data, with all that is needed to rebuild and to judge it.
+//! Plan file: a motion with its constraints and condition numbers.
 
 use super::ExciteError;
 use super::fourier::Fourier;
@@ -9,21 +9,21 @@ use plumbline_core::{BadInput, Workspace, from_toml};
 use plumbline_model::{Conditions, Mounting};
 use serde::{Deserialize, Serialize};
 
-/// The plan file's content.
+/// Content of a plan file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Plan {
     /// Name of the robot.
     pub robot: String,
-    /// Mounting it was planned for, paper eq. 3 \[rad\].
+    /// Planned mounting, paper eq. 3 \[rad\].
     pub rho: f64,
-    /// Mounting it was planned for, paper eq. 3 \[rad\].
+    /// Planned mounting, paper eq. 3 \[rad\].
     pub phi: f64,
     /// Period \[s\].
     pub period: f64,
     /// Number of harmonics, N.
     pub harmonics: usize,
-    /// Seed of the search that found it.
+    /// Seed of the search.
     pub seed: u64,
     /// Start pose, n \[rad\].
     pub q0: Vec<f64>,
@@ -33,14 +33,14 @@ pub struct Plan {
     pub b: Vec<Vec<f64>>,
     /// Condition numbers of the stacked base regressor on one period.
     pub conditions: Conditions,
-    /// What the motion was held to.
+    /// Constraints of the motion.
     pub constraints: Constraints,
-    /// How much of each joint's limits the motion uses, for people and the report; absent in plans of earlier versions.
+    /// Shares of each joint's limits that the motion uses, for reports; absent in plans of earlier versions.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub usage: Option<PlanUsage>,
 }
 
-/// Shares of the limits, less their margins, that a motion uses, one entry per joint.
+/// Shares of the limits less margins that a motion uses, one entry per joint.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct PlanUsage {
@@ -51,14 +51,14 @@ pub struct PlanUsage {
 }
 
 impl PlanUsage {
-    /// The shares of every joint, n, in thousandths.
+    /// The shares of every joint, n, rounded to thousandths.
     pub fn of(usage: &[Usage]) -> PlanUsage {
         let rounded = |of: fn(&Usage) -> f64| usage.iter().map(|usage| (of(usage) * 1e3).round() / 1e3).collect();
         PlanUsage { range: rounded(|usage| usage.range), speed: rounded(|usage| usage.speed) }
     }
 }
 
-/// The limits that a plan was held to, one entry per joint, and what it left free of them.
+/// Constraints of a plan: limits with one entry per joint, and margins.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Constraints {
@@ -78,24 +78,24 @@ pub struct Constraints {
     /// Highest torque rates \[Nm/s\]; absent when no nominal model was given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dtau: Option<Vec<f64>>,
-    /// Lower corner of the end effector's box \[m\]; absent when it was left free.
+    /// Lower corner of the end effector's box \[m\]; absent without a workspace.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub box_min: Option<[f64; 3]>,
-    /// Upper corner of the end effector's box \[m\]; absent when it was left free.
+    /// Upper corner of the end effector's box \[m\]; absent without a workspace.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub box_max: Option<[f64; 3]>,
-    /// Radius of the sphere round the base that it stays out of \[m\]; absent when it was left free.
+    /// Radius of the forbidden sphere around the base \[m\]; absent without a workspace.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub base_radius: Option<f64>,
-    /// Whether the links were held in the box, too.
+    /// Whether the links had to stay in the box too.
     #[serde(default)]
     pub links_in_box: bool,
-    /// What was left free of each limit.
+    /// Margins to the limits.
     pub margins: Margins,
 }
 
 impl Constraints {
-    /// The bounds as plain data; `torque` says whether a nominal model's torques were checked.
+    /// Constraints of `bounds`; `torque`: whether a nominal model's torques were checked.
     pub fn of(bounds: &Bounds, torque: bool) -> Constraints {
         let n = bounds.chain.len();
         let limits = bounds.limits;
@@ -118,7 +118,10 @@ impl Constraints {
 }
 
 impl Plan {
-    /// The motion. Errors when the amplitudes do not fit `q0` and `harmonics`, or a number is not finite.
+    /// The motion.
+    ///
+    /// # Errors
+    /// Amplitudes that do not match `q0` and `harmonics`, or a number that is not finite.
     pub fn fourier(&self) -> Result<Fourier, ExciteError> {
         let n = self.q0.len();
         let fits = |rows: &[Vec<f64>]| rows.len() == n && rows.iter().all(|row| row.len() == self.harmonics);
@@ -130,13 +133,13 @@ impl Plan {
         Fourier::new(self.period, self.q0.clone(), matrix(&self.a), matrix(&self.b))
     }
 
-    /// The mounting it was planned for.
+    /// The planned mounting.
     pub fn mounting(&self) -> Mounting {
         Mounting { rho: self.rho, phi: self.phi }
     }
 }
 
-/// Text of a plan file; reading it gives the same plan bit by bit.
+/// Text of a plan file; parsing it gives a bitwise equal plan.
 ///
 /// # Errors
 /// None for a plan of finite numbers.
@@ -145,10 +148,10 @@ pub fn plan_text(plan: &Plan) -> Result<String, toml::ser::Error> {
     Ok(format!("# Excitation of one period: paper eq. 12 with q0, a, b. Angles in rad, times in s.\n{text}"))
 }
 
-/// Reads a plan from text; `file` is only named in errors.
+/// Parses a plan; `file` appears in errors only.
 ///
 /// # Errors
-/// An unknown or missing key, a number that is not finite, amplitudes that don't fit the joints and harmonics.
+/// An unknown or missing key, a number that is not finite, amplitudes that do not match the joints and harmonics.
 pub fn parse_plan(file: &str, text: &str) -> Result<Plan, BadInput> {
     let plan: Plan = from_toml(file, text)?;
     for (key, value) in [("rho", plan.rho), ("phi", plan.phi)] {

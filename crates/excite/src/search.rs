@@ -1,14 +1,14 @@
-//! What a motion is searched for with, random motions, and the plan that a search ends in. The search itself is [`super::optimiser`].
+//! Search problem, random motions, and the plan of a found motion. The optimiser is [`super::optimiser`].
 
 use super::ExciteError;
 use super::criterion::{Criterion, evaluate, sampled, stacked};
 use super::fourier::{Fourier, MAX_HARMONICS};
+use super::guard_check::check_with_guard;
 use super::limits::{Bounds, Check, Peak, Quantity, check, check_pose, verify};
 use super::nominal::Nominal;
-use super::optimiser::FINE;
+use super::optimiser::FINE_GRID_RATIO;
 use super::plan::{Constraints, Plan, PlanUsage};
-use super::rehearsal::rehearse;
-use super::usage::{WANTED_USAGE, check_usage, least_usage, usage};
+use super::usage::{TARGET_USAGE, check_usage, least_usage, usage};
 use plumbline_core::JointVec;
 use plumbline_model::term::Motion;
 use plumbline_model::{Conditions, Mounting, Structure};
@@ -17,25 +17,25 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
-/// What is searched for, and where.
+/// Search problem.
 pub struct Problem<'a> {
-    /// Name of the robot, for the plan.
+    /// Name of the robot for the plan.
     pub robot: &'a str,
-    /// Model whose parameters are to be excited; its chain is the arm.
+    /// Model whose parameters are excited; its chain is the arm.
     pub structure: &'a Structure,
     /// Mounting of the base.
     pub mounting: Mounting,
     /// Limits of the motion. Their chain is the arm's.
     pub bounds: Bounds<'a>,
-    /// Nominal model, to hold the limits of torque and torque rate as well; `None` leaves them out.
+    /// Nominal model for the torque and torque-rate limits; `None` for no such limits.
     pub nominal: Option<&'a Nominal>,
     /// Torque noise of each joint for the weighted criteria, n \[Nm\].
     pub sigma: &'a [f64],
-    /// Start pose; `None` lets the search choose one \[rad\].
+    /// Start pose \[rad\]; `None` to optimise it too.
     pub q0: Option<&'a [f64]>,
 }
 
-/// How a motion is searched for.
+/// Settings of a search.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case", default)]
 pub struct Search {
@@ -43,15 +43,15 @@ pub struct Search {
     pub period: f64,
     /// Number of harmonics, N.
     pub harmonics: usize,
-    /// What is made small.
+    /// Criterion to minimise.
     pub criterion: Criterion,
-    /// Random motions that are descended from; the best quarter of them is seen through.
+    /// Random starts of the descent; the best quarter is continued to convergence.
     pub starts: usize,
-    /// Rounds in which the best motions are shaken and descended again.
+    /// Rounds in which the best motions are perturbed and descended again.
     pub rounds: usize,
-    /// Samples of one period on the grid that is searched on.
+    /// Samples of one period on the search grid.
     pub samples: usize,
-    /// Seed of the random numbers: the same seed finds the same motion.
+    /// Seed of the random numbers; the result is deterministic.
     pub seed: u64,
 }
 
@@ -61,84 +61,84 @@ impl Default for Search {
     }
 }
 
-/// How far a search has come.
+/// Progress of a search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Steps that are over.
+    /// Completed steps.
     pub done: usize,
-    /// Steps of the whole search.
+    /// Total steps.
     pub of: usize,
-    /// Best criterion so far (a condition number, or what [`Criterion::LogDet`] stands for); infinite before the first motion.
+    /// Best criterion so far (condition number, or exponential of [`Criterion::LogDet`]); infinite before the first motion.
     pub best: f64,
 }
 
-/// Who watches a search, and what it may use.
+/// Threads, cancellation and progress report of a search.
 #[derive(Clone, Copy)]
-pub struct Watch<'a> {
-    /// Threads that descents run on.
+pub struct SearchControl<'a> {
+    /// Number of threads.
     pub threads: usize,
-    /// Asked between the legs of a descent: when true, the search ends with the best that it has.
+    /// Polled between the stages of a descent: when true, the search ends with its best motion so far.
     pub stop: &'a (dyn Fn() -> bool + Sync),
-    /// TimedEvent how far it is, from any thread.
+    /// Called with the progress, from any thread.
     pub progress: &'a (dyn Fn(Progress) + Sync),
 }
 
-impl Watch<'_> {
-    /// Nobody watches: all starts are seen through, on this many threads.
-    pub fn alone(threads: usize) -> Watch<'static> {
-        Watch { threads, stop: &|| false, progress: &|_| {} }
+impl SearchControl<'_> {
+    /// A search on `threads` threads without cancellation and progress report.
+    pub fn with_threads(threads: usize) -> SearchControl<'static> {
+        SearchControl { threads, stop: &|| false, progress: &|_| {} }
     }
 }
 
-/// Start poses tried before giving up.
-const POSES: usize = 2000;
-/// Factors by which a motion is shrunk when it leaves the limits: gently at first.
-const SHRINK: [f64; 2] = [0.995, 0.9];
-const GENTLE: usize = 8;
-const SHRINKINGS: usize = 80;
-/// Extra room on the coarse grid, whose samples can straddle a peak.
-const COARSE_ROOM: f64 = 0.99;
-/// Random motions that are drawn at most.
-const DRAWS: usize = 50;
-/// Steps of a bisection.
-const BISECTIONS: usize = 30;
+/// Maximum random start poses.
+const MAX_POSES: usize = 2000;
+/// Factors by which an infeasible motion is scaled down: the first for [`GENTLE_STEPS`] steps, then the second.
+const SHRINK_RATIOS: [f64; 2] = [0.995, 0.9];
+const GENTLE_STEPS: usize = 8;
+const MAX_SHRINK_STEPS: usize = 80;
+/// Ratio that scales a motion fitted on the coarse grid, whose samples can miss a peak.
+const COARSE_GRID_RATIO: f64 = 0.99;
+/// Maximum random motions drawn.
+const MAX_DRAWS: usize = 50;
+/// Number of bisection steps.
+const BISECTION_STEPS: usize = 30;
 
-/// A random motion that keeps every limit at 1 kHz and moves every joint, for validation. `amplitude` (0 to 1) is the share of each joint's
-/// room that it uses. Only the condition numbers of the plan depend on the structure.
+/// Random motion for validation: it satisfies every limit at 1 kHz and moves every joint. `amplitude` (0 to 1) is the share of each joint's
+/// range of motion. Only the condition numbers of the plan depend on the structure.
 ///
-/// A start pose near the box or near another link leaves a motion about it little room: below [`WANTED_USAGE`] another one is drawn. The best
-/// of the draws is taken.
+/// A motion about a start pose near the box or near another link is small: below [`TARGET_USAGE`] another pose is drawn. The best
+/// of the draws is returned.
 ///
 /// # Errors
-/// [`ExciteError::Frozen`] where even that leaves a joint below [`super::usage::MIN_USAGE`], and what keeps motions from being drawn at all.
+/// [`ExciteError::Frozen`] where the best draw leaves a joint below [`super::usage::MIN_USAGE`]; errors of drawing motions.
 pub fn random_plan(problem: &Problem, search: &Search, amplitude: f64) -> Result<Plan, ExciteError> {
     validate(problem, search)?;
     let mut rng = ChaCha8Rng::seed_from_u64(search.seed);
-    let mut best: Option<Drawn> = None;
-    let mut trouble = None;
+    let mut best: Option<Candidate> = None;
+    let mut first_error = None;
     let used =
         |fourier: &Fourier| least_usage(&usage(&problem.bounds, fourier)).map_or(0.0, |(_, usage)| usage.largest());
-    for _ in 0..DRAWS {
+    for _ in 0..MAX_DRAWS {
         let drawn = random_motion(problem, search, amplitude, &mut rng)?;
-        let held_by = coarse(problem, &drawn, search.samples).violations().next().copied();
+        let limited_by = coarse(problem, &drawn, search.samples).violations().next().copied();
         let better = |fourier: &Fourier| best.as_ref().is_none_or(|best| used(fourier) > best.least);
-        // The judgement at 1 kHz takes the longest, and makes no motion larger.
+        // The check at 1 kHz is the most expensive and only scales motions down.
         let kept = match shrink(drawn, |fourier| coarse(problem, fourier, search.samples)) {
             Ok(fourier) if !better(&fourier) => continue,
-            kept => kept.and_then(|fourier| shrink(fourier, |fourier| search_verdict(problem, fourier))),
+            kept => kept.and_then(|fourier| shrink(fourier, |fourier| verify_with_guard(problem, fourier))),
         };
         match kept {
-            Ok(fourier) if better(&fourier) => best = Some(Drawn { least: used(&fourier), fourier, held_by }),
+            Ok(fourier) if better(&fourier) => best = Some(Candidate { least: used(&fourier), fourier, limited_by }),
             Ok(_) => {}
-            Err(error) => trouble = Some(error),
+            Err(error) => first_error = Some(error),
         }
-        if best.as_ref().is_some_and(|best| best.least >= WANTED_USAGE) {
+        if best.as_ref().is_some_and(|best| best.least >= TARGET_USAGE) {
             break;
         }
     }
-    match (best, trouble) {
-        (Some(Drawn { fourier, held_by, .. }), _) => {
-            check_usage(&usage(&problem.bounds, &fourier), held_by, DRAWS)?;
+    match (best, first_error) {
+        (Some(Candidate { fourier, limited_by, .. }), _) => {
+            check_usage(&usage(&problem.bounds, &fourier), limited_by, MAX_DRAWS)?;
             plan_of(problem, search, fourier)
         }
         (None, Some(error)) => Err(error),
@@ -146,13 +146,13 @@ pub fn random_plan(problem: &Problem, search: &Search, amplitude: f64) -> Result
     }
 }
 
-/// A random motion inside the limits.
-struct Drawn {
+/// Feasible random motion.
+struct Candidate {
     fourier: Fourier,
-    /// Usage of the joint that it moves least.
+    /// Smallest usage over the joints.
     least: f64,
-    /// What a larger motion of this form breaks.
-    held_by: Option<Peak>,
+    /// The limit that a larger motion of this form violates.
+    limited_by: Option<Peak>,
 }
 
 pub(super) fn validate(problem: &Problem, search: &Search) -> Result<(), ExciteError> {
@@ -181,13 +181,16 @@ pub(super) fn validate(problem: &Problem, search: &Search) -> Result<(), ExciteE
         }
     }
     if let Some(q0) = problem.q0 {
-        can_rest(problem, q0)?;
+        check_start_pose(problem, q0)?;
     }
     Ok(())
 }
 
-/// Whether the arm can rest at a pose; the error says what is wrong with it.
-fn can_rest(problem: &Problem, q0: &[f64]) -> Result<(), ExciteError> {
+/// Checks that the arm can rest at a pose.
+///
+/// # Errors
+/// The violated limit.
+fn check_start_pose(problem: &Problem, q0: &[f64]) -> Result<(), ExciteError> {
     let (limits, margin) = (problem.bounds.limits, problem.bounds.margins.position);
     for (j, &q) in q0.iter().enumerate() {
         let (min, max) = (limits.q_min[j] + margin, limits.q_max[j] - margin);
@@ -209,30 +212,30 @@ fn can_rest(problem: &Problem, q0: &[f64]) -> Result<(), ExciteError> {
     }
 }
 
-/// The given start pose, or a random one that the arm can rest at.
+/// The given start pose, or a random feasible one.
 fn pose(problem: &Problem, rng: &mut ChaCha8Rng) -> Result<Vec<f64>, ExciteError> {
     if let Some(q0) = problem.q0 {
         return Ok(q0.to_vec());
     }
     let (limits, margin) = (problem.bounds.limits, problem.bounds.margins.position);
     let mut last = None;
-    for _ in 0..POSES {
-        // From the middle two thirds of each range, to leave room for the motion.
+    for _ in 0..MAX_POSES {
+        // From the middle two thirds of each range.
         let q0: Vec<f64> = (0..problem.bounds.chain.len())
             .map(|j| {
                 let (min, max) = (limits.q_min[j] + margin, limits.q_max[j] - margin);
                 0.5 * (min + max) + rng.random_range(-1.0..1.0) * (max - min) / 3.0
             })
             .collect();
-        match can_rest(problem, &q0) {
+        match check_start_pose(problem, &q0) {
             Ok(()) => return Ok(q0),
             Err(error) => last = Some(error),
         }
     }
-    Err(ExciteError::NoStart { tried: POSES, last: last.map(Box::new) })
+    Err(ExciteError::NoStart { tried: MAX_POSES, last: last.map(Box::new) })
 }
 
-/// A random motion about a pose that the arm can rest at, every joint scaled to its own limits. Box, bodies and torques are not asked.
+/// Random motion about a feasible start pose, every joint scaled to its own limits. Box, clearances and torques are not checked.
 pub(super) fn random_motion(
     problem: &Problem,
     search: &Search,
@@ -242,7 +245,7 @@ pub(super) fn random_motion(
     let mut fourier = Fourier::still(search.period, pose(problem, rng)?, search.harmonics)?;
     for k in 0..search.harmonics {
         for j in 0..fourier.joints() {
-            // Low harmonics reach far, high ones accelerate: shares that fall with k let neither crowd the other out.
+            // Amplitudes proportional to 1/k balance range (low harmonics) and acceleration (high harmonics).
             let weight = 1.0 / (k + 1) as f64;
             fourier.a[(j, k)] = weight * normal(rng);
             fourier.b[(j, k)] = weight * normal(rng);
@@ -256,28 +259,28 @@ pub(super) fn random_motion(
     Ok(fourier)
 }
 
-/// Shrinks a motion about its start pose until it keeps the limits: a joint that breaks a limit of its own alone, else the whole motion.
+/// Scales a motion about its start pose down until it is feasible: only the joints that violate their own limits, else the whole motion.
 pub(super) fn shrink(mut fourier: Fourier, check: impl Fn(&Fourier) -> Check) -> Result<Fourier, ExciteError> {
-    let mut broken: Option<Peak> = None;
-    for tried in 0..SHRINKINGS {
+    let mut violated: Option<Peak> = None;
+    for tried in 0..MAX_SHRINK_STEPS {
         let check = check(&fourier);
         let Some(first) = check.violations().next() else { return Ok(fourier) };
-        broken = Some(*first);
+        violated = Some(*first);
         let own = |peak: &Peak| peak.joint.filter(|_| peak.quantity.is_of_one_joint());
         let joints: Option<Vec<usize>> = check.violations().map(own).collect();
         for j in 0..fourier.joints() {
             if joints.as_ref().is_none_or(|joints| joints.contains(&(j + 1))) {
-                fourier.scale_joint(j, SHRINK[usize::from(tried >= GENTLE)]);
+                fourier.scale_joint(j, SHRINK_RATIOS[usize::from(tried >= GENTLE_STEPS)]);
             }
         }
     }
-    match broken {
+    match violated {
         None => Ok(fourier),
         Some(violation) => Err(ExciteError::NoMotion { violation }),
     }
 }
 
-/// Largest factor by which joint `j` can be scaled within its range, speed, acceleration and jerk, all taken along the scaled motion.
+/// Largest factor by which joint `j` can be scaled within its range, speed, acceleration and jerk.
 fn room(problem: &Problem, fourier: &Fourier, j: usize, samples: usize) -> f64 {
     let (bounds, limits, margins) = (&problem.bounds, problem.bounds.limits, &problem.bounds.margins);
     let q0 = fourier.q0[j];
@@ -294,38 +297,37 @@ fn room(problem: &Problem, fourier: &Fourier, j: usize, samples: usize) -> f64 {
         ];
         factor = uses.into_iter().filter(|&used| used > 0.0).fold(factor, |factor, used| factor.min(1.0 / used));
     }
-    // A joint that does not move at all has nothing to scale.
+    // The joint does not move.
     if !factor.is_finite() {
         return 1.0;
     }
-    // A speed limit that falls towards the ends of the range is that of the scaled positions. It is concave in them where it is above
-    // zero, so the factors that keep it are those from zero to a largest one.
+    // The position-dependent speed limit is evaluated at the scaled positions. It is concave where positive, so the feasible factors are an
+    // interval from zero.
     let keeps = |factor: f64| {
         let speeds = |q: f64| bounds.speeds(j, q0 + factor * (q - q0));
         points.iter().all(|point| factor * point.dq.abs() <= speeds(point.q)[usize::from(point.dq > 0.0)])
     };
     if bounds.envelope.is_some() && !keeps(factor) {
         let mut low = 0.0;
-        for _ in 0..BISECTIONS {
+        for _ in 0..BISECTION_STEPS {
             let middle = 0.5 * (low + factor);
             if keeps(middle) { low = middle } else { factor = middle }
         }
         factor = low;
     }
-    COARSE_ROOM * factor
+    COARSE_GRID_RATIO * factor
 }
 
-/// What the motion breaks on a coarse grid.
+/// Check of a motion on a coarse grid.
 fn coarse(problem: &Problem, fourier: &Fourier, samples: usize) -> Check {
     with_torque(problem, |torque| check(&problem.bounds, fourier, samples, torque))
 }
 
-/// What the motion breaks at 1 kHz, by the limits less their margins and by the rules of the loop's guard: the judgement that a plan stands
-/// on.
-pub fn search_verdict(problem: &Problem, fourier: &Fourier) -> Check {
+/// Check of a motion at 1 kHz by the limits less margins and by the rules of the loop's guard. A plan must pass it.
+pub fn verify_with_guard(problem: &Problem, fourier: &Fourier) -> Check {
     let mut check = with_torque(problem, |torque| verify(&problem.bounds, fourier, torque));
     if check.is_feasible() {
-        check.peaks.extend(rehearse(&problem.bounds, fourier));
+        check.peaks.extend(check_with_guard(&problem.bounds, fourier));
     }
     check
 }
@@ -340,23 +342,27 @@ fn with_torque(problem: &Problem, judge: impl Fn(Option<super::limits::NominalTo
     }
 }
 
-/// One period of each of several motions on a fine grid, one after the other. Panics when there is none.
+/// Samples of one period of each motion on a fine grid, concatenated. Panics when there is none.
 pub fn motion_samples(problem: &Problem, motions: &[Fourier]) -> Motion {
-    let fine = |fourier: &Fourier| sampled(fourier, &problem.mounting.gravity(), FINE * Search::default().samples);
+    let fine =
+        |fourier: &Fourier| sampled(fourier, &problem.mounting.gravity(), FINE_GRID_RATIO * Search::default().samples);
     stacked(&motions.iter().map(fine).collect::<Vec<_>>())
 }
 
-/// Condition numbers of several motions together, stacked.
-pub fn conditions_together(problem: &Problem, motions: &[Fourier]) -> Conditions {
+/// Condition numbers of the stacked regressor of several motions.
+pub fn stacked_conditions(problem: &Problem, motions: &[Fourier]) -> Conditions {
     evaluate(problem.structure, &motion_samples(problem, motions), problem.sigma)
 }
 
-/// The plan of a motion that keeps every limit at 1 kHz; an error when it does not.
+/// The plan of a motion.
+///
+/// # Errors
+/// [`ExciteError::NoMotion`] when it violates a limit at 1 kHz.
 pub(super) fn plan_of(problem: &Problem, search: &Search, fourier: Fourier) -> Result<Plan, ExciteError> {
-    if let Some(violation) = search_verdict(problem, &fourier).violations().next() {
+    if let Some(violation) = verify_with_guard(problem, &fourier).violations().next() {
         return Err(ExciteError::NoMotion { violation: *violation });
     }
-    let motion = sampled(&fourier, &problem.mounting.gravity(), FINE * search.samples);
+    let motion = sampled(&fourier, &problem.mounting.gravity(), FINE_GRID_RATIO * search.samples);
     let rows = |m: &nalgebra::DMatrix<f64>| m.row_iter().map(|row| row.iter().copied().collect()).collect();
     Ok(Plan {
         robot: problem.robot.to_string(),

@@ -1,20 +1,20 @@
-//! How much of each joint's limits a motion uses, and which joint it leaves frozen.
+//! Shares of each joint's limits that a motion uses.
 
 use super::ExciteError;
 use super::fourier::Fourier;
 use super::limits::{Bounds, Peak};
 
-/// Least share of one of its limits (range, speed, acceleration or jerk) that a motion has to use of every joint.
+/// Minimum share of one of its limits (range, speed, acceleration or jerk) that every joint must use.
 ///
-/// The standard deviation of what a joint's motion determines grows with the inverse of its amplitude: at a tenth it is ten times that
-/// of a motion that uses the limit, the same as one run in place of a hundred.
+/// Standard deviations of a joint's parameters are inversely proportional to the amplitude. At a tenth of the limit they are ten times larger,
+/// which a hundred times as many runs would compensate.
 pub const MIN_USAGE: f64 = 0.1;
-/// What a random motion is drawn again for, up to a number of times: a motion of a quarter of what a joint can do is worth one of sixteen.
-pub const WANTED_USAGE: f64 = 0.25;
-/// Samples of one period that peaks are taken from.
+/// Share of the limits below which a random motion is drawn again: at a quarter of the limit a run is worth a sixteenth.
+pub const TARGET_USAGE: f64 = 0.25;
+/// Samples of one period for the peaks.
 const SAMPLES: usize = 400;
 
-/// Shares of one joint's limits, less their margins, that a motion uses.
+/// Shares of one joint's limits less margins that a motion uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Usage {
     /// Distance between the highest and the lowest position, of the joint's range.
@@ -28,8 +28,8 @@ pub struct Usage {
 }
 
 impl Usage {
-    /// The limit that the motion uses most of. A slow motion with a long period is near the ends of the range alone, a fast one with a
-    /// short period near the acceleration limit alone.
+    /// The largest share. A motion with a long period is bounded by the range only, one with a short period by the acceleration
+    /// limit only.
     pub fn largest(&self) -> f64 {
         self.range.max(self.speed).max(self.acceleration).max(self.jerk)
     }
@@ -56,19 +56,22 @@ pub fn usage(bounds: &Bounds, fourier: &Fourier) -> Vec<Usage> {
     (0..fourier.joints()).map(of_joint).collect()
 }
 
-/// The joint (from 0) that a motion uses least, with its usage.
+/// The joint (from 0) with the smallest usage.
 pub fn least_usage(usage: &[Usage]) -> Option<(usize, Usage)> {
     let joints = usage.iter().copied().enumerate();
     joints.min_by(|(_, one), (_, other)| one.largest().total_cmp(&other.largest()))
 }
 
-/// Errors when a motion uses less than [`MIN_USAGE`] of every limit of some joint. `held_by` is what kept the motion small, where that is
-/// known, and `draws` the number of random motions that were tried.
-pub fn check_usage(usage: &[Usage], held_by: Option<Peak>, draws: usize) -> Result<(), ExciteError> {
+/// Checks that every joint uses at least [`MIN_USAGE`] of one limit. `limited_by` is the limit that bounded the motion, where known, and `draws`
+/// the number of random motions tried.
+///
+/// # Errors
+/// [`ExciteError::Frozen`] with the joint.
+pub fn check_usage(usage: &[Usage], limited_by: Option<Peak>, draws: usize) -> Result<(), ExciteError> {
     match least_usage(usage) {
-        // Also where the usage is not a number.
+        // NaN is an error too.
         Some((j, usage)) if usage.largest().is_nan() || usage.largest() < MIN_USAGE => {
-            Err(ExciteError::Frozen { joint: j + 1, usage, held_by, draws })
+            Err(ExciteError::Frozen { joint: j + 1, usage, limited_by, draws })
         }
         _ => Ok(()),
     }
@@ -82,7 +85,7 @@ mod tests {
     use plumbline_model::{Chain, Joint, JointKind, Placement};
 
     #[test]
-    fn shares_are_of_the_limits_less_their_margins_and_the_least_joint_is_named() {
+    fn shares_refer_to_limits_less_margins_and_the_least_used_joint_is_reported() {
         let joint = |a: f64| Joint { kind: JointKind::Revolute, a, alpha: 0.0, d: 0.0, theta: 0.0 };
         let chain = Chain::modified(vec![joint(0.0), joint(0.5)], Placement::identity());
         let all = |x: f64| [x; MAX_JOINTS];

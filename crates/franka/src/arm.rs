@@ -34,7 +34,7 @@ use super::settings::{Interface, Purpose, Settings};
 use super::torque::Tracking;
 use super::transport::Transport;
 use super::wire::{ControllerMode, ErrorBit, Errors, MotionGeneratorMode, MoveStatus, RobotMode};
-use plumbline_core::{Backend, Command, Fault, PERIOD, State};
+use plumbline_core::{Backend, Command, Fault, PERIOD_S, State};
 use plumbline_rt::os::now_ns;
 use std::time::Duration;
 
@@ -99,7 +99,7 @@ impl FrankaArm {
         let q_d = if self.phase == Phase::Moving { self.followed.point.q } else { state.q_d };
         State {
             seq: state.message_id,
-            time: state.message_id.saturating_sub(self.first_id) as f64 * PERIOD,
+            time: state.message_id.saturating_sub(self.first_id) as f64 * PERIOD_S,
             q: widen(&state.q),
             dq: widen(&state.dq),
             tau: widen(&state.tau_j),

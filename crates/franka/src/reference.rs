@@ -12,7 +12,7 @@
 )]
 
 /// The arm's cycle \[s\].
-pub(super) const TICK: f64 = plumbline_core::PERIOD;
+pub(super) const TICK: f64 = plumbline_core::PERIOD_S;
 
 /// A commanded point with the derivatives that the arm makes of it: `dq = (q - q_last) / T`, `ddq = (dq - dq_last) / T`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn lost_commands_and_lost_states_are_told_from_what_the_arm_did() {
+    fn lost_commands_are_distinguished_from_lost_states() {
         for tolerance in [F64, F32] {
             // Commands 200, 201 and 202 never arrive; states 300 to 304 don't either.
             for (id, followed, truth) in drive(tolerance, &[200, 201, 202], &[300, 301, 302, 303, 304], false) {

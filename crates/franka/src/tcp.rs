@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn garbage_is_told_from_a_closed_connection_by_its_first_bytes() {
+    fn garbage_is_distinguished_from_a_closed_connection_by_its_first_bytes() {
         let (mut link, mut server) = pair();
         server.write_all(b"HTTP/1.1 400 Bad Request").unwrap();
         assert_eq!(until(&mut link, 0), Err(ConnectionLost::Garbled(*b"HTTP/1.1 400")));

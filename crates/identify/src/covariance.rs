@@ -1,31 +1,31 @@
-//! Standard deviations that hold for coloured noise.
+//! Covariance of the parameters under coloured noise.
 //!
-//! Least squares weighs as if the noise were white in time; its estimate stays unbiased when it is not, but the usual formula for its
-//! covariance is then wrong. With `beta = B tau` the covariance is `B C B'` whatever the noise's covariance `C` is. Where a motion
-//! repeats, `C` is the scatter between the periods, correlations between joints included. Where it does not, the residual has to
-//! do: the scores `B_k r_k` of every sample `k` summed with their neighbours (Newey and West 1987).
+//! Least squares assumes noise that is white in time. With coloured noise the estimate is still unbiased, but the usual formula of its
+//! covariance is wrong. With `beta = B tau` the covariance is `B C B'` for any noise covariance `C`. For a periodic motion, `C` is the scatter
+//! between the periods, correlations between joints included. Otherwise it is estimated from the residual: the scores `B_k r_k` of every sample
+//! `k` summed with their neighbours (Newey and West 1987).
 
 use super::periods::NoiseOfMean;
 use nalgebra::{DMatrix, DVector};
 use realfft::num_complex::Complex;
 use std::f64::consts::PI;
 
-/// A covariance and how much data stands behind each of its variances.
+/// Covariance of the parameters with the degrees of freedom of each variance.
 #[derive(Clone, Debug)]
 pub struct Spread {
     /// Covariance of the parameters, p x p.
     pub covariance: DMatrix<f64>,
-    /// Degrees of freedom of each variance (Satterthwaite), p: an interval needs the quantile of Student's distribution with so many.
+    /// Degrees of freedom of each variance (Satterthwaite), p: an interval uses the quantile of Student's t distribution.
     pub freedom: Vec<f64>,
 }
 
 impl Spread {
-    /// Nothing known yet: to be summed up over experiments, whose noise is independent.
+    /// Zero covariance, the neutral element of [`Spread::plus`].
     pub fn zero(parameters: usize) -> Spread {
         Spread { covariance: DMatrix::zeros(parameters, parameters), freedom: vec![f64::INFINITY; parameters] }
     }
 
-    /// The sum of two independent contributions.
+    /// Sum of two independent contributions.
     pub fn plus(&self, other: &Spread) -> Spread {
         let part = |of: &Spread, c: usize| of.covariance[(c, c)].powi(2) / of.freedom[c];
         let covariance = &self.covariance + &other.covariance;
@@ -47,7 +47,7 @@ pub fn between_periods(b: &DMatrix<f64>, at: &[usize], noise: &NoiseOfMean) -> S
     let mut fourth = vec![0.0; p];
     for (bin, power) in &noise.bins {
         assert_eq!(power.nrows(), n, "one column of noise per joint");
-        // The map's own spectrum at this frequency, p x n.
+        // Spectrum of the map `b` at this frequency, p x n.
         let turn = -2.0 * PI * *bin as f64 / noise.samples as f64;
         let (cos, sin): (Vec<f64>, Vec<f64>) =
             at.iter().map(|&k| ((turn * k as f64).cos(), (turn * k as f64).sin())).unzip();
@@ -60,9 +60,9 @@ pub fn between_periods(b: &DMatrix<f64>, at: &[usize], noise: &NoiseOfMean) -> S
                 spectrum[(c, j)] = Complex::new(re[c], im[c]);
             }
         }
-        // Two-sided: every frequency but 0 Hz and half the rate stands for its negative too.
-        let alone = *bin == 0 || 2 * bin == noise.samples;
-        let sides = if alone { 1.0 } else { 2.0 };
+        // Two-sided: every frequency except 0 Hz and half the rate represents its negative too.
+        let one_sided = *bin == 0 || 2 * bin == noise.samples;
+        let sides = if one_sided { 1.0 } else { 2.0 };
         let product = spectrum.conjugate() * power * spectrum.transpose();
         let freedom = sides * (noise.periods - 1) as f64;
         for c in 0..p {
@@ -79,7 +79,7 @@ pub fn between_periods(b: &DMatrix<f64>, at: &[usize], noise: &NoiseOfMean) -> S
 /// `sum_l w_l sum_k s_k s_{k+l}'` of the scores `s_k = B_k r_k` (Newey and West 1987, Bartlett's weights `w_l = 1 - |l| / (L + 1)`).
 ///
 /// `b` is p x n m, `residual` n m, both joint by joint with m samples in time. The number of lags `L` comes from the scores themselves
-/// (Newey and West 1994). The residual has the size of the noise: what the fit took of it is given back.
+/// (Newey and West 1994). The residual must be corrected for the degrees of freedom of the fit.
 pub fn newey_west(b: &DMatrix<f64>, residual: &[f64], samples: usize) -> Spread {
     let (p, n) = (b.nrows(), b.ncols() / samples);
     assert_eq!((residual.len(), b.ncols()), (n * samples, n * samples), "one residual per column");
@@ -123,11 +123,11 @@ fn bandwidth(scores: &DMatrix<f64>) -> usize {
     }
     let ratio = if s0.abs() > 0.0 { (s1 / s0).powi(2) } else { 0.0 };
     let lags = (1.1447 * (ratio * m as f64).cbrt()).round() as usize;
-    // More lags than that average too little, whatever the formula says.
+    // An upper bound: more lags average too few terms.
     lags.min(m / 4)
 }
 
-/// Equal to its transpose but for rounding.
+/// Symmetric part, which removes the rounding error.
 fn symmetric(covariance: &DMatrix<f64>) -> DMatrix<f64> {
     (covariance + covariance.transpose()) * 0.5
 }
@@ -163,10 +163,10 @@ mod tests {
         let (b, at) = map();
         let found = between_periods(&b, &at, &noise).covariance;
 
-        // The other route: filter every period's deviation, map it, and take the scatter of what comes out.
+        // Second route: filter every period's deviation, map it, and compute the scatter of the result.
         let mut spectral = Spectral::new(samples, 0.1);
         let mut expected = DMatrix::zeros(3, 3);
-        // A circular process looks the same from every start: average over all shifts of the period.
+        // The process is circular: average over all shifts of the period.
         for shift in 0..samples {
             for p in 0..periods {
                 let mut filtered = Vec::new();
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn degrees_of_freedom_grow_with_the_frequencies_that_count() {
+    fn degrees_of_freedom_increase_with_the_number_of_frequencies() {
         let samples = 40;
         let mut rng = ChaCha8Rng::seed_from_u64(4);
         let values = DMatrix::from_fn(5 * samples, 2, |_, _| rng.sample::<f64, _>(StandardNormal));
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn newey_west_of_white_noise_is_nearly_the_textbook_covariance() {
+    fn newey_west_of_white_noise_agrees_with_the_textbook_covariance() {
         let mut rng = ChaCha8Rng::seed_from_u64(5);
         let (m, n) = (4000, 2);
         let w = DMatrix::from_fn(n * m, 3, |k, c| ((k * (c + 1)) as f64 * 0.0037).cos());
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn lags_follow_the_colour_of_the_scores() {
+    fn lags_increase_with_the_correlation_of_the_scores() {
         let mut rng = ChaCha8Rng::seed_from_u64(6);
         let mut lags = |pole: f64| {
             let mut x = 0.0;

@@ -1,4 +1,4 @@
-//! From positions on an even grid to a motion: low-pass, velocities, accelerations.
+//! Low-pass filter and differentiation of positions on an even grid.
 
 use super::settings::Derivative;
 use super::signal::SignalError;
@@ -9,15 +9,15 @@ use super::signal::spectral::Spectral;
 use nalgebra::{DMatrix, Vector3};
 use plumbline_model::term::Motion;
 
-/// Time that is cut off both ends of a run that does not repeat, as a number of periods of the position cut-off (at most
-/// [`ENDS_AT`]): there the positions' continuation past the ends, a guess, reaches into the accelerations.
-const EDGE: f64 = 0.5;
-/// Length of the ends that tell slope and curvature there, as a number of periods of the same.
-const END_WINDOW: f64 = 3.0;
-/// Ends are treated as for a cut-off of this at most: shorter ones would follow the noise \[Hz\].
-const ENDS_AT: f64 = 10.0;
+/// Time cut off both ends of an aperiodic run, in periods of the position cut-off (at most [`MAX_END_CUTOFF_HZ`]). There the accelerations
+/// depend on the extrapolation past the ends.
+const EDGE_PERIODS: f64 = 0.5;
+/// Length of the window for slope and curvature at the ends, in periods of the same.
+const END_WINDOW_PERIODS: f64 = 3.0;
+/// Maximum cut-off for the treatment of the ends \[Hz\]: shorter windows would fit the noise.
+const MAX_END_CUTOFF_HZ: f64 = 10.0;
 
-/// How the positions of one run are filtered and differentiated. Linear in the positions.
+/// Zero-phase low-pass and differentiation of the positions of one run. Linear in the positions.
 #[derive(Clone, Debug)]
 pub struct Differentiator {
     filter: Butterworth,
@@ -29,10 +29,10 @@ pub struct Differentiator {
 }
 
 impl Differentiator {
-    /// With a zero-phase low-pass of this order and cut-off \[Hz\]; `dt` between samples \[s\].
+    /// A differentiator with a zero-phase low-pass of `order` and `cutoff` \[Hz\] for samples `dt` apart \[s\].
     ///
     /// # Errors
-    /// An order or a cut-off that the filter can't have.
+    /// An invalid order or cut-off.
     pub fn new(
         order: usize,
         cutoff: f64,
@@ -47,7 +47,7 @@ impl Differentiator {
 
     /// Samples that are cut off each end.
     pub fn edge(&self) -> usize {
-        if self.periodic { 0 } else { (EDGE / (self.dt * self.cutoff.min(ENDS_AT))).ceil() as usize }
+        if self.periodic { 0 } else { (EDGE_PERIODS / (self.dt * self.cutoff.min(MAX_END_CUTOFF_HZ))).ceil() as usize }
     }
 
     /// Cut-off of the low-pass \[Hz\].
@@ -56,7 +56,7 @@ impl Differentiator {
     }
 
     /// The motion of positions `q`, N x n \[rad\], without `edge` samples at both ends. Within [`Differentiator::edge`] samples of an end,
-    /// the accelerations depend on the filter's continuation of the positions past that end.
+    /// the accelerations depend on the extrapolation past that end.
     pub fn motion(&self, q: &DMatrix<f64>, edge: usize) -> Motion {
         let (samples, n) = q.shape();
         assert!(samples > 2 * edge, "{samples} samples are no more than both edges");
@@ -83,13 +83,13 @@ impl Differentiator {
                 let [dq, ddq] = difference::derivatives(&q, self.dt, true);
                 [q, dq, ddq]
             }
-            _ => self.free(q.to_vec()),
+            _ => self.aperiodic(q.to_vec()),
         }
     }
 
-    /// Of a record that does not repeat.
-    fn free(&self, mut q: Vec<f64>) -> [Vec<f64>; 3] {
-        let ends = Quintic::through_ends(&q, self.dt, END_WINDOW / self.cutoff.min(ENDS_AT));
+    /// Positions, velocities and accelerations of an aperiodic record.
+    fn aperiodic(&self, mut q: Vec<f64>) -> [Vec<f64>; 3] {
+        let ends = Quintic::through_ends(&q, self.dt, END_WINDOW_PERIODS / self.cutoff.min(MAX_END_CUTOFF_HZ));
         q.iter_mut().enumerate().for_each(|(k, q)| *q -= ends.at(k as f64 * self.dt)[0]);
         let mut q = self.filter.zero_phase(&q);
         let [mut dq, mut ddq] = difference::derivatives(&q, self.dt, false);

@@ -1,14 +1,14 @@
-//! Which way gravity points, by the torques of an arm that stands still.
+//! Direction of gravity from the torques of an arm at rest.
 //!
-//! At rest the torque is `tau(q, g) = tau_0 + T(q) g`: linear in the gravity vector, so a model that holds in any mounting says from the
-//! measured torques of one pose or several where gravity comes from,
+//! At rest the torque is `tau(q, g) = tau_0 + T(q) g`, linear in the gravity vector. With a model that is valid in any mounting, weighted least
+//! squares on the torques of one or several poses gives
 //!
 //! ```text
 //! g = (sum T' S^-1 T)^-1 sum T' S^-1 (tau - tau_0),    covariance (sum T' S^-1 T)^-1,    S = diag(sigma_j^2)
 //! ```
 //!
-//! `T(q)` are the model's torques under gravity of 1 m/s2 along the base axes. A wrong sign of a torque sensor, a base that hangs where
-//! it was declared to stand, a payload that nobody declared: all of them show here, and nothing has to move for it.
+//! `T(q)` are the model's torques under gravity of 1 m/s2 along the base axes. The result detects a wrong sign of a torque sensor, a wrongly
+//! declared mounting and an undeclared payload without a motion.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline_core::{JointVec, symmetric_eigen};
@@ -24,7 +24,7 @@ pub struct Pose {
     pub tau: JointVec,
 }
 
-/// The direction of gravity that torques imply.
+/// Gravity estimated from torques at rest.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Direction {
     /// Gravitational acceleration in the base frame \[m/s2\].
@@ -35,27 +35,27 @@ pub struct Direction {
     pub residual: Vec<JointVec>,
 }
 
-/// Why no direction follows from the torques.
+/// Why the torques do not determine the direction.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DirectionError {
     /// No pose was given.
     #[error("there is no pose to read the direction of gravity from")]
     NoPose,
-    /// Joints whose torques gravity hardly changes in these poses.
-    #[error("in these poses the torques do not tell the direction of gravity: along [{:.2}, {:.2}, {:.2}] it is only known to {std:.1} m/s2", .along.x, .along.y, .along.z)]
-    Blind {
-        /// Direction in the base frame that the torques say nothing of.
+    /// Gravity is not identifiable in these poses.
+    #[error("in these poses the torques do not determine the direction of gravity: along [{:.2}, {:.2}, {:.2}] its standard deviation is {std:.1} m/s2", .along.x, .along.y, .along.z)]
+    NotIdentifiable {
+        /// Least determined direction in the base frame.
         along: Vector3<f64>,
         /// Standard deviation of gravity along it \[m/s2\].
         std: f64,
     },
 }
 
-/// Standard deviation of gravity along its worst known direction from which on it counts as unknown \[m/s2\].
-const BLIND: f64 = 5.0;
+/// Maximum standard deviation of gravity along its least determined direction \[m/s2\].
+const MAX_GRAVITY_STD: f64 = 5.0;
 
 impl Direction {
-    /// As a mounting; its strength is left aside.
+    /// The direction as a mounting; the strength is ignored.
     pub fn mounting(&self) -> Mounting {
         Mounting::along(&self.gravity)
     }
@@ -65,7 +65,7 @@ impl Direction {
         self.mounting().angle_to(mounting)
     }
 
-    /// Standard deviation of the direction: the larger one across it \[rad\].
+    /// Standard deviation of the direction \[rad\]: the larger one of the two perpendicular to it.
     pub fn std(&self) -> f64 {
         let strength = self.gravity.norm().max(1e-9);
         let along = self.gravity / strength;
@@ -75,29 +75,29 @@ impl Direction {
         eigen.map_or(f64::INFINITY, |eigen| eigen.eigenvalues.max().max(0.0).sqrt() / strength)
     }
 
-    /// Sum of the squared residuals over the joints' variances; about `n poses - 3` where model and torques agree.
+    /// Sum of squared residuals divided by the joints' variances; expected value `n poses - 3` for a valid model.
     pub fn misfit(&self, sigma: &[f64]) -> f64 {
         let square = |(rest, sigma): (&f64, &f64)| (rest / sigma).powi(2);
         self.residual.iter().map(|pose| pose.iter().zip(sigma).map(square).sum::<f64>()).sum()
     }
 
-    /// Strength over standard gravity; far from 1 where the model does not hold or a body hangs on the arm.
+    /// Ratio of the strength to standard gravity; far from 1 for an invalid model or an undeclared payload.
     pub fn strength(&self) -> f64 {
         self.gravity.norm() / G
     }
 }
 
-/// The joint, from 0, whose torque sensor explains the torques best if it had the wrong sign, where that beats all signs being right: by
-/// a factor of 4 in the misfit, of which more than the noise's own has to be there to begin with.
+/// Joint (from 0) whose torque sensor has the wrong sign. Inverting its sign must reduce the misfit by a factor of 4, from a value above that
+/// of the noise.
 ///
 /// # Errors
 /// As [`direction`].
 pub fn wrong_sign(model: &TorqueModel, poses: &[Pose], sigma: &[f64]) -> Result<Option<usize>, DirectionError> {
     let n = sigma.len();
-    let misfit_with = |flipped: Option<usize>| {
+    let misfit_with = |inverted: Option<usize>| {
         let turned = |pose: &Pose| {
             let mut pose = *pose;
-            flipped.iter().for_each(|&j| pose.tau[j] = -pose.tau[j]);
+            inverted.iter().for_each(|&j| pose.tau[j] = -pose.tau[j]);
             pose
         };
         let poses: Vec<Pose> = poses.iter().map(turned).collect();
@@ -110,11 +110,11 @@ pub fn wrong_sign(model: &TorqueModel, poses: &[Pose], sigma: &[f64]) -> Result<
     Ok(best.filter(|&(_, misfit)| right > enough && 4.0 * misfit < right).map(|(j, _)| j))
 }
 
-/// The direction of gravity by the torques of an arm at rest. `sigma` is the standard deviation of each joint's torque at rest, friction
-/// that holds the joint included, n \[Nm\].
+/// Estimates gravity from the torques of an arm at rest. `sigma` is the standard deviation of each joint's torque at rest, static friction
+/// included, n \[Nm\].
 ///
 /// # Errors
-/// No pose; poses in which gravity shows in too few torques.
+/// No pose; poses in which gravity is not identifiable.
 pub fn direction(model: &TorqueModel, poses: &[Pose], sigma: &[f64]) -> Result<Direction, DirectionError> {
     let n = model.structure().chain().len();
     if poses.is_empty() {
@@ -140,12 +140,12 @@ pub fn direction(model: &TorqueModel, poses: &[Pose], sigma: &[f64]) -> Result<D
     }
     let information: Matrix3<f64> = (a.transpose() * &a).fixed_view::<3, 3>(0, 0).into_owned();
     let Some(eigen) = symmetric_eigen(information) else {
-        return Err(DirectionError::Blind { along: Vector3::zeros(), std: f64::INFINITY });
+        return Err(DirectionError::NotIdentifiable { along: Vector3::zeros(), std: f64::INFINITY });
     };
     let (weakest, least) = eigen.eigenvalues.argmin();
     let std = if least > 0.0 { least.sqrt().recip() } else { f64::INFINITY };
-    if std > BLIND {
-        return Err(DirectionError::Blind { along: eigen.eigenvectors.column(weakest).into_owned(), std });
+    if std > MAX_GRAVITY_STD {
+        return Err(DirectionError::NotIdentifiable { along: eigen.eigenvectors.column(weakest).into_owned(), std });
     }
     let inverse = eigen.eigenvalues.map(f64::recip);
     let covariance = eigen.eigenvectors * Matrix3::from_diagonal(&inverse) * eigen.eigenvectors.transpose();

@@ -1,4 +1,4 @@
-//! One run made ready for the regression: averaged, filtered, differentiated.
+//! One run prepared for the regression: averaged, filtered, differentiated.
 
 use super::EstimateError;
 use super::differentiate::Differentiator;
@@ -13,29 +13,28 @@ use nalgebra::DMatrix;
 use plumbline_model::term::Motion;
 use std::f64::consts::PI;
 
-/// Widest position cut-off \[Hz\]. A joint's controller answers a reversal of friction within its own bandwidth,
-/// some 20 Hz, and the step of the acceleration there reaches higher still: a filter that takes that out of the motion biases friction
-/// and inertia against each other.
-const CUTOFF_OF_MEAN: f64 = 80.0;
-/// Position cut-off of the mean of several periods where the model is compared with raw torques, which no filter keeps the
-/// accelerations' noise out of \[Hz\].
-const CUTOFF_OF_JUDGED: f64 = 20.0;
-/// The same of what was recorded once \[Hz\]; the least that any motion is filtered with.
-const CUTOFF_OF_ONE: f64 = 10.0;
-/// Noise of the velocities that the position filter may pass \[rad/s\]. Friction turns within 0.01 rad/s: more would blur its sign.
-const VELOCITY_NOISE: f64 = 1e-3;
-/// Share of half the sampling rate that the position filter may use.
-const WIDEST: f64 = 0.8;
+/// Maximum position cut-off \[Hz\]. At a reversal of friction the joint's controller reacts within its bandwidth of about 20 Hz, and the step of
+/// the acceleration contains higher frequencies. A filter that removes them biases friction and inertia.
+const MAX_CUTOFF_HZ: f64 = 80.0;
+/// Position cut-off of the mean of several periods for the comparison with raw torques \[Hz\]: no filter removes the noise of the
+/// accelerations there.
+const COMPARISON_CUTOFF_HZ: f64 = 20.0;
+/// Position cut-off of a run without repeats for the same comparison \[Hz\]: the minimum position cut-off.
+const APERIODIC_CUTOFF_HZ: f64 = 10.0;
+/// Maximum velocity noise that the position filter may pass \[rad/s\]. Friction reverses within 0.01 rad/s; more noise would blur its sign.
+const MAX_VELOCITY_NOISE: f64 = 1e-3;
+/// Maximum ratio of the position cut-off to half the sampling rate.
+const MAX_NYQUIST_RATIO: f64 = 0.8;
 
-/// One run, ready for the regression.
+/// One run, prepared for the regression.
 #[derive(Clone, Debug)]
 pub struct Experiment {
     /// Name of the run.
     pub name: String,
-    /// The filtered motion with its derivatives on the even grid: one period of a periodic run, all but the ends of another.
+    /// Filtered motion with derivatives on the even grid: one period of a periodic run, an aperiodic run without its ends.
     pub motion: Motion,
-    /// The same behind a narrower low-pass, along which a model is compared with raw torques; `None` where `motion` does for that.
-    pub judged: Option<Motion>,
+    /// Motion behind a narrower low-pass, for the comparison of a model with raw torques; `None` where `motion` is used.
+    pub comparison_motion: Option<Motion>,
     /// Torques on the same grid, N x n, averaged over the periods and not filtered \[Nm\].
     pub tau: DMatrix<f64>,
     /// Scatter of the torques between the periods \[Nm\]; `None` without repeats.
@@ -48,53 +47,56 @@ pub struct Experiment {
     pub repeats: Option<Repeats>,
     /// The desired motion on the same grid, filtered alike; where it was given.
     pub desired: Option<Motion>,
-    /// What the time stamps were like.
+    /// Statistics of the time stamps.
     pub sampling: Sampling,
-    /// Samples of the grid at which the whole arm stands, or that the settings leave out: they don't count.
+    /// Samples of the grid at which the whole arm is at rest, or that the settings exclude.
     resting: Vec<bool>,
     /// Samples of the grid that enter the regression.
     kept: Vec<usize>,
     filter: Butterworth,
-    /// Positions on the even grid with the ends, not filtered \[rad\].
+    /// Unfiltered positions on the even grid, ends included \[rad\].
     q: DMatrix<f64>,
-    /// Measured velocities on the same grid \[rad/s\], where velocities and accelerations come from them.
+    /// Measured velocities on the same grid \[rad/s\], where velocities and accelerations are computed from them.
     dq: Option<DMatrix<f64>>,
     differentiator: Differentiator,
-    /// That of the motion along which a model is compared with raw torques.
-    judging: Differentiator,
-    /// Samples of the grid that are cut off both ends.
+    /// Differentiator of the comparison motion.
+    comparison_differentiator: Differentiator,
+    /// Samples cut off each end of the grid.
     edge: usize,
-    /// First sample of the grid after those left out.
+    /// First sample of the grid in the run, after the skipped periods.
     first: usize,
 }
 
-/// Every period's deviation from the mean, P N rows, period below period. Samples that don't count are zero.
+/// Every period's deviation from the mean, P N rows, period below period. Excluded samples are zero.
 #[derive(Clone, Debug)]
 pub struct Repeats {
-    /// Which periods of the recording these are, P, counted from 0: those left out as a whole are not among them.
+    /// Indices of these periods in the recording, P, from 0, without excluded ones.
     pub periods: Vec<usize>,
-    /// Of the positions, P N x n \[rad\].
+    /// Deviations of the positions, P N x n \[rad\].
     pub q: DMatrix<f64>,
-    /// Of the torques, P N x n \[Nm\].
+    /// Deviations of the torques, P N x n \[Nm\].
     pub tau: DMatrix<f64>,
 }
 
 /// Samples of a run after resampling and averaging.
 struct Even {
-    /// Positions, torques and, where they are wanted, measured velocities, N x 2n or N x 3n.
+    /// Positions, torques and, where used, measured velocities, N x 2n or N x 3n.
     values: DMatrix<f64>,
     sampling: Sampling,
     first: usize,
-    /// Of a periodic run.
+    /// Whether the run is periodic.
     periodic: bool,
-    /// Its periods that count.
+    /// Indices of the periods that are used.
     periods: Vec<usize>,
     scatter: Option<Scatter>,
     deviations: DMatrix<f64>,
 }
 
 impl Experiment {
-    /// Puts a run onto an even grid, averages its periods, filters the positions and differentiates them.
+    /// Resamples a run to an even grid, averages its periods, filters and differentiates the positions.
+    ///
+    /// # Errors
+    /// Samples that can't be processed; too few periods or samples.
     pub fn prepare(run: &Run, settings: &Settings) -> Result<Experiment, EstimateError> {
         let signal = |source| EstimateError::Signal { run: run.name.clone(), source };
         let n = run.joints();
@@ -120,7 +122,7 @@ impl Experiment {
             return Experiment::build(run, settings, even).map_err(signal);
         };
 
-        // A whole number of samples per period, so that the periods lie on top of each other.
+        // A whole number of samples per period, so that the periods are aligned.
         let samples = (period / even.sampling.dt).round();
         if !(samples >= 16.0 && samples.is_finite()) {
             return Err(EstimateError::Period { run: run.name.clone(), period, dt: even.sampling.dt });
@@ -141,7 +143,7 @@ impl Experiment {
         settings.left_out(&run.name).for_each(|one| one.mark(&mut left_out, first, dt));
         let mut filled = even.filled[first..found * samples].to_vec();
         let mut periods: Vec<usize> = (skipped..found).collect();
-        // A period of which nothing counts is none; of the others what counts does.
+        // Periods that are excluded as a whole are removed; of the others the excluded samples.
         for (k, gone) in left_out.chunks(samples).enumerate().rev() {
             if gone.iter().all(|gone| *gone) {
                 rest = rest.remove_rows(k * samples, samples);
@@ -177,22 +179,23 @@ impl Experiment {
         let noise = match &scatter {
             Some(scatter) => largest(&mut scatter.std[..n].iter().copied()) / (scatter.periods as f64).sqrt(),
             None => {
-                let each = q.column_iter().map(|column| noise_of_one(column.as_slice(), settings.order, rate));
+                let each = q.column_iter().map(|column| noise_of_aperiodic(column.as_slice(), settings.order, rate));
                 largest(&mut each.collect::<Result<Vec<f64>, SignalError>>()?.into_iter())
             }
         };
         // White noise of the positions gives velocities of `noise 2 pi f_c sqrt(2 f_c dt / 3)` behind the filter.
-        let quiet = (VELOCITY_NOISE / (noise * 2.0 * PI * (2.0 * dt / 3.0).sqrt())).powf(2.0 / 3.0);
-        let usual_judged = if scatter.is_some() { CUTOFF_OF_JUDGED } else { CUTOFF_OF_ONE };
-        let usual = quiet.clamp(usual_judged, CUTOFF_OF_MEAN);
-        let differentiator = |usual: f64| {
-            let cutoff = settings.position_cutoff.unwrap_or(usual).min(WIDEST * rate / 2.0);
+        let noise_limited = (MAX_VELOCITY_NOISE / (noise * 2.0 * PI * (2.0 * dt / 3.0).sqrt())).powf(2.0 / 3.0);
+        let default_comparison_cutoff = if scatter.is_some() { COMPARISON_CUTOFF_HZ } else { APERIODIC_CUTOFF_HZ };
+        let default_cutoff = noise_limited.clamp(default_comparison_cutoff, MAX_CUTOFF_HZ);
+        let differentiator = |default_cutoff: f64| {
+            let cutoff = settings.position_cutoff.unwrap_or(default_cutoff).min(MAX_NYQUIST_RATIO * rate / 2.0);
             Differentiator::new(settings.order, cutoff, settings.derivative, periodic, dt, run.mounting.gravity())
         };
-        let (judging, differentiator) = (differentiator(usual_judged)?, differentiator(usual)?);
+        let (comparison_differentiator, differentiator) =
+            (differentiator(default_comparison_cutoff)?, differentiator(default_cutoff)?);
 
-        // Without repeats the ends are cut before the torques and columns are filtered: what they are filtered with is linear, so its
-        // own end effects are the same on both sides of the equation.
+        // Without repeats the ends are cut before torques and columns are filtered. The filter is linear: its end effects are the same on both
+        // sides of the equation.
         let trim = if periodic { 0.0 } else { (settings.trim * rate).ceil().max(0.0) };
         let edge = differentiator.edge().max(trim as usize);
         let step = settings.decimation.unwrap_or_else(|| decimation(rate, 2.0 * settings.torque_cutoff)).max(1);
@@ -202,12 +205,12 @@ impl Experiment {
         }
         let dq = (values.ncols() > 2 * n).then(|| values.columns(2 * n, n).into_owned());
         let motion = |differentiator: &Differentiator| motion_of(differentiator, &q, dq.as_ref(), edge);
-        let narrower = judging.cutoff() < differentiator.cutoff();
+        let narrower = comparison_differentiator.cutoff() < differentiator.cutoff();
         let of_tau = || deviations.columns(n, n).into_owned();
         let mut experiment = Experiment {
             name: run.name.clone(),
             motion: motion(&differentiator),
-            judged: narrower.then(|| motion(&judging)),
+            comparison_motion: narrower.then(|| motion(&comparison_differentiator)),
             tau: values.view((edge, n), (count, n)).into_owned(),
             noise: scatter.as_ref().map(|_| NoiseOfMean::of(&of_tau(), samples, dt, |f| filter.zero_phase_gain(f))),
             repeats: (scatter.is_some() && settings.keep_periods).then(|| Repeats {
@@ -225,11 +228,11 @@ impl Experiment {
             q,
             dq,
             differentiator,
-            judging,
+            comparison_differentiator,
             edge,
             first,
         };
-        experiment.leave_out_rests(settings.rest);
+        experiment.exclude_rests(settings.rest);
         if !periodic {
             settings.left_out(&run.name).for_each(|one| one.mark(&mut experiment.resting, edge, dt));
             experiment.kept.retain(|&k| !experiment.resting[k]);
@@ -237,9 +240,9 @@ impl Experiment {
         Ok(experiment)
     }
 
-    /// Samples at which every joint is slower than `rest` \[rad/s\] neither enter the regression nor count as errors. A periodic motion
-    /// rests for an instant only and keeps all of its samples.
-    fn leave_out_rests(&mut self, rest: Option<f64>) {
+    /// Excludes samples at which every joint is slower than `rest` \[rad/s\] from regression and errors. A periodic motion is at rest for an
+    /// instant only and keeps all samples.
+    fn exclude_rests(&mut self, rest: Option<f64>) {
         let Some(rest) = rest.filter(|_| !self.motion.periodic) else { return };
         for (k, resting) in self.resting.iter_mut().enumerate() {
             *resting = self.motion.dq.row(k).iter().all(|speed| speed.abs() < rest);
@@ -247,15 +250,15 @@ impl Experiment {
         self.kept.retain(|&k| !self.resting[k]);
     }
 
-    /// Whether the whole arm stands at each sample of the grid, or the settings leave it out, N; such samples don't count.
+    /// Per sample of the grid, N: whether the whole arm is at rest or the settings exclude it.
     pub fn resting(&self) -> &[bool] {
         &self.resting
     }
 
-    /// With the desired motion, N x n \[rad\] at the time stamps of the run it was prepared from \[s\].
+    /// Adds the desired motion, N x n \[rad\], at the time stamps of the run \[s\].
     ///
     /// # Errors
-    /// Another number of rows, a value that is no finite number.
+    /// Too few rows, a value that is not finite.
     pub fn with_desired(mut self, t: &[f64], q_d: &DMatrix<f64>) -> Result<Experiment, EstimateError> {
         let signal = |source| EstimateError::Signal { run: self.name.clone(), source };
         assert_eq!(q_d.ncols(), self.joints(), "joints of the desired motion");
@@ -275,14 +278,15 @@ impl Experiment {
         Ok(self)
     }
 
-    /// The motion along which a model is compared with raw torques, with the samples that are cut off both ends of a run that does not
-    /// repeat, and how many those are at each end. There the accelerations depend on the filter's continuation of the motion past its end.
+    /// The comparison motion including the cut ends of an aperiodic run, and the number of samples cut off each end. There the accelerations
+    /// depend on the extrapolation past the ends.
     pub fn with_ends(&self) -> (Motion, usize) {
-        let differentiator = if self.judged.is_some() { &self.judging } else { &self.differentiator };
+        let differentiator =
+            if self.comparison_motion.is_some() { &self.comparison_differentiator } else { &self.differentiator };
         (motion_of(differentiator, &self.q, self.dq.as_ref(), 0), self.edge)
     }
 
-    /// The motion that other positions on the whole grid would have given: `offset` is added to the measured ones, N x n \[rad\].
+    /// The motion for perturbed positions: `offset` is added to the measured ones on the whole grid, N x n \[rad\].
     pub fn moved(&self, offset: &DMatrix<f64>) -> Motion {
         let mut moved = self.differentiator.motion(&(&self.q + offset), self.edge);
         if self.dq.is_some() {
@@ -298,7 +302,7 @@ impl Experiment {
     }
 
     /// Standard deviation of the positions' noise, n \[rad\]: of the mean period by the scatter between the periods; without repeats by
-    /// what lies above the position cut-off, taken as white.
+    /// the power above the position cut-off, assumed white.
     pub fn noise_of_positions(&self) -> Vec<f64> {
         if let (Some(noise), Some(scatter)) = (&self.position_noise, &self.scatter) {
             return noise.iter().map(|std| std / (scatter.periods as f64).sqrt()).collect();
@@ -326,7 +330,7 @@ impl Experiment {
 
     /// Filters every column of `y` (n N rows at the raw rate, joint by joint) over each joint's block of samples.
     ///
-    /// Torques and regressor go through this same function: a filter on one side alone would look like friction at reversals.
+    /// Torques and regressor pass the same filter: a filter on one side alone would resemble friction at reversals.
     pub fn filter(&self, y: &DMatrix<f64>) -> DMatrix<f64> {
         let samples = self.motion.samples();
         assert_eq!(y.nrows() % samples, 0, "whole blocks of samples");
@@ -364,8 +368,8 @@ impl Experiment {
     }
 }
 
-/// The motion of positions and, where they are measured, velocities, without `edge` samples at both ends. Measured velocities pass the filter
-/// of the positions, so that all stay in step.
+/// Motion of positions and, where given, measured velocities, without `edge` samples at both ends. Measured velocities pass the filter
+/// of the positions, which keeps them aligned.
 fn motion_of(differentiator: &Differentiator, q: &DMatrix<f64>, dq: Option<&DMatrix<f64>>, edge: usize) -> Motion {
     let mut motion = differentiator.motion(q, edge);
     if let Some(dq) = dq {
@@ -375,13 +379,13 @@ fn motion_of(differentiator: &Differentiator, q: &DMatrix<f64>, dq: Option<&DMat
     motion
 }
 
-/// Standard deviation of white noise with the power that a record, sampled at `rate` \[Hz\], has between half of the widest position
-/// cut-off and that cut-off, where a smooth motion has next to none. Time stamps that are off make noise below that alone.
-fn noise_of_one(x: &[f64], order: usize, rate: f64) -> Result<f64, SignalError> {
-    let top = CUTOFF_OF_MEAN.min(WIDEST * rate / 2.0);
+/// Standard deviation of white noise with the power of a record, sampled at `rate` \[Hz\], between half the maximum position cut-off and that
+/// cut-off. A smooth motion has negligible power there; jitter of the time stamps causes noise at lower frequencies only.
+fn noise_of_aperiodic(x: &[f64], order: usize, rate: f64) -> Result<f64, SignalError> {
+    let top = MAX_CUTOFF_HZ.min(MAX_NYQUIST_RATIO * rate / 2.0);
     let [low, high] = [0.5 * top, top].map(|cutoff| Butterworth::new(order, cutoff, rate));
     let (low, high) = (low?.zero_phase(x), high?.zero_phase(x));
-    // The filters' guesses beyond the ends stay out of it.
+    // Without the ends, where the filters extrapolate.
     let inside = x.len() / 10..x.len() - x.len() / 10;
     let squares: f64 = inside.clone().map(|k| (high[k] - low[k]).powi(2)).sum();
     Ok((squares / inside.len().max(1) as f64 * rate / top).sqrt())
@@ -401,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn derivatives_of_a_periodic_and_of_a_free_run_are_those_of_the_sine() {
+    fn derivatives_of_periodic_and_aperiodic_sines_are_exact() {
         for (period, derivative) in
             [(Some(2.0), Derivative::Spectral), (Some(2.0), Derivative::Central), (None, Derivative::Central)]
         {
@@ -418,7 +422,7 @@ mod tests {
                         experiment.motion.dq[(k, j)] - w * angle.cos(),
                         experiment.motion.ddq[(k, j)] + w * w * angle.sin(),
                     ];
-                    // Near the ends of a free run the filter knows less.
+                    // Larger errors near the ends of an aperiodic run.
                     let inside = period.is_some() || (1500..samples - 1500).contains(&k);
                     let bounds = if inside { [1e-6, 1e-5, 1e-3] } else { [2e-4, 1e-2, 0.5] };
                     for (error, bound) in errors.iter().zip(bounds) {
@@ -441,8 +445,8 @@ mod tests {
         assert!(experiment.scatter.unwrap().std.iter().all(|&s| s < 1e-12));
     }
 
-    /// A free run that stands for its first 3 s, then moves along a sine that starts at rest.
-    fn standing_first() -> Run {
+    /// Aperiodic run at rest for its first 3 s, then along a sine that starts at rest.
+    fn at_rest_first() -> Run {
         let mut run = run(None, 9.0);
         let angle = |t: f64| PI * (t - 3.0).max(0.0);
         let speed = |k: usize| if run.t[k] > 3.0 { PI * angle(run.t[k]).sin() } else { 0.0 };
@@ -452,9 +456,9 @@ mod tests {
     }
 
     #[test]
-    fn samples_at_rest_are_left_out_of_regression_and_errors() {
+    fn samples_at_rest_are_excluded_from_regression_and_errors() {
         use super::super::validate::validate;
-        let run = standing_first();
+        let run = at_rest_first();
         let whole = Experiment::prepare(&run, &Settings::default()).unwrap();
         let moving = Experiment::prepare(&run, &Settings { rest: Some(0.01), ..Settings::default() }).unwrap();
         // 3 s of 9 s, less the edge; the sine itself passes its turning points in an instant.
@@ -462,7 +466,7 @@ mod tests {
         assert!((2850..3050).contains(&resting), "{resting}");
         assert!(whole.resting().iter().all(|resting| !resting) && moving.kept().iter().all(|&k| !moving.resting()[k]));
         assert!(moving.kept().len() < whole.kept().len() * 7 / 10);
-        // A model that is wrong by 1 Nm at rest and right in motion has no error where rests don't count.
+        // A model that is wrong by 1 Nm at rest and exact in motion has no error where rests are excluded.
         let wrong_at_rest = |motion: &Motion| {
             let tau = &moving.tau;
             DMatrix::from_fn(tau.nrows(), tau.ncols(), |k, j| {
@@ -478,24 +482,24 @@ mod tests {
     }
 
     #[test]
-    fn measured_velocities_replace_the_derived_ones_of_free_runs() {
-        let mut run = standing_first();
+    fn measured_velocities_replace_the_derived_ones_of_aperiodic_runs() {
+        let mut run = at_rest_first();
         let settings = Settings { measured_velocities: true, trim: 0.5, ..Settings::default() };
         let derived = Experiment::prepare(&run, &Settings { measured_velocities: false, ..settings.clone() }).unwrap();
         let measured = Experiment::prepare(&run, &settings).unwrap();
         assert_eq!(measured.motion.samples(), 9001 - 2 * 500, "half a second is cut off each end");
         let difference = |other: &Experiment| (&other.motion.dq - &derived.motion.dq).rows(100, 7800).amax();
         assert!(difference(&measured) < 0.05, "the true velocity is the derivative of the position");
-        // A velocity that says something else is believed, and the acceleration is its derivative.
+        // A different measured velocity is used, and the acceleration is its derivative.
         run.dq.as_mut().unwrap().scale_mut(2.0);
         let doubled = Experiment::prepare(&run, &settings).unwrap();
         assert!((&doubled.motion.dq - &measured.motion.dq * 2.0).amax() < 1e-9);
         assert!((&doubled.motion.ddq - &measured.motion.ddq * 2.0).amax() < 1e-7);
         assert_eq!(doubled.motion.q, measured.motion.q);
-        // Positions that move a little leave them alone.
+        // Perturbed positions do not change them.
         let (rows, columns) = doubled.grid();
         assert_eq!(doubled.moved(&DMatrix::from_element(rows, columns, 1e-3)).dq, doubled.motion.dq);
-        // Not those of a periodic run, and not of another length.
+        // Measured velocities of a periodic run are ignored; another length is an error.
         let periodic = Experiment::prepare(&Run { period: Some(9.0), ..run.clone() }, &settings).unwrap();
         assert!(periodic.motion.dq.amax() < 1.5 * PI);
         run.dq = Some(DMatrix::zeros(7, 2));
@@ -503,7 +507,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_periods_and_odd_periods_are_refused() {
+    fn too_few_and_too_short_periods_are_errors() {
         let settings = Settings { skip_periods: 2, ..Settings::default() };
         let error = Experiment::prepare(&run(Some(2.0), 4.5), &settings).unwrap_err();
         assert_eq!(error, EstimateError::Periods { run: "test".into(), found: 2, skipped: 2, period: 2.0 });

@@ -1,16 +1,16 @@
-//! Base parameters and their standard deviations from measured motion.
+//! Identification of base parameters and their standard deviations from measured motion.
 //!
-//! [`Run`] (samples as they came) -> [`Experiment`] (averaged, filtered, differentiated) -> [`solve::identify_with`] an estimator of choice ->
+//! [`Run`] (measured samples) -> [`Experiment`] (averaged, filtered, differentiated) -> [`solve::identify_with`] an estimator ->
 //! [`solve::Identification`]. [`validate()`] measures the error of any model on any experiment.
 //!
 //! | what | items |
 //! |---|---|
 //! | signal processing | [`Experiment`], [`Settings`], [`signal`] |
 //! | estimators: OLS, WLS, Huber, TLS, IV | [`solve`] |
-//! | the same from a stream of samples | [`streaming`] |
-//! | nearest parameters that real bodies have | [`consistency`] |
+//! | recursive least squares (not used by the program yet) | [`streaming`] |
+//! | nearest physically consistent parameters | [`consistency`] |
 //! | mounting and direction of gravity from torques | [`cross_check`], [`direction()`] |
-//! | a new model against the served one | [`plausible`] |
+//! | plausibility of an offered model | [`plausible`] |
 //!
 //! ```
 //! use nalgebra::DMatrix;
@@ -62,14 +62,14 @@ pub use covariance::Spread;
 pub use direction::{Direction, DirectionError, Pose, direction, wrong_sign};
 pub use essential::Dropped;
 pub use experiment::{Experiment, Repeats};
-pub use mounting_check::{Disagreement, Implied, Side, cross_check, implied};
+pub use mounting_check::{Disagreement, GravitySource, ImpliedGravity, cross_check, implied_gravity};
 pub use periods::Scatter;
 pub use plausibility::{Implausible, plausible};
 pub use run::Run;
-pub use settings::{Derivative, LeftOut, Method, Settings};
+pub use settings::{Derivative, ExcludedSpan, Method, Settings};
 pub use validate::{Modelled, Rms, compare, torques, validate, validate_parameters};
 
-/// Why samples could not be turned into parameters.
+/// Error of preparing runs and identifying parameters.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EstimateError {
     /// A run's samples could not be processed.
@@ -80,7 +80,7 @@ pub enum EstimateError {
         /// What was wrong.
         source: signal::SignalError,
     },
-    /// The run has fewer whole periods than are needed.
+    /// Too few whole periods.
     #[error("run {run}: {found} whole periods of {period} s after leaving out {skipped}: expected at least 1")]
     Periods {
         /// Name of the run.
@@ -92,7 +92,7 @@ pub enum EstimateError {
         /// The period \[s\].
         period: f64,
     },
-    /// The period is no positive number of samples.
+    /// Too few samples per period.
     #[error("run {run}: period {period} s at a step of {dt} s: expected at least 16 samples a period")]
     Period {
         /// Name of the run.
@@ -102,7 +102,7 @@ pub enum EstimateError {
         /// Time between samples \[s\].
         dt: f64,
     },
-    /// The run is of another arm.
+    /// The run has another number of joints than the model.
     #[error("run {run} has {found} joints, the model {expected}")]
     Joints {
         /// Name of the run.
@@ -126,7 +126,7 @@ pub enum EstimateError {
         /// Name of the run.
         run: String,
     },
-    /// A singular value decomposition did not converge, which finite data does not cause.
+    /// A singular value decomposition did not converge; does not occur with finite data.
     #[error("the regressor of {rows} x {columns} has no singular value decomposition (are all samples finite?)")]
     Decomposition {
         /// Rows.

@@ -1,10 +1,10 @@
-//! The mean of the periods of a periodic run, and the scatter between them: what no model of the motion can explain.
+//! Mean period of a periodic run, and the scatter between the periods: the noise floor.
 
 use super::signal::spectral::Spectral;
 use nalgebra::DMatrix;
 use realfft::num_complex::Complex;
 
-/// Mean of P periods and what they scatter.
+/// Mean of P periods and their scatter.
 #[derive(Clone, Debug)]
 pub struct Averaged {
     /// The mean period, N x columns.
@@ -23,7 +23,7 @@ pub struct Scatter {
     /// Standard deviation of one raw sample, per column: the noise floor.
     pub std: Vec<f64>,
     /// Power of one period's noise, bins x columns, `sum_p |DFT(deviation_p)|^2 / (N (P - 1))`, for 0 Hz to half the rate.
-    /// With samples that don't count, these are taken off `N P`.
+    /// Excluded samples are subtracted from `N P`.
     pub power: DMatrix<f64>,
     /// Samples of a period, N.
     pub samples: usize,
@@ -31,9 +31,9 @@ pub struct Scatter {
     pub dt: f64,
 }
 
-/// Averages `values` (rows in time) over its whole periods of `samples` rows, `dt` apart \[s\]; a partial one at the end is left out.
+/// Averages `values` (rows in time) over its whole periods of `samples` rows, `dt` apart \[s\]; a partial period at the end is ignored.
 ///
-/// Rows with `filled` set were interpolated across a gap: they count only where no period has the real sample.
+/// Rows with `filled` set were interpolated across a gap: they are used only where no period has a measured sample.
 /// There must be at least one whole period.
 pub fn average(values: &DMatrix<f64>, filled: &[bool], samples: usize, dt: f64) -> Averaged {
     let periods = values.nrows() / samples;
@@ -43,8 +43,8 @@ pub fn average(values: &DMatrix<f64>, filled: &[bool], samples: usize, dt: f64) 
     let mut counted = vec![false; periods * samples];
     for k in 0..samples {
         let rows: Vec<usize> = (0..periods).map(|p| p * samples + k).collect();
-        let real: Vec<usize> = rows.iter().copied().filter(|&row| !filled[row]).collect();
-        let used = if real.is_empty() { rows } else { real };
+        let measured: Vec<usize> = rows.iter().copied().filter(|&row| !filled[row]).collect();
+        let used = if measured.is_empty() { rows } else { measured };
         for &row in &used {
             counted[row] = true;
             for c in 0..columns {
@@ -61,9 +61,9 @@ pub fn average(values: &DMatrix<f64>, filled: &[bool], samples: usize, dt: f64) 
     let spectral = Spectral::new(samples, dt);
     let mut power = DMatrix::zeros(spectral.bins(), columns);
     let mut std = vec![0.0; columns];
-    // Every sample that counts tells, less one for each mean; `N (P - 1)` where all do.
-    let told = counted.iter().filter(|counted| **counted).count().saturating_sub(samples);
-    let scale = 1.0 / told.max(1) as f64;
+    // Degrees of freedom: counted samples less one for each mean, `N (P - 1)` without gaps.
+    let freedom = counted.iter().filter(|counted| **counted).count().saturating_sub(samples);
+    let scale = 1.0 / freedom.max(1) as f64;
     for (c, column) in deviations.column_iter().enumerate() {
         std[c] = (scale * column.norm_squared()).sqrt();
         for deviation in column.as_slice().chunks(samples) {
@@ -75,7 +75,7 @@ pub fn average(values: &DMatrix<f64>, filled: &[bool], samples: usize, dt: f64) 
     Averaged { mean, scatter: Some(Scatter { periods, std, power, samples, dt }), deviations }
 }
 
-/// Noise of the mean of P periods after a filter, as a spectrum with the correlations between its columns.
+/// Spectrum of the noise of the mean of P periods after a filter, with correlations between columns.
 #[derive(Clone, Debug)]
 pub struct NoiseOfMean {
     /// Number of periods, P.
@@ -88,17 +88,17 @@ pub struct NoiseOfMean {
 }
 
 impl NoiseOfMean {
-    /// What the filter passes less of counts as nothing.
-    const PASSED: f64 = 1e-6;
+    /// Minimum gain: frequencies with a smaller gain are ignored.
+    const MIN_GAIN: f64 = 1e-6;
 
-    /// Of deviations as in [`Averaged`], `dt` apart \[s\], after a filter of this zero-phase gain (of the frequency in Hz).
+    /// Noise of the mean from deviations as in [`Averaged`], `dt` apart \[s\], after a filter with zero-phase `gain` of the frequency \[Hz\].
     pub fn of(deviations: &DMatrix<f64>, samples: usize, dt: f64, gain: impl Fn(f64) -> f64) -> NoiseOfMean {
         let (periods, columns) = (deviations.nrows() / samples, deviations.ncols());
         assert!(periods > 1 && deviations.nrows() == periods * samples, "whole periods, two or more");
         let spectral = Spectral::new(samples, dt);
         let gains: Vec<(usize, f64)> = (0..spectral.bins())
             .map(|bin| (bin, gain(spectral.frequency(bin))))
-            .filter(|(_, gain)| *gain > NoiseOfMean::PASSED)
+            .filter(|(_, gain)| *gain > NoiseOfMean::MIN_GAIN)
             .collect();
         let scale = 1.0 / (periods * (periods - 1) * samples) as f64;
         let mut bins: Vec<_> = gains.iter().map(|&(bin, _)| (bin, DMatrix::zeros(columns, columns))).collect();
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn scatter_is_the_noise_and_its_autocovariance_that_of_its_process() {
+    fn scatter_and_autocovariance_agree_with_the_noise_process() {
         let (periods, samples) = (12, 4000);
         let mut values = DMatrix::zeros(periods * samples + 7, 2);
         for c in 0..2 {
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn interpolated_samples_do_not_count() {
+    fn interpolated_samples_are_ignored() {
         let samples = 20;
         let mut values = DMatrix::from_fn(60, 1, |k, _| (k % samples) as f64);
         let mut filled = vec![false; 60];

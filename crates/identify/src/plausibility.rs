@@ -1,30 +1,30 @@
-//! Whether an offered model can be right, before its torque takes part in driving an arm.
+//! Plausibility check of an offered model, before its torque is sent to an arm.
 
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, Limits, MAX_JOINTS, Record};
 use plumbline_model::term::Sample;
 use plumbline_model::{G, TorqueModel};
 
-/// Poses between the position limits at which the arm's inertia is looked for.
+/// Number of poses between the position limits at which the inertia is evaluated.
 const POSES: u32 = 16;
-/// A model whose joints' inertias sum up to no more than this describes no arm. A single joint's may be anything: that of a light wrist is below what
-/// an identification resolves, and comes out negative now and then \[kg m2\].
-const LEAST_INERTIA: f64 = 1e-6;
-/// The offered model's error may be so many times the served one's: a new payload makes both wrong until one is identified.
-const ERROR_RATIO: f64 = 2.0;
-/// An error below this share of the joint's torque limit is no reason to refuse a model.
-const ERROR_SHARE: f64 = 0.1;
+/// Minimum sum of the joints' inertias \[kg m2\]. The inertia of a single joint is not checked: that of a light wrist is below the resolution of
+/// an identification and can be negative.
+const MIN_INERTIA: f64 = 1e-6;
+/// Maximum ratio of the offered model's error to the served model's: with a new payload both are wrong.
+const MAX_ERROR_RATIO: f64 = 2.0;
+/// Ratio of the joint's torque limit below which an error is always accepted.
+const ACCEPTED_ERROR_RATIO: f64 = 0.1;
 
 /// Why an offered model is not served.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Implausible {
-    /// The joints cost no torque to accelerate in any pose.
+    /// The inertia is not positive in any pose.
     #[error("it has no inertia: the joints' sum is at most {inertia:e} kg m2 in {POSES} poses")]
     NoInertia {
         /// Largest sum found \[kg m2\].
         inertia: f64,
     },
-    /// Its torque is beyond the arm's limit where the arm is.
+    /// Its torque exceeds the arm's limit at a recent state.
     #[error("it asks joint {} for {tau:.2} Nm where the arm is, and the limit is {bound:.2} Nm", .joint + 1)]
     Limit {
         /// Joint, counted from 0.
@@ -34,7 +34,7 @@ pub enum Implausible {
         /// The joint's limit \[Nm\].
         bound: f64,
     },
-    /// It does not explain the torque that the arm measures.
+    /// It does not explain the measured torque.
     #[error(
         "the torque measured in joint {} is {error:.2} Nm away from it, at most {allowed:.2} Nm are allowed{}", .joint + 1, beside(.served)
     )]
@@ -43,9 +43,9 @@ pub enum Implausible {
         joint: usize,
         /// RMS of measured minus modelled torque \[Nm\].
         error: f64,
-        /// The served model's, where one is served \[Nm\].
+        /// RMS of the served model, where one is served \[Nm\].
         served: Option<f64>,
-        /// What is allowed \[Nm\].
+        /// Maximum error \[Nm\].
         allowed: f64,
     },
 }
@@ -54,10 +54,10 @@ fn beside(served: &Option<f64>) -> String {
     served.map_or(String::new(), |served| format!(" (the served model: {served:.2} Nm)"))
 }
 
-/// Whether `offered` may take the place of `served` under `gravity` \[m/s2\], by what the arm did last (`recent`, empty where it is not known).
+/// Checks whether `offered` may replace `served` under `gravity` \[m/s2\], on the recent records of the arm (empty where unknown).
 ///
 /// The trace of the mass matrix must be positive. Along `recent` the torque must be inside the limits, and its RMS error against the measured torque at most
-/// `ERROR_RATIO` times that of the served model, or `ERROR_SHARE` of the joint's limit.
+/// `MAX_ERROR_RATIO` times that of the served model, or `ACCEPTED_ERROR_RATIO` of the joint's limit.
 ///
 /// # Errors
 /// [`Implausible`] names the joint.
@@ -70,7 +70,7 @@ pub fn plausible(
 ) -> Result<(), Implausible> {
     let n = offered.structure().chain().len().min(MAX_JOINTS);
     let inertia = largest_inertia(offered, n, limits);
-    if inertia.is_nan() || inertia <= LEAST_INERTIA {
+    if inertia.is_nan() || inertia <= MIN_INERTIA {
         return Err(Implausible::NoInertia { inertia });
     }
     if recent.is_empty() {
@@ -87,7 +87,7 @@ pub fn plausible(
     let served = served.map(|served| self::errors(&self::torques(served, gravity, recent), recent));
     for joint in 0..n {
         let (error, served) = (errors[joint], served.map(|errors| errors[joint]));
-        let allowed = (ERROR_SHARE * limits.tau[joint]).max(ERROR_RATIO * served.unwrap_or(0.0));
+        let allowed = (ACCEPTED_ERROR_RATIO * limits.tau[joint]).max(MAX_ERROR_RATIO * served.unwrap_or(0.0));
         if error.is_nan() || error > allowed {
             return Err(Implausible::Measured { joint, error, served, allowed });
         }
@@ -95,7 +95,7 @@ pub fn plausible(
     Ok(())
 }
 
-/// Trace of the mass matrix of `n` joints, the largest over poses all over their ranges \[kg m2\].
+/// Largest trace of the mass matrix of `n` joints over poses in their ranges \[kg m2\].
 fn largest_inertia(model: &TorqueModel, n: usize, limits: &Limits) -> f64 {
     let mut evaluator = model.evaluator(&Vector3::new(0.0, 0.0, -G));
     let mut torque = |q: JointVec, joint: usize, ddq: f64| {
@@ -104,15 +104,15 @@ fn largest_inertia(model: &TorqueModel, n: usize, limits: &Limits) -> f64 {
         evaluator.torque(&sample).0[joint]
     };
     let inertia = |pose: u32| {
-        // Fractions of the golden ratio's powers: poses that no two joints share.
-        let place = |j: usize| (f64::from(pose + 1) * 0.618_033_988_75_f64.powi(j as i32 + 1)).fract();
-        let q = std::array::from_fn(|j| limits.q_min[j] + place(j) * (limits.q_max[j] - limits.q_min[j]));
+        // Low-discrepancy sequence from powers of the golden ratio.
+        let fraction = |j: usize| (f64::from(pose + 1) * 0.618_033_988_75_f64.powi(j as i32 + 1)).fract();
+        let q = std::array::from_fn(|j| limits.q_min[j] + fraction(j) * (limits.q_max[j] - limits.q_min[j]));
         (0..n).map(|joint| torque(q, joint, 1.0) - torque(q, joint, 0.0)).sum::<f64>()
     };
     (0..POSES).map(inertia).fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// A model's torques where the arm was, with the acceleration that was commanded \[Nm\].
+/// A model's torques at recent states, with the commanded acceleration \[Nm\].
 fn torques(model: &TorqueModel, gravity: &Vector3<f64>, recent: &[Record]) -> Vec<JointVec> {
     let mut evaluator = model.evaluator(gravity);
     let sample = |record: &Record| Sample { q: record.state.q, dq: record.state.dq, ddq: record.command.desired.ddq };

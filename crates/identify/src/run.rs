@@ -1,10 +1,10 @@
-//! One run as it was measured.
+//! Measured samples of one run.
 
 use nalgebra::DMatrix;
 use plumbline_core::Record;
 use plumbline_model::Mounting;
 
-/// Samples of one run, as they came: sampling may be uneven, samples may be missing or repeated.
+/// Measured samples of one run. Sampling may be uneven; samples may be missing or repeated.
 #[derive(Clone, Debug)]
 pub struct Run {
     /// Name for errors and reports.
@@ -17,7 +17,7 @@ pub struct Run {
     pub dq: Option<DMatrix<f64>>,
     /// Measured joint torques, gravity included, N x n \[Nm\].
     pub tau: DMatrix<f64>,
-    /// How the arm was mounted.
+    /// Mounting of the arm.
     pub mounting: Mounting,
     /// Period of the motion; `None` when it does not repeat \[s\].
     pub period: Option<f64>,
@@ -43,7 +43,7 @@ impl Run {
         }
     }
 
-    /// So many samples from one on, as a run of its own.
+    /// `samples` samples from `from` on, as a run.
     pub fn part(&self, from: usize, samples: usize) -> Run {
         let rows = |of: &DMatrix<f64>| of.rows(from, samples).into_owned();
         Run {

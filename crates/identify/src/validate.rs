@@ -1,4 +1,4 @@
-//! How far a model's torques are from measured ones.
+//! Torque errors of a model.
 
 use super::experiment::Experiment;
 use nalgebra::DMatrix;
@@ -8,21 +8,21 @@ use plumbline_model::term::Motion;
 /// Root mean square of measured minus modelled torque, per joint \[Nm\].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rms {
-    /// Of the raw torque samples, as in the paper's Tables IV and V. The model is evaluated at the measured motion (filtered, of a
-    /// periodic run the mean one); every sample of every period counts.
+    /// Of the raw torque samples, as in the paper's Tables IV and V. The model is evaluated at the measured motion (filtered, the
+    /// mean period of a periodic run); every sample of every period is used.
     pub raw: Vec<f64>,
-    /// Of measured and modelled torque after the estimator's low-pass; of a periodic run, of the mean period.
+    /// After the estimator's low-pass; of the mean period of a periodic run.
     pub filtered: Vec<f64>,
-    /// Standard deviation of one raw torque sample between the periods: the least that `raw` can be. `None` without repeats.
+    /// Noise floor of `raw`: standard deviation of one raw torque sample between the periods. `None` without repeats.
     pub noise_floor: Option<Vec<f64>>,
-    /// The same for `filtered`: standard deviation of the mean period after the low-pass. `None` without repeats.
+    /// Noise floor of `filtered`: standard deviation of the mean period after the low-pass. `None` without repeats.
     pub filtered_noise_floor: Option<Vec<f64>>,
-    /// Samples that counted, per joint.
+    /// Number of samples used, per joint.
     pub samples: usize,
 }
 
 impl Rms {
-    /// Several runs as one, weighted by their samples. `None` when there is none.
+    /// Pooled RMS of several runs, weighted by their samples. `None` when there is none.
     pub fn pooled(runs: &[Rms]) -> Option<Rms> {
         let first = runs.first()?;
         let joints = first.raw.len();
@@ -43,44 +43,44 @@ impl Rms {
     }
 }
 
-/// Torques of a model along an experiment's motions, in its own mounting.
+/// Torques of a model along an experiment's motions in the experiment's mounting.
 pub struct Modelled {
     /// Along the motion of the regression, N x n \[Nm\].
-    of_motion: DMatrix<f64>,
-    /// Along [`Experiment::judged`], where that is another one, N x n \[Nm\].
-    of_judged: Option<DMatrix<f64>>,
+    along_regression: DMatrix<f64>,
+    /// Along [`Experiment::comparison_motion`], where given, N x n \[Nm\].
+    along_comparison: Option<DMatrix<f64>>,
 }
 
 impl Modelled {
-    /// `predict` gives the torques along a motion, N x n \[Nm\].
+    /// Evaluates `predict`, the torques along a motion, N x n \[Nm\].
     pub fn of(experiment: &Experiment, predict: impl Fn(&Motion) -> DMatrix<f64>) -> Modelled {
-        let of_judged = experiment.judged.as_ref().map(&predict);
-        Modelled { of_motion: predict(&experiment.motion), of_judged }
+        let along_comparison = experiment.comparison_motion.as_ref().map(&predict);
+        Modelled { along_regression: predict(&experiment.motion), along_comparison }
     }
 
-    /// Along the motion of the regression, which filtered torques are compared along, N x n \[Nm\].
-    pub fn along(&self) -> &DMatrix<f64> {
-        &self.of_motion
+    /// Torques along the motion of the regression, to compare with filtered torques, N x n \[Nm\].
+    pub fn regression(&self) -> &DMatrix<f64> {
+        &self.along_regression
     }
 
-    /// Along the motion that raw torques are compared along, whose accelerations have less noise, N x n \[Nm\].
-    pub fn judged(&self) -> &DMatrix<f64> {
-        self.of_judged.as_ref().unwrap_or(&self.of_motion)
+    /// Torques along the comparison motion, to compare with raw torques, N x n \[Nm\].
+    pub fn comparison(&self) -> &DMatrix<f64> {
+        self.along_comparison.as_ref().unwrap_or(&self.along_regression)
     }
 }
 
-/// Compares any model with an experiment. `predict` gives the torques along a motion, N x n \[Nm\], in its own mounting.
+/// Torque errors of any model on an experiment. `predict` gives the torques along a motion, N x n \[Nm\].
 pub fn validate(experiment: &Experiment, predict: impl Fn(&Motion) -> DMatrix<f64>) -> Rms {
     compare(experiment, &Modelled::of(experiment, predict))
 }
 
-/// Compares torques of a model with those of the experiment.
+/// Torque errors of modelled torques on an experiment.
 ///
-/// Raw torques are compared along [`Experiment::judged`], whose accelerations have less noise; filtered ones along the motion of the
-/// regression, whose noise the filter takes out.
+/// Raw torques are compared along [`Experiment::comparison_motion`], whose accelerations have less noise; filtered ones along the motion of the
+/// regression, whose noise the filter removes.
 pub fn compare(experiment: &Experiment, modelled: &Modelled) -> Rms {
-    let of_filtered = &experiment.tau - &modelled.of_motion;
-    let residual = &experiment.tau - modelled.judged();
+    let of_filtered = &experiment.tau - &modelled.along_regression;
+    let residual = &experiment.tau - modelled.comparison();
     let (n, samples) = (experiment.joints(), experiment.motion.samples());
     let resting = experiment.resting();
     let counted = resting.iter().filter(|resting| !**resting).count().max(1);

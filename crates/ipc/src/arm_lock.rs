@@ -1,9 +1,9 @@
-//! One daemon per arm, whatever the robot is called, whichever folder its names lie in and whoever runs it.
+//! Exclusive lock per arm, independent of robot name, runtime directory and user.
 //!
-//! [`Lock`](super::Lock) lies in the folder of one user, and there may be several: `PLUMBLINE_RUNTIME_DIR`, `XDG_RUNTIME_DIR`, other users. This lock
-//! is a Unix socket with a name in the kernel's abstract namespace: it needs no file and no right to write, and goes with its process. The
-//! namespace belongs to the network namespace, as the way to the arm does: processes that share the one share the other. Two network namespaces
-//! that are both routed to one arm are not covered, nor are programs of others; a control unit that takes one client at a time refuses those itself.
+//! [`Lock`](super::Lock) is in the runtime directory of one user, and there may be several. This lock is a Unix socket with a name in the
+//! kernel's abstract namespace: it needs no file and no write permission, and is released with its process. The abstract namespace belongs to the
+//! network namespace, as the route to the arm does. Not covered: two network namespaces with routes to one arm, and programs other than
+//! plumbline; a control unit that accepts one client refuses those itself.
 
 use rustix::net::{
     AddressFamily, SocketAddrUnix, SocketFlags, SocketType, bind, connect, listen, socket_with, sockopt,
@@ -11,35 +11,35 @@ use rustix::net::{
 use std::io;
 use std::os::fd::OwnedFd;
 
-/// Why the arm could not be had.
+/// Why the arm could not be locked.
 #[derive(Debug, thiserror::Error)]
 pub enum ArmLockError {
-    /// A daemon drives it already.
+    /// Another daemon drives the arm.
     #[error("another daemon ({holder}) drives the arm `{arm}`")]
     Held {
         /// The arm.
         arm: String,
-        /// Process and user of the other daemon, where the kernel tells.
+        /// Process and user of the other daemon, where the kernel reports them.
         holder: String,
     },
-    /// No socket could be had.
+    /// The socket could not be created.
     #[error("the lock of arm `{arm}`: {source}")]
     Io {
         /// The arm.
         arm: String,
-        /// What the operating system says.
+        /// Error of the operating system.
         source: io::Error,
     },
 }
 
-/// The right to drive an arm, until it is dropped.
+/// Exclusive lock of one arm, released when dropped.
 #[derive(Debug)]
 pub struct ArmLock {
     _socket: OwnedFd,
 }
 
 impl ArmLock {
-    /// Takes `arm`, a name that says which one on this network: `franka/172.16.0.2`.
+    /// Locks `arm`, a name that is unique on this network: `franka/172.16.0.2`.
     ///
     /// # Errors
     /// [`ArmLockError::Held`], [`ArmLockError::Io`].
@@ -54,19 +54,19 @@ impl ArmLock {
             }
             Err(errno) => return Err(failed(errno)),
         }
-        // For whoever comes second: a connection tells it the process and the user that listen.
+        // A second daemon connects to learn process and user of the first.
         listen(&own, 1).map_err(failed)?;
         Ok(ArmLock { _socket: own })
     }
 }
 
-/// Never waits: a queue of connections that is full is an error.
+/// Non-blocking Unix stream socket: a full connection queue is an error.
 fn socket() -> rustix::io::Result<OwnedFd> {
     let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
     socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None)
 }
 
-/// The process that listens at `address`, by the kernel.
+/// Process and user that listen at `address`, by the kernel's credentials.
 fn holder(address: &SocketAddrUnix) -> String {
     let peer = || {
         let own = socket()?;
@@ -84,10 +84,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_arm_has_one_daemon_and_the_second_is_told_who_it_is() {
+    fn a_second_lock_of_an_arm_fails_with_the_arm_s_name() {
         let name = format!("test/{}", std::process::id());
         let lock = ArmLock::take(&name).unwrap();
-        // Again and again: nothing that asks uses the lock up.
+        // Repeatedly: failed attempts do not release or exhaust the lock.
         for _ in 0..5 {
             let error = ArmLock::take(&name).unwrap_err();
             assert!(matches!(error, ArmLockError::Held { .. }), "{error}");

@@ -1,4 +1,4 @@
-//! A client of the command service.
+//! Client of the command service.
 
 use std::thread;
 use std::time::{Duration, Instant};
@@ -8,19 +8,19 @@ use iceoryx2::prelude::*;
 
 use super::command::{self, Envelope, MAX_REQUEST_BYTES, MAX_RESPONSE_BYTES, Request, Response};
 use super::error::IpcError;
-use super::place;
 use super::robot::RobotId;
+use super::runtime_dir;
 use super::services::{self, ServiceNode, transport};
 
-/// First size of a request's memory; it grows when a model is offered \[bytes\].
-const REQUEST_BYTES: usize = 1024;
-/// Pause between two looks for an answer.
-const PAUSE: Duration = Duration::from_micros(500);
+/// Initial size of a request's memory; a model makes it grow \[bytes\].
+const INITIAL_REQUEST_BYTES: usize = 1024;
+/// Polling interval of a response.
+const POLL_INTERVAL: Duration = Duration::from_micros(500);
 
-/// Sends requests to the daemon of one robot. Not `Send`.
+/// Client of the daemon of one robot. Not `Send`.
 pub struct Client {
     robot: RobotId,
-    /// The start of the daemon that requests are meant for; any where this is `None`.
+    /// Epoch that requests are bound to; `None` for any.
     epoch: Option<u64>,
     port: RequestClient<ipc::Service, [u8], (), [u8], ()>,
     service: services::Commands,
@@ -28,41 +28,41 @@ pub struct Client {
 }
 
 impl Client {
-    /// Connects to the daemon of `robot`, waiting up to `patience` for it to appear. The last places are left to operators.
+    /// Connects to the daemon of `robot`, waiting up to `timeout` for it to appear. The last client slots are reserved for operators.
     ///
     /// # Errors
     /// [`IpcError::NoDaemon`], [`IpcError::Full`], [`IpcError::Incompatible`], [`IpcError::Transport`].
-    pub fn connect(robot: &RobotId, patience: Duration) -> Result<Client, IpcError> {
-        Client::connect_up_to(services::MAX_COMMAND_CLIENTS - services::OPERATORS, robot, patience)
+    pub fn connect(robot: &RobotId, timeout: Duration) -> Result<Client, IpcError> {
+        Client::connect_up_to(services::MAX_COMMAND_CLIENTS - services::RESERVED_OPERATORS, robot, timeout)
     }
 
-    /// The same for an operator, whose place no program takes.
+    /// Connects as an operator: uses the reserved client slots too.
     ///
     /// # Errors
     /// As [`Client::connect`].
-    pub fn connect_operator(robot: &RobotId, patience: Duration) -> Result<Client, IpcError> {
-        Client::connect_up_to(services::MAX_COMMAND_CLIENTS, robot, patience)
+    pub fn connect_operator(robot: &RobotId, timeout: Duration) -> Result<Client, IpcError> {
+        Client::connect_up_to(services::MAX_COMMAND_CLIENTS, robot, timeout)
     }
 
-    fn connect_up_to(places: usize, robot: &RobotId, patience: Duration) -> Result<Client, IpcError> {
+    fn connect_up_to(slots: usize, robot: &RobotId, timeout: Duration) -> Result<Client, IpcError> {
         let start = Instant::now();
         let node = services::joining_node()?;
-        let service = services::join_commands(&node, robot, patience)?;
+        let service = services::join_commands(&node, robot, timeout)?;
         while service.dynamic_config().number_of_servers() == 0 {
-            if start.elapsed() >= patience {
-                return Err(services::no_daemon(robot, patience));
+            if start.elapsed() >= timeout {
+                return Err(services::no_daemon(robot, timeout));
             }
-            thread::sleep(PAUSE);
+            thread::sleep(POLL_INTERVAL);
         }
         let name = services::command_name(robot);
-        while service.dynamic_config().number_of_clients() >= places {
-            if start.elapsed() >= patience {
+        while service.dynamic_config().number_of_clients() >= slots {
+            if start.elapsed() >= timeout {
                 return Err(services::full(&name, &service));
             }
-            thread::sleep(PAUSE);
+            thread::sleep(POLL_INTERVAL);
         }
-        let port = services::patiently(&name, patience.saturating_sub(start.elapsed()), || {
-            let builder = service.client_builder().initial_max_slice_len(REQUEST_BYTES);
+        let port = services::retry_until(&name, timeout.saturating_sub(start.elapsed()), || {
+            let builder = service.client_builder().initial_max_slice_len(INITIAL_REQUEST_BYTES);
             let builder = builder.allocation_strategy(AllocationStrategy::PowerOfTwo);
             Ok(builder.backpressure_strategy(BackpressureStrategy::DiscardData).create())
         });
@@ -73,51 +73,57 @@ impl Client {
         Ok(Client { robot: robot.clone(), epoch: None, port, service, node })
     }
 
-    /// Requests from now on are meant for this start of the daemon, [`Served::epoch`](super::Served::epoch), alone: any other refuses them.
+    /// Binds later requests to this epoch, [`Served::epoch`](super::Served::epoch): a daemon of another epoch refuses them.
     pub fn bind(&mut self, epoch: u64) {
         self.epoch = Some(epoch);
     }
 
-    /// Sends `request` and waits up to `timeout` for the answer.
+    /// Sends `request` and waits up to `timeout` for the response.
     ///
     /// # Errors
-    /// [`IpcError::NoDaemon`] when the daemon has ended, [`IpcError::NoAnswer`] when it is there but does not answer,
-    /// [`IpcError::TooLong`], [`IpcError::Garbled`], [`IpcError::Transport`].
+    /// [`IpcError::NoDaemon`] when the daemon has ended, [`IpcError::NoAnswer`] when it runs but does not respond,
+    /// [`IpcError::TooLong`], [`IpcError::Malformed`], [`IpcError::Transport`].
     pub fn send(&mut self, request: &Request, timeout: Duration) -> Result<Response, IpcError> {
         let envelope = Envelope { epoch: self.epoch, request: request.clone() };
         let bytes = command::encode("request", &envelope, MAX_REQUEST_BYTES)?;
         self.send_bytes(&bytes, timeout)
     }
 
-    /// Sends a request that is JSON already, as a script would.
+    /// Sends a request that is already encoded as JSON.
     ///
     /// # Errors
     /// As [`Client::send`].
     pub fn send_bytes(&mut self, bytes: &[u8], timeout: Duration) -> Result<Response, IpcError> {
         let name = services::command_name(&self.robot);
-        if let Some(full) = place::no_room().filter(|_| bytes.len() > REQUEST_BYTES) {
-            return Err(transport("asking", &name, full));
+        if let Some(full) = runtime_dir::shared_memory_full().filter(|_| bytes.len() > INITIAL_REQUEST_BYTES) {
+            return Err(transport("sending a request to", &name, full));
         }
-        let memory = self.port.loan_slice_uninit(bytes.len()).map_err(|error| transport("asking", &name, error))?;
-        let pending = memory.write_from_slice(bytes).send().map_err(|error| transport("asking", &name, error))?;
+        let memory = self
+            .port
+            .loan_slice_uninit(bytes.len())
+            .map_err(|error| transport("sending a request to", &name, error))?;
+        let pending =
+            memory.write_from_slice(bytes).send().map_err(|error| transport("sending a request to", &name, error))?;
         if pending.number_of_server_connections() == 0 {
-            // No one took it: there is no daemon, or one that is too busy to have read our earlier requests.
-            return Err(self.silence(Duration::ZERO));
+            // Not delivered: no daemon, or the daemon has not yet read earlier requests.
+            return Err(self.no_response(Duration::ZERO));
         }
         let start = Instant::now();
         loop {
-            if let Some(answer) = pending.receive().map_err(|error| transport("hearing", &name, error))? {
+            if let Some(answer) =
+                pending.receive().map_err(|error| transport("receiving a response from", &name, error))?
+            {
                 return command::decode("answer", answer.payload(), MAX_RESPONSE_BYTES);
             }
             if start.elapsed() >= timeout {
-                return Err(self.silence(timeout));
+                return Err(self.no_response(timeout));
             }
-            thread::sleep(PAUSE);
+            thread::sleep(POLL_INTERVAL);
         }
     }
 
-    /// What a missing answer means: a daemon that is gone, or one that is busy.
-    fn silence(&self, waited: Duration) -> IpcError {
+    /// Error for a missing response: `NoDaemon` where its process has ended, else `NoAnswer`.
+    fn no_response(&self, waited: Duration) -> IpcError {
         let mut alive = false;
         self.service.dynamic_config().list_servers(|details| {
             alive |= services::runs(&self.node, details.node_id);

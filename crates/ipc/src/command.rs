@@ -1,60 +1,60 @@
 //! Requests and responses on the command service: JSON in a byte slice of bounded length.
 //!
-//! JSON, because these are rare, made by people and scripts in any language, and must survive a newer or older peer: what
-//! can't be read is answered with [`Response::Refused`] and a reason.
+//! JSON, because requests are rare, come from scripts in any language, and may come from another version. A request that
+//! can't be parsed gets [`Response::Refused`] with a reason.
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::error::IpcError;
 use plumbline_core::{Distribution, Link, LoopStatistics, Phase};
 
-/// Longest request. A model file of 1 MiB fits in even when every second character needs an escape.
+/// Maximum length of a request \[bytes\]: a model file of 1 MiB fits even when every second character needs an escape.
 pub const MAX_REQUEST_BYTES: usize = 2 << 20;
-/// Longest answer.
+/// Maximum length of a response \[bytes\].
 pub(super) const MAX_RESPONSE_BYTES: usize = 64 << 10;
 
-/// What a client may ask of the daemon.
+/// Request of a client.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "request", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Request {
-    /// How is the daemon? Answered with [`Response::Status`].
+    /// Status of the daemon; response [`Response::Status`].
     Status {},
-    /// Drive the programme of the job, once.
+    /// Drive the motions of the job, once.
     Start {},
-    /// Brake now and stay at rest.
+    /// Controlled stop; the arm stays at rest.
     Stop {},
-    /// Go on after a stop.
+    /// Continue after a stop.
     Resume {},
-    /// Stop, then end the daemon.
+    /// Controlled stop, then the daemon ends.
     Quit {},
-    /// Serve the model that this text describes from the next cycle on.
+    /// Serve this model from the next cycle on.
     OfferModel {
-        /// A model file's text.
+        /// Text of a model file.
         toml: String,
     },
-    /// The served model does not hold any more; this one does. The job says whether it is served at once or held until somebody adopts
-    /// it. It takes the place of one that is held.
+    /// Propose a model because the served one no longer explains the torques. The job decides whether it is served at once or held for a
+    /// decision. It replaces a held model.
     ProposeModel {
-        /// A model file's text.
+        /// Text of a model file.
         toml: String,
-        /// Why.
+        /// Reason of the proposal.
         proposal: Proposal,
     },
-    /// Serve the model that is held.
+    /// Serve the held model.
     Adopt {},
-    /// Drop the model that is held.
+    /// Discard the held model.
     Reject {},
     /// Write a recording of the last seconds.
     Record {},
 }
 
 impl Request {
-    /// Whether it carries a model, which takes long to read and to check.
+    /// Whether the request contains a model, which takes long to parse and to check.
     pub(super) fn is_heavy(&self) -> bool {
         matches!(self, Request::OfferModel { .. } | Request::ProposeModel { .. })
     }
 
-    /// What this tells the daemon to do, as `plumbline command` calls it; nothing for a question.
+    /// Name of the order as in `plumbline command`; `None` for a status request.
     pub fn order(&self) -> Option<&'static str> {
         Some(match self {
             Request::Status {} => return None,
@@ -71,68 +71,68 @@ impl Request {
     }
 }
 
-/// A request, and the start of the daemon that it is meant for.
+/// A request with the epoch that it is bound to.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Envelope {
-    /// [`Served::epoch`] of that start; every daemon takes a request that names none.
+    /// [`Served::epoch`] of the daemon; `None` for any daemon.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub epoch: Option<u64>,
-    /// What is asked.
+    /// The request.
     #[serde(flatten)]
     pub request: Request,
 }
 
-/// Why a model is proposed while another is served.
+/// Reason of a proposed model.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Proposal {
-    /// What has changed, for people to read: `payload of 0.731 +- 0.004 kg`.
+    /// Detected change in words: `payload of 0.731 +- 0.004 kg`.
     pub what: String,
-    /// Since when the served model does not hold, on the arm's clock \[s\].
+    /// Time of the change on the arm's clock \[s\].
     pub since: f64,
     /// Joint with the largest error, from 1.
     pub joint: usize,
-    /// Its RMS under the served model, after the estimator's low-pass \[Nm\].
+    /// RMS error of that joint with the served model, after the estimator's low-pass \[Nm\].
     pub before: f64,
-    /// The same under the proposed one \[Nm\].
+    /// RMS error of that joint with the proposed model \[Nm\].
     pub after: f64,
 }
 
-/// A proposed model that waits for a decision.
+/// Proposed model that is held for a decision.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Held {
+pub struct HeldModel {
     /// Identity of the model.
     pub model: u64,
-    /// Why it was proposed.
+    /// Reason of the proposal.
     #[serde(flatten)]
     pub proposal: Proposal,
 }
 
-/// What the daemon answers.
+/// Response of the daemon.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "response", rename_all = "kebab-case")]
 pub enum Response {
-    /// To [`Request::Status`].
+    /// Response to [`Request::Status`].
     Status(Box<Status>),
-    /// The request will be carried out.
+    /// The request was accepted.
     Accepted {},
     /// The model is served under this identity.
     ModelAccepted {
         /// Identity of the model as it appears in records and feed-forward values.
         model: u64,
     },
-    /// The proposed model is held under this identity until somebody adopts or rejects it.
+    /// The proposed model is held under this identity until it is adopted or rejected.
     ModelHeld {
-        /// Identity that it will have when it is served.
+        /// Identity of the held model.
         model: u64,
     },
-    /// The request won't be carried out.
+    /// The request was refused.
     Refused {
-        /// Why not, in one sentence.
+        /// Reason in one sentence.
         reason: String,
     },
 }
 
-/// How the daemon is. Numbers are since its start.
+/// Status of the daemon. Counters are since its start.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Status {
     /// The robot served.
@@ -142,61 +142,61 @@ pub struct Status {
     pub process: u32,
     /// Number of joints.
     pub joints: usize,
-    /// What the loop is doing.
+    /// Motion phase of the loop.
     #[serde(with = "phase_name")]
     pub phase: Phase,
-    /// Number of the present motion.
+    /// Number of the current motion.
     pub motion: u32,
     /// Cycles run.
     pub cycles: u64,
-    /// States of the arm that were never seen.
+    /// States of the arm that were not received.
     pub lost: u64,
-    /// Cycles that started after their deadline.
+    /// Cycles with a missed deadline.
     pub late: u64,
-    /// Records that found no room between the loop and the bridge thread.
+    /// Records dropped because the ring to the bridge thread was full.
     pub dropped_records: u64,
     /// Identity of the served model, 0 while there is none.
     pub model: u64,
-    /// A proposed model that waits for `adopt` or `reject`.
+    /// Proposed model that is held for `adopt` or `reject`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub offered: Option<Held>,
-    /// Direction of gravity, as far as it is known.
+    pub offered: Option<HeldModel>,
+    /// Direction of gravity, where known.
     pub mounting: Option<Mounting>,
-    /// Where that direction comes from, who agrees with it, and what has happened to it.
+    /// Sources, agreement and events of that direction.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gravity: Option<Gravity>,
-    /// Where the job stands.
+    /// Progress of the job.
     pub progress: Progress,
-    /// Samples published when everything had been driven; absent before.
+    /// Samples published when all motions had been driven; absent before.
     #[serde(default)]
     pub driven: Option<u64>,
-    /// What the job is at, for people to read.
+    /// Progress of the job in words.
     pub job: String,
-    /// Why the arm was stopped last, if it was.
+    /// Reason of the last stop.
     #[serde(default)]
     pub stopped: Option<String>,
-    /// What the machine does not grant the present loop, or the last one, with what to change: while there is anything here, its torques
-    /// come without a promise of time.
+    /// Real-time rights that the machine does not grant to the current or last loop, with remedies. While not empty, the timing of the torques
+    /// is not guaranteed.
     #[serde(default)]
     pub degraded: Vec<String>,
-    /// How the loop kept its time, one entry per connection to the arm that has ended.
+    /// Statistics of each ended connection to the arm.
     pub sessions: Vec<Session>,
-    /// Counters of the shared-memory side; take them from [`Server::served`](super::Server::served).
+    /// Statistics of shared memory, from [`Server::served`](super::Server::served).
     pub served: Served,
 }
 
-/// Where the job stands.
+/// Progress of the job.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Progress {
-    /// Nothing was started yet.
+    /// Not started.
     #[default]
     Idle,
     /// Motions are being driven.
     Driving,
-    /// The arm holds until the estimator offers the model.
+    /// The arm holds until the estimator sends the model.
     AwaitingModel,
-    /// Everything was driven.
+    /// All motions were driven.
     Done,
     /// A stop ended the job.
     Stopped,
@@ -205,20 +205,20 @@ pub enum Progress {
 /// One connection to the arm, from its first state to its end.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Session {
-    /// What it was for.
+    /// Purpose of the connection.
     pub name: String,
-    /// Counts and times of the loop.
+    /// Counters and timing of the loop.
     #[serde(flatten)]
     pub statistics: LoopStatistics,
-    /// Allocations inside the loop; `None` when the allocator was not watched.
+    /// Allocations inside the loop; `None` when they were not counted.
     pub allocations: Option<u32>,
-    /// From state read to shared memory, on the bridge thread.
+    /// Latency from state read to shared memory, on the bridge thread.
     pub bridge: Distribution,
-    /// What the operating system did not grant, with what to change.
+    /// Real-time rights that the operating system did not grant, with remedies.
     pub refusals: Vec<String>,
-    /// How it ended.
+    /// How the connection ended.
     pub end: String,
-    /// The network to the robot; absent where there is none.
+    /// Statistics of the network link; absent where there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub link: Option<Link>,
 }
@@ -234,57 +234,57 @@ pub struct Mounting {
     pub gravity: [f64; 3],
 }
 
-/// What is known of the direction of gravity. Directions are `[rho, phi]` of paper eq. 3 \[rad\].
+/// Status of the direction of gravity. Directions are `[rho, phi]` of paper eq. 3 \[rad\].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Gravity {
-    /// Where the gravity that the model has comes from: `declared`, `measured`, or `held` from before the sensor was lost.
+    /// Source of the model's gravity: `declared`, `measured`, or `held` since the sensor was lost.
     pub source: String,
-    /// How the inclinometer is; absent where there is none.
+    /// State of the inclinometer; absent where there is none.
     pub inclinometer: Option<String>,
-    /// What it measured last.
+    /// Last measured direction.
     pub measured: Option<[f64; 2]>,
-    /// Standard deviations of that.
+    /// Standard deviations of its two angles \[rad\].
     pub std: Option<[f64; 2]>,
-    /// Standard deviation of its direction \[rad\].
+    /// Standard deviation of the measured direction \[rad\].
     #[serde(default)]
     pub uncertainty: Option<f64>,
-    /// What the robot's own accelerometers say.
+    /// Direction by the robot's accelerometers.
     pub robot: Option<[f64; 2]>,
-    /// What the torques at rest imply under the model.
+    /// Direction implied by the torques at rest and the model.
     pub torques: Option<[f64; 2]>,
     /// Gravity in the base frame that the arm's own controller compensates \[m/s2\].
     #[serde(default)]
     pub vendor: Option<[f64; 3]>,
-    /// Why the model is not served, where it is not.
+    /// Reason why the model is not served, where it is not.
     pub refused: Option<String>,
-    /// What has happened, the latest last.
+    /// Events, the latest last.
     pub events: Vec<String>,
-    /// Events that there was no room for any more, the oldest ones.
+    /// Number of dropped events, the oldest ones.
     #[serde(default)]
     pub forgotten: u64,
-    /// What the inclinometer measured when each motion began.
+    /// Measurement of the inclinometer at the start of each motion.
     pub motions: Vec<MotionGravity>,
-    /// No bus is listened to, but a socket that plays one.
+    /// The bus is a simulated one.
     #[serde(default)]
     pub simulated: bool,
-    /// What is served without a reading: `refuse`, `hold` or `declared`; absent without an inclinometer.
+    /// Policy without a reading: `refuse`, `hold` or `declared`; absent without an inclinometer.
     #[serde(default)]
     pub on_loss: Option<String>,
-    /// How often the inclinometer was lost after it had been there.
+    /// Number of losses of the inclinometer.
     #[serde(default)]
     pub losses: u64,
-    /// How long it was gone, all together \[s\].
+    /// Total time without the inclinometer \[s\].
     #[serde(default)]
     pub lost_s: f64,
-    /// How often the model got another gravity.
+    /// Number of changes of the model's gravity.
     #[serde(default)]
     pub hand_overs: u64,
-    /// Largest angle between the gravity that the model had and the declared one \[rad\].
+    /// Largest angle between the model's gravity and the declared one \[rad\].
     #[serde(default)]
     pub furthest: f64,
 }
 
-/// Direction of gravity at the beginning of a motion, as measured.
+/// Measured direction of gravity at the start of a motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MotionGravity {
     /// Number of the motion.
@@ -297,67 +297,67 @@ pub struct MotionGravity {
     pub std: f64,
 }
 
-/// What the shared-memory side has done since the daemon's start.
+/// Statistics of shared memory since the daemon's start.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Served {
-    /// Identity of the daemon's start.
+    /// Epoch: identity of the daemon's start.
     pub epoch: u64,
     /// Records published.
     pub published: u64,
-    /// Number of the oldest record still held; as many have been given up.
+    /// Sequence number of the oldest retained record: the number of discarded records.
     pub first_retained: u64,
-    /// Records given up that no follower had acknowledged before.
+    /// Records discarded before any follower acknowledged them.
     pub given_up_unacknowledged: u64,
-    /// The furthest acknowledgement of any follower: all records before it arrived.
+    /// Highest acknowledgement of any follower: all records before it were received.
     pub acknowledged: u64,
-    /// Records sent again because a follower missed them.
+    /// Records replayed to followers.
     pub replayed: u64,
-    /// Batches that shared memory had no room for; followers fetch their records by replay.
+    /// Batches that could not be published; followers fetch their records by replay.
     pub unsent_batches: u64,
     /// Feed-forward values published.
     pub feed_forward: u64,
-    /// Requests that could not be read.
+    /// Requests that could not be parsed.
     pub garbled_requests: u64,
-    /// Time that the daemon's bridge thread has spent on requests \[ns\]: a fifth of all time at most, however many there are.
+    /// Time that the bridge thread has spent on requests, at most a fifth of all time \[ns\].
     #[serde(default)]
     pub answering_ns: u64,
-    /// The last thing that shared memory refused to do, if any.
+    /// Last error of shared memory.
     pub trouble: Option<String>,
-    /// Whoever follows the samples.
+    /// Connected followers of the samples.
     pub followers: Vec<Follower>,
 }
 
 /// One follower of the samples.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Follower {
-    /// What it calls itself.
+    /// Name that it gave.
     pub name: String,
-    /// Its process.
+    /// Process of the follower.
     pub pid: u32,
-    /// All records before this number arrived there.
+    /// All records before this number were received.
     pub acknowledged: u64,
-    /// Time since it was last heard of \[ms\].
+    /// Time since its last heartbeat \[ms\].
     pub silent_ms: u64,
 }
 
-/// Writes `value` as JSON of at most `limit` bytes.
+/// Encodes `value` as JSON of at most `limit` bytes.
 pub(super) fn encode<T: Serialize>(what: &'static str, value: &T, limit: usize) -> Result<Vec<u8>, IpcError> {
-    let bytes = serde_json::to_vec(value).map_err(|error| IpcError::Garbled { what, reason: error.to_string() })?;
+    let bytes = serde_json::to_vec(value).map_err(|error| IpcError::Malformed { what, reason: error.to_string() })?;
     if bytes.len() > limit {
         return Err(IpcError::TooLong { what, bytes: bytes.len(), limit });
     }
     Ok(bytes)
 }
 
-/// Reads JSON of at most `limit` bytes.
+/// Parses JSON of at most `limit` bytes.
 pub(super) fn decode<T: DeserializeOwned>(what: &'static str, bytes: &[u8], limit: usize) -> Result<T, IpcError> {
     if bytes.len() > limit {
         return Err(IpcError::TooLong { what, bytes: bytes.len(), limit });
     }
-    serde_json::from_slice(bytes).map_err(|error| IpcError::Garbled { what, reason: error.to_string() })
+    serde_json::from_slice(bytes).map_err(|error| IpcError::Malformed { what, reason: error.to_string() })
 }
 
-/// A phase by its name, as people read it.
+/// Serialises a phase by its name.
 mod phase_name {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
@@ -389,7 +389,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn requests_and_responses_come_back_as_they_were() {
+    fn requests_and_responses_are_restored_from_json() {
         let toml = "name = \"a\"\n# \u{3c1}\n".to_string();
         for request in [
             Request::Status {},
@@ -408,7 +408,7 @@ mod tests {
         for code in 0..6 {
             let status = Status {
                 phase: Phase::from_u32(code).unwrap(),
-                offered: Some(Held { model: 7, proposal: Proposal { since: 30.0, ..Proposal::default() } }),
+                offered: Some(HeldModel { model: 7, proposal: Proposal { since: 30.0, ..Proposal::default() } }),
                 mounting: Some(Mounting { rho: 1.0, phi: 0.25, gravity: [0.0, 0.0, -9.81] }),
                 served: Served { followers: vec![Follower::default()], ..Served::default() },
                 ..Status::default()
@@ -420,36 +420,36 @@ mod tests {
     }
 
     #[test]
-    fn a_request_may_name_the_daemon_that_it_is_meant_for() {
+    fn a_request_may_be_bound_to_an_epoch() {
         for request in [Request::Start {}, Request::OfferModel { toml: "a = 1".into() }] {
             for epoch in [None, Some(u64::MAX)] {
                 let envelope = Envelope { epoch, request: request.clone() };
                 let bytes = encode("request", &envelope, MAX_REQUEST_BYTES).unwrap();
                 assert_eq!(decode::<Envelope>("request", &bytes, MAX_REQUEST_BYTES).unwrap(), envelope);
             }
-            // One that names none is the request alone, as earlier versions sent it.
+            // Without an epoch it is the request alone, as sent by earlier versions.
             let bytes = encode("request", &request, MAX_REQUEST_BYTES).unwrap();
             let read = decode::<Envelope>("request", &bytes, MAX_REQUEST_BYTES).unwrap();
             assert_eq!(read, Envelope { epoch: None, request });
         }
         for text in [r#"{"request":"stop","now":1}"#, r#"{"epoch":1}"#, r#"{"epoch":"a","request":"stop"}"#] {
             let error = decode::<Envelope>("request", text.as_bytes(), MAX_REQUEST_BYTES).unwrap_err();
-            assert!(matches!(error, IpcError::Garbled { .. }), "{text:?}: {error}");
+            assert!(matches!(error, IpcError::Malformed { .. }), "{text:?}: {error}");
         }
     }
 
     #[test]
-    fn what_a_shell_would_write_is_understood() {
+    fn requests_written_by_hand_are_parsed() {
         let read = |text: &str| decode::<Request>("request", text.as_bytes(), MAX_REQUEST_BYTES);
         assert_eq!(read(r#"{"request":"stop"}"#).unwrap(), Request::Stop {});
         assert_eq!(read(r#"{"request":"offer-model","toml":""}"#).unwrap(), Request::OfferModel { toml: "".into() });
     }
 
     #[test]
-    fn garbage_is_an_error() {
+    fn malformed_and_too_long_messages_are_errors() {
         for text in ["", "{", "null", "[]", r#"{"request":"dance"}"#, r#"{"request":"stop","now":1}"#, "\u{0}\u{1}"] {
             let error = decode::<Request>("request", text.as_bytes(), MAX_REQUEST_BYTES).unwrap_err();
-            assert!(matches!(error, IpcError::Garbled { .. }), "{text:?}: {error}");
+            assert!(matches!(error, IpcError::Malformed { .. }), "{text:?}: {error}");
         }
         let deep = "[".repeat(100_000);
         assert!(decode::<Request>("request", deep.as_bytes(), MAX_REQUEST_BYTES).is_err());

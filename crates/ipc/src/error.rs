@@ -1,6 +1,6 @@
-//! What can go wrong between processes.
+//! Errors of interprocess communication.
 
-/// Why a message could not be passed.
+/// Error of interprocess communication.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum IpcError {
     /// No daemon serves this robot.
@@ -8,59 +8,59 @@ pub enum IpcError {
     NoDaemon {
         /// The robot asked for.
         robot: String,
-        /// How long it was waited for \[ms\].
+        /// Timeout \[ms\].
         waited_ms: u64,
     },
-    /// The daemon did not answer in time.
-    #[error("the daemon of robot `{robot}` gave no answer within {waited_ms} ms")]
+    /// The daemon runs but did not respond in time.
+    #[error("the daemon of robot `{robot}` did not respond within {waited_ms} ms")]
     NoAnswer {
         /// The robot asked for.
         robot: String,
-        /// How long it was waited for \[ms\].
+        /// Timeout \[ms\].
         waited_ms: u64,
     },
-    /// Every place of a service is taken.
-    #[error("service `{service}` has no place left for another {port}")]
+    /// All slots of a service are in use.
+    #[error("service `{service}` has no free slot for another {port}")]
     Full {
         /// Name of the service.
         service: String,
-        /// Kind of port that found no place, and who has them where that is known.
+        /// Kind of port, and the processes that hold the slots where known.
         port: String,
     },
-    /// A service of that name exists, but was made by another version of plumbline.
+    /// The service was created by another version of plumbline.
     #[error("service `{service}` exists with other types or sizes than this version of plumbline uses: {reason}")]
     Incompatible {
         /// Name of the service.
         service: String,
-        /// iceoryx2's own word for it.
+        /// Error of iceoryx2.
         reason: String,
     },
-    /// A request or an answer exceeds what is passed.
+    /// A request or a response exceeds its maximum length.
     #[error("{what} has {bytes} bytes, the limit is {limit}")]
     TooLong {
-        /// What was to be sent.
+        /// Kind of message.
         what: &'static str,
         /// Its size.
         bytes: usize,
         /// The limit.
         limit: usize,
     },
-    /// Bytes that are not what they should be.
+    /// A message that can't be parsed.
     #[error("{what} can't be read: {reason}")]
-    Garbled {
-        /// What was expected.
+    Malformed {
+        /// Expected kind of message.
         what: &'static str,
-        /// Why it is not that.
+        /// Parse error.
         reason: String,
     },
-    /// iceoryx2 failed by itself.
+    /// iceoryx2 failed.
     #[error("shared memory failed: {doing} `{service}`: {reason}")]
     Transport {
-        /// What was attempted.
+        /// Attempted operation.
         doing: &'static str,
-        /// On which service.
+        /// Name of the service.
         service: String,
-        /// iceoryx2's own word for it.
+        /// Error of iceoryx2.
         reason: String,
     },
 }

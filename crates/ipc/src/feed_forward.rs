@@ -1,4 +1,4 @@
-//! A client of the feed-forward torque: the latest value, and whether it is still good.
+//! Client of the feed-forward torque: latest value, age and validity.
 
 use std::thread;
 use std::time::{Duration, Instant};
@@ -12,15 +12,15 @@ use super::robot::RobotId;
 use super::services::{self, ServiceNode, boot_ns};
 use plumbline_core::Validity;
 
-/// How far ahead of this process's clock a time stamp may lie before it can't be from this machine \[ns\].
+/// Maximum time stamp in the future \[ns\]; a later one is not from this machine's clock.
 const CLOCK_SLACK_NS: u64 = 1_000_000;
-/// Values taken from the buffer in one call; it holds one per daemon, alive or just gone.
+/// Maximum values read in one call; the buffer holds one per daemon, running or ended.
 const VALUES_PER_CALL: usize = 4;
 
-/// When a value is too old to be used.
+/// Settings of a feed-forward client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FeedForwardSettings {
-    /// Older values are stale \[ms\].
+    /// Age above which a value is stale \[ms\].
     pub stale_after_ms: u64,
 }
 
@@ -30,16 +30,16 @@ impl Default for FeedForwardSettings {
     }
 }
 
-/// The newest value and how old it is.
+/// Latest value with its age.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Latest {
     /// The value.
     pub message: FeedForwardMessage,
-    /// Time since the state that it answers was read \[ns\].
+    /// Age: time since the state of this value was read \[ns\].
     pub age_ns: u64,
     /// Whether it is older than [`FeedForwardSettings::stale_after_ms`].
     pub stale: bool,
-    /// Whether its torque may be used: not stale, and a model serves ([`FeedForwardMessage::validity`]).
+    /// Whether its torque may be used: not stale, and a model is served ([`FeedForwardMessage::validity`]).
     pub usable: bool,
 }
 
@@ -51,16 +51,16 @@ impl Latest {
     }
 }
 
-/// Whether anyone serves the robot.
+/// Whether a daemon serves the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Presence {
     /// A daemon's process runs.
     Running,
-    /// It ended or was killed. The client stays connected and hears of the next one by itself.
+    /// No daemon runs. The client stays connected and receives the values of the next daemon.
     Gone,
 }
 
-/// Reads the feed-forward torque of one robot. Not `Send`.
+/// Client of the feed-forward torque of one robot. Not `Send`.
 pub struct FeedForwardClient {
     settings: FeedForwardSettings,
     newest: Option<FeedForwardMessage>,
@@ -71,33 +71,33 @@ pub struct FeedForwardClient {
 }
 
 impl FeedForwardClient {
-    /// Connects to the daemon of `robot`, waiting up to `patience` for it to appear.
+    /// Connects to the daemon of `robot`, waiting up to `timeout` for it to appear.
     ///
     /// # Errors
     /// [`IpcError::NoDaemon`], [`IpcError::Full`], [`IpcError::Incompatible`], [`IpcError::Transport`].
     pub fn connect(
         robot: &RobotId,
         settings: FeedForwardSettings,
-        patience: Duration,
+        timeout: Duration,
     ) -> Result<FeedForwardClient, IpcError> {
         let start = Instant::now();
         let node = services::joining_node()?;
-        let service = services::join_feed_forward(&node, robot, patience)?;
+        let service = services::join_feed_forward(&node, robot, timeout)?;
         while service.dynamic_config().number_of_publishers() == 0 {
-            if start.elapsed() >= patience {
-                return Err(services::no_daemon(robot, patience));
+            if start.elapsed() >= timeout {
+                return Err(services::no_daemon(robot, timeout));
             }
             thread::sleep(Duration::from_millis(1));
         }
         let name = services::feed_forward_name(robot);
-        let subscriber = services::patiently(&name, patience.saturating_sub(start.elapsed()), || {
+        let subscriber = services::retry_until(&name, timeout.saturating_sub(start.elapsed()), || {
             Ok(service.subscriber_builder().buffer_size(1).create())
         })?;
         Ok(FeedForwardClient { settings, newest: None, rejected: 0, subscriber, service, node })
     }
 
-    /// The newest value with its age now; `None` before the first. The same value is returned again until a newer one
-    /// arrives, and turns stale.
+    /// The latest value with its current age; `None` before the first. The same value is returned until a newer one
+    /// arrives, and becomes stale.
     ///
     /// # Errors
     /// [`IpcError::Transport`] when shared memory failed.
@@ -120,12 +120,12 @@ impl FeedForwardClient {
         }))
     }
 
-    /// Values that were not taken: impossible, older than the one before, or from another machine's clock.
+    /// Number of rejected values: invalid, older than the one before, or from another machine's clock.
     pub fn rejected(&self) -> u64 {
         self.rejected
     }
 
-    /// Whether the daemon's process runs. Looks at files: to be called when a value is stale, not in a control loop.
+    /// Whether the daemon's process runs. Reads files: call it when a value is stale, not in a control loop.
     pub fn daemon(&self) -> Presence {
         let mut state = Presence::Gone;
         self.service.dynamic_config().list_publishers(|details| {
@@ -138,8 +138,8 @@ impl FeedForwardClient {
     }
 }
 
-/// Whether `message` is possible and newer than `newest`. Time stamps grow across restarts of the daemon, sequence numbers
-/// within one start.
+/// Whether `message` is valid and newer than `newest`. Time stamps increase across restarts of the daemon, sequence numbers
+/// within one epoch.
 fn supersedes(message: &FeedForwardMessage, newest: Option<&FeedForwardMessage>, now_ns: u64) -> bool {
     if message.check().is_err() || message.stamp_ns > now_ns.saturating_add(CLOCK_SLACK_NS) {
         return false;
@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_torque_is_usable_while_it_is_fresh_and_a_model_serves() {
+    fn a_torque_is_usable_while_not_stale_and_a_model_is_served() {
         let settings = FeedForwardSettings { stale_after_ms: 5 };
         let usable = |validity: Validity, age_ns| {
             let message = FeedForwardMessage { validity: validity as u32, ..FeedForwardMessage::default() };
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn only_possible_and_newer_values_are_taken() {
+    fn only_valid_and_newer_values_are_accepted() {
         let now = 1_000_000_000;
         let old =
             FeedForwardMessage { sequence: 5, stamp_ns: now - 10, epoch: 1, n: 7, ..FeedForwardMessage::default() };

@@ -1,69 +1,69 @@
-//! Who follows the samples, as the daemon sees it. Pure bookkeeping: times come in as arguments.
+//! Followers of the samples: acknowledgements and heartbeats. No clock: times are arguments.
 
 use std::collections::VecDeque;
 
 use super::command::Follower;
 
-/// Something that the daemon should say about a follower.
+/// Event of a follower, for the log.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum News {
-    /// A follower was heard of for the first time.
+pub enum FollowerEvent {
+    /// First request of a follower.
     #[error("{name} (process {pid}) follows the samples from {from} on")]
     Joined {
-        /// What it calls itself.
+        /// Name that it gave.
         name: String,
-        /// Its process.
+        /// Process of the follower.
         pid: u32,
-        /// Its first record.
+        /// First record that it requested.
         from: u64,
     },
-    /// A follower is alive but has said nothing for a while.
+    /// Heartbeat timeout of a follower whose process runs.
     #[error("{name} (process {pid}) has been silent for {silent_ms} ms; it had acknowledged {acknowledged} records")]
     Silent {
-        /// What it calls itself.
+        /// Name that it gave.
         name: String,
-        /// Its process.
+        /// Process of the follower.
         pid: u32,
-        /// How far it was.
+        /// Number of acknowledged records.
         acknowledged: u64,
-        /// Time since it was last heard of \[ms\].
+        /// Time since its last heartbeat \[ms\].
         silent_ms: u64,
     },
-    /// A silent follower was heard of again.
+    /// Heartbeat after a timeout.
     #[error("{name} (process {pid}) is back and has acknowledged {acknowledged} records")]
     Back {
-        /// What it calls itself.
+        /// Name that it gave.
         name: String,
-        /// Its process.
+        /// Process of the follower.
         pid: u32,
-        /// How far it is.
+        /// Number of acknowledged records.
         acknowledged: u64,
     },
-    /// A follower left of its own will.
+    /// A follower disconnected.
     #[error("{name} (process {pid}) left after {acknowledged} records")]
     Left {
-        /// What it calls itself.
+        /// Name that it gave.
         name: String,
-        /// Its process.
+        /// Process of the follower.
         pid: u32,
-        /// How far it was.
+        /// Number of acknowledged records.
         acknowledged: u64,
     },
-    /// A follower's process ended without a word.
+    /// A follower's process ended without disconnecting.
     #[error("{name} (process {pid}) died after {acknowledged} records; they are kept for its successor")]
     Died {
-        /// What it calls itself.
+        /// Name that it gave.
         name: String,
-        /// Its process.
+        /// Process of the follower.
         pid: u32,
-        /// How far it was.
+        /// Number of acknowledged records.
         acknowledged: u64,
     },
 }
 
-/// What one request said, with the identity of the port that it came from.
+/// Content of one request, with the identity of its port.
 #[derive(Clone, Debug)]
-pub(super) struct Word {
+pub(super) struct Heartbeat {
     pub port: u128,
     pub pid: u32,
     pub name: String,
@@ -78,7 +78,7 @@ struct Entry {
     pid: u32,
     name: String,
     acknowledged: u64,
-    heard_ns: u64,
+    last_heartbeat_ns: u64,
     silent: bool,
 }
 
@@ -86,98 +86,98 @@ struct Entry {
 #[derive(Debug, Default)]
 pub(super) struct Followers {
     entries: Vec<Entry>,
-    furthest: u64,
-    news: VecDeque<News>,
+    highest_acknowledged: u64,
+    events: VecDeque<FollowerEvent>,
 }
 
-/// More followers than can be connected at once are not remembered; the oldest is forgotten.
-const MAX_ENTRIES: usize = 16;
-/// News that nobody takes are bounded, too.
-const MAX_NEWS: usize = 64;
+/// Maximum remembered followers, more than can be connected at once; the oldest is dropped.
+const MAX_FOLLOWERS: usize = 16;
+/// FollowerEvent that nobody takes are bounded, too.
+const MAX_PENDING_EVENTS: usize = 64;
 
 impl Followers {
-    /// Takes note of one request at `now_ns`. `end` bounds what can have been acknowledged.
-    pub(super) fn heard(&mut self, word: Word, end: u64, now_ns: u64) {
-        let acknowledged = word.acknowledged.min(end);
-        self.furthest = self.furthest.max(acknowledged);
-        let known = self.entries.iter().position(|entry| entry.port == word.port);
-        if word.leaving {
+    /// Updates a follower by one request at `now_ns`. Acknowledgements are bounded by `end`.
+    pub(super) fn update(&mut self, heartbeat: Heartbeat, end: u64, now_ns: u64) {
+        let acknowledged = heartbeat.acknowledged.min(end);
+        self.highest_acknowledged = self.highest_acknowledged.max(acknowledged);
+        let known = self.entries.iter().position(|entry| entry.port == heartbeat.port);
+        if heartbeat.leaving {
             if let Some(index) = known {
                 self.entries.remove(index);
-                self.tell(News::Left { name: word.name, pid: word.pid, acknowledged });
+                self.emit(FollowerEvent::Left { name: heartbeat.name, pid: heartbeat.pid, acknowledged });
             }
             return;
         }
         let Some(entry) = known.and_then(|index| self.entries.get_mut(index)) else {
-            if self.entries.len() == MAX_ENTRIES {
+            if self.entries.len() == MAX_FOLLOWERS {
                 self.entries.remove(0);
             }
-            self.tell(News::Joined { name: word.name.clone(), pid: word.pid, from: word.from });
-            let Word { port, pid, name, .. } = word;
-            self.entries.push(Entry { port, pid, name, acknowledged, heard_ns: now_ns, silent: false });
+            self.emit(FollowerEvent::Joined { name: heartbeat.name.clone(), pid: heartbeat.pid, from: heartbeat.from });
+            let Heartbeat { port, pid, name, .. } = heartbeat;
+            self.entries.push(Entry { port, pid, name, acknowledged, last_heartbeat_ns: now_ns, silent: false });
             return;
         };
         entry.acknowledged = acknowledged;
-        entry.heard_ns = now_ns;
+        entry.last_heartbeat_ns = now_ns;
         if entry.silent {
             entry.silent = false;
-            self.tell(News::Back { name: word.name, pid: word.pid, acknowledged });
+            self.emit(FollowerEvent::Back { name: heartbeat.name, pid: heartbeat.pid, acknowledged });
         }
     }
 
-    /// Looks for followers that have been silent for `limit_ns`; `alive` tells whether a port's process still runs.
+    /// Checks heartbeats with timeout `limit_ns`; `alive` is whether a port's process still runs.
     pub(super) fn check(&mut self, now_ns: u64, limit_ns: u64, mut alive: impl FnMut(u128) -> bool) {
         let mut dead = Vec::new();
-        let mut told = Vec::new();
+        let mut events = Vec::new();
         for entry in &mut self.entries {
-            let silent_ns = now_ns.saturating_sub(entry.heard_ns);
+            let silent_ns = now_ns.saturating_sub(entry.last_heartbeat_ns);
             if silent_ns < limit_ns {
                 continue;
             }
             let (name, pid, acknowledged) = (entry.name.clone(), entry.pid, entry.acknowledged);
             if !alive(entry.port) {
                 dead.push(entry.port);
-                told.push(News::Died { name, pid, acknowledged });
+                events.push(FollowerEvent::Died { name, pid, acknowledged });
             } else if !entry.silent {
                 entry.silent = true;
-                told.push(News::Silent { name, pid, acknowledged, silent_ms: silent_ns / 1_000_000 });
+                events.push(FollowerEvent::Silent { name, pid, acknowledged, silent_ms: silent_ns / 1_000_000 });
             }
         }
         self.entries.retain(|entry| !dead.contains(&entry.port));
-        told.into_iter().for_each(|news| self.tell(news));
+        events.into_iter().for_each(|event| self.emit(event));
     }
 
-    /// Whether anyone has been silent for `limit_ns`.
+    /// Whether any heartbeat is older than `limit_ns`.
     pub(super) fn any_silent(&self, now_ns: u64, limit_ns: u64) -> bool {
-        self.entries.iter().any(|entry| now_ns.saturating_sub(entry.heard_ns) >= limit_ns)
+        self.entries.iter().any(|entry| now_ns.saturating_sub(entry.last_heartbeat_ns) >= limit_ns)
     }
 
-    /// The furthest acknowledgement ever.
-    pub(super) fn furthest(&self) -> u64 {
-        self.furthest
+    /// Highest acknowledgement of any follower.
+    pub(super) fn highest_acknowledged(&self) -> u64 {
+        self.highest_acknowledged
     }
 
-    /// The present followers.
+    /// The connected followers.
     pub(super) fn list(&self, now_ns: u64) -> Vec<Follower> {
         let follower = |entry: &Entry| Follower {
             name: entry.name.clone(),
             pid: entry.pid,
             acknowledged: entry.acknowledged,
-            silent_ms: now_ns.saturating_sub(entry.heard_ns) / 1_000_000,
+            silent_ms: now_ns.saturating_sub(entry.last_heartbeat_ns) / 1_000_000,
         };
         self.entries.iter().map(follower).collect()
     }
 
-    /// The oldest piece of news that has not been taken yet.
-    pub(super) fn take_news(&mut self) -> Option<News> {
-        self.news.pop_front()
+    /// Takes the oldest pending event.
+    pub(super) fn take_follower_event(&mut self) -> Option<FollowerEvent> {
+        self.events.pop_front()
     }
 
-    fn tell(&mut self, news: News) {
-        if self.news.len() == MAX_NEWS {
-            self.news.pop_front();
+    fn emit(&mut self, event: FollowerEvent) {
+        if self.events.len() == MAX_PENDING_EVENTS {
+            self.events.pop_front();
         }
-        self.news.push_back(news);
+        self.events.push_back(event);
     }
 }
 
@@ -187,57 +187,57 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    fn word(port: u128, acknowledged: u64) -> Word {
-        Word { port, pid: 42, name: "estimator".into(), acknowledged, from: 0, leaving: false }
+    fn heartbeat(port: u128, acknowledged: u64) -> Heartbeat {
+        Heartbeat { port, pid: 42, name: "estimator".into(), acknowledged, from: 0, leaving: false }
     }
 
-    fn news(followers: &mut Followers) -> Vec<String> {
-        std::iter::from_fn(|| followers.take_news()).map(|news| news.to_string()).collect()
+    fn events(followers: &mut Followers) -> Vec<String> {
+        std::iter::from_fn(|| followers.take_follower_event()).map(|event| event.to_string()).collect()
     }
 
     #[test]
-    fn a_follower_joins_falls_silent_comes_back_and_leaves() {
+    fn join_timeout_return_and_disconnect_are_events() {
         let mut followers = Followers::default();
-        followers.heard(word(1, 0), 100, 0);
-        followers.heard(word(1, 50), 100, 10 * MS);
-        assert_eq!(news(&mut followers), ["estimator (process 42) follows the samples from 0 on"]);
+        followers.update(heartbeat(1, 0), 100, 0);
+        followers.update(heartbeat(1, 50), 100, 10 * MS);
+        assert_eq!(events(&mut followers), ["estimator (process 42) follows the samples from 0 on"]);
         assert_eq!(followers.list(15 * MS)[0].silent_ms, 5);
 
         for now in [20 * MS, 600 * MS, 700 * MS] {
             followers.check(now, 500 * MS, |_| true);
         }
         let silent = "estimator (process 42) has been silent for 590 ms; it had acknowledged 50 records";
-        assert_eq!(news(&mut followers), [silent]);
-        followers.heard(word(1, 60), 100, 800 * MS);
-        assert_eq!(news(&mut followers), ["estimator (process 42) is back and has acknowledged 60 records"]);
-        followers.heard(Word { leaving: true, ..word(1, 61) }, 100, 801 * MS);
-        assert_eq!(news(&mut followers), ["estimator (process 42) left after 61 records"]);
+        assert_eq!(events(&mut followers), [silent]);
+        followers.update(heartbeat(1, 60), 100, 800 * MS);
+        assert_eq!(events(&mut followers), ["estimator (process 42) is back and has acknowledged 60 records"]);
+        followers.update(Heartbeat { leaving: true, ..heartbeat(1, 61) }, 100, 801 * MS);
+        assert_eq!(events(&mut followers), ["estimator (process 42) left after 61 records"]);
         assert!(followers.list(0).is_empty());
-        assert_eq!(followers.furthest(), 61);
+        assert_eq!(followers.highest_acknowledged(), 61);
     }
 
     #[test]
-    fn a_dead_one_is_named_and_its_successor_starts_over() {
+    fn the_death_of_a_follower_is_an_event_and_its_successor_starts_over() {
         let mut followers = Followers::default();
-        followers.heard(word(1, 70), 100, 0);
+        followers.update(heartbeat(1, 70), 100, 0);
         followers.check(MS, 500 * MS, |_| false);
         followers.check(600 * MS, 500 * MS, |_| false);
-        followers.heard(word(2, 0), 100, 700 * MS);
-        let told = news(&mut followers);
-        assert_eq!(told[1], "estimator (process 42) died after 70 records; they are kept for its successor");
-        assert_eq!(told.len(), 3);
+        followers.update(heartbeat(2, 0), 100, 700 * MS);
+        let found = events(&mut followers);
+        assert_eq!(found[1], "estimator (process 42) died after 70 records; they are kept for its successor");
+        assert_eq!(found.len(), 3);
         assert_eq!(followers.list(700 * MS)[0].acknowledged, 0);
-        assert_eq!(followers.furthest(), 70);
+        assert_eq!(followers.highest_acknowledged(), 70);
     }
 
     #[test]
-    fn a_liar_acknowledges_no_more_than_there_is() {
+    fn acknowledgements_are_bounded_by_the_published_records() {
         let mut followers = Followers::default();
         for port in 0..1000 {
-            followers.heard(word(port, u64::MAX), 100, 0);
+            followers.update(heartbeat(port, u64::MAX), 100, 0);
         }
-        assert_eq!(followers.furthest(), 100);
-        assert_eq!(followers.list(0).len(), MAX_ENTRIES);
-        assert_eq!(news(&mut followers).len(), MAX_NEWS);
+        assert_eq!(followers.highest_acknowledged(), 100);
+        assert_eq!(followers.list(0).len(), MAX_FOLLOWERS);
+        assert_eq!(events(&mut followers).len(), MAX_PENDING_EVENTS);
     }
 }

@@ -1,21 +1,20 @@
-//! Samples, torques, requests and stops between processes: shared memory of iceoryx2, and a socket for stops.
+//! Interprocess communication: samples, feed-forward torques and requests over iceoryx2 shared memory, stops over a socket.
 //!
 //! | service of robot R | pattern | what |
 //! |---|---|---|
 //! | `plumbline/R/samples` | publish-subscribe | every [`Record`](plumbline_core::Record) as [`SampleMessage`], numbered without gaps |
-//! | `plumbline/R/replay` | request-response | a follower says how far it is and asks for what it missed |
+//! | `plumbline/R/replay` | request-response | a follower acknowledges records and requests missed ones |
 //! | `plumbline/R/feed-forward` | publish-subscribe, latest value | [`FeedForwardMessage`] for any number of clients |
 //! | `plumbline/R/command` | request-response, JSON | [`Request`] and [`Response`] |
 //!
-//! A stop has a way of its own beside them, without shared memory: [`stop`](stop()).
+//! A stop is sent over a separate socket, without shared memory: [`stop`](stop()).
 //!
-//! The daemon's bridge thread owns one [`Server`]; the real-time thread never comes here. Nothing that a client does, or
-//! does not do, blocks the server: what does not fit into a client's buffer is discarded, and a follower of the samples
-//! fetches it from the daemon's [`RetainedLog`] afterwards. So the stream is complete without waiting for anyone.
+//! The daemon's bridge thread owns one [`Server`]; the real-time thread calls nothing of this crate. No client can block the server:
+//! samples that do not fit into a client's buffer are discarded, and a follower fetches them later from the daemon's [`RetainedLog`]. The
+//! stream is therefore complete.
 //!
-//! The trust boundary is the operating system's user: shared memory and the folder of names ([`place`]) are open to the daemon's own
-//! user only. What
-//! arrives from that user is still checked; no value of a message can make the daemon panic.
+//! The trust boundary is the operating system's user: shared memory and the runtime directory ([`runtime_dir`]) are accessible to the daemon's
+//! user only. Messages of that user are still validated; no value of a message can make the daemon panic.
 //!
 //! ```no_run
 //! use plumbline_ipc::{FeedForwardClient, FeedForwardSettings, RobotId};
@@ -34,38 +33,38 @@ mod arm_lock;
 mod client;
 mod command;
 mod error;
+mod error_counts;
 mod feed_forward;
 mod followers;
-mod half_made;
+mod incomplete_segments;
 mod lock;
 mod messages;
-pub mod place;
 mod requests;
 mod retain;
 mod robot;
+pub mod runtime_dir;
 mod sender;
 mod server;
 mod services;
 mod stop;
 mod stream;
-mod trouble;
 
 pub use arm_lock::{ArmLock, ArmLockError};
 pub use client::Client;
 pub use command::{
-    Follower, Gravity, Held, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request, Response, Served,
-    Session, Status,
+    Follower, Gravity, HeldModel, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request, Response,
+    Served, Session, Status,
 };
 pub use error::IpcError;
 pub use feed_forward::{FeedForwardClient, FeedForwardSettings, Latest, Presence};
-pub use followers::News;
+pub use followers::FollowerEvent;
 pub use lock::{Lock, LockError};
 pub use messages::{FeedForwardMessage, FollowRequest, MessageError, ReplayHeader, SampleMessage};
 pub use plumbline_core::Link;
-pub use requests::{Asked, Ticket, read};
+pub use requests::{IncomingRequest, Ticket, read};
 pub use retain::RetainedLog;
 pub use robot::RobotId;
 pub use server::{Server, ServerSettings};
 pub use services::{boot_ns, now_ns};
-pub use stop::{StopError, StopListener, StopOrder, Taken, Way, stop};
+pub use stop::{StopError, StopListener, StopOrder, StopPath, StopReceipt, stop};
 pub use stream::{Delivery, SampleStream, StreamCounters, StreamSettings};

@@ -1,6 +1,6 @@
-//! One daemon per robot, held by an advisory file lock that the kernel drops with the process, however it ends.
+//! Exclusive lock per robot: an advisory file lock that the kernel releases when the process ends.
 //!
-//! The lock belongs to the open file: a process that passes its open file to a child passes the lock, without a gap.
+//! The lock belongs to the open file: a child that inherits the open file inherits the lock without a gap.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
@@ -8,10 +8,10 @@ use std::os::fd::OwnedFd;
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
-use super::place::{self, PlaceError};
 use super::robot::RobotId;
+use super::runtime_dir::{self, RuntimeDirError};
 
-/// Why the lock could not be had.
+/// Why the lock could not be taken.
 #[derive(Debug, thiserror::Error)]
 pub enum LockError {
     /// Another daemon serves this robot.
@@ -19,32 +19,32 @@ pub enum LockError {
     Held {
         /// The robot.
         robot: String,
-        /// Process of the other daemon, as it wrote it.
+        /// Process of the other daemon, from the lock file.
         holder: String,
         /// The lock file.
         path: PathBuf,
     },
-    /// There is no folder to trust.
+    /// No usable runtime directory.
     #[error(transparent)]
-    Place(#[from] PlaceError),
+    Place(#[from] RuntimeDirError),
     /// The lock file could not be used.
     #[error("lock file {}: {source}", path.display())]
     Io {
         /// The lock file.
         path: PathBuf,
-        /// What the operating system says.
+        /// Error of the operating system.
         source: io::Error,
     },
 }
 
-/// What the lock file says, always in the same number of bytes for one process.
+/// Content of the lock file; its length is constant for one process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Entry {
     /// The process that serves the robot.
     pub process: u32,
-    /// Stops that this process has taken.
+    /// Stops that this process has executed.
     pub stops: u64,
-    /// `CLOCK_MONOTONIC` when the last of them was taken, 0 before the first \[ns\].
+    /// Time of the last executed stop, `CLOCK_MONOTONIC`, 0 before the first \[ns\].
     pub stop_ns: u64,
 }
 
@@ -59,15 +59,15 @@ impl Entry {
         Some(Entry { process, stops: number("stops ").unwrap_or(0), stop_ns: number("stop-ns ").unwrap_or(0) })
     }
 
-    /// What the file at `path` says; `None` where it does not exist or names no process.
+    /// Reads the file at `path`; `None` where it does not exist or names no process.
     pub(super) fn read(path: &Path) -> Option<Entry> {
         Entry::parse(&fs::read_to_string(path).ok()?)
     }
 }
 
-/// The right to serve a robot, until it is dropped.
+/// Exclusive lock of one robot, released when dropped.
 ///
-/// The file stays when the lock goes: removing it would let two daemons lock two files of the same name.
+/// The file is not removed with the lock: otherwise two daemons could lock two files of the same name.
 #[derive(Debug)]
 pub struct Lock {
     path: PathBuf,
@@ -75,12 +75,12 @@ pub struct Lock {
 }
 
 impl Lock {
-    /// Takes the lock of `robot` in the user's own folder, [`place::directory`].
+    /// Takes the lock of `robot` in the user's runtime directory, [`runtime_dir::directory`].
     pub fn take(robot: &RobotId) -> Result<Lock, LockError> {
-        Lock::take_in(&place::directory()?, robot)
+        Lock::take_in(&runtime_dir::directory()?, robot)
     }
 
-    /// Takes the lock of `robot` in `directory`, which is made if it is missing.
+    /// Takes the lock of `robot` in `directory`, which is created if it is missing.
     pub fn take_in(directory: &Path, robot: &RobotId) -> Result<Lock, LockError> {
         let path = path_in(directory, robot);
         let failed = |source: io::Error| LockError::Io { path: path.clone(), source };
@@ -91,13 +91,13 @@ impl Lock {
         Lock::hold(path, file, robot)
     }
 
-    /// Takes over the lock of `robot` from the process that started this one and passed its open file on ([`Lock::pass_on`]). Both hold the lock; it is
-    /// free when both have ended.
+    /// Adopts the lock of `robot` that the parent process passed on ([`Lock::pass_on`]). Both hold the lock; it is
+    /// released when both have ended.
     ///
     /// # Errors
-    /// [`LockError::Held`] where this process does not hold the lock: it was not passed on, or another file has taken the place of the one that was.
+    /// [`LockError::Held`] where this process does not hold the lock: the lock was not passed on, or its file was replaced.
     pub fn adopt(robot: &RobotId) -> Result<Lock, LockError> {
-        Lock::adopt_in(&place::directory()?, robot)
+        Lock::adopt_in(&runtime_dir::directory()?, robot)
     }
 
     fn adopt_in(directory: &Path, robot: &RobotId) -> Result<Lock, LockError> {
@@ -108,20 +108,20 @@ impl Lock {
         if !is_held_by(&file.metadata().map_err(failed)?, std::process::id()).map_err(failed)? {
             return Err(held(&path, robot));
         }
-        Lock::enter(path.clone(), file).map_err(failed)
+        Lock::write_entry(path.clone(), file).map_err(failed)
     }
 
     fn hold(path: PathBuf, file: File, robot: &RobotId) -> Result<Lock, LockError> {
         let failed = |source: io::Error| LockError::Io { path: path.clone(), source };
         match file.try_lock() {
-            Ok(()) => Lock::enter(path.clone(), file).map_err(failed),
+            Ok(()) => Lock::write_entry(path.clone(), file).map_err(failed),
             Err(TryLockError::WouldBlock) => Err(held(&path, robot)),
             Err(TryLockError::Error(source)) => Err(failed(source)),
         }
     }
 
-    /// Writes who serves the robot: for a second daemon, and for `plumbline command stop`. The lock itself does not depend on this text.
-    fn enter(path: PathBuf, file: File) -> io::Result<Lock> {
+    /// Writes the serving process into the file, for a second daemon and for `plumbline command stop`. The lock does not depend on this text.
+    fn write_entry(path: PathBuf, file: File) -> io::Result<Lock> {
         let entry = Entry { process: std::process::id(), stops: 0, stop_ns: 0 };
         file.set_len(0)?;
         file.write_all_at(entry.text().as_bytes(), 0)?;
@@ -133,16 +133,16 @@ impl Lock {
         &self.path
     }
 
-    /// Opens the lock to child processes that are started while the result lives: [`Lock::adopt`] there.
+    /// Makes the lock inheritable by child processes that are started while the result exists; they call [`Lock::adopt`].
     ///
     /// # Errors
     /// No file descriptor is left.
     pub fn pass_on(&self) -> io::Result<OwnedFd> {
-        // A duplicate is the same open file, and is not closed when a child runs another program.
+        // A duplicate shares the open file and is not closed on exec.
         Ok(rustix::io::dup(&self.file)?)
     }
 
-    /// Where stops are counted. Its memory is there already: counting needs no room on any disk.
+    /// Counter of executed stops in this file. Counting overwrites in place and needs no disk space.
     pub(super) fn counter(&self) -> io::Result<StopCounter> {
         let entry = Entry { process: std::process::id(), stops: 0, stop_ns: 0 };
         Ok(StopCounter { file: self.file.try_clone()?, entry })
@@ -162,7 +162,7 @@ fn held(path: &Path, robot: &RobotId) -> LockError {
     LockError::Held { robot: robot.to_string(), holder, path: path.to_path_buf() }
 }
 
-/// Whether `process` has a file open that holds the lock on `lock`, as the kernel says.
+/// Whether `process` holds the lock on `lock`, by the kernel's list of its open files.
 pub(super) fn is_held_by(lock: &fs::Metadata, process: u32) -> io::Result<bool> {
     let folder = PathBuf::from("/proc").join(process.to_string());
     for number in fs::read_dir(folder.join("fd"))?.filter_map(|entry| Some(entry.ok()?.file_name())) {
@@ -176,7 +176,7 @@ pub(super) fn is_held_by(lock: &fs::Metadata, process: u32) -> io::Result<bool> 
     Ok(false)
 }
 
-/// Counts the stops that were taken, in the lock file.
+/// Counter of executed stops in the lock file.
 #[derive(Debug)]
 pub(super) struct StopCounter {
     file: File,
@@ -184,7 +184,7 @@ pub(super) struct StopCounter {
 }
 
 impl StopCounter {
-    /// One more, taken at `now_ns`.
+    /// Counts one stop executed at `now_ns`.
     pub(super) fn count(&mut self, now_ns: u64) -> io::Result<()> {
         self.entry.stops += 1;
         self.entry.stop_ns = now_ns;
@@ -197,7 +197,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_second_daemon_is_told_who_the_first_is() {
+    fn the_error_of_a_second_daemon_names_the_first() {
         let directory = tempfile::tempdir().unwrap();
         let robot = RobotId::parse("test", "robot", "panda").unwrap();
         let other = RobotId::parse("test", "robot", "ur10").unwrap();
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lock_that_was_passed_on_outlives_the_process_that_took_it() {
+    fn an_inherited_lock_outlives_the_process_that_took_it() {
         let directory = tempfile::tempdir().unwrap();
         let robot = RobotId::parse("test", "robot", "panda").unwrap();
         let first = Lock::take_in(directory.path(), &robot).unwrap();
@@ -224,10 +224,13 @@ mod tests {
         drop(passed_on);
         let mut later = std::process::Command::new("sleep").arg("60").spawn().unwrap();
         assert!(is_held_by(&metadata, child.id()).unwrap() && is_held_by(&metadata, std::process::id()).unwrap());
-        assert!(!is_held_by(&metadata, later.id()).unwrap(), "passed on to those that are started meanwhile alone");
+        assert!(
+            !is_held_by(&metadata, later.id()).unwrap(),
+            "only children started while it is passed on inherit the lock"
+        );
         drop(first);
         assert!(matches!(Lock::take_in(directory.path(), &robot), Err(LockError::Held { .. })));
-        // Who does not hold it can't adopt it.
+        // A process that does not hold the lock can't adopt it.
         assert!(!is_held_by(&metadata, std::process::id()).unwrap());
         assert!(matches!(Lock::adopt_in(directory.path(), &robot), Err(LockError::Held { .. })));
         for process in [&mut child, &mut later] {
@@ -236,7 +239,7 @@ mod tests {
         }
         let again = Lock::take_in(directory.path(), &robot).unwrap();
         Lock::adopt_in(directory.path(), &robot).unwrap();
-        // Not where another file has taken its place.
+        // Nor where its file was replaced.
         fs::remove_file(again.path()).unwrap();
         fs::write(again.path(), "process 1\n").unwrap();
         let error = Lock::adopt_in(directory.path(), &robot).unwrap_err();
@@ -255,13 +258,13 @@ mod tests {
         counter.count(17).unwrap();
         counter.count(u64::MAX).unwrap();
         assert_eq!(Entry::read(lock.path()), Some(Entry { process, stops: 2, stop_ns: u64::MAX }));
-        assert_eq!(fs::metadata(lock.path()).unwrap().len(), size, "counting needs no more room");
+        assert_eq!(fs::metadata(lock.path()).unwrap().len(), size, "counting does not grow the file");
         assert_eq!(Entry::parse("process 12\n"), Some(Entry { process: 12, stops: 0, stop_ns: 0 }));
         assert_eq!(Entry::parse("process -1\n"), None);
     }
 
     #[test]
-    fn a_directory_that_can_not_be_made_is_named() {
+    fn the_error_names_a_directory_that_can_not_be_created() {
         let directory = tempfile::tempdir().unwrap();
         let blocked = directory.path().join("file");
         fs::write(&blocked, "").unwrap();

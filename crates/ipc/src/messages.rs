@@ -1,27 +1,27 @@
-//! The fixed-size messages, as they lie in shared memory.
+//! Fixed-size messages in shared memory.
 //!
 //! Their layout is a contract with clients in other languages: `repr(C)`, only `u32`, `u64`, `f64` and arrays of them, so that
-//! every bit pattern is a valid value, and a type name of its own for iceoryx2 to compare. A test asserts every offset.
+//! every bit pattern is a valid value. Each has a type name that iceoryx2 compares. A test asserts every offset.
 
 use iceoryx2::prelude::ZeroCopySend;
 
 use plumbline_core::{Command, JointVec, MAX_JOINTS, Phase, Record, Setpoint, State, Torque, Validity};
 
-/// A message held something that it can't hold.
+/// Invalid value in a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MessageError {
-    /// The phase is none of [`Phase`].
+    /// Unknown code of [`Phase`].
     #[error("phase {code} of record {seq} does not exist")]
     Phase {
-        /// Number found.
+        /// The value found.
         code: u32,
         /// Number of the record or of the feed-forward.
         seq: u64,
     },
-    /// The validity is none of [`Validity`].
+    /// Unknown code of [`Validity`].
     #[error("validity {code} of record {seq} does not exist")]
     Validity {
-        /// Number found.
+        /// The value found.
         code: u32,
         /// Number of the record or of the feed-forward.
         seq: u64,
@@ -29,19 +29,19 @@ pub enum MessageError {
     /// More joints than the message has room for.
     #[error("{joints} joints, the message has room for {MAX_JOINTS}")]
     Joints {
-        /// Number found.
+        /// The value found.
         joints: u32,
     },
 }
 
-/// One [`Record`] on its way to the estimator.
+/// One [`Record`] as it is published.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[type_name("plumbline::SampleMessage")]
 pub struct SampleMessage {
-    /// Identity of the daemon's start that this record belongs to.
+    /// Epoch: identity of the daemon's start that published this record.
     pub epoch: u64,
-    /// Number of the record among all that the daemon published since its start, from 0 without gaps.
+    /// Sequence number of the record since the daemon's start, from 0 without gaps.
     pub seq: u64,
     /// See [`Record::cycle`].
     pub cycle: u64,
@@ -90,7 +90,7 @@ pub struct SampleMessage {
 }
 
 impl SampleMessage {
-    /// The message for `record`, number `seq` of the daemon's start `epoch`.
+    /// The message of `record` with sequence number `seq` and the daemon's `epoch`.
     pub fn new(epoch: u64, seq: u64, record: &Record) -> SampleMessage {
         let Record { state, command, .. } = record;
         SampleMessage {
@@ -121,7 +121,10 @@ impl SampleMessage {
         }
     }
 
-    /// The record it carries.
+    /// The record of this message.
+    ///
+    /// # Errors
+    /// Unknown code of phase or validity.
     pub fn record(&self) -> Result<Record, MessageError> {
         let phase = Phase::from_u32(self.phase).ok_or(MessageError::Phase { code: self.phase, seq: self.seq })?;
         let validity =
@@ -147,17 +150,17 @@ impl SampleMessage {
     }
 }
 
-/// The torque that the served model asks for at the present desired state. A latest value: there is never an older one to read.
+/// Feed-forward torque of the served model at the current desired state. Only the latest value is kept.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[type_name("plumbline::FeedForwardMessage")]
 pub struct FeedForwardMessage {
-    /// Number of this value since the daemon's start, from 1; steps may be skipped. [`Server`](super::Server) sets it.
+    /// Sequence number since the daemon's start, from 1; a client may skip values. Set by [`Server`](super::Server).
     pub sequence: u64,
-    /// `CLOCK_BOOTTIME` when the state that this value answers had been read \[ns\]: a value from before a suspend is as old as it is.
-    /// [`Server`](super::Server) turns the record's `CLOCK_MONOTONIC` into it.
+    /// Time at which the state of this value had been read, `CLOCK_BOOTTIME` \[ns\]: the age includes time suspended.
+    /// [`Server`](super::Server) converts it from the record's `CLOCK_MONOTONIC`.
     pub stamp_ns: u64,
-    /// Identity of the daemon's start. [`Server`](super::Server) sets it.
+    /// Epoch: identity of the daemon's start. Set by [`Server`](super::Server).
     pub epoch: u64,
     /// Identity of the model, 0 while none is served: see `validity`.
     pub model: u64,
@@ -173,8 +176,8 @@ pub struct FeedForwardMessage {
     pub tau_ff: JointVec,
     /// Gravitational acceleration in the base frame that the model was evaluated with \[m/s2\].
     pub gravity: [f64; 3],
-    /// The same model at rest at `q_d` under `gravity_vendor`: what the arm's own controller adds by itself. Such an arm is sent
-    /// `tau_ff - tau_vendor` \[Nm\].
+    /// Torque of the same model at rest at `q_d` under `gravity_vendor` \[Nm\]. The arm's own controller adds it; such an arm is sent
+    /// `tau_ff - tau_vendor`.
     pub tau_vendor: JointVec,
     /// Gravitational acceleration in the base frame that the arm's own controller compensates \[m/s2\].
     pub gravity_vendor: [f64; 3],
@@ -185,7 +188,7 @@ pub struct FeedForwardMessage {
 }
 
 impl FeedForwardMessage {
-    /// The value that `record` stands for, of an arm with `joints` joints (at most [`MAX_JOINTS`]) under `gravity`, whose controller
+    /// The message of `record`, for an arm with `joints` joints (at most [`MAX_JOINTS`]) under `gravity`, whose controller
     /// compensates `gravity_vendor` \[m/s2\].
     pub fn new(record: &Record, joints: usize, gravity: [f64; 3], gravity_vendor: [f64; 3]) -> FeedForwardMessage {
         FeedForwardMessage {
@@ -206,7 +209,7 @@ impl FeedForwardMessage {
         }
     }
 
-    /// Whether it can be what a daemon sent.
+    /// Validates joint count, validity and phase.
     pub fn check(&self) -> Result<(), MessageError> {
         if self.n as usize > MAX_JOINTS {
             return Err(MessageError::Joints { joints: self.n });
@@ -215,55 +218,55 @@ impl FeedForwardMessage {
         self.phase().map(|_| ())
     }
 
-    /// The validity that its number stands for.
+    /// The validity, decoded.
     pub fn validity(&self) -> Result<Validity, MessageError> {
         Validity::from_u32(self.validity).ok_or(MessageError::Validity { code: self.validity, seq: self.sequence })
     }
 
-    /// The phase that its number stands for.
+    /// The phase, decoded.
     pub fn phase(&self) -> Result<Phase, MessageError> {
         Phase::from_u32(self.phase).ok_or(MessageError::Phase { code: self.phase, seq: self.sequence })
     }
 
-    /// Torque of the joints the arm has \[Nm\].
+    /// Feed-forward torque of the arm's joints, n \[Nm\].
     pub fn torque(&self) -> &[f64] {
         &self.tau_ff[..(self.n as usize).min(MAX_JOINTS)]
     }
 }
 
-/// A follower of the samples says how far it is and asks for the next records.
+/// Request of a follower: acknowledges records and asks for further ones.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[type_name("plumbline::FollowRequest")]
 pub struct FollowRequest {
-    /// The daemon's start that the numbers below belong to, 0 when it is not known yet.
+    /// Epoch that the sequence numbers below belong to, 0 while it is unknown.
     pub epoch: u64,
-    /// All records before this number have been received and handed on.
+    /// All records before this number have been received and delivered.
     pub acknowledged: u64,
-    /// First record wanted.
+    /// First record requested.
     pub from: u64,
-    /// Number of records wanted, 0 for none: the request then only says how far the follower is.
+    /// Number of records requested; 0 for an acknowledgement only.
     pub count: u32,
-    /// 1 when the follower is leaving of its own will, else 0.
+    /// 1 when the follower disconnects, else 0.
     pub leaving: u32,
     /// Process of the follower.
     pub pid: u32,
     /// Always 0.
     pub reserved: u32,
-    /// Name of the follower for people to read: ASCII, filled up with zeros.
+    /// Name of the follower for logs: ASCII, padded with zeros.
     pub name: [u8; 16],
 }
 
-/// Comes with every answer to a [`FollowRequest`]; the records themselves are the answer's payload.
+/// Header of every response to a [`FollowRequest`]; the payload is the records.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[type_name("plumbline::ReplayHeader")]
 pub struct ReplayHeader {
-    /// Identity of the daemon's start.
+    /// Epoch: identity of the daemon's start.
     pub epoch: u64,
-    /// Number of the oldest record that the daemon still has.
+    /// Sequence number of the oldest retained record.
     pub first: u64,
-    /// Number that the next record will get: all records from `first` up to here can be asked for.
+    /// Sequence number of the next record: records `first..end` can be requested.
     pub end: u64,
 }
 
@@ -296,14 +299,14 @@ mod tests {
     }
 
     #[test]
-    fn a_record_survives_the_message() {
+    fn a_record_is_restored_from_its_message() {
         let message = SampleMessage::new(11, 12, &record());
         assert_eq!((message.epoch, message.seq), (11, 12));
         assert_eq!(message.record().unwrap(), record());
     }
 
     #[test]
-    fn numbers_that_no_daemon_sends_are_refused() {
+    fn unknown_codes_and_joint_counts_are_rejected() {
         let mut sample = SampleMessage::new(0, 12, &record());
         sample.phase = 77;
         assert_eq!(sample.record(), Err(MessageError::Phase { code: 77, seq: 12 }));
@@ -311,8 +314,8 @@ mod tests {
         let mut value = FeedForwardMessage::new(&record(), 7, [9.81, 0.0, 0.0], [0.0, 0.0, -9.81]);
         assert_eq!(value.check(), Ok(()));
         assert_eq!(value.torque(), &record().command.tau_ff.0[..7]);
-        let odd = FeedForwardMessage { validity: 4, ..value };
-        assert_eq!(odd.check(), Err(MessageError::Validity { code: 4, seq: 0 }));
+        let unknown = FeedForwardMessage { validity: 4, ..value };
+        assert_eq!(unknown.check(), Err(MessageError::Validity { code: 4, seq: 0 }));
         sample.phase = 0;
         sample.validity = 5;
         assert_eq!(sample.record(), Err(MessageError::Validity { code: 5, seq: 12 }));
@@ -322,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn layouts_are_what_other_languages_expect() {
+    fn message_layouts_have_fixed_offsets() {
         assert_eq!((size_of::<SampleMessage>(), align_of::<SampleMessage>()), (680, 8));
         assert_eq!(offset_of!(SampleMessage, q), 40);
         assert_eq!(offset_of!(SampleMessage, dq), 104);

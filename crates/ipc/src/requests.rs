@@ -1,4 +1,4 @@
-//! Requests that wait for the daemon's answer: every client has its turn, and the long ones hold up nobody.
+//! Queue of received requests: clients are served in turn, and heavy requests do not delay the others.
 
 use std::collections::VecDeque;
 
@@ -11,69 +11,69 @@ use iceoryx2::prelude::*;
 use super::command::{self, Envelope, MAX_REQUEST_BYTES, MAX_RESPONSE_BYTES, Request, Response, Served};
 use super::services::now_ns;
 
-/// Time after which one call takes up no further request \[ns\].
-const TIME_PER_CALL_NS: u64 = 500_000;
-/// A longer request takes too long to read: it is heavy, whatever it says \[bytes\].
-const LIGHT_BYTES: usize = 4096;
-/// Requests held at a time. A client has two at most; of those that disconnect, iceoryx2 keeps 128 connections with requests that are held.
-const MAX_HELD: usize = 64;
+/// Time budget of one [`Requests::serve`]: no further request is started after it \[ns\].
+const TIME_BUDGET_NS: u64 = 500_000;
+/// Maximum length of a light request \[bytes\]: a longer one takes too long to parse and counts as heavy.
+const MAX_LIGHT_BYTES: usize = 4096;
+/// Maximum queued requests. A client has at most two; iceoryx2 keeps up to 128 disconnected clients with queued requests.
+const MAX_QUEUED: usize = 64;
 
 type Active = ActiveRequest<ipc::Service, [u8], (), [u8], ()>;
 pub(super) type Port = RequestServer<ipc::Service, [u8], (), [u8], ()>;
 
-/// Names a heavy request until it is answered.
+/// Identifies a heavy request until its response is sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Ticket(u64);
 
-/// A request, as it is handed to whoever answers it.
-pub enum Asked<'a> {
-    /// To be answered at once.
+/// Received request.
+pub enum IncomingRequest<'a> {
+    /// Response expected at once.
     Light(Request),
-    /// The bytes of one that takes long to read or to check: [`read`] does the former. To be answered later, by its ticket.
+    /// Bytes of a request that takes long to parse ([`read`]) or to check. The response is sent later, by its ticket.
     Heavy(Ticket, &'a [u8]),
 }
 
-/// Reads the bytes of a request for the daemon of this `epoch`.
+/// Parses a request to the daemon of this `epoch`.
 ///
 /// # Errors
-/// The answer to one that can't be read, or is meant for another start of the daemon.
+/// The response to a request that can't be parsed, or that is bound to another epoch.
 pub fn read(bytes: &[u8], epoch: u64) -> Result<Request, Response> {
     let refused = |reason: String| Response::Refused { reason };
     let envelope: Envelope =
         command::decode("request", bytes, MAX_REQUEST_BYTES).map_err(|error| refused(error.to_string()))?;
     match envelope.epoch {
-        Some(meant) if meant != epoch => Err(refused(format!(
-            "this is start {epoch} of a daemon (process {}), and the request is for start {meant}",
+        Some(expected) if expected != epoch => Err(refused(format!(
+            "this is start {epoch} of a daemon (process {}), and the request is for start {expected}",
             std::process::id()
         ))),
         _ => Ok(envelope.request),
     }
 }
 
-struct Held {
+struct PendingRequest {
     ticket: Ticket,
     active: Active,
 }
 
-/// The command service's requests.
+/// Requests of the command service.
 pub(super) struct Requests {
     /// In the order of arrival.
-    waiting: VecDeque<Held>,
-    /// Handed over and not answered.
-    under_way: Vec<Held>,
+    waiting: VecDeque<PendingRequest>,
+    /// Heavy requests in process.
+    in_process: Vec<PendingRequest>,
     next: u64,
-    // The requests go before their port.
+    // Drop order: requests before their port.
     port: Port,
 }
 
-/// An order that was answered. A question is none.
+/// Order with a sent response. A status request is not an order.
 #[derive(Debug)]
 pub(super) struct Order {
-    /// As [`Request::order`].
+    /// Name by [`Request::order`].
     pub name: &'static str,
     /// The client's port.
     pub client: UniqueClientId,
-    /// Why it was refused, if it was.
+    /// Reason of a refusal.
     pub refused: Option<String>,
 }
 
@@ -87,113 +87,113 @@ impl Order {
     }
 }
 
-/// What one [`Requests::serve`] has done.
+/// Result of one [`Requests::serve`].
 #[derive(Debug, Default)]
 pub(super) struct Outcome {
     pub handled: usize,
-    pub garbled: u64,
-    /// Orders among the requests that were answered.
+    pub malformed: u64,
+    /// Orders among the requests with a sent response.
     pub orders: Vec<Order>,
-    /// What shared memory refused to do.
-    pub trouble: Vec<String>,
+    /// Errors of shared memory.
+    pub errors: Vec<String>,
 }
 
 impl Requests {
-    pub(super) fn of(port: Port) -> Requests {
-        Requests { waiting: VecDeque::with_capacity(MAX_HELD), under_way: Vec::new(), next: 0, port }
+    pub(super) fn new(port: Port) -> Requests {
+        Requests { waiting: VecDeque::with_capacity(MAX_QUEUED), in_process: Vec::new(), next: 0, port }
     }
 
-    /// Takes in what has arrived from every client before anything is answered: `receive` begins with the first client each time, so that one
-    /// that always has a request outstanding would otherwise be the only one that is served.
-    pub(super) fn take_in(&mut self) -> Result<(), String> {
-        while self.waiting.len() + self.under_way.len() < MAX_HELD {
+    /// Queues the received requests of every client. The port's `receive` starts with the first client each time: served directly, a client that
+    /// always has a pending request would starve the others.
+    pub(super) fn receive(&mut self) -> Result<(), String> {
+        while self.waiting.len() + self.in_process.len() < MAX_QUEUED {
             match self.port.receive() {
                 Ok(Some(active)) => {
                     self.next += 1;
-                    self.waiting.push_back(Held { ticket: Ticket(self.next), active });
+                    self.waiting.push_back(PendingRequest { ticket: Ticket(self.next), active });
                 }
-                // Every client that has sent something has as many under way as it may.
+                // Every client with requests has reached its limit of active ones.
                 Ok(None) | Err(ReceiveError::ExceedsMaxBorrows) => break,
-                Err(trouble) => return Err(trouble.to_string()),
+                Err(error) => return Err(error.to_string()),
             }
         }
         Ok(())
     }
 
-    /// Whether there is anything to answer.
+    /// Whether no request is queued.
     pub(super) fn is_empty(&self) -> bool {
         self.waiting.is_empty()
     }
 
-    /// Answers what was taken in through `answer`, the oldest first, for a bounded time; hands over heavy ones as long as there is `room` for them.
+    /// Responds to queued requests through `answer`, the oldest first, within the time budget. Passes on up to `max_heavy` heavy ones.
     pub(super) fn serve(
         &mut self,
         epoch: u64,
         served: &Served,
-        mut room: usize,
-        mut answer: impl FnMut(Asked, &Served) -> Option<Response>,
+        mut max_heavy: usize,
+        mut answer: impl FnMut(IncomingRequest, &Served) -> Option<Response>,
     ) -> Outcome {
         let mut outcome = Outcome::default();
         let begin = now_ns();
-        let mut no_room = VecDeque::new();
+        let mut deferred = VecDeque::new();
         while let Some(held) = self.waiting.pop_front() {
-            if now_ns().saturating_sub(begin) > TIME_PER_CALL_NS {
+            if now_ns().saturating_sub(begin) > TIME_BUDGET_NS {
                 self.waiting.push_front(held);
                 break;
             }
             let bytes = held.active.payload();
             let asked = match bytes.len() {
-                0..=LIGHT_BYTES => read(bytes, epoch).map(|request| match request.is_heavy() {
-                    true => Asked::Heavy(held.ticket, bytes),
-                    false => Asked::Light(request),
+                0..=MAX_LIGHT_BYTES => read(bytes, epoch).map(|request| match request.is_heavy() {
+                    true => IncomingRequest::Heavy(held.ticket, bytes),
+                    false => IncomingRequest::Light(request),
                 }),
-                _ => Ok(Asked::Heavy(held.ticket, bytes)),
+                _ => Ok(IncomingRequest::Heavy(held.ticket, bytes)),
             };
             let order = match &asked {
-                Ok(Asked::Light(request)) => request.order(),
-                // It is read elsewhere, and named with its answer.
-                Ok(Asked::Heavy(..)) | Err(_) => None,
+                Ok(IncomingRequest::Light(request)) => request.order(),
+                // Parsed elsewhere; its order is given with its response.
+                Ok(IncomingRequest::Heavy(..)) | Err(_) => None,
             };
             let response = match asked {
-                // Whoever has gone waits for nothing: those that stay get the place.
-                Ok(Asked::Heavy(..)) if !held.active.is_connected() => continue,
-                Ok(Asked::Heavy(..)) if room == 0 => {
-                    no_room.push_back(held);
+                // A disconnected client expects no response: its request is dropped.
+                Ok(IncomingRequest::Heavy(..)) if !held.active.is_connected() => continue,
+                Ok(IncomingRequest::Heavy(..)) if max_heavy == 0 => {
+                    deferred.push_back(held);
                     continue;
                 }
                 Ok(asked) => {
-                    room -= usize::from(matches!(asked, Asked::Heavy(..)));
+                    max_heavy -= usize::from(matches!(asked, IncomingRequest::Heavy(..)));
                     outcome.handled += 1;
                     answer(asked, served)
                 }
                 Err(refused) => {
-                    outcome.garbled += 1;
+                    outcome.malformed += 1;
                     Some(refused)
                 }
             };
             match response {
                 Some(response) => {
                     outcome.orders.extend(order.map(|name| Order::answered(name, &held.active, &response)));
-                    outcome.trouble.extend(send(&held.active, &response).err());
+                    outcome.errors.extend(send(&held.active, &response).err());
                 }
-                None => self.under_way.push(held),
+                None => self.in_process.push(held),
             }
         }
-        // They came before those that were not looked at.
-        no_room.into_iter().rev().for_each(|held| self.waiting.push_front(held));
+        // Deferred requests are older than the remaining ones.
+        deferred.into_iter().rev().for_each(|held| self.waiting.push_front(held));
         outcome
     }
 
-    /// Answers a heavy request of this [`Request::order`]: the order, if it is one, and what shared memory refused to do, if anything. `None` for
-    /// a ticket that is not waiting.
+    /// Sends the response to a heavy request with this [`Request::order`]. Returns the order, if it is one, and the result of sending. `None` for
+    /// an unknown ticket.
     pub(super) fn answer(
         &mut self,
         ticket: Ticket,
         order: Option<&'static str>,
         response: &Response,
     ) -> Option<(Option<Order>, Result<(), String>)> {
-        let index = self.under_way.iter().position(|held| held.ticket == ticket)?;
-        let held = self.under_way.swap_remove(index);
+        let index = self.in_process.iter().position(|held| held.ticket == ticket)?;
+        let held = self.in_process.swap_remove(index);
         let order = order.map(|name| Order::answered(name, &held.active, response));
         Some((order, send(&held.active, response)))
     }

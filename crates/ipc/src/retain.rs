@@ -1,15 +1,15 @@
-//! What the daemon keeps of its records, so that an estimator that was slow, restarted or came late misses nothing.
+//! Log of retained records for replay to slow, late or restarted followers.
 
 use std::collections::VecDeque;
 
 use super::messages::SampleMessage;
 
-/// Records per block of memory: 672 KiB.
-const BLOCK: usize = 1024;
+/// Records per block of memory (680 KiB).
+const BLOCK_RECORDS: usize = 1024;
 
-/// The newest records in order of `seq`, in blocks that are allocated once and used again.
+/// Log of the newest records in order of `seq`, in reused blocks.
 ///
-/// When the bound is reached, the oldest block is given up: [`RetainedLog::first`] then says where the log begins.
+/// At its bound the oldest block is discarded; [`RetainedLog::first`] is the start of the log.
 #[derive(Debug)]
 pub struct RetainedLog {
     blocks: VecDeque<Vec<SampleMessage>>,
@@ -21,26 +21,31 @@ pub struct RetainedLog {
 impl RetainedLog {
     /// An empty log for at least `max_records` records, rounded up to whole blocks of 1024 and at least two of them.
     pub fn new(max_records: usize) -> RetainedLog {
-        RetainedLog { blocks: VecDeque::new(), max_blocks: max_records.div_ceil(BLOCK).max(1) + 1, first: 0, end: 0 }
+        RetainedLog {
+            blocks: VecDeque::new(),
+            max_blocks: max_records.div_ceil(BLOCK_RECORDS).max(1) + 1,
+            first: 0,
+            end: 0,
+        }
     }
 
-    /// Number of the oldest record held; records `0..first` have been given up.
+    /// Sequence number of the oldest retained record; records `0..first` are discarded.
     pub fn first(&self) -> u64 {
         self.first
     }
 
-    /// Number that the next record will get.
+    /// Sequence number of the next record.
     pub fn end(&self) -> u64 {
         self.end
     }
 
-    /// Keeps one record, whose number must be [`RetainedLog::end`].
+    /// Appends one record, whose sequence number must be [`RetainedLog::end`].
     ///
     /// # Panics
-    /// When the number is another one: the log would no longer be in order.
+    /// For another sequence number.
     pub fn push(&mut self, sample: SampleMessage) {
-        assert_eq!(sample.seq, self.end, "records are kept in order");
-        if self.blocks.back().is_none_or(|block| block.len() == BLOCK) {
+        assert_eq!(sample.seq, self.end, "records are appended in order");
+        if self.blocks.back().is_none_or(|block| block.len() == BLOCK_RECORDS) {
             let block = self.next_block();
             self.blocks.push_back(block);
         }
@@ -50,16 +55,16 @@ impl RetainedLog {
         self.end += 1;
     }
 
-    /// Record number `seq`, while it is held.
+    /// Record number `seq`; `None` when it is discarded or not yet appended.
     pub fn get(&self, seq: u64) -> Option<&SampleMessage> {
         let index = usize::try_from(seq.checked_sub(self.first)?).ok()?;
-        self.blocks.get(index / BLOCK)?.get(index % BLOCK)
+        self.blocks.get(index / BLOCK_RECORDS)?.get(index % BLOCK_RECORDS)
     }
 
-    /// A fresh block, or the oldest one emptied.
+    /// A new block, or the oldest one cleared.
     fn next_block(&mut self) -> Vec<SampleMessage> {
         if self.blocks.len() < self.max_blocks {
-            return Vec::with_capacity(BLOCK);
+            return Vec::with_capacity(BLOCK_RECORDS);
         }
         let mut oldest = self.blocks.pop_front().unwrap_or_default();
         self.first += oldest.len() as u64;
@@ -77,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn keeps_the_newest_and_says_where_it_begins() {
+    fn the_newest_records_are_retained_from_first_on() {
         let mut log = RetainedLog::new(3000);
         assert!(log.get(0).is_none());
         for seq in 0..10_000 {
@@ -97,7 +102,7 @@ mod tests {
 
     #[test]
     #[should_panic(expected = "in order")]
-    fn refuses_a_gap() {
+    fn a_gap_panics() {
         RetainedLog::new(10).push(sample(1));
     }
 }

@@ -1,15 +1,15 @@
-//! The name of a robot as it appears in service names and lock files.
+//! Identity of a robot in service names and lock files.
 
 use std::fmt;
 
 use plumbline_core::BadInput;
 
-/// Identity of a robot: 1 to 64 characters of `a-z 0-9 - _ .`, so that it is the same in a service name and a file name.
+/// Identity of a robot: 1 to 64 characters of `a-z 0-9 - _ .`, valid in service names and file names alike.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct RobotId(String);
 
 impl RobotId {
-    /// Checks `text`, which `file` held at `place`.
+    /// Parses `text`; `file` and `place` appear in the error only.
     pub fn parse(file: &str, place: &str, text: &str) -> Result<RobotId, BadInput> {
         let allowed = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || "-_.".contains(c);
         if (1..=64).contains(&text.len()) && text.chars().all(allowed) {
@@ -35,7 +35,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn accepts_names_and_nothing_that_could_be_a_path() {
+    fn names_are_accepted_and_paths_rejected() {
         for good in ["panda", "sim-panda.wall_2", "a", &"x".repeat(64)] {
             assert_eq!(RobotId::parse("f", "robot", good).unwrap().as_str(), good);
         }

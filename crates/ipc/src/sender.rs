@@ -1,4 +1,4 @@
-//! Who has sent a request, as far as the transport and the kernel tell.
+//! Sender of a request, by the transport and the kernel.
 
 use std::fmt;
 use std::fs;
@@ -8,8 +8,8 @@ use iceoryx2::prelude::*;
 
 use super::services;
 
-/// The process behind a client's port, by the identity of its iceoryx2 node. That identity is written by the client itself, so it is no proof against
-/// a process of the daemon's own user; no other user's process has a port.
+/// Process of a client's port, by the identity of its iceoryx2 node. The client writes that identity, so a process of the daemon's user
+/// can forge it; processes of other users have no port.
 pub(super) struct Sender {
     process: Option<u32>,
 }
@@ -38,7 +38,7 @@ impl fmt::Display for Sender {
         let field = |name: &str| status.lines().find_map(|line| line.strip_prefix(name)?.split_whitespace().next());
         if let (Some(name), Some(user)) = (field("Name:"), field("Uid:")) {
             write!(f, " ({name}) of user {user}")?;
-            // Who logged in, whatever `sudo` has made of the user since; 2^32 - 1 for nobody.
+            // Login user, unchanged by `sudo`; 2^32 - 1 for none.
             let login = read("loginuid").trim().parse::<u32>().ok().filter(|&login| login != u32::MAX);
             if let Some(login) = login.filter(|login| login.to_string() != user) {
                 write!(f, ", logged in as user {login}")?;
@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_sender_is_named_by_process_program_and_user() {
+    fn a_sender_is_described_by_process_program_and_user() {
         let own = Sender { process: Some(std::process::id()) }.to_string();
         let user = rustix::process::getuid().as_raw();
         assert!(own.starts_with(&format!("process {} (", std::process::id())), "{own}");

@@ -1,4 +1,4 @@
-//! The daemon's side: one object on the bridge thread that publishes, keeps, replays and answers.
+//! Server of one robot: publishes, retains and replays records, and responds to requests, on the bridge thread.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -12,29 +12,29 @@ use serde::Deserialize;
 
 use super::command::{MAX_RESPONSE_BYTES, Request, Response, Served};
 use super::error::IpcError;
-use super::followers::{Followers, News, Word};
+use super::error_counts::ErrorCounts;
+use super::followers::{FollowerEvent, Followers, Heartbeat};
 use super::messages::{FeedForwardMessage, FollowRequest, ReplayHeader, SampleMessage};
-use super::place;
-use super::requests::{self, Asked, Order, Requests, Ticket};
+use super::requests::{self, IncomingRequest, Order, Requests, Ticket};
 use super::retain::RetainedLog;
 use super::robot::RobotId;
+use super::runtime_dir;
 use super::sender::Sender;
-use super::services::{self, BATCH, REPLAY, SERVER_PATIENCE, ServiceNode, now_ns, patiently};
-use super::trouble::Troubles;
+use super::services::{self, MAX_BATCH_RECORDS, MAX_REPLAY_RECORDS, SERVER_TIMEOUT, ServiceNode, now_ns, retry_until};
 use plumbline_core::Record;
 
-/// Replay requests handled in one [`Server::poll`], so that a flood of them does not hold up the samples.
+/// Maximum replay requests handled in one [`Server::poll`], so that many of them do not delay the samples.
 const REPLAYS_PER_POLL: usize = 8;
-/// Pause between two looks at silent followers.
-const CHECK_EVERY_NS: u64 = 250_000_000;
+/// Interval between two heartbeat checks of the followers \[ns\].
+const CHECK_INTERVAL_NS: u64 = 250_000_000;
 
-/// What the daemon keeps and when it speaks up.
+/// Settings of the server: retained records and heartbeat timeout.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case", default)]
 pub struct ServerSettings {
-    /// Records kept for replay, 672 bytes each; the default holds ten minutes at 1 kHz (403 MB when full).
+    /// Records retained for replay, 680 bytes each; the default holds ten minutes at 1 kHz (408 MB when full).
     pub retain: usize,
-    /// A follower that says nothing for this long is looked after \[ms\].
+    /// Heartbeat timeout of a follower \[ms\].
     pub silent_ms: u64,
 }
 
@@ -44,22 +44,22 @@ impl Default for ServerSettings {
     }
 }
 
-/// The daemon's end of all services of one robot. Not `Send`: make it on the thread that uses it, which must not be the
+/// All services of one robot, daemon side. Not `Send`: create it on the thread that uses it, which must not be the
 /// real-time thread.
 ///
-/// No method blocks or fails because of a client. Trouble with shared memory is counted and shown in [`Served`].
+/// No method blocks or fails because of a client. Errors of shared memory are counted and reported in [`Served`].
 pub struct Server {
     epoch: u64,
     settings: ServerSettings,
     log: RetainedLog,
     followers: Followers,
     counters: Served,
-    troubles: Troubles,
-    /// Clients whose connection could not be opened.
+    errors: ErrorCounts,
+    /// Clients whose connection could not be opened, counted by the ports.
     unconnected: Arc<AtomicU64>,
-    unconnected_said: u64,
+    unconnected_logged: u64,
     checked_ns: u64,
-    // The ports go before the services, the services before their node.
+    // Drop order: ports before services, services before their node.
     samples: Publisher<ipc::Service, [SampleMessage], ()>,
     feed_forward: Publisher<ipc::Service, FeedForwardMessage, ()>,
     replay: RequestServer<ipc::Service, FollowRequest, (), [SampleMessage], ReplayHeader>,
@@ -70,11 +70,11 @@ pub struct Server {
 }
 
 impl Server {
-    /// Opens all services of `robot`, after cleaning up what a killed daemon left behind.
+    /// Opens all services of `robot` after cleaning up the resources of killed processes.
     ///
     /// # Errors
-    /// [`IpcError::Full`] when another daemon serves this robot, [`IpcError::Incompatible`] when a client of another version
-    /// keeps the services alive, [`IpcError::Transport`] when shared memory is not usable.
+    /// [`IpcError::Full`] when another daemon serves this robot, [`IpcError::Incompatible`] when services of
+    /// another version still have clients, [`IpcError::Transport`] when shared memory is not usable.
     pub fn open(robot: &RobotId, settings: ServerSettings) -> Result<Server, IpcError> {
         let node = services::serving_node()?;
         node.blocking_cleanup_dead_nodes(Duration::from_secs(1));
@@ -85,34 +85,35 @@ impl Server {
         let command_service = services::serve_commands(&node, robot)?;
 
         let unconnected = Arc::new(AtomicU64::new(0));
-        let samples = patiently(&services::samples_name(robot), SERVER_PATIENCE, || {
-            let builder = samples_service.publisher_builder().initial_max_slice_len(BATCH);
+        let samples = retry_until(&services::samples_name(robot), SERVER_TIMEOUT, || {
+            let builder = samples_service.publisher_builder().initial_max_slice_len(MAX_BATCH_RECORDS);
             let builder = builder.set_degradation_handler(counting(&unconnected));
             Ok(builder.max_loaned_samples(1).backpressure_strategy(BackpressureStrategy::DiscardData).create())
         })?;
-        let feed_forward = patiently(&services::feed_forward_name(robot), SERVER_PATIENCE, || {
+        let feed_forward = retry_until(&services::feed_forward_name(robot), SERVER_TIMEOUT, || {
             let builder = feed_forward_service.publisher_builder().max_loaned_samples(1);
             let builder = builder.set_degradation_handler(counting(&unconnected));
             Ok(builder.backpressure_strategy(BackpressureStrategy::DiscardData).create())
         })?;
-        let replay = patiently(&services::replay_name(robot), SERVER_PATIENCE, || {
+        let replay = retry_until(&services::replay_name(robot), SERVER_TIMEOUT, || {
             let builder = replay_service.server_builder().set_request_degradation_handler(counting(&unconnected));
             let builder = builder.set_response_degradation_handler(counting(&unconnected));
-            let builder = builder.initial_max_slice_len(REPLAY);
+            let builder = builder.initial_max_slice_len(MAX_REPLAY_RECORDS);
             let builder = builder.max_loaned_responses_per_request(1);
             Ok(builder.backpressure_strategy(BackpressureStrategy::DiscardData).create())
         })?;
-        let commands = patiently(&services::command_name(robot), SERVER_PATIENCE, || {
+        let commands = retry_until(&services::command_name(robot), SERVER_TIMEOUT, || {
             let builder = command_service.server_builder().set_request_degradation_handler(counting(&unconnected));
             let builder = builder.set_response_degradation_handler(counting(&unconnected));
             let builder = builder.initial_max_slice_len(MAX_RESPONSE_BYTES);
-            // No memory that grows: shared memory may be full by then.
+            // Static allocation: shared memory may be full when a response is sent.
             let builder = builder.allocation_strategy(AllocationStrategy::Static);
             let builder = builder.max_loaned_responses_per_request(1);
             Ok(builder.backpressure_strategy(BackpressureStrategy::DiscardData).create())
         })?;
 
-        place::reserve_mapped().map_err(|error| services::transport("reserving memory for", robot.as_str(), error))?;
+        runtime_dir::reserve_mapped()
+            .map_err(|error| services::transport("reserving memory for", robot.as_str(), error))?;
 
         let epoch = new_epoch();
         Ok(Server {
@@ -121,71 +122,71 @@ impl Server {
             settings,
             followers: Followers::default(),
             counters: Served { epoch, ..Served::default() },
-            troubles: Troubles::default(),
+            errors: ErrorCounts::default(),
             unconnected,
-            unconnected_said: 0,
+            unconnected_logged: 0,
             checked_ns: now_ns(),
             samples,
             feed_forward,
             replay,
-            requests: Requests::of(commands),
+            requests: Requests::new(commands),
             replay_service,
             command_service,
             node,
         })
     }
 
-    /// Identity of this start of the daemon, not 0.
+    /// Epoch: identity of this start of the daemon, not 0.
     pub fn epoch(&self) -> u64 {
         self.epoch
     }
 
-    /// Keeps `records` and sends them to the followers.
+    /// Publishes `records` to the followers and retains them.
     pub fn publish(&mut self, records: &[Record]) {
-        for chunk in records.chunks(BATCH) {
+        for chunk in records.chunks(MAX_BATCH_RECORDS) {
             let (epoch, end) = (self.epoch, self.log.end());
             let message = |i: usize| SampleMessage::new(epoch, end + i as u64, &chunk[i]);
-            // Sent before they are kept: the followers need not wait for the log's fresh pages. Who asks for them again does so by `poll`.
+            // Published before they are retained: the page faults of the log do not delay the followers. Replay happens in `poll` only.
             let loan = self.samples.loan_slice_uninit(chunk.len());
             let sent = loan.map_err(|error| error.to_string()).and_then(|memory| {
                 memory.write_from_fn(message).send().map(|_followers| ()).map_err(|error| error.to_string())
             });
-            if let Err(trouble) = sent {
+            if let Err(reason) = sent {
                 self.counters.unsent_batches += 1;
-                self.trouble("samples", trouble);
+                self.report_error("samples", reason);
             }
-            self.keep((0..chunk.len()).map(message));
+            self.retain((0..chunk.len()).map(message));
         }
     }
 
-    /// Puts `messages` into the log.
-    fn keep(&mut self, messages: impl Iterator<Item = SampleMessage>) {
+    /// Appends `messages` to the log and counts the discarded ones that no follower acknowledged.
+    fn retain(&mut self, messages: impl Iterator<Item = SampleMessage>) {
         let first_before = self.log.first();
         messages.for_each(|message| self.log.push(message));
-        let unacknowledged_from = first_before.max(self.followers.furthest());
+        let unacknowledged_from = first_before.max(self.followers.highest_acknowledged());
         self.counters.given_up_unacknowledged += self.log.first().saturating_sub(unacknowledged_from);
     }
 
-    /// Replaces the latest feed-forward value; sets its `sequence` and `epoch`, and turns its stamp from the records' clock into the clients'.
+    /// Publishes the latest feed-forward value. Sets its `sequence` and `epoch`, and converts its stamp to `CLOCK_BOOTTIME`.
     pub fn feed_forward(&mut self, mut message: FeedForwardMessage) {
         self.counters.feed_forward += 1;
         message.sequence = self.counters.feed_forward;
         message.epoch = self.epoch;
         message.stamp_ns = message.stamp_ns.saturating_add(services::suspended_ns());
-        if let Err(trouble) = self.feed_forward.send_copy(message) {
-            self.trouble("feed-forward", trouble.to_string());
+        if let Err(error) = self.feed_forward.send_copy(message) {
+            self.report_error("feed-forward", error.to_string());
         }
     }
 
-    /// Answers what has arrived: replay by itself, commands through `handle`, heavy ones too. Returns the number of commands handled.
+    /// Responds to all received requests: replay itself, commands through `handle`, heavy ones included. Returns the number of commands handled.
     ///
-    /// To be called every few milliseconds; each call takes a bounded time, a heavy request's own apart.
+    /// To be called every few milliseconds. The time of a call is bounded, except for heavy requests.
     pub fn poll(&mut self, mut handle: impl FnMut(Request, &Served) -> Response) -> usize {
-        let (epoch, mut garbled, mut heavy) = (self.epoch, 0, Vec::new());
+        let (epoch, mut malformed, mut heavy) = (self.epoch, 0, Vec::new());
         let handled = self.serve(usize::MAX, |asked, served| match asked {
-            Asked::Light(request) => Some(handle(request, served)),
-            Asked::Heavy(ticket, bytes) => {
-                let request = requests::read(bytes, epoch).inspect_err(|_| garbled += 1);
+            IncomingRequest::Light(request) => Some(handle(request, served)),
+            IncomingRequest::Heavy(ticket, bytes) => {
+                let request = requests::read(bytes, epoch).inspect_err(|_| malformed += 1);
                 let order = request.as_ref().ok().and_then(Request::order);
                 let response = request.map_or_else(|refused| refused, |request| handle(request, served));
                 heavy.push((ticket, order, response));
@@ -193,50 +194,54 @@ impl Server {
             }
         });
         heavy.iter().for_each(|(ticket, order, response)| self.answer(*ticket, *order, response));
-        self.counters.garbled_requests += garbled;
-        handled - garbled as usize
+        self.counters.garbled_requests += malformed;
+        handled - malformed as usize
     }
 
-    /// Answers what has arrived: replay by itself, light requests through `answer`, one client as much as any other. As many heavy requests as
-    /// there is `room` for are given to `answer`, too, which returns `None` for them: [`Server::answer`] has the answer later. The others wait.
-    pub fn serve(&mut self, room: usize, answer: impl FnMut(Asked, &Served) -> Option<Response>) -> usize {
+    /// Responds to received requests: replay itself, light requests through `answer`, all clients in turn. Up to `max_heavy` heavy requests are
+    /// passed to `answer`, which returns `None` for them; [`Server::answer`] sends their response later. The others stay queued.
+    pub fn serve(
+        &mut self,
+        max_heavy: usize,
+        answer: impl FnMut(IncomingRequest, &Served) -> Option<Response>,
+    ) -> usize {
         self.poll_replay();
-        self.look_after_followers();
-        self.look_after_connections();
-        if let Err(trouble) = self.requests.take_in() {
-            self.trouble("command", trouble);
+        self.check_followers();
+        self.report_failed_connections();
+        if let Err(reason) = self.requests.receive() {
+            self.report_error("command", reason);
         }
         if self.requests.is_empty() {
             return 0;
         }
         let served = self.served();
-        let outcome = self.requests.serve(self.epoch, &served, room, answer);
-        self.counters.garbled_requests += outcome.garbled;
-        outcome.trouble.into_iter().for_each(|trouble| self.trouble("command", trouble));
+        let outcome = self.requests.serve(self.epoch, &served, max_heavy, answer);
+        self.counters.garbled_requests += outcome.malformed;
+        outcome.errors.into_iter().for_each(|reason| self.report_error("command", reason));
         outcome.orders.iter().for_each(|order| self.log_order(order));
         outcome.handled
     }
 
-    /// Answers a heavy request; `order` is its [`Request::order`].
+    /// Sends the response to a heavy request; `order` is its [`Request::order`].
     pub fn answer(&mut self, ticket: Ticket, order: Option<&'static str>, response: &Response) {
         let Some((order, sent)) = self.requests.answer(ticket, order, response) else { return };
         order.iter().for_each(|order| self.log_order(order));
-        if let Err(trouble) = sent {
-            self.trouble("command", trouble);
+        if let Err(reason) = sent {
+            self.report_error("command", reason);
         }
     }
 
-    /// Counts a heavy request that could not be read.
-    pub fn garbled(&mut self) {
+    /// Counts a heavy request that could not be parsed.
+    pub fn count_malformed_request(&mut self) {
         self.counters.garbled_requests += 1;
     }
 
-    /// Counts time that was spent on requests \[ns\].
-    pub fn answered_for(&mut self, ns: u64) {
+    /// Adds time spent on requests \[ns\].
+    pub fn add_request_time(&mut self, ns: u64) {
         self.counters.answering_ns = self.counters.answering_ns.saturating_add(ns);
     }
 
-    /// Logs an order with its sender. A refused one changes nothing, and comes in floods where a program tries again and again.
+    /// Logs an order with its sender. Refused orders are logged at debug level: a client may repeat them at a high rate.
     fn log_order(&self, order: &Order) {
         let sender = || Sender::of(&self.command_service, order.client);
         match &order.refused {
@@ -245,20 +250,20 @@ impl Server {
         }
     }
 
-    /// What has been done so far.
+    /// Statistics so far.
     pub fn served(&self) -> Served {
         Served {
             published: self.log.end(),
             first_retained: self.log.first(),
-            acknowledged: self.followers.furthest(),
+            acknowledged: self.followers.highest_acknowledged(),
             followers: self.followers.list(now_ns()),
             ..self.counters.clone()
         }
     }
 
-    /// The oldest piece of news about a follower that has not been taken yet: worth a line in the log.
-    pub fn take_news(&mut self) -> Option<News> {
-        self.followers.take_news()
+    /// Takes the oldest pending event of a follower, for the log.
+    pub fn take_follower_event(&mut self) -> Option<FollowerEvent> {
+        self.followers.take_follower_event()
     }
 
     fn poll_replay(&mut self) {
@@ -266,29 +271,29 @@ impl Server {
             let active = match self.replay.receive() {
                 Ok(Some(active)) => active,
                 Ok(None) => return,
-                Err(trouble) => return self.trouble("replay", trouble.to_string()),
+                Err(error) => return self.report_error("replay", error.to_string()),
             };
-            let asked: FollowRequest = *active.payload();
+            let request: FollowRequest = *active.payload();
             let header = ReplayHeader { epoch: self.epoch, first: self.log.first(), end: self.log.end() };
-            // Numbers of another start mean nothing here; the follower learns from the header that it has to start over.
-            let known = asked.epoch == self.epoch;
-            self.followers.heard(
-                Word {
+            // Sequence numbers of another epoch are invalid; the header's epoch makes the follower start over.
+            let same_epoch = request.epoch == self.epoch;
+            self.followers.update(
+                Heartbeat {
                     port: active.origin().value(),
-                    pid: asked.pid,
-                    name: readable(&asked.name),
-                    acknowledged: if known { asked.acknowledged } else { 0 },
-                    from: if known { asked.from } else { 0 },
-                    leaving: asked.leaving == 1,
+                    pid: request.pid,
+                    name: printable(&request.name),
+                    acknowledged: if same_epoch { request.acknowledged } else { 0 },
+                    from: if same_epoch { request.from } else { 0 },
+                    leaving: request.leaving == 1,
                 },
                 header.end,
                 now_ns(),
             );
-            if asked.leaving == 1 {
+            if request.leaving == 1 {
                 continue;
             }
-            let from = asked.from.clamp(header.first, header.end);
-            let wanted = if known { (asked.count as usize).min(REPLAY) } else { 0 };
+            let from = request.from.clamp(header.first, header.end);
+            let wanted = if same_epoch { (request.count as usize).min(MAX_REPLAY_RECORDS) } else { 0 };
             let count = wanted.min((header.end - from) as usize);
             let log = &self.log;
             let sent = active.loan_slice_uninit(count).map_err(|error| error.to_string()).and_then(|mut memory| {
@@ -298,22 +303,22 @@ impl Server {
             });
             match sent {
                 Ok(()) => self.counters.replayed += count as u64,
-                Err(trouble) => self.trouble("replay", trouble),
+                Err(reason) => self.report_error("replay", reason),
             }
         }
     }
 
-    fn look_after_followers(&mut self) {
+    fn check_followers(&mut self) {
         let now = now_ns();
         let limit = self.settings.silent_ms.saturating_mul(1_000_000);
-        if now.saturating_sub(self.checked_ns) < CHECK_EVERY_NS {
+        if now.saturating_sub(self.checked_ns) < CHECK_INTERVAL_NS {
             return;
         }
         self.checked_ns = now;
         if !self.followers.any_silent(now, limit) {
             return;
         }
-        // A port that is no longer registered was cleaned up after its process; one that is may still belong to a dead one.
+        // An unregistered port was cleaned up after its process ended; a registered one may still belong to a dead process.
         let mut owners = Vec::new();
         self.replay_service.dynamic_config().list_clients(|details| {
             owners.push((details.client_id.value(), details.node_id));
@@ -325,26 +330,27 @@ impl Server {
         });
     }
 
-    /// A client that could not be connected does not learn of it: its requests never arrive.
-    fn look_after_connections(&mut self) {
+    /// Reports clients that could not be connected. Such a client gets no error: its requests never arrive.
+    fn report_failed_connections(&mut self) {
         let failed = self.unconnected.load(Ordering::Relaxed);
-        for _ in 0..failed.saturating_sub(self.unconnected_said).min(100) {
-            let cause = place::shortage().unwrap_or_else(|| "its shared memory can't be opened".into());
-            self.trouble("a client", format!("not connected: {cause}"));
+        for _ in 0..failed.saturating_sub(self.unconnected_logged).min(100) {
+            let cause = runtime_dir::shortage().unwrap_or_else(|| "its shared memory can't be opened".into());
+            self.report_error("a client", format!("not connected: {cause}"));
         }
-        self.unconnected_said = failed;
+        self.unconnected_logged = failed;
     }
 
-    fn trouble(&mut self, service: &str, reason: String) {
+    /// Counts an error of shared memory and logs it at a limited rate.
+    fn report_error(&mut self, service: &str, reason: String) {
         let cause = format!("{service}: {reason}");
-        if let Some(line) = self.troubles.count(&cause) {
+        if let Some(line) = self.errors.count(&cause) {
             tracing::warn!("shared memory: {line}");
         }
         self.counters.trouble = Some(cause);
     }
 }
 
-/// Counts the clients that a port can't connect to; the others are served.
+/// Degradation handler that counts failed connections of a port and ignores them: the other clients are served.
 fn counting(unconnected: &Arc<AtomicU64>) -> impl DegradationFn + use<> {
     let unconnected = Arc::clone(unconnected);
     move |cause, _| {
@@ -355,13 +361,13 @@ fn counting(unconnected: &Arc<AtomicU64>) -> impl DegradationFn + use<> {
     }
 }
 
-/// A number that no earlier start of the daemon had: the wall clock, not 0 \[ns\].
+/// New epoch: the wall-clock time \[ns\], not 0, different from every earlier start.
 fn new_epoch() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(1, |since| since.as_nanos() as u64).max(1)
 }
 
-/// A follower's name as far as it is printable.
-fn readable(name: &[u8; 16]) -> String {
+/// The printable characters of a follower's name; others become `?`.
+fn printable(name: &[u8; 16]) -> String {
     name.iter()
         .take_while(|byte| **byte != 0)
         .map(|byte| if byte.is_ascii_graphic() { *byte as char } else { '?' })

@@ -1,4 +1,4 @@
-//! The iceoryx2 services: their names, sizes, and how they are opened by the daemon and by clients.
+//! The iceoryx2 services: names, sizes, creation by the daemon and opening by clients.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -13,29 +13,29 @@ use iceoryx2::service::builder::{publish_subscribe as pubsub, request_response a
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
 use super::error::IpcError;
-use super::half_made;
+use super::incomplete_segments;
 use super::messages::{FeedForwardMessage, FollowRequest, ReplayHeader, SampleMessage};
-use super::place;
 use super::robot::RobotId;
+use super::runtime_dir;
 
-/// Records in one batch of the stream.
-pub(super) const BATCH: usize = 32;
-/// Records in one answer to a replay request: 304 KiB.
-pub(super) const REPLAY: usize = 512;
-/// Batches that fit into a follower's buffer.
-const STREAM_BUFFER: usize = 256;
-/// Followers of the samples.
+/// Maximum records in one published batch.
+pub(super) const MAX_BATCH_RECORDS: usize = 32;
+/// Maximum records in one replay response (340 KiB).
+pub(super) const MAX_REPLAY_RECORDS: usize = 512;
+/// Capacity of a follower's buffer in batches.
+const STREAM_BUFFER_BATCHES: usize = 256;
+/// Maximum followers of the samples.
 const MAX_FOLLOWERS: usize = 4;
-/// Clients that read the feed-forward.
+/// Maximum clients of the feed-forward service.
 const MAX_FEED_FORWARD_CLIENTS: usize = 32;
-/// Clients of the command service.
+/// Maximum clients of the command service.
 pub(super) const MAX_COMMAND_CLIENTS: usize = 16;
-/// Those among them that are left to operators.
-pub(super) const OPERATORS: usize = 4;
-/// Nodes beyond the clients: the daemon, and room for dead ones that nobody has cleaned up yet.
+/// Clients of the command service that are reserved for operators.
+pub(super) const RESERVED_OPERATORS: usize = 4;
+/// Nodes beyond the clients: the daemon, and dead nodes that are not cleaned up yet.
 const SPARE_NODES: usize = 16;
-/// Pause between two attempts to open something.
-const RETRY: Duration = Duration::from_millis(10);
+/// Pause between two attempts to open a service.
+const RETRY_INTERVAL: Duration = Duration::from_millis(10);
 
 pub(super) type ServiceNode = Node<ipc::Service>;
 pub(super) type Samples = publish_subscribe::PortFactory<ipc::Service, [SampleMessage], ()>;
@@ -43,67 +43,70 @@ pub(super) type FeedForward = publish_subscribe::PortFactory<ipc::Service, FeedF
 pub(super) type Replay = request_response::PortFactory<ipc::Service, FollowRequest, (), [SampleMessage], ReplayHeader>;
 pub(super) type Commands = request_response::PortFactory<ipc::Service, [u8], (), [u8], ()>;
 
-/// `CLOCK_BOOTTIME` \[ns\]: as `CLOCK_MONOTONIC`, and it goes on while the machine is suspended. The clock of what clients reckon ages from.
+/// Time now, `CLOCK_BOOTTIME` \[ns\]: `CLOCK_MONOTONIC` plus the time suspended. Clients compute the age of values with it.
 pub fn boot_ns() -> u64 {
     let now = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
     (now.tv_sec as u64).saturating_mul(1_000_000_000).saturating_add(now.tv_nsec as u64)
 }
 
-/// How long the machine has been suspended since it was started \[ns\]; too little by the time between two looks, never too much.
+/// Time that the machine has been suspended since boot \[ns\]: `boot_ns() - now_ns()`. Low by the time between the two reads, never high.
 pub(super) fn suspended_ns() -> u64 {
     let boot = boot_ns();
     boot.saturating_sub(now_ns())
 }
 
-/// `CLOCK_MONOTONIC` \[ns\], the clock of records and of everything inside the daemon.
+/// Time now, `CLOCK_MONOTONIC` \[ns\]: the clock of records and of the daemon.
 pub fn now_ns() -> u64 {
     let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
     (now.tv_sec as u64).saturating_mul(1_000_000_000).saturating_add(now.tv_nsec as u64)
 }
 
-/// The node of a daemon, which makes the services: nothing is made beside a stranger's files of our names.
+/// Node of a daemon, which creates the services.
+///
+/// # Errors
+/// Files with plumbline's prefix in shared memory belong to another user.
 pub(super) fn serving_node() -> Result<ServiceNode, IpcError> {
-    place::no_squatters().map_err(|error| transport("making a node for", "plumbline", error))?;
+    runtime_dir::check_no_foreign_files().map_err(|error| transport("creating a node for", "plumbline", error))?;
     node()
 }
 
-/// The node of a client. A stranger can lay files of our names beside a daemon that runs; that must not keep anybody from stopping the arm.
+/// Node of a client. Foreign files with plumbline's prefix only cause a warning: they must not prevent a client from stopping the arm.
 pub(super) fn joining_node() -> Result<ServiceNode, IpcError> {
-    // Once: a client may connect for every question that it asks.
-    static SAID: Once = Once::new();
-    if let Err(squatter) = place::no_squatters() {
-        SAID.call_once(|| {
-            tracing::warn!("{squatter}; a daemon that runs is not touched, but the next one will not start")
+    // Once per process: a client may connect for every request.
+    static WARNED: Once = Once::new();
+    if let Err(foreign) = runtime_dir::check_no_foreign_files() {
+        WARNED.call_once(|| {
+            tracing::warn!("{foreign}; the running daemon is not affected, but the next daemon will refuse to start")
         });
     }
     node()
 }
 
-/// A node of this process; making it removes what killed processes left behind.
+/// Node of this process. Its creation removes the resources of killed processes.
 fn node() -> Result<ServiceNode, IpcError> {
-    // Errors only: its warnings are about missing configuration files and dead peers, which are
-    // ordinary here and reported by plumbline itself. IOX2_LOG_LEVEL turns them on.
-    static QUIET: Once = Once::new();
-    QUIET.call_once(|| {
+    // Errors only. iceoryx2 warns of missing configuration files and dead peers, which are normal here.
+    // IOX2_LOG_LEVEL enables its warnings.
+    static LOGGER_SET: Once = Once::new();
+    LOGGER_SET.call_once(|| {
         set_logger(&Logger);
         set_log_level_from_env_or(LogLevel::Error);
     });
-    let failed = |error: String| transport("making a node for", "plumbline", error);
-    let root = place::directory().map_err(|error| failed(error.to_string()))?;
+    let failed = |error: String| transport("creating a node for", "plumbline", error);
+    let root = runtime_dir::directory().map_err(|error| failed(error.to_string()))?;
     let config = config(&root).map_err(failed)?;
-    // A segment that finds no room ends its maker by a signal (SIGBUS).
-    if let Some(full) = place::no_room() {
+    // The kernel ends a process that writes to a segment without memory (SIGBUS).
+    if let Some(full) = runtime_dir::shared_memory_full() {
         return Err(failed(full));
     }
-    half_made::look_after();
-    // Signals belong to the program, not to this library.
+    incomplete_segments::start_sweeper();
+    // The program handles signals, not this library.
     let builder = NodeBuilder::new().config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
     let node = builder.create().map_err(|error| failed(error.to_string()))?;
-    place::close_to_others();
+    runtime_dir::restrict_global_segment();
     Ok(node)
 }
 
-/// iceoryx2's lines go where all others go: its own logger writes to standard error on the calling thread, which then waits for the reader.
+/// Forwards iceoryx2's log to `tracing`. iceoryx2's default logger writes to standard error on the calling thread, which can block.
 struct Logger;
 
 impl iceoryx2_log::Log for Logger {
@@ -118,14 +121,14 @@ impl iceoryx2_log::Log for Logger {
     }
 }
 
-/// iceoryx2 in the folder `root`. No configuration file is read: one that lies about must not change where the arm is served.
+/// Configuration of iceoryx2 with its files in `root`. No configuration file is read: a stray file must not change where the arm is served.
 fn config(root: &Path) -> Result<Config, String> {
     let names = root.join("iceoryx2");
     let text = names.to_str().ok_or_else(|| format!("{} is not UTF-8", names.display()))?;
     let refused = |error| format!("{text}: {error:?}");
     let mut config = Config::default();
     config.global.set_root_path(&iceoryx2::prelude::Path::new(text.as_bytes()).map_err(refused)?);
-    config.global.prefix = FileName::new(place::prefix(place::user()).as_bytes()).map_err(refused)?;
+    config.global.prefix = FileName::new(runtime_dir::prefix(runtime_dir::user()).as_bytes()).map_err(refused)?;
     Ok(config)
 }
 
@@ -175,14 +178,14 @@ fn commands(node: &ServiceNode, name: &str) -> Result<CommandsBuilder, IpcError>
     Ok(node.service_builder(&service_name(name)?).request_response::<[u8], [u8]>())
 }
 
-/// Opens or makes the sample stream; only the daemon decides on sizes.
+/// Opens or creates the sample stream. The daemon alone sets the sizes.
 pub(super) fn serve_samples(node: &ServiceNode, robot: &RobotId) -> Result<Samples, IpcError> {
     let name = samples_name(robot);
-    patiently(&name, SERVER_PATIENCE, || {
+    retry_until(&name, SERVER_TIMEOUT, || {
         Ok(samples(node, &name)?
-            // A full buffer keeps its oldest, unbroken run; what comes after it is fetched by replay.
+            // A full buffer keeps its oldest records; later ones are fetched by replay.
             .enable_safe_overflow(false)
-            .subscriber_max_buffer_size(STREAM_BUFFER)
+            .subscriber_max_buffer_size(STREAM_BUFFER_BATCHES)
             .subscriber_max_borrowed_samples(1)
             .history_size(0)
             .max_publishers(1)
@@ -192,10 +195,10 @@ pub(super) fn serve_samples(node: &ServiceNode, robot: &RobotId) -> Result<Sampl
     })
 }
 
-/// Opens or makes the replay service.
+/// Opens or creates the replay service.
 pub(super) fn serve_replay(node: &ServiceNode, robot: &RobotId) -> Result<Replay, IpcError> {
     let name = replay_name(robot);
-    patiently(&name, SERVER_PATIENCE, || {
+    retry_until(&name, SERVER_TIMEOUT, || {
         Ok(replay(node, &name)?
             .enable_safe_overflow_for_requests(false)
             .enable_safe_overflow_for_responses(false)
@@ -211,10 +214,10 @@ pub(super) fn serve_replay(node: &ServiceNode, robot: &RobotId) -> Result<Replay
     })
 }
 
-/// Opens or makes the feed-forward service: one value, the newest, always.
+/// Opens or creates the feed-forward service. Its buffer holds the latest value only.
 pub(super) fn serve_feed_forward(node: &ServiceNode, robot: &RobotId) -> Result<FeedForward, IpcError> {
     let name = feed_forward_name(robot);
-    patiently(&name, SERVER_PATIENCE, || {
+    retry_until(&name, SERVER_TIMEOUT, || {
         Ok(feed_forward(node, &name)?
             .enable_safe_overflow(true)
             .subscriber_max_buffer_size(1)
@@ -227,10 +230,10 @@ pub(super) fn serve_feed_forward(node: &ServiceNode, robot: &RobotId) -> Result<
     })
 }
 
-/// Opens or makes the command service.
+/// Opens or creates the command service.
 pub(super) fn serve_commands(node: &ServiceNode, robot: &RobotId) -> Result<Commands, IpcError> {
     let name = command_name(robot);
-    patiently(&name, SERVER_PATIENCE, || {
+    retry_until(&name, SERVER_TIMEOUT, || {
         Ok(commands(node, &name)?
             .enable_safe_overflow_for_requests(false)
             .enable_safe_overflow_for_responses(false)
@@ -247,40 +250,40 @@ pub(super) fn serve_commands(node: &ServiceNode, robot: &RobotId) -> Result<Comm
 }
 
 /// Opens the sample stream of a daemon.
-pub(super) fn join_samples(node: &ServiceNode, robot: &RobotId, patience: Duration) -> Result<Samples, IpcError> {
+pub(super) fn join_samples(node: &ServiceNode, robot: &RobotId, timeout: Duration) -> Result<Samples, IpcError> {
     let name = samples_name(robot);
-    joined(robot, patience, patiently(&name, patience, || Ok(samples(node, &name)?.open())))
+    joined(robot, timeout, retry_until(&name, timeout, || Ok(samples(node, &name)?.open())))
 }
 
 /// Opens the replay service of a daemon.
-pub(super) fn join_replay(node: &ServiceNode, robot: &RobotId, patience: Duration) -> Result<Replay, IpcError> {
+pub(super) fn join_replay(node: &ServiceNode, robot: &RobotId, timeout: Duration) -> Result<Replay, IpcError> {
     let name = replay_name(robot);
-    joined(robot, patience, patiently(&name, patience, || Ok(replay(node, &name)?.open())))
+    joined(robot, timeout, retry_until(&name, timeout, || Ok(replay(node, &name)?.open())))
 }
 
 /// Opens the feed-forward of a daemon.
 pub(super) fn join_feed_forward(
     node: &ServiceNode,
     robot: &RobotId,
-    patience: Duration,
+    timeout: Duration,
 ) -> Result<FeedForward, IpcError> {
     let name = feed_forward_name(robot);
-    joined(robot, patience, patiently(&name, patience, || Ok(feed_forward(node, &name)?.open())))
+    joined(robot, timeout, retry_until(&name, timeout, || Ok(feed_forward(node, &name)?.open())))
 }
 
 /// Opens the command service of a daemon.
-pub(super) fn join_commands(node: &ServiceNode, robot: &RobotId, patience: Duration) -> Result<Commands, IpcError> {
+pub(super) fn join_commands(node: &ServiceNode, robot: &RobotId, timeout: Duration) -> Result<Commands, IpcError> {
     let name = command_name(robot);
-    joined(robot, patience, patiently(&name, patience, || Ok(commands(node, &name)?.open())))
+    joined(robot, timeout, retry_until(&name, timeout, || Ok(commands(node, &name)?.open())))
 }
 
-/// How long the daemon tries: another process may be cleaning up after a killed one just now.
-pub(super) const SERVER_PATIENCE: Duration = Duration::from_secs(3);
+/// Timeout of the daemon for opening a service: another process may still be cleaning up after a killed one.
+pub(super) const SERVER_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// Attempts until it works, fails for good, or `patience` is over.
-pub(super) fn patiently<T, E: Display>(
+/// Retries `attempt` until it succeeds, fails permanently, or `timeout` has passed.
+pub(super) fn retry_until<T, E: Display>(
     service: &str,
-    patience: Duration,
+    timeout: Duration,
     mut attempt: impl FnMut() -> Result<Result<T, E>, IpcError>,
 ) -> Result<T, IpcError> {
     let start = Instant::now();
@@ -289,15 +292,15 @@ pub(super) fn patiently<T, E: Display>(
             Ok(opened) => return Ok(opened),
             Err(error) => classify(service, &error.to_string()),
         };
-        if matches!(error, IpcError::Incompatible { .. }) || start.elapsed() >= patience {
+        if matches!(error, IpcError::Incompatible { .. }) || start.elapsed() >= timeout {
             return Err(error);
         }
-        thread::sleep(RETRY);
+        thread::sleep(RETRY_INTERVAL);
     }
 }
 
-/// Turns iceoryx2's error into ours by its variant's name: each of its builders has an error enum of its own, whose
-/// variants are alike in name only.
+/// Maps an iceoryx2 error to [`IpcError`] by its variant's name: each builder has its own error enum with the same variant
+/// names.
 fn classify(service: &str, reason: &str) -> IpcError {
     let service = service.to_string();
     if ["Incompatible", "DoesNotSupport", "VersionMismatch"].iter().any(|word| reason.contains(word)) {
@@ -313,45 +316,45 @@ fn classify(service: &str, reason: &str) -> IpcError {
     }
 }
 
-/// A service that does not exist means that there is no daemon; one whose memory is a stranger's is not believed.
-fn joined<T>(robot: &RobotId, patience: Duration, result: Result<T, IpcError>) -> Result<T, IpcError> {
+/// Result of opening a service: `NoDaemon` where the service does not exist, an error where its memory belongs to another user.
+fn joined<T>(robot: &RobotId, timeout: Duration, result: Result<T, IpcError>) -> Result<T, IpcError> {
     let opened = result.map_err(|error| match error {
-        IpcError::Transport { reason, .. } if reason.contains("DoesNotExist") => no_daemon(robot, patience),
+        IpcError::Transport { reason, .. } if reason.contains("DoesNotExist") => no_daemon(robot, timeout),
         other => other,
     })?;
-    place::only_ours_mapped().map_err(|error| transport("joining", robot.as_str(), error))?;
+    runtime_dir::check_mapped_owner().map_err(|error| transport("opening", robot.as_str(), error))?;
     Ok(opened)
 }
 
-/// The error for a command service without a place, with those who have them.
+/// `Full` error of the command service, with the processes that hold its client slots.
 pub(super) fn full(name: &str, service: &Commands) -> IpcError {
     let mut processes = BTreeMap::<u32, usize>::new();
     service.dynamic_config().list_clients(|details| {
         *processes.entry(process(details.client_id.value())).or_default() += 1;
         CallbackProgression::Continue
     });
-    let each = processes.iter().map(|(process, places)| format!("process {process} has {places}"));
+    let each = processes.iter().map(|(process, slots)| format!("process {process} has {slots}"));
     let holders = each.collect::<Vec<_>>().join(", ");
-    let port = format!("client: of {MAX_COMMAND_CLIENTS} places ({OPERATORS} for operators) {holders}");
+    let port = format!("client: of {MAX_COMMAND_CLIENTS} slots ({RESERVED_OPERATORS} for operators) {holders}");
     IpcError::Full { service: name.to_string(), port }
 }
 
-/// The process that made a port or a node: the third 32 bits of its number.
+/// Process that created a port or a node: bits 64 to 95 of its identity.
 pub(super) fn process(id: u128) -> u32 {
     (id >> 64) as u32
 }
 
-/// Whether the process behind a node still runs. A node that is not there any more was cleaned up after its end.
+/// Whether the process of a node still runs. A node that does not exist was cleaned up after its process ended.
 pub(super) fn runs(node: &ServiceNode, id: UniqueNodeId) -> bool {
     !matches!(Node::<ipc::Service>::state_of(node.config(), id), Ok(None | Some(NodeState::Dead(_))))
 }
 
-/// The error for a robot that nobody serves.
+/// Error of a robot without a daemon.
 pub(super) fn no_daemon(robot: &RobotId, waited: Duration) -> IpcError {
     IpcError::NoDaemon { robot: robot.to_string(), waited_ms: waited.as_millis() as u64 }
 }
 
-/// iceoryx2 failed while `doing` something with `service`.
+/// Error of iceoryx2 during `doing` with `service`.
 pub(super) fn transport(doing: &'static str, service: &str, error: impl Display) -> IpcError {
     IpcError::Transport { doing, service: service.to_string(), reason: error.to_string() }
 }
@@ -361,7 +364,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_say_what_a_person_can_act_on() {
+    fn iceoryx2_errors_map_to_actionable_errors() {
         let class = |reason: &str| classify("s", reason);
         assert!(matches!(class("PublishSubscribeOpenError::IncompatibleTypes"), IpcError::Incompatible { .. }));
         let sizes = "RequestResponseOpenError::DoesNotSupportRequestedAmountOfClients";

@@ -1,8 +1,8 @@
-//! A follower of the samples: every record exactly once and in order, from wherever it starts.
+//! Follower of the samples: every record exactly once and in order, from any start.
 //!
-//! Live batches come by publish-subscribe; whatever they lack (because this process was slow, came late, or was restarted) is
-//! fetched by replay. A regular request tells the daemon how far we are and brings back how far it is, so that a loss at the
-//! very end of the stream is found, too.
+//! Live batches arrive by publish-subscribe. Missing records (of a slow, late or restarted follower) are fetched by replay. A periodic
+//! request acknowledges records, and its response contains the end of the daemon's log: a loss at the end of the stream is
+//! detected too.
 
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -17,25 +17,25 @@ use iceoryx2::prelude::*;
 use super::error::IpcError;
 use super::messages::{FollowRequest, ReplayHeader, SampleMessage};
 use super::robot::RobotId;
-use super::services::{self, REPLAY, ServiceNode, transport};
+use super::services::{self, MAX_REPLAY_RECORDS, ServiceNode, transport};
 use plumbline_core::Record;
 
-/// Pause between two looks at shared memory.
-const PAUSE: Duration = Duration::from_micros(500);
-/// Batches taken in one step, so that a delivery stays of moderate size.
+/// Polling interval of shared memory.
+const POLL_INTERVAL: Duration = Duration::from_micros(500);
+/// Maximum batches received in one step: bounds the size of a delivery.
 const BATCHES_PER_STEP: usize = 64;
 
-/// How a follower behaves.
+/// Settings of a follower.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StreamSettings {
-    /// What the daemon calls this follower: up to 16 ASCII characters.
+    /// Name of this follower in the daemon's log: up to 16 ASCII characters.
     pub name: String,
-    /// First record wanted of the daemon that is met first; 0 is everything it still has.
+    /// First record requested from the first daemon; 0 for all retained ones.
     pub from: u64,
-    /// How often the daemon is told how far we are.
+    /// Interval between two heartbeats to the daemon.
     pub heartbeat: Duration,
-    /// An answer that takes longer is not waited for any more.
-    pub answer_within: Duration,
+    /// Timeout of a response.
+    pub response_timeout: Duration,
 }
 
 impl Default for StreamSettings {
@@ -44,74 +44,74 @@ impl Default for StreamSettings {
             name: "estimator".to_string(),
             from: 0,
             heartbeat: Duration::from_millis(50),
-            answer_within: Duration::from_millis(500),
+            response_timeout: Duration::from_millis(500),
         }
     }
 }
 
-/// What [`SampleStream::next`] brings.
+/// Result of [`SampleStream::next`].
 #[derive(Clone, Debug, PartialEq)]
 pub enum Delivery {
     /// The next records without a gap.
     Records {
-        /// Number of the first of them.
+        /// Sequence number of the first one.
         first: u64,
         /// At least one record.
         records: Vec<Record>,
     },
-    /// Records that can't be had any more: the daemon gave them up before they were asked for.
+    /// Lost records: the daemon discarded them before they were requested.
     Missed {
-        /// The first of them.
+        /// First lost record.
         from: u64,
-        /// The one after the last of them.
+        /// Record after the last lost one.
         to: u64,
     },
-    /// The daemon was started anew; records count from 0 again.
+    /// The daemon was restarted; sequence numbers start from 0 again.
     Restarted {
-        /// Identity of the new start.
+        /// New epoch.
         epoch: u64,
     },
-    /// Nothing new in the time given; the daemon is there.
+    /// Timeout without new records; a daemon runs.
     Idle,
-    /// Nothing new in the time given, and no daemon is there. The stream goes on by itself when one comes.
+    /// Timeout without new records, and no daemon runs. The stream continues with the next daemon.
     Gone,
 }
 
-/// What a follower has counted, over all starts of the daemon.
+/// Counters of a follower over all starts of the daemon.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StreamCounters {
     /// Records delivered.
     pub received: u64,
-    /// Those among them that came by replay.
+    /// Delivered records that were fetched by replay.
     pub replayed: u64,
-    /// Records named in [`Delivery::Missed`].
+    /// Lost records, [`Delivery::Missed`].
     pub missed: u64,
     /// Restarts of the daemon.
     pub restarts: u64,
-    /// Times that a live batch did not follow on from what was there.
+    /// Gaps detected between live batches.
     pub gaps: u64,
 }
 
 type Pending = PendingResponse<ipc::Service, FollowRequest, (), [SampleMessage], ReplayHeader>;
 
-/// The records of one robot's daemon, complete and in order. Not `Send`.
+/// Stream of all records of one robot's daemon in order. Not `Send`.
 pub struct SampleStream {
     robot: RobotId,
     settings: StreamSettings,
-    /// The daemon's start that we follow, 0 before its first answer.
+    /// Epoch of the followed daemon, 0 before its first response.
     epoch: u64,
-    /// Number of the next record to be taken; those in `ready` have been taken, but not handed on.
+    /// Sequence number of the next record to receive; those in `ready` are received but not delivered.
     next: u64,
-    /// Records are missing: ask for replay instead of reading live batches.
+    /// Records are missing: fetch them by replay instead of reading live batches.
     behind: bool,
-    /// How far the daemon was when it answered last; once all live batches are read, anything before it that is not there is lost.
+    /// End of the daemon's log in its last response. Records before it that are missing after all live batches are lost.
     check_end: Option<u64>,
-    /// Ask at once: a batch of an unknown start was seen.
-    curious: bool,
+    /// Send a request at once: a batch of an unknown epoch was received.
+    epoch_changed: bool,
     gone: bool,
-    asked: Option<Instant>,
-    /// The last question was answered; otherwise the next one waits for the heartbeat.
-    answered: bool,
+    requested: Option<Instant>,
+    /// The last request has a response; otherwise the next request waits for the heartbeat.
+    responded: bool,
     ready: VecDeque<Delivery>,
     counters: StreamCounters,
     pending: Option<Pending>,
@@ -122,27 +122,27 @@ pub struct SampleStream {
 }
 
 impl SampleStream {
-    /// Connects to the daemon of `robot`, waiting up to `patience` for it to appear.
+    /// Connects to the daemon of `robot`, waiting up to `timeout` for it to start.
     ///
     /// # Errors
     /// [`IpcError::NoDaemon`], [`IpcError::Full`], [`IpcError::Incompatible`], [`IpcError::Transport`].
-    pub fn connect(robot: &RobotId, settings: StreamSettings, patience: Duration) -> Result<SampleStream, IpcError> {
+    pub fn connect(robot: &RobotId, settings: StreamSettings, timeout: Duration) -> Result<SampleStream, IpcError> {
         let start = Instant::now();
-        let left = || patience.saturating_sub(start.elapsed());
+        let left = || timeout.saturating_sub(start.elapsed());
         let node = services::joining_node()?;
-        let samples_service = services::join_samples(&node, robot, patience)?;
+        let samples_service = services::join_samples(&node, robot, timeout)?;
         let replay_service = services::join_replay(&node, robot, left())?;
         while replay_service.dynamic_config().number_of_servers() == 0 {
-            if start.elapsed() >= patience {
-                return Err(services::no_daemon(robot, patience));
+            if start.elapsed() >= timeout {
+                return Err(services::no_daemon(robot, timeout));
             }
-            thread::sleep(PAUSE);
+            thread::sleep(POLL_INTERVAL);
         }
-        // The subscriber comes first: whatever is published before its first request is answered, it has.
-        let subscriber = services::patiently(&services::samples_name(robot), left(), || {
+        // The subscriber is created first: it receives all records published before the first response.
+        let subscriber = services::retry_until(&services::samples_name(robot), left(), || {
             Ok(samples_service.subscriber_builder().create())
         })?;
-        let port = services::patiently(&services::replay_name(robot), left(), || {
+        let port = services::retry_until(&services::replay_name(robot), left(), || {
             Ok(replay_service.client_builder().backpressure_strategy(BackpressureStrategy::DiscardData).create())
         })?;
         Ok(SampleStream {
@@ -152,10 +152,10 @@ impl SampleStream {
             settings,
             behind: true,
             check_end: None,
-            curious: false,
+            epoch_changed: false,
             gone: false,
-            asked: None,
-            answered: true,
+            requested: None,
+            responded: true,
             ready: VecDeque::new(),
             counters: StreamCounters::default(),
             pending: None,
@@ -166,10 +166,10 @@ impl SampleStream {
         })
     }
 
-    /// What comes next, waiting up to `timeout` for it.
+    /// The next delivery, waiting up to `timeout` for it.
     ///
     /// # Errors
-    /// [`IpcError::Transport`] when shared memory failed; a daemon that is gone is [`Delivery::Gone`].
+    /// [`IpcError::Transport`] when shared memory failed; an ended daemon is [`Delivery::Gone`].
     pub fn next(&mut self, timeout: Duration) -> Result<Delivery, IpcError> {
         let start = Instant::now();
         loop {
@@ -181,22 +181,22 @@ impl SampleStream {
                 if start.elapsed() >= timeout {
                     return Ok(if self.gone { Delivery::Gone } else { Delivery::Idle });
                 }
-                thread::sleep(PAUSE);
+                thread::sleep(POLL_INTERVAL);
             }
         }
     }
 
-    /// What has been counted.
+    /// Counters so far.
     pub fn counters(&self) -> StreamCounters {
         self.counters
     }
 
-    /// The daemon's start that is followed, 0 before its first answer.
+    /// Epoch of the followed daemon, 0 before its first response.
     pub fn epoch(&self) -> u64 {
         self.epoch
     }
 
-    /// Number of the record that [`SampleStream::next`] brings next: where a successor of this follower could go on.
+    /// Sequence number of the record that [`SampleStream::next`] delivers next: where a successor of this follower continues.
     pub fn position(&self) -> u64 {
         if self.ready.iter().any(|delivery| matches!(delivery, Delivery::Restarted { .. })) {
             return 0;
@@ -208,35 +208,38 @@ impl SampleStream {
         }
     }
 
-    /// One round: take an answer, take live batches, ask.
+    /// One step: receive a response, receive live batches, send a request.
     fn step(&mut self) -> Result<(), IpcError> {
-        self.take_answer()?;
-        if !self.behind && self.take_batches()? && self.check_end.take().is_some_and(|end| self.next < end) {
+        self.receive_response()?;
+        if !self.behind && self.receive_batches()? && self.check_end.take().is_some_and(|end| self.next < end) {
             self.fall_behind();
         }
-        let overdue = self.asked.is_none_or(|asked| asked.elapsed() >= self.settings.heartbeat);
-        if self.pending.is_none() && (overdue || (self.behind && self.answered) || std::mem::take(&mut self.curious)) {
-            self.ask()?;
+        let overdue = self.requested.is_none_or(|requested| requested.elapsed() >= self.settings.heartbeat);
+        if self.pending.is_none()
+            && (overdue || (self.behind && self.responded) || std::mem::take(&mut self.epoch_changed))
+        {
+            self.send_request()?;
         }
         Ok(())
     }
 
-    /// Takes the daemon's answer, if it is there.
-    fn take_answer(&mut self) -> Result<(), IpcError> {
+    /// Receives the daemon's response, if one arrived.
+    fn receive_response(&mut self) -> Result<(), IpcError> {
         let Some(pending) = &self.pending else { return Ok(()) };
         let name = services::replay_name(&self.robot);
-        let Some(answer) = pending.receive().map_err(|error| transport("hearing", &name, error))? else {
-            if self.asked.is_none_or(|asked| asked.elapsed() >= self.settings.answer_within) {
+        let Some(response) = pending.receive().map_err(|error| transport("receiving a response from", &name, error))?
+        else {
+            if self.requested.is_none_or(|requested| requested.elapsed() >= self.settings.response_timeout) {
                 self.pending = None;
                 self.gone = !self.daemon_runs();
             }
             return Ok(());
         };
-        let header = *answer.user_header();
+        let header = *response.user_header();
         self.gone = false;
-        self.answered = true;
+        self.responded = true;
         if header.epoch != self.epoch {
-            drop(answer);
+            drop(response);
             self.pending = None;
             return self.follow_new_start(header);
         }
@@ -244,9 +247,9 @@ impl SampleStream {
             self.miss(header.first);
         }
         let before = self.counters.received;
-        self.take(answer.payload());
+        self.accept(response.payload());
         self.counters.replayed += self.counters.received - before;
-        drop(answer);
+        drop(response);
         self.pending = None;
         if self.behind {
             self.behind = self.next < header.end;
@@ -256,11 +259,11 @@ impl SampleStream {
         Ok(())
     }
 
-    /// The daemon is another one than before, or the first: begin with its first record.
+    /// Follows a daemon with a new epoch from its first record on.
     fn follow_new_start(&mut self, header: ReplayHeader) -> Result<(), IpcError> {
         if self.epoch != 0 {
-            // What the old one had sent is still good.
-            while !self.take_batches()? {}
+            // Batches of the old epoch are still delivered.
+            while !self.receive_batches()? {}
             self.counters.restarts += 1;
             self.ready.push_back(Delivery::Restarted { epoch: header.epoch });
             self.next = 0;
@@ -271,8 +274,8 @@ impl SampleStream {
         Ok(())
     }
 
-    /// Takes live batches; `true` when there are no more of them.
-    fn take_batches(&mut self) -> Result<bool, IpcError> {
+    /// Receives live batches; `true` when none is left.
+    fn receive_batches(&mut self) -> Result<bool, IpcError> {
         for _ in 0..BATCHES_PER_STEP {
             let received = self.subscriber.receive();
             let name = || services::samples_name(&self.robot);
@@ -280,10 +283,10 @@ impl SampleStream {
                 return Ok(true);
             };
             if batch.payload().first().is_some_and(|sample| sample.epoch != self.epoch) {
-                self.curious = true;
+                self.epoch_changed = true;
                 continue;
             }
-            if !self.take(batch.payload()) {
+            if !self.accept(batch.payload()) {
                 self.fall_behind();
                 return Ok(true);
             }
@@ -291,17 +294,17 @@ impl SampleStream {
         Ok(false)
     }
 
-    /// Takes those samples that come next; `false` when there is a gap before them.
-    fn take(&mut self, samples: &[SampleMessage]) -> bool {
+    /// Accepts the samples that continue the sequence; `false` at a gap.
+    fn accept(&mut self, samples: &[SampleMessage]) -> bool {
         let mut first = self.next;
         let mut records = Vec::with_capacity(samples.len());
-        let mut whole = true;
+        let mut contiguous = true;
         for sample in samples {
             if sample.epoch != self.epoch || sample.seq < self.next {
                 continue;
             }
             if sample.seq > self.next {
-                whole = false;
+                contiguous = false;
                 break;
             }
             match sample.record() {
@@ -310,7 +313,7 @@ impl SampleStream {
                     self.next += 1;
                     self.counters.received += 1;
                 }
-                // No daemon sends this. Give it up by name rather than pass it on.
+                // Invalid record: reported as missed.
                 Err(_) => {
                     self.deliver(first, std::mem::take(&mut records));
                     self.miss(sample.seq + 1);
@@ -319,7 +322,7 @@ impl SampleStream {
             }
         }
         self.deliver(first, records);
-        whole
+        contiguous
     }
 
     fn deliver(&mut self, first: u64, records: Vec<Record>) {
@@ -327,8 +330,8 @@ impl SampleStream {
             return;
         }
         match self.ready.back_mut() {
-            Some(Delivery::Records { first: before, records: waiting }) if *before + waiting.len() as u64 == first => {
-                waiting.extend(records);
+            Some(Delivery::Records { first: before, records: last }) if *before + last.len() as u64 == first => {
+                last.extend(records);
             }
             _ => self.ready.push_back(Delivery::Records { first, records }),
         }
@@ -346,17 +349,17 @@ impl SampleStream {
         self.check_end = None;
     }
 
-    /// Tells the daemon how far we are and asks for more when we are behind.
-    fn ask(&mut self) -> Result<(), IpcError> {
-        let request = self.request(if self.behind { REPLAY as u32 } else { 0 }, 0);
+    /// Sends a heartbeat with the acknowledgement, and requests a replay when records are missing.
+    fn send_request(&mut self) -> Result<(), IpcError> {
+        let request = self.request(if self.behind { MAX_REPLAY_RECORDS as u32 } else { 0 }, 0);
         let name = services::replay_name(&self.robot);
-        let pending = self.port.send_copy(request).map_err(|error| transport("asking", &name, error))?;
-        self.asked = Some(Instant::now());
-        self.answered = false;
+        let pending = self.port.send_copy(request).map_err(|error| transport("sending a request to", &name, error))?;
+        self.requested = Some(Instant::now());
+        self.responded = false;
         if pending.number_of_server_connections() > 0 {
             self.pending = Some(pending);
         } else {
-            // No one took it: there is no daemon, or one that is too busy to have read our earlier questions.
+            // Not delivered: no daemon, or the daemon has not yet read earlier requests.
             self.gone = !self.daemon_runs();
         }
         Ok(())
@@ -390,10 +393,10 @@ impl SampleStream {
 }
 
 impl Drop for SampleStream {
-    /// Says goodbye, so that the daemon knows a follower that left from one that died.
+    /// Sends a disconnect, which distinguishes it from a crash.
     fn drop(&mut self) {
         self.pending = None;
-        // There is no one left to tell when this fails; the daemon then finds out by itself.
+        // On an error the daemon detects the end by the heartbeat timeout.
         let _ = self.port.send_copy(self.request(0, 1));
     }
 }
@@ -404,14 +407,14 @@ mod tests {
     use crate::{Server, ServerSettings};
 
     #[test]
-    fn only_what_comes_next_is_taken_and_impossible_records_are_named() {
+    fn samples_are_accepted_in_sequence_and_invalid_ones_reported_as_missed() {
         let robot = RobotId::parse("test", "robot", &format!("test-take-{}", std::process::id())).unwrap();
         let _server = Server::open(&robot, ServerSettings::default()).unwrap();
         let mut stream = SampleStream::connect(&robot, StreamSettings::default(), Duration::from_secs(5)).unwrap();
         (stream.epoch, stream.next) = (9, 100);
         let sample = |epoch, seq, phase| SampleMessage { epoch, seq, cycle: seq, phase, ..SampleMessage::default() };
 
-        // Twice seen, of another start, next, impossible, next, twice seen.
+        // Repeated, of another epoch, next, invalid, next, repeated.
         let batch = [
             sample(9, 99, 0),
             sample(8, 100, 0),
@@ -420,7 +423,7 @@ mod tests {
             sample(9, 102, 0),
             sample(9, 100, 0),
         ];
-        assert!(stream.take(&batch));
+        assert!(stream.accept(&batch));
         assert_eq!((stream.next, stream.position()), (103, 100));
         let delivered: Vec<_> = stream.ready.drain(..).collect();
         let record = |cycle| Record { cycle, ..Record::default() };
@@ -432,11 +435,11 @@ mod tests {
         assert_eq!(delivered, expected);
         assert_eq!((stream.counters.received, stream.counters.missed), (2, 1));
 
-        // A gap: nothing after it is taken.
-        assert!(!stream.take(&[sample(9, 103, 0), sample(9, 105, 0), sample(9, 106, 0)]));
+        // A gap: nothing after it is accepted.
+        assert!(!stream.accept(&[sample(9, 103, 0), sample(9, 105, 0), sample(9, 106, 0)]));
         assert_eq!((stream.next, stream.position()), (104, 103));
-        // What follows on comes in one delivery.
-        assert!(stream.take(&[sample(9, 104, 0)]));
+        // Contiguous records are merged into one delivery.
+        assert!(stream.accept(&[sample(9, 104, 0)]));
         let both = Delivery::Records { first: 103, records: vec![record(103), record(104)] };
         assert_eq!(stream.ready, [both]);
         assert_eq!(stream.next(Duration::ZERO).map(|_| stream.position()), Ok(105));

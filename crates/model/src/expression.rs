@@ -2,8 +2,8 @@
 //! (Tables I and II): `LzzR1 = Lzz1 + Lyy2`, `lyR1 = ly1 + lz2`.
 
 use super::base::Reduction;
+use super::parameter::Column;
 use super::regressor::LINK_COLUMNS;
-use super::term::Column;
 
 /// Standard parameters of a link in their order (paper eq. 5).
 const STEMS: [&str; LINK_COLUMNS] = ["Lxx", "Lxy", "Lxz", "Lyy", "Lyz", "Lzz", "lx", "ly", "lz", "m"];

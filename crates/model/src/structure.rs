@@ -4,7 +4,7 @@ use super::base::{BaseKind, Reduction};
 use super::chain::Chain;
 use super::expression::six_digits;
 use super::gravity::Mounting;
-use super::term::effect::{EffectError, FAMILIES, Ground};
+use super::term::effect::{EffectError, FAMILIES, OperatingPoint};
 use super::term::load::Load;
 use super::term::{self, Column, Motion, Term, rigid_body, subset::Subset};
 use nalgebra::{DMatrix, DVector};
@@ -220,7 +220,7 @@ impl Structure {
     }
 
     /// What effects are built upon, with these parameters; those of the rigid body are the first of them.
-    pub fn ground(&self, beta: &[f64]) -> Ground {
+    pub fn operating_point(&self, beta: &[f64]) -> OperatingPoint {
         let load = Load::new(&self.chain, &self.reduction, &beta[..self.reduction.len()]);
         let of = |name: String| {
             let at = self.columns.iter().position(|column| column.name == name)?;
@@ -230,7 +230,7 @@ impl Structure {
         let known: Vec<[Option<f64>; 2]> = (1..=self.chain.len()).map(joint).collect();
         let any = known.iter().flatten().any(Option::is_some);
         let friction = known.iter().filter(|_| any).map(|joint| joint.map(Option::unwrap_or_default)).collect();
-        Ground { chain: self.chain.clone(), load: Arc::new(load), friction }
+        OperatingPoint { chain: self.chain.clone(), load: Arc::new(load), friction }
     }
 
     /// Without the columns, rigid body apart, for which `keep` does not hold: their parameters are zero.

@@ -4,6 +4,7 @@ use super::base::{BaseKind, Reduction};
 use super::chain::Chain;
 use super::fast::closed::ClosedForm;
 use super::gravity::{Mounting, VERTICAL_TOLERANCE};
+pub use super::parameter::Parameter;
 use super::structure::{ModelError, Structure};
 use super::term::effect::{self, Setting, Site, Spec};
 use super::term::subset::Subset;
@@ -12,17 +13,6 @@ use nalgebra::{DMatrix, Vector3};
 use plumbline_core::{JointVec, Torque};
 use std::ops::Range;
 use std::sync::Arc;
-
-/// One parameter of a model.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Parameter {
-    /// What it is.
-    pub column: Column,
-    /// Its value, in the column's unit.
-    pub value: f64,
-    /// Its standard deviation where known, in the column's unit.
-    pub std: Option<f64>,
-}
 
 /// A parameter as a model file holds it: name of the column, value, standard deviation where known.
 pub type NamedValue = (String, f64, Option<f64>);
@@ -139,10 +129,10 @@ impl TorqueModel {
         let value = |column: &Column| all.iter().find(|named| named.0 == column.name).map(|named| (named.1, named.2));
         let beta: Vec<f64> =
             structure.columns().iter().map(|column| value(column).map_or(0.0, |(value, _)| value)).collect();
-        let ground = structure.ground(&beta);
+        let operating_point = structure.operating_point(&beta);
         let mut built = Vec::new();
         for named in effects {
-            let term = named.spec()?.build(&ground)?;
+            let term = named.spec()?.build(&operating_point)?;
             check_names(named, &term.columns())?;
             built.extend(Subset::of(term, |column| named.parameters.iter().any(|(name, _, _)| *name == column.name)));
         }

@@ -410,7 +410,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
 
     /// Rejects the serving model where its torque is the `violation`; whether it did.
     fn distrust(&mut self, violation: Violation) -> bool {
-        if !violation.blames_model() {
+        if !violation.is_of_model() {
             return false;
         }
         let Some((model, instead)) = self.torque.fall_back() else { return false };

@@ -249,7 +249,7 @@ mod tests {
     use super::super::moves::MoveFactors;
     use super::*;
     use plumbline_core::Limits;
-    use plumbline_core::PERIOD;
+    use plumbline_core::PERIOD_S;
 
     fn planner() -> Planner {
         let of = |value: f64| [value; MAX_JOINTS];
@@ -274,7 +274,7 @@ mod tests {
         };
         // Cycles since the last command, cycles that the arm extrapolated, and the sample of the stop that is due.
         for (gap, missed, tick) in [(1, 0.0, 1), (2, 1.0, 1), (8, 7.0, 1), (21, 20.0, 1), (26, 20.0, 6)] {
-            let t = missed * PERIOD;
+            let t = missed * PERIOD_S;
             let mut from = sent;
             for j in 0..2 {
                 from.q[j] = sent.q[j] + sent.dq[j] * t + sent.ddq[j] * t * t / 2.0;

@@ -3,7 +3,7 @@
 //! Planning happens inside a cycle: it takes microseconds and allocates nothing as long as the input is sound, so the input is
 //! checked here first.
 
-use plumbline_core::{JointVec, Limits, MAX_JOINTS, PERIOD, Setpoint};
+use plumbline_core::{JointVec, Limits, MAX_JOINTS, PERIOD_S, Setpoint};
 use rsruckig::brake::stop_distance_third_order;
 use rsruckig::prelude::{
     ControlInterface, InputParameter, Profile, Ruckig, RuckigResult, Synchronization, ThrowErrorHandler, Trajectory,
@@ -62,7 +62,7 @@ impl Planner {
             joints,
             limits,
             factors,
-            otg: Ruckig::new(None, PERIOD),
+            otg: Ruckig::new(None, PERIOD_S),
             input,
             trajectory: Trajectory::new(None),
             last_tick: 0,
@@ -110,7 +110,7 @@ impl Planner {
         if tick >= self.last_tick {
             return Setpoint { q: self.end, ..Setpoint::default() };
         }
-        self.evaluate(tick as f64 * PERIOD)
+        self.evaluate(tick as f64 * PERIOD_S)
     }
 
     fn plan(&mut self, from: &Setpoint, velocity: f64, acceleration: f64, jerk: f64) -> Result<(), NoMotion> {
@@ -135,7 +135,7 @@ impl Planner {
         if !duration.is_finite() {
             return Err(NoMotion);
         }
-        self.last_tick = (duration / PERIOD).ceil() as u64;
+        self.last_tick = (duration / PERIOD_S).ceil() as u64;
         Ok(())
     }
 
@@ -186,7 +186,7 @@ pub fn stop_distances(dq_now: f64, ddq_now: f64, ddq: f64, jerk: f64) -> (f64, f
 
 /// Seconds in a number of the arm's cycles.
 pub(super) fn seconds(cycles: u64) -> f64 {
-    cycles as f64 * PERIOD
+    cycles as f64 * PERIOD_S
 }
 
 #[cfg(test)]
@@ -303,7 +303,7 @@ mod tests {
                 *count += planner.trajectory.profiles[0].iter().filter(so_long).count();
             }
             let end = planner.trajectory.get_duration();
-            for time in (0..200).map(|_| rng.random_range(0.0..1.0) * end).chain([0.0, end, end + PERIOD]) {
+            for time in (0..200).map(|_| rng.random_range(0.0..1.0) * end).chain([0.0, end, end + PERIOD_S]) {
                 let own = planner.evaluate(time);
                 let new = || rsruckig::prelude::DataArrayOrVec::<f64, MAX_JOINTS>::new(None, 0.0);
                 let (mut q, mut dq, mut ddq) = (new(), new(), new());

@@ -6,7 +6,7 @@
 //! - While the arm brakes the torque follows the model within the whole rate limit: a stop within the jerk limit may need more.
 
 use super::retired::Retired;
-use plumbline_core::{FeedForward, JointVec, MAX_JOINTS, PERIOD, Setpoint, Torque, Validity};
+use plumbline_core::{FeedForward, JointVec, MAX_JOINTS, PERIOD_S, Setpoint, Torque, Validity};
 use rtrb::{Producer, PushError};
 
 /// Share of the torque-rate limit that a hand-over uses.
@@ -122,7 +122,7 @@ impl TorqueSource {
     pub fn new(joints: usize, dtau: &JointVec) -> TorqueSource {
         TorqueSource {
             joints: joints.min(MAX_JOINTS),
-            step: dtau.map(|dtau| dtau * PERIOD),
+            step: dtau.map(|dtau| dtau * PERIOD_S),
             models: Succession::default(),
             spent: [None, None],
             before: None,

@@ -18,13 +18,13 @@
 use plumbline_core::{JointVec, MAX_JOINTS, Setpoint};
 
 /// Time between commands \[s\].
-pub(super) const TICK: f64 = 1e-3;
+pub(super) const TICK_S: f64 = 1e-3;
 /// Largest step of a command, 10 rad/s \[rad\].
-const STEP: f64 = 10.0 * TICK;
+const MAX_STEP_RAD: f64 = 10.0 * TICK_S;
 /// Largest step of the commanded velocity between two commands, 0.5 rad/s: a position jump from rest is larger \[rad\].
-const VELOCITY_STEP: f64 = 0.5 * TICK;
+const MAX_STEP_CHANGE_RAD: f64 = 0.5 * TICK_S;
 /// Deceleration with which the arm brakes by itself \[rad/s2\].
-const BRAKE: f64 = 10.0;
+const BRAKE_RAD_PER_S2: f64 = 10.0;
 
 /// Why a command was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,9 +50,9 @@ impl Commands {
 
     /// Commands of joints that pass `q` with velocity `dq`.
     pub fn passing(n: usize, q: &JointVec, dq: &JointVec) -> Commands {
-        let back = |ticks: f64| std::array::from_fn(|j| q[j] - ticks * TICK * dq[j]);
+        let back = |ticks: f64| std::array::from_fn(|j| q[j] - ticks * TICK_S * dq[j]);
         // At the end of its millisecond the spline passes the command before the newest.
-        let pace = std::array::from_fn(|j| TICK * dq[j]);
+        let pace = std::array::from_fn(|j| TICK_S * dq[j]);
         Commands { n, last: [back(2.0), back(1.0), *q, back(-1.0)], heard: back(-1.0), pace }
     }
 
@@ -66,14 +66,14 @@ impl Commands {
         let [_, _, before, newest] = &self.last;
         self.object(q, |j| {
             let step = q[j] - newest[j];
-            step.abs() > STEP || (step - (newest[j] - before[j])).abs() > VELOCITY_STEP
+            step.abs() > MAX_STEP_RAD || (step - (newest[j] - before[j])).abs() > MAX_STEP_CHANGE_RAD
         })
     }
 
     /// What an arm that forgives a gap would say against `q`, which comes `gap` milliseconds after the command before it: it can only judge the
     /// mean velocity since then.
     pub fn objection_after(&self, q: &JointVec, gap: u32) -> Option<Objection> {
-        let most = STEP * f64::from(gap);
+        let most = MAX_STEP_RAD * f64::from(gap);
         self.object(q, |j| (q[j] - self.heard[j]).abs() > most)
     }
 
@@ -129,7 +129,7 @@ impl Commands {
     /// Brake, every joint by itself.
     pub fn brake(&mut self) {
         let [_, _, b, c] = self.last;
-        let most = BRAKE * TICK * TICK;
+        let most = BRAKE_RAD_PER_S2 * TICK_S * TICK_S;
         self.shift(&std::array::from_fn(|j| {
             let step = c[j] - b[j];
             c[j] + step - step.clamp(-most, most)
@@ -152,8 +152,8 @@ impl Commands {
         };
         Setpoint {
             q: blend(&position, 1.0),
-            dq: blend(&velocity, 1.0 / TICK),
-            ddq: blend(&acceleration, 1.0 / (TICK * TICK)),
+            dq: blend(&velocity, 1.0 / TICK_S),
+            ddq: blend(&acceleration, 1.0 / (TICK_S * TICK_S)),
         }
     }
 }
@@ -170,15 +170,15 @@ mod tests {
     fn follows_a_cubic_one_command_behind() {
         let mut commands = Commands::at_rest(1, &[0.0; MAX_JOINTS]);
         for k in 0..4 {
-            commands.push(&[cubic(k as f64 * TICK), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+            commands.push(&[cubic(k as f64 * TICK_S), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         }
         // Uniform cubic B-splines smooth by T^2/6 of the second derivative, and reproduce derivatives of a cubic else.
         for s in [0.0, 0.3, 1.0] {
-            let t = (1.0 + s) * TICK;
+            let t = (1.0 + s) * TICK_S;
             let ddq = -2.2 + 24.0 * t;
             let point = commands.at(s);
-            assert!((point.q[0] - cubic(t) - ddq * TICK * TICK / 6.0).abs() < 1e-12);
-            assert!((point.dq[0] - (0.7 - 2.2 * t + 12.0 * t * t) - 24.0 * TICK * TICK / 6.0).abs() < 1e-9);
+            assert!((point.q[0] - cubic(t) - ddq * TICK_S * TICK_S / 6.0).abs() < 1e-12);
+            assert!((point.dq[0] - (0.7 - 2.2 * t + 12.0 * t * t) - 24.0 * TICK_S * TICK_S / 6.0).abs() < 1e-9);
             assert!((point.ddq[0] - ddq).abs() < 1e-6);
         }
     }
@@ -213,7 +213,7 @@ mod tests {
         }
         let rest = commands.at(1.0);
         assert!(rest.dq[0].abs() < 1e-12 && rest.ddq[0].abs() < 1e-9);
-        assert!(rest.q[0] > 1.6e-3 && rest.q[0] < 1.6e-3 + 0.4 * 0.4 / 2.0 / BRAKE + 1e-3);
+        assert!(rest.q[0] > 1.6e-3 && rest.q[0] < 1.6e-3 + 0.4 * 0.4 / 2.0 / BRAKE_RAD_PER_S2 + 1e-3);
         assert_eq!(rest.q[2], 0.0);
     }
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 /// Tries before the waiting thread yields, and before it sleeps.
 const SPINS: u32 = 200;
 const YIELDS: u32 = 400;
-const NAP: Duration = Duration::from_micros(50);
+const POLL_INTERVAL: Duration = Duration::from_micros(50);
 
 /// Counts states delivered against records consumed. The arm waits at it while it is shut, or while `capacity` records are under way.
 ///
@@ -20,7 +20,7 @@ pub struct Gate {
     ended: AtomicBool,
 }
 
-/// The program is shutting down; nobody waits at the gate any more.
+/// The program is shutting down; the gate is closed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ended;
 
@@ -36,7 +36,7 @@ impl Gate {
         }
     }
 
-    /// A gate for an arm whose records nobody has to keep up with.
+    /// A gate that never waits for a consumer.
     pub fn unlimited() -> Gate {
         Gate::new(u64::MAX)
     }
@@ -83,7 +83,7 @@ impl Gate {
             match tries {
                 0..SPINS => std::hint::spin_loop(),
                 SPINS..YIELDS => std::thread::yield_now(),
-                _ => std::thread::sleep(NAP),
+                _ => std::thread::sleep(POLL_INTERVAL),
             }
             tries = (tries + 1).min(YIELDS);
         }

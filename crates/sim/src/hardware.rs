@@ -1,7 +1,7 @@
 //! The simulated arm as a robot's own firmware has it: driven for one millisecond at a time, by positions or by torques, and read
 //! through its sensors. There are no modes, no limits and no losses here: those are the business of the program around it.
 
-use super::commands::{Commands, TICK};
+use super::commands::{Commands, TICK_S};
 use super::plant::{Exact, Plant};
 use super::sensors::{Faults, Sensors};
 use super::truth::Truth;
@@ -95,7 +95,7 @@ impl Hardware {
 
     fn advance(&mut self) -> Sensed {
         self.plant.advance(&self.commands);
-        self.time += TICK;
+        self.time += TICK_S;
         let (mut reading, exact) = self.plant.sense();
         self.sensors.distort(&mut reading);
         // A reading that repeats the one before shows its time, too; here the robot around this stamps its states itself.

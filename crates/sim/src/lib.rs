@@ -56,7 +56,7 @@ pub use plant::Exact;
 pub use response::Response;
 pub use truth::{JointTruth, Truth};
 
-use commands::{Commands, Objection, TICK};
+use commands::{Commands, Objection, TICK_S};
 use effect::Effect;
 use nalgebra::Vector3;
 use plant::{MAX_STATES, Plant};
@@ -74,10 +74,10 @@ pub const REFUSED_STOPPED: u32 = 3;
 /// `Fault::Reflex`: 20 commands in a row did not come (`communication_constraints_violation` of the FCI).
 pub const REFLEX_COMMUNICATION: u32 = 25;
 
-/// Milliseconds that a late reader is led through before it counts whether they take longer than they last.
-const LED: u64 = 20;
-/// So long after a reader came late the arm's time stands still where nothing was caught up, whatever held it up \[ns\].
-const LONGEST_CHASE: u64 = 1_000_000_000;
+/// Number of simulated ticks after which the simulation speed is checked.
+const MIN_CHASED_TICKS: u64 = 20;
+/// Longest time to catch up after a late read; then simulated time pauses \[ns\].
+const MAX_CHASE_NS: u64 = 1_000_000_000;
 
 /// How a simulated arm keeps time.
 pub enum Pace {
@@ -146,7 +146,7 @@ fn check(
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mode {
-    /// Nobody has commanded anything yet.
+    /// No command yet.
     Idle,
     Moving,
     /// Braked by its own reflex; it says so until it is stopped.
@@ -260,19 +260,19 @@ impl SimArm {
         self.plant.advance(&self.commands);
         self.seq += 1;
         let (mut reading, exact) = self.plant.sense();
-        let mut time = self.seq as f64 * TICK;
+        let mut time = self.seq as f64 * TICK_S;
         self.sensors.distort(&mut reading);
         self.faults.spoil(&mut reading, &mut time);
         self.exact = exact;
         State { seq: self.seq, time, q: reading.q, dq: reading.dq, tau: reading.tau, q_d: *self.commands.newest() }
     }
 
-    /// Whether the state after the present one is due, too: nobody came for the present one in time.
+    /// Whether the state after the present one is due, too: the present one was not read in time.
     fn is_overdue(&self) -> bool {
         self.origin_ns.is_some_and(|origin| self.now_ns() >= origin.saturating_add((self.seq + 1) * 1_000_000))
     }
 
-    /// Lives through what nobody came for in time, and through states that are lost; the one that is due now.
+    /// Simulates states that were not read in time and states that are lost; returns the one that is due now.
     ///
     /// A machine may be held up while it does so, and again: what it makes up for in the end is no reason to let the arm's time stand still. One
     /// that needs longer than a millisecond for each of them is.
@@ -285,8 +285,8 @@ impl SimArm {
             shortest = shortest.min(now.saturating_sub(before));
             before = now;
             let (lived, took) = (self.seq - first, now.saturating_sub(begin));
-            let behind = lived >= LED && took > lived * 1_000_000;
-            if behind && (shortest > 1_000_000 || took > LONGEST_CHASE) {
+            let behind = lived >= MIN_CHASED_TICKS && took > lived * 1_000_000;
+            if behind && (shortest > 1_000_000 || took > MAX_CHASE_NS) {
                 self.origin_ns = Some(now.saturating_sub(self.seq * 1_000_000));
                 break;
             }

@@ -4,7 +4,7 @@
 //!
 //!   tau = K (q_d - q) + D (dq_d - dq) + M(q_d) ddq_d + C(q_d, dq_d) dq_d + g(q_d),
 //!
-//! with the arm's own nominal rigid model; or it holds torques that somebody else asks for. `tau` is what the torque sensors measure, and what the identified model has to explain:
+//! with the arm's own nominal rigid model; or it holds commanded torques. `tau` is what the torque sensors measure, and what the identified model has to explain:
 //! rigid body, friction and effects.
 
 // The walls of the real-time loop: clippy.toml.
@@ -19,7 +19,7 @@
 )]
 
 use super::aba::{aba, inverse};
-use super::commands::{Commands, TICK};
+use super::commands::{Commands, TICK_S};
 use super::effect::{At, Effect, Friction, Reading};
 use super::spatial::{Force, Mechanism};
 use super::truth::Truth;
@@ -147,7 +147,7 @@ impl Plant {
     /// One millisecond along `commands`. Allocates nothing.
     pub fn advance(&mut self, commands: &Commands) {
         self.take_up(self.time());
-        let h = TICK / f64::from(self.substeps);
+        let h = TICK_S / f64::from(self.substeps);
         // The feed-forward of three instants; between them it is the parabola through these. The controller is what it is, so this costs no
         // truth: the torque it answers with is the torque that moves the arm.
         let loads = [self.end.load, self.target(commands.at(0.5)).load, self.target(commands.at(1.0)).load];
@@ -195,7 +195,7 @@ impl Plant {
 
     /// Time since the start \[s\].
     fn time(&self) -> f64 {
-        self.ticks as f64 * TICK
+        self.ticks as f64 * TICK_S
     }
 
     /// Bodies that the links carry, and rotors that turn with the joints, from now on.

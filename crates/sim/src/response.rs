@@ -3,7 +3,7 @@
 //! The arm is simulated without noise for as long as it takes to know what it does, and noise is drawn afterwards for every
 //! period. Where nothing about the arm changes with time that is one period; its cost is then the same for ten periods as for one.
 
-use super::commands::{Commands, TICK};
+use super::commands::{Commands, TICK_S};
 use super::effect::Reading;
 use super::plant::Plant;
 use super::sensors::{Faults, Losses, Sensors};
@@ -13,7 +13,7 @@ use plumbline_core::{JointVec, Reference, State};
 use plumbline_model::{Chain, Mounting};
 
 /// How long the arm follows the motion before the first period, for its transients to die away \[ms\].
-pub const LEAD: u64 = 1000;
+pub const LEAD_TICKS: u64 = 1000;
 
 /// Noise-free readings along a motion, and the sensors that will look at them.
 pub struct Response {
@@ -27,7 +27,7 @@ pub struct Response {
 impl Response {
     /// Follows `periods` periods of `reference`, which repeats after `period_ticks` \[ms\].
     ///
-    /// The arm's time begins [`LEAD`] before the first sample, with the arm already moving; sample k is the state in which the arm
+    /// The arm's time begins [`LEAD_TICKS`] before the first sample, with the arm already moving; sample k is the state in which the arm
     /// has taken up the reference's sample k.
     ///
     /// # Errors
@@ -44,7 +44,7 @@ impl Response {
         let n = chain.len();
         let at = |tick: u64| reference.at(tick % period_ticks);
         // The first command of the lead, and three before it.
-        let first = period_ticks * (LEAD.div_ceil(period_ticks) + 4) - LEAD;
+        let first = period_ticks * (LEAD_TICKS.div_ceil(period_ticks) + 4) - LEAD_TICKS;
         let mut commands = Commands::at_rest(n, &at(first - 4).q);
         (1..4).for_each(|back| commands.push(&at(first - 4 + back).q));
         let start = commands.at(1.0);
@@ -52,15 +52,15 @@ impl Response {
         check(chain, truth, &gravity, &start.q, &effects)?;
         let mut plant = Plant::new(chain, truth, gravity, &start.q, effects);
         plant.push_off(&start.dq, &commands);
-        let simulated = if truth.repeats(period_ticks as f64 * TICK) { 1 } else { periods };
+        let simulated = if truth.repeats(period_ticks as f64 * TICK_S) { 1 } else { periods };
         let samples = simulated * period_ticks as usize;
         let mut readings = Vec::with_capacity(samples);
-        for tick in 0..LEAD + samples as u64 {
+        for tick in 0..LEAD_TICKS + samples as u64 {
             commands.push(&at(first + tick).q);
             plant.advance(&commands);
             // Effects of the sensors may remember, so they look at the lead too.
             let (reading, _) = plant.sense();
-            if tick >= LEAD {
+            if tick >= LEAD_TICKS {
                 readings.push((reading, *commands.newest()));
             }
         }
@@ -85,8 +85,8 @@ impl Response {
         let mut clean = self.readings.iter().cycle();
         for period in 0..self.periods {
             for (tick, (reading, q_d)) in (0..self.period_ticks).zip(&mut clean) {
-                let seq = LEAD + (period * self.period_ticks + tick) as u64 + 1;
-                let (mut reading, mut time) = (*reading, seq as f64 * TICK);
+                let seq = LEAD_TICKS + (period * self.period_ticks + tick) as u64 + 1;
+                let (mut reading, mut time) = (*reading, seq as f64 * TICK_S);
                 sensors.distort(&mut reading);
                 faults.spoil(&mut reading, &mut time);
                 if !losses.next() {
@@ -166,7 +166,7 @@ mod tests {
                 assert!((state.q[j] - same.q[j]).abs() < 1e-9, "period {period}, sample {tick}");
                 assert!((state.tau[j] - same.tau[j]).abs() < 1e-6, "{} {}", state.tau[j], same.tau[j]);
             }
-            assert_eq!(state.seq, LEAD + 1 + seen);
+            assert_eq!(state.seq, LEAD_TICKS + 1 + seen);
             seen += 1;
         });
         assert_eq!(seen, 3 * PERIOD);

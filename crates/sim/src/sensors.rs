@@ -11,7 +11,7 @@
     clippy::unimplemented
 )]
 
-use super::commands::TICK;
+use super::commands::TICK_S;
 use super::effect::Reading;
 use super::truth::{JointTruth, Truth};
 use plumbline_core::{JointVec, MAX_JOINTS};
@@ -36,7 +36,7 @@ struct Coloured {
 
 impl Sensors {
     pub fn new(truth: &Truth, seed: u64) -> Sensors {
-        let decay = (-TAU * truth.torque_noise_corner * TICK).exp();
+        let decay = (-TAU * truth.torque_noise_corner * TICK_S).exp();
         let mut coloured = Coloured { decay, x: [0.0; MAX_JOINTS], rng: stream(seed, 2) };
         for (x, joint) in coloured.x.iter_mut().zip(&truth.joints) {
             *x = joint.torque_noise_coloured * coloured.rng.sample::<f64, _>(StandardNormal);

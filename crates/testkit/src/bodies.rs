@@ -51,11 +51,11 @@ pub fn model(robot: &Robot, terms: &[&str], seed: u64) -> TorqueModel {
 
 /// The model with effects, whose parameters are drawn by `draw` from the number of the effect and of its column.
 pub fn with_effects(model: &TorqueModel, specs: &[Spec], draw: impl Fn(usize, usize) -> f64) -> TorqueModel {
-    let ground = model.structure().ground(&model.beta());
+    let operating_point = model.structure().operating_point(&model.beta());
     let mut values: Vec<(f64, Option<f64>)> = model.parameters().iter().map(|own| (own.value, own.std)).collect();
     let mut structure = model.structure().clone();
     for (index, spec) in specs.iter().enumerate() {
-        let term = spec.build(&ground).unwrap();
+        let term = spec.build(&operating_point).unwrap();
         values.extend((0..term.columns().len()).map(|c| (draw(index, c), Some(0.01))));
         structure = structure.with(vec![term]).unwrap();
     }

@@ -1,5 +1,5 @@
-//! A fake control unit: it speaks the protocol over real sockets, follows every command that comes in time exactly, checks none of them, and does what a test's
-//! script tells it to do wrong. What a robot really refuses is the emulator's business.
+//! A fake control unit: it serves the protocol over real sockets, follows every command that comes in time exactly, checks none of them, and commits the
+//! faults of a test's script. Checks of a real robot are in the emulator.
 
 use plumbline_franka::wire::{
     COMMAND_PORT, CommandKind, Connect, ConnectStatus, Connected, ControllerMode, ErrorBit, Errors, HEADER_BYTES,
@@ -18,7 +18,7 @@ const TICK: f64 = 1e-3;
 /// What the fake is made of, and what it has seen.
 pub struct World {
     pub protocol: Protocol,
-    /// Version that it says it speaks.
+    /// Version that it reports.
     pub speaks: u16,
     /// Whether states leave it.
     pub sends: bool,
@@ -48,7 +48,7 @@ impl World {
         self.answers.extend_from_slice(&bytes[..length]);
     }
 
-    /// Ends the motion: modes, mode of the robot, reasons, and the last word over TCP.
+    /// Ends the motion: modes, mode of the robot, reasons, and the final answer over TCP.
     pub fn end(&mut self, mode: RobotMode, reasons: Errors, status: Option<MoveStatus>) {
         self.state.motion_generator_mode = MotionGeneratorMode::Idle;
         self.state.controller_mode = ControllerMode::Other;
@@ -233,7 +233,7 @@ fn run(address: IpAddr, listener: &TcpListener, world: &Mutex<World>, ends: &Ato
     while !ends.load(Ordering::Relaxed) {
         due += 1_000_000;
         sleep_until(due);
-        // A machine that stood still does not get a burst of states for it.
+        // A machine that stalled does not cause a burst of states.
         due = due.max(now_ns().saturating_sub(3_000_000));
         let mut world = world.lock().unwrap();
         let world = &mut *world;
@@ -253,7 +253,7 @@ fn run(address: IpAddr, listener: &TcpListener, world: &Mutex<World>, ends: &Ato
             && !listen(connected, world)
         {
             client = None;
-            // A client that has gone ends its motion. A reflex outlasts it.
+            // A client that has disconnected ends its motion. A reflex outlasts it.
             if world.motion.is_some() {
                 world.end(RobotMode::Idle, Errors::NONE, None);
             }
@@ -277,7 +277,7 @@ fn run(address: IpAddr, listener: &TcpListener, world: &Mutex<World>, ends: &Ato
     }
 }
 
-/// Serves what came over TCP; `false` when the client has gone.
+/// Serves what came over TCP; `false` when the client has disconnected.
 fn listen(client: &mut Client, world: &mut World) -> bool {
     let mut more = [0; 4096];
     match client.stream.read(&mut more) {

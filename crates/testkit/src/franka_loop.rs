@@ -19,7 +19,7 @@ pub struct Run {
 }
 
 impl Run {
-    /// What ended it, in words.
+    /// Reason of its end.
     pub fn words(&self) -> String {
         match &self.outcome.end {
             End::Fault(fault) => explain(fault, &self.statistics).to_string(),

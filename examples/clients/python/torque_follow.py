@@ -52,7 +52,7 @@ assert ctypes.sizeof(FeedForwardMessage) == 352
 
 
 def place() -> str:
-    """The folder that this user's daemon and clients share, chosen as in plumbline's crates/ipc/src/place.rs."""
+    """The folder that this user's daemon and clients share, chosen as in plumbline's crates/ipc/src/runtime_dir.rs."""
     uid = os.geteuid()
 
     def ours(path: str) -> bool:

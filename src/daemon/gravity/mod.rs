@@ -22,7 +22,7 @@ use base_motion::BaseMotion;
 use inclinometer::Inclinometer;
 use nalgebra::Vector3;
 use plumbline_core::{Phase, Record};
-use plumbline_identify::{Disagreement, Side, cross_check};
+use plumbline_identify::{Disagreement, GravitySource, cross_check};
 use plumbline_ipc::{Gravity as GravityMessage, MotionGravity};
 use plumbline_model::{Mounting, angle_between};
 use torque_check::TorqueCheck;
@@ -130,7 +130,7 @@ pub struct GravityMonitor {
     simulated_time: bool,
     inclinometer: Option<Inclinometer>,
     /// Gravity by the robot's own accelerometers.
-    robot: Option<Side>,
+    robot: Option<GravitySource>,
     /// Gravity that the arm's own controller compensates \[m/s2\]; none before the first connection.
     vendor: Option<Vector3<f64>>,
     rests: RestPoses,
@@ -178,7 +178,13 @@ impl GravityMonitor {
 
     /// Another connection to the arm, declared to be mounted so. `robot` is gravity by its own accelerometers, `vendor` the one that its own
     /// controller compensates. `from_the_start`: a model has to serve from the first cycle on, so the torques of the connection before count.
-    pub fn connect(&mut self, declared: Mounting, robot: Option<Side>, vendor: Vector3<f64>, from_the_start: bool) {
+    pub fn connect(
+        &mut self,
+        declared: Mounting,
+        robot: Option<GravitySource>,
+        vendor: Vector3<f64>,
+        from_the_start: bool,
+    ) {
         let remounted = self.declared != declared;
         (self.declared, self.robot, self.vendor) = (declared, robot, Some(vendor));
         if remounted || !from_the_start {
@@ -367,9 +373,9 @@ impl GravityMonitor {
     /// Compares every side with every other.
     fn cross_check(&mut self) -> Result<(), Disagreement> {
         let torques = self.torques.as_ref().map_or(Ok(None), TorqueCheck::side)?;
-        let mut sides = vec![Side::declared(&self.declared)];
+        let mut sides = vec![GravitySource::declared(&self.declared)];
         if let Some(Reading { attitude, .. }) = self.inclinometer.as_ref().and_then(Inclinometer::last) {
-            sides.push(Side { name: "the inclinometer", gravity: attitude.gravity, std: attitude.std() });
+            sides.push(GravitySource { name: "the inclinometer", gravity: attitude.gravity, std: attitude.std() });
         }
         sides.extend(self.robot);
         sides.extend(torques);

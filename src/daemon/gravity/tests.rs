@@ -37,7 +37,7 @@ fn rest(monitor: &mut GravityMonitor, model: &Accepted, mounting: &Mounting, q: 
 }
 
 #[test]
-fn torques_that_tell_nothing_end_the_wait_and_not_the_questions() {
+fn undetermined_torques_end_the_wait_but_not_the_check() {
     let job = Job::parse(Path::new("job.toml"), JOB, &[]).unwrap();
     let (mut monitor, model) = (GravityMonitor::open(&job).unwrap(), accepted());
     assert!(matches!(verdict(&mut monitor, &model), Verdict::Wait));

@@ -2,7 +2,7 @@
 
 use super::super::models::Accepted;
 use super::super::rest_poses::RestPoses;
-use plumbline_identify::{DirectionError, Disagreement, Implied, Side, implied};
+use plumbline_identify::{DirectionError, Disagreement, GravitySource, ImpliedGravity, implied_gravity};
 
 /// The check of one model by the torques at rest.
 #[derive(Clone)]
@@ -14,7 +14,7 @@ pub struct TorqueCheck {
     /// Poses evaluated so far.
     seen: u64,
     /// What the torques imply, where they determine it; the error is a torque sensor with the wrong sign.
-    implied: Result<Option<Implied>, Disagreement>,
+    implied: Result<Option<ImpliedGravity>, Disagreement>,
     /// The torques have agreed once. A payload taken up later does not concern the mounting.
     passed: bool,
     /// The poses so far do not determine the direction: nothing waits for more of them, but the next one is evaluated.
@@ -68,7 +68,7 @@ impl TorqueCheck {
         if poses.is_empty() {
             return None;
         }
-        match implied(&model.model, &poses, &model.noise) {
+        match implied_gravity(&model.model, &poses, &model.noise) {
             Ok(Ok(found)) => {
                 let remark = found.remark().map(Remark::Implied);
                 self.implied = Ok(Some(found));
@@ -90,7 +90,7 @@ impl TorqueCheck {
     ///
     /// # Errors
     /// A torque sensor with the wrong sign: no direction.
-    pub fn side(&self) -> Result<Option<Side>, Disagreement> {
+    pub fn side(&self) -> Result<Option<GravitySource>, Disagreement> {
         self.implied.as_ref().map(|found| found.as_ref().map(|found| found.side)).map_err(Disagreement::clone)
     }
 

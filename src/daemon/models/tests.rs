@@ -6,13 +6,13 @@ use plumbline_rt::Event;
 #[test]
 fn a_model_that_a_loop_distrusted_is_handed_to_no_other() {
     let (mut state, _place) = new_state();
-    assert!(!state.models.for_loop(&Mounting::UPRIGHT).is_some(), "there is none");
+    assert!(state.models.for_loop(&Mounting::UPRIGHT).is_none(), "there is none");
     let Response::ModelAccepted { model } = ask(&mut state, offer()) else { panic!() };
     assert!(state.models.for_loop(&Mounting::UPRIGHT).is_some());
     state.take_event(&Event::Distrusted { model: model ^ 1, instead: 0 });
     assert!(state.models.for_loop(&Mounting::UPRIGHT).is_some(), "another one was");
     state.take_event(&Event::Distrusted { model, instead: 0 });
-    assert!(!state.models.for_loop(&Mounting::UPRIGHT).is_some());
+    assert!(state.models.for_loop(&Mounting::UPRIGHT).is_none());
     assert_eq!(state.status(&Served::default(), None).model, 0);
     // An operator or the estimator who offers it again takes it upon himself.
     assert_eq!(ask(&mut state, offer()), Response::ModelAccepted { model });

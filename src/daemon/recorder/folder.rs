@@ -1,14 +1,12 @@
 //! The folder of recordings: their names, and how many are kept.
 
 use crate::recording::Recording;
+use crate::recording::about::ReasonKind;
 use std::io;
 use std::path::{Path, PathBuf};
 
 /// The form of the time in a name, with a 0 for every digit: `20261122T011721Z-`.
 const STAMP: &str = "00000000T000000Z-";
-
-/// How the recordings are called that nothing but a request led to.
-pub(super) const ON_DEMAND: &str = "on-demand";
 
 /// Where recordings go.
 pub(super) struct Folder {
@@ -22,7 +20,8 @@ pub(super) struct Folder {
 
 impl Folder {
     /// Writes a recording and removes the oldest ones.
-    pub fn put(&self, recording: &Recording, kind: &str) -> io::Result<PathBuf> {
+    pub fn put(&self, recording: &Recording) -> io::Result<PathBuf> {
+        let kind = recording.about.reason.kind;
         let stamp: String = recording.about.recorded.chars().filter(char::is_ascii_alphanumeric).collect();
         let name = |more: &str| self.dir.join(format!("{}{stamp}-{kind}{more}.mcap", self.prefix()));
         let taken = (2..).map(|count| name(&format!("-{count}")));
@@ -43,7 +42,8 @@ impl Folder {
     /// fault has left. The `fresh` one is kept whatever the clock: after the clock was
     /// set back, the newest file has the oldest time.
     fn prune(&self, fresh: &Path) -> io::Result<()> {
-        let on_demand = |path: &Path| self.kind(path).is_some_and(|kind| kind.starts_with(ON_DEMAND));
+        let name = ReasonKind::OnDemand.to_string();
+        let on_demand = |path: &Path| self.kind(path).is_some_and(|kind| kind.starts_with(&name));
         let alike = on_demand(fresh);
         let keep = if alike { self.keep_on_demand } else { self.keep };
         let mut others = Vec::new();

@@ -8,7 +8,9 @@ mod thread;
 
 use super::job_setup::JobSetup;
 use crate::config::job::Job;
-use crate::recording::about::{About, FORMAT, LogClock, Reason, RecordedModel, RecordedOrder, Settings, panicked};
+use crate::recording::about::{
+    About, FORMAT, LogClock, Reason, ReasonKind, RecordedModel, RecordedOrder, Settings, panicked,
+};
 use crate::recording::history::History;
 use folder::Folder;
 use plumbline_core::{BadInput, Fault, Record, State};
@@ -332,7 +334,7 @@ impl LoopRecorder {
         let (end, reason, dropped_events, flight, unanswered) = match left {
             LoopEnd::Panicked { message, flight, unanswered } => {
                 let text = panicked(message);
-                (text.clone(), Some(Reason::new("panic", text)), 0, flight, unanswered.as_deref().copied())
+                (text.clone(), Some(Reason::new(ReasonKind::Panic, text)), 0, flight, unanswered.as_deref().copied())
             }
             LoopEnd::Ended(outcome) => {
                 let reason = kind_of_end(&outcome.end).map(|kind| Reason::new(kind, words));
@@ -353,17 +355,17 @@ impl LoopRecorder {
 }
 
 /// Kind of an end that is a fault.
-fn kind_of_end(end: &End) -> Option<&'static str> {
+fn kind_of_end(end: &End) -> Option<ReasonKind> {
     Some(match end {
         End::Quit => return None,
-        End::Fault(Fault::Silent { .. }) => "silent",
-        End::Fault(Fault::Reflex { .. }) => "reflex",
-        End::Fault(Fault::Refused { .. }) => "refused",
-        End::Fault(Fault::Disconnected) => "disconnected",
-        End::Unsafe(_) => "unsafe",
-        End::NoBrake => "no-brake",
-        End::NotRealTime => "not-real-time",
-        End::Clock { .. } => "clock",
+        End::Fault(Fault::Silent { .. }) => ReasonKind::Silent,
+        End::Fault(Fault::Reflex { .. }) => ReasonKind::Reflex,
+        End::Fault(Fault::Refused { .. }) => ReasonKind::Refused,
+        End::Fault(Fault::Disconnected) => ReasonKind::Disconnected,
+        End::Unsafe(_) => ReasonKind::Unsafe,
+        End::NoBrake => ReasonKind::NoBrake,
+        End::NotRealTime => ReasonKind::NotRealTime,
+        End::Clock { .. } => ReasonKind::Clock,
     })
 }
 

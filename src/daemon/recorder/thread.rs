@@ -1,9 +1,9 @@
 //! The recorder's thread: takes messages and records, keeps the last seconds, writes recordings.
 
-use super::folder::{Folder, ON_DEMAND};
+use super::folder::Folder;
 use super::{Close, Message, PAUSE, Requests};
 use crate::date::utc;
-use crate::recording::about::{About, LogClock, Note, Reason};
+use crate::recording::about::{About, LogClock, Note, Reason, ReasonKind};
 use crate::recording::history::History;
 use crate::recording::{Recording, model_name};
 use plumbline_core::{PERIOD_NS, Record, State};
@@ -14,8 +14,6 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// Kind of a requested stop.
-const REQUESTED: &str = "requested";
 /// Longest delay of a stop's last record on its way to the recorder.
 const RECORD_TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -88,7 +86,7 @@ impl RecorderThread {
             Message::StopReason(reason) => self.stop_reason = Some(reason),
             Message::OnDemand(newest) => {
                 self.drain();
-                let reason = Reason::new(ON_DEMAND, "a recording was asked for");
+                let reason = Reason::new(ReasonKind::OnDemand, "a recording was asked for");
                 // Of another loop where this one has none yet.
                 let newest = self.history.newest().map_or(0, |record| record.cycle.min(newest));
                 self.write(reason, newest, newest, None, folder);
@@ -138,7 +136,7 @@ impl RecorderThread {
         let reason = match (&close.reason, stop) {
             (Some(Reason { kind, text }), Some((stop, _))) => {
                 let text = format!("{text}; the arm was being stopped then: {}", stop.text);
-                Some((Reason::new(kind.as_str(), text), last))
+                Some((Reason::new(*kind, text), last))
             }
             (Some(reason), None) => Some((reason.clone(), last)),
             (None, stop) => stop,
@@ -160,7 +158,7 @@ impl RecorderThread {
         let mut window = self.history.window(cycle.saturating_sub(self.before), flight);
         window.records.retain(|record| record.cycle <= newest);
         window.events.retain(|timed| timed.cycle <= newest);
-        if reason.kind == REQUESTED && !RecorderThread::moved(&window.records, cycle) {
+        if reason.kind == ReasonKind::Requested && !RecorderThread::moved(&window.records, cycle) {
             // Nothing happened, and repeated stops of an arm at rest would remove all other recordings.
             return;
         }
@@ -178,7 +176,6 @@ impl RecorderThread {
                 (Some(end), next, goes_on, dropped_events);
             unanswered = state.map(|state| after(window.records.last(), state));
         }
-        let kind = about.reason.kind.clone();
         let recording = Recording {
             about,
             records: window.records,
@@ -187,7 +184,7 @@ impl RecorderThread {
             texts: self.texts.clone(),
             cut: None,
         };
-        match folder.put(&recording, &kind) {
+        match folder.put(&recording) {
             Ok(path) => {
                 let path = path.display();
                 tracing::warn!("what led to it is recorded: `plumbline postmortem {path}` tells it");
@@ -214,14 +211,14 @@ fn after(last: Option<&Record>, state: State) -> Record {
 }
 
 /// Kind of a stop that is recorded by itself. The end of the program is recorded where a signal requested it.
-fn kind_of_stop(reason: &StopReason) -> Option<&'static str> {
+fn kind_of_stop(reason: &StopReason) -> Option<ReasonKind> {
     Some(match reason {
         StopReason::Quit => return None,
-        StopReason::Guard(_) => "guard",
-        StopReason::Requested => REQUESTED,
-        StopReason::LostStates { .. } => "lost-states",
-        StopReason::HeartbeatLost { .. } => "unattended",
-        StopReason::NotAtStart { .. } => "not-at-start",
-        StopReason::NoPath { .. } => "no-path",
+        StopReason::Guard(_) => ReasonKind::Guard,
+        StopReason::Requested => ReasonKind::Requested,
+        StopReason::LostStates { .. } => ReasonKind::LostStates,
+        StopReason::HeartbeatLost { .. } => ReasonKind::HeartbeatLost,
+        StopReason::NotAtStart { .. } => ReasonKind::NotAtStart,
+        StopReason::NoPath { .. } => ReasonKind::NoPath,
     })
 }

@@ -97,7 +97,7 @@ fn a_model_that_lacks_parameters_of_the_mounting_is_neither_offered_nor_handed_o
     let file = std::path::Path::new("vertical.toml");
     let model = state.accept_text(file, &vertical()).unwrap();
     assert_eq!(state.models.served().map(|served| served.id), Some(model));
-    assert!(state.models.for_loop(&Mounting::UPRIGHT).is_some() && !state.models.for_loop(&Mounting::WALL).is_some());
+    assert!(state.models.for_loop(&Mounting::UPRIGHT).is_some() && state.models.for_loop(&Mounting::WALL).is_none());
     // Checked upright; the arm hangs on a wall when it is to be served.
     let upright = Mounting::UPRIGHT;
     let Checked::Offered(checked) = Checked::of(&state.setup.robot, &upright, Request::OfferModel { toml: vertical() })

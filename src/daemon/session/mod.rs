@@ -14,7 +14,7 @@ use super::script::{Next, Planned, Script};
 use super::state::DaemonState;
 use crate::failure::Failure;
 use crate::process::service;
-use crate::recording::about::{Reason, RecordedModel};
+use crate::recording::about::{Reason, ReasonKind, RecordedModel};
 use nalgebra::Vector3;
 use plumbline_core::{ArmMonitor, Histogram, Phase, Purpose, Record, TimeGate};
 use plumbline_ipc::{FeedForwardMessage, Progress, Session as SessionStatistics, now_ns};
@@ -143,7 +143,7 @@ impl Session {
         tracing::error!("{failure}");
         let thread = self.thread.take().inspect(|thread| await_end(thread, self.gate.as_deref()));
         if let Some(left) = thread.filter(JoinHandle::is_finished).and_then(|thread| thread.join().ok()) {
-            self.tape.set_reason(Reason::new("panic", &failure));
+            self.tape.set_reason(Reason::new(ReasonKind::Panic, &failure));
             self.records.clear();
             self.drain.take_into(&mut self.records, RING);
             self.tape.keep(&self.records);
@@ -267,7 +267,7 @@ impl Session {
         let due = *self.model_due_ns.get_or_insert(now_ns().saturating_add((1e9 * seconds) as u64));
         if now_ns() >= due {
             let why = format!("the estimator gave no model within {seconds} s (safety.model-timeout)");
-            state.stop_because(Reason::new("model-timeout", why), Some(controls));
+            state.stop_because(Reason::new(ReasonKind::ModelTimeout, why), Some(controls));
             self.open_gate();
         }
     }
@@ -352,7 +352,7 @@ impl Session {
         let moving = matches!(phase, Phase::Approach | Phase::Excite | Phase::Return);
         // Also where it holds between two motions: orders that wait would be driven without a model.
         if moving || (phase == Phase::Hold && self.purpose == Purpose::Drive) {
-            state.stop_because(Reason::new("mounting", why), Some(controls));
+            state.stop_because(Reason::new(ReasonKind::Mounting, why), Some(controls));
         } else if phase != Phase::Stop && self.handles.models.serve(Box::new(NoModel)).is_ok() {
             self.model = 0;
             self.labels.handed(0, self.gravity);

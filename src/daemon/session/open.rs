@@ -16,7 +16,7 @@ use nalgebra::Vector3;
 use plumbline_core::{
     CommandMode, ConnectOptions, Connected, Hardware, Histogram, Limits, MAX_JOINTS, MeasuredGravity, Purpose,
 };
-use plumbline_identify::Side;
+use plumbline_identify::GravitySource;
 use plumbline_ipc::now_ns;
 use plumbline_model::{Mounting, Reach};
 use plumbline_rt::Rights;
@@ -165,8 +165,8 @@ fn check_hardware(
 }
 
 /// The robot's own accelerometers as one side of the mounting check.
-fn by_accelerometers(measured: &MeasuredGravity) -> Side {
-    Side { name: "the robot's accelerometers", gravity: measured.direction.into(), std: measured.std }
+fn by_accelerometers(measured: &MeasuredGravity) -> GravitySource {
+    GravitySource { name: "the robot's accelerometers", gravity: measured.direction.into(), std: measured.std }
 }
 
 /// Why an arm whose own controller compensates another gravity is not driven without a model.

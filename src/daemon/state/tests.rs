@@ -70,8 +70,8 @@ fn the_first_reason_to_end_is_that_of_the_stop_and_each_is_logged_once() {
 #[test]
 fn a_stop_is_recorded_with_the_daemons_own_reason_where_it_asked_for_it() {
     let stops: [fn(&mut DaemonState, &Controls); 2] = [
-        |state, controls| state.stop_because(Reason::new("mounting", "the base has turned"), Some(controls)),
-        |state, controls| state.stop_because(Reason::new("model-timeout", "no model came"), Some(controls)),
+        |state, controls| state.stop_because(Reason::new(ReasonKind::Mounting, "the base has turned"), Some(controls)),
+        |state, controls| state.stop_because(Reason::new(ReasonKind::ModelTimeout, "no model came"), Some(controls)),
     ];
     for (stop, why) in stops.into_iter().zip(["the base has turned", "no model came"]) {
         let (mut state, _place) = new_state();
@@ -139,10 +139,10 @@ fn the_programme_goes_on_when_the_model_that_it_waits_for_is_there() {
 #[test]
 fn the_loss_of_the_estimator_stops_an_arm_that_moves_where_the_job_says_so() {
     let (name, pid, acknowledged) = ("estimator".to_string(), 7, 5);
-    let died = News::Died { name: name.clone(), pid, acknowledged };
-    let left = News::Left { name: name.clone(), pid, acknowledged };
-    let silent = News::Silent { name: name.clone(), pid, acknowledged, silent_ms: 9 };
-    let joined = News::Joined { name, pid, from: 0 };
+    let died = FollowerEvent::Died { name: name.clone(), pid, acknowledged };
+    let left = FollowerEvent::Left { name: name.clone(), pid, acknowledged };
+    let silent = FollowerEvent::Silent { name: name.clone(), pid, acknowledged, silent_ms: 9 };
+    let joined = FollowerEvent::Joined { name, pid, from: 0 };
     let fast = JOB.replace("wall-clock", "fast");
     for (job, watch, waited_for) in
         [(JOB, true, false), (&fast, true, true), (&fast, false, false), (JOB, false, false)]
@@ -162,9 +162,10 @@ fn the_loss_of_the_estimator_stops_an_arm_that_moves_where_the_job_says_so() {
                         "{news}, {rule:?}, {progress:?}"
                     );
                     assert_eq!(said.contains("the arm stops"), stops, "{said}");
-                    let goes_on = progress == Progress::Driving && !stops && !matches!(news, News::Joined { .. });
+                    let goes_on =
+                        progress == Progress::Driving && !stops && !matches!(news, FollowerEvent::Joined { .. });
                     assert_eq!(said.contains("the arm goes on"), goes_on, "{said}");
-                    let waits = progress == Progress::AwaitingModel && matches!(news, News::Died { .. });
+                    let waits = progress == Progress::AwaitingModel && matches!(news, FollowerEvent::Died { .. });
                     assert_eq!(said.contains("the arm waits for a model"), waits, "{said}");
                 }
             }
@@ -177,15 +178,15 @@ fn the_flight_recorder_is_given_the_reason_of_every_stop_that_the_daemon_asks_fo
     let (mut state, _place) = new_state();
     let mut remarks = state.recorder.remarks();
     let controls = Controls::default();
-    state.stop_because(Reason::new("mounting", "the base has turned"), Some(&controls));
+    state.stop_because(Reason::new(ReasonKind::Mounting, "the base has turned"), Some(&controls));
     assert_eq!(remarks(), ["mounting: the base has turned"]);
-    state.stop_because(Reason::new("model-timeout", "no model came"), Some(&controls));
+    state.stop_because(Reason::new(ReasonKind::ModelTimeout, "no model came"), Some(&controls));
     assert_eq!(remarks(), ["model-timeout: no model came"]);
     state.end.ending.arrive(Cause::Signal(libc::SIGTERM));
     state.announce_end();
     state.announce_end();
     assert_eq!(remarks(), ["signal: signal SIGTERM arrived"]);
-    let news = News::Left { name: "estimator".into(), pid: 7, acknowledged: 5 };
+    let news = FollowerEvent::Left { name: "estimator".into(), pid: 7, acknowledged: 5 };
     for (rule, count) in [(OnEstimatorLoss::Stop, 2), (OnEstimatorLoss::Finish, 1)] {
         (state.programme.progress, state.setup.job.safety.on_estimator_loss) = (Progress::Driving, rule);
         state.news(&news, Some(&controls));

@@ -1,4 +1,4 @@
-//! Identified bodies into somebody else's URDF: only its `<inertial>` elements change.
+//! Identified bodies into a given URDF: only its `<inertial>` elements change.
 
 use super::tree::{Tree, inverse};
 use super::urdf::{inertial, left_out};

@@ -1,4 +1,4 @@
-//! Bodies out of somebody else's URDF, in this arm's own frames.
+//! Bodies of a given URDF in this arm's frames.
 //!
 //! The URDF's joints are followed from its root; its movable joints have to be the arm's, in order, with the same axes at position zero.
 //! Link frames may differ: bodies are carried over in the pose that all joints at zero give. Whatever is fixed to a link belongs to it.

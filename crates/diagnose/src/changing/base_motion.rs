@@ -15,19 +15,19 @@ use realfft::num_complex::Complex;
 use std::f64::consts::{PI, TAU};
 
 /// Frequencies that are searched \[Hz\].
-const BAND: (f64, f64) = (0.5, 40.0);
+const BAND_HZ: (f64, f64) = (0.5, 40.0);
 /// A line is so many times the median of its neighbours.
-const LINE: f64 = 12.0;
+const MIN_LINE_POWER_RATIO: f64 = 12.0;
 /// Neighbours on either side \[Hz\].
-const NEIGHBOURS: f64 = 0.5;
+const NEIGHBOURS_HZ: f64 = 0.5;
 /// Most lines of one run.
-const MOST: usize = 4;
+const MAX_LINES: usize = 4;
 /// Noise is averaged over frequencies from `f / 1.3` to `1.3 f`.
-const SMOOTHING: f64 = 1.3;
+const SMOOTHING_RATIO: f64 = 1.3;
 /// A line explains at least this share of what its joints do at its frequency beyond their noise.
-const EXPLAINED: f64 = 0.5;
+const MIN_EXPLAINED_RATIO: f64 = 0.5;
 /// Evaluations of the search for a frequency.
-const EVALUATIONS: usize = 16;
+const MAX_EVALUATIONS: usize = 16;
 
 /// A line that was found in one run.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,7 +59,7 @@ pub(super) fn base_motions(record: &Record, load: &Load, rest: &DMatrix<f64>) ->
     let gravity = gravity_columns(record, load);
     let mut rest = rest.clone();
     let mut found: Vec<BaseMotion> = Vec::new();
-    while found.len() < MOST {
+    while found.len() < MAX_LINES {
         let Some(one) = strongest(record, &gravity, &rest) else { break };
         rest -= torque(record, &gravity, &one);
         found.push(one);
@@ -125,8 +125,8 @@ fn strongest(record: &Record, gravity: &[DMatrix<f64>], rest: &DMatrix<f64>) -> 
         let square = g.tr_mul(g) * (rest.nrows() / record.samples) as f64 / 2.0;
         strength.push(square.fixed_view::<3, 3>(0, 0).into_owned());
     }
-    let highest = BAND.1.min(0.4 / record.dt);
-    let bins = (0..spectral.bins()).filter(|&bin| (BAND.0..=highest).contains(&spectral.frequency(bin)));
+    let highest = BAND_HZ.1.min(0.4 / record.dt);
+    let bins = (0..spectral.bins()).filter(|&bin| (BAND_HZ.0..=highest).contains(&spectral.frequency(bin)));
     let power: Vec<(usize, f64)> = bins
         .map(|bin| {
             let (mut b, mut a) = (Vector3::<Complex<f64>>::zeros(), Matrix3::zeros());
@@ -142,7 +142,7 @@ fn strongest(record: &Record, gravity: &[DMatrix<f64>], rest: &DMatrix<f64>) -> 
             (bin, part(b.map(|value| value.re)) + part(b.map(|value| value.im)))
         })
         .collect();
-    let near = (NEIGHBOURS * length as f64 * record.dt).round().max(8.0) as usize;
+    let near = (NEIGHBOURS_HZ * length as f64 * record.dt).round().max(8.0) as usize;
     let ratio = |k: usize| {
         let around = k.saturating_sub(near)..(k + near + 1).min(power.len());
         let mut others: Vec<f64> = around.map(|other| power[other].1).collect();
@@ -152,14 +152,15 @@ fn strongest(record: &Record, gravity: &[DMatrix<f64>], rest: &DMatrix<f64>) -> 
     let harmonic =
         |frequency: f64| (frequency / own - (frequency / own).round()).abs() * own < 0.5 / (length as f64 * record.dt);
     let lines = (0..power.len()).map(|k| (k, ratio(k)));
-    let strong = lines.filter(|&(k, ratio)| ratio > LINE && !harmonic(spectral.frequency(power[k].0)));
+    let strong = lines.filter(|&(k, ratio)| ratio > MIN_LINE_POWER_RATIO && !harmonic(spectral.frequency(power[k].0)));
     let mut strong: Vec<(usize, f64)> = strong.collect();
     strong.sort_by(|a, b| power[b.0].1.total_cmp(&power[a.0].1));
-    strong.into_iter().take(MOST).find_map(|(k, ratio)| {
+    strong.into_iter().take(MAX_LINES).find_map(|(k, ratio)| {
         let line = Line { record, gravity, rest, noise: &noise };
         let width = 1.0 / (length as f64 * record.dt);
         let frequency = line.peak(spectral.frequency(power[k].0), width);
-        Some(line.fit(frequency)?.report(&line, frequency, ratio)?).filter(|found| found.explained > EXPLAINED)
+        Some(line.fit(frequency)?.report(&line, frequency, ratio)?)
+            .filter(|found| found.explained > MIN_EXPLAINED_RATIO)
     })
 }
 
@@ -171,8 +172,9 @@ struct Noise {
 
 impl Noise {
     fn at(&self, joint: usize, frequency: f64) -> f64 {
-        let low = (frequency / SMOOTHING / self.width).round() as usize;
-        let high = ((frequency * SMOOTHING / self.width).round() as usize).max(low + 1).min(self.power.nrows() - 1);
+        let low = (frequency / SMOOTHING_RATIO / self.width).round() as usize;
+        let high =
+            ((frequency * SMOOTHING_RATIO / self.width).round() as usize).max(low + 1).min(self.power.nrows() - 1);
         let low = low.min(high);
         let mut values: Vec<f64> = (low..=high).map(|bin| self.power[(bin, joint)]).collect();
         // The median, so that a line does not hide itself.
@@ -224,7 +226,7 @@ impl Line<'_> {
         let ratio = (5.0_f64.sqrt() - 1.0) / 2.0;
         let (mut low, mut high) = (frequency - width, frequency + width);
         let gain = |frequency: f64| self.fit(frequency).map_or(0.0, |fitted| fitted.gain);
-        for _ in 0..EVALUATIONS / 2 {
+        for _ in 0..MAX_EVALUATIONS / 2 {
             let (left, right) = (high - ratio * (high - low), low + ratio * (high - low));
             if gain(left) > gain(right) { high = right } else { low = left }
         }
@@ -310,7 +312,7 @@ fn explained(line: &Line, frequency: f64, tau: &DMatrix<f64>) -> f64 {
     let record = line.record;
     let length = unrolled(record, tau.column(0).into_owned().as_slice()).len();
     let spectral = Spectral::new(length, record.dt);
-    let near = |bin: &usize| (spectral.frequency(*bin) - frequency).abs() < NEIGHBOURS;
+    let near = |bin: &usize| (spectral.frequency(*bin) - frequency).abs() < NEIGHBOURS_HZ;
     let bins: Vec<usize> = (0..spectral.bins()).filter(near).collect();
     let (mut before, mut after) = (0.0, 0.0);
     for joint in 0..record.joints() {

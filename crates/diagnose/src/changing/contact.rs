@@ -12,22 +12,26 @@ use super::transient::Event;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, Vector3};
 use plumbline_model::{Chain, JointKind, Placement};
 
-/// Time between knots \[s\], and most knots.
-const KNOTS: (f64, usize) = (0.1, 24);
+/// Time between knots \[s\].
+const KNOT_SPACING_S: f64 = 0.1;
+/// Largest number of knots.
+const MAX_KNOTS: usize = 24;
 /// Samples per knot.
-const DENSITY: usize = 5;
+const KNOT_SAMPLES: usize = 5;
 /// Time before and after the event that is fitted too \[s\].
-const MARGIN: f64 = 0.15;
-/// What a contact explains at least, and how much more than with a wrong pose.
-const EXPLAINED: (f64, f64) = (0.9, 0.05);
+const MARGIN_S: f64 = 0.15;
+/// Smallest share of an event's energy that a contact explains.
+const MIN_EXPLAINED_RATIO: f64 = 0.9;
+/// Smallest difference between that share and the share with a wrong pose.
+const MIN_POSE_GAIN_RATIO: f64 = 0.05;
 /// Explanations that differ by less are as good.
-const SAME: f64 = 0.02;
+const SAME_LINK_RATIO: f64 = 0.02;
 /// Rounds between force and point.
-const ROUNDS: usize = 200;
+const MAX_ROUNDS: usize = 200;
 /// Poses of the control, as shares of the period that they are away.
-const AWAY: [f64; 3] = [0.25, 0.5, 0.75];
+const SHIFTED_PERIOD_RATIOS: [f64; 3] = [0.25, 0.5, 0.75];
 /// A point is at most so far from its link's frame \[m\].
-const REACH: f64 = 1.0;
+const MAX_LEVER_M: f64 = 1.0;
 
 /// A contact in one run.
 #[derive(Clone, Debug, PartialEq)]
@@ -110,7 +114,7 @@ pub(super) fn contact(
     }
     // What explains as much with fewer numbers: the arm gives way a little and so has torques of its own, which a full wrench would take up.
     let most = tried.iter().map(|one| one.0).fold(0.0, f64::max);
-    let near = tried.into_iter().filter(|one| one.0 >= most - SAME);
+    let near = tried.into_iter().filter(|one| one.0 >= most - SAME_LINK_RATIO);
     let order = |a: &(f64, usize, Act, Wrench), b: &(f64, usize, Act, Wrench)| {
         a.3.parameters.total_cmp(&b.3.parameters).then(b.0.total_cmp(&a.0))
     };
@@ -119,19 +123,19 @@ pub(super) fn contact(
         let frames = pose((share * record.samples as f64) as usize);
         data.fit(&frames, link, act).map_or(0.0, |fitted| data.explained(&fitted))
     };
-    let mut wrong: Vec<f64> = AWAY.iter().map(wrong).collect();
+    let mut wrong: Vec<f64> = SHIFTED_PERIOD_RATIOS.iter().map(wrong).collect();
     let control = super::record::median(&mut wrong);
-    let accepted = explained >= EXPLAINED.0 && explained - control >= EXPLAINED.1;
+    let accepted = explained >= MIN_EXPLAINED_RATIO && explained - control >= MIN_POSE_GAIN_RATIO;
     accepted.then(|| data.report(record, event, &frames, link, act, &fitted, [explained, control]))
 }
 
 impl Data<'_> {
     fn of<'a>(chain: &'a Chain, record: &Record, x: &DMatrix<f64>, scale: &'a [f64], event: &Event) -> Data<'a> {
-        let margin = (MARGIN / record.dt).round() as usize;
+        let margin = (MARGIN_S / record.dt).round() as usize;
         let (first, last) = (event.first.saturating_sub(margin), (event.last + margin).min(x.nrows()));
         let seconds = (last - first) as f64 * record.dt;
-        let pieces = ((seconds / KNOTS.0).round() as usize).clamp(1, KNOTS.1 - 1);
-        let step = ((last - first) / (pieces * DENSITY)).max(1);
+        let pieces = ((seconds / KNOT_SPACING_S).round() as usize).clamp(1, MAX_KNOTS - 1);
+        let step = ((last - first) / (pieces * KNOT_SAMPLES)).max(1);
         let rows: Vec<usize> = (first..last).step_by(step).collect();
         let hat = |row: &usize| {
             let place = (row - first) as f64 / (last - first).max(1) as f64 * pieces as f64;
@@ -213,7 +217,7 @@ impl Data<'_> {
         let of_wrench = self.fit(frames, link, Act::Wrench).and_then(|wrench| self.lever(frames, link, &wrench));
         let starts = [Some(Vector3::zeros()), of_wrench].into_iter().flatten().filter_map(at);
         let (mut act, mut fitted) = starts.min_by(|a, b| a.1.rss.total_cmp(&b.1.rss))?;
-        for _ in 0..ROUNDS {
+        for _ in 0..MAX_ROUNDS {
             let Some(point) = self.best_point(frames, link, &fitted) else { break };
             let next = Act::Force(point);
             let Some(better) = self.fit(frames, link, next).filter(|better| better.rss < fitted.rss) else { break };
@@ -337,5 +341,5 @@ impl Data<'_> {
 fn nearest(g: &Matrix3<f64>, b: &Vector3<f64>) -> Option<Vector3<f64>> {
     let least = 1e-4 * g.diagonal().max();
     let point = (g + Matrix3::identity() * least).try_inverse()? * b;
-    Some(if point.norm() > REACH { point * (REACH / point.norm()) } else { point })
+    Some(if point.norm() > MAX_LEVER_M { point * (MAX_LEVER_M / point.norm()) } else { point })
 }

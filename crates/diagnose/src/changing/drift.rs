@@ -18,15 +18,15 @@ use plumbline_model::term::friction::SHARPNESS;
 use plumbline_model::term::{friction_drift, offset_drift};
 
 /// Upper edges of the bands \[Hz\].
-const EDGES: [f64; 8] = [0.3, 0.55, 1.05, 2.0, 4.0, 8.0, 16.0, f64::INFINITY];
+const BAND_EDGES_HZ: [f64; 8] = [0.3, 0.55, 1.05, 2.0, 4.0, 8.0, 16.0, f64::INFINITY];
 /// Highest frequency that counts \[Hz\].
-const HIGHEST: f64 = 16.0;
+const MAX_FREQUENCY_HZ: f64 = 16.0;
 /// Time constants that the search starts from \[s\]; it stays between the first and the last.
-const TIMES: [f64; 5] = [60.0, 100.0, 170.0, 290.0, 500.0];
+const START_TIME_CONSTANTS_S: [f64; 5] = [60.0, 100.0, 170.0, 290.0, 500.0];
 /// Rounds of weights.
-const ROUNDS: usize = 3;
+const WEIGHT_ROUNDS: usize = 3;
 /// Evaluations of the search for a time constant.
-const EVALUATIONS: usize = 8;
+const MAX_EVALUATIONS: usize = 8;
 
 /// How a drift goes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -216,8 +216,10 @@ impl Deviations<'_> {
 
     fn candidates(&self) -> Vec<Trial> {
         let joints = self.rows.len();
-        let courses: Vec<Course> =
-            [Course::Linear].into_iter().chain(TIMES.map(|time| Course::Saturating { time })).collect();
+        let courses: Vec<Course> = [Course::Linear]
+            .into_iter()
+            .chain(START_TIME_CONSTANTS_S.map(|time| Course::Saturating { time }))
+            .collect();
         let mut what: Vec<Drifting> = (0..joints).flat_map(|j| [Drifting::Offset(j), Drifting::Friction(j)]).collect();
         if self.friction.len() == joints {
             what.push(Drifting::AllFriction);
@@ -264,8 +266,8 @@ impl Deviations<'_> {
     }
 
     /// Squares of a joint's coefficients in each band, with how many independent ones there are.
-    fn squares(&self, rows: &Rows) -> [(f64, f64); EDGES.len()] {
-        let mut sums = [(0.0, 0.0); EDGES.len()];
+    fn squares(&self, rows: &Rows) -> [(f64, f64); BAND_EDGES_HZ.len()] {
+        let mut sums = [(0.0, 0.0); BAND_EDGES_HZ.len()];
         for ((values, bands), record) in rows.iter().zip(&self.bands).zip(self.records) {
             // The mean has taken one period's worth.
             let free = (record.periods() - 1) as f64 / record.periods() as f64;
@@ -282,7 +284,7 @@ impl Deviations<'_> {
         let before: Vec<_> = trial.columns.iter().map(|(joint, _)| self.squares(&rows[*joint])).collect();
         let mut after = before.clone();
         let (mut theta, mut covariance) = (DVector::zeros(width * sets), DMatrix::zeros(width * sets, width * sets));
-        for _ in 0..ROUNDS {
+        for _ in 0..WEIGHT_ROUNDS {
             let (mut g, mut b) = (DMatrix::zeros(width * sets, width * sets), DVector::zeros(width * sets));
             for ((joint, columns), squares) in trial.columns.iter().zip(&after) {
                 let weights = squares.map(|(square, count)| if square > 0.0 { count / square } else { 0.0 });
@@ -328,7 +330,8 @@ impl Deviations<'_> {
     /// The time constant where the likelihood is largest, near where it is.
     fn refined(&self, best: (Trial, Fitted, f64), rows: &[Rows], candidates: usize) -> (Trial, Fitted, f64) {
         let Course::Saturating { time } = best.0.course else { return best };
-        let limit = |time: f64| time.clamp(TIMES[0], TIMES[TIMES.len() - 1]);
+        let limit =
+            |time: f64| time.clamp(START_TIME_CONSTANTS_S[0], START_TIME_CONSTANTS_S[START_TIME_CONSTANTS_S.len() - 1]);
         let (mut low, mut high) = (limit(time / 1.7).ln(), limit(time * 1.7).ln());
         let mut best = best;
         let ratio = (5.0_f64.sqrt() - 1.0) / 2.0;
@@ -341,7 +344,7 @@ impl Deviations<'_> {
             }
             score
         };
-        for _ in 0..EVALUATIONS / 2 {
+        for _ in 0..MAX_EVALUATIONS / 2 {
             let (left, right) = (high - ratio * (high - low), low + ratio * (high - low));
             if at(left) > at(right) { high = right } else { low = left }
         }
@@ -423,7 +426,7 @@ fn coefficients(record: &Record, x: &[f64]) -> Vec<f64> {
 }
 
 fn bins(record: &Record) -> usize {
-    let highest = HIGHEST.min(0.4 / record.dt);
+    let highest = MAX_FREQUENCY_HZ.min(0.4 / record.dt);
     ((highest * record.samples as f64 * record.dt) as usize + 1).clamp(2, record.samples / 2)
 }
 
@@ -434,7 +437,7 @@ fn bands(record: &Record) -> Vec<usize> {
         // The lowest band has more than the mean of a period.
         let bin = row.div_ceil(2);
         let frequency = if bin == 1 { 0.0 } else { bin as f64 * width };
-        EDGES.iter().position(|edge| frequency <= *edge).unwrap_or(EDGES.len() - 1)
+        BAND_EDGES_HZ.iter().position(|edge| frequency <= *edge).unwrap_or(BAND_EDGES_HZ.len() - 1)
     });
     let one: Vec<usize> = one.collect();
     one.repeat(record.periods())

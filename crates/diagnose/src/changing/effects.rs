@@ -5,7 +5,7 @@ use crate::outcome::{Diagnosis, Effect, Folds, JointFacts, Parameters, Quantity,
 use plumbline_model::term::{base_motion, contact};
 
 /// Lines of several runs that are nearer than this are one \[Hz\]. A line of a 100 s recording is known to about a hundredth of it.
-const SAME_LINE: f64 = 0.03;
+const SAME_LINE_HZ: f64 = 0.03;
 
 impl Changing {
     /// Adds the findings to a diagnosis. An effect counts for the verdict from a share `least_floor` of the noise of the mean periods on, or
@@ -148,7 +148,7 @@ impl Changing {
 fn lines(found: &[BaseMotion]) -> Vec<(&BaseMotion, usize)> {
     let mut lines: Vec<(&BaseMotion, Vec<&str>)> = Vec::new();
     for one in found {
-        match lines.iter_mut().find(|(line, _)| (line.frequency - one.frequency).abs() < SAME_LINE) {
+        match lines.iter_mut().find(|(line, _)| (line.frequency - one.frequency).abs() < SAME_LINE_HZ) {
             Some((line, runs)) => {
                 if !runs.contains(&one.run.as_str()) {
                     runs.push(&one.run);

@@ -21,22 +21,22 @@ use super::evidence::Trial;
 use nalgebra::DMatrix;
 use plumbline_core::{parallel, threads};
 use plumbline_identify::signal::spectral::Spectral;
-use plumbline_identify::{Experiment, LeftOut, Scatter};
-use plumbline_model::term::effect::Ground;
+use plumbline_identify::{ExcludedSpan, Experiment, Scatter};
+use plumbline_model::term::effect::OperatingPoint;
 use record::Record;
 
 /// Time before and after an event that is left out too \[s\].
-const MARGIN: f64 = 0.2;
+const EVENT_MARGIN_S: f64 = 0.2;
 
-/// Fewest periods that tell anything. Nobody knows which of two is right, and half of the frequencies of two are harmonics, which the
-/// deviations have none of; the median of three is one of them, and the scale of what differs from it too small: noise made events.
+/// Smallest number of periods. Two have no majority, and half of their frequencies are harmonics, where deviations vanish. The median of three is
+/// one of them, so that the scale of deviations is too small and noise is flagged as events.
 pub const LEAST_PERIODS: usize = 4;
 
 /// A run keeps everything where more than this share of it would be left out: what fills half of it did not happen once.
 const MAX_LEFT_OUT_RATIO: f64 = 0.5;
 
 /// Most times that drifts are fitted again without what only they had made an event.
-const ROUNDS: usize = 2;
+const MAX_DRIFT_ROUNDS: usize = 2;
 
 /// Something that happened once and is no contact.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,7 +73,7 @@ pub struct Changing {
     /// Names of runs that keep everything, because too much would be left out.
     pub spared: Vec<String>,
     /// Stretches to be left out of the mean.
-    pub leave_out: Vec<LeftOut>,
+    pub leave_out: Vec<ExcludedSpan>,
     /// Scatter of each trial's torques without the drifts and the events; `None` without repeats.
     pub scatter: Vec<Option<Scatter>>,
 }
@@ -89,26 +89,26 @@ impl Changing {
     }
 }
 
-/// Looks at the deviations of runs that were prepared with [`plumbline_identify::Settings::keep_periods`].
+/// Analyses the deviations of runs that were prepared with [`plumbline_identify::Settings::keep_periods`].
 ///
-/// The ground's friction has `[fv, fc]` of each joint (\[Nms/rad\], \[Nm\]); without it, friction drifts are sought joint by joint alone. Runs without
+/// The operating point's friction has `[fv, fc]` of each joint (\[Nms/rad\], \[Nm\]); without it, friction drifts are sought joint by joint alone. Runs without
 /// repeats have no part in it but for their hygiene.
-pub fn changing(ground: &Ground, trials: &[Trial]) -> Changing {
-    let friction = &ground.friction[..];
+pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing {
+    let friction = &operating_point.friction[..];
     let mut found = Changing::default();
     let records = trials.iter().filter_map(|trial| Record::of(trial.experiment));
     let mut records: Vec<Record> = records.filter(|record| record.periods() >= LEAST_PERIODS).collect();
-    // Events are no drift, nor noise: what is far off stays out of the rest.
+    // Events are excluded from drifts and noise.
     let masked = parallel(&records, threads(), |record| {
         let x = transient::robust(record, None, true);
-        transient::mask(record, &transient::events(record, &x), MARGIN)
+        transient::mask(record, &transient::events(record, &x), EVENT_MARGIN_S)
     });
     for (record, masked) in records.iter_mut().zip(masked) {
         record.masked = masked;
     }
     found.drifts = drift::Deviations::of(&records, friction).drifts();
     // A large drift is far off itself where it is fastest, and was fitted to the rest alone: without it fewer samples are masked.
-    for _ in 0..ROUNDS {
+    for _ in 0..MAX_DRIFT_ROUNDS {
         if found.drifts.is_empty() || !mask_again(&mut records, friction, &found.drifts) {
             break;
         }
@@ -121,20 +121,20 @@ pub fn changing(ground: &Ground, trials: &[Trial]) -> Changing {
         let mut rest = &record.tau - &drifting;
         let rows = rest.nrows();
         rest.as_mut_slice().chunks_mut(rows).for_each(|column| record.centre(column));
-        let lines = base_motion::base_motions(record, &ground.load, &rest);
-        let known = drifting + base_motion::torques(record, &ground.load, &lines);
+        let lines = base_motion::base_motions(record, &operating_point.load, &rest);
+        let known = drifting + base_motion::torques(record, &operating_point.load, &lines);
         found.base_motions.extend(lines);
 
         let x = transient::robust(record, Some(&known), false);
         let scale = transient::scales(&x);
         let events = transient::events(record, &x);
         for event in &events {
-            match contact::contact(&ground.chain, record, &x, &scale, event) {
+            match contact::contact(&operating_point.chain, record, &x, &scale, event) {
                 Some(contact) => found.contacts.push(contact),
                 None => found.transients.push(transient_of(record, &x, event)),
             }
         }
-        let masked = transient::mask(record, &events, MARGIN);
+        let masked = transient::mask(record, &events, EVENT_MARGIN_S);
         found.leave_out.extend(left_out(record, &masked));
         masks.push(masked);
     }
@@ -176,7 +176,7 @@ fn mask_again(records: &mut [Record], friction: &[[f64; 2]], drifts: &[Drift]) -
     let deviations = drift::Deviations::of(records, friction);
     let mask = |(run, record): (usize, &Record)| {
         let x = transient::robust(record, Some(&deviations.torque(run, drifts)), true);
-        transient::mask(record, &transient::events(record, &x), MARGIN)
+        transient::mask(record, &transient::events(record, &x), EVENT_MARGIN_S)
     };
     let masks: Vec<Vec<bool>> = records.iter().enumerate().map(mask).collect();
     let mut changed = false;
@@ -188,9 +188,9 @@ fn mask_again(records: &mut [Record], friction: &[[f64; 2]], drifts: &[Drift]) -
 }
 
 /// Stretches that touch or overlap as one, in the order of runs and time.
-fn merged(mut stretches: Vec<LeftOut>) -> Vec<LeftOut> {
+fn merged(mut stretches: Vec<ExcludedSpan>) -> Vec<ExcludedSpan> {
     stretches.sort_by(|a, b| a.run.cmp(&b.run).then(a.from.total_cmp(&b.from)));
-    let mut out: Vec<LeftOut> = Vec::new();
+    let mut out: Vec<ExcludedSpan> = Vec::new();
     for one in stretches {
         match out.last_mut() {
             Some(last) if last.run == one.run && one.from <= last.to + 1e-9 => last.to = last.to.max(one.to),
@@ -233,12 +233,12 @@ fn transient_of(record: &Record, x: &DMatrix<f64>, event: &transient::Event) -> 
 }
 
 /// Stretches of masked rows in the run's own time.
-fn left_out(record: &Record, masked: &[bool]) -> Vec<LeftOut> {
+fn left_out(record: &Record, masked: &[bool]) -> Vec<ExcludedSpan> {
     let mut found = Vec::new();
     for (period, rows) in record.repeats.periods.iter().zip(masked.chunks(record.samples)) {
         for (first, last) in transient::stretches(rows) {
             let time = |row: usize| (period * record.samples + row) as f64 * record.dt;
-            found.push(LeftOut { run: record.experiment.name.clone(), from: time(first), to: time(last) });
+            found.push(ExcludedSpan { run: record.experiment.name.clone(), from: time(first), to: time(last) });
         }
     }
     found

@@ -2,16 +2,16 @@
 
 use super::record::{from_median, spread};
 use nalgebra::DMatrix;
-use plumbline_identify::{Experiment, LeftOut, Repeats};
+use plumbline_identify::{ExcludedSpan, Experiment, Repeats};
 
 /// Robust standard deviations that make an outlier.
-const DEVIATIONS: f64 = 6.5;
+const MIN_DEVIATIONS: f64 = 6.5;
 /// Samples on either side of the running median.
-const NEAR: usize = 2;
+const MEDIAN_SAMPLES: usize = 2;
 /// Samples left out on either side of an outlier.
-const MARGIN: usize = 4;
+const MARGIN_SAMPLES: usize = 4;
 /// Stretches of more samples than this are no single samples.
-const LONGEST: usize = 3;
+const MAX_OUTLIER_SAMPLES: usize = 3;
 
 /// What is wrong with single samples of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -31,7 +31,7 @@ pub struct Hygiene {
 }
 
 /// Counts them, and says what should be left out for them. `masked` are samples at the full rate, period below period, in which more happens than single samples.
-pub(super) fn hygiene(experiment: &Experiment, masked: &[bool]) -> (Hygiene, Vec<LeftOut>) {
+pub(super) fn hygiene(experiment: &Experiment, masked: &[bool]) -> (Hygiene, Vec<ExcludedSpan>) {
     let sampling = &experiment.sampling;
     let mut found = Hygiene {
         run: experiment.name.clone(),
@@ -50,8 +50,8 @@ pub(super) fn hygiene(experiment: &Experiment, masked: &[bool]) -> (Hygiene, Vec
         let of_joint = |column: &[f64]| {
             let rows = outliers(column, samples, masked);
             for row in &rows {
-                let last = (row + MARGIN + 1).min(spoiled.len());
-                spoiled[row.saturating_sub(MARGIN)..last].fill(true);
+                let last = (row + MARGIN_SAMPLES + 1).min(spoiled.len());
+                spoiled[row.saturating_sub(MARGIN_SAMPLES)..last].fill(true);
             }
             rows.len()
         };
@@ -66,11 +66,11 @@ pub(super) fn hygiene(experiment: &Experiment, masked: &[bool]) -> (Hygiene, Vec
 fn outliers(column: &[f64], samples: usize, masked: &[bool]) -> Vec<usize> {
     let x = from_median(column.to_vec(), samples);
     let (mut high, mut rough) = (vec![0.0; x.len()], vec![0.0; x.len()]);
-    for row in NEAR..x.len() - NEAR {
-        let mut near: [f64; 2 * NEAR + 1] = std::array::from_fn(|k| x[row + k - NEAR]);
-        rough[row] = x[row] - (near.iter().sum::<f64>() - x[row]) / (2 * NEAR) as f64;
+    for row in MEDIAN_SAMPLES..x.len() - MEDIAN_SAMPLES {
+        let mut near: [f64; 2 * MEDIAN_SAMPLES + 1] = std::array::from_fn(|k| x[row + k - MEDIAN_SAMPLES]);
+        rough[row] = x[row] - (near.iter().sum::<f64>() - x[row]) / (2 * MEDIAN_SAMPLES) as f64;
         near.sort_by(f64::total_cmp);
-        high[row] = x[row] - near[NEAR];
+        high[row] = x[row] - near[MEDIAN_SAMPLES];
     }
     // The difference from the running median leaves the neighbours of an outlier alone, but is no Gaussian of Gaussian noise: its scale
     // comes from that from the mean of the neighbours. Of a signal with few steps the median deviation is one of them: then the largest of all
@@ -80,24 +80,25 @@ fn outliers(column: &[f64], samples: usize, masked: &[bool]) -> Vec<usize> {
     let most = sizes.len() - 1 - sizes.len() / 20;
     let (_, &mut most, _) = sizes.select_nth_unstable_by(most, f64::total_cmp);
     let scale = f64::max(1.4826 * deviation, most / 1.96);
-    let spread = scale / (1.0 + 1.0 / (2 * NEAR) as f64).sqrt();
+    let spread = scale / (1.0 + 1.0 / (2 * MEDIAN_SAMPLES) as f64).sqrt();
     let sticks: Vec<bool> = high
         .iter()
         .enumerate()
-        .map(|(row, value)| spread > 0.0 && value.abs() > DEVIATIONS * spread && !masked[row])
+        .map(|(row, value)| spread > 0.0 && value.abs() > MIN_DEVIATIONS * spread && !masked[row])
         .collect();
-    let single = super::transient::stretches(&sticks).into_iter().filter(|(first, last)| last - first <= LONGEST);
+    let single =
+        super::transient::stretches(&sticks).into_iter().filter(|(first, last)| last - first <= MAX_OUTLIER_SAMPLES);
     single.flat_map(|(first, last)| first..last).collect()
 }
 
 /// Stretches of spoiled rows in the run's own time.
-fn left_out(experiment: &Experiment, repeats: &Repeats, spoiled: &[bool], samples: usize) -> Vec<LeftOut> {
+fn left_out(experiment: &Experiment, repeats: &Repeats, spoiled: &[bool], samples: usize) -> Vec<ExcludedSpan> {
     let dt = experiment.motion.dt;
     let mut found = Vec::new();
     for (period, rows) in repeats.periods.iter().zip(spoiled.chunks(samples)) {
         for (first, last) in super::transient::stretches(rows) {
             let time = |row: usize| (period * samples + row) as f64 * dt;
-            found.push(LeftOut { run: experiment.name.clone(), from: time(first), to: time(last) });
+            found.push(ExcludedSpan { run: experiment.name.clone(), from: time(first), to: time(last) });
         }
     }
     found

@@ -5,7 +5,7 @@ use plumbline_identify::{Experiment, Repeats};
 use plumbline_model::term::Motion;
 
 /// Samples of the grid are means over at most this time \[s\].
-const BLOCK: f64 = 0.01;
+const MAX_BLOCK_S: f64 = 0.01;
 
 /// One run.
 pub(super) struct Record<'a> {
@@ -32,7 +32,7 @@ impl Record<'_> {
     pub fn of(experiment: &Experiment) -> Option<Record<'_>> {
         let repeats = experiment.repeats.as_ref()?;
         let all = experiment.motion.samples();
-        let most = (BLOCK / experiment.motion.dt * 1.001).floor().max(1.0) as usize;
+        let most = (MAX_BLOCK_S / experiment.motion.dt * 1.001).floor().max(1.0) as usize;
         let step = (1..=most).rev().find(|step| all.is_multiple_of(*step)).unwrap_or(1);
         let of = &experiment.motion;
         let motion = Motion {

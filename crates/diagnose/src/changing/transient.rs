@@ -1,4 +1,4 @@
-//! Seconds in which one period differs from the others by far: somebody touched the arm, a cable caught, a gripper moved.
+//! Events of seconds in which one period differs from the others: a contact, a caught cable, a moving gripper.
 //!
 //! The energy of a second's deviation from the median of the periods is compared with that of all other seconds of the run.
 
@@ -6,15 +6,17 @@ use super::record::{Record, from_median, spread};
 use nalgebra::DMatrix;
 
 /// Length of a window \[s\]; windows overlap by half.
-const WINDOW: f64 = 1.0;
+const WINDOW_S: f64 = 1.0;
 /// Median deviations from the median energy that make a window stand out.
-const DEVIATIONS: f64 = 25.0;
+const MIN_ENERGY_DEVIATIONS: f64 = 25.0;
 /// Time over which energy is averaged to find begin and end \[s\].
-const SHORT: f64 = 0.1;
-/// Median deviations from the median energy within that time, and share of the peak, above which the event lasts.
-const LASTS: (f64, f64) = (12.0, 0.03);
+const SHORT_WINDOW_S: f64 = 0.1;
+/// Median deviations from the median energy within that time above which the event lasts.
+const LASTING_DEVIATIONS: f64 = 12.0;
+/// Share of the peak energy above which the event lasts.
+const LASTING_PEAK_RATIO: f64 = 0.03;
 /// Time between two events that are one \[s\].
-const APART: f64 = 0.5;
+const MIN_GAP_S: f64 = 0.5;
 
 /// Rows of a record in which something happens.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,11 +58,11 @@ pub(super) fn scales(x: &DMatrix<f64>) -> Vec<f64> {
 /// Events in deviations as [`robust`] gives them. Rows are in the order of time but for periods that were left out.
 pub(super) fn events(record: &Record, x: &DMatrix<f64>) -> Vec<Event> {
     if record.periods() < 3 {
-        // Nobody knows which of two is right.
+        // Two periods have no majority.
         return Vec::new();
     }
     let rows = x.nrows();
-    let window = ((WINDOW / record.dt).round() as usize).clamp(1, rows);
+    let window = ((WINDOW_S / record.dt).round() as usize).clamp(1, rows);
     let hop = (window / 2).max(1);
     let starts: Vec<usize> = (0..=rows - window).step_by(hop).collect();
     let mut flagged = vec![vec![false; rows]; record.joints()];
@@ -69,15 +71,15 @@ pub(super) fn events(record: &Record, x: &DMatrix<f64>) -> Vec<Event> {
             starts.iter().map(|&start| column[start..start + window].iter().map(|x| x * x).sum()).collect();
         let (middle, deviation) = spread(&energy);
         for (&start, energy) in starts.iter().zip(&energy) {
-            if *energy > middle + DEVIATIONS * deviation && *energy > 0.0 {
+            if *energy > middle + MIN_ENERGY_DEVIATIONS * deviation && *energy > 0.0 {
                 flagged[start..start + window].fill(true);
             }
         }
     }
     let scale = scales(x);
     // Energy of a tenth of a second, over the joints that stand out.
-    let half = ((SHORT / record.dt / 2.0).round() as usize).max(1);
-    let gap = (APART / record.dt).round() as usize;
+    let half = ((SHORT_WINDOW_S / record.dt / 2.0).round() as usize).max(1);
+    let gap = (MIN_GAP_S / record.dt).round() as usize;
     let any: Vec<bool> = (0..rows).map(|row| flagged.iter().any(|joint| joint[row])).collect();
     let mut found = Vec::new();
     for (first, last) in stretches(&any) {
@@ -95,7 +97,7 @@ pub(super) fn events(record: &Record, x: &DMatrix<f64>) -> Vec<Event> {
         let all: Vec<f64> = (0..rows).map(short).collect();
         let (middle, deviation) = spread(&all);
         let peak = all[first..last].iter().copied().fold(0.0, f64::max);
-        let least = (middle + LASTS.0 * deviation).max(LASTS.1 * peak);
+        let least = (middle + LASTING_DEVIATIONS * deviation).max(LASTING_PEAK_RATIO * peak);
         let lasting: Vec<bool> = (0..rows).map(|row| (first..last).contains(&row) && all[row] > least).collect();
         let mut own: Vec<Event> = Vec::new();
         for (from, to) in stretches(&lasting) {

@@ -12,7 +12,7 @@ pub use place::{Dependence, Line, Map, Window};
 pub use variable::Variable;
 
 use super::Settings;
-use super::evidence::{BANDS, Evidence};
+use super::evidence::{BAND_EDGES_HZ, Evidence};
 use super::fit::group;
 use super::outcome::Unexplained;
 use super::state::State;
@@ -22,11 +22,11 @@ use screen::Screen;
 use variable::{Course, products};
 
 /// Mean square over that of the noise above which a joint lacks something.
-pub const LACK_OF_FIT: f64 = 1.3;
+pub const LACK_OF_FIT_RATIO: f64 = 1.3;
 /// A residual of which the best variables predict less than this share is flat.
-pub const FLAT: f64 = 0.1;
+pub const MIN_DEPENDENT_R2: f64 = 0.1;
 /// A second variable has to add so much to the share that one predicts.
-const SECOND: f64 = 0.05;
+const MIN_SECOND_VARIABLE_R2: f64 = 0.05;
 
 /// How well variables predict a residual.
 #[derive(Clone, Debug, PartialEq)]
@@ -109,19 +109,19 @@ impl Residual {
 
 /// Mean square of a joint's residual over that of its noise, F; nothing without repeats.
 pub fn lack_of_fit(evidence: &Evidence, state: &State, joint: usize) -> Option<f64> {
-    let groups = (0..BANDS.len()).map(|band| group(joint, band));
+    let groups = (0..BAND_EDGES_HZ.len()).map(|band| group(joint, band));
     let sums = groups.fold((0.0, 0.0), |sum, at| (sum.0 + state.fit.rss[at], sum.1 + state.fit.count[at]));
     evidence.repeats().then(|| sums.0 / f64::max(sums.1, 1.0))
 }
 
-/// Whether the model lacks something in this joint that matters. Without repeats nobody knows, and the answer is no.
+/// Whether the model lacks something relevant in this joint. False without repeats, where the noise is unknown.
 pub fn lacks(evidence: &Evidence, state: &State, joint: usize, settings: &Settings) -> bool {
     let (Some(floor), Some(lack)) = (evidence.floor(joint), lack_of_fit(evidence, state, joint)) else { return false };
     let threshold = settings.threshold.unwrap_or(settings.least_floor * floor);
-    state.unmodelled(evidence, joint).sqrt() > threshold && lack > LACK_OF_FIT
+    state.unmodelled(evidence, joint).sqrt() > threshold && lack > LACK_OF_FIT_RATIO
 }
 
-/// Looks at the residual of one joint, from 0.
+/// Analyses the residual of one joint, from 0.
 pub fn unexplained(evidence: &Evidence, state: &State, joint: usize, settings: &Settings) -> Residual {
     let courses = courses(evidence);
     let screen = Screen::of(evidence, state, joint);
@@ -149,8 +149,8 @@ pub fn unexplained(evidence: &Evidence, state: &State, joint: usize, settings: &
     let best = |list: &[Predictor]| list.first().map_or(f64::NEG_INFINITY, |one| one.r2);
     let (one, two) = (best(&singles), best(&pairs));
     let depends_on = match one.max(two) {
-        r2 if r2 < FLAT => Vec::new(),
-        _ if two > one + SECOND => pairs[0].variables.clone(),
+        r2 if r2 < MIN_DEPENDENT_R2 => Vec::new(),
+        _ if two > one + MIN_SECOND_VARIABLE_R2 => pairs[0].variables.clone(),
         _ => singles[0].variables.clone(),
     };
     let signals = Signals::of(evidence, joint, &state.residual(joint));

@@ -5,17 +5,17 @@ use crate::evidence::Evidence;
 use nalgebra::DVector;
 
 /// Length of a window \[s\].
-const WINDOW: f64 = 1.0;
+const WINDOW_S: f64 = 1.0;
 /// A line is so many times the median power of its neighbours.
-const LINE: f64 = 12.0;
+const MIN_LINE_POWER_RATIO: f64 = 12.0;
 /// Neighbours of a bin on either side.
-const NEIGHBOURS: usize = 12;
+const NEIGHBOUR_BINS: usize = 12;
 /// Share of the residual's square that a line has at least.
-const LEAST_OF_LINE: f64 = 0.01;
+const MIN_LINE_SHARE_RATIO: f64 = 0.01;
 /// Values of a variable that are told apart.
-const BINS: usize = 24;
+const BIN_COUNT: usize = 24;
 /// The same of each of two.
-const TILES: usize = 12;
+const TILE_COUNT: usize = 12;
 
 /// A second of one trajectory.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,7 +95,7 @@ impl Signals<'_> {
         let mut windows = Vec::new();
         for (fold, signal) in self.signals.iter().enumerate() {
             let dt = self.dt(fold);
-            let count = (signal.len() as f64 * dt / WINDOW).round().max(1.0) as usize;
+            let count = (signal.len() as f64 * dt / WINDOW_S).round().max(1.0) as usize;
             let start = self.evidence.thinned(fold).start;
             let motion = self.evidence.motion(self.evidence.folds()[fold].experiment);
             for window in 0..count {
@@ -128,10 +128,10 @@ impl Signals<'_> {
             }
             let total: f64 = bins.iter().map(|(_, power)| power).sum();
             for (k, &(frequency, power)) in bins.iter().enumerate().skip(1) {
-                let around = k.saturating_sub(NEIGHBOURS).max(1)..(k + NEIGHBOURS + 1).min(bins.len());
+                let around = k.saturating_sub(NEIGHBOUR_BINS).max(1)..(k + NEIGHBOUR_BINS + 1).min(bins.len());
                 let others: Vec<f64> = around.filter(|&other| other != k).map(|other| bins[other].1).collect();
                 let ratio = power / median(others).max(f64::MIN_POSITIVE);
-                if ratio > LINE && power > LEAST_OF_LINE * total {
+                if ratio > MIN_LINE_POWER_RATIO && power > MIN_LINE_SHARE_RATIO * total {
                     let amplitude = (2.0 * power / fold.samples.len() as f64).sqrt();
                     lines.push(Line { run: fold.name.clone(), frequency, amplitude, ratio });
                 }
@@ -151,9 +151,9 @@ impl Signals<'_> {
 
     /// Mean residual over the values of a variable; values that were hardly met are left out.
     pub fn dependence(&self, course: &Course) -> Vec<Dependence> {
-        let mut sums = [(0.0, 0.0, 0.0); BINS];
+        let mut sums = [(0.0, 0.0, 0.0); BIN_COUNT];
         for (value, residual) in self.pairs(course) {
-            let sum = &mut sums[place(value, course.range, BINS)];
+            let sum = &mut sums[place(value, course.range, BIN_COUNT)];
             *sum = (sum.0 + 1.0, sum.1 + residual, sum.2 + residual * residual);
         }
         // Samples in the band are not independent: two for each period of its highest frequency are.
@@ -164,7 +164,7 @@ impl Signals<'_> {
             (effective > 2.0).then(|| {
                 let mean = sum / count;
                 let variance = (square / count - mean * mean).max(0.0);
-                Dependence { at: middle(bin, course.range, BINS), mean, error: (variance / effective).sqrt() }
+                Dependence { at: middle(bin, course.range, BIN_COUNT), mean, error: (variance / effective).sqrt() }
             })
         };
         sums.iter().enumerate().filter_map(point).collect()
@@ -172,15 +172,15 @@ impl Signals<'_> {
 
     /// Mean residual over the values of two.
     pub fn map(&self, first: &Course, second: &Course) -> Map {
-        let mut sums = vec![(0.0, 0.0); TILES * TILES];
+        let mut sums = vec![(0.0, 0.0); TILE_COUNT * TILE_COUNT];
         for ((x, residual), (y, _)) in self.pairs(first).zip(self.pairs(second)) {
-            let sum = &mut sums[place(x, first.range, TILES) * TILES + place(y, second.range, TILES)];
+            let sum = &mut sums[place(x, first.range, TILE_COUNT) * TILE_COUNT + place(y, second.range, TILE_COUNT)];
             *sum = (sum.0 + 1.0, sum.1 + residual);
         }
         Map {
             variables: [first.variable, second.variable],
-            x: (0..TILES).map(|tile| middle(tile, first.range, TILES)).collect(),
-            y: (0..TILES).map(|tile| middle(tile, second.range, TILES)).collect(),
+            x: (0..TILE_COUNT).map(|tile| middle(tile, first.range, TILE_COUNT)).collect(),
+            y: (0..TILE_COUNT).map(|tile| middle(tile, second.range, TILE_COUNT)).collect(),
             mean: sums.iter().map(|(count, sum)| (*count > 0.0).then(|| sum / count)).collect(),
         }
     }

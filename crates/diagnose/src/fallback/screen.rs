@@ -4,17 +4,17 @@
 //! and `H = (M' W M)^-1` was fitted. These are the columns that the residual is regressed on, `C` having gone through the same map to
 //! the band as the torques: what the model absorbs explains nothing, and a step that the band has smoothed is still a step.
 
-use crate::evidence::{BANDS, Evidence};
+use crate::evidence::{BAND_EDGES_HZ, Evidence};
 use crate::fit::group;
 use crate::state::State;
 use nalgebra::{DMatrix, DVector};
 
 /// Ridges that are tried, as shares of the mean square of a function.
-const RIDGES: [f64; 4] = [1e-4, 1e-3, 1e-2, 1e-1];
+const RIDGE_RATIOS: [f64; 4] = [1e-4, 1e-3, 1e-2, 1e-1];
 /// Stretches of time that a single trajectory is cut into.
-const STRETCHES: usize = 6;
+const STRETCH_COUNT: usize = 6;
 /// Samples per coefficient in which it is cut.
-const DENSITY: f64 = 1.3;
+const SAMPLES_PER_ROW: f64 = 1.3;
 
 /// One joint's residual with what is needed to regress it.
 pub(super) struct Screen<'a> {
@@ -41,7 +41,7 @@ impl Screen<'_> {
         let m = &state.columns.m[joint];
         let mut weighed = m.clone();
         for cell in evidence.cells().iter().filter(|cell| cell.joint == joint) {
-            let weight = 1.0 / state.fit.phi[group(joint, cell.band.min(BANDS.len() - 1))];
+            let weight = 1.0 / state.fit.phi[group(joint, cell.band.min(BAND_EDGES_HZ.len() - 1))];
             weighed.rows_mut(cell.rows.start, cell.rows.len()).scale_mut(weight);
         }
         let by_time = evidence.folds().len() < 2;
@@ -78,7 +78,7 @@ impl Screen<'_> {
             let left: Option<f64> = parts.iter().map(|part| left_out(&g, &b, part, ridge)).sum();
             left.map_or(f64::NEG_INFINITY, |gained| gained / total)
         };
-        RIDGES.into_iter().map(ridge).fold(f64::NEG_INFINITY, f64::max)
+        RIDGE_RATIOS.into_iter().map(ridge).fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// Rows of each fold; of a single one, its samples in stretches of time.
@@ -88,16 +88,16 @@ impl Screen<'_> {
             return folds.iter().map(|fold| rows.rows(fold.rows.start, fold.rows.len()).into_owned()).collect();
         }
         let samples = self.evidence.thinned(0).len();
-        let step = (samples as f64 / (DENSITY * rows.nrows() as f64)).floor().max(1.0) as usize;
+        let step = (samples as f64 / (SAMPLES_PER_ROW * rows.nrows() as f64)).floor().max(1.0) as usize;
         let scale = (step as f64).sqrt();
         let signals: Vec<Vec<f64>> =
             rows.column_iter().map(|column| self.evidence.signal(0, column.into_owned().as_slice())).collect();
         let count = samples / step;
         let stretch = |part: usize| {
-            let (first, last) = (part * count / STRETCHES, (part + 1) * count / STRETCHES);
+            let (first, last) = (part * count / STRETCH_COUNT, (part + 1) * count / STRETCH_COUNT);
             DMatrix::from_fn(last - first, rows.ncols(), |k, c| scale * signals[c][(first + k) * step])
         };
-        (0..STRETCHES).map(stretch).collect()
+        (0..STRETCH_COUNT).map(stretch).collect()
     }
 }
 

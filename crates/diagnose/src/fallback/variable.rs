@@ -6,9 +6,9 @@ use plumbline_model::term::friction::SHARPNESS;
 use std::fmt;
 
 /// Functions of a single variable.
-const SINGLE: usize = 10;
+const SINGLE_FUNCTIONS: usize = 10;
 /// Functions of each of two variables.
-const OF_PAIR: usize = 5;
+const PAIR_FUNCTIONS: usize = 5;
 
 /// A quantity of a joint, or the time since the start of a period. Joints count from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -87,13 +87,13 @@ impl Course {
 
     /// Smooth functions of it, N x functions in each motion: B-splines over its range, and for a velocity its sign.
     pub fn functions(&self) -> Vec<DMatrix<f64>> {
-        let splines = if self.is_velocity() { SINGLE - 1 } else { SINGLE };
+        let splines = if self.is_velocity() { SINGLE_FUNCTIONS - 1 } else { SINGLE_FUNCTIONS };
         self.basis(splines, 3)
     }
 
     /// The same, fewer of them, for a product with those of another variable.
     pub fn coarse(&self) -> Vec<DMatrix<f64>> {
-        let splines = if self.is_velocity() { OF_PAIR - 1 } else { OF_PAIR };
+        let splines = if self.is_velocity() { PAIR_FUNCTIONS - 1 } else { PAIR_FUNCTIONS };
         self.basis(splines, 2)
     }
 

@@ -4,7 +4,7 @@ use super::{Residual, Variable};
 use crate::evidence::Evidence;
 
 /// A window or trajectory with more than this share of the residual's square has it to itself.
-const MOST: f64 = 0.5;
+const CONCENTRATED_RATIO: f64 = 0.5;
 
 /// What the figures say.
 pub(super) fn findings(found: &Residual) -> Vec<String> {
@@ -24,10 +24,13 @@ pub(super) fn findings(found: &Residual) -> Vec<String> {
         ));
     }
     let trajectories = found.trajectories();
-    if let Some((run, share)) = trajectories.iter().find(|(_, share)| trajectories.len() > 1 && *share > MOST) {
+    if let Some((run, share)) =
+        trajectories.iter().find(|(_, share)| trajectories.len() > 1 && *share > CONCENTRATED_RATIO)
+    {
         said.push(format!("{:.0} % of its square are in {run}.", 100.0 * share));
     }
-    if let Some(window) = found.windows.iter().find(|window| window.share > MOST && window.seconds < 5.0) {
+    if let Some(window) = found.windows.iter().find(|window| window.share > CONCENTRATED_RATIO && window.seconds < 5.0)
+    {
         let (from, to) = (window.from, window.from + window.seconds);
         said.push(format!(
             "{:.0} % of its square are between {from:.1} s and {to:.1} s of {}.",
@@ -58,7 +61,7 @@ pub(super) fn experiments(found: &Residual, evidence: &Evidence) -> Vec<String> 
             "Record a second and a third trajectory: a dependence has to hold where it was not fitted.".to_string(),
         );
     }
-    if found.windows.iter().any(|window| window.share > MOST && window.seconds < 5.0) {
+    if found.windows.iter().any(|window| window.share > CONCENTRATED_RATIO && window.seconds < 5.0) {
         wanted.push("Look what is near the arm at that moment, and drive the same path from another start: a contact or a taut cable stays at its place, an effect of time at its moment.".to_string());
     }
     match found.depends_on.as_slice() {

@@ -1,4 +1,4 @@
-//! JSON has no NaN: a figure that nobody could measure is `null` in the file and NaN in memory.
+//! JSON has no NaN: a figure that could not be measured is `null` in the file and NaN in memory.
 
 use serde::{Deserialize, Deserializer};
 

@@ -24,7 +24,7 @@ pub fn extended(reference: &TorqueModel, changes: &[Change]) -> Result<TorqueMod
     }
     let beta: Vec<f64> = parameters.iter().map(|parameter| parameter.value).collect();
     let specs: Vec<_> = rest.iter().map(|change| change.spec.clone()).collect();
-    let terms = assemble(&specs, &reference.structure().ground(&beta))?;
+    let terms = assemble(&specs, &reference.structure().operating_point(&beta))?;
     let structure = reference.structure().clone().with(terms)?;
     // Terms are put together in an order of their own: values find their columns by name.
     let added: Vec<&Parameter> = rest.iter().flat_map(|change| &change.parameters).collect();

@@ -1,6 +1,6 @@
 //! What changed: since a model was identified, or between the sessions of one recording.
 //!
-//! The selection is the one of `select`, on another ground. Against a stored model the torques are what that model
+//! The selection is the one of `select`, with a prior. Against a stored model the torques are what that model
 //! leaves over, and its parameters are not free: `theta = beta - beta_stored` has a Gaussian prior with the standard deviations of the
 //! file. That is what makes a payload visible: within one session the last link's parameters would absorb it. A parameter without a
 //! standard deviation was not identifiable when the model was made; it stays free, so that no effect is blamed for it, and
@@ -24,28 +24,27 @@ use super::select::{Found, Scored, Search, Selected, Step};
 use super::state::{State, every, mean_square};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
-use plumbline_model::term::effect::{Family, Ground, Quantity, Results, Spec};
+use plumbline_model::term::effect::{Family, OperatingPoint, Quantity, Results, Spec};
 use plumbline_model::term::{Column, effect};
 use plumbline_model::{Mounting, Parameter, Structure, TorqueModel};
 use std::ops::Range;
 
-/// Factor on the stored standard deviations: they know the noise of their own recording, but neither what the model lacks nor that
-/// friction is never quite the same twice.
-const ALLOWANCE: f64 = 2.0;
+/// Factor on the stored standard deviations, which contain the noise of their recording, but neither missing effects nor the variation of friction.
+const STD_ALLOWANCE_RATIO: f64 = 2.0;
 /// A parameter whose file has no standard deviation at all is held as if it were known to this share of its size.
-const TAKEN_AS_KNOWN: f64 = 1e-3;
+const ASSUMED_STD_RATIO: f64 = 1e-3;
 /// Directions of an effect's parameters below this share of their square are not determined.
-const RANK: f64 = 1e-9;
+const RANK_RATIO: f64 = 1e-9;
 /// A parameter is undetermined when more than this share of it lies in such directions.
-const UNDETERMINED_SHARE: f64 = 1e-3;
-/// A free parameter that moved by so many of its standard deviations is one that the data has something to say about.
-const MOVED: f64 = 4.0;
-/// RMS over noise from which on nearly every effect is found.
-const DETECTED: f64 = 0.75;
-/// A run in which the free parameters move a joint's torque by less than this share of its noise does not need them.
-const NEEDED: f64 = 1.0;
-/// The same without a known noise, of the residual.
-const NEEDED_OF_ALL: f64 = 0.3;
+const UNDETERMINED_RATIO: f64 = 1e-3;
+/// A free parameter is determined by the data from this many of its standard deviations on.
+const MIN_MOVED_DEVIATIONS: f64 = 4.0;
+/// RMS over noise at which an effect is found with high probability.
+const FOUND_FLOOR_RATIO: f64 = 0.75;
+/// A run needs the free parameters when they change a joint's torque by more than this share of its noise.
+const NEEDED_NOISE_RATIO: f64 = 1.0;
+/// The same share of the residual where the noise is unknown.
+const NEEDED_RESIDUAL_RATIO: f64 = 0.3;
 
 /// One thing that changed.
 #[derive(Clone, Debug)]
@@ -73,7 +72,7 @@ impl Change {
     }
 }
 
-/// Parameters that the model can't vouch for, and where that matters.
+/// Parameters that were not identifiable in the stored model, and the runs that need them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Doubt {
     /// Names of parameters that were not identifiable when the model was made and that this data moves.
@@ -96,7 +95,7 @@ pub struct Changes {
     /// What is left over the noise, per joint, before and after, when the stored parameters may move within their errors: 1 where
     /// nothing but noise is left. Nothing without repeats.
     pub lack_of_fit: Option<Vec<[f64; 2]>>,
-    /// What the model can't vouch for.
+    /// Parameters that the model does not determine.
     pub doubt: Doubt,
     /// How it was found.
     pub path: Vec<Step>,
@@ -141,10 +140,10 @@ pub fn among(
     let problem = Problem { evidence: &evidence, prior: Some(&prior) };
     let base = State::base(&problem, Columns { m, r });
     let before = left_over(&evidence, &base, &DVector::zeros(beta.len()));
-    let ground = structure.ground(&beta);
-    let mut library = library::library(&evidence, &ground, families, None, settings.threads);
-    library.extend(since_sessions(&evidence, &ground, families, settings.threads));
-    let search = Search { problem, ground: &ground, library: &library, settings };
+    let operating_point = structure.operating_point(&beta);
+    let mut library = library::library(&evidence, &operating_point, families, None, settings.threads);
+    library.extend(since_sessions(&evidence, &operating_point, families, settings.threads));
+    let search = Search { problem, operating_point: &operating_point, library: &library, settings };
     let (least, lacking) = (least(&search, &base), lack(&evidence, &base));
     let selected = search.select(base, &[], progress);
     let doubt = doubt(&evidence, &selected.state, reference.parameters());
@@ -171,9 +170,9 @@ pub fn between_sessions(
     let problem = Problem { evidence: &evidence, prior: None };
     let base = State::base(&problem, columns);
     let before = left_over(&evidence, &base, &base.fit.theta);
-    let ground = structure.ground(base.fit.theta.as_slice());
-    let library = since_sessions(&evidence, &ground, &families(), settings.threads);
-    let search = Search { problem, ground: &ground, library: &library, settings };
+    let operating_point = structure.operating_point(base.fit.theta.as_slice());
+    let library = since_sessions(&evidence, &operating_point, &families(), settings.threads);
+    let search = Search { problem, operating_point: &operating_point, library: &library, settings };
     let (least, lacking) = (least(&search, &base), lack(&evidence, &base));
     let selected = search.select(base, &[], progress);
     let after = left_over(&evidence, &selected.state, &selected.state.fit.theta);
@@ -183,7 +182,7 @@ pub fn between_sessions(
 /// Candidates of these families that came with each session after the first.
 pub fn since_sessions(
     evidence: &Evidence,
-    ground: &Ground,
+    operating_point: &OperatingPoint,
     families: &[&'static Family],
     threads: usize,
 ) -> Vec<Candidate> {
@@ -191,18 +190,18 @@ pub fn since_sessions(
     sessions.sort_unstable();
     sessions.dedup();
     let later = sessions.into_iter().skip(1);
-    later.flat_map(|session| library::library(evidence, ground, families, Some(session), threads)).collect()
+    later.flat_map(|session| library::library(evidence, operating_point, families, Some(session), threads)).collect()
 }
 
-/// Precision of the stored parameters; none for those that were not identifiable. A file without any standard deviation is taken at
-/// its word.
+/// Precision of the stored parameters; none for those that were not identifiable. The parameters of a file without any
+/// standard deviation are assumed to be known.
 fn prior(parameters: &[Parameter]) -> Prior {
     let nobody = parameters.iter().all(|parameter| parameter.std.is_none());
     let largest = parameters.iter().map(|parameter| parameter.value.abs()).fold(0.0, f64::max);
     let precision = |parameter: &Parameter| {
-        let std = if nobody { Some(TAKEN_AS_KNOWN * largest.max(1e-9)) } else { parameter.std };
+        let std = if nobody { Some(ASSUMED_STD_RATIO * largest.max(1e-9)) } else { parameter.std };
         // A parameter that was taken out has no error of its own; one in a million of the largest stands for none.
-        std.map_or(0.0, |std| (ALLOWANCE * std.max(1e-6 * largest)).powi(-2))
+        std.map_or(0.0, |std| (STD_ALLOWANCE_RATIO * std.max(1e-6 * largest)).powi(-2))
     };
     Prior {
         precision: DMatrix::from_diagonal(&DVector::from_iterator(parameters.len(), parameters.iter().map(precision))),
@@ -258,7 +257,7 @@ fn least(search: &Search, state: &State) -> Vec<(&'static str, Vec<f64>)> {
         // An effect in one joint is seen in its own row; one of the whole arm in each.
         let own = item.spec.site.joints();
         for joint in item.joints().into_iter().filter(|joint| own.is_empty() || own.contains(joint)) {
-            let rms = DETECTED * evidence.floor(joint).unwrap_or(f64::NAN) / share.sqrt();
+            let rms = FOUND_FLOOR_RATIO * evidence.floor(joint).unwrap_or(f64::NAN) / share.sqrt();
             let least = &mut found[index].1[joint];
             if share > 0.0 {
                 *least = least.min(rms);
@@ -272,11 +271,11 @@ fn least(search: &Search, state: &State) -> Vec<(&'static str, Vec<f64>)> {
 fn change(search: &Search, state: &State, item: usize, found: Found) -> Change {
     let range = state.range(item);
     let candidate = &state.items[item];
-    let columns = candidate.spec.build(search.ground).map(|term| term.columns()).unwrap_or_default();
+    let columns = candidate.spec.build(search.operating_point).map(|term| term.columns()).unwrap_or_default();
     let covariance = state.fit.h.view((range.start, range.start), (range.len(), range.len())).into_owned();
     let unknown = unknown(&search.problem.information(&state.moments, &state.fit.phi), &range);
     let parameter = |(k, column): (usize, Column)| {
-        let known = unknown.row(k).norm_squared() <= UNDETERMINED_SHARE;
+        let known = unknown.row(k).norm_squared() <= UNDETERMINED_RATIO;
         let std = known.then(|| covariance[(k, k)].max(0.0).sqrt());
         Parameter { column, value: state.fit.theta[range.start + k], std }
     };
@@ -299,7 +298,7 @@ fn unknown(information: &DMatrix<f64>, range: &Range<usize>) -> DMatrix<f64> {
     let scale: Vec<f64> = c.diagonal().iter().map(|d| if *d > 0.0 { 1.0 / d.sqrt() } else { 1.0 }).collect();
     let scaled = DMatrix::from_fn(own, own, |i, k| alone[(i, k)] * scale[i] * scale[k]);
     let Some(eigen) = symmetric_eigen(scaled) else { return DMatrix::identity(own, own) };
-    let lost: Vec<usize> = (0..own).filter(|&k| eigen.eigenvalues[k] < RANK).collect();
+    let lost: Vec<usize> = (0..own).filter(|&k| eigen.eigenvalues[k] < RANK_RATIO).collect();
     eigen.eigenvectors.select_columns(&lost)
 }
 
@@ -308,7 +307,7 @@ fn doubt(evidence: &Evidence, state: &State, parameters: &[Parameter]) -> Doubt 
     let nobody = parameters.iter().all(|parameter| parameter.std.is_none());
     let free: Vec<usize> = (0..parameters.len()).filter(|&k| parameters[k].std.is_none() && !nobody).collect();
     let theta = &state.fit.theta;
-    let moved = |k: &&usize| theta[**k].abs() > MOVED * state.fit.h[(**k, **k)].max(0.0).sqrt();
+    let moved = |k: &&usize| theta[**k].abs() > MIN_MOVED_DEVIATIONS * state.fit.h[(**k, **k)].max(0.0).sqrt();
     let moved: Vec<usize> = free.iter().filter(moved).copied().collect();
     let mut found = Doubt::default();
     if moved.is_empty() {
@@ -321,9 +320,10 @@ fn doubt(evidence: &Evidence, state: &State, parameters: &[Parameter]) -> Doubt 
                 .iter()
                 .fold(DVector::zeros(fold.rows.len()), |sum: DVector<f64>, &k| sum + m.column(k) * theta[k]);
             let noise = match evidence.repeats() {
-                true => NEEDED.powi(2) * fold.rows.len() as f64,
+                true => NEEDED_NOISE_RATIO.powi(2) * fold.rows.len() as f64,
                 false => {
-                    NEEDED_OF_ALL.powi(2) * state.residual(joint).rows(fold.rows.start, fold.rows.len()).norm_squared()
+                    NEEDED_RESIDUAL_RATIO.powi(2)
+                        * state.residual(joint).rows(fold.rows.start, fold.rows.len()).norm_squared()
                 }
             };
             part.norm_squared() > noise

@@ -5,8 +5,8 @@ use plumbline_diagnose::Trial;
 use plumbline_diagnose::changing::{Changing, Course, Drifting, changing};
 use plumbline_excite::PeriodicMotion;
 use plumbline_identify::signal::spectral::Spectral;
-use plumbline_identify::{Experiment, LeftOut, Run, Settings};
-use plumbline_model::term::effect::Ground;
+use plumbline_identify::{ExcludedSpan, Experiment, Run, Settings};
+use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::{Chain, Placement, Reduction, Robot, Structure, rnea};
 use plumbline_sim::Truth;
 use plumbline_testkit::scene;
@@ -24,7 +24,7 @@ const PERIODS: usize = 10;
 struct Stage {
     chain: Chain,
     truth: Truth,
-    ground: Ground,
+    operating_point: OperatingPoint,
     friction: Vec<[f64; 2]>,
     periods: Vec<(Period, DMatrix<f64>)>,
 }
@@ -53,8 +53,8 @@ fn stage() -> &'static Stage {
         let base = structure.reduction().base_of(&delta);
         let beta: Vec<f64> = base.iter().copied().chain(vec![0.0; 2 * chain.len()]).collect();
         let friction: Vec<[f64; 2]> = truth.joints.iter().map(|joint| [joint.fv, joint.fc]).collect();
-        let ground = Ground { friction: friction.clone(), ..structure.ground(&beta) };
-        Stage { ground, chain, truth, friction, periods }
+        let operating_point = OperatingPoint { friction: friction.clone(), ..structure.operating_point(&beta) };
+        Stage { operating_point, chain, truth, friction, periods }
     })
 }
 
@@ -106,7 +106,7 @@ fn found(runs: &[Run]) -> Changing {
     let stage = stage();
     let experiments = prepared(runs, &kept());
     let trials: Vec<Trial> = experiments.iter().map(|experiment| Trial { experiment, session: 1 }).collect();
-    changing(&stage.ground, &trials)
+    changing(&stage.operating_point, &trials)
 }
 
 #[test]
@@ -282,7 +282,7 @@ fn a_contact_that_is_left_out_leaves_no_trace_in_the_mean() {
         assert!((a / b - 1.0).abs() < 0.01, "{a} {b}");
     }
     // A whole period that is left out is no period; the others are the mean.
-    let period = LeftOut::period(&runs[0].name, 3, 10.0);
+    let period = ExcludedSpan::period(&runs[0].name, 3, 10.0);
     let fewer = prepared(&runs, &Settings { leave_out: vec![period], ..kept() });
     let repeats = fewer[0].repeats.as_ref().unwrap();
     assert_eq!(repeats.periods, [0, 1, 2, 4, 5, 6, 7, 8, 9]);
@@ -298,7 +298,7 @@ fn a_contact_that_is_left_out_leaves_no_trace_in_the_mean() {
 #[test]
 fn a_stretch_of_a_free_run_that_is_left_out_does_not_count() {
     let run = Run { period: None, ..recorded(1, 10, |_, _| {}).remove(0) };
-    let leave_out = vec![LeftOut { run: run.name.clone(), from: 20.0, to: 25.0 }];
+    let leave_out = vec![ExcludedSpan { run: run.name.clone(), from: 20.0, to: 25.0 }];
     let whole = Experiment::prepare(&run, &Settings::default()).unwrap();
     let less = Experiment::prepare(&run, &Settings { leave_out, ..Settings::default() }).unwrap();
     assert_eq!(less.resting().iter().filter(|left_out| **left_out).count(), 5000);

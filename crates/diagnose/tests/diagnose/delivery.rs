@@ -6,7 +6,7 @@ use plumbline_diagnose::{Input, Outcome, Settings, Trial, diagnose};
 use plumbline_identify::solve::Options;
 use plumbline_identify::{Experiment, Run};
 use plumbline_model::term::Motion;
-use plumbline_model::term::effect::{Ground, Site, Spec};
+use plumbline_model::term::effect::{OperatingPoint, Site, Spec};
 use plumbline_testkit::scene::Scene;
 
 /// Recordings of the arm, the first ones to identify from and the last to judge by, each with a torque of its own on top.
@@ -66,8 +66,8 @@ fn an_effect_that_unseen_runs_have_is_delivered() {
 
 /// Torque of an effect along the arm's true motion, one column per joint.
 fn torque(scene: &Scene, spec: &Spec, parameter: f64) -> DMatrix<f64> {
-    let ground = Ground { friction: Vec::new(), ..scene.structure.ground(&scene.beta) };
-    let term = spec.build(&ground).unwrap();
+    let operating_point = OperatingPoint { friction: Vec::new(), ..scene.structure.operating_point(&scene.beta) };
+    let term = spec.build(&operating_point).unwrap();
     let Motion { q, .. } = &scene.motion;
     let mut y = DMatrix::zeros(q.len(), 1);
     term.fill(scene.structure.chain(), &scene.motion, &mut y, 0);

@@ -18,12 +18,12 @@ fn a_sketch_of_a_swinging_link_is_nearly_its_columns() {
     let structure =
         Structure::of(chain.clone(), Reduction::in_mounting(&chain, &Mounting::WALL), &["friction"]).unwrap();
     let beta = plumbline_identify::solve::identify(&structure, std::slice::from_ref(&experiment)).unwrap().beta;
-    let ground = structure.ground(&beta);
+    let operating_point = structure.operating_point(&beta);
     // Joint 7 flutters in its gap, joint 2 swings slowly.
     for (joint, settings) in [(6, vec![7.5e-4, 0.5, 5.0]), (1, vec![7.5e-4, 0.5, 2.5])] {
         let spec = Spec { family: "backlash", form: "swinging", site: Site::Joint(joint), settings };
-        let careful = Candidate::of(&evidence, &ground, spec.clone(), None).unwrap();
-        let rough = Candidate::sketch(&evidence, &ground, spec, None).unwrap();
+        let careful = Candidate::of(&evidence, &operating_point, spec.clone(), None).unwrap();
+        let rough = Candidate::sketch(&evidence, &operating_point, spec, None).unwrap();
         assert_ne!(careful.rows, rough.rows, "there is nothing rough about it");
         let pairs = careful.rows.parts.iter().zip(&rough.rows.parts);
         let apart: f64 = pairs.map(|((_, careful), (_, rough))| (careful - rough).norm_squared()).sum();

@@ -1,4 +1,4 @@
-//! The rigid-body regressor of one sample, and the gradient of anything that is computed from it.
+//! Rigid-body regressor of one sample and its reverse-mode derivative (adjoint).
 //!
 //! Row `j` of the regressor needs, for every link `i` beyond joint `j`, two vectors in frame `i`: the axis `omega` of joint `j` and the
 //! velocity `v` that a unit speed of joint `j` gives frame `i`'s origin. With the link's angular velocity `w`, its derivative `dw` and
@@ -8,8 +8,8 @@
 //! - first moments: `a x omega + v x dw + w x (w x v)`;
 //! - mass: `v . a`.
 //!
-//! This is a third route to the regressor beside `model::regressor` and `model::rnea`; [`Tape::backward`] is its reverse mode
-//! (adjoint): from `dF/dY` to `dF/dq`, `dF/ddq`, `dF/dddq` at a small multiple of the cost of the regressor itself, exactly.
+//! [`Tape::backward`] computes the exact gradients `dF/dq`, `dF/ddq`, `dF/dddq` from `dF/dY` at a small multiple of the cost of the
+//! regressor. A test compares the regressor with `plumbline_model::regressor`.
 
 use nalgebra::{Matrix3, Vector3};
 use plumbline_core::MAX_JOINTS;
@@ -17,7 +17,7 @@ use plumbline_model::{Chain, Joint, JointKind, LINK_COLUMNS};
 
 type V3 = Vector3<f64>;
 
-/// The constant part of a joint, with the sines of its twist taken once.
+/// Constants of a joint, with the sine and cosine of its twist.
 #[derive(Clone, Copy)]
 struct Row {
     kind: JointKind,
@@ -28,7 +28,7 @@ struct Row {
     theta: f64,
 }
 
-/// An arm as the recursion needs it.
+/// Constants of an arm for the recursion.
 #[derive(Clone)]
 pub struct Arm {
     rows: Vec<Row>,
@@ -36,7 +36,7 @@ pub struct Arm {
 }
 
 impl Arm {
-    /// Takes the constants out of a chain.
+    /// Constants of a chain.
     pub fn new(chain: &Chain) -> Arm {
         let row = |joint: &Joint| {
             let rest = joint.placement(0.0).rotation;
@@ -60,12 +60,12 @@ impl Arm {
 /// Coefficients of one row on one link's standard parameters `[Lxx Lxy Lxz Lyy Lyz Lzz lx ly lz m]`.
 pub type LinkRow = [f64; LINK_COLUMNS];
 
-/// One sample of the recursion: filled by [`Tape::forward`], read by the rest.
+/// Intermediate values of the recursion at one sample, filled by [`Tape::forward`].
 #[derive(Clone)]
 pub struct Tape {
     rotation: [Matrix3<f64>; MAX_JOINTS],
     origin: [V3; MAX_JOINTS],
-    /// Angular velocity and acceleration, acceleration of the origin: before the joint's own part and after it.
+    /// Angular velocity and acceleration, acceleration of the origin: before (`_in`) and after the joint's own contribution.
     w_in: [V3; MAX_JOINTS],
     dw_in: [V3; MAX_JOINTS],
     a_in: [V3; MAX_JOINTS],
@@ -181,7 +181,7 @@ impl Tape {
     pub fn backward(&self, arm: &Arm, bar: &[[LinkRow; MAX_JOINTS]; MAX_JOINTS], out: &mut Gradient) {
         let n = arm.len();
         let zero = [V3::zeros(); MAX_JOINTS];
-        // Adjoints of omega and v of the frame at hand, and of its w, dw, a: what later frames handed down.
+        // Adjoints of omega, v, w, dw, a of the current frame, accumulated from later frames.
         let (mut omega_bar, mut v_bar) = (zero, zero);
         let (mut w_bar, mut dw_bar, mut a_bar) = (V3::zeros(), V3::zeros(), V3::zeros());
         for i in (0..n).rev() {
@@ -202,7 +202,7 @@ impl Tape {
                 v_bar[j] += dw.cross(&first) + t_bar.cross(w) + a * z[9];
                 a_bar += o.cross(&first) + v * z[9];
             }
-            // Through the joint's own part.
+            // Joint's own contribution.
             let (w_in, dw_in, a_in) = (&self.w_in[i], &self.dw_in[i], &self.a_in[i]);
             let revolute = arm.rows[i].kind == JointKind::Revolute;
             if revolute {
@@ -215,7 +215,7 @@ impl Tape {
                 out.dq[i] += 2.0 * a_bar.dot(&cross_z(w_in));
                 w_bar -= cross_z(&a_bar) * (2.0 * self.dq[i]);
             }
-            // Through the rotation into frame i and the way from frame i - 1.
+            // Rotation into frame i and translation from frame i - 1.
             let mut turn = w_bar.dot(&cross_z(w_in)) + dw_bar.dot(&cross_z(dw_in)) + a_bar.dot(&cross_z(a_in));
             let rotation = &self.rotation[i];
             let r = &self.origin[i];
@@ -227,7 +227,7 @@ impl Tape {
                 omega_bar[j] = omega_up + r.cross(&v_up);
                 v_bar[j] = v_up;
             }
-            // The joint's own axis is constant in its own frame.
+            // The joint's axis is constant in its own frame.
             (omega_bar[i], v_bar[i]) = (V3::zeros(), V3::zeros());
             if i > 0 {
                 let (w, dw) = (&self.w[i - 1], &self.dw[i - 1]);
@@ -269,26 +269,26 @@ impl Frame {
         Frame { rotation: Matrix3::identity(), origin: V3::zeros() }
     }
 
-    /// A point of the frame, in the base frame \[m\].
+    /// Base-frame coordinates of a point of this frame \[m\].
     pub fn point(&self, p: &V3) -> V3 {
         self.rotation * p + self.origin
     }
 }
 
-/// Gradients with respect to points that are fixed to links, gathered per link as a force and its moment about the base.
+/// Gradients with respect to points fixed to links, summed per link as a wrench about the base frame's origin.
 #[derive(Clone, Copy)]
-pub struct Pulls {
+pub struct LinkWrenches {
     force: [V3; MAX_JOINTS],
     moment: [V3; MAX_JOINTS],
 }
 
-impl Default for Pulls {
-    fn default() -> Pulls {
-        Pulls { force: [V3::zeros(); MAX_JOINTS], moment: [V3::zeros(); MAX_JOINTS] }
+impl Default for LinkWrenches {
+    fn default() -> LinkWrenches {
+        LinkWrenches { force: [V3::zeros(); MAX_JOINTS], moment: [V3::zeros(); MAX_JOINTS] }
     }
 }
 
-impl Pulls {
+impl LinkWrenches {
     /// Adds `dF/dx` of a point at `x` in the base frame that is fixed to link `i` (from 0).
     pub fn add(&mut self, i: usize, x: &V3, gradient: &V3) {
         self.force[i] += gradient;
@@ -318,7 +318,7 @@ mod tests {
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// Arms of random geometry, the second with a slide in the middle.
+    /// Arms of random geometry with revolute and prismatic joints.
     fn arms() -> Vec<Chain> {
         let mut rng = ChaCha8Rng::seed_from_u64(11);
         let mut chain = |kinds: &[JointKind]| {
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rows_are_the_regressor() {
+    fn rows_agree_with_the_regressor_of_the_model() {
         let gravity = V3::new(3.0, -5.0, 7.0);
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         for chain in arms() {
@@ -378,8 +378,8 @@ mod tests {
             let at = state(&mut rng);
             let bar: [[LinkRow; MAX_JOINTS]; MAX_JOINTS] =
                 std::array::from_fn(|_| std::array::from_fn(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0))));
-            let pull: V3 = V3::new(0.3, -0.7, 1.1);
-            // F = <bar, Y> + pull . (point of the last link)
+            let point_gradient: V3 = V3::new(0.3, -0.7, 1.1);
+            // F = <bar, Y> + point_gradient . (point of the last link)
             let f = |s: &[[f64; MAX_JOINTS]; 3]| {
                 let mut tape = Tape::default();
                 tape.forward(&arm, &gravity, &s[0], &s[1], &s[2]);
@@ -387,7 +387,7 @@ mod tests {
                 tape.place(n, &mut frames);
                 let pairs = (0..n).flat_map(|i| (0..=i).map(move |j| (i, j)));
                 let rows = pairs.map(|(i, j)| tape.row(i, j).iter().zip(&bar[i][j]).map(|(y, z)| y * z).sum::<f64>());
-                rows.sum::<f64>() + pull.dot(&frames[n - 1].point(arm.flange()))
+                rows.sum::<f64>() + point_gradient.dot(&frames[n - 1].point(arm.flange()))
             };
             let mut tape = Tape::default();
             tape.forward(&arm, &gravity, &at[0], &at[1], &at[2]);
@@ -395,8 +395,8 @@ mod tests {
             tape.place(n, &mut frames);
             let mut out = Gradient::default();
             tape.backward(&arm, &bar, &mut out);
-            let mut pulls = Pulls::default();
-            pulls.add(n - 1, &frames[n - 1].point(arm.flange()), &pull);
+            let mut pulls = LinkWrenches::default();
+            pulls.add(n - 1, &frames[n - 1].point(arm.flange()), &point_gradient);
             pulls.backward(&arm, &frames, &mut out);
             let h = 1e-5;
             for (kind, found) in [out.q, out.dq, out.ddq].iter().enumerate() {

@@ -1,7 +1,7 @@
-//! Where the columns of a model's regressor come from, row by row.
+//! Nonzero columns of each row of a model's regressor.
 //!
-//! Row `j` of a sample holds the rigid-body columns of link `j` and the links beyond it, and the columns that joint `j` has of its own
-//! (friction, offset, rotor). All the others are zero, and are never touched.
+//! Row `j` of a sample has the rigid-body columns of link `j` and the links beyond it, and the columns of joint `j` (friction, offset,
+//! rotor). All others are zero and are skipped.
 
 use super::super::ExciteError;
 use super::adjoint::LinkRow;
@@ -9,9 +9,9 @@ use plumbline_core::MAX_JOINTS;
 use plumbline_model::term::{friction, rigid_body, rotor_inertia, torque_offset};
 use plumbline_model::{LINK_COLUMNS, Structure};
 
-/// A column that a joint has in its own row alone.
+/// Column that is nonzero in one joint's row only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Own {
+pub enum JointColumn {
     /// `dq`
     Viscous,
     /// `tanh(s dq)`
@@ -22,17 +22,17 @@ pub enum Own {
     Rotor,
 }
 
-impl Own {
+impl JointColumn {
     /// The column's value, and its derivatives with respect to `dq` and `ddq`; `s` is the slope of the smoothed sign \[s/rad\].
     pub fn value(self, dq: f64, ddq: f64, s: f64) -> (f64, f64, f64) {
         match self {
-            Own::Viscous => (dq, 1.0, 0.0),
-            Own::Coulomb => {
+            JointColumn::Viscous => (dq, 1.0, 0.0),
+            JointColumn::Coulomb => {
                 let sign = (s * dq).tanh();
                 (sign, s * (1.0 - sign * sign), 0.0)
             }
-            Own::Offset => (1.0, 0.0, 0.0),
-            Own::Rotor => (ddq, 0.0, 1.0),
+            JointColumn::Offset => (1.0, 0.0, 0.0),
+            JointColumn::Rotor => (ddq, 0.0, 1.0),
         }
     }
 }
@@ -42,25 +42,28 @@ impl Own {
 pub struct RowColumns {
     /// Rigid-body columns, ordered: link and standard parameter, both from 0.
     pub rigid: Vec<(usize, usize)>,
-    /// The joint's own columns, which follow them.
-    pub own: Vec<Own>,
-    /// Column of the whole regressor for each of both.
+    /// Columns of the joint, after the rigid-body columns.
+    pub own: Vec<JointColumn>,
+    /// Column index in the whole regressor of each rigid-body and joint column.
     pub global: Vec<usize>,
 }
 
-/// All rows of a structure.
+/// Nonzero columns of all rows of a structure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Columns {
     /// One entry per joint.
     pub rows: Vec<RowColumns>,
-    /// Columns of the whole regressor.
+    /// Number of columns of the whole regressor.
     pub count: usize,
-    /// The rigid body's, which come first.
+    /// Number of rigid-body columns, which come first.
     pub rigid: usize,
 }
 
 impl Columns {
-    /// Sorts a structure's columns into rows. Errors when it has a term whose gradient is not known here.
+    /// Nonzero columns of a structure.
+    ///
+    /// # Errors
+    /// A term without a gradient here.
     pub fn of(structure: &Structure) -> Result<Columns, ExciteError> {
         let n = structure.chain().len();
         let mut rows = vec![RowColumns::default(); n];
@@ -80,10 +83,10 @@ impl Columns {
             for global in range {
                 let column = &structure.columns()[global];
                 let own = match (term.id(), column.name.as_str()) {
-                    (friction::ID, name) if name.starts_with("fv") => Own::Viscous,
-                    (friction::ID, name) if name.starts_with("fc") => Own::Coulomb,
-                    (torque_offset::ID, _) => Own::Offset,
-                    (rotor_inertia::ID, _) => Own::Rotor,
+                    (friction::ID, name) if name.starts_with("fv") => JointColumn::Viscous,
+                    (friction::ID, name) if name.starts_with("fc") => JointColumn::Coulomb,
+                    (torque_offset::ID, _) => JointColumn::Offset,
+                    (rotor_inertia::ID, _) => JointColumn::Rotor,
                     (id, name) => return Err(ExciteError::Column { term: id.to_string(), name: name.to_string() }),
                 };
                 let row = &mut rows[column.joint - 1];
@@ -106,7 +109,7 @@ mod tests {
     use plumbline_model::{Chain, Joint, JointKind, Placement, Reduction};
 
     #[test]
-    fn every_column_is_in_the_rows_that_it_is_not_zero_in() {
+    fn columns_are_listed_in_the_rows_where_they_are_nonzero() {
         let joint = |alpha: f64| Joint { kind: JointKind::Revolute, a: 0.1, alpha, d: 0.2, theta: 0.0 };
         let chain = Chain::modified(vec![joint(0.0), joint(1.2), joint(-0.7)], Placement::identity());
         let reduction = Reduction::any_mounting(&chain);

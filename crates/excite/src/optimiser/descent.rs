@@ -1,11 +1,11 @@
 //! Minimisation of a function with gradient: BFGS with a dense inverse Hessian and a line search for the weak Wolfe conditions.
 //!
-//! The unknowns are some dozens, so the dense update costs nothing beside one value of the function; and the bisecting line search of
-//! Lewis and Overton ("Nonsmooth optimization via quasi-Newton methods", 2013) stands kinks, which penalties and large p have.
+//! With some dozens of unknowns the dense update is cheap against one evaluation of the function. The bisecting line search of
+//! Lewis and Overton ("Nonsmooth optimization via quasi-Newton methods", 2013) handles kinks, which penalties and large p have.
 
 use nalgebra::{DMatrix, DVector};
 
-/// State of a minimisation; it can go on after the function has changed a little.
+/// State of a minimisation. It can continue after a small change of the function.
 pub struct Descent {
     x: DVector<f64>,
     inverse: DMatrix<f64>,
@@ -15,40 +15,40 @@ pub struct Descent {
 /// Why a descent ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// The last steps gained next to nothing, or no step gains anything.
+    /// The last steps decreased the value by less than the tolerance, or no step decreases it.
     Converged,
-    /// All iterations are used up.
+    /// Maximum iterations reached.
     Iterations,
 }
 
-/// Wolfe conditions: sufficient decrease and curvature.
-const DECREASE: f64 = 1e-4;
-const CURVATURE: f64 = 0.9;
-/// Trial steps of one line search.
-const TRIALS: usize = 25;
-/// Steps without a relative gain of the tolerance, after which it is over.
-const PATIENCE: usize = 3;
+/// Wolfe conditions: ratios of sufficient decrease and curvature.
+const DECREASE_RATIO: f64 = 1e-4;
+const CURVATURE_RATIO: f64 = 0.9;
+/// Maximum trial steps of one line search.
+const MAX_TRIALS: usize = 25;
+/// Consecutive steps with a decrease below the tolerance until convergence.
+const MAX_SMALL_STEPS: usize = 3;
 
 impl Descent {
-    /// Starts at `x`.
+    /// A minimisation from `x`.
     pub fn new(x: Vec<f64>) -> Descent {
         let n = x.len();
         Descent { x: DVector::from_vec(x), inverse: DMatrix::identity(n, n), fresh: true }
     }
 
-    /// Where it is.
+    /// Current point.
     pub fn x(&self) -> &[f64] {
         self.x.as_slice()
     }
 
-    /// Forgets the curvature, after the function has changed much.
-    pub fn forget(&mut self) {
+    /// Resets the inverse Hessian to the identity, after a large change of the function.
+    pub fn reset(&mut self) {
         self.inverse.fill_with_identity();
         self.fresh = true;
     }
 
-    /// At most `iterations` steps downhill. `f` writes the gradient at its first argument into the second and returns the value,
-    /// infinite where there is none. Ends early when 3 steps in a row gain less than `tolerance`.
+    /// Runs at most `iterations` steps and returns the value. `f` writes the gradient at its first argument into the second and returns the
+    /// value, infinite outside its domain. Converged when 3 steps in a row decrease the value by less than `tolerance`.
     pub fn run(
         &mut self,
         iterations: usize,
@@ -63,25 +63,25 @@ impl Descent {
             let mut direction = -(&self.inverse * &gradient);
             let mut slope = direction.dot(&gradient);
             if slope.is_nan() || slope >= 0.0 {
-                self.forget();
+                self.reset();
                 direction = -gradient.clone();
                 slope = -gradient.norm_squared();
             }
             if !value.is_finite() || slope == 0.0 {
                 return (value, End::Converged);
             }
-            // A first step without any idea of the curvature stays short.
+            // The first step has no curvature information and is short.
             let mut step = if self.fresh { (0.1 / direction.norm()).min(1.0) } else { 1.0 };
             let (mut low, mut high) = (0.0, f64::INFINITY);
             let mut next = None;
-            for _ in 0..TRIALS {
+            for _ in 0..MAX_TRIALS {
                 let x = &self.x + &direction * step;
                 let mut there = DVector::zeros(n);
                 let found = f(x.as_slice(), there.as_mut_slice());
-                if found.is_nan() || found > value + DECREASE * step * slope {
+                if found.is_nan() || found > value + DECREASE_RATIO * step * slope {
                     high = step;
                 } else {
-                    let flat = there.dot(&direction) >= CURVATURE * slope;
+                    let flat = there.dot(&direction) >= CURVATURE_RATIO * slope;
                     next = Some((x, found, there));
                     if flat {
                         break;
@@ -94,14 +94,14 @@ impl Descent {
                 if self.fresh {
                     return (value, End::Converged);
                 }
-                self.forget();
+                self.reset();
                 continue;
             };
             self.update(&(&x - &self.x), &(&there - &gradient));
             let gain = value - found;
             (self.x, value, gradient) = (x, found, there);
             small = if gain <= tolerance { small + 1 } else { 0 };
-            if small == PATIENCE {
+            if small == MAX_SMALL_STEPS {
                 return (value, End::Converged);
             }
         }
@@ -131,7 +131,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_valley_of_rosenbrock_is_followed_to_its_end() {
+    fn the_minimum_of_the_rosenbrock_function_is_found() {
         let f = |x: &[f64], g: &mut [f64]| {
             let mut value = 0.0;
             g.fill(0.0);
@@ -150,8 +150,8 @@ mod tests {
     }
 
     #[test]
-    fn a_kink_is_no_obstacle_and_a_hole_is_avoided() {
-        // |x| + 2 |y| with no value left of x = -1.
+    fn kinks_and_infinite_values_are_handled() {
+        // |x| + 2 |y|, infinite for x < -1.
         let f = |x: &[f64], g: &mut [f64]| {
             (g[0], g[1]) = (x[0].signum(), 2.0 * x[1].signum());
             if x[0] < -1.0 { f64::INFINITY } else { x[0].abs() + 2.0 * x[1].abs() }

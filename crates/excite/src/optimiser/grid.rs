@@ -1,14 +1,14 @@
-//! The unknowns of a motion and their linear map to its samples.
+//! Unknowns of a motion and their linear map to its samples.
 //!
-//! Sine and cosine amplitudes that start and end at rest form a linear space per joint: `sum_k k a_k = 0`, `sum_k b_k = 0`,
-//! `sum_k k^2 b_k = 0`. The unknowns are coordinates in an orthonormal basis of that space, so the boundary conditions hold at every
-//! step of a search without being a constraint.
+//! The amplitudes of a joint that starts and ends at rest form a linear space: `sum_k k a_k = 0`, `sum_k b_k = 0`,
+//! `sum_k k^2 b_k = 0`. The unknowns are coordinates in an orthonormal basis of that space, so every point of a search
+//! satisfies the boundary conditions.
 
 use super::super::fourier::{Fourier, orthonormal};
 use nalgebra::DMatrix;
 use std::f64::consts::PI;
 
-/// The basis of one joint's amplitudes, and its samples on an even grid over one period.
+/// Basis of one joint's amplitudes and its samples on an even grid over one period.
 #[derive(Clone)]
 pub struct Grid {
     period: f64,
@@ -29,7 +29,7 @@ pub struct Grid {
 impl Grid {
     /// A grid of `samples` over one `period` \[s\] for `harmonics` harmonics.
     pub fn new(period: f64, harmonics: usize, samples: usize) -> Grid {
-        // In units of velocity (k a_k, k b_k), so that no harmonic's coordinate is much stiffer than another's.
+        // In units of velocity (k a_k, k b_k), so that the coordinates have similar curvature.
         let (a, b) = (null_space(harmonics, &[0]), null_space(harmonics, &[-1, 1]));
         let (na, nb) = (a.ncols(), b.ncols());
         let free = na + nb;
@@ -92,7 +92,7 @@ impl Grid {
         fourier
     }
 
-    /// Coordinates of a motion's amplitudes, joint by joint; what breaks the boundary conditions is lost.
+    /// Coordinates of a motion's amplitudes, joint by joint: their projection onto the boundary conditions.
     pub fn coordinates(&self, fourier: &Fourier) -> Vec<f64> {
         // The basis is orthonormal in k a_k and k b_k.
         let mut x = Vec::with_capacity(fourier.joints() * self.free());
@@ -126,7 +126,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     #[test]
-    fn every_coordinate_is_a_motion_at_rest_and_none_is_missing() {
+    fn coordinates_span_all_motions_at_rest_at_their_ends() {
         let mut rng = ChaCha8Rng::seed_from_u64(4);
         for harmonics in 1..=12 {
             let grid = Grid::new(8.0, harmonics, 40);
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn the_samples_are_those_of_the_series() {
+    fn grid_samples_agree_with_the_fourier_series() {
         let grid = Grid::new(5.0, 4, 30);
         let x: Vec<f64> = (0..grid.free()).map(|c| 0.3 - 0.1 * c as f64).collect();
         let fourier = grid.fourier(&[0.7], &x);

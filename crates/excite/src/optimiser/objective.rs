@@ -1,8 +1,8 @@
-//! The function that is minimised: how badly a motion excites, plus what it breaks, with the exact gradient.
+//! Objective of the optimiser: surrogate of the criterion plus augmented Lagrangian of the constraints, with the exact gradient.
 //!
-//! One evaluation runs the recursion at every sample of the grid, gathers `M = W' W` row block by row block, takes the surrogate of the
-//! criterion and its gradient `G = dL/dM`, and goes back: `dL = sum_k <2 Y_k G, dY_k>` for the regressor `Y_k` of sample k. Torques of
-//! the nominal model use the same regressor, so their gradients ride along; positions of bodies have their own way back.
+//! One evaluation runs the recursion at every sample of the grid and sums `M = W' W`. It computes the surrogate of the criterion and its
+//! gradient `G = dL/dM`, then the reverse pass `dL = sum_k <2 Y_k G, dY_k>` for the regressor `Y_k` of sample k. Torques of the nominal
+//! model use the same regressor and reverse pass; positions of bodies have their own.
 
 use super::super::ExciteError;
 use super::super::criterion::Criterion;
@@ -10,31 +10,31 @@ use super::super::fourier::Fourier;
 use super::super::limits::Bounds;
 use super::super::nominal::Nominal;
 use super::super::search::Problem;
-use super::adjoint::{Arm, Frame, Gradient, Pulls, Tape};
-use super::caps::Caps;
+use super::adjoint::{Arm, Frame, Gradient, LinkWrenches, Tape};
+use super::augmented_lagrangian::AugmentedLagrangian;
 use super::columns::{Columns, LinkRows};
 use super::grid::Grid;
-use super::held::Held;
+use super::grid_limits::GridLimits;
 use super::spectral::surrogate;
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::{JointVec, MAX_JOINTS};
 use plumbline_model::{Capsule, FIRST_BOXED, LINK_COLUMNS, nearest};
 
-/// How sharply the criterion is taken.
+/// Smoothing of the criterion and of Coulomb friction.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sharpness {
+pub struct Smoothing {
     /// Order p of the surrogate.
     pub p: f64,
-    /// Slope of the smoothed sign in the friction columns \[s/rad\]. The model's own (100) would be a step on a coarse grid.
+    /// Slope of the smoothed sign in the friction columns \[s/rad\]. The model's slope (100) would be a step on a coarse grid.
     pub sign: f64,
 }
 
-/// Lengths that distances are measured in, so that all constraints have the size of one \[m\].
-const LENGTH: f64 = 0.1;
-/// Pairs of bodies farther apart than this are left alone \[m\].
-const FAR: f64 = 0.25;
+/// Length unit of distance constraints, which scales them to order one \[m\].
+const DISTANCE_SCALE_M: f64 = 0.1;
+/// Distance beyond the clearance above which a pair of bodies is not computed exactly \[m\].
+const MAX_EXACT_DISTANCE_M: f64 = 0.25;
 
-/// One sample on the grid.
+/// Intermediate values of one sample of the grid.
 struct Sample {
     tape: Tape,
     frames: [Frame; MAX_JOINTS],
@@ -44,7 +44,7 @@ struct Sample {
     tau_bar: JointVec,
 }
 
-/// The function and the room it works in.
+/// The objective with its workspace.
 pub struct Objective<'a> {
     bounds: Bounds<'a>,
     nominal: Option<&'a Nominal>,
@@ -54,17 +54,17 @@ pub struct Objective<'a> {
     criterion: Criterion,
     /// Weight of each joint's rows.
     weights: JointVec,
-    /// Information of motions that this one adds to.
+    /// Information matrix of the prior motions.
     prior: Option<DMatrix<f64>>,
     grid: Grid,
     fixed: Option<Vec<f64>>,
-    /// What is held on the grid.
-    pub caps: Caps,
-    /// Multipliers.
-    pub held: Held,
+    /// Limits on the grid.
+    pub limits_on_grid: GridLimits,
+    /// Augmented Lagrangian.
+    pub constraints: AugmentedLagrangian,
     /// Surrogate and smoothing.
-    pub sharpness: Sharpness,
-    // Room.
+    pub smoothing: Smoothing,
+    // Workspace.
     samples: Vec<Sample>,
     motion: [DMatrix<f64>; 4],
     rows: Vec<DMatrix<f64>>,
@@ -72,7 +72,10 @@ pub struct Objective<'a> {
 }
 
 impl<'a> Objective<'a> {
-    /// Puts a problem on a grid. Errors when the model has a term without a gradient here.
+    /// The objective of a problem on a grid.
+    ///
+    /// # Errors
+    /// A term without a gradient here.
     pub fn new(problem: &Problem<'a>, grid: Grid, criterion: Criterion) -> Result<Objective<'a>, ExciteError> {
         let n = problem.bounds.chain.len();
         let columns = Columns::of(problem.structure)?;
@@ -98,9 +101,9 @@ impl<'a> Objective<'a> {
             weights,
             prior: None,
             fixed: problem.q0.map(<[f64]>::to_vec),
-            caps: Caps::of(&problem.bounds),
-            held: Held::new(1.0),
-            sharpness: Sharpness { p: 1.0, sign: 10.0 },
+            limits_on_grid: GridLimits::of(&problem.bounds),
+            constraints: AugmentedLagrangian::new(1.0),
+            smoothing: Smoothing { p: 1.0, sign: 10.0 },
             samples: std::iter::repeat_with(sample).take(count).collect(),
             motion: std::array::from_fn(|_| DMatrix::zeros(count, n)),
             rows: columns.rows.iter().map(|row| DMatrix::zeros(row.global.len(), count)).collect(),
@@ -110,8 +113,8 @@ impl<'a> Objective<'a> {
         })
     }
 
-    /// Adds the information of other motions in the same mounting, one after the other: the criterion is then that of all of them
-    /// stacked.
+    /// Adds the information of other motions in the same mounting: the criterion is that of the stacked
+    /// regressor.
     pub fn with_prior(mut self, motions: &[Fourier]) -> Objective<'a> {
         for motion in motions {
             self.load(&motion.q0, &self.grid.coordinates(motion));
@@ -145,8 +148,8 @@ impl<'a> Objective<'a> {
         self.fixed.as_deref().unwrap_or(&x[self.arm.len() * self.grid.free()..])
     }
 
-    /// The criterion's surrogate plus what the constraints add, and its gradient; infinite where a parameter is not excited at all.
-    /// Panics when `x` or `gradient` has not [`Objective::unknowns`] entries.
+    /// Surrogate of the criterion plus the constraints' term, and its gradient; infinite where a parameter is not excited.
+    /// Panics when `x` or `gradient` does not have [`Objective::unknowns`] entries.
     pub fn evaluate(&mut self, x: &[f64], gradient: &mut [f64]) -> f64 {
         assert_eq!((x.len(), gradient.len()), (self.unknowns(), self.unknowns()), "unknowns");
         let q0 = self.start(x).to_vec();
@@ -156,17 +159,17 @@ impl<'a> Objective<'a> {
             Some(prior) => &self.gram + prior,
             None => self.gram.clone(),
         };
-        let Sharpness { p, .. } = self.sharpness;
+        let Smoothing { p, .. } = self.smoothing;
         let Some((value, by_gram)) = surrogate(self.criterion, &total, self.columns.rigid, p) else {
             return f64::INFINITY;
         };
         self.constrain();
-        self.back(&by_gram);
-        self.gather(gradient);
-        value + self.held.psi()
+        self.backward(&by_gram);
+        self.gradient_of_unknowns(gradient);
+        value + self.constraints.psi()
     }
 
-    /// Positions and derivatives at every sample, and the recursion.
+    /// Computes positions, derivatives and the recursion at every sample.
     fn load(&mut self, q0: &[f64], x: &[f64]) {
         let (n, free) = (self.arm.len(), self.grid.free());
         let coordinates = nalgebra::DMatrixView::from_slice(&x[..n * free], free, n);
@@ -185,7 +188,7 @@ impl<'a> Objective<'a> {
         }
     }
 
-    /// `M`, from the rows of all samples.
+    /// Computes `M` from the rows of all samples.
     fn information(&mut self) {
         self.gram.fill(0.0);
         for (j, (layout, rows)) in self.columns.rows.iter().zip(&mut self.rows).enumerate() {
@@ -200,7 +203,7 @@ impl<'a> Objective<'a> {
                 }
                 let (dq, ddq) = (self.motion[1][(k, j)], self.motion[2][(k, j)]);
                 for (c, own) in layout.own.iter().enumerate() {
-                    column[layout.rigid.len() + c] = own.value(dq, ddq, self.sharpness.sign).0;
+                    column[layout.rigid.len() + c] = own.value(dq, ddq, self.smoothing.sign).0;
                 }
             }
             let block = &*rows * rows.transpose();
@@ -212,12 +215,12 @@ impl<'a> Objective<'a> {
         }
     }
 
-    /// Walks all constraints and leaves their pulls in the samples' gradients.
+    /// Evaluates all constraints and adds their gradients to the samples.
     fn constrain(&mut self) {
         for sample in &mut self.samples {
             (sample.gradient, sample.jerk_bar, sample.tau_bar) = Default::default();
         }
-        self.held.start();
+        self.constraints.start();
         self.constrain_joints();
         if let Some(nominal) = self.nominal {
             self.constrain_torques(nominal);
@@ -228,25 +231,26 @@ impl<'a> Objective<'a> {
     }
 
     fn constrain_joints(&mut self) {
-        let (caps, held, limits) = (&self.caps, &mut self.held, self.bounds.limits);
+        let (limits_on_grid, constraints, limits) = (&self.limits_on_grid, &mut self.constraints, self.bounds.limits);
         for j in 0..self.arm.len() {
             let range = 0.5 * (limits.q_max[j] - limits.q_min[j]);
             for (k, sample) in self.samples.iter_mut().enumerate() {
                 let [q, dq, ddq, jerk] = [0, 1, 2, 3].map(|d| self.motion[d][(k, j)]);
                 let out = &mut sample.gradient;
-                out.q[j] += held.next((q - caps.q_max[j]) / range) / range;
-                out.q[j] -= held.next((caps.q_min[j] - q) / range) / range;
+                out.q[j] += constraints.next((q - limits_on_grid.q_max[j]) / range) / range;
+                out.q[j] -= constraints.next((limits_on_grid.q_min[j] - q) / range) / range;
                 let most = limits.dq[j];
                 for (sign, room) in [(1.0, limits.q_max[j] - q), (-1.0, q - limits.q_min[j])] {
-                    let (speed, slope) = self.bounds.envelope.map_or((most, 0.0), |e| e.at(j, room, most));
-                    let pull = held.next((sign * dq - caps.speed[j] * speed) / most) / most;
-                    out.dq[j] += sign * pull;
-                    out.q[j] += sign * pull * caps.speed[j] * slope;
+                    let (speed, speed_derivative) = self.bounds.envelope.map_or((most, 0.0), |e| e.at(j, room, most));
+                    let slope = constraints.next((sign * dq - limits_on_grid.speed[j] * speed) / most) / most;
+                    out.dq[j] += sign * slope;
+                    out.q[j] += sign * slope * limits_on_grid.speed[j] * speed_derivative;
                 }
-                for (value, cap, bar) in
-                    [(ddq, caps.ddq[j], &mut out.ddq[j]), (jerk, caps.jerk[j], &mut sample.jerk_bar[j])]
-                {
-                    *bar += (held.next(value / cap - 1.0) - held.next(-value / cap - 1.0)) / cap;
+                for (value, cap, bar) in [
+                    (ddq, limits_on_grid.ddq[j], &mut out.ddq[j]),
+                    (jerk, limits_on_grid.jerk[j], &mut sample.jerk_bar[j]),
+                ] {
+                    *bar += (constraints.next(value / cap - 1.0) - constraints.next(-value / cap - 1.0)) / cap;
                 }
             }
         }
@@ -269,21 +273,21 @@ impl<'a> Objective<'a> {
         let difference = [(1, 2.0 / (3.0 * step)), (2, -1.0 / (12.0 * step))];
         let wrap = |k: usize, by: isize| (k as isize + by).rem_euclid(count as isize) as usize;
         for j in 0..n {
-            let (tau_max, rate_max) = (self.caps.tau[j], self.caps.dtau[j]);
+            let (tau_max, rate_max) = (self.limits_on_grid.tau[j], self.limits_on_grid.dtau[j]);
             for k in 0..count {
                 let dq = self.motion[1][(k, j)];
-                let sign = (self.sharpness.sign * dq).tanh();
+                let sign = (self.smoothing.sign * dq).tanh();
                 let value = (self.samples[k].tau[j] + nominal.fc[j] * sign) / tau_max;
-                let pull = (self.held.next(value - 1.0) - self.held.next(-value - 1.0)) / tau_max;
-                self.samples[k].tau_bar[j] += pull;
-                self.samples[k].gradient.dq[j] += pull * nominal.fc[j] * self.sharpness.sign * (1.0 - sign * sign);
+                let slope = (self.constraints.next(value - 1.0) - self.constraints.next(-value - 1.0)) / tau_max;
+                self.samples[k].tau_bar[j] += slope;
+                self.samples[k].gradient.dq[j] += slope * nominal.fc[j] * self.smoothing.sign * (1.0 - sign * sign);
                 let tau = |by| self.samples[wrap(k, by)].tau[j];
                 let rate: f64 = difference.iter().map(|&(m, d)| d * (tau(m) - tau(-m))).sum::<f64>() / rate_max;
-                let pull = (self.held.next(rate - 1.0) - self.held.next(-rate - 1.0)) / rate_max;
-                if pull != 0.0 {
+                let slope = (self.constraints.next(rate - 1.0) - self.constraints.next(-rate - 1.0)) / rate_max;
+                if slope != 0.0 {
                     for (m, d) in difference {
-                        self.samples[wrap(k, m)].tau_bar[j] += pull * d;
-                        self.samples[wrap(k, -m)].tau_bar[j] -= pull * d;
+                        self.samples[wrap(k, m)].tau_bar[j] += slope * d;
+                        self.samples[wrap(k, -m)].tau_bar[j] -= slope * d;
                     }
                 }
             }
@@ -298,16 +302,17 @@ impl<'a> Objective<'a> {
 
     fn constrain_space(&mut self) {
         let n = self.arm.len();
-        let (caps, held, workspace) = (&self.caps, &mut self.held, self.bounds.workspace);
+        let (limits_on_grid, constraints, workspace) =
+            (&self.limits_on_grid, &mut self.constraints, self.bounds.workspace);
         let mut ends: Vec<[Vector3<f64>; 2]> = Vec::new();
         for sample in &mut self.samples {
             sample.tape.place(n, &mut sample.frames);
             let frames = &sample.frames;
-            let mut pulls = Pulls::default();
+            let mut wrenches = LinkWrenches::default();
             if workspace.is_some() {
                 let at = frames[n - 1].point(self.arm.flange());
-                keep_in_box(held, &caps.end, n - 1, &at, 0.0, &mut pulls);
-                keep_off_base(held, caps.radius, n - 1, &at, &mut pulls);
+                keep_in_box(constraints, &limits_on_grid.end, n - 1, &at, 0.0, &mut wrenches);
+                keep_off_base(constraints, limits_on_grid.radius, n - 1, &at, &mut wrenches);
             }
             if let Some(shape) = self.bounds.shape {
                 ends.clear();
@@ -319,20 +324,27 @@ impl<'a> Objective<'a> {
                 let boxed = |capsule: &Capsule| links_in_box && capsule.link >= FIRST_BOXED;
                 for (capsule, ends) in shape.capsules().iter().zip(&ends).filter(|(capsule, _)| boxed(capsule)) {
                     for at in ends {
-                        keep_in_box(held, &caps.links, capsule.link - 1, at, capsule.radius, &mut pulls);
+                        keep_in_box(
+                            constraints,
+                            &limits_on_grid.links,
+                            capsule.link - 1,
+                            at,
+                            capsule.radius,
+                            &mut wrenches,
+                        );
                     }
                 }
                 for &(a, b) in shape.pairs() {
                     let bodies = [&shape.capsules()[a], &shape.capsules()[b]];
-                    keep_apart(held, caps.clearance, bodies, [&ends[a], &ends[b]], &mut pulls);
+                    keep_apart(constraints, limits_on_grid.clearance, bodies, [&ends[a], &ends[b]], &mut wrenches);
                 }
             }
-            pulls.backward(&self.arm, frames, &mut sample.gradient);
+            wrenches.backward(&self.arm, frames, &mut sample.gradient);
         }
     }
 
-    /// From `dL/dM` and the torques' pulls back to the samples.
-    fn back(&mut self, by_gram: &DMatrix<f64>) {
+    /// Reverse pass from `dL/dM` and the torque constraints to the samples.
+    fn backward(&mut self, by_gram: &DMatrix<f64>) {
         let n = self.arm.len();
         let bars: Vec<DMatrix<f64>> = (0..n)
             .map(|j| {
@@ -358,7 +370,7 @@ impl<'a> Objective<'a> {
                 }
                 let (dq, ddq) = (self.motion[1][(k, j)], self.motion[2][(k, j)]);
                 for (c, own) in layout.own.iter().enumerate() {
-                    let (_, by_dq, by_ddq) = own.value(dq, ddq, self.sharpness.sign);
+                    let (_, by_dq, by_ddq) = own.value(dq, ddq, self.smoothing.sign);
                     sample.gradient.dq[j] += column[layout.rigid.len() + c] * by_dq;
                     sample.gradient.ddq[j] += column[layout.rigid.len() + c] * by_ddq;
                 }
@@ -367,8 +379,8 @@ impl<'a> Objective<'a> {
         }
     }
 
-    /// From the samples back to the unknowns.
-    fn gather(&mut self, gradient: &mut [f64]) {
+    /// Reverse pass from the samples to the unknowns.
+    fn gradient_of_unknowns(&mut self, gradient: &mut [f64]) {
         let (n, free) = (self.arm.len(), self.grid.free());
         gradient.fill(0.0);
         let bases = [&self.grid.q, &self.grid.dq, &self.grid.ddq, &self.grid.jerk];
@@ -387,53 +399,66 @@ impl<'a> Objective<'a> {
     }
 }
 
-/// A ball of `radius` round the point `at` of link `i` (from 0) stays in a box.
-fn keep_in_box(held: &mut Held, sides: &[[f64; 3]; 2], i: usize, at: &Vector3<f64>, radius: f64, pulls: &mut Pulls) {
-    let mut pull = Vector3::zeros();
+/// Constraint: a ball of `radius` around the point `at` of link `i` (from 0) stays in a box.
+fn keep_in_box(
+    constraints: &mut AugmentedLagrangian,
+    sides: &[[f64; 3]; 2],
+    i: usize,
+    at: &Vector3<f64>,
+    radius: f64,
+    wrenches: &mut LinkWrenches,
+) {
+    let mut slope = Vector3::zeros();
     for axis in 0..3 {
-        pull[axis] -= held.next((sides[0][axis] + radius - at[axis]) / LENGTH) / LENGTH;
-        pull[axis] += held.next((at[axis] + radius - sides[1][axis]) / LENGTH) / LENGTH;
+        slope[axis] -= constraints.next((sides[0][axis] + radius - at[axis]) / DISTANCE_SCALE_M) / DISTANCE_SCALE_M;
+        slope[axis] += constraints.next((at[axis] + radius - sides[1][axis]) / DISTANCE_SCALE_M) / DISTANCE_SCALE_M;
     }
-    if pull != Vector3::zeros() {
-        pulls.add(i, at, &pull);
+    if slope != Vector3::zeros() {
+        wrenches.add(i, at, &slope);
     }
 }
 
-/// The point `at` of link `i` (from 0) stays out of the sphere round the base.
-fn keep_off_base(held: &mut Held, radius: f64, i: usize, at: &Vector3<f64>, pulls: &mut Pulls) {
+/// Constraint: the point `at` of link `i` (from 0) stays out of the sphere around the base.
+fn keep_off_base(
+    constraints: &mut AugmentedLagrangian,
+    radius: f64,
+    i: usize,
+    at: &Vector3<f64>,
+    wrenches: &mut LinkWrenches,
+) {
     let distance = at.norm();
-    let pull = held.next((radius - distance) / LENGTH) / LENGTH;
-    if pull != 0.0 && distance > 0.0 {
-        pulls.add(i, at, &(at * (-pull / distance)));
+    let slope = constraints.next((radius - distance) / DISTANCE_SCALE_M) / DISTANCE_SCALE_M;
+    if slope != 0.0 && distance > 0.0 {
+        wrenches.add(i, at, &(at * (-slope / distance)));
     }
 }
 
-/// Two bodies stay apart by `clearance`.
+/// Constraint: two bodies keep a distance of `clearance`.
 fn keep_apart(
-    held: &mut Held,
+    constraints: &mut AugmentedLagrangian,
     clearance: f64,
     bodies: [&Capsule; 2],
     ends: [&[Vector3<f64>; 2]; 2],
-    pulls: &mut Pulls,
+    wrenches: &mut LinkWrenches,
 ) {
     let apart = clearance + bodies[0].radius + bodies[1].radius;
-    // Two balls round the segments: a lower bound of the distance that settles most pairs.
+    // Bounding balls of the segments give a lower bound of the distance, sufficient for most pairs.
     let half = |e: &[Vector3<f64>; 2]| 0.5 * (e[1] - e[0]).norm();
     let centres = 0.5 * (ends[1][0] + ends[1][1] - ends[0][0] - ends[0][1]);
     let least = centres.norm() - half(ends[0]) - half(ends[1]);
-    if least > apart + FAR {
-        held.next((apart - least) / LENGTH);
+    if least > apart + MAX_EXACT_DISTANCE_M {
+        constraints.next((apart - least) / DISTANCE_SCALE_M);
         return;
     }
     let near = nearest(ends[0], ends[1]);
     let distance = near.between.norm();
-    let pull = held.next((apart - distance) / LENGTH) / LENGTH;
-    if pull != 0.0 && distance > 0.0 {
-        let along = near.between * (pull / distance);
+    let slope = constraints.next((apart - distance) / DISTANCE_SCALE_M) / DISTANCE_SCALE_M;
+    if slope != 0.0 && distance > 0.0 {
+        let along = near.between * (slope / distance);
         // The base (link 0) does not move.
         for (body, ends, share, along) in [(bodies[0], ends[0], near.s, along), (bodies[1], ends[1], near.t, -along)] {
             if body.link > 0 {
-                pulls.add(body.link - 1, &(ends[0] + (ends[1] - ends[0]) * share), &along);
+                wrenches.add(body.link - 1, &(ends[0] + (ends[1] - ends[0]) * share), &along);
             }
         }
     }

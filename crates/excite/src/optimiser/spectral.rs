@@ -1,21 +1,21 @@
-//! What is minimised, as a smooth function of the information matrix `M = W' W` with an exact gradient.
+//! Smooth surrogates of the criteria as functions of the information matrix `M = W' W`, with exact gradients.
 //!
-//! A condition number is not smooth where eigenvalues meet, and at its minimum they meet. Its place is taken by
-//! `L_p = (1/2p) (log tr M^p + log tr M^-p)`, which is smooth, lies above `log cond W = (1/2) log (lambda_max / lambda_min)` by at most
-//! `log(b) / p` for `b` columns, and comes down to it as `p` grows.
+//! A condition number is not smooth where extreme eigenvalues coincide, as they do at its minimum. The surrogate
+//! `L_p = (1/2p) (log tr M^p + log tr M^-p)` is smooth. It is above `log cond W = (1/2) log (lambda_max / lambda_min)` by at most
+//! `log(b) / p` for `b` columns, and converges to it for large `p`.
 
 use super::super::criterion::Criterion;
 use nalgebra::DMatrix;
 use plumbline_core::symmetric_eigen;
 
-/// Value and gradient `dL/dM` (symmetric) at the information matrix `gram`; `None` when it is not positive definite to rounding.
+/// Value and gradient `dL/dM` (symmetric) at the information matrix `gram`; `None` when it is not numerically positive definite.
 ///
-/// `rigid` is the number of leading columns that belong to the rigid body; [`Criterion::RawRigid`] sees only those.
+/// `rigid` is the number of leading columns that belong to the rigid body; [`Criterion::RawRigid`] uses only those.
 pub fn surrogate(criterion: Criterion, gram: &DMatrix<f64>, rigid: usize, p: f64) -> Option<(f64, DMatrix<f64>)> {
     match criterion {
-        Criterion::Raw | Criterion::Weighted => spread(gram.clone(), p),
+        Criterion::Raw | Criterion::Weighted => log_condition(gram.clone(), p),
         Criterion::RawRigid => {
-            let (value, inner) = spread(gram.view((0, 0), (rigid, rigid)).into_owned(), p)?;
+            let (value, inner) = log_condition(gram.view((0, 0), (rigid, rigid)).into_owned(), p)?;
             let mut gradient = DMatrix::zeros(gram.nrows(), gram.ncols());
             gradient.view_mut((0, 0), (rigid, rigid)).copy_from(&inner);
             Some((value, gradient))
@@ -25,14 +25,14 @@ pub fn surrogate(criterion: Criterion, gram: &DMatrix<f64>, rigid: usize, p: f64
     }
 }
 
-/// Share of the largest eigenvalue below which the least is rounding.
-const SINGULAR: f64 = 1e-14;
+/// Ratio of smallest to largest eigenvalue below which the matrix counts as singular.
+const SINGULAR_RATIO: f64 = 1e-14;
 
 /// `L_p` of a matrix.
-fn spread(gram: DMatrix<f64>, p: f64) -> Option<(f64, DMatrix<f64>)> {
+fn log_condition(gram: DMatrix<f64>, p: f64) -> Option<(f64, DMatrix<f64>)> {
     let eigen = symmetric_eigen(gram)?;
     let (least, largest) = (eigen.eigenvalues.min(), eigen.eigenvalues.max());
-    if least <= SINGULAR * largest {
+    if least <= SINGULAR_RATIO * largest {
         return None;
     }
     let up = eigen.eigenvalues.map(|l| (l / largest).powf(p));
@@ -50,12 +50,12 @@ fn spread(gram: DMatrix<f64>, p: f64) -> Option<(f64, DMatrix<f64>)> {
 fn equilibrated(gram: &DMatrix<f64>, p: f64) -> Option<(f64, DMatrix<f64>)> {
     let n = gram.nrows();
     let largest = gram.diagonal().max();
-    if gram.diagonal().iter().any(|d| d.is_nan() || *d <= SINGULAR * largest) {
+    if gram.diagonal().iter().any(|d| d.is_nan() || *d <= SINGULAR_RATIO * largest) {
         return None;
     }
     let scale: Vec<f64> = gram.diagonal().iter().map(|d| 1.0 / d.sqrt()).collect();
     let unit = DMatrix::from_fn(n, n, |i, j| gram[(i, j)] * scale[i] * scale[j]);
-    let (value, inner) = spread(unit.clone(), p)?;
+    let (value, inner) = log_condition(unit.clone(), p)?;
     let mut gradient = DMatrix::from_fn(n, n, |i, j| inner[(i, j)] * scale[i] * scale[j]);
     for i in 0..n {
         let along: f64 = (0..n).map(|j| inner[(i, j)] * unit[(i, j)]).sum();
@@ -64,7 +64,7 @@ fn equilibrated(gram: &DMatrix<f64>, p: f64) -> Option<(f64, DMatrix<f64>)> {
     Some((value, gradient))
 }
 
-/// `-(1/2b) log det M`: what is left of it is the mean of the parameters' log variances.
+/// `-(1/2b) log det M`: half the mean of the logarithms of the eigenvalues of `M^-1`.
 fn log_det(gram: &DMatrix<f64>) -> Option<(f64, DMatrix<f64>)> {
     let b = gram.nrows() as f64;
     let factor = gram.clone().cholesky()?;
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn the_surrogate_comes_down_to_the_condition_number() {
+    fn the_surrogate_converges_to_the_condition_number() {
         let w = tall(2);
         let gram = w.tr_mul(&w);
         let mut unit = w.clone();
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motion_that_leaves_a_parameter_alone_has_no_value() {
+    fn an_unexcited_parameter_gives_no_value() {
         let mut w = tall(4);
         w.column_mut(2).fill(0.0);
         for criterion in ALL {

@@ -78,7 +78,7 @@ impl Estimator {
     }
 
     /// Whether it wants every period's deviation from the mean (`Settings::keep_periods`).
-    pub fn wants_periods(self) -> bool {
+    pub fn needs_periods(self) -> bool {
         matches!(self, Estimator::Tls | Estimator::Iv)
     }
 }

@@ -1,4 +1,4 @@
-//! The process that holds a lock file, as the kernel sees it: nothing is signalled that does not hold the lock.
+//! Process that holds a lock file, verified through the kernel before it is signalled.
 
 use std::fs;
 use std::os::fd::OwnedFd;
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use crate::lock::is_held_by;
 use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
 
-/// A process that holds the lock and handles SIGUSR2.
+/// Verified process that holds the lock and handles SIGUSR2.
 #[derive(Debug)]
 pub(super) struct Holder {
     process: OwnedFd,
@@ -17,28 +17,28 @@ pub(super) struct Holder {
 /// Why a process is not signalled.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Refusal {
-    /// It serves no robot, whatever the lock file says.
+    /// The process serves no robot, although the lock file names it.
     pub serves_none: bool,
-    /// In words.
+    /// Description for the error message.
     pub reason: String,
 }
 
 impl Holder {
-    /// Process `pid`, where it holds the lock on `path`, belongs to the user of that file, and handles SIGUSR2.
+    /// Verifies that process `pid` holds the lock on `path`, belongs to the owner of that file, and handles SIGUSR2.
     ///
     /// # Errors
-    /// Why it is not signalled.
+    /// The reason why it must not be signalled.
     pub(super) fn verified(path: &Path, pid: u32) -> Result<Holder, Refusal> {
         let unknown = |reason: &dyn std::fmt::Display| Refusal {
             serves_none: false,
-            reason: format!("process {pid} can't be looked at: {reason}"),
+            reason: format!("process {pid} can't be inspected: {reason}"),
         };
-        let none = |reason: String| Refusal { serves_none: true, reason };
+        let serves_none = |reason: String| Refusal { serves_none: true, reason };
         let number = i32::try_from(pid).ok().and_then(Pid::from_raw);
-        let number = number.ok_or_else(|| none(format!("{pid} is no process")))?;
-        // Opened first: a process that takes the number from here on is another one than this descriptor's.
+        let number = number.ok_or_else(|| serves_none(format!("{pid} is not a process number")))?;
+        // Opened first: the descriptor stays bound to this process even when its number is reused.
         let process = pidfd_open(number, PidfdFlags::empty()).map_err(|error| match error {
-            rustix::io::Errno::SRCH => none(format!("process {pid} has ended")),
+            rustix::io::Errno::SRCH => serves_none(format!("process {pid} has ended")),
             error => unknown(&error),
         })?;
         let lock = fs::metadata(path).map_err(|error| unknown(&format!("{}: {error}", path.display())))?;
@@ -46,19 +46,19 @@ impl Holder {
         let owner = fs::metadata(&folder).map_err(|error| unknown(&error))?.uid();
         if owner != lock.uid() {
             let reason = format!("process {pid} belongs to user {owner}, the lock file to user {}", lock.uid());
-            return Err(none(reason));
+            return Err(serves_none(reason));
         }
         if !is_held_by(&lock, pid).map_err(|error| unknown(&error))? {
-            return Err(none(format!("process {pid} does not hold the lock")));
+            return Err(serves_none(format!("process {pid} does not hold the lock")));
         }
         let status = fs::read_to_string(folder.join("status")).map_err(|error| unknown(&error))?;
         if !handles(&status, Signal::USR2) {
-            return Err(none(format!("process {pid} holds the lock and serves no robot yet")));
+            return Err(serves_none(format!("process {pid} holds the lock and serves no robot yet")));
         }
         Ok(Holder { process })
     }
 
-    /// Asks for a stop.
+    /// Requests a stop by SIGUSR2.
     pub(super) fn signal(&self) -> Result<(), Refusal> {
         pidfd_send_signal(&self.process, Signal::USR2)
             .map_err(|error| Refusal { serves_none: false, reason: format!("SIGUSR2: {error}") })

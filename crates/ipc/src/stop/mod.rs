@@ -1,13 +1,13 @@
-//! The stop's own way to the daemon: a local datagram socket beside the lock file, and a signal as the last resort.
+//! Stop requests to the daemon: a local datagram socket beside the lock file, and a signal as fallback.
 //!
-//! Nothing here needs shared memory, a place among the clients, a new file descriptor in the daemon, or the bridge thread. Every datagram
-//! that is not empty is a stop, whatever it holds: a stop too many is safe. The daemon counts the stops that it has taken in the lock file, which
-//! is how a sender learns that its own was taken, on either way.
+//! No shared memory, client slot, new file descriptor in the daemon, or bridge thread is needed. Every non-empty datagram is a stop, whatever
+//! its content: an unneeded stop is safe. The daemon counts executed stops in the lock file. A sender reads that count as its acknowledgement,
+//! for socket and signal alike.
 
 mod holder;
 mod send;
 
-pub use send::{StopError, Taken, Way, stop};
+pub use send::{StopError, StopPath, StopReceipt, stop};
 
 use std::fmt;
 use std::io::{self, IoSliceMut};
@@ -24,17 +24,17 @@ use signal_hook::consts::SIGUSR2;
 use super::lock::{Lock, StopCounter};
 use super::now_ns;
 
-/// The longest that one [`StopListener::listen`] waits.
-pub const LISTEN: Duration = Duration::from_millis(50);
-/// What a sender writes.
-const ORDER: &[u8; 16] = b"plumbline stop 1";
+/// Timeout of one [`StopListener::listen`].
+pub const LISTEN_TIMEOUT: Duration = Duration::from_millis(50);
+/// Content of a stop datagram.
+const STOP_DATAGRAM: &[u8; 16] = b"plumbline stop 1";
 
-/// Who asked for a stop.
+/// Sender of a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StopOrder {
-    /// The process that sent it, as the kernel says; 0 for a signal, whose sender is not passed on.
+    /// Sending process by the kernel's credentials; 0 for a signal, whose sender is unknown.
     pub process: u32,
-    /// That process's user.
+    /// User of that process.
     pub user: u32,
 }
 
@@ -47,7 +47,7 @@ impl fmt::Display for StopOrder {
     }
 }
 
-/// The daemon's end.
+/// Receiver of stops in the daemon.
 #[derive(Debug)]
 pub struct StopListener {
     path: PathBuf,
@@ -57,13 +57,13 @@ pub struct StopListener {
 }
 
 impl StopListener {
-    /// Opens the socket beside `lock` and takes SIGUSR2.
+    /// Opens the socket beside `lock` and registers a handler of SIGUSR2.
     ///
     /// # Errors
-    /// The socket can't be made: the path is too long for one, the folder can't be written, no file descriptor is left.
+    /// The socket can't be created: path too long, directory not writable, no file descriptor left.
     pub fn open(lock: &Lock) -> io::Result<StopListener> {
         let path = socket_beside(lock.path());
-        // The lock is held: what lies here was left by a daemon that is gone.
+        // The lock is held, so an existing socket belongs to an earlier daemon.
         match std::fs::remove_file(&path) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
             _ => {}
@@ -71,18 +71,18 @@ impl StopListener {
         let socket = UnixDatagram::bind(&path)?;
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600))?;
         rustix::net::sockopt::set_socket_passcred(&socket, true)?;
-        socket.set_read_timeout(Some(LISTEN))?;
-        // The handler's write is a datagram like any other.
+        socket.set_read_timeout(Some(LISTEN_TIMEOUT))?;
+        // The signal handler writes a datagram to the same socket.
         let own = UnixDatagram::unbound()?;
         own.connect(&path)?;
         let signal = signal_hook::low_level::pipe::register(SIGUSR2, own)?;
         Ok(StopListener { path, socket, counter: lock.counter()?, signal })
     }
 
-    /// Waits up to `LISTEN` for one stop, carries it out, then counts it, so that its sender learns of it.
+    /// Waits up to [`LISTEN_TIMEOUT`] for one stop, executes it, then counts it as the acknowledgement to its sender.
     ///
     /// # Errors
-    /// The socket or the lock file failed; the stop itself was carried out.
+    /// The socket or the lock file failed; a received stop was executed.
     pub fn listen(&mut self, carry_out: impl FnOnce(StopOrder)) -> io::Result<()> {
         let Some(order) = self.receive()? else { return Ok(()) };
         carry_out(order);
@@ -90,7 +90,7 @@ impl StopListener {
     }
 
     fn receive(&self) -> io::Result<Option<StopOrder>> {
-        let mut bytes = [0; ORDER.len()];
+        let mut bytes = [0; STOP_DATAGRAM.len()];
         let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmCredentials(1))];
         let mut control = RecvAncillaryBuffer::new(&mut space);
         let mut buffers = [IoSliceMut::new(&mut bytes)];
@@ -107,7 +107,7 @@ impl StopListener {
             _ => None,
         });
         let (process, user) = sender.map_or((0, 0), |sender| (sender.pid.as_raw_pid(), sender.uid.as_raw()));
-        // What the handler of this very process has sent.
+        // Datagrams of this process come from its signal handler.
         let process = u32::try_from(process).ok().filter(|&process| process != std::process::id()).unwrap_or(0);
         Ok(Some(StopOrder { process, user }))
     }
@@ -120,7 +120,7 @@ impl Drop for StopListener {
     }
 }
 
-/// The socket that belongs to a lock file.
+/// Path of the socket of a lock file.
 fn socket_beside(lock: &Path) -> PathBuf {
     lock.with_extension("stop")
 }

@@ -1,4 +1,4 @@
-//! The sender's end of a stop.
+//! Sender of a stop.
 
 use std::io;
 use std::os::unix::net::UnixDatagram;
@@ -6,127 +6,129 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use super::holder::Holder;
-use super::{ORDER, socket_beside};
+use super::{STOP_DATAGRAM, socket_beside};
 use crate::RobotId;
 use crate::lock::{self, Entry};
-use crate::place::{self, PlaceError};
+use crate::runtime_dir::{self, RuntimeDirError};
 
-/// How long the daemon has for a stop that came by its socket before the signal follows.
-const BY_SOCKET: Duration = Duration::from_millis(300);
-/// How long it has for the signal.
-const BY_SIGNAL: Duration = Duration::from_millis(1500);
-/// Pause between two looks at the count of stops.
-const LOOK: Duration = Duration::from_micros(200);
+/// Acknowledgement timeout of a stop over the socket; the signal follows.
+const SOCKET_TIMEOUT: Duration = Duration::from_millis(300);
+/// Acknowledgement timeout of the signal.
+const SIGNAL_TIMEOUT: Duration = Duration::from_millis(1500);
+/// Polling interval of the count of stops.
+const POLL_INTERVAL: Duration = Duration::from_micros(200);
 
-/// How a stop reached the daemon.
+/// Path on which a stop reached the daemon.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Way {
-    /// By the daemon's socket.
+pub enum StopPath {
+    /// The daemon's socket.
     Socket,
-    /// By SIGUSR2.
+    /// SIGUSR2.
     Signal {
-        /// Why not by the socket.
+        /// Why the socket failed.
         because: String,
     },
 }
 
-/// A stop that the daemon has taken: where a loop ran, it has been told to brake.
+/// Acknowledgement of a stop: a running loop has started its controlled stop.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Taken {
+pub struct StopReceipt {
     /// The daemon's process.
     pub process: u32,
-    /// How the stop reached it.
-    pub way: Way,
-    /// `CLOCK_MONOTONIC` when the daemon took it \[ns\].
+    /// Path of the stop.
+    pub way: StopPath,
+    /// Time at which the daemon executed it, `CLOCK_MONOTONIC` \[ns\].
     pub at_ns: u64,
 }
 
-/// Why nobody is known to have taken the stop.
+/// Why a stop was not acknowledged.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StopError {
-    /// There is no folder to trust.
+    /// No usable runtime directory.
     #[error(transparent)]
-    Place(#[from] PlaceError),
+    Place(#[from] RuntimeDirError),
     /// No daemon serves this robot.
     #[error("no daemon serves robot `{robot}` ({reason})")]
     NoDaemon {
         /// The robot asked for.
         robot: String,
-        /// What was found instead.
+        /// Why no daemon was found.
         reason: String,
     },
-    /// The daemon did not take the stop.
+    /// The daemon did not acknowledge the stop.
     #[error(
-        "NOT STOPPED: the daemon of robot `{robot}` (process {process}) took the stop neither by its socket ({by_socket}) nor by a signal \
+        "NOT STOPPED: the daemon of robot `{robot}` (process {process}) acknowledged the stop neither over its socket ({by_socket}) nor by a signal \
          ({by_signal}); use the robot's own stop"
     )]
-    NotTaken {
+    NotAcknowledged {
         /// The robot.
         robot: String,
         /// The process that the lock file names.
         process: u32,
-        /// What became of the first attempt.
+        /// Result over the socket.
         by_socket: String,
-        /// What became of the second.
+        /// Result of the signal.
         by_signal: String,
     },
 }
 
-/// Stops the arm of `robot`: by the daemon's socket, else by a signal to the process that holds the robot's lock.
+/// Stops the arm of `robot` over the daemon's socket, else by a signal to the process that holds the robot's lock.
 ///
-/// Shared memory is not touched.
+/// Does not use shared memory.
 ///
 /// # Errors
-/// [`StopError`]: unless this returns `Ok`, nobody is known to have taken the stop.
-pub fn stop(robot: &RobotId) -> Result<Taken, StopError> {
-    stop_in(&place::directory()?, robot)
+/// [`StopError`] when the stop was not acknowledged.
+pub fn stop(robot: &RobotId) -> Result<StopReceipt, StopError> {
+    stop_in(&runtime_dir::directory()?, robot)
 }
 
-pub(super) fn stop_in(directory: &Path, robot: &RobotId) -> Result<Taken, StopError> {
+pub(super) fn stop_in(directory: &Path, robot: &RobotId) -> Result<StopReceipt, StopError> {
     let lock = lock::path_in(directory, robot);
-    let none = |reason: String| StopError::NoDaemon { robot: robot.to_string(), reason };
-    let before = Entry::read(&lock).ok_or_else(|| none(format!("no process is named in {}", lock.display())))?;
+    let no_daemon = |reason: String| StopError::NoDaemon { robot: robot.to_string(), reason };
+    let before = Entry::read(&lock).ok_or_else(|| no_daemon(format!("no process is named in {}", lock.display())))?;
     let by_socket = match send(&socket_beside(&lock)) {
-        Ok(()) => match counted(&lock, before, BY_SOCKET) {
-            Some(entry) => return Ok(Taken { process: entry.process, way: Way::Socket, at_ns: entry.stop_ns }),
-            None => format!("no answer within {} ms", BY_SOCKET.as_millis()),
+        Ok(()) => match wait_for_acknowledgement(&lock, before, SOCKET_TIMEOUT) {
+            Some(entry) => {
+                return Ok(StopReceipt { process: entry.process, way: StopPath::Socket, at_ns: entry.stop_ns });
+            }
+            None => format!("no acknowledgement within {} ms", SOCKET_TIMEOUT.as_millis()),
         },
         Err(error) => error.to_string(),
     };
     let process = before.process;
     let by_signal = match Holder::verified(&lock, process).and_then(|holder| holder.signal()) {
-        Ok(()) => match counted(&lock, before, BY_SIGNAL) {
+        Ok(()) => match wait_for_acknowledgement(&lock, before, SIGNAL_TIMEOUT) {
             Some(entry) => {
-                let way = Way::Signal { because: by_socket };
-                return Ok(Taken { process, way, at_ns: entry.stop_ns });
+                let way = StopPath::Signal { because: by_socket };
+                return Ok(StopReceipt { process, way, at_ns: entry.stop_ns });
             }
-            None => format!("no answer within {} ms", BY_SIGNAL.as_millis()),
+            None => format!("no acknowledgement within {} ms", SIGNAL_TIMEOUT.as_millis()),
         },
-        Err(refusal) if refusal.serves_none => return Err(none(refusal.reason)),
+        Err(refusal) if refusal.serves_none => return Err(no_daemon(refusal.reason)),
         Err(refusal) => refusal.reason,
     };
-    Err(StopError::NotTaken { robot: robot.to_string(), process, by_socket, by_signal })
+    Err(StopError::NotAcknowledged { robot: robot.to_string(), process, by_socket, by_signal })
 }
 
 fn send(socket: &Path) -> io::Result<()> {
     let own = UnixDatagram::unbound()?;
     own.connect(socket)?;
     own.set_nonblocking(true)?;
-    match own.send(ORDER) {
-        // The socket is full of stops that wait: one of them does.
+    match own.send(STOP_DATAGRAM) {
+        // The socket's queue is full of stops: one of them suffices.
         Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(()),
         sent => sent.map(|_bytes| ()),
     }
 }
 
-/// What the lock file says as soon as it counts a stop more than `before`, within `patience`.
-fn counted(lock: &Path, before: Entry, patience: Duration) -> Option<Entry> {
+/// Waits up to `timeout` until the lock file counts another stop than `before`, and returns its content.
+fn wait_for_acknowledgement(lock: &Path, before: Entry, timeout: Duration) -> Option<Entry> {
     let start = Instant::now();
     loop {
         match Entry::read(lock) {
             Some(now) if now.process == before.process && now.stops != before.stops => return Some(now),
-            _ if start.elapsed() >= patience => return None,
-            _ => std::thread::sleep(LOOK),
+            _ if start.elapsed() >= timeout => return None,
+            _ => std::thread::sleep(POLL_INTERVAL),
         }
     }
 }

@@ -1,12 +1,12 @@
-//! The daemon's shared memory as its clients see it: samples complete and in order, the feed-forward fresh, commands answered.
+//! Shared memory from the clients' view: samples complete and in order, the latest feed-forward value, responses to requests.
 
 use std::sync::atomic::Ordering;
 use std::sync::mpsc;
 use std::time::Duration;
 
 use plumbline_ipc::{
-    Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, IpcError, Lock, MAX_REQUEST_BYTES,
-    News, Presence, Request, Response, SampleStream, Server, ServerSettings, Status, StreamSettings,
+    Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, FollowerEvent, IpcError, Lock,
+    MAX_REQUEST_BYTES, Presence, Request, Response, SampleStream, Server, ServerSettings, Status, StreamSettings,
 };
 use plumbline_testkit::memory::*;
 use rand::{Rng, RngCore, SeedableRng};
@@ -17,7 +17,7 @@ fn settings() -> StreamSettings {
 }
 
 #[test]
-fn a_reader_with_pauses_gets_every_record_once_and_in_order() {
+fn a_follower_with_pauses_receives_every_record_once_and_in_order() {
     const TOTAL: u64 = 60_000;
     let robot = robot("pauses");
     let (go, started) = mpsc::channel();
@@ -40,7 +40,7 @@ fn a_reader_with_pauses_gets_every_record_once_and_in_order() {
     let mut stream = SampleStream::connect(&robot, settings(), PATIENCE).unwrap();
     go.send(()).unwrap();
     let mut random = ChaCha8Rng::seed_from_u64(2);
-    // Pauses of 60 ms: far more than the buffer holds is published meanwhile.
+    // Pauses of 60 ms: more records than the buffer's capacity are published.
     let missed = read_until(&mut stream, TOTAL, || {
         if random.random_range(0..10) == 0 {
             std::thread::sleep(Duration::from_millis(60));
@@ -61,7 +61,7 @@ fn a_reader_with_pauses_gets_every_record_once_and_in_order() {
 }
 
 #[test]
-fn a_follower_that_comes_late_and_one_that_stops_reading_miss_nothing() {
+fn late_and_paused_followers_receive_every_record() {
     let robot = robot("late");
     let (more, wanted) = mpsc::channel::<u64>();
     let daemon = Daemon::start(&robot, ServerSettings::default(), move |server, stop| {
@@ -75,13 +75,13 @@ fn a_follower_that_comes_late_and_one_that_stops_reading_miss_nothing() {
             server.poll(|_, _| unreachable!());
             std::thread::sleep(Duration::from_micros(200));
         }
-        (server.served(), std::iter::from_fn(|| server.take_news()).collect::<Vec<_>>())
+        (server.served(), std::iter::from_fn(|| server.take_follower_event()).collect::<Vec<_>>())
     });
     more.send(10_000).unwrap();
     let mut late = SampleStream::connect(&robot, settings(), PATIENCE).unwrap();
     assert!(read_until(&mut late, 10_000, || ()).is_empty());
 
-    // More than its buffer holds, and nothing after it: the loss is at the very end, where no later batch shows it.
+    // More than the buffer's capacity and nothing after it: the loss at the end is detected without a later batch.
     more.send(20_000).unwrap();
     std::thread::sleep(Duration::from_millis(300));
     assert!(read_until(&mut late, 30_000, || ()).is_empty());
@@ -95,12 +95,12 @@ fn a_follower_that_comes_late_and_one_that_stops_reading_miss_nothing() {
     std::thread::sleep(Duration::from_millis(50));
     let (served, news) = daemon.stop();
     assert_eq!((served.published, served.acknowledged), (30_000, 30_000));
-    let left = |news: &&News| matches!(news, News::Left { acknowledged: 30_000, .. });
+    let left = |news: &&FollowerEvent| matches!(news, FollowerEvent::Left { acknowledged: 30_000, .. });
     assert_eq!(news.iter().filter(left).count(), 2, "{news:?}");
 }
 
 #[test]
-fn what_the_daemon_gave_up_is_counted_and_named() {
+fn discarded_records_are_counted_and_reported_as_missed() {
     let robot = robot("given-up");
     let daemon = Daemon::start(&robot, ServerSettings { retain: 2048, ..Default::default() }, |server, stop| {
         server.publish(&(0..20_000).map(record).collect::<Vec<_>>());
@@ -119,7 +119,7 @@ fn what_the_daemon_gave_up_is_counted_and_named() {
 }
 
 #[test]
-fn clients_that_never_read_cost_nothing() {
+fn clients_that_never_read_do_not_affect_the_others() {
     const TOTAL: u64 = 20_000;
     let robot = robot("never-read");
     let (go, started) = mpsc::channel();
@@ -136,7 +136,7 @@ fn clients_that_never_read_cost_nothing() {
         poll_until(server, stop);
         server.served()
     });
-    // Two followers and 24 feed-forward clients that are connected and do nothing.
+    // Two followers and 24 feed-forward clients that are connected and idle.
     let idle: Vec<_> = (0..2).map(|_| SampleStream::connect(&robot, settings(), PATIENCE).unwrap()).collect();
     let connect = || FeedForwardClient::connect(&robot, FeedForwardSettings::default(), PATIENCE).unwrap();
     let mut clients: Vec<_> = (0..24).map(|_| connect()).collect();
@@ -144,7 +144,7 @@ fn clients_that_never_read_cost_nothing() {
     go.send(()).unwrap();
     assert!(read_until(&mut reader, TOTAL, || ()).is_empty());
 
-    // Whoever looks only now finds the last value, not the first.
+    // A late read gets the latest value, not the first.
     for client in &mut clients {
         wait_for("the last value", || client.latest().unwrap().is_some_and(|value| value.message.sequence == TOTAL));
     }
@@ -155,7 +155,7 @@ fn clients_that_never_read_cost_nothing() {
 }
 
 #[test]
-fn a_feed_forward_value_turns_stale_and_the_daemon_s_end_is_seen() {
+fn a_feed_forward_value_becomes_stale_and_the_end_of_the_daemon_is_detected() {
     let robot = robot("stale");
     let (value, values) = mpsc::channel::<FeedForwardMessage>();
     let daemon = Daemon::start(&robot, ServerSettings::default(), move |server, stop| {
@@ -166,7 +166,7 @@ fn a_feed_forward_value_turns_stale_and_the_daemon_s_end_is_seen() {
         }
         server.epoch()
     });
-    // An hour: this machine may be slow, the test is about the rule.
+    // An hour: independent of the speed of the test machine.
     let hour = FeedForwardSettings { stale_after_ms: 3_600_000 };
     let mut client = FeedForwardClient::connect(&robot, hour, PATIENCE).unwrap();
     let mut strict = FeedForwardClient::connect(&robot, FeedForwardSettings::default(), PATIENCE).unwrap();
@@ -190,7 +190,7 @@ fn a_feed_forward_value_turns_stale_and_the_daemon_s_end_is_seen() {
     assert_eq!(daemon.stop(), last.message.epoch);
     assert_eq!(client.daemon(), Presence::Gone);
 
-    // The next daemon is heard without connecting again.
+    // Values of the next daemon arrive without a reconnect.
     let next = Daemon::start(&robot, ServerSettings::default(), |server, stop| {
         server.feed_forward(FeedForwardMessage::new(&record(1), 7, [0.0; 3], [0.0; 3]));
         poll_until(server, stop);
@@ -205,7 +205,7 @@ fn a_feed_forward_value_turns_stale_and_the_daemon_s_end_is_seen() {
 }
 
 #[test]
-fn commands_are_answered_and_garbage_is_refused() {
+fn requests_get_responses_and_malformed_ones_are_refused() {
     let robot = robot("commands");
     let model = "# rho \u{3c1}\n".repeat(60_000);
     let expected = model.clone();
@@ -220,12 +220,12 @@ fn commands_are_answered_and_garbage_is_refused() {
                 Request::OfferModel { toml } => {
                     Response::Refused { reason: format!("{} bytes of another model", toml.len()) }
                 }
-                // Far longer than an answer may be.
+                // Longer than the maximum response.
                 Request::Resume {} => Response::Refused { reason: "x".repeat(1 << 20) },
                 Request::Start {} | Request::Stop {} | Request::Adopt {} | Request::Reject {} | Request::Record {} => {
                     Response::Accepted {}
                 }
-                Request::ProposeModel { .. } => Response::Refused { reason: "not asked for".into() },
+                Request::ProposeModel { .. } => Response::Refused { reason: "not expected".into() },
                 Request::Quit {} => {
                     quit = true;
                     Response::Accepted {}
@@ -246,7 +246,7 @@ fn commands_are_answered_and_garbage_is_refused() {
     let Response::Refused { reason } = client.send(&Request::Resume {}, PATIENCE).unwrap() else { panic!() };
     assert!(reason.contains("the limit is"), "{reason}");
 
-    // Bytes that are no request, of all lengths, from several clients.
+    // Random bytes of all lengths from several clients.
     let mut others: Vec<_> = (0..4).map(|_| Client::connect(&robot, PATIENCE).unwrap()).collect();
     let mut random = ChaCha8Rng::seed_from_u64(3);
     for round in 0..200 {
@@ -267,7 +267,7 @@ fn commands_are_answered_and_garbage_is_refused() {
 }
 
 #[test]
-fn a_request_for_another_start_of_the_daemon_is_not_carried_out() {
+fn a_request_bound_to_another_epoch_is_refused() {
     let robot = robot("bound");
     let daemon = Daemon::start(&robot, ServerSettings::default(), |server, stop| {
         let mut started = 0;
@@ -299,7 +299,7 @@ fn a_request_for_another_start_of_the_daemon_is_not_carried_out() {
 }
 
 #[test]
-fn a_missing_a_busy_and_a_second_daemon_are_told_apart() {
+fn no_daemon_a_busy_daemon_and_a_second_daemon_are_different_errors() {
     let robot = robot("absent");
     let absent = [
         Client::connect(&robot, Duration::ZERO).err().unwrap(),
@@ -314,7 +314,7 @@ fn a_missing_a_busy_and_a_second_daemon_are_told_apart() {
     let _lock = Lock::take_in(directory.path(), &robot).unwrap();
     assert!(Lock::take_in(directory.path(), &robot).is_err());
 
-    // Without the lock, shared memory itself refuses a second daemon. This one is alive, but answers nobody.
+    // Without the lock, shared memory refuses a second daemon. This daemon runs but never responds.
     let busy = Daemon::start(&robot, ServerSettings::default(), |_, stop| {
         wait_for("the end of the test", || stop.load(Ordering::Relaxed));
     });
@@ -323,7 +323,7 @@ fn a_missing_a_busy_and_a_second_daemon_are_told_apart() {
         let error = client.send(&Request::Status {}, Duration::from_millis(20)).unwrap_err();
         assert!(matches!(error, IpcError::NoAnswer { .. }), "{error}");
     }
-    let hasty = StreamSettings { answer_within: Duration::from_millis(20), heartbeat: Duration::ZERO, ..settings() };
+    let hasty = StreamSettings { response_timeout: Duration::from_millis(20), heartbeat: Duration::ZERO, ..settings() };
     let mut stream = SampleStream::connect(&robot, hasty, PATIENCE).unwrap();
     for _ in 0..5 {
         assert_eq!(stream.next(Duration::from_millis(40)).unwrap(), Delivery::Idle);
@@ -331,5 +331,5 @@ fn a_missing_a_busy_and_a_second_daemon_are_told_apart() {
     let error = Server::open(&robot, ServerSettings::default()).err().unwrap();
     assert!(matches!(error, IpcError::Full { .. }), "{error}");
     busy.stop();
-    wait_for("word of its end", || stream.next(Duration::from_millis(1)).unwrap() == Delivery::Gone);
+    wait_for("the end of the daemon", || stream.next(Duration::from_millis(1)).unwrap() == Delivery::Gone);
 }

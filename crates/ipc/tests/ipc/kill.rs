@@ -1,6 +1,6 @@
-//! Processes that are killed in the middle: nothing is lost that can be kept, and the next start is clean.
+//! Killed processes: no retained record is lost, and the next start is clean.
 //!
-//! The child processes are this test binary again, with [`ROLE`] telling it what to be.
+//! The child processes are this test binary with a role in [`ROLE`].
 
 use std::io::{BufRead, BufReader};
 use std::os::unix::fs::PermissionsExt;
@@ -11,8 +11,8 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use plumbline_ipc::{
-    Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, Lock, News, Presence, Request,
-    Response, RobotId, SampleStream, Server, ServerSettings, Status, StreamSettings,
+    Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, FollowerEvent, Lock, Presence,
+    Request, Response, RobotId, SampleStream, Server, ServerSettings, Status, StreamSettings,
 };
 use plumbline_testkit::memory::*;
 use rand::{Rng, SeedableRng};
@@ -22,7 +22,7 @@ const ROLE: &str = "PLUMBLINE_TEST_ROLE";
 const ROBOT: &str = "PLUMBLINE_TEST_ROBOT";
 const LOCKS: &str = "PLUMBLINE_TEST_LOCKS";
 
-/// Not a test of its own: what a child process runs. Without a role there is nothing to do.
+/// Entry point of the child processes; does nothing without a role.
 #[test]
 fn child() {
     let Ok(role) = std::env::var(ROLE) else { return };
@@ -34,7 +34,7 @@ fn child() {
     }
 }
 
-/// Reads for ever and prints how far it is.
+/// Follows the samples for ever and prints its position.
 fn follow(robot: &RobotId) {
     let mut stream = SampleStream::connect(robot, StreamSettings::default(), PATIENCE).unwrap();
     loop {
@@ -44,7 +44,7 @@ fn follow(robot: &RobotId) {
     }
 }
 
-/// Publishes for ever, the sequence numbers counting from 0.
+/// Publishes for ever, with sequence numbers from 0.
 fn serve(robot: &RobotId, locks: &Path) {
     let _lock = Lock::take_in(locks, robot).unwrap();
     let mut server = Server::open(robot, ServerSettings::default()).unwrap();
@@ -58,7 +58,7 @@ fn serve(robot: &RobotId, locks: &Path) {
     }
 }
 
-/// A child process that is killed without a warning when it goes out of scope.
+/// Child process that is killed (SIGKILL) when dropped.
 struct Process {
     child: Child,
     at: Arc<AtomicU64>,
@@ -69,10 +69,10 @@ impl Process {
         Process::of(Command::new(std::env::current_exe().unwrap()), role, robot, locks)
     }
 
-    /// With iceoryx2's names in a folder of its own: nobody else tidies up behind it.
-    fn apart(role: &str, robot: &RobotId, place: &Path) -> Process {
+    /// With its own runtime directory: no other process cleans up its resources.
+    fn with_own_directory(role: &str, robot: &RobotId, place: &Path) -> Process {
         let mut command = Command::new(std::env::current_exe().unwrap());
-        command.env(plumbline_ipc::place::VARIABLE, place);
+        command.env(plumbline_ipc::runtime_dir::VARIABLE, place);
         Process::of(command, role, robot, place)
     }
 
@@ -104,7 +104,7 @@ impl Process {
 }
 
 impl Drop for Process {
-    /// SIGKILL, and wait for the end. A child that has ended by itself had something to complain about.
+    /// Kills and waits for the child. A child that ended by itself has failed.
     fn drop(&mut self) {
         let ended = self.child.try_wait().unwrap();
         assert!(ended.is_none() || std::thread::panicking(), "the child ended by itself: {ended:?}");
@@ -114,12 +114,12 @@ impl Drop for Process {
 }
 
 #[test]
-fn a_killed_follower_s_successor_gets_everything_and_the_daemon_never_waits() {
+fn the_successor_of_a_killed_follower_receives_every_record_and_the_daemon_never_blocks() {
     let robot = robot("killed-follower");
     let directory = tempfile::tempdir().unwrap();
     let published = Arc::new(AtomicU64::new(0));
     let news = Arc::new(Mutex::new(Vec::new()));
-    let (count, told) = (published.clone(), news.clone());
+    let (count, events) = (published.clone(), news.clone());
     let daemon = Daemon::start(&robot, ServerSettings { silent_ms: 300, ..Default::default() }, move |server, stop| {
         let mut next = 0;
         while !stop.load(Ordering::Relaxed) {
@@ -127,7 +127,7 @@ fn a_killed_follower_s_successor_gets_everything_and_the_daemon_never_waits() {
             next += 10;
             count.store(next, Ordering::Relaxed);
             server.poll(|_, _| unreachable!());
-            told.lock().unwrap().extend(std::iter::from_fn(|| server.take_news()));
+            events.lock().unwrap().extend(std::iter::from_fn(|| server.take_follower_event()));
             std::thread::sleep(Duration::from_micros(500));
         }
         poll_until(server, stop);
@@ -142,9 +142,9 @@ fn a_killed_follower_s_successor_gets_everything_and_the_daemon_never_waits() {
         let pid = follower.child.id();
         drop(follower);
         let at_death = published.load(Ordering::Relaxed);
-        let died = |news: &&News| matches!(news, News::Died { pid: dead, .. } if *dead == pid);
-        wait_for("word of its death", || news.lock().unwrap().iter().find(died).is_some());
-        // The daemon went on meanwhile.
+        let died = |news: &&FollowerEvent| matches!(news, FollowerEvent::Died { pid: dead, .. } if *dead == pid);
+        wait_for("the event of its death", || news.lock().unwrap().iter().find(died).is_some());
+        // The daemon continued meanwhile.
         assert!(published.load(Ordering::Relaxed) > at_death, "round {round}");
     }
 
@@ -181,14 +181,14 @@ fn after_a_killed_daemon_the_next_start_is_clean() {
         drop(daemon);
         assert_eq!(client.daemon(), Presence::Gone, "round {round}");
         drop(Lock::take_in(locks, &robot).expect("a killed daemon leaves no lock"));
-        // The follower takes what is left, then sees that nobody is there.
-        wait_for("word of the daemon's end", || {
+        // The follower receives the remaining records, then detects the missing daemon.
+        wait_for("the detection of the daemon's end", || {
             matches!(stream.next(Duration::from_millis(20)).unwrap(), Delivery::Gone)
         });
 
         daemon = Process::start("daemon", &robot, locks);
         let mut restarted = None;
-        wait_for("word of the next daemon", || {
+        wait_for("the detection of the next daemon", || {
             if let Delivery::Restarted { epoch } = stream.next(Duration::from_millis(20)).unwrap() {
                 restarted = Some(epoch);
             }
@@ -201,15 +201,15 @@ fn after_a_killed_daemon_the_next_start_is_clean() {
     }
     assert_eq!(stream.counters().missed, 0);
 
-    // Whoever connects now finds the living one alone.
+    // A new client connects to the running daemon.
     let mut commands = Client::connect(&robot, PATIENCE).unwrap();
     let Response::Status(status) = commands.send(&Request::Status {}, PATIENCE).unwrap() else { panic!() };
     assert_eq!(status.served.epoch, daemon.at());
     assert_eq!(status.served.trouble, None);
 }
 
-/// Connections in shared memory of which a process has one end. Their names have both ends' ids, and an id the process
-/// in its third 32 bits.
+/// Connection files in shared memory with an end in this process. Their names contain both ends' ids; bits 64 to 95 of an id are the
+/// process.
 fn connections_of(pid: u32) -> Vec<PathBuf> {
     let of = |path: &Path| {
         let Some(ends) = path.file_name().and_then(|name| name.to_str()?.strip_suffix(".connection")) else {
@@ -222,25 +222,25 @@ fn connections_of(pid: u32) -> Vec<PathBuf> {
 }
 
 #[test]
-fn what_was_killed_while_it_made_a_connection_holds_nobody_up() {
+fn an_incomplete_connection_of_a_killed_process_does_not_block_the_next_daemon() {
     let robot = robot("half-made");
     let place = tempfile::tempdir().unwrap();
-    let daemon = Process::apart("daemon", &robot, place.path());
+    let daemon = Process::with_own_directory("daemon", &robot, place.path());
     wait_for("the daemon", || daemon.at() > 0);
-    let follower = Process::apart("follower", &robot, place.path());
+    let follower = Process::with_own_directory("follower", &robot, place.path());
     wait_for("the follower's progress", || follower.at() > 100);
     let pid = follower.child.id();
     drop(follower);
     drop(daemon);
 
-    // As they are between the call that makes a file and the one that gives it a size.
-    let half_made = connections_of(pid);
-    assert!(!half_made.is_empty());
-    for path in &half_made {
+    // The state between creating the file and setting its size.
+    let incomplete = connections_of(pid);
+    assert!(!incomplete.is_empty());
+    for path in &incomplete {
         std::fs::File::options().write(true).open(path).unwrap().set_len(0).unwrap();
         std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o200)).unwrap();
     }
-    let next = Process::apart("daemon", &robot, place.path());
+    let next = Process::with_own_directory("daemon", &robot, place.path());
     wait_for("the next daemon", || next.at() > 0);
-    assert!(half_made.iter().all(|path| !path.exists()));
+    assert!(incomplete.iter().all(|path| !path.exists()));
 }

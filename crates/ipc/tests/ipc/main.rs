@@ -1,6 +1,6 @@
-//! Processes and threads that exchange samples, torques and requests.
+//! Tests of the crate with several processes and threads.
 
 mod exchange;
+mod foreign_files;
 mod kill;
 mod python;
-mod squatters;

@@ -1,4 +1,4 @@
-//! The Python client against a Rust daemon: the same bytes, the same rules, in another language.
+//! The Python client of the feed-forward torque against the Rust server.
 
 use std::process::Command;
 use std::sync::Arc;
@@ -23,7 +23,7 @@ fn torque_follow(python: &str, robot: &RobotId, options: &[&str]) -> String {
     stdout.into_owned()
 }
 
-/// The numbers after `word` on each line that tells a value.
+/// The numbers after `word` on each line with a torque.
 fn column(text: &str, word: &str) -> Vec<f64> {
     let after = |line: &str| line.split(word).nth(1).and_then(|rest| rest.split_whitespace().next()?.parse().ok());
     text.lines()
@@ -32,7 +32,7 @@ fn column(text: &str, word: &str) -> Vec<f64> {
         .collect()
 }
 
-/// Serves a value every millisecond whose torque follows from its number.
+/// Publishes a value every millisecond whose torque follows from its sequence number.
 fn serve(server: &mut Server, stop: &AtomicBool, sent: &AtomicU64) {
     while !stop.load(Ordering::Relaxed) {
         let cycle = sent.load(Ordering::Relaxed) + 1;
@@ -43,7 +43,7 @@ fn serve(server: &mut Server, stop: &AtomicBool, sent: &AtomicU64) {
 }
 
 #[test]
-fn python_reads_what_rust_serves() {
+fn the_python_client_reads_the_values_of_the_rust_server() {
     let Some(python) = interpreter() else { return };
     let robot = robot("python");
     let sent = Arc::new(AtomicU64::new(0));
@@ -60,14 +60,14 @@ fn python_reads_what_rust_serves() {
     assert!(text.lines().all(|line| line.contains("  excite  ") && !line.contains("STALE")), "{text}");
     assert!(column(&text, "age").iter().all(|age| (0.0..60_000.0).contains(age)), "{text}");
 
-    // A slow one skips values and gets the newest each time; the daemon goes on.
+    // A slow client skips values and gets the latest each time; the server continues.
     let before = sent.load(Ordering::Relaxed);
     let text = torque_follow(&python, &robot, &["--count", "4", "--slow", "0.1"]);
     let seq = column(&text, "seq");
     assert!(seq.windows(2).all(|pair| pair[1] > pair[0] + 1.0), "{text}");
     assert!(seq[0] > before as f64);
 
-    // Nothing can be younger than no time at all: every value is marked.
+    // With a limit of 0 ms every value is stale.
     let text = torque_follow(&python, &robot, &["--count", "3", "--stale-ms", "0"]);
     assert_eq!(text.lines().filter(|line| line.ends_with("STALE")).count(), 3, "{text}");
     daemon.stop();

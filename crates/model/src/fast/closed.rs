@@ -1,12 +1,12 @@
 //! All of a model that has a closed form, in one pass.
 
+use super::sign::SHARPNESS;
 use super::torque::{RigidTorque, Workspace};
 use super::trig::tanh;
 use super::{Lanes, vector_level};
 use crate::chain::Chain;
+use crate::motion::Sample;
 use crate::rnea::LinkParameters;
-use crate::term::Sample;
-use crate::term::friction::SHARPNESS;
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch, f64x8};
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS};

@@ -2,8 +2,8 @@
 
 use super::regressor::LinkRegressor;
 use crate::chain::Chain;
+use crate::motion::Sample;
 use crate::regressor::{LINK_COLUMNS, regressor};
-use crate::term::Sample;
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::MAX_JOINTS;
 

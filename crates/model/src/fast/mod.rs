@@ -8,7 +8,7 @@ mod frames;
 pub mod links;
 mod motion;
 mod regressor;
-pub mod sample;
+pub mod sign;
 mod torque;
 mod trig;
 

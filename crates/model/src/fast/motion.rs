@@ -3,7 +3,7 @@
 use super::frames::{Frames, Twist, untwist};
 use super::trig::sin_cos;
 use super::{Lanes, fused};
-use crate::term::Sample;
+use crate::motion::Sample;
 use fearless_simd::{Simd, SimdBase, f64x8};
 use nalgebra::Vector3;
 use plumbline_core::MAX_JOINTS;

@@ -4,8 +4,8 @@ use super::frames::{Frames, Twist};
 use super::motion::{Carrier, Motion};
 use super::{Lanes, vector_level};
 use crate::chain::Chain;
+use crate::motion::Sample;
 use crate::regressor::LINK_COLUMNS;
-use crate::term::Sample;
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch, f64x4};
 use nalgebra::Vector3;
 

@@ -9,11 +9,11 @@ use plumbline_core::{JointVec, MAX_JOINTS};
 use std::sync::Arc;
 
 /// Columns that a law can have.
-const WIDTH: usize = 10;
+const MAX_COLUMNS: usize = 10;
 /// Samples that a law remembers for its derivatives.
-const MEMORY: usize = 3;
+const MEMORY_SAMPLES: usize = 3;
 /// Time between the samples of the loop \[s\].
-const CYCLE: f64 = 1e-3;
+const CYCLE_S: f64 = 1e-3;
 
 /// Where a sample is in time.
 #[derive(Clone, Copy, Debug)]
@@ -37,7 +37,7 @@ pub(super) trait Law: Send + 'static {
 
     /// Samples that it remembers, where one comes every `dt` \[s\].
     fn memory(&self, _dt: f64) -> usize {
-        MEMORY
+        MEMORY_SAMPLES
     }
 
     /// Writes the columns at a sample, the torques of all joints in each; they are zero on entry, and as many as the term has.
@@ -65,7 +65,7 @@ impl<L: Law> AllRows<L> {
         columns: Vec<Column>,
         start: impl Fn(&Vector3<f64>) -> L + Send + Sync + 'static,
     ) -> Arc<dyn Term> {
-        assert!(columns.len() <= WIDTH, "{} is too wide", family.id);
+        assert!(columns.len() <= MAX_COLUMNS, "{} is too wide", family.id);
         let spec = Spec { family: family.id, form, site, settings: settings.to_vec() };
         Arc::new(AllRows { family, spec, columns, start: Box::new(start) })
     }
@@ -108,10 +108,10 @@ impl<L: Law> Term for AllRows<L> {
         if !self.family.served {
             return Box::new(Nothing);
         }
-        let mut own = [0.0; WIDTH];
+        let mut own = [0.0; MAX_COLUMNS];
         own[..beta.len()].copy_from_slice(beta);
-        let columns = [JointVec::default(); WIDTH];
-        Box::new(FixedRows { law: (self.start)(gravity), width: beta.len(), beta: own, columns, dt: CYCLE })
+        let columns = [JointVec::default(); MAX_COLUMNS];
+        Box::new(FixedRows { law: (self.start)(gravity), width: beta.len(), beta: own, columns, dt: CYCLE_S })
     }
 }
 
@@ -121,7 +121,7 @@ impl<L: Law> AllRows<L> {
         let mut law = (self.start)(&motion.gravity);
         // The whole period tells how a law that integrates begins; a rough look makes do with what has not died away.
         let memory = if L::INTEGRATES && !means { samples } else { law.memory(motion.dt) };
-        let mut now = [JointVec::default(); WIDTH];
+        let mut now = [JointVec::default(); MAX_COLUMNS];
         let mut at = |k: usize, columns: &mut [JointVec]| {
             columns.fill(JointVec::default());
             let clock = Clock { time: motion.start + k as f64 * motion.dt, dt: motion.dt, means };
@@ -144,10 +144,10 @@ impl<L: Law> AllRows<L> {
 
 struct FixedRows<L> {
     law: L,
-    /// Columns, at most [`WIDTH`].
+    /// Columns, at most [`MAX_COLUMNS`].
     width: usize,
-    beta: [f64; WIDTH],
-    columns: [JointVec; WIDTH],
+    beta: [f64; MAX_COLUMNS],
+    columns: [JointVec; MAX_COLUMNS],
     dt: f64,
 }
 
@@ -171,7 +171,7 @@ impl<L: Law> FixedTerm for FixedRows<L> {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Past {
     /// The youngest first.
-    values: [f64; MEMORY],
+    values: [f64; MEMORY_SAMPLES],
     seen: usize,
 }
 
@@ -182,7 +182,7 @@ impl Past {
         let derivatives = self.with(now, dt);
         let [a, b, _] = self.values;
         self.values = [now, a, b];
-        self.seen = (self.seen + 1).min(MEMORY);
+        self.seen = (self.seen + 1).min(MEMORY_SAMPLES);
         derivatives
     }
 

@@ -2,7 +2,7 @@
 
 use super::Term;
 use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum, joint};
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::{OneRow, column, smooth_sign, unit};
 use std::sync::Arc;
 
@@ -34,7 +34,7 @@ pub static FAMILY: Family = Family {
     rare: Rare::NONE,
 };
 
-fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let columns = vec![column("fca", site, "", unit(ground, joint(site), "Nm", "N"))];
+fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("fca", site, "", unit(operating_point, joint(site), "Nm", "N"))];
     OneRow::new(&FAMILY, "", site, settings, columns, |at, _| [smooth_sign(at.own.dq).abs(), 0.0, 0.0]).term()
 }

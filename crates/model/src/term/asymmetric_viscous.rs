@@ -2,7 +2,7 @@
 
 use super::Term;
 use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum, joint};
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::{OneRow, column, unit};
 use std::sync::Arc;
 
@@ -40,7 +40,7 @@ pub static FAMILY: Family = Family {
     rare: Rare::NONE,
 };
 
-fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let columns = vec![column("fva", site, "", unit(ground, joint(site), "Nms/rad", "Ns/m"))];
+fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("fva", site, "", unit(operating_point, joint(site), "Nms/rad", "Ns/m"))];
     OneRow::new(&FAMILY, "", site, settings, columns, |at, _| [at.own.dq.abs(), 0.0, 0.0]).term()
 }

@@ -4,7 +4,7 @@ use super::all_rows::{AllRows, Clock, Law, Past};
 use super::family::{
     Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_MEMORY, Rare, Scale, Setting, Site, Stratum, joint,
 };
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
 use super::swing::{Gear, QUALITY, SWINGING, Swing};
@@ -24,7 +24,7 @@ pub static FAMILY: Family = Family {
         Form {
             name: "",
             equation: "tau = gap_i lin_i(-tanh(tau_rb_i / width)), lin_i(e) = K_i e + V_i e' + M_i e'' in all rows",
-            settings: &[WIDTH],
+            settings: &[FLANK_WIDTH],
             build: of_body,
             in_c: REFUSED_MEMORY,
             plot_over: PlotOver::Load,
@@ -32,7 +32,7 @@ pub static FAMILY: Family = Family {
         Form {
             name: SWINGING,
             equation: "tau = gap_i lin_i(-theta / g), theta = g tanh((tau_i - sqrt(M_ii width / g) / quality dtheta) / width), tau_i = tau_rb_i(q - theta) + f_i(dq_i - dtheta): the link's inertia swings in the gap",
-            settings: &[HALF, WIDTH, QUALITY],
+            settings: &[HALF_GAP, FLANK_WIDTH, QUALITY],
             build: swinging,
             in_c: REFUSED_MEMORY,
             plot_over: PlotOver::Load,
@@ -50,7 +50,7 @@ pub static FAMILY: Family = Family {
     rare: Rare::NONE,
 };
 
-const HALF: Setting = Setting {
+const HALF_GAP: Setting = Setting {
     name: "g",
     unit: "rad",
     what: "half of the gap in which the link swings",
@@ -60,7 +60,7 @@ const HALF: Setting = Setting {
     scale: Scale::Logarithmic,
 };
 
-const WIDTH: Setting = Setting {
+const FLANK_WIDTH: Setting = Setting {
     name: "width",
     unit: "Nm",
     what: "load at which the teeth lie on a flank with 76 % of the gap",
@@ -70,22 +70,22 @@ const WIDTH: Setting = Setting {
     scale: Scale::Logarithmic,
 };
 
-fn of_body(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+fn of_body(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let (joint, width) = (joint(site), settings[0]);
-    let load = Arc::clone(&ground.load);
-    AllRows::term(&FAMILY, "", site, settings, columns(ground, site), move |gravity| {
+    let load = Arc::clone(&operating_point.load);
+    AllRows::term(&FAMILY, "", site, settings, columns(operating_point, site), move |gravity| {
         let error = PositionError { joint, load: load.under(gravity) };
         Gap { error, width, past: Past::default() }
     })
 }
 
-fn swinging(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+fn swinging(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let gear = Gear::Gap(settings[0], settings[1]);
-    Swing::term(&FAMILY, ground, site, settings, columns(ground, site), gear, settings[2])
+    Swing::term(&FAMILY, operating_point, site, settings, columns(operating_point, site), gear, settings[2])
 }
 
-fn columns(ground: &Ground, site: Site) -> Vec<Column> {
-    vec![column("gap", site, "", unit(ground, joint(site), "rad", "m"))]
+fn columns(operating_point: &OperatingPoint, site: Site) -> Vec<Column> {
+    vec![column("gap", site, "", unit(operating_point, joint(site), "rad", "m"))]
 }
 
 struct Gap {

@@ -4,7 +4,7 @@ use super::all_rows::{AllRows, Clock, Law};
 use super::family::{
     Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_TIME, Rare, Scale, Setting, Site, Stratum,
 };
-use super::load::{Ground, LoadUnder};
+use super::load::{LoadUnder, OperatingPoint};
 use super::mounting::at_rest;
 use super::one_row::column;
 use super::{Sample, Term};
@@ -46,8 +46,8 @@ pub static FAMILY: Family = Family {
     rare: Rare::NONE,
 };
 
-fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let (load, f) = (Arc::clone(&ground.load), settings[0]);
+fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let (load, f) = (Arc::clone(&operating_point.load), settings[0]);
     let name = |axis: &str, wave: &str| format!("_{axis}_f{}_{wave}", (f * 1e4).round() / 1e4);
     let waves = ["x", "y", "z"].map(|axis| ["cos", "sin"].map(|wave| name(axis, wave)));
     let columns = waves.iter().flatten().map(|tail| column("base", site, tail, "m/s2")).collect();

@@ -2,11 +2,11 @@
 
 use super::Sample;
 use super::friction::SHARPNESS;
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::smooth_sign;
 use plumbline_core::{JointVec, MAX_JOINTS};
 
-/// `fv_j dq_j + fc_j tanh(100 dq_j)` of every joint with the numbers of the model that an effect is built upon; 0 where it has none.
+/// `fv_j dq_j + fc_j tanh(100 dq_j)` of every joint with the numbers of the operating point; 0 where it has none.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct CarriedFriction {
     parameters: [[f64; 2]; MAX_JOINTS],
@@ -14,9 +14,9 @@ pub(super) struct CarriedFriction {
 
 impl CarriedFriction {
     /// That of a model.
-    pub fn of(ground: &Ground) -> CarriedFriction {
+    pub fn of(operating_point: &OperatingPoint) -> CarriedFriction {
         let mut parameters = [[0.0; 2]; MAX_JOINTS];
-        parameters.iter_mut().zip(&ground.friction).for_each(|(own, known)| *own = *known);
+        parameters.iter_mut().zip(&operating_point.friction).for_each(|(own, known)| *own = *known);
         CarriedFriction { parameters }
     }
 

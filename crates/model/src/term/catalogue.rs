@@ -1,6 +1,6 @@
 //! The registry: every term that a model file can name, and every kind of effect. A new effect is one line of [`FAMILIES`].
 
-use super::effect::Family;
+use super::family::Family;
 use super::*;
 
 /// Terms of the whole arm: identity, and the term with all of its columns.

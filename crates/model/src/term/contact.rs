@@ -4,7 +4,7 @@ use super::all_rows::{AllRows, Clock, Law};
 use super::family::{
     Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_TIME, Rare, Scale, Setting, Site, Stratum, joint,
 };
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::column;
 use super::{Sample, Term};
 use crate::chain::{Chain, JointKind, Placement};
@@ -16,7 +16,7 @@ use std::sync::Arc;
 pub const ID: &str = "contact";
 
 /// A day: no recording is longer.
-const LONGEST: f64 = 86_400.0;
+const MAX_RECORDING_S: f64 = 86_400.0;
 
 /// A wrench at one link for a while.
 ///
@@ -35,7 +35,7 @@ pub static FAMILY: Family = Family {
                 unit: "s",
                 what: "start of the contact",
                 low: 0.0,
-                high: LONGEST,
+                high: MAX_RECORDING_S,
                 steps: 1,
                 scale: Scale::Linear,
             },
@@ -44,7 +44,7 @@ pub static FAMILY: Family = Family {
                 unit: "s",
                 what: "end of the contact",
                 low: 0.0,
-                high: LONGEST,
+                high: MAX_RECORDING_S,
                 steps: 1,
                 scale: Scale::Linear,
             },
@@ -68,8 +68,8 @@ pub static FAMILY: Family = Family {
     rare: Rare::NONE,
 };
 
-fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let (link, chain, window) = (joint(site), ground.chain.clone(), [settings[0], settings[1]]);
+fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let (link, chain, window) = (joint(site), operating_point.chain.clone(), [settings[0], settings[1]]);
     let tail = |what: &str| {
         let [from, to] = window.map(|time| (time * 1e3).round() / 1e3);
         format!("_t{from}_{to}_{what}")

@@ -3,7 +3,7 @@
 use super::all_rows::{AllRows, Clock, Law, PastOfJoints};
 use super::carried::CarriedFriction;
 use super::family::{Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_MEMORY, Rare, Site, Stratum};
-use super::load::{Ground, LoadUnder};
+use super::load::{LoadUnder, OperatingPoint};
 use super::one_row::column;
 use super::{Sample, Term};
 use plumbline_core::JointVec;
@@ -43,9 +43,9 @@ pub static FAMILY: Family = Family {
     rare: Rare::NONE,
 };
 
-fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let load = Arc::clone(&ground.load);
-    let friction = CarriedFriction::of(ground);
+fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let load = Arc::clone(&operating_point.load);
+    let friction = CarriedFriction::of(operating_point);
     AllRows::term(&FAMILY, "", site, settings, vec![column("delay", site, "", "s")], move |gravity| Late {
         load: load.under(gravity),
         friction,

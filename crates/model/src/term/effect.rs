@@ -6,9 +6,9 @@
 pub use super::catalogue::{FAMILIES, family};
 pub use super::family::{
     Confounded, Expressions, Family, Form, InBodies, InC, Inputs, PartOf, Place, PlotOver, Rare, Scale, Setting, Site,
-    Spec, Stratum,
+    Spec, Stratum, WholeArm,
 };
-pub use super::load::Ground;
+pub use super::load::OperatingPoint;
 pub use super::quantity::{Quantity, Results};
 
 use super::Term;
@@ -82,14 +82,14 @@ impl Spec {
     ///
     /// # Errors
     /// A family, form, site or setting that does not exist or is out of range.
-    pub fn build(&self, ground: &Ground) -> Result<Arc<dyn Term>, EffectError> {
+    pub fn build(&self, operating_point: &OperatingPoint) -> Result<Arc<dyn Term>, EffectError> {
         let family = self.family()?;
         let form = family.form(self.form).ok_or_else(|| EffectError::Form {
             family: family.id,
             form: self.form.to_string(),
             known: family.forms.iter().map(|form| format!("`{}`", form.name)).collect::<Vec<_>>().join(", "),
         })?;
-        if !family.place.sites(ground.chain.len()).contains(&self.site) {
+        if !family.place.sites(operating_point.chain.len()).contains(&self.site) {
             return Err(EffectError::Site { family: family.id, site: self.site });
         }
         if self.settings.len() != form.settings.len() {
@@ -102,7 +102,7 @@ impl Spec {
                 return Err(EffectError::Setting { family: family.id, setting: setting.name, value, low, high });
             }
         }
-        Ok((form.build)(ground, self.site, &self.settings))
+        Ok((form.build)(operating_point, self.site, &self.settings))
     }
 }
 
@@ -110,11 +110,11 @@ impl Spec {
 ///
 /// # Errors
 /// As [`Spec::build`].
-pub fn assemble(specs: &[Spec], ground: &Ground) -> Result<Vec<Arc<dyn Term>>, EffectError> {
+pub fn assemble(specs: &[Spec], operating_point: &OperatingPoint) -> Result<Vec<Arc<dyn Term>>, EffectError> {
     let mut terms = Vec::new();
     let mut whole: Vec<(&'static str, Arc<dyn Term>, Vec<usize>)> = Vec::new();
     for spec in specs {
-        let term = spec.build(ground)?;
+        let term = spec.build(operating_point)?;
         let Some(whole_arm) = spec.family()?.rare.whole_arm else {
             terms.push(term);
             continue;
@@ -122,7 +122,7 @@ pub fn assemble(specs: &[Spec], ground: &Ground) -> Result<Vec<Arc<dyn Term>>, E
         let joint = joint(spec.site) + 1;
         match whole.iter_mut().find(|(id, ..)| *id == spec.family) {
             Some((.., joints)) => joints.push(joint),
-            None => whole.push((spec.family, whole_arm(&ground.chain), vec![joint])),
+            None => whole.push((spec.family, whole_arm(&operating_point.chain), vec![joint])),
         }
     }
     let own = |(_, term, joints): (_, _, Vec<usize>)| Subset::of(term, |column| joints.contains(&column.joint));

@@ -4,7 +4,7 @@ use super::all_rows::{AllRows, Clock, Law};
 use super::family::{
     Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_OTHER_STATE, Rare, Site, Stratum, joint,
 };
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
 use super::{Sample, Term};
@@ -45,10 +45,10 @@ pub static FAMILY: Family = Family {
     rare: Rare { may_change: true, ..Rare::NONE },
 };
 
-fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let joint = joint(site);
-    let columns = vec![column("zero", site, "", unit(ground, joint, "rad", "m"))];
-    let load = Arc::clone(&ground.load);
+    let columns = vec![column("zero", site, "", unit(operating_point, joint, "rad", "m"))];
+    let load = Arc::clone(&operating_point.load);
     AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
         Zero(PositionError { joint, load: load.under(gravity) })
     })

@@ -1,7 +1,7 @@
 //! What a kind of effect declares about itself. Every reader of the catalogue (search, plots, report, export) goes by these declarations.
 
 use super::Term;
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::quantity::{self, Quantity, Results};
 use crate::chain::Chain;
 use serde::{Deserialize, Serialize};
@@ -44,17 +44,20 @@ pub struct Form {
     /// Its nonlinear parameters.
     pub settings: &'static [Setting],
     /// Builds its term. The site is of the family's place and in the arm, the settings are as many as listed and in their ranges.
-    pub build: fn(&Ground, Site, &[f64]) -> Arc<dyn Term>,
+    pub build: fn(&OperatingPoint, Site, &[f64]) -> Arc<dyn Term>,
     /// The exported C function's part of it.
     pub in_c: InC,
     /// The horizontal axis of its plot.
     pub plot_over: PlotOver,
 }
 
+/// Builds a term with a column for every joint of the arm.
+pub type WholeArm = fn(&Chain) -> Arc<dyn Term>;
+
 /// What only few families have.
 pub struct Rare {
     /// The term of the whole arm with a column of this effect for every joint. Its columns belong to that term in models and files.
-    pub whole_arm: Option<fn(&Chain) -> Arc<dyn Term>>,
+    pub whole_arm: Option<WholeArm>,
     /// Whether every arm has it. Where the noise is unknown, the search starts from a model with it in every joint.
     pub in_every_arm: bool,
     /// Whether it may come or change after an identification, so that a comparison with a stored model searches for it.

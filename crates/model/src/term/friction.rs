@@ -3,15 +3,13 @@
 use super::{Column, Entry, FixedTerm, Motion, Sample, Term, padded, per_joint};
 use crate::chain::{Chain, JointKind};
 use crate::fast::closed::ClosedForm;
-use crate::fast::sample::smooth_signs;
+pub use crate::fast::sign::SHARPNESS;
+use crate::fast::sign::smooth_signs;
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
 
 /// Identity of [`Friction`].
 pub const ID: &str = "friction";
-
-/// Slope of the smoothed sign of the velocity at rest, paper eq. 2 \[s/rad\].
-pub const SHARPNESS: f64 = 100.0;
 
 /// `tau_j = fv_j dq_j + fc_j tanh(100 dq_j)` (paper eq. 2). Columns `fv1 .. fvn`, then `fc1 .. fcn`.
 pub struct Friction {

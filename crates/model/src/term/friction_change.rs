@@ -2,7 +2,7 @@
 
 use super::Term;
 use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum, joint};
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::{OneRow, column, smooth_sign, unit};
 use super::quantity::{self, Quantity, Results};
 use crate::torque::Parameter;
@@ -36,11 +36,11 @@ pub static FAMILY: Family = Family {
     rare: Rare { may_change: true, changed_parameter, quantities: parameters_and_factors, ..Rare::NONE },
 };
 
-fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let joint = joint(site);
     let columns = vec![
-        column("dfv", site, "", unit(ground, joint, "Nms/rad", "Ns/m")),
-        column("dfc", site, "", unit(ground, joint, "Nm", "N")),
+        column("dfv", site, "", unit(operating_point, joint, "Nms/rad", "Ns/m")),
+        column("dfc", site, "", unit(operating_point, joint, "Nm", "N")),
     ];
     OneRow::new(&FAMILY, "", site, settings, columns, |at, _| [at.own.dq, smooth_sign(at.own.dq), 0.0]).term()
 }

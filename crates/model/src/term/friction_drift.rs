@@ -2,7 +2,7 @@
 
 use super::Term;
 use super::family::{Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_TIME, Rare, Site, Stratum, joint};
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::offset_drift::{WARMING, warmed};
 use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
 use std::sync::Arc;
@@ -45,21 +45,21 @@ pub static FAMILY: Family = Family {
     rare: Rare::NONE,
 };
 
-fn linear(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+fn linear(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let joint = joint(site);
     let columns = vec![
-        column("fcdrift", site, "", unit(ground, joint, "Nm/min", "N/min")),
-        column("fvdrift", site, "", unit(ground, joint, "Nms/rad/min", "Ns/m/min")),
+        column("fcdrift", site, "", unit(operating_point, joint, "Nm/min", "N/min")),
+        column("fvdrift", site, "", unit(operating_point, joint, "Nms/rad/min", "Ns/m/min")),
     ];
     let law = |at: &At, _: &Settings| scaled(at.own.dq, at.time / 60.0);
     OneRow::new(&FAMILY, "linear", site, settings, columns, law).term()
 }
 
-fn exponential(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+fn exponential(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let joint = joint(site);
     let columns = vec![
-        column("fcdrift", site, "_exponential", unit(ground, joint, "Nm", "N")),
-        column("fvdrift", site, "_exponential", unit(ground, joint, "Nms/rad", "Ns/m")),
+        column("fcdrift", site, "_exponential", unit(operating_point, joint, "Nm", "N")),
+        column("fvdrift", site, "_exponential", unit(operating_point, joint, "Nms/rad", "Ns/m")),
     ];
     let law = |at: &At, settings: &Settings| scaled(at.own.dq, warmed(at.time, settings[0]));
     OneRow::new(&FAMILY, "exponential", site, settings, columns, law).term()

@@ -5,7 +5,7 @@ use super::carried::CarriedFriction;
 use super::family::{
     Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_MEMORY, Rare, Scale, Setting, Site, Stratum, joint,
 };
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
 use super::swing::{Gear, QUALITY, SWINGING, Swing};
@@ -78,33 +78,33 @@ const COMPLIANCE: Setting = Setting {
     scale: Scale::Logarithmic,
 };
 
-fn of_body(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    build(ground, "", CarriedFriction::default(), site, settings)
+fn of_body(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    build(operating_point, "", CarriedFriction::default(), site, settings)
 }
 
-fn with_friction(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    build(ground, LINK_FRICTION, CarriedFriction::of(ground), site, settings)
+fn with_friction(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    build(operating_point, LINK_FRICTION, CarriedFriction::of(operating_point), site, settings)
 }
 
-fn swinging(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+fn swinging(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let gear = Gear::Spring(settings[0]);
-    Swing::term(&FAMILY, ground, site, settings, columns(ground, site), gear, settings[1])
+    Swing::term(&FAMILY, operating_point, site, settings, columns(operating_point, site), gear, settings[1])
 }
 
-fn columns(ground: &Ground, site: Site) -> Vec<Column> {
-    vec![column("compliance", site, "", unit(ground, joint(site), "rad/Nm", "m/N"))]
+fn columns(operating_point: &OperatingPoint, site: Site) -> Vec<Column> {
+    vec![column("compliance", site, "", unit(operating_point, joint(site), "rad/Nm", "m/N"))]
 }
 
 fn build(
-    ground: &Ground,
+    operating_point: &OperatingPoint,
     form: &'static str,
     friction: CarriedFriction,
     site: Site,
     settings: &[f64],
 ) -> Arc<dyn Term> {
     let joint = joint(site);
-    let load = Arc::clone(&ground.load);
-    AllRows::term(&FAMILY, form, site, settings, columns(ground, site), move |gravity| {
+    let load = Arc::clone(&operating_point.load);
+    AllRows::term(&FAMILY, form, site, settings, columns(operating_point, site), move |gravity| {
         let error = PositionError { joint, load: load.under(gravity) };
         Twist { error, friction, past: Past::default() }
     })

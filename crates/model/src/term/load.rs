@@ -54,8 +54,8 @@ impl Load {
     }
 }
 
-/// What effects are built upon.
-pub struct Ground {
+/// Parameters at which the columns of effects are evaluated.
+pub struct OperatingPoint {
     /// The arm.
     pub chain: Chain,
     /// Its rigid bodies, as far as they are known.

@@ -2,7 +2,7 @@
 
 use super::Term;
 use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum, joint};
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
 use std::sync::Arc;
 
@@ -47,14 +47,14 @@ pub static FAMILY: Family = Family {
     rare: Rare::NONE,
 };
 
-fn coulomb(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+fn coulomb(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("fl", site, "_coulomb", "1")];
     let law = |at: &At, _: &Settings| [at.load.abs() * smooth_sign(at.own.dq), 0.0, 0.0];
-    OneRow::new(&FAMILY, "coulomb", site, settings, columns, law).loaded(ground).not_negative().term()
+    OneRow::new(&FAMILY, "coulomb", site, settings, columns, law).loaded(operating_point).not_negative().term()
 }
 
-fn viscous(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let columns = vec![column("fl", site, "_viscous", unit(ground, joint(site), "s/rad", "s/m"))];
+fn viscous(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("fl", site, "_viscous", unit(operating_point, joint(site), "s/rad", "s/m"))];
     let law = |at: &At, _: &Settings| [at.load.abs() * at.own.dq, 0.0, 0.0];
-    OneRow::new(&FAMILY, "viscous", site, settings, columns, law).loaded(ground).not_negative().term()
+    OneRow::new(&FAMILY, "viscous", site, settings, columns, law).loaded(operating_point).not_negative().term()
 }

@@ -3,7 +3,7 @@
 
 use super::Term;
 use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum, joint};
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::{OneRow, column, unit};
 use std::sync::Arc;
 
@@ -32,7 +32,7 @@ pub static FAMILY: Family = Family {
     rare: Rare::NONE,
 };
 
-fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let columns = vec![column("madeup", site, "", unit(ground, joint(site), "Nms/rad2", "Ns/m2"))];
+fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("madeup", site, "", unit(operating_point, joint(site), "Nms/rad2", "Ns/m2"))];
     OneRow::new(&FAMILY, "", site, settings, columns, |at, _| [at.own.q * at.own.dq, 0.0, 0.0]).smooth().term()
 }

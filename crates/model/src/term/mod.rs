@@ -45,6 +45,8 @@ pub mod torque_gain;
 pub mod torque_offset;
 pub mod transmission_coupling;
 
+pub use super::motion::{Motion, Sample};
+pub use super::parameter::Column;
 pub use catalogue::{KNOWN, by_id};
 
 use super::base::Reduction;
@@ -53,72 +55,6 @@ use super::fast::closed::ClosedForm;
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
 use std::sync::Arc;
-
-/// One column of a regressor, that is, one parameter of the model.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Column {
-    /// Unique in the model, in ASCII: `Lxx2`, `fv3`, `offset1`.
-    pub name: String,
-    /// Symbol for people: `LxxR2`, `fv3`.
-    pub symbol: String,
-    /// Joint or link it belongs to, counted from 1.
-    pub joint: usize,
-    /// Unit of the parameter.
-    pub unit: &'static str,
-    /// What standard parameters it is made of, in the paper's convention: `Lzz1 + Lyy2`.
-    pub expression: String,
-}
-
-/// A motion on an even time grid, with everything a regressor may depend on.
-#[derive(Clone, Debug)]
-pub struct Motion {
-    /// Time between samples \[s\].
-    pub dt: f64,
-    /// Joint positions, N x n \[rad\].
-    pub q: DMatrix<f64>,
-    /// Joint velocities, N x n \[rad/s\].
-    pub dq: DMatrix<f64>,
-    /// Joint accelerations, N x n \[rad/s2\].
-    pub ddq: DMatrix<f64>,
-    /// Gravitational acceleration in the base frame \[m/s2\].
-    pub gravity: Vector3<f64>,
-    /// Whether the motion repeats, so that the sample before the first is the last one.
-    pub periodic: bool,
-    /// Time of the first sample since the start of the recording \[s\].
-    pub start: f64,
-}
-
-impl Motion {
-    /// Number of samples, N.
-    pub fn samples(&self) -> usize {
-        self.q.nrows()
-    }
-
-    /// Number of joints, n.
-    pub fn joints(&self) -> usize {
-        self.q.ncols()
-    }
-
-    /// One of its samples. An arm has at most [`MAX_JOINTS`](plumbline_core::MAX_JOINTS) joints.
-    pub fn sample(&self, k: usize) -> Sample {
-        let mut sample = Sample::default();
-        for j in 0..self.joints() {
-            (sample.q[j], sample.dq[j], sample.ddq[j]) = (self.q[(k, j)], self.dq[(k, j)], self.ddq[(k, j)]);
-        }
-        sample
-    }
-}
-
-/// One desired or measured point, the real-time side of a [`Motion`].
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Sample {
-    /// Position \[rad\].
-    pub q: JointVec,
-    /// Velocity \[rad/s\].
-    pub dq: JointVec,
-    /// Acceleration \[rad/s2\].
-    pub ddq: JointVec,
-}
 
 /// A part of the model that contributes named columns to the regressor.
 pub trait Term: Send + Sync {

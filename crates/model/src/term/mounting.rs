@@ -2,7 +2,7 @@
 
 use super::all_rows::{AllRows, Clock, Law};
 use super::family::{Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_OTHER_STATE, Rare, Site, Stratum};
-use super::load::{Ground, LoadUnder};
+use super::load::{LoadUnder, OperatingPoint};
 use super::one_row::column;
 use super::quantity::{self, Quantity, Results};
 use super::{Sample, Term};
@@ -53,8 +53,8 @@ pub fn axes(gravity: &Vector3<f64>) -> [Vector3<f64>; 2] {
     [a, up.cross(&a)]
 }
 
-fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let load = Arc::clone(&ground.load);
+fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let load = Arc::clone(&operating_point.load);
     let columns = ["tilt_a", "tilt_b"].map(|stem| column(stem, site, "", "rad")).to_vec();
     AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
         // Without gravity there is nothing to tilt.

@@ -4,7 +4,7 @@ use super::Term;
 use super::family::{
     Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
 };
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::{At, OneRow, Settings, column, unit};
 use std::sync::Arc;
 
@@ -70,18 +70,18 @@ pub static FAMILY: Family = Family {
     rare: Rare::NONE,
 };
 
-fn sigmoid(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let columns = vec![column("fn", site, "_sigmoid", unit(ground, joint(site), "Nm", "N"))];
+fn sigmoid(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("fn", site, "_sigmoid", unit(operating_point, joint(site), "Nm", "N"))];
     let law = |at: &At, settings: &Settings| [(at.own.dq / settings[0]).tanh(), 0.0, 0.0];
     OneRow::new(&FAMILY, "sigmoid", site, settings, columns, law).term()
 }
 
-fn cubic(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let columns = vec![column("fn", site, "_cubic", unit(ground, joint(site), "Nm s3/rad3", "N s3/m3"))];
+fn cubic(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("fn", site, "_cubic", unit(operating_point, joint(site), "Nm s3/rad3", "N s3/m3"))];
     OneRow::new(&FAMILY, "cubic", site, settings, columns, |at, _| [at.own.dq.powi(3), 0.0, 0.0]).term()
 }
 
-fn quadratic(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let columns = vec![column("fn", site, "_quadratic", unit(ground, joint(site), "Nm s2/rad2", "N s2/m2"))];
+fn quadratic(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("fn", site, "_quadratic", unit(operating_point, joint(site), "Nm s2/rad2", "N s2/m2"))];
     OneRow::new(&FAMILY, "quadratic", site, settings, columns, |at, _| [at.own.dq * at.own.dq.abs(), 0.0, 0.0]).term()
 }

@@ -4,7 +4,7 @@ use super::Term;
 use super::family::{
     Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_TIME, Rare, Scale, Setting, Site, Stratum, joint,
 };
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::{At, OneRow, Settings, column, unit};
 use std::sync::Arc;
 
@@ -65,13 +65,13 @@ pub(super) fn warmed(time: f64, constant: f64) -> f64 {
     -(-time / constant).exp_m1()
 }
 
-fn linear(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let columns = vec![column("drift", site, "", unit(ground, joint(site), "Nm/min", "N/min"))];
+fn linear(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("drift", site, "", unit(operating_point, joint(site), "Nm/min", "N/min"))];
     OneRow::new(&FAMILY, "linear", site, settings, columns, |at, _| [at.time / 60.0, 0.0, 0.0]).term()
 }
 
-fn exponential(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let columns = vec![column("drift", site, "_exponential", unit(ground, joint(site), "Nm", "N"))];
+fn exponential(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("drift", site, "_exponential", unit(operating_point, joint(site), "Nm", "N"))];
     let law = |at: &At, settings: &Settings| [warmed(at.time, settings[0]), 0.0, 0.0];
     OneRow::new(&FAMILY, "exponential", site, settings, columns, law).term()
 }

@@ -2,7 +2,7 @@
 
 use super::family::{Family, Site, Spec};
 use super::friction::SHARPNESS;
-use super::load::{Ground, Load, LoadUnder};
+use super::load::{Load, LoadUnder, OperatingPoint};
 use super::{Column, FixedTerm, Motion, Sample, Term};
 use crate::chain::{Chain, JointKind};
 use nalgebra::{DMatrix, Vector3};
@@ -10,9 +10,9 @@ use plumbline_core::JointVec;
 use std::sync::Arc;
 
 /// Columns that a law can have.
-pub(super) const WIDTH: usize = 3;
+pub(super) const MAX_COLUMNS: usize = 3;
 /// Nonlinear parameters that a law can have.
-const SETTINGS: usize = 2;
+const MAX_SETTINGS: usize = 2;
 
 /// Motion of one joint.
 #[derive(Clone, Copy, Debug, Default)]
@@ -39,13 +39,13 @@ pub(super) struct At {
 }
 
 /// Nonlinear parameters; zero past those that there are.
-pub(super) type Settings = [f64; SETTINGS];
+pub(super) type Settings = [f64; MAX_SETTINGS];
 
 /// The columns at a sample, by the settings; those past the term's own are ignored. Every law is a type of its own and no pointer, so that the
 /// compiler sees which law a [`FixedRow`] calls, and that it can't panic.
-pub(super) trait Law: Fn(&At, &Settings) -> [f64; WIDTH] + Copy + Send + Sync + 'static {}
+pub(super) trait Law: Fn(&At, &Settings) -> [f64; MAX_COLUMNS] + Copy + Send + Sync + 'static {}
 
-impl<L: Fn(&At, &Settings) -> [f64; WIDTH] + Copy + Send + Sync + 'static> Law for L {}
+impl<L: Fn(&At, &Settings) -> [f64; MAX_COLUMNS] + Copy + Send + Sync + 'static> Law for L {}
 
 /// `tanh(100 dq)`, the sign of a velocity as friction has it (paper eq. 2).
 pub(super) fn smooth_sign(dq: f64) -> f64 {
@@ -61,8 +61,13 @@ pub(super) fn column(stem: &str, site: Site, tail: &str, unit: &'static str) -> 
 }
 
 /// A unit by the kind of a joint: turning, sliding.
-pub(super) fn unit(ground: &Ground, joint: usize, turning: &'static str, sliding: &'static str) -> &'static str {
-    match ground.chain.joints()[joint].kind {
+pub(super) fn unit(
+    operating_point: &OperatingPoint,
+    joint: usize,
+    turning: &'static str,
+    sliding: &'static str,
+) -> &'static str {
+    match operating_point.chain.joints()[joint].kind {
         JointKind::Revolute => turning,
         JointKind::Prismatic => sliding,
     }
@@ -90,16 +95,20 @@ impl<L: Law> OneRow<L> {
         columns: Vec<Column>,
         law: L,
     ) -> OneRow<L> {
-        assert!(columns.len() <= WIDTH && settings.len() <= SETTINGS, "{} is too wide for one row", family.id);
+        assert!(
+            columns.len() <= MAX_COLUMNS && settings.len() <= MAX_SETTINGS,
+            "{} is too wide for one row",
+            family.id
+        );
         let spec = Spec { family: family.id, form, site, settings: settings.to_vec() };
-        let mut own = [0.0; SETTINGS];
+        let mut own = [0.0; MAX_SETTINGS];
         own[..settings.len()].copy_from_slice(settings);
         OneRow { family, spec, law, settings: own, columns, load: None, smooth: false, not_negative: false }
     }
 
     /// One that looks at the rigid-body torque, too.
-    pub fn loaded(self, ground: &Ground) -> OneRow<L> {
-        OneRow { load: Some(Arc::clone(&ground.load)), ..self }
+    pub fn loaded(self, operating_point: &OperatingPoint) -> OneRow<L> {
+        OneRow { load: Some(Arc::clone(&operating_point.load)), ..self }
     }
 
     /// One without a step where a joint turns back.
@@ -175,7 +184,7 @@ impl<L: Law> Term for OneRow<L> {
         }
         let (row, cause) = self.joints();
         let load = self.load.as_ref().map(|load| load.under(gravity));
-        let mut own = [0.0; WIDTH];
+        let mut own = [0.0; MAX_COLUMNS];
         own[..beta.len()].copy_from_slice(beta);
         Box::new(FixedRow { row, cause, law: self.law, settings: self.settings, beta: own, load })
     }
@@ -187,7 +196,7 @@ struct FixedRow<L> {
     law: L,
     settings: Settings,
     /// Zero past the columns that there are.
-    beta: [f64; WIDTH],
+    beta: [f64; MAX_COLUMNS],
     load: Option<LoadUnder>,
 }
 

@@ -2,7 +2,7 @@
 
 use super::all_rows::{AllRows, Clock, Law};
 use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum};
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::quantity::{self, Quantity, Results};
 use super::{Column, Sample, Term};
 use crate::fast::links::LinkColumns;
@@ -60,8 +60,8 @@ const PARAMETERS: [(&str, &str); LINK_COLUMNS] = [
     ("m", "kg"),
 ];
 
-fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let chain = ground.chain.clone();
+fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let chain = operating_point.chain.clone();
     let named = |(what, unit): (&str, &'static str)| {
         let name = format!("payload_{what}");
         Column { symbol: name.clone(), expression: name.clone(), name, joint: chain.len(), unit }

@@ -4,7 +4,7 @@ use super::Term;
 use super::family::{
     Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
 };
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
 use super::position_ripple::order;
 use std::sync::Arc;
@@ -47,8 +47,8 @@ pub static FAMILY: Family = Family {
     rare: Rare::NONE,
 };
 
-fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let (unit, n) = (unit(ground, joint(site), "Nm", "N"), order(settings[0]));
+fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let (unit, n) = (unit(operating_point, joint(site), "Nm", "N"), order(settings[0]));
     let columns = ["sin", "cos"].map(|wave| column("frictionwave", site, &format!("_{n}_{wave}"), unit)).to_vec();
     let law = |at: &At, settings: &Settings| {
         let ((sin, cos), s) = ((settings[0] * at.own.q).sin_cos(), smooth_sign(at.own.dq));

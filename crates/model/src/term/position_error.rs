@@ -6,7 +6,7 @@ use plumbline_core::JointVec;
 
 /// Step of the difference quotient, times the size of the error \[rad\]: its truncation is 4e-10 of the largest harmonic of the
 /// torque over the angle, its rounding 2e-12.
-const STEP: f64 = 1e-4;
+const STEP_RAD: f64 = 1e-4;
 
 /// Rigid bodies seen through a joint whose true position is not the measured one.
 pub(super) struct PositionError {
@@ -22,7 +22,7 @@ impl PositionError {
     /// difference: exact in `V` and `M`, since the torque is quadratic in velocity and linear in acceleration.
     pub fn signature(&mut self, sample: &Sample, error: [f64; 3]) -> JointVec {
         let [e, de, dde] = error;
-        let step = STEP / (1.0 + e.abs());
+        let step = STEP_RAD / (1.0 + e.abs());
         let above = self.shifted(sample, [step * e, step * de, step * dde]);
         let below = self.shifted(sample, [-step * e, -step * de, -step * dde]);
         std::array::from_fn(|j| (above[j] - below[j]) / (2.0 * step))

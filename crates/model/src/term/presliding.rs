@@ -3,7 +3,7 @@
 use super::family::{
     Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Spec, Stratum, joint,
 };
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::{Column, FixedTerm, Motion, Sample, Term};
 use crate::chain::Chain;
 use nalgebra::{DMatrix, Vector3};
@@ -56,7 +56,7 @@ pub static FAMILY: Family = Family {
     rare: Rare::NONE,
 };
 
-fn build(_ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+fn build(_ground: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     Arc::new(Presliding { joint: joint(site), delta: settings[0] })
 }
 

@@ -1,7 +1,7 @@
 //! The numbers that are reported for an effect: its parameters, and what follows from them.
 
 use crate::gravity::Mounting;
-use crate::torque::Parameter;
+use crate::parameter::Parameter;
 use nalgebra::DMatrix;
 
 /// A number with its standard deviation.

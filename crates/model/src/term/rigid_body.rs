@@ -15,7 +15,7 @@ use plumbline_core::{JointVec, MAX_JOINTS};
 pub const ID: &str = "rigid-body";
 
 /// Samples whose columns are computed before they are written.
-const BLOCK: usize = 8;
+const BLOCK_SAMPLES: usize = 8;
 
 /// `tau = Y_b(q, dq, ddq, rho, phi) beta` (paper eq. 7): the base columns of a [`Reduction`].
 pub struct RigidBody {
@@ -48,12 +48,12 @@ impl Term for RigidBody {
         let mut links = LinkColumns::new(chain, &self.independent, &motion.gravity);
         // A joint's rows of a column are one piece of memory, those of different joints and columns lie far apart: several samples at
         // a time, so that each piece is visited once for all of them.
-        let mut block = vec![[[0.0; MAX_JOINTS]; BLOCK]; self.independent.len()];
+        let mut block = vec![[[0.0; MAX_JOINTS]; BLOCK_SAMPLES]; self.independent.len()];
         let mut one = vec![[0.0; MAX_JOINTS]; self.independent.len()];
         let mut sample = Sample::default();
         let y = y.as_mut_slice();
-        for start in (0..samples).step_by(BLOCK) {
-            let count = BLOCK.min(samples - start);
+        for start in (0..samples).step_by(BLOCK_SAMPLES) {
+            let count = BLOCK_SAMPLES.min(samples - start);
             for k in 0..count {
                 for j in 0..n {
                     let at = (start + k, j);

@@ -24,7 +24,7 @@ pub static FAMILY: Family = Family {
         name: "",
         equation: "tau_j = ia_j ddq_j",
         settings: &[],
-        build: |ground, site, _| of_joint(Arc::new(RotorInertia::new(&ground.chain)), site),
+        build: |operating_point, site, _| of_joint(Arc::new(RotorInertia::new(&operating_point.chain)), site),
         in_c: InC::Entries,
         plot_over: PlotOver::Acceleration,
     }],

@@ -4,7 +4,7 @@ use super::Term;
 use super::family::{
     Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
 };
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::{At, OneRow, Settings, column, unit};
 use std::sync::Arc;
 
@@ -73,30 +73,30 @@ pub static FAMILY: Family = Family {
     rare: Rare { may_change: true, ..Rare::NONE },
 };
 
-fn linear(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    OneRow::new(&FAMILY, "linear", site, settings, straight(ground, site), |at, _| [at.own.q, 1.0, 0.0]).term()
+fn linear(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    OneRow::new(&FAMILY, "linear", site, settings, straight(operating_point, site), |at, _| [at.own.q, 1.0, 0.0]).term()
 }
 
-fn cubic(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let mut columns = straight(ground, site);
-    columns.push(column("spring", site, "_cubic", unit(ground, joint(site), "Nm/rad3", "N/m3")));
+fn cubic(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let mut columns = straight(operating_point, site);
+    columns.push(column("spring", site, "_cubic", unit(operating_point, joint(site), "Nm/rad3", "N/m3")));
     OneRow::new(&FAMILY, "cubic", site, settings, columns, |at, _| [at.own.q, 1.0, at.own.q.powi(3)]).term()
 }
 
-fn straight(ground: &Ground, site: Site) -> Vec<super::Column> {
+fn straight(operating_point: &OperatingPoint, site: Site) -> Vec<super::Column> {
     let joint = joint(site);
-    let stiffness = column("spring", site, "", unit(ground, joint, "Nm/rad", "N/m"));
-    vec![stiffness, column("spring", site, "_preload", unit(ground, joint, "Nm", "N"))]
+    let stiffness = column("spring", site, "", unit(operating_point, joint, "Nm/rad", "N/m"));
+    vec![stiffness, column("spring", site, "_preload", unit(operating_point, joint, "Nm", "N"))]
 }
 
-fn above(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let columns = vec![column("spring", site, "_above", unit(ground, joint(site), "Nm/rad", "N/m"))];
+fn above(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("spring", site, "_above", unit(operating_point, joint(site), "Nm/rad", "N/m"))];
     let law = |at: &At, settings: &Settings| [(at.own.q - settings[0]).max(0.0), 0.0, 0.0];
     OneRow::new(&FAMILY, "above", site, settings, columns, law).term()
 }
 
-fn below(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let columns = vec![column("spring", site, "_below", unit(ground, joint(site), "Nm/rad", "N/m"))];
+fn below(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("spring", site, "_below", unit(operating_point, joint(site), "Nm/rad", "N/m"))];
     let law = |at: &At, settings: &Settings| [(settings[0] - at.own.q).max(0.0), 0.0, 0.0];
     OneRow::new(&FAMILY, "below", site, settings, columns, law).term()
 }

@@ -4,7 +4,7 @@ use super::Term;
 use super::family::{
     Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
 };
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::{At, Law, OneRow, Settings, column, smooth_sign, unit};
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ pub static FAMILY: Family = Family {
             name: "gaussian",
             equation: "tau_j = fs_j exp(-(dq_j / vs)^2) tanh(100 dq_j)",
             settings: &[SPEED],
-            build: |ground, site, settings| build(ground, site, settings, "gaussian", gaussian),
+            build: |operating_point, site, settings| build(operating_point, site, settings, "gaussian", gaussian),
             in_c: InC::Columns(|at, settings| {
                 vec![format!("exp(-({0}/{1:?})*({0}/{1:?}))*{2}", at.dq, settings[0], at.sign)]
             }),
@@ -31,7 +31,7 @@ pub static FAMILY: Family = Family {
             name: "exponential",
             equation: "tau_j = fs_j exp(-|dq_j| / vs) tanh(100 dq_j)",
             settings: &[SPEED],
-            build: |ground, site, settings| build(ground, site, settings, "exponential", exponential),
+            build: |operating_point, site, settings| build(operating_point, site, settings, "exponential", exponential),
             in_c: InC::Columns(|at, settings| vec![format!("exp(-fabs({})/{:?})*{}", at.dq, settings[0], at.sign)]),
             plot_over: PlotOver::Velocity,
         },
@@ -61,8 +61,14 @@ const SPEED: Setting = Setting {
     scale: Scale::Logarithmic,
 };
 
-fn build(ground: &Ground, site: Site, settings: &[f64], form: &'static str, law: impl Law) -> Arc<dyn Term> {
-    let columns = vec![column("fs", site, &format!("_{form}"), unit(ground, joint(site), "Nm", "N"))];
+fn build(
+    operating_point: &OperatingPoint,
+    site: Site,
+    settings: &[f64],
+    form: &'static str,
+    law: impl Law,
+) -> Arc<dyn Term> {
+    let columns = vec![column("fs", site, &format!("_{form}"), unit(operating_point, joint(site), "Nm", "N"))];
     OneRow::new(&FAMILY, form, site, settings, columns, law).term()
 }
 

@@ -3,7 +3,7 @@
 use super::all_rows::{AllRows, Clock, Law, Past};
 use super::carried::CarriedFriction;
 use super::family::{Family, Scale, Setting, Site, joint};
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::position_error::PositionError;
 use super::{Column, Expected, Sample, Term};
 use plumbline_core::JointVec;
@@ -26,15 +26,15 @@ pub(super) const QUALITY: Setting = Setting {
 
 /// Longest step of the integration \[s\]: a link of 1 kg m2 on a gap of 0.75 mrad per 0.05 Nm swings at 1.3 Hz, one of 0.05 kg m2 per 5 Nm
 /// at 60 Hz.
-const STEP: f64 = 1.1e-3;
+const MAX_STEP_S: f64 = 1.1e-3;
 /// Steps between two samples at most.
-const STEPS: u8 = 20;
+const MAX_STEPS: u8 = 20;
 /// Tries to solve one step.
-const TRIES: u8 = 50;
+const MAX_ITERATIONS: u8 = 50;
 /// A step is solved to so much of a torque \[Nm\].
-const EXACT: f64 = 1e-9;
+const TOLERANCE_NM: f64 = 1e-9;
 /// A link's swinging dies away in this time for each one of its quality \[s\], or is kept up by every period alike.
-const DIES_AWAY: f64 = 0.8;
+const DECAY_S: f64 = 0.8;
 
 /// How a gear gives way.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -97,14 +97,15 @@ impl Swing {
     /// The term of an effect with one column, at rest and without load to begin with.
     pub fn term(
         family: &'static Family,
-        ground: &Ground,
+        operating_point: &OperatingPoint,
         site: Site,
         settings: &[f64],
         columns: Vec<Column>,
         gear: Gear,
         quality: f64,
     ) -> Arc<dyn Term> {
-        let (joint, friction, load) = (joint(site), CarriedFriction::of(ground), Arc::clone(&ground.load));
+        let (joint, friction, load) =
+            (joint(site), CarriedFriction::of(operating_point), Arc::clone(&operating_point.load));
         AllRows::term(family, SWINGING, site, settings, columns, move |gravity| {
             let error = PositionError { joint, load: load.under(gravity) };
             Swing {
@@ -138,9 +139,9 @@ impl Swing {
         let mut tau = self.tau + self.rise;
         let mut now = at(tau);
         let mut went = f64::INFINITY;
-        for _ in 0..TRIES {
+        for _ in 0..MAX_ITERATIONS {
             let (wrong, slope, _) = now;
-            if wrong.abs() < EXACT {
+            if wrong.abs() < TOLERANCE_NM {
                 break;
             }
             // The left side rises at least as fast as tau: the solution is no farther away than what is wrong.
@@ -168,7 +169,7 @@ impl Law for Swing {
     const EXPECTS: Expected = Expected::FirstSetting;
 
     fn memory(&self, dt: f64) -> usize {
-        (DIES_AWAY * self.quality / dt).ceil() as usize
+        (DECAY_S * self.quality / dt).ceil() as usize
     }
 
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
@@ -177,7 +178,7 @@ impl Law for Swing {
         let load = self.error.own(sample);
         let inertia = self.error.inertia(sample, load);
         let [load_before, dq_before] = self.before.replace([load, dq]).unwrap_or([load, dq]);
-        let steps = ((clock.dt / STEP).ceil() as u8).clamp(1, STEPS);
+        let steps = ((clock.dt / MAX_STEP_S).ceil() as u8).clamp(1, MAX_STEPS);
         let friction = self.friction;
         let rub = |dq: f64, dtheta: f64| friction.at(dq - dtheta, joint) - friction.at(dq, joint);
         let mut theta = [0.0; 3];

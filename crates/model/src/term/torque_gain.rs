@@ -2,7 +2,7 @@
 
 use super::Term;
 use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum};
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::{OneRow, column};
 use std::sync::Arc;
 
@@ -41,7 +41,7 @@ pub static FAMILY: Family = Family {
     rare: Rare { may_change: true, ..Rare::NONE },
 };
 
-fn build(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("gain", site, "", "1")];
-    OneRow::new(&FAMILY, "", site, settings, columns, |at, _| [at.load, 0.0, 0.0]).loaded(ground).term()
+    OneRow::new(&FAMILY, "", site, settings, columns, |at, _| [at.load, 0.0, 0.0]).loaded(operating_point).term()
 }

@@ -23,7 +23,7 @@ pub static FAMILY: Family = Family {
         name: "",
         equation: "tau_j = offset_j",
         settings: &[],
-        build: |ground, site, _| of_joint(Arc::new(TorqueOffset::new(&ground.chain)), site),
+        build: |operating_point, site, _| of_joint(Arc::new(TorqueOffset::new(&operating_point.chain)), site),
         in_c: InC::Entries,
         plot_over: PlotOver::Position,
     }],

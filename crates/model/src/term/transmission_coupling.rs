@@ -5,7 +5,7 @@ use super::family::{
     Confounded, Family, Form, InBodies, InC, PartOf, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
 };
 use super::friction::SHARPNESS;
-use super::load::Ground;
+use super::load::OperatingPoint;
 use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
 use super::torque_crosstalk;
 use crate::chain::JointKind::{Prismatic, Revolute};
@@ -71,29 +71,29 @@ pub static FAMILY: Family = Family {
     rare: Rare { part_of: Some(PartOf { form: "friction", family: torque_crosstalk::ID }), ..Rare::NONE },
 };
 
-fn friction(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let unit = unit(ground, joint(site), "Nm", "N");
-    let slope = per_motion(ground, site, ["Nms/rad", "Ns", "Ns/rad", "Ns/m"]);
+fn friction(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let unit = unit(operating_point, joint(site), "Nm", "N");
+    let slope = per_motion(operating_point, site, ["Nms/rad", "Ns", "Ns/rad", "Ns/m"]);
     let columns = vec![column("cfc", site, "", unit), column("cfv", site, "", slope)];
     let law = |at: &At, _: &Settings| [smooth_sign(at.cause.dq), at.cause.dq, 0.0];
     OneRow::new(&FAMILY, "friction", site, settings, columns, law).term()
 }
 
-fn sum(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let columns = vec![column("cfs", site, "", unit(ground, joint(site), "Nm", "N"))];
+fn sum(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("cfs", site, "", unit(operating_point, joint(site), "Nm", "N"))];
     let law = |at: &At, settings: &Settings| [smooth_sign(at.own.dq + settings[0] * at.cause.dq), 0.0, 0.0];
     OneRow::new(&FAMILY, "sum", site, settings, columns, law).term()
 }
 
-fn inertia(ground: &Ground, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let columns = vec![column("cia", site, "", per_motion(ground, site, ["kg m2", "kg m", "kg m", "kg"]))];
+fn inertia(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("cia", site, "", per_motion(operating_point, site, ["kg m2", "kg m", "kg m", "kg"]))];
     OneRow::new(&FAMILY, "inertia", site, settings, columns, |at, _| [at.cause.ddq, 0.0, 0.0]).term()
 }
 
 /// A unit by the kinds of the row's joint and the other one: turning from turning, turning from sliding, sliding from turning,
 /// sliding from sliding.
-fn per_motion(ground: &Ground, site: Site, units: [&'static str; 4]) -> &'static str {
-    let kind = |joint: Option<&usize>| joint.map_or(Revolute, |&joint| ground.chain.joints()[joint].kind);
+fn per_motion(operating_point: &OperatingPoint, site: Site, units: [&'static str; 4]) -> &'static str {
+    let kind = |joint: Option<&usize>| joint.map_or(Revolute, |&joint| operating_point.chain.joints()[joint].kind);
     let joints = site.joints();
     match (kind(joints.first()), kind(joints.get(1))) {
         (Revolute, Revolute) => units[0],

@@ -4,7 +4,7 @@ use assert_no_alloc::{assert_no_alloc, violation_count};
 use nalgebra::{DMatrix, DVector, Rotation3, Unit, Vector3};
 use plumbline_core::Torque;
 use plumbline_model::term::effect::{
-    Confounded, FAMILIES, Family, Ground, InBodies, InC, Inputs, Place, PlotOver, Site, Spec, Stratum, assemble,
+    Confounded, FAMILIES, Family, InBodies, InC, Inputs, OperatingPoint, Place, PlotOver, Site, Spec, Stratum, assemble,
 };
 use plumbline_model::term::{Motion, Sample};
 use plumbline_model::{Mounting, NamedEffect, NamedTerm, Placement, Reduction, Structure, TorqueModel};
@@ -56,8 +56,8 @@ fn model_within(robot: &str, rng: &mut ChaCha8Rng, span: f64) -> TorqueModel {
     TorqueModel::new(robot, structure, vec![Mounting::WALL], &values).unwrap()
 }
 
-fn ground(model: &TorqueModel) -> Ground {
-    model.structure().ground(&model.beta())
+fn operating_point(model: &TorqueModel) -> OperatingPoint {
+    model.structure().operating_point(&model.beta())
 }
 
 /// Every form of a family at a random site with random settings.
@@ -78,7 +78,7 @@ fn specs(family: &'static Family, n: usize, rng: &mut ChaCha8Rng) -> Vec<Spec> {
 
 /// The model with one effect, whose parameters are `0.3, 0.4, ..`.
 fn with(model: &TorqueModel, spec: &Spec) -> TorqueModel {
-    let term = spec.build(&ground(model)).unwrap();
+    let term = spec.build(&operating_point(model)).unwrap();
     let columns = term.columns().len();
     let structure = model.structure().clone().with(vec![term]).unwrap();
     let mut values: Vec<(f64, Option<f64>)> = model.parameters().iter().map(|p| (p.value, p.std)).collect();
@@ -87,10 +87,10 @@ fn with(model: &TorqueModel, spec: &Spec) -> TorqueModel {
 }
 
 /// The regressor of an effect alone, n N x columns.
-fn columns(ground: &Ground, spec: &Spec, motion: &Motion) -> DMatrix<f64> {
-    let term = spec.build(ground).unwrap();
+fn columns(operating_point: &OperatingPoint, spec: &Spec, motion: &Motion) -> DMatrix<f64> {
+    let term = spec.build(operating_point).unwrap();
     let mut y = DMatrix::zeros(motion.joints() * motion.samples(), term.columns().len());
-    term.fill(&ground.chain, motion, &mut y, 0);
+    term.fill(&operating_point.chain, motion, &mut y, 0);
     y
 }
 
@@ -125,13 +125,14 @@ fn what_is_served_is_the_regressor_times_the_parameters() {
                 let periodic = rng.random_bool(0.5);
                 let motion = smooth_motion(&mut rng, n, periodic);
                 let full = with(&model, &spec);
-                let own = columns(&ground(&model), &spec, &motion);
+                let own = columns(&operating_point(&model), &spec, &motion);
                 assert!(own.iter().all(|value| value.is_finite()), "{spec:?}");
-                // A one-sided spring may not be reached, and a small arm does not feel every force, tilt or parameter.
+                // A one-sided spring may not be reached, and a small arm or the first link does not feel every force, tilt or parameter.
                 // Nor does anything depend on where a sliding joint is.
                 let sliding = family.id.starts_with("encoder") && robot == "scara";
-                let may_be =
-                    ["above", "below"].contains(&spec.form) || (robot != "panda" && own.ncols() > 1) || sliding;
+                let may_be = ["above", "below"].contains(&spec.form)
+                    || ((robot != "panda" || spec.site == Site::Joint(0)) && own.ncols() > 1)
+                    || sliding;
                 assert!(
                     may_be || own.column_iter().all(|column| column.amax() > 0.0),
                     "an empty column: {spec:?}, {robot}"
@@ -194,7 +195,7 @@ fn an_effect_may_be_short_of_columns() {
     assert_eq!(parameters.iter().map(|own| own.column.name.as_str()).collect::<Vec<_>>(), kept);
     assert_eq!(named(&short), names, "what is left out stays out of the file");
     let motion = smooth_motion(&mut rng, 7, false);
-    let own = columns(&ground(&model), last.spec().as_ref().unwrap(), &motion);
+    let own = columns(&operating_point(&model), last.spec().as_ref().unwrap(), &motion);
     let expected = own.column(6) * parameters[0].value + own.column(9) * parameters[1].value;
     let served = short.predict(&motion) - model.predict(&motion);
     assert!((DVector::from_column_slice(served.as_slice()) - &expected).amax() < 1e-9 * expected.amax());
@@ -258,7 +259,7 @@ fn the_catalogue_is_whole_and_says_what_people_have_to_know() {
         assert_eq!(forms.len(), family.forms.len(), "{id}");
         let mut names = BTreeSet::new();
         for spec in specs(family, 7, &mut rng) {
-            let term = spec.build(&ground(&model)).unwrap();
+            let term = spec.build(&operating_point(&model)).unwrap();
             assert_eq!((term.id(), term.physics()), (id, family.physics));
             let form = family.form(spec.form).unwrap();
             let equation = |name: &str| form.equation.split(|c: char| !c.is_alphanumeric()).any(|word| word == name);
@@ -290,7 +291,7 @@ fn declarations_of_a_family_agree() {
         }
         let last_link = family.in_bodies == InBodies::LastLink;
         for spec in specs(family, 7, &mut rng) {
-            let term = spec.build(&ground(&model)).unwrap();
+            let term = spec.build(&operating_point(&model)).unwrap();
             let form = family.form(spec.form).unwrap();
             // A term of the whole arm has no spec of its own.
             assert_eq!(term.spec().is_none(), family.rare.whole_arm.is_some(), "{spec:?}");
@@ -316,7 +317,7 @@ fn effects_with_a_term_of_the_whole_arm_are_columns_of_that_term() {
     let one = |family, joint| Spec { family, form: "", site: Site::Joint(joint), settings: vec![] };
     let specs = [one("rotor-inertia", 5), one("torque-offset", 1), one("spring", 2), one("torque-offset", 4)];
     let specs = specs.map(|spec| if spec.family == "spring" { Spec { form: "linear", ..spec } } else { spec });
-    let terms = assemble(&specs, &ground(&model)).unwrap();
+    let terms = assemble(&specs, &operating_point(&model)).unwrap();
     let names: Vec<Vec<String>> =
         terms.iter().map(|term| term.columns().into_iter().map(|column| column.name).collect()).collect();
     assert_eq!(names, [vec!["ia6"], vec!["offset2", "offset5"], vec!["spring3", "spring3_preload"]]);
@@ -333,14 +334,14 @@ fn columns_of_different_effects_have_different_names() {
             let form = &family.forms[0];
             let settings = form.settings.iter().map(|setting| setting.at(0.4)).collect();
             let spec = Spec { family: family.id, form: form.name, site, settings };
-            for column in spec.build(&ground(&model)).unwrap().columns() {
+            for column in spec.build(&operating_point(&model)).unwrap().columns() {
                 assert!(names.insert(column.name.clone()), "{}", column.name);
             }
         }
     }
     for n in [2.5, 3.0, 200.125] {
         let spec = Spec { family: "position-ripple", form: "", site: Site::Joint(3), settings: vec![n] };
-        let columns = spec.build(&ground(&model)).unwrap().columns();
+        let columns = spec.build(&operating_point(&model)).unwrap().columns();
         assert_eq!(columns[1].name, format!("ripple4_n{n}_cos"));
         assert!(columns.iter().all(|column| names.insert(column.name.clone())));
     }
@@ -359,11 +360,11 @@ fn gains_are_shares_of_the_rigid_bodys_torque() {
         let load = model.structure().regressor(&motion).columns(0, rigid) * beta;
         let rows = |joint: usize| load.rows(joint * samples, samples);
         let gain = Spec { family: "torque-gain", form: "", site: Site::Joint(1), settings: vec![] };
-        let difference = columns(&ground(&model), &gain, &motion).rows(samples, samples) - rows(1);
+        let difference = columns(&operating_point(&model), &gain, &motion).rows(samples, samples) - rows(1);
         assert!(difference.amax() < 1e-11 * load.amax());
         let site = Site::Pair { row: 0, cause: 1 };
         let cross = Spec { family: "torque-crosstalk", form: "", site, settings: vec![] };
-        let own = columns(&ground(&model), &cross, &motion);
+        let own = columns(&operating_point(&model), &cross, &motion);
         assert!((own.rows(0, samples) - rows(1)).amax() < 1e-11 * load.amax());
         assert_eq!(own.rows(samples, samples).amax(), 0.0, "only in its own row");
     }
@@ -374,7 +375,7 @@ fn gains_are_shares_of_the_rigid_bodys_torque() {
 fn laws_are_what_their_equations_say() {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let model = rigid_model("panda", &mut rng);
-    let ground = ground(&model);
+    let operating_point = operating_point(&model);
     let motion = smooth_motion(&mut rng, 7, false);
     let (j, k) = (3, 2);
     let at = |matrix: &DMatrix<f64>, joint: usize, sample: usize| matrix[(sample, joint)];
@@ -401,7 +402,7 @@ fn laws_are_what_their_equations_say() {
     ];
     for (family, form, site, settings, law) in cases {
         let spec = Spec { family: FAMILIES.iter().find(|f| f.id == family).unwrap().id, form, site, settings };
-        let own = columns(&ground, &spec, &motion);
+        let own = columns(&operating_point, &spec, &motion);
         for sample in (0..motion.samples()).step_by(37) {
             let expected = law(at(&motion.q, j, sample), at(&motion.dq, j, sample), sample);
             assert_eq!(own.ncols(), expected.len(), "{spec:?}");
@@ -422,8 +423,8 @@ fn load(model: &TorqueModel, motion: &Motion) -> DMatrix<f64> {
 }
 
 /// A column of an effect as N x n.
-fn column_of(ground: &Ground, spec: &Spec, motion: &Motion, column: usize) -> DMatrix<f64> {
-    let all = columns(ground, spec, motion);
+fn column_of(operating_point: &OperatingPoint, spec: &Spec, motion: &Motion, column: usize) -> DMatrix<f64> {
+    let all = columns(operating_point, spec, motion);
     DMatrix::from_column_slice(motion.samples(), motion.joints(), all.column(column).clone_owned().as_slice())
 }
 
@@ -443,14 +444,15 @@ fn a_position_error_shifts_the_motion() {
     for robot in ["panda", "paper-2dof"] {
         // Small torques, so that a gap of a few Nm is wide against the steps of the motion.
         let model = model_within(robot, &mut rng, 0.02);
-        let (ground, n) = (ground(&model), model.structure().chain().len());
+        let (operating_point, n) = (operating_point(&model), model.structure().chain().len());
         // Friction turns within milliseconds.
         let motion = sampled_motion(&mut rng, n, true, 40_000);
         let torque = load(&model, &motion);
         let i = rng.random_range(0..n);
         let q: Vec<f64> = motion.q.column(i).iter().copied().collect();
         let own: Vec<f64> = torque.column(i).iter().copied().collect();
-        let through: Vec<f64> = own.iter().zip(&friction(&ground, &motion, i)).map(|(own, tau)| own + tau).collect();
+        let through: Vec<f64> =
+            own.iter().zip(&friction(&operating_point, &motion, i)).map(|(own, tau)| own + tau).collect();
         let width = (0.5 * torque.column(i).amax()).min(5.0);
         let twist = |load: &[f64]| load.iter().map(|tau| -tau).collect();
         let gap = |load: &[f64]| load.iter().map(|tau| -(tau / width).tanh()).collect();
@@ -465,7 +467,7 @@ fn a_position_error_shifts_the_motion() {
         for (id, form, settings, c, error) in cases {
             let family = FAMILIES.iter().find(|family| family.id == id).unwrap();
             let spec = Spec { family: family.id, form, site: Site::Joint(i), settings };
-            let found = column_of(&ground, &spec, &motion, c);
+            let found = column_of(&operating_point, &spec, &motion, c);
             let a = 1e-5;
             let (first, second) = differences(&error, motion.dt);
             let shifted = |a: f64| {
@@ -490,8 +492,8 @@ fn a_position_error_shifts_the_motion() {
 }
 
 /// `fv dq + fc tanh(100 dq)` of one joint \[Nm\].
-fn friction(ground: &Ground, motion: &Motion, joint: usize) -> Vec<f64> {
-    let [fv, fc] = ground.friction[joint];
+fn friction(operating_point: &OperatingPoint, motion: &Motion, joint: usize) -> Vec<f64> {
+    let [fv, fc] = operating_point.friction[joint];
     motion.dq.column(joint).iter().map(|dq| fv * dq + fc * (100.0 * dq).tanh()).collect()
 }
 
@@ -504,7 +506,7 @@ fn a_link_swings_on_its_gear() {
     // The last joint's inertia is a parameter of its own, and the only one that has to be positive here.
     while inertia < 0.01 {
         let model = model_within("panda", &mut rng, 0.1);
-        let (ground, i) = (ground(&model), 6);
+        let (operating_point, i) = (operating_point(&model), 6);
         let motion = sampled_motion(&mut rng, 7, true, 40_000);
         let torque = load(&model, &motion);
         let mut faster = motion.clone();
@@ -526,8 +528,8 @@ fn a_link_swings_on_its_gear() {
             let twist = |tau: f64| if gapped { gap * (tau / width).tanh() } else { compliance * tau };
             let family = FAMILIES.iter().find(|family| family.id == id).unwrap();
             let spec = Spec { family: family.id, form: "swinging", site: Site::Joint(i), settings };
-            let added = size * column_of(&ground, &spec, &motion, 0).column(i);
-            let still = friction(&ground, &motion, i);
+            let added = size * column_of(&operating_point, &spec, &motion, 0).column(i);
+            let still = friction(&operating_point, &motion, i);
             let tau: Vec<f64> = (0..motion.samples()).map(|k| torque[(k, i)] + still[k] + added[k]).collect();
             // theta = twist(tau - d dtheta), by the implicit Euler method and bisection: another way than the law's.
             let damping = (inertia / slack).sqrt() / quality;
@@ -549,7 +551,7 @@ fn a_link_swings_on_its_gear() {
                 there.dq[(k, i)] -= first[k];
                 there.ddq[(k, i)] -= second[k];
             }
-            let carried = load(&model, &there).column(i) + DVector::from_vec(friction(&ground, &there, i));
+            let carried = load(&model, &there).column(i) + DVector::from_vec(friction(&operating_point, &there, i));
             // The second half: how it swings at the beginning is no longer seen there.
             let half = motion.samples() / 2..motion.samples();
             let wrong = half.clone().map(|k| (carried[k] - tau[k]).powi(2)).sum::<f64>().sqrt();
@@ -563,13 +565,13 @@ fn a_link_swings_on_its_gear() {
 fn a_delay_is_the_slope_of_the_torque() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let model = rigid_model("panda", &mut rng);
-    let ground = ground(&model);
+    let operating_point = operating_point(&model);
     let motion = sampled_motion(&mut rng, 7, true, 40_000);
     let torque = load(&model, &motion);
     let spec = Spec { family: "delay", form: "", site: Site::Arm, settings: vec![] };
-    let found = column_of(&ground, &spec, &motion, 0);
+    let found = column_of(&operating_point, &spec, &motion, 0);
     for j in 0..7 {
-        let friction = friction(&ground, &motion, j);
+        let friction = friction(&operating_point, &motion, j);
         let whole: Vec<f64> = torque.column(j).iter().zip(&friction).map(|(body, friction)| body + friction).collect();
         let (slope, _) = differences(&whole, motion.dt);
         let expected = -DVector::from_vec(slope);
@@ -590,7 +592,7 @@ fn a_tilt_turns_gravity() {
         for (c, axis) in plumbline_model::term::mounting::axes(&motion.gravity).into_iter().enumerate() {
             assert!(axis.dot(&motion.gravity).abs() < 1e-12 && (axis.norm() - 1.0).abs() < 1e-12);
             let spec = Spec { family: "mounting", form: "", site: Site::Arm, settings: vec![] };
-            let found = column_of(&ground(&model), &spec, &motion, c);
+            let found = column_of(&operating_point(&model), &spec, &motion, c);
             let tilted = |angle: f64| {
                 let turn = Rotation3::from_axis_angle(&Unit::new_normalize(axis), angle);
                 load(&model, &Motion { gravity: turn * motion.gravity, ..motion.clone() })
@@ -609,7 +611,7 @@ fn a_shaking_base_is_a_gravity_that_changes() {
     let motion = sampled_motion(&mut rng, 7, false, 50);
     let spec = Spec { family: "base-motion", form: "", site: Site::Arm, settings: vec![3.7] };
     let a = [0.3, -0.2, 0.5, 0.1, -0.4, 0.2];
-    let found = columns(&ground(&model), &spec, &motion) * DVector::from_row_slice(&a);
+    let found = columns(&operating_point(&model), &spec, &motion) * DVector::from_row_slice(&a);
     let still = load(&model, &motion);
     for k in 0..motion.samples() {
         let (sin, cos) = (std::f64::consts::TAU * 3.7 * (motion.start + k as f64 * motion.dt)).sin_cos();
@@ -628,12 +630,12 @@ fn a_payload_is_a_heavier_last_link_and_at_rest_a_contact() {
     let mut rng = ChaCha8Rng::seed_from_u64(12);
     for robot in ["panda", "scara"] {
         let model = rigid_model(robot, &mut rng);
-        let (chain, ground) = (chain(robot), ground(&model));
+        let (chain, operating_point) = (chain(robot), operating_point(&model));
         let n = chain.len();
         let mut motion = sampled_motion(&mut rng, n, false, 30);
         let spec = Spec { family: "payload", form: "", site: Site::Arm, settings: vec![] };
         let (body, delta) = (draw(&mut rng, 10, 1.0), draw(&mut rng, 10 * n, 1.0));
-        let found = columns(&ground, &spec, &motion) * DVector::from_row_slice(&body);
+        let found = columns(&operating_point, &spec, &motion) * DVector::from_row_slice(&body);
         let mut heavier = delta.clone();
         heavier[10 * (n - 1)..].iter_mut().zip(&body).for_each(|(own, more)| *own += more);
         for k in 0..motion.samples() {
@@ -649,11 +651,11 @@ fn a_payload_is_a_heavier_last_link_and_at_rest_a_contact() {
         motion.dq.fill(0.0);
         motion.ddq.fill(0.0);
         let (site, settings) = (Site::Joint(n - 1), vec![motion.start, motion.start + 3.0]);
-        let touch = columns(&ground, &Spec { family: "contact", form: "", site, settings }, &motion);
+        let touch = columns(&operating_point, &Spec { family: "contact", form: "", site, settings }, &motion);
         // The arm holds a mass of 1 kg at the frame's origin, and a first moment of 1 kg m beside it.
         let weight = -motion.gravity;
         let held = touch.columns(0, 3) * DVector::from_row_slice(weight.as_slice());
-        let payload = columns(&ground, &spec, &motion);
+        let payload = columns(&operating_point, &spec, &motion);
         for k in 0..motion.samples() {
             let inside = k as f64 * motion.dt < 3.0 - 1e-9;
             let frame = chain

@@ -217,8 +217,8 @@ fn a_model_comes_back_from_its_names() {
 
 /// A model of [`random_model`] with effects on top of it.
 fn with_effects(model: &TorqueModel, specs: &[Spec]) -> TorqueModel {
-    let ground = model.structure().ground(&model.beta());
-    let terms = effect::assemble(specs, &ground).unwrap();
+    let operating_point = model.structure().operating_point(&model.beta());
+    let terms = effect::assemble(specs, &operating_point).unwrap();
     let structure = model.structure().clone().with(terms).unwrap();
     let mut values: Vec<(f64, Option<f64>)> = model.parameters().iter().map(|p| (p.value, p.std)).collect();
     values.resize(structure.columns().len(), (0.7, Some(0.1)));

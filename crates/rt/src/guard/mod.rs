@@ -10,7 +10,7 @@ use super::moves::{seconds, stop_distances};
 use super::torque::{ModelTorques, Torques};
 use history::History;
 use plumbline_core::{
-    Command, JointVec, Kinematics, Limits, MAX_JOINTS, PERIOD, Record, Setpoint, SpeedEnvelope, State, Workspace,
+    Command, JointVec, Kinematics, Limits, MAX_JOINTS, PERIOD_S, Record, Setpoint, SpeedEnvelope, State, Workspace,
 };
 use std::fmt;
 use std::ops::Range;
@@ -69,7 +69,7 @@ pub struct Violation {
 
 impl Violation {
     /// Whether a torque, and so the model, is at fault.
-    pub fn blames_model(&self) -> bool {
+    pub fn is_of_model(&self) -> bool {
         matches!(self.limit, Limit::TorqueNotFinite | Limit::Torque | Limit::TorqueRate)
     }
 }
@@ -160,21 +160,21 @@ impl Guard {
             settings,
             brake,
             kinematics,
-            history: History::at_rest(JointVec::default(), PERIOD),
+            history: History::at_rest(JointVec::default(), PERIOD_S),
             last: None,
         }
     }
 
     /// The arm rests at `q` \[rad\].
     pub fn start(&mut self, q: JointVec) {
-        self.history = History::at_rest(q, PERIOD);
+        self.history = History::at_rest(q, PERIOD_S);
         self.last = None;
     }
 
     /// Goes on after the last three cycles, oldest first.
     pub fn restore(&mut self, last: &[Record; 3]) {
         let dt = |earlier: &Record, later: &Record| seconds(later.state.seq.saturating_sub(earlier.state.seq).max(1));
-        self.history = History::at_rest(last[0].command.desired.q, PERIOD);
+        self.history = History::at_rest(last[0].command.desired.q, PERIOD_S);
         self.history.push(last[1].command.desired.q, dt(&last[0], &last[1]));
         self.history.push(last[2].command.desired.q, dt(&last[1], &last[2]));
         self.last = Some(torques(&last[2].command));

@@ -210,7 +210,7 @@ fn an_edge_of_the_box_is_inside_and_a_violation_names_the_edge() {
 }
 
 #[test]
-fn a_violation_says_joint_value_and_bound_and_whether_the_model_is_to_blame() {
+fn a_violation_has_joint_value_bound_and_whether_the_model_caused_it() {
     let of = |limit: Limit, joint: usize| Violation { limit, joint, value: 1.25, bound: 0.75 };
     for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
         let text = of(Limit::EndEffectorBox, axis).to_string();
@@ -232,10 +232,10 @@ fn a_violation_says_joint_value_and_bound_and_whether_the_model_is_to_blame() {
     ] {
         let text = of(limit, 3).to_string();
         assert!(text.starts_with("joint 4: ") && text.contains("1.25") && text.contains("0.75"), "{text}");
-        assert_eq!(of(limit, 3).blames_model(), model, "{limit:?}");
+        assert_eq!(of(limit, 3).is_of_model(), model, "{limit:?}");
     }
     for (limit, model) in [(Limit::NotFinite, false), (Limit::MeasuredNotFinite, false), (Limit::TorqueNotFinite, true)]
     {
-        assert_eq!(of(limit, 0).blames_model(), model, "{limit:?}");
+        assert_eq!(of(limit, 0).is_of_model(), model, "{limit:?}");
     }
 }

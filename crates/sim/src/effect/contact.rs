@@ -1,4 +1,4 @@
-//! Contact: somebody or something touches the arm for a while.
+//! Contact: an external wrench on a link for a while.
 //!
 //!   tau + J' w(t) moves the arm, w(t) = b(t) (force, moment) at `point` of `link`,
 //!

@@ -11,11 +11,11 @@ use plumbline_core::{BadInput, JointVec, MAX_JOINTS};
 use serde::Deserialize;
 
 /// Longest delay \[s\].
-const MOST: f64 = 0.1;
+const MAX_DELAY_S: f64 = 0.1;
 /// Room for the longest delay and the neighbours.
-const ROOM: usize = 128;
+const MAX_SAMPLES: usize = 128;
 /// Time between two readings \[s\].
-const STEP: f64 = 1e-3;
+const SAMPLE_S: f64 = 1e-3;
 
 /// Acts on what is reported, as the effects listed before it left it.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -32,7 +32,7 @@ struct Delay {
     /// Age of the newest of the four neighbours, in readings.
     newest: usize,
     weights: [f64; 4],
-    past: Box<[JointVec; ROOM]>,
+    past: Box<[JointVec; MAX_SAMPLES]>,
     /// Where the newest reading stands; `None` before the first.
     now: Option<usize>,
 }
@@ -40,11 +40,11 @@ struct Delay {
 impl Spec for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         self.joint.map_or(Ok(()), |joint| place.joint(joint))?;
-        place.range("delay", self.delay, 0.0, MOST)
+        place.range("delay", self.delay, 0.0, MAX_DELAY_S)
     }
 
     fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        let readings = self.delay / STEP;
+        let readings = self.delay / SAMPLE_S;
         // One neighbour on the younger side where there is one.
         let newest = (readings.floor() - 1.0).max(0.0);
         let x = readings - newest;
@@ -53,7 +53,7 @@ impl Spec for Config {
             let others = nodes.into_iter().filter(|other| *other != node);
             others.map(|other| (x - other) / (node - other)).product()
         });
-        let past = Box::new([[0.0; MAX_JOINTS]; ROOM]);
+        let past = Box::new([[0.0; MAX_JOINTS]; MAX_SAMPLES]);
         Box::new(Delay { joint: self.joint, newest: newest as usize, weights, past, now: None })
     }
 }
@@ -65,11 +65,11 @@ impl Effect for Delay {
                 self.past.fill(reading.tau);
                 0
             }
-            Some(before) => (before + 1) % ROOM,
+            Some(before) => (before + 1) % MAX_SAMPLES,
         };
         self.past[now] = reading.tau;
         self.now = Some(now);
-        let old = |age: usize| &self.past[(now + ROOM - age) % ROOM];
+        let old = |age: usize| &self.past[(now + MAX_SAMPLES - age) % MAX_SAMPLES];
         for j in (0..at.n).filter(|j| self.joint.is_none_or(|joint| joint == j + 1)) {
             reading.tau[j] = (0..4).map(|k| self.weights[k] * old(self.newest + k)[j]).sum();
         }

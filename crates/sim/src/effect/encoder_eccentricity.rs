@@ -2,7 +2,7 @@
 //!
 //!   q_measured = q + amplitude sin(order q + phase),   dq_measured = dq (1 + amplitude order cos(order q + phase))
 //!
-//! The arm's controller believes it too. The equation is the geometry of a circle that is read from beside its centre: with the disc `e`
+//! The arm's controller uses the same reading. The equation is the geometry of a circle that is read from beside its centre: with the disc `e`
 //! off the axis and the mark at radius `r`, the error is `e / r sin(q + phase)` for small `e / r`.
 
 use super::{At, Effect, Place, Spec};

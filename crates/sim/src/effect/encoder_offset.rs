@@ -2,7 +2,7 @@
 //!
 //!   q_measured = q + offset
 //!
-//! The arm's controller believes it too, so the arm stands elsewhere than it says. Source: Hollerbach, Khalil and Gautier, Model
+//! The arm's controller uses the same reading, so the arm's true position differs from the reading. Source: Hollerbach, Khalil and Gautier, Model
 //! identification, Springer Handbook of Robotics, 2016 (joint offsets).
 
 use super::{At, Effect, Place, Spec};

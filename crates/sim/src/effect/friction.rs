@@ -5,11 +5,11 @@ use crate::truth::Truth;
 use plumbline_core::{JointVec, MAX_JOINTS};
 
 /// Steepness of the Coulomb term's step \[s/rad\] (paper, section II-A).
-const STEEPNESS: f64 = 100.0;
+const SHARPNESS_S_PER_RAD: f64 = 100.0;
 
 /// The smooth sign of a velocity \[rad/s\], as all friction of the simulated arm has it.
 pub(super) fn sign(dq: f64) -> f64 {
-    (STEEPNESS * dq).tanh()
+    (SHARPNESS_S_PER_RAD * dq).tanh()
 }
 
 pub(crate) struct Friction {

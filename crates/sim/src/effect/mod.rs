@@ -1,6 +1,6 @@
-//! Effects: what a simulated arm has beyond a rigid body. The estimator doesn't know them.
+//! Effects: what a simulated arm has beyond a rigid body. The estimator has no access to them.
 //!
-//! An `Effect` bends the arm wherever its physics acts, through hooks that do nothing by default; one kind of effect is one file here
+//! An `Effect` changes the arm where its physics acts, through hooks that do nothing by default; one kind of effect is one file here
 //! and one line of the catalogue at the end of this one. Where each acts:
 //!
 //! | hook | effects |
@@ -81,7 +81,7 @@ pub(super) struct At {
     pub held: Option<JointVec>,
 }
 
-/// What the sensors say, before noise.
+/// Sensor readings before noise.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Reading {
     /// Position \[rad\].
@@ -134,7 +134,7 @@ pub(super) trait Effect: Send {
         0.0
     }
 
-    /// Bends the gravitational acceleration in the base frame \[m/s2\]; a base that accelerates by `a` adds `-a`.
+    /// Changes the gravitational acceleration in the base frame \[m/s2\]; a base that accelerates by `a` adds `-a`.
     fn gravity(&self, _t: f64, _gravity: &mut Vector3<f64>) {}
 
     /// The arm has come to `at`: called at the start of every integration step, for effects with a memory of where they were.
@@ -151,7 +151,7 @@ pub(super) trait Effect: Send {
     /// Turns true joint position and velocity into what the encoders see; may write derivatives of the states.
     fn encoder(&self, _at: &At, _x: &[f64], _dx: &mut [f64], _q: &mut JointVec, _dq: &mut JointVec) {}
 
-    /// Bends what is reported each millisecond.
+    /// Changes the readings of each millisecond.
     fn sense(&mut self, _at: &At, _x: &[f64], _reading: &mut Reading) {}
 }
 

@@ -1,4 +1,4 @@
-//! Payload: a body on a link that nobody declared, picked up at `from`.
+//! Payload: an undeclared body on a link, picked up at `from`.
 
 use super::{Effect, Place, Spec};
 use crate::spatial::Inertia;

@@ -23,7 +23,7 @@ use plumbline_core::{BadInput, JointVec};
 use serde::Deserialize;
 
 /// Most elements of a Maxwell-slip law.
-const MOST: usize = 8;
+const MAX_ELEMENTS: usize = 8;
 
 /// Either `delta`, or `elements`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -73,7 +73,7 @@ struct LuGre {
 struct MaxwellSlip {
     joint: usize,
     /// `delta_i`, stiffness \[Nm/rad\], and `z_i` at `q`.
-    elements: [(f64, f64, f64); MOST],
+    elements: [(f64, f64, f64); MAX_ELEMENTS],
     /// Where the joint was at the start of the step \[rad\]; `None` before the first.
     q: Option<f64>,
     weakening: Weakening,
@@ -99,8 +99,8 @@ impl Spec for Config {
         if let Some(damping) = self.damping {
             return Err(place.wrong("damping", damping, "nothing: Maxwell slip has none"));
         }
-        if !(1..=MOST).contains(&elements.len()) {
-            return Err(place.wrong("elements", elements.len(), format!("1 to {MOST} elements")));
+        if !(1..=MAX_ELEMENTS).contains(&elements.len()) {
+            return Err(place.wrong("elements", elements.len(), format!("1 to {MAX_ELEMENTS} elements")));
         }
         for element in elements {
             place.range("elements, share", element.share, 0.0, 1.0)?;
@@ -122,7 +122,7 @@ impl Spec for Config {
         let fc = truth.joints[joint].fc;
         let weakening = Weakening { breakaway: self.breakaway, velocity: self.stribeck_velocity };
         let Some(delta) = self.delta else {
-            let mut elements = [(1.0, 0.0, 0.0); MOST];
+            let mut elements = [(1.0, 0.0, 0.0); MAX_ELEMENTS];
             for (slot, element) in elements.iter_mut().zip(self.elements.iter().flatten()) {
                 *slot = (element.delta, fc * element.share / element.delta, 0.0);
             }
@@ -170,7 +170,7 @@ impl Effect for MaxwellSlip {
     }
 
     fn settle(&mut self, at: &At) {
-        for i in 0..MOST {
+        for i in 0..MAX_ELEMENTS {
             let (delta, _, z) = self.elements[i];
             self.elements[i].2 = self.moved(at, delta, z);
         }

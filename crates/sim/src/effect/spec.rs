@@ -66,7 +66,7 @@ catalogue! {
     PositionDependentFriction, "position-dependent-friction", position_dependent_friction;
     /// A spring between two links.
     Spring, "spring", spring;
-    /// A body that nobody declared.
+    /// An undeclared body.
     Payload, "payload", payload;
     /// A base that stands otherwise than declared.
     Mounting, "mounting", mounting;
@@ -78,7 +78,7 @@ catalogue! {
     TransmissionCoupling, "transmission-coupling", transmission_coupling;
     /// Torque that is reported late.
     Delay, "delay", delay;
-    /// Somebody or something touches the arm.
+    /// An external wrench on a link.
     Contact, "contact", contact;
     /// An encoder's zero is off.
     EncoderOffset, "encoder-offset", encoder_offset;
@@ -86,9 +86,9 @@ catalogue! {
     EncoderEccentricity, "encoder-eccentricity", encoder_eccentricity;
     /// A transmission with play.
     Backlash, "backlash", backlash;
-    /// A test's invention that no catalogue holds.
+    /// An effect of tests that the model's catalogue lacks.
     Foreign, "foreign", foreign;
-    /// A test's invention that the catalogue of a test holds.
+    /// An effect of one test, in the model's catalogue too.
     #[cfg(feature = "made-up-effect")]
     MadeUp, "made-up", made_up;
 }

@@ -1,4 +1,4 @@
-//! Torque-sensor gain: the sensitivity of a bridge, or a motor's torque constant, is not what the arm believes.
+//! Torque-sensor gain: the sensitivity of a bridge, or a motor's torque constant, differs from the arm's calibration.
 //!
 //!   tau_measured = gain tau
 //!

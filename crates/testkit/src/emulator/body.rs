@@ -1,4 +1,4 @@
-//! The arm behind the interface: the simulated hardware, and what the robot's own firmware knows and estimates about it.
+//! The arm behind the interface: the simulated hardware, and the estimates of the robot's own firmware.
 
 use super::geometry::{self, IDENTITY, Pose};
 use super::limits::{JOINTS, Joints, Step, TICK};
@@ -129,7 +129,7 @@ impl Body {
         self.pushed = PUSH.2;
     }
 
-    /// Ends torques: the inner controller goes on from here, without a jump.
+    /// Ends torques: the inner controller continues from here, without a jump.
     pub fn take_over(&mut self) -> Step {
         let (q, dq) = self.hardware.take_over();
         Step { q: narrow(&q), dq: narrow(&dq), ..Step::default() }
@@ -177,7 +177,7 @@ impl Body {
         state.dtau_j = std::array::from_fn(|j| (tau[j] - self.before.tau[j]) / TICK);
         state.tau_j_d = self.tau_d;
         (state.q_d, state.dq_d, state.ddq_d) = (desired.q, desired.dq, desired.ddq);
-        // The simulated transmissions are rigid as far as the interface can tell: the motor's side is the link's.
+        // The simulated transmissions are rigid to the interface: the motor's side is the link's.
         (state.theta, state.dtheta) = (q, dq);
         state.o_t_ee = geometry::pose(&self.end_effector(&measured[JOINTS]));
         state.o_t_ee_d = geometry::pose(&self.end_effector(&wanted[JOINTS]));
@@ -225,7 +225,7 @@ impl Body {
         self.load(&self.compensated, q, &[0.0; JOINTS], &[0.0; JOINTS])
     }
 
-    /// Torque of the rigid bodies that the firmware knows, the client's load among them, under `gravity` \[Nm\].
+    /// Torque of the firmware's rigid bodies, the client's load among them, under `gravity` \[Nm\].
     fn load(&self, gravity: &Vector3<f64>, q: &Joints, dq: &Joints, ddq: &Joints) -> Joints {
         let mut links = [[0.0; 10]; JOINTS];
         links.copy_from_slice(&self.links[..JOINTS]);
@@ -241,7 +241,7 @@ impl Body {
     fn estimate_external(&mut self) {
         let (q, dq, tau) = (self.q(), self.dq(), self.tau());
         let ddq = std::array::from_fn(|j| (dq[j] - self.before.dq[j]) / TICK);
-        // What a robot estimates on a wall that it was not told of is not published: here, contact alone.
+        // A robot's estimate on an undeclared wall is not published: here, only the contact.
         let load = self.load(&self.gravity, &q, &dq, &ddq);
         let gain = TICK * TAU * EXTERNAL_CORNER / (1.0 + TICK * TAU * EXTERNAL_CORNER);
         for j in 0..JOINTS {

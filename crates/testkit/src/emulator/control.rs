@@ -1,4 +1,4 @@
-//! Lines on standard input: the operator's hand, and faults.
+//! Lines on standard input: actions of the operator, and faults.
 
 use crate::emulator::{Emulator, Hand};
 use std::io::BufRead;
@@ -10,13 +10,13 @@ const HELP: &str = "user-stop | release | guide | let-go | lock | unlock | push 
 pub enum Outcome {
     /// It is done.
     Done,
-    /// Somebody wants to know this, or has written what is no order.
+    /// Help was requested, or the line is no order.
     Say(String),
     /// The emulator shall end.
     Quit,
 }
 
-/// Obeys until `quit`. At the end of input the emulator goes on for as long as the process lives.
+/// Carries out orders until `quit`. After the end of input the emulator runs until the process ends.
 pub fn obey(emulator: &Emulator) {
     for line in std::io::stdin().lock().lines().map_while(Result::ok) {
         match carry_out(emulator, line.trim()) {

@@ -35,9 +35,9 @@ pub enum Kind {
     Garbage(f64),
     /// The TCP connection is reset, once.
     TcpReset,
-    /// The robot stops sending states and hearing commands; the TCP connection stands.
+    /// The robot sends no states and takes no commands; the TCP connection stays open.
     Silence,
-    /// Connect is answered as by a robot that speaks this version.
+    /// Connect is answered as by a robot of this version.
     WrongVersion(u16),
 }
 
@@ -212,7 +212,7 @@ impl Injector {
         self.given.clear();
     }
 
-    /// The robot's time goes on; `motion` says how long the present motion has run \[ms\].
+    /// One millisecond of the robot's time; `motion` is the duration of the present motion \[ms\].
     pub fn tick(&mut self, now: u64, motion: Option<u64>) {
         self.now = now;
         for given in &mut self.given {
@@ -229,7 +229,7 @@ impl Injector {
         self.given.iter().filter(|given| given.is_on(self.now)).map(|given| &given.fault)
     }
 
-    /// Whether the robot says and hears nothing.
+    /// Whether the robot sends and receives nothing.
     pub fn is_silent(&self) -> bool {
         self.on().any(|fault| fault.kind == Kind::Silence)
     }

@@ -39,7 +39,7 @@ pub enum RobotKind {
 }
 
 impl RobotKind {
-    /// The arm that speaks a protocol version.
+    /// The arm of a protocol version.
     pub const fn of(protocol: Protocol) -> RobotKind {
         match protocol {
             Protocol::V5 => RobotKind::Panda,
@@ -95,7 +95,7 @@ const FR3_DQ: Joints = [2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26];
 const FR3_DECELERATION: Joints = [6.0, 2.585, 3.5, 4.0, 17.0, 5.5, 17.0];
 
 impl Limits {
-    /// The limits of an arm whose system image speaks `protocol`.
+    /// The limits of an arm whose system image has `protocol`.
     pub fn of(robot: RobotKind, protocol: Protocol) -> Limits {
         match (robot, protocol) {
             (RobotKind::Panda, _) => Limits::panda(),
@@ -240,13 +240,13 @@ pub const fn position_error(protocol: Protocol) -> ErrorBit {
     }
 }
 
-/// What a robot says against taking `next` after `last`.
+/// Errors of a robot at the command `next` after `last`.
 pub fn judge(limits: &Limits, protocol: Protocol, commanded: Commanded, last: &Step, next: &Step) -> Errors {
     let mut errors = judge_place(limits, protocol, last, next);
     for j in 0..JOINTS {
         if !within(next.ddq[j], limits.ddq[j]) {
             errors.set(ErrorBit::JointMotionGeneratorVelocityDiscontinuity);
-            // Franka's words for the name are about the commanded quantity: of a velocity, the acceleration is its derivative.
+            // Franka's names are about the commanded quantity: of a velocity, the acceleration is its derivative.
             if commanded == Commanded::Velocity {
                 errors.set(ErrorBit::JointMotionGeneratorAccelerationDiscontinuity);
             }
@@ -281,13 +281,13 @@ pub fn is_start(desired: &Joints, commanded: &Joints) -> bool {
     (0..JOINTS).all(|j| (desired[j] - commanded[j]).abs() <= START_AT_MEASURED)
 }
 
-/// What a robot says against the first position of a motion.
+/// Errors of a robot at the first position of a motion.
 pub fn judge_start(desired: &Joints, commanded: &Joints) -> Errors {
     let near = (0..JOINTS).all(|j| (desired[j] - commanded[j]).abs() <= START_POSE);
     if near { Errors::NONE } else { Errors::NONE.with(ErrorBit::JointPositionMotionGeneratorStartPoseInvalid) }
 }
 
-/// What a robot says against torques `next` after `last` \[Nm\].
+/// Errors of a robot at torques `next` after `last` \[Nm\].
 pub fn judge_torque(limits: &Limits, last: &Joints, next: &Joints) -> Errors {
     let mut errors = Errors::NONE;
     for j in 0..JOINTS {
@@ -301,7 +301,7 @@ pub fn judge_torque(limits: &Limits, last: &Joints, next: &Joints) -> Errors {
     errors
 }
 
-/// What a robot says against the motion that it measures.
+/// Errors of a robot at the motion that it measures.
 pub fn judge_measured(limits: &Limits, q: &Joints, dq: &Joints, tau: &Joints) -> Errors {
     let mut errors = Errors::NONE;
     for j in 0..JOINTS {

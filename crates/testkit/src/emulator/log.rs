@@ -1,4 +1,4 @@
-//! What the emulator tells: events in words, and cycles as numbers.
+//! Output of the emulator: events as text, cycles as CSV.
 
 use plumbline_franka::wire::RobotState;
 use plumbline_rt::os::now_ns;
@@ -17,7 +17,7 @@ impl Log {
     /// Events go to standard error where it `speaks`; cycles to a CSV file where one is given.
     ///
     /// # Errors
-    /// What creating the file says.
+    /// The file can't be created.
     pub fn new(speaks: bool, cycles: Option<&Path>) -> std::io::Result<Log> {
         let mut cycles = cycles.map(File::create).transpose()?.map(BufWriter::new);
         if let Some(file) = &mut cycles {

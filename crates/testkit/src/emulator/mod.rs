@@ -1,18 +1,18 @@
 //! An emulator of a Franka arm's control interface: protocol versions 5, 9 and 10 over TCP and UDP at 1 kHz, with the simulated arm of
 //! plumbline behind it.
 //!
-//! It shares the codec with plumbline's own client, and nothing else: limits, judgement and manners are written down here a second
+//! It shares the codec with plumbline's own client, and nothing else: limits, checks and behaviour are implemented here a second
 //! time, and clients of other origin are what proves them (`hil/fci-peers`). It never accepts what a robot would refuse; where Franka has
 //! not published what a robot does, it takes the stricter way and says so.
 //!
 //! | file | what |
 //! |---|---|
 //! | `limits` | what a robot allows its commands |
-//! | `geometry`, `body` | kinematics; the simulated arm and what its firmware knows of it |
+//! | `geometry`, `body` | kinematics; the simulated arm and its firmware |
 //! | `motion`, `robot` | modes, motions, errors; no sockets, no clock |
 //! | `requests`, `setters` | what it answers, and which arguments it takes |
 //! | `faults` | faults of network and robot, on demand |
-//! | `server`, `log` | sockets and time; what it tells |
+//! | `server`, `log` | sockets and time; output |
 //! | `urdf` | the robot description that it serves |
 //!
 //! What it does not do: Cartesian motions and asynchronous ones are answered with not-possible; setting impedances and filters is judged and
@@ -55,7 +55,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// Where the arm stands at first: Franka's own ready pose \[rad\].
+/// Position of the arm at the start: Franka's own ready pose \[rad\].
 pub const READY: Joints = [
     0.0,
     -std::f64::consts::FRAC_PI_4,
@@ -71,13 +71,13 @@ pub const READY: Joints = [
 pub struct Settings {
     /// Address that it serves on, usually one of 127.0.0.0/8.
     pub address: IpAddr,
-    /// Port of TCP and UDP; that of real robots unless a test says otherwise.
+    /// Port of TCP and UDP; that of real robots unless a test sets another.
     pub port: u16,
     /// Protocol version.
     pub protocol: Protocol,
     /// Which arm's limits and name.
     pub robot: RobotKind,
-    /// Limits that it serves and judges by; those of `robot` where absent.
+    /// Limits that it serves and checks; those of `robot` where absent.
     pub limits: Option<Limits>,
     /// The simulated arm's truth.
     pub arm: Truth,
@@ -85,18 +85,18 @@ pub struct Settings {
     pub mounting: Mounting,
     /// Gravity in the base frame that the firmware adds torque against \[m/s2\]: (0, 0, -9.81) in any mounting, as robots do.
     pub compensates: [f64; 3],
-    /// Where it stands at first \[rad\].
+    /// Position at the start \[rad\].
     pub start: Joints,
     /// Decides noise and chance.
     pub seed: u64,
-    /// How long the robot's time stands still at most to wait for a motion's next command. Zero is a robot. More than zero is for tests
+    /// Longest pause of the robot's time for a motion's next command. Zero is a robot. More than zero is for tests
     /// of other things than timing on machines that stall: the robot's clock then runs slower than the wall's.
     pub patience: Duration,
     /// Which of state and answer shows the end of a motion first.
     pub finish: FinishOrder,
     /// Shared library that LoadModelLibrary answers with, versions 5 and 9.
     pub model_library: Option<Vec<u8>>,
-    /// `O_ddP_O` of every state \[m/s2\]: (0, 0, -9.81) in any mounting, as robots report that were not told theirs.
+    /// `O_ddP_O` of every state \[m/s2\]: (0, 0, -9.81) in any mounting, as robots report without a declared mounting.
     pub base_acceleration: [f64; 3],
     /// Number of the first state.
     pub first_message_id: u64,
@@ -144,7 +144,7 @@ pub enum StartError {
         address: IpAddr,
         /// The port.
         port: u16,
-        /// What the system says.
+        /// Error of the system.
         error: std::io::Error,
     },
     /// The log can't be written.
@@ -152,7 +152,7 @@ pub enum StartError {
     Log {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the system.
         error: std::io::Error,
     },
     /// A joint starts outside its range.

@@ -1,10 +1,10 @@
-//! A running motion: what it was asked for with, and how its commands come.
+//! A running motion: its request, and the timing of its commands.
 
 use super::body::Drive;
 use super::limits::{Commanded, Joints, Step};
 use plumbline_franka::wire::{Move, MoveController, MoveGenerator, RobotCommand};
 
-/// Commands that the success rate looks back on.
+/// Commands of the success rate.
 const WINDOW: u32 = 100;
 /// A joint that is measured slower than this does not move \[rad/s\].
 const STILL: f64 = 5e-3;
@@ -18,7 +18,7 @@ const RESTLESS: u32 = 500;
 pub struct Motion {
     /// Call that started it, which its end answers, too.
     pub id: u32,
-    /// What was asked for.
+    /// The request.
     pub request: Move,
     /// Whether a state has shown it.
     pub shown: bool,
@@ -40,7 +40,7 @@ pub struct Motion {
 pub struct Ending {
     /// Call of StopMove that ends it.
     pub stop: Option<u32>,
-    /// Whether the client has been told.
+    /// Whether the client has got the answer.
     pub answered: bool,
     /// States until the end shows \[ms\].
     pub left: u32,
@@ -66,7 +66,7 @@ impl Ending {
 }
 
 impl Motion {
-    /// A motion that nobody has seen yet; `tau` is the desired torque of the state before.
+    /// A motion that no state has shown yet; `tau` is the desired torque of the state before.
     pub fn new(id: u32, request: &Move, tau: &Joints) -> Motion {
         let external = request.controller == MoveController::External;
         Motion {
@@ -125,7 +125,7 @@ impl Motion {
         generator.iter().chain(&tau).all(|value| value.is_finite())
     }
 
-    /// Whether a command asks for the end.
+    /// Whether a command ends the motion.
     pub fn is_finished_by(&self, command: &RobotCommand) -> bool {
         match self.request.generator {
             MoveGenerator::None => command.torque_command_finished,

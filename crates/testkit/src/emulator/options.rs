@@ -1,4 +1,4 @@
-//! What the command line says, as settings.
+//! The command line, as settings.
 
 use crate::emulator::{Fault, FinishOrder, RobotKind, Settings};
 use clap::Parser;

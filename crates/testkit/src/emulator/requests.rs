@@ -74,7 +74,7 @@ impl Robot {
         }
     }
 
-    /// A request that can't be decoded but whose call is known.
+    /// A request that can't be decoded, of a call with this number.
     pub fn malformed_move(&mut self, id: u32) {
         self.reply(id, &Response::Move(MoveStatus::InvalidArgument));
     }

@@ -23,7 +23,7 @@ const BLEND: u32 = 200;
 /// How long errors show at least \[ms\].
 const SHOWN: u32 = 100;
 
-/// When the end of a motion is told over TCP, seen from the first state that shows it.
+/// When the end of a motion is answered over TCP, relative to the first state that shows it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FinishOrder {
     /// In the same millisecond.
@@ -57,7 +57,7 @@ pub enum Hand {
 /// What a robot answers with beside its motion.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Served {
-    /// Shared library for clients that load one; without it they are told an error.
+    /// Shared library for clients that load one; without it the answer is an error.
     pub model_library: Option<Vec<u8>>,
     /// Robot description.
     pub urdf: String,
@@ -146,7 +146,7 @@ impl Robot {
         std::mem::take(&mut self.outbox)
     }
 
-    /// What happened, in words, oldest first.
+    /// Events as text, oldest first.
     pub fn events(&mut self) -> Vec<String> {
         std::mem::take(&mut self.events)
     }
@@ -171,7 +171,7 @@ impl Robot {
         self.state()
     }
 
-    /// A running motion takes a command or goes on without one; `None` when the motion has ended with it.
+    /// A running motion takes a command or extrapolates without one; `None` when the motion has ended with it.
     fn follow(&mut self, mut motion: Motion, command: Option<&RobotCommand>) -> Option<Drive> {
         if !motion.shown {
             motion.shown = true;
@@ -352,7 +352,7 @@ impl Robot {
         }
     }
 
-    /// An orderly end: by the client's flag, by StopMove (its call), or because the client has gone.
+    /// An orderly end: by the client's flag, by StopMove (its call), or because the client has disconnected.
     pub fn end(&mut self, motion: Motion, stop: Option<u32>) {
         self.leave_torques(&motion);
         self.phase = Phase::Ending(motion, Ending::new(stop));
@@ -367,7 +367,7 @@ impl Robot {
         self.events.push(format!("motion ended: {status}"));
     }
 
-    /// A motion ends against the client's will: it brakes, and the very next state says why.
+    /// The robot ends a motion: it brakes, and the next state has the reasons.
     fn abort(&mut self, errors: Errors, status: MoveStatus, why: &str) {
         let (motion, stop) = match self.phase {
             Phase::Moving(motion) => (motion, None),
@@ -444,12 +444,12 @@ impl Robot {
         self.errors = Errors::NONE;
     }
 
-    /// The client's connection is gone: nothing can be commanded any more, so the arm brakes.
+    /// The client has disconnected: the arm brakes.
     pub fn client_gone(&mut self) {
         if let Phase::Moving(motion) = self.phase {
             self.end(motion, None);
         }
-        // Nobody hears the answers.
+        // No client receives the answers.
         if let Phase::Ending(_, ending) = &mut self.phase {
             ending.answered = true;
         }
@@ -496,7 +496,7 @@ impl Robot {
     }
 }
 
-/// The joint whose step is the largest against its limits, in words.
+/// The joint whose step is the largest against its limits, as text.
 fn boldest(limits: &Limits, step: &Step, torque_step: &Joints) -> String {
     let share = |j: usize| {
         let parts =

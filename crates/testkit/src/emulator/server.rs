@@ -18,17 +18,17 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 const MILLISECOND: u64 = 1_000_000;
-/// Lateness that is made good instead of moving the clock \[ns\].
-const TOLERANCE: u64 = MILLISECOND / 5;
-/// Lateness that is told \[ns\].
-const TOLD: u64 = 50 * MILLISECOND;
-/// Between two looks at the socket while the robot's time stands still \[ns\].
-const LOOK: u64 = 50_000;
+/// Lateness that is caught up instead of moving the clock \[ns\].
+const MAX_CAUGHT_UP_NS: u64 = MILLISECOND / 5;
+/// Lateness that is logged \[ns\].
+const LOGGED_LATENESS_NS: u64 = 50 * MILLISECOND;
+/// Pause between two polls of the socket while the robot's time is paused \[ns\].
+const POLL_NS: u64 = 50_000;
 
-/// What the emulator is told while it runs.
+/// Orders to the running emulator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Order {
-    /// The operator's hand.
+    /// An action of the operator.
     Hand(Hand),
     /// One more fault.
     Fault(Fault),
@@ -39,7 +39,7 @@ pub enum Order {
 /// What the emulator has done so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Counts {
-    /// Milliseconds of the robot's life.
+    /// Milliseconds of the robot's time.
     pub cycles: u64,
     /// Times that the clock was moved because the machine was late.
     pub slips: u64,
@@ -68,7 +68,7 @@ struct Client {
     stream: TcpStream,
     /// Where states go; known from Connect on.
     states_to: Option<SocketAddr>,
-    /// It speaks another version: its connection does not keep others out.
+    /// Its version was refused: its connection does not block others.
     sent_away: bool,
     inbox: Vec<u8>,
     outbox: Vec<u8>,
@@ -132,7 +132,7 @@ impl Server {
         }
     }
 
-    /// Serves until nobody can give orders any more.
+    /// Serves until the handle is dropped.
     pub fn run(mut self) {
         let mut next = now_ns() + MILLISECOND;
         while self.obey() {
@@ -140,8 +140,8 @@ impl Server {
             self.listen();
             let command = self.command(next);
             let late = now_ns().saturating_sub(next);
-            if late > TOLERANCE {
-                if late > TOLD {
+            if late > MAX_CAUGHT_UP_NS {
+                if late > LOGGED_LATENESS_NS {
                     self.log.event(&format!(
                         "the machine was {} ms late: the robot's clock stood still",
                         late / MILLISECOND
@@ -172,7 +172,7 @@ impl Server {
     fn wait(&mut self, next: u64) {
         let watches = self.injector.delays_commands();
         loop {
-            let look = if watches { now_ns() + LOOK } else { u64::MAX };
+            let look = if watches { now_ns() + POLL_NS } else { u64::MAX };
             let due = self.states.next().map_or(look, |due| due.min(look));
             if due >= next {
                 break;
@@ -192,7 +192,7 @@ impl Server {
         let to = self.client.as_ref().and_then(|client| client.states_to);
         for datagram in self.states.arrived(now_ns()) {
             if let Some(to) = to {
-                // A full buffer or a client whose socket is gone: a datagram more that is lost.
+                // A full buffer or a closed socket of the client: one more lost datagram.
                 let _ = self.udp.send_to(&datagram, to);
             }
         }
@@ -205,7 +205,7 @@ impl Server {
         }
         self.attend();
         while let Ok((stream, peer)) = self.listener.accept() {
-            // The one before may have gone in this very moment.
+            // The client before may have disconnected just now.
             self.attend();
             if self.client.as_ref().is_some_and(|client| !client.sent_away) {
                 // How a real robot treats a second client is not published.
@@ -221,7 +221,7 @@ impl Server {
         }
     }
 
-    /// Serves the client there is, or finds it gone.
+    /// Serves the present client; forgets one that has disconnected.
     fn attend(&mut self) {
         let Some(mut client) = self.client.take() else { return };
         match self.serve(&mut client) {
@@ -331,12 +331,12 @@ impl Server {
         Ok(())
     }
 
-    /// The command that answers the state sent last, if it has come. With patience the robot's time stands still until then.
+    /// The command that answers the state sent last, if it has come. With patience the robot's time is paused until then.
     fn command(&mut self, next: u64) -> Option<RobotCommand> {
         let mut found = self.look();
         if self.robot.awaits_command() && !self.injector.is_silent() {
             while found.is_none() && now_ns() < next.saturating_add(self.patience) {
-                sleep_until(now_ns() + LOOK);
+                sleep_until(now_ns() + POLL_NS);
                 self.deliver();
                 self.listen();
                 if !self.robot.awaits_command() {

@@ -259,7 +259,7 @@ pub fn panda(settings: &Settings) -> Panda {
                 let experiment = prepare(&run, settings);
                 let rms = validate_parameters(&experiment, &structure, &found.beta).raw;
                 if trajectory == SHOWN {
-                    let along = experiment.judged.as_ref().unwrap_or(&experiment.motion);
+                    let along = experiment.comparison_motion.as_ref().unwrap_or(&experiment.motion);
                     let t = (0..along.samples()).map(|k| k as f64 * DT).collect();
                     let estimated = torques(&structure, &found.beta, along);
                     let measured = experiment.tau.clone();

@@ -3,7 +3,7 @@
 use super::synthetic::{DT, PERIOD, PERIODS};
 use nalgebra::DMatrix;
 use plumbline_diagnose::errors::{Compared, Of, compare};
-use plumbline_identify::{Experiment, LeftOut, Modelled, Run};
+use plumbline_identify::{ExcludedSpan, Experiment, Modelled, Run};
 use plumbline_model::Mounting;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -162,7 +162,7 @@ fn raw_errors_are_taken_along_the_quieter_motion() {
     let mut rng = ChaCha8Rng::seed_from_u64(22);
     run.q.apply(|q| *q += 1e-6 * rng.sample::<f64, _>(StandardNormal));
     let experiment = Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap();
-    let judged = experiment.judged.as_ref().expect("a narrower filter").q.clone();
+    let judged = experiment.comparison_motion.as_ref().expect("a narrower filter").q.clone();
     let predict = |motion: &plumbline_model::term::Motion| {
         let off = if motion.q == judged { 1.0 } else { 2.0 };
         &experiment.tau - DMatrix::from_element(motion.samples(), 2, off)
@@ -186,7 +186,7 @@ fn what_is_left_out_of_a_run_has_no_error() {
         mounting: Mounting::WALL,
         period: None,
     };
-    let gone = LeftOut { run: "free".into(), from: 4.0, to: 5.0 };
+    let gone = ExcludedSpan { run: "free".into(), from: 4.0, to: 5.0 };
     let settings = plumbline_identify::Settings { leave_out: vec![gone], ..plumbline_identify::Settings::default() };
     let experiment = Experiment::prepare(&run, &settings).unwrap();
     let residual =

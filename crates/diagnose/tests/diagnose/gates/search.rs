@@ -77,7 +77,7 @@ fn the_size_of_the_library_is_paid_for() {
         let few = search.forward(base.clone(), &[], &|_| {});
         assert_eq!(few.state.items.len(), 1);
         let library: Vec<_> = (0..copies).flat_map(|_| search.library.iter().cloned()).collect();
-        let many = Search { library: &library, ..search.upon(search.ground) };
+        let many = Search { library: &library, ..search.at(search.operating_point) };
         let dear = offset_2(&many, base);
         assert!((scored.score - dear.score - 2.0 * (copies as f64).ln()).abs() < 1e-6);
         assert!((-3.0..-1.0).contains(&dear.score), "{}", dear.score);
@@ -356,7 +356,7 @@ fn without_repeats_a_better_effect_has_to_be_better_by_twelve() {
             let gap = offset.score - drag.score;
             // One step: nothing comes beside it.
             let settings = Settings { steps: 0, ..Settings::default() };
-            let search = Search { settings: &settings, ..search.upon(search.ground) };
+            let search = Search { settings: &settings, ..search.at(search.operating_point) };
             let selected = search.select(base.clone(), std::slice::from_ref(&drag.item), &|_| {});
             println!("share {share}: gap {gap}, {:?}", taken(&selected));
             let passes = plumbline_diagnose::folds(&search.problem, base, &offset.tried).share >= 0.2;
@@ -381,7 +381,7 @@ fn what_an_effect_can_not_be_is_no_candidate() {
         let recorded = with_effect(4, 15, &spec, size, |_| [0.0; 2]);
         recorded.search(&family, &Settings::default(), |search, base| {
             let evidence = search.problem.evidence;
-            let item = Candidate::of(evidence, search.ground, spec.clone(), None).unwrap();
+            let item = Candidate::of(evidence, search.operating_point, spec.clone(), None).unwrap();
             let tried = base.try_in(&search.problem, &item).unwrap();
             assert_eq!(*tried.fit.theta.as_slice().last().unwrap() > 0.0, allowed);
             assert!(tried.evidence > 50.0, "{}", tried.evidence);
@@ -407,7 +407,7 @@ fn an_effect_of_several_joints_belongs_to_the_one_whose_noise_it_exceeds_most() 
             &[&joint_elasticity::FAMILY],
             &Settings::default(),
             |search, base| {
-                let item = Candidate::of(search.problem.evidence, search.ground, spec.clone(), None).unwrap();
+                let item = Candidate::of(search.problem.evidence, search.operating_point, spec.clone(), None).unwrap();
                 let tried = base.try_in(&search.problem, &item).unwrap();
                 let found = plumbline_diagnose::relevance(search.problem.evidence, base, &tried, &item);
                 println!("tone in joint {}: {found:?}", tone_in + 1);
@@ -427,7 +427,7 @@ fn an_effect_of_several_joints_belongs_to_the_one_whose_noise_it_exceeds_most() 
         let recorded = with_effect_in_noise(17, &spec, 60.0 * FLOOR, noise);
         recorded.search(&[&joint_elasticity::FAMILY], &Settings::default(), |search, base| {
             let evidence = search.problem.evidence;
-            let item = Candidate::of(evidence, search.ground, spec.clone(), None).unwrap();
+            let item = Candidate::of(evidence, search.operating_point, spec.clone(), None).unwrap();
             let found =
                 plumbline_diagnose::relevance(evidence, base, &base.try_in(&search.problem, &item).unwrap(), &item);
             let in_noise = |j: usize| found.rms[j] / evidence.floor(j).unwrap();
@@ -449,7 +449,7 @@ fn without_repeats_the_simplest_of_nearly_the_same_score_is_taken() {
             let (best, offset) = (&proposals[0], proposals.iter().find(|one| one.item.spec.family == "torque-offset"));
             let near = offset.is_some_and(|offset| offset.score >= 0.8 * best.score);
             let settings = Settings { steps: 1, ..Settings::default() };
-            let search = Search { settings: &settings, ..search.upon(search.ground) };
+            let search = Search { settings: &settings, ..search.at(search.operating_point) };
             let taken = search.forward(base.clone(), &[], &|_| {}).state.items;
             println!(
                 "slope {slope}: best {} {}, near {near}, {:?}",

@@ -121,7 +121,7 @@ fn along_with(motions: &[Motion], seed: u64, spec: &Spec, size: f64, added: impl
 /// The torque of an effect along motions, of an RMS of `size` \[Nm\] in the joint where it is largest.
 fn effect_of(motions: &[Motion], spec: &Spec, size: f64) -> impl Fn(&At) -> [f64; 2] + use<> {
     let structure = structure();
-    let term = spec.build(&structure.ground(truth(&structure).as_slice())).unwrap();
+    let term = spec.build(&structure.operating_point(truth(&structure).as_slice())).unwrap();
     let column = |motion: &Motion| {
         let mut y = DMatrix::zeros(2 * motion.samples(), term.columns().len());
         term.fill(structure.chain(), motion, &mut y, 0);
@@ -208,8 +208,8 @@ impl Recorded {
         let columns = Columns { m: evidence.regressor(&self.structure, &trials), r: evidence.torques(&trials) };
         let problem = Problem { evidence: &evidence, prior: None };
         let base = State::base(&problem, columns);
-        let ground = self.structure.ground(base.fit.theta.as_slice());
-        let library = library(&evidence, &ground, families, None, 1);
-        look(&Search { problem, ground: &ground, library: &library, settings }, &base)
+        let operating_point = self.structure.operating_point(base.fit.theta.as_slice());
+        let library = library(&evidence, &operating_point, families, None, 1);
+        look(&Search { problem, operating_point: &operating_point, library: &library, settings }, &base)
     }
 }

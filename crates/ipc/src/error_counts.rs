@@ -1,16 +1,16 @@
-//! What shared memory refused to do: a line in the log once per cause, then only as the count grows tenfold.
+//! Rate limit for logged errors: one line per cause at counts of 1, 10, 100, ...
 
-/// Causes that are told apart; what comes on top is one more.
+/// Maximum distinct causes; further ones are counted with the last.
 const MAX_CAUSES: usize = 16;
 
-/// Causes of trouble and how often each has come.
+/// Error count per cause.
 #[derive(Debug, Default)]
-pub(super) struct Troubles {
+pub(super) struct ErrorCounts {
     causes: Vec<(String, u64)>,
 }
 
-impl Troubles {
-    /// Counts `cause`; the line for the log, where it is due.
+impl ErrorCounts {
+    /// Counts `cause`; returns the log line at counts of 1, 10, 100, ...
     pub(super) fn count(&mut self, cause: &str) -> Option<String> {
         let known = self.causes.iter().position(|(known, _)| known == cause);
         let index = known.unwrap_or_else(|| {
@@ -36,13 +36,13 @@ mod tests {
 
     #[test]
     fn a_cause_is_logged_once_and_then_with_its_count() {
-        let mut troubles = Troubles::default();
-        let lines: Vec<_> = (0..1000).filter_map(|_| troubles.count("no file descriptor is left")).collect();
+        let mut counts = ErrorCounts::default();
+        let lines: Vec<_> = (0..1000).filter_map(|_| counts.count("no file descriptor is left")).collect();
         let text = |count| format!("no file descriptor is left ({count} times)");
         assert_eq!(lines, ["no file descriptor is left".to_string(), text(10), text(100), text(1000)]);
-        assert_eq!(troubles.count("another").as_deref(), Some("another"));
-        let lines: usize = (0..1000).filter_map(|k| troubles.count(&format!("cause {k}"))).count();
-        assert!(lines < MAX_CAUSES + 4, "{lines}: causes without end do not fill the log");
-        assert_eq!(troubles.causes.len(), MAX_CAUSES);
+        assert_eq!(counts.count("another").as_deref(), Some("another"));
+        let lines: usize = (0..1000).filter_map(|k| counts.count(&format!("cause {k}"))).count();
+        assert!(lines < MAX_CAUSES + 4, "{lines}: distinct causes do not fill the log");
+        assert_eq!(counts.causes.len(), MAX_CAUSES);
     }
 }

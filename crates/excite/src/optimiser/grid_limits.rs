@@ -1,17 +1,16 @@
-//! The numbers that the constraints on the grid hold a motion to: the limits less their margins, and less what a motion was found to
-//! break between the samples of the grid.
+//! Limits on the search grid: the limits less margins, tightened by violations found between the samples of the grid.
 
 use super::super::limits::{Bounds, Check, Peak, Quantity};
 use plumbline_core::{JointVec, MAX_JOINTS};
 
 /// Limits on the grid.
 #[derive(Clone, Debug)]
-pub struct Caps {
+pub struct GridLimits {
     /// Lowest positions \[rad\].
     pub q_min: JointVec,
     /// Highest positions \[rad\].
     pub q_max: JointVec,
-    /// Share of the speed limits, less [`Caps::ddq`]'s kind of correction.
+    /// Ratio of the speed limits that may be used.
     pub speed: JointVec,
     /// Highest accelerations \[rad/s2\].
     pub ddq: JointVec,
@@ -25,27 +24,27 @@ pub struct Caps {
     pub end: [[f64; 3]; 2],
     /// Box of every link's surface \[m\].
     pub links: [[f64; 3]; 2],
-    /// Least distance of the end effector from the base \[m\].
+    /// Minimum distance of the end effector from the base \[m\].
     pub radius: f64,
-    /// Least distance between two links \[m\].
+    /// Minimum distance between two links \[m\].
     pub clearance: f64,
 }
 
-/// What a broken limit is tightened by, in shares of the excess.
-const OVERSHOOT: f64 = 1.5;
-/// And at least, in shares of the limit.
-const LEAST: f64 = 5e-4;
+/// Tightening of a violated limit as a ratio of the excess.
+const OVERSHOOT_RATIO: f64 = 1.5;
+/// Minimum tightening as a ratio of the limit.
+const MIN_TIGHTENING_RATIO: f64 = 5e-4;
 
-impl Caps {
-    /// The bounds less their margins.
-    pub fn of(bounds: &Bounds) -> Caps {
+impl GridLimits {
+    /// The limits of `bounds` less their margins.
+    pub fn of(bounds: &Bounds) -> GridLimits {
         let (limits, margins) = (bounds.limits, &bounds.margins);
         let scaled = |values: &JointVec, share: f64| values.map(|value| value * share);
         let space = |side: fn(&plumbline_core::Workspace) -> [f64; 3], shift: f64| {
             bounds.workspace.map_or([shift * 1e9; 3], |w| side(w).map(|x| x - shift * margins.workspace))
         };
         let sides = [space(|w| w.box_min, -1.0), space(|w| w.box_max, 1.0)];
-        Caps {
+        GridLimits {
             q_min: limits.q_min.map(|q| q + margins.position),
             q_max: limits.q_max.map(|q| q - margins.position),
             speed: [margins.velocity; MAX_JOINTS],
@@ -60,7 +59,7 @@ impl Caps {
         }
     }
 
-    /// Takes off what a motion broke.
+    /// Tightens the limits that a motion violates.
     pub fn tighten(&mut self, check: &Check) {
         for peak in check.violations() {
             self.tighten_one(peak);
@@ -69,8 +68,13 @@ impl Caps {
 
     fn tighten_one(&mut self, peak: &Peak) {
         let excess = -peak.headroom();
-        let by = if excess.is_finite() { OVERSHOOT * excess + LEAST * peak.limit.abs().min(1.0) } else { return };
-        let share = 1.0 - (OVERSHOOT * excess / peak.limit.abs().max(1e-9) + LEAST).clamp(0.0, 0.3);
+        let by = if excess.is_finite() {
+            OVERSHOOT_RATIO * excess + MIN_TIGHTENING_RATIO * peak.limit.abs().min(1.0)
+        } else {
+            return;
+        };
+        let share =
+            1.0 - (OVERSHOOT_RATIO * excess / peak.limit.abs().max(1e-9) + MIN_TIGHTENING_RATIO).clamp(0.0, 0.3);
         let j = peak.joint.map_or(0, |joint| joint - 1);
         match peak.quantity {
             Quantity::PositionMin | Quantity::StopMin => self.q_min[j] += by,
@@ -80,7 +84,7 @@ impl Caps {
             Quantity::Jerk => self.jerk[j] *= share,
             Quantity::Torque => self.tau[j] *= share,
             Quantity::TorqueRate => {
-                // Coulomb friction turns round within a few ms, which the grid does not see: its rate goes with the acceleration.
+                // Coulomb friction reverses within a few ms, between grid samples: its torque rate is proportional to the acceleration.
                 self.dtau[j] *= share;
                 self.ddq[j] *= share;
             }

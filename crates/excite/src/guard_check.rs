@@ -1,20 +1,20 @@
-//! A motion through the real-time guard, sample by sample, as the loop sends it. What passes here is not stopped by the guard's rules on
-//! commands, among them those on the way to a stop, which no other check of this module knows.
+//! Check of a motion by the real-time guard, sample by sample. It includes the guard's rules on stops, which [`super::limits`] does not
+//! contain.
 
 use super::fourier::Fourier;
-use super::limits::{Bounds, Peak, Quantity, VERIFY_RATE};
-use plumbline_core::{Command, JointVec, MAX_JOINTS, PERIOD, Setpoint, State};
+use super::limits::{Bounds, Peak, Quantity, VERIFY_RATE_HZ};
+use plumbline_core::{Command, JointVec, MAX_JOINTS, PERIOD_S, Setpoint, State};
 use plumbline_rt::{Guard, GuardSettings, Limit, ModelTorques, MoveFactors, Violation};
 
-/// One period of a motion, from rest: the first rule of the guard that it breaks.
-pub fn rehearse(bounds: &Bounds, fourier: &Fourier) -> Option<Peak> {
-    let ticks = (fourier.period * VERIFY_RATE).round() as u64;
-    rehearse_points(bounds, (0..=ticks).map(|tick| setpoint(fourier, tick)))
+/// The first rule of the guard that one period of a motion from rest violates.
+pub fn check_with_guard(bounds: &Bounds, fourier: &Fourier) -> Option<Peak> {
+    let ticks = (fourier.period * VERIFY_RATE_HZ).round() as u64;
+    check_points_with_guard(bounds, (0..=ticks).map(|tick| setpoint(fourier, tick)))
 }
 
-/// The same for setpoints that follow each other at the loop's period; the arm rests at the first. Box, sphere and torques are left to
-/// [`super::limits::check`].
-pub fn rehearse_points(bounds: &Bounds, points: impl IntoIterator<Item = Setpoint>) -> Option<Peak> {
+/// The first rule of the guard that a sequence of setpoints at the loop's period violates. The arm rests at the first one. Box, sphere and
+/// torques are checked by [`super::limits::check`].
+pub fn check_points_with_guard(bounds: &Bounds, points: impl IntoIterator<Item = Setpoint>) -> Option<Peak> {
     let settings = GuardSettings {
         limits: *bounds.limits,
         envelope: bounds.envelope.copied(),
@@ -30,9 +30,9 @@ pub fn rehearse_points(bounds: &Bounds, points: impl IntoIterator<Item = Setpoin
         });
         let state = State { q, ..State::default() };
         if let Err(violation) =
-            guard.check(PERIOD, &Command { desired, ..Command::default() }, &ModelTorques::default(), &state)
+            guard.check(PERIOD_S, &Command { desired, ..Command::default() }, &ModelTorques::default(), &state)
         {
-            return Some(peak(&violation, tick as f64 * PERIOD));
+            return Some(peak(&violation, tick as f64 * PERIOD_S));
         }
         last = Some(desired.q);
     }
@@ -42,7 +42,7 @@ pub fn rehearse_points(bounds: &Bounds, points: impl IntoIterator<Item = Setpoin
 fn setpoint(fourier: &Fourier, tick: u64) -> Setpoint {
     let mut setpoint = Setpoint::default();
     for j in 0..fourier.joints() {
-        let point = fourier.at(j, tick as f64 * PERIOD);
+        let point = fourier.at(j, tick as f64 * PERIOD_S);
         (setpoint.q[j], setpoint.dq[j], setpoint.ddq[j]) = (point.q, point.dq, point.ddq);
     }
     setpoint
@@ -60,7 +60,7 @@ fn peak(violation: &Violation, time: f64) -> Peak {
         Limit::Acceleration => (Quantity::Acceleration, value.abs()),
         Limit::Jerk => (Quantity::Jerk, value.abs()),
         Limit::Velocity => (Quantity::Velocity, value.abs()),
-        // A number that is none, or stated derivatives that are not those of the positions: no motion at all.
+        // NaN, or derivatives that are not those of the positions: an invalid motion.
         _ => (Quantity::Velocity, f64::NAN),
     };
     Peak { quantity, joint: Some(joint + 1), time, value, limit: bound }
@@ -91,7 +91,7 @@ mod tests {
         }
     }
 
-    /// At rest at both ends of the period; amplitude and offset as given \[rad\].
+    /// Motion at rest at both ends of the period, with amplitude and start position \[rad\].
     fn motion(amplitude: f64, q0: f64) -> Fourier {
         let mut fourier = Fourier::still(2.0, vec![q0], 4).unwrap();
         fourier.b.row_mut(0).copy_from_slice(&[amplitude, -amplitude, 0.3 * amplitude, 0.1 * amplitude]);
@@ -99,10 +99,10 @@ mod tests {
         fourier
     }
 
-    /// A motion that comes to rest at the very end of the range, braking with all that the acceleration limit gives: the loop's stop brakes
-    /// with less, and would run over the end. The limits alone do not see it.
+    /// A motion that stops at the end of the range with the full acceleration limit. The loop's controlled stop brakes with less and would
+    /// exceed the range. The limits alone do not detect this.
     #[test]
-    fn what_a_stop_could_not_keep_is_found_although_every_limit_is_kept() {
+    fn a_stop_beyond_the_range_is_detected_where_every_limit_is_satisfied() {
         let (chain, limits) = (pendulum(), limits());
         let bounds = Bounds::new(&chain, &limits, Margins::none());
         let mut fourier = motion(1.0, 0.0);
@@ -115,22 +115,22 @@ mod tests {
         fourier.q0[0] = 1.0 - (highest(&fourier) - fourier.q0[0]) - 1e-9;
         let check = verify(&bounds, &fourier, None);
         assert!(check.is_feasible(), "{}", check.violations().next().unwrap());
-        let found = rehearse(&bounds, &fourier).expect("a stop that runs over the end");
+        let found = check_with_guard(&bounds, &fourier).expect("a stop beyond the range");
         assert_eq!((found.quantity, found.joint), (Quantity::StopMax, Some(1)), "{found}");
         assert!(found.is_violation() && found.to_string().contains("position after a stop"), "{found}");
         // Further inside the range it passes.
         fourier.q0[0] -= 0.2;
-        assert_eq!(rehearse(&bounds, &fourier), None);
+        assert_eq!(check_with_guard(&bounds, &fourier), None);
     }
 
     #[test]
-    fn a_motion_that_does_not_begin_at_rest_is_none() {
+    fn a_motion_that_does_not_start_at_rest_is_a_violation() {
         let (chain, limits) = (pendulum(), limits());
         let bounds = Bounds::new(&chain, &limits, Margins::none());
         let mut fourier = Fourier::still(2.0, vec![0.0], 1).unwrap();
         fourier.a[(0, 0)] = 0.1;
-        assert!(rehearse(&bounds, &fourier).expect("a jump").is_violation());
+        assert!(check_with_guard(&bounds, &fourier).expect("a jump").is_violation());
         fourier.a[(0, 0)] = f64::NAN;
-        assert!(rehearse(&bounds, &fourier).expect("no number").is_violation());
+        assert!(check_with_guard(&bounds, &fourier).expect("NaN").is_violation());
     }
 }

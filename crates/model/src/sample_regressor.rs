@@ -1,19 +1,15 @@
 //! The regressor of a whole structure at one sample.
 
-use super::links::LinkColumns;
-use super::trig::tanh;
-use super::vector_level;
+use crate::fast::links::LinkColumns;
+use crate::fast::sign::smooth_signs;
 use crate::structure::Structure;
-use crate::term::friction::SHARPNESS;
 use crate::term::{Entry, Sample};
-use fearless_simd::{Level, Simd, SimdBase, dispatch, f64x8};
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS};
 
 /// `Y` at one sample after the other, for structures whose terms depend on that sample alone. Allocates nothing after its creation.
 #[derive(Clone, Debug)]
 pub struct SampleRegressor {
-    level: Level,
     joints: usize,
     links: LinkColumns,
     /// What the columns after the links' are.
@@ -39,7 +35,6 @@ impl SampleRegressor {
         }
         let links = LinkColumns::new(structure.chain(), &slots, gravity);
         Ok(SampleRegressor {
-            level: vector_level(),
             joints: structure.chain().len(),
             has_sign: others.iter().any(|entry| matches!(entry, Entry::SmoothSign { .. })),
             columns: vec![[0.0; MAX_JOINTS]; slots.len() + others.len()],
@@ -69,8 +64,7 @@ impl SampleRegressor {
         self.links.fill(sample, links);
         let mut sign = JointVec::default();
         if self.has_sign {
-            let level = self.level;
-            dispatch!(level, simd => smooth_sign(simd, &sample.dq, &mut sign));
+            smooth_signs(&sample.dq, &mut sign);
         }
         for (column, entry) in others.iter_mut().zip(&self.others) {
             match *entry {
@@ -83,23 +77,5 @@ impl SampleRegressor {
             }
         }
         &self.columns
-    }
-}
-
-/// `tanh(100 dq)` (paper eq. 2).
-#[inline(always)]
-fn smooth_sign<S: Simd>(simd: S, dq: &JointVec, sign: &mut JointVec) {
-    tanh(simd, f64x8::from_slice(simd, dq) * SHARPNESS).store_slice(sign);
-}
-
-/// `tanh(100 dq)` of as many velocities as there are.
-pub(crate) fn smooth_signs(dq: &[f64], signs: &mut [f64]) {
-    assert_eq!(dq.len(), signs.len(), "one sign per velocity");
-    let level = vector_level();
-    for (dq, signs) in dq.chunks(MAX_JOINTS).zip(signs.chunks_mut(MAX_JOINTS)) {
-        let (mut from, mut to) = (JointVec::default(), JointVec::default());
-        from[..dq.len()].copy_from_slice(dq);
-        dispatch!(level, simd => smooth_sign(simd, &from, &mut to));
-        signs.copy_from_slice(&to[..signs.len()]);
     }
 }
