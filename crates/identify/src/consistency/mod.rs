@@ -8,7 +8,7 @@
 //! - else: the `delta` that minimises `(beta - K delta)' C^-1 (beta - K delta)` with `C` the estimate's covariance.
 //!
 //! `C` is the marginal covariance of the rigid-body and rotor parameters, so that the result is the minimum over all parameters at once:
-//! friction and offsets are under no constraint, and move with the others as their correlation says ([`Nearest::beta`]).
+//! friction and offsets are unconstrained and change with the others by their correlation ([`Nearest::beta`]).
 
 mod cone;
 mod prior;
