@@ -227,7 +227,7 @@ fn stack(table: &Table, rng: &mut ChaCha8Rng, model: &TorqueModel, gravity: &Vec
         "    against QR and singular values: {:.1e} standard deviations, with the second pass {:.1e} ({:?}); condition of W {:.0}",
         worst(&first.beta),
         worst(&twice.beta),
-        twice.way,
+        twice.solver,
         first.condition.sqrt()
     );
 }

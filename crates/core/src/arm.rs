@@ -9,10 +9,10 @@ use std::error::Error;
 use std::net::IpAddr;
 use std::sync::Arc;
 
-/// Why an arm can't be connected or recovered. Its text says what the operator can do.
+/// Why an arm can't be connected or recovered. Its text contains the operator's next step.
 pub type ArmError = Box<dyn Error + Send + Sync>;
 
-/// One arm of one job, before and between connections. The only thing that a program knows of a backend.
+/// Connector to one arm of one job: the backend's interface to the program, before and between connections.
 pub trait ArmConnector: Send + Sync {
     /// Name of the physical arm for the lock against a second program: `franka/172.16.0.2`. `None` for a simulated arm.
     fn lock_name(&self) -> Option<String> {

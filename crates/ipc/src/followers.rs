@@ -92,7 +92,7 @@ pub(super) struct Followers {
 
 /// Maximum remembered followers, more than can be connected at once; the oldest is dropped.
 const MAX_FOLLOWERS: usize = 16;
-/// FollowerEvent that nobody takes are bounded, too.
+/// Maximum pending events; the oldest is dropped.
 const MAX_PENDING_EVENTS: usize = 64;
 
 impl Followers {

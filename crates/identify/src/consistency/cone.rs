@@ -1,7 +1,7 @@
-//! The cone that consistent parameters live in: one positive semi-definite 4 x 4 matrix per link and one number per rotor.
+//! Cone of consistent parameters: one positive semi-definite 4 x 4 matrix per link and one non-negative number per rotor.
 //!
 //! Coordinates of a symmetric matrix `X` are `[X00 X11 X22 X33 r X01 r X02 r X03 r X12 r X13 r X23]` with `r = sqrt(2)`, so that the
-//! product of two coordinate vectors is `tr(X Y)`. A rotor has one coordinate, its inertia over the prior's.
+//! product of two coordinate vectors is `tr(X Y)`. A rotor has one coordinate, the ratio of its inertia to the prior's.
 
 use nalgebra::{DVector, DVectorView, Matrix4, SMatrix, SVector};
 use plumbline_core::symmetric_eigen;
@@ -41,12 +41,12 @@ pub fn congruence(r: &Matrix4<f64>) -> SMatrix<f64, LINK, LINK> {
     map
 }
 
-/// How many blocks of either kind a cone has.
+/// Numbers of blocks of a cone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
     /// 4 x 4 blocks.
     pub links: usize,
-    /// 1 x 1 blocks, behind the links.
+    /// 1 x 1 blocks, after the links.
     pub rotors: usize,
 }
 
@@ -102,7 +102,7 @@ impl Factor {
     }
 }
 
-/// A point inside the cone with what the solvers need of it.
+/// Interior point of the cone with its factorisation.
 pub struct Inside {
     shape: Shape,
     /// Lower Cholesky factors and their inverses.

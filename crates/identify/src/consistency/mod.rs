@@ -1,14 +1,14 @@
-//! Physical consistency: the nearest standard parameters that real bodies can have.
+//! Physical consistency: the nearest standard parameters of physically possible bodies.
 //!
-//! Base parameters `beta = K delta` say nothing about 25 of a Panda's 70 standard parameters, and noise can carry them to where no
-//! `delta` of real bodies gives them. [`nearest`] finds, with every link's pseudo-inertia `J_i(delta_i)` positive definite
+//! Base parameters `beta = K delta` leave 25 of a Panda's 70 standard parameters undetermined, and with noise no physically possible `delta`
+//! may exist. [`nearest`] finds, with every link's pseudo-inertia `J_i(delta_i)` positive definite
 //! ([`plumbline_model::is_consistent`]) and every rotor inertia positive,
 //!
 //! - where `beta` is consistent: the `delta` with `K delta = beta` that is nearest to a prior in the entropic divergence;
 //! - else: the `delta` that minimises `(beta - K delta)' C^-1 (beta - K delta)` with `C` the estimate's covariance.
 //!
 //! `C` is the marginal covariance of the rigid-body and rotor parameters, so that the result is the minimum over all parameters at once:
-//! friction and offsets are under no constraint, and move with the others as their correlation says ([`Nearest::beta`]).
+//! friction and offsets are unconstrained and change with the others by their correlation ([`Nearest::beta`]).
 
 mod cone;
 mod prior;
@@ -22,7 +22,7 @@ use nalgebra::{DMatrix, DVector};
 use plumbline_model::{LinkParameters, Structure, is_consistent};
 use space::{Map, Metric, Space};
 
-/// How well the parameters are known.
+/// Uncertainty of the parameters.
 #[derive(Clone, Copy, Debug)]
 pub enum Uncertainty<'a> {
     /// Covariance of all columns of the structure, and which of them the data determined.
@@ -31,19 +31,19 @@ pub enum Uncertainty<'a> {
     Deviations(&'a [Option<f64>]),
 }
 
-/// What the distances are measured by.
+/// Metric of the distances.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Weights {
     /// The whole covariance.
     Covariance,
     /// Standard deviations, as if the parameters were independent.
     Deviations,
-    /// One per cent of every parameter's size, because nothing is known.
+    /// One per cent of every parameter's size, without any known standard deviation.
     Relative,
 }
 
 impl Weights {
-    /// For people.
+    /// Description for reports.
     pub fn text(&self) -> &'static str {
         match self {
             Weights::Covariance => "in the estimate's covariance",
@@ -53,14 +53,14 @@ impl Weights {
     }
 }
 
-/// Standard parameters of real bodies, and how far they are from the estimate.
+/// Nearest consistent standard parameters, and their distance to the estimate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Nearest {
     /// Standard parameters of every link.
     pub links: Vec<LinkParameters>,
-    /// Rotor inertia of every joint, through its gear; zero where the model has no such term \[kg m2\].
+    /// Rotor inertia of every joint, reflected through its gear; zero where the model has no such term \[kg m2\].
     pub rotors: Vec<f64>,
-    /// The parameters of all columns that these have: `K delta` for the rigid body; friction and offsets moved along with it.
+    /// Parameters of all columns: `K delta` for the rigid body; friction and offsets by their correlation with it.
     pub beta: Vec<f64>,
     /// Whether the rigid-body parameters of the estimate are reproduced to rounding.
     pub exact: bool,
@@ -68,24 +68,26 @@ pub struct Nearest {
     pub distance: f64,
     /// How far every column moved, in its standard deviations.
     pub moved: Vec<f64>,
-    /// What the distances are measured by.
+    /// Metric of the distance.
     pub weights: Weights,
     /// Linear systems that were solved.
     pub iterations: usize,
 }
 
-/// Why there is no result.
+/// Why no consistent parameters were found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ConsistencyError {
-    /// A body of the prior that can't be.
-    #[error("link {link} of the prior is no body: its pseudo-inertia is not positive definite ({parameters:?})")]
+    /// An inconsistent body of the prior.
+    #[error(
+        "link {link} of the prior is not physically consistent: its pseudo-inertia is not positive definite ({parameters:?})"
+    )]
     Prior {
         /// Counted from 1.
         link: usize,
         /// Its standard parameters.
         parameters: LinkParameters,
     },
-    /// A rotor of the prior that can't be.
+    /// A rotor inertia of the prior that is not positive.
     #[error("the rotor inertia of joint {joint} in the prior is {value}, not positive")]
     Rotor {
         /// Counted from 1.
@@ -93,24 +95,24 @@ pub enum ConsistencyError {
         /// Its inertia.
         value: f64,
     },
-    /// Numbers that no method copes with.
+    /// Values that are not finite, or no convergence.
     #[error("no consistent parameters were found: the parameters or their covariance are not usable numbers")]
     Failed,
 }
 
-/// The least that any direction of a link's `J` may be where the estimate is not consistent, over the prior's: bodies as thin as a
+/// Minimum ratio of a link's `J` to the prior's in any direction, where the estimate is not consistent. The bodies' thickness is at least a
 /// hundredth of the prior's, so that a simulator can use them.
 pub const FLOOR: f64 = 1e-4;
-/// Newton steps in which consistent parameters are expected to be reproduced.
+/// Maximum Newton steps for reproducing consistent parameters.
 const EXACT_STEPS: usize = 15;
-/// Distance of the nearest body below which it is tried again, in standard deviations, and the steps that this may take.
+/// Distance of the nearest body in standard deviations below which the exact problem is tried again, and its maximum steps.
 const EDGE: f64 = 0.05;
 const EDGE_STEPS: usize = 60;
 
 /// Finds the nearest consistent parameters of `beta`, one value per column of `structure`.
 ///
 /// # Errors
-/// A prior that is no body; numbers that are not finite.
+/// An inconsistent prior; values that are not finite.
 ///
 /// # Panics
 /// When the sizes of `beta`, `uncertainty` and `prior` are not those of the structure.
@@ -127,8 +129,8 @@ pub fn nearest(
     let target = DVector::from_iterator(map.rows.len(), map.rows.iter().map(|&row| beta[row]));
     let space = |floor| Space::new(&map, prior, floor).ok_or(ConsistencyError::Failed);
 
-    // Consistent parameters first: they take about ten steps. Those at the very edge take more, and are worth them only when the
-    // nearest body is next to none away.
+    // Consistent parameters first: about ten steps. Parameters at the boundary of the cone take more steps; they are tried again only when
+    // // the nearest body is very close.
     let strict = space(0.0)?;
     let problem = strict.problem(&map, &metric, &target);
     let mut attempt = solve::exact(&problem, EXACT_STEPS);
@@ -179,7 +181,7 @@ pub fn nearest(
     Ok(Nearest { links, rotors, beta: now, exact, distance, moved, weights: metric.weights, iterations })
 }
 
-/// The parameters that bodies and rotors have: the structure's columns that they determine, with their values.
+/// Parameters of given bodies and rotors: the structure's columns that they determine, with their values.
 pub fn parameters_of(structure: &Structure, links: &[LinkParameters], rotors: &[f64]) -> Vec<(usize, f64)> {
     let n = structure.chain().len();
     assert_eq!((links.len(), rotors.len()), (n, n), "one body and one rotor per joint");
@@ -190,7 +192,7 @@ pub fn parameters_of(structure: &Structure, links: &[LinkParameters], rotors: &[
     map.rows.iter().copied().zip(values.iter().copied()).collect()
 }
 
-/// Takes what rounding left over to where it stands alone, so that `K delta` is the target.
+/// Removes the rounding error through variables with one row each, so that `K delta` is the target.
 fn polished(map: &Map, target: &DVector<f64>, mut delta: DVector<f64>) -> DVector<f64> {
     let rest = target - &map.k * &delta;
     for (&own, rest) in map.own.iter().zip(&rest) {

@@ -1,28 +1,27 @@
-//! What is assumed about a body where the data says nothing.
+//! Prior of bodies and rotors where the data does not determine them.
 
 use nalgebra::{DVector, Matrix4, Vector3};
 use plumbline_model::{LinkParameters, Structure, link_parameters, pseudo_inertia};
 
-/// Thickness of a link (standard deviation of its mass across its length) over the length of the whole arm.
-const THICKNESS: f64 = 0.06;
+/// Ratio of a link's thickness (standard deviation of its mass across its length) to the length of the arm.
+const THICKNESS_RATIO: f64 = 0.06;
 /// Thickness of an arm without lengths \[m\].
-const LEAST_THICKNESS: f64 = 0.01;
-/// Mass of a link where the parameters don't tell the arm's size \[kg\].
-const USUAL_MASS: f64 = 1.0;
+const MIN_THICKNESS: f64 = 0.01;
+/// Mass of a link where the parameters do not determine the arm's mass \[kg\].
+const DEFAULT_MASS: f64 = 1.0;
 
-/// Bodies and rotors that are taken where the estimate leaves a choice. It never outweighs data: consistent parameters are reproduced
-/// whatever the prior is.
+/// Bodies and rotors for undetermined directions. Consistent parameters are reproduced for any prior.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prior {
     /// One body per link, with a positive definite pseudo-inertia.
     pub links: Vec<LinkParameters>,
-    /// Rotor inertia of each joint seen through its gear, positive \[kg m2\] (prismatic: kg).
+    /// Rotor inertia of each joint reflected through its gear, positive \[kg m2\] (prismatic: kg).
     pub rotors: Vec<f64>,
 }
 
 impl Prior {
-    /// A rod of even density from every link's frame to the next one's, all of one mass, which makes the whole as heavy as the base
-    /// parameters among `beta` (one value per column of `structure`) say.
+    /// Uniform rods of equal mass between consecutive link frames. The mass is a least-squares fit to the base parameters among `beta` (one
+    /// value per column of `structure`).
     pub fn of_geometry(structure: &Structure, beta: &[f64]) -> Prior {
         assert_eq!(beta.len(), structure.columns().len(), "one value per column");
         let (chain, reduction) = (structure.chain(), structure.reduction());
@@ -33,7 +32,7 @@ impl Prior {
         };
         let ends: Vec<Vector3<f64>> = (0..n).map(end).collect();
         let reach: f64 = ends.iter().map(|end| end.norm()).sum();
-        let thickness = (THICKNESS * reach).max(LEAST_THICKNESS);
+        let thickness = (THICKNESS_RATIO * reach).max(MIN_THICKNESS);
         let unit: Vec<LinkParameters> = ends.iter().map(|end| rod(end, thickness)).collect();
 
         // The mass that fits best, every parameter weighted by its size for unit masses.
@@ -45,7 +44,7 @@ impl Prior {
             with += unit * beta / (size * size);
         }
         let fits = with / own;
-        let mass = if fits.is_finite() && fits > 0.0 { fits } else { USUAL_MASS };
+        let mass = if fits.is_finite() && fits > 0.0 { fits } else { DEFAULT_MASS };
         let links: Vec<LinkParameters> = unit.iter().map(|link| link.map(|value| mass * value)).collect();
         Prior { rotors: links.iter().map(|link| link[5]).collect(), links }
     }
@@ -65,8 +64,8 @@ fn rod(end: &Vector3<f64>, thickness: f64) -> LinkParameters {
     link_parameters(&j)
 }
 
-/// How large the parameters of such bodies are, whatever the directions of their axes: the second moment, its root times that of the
-/// mass, and the mass. 10 n.
+/// Scale of the parameters of such bodies, independent of the axes' directions: second moment, square root of second moment times mass,
+/// and mass. 10 n.
 pub fn sizes(links: &[LinkParameters]) -> DVector<f64> {
     let size = |link: &LinkParameters| {
         let j = pseudo_inertia(link);

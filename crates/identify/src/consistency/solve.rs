@@ -1,4 +1,4 @@
-//! The two convex problems behind consistency, in coordinates in which the prior is the identity.
+//! The two convex problems of consistency, in coordinates in which the prior is the identity.
 //!
 //! Exact: the point `B` of the cone with `K B = t` that is nearest to the prior in the entropic (log-det) divergence
 //! `D(B) = tr B - log det B - order` (Lee, Park 2018, "A geometric algorithm for robust multibody inertial parameter
@@ -27,17 +27,17 @@ pub struct Problem {
 
 /// Newton decrement at which the exact problem is solved: the next step changes the point by less than rounding does.
 const DECREMENT: f64 = 1e-9;
-/// Steps that the nearest point may take.
-const NEAREST_STEPS: usize = 60;
+/// Maximum steps for the nearest point.
+const MAX_NEAREST_STEPS: usize = 60;
 /// Weight at which the barrier stays, as a bound on what is left to gain on `r' C^-1 r / 2`, relative to 1 + its value. It is not
-/// smaller, because some estimates have no nearest point, only ever heavier bodies that are ever nearer by less: the last hundredth of a
-/// standard deviation is not worth a tonne.
+/// smaller, because for some estimates the infimum is not attained: ever heavier bodies come ever nearer. The last hundredth of a
+/// standard deviation does not justify a mass of tonnes.
 pub const GAP: f64 = 1e-4;
 /// Bound on the equations left open, in standard deviations, relative to 1 + the distance.
 const OPEN: f64 = 1e-7;
-/// How far from the central path the last point may be.
+/// Maximum relative distance of the last point from the central path.
 const CENTRED: f64 = 0.1;
-/// Share of the way to the cone's boundary that one step may go.
+/// Maximum ratio of a step to the distance to the cone's boundary.
 const BACK_OFF: f64 = 0.95;
 
 /// The exact problem: its solution and the Newton steps it took, or the steps after which it was given up, `most` or less.
@@ -76,8 +76,8 @@ fn dual_derivatives(
     (&problem.target - problem.kt.tr_mul(b), gram(z))
 }
 
-/// Minimises `-sum log(1 + a e) - a slope` over the steps `a >= 0` that stay in the cone, slope negative at 0. `None` where it falls
-/// for ever: then no point of the cone meets the target (Farkas).
+/// Minimises `-sum log(1 + a e) - a slope` over the steps `a >= 0` that stay in the cone, slope negative at 0. `None` where it is unbounded
+/// below: then no point of the cone meets the target (Farkas).
 fn line_search(e: &[f64], slope: f64) -> Option<f64> {
     let derivative = |a: f64| -e.iter().map(|e| e / (1.0 + a * e)).sum::<f64>() - slope;
     let curvature = |a: f64| e.iter().map(|e| (e / (1.0 + a * e)).powi(2)).sum::<f64>();
@@ -105,22 +105,22 @@ fn line_search(e: &[f64], slope: f64) -> Option<f64> {
     Some(low)
 }
 
-/// The nearest point, its multiplier `y` (`C y = t - K B`), and the steps it took. `None` where it does not converge, which numbers
-/// that are finite have not shown.
+/// The nearest point, its multiplier `y` (`C y = t - K B`), and the steps it took. `None` where it does not converge, which has not
+/// been observed with finite values.
 pub fn nearest(problem: &Problem) -> Option<(DVector<f64>, DVector<f64>, usize)> {
     let Problem { shape, kt, c, target } = problem;
     let identity = shape.identity();
     let order = shape.order();
     let mut b = identity.clone();
     let mut y = DVector::zeros(target.len());
-    // The first barrier weighs as much as the residual of the prior does.
+    // Initial barrier weight: of the size of the prior's residual.
     let residual = target - kt.tr_mul(&b);
     let weighed = residual.iter().enumerate().map(|(r, value)| value * value / c[(r, r)]).sum::<f64>();
     // The barrier's weight: `z = mu I - K' y` all along, and `B Z = mu I` but for the steps' curvature.
     let mut mu = (weighed / order).max(1.0);
     let mut z = &identity * mu;
     let mut scaled = kt.clone();
-    for iterations in 1..=NEAREST_STEPS {
+    for iterations in 1..=MAX_NEAREST_STEPS {
         let inside = Inside::new(*shape, &b)?;
         let dual = Inside::new(*shape, &z)?;
         let open = target - kt.tr_mul(&b) - c * &y;
@@ -152,13 +152,13 @@ pub fn nearest(problem: &Problem) -> Option<(DVector<f64>, DVector<f64>, usize)>
             (BACK_OFF * inside.longest_step(d_b).min(dual.longest_step(d_z))).min(1.0)
         };
 
-        // Predictor: as far as a step without a barrier gets tells how much barrier the real step needs.
+        // Predictor: the progress of a step without a barrier determines the barrier weight of the corrector.
         let (_, scaled_d_b, d_z) = direction(0.0, None);
         let d_b = factor.apply(&scaled_d_b, false);
         let a = step(&d_b, &d_z);
         let ahead = (&b + &d_b * a).dot(&(&z + &d_z * a)) / order;
         let weight = (mu * (ahead / b.dot(&z) * order).clamp(0.0, 1.0).powi(3)).max(least);
-        // The real step goes the predictor's way by the share that the barrier is lowered by, and its second order by the square of it.
+        // Corrector: the second-order term is scaled by the square of the ratio by which the barrier is lowered.
         let share = 1.0 - (weight / mu).min(1.0);
         let second_order = scaling.second_order(&scaled_d_b, &factor.apply(&d_z, true)) * (share * share);
         let (d_y, scaled_d_b, d_z) = direction(weight, Some(&second_order));
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn gradient_and_hessian_are_those_of_the_differences() {
+    fn gradient_and_hessian_agree_with_differences() {
         let mut rng = ChaCha8Rng::seed_from_u64(11);
         let problem = problem(&mut rng, 2, 1, 9, 0.1);
         let nu = normal(&mut rng, 9, 1).column(0) * 0.02;
@@ -267,7 +267,7 @@ mod tests {
             // Up to the barrier that is left.
             let mu = GAP * (1.0 + 0.5 * distance * distance) / problem.shape.order();
             let z = problem.shape.identity() * (1.1 * mu) - &problem.kt * &y;
-            assert!(Inside::new(problem.shape, &z).is_some(), "round {round}: some body pulls nearer");
+            assert!(Inside::new(problem.shape, &z).is_some(), "round {round}: a nearer body exists");
             let product = b.dot(&z) / problem.shape.order();
             assert!(product < 2.0 * mu * (1.0 + b.amax()), "round {round}: {product} {mu}");
         }
@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn the_scaling_takes_both_points_to_one_diagonal() {
+    fn the_scaling_maps_both_points_to_one_diagonal() {
         let mut rng = ChaCha8Rng::seed_from_u64(14);
         let shape = Shape { links: 1, rotors: 1 };
         let mut point = || {

@@ -1,4 +1,4 @@
-//! From parameters to the coordinates in which [`super::solve`] works, and back.
+//! Maps between parameters and the coordinates of [`super::solve`].
 
 use super::cone::{LINK, Shape, coordinates, matrix};
 use super::prior::{Prior, sizes, stacked};
@@ -8,12 +8,12 @@ use nalgebra::{DMatrix, DVector, Matrix4};
 use plumbline_model::term::rotor_inertia;
 use plumbline_model::{Structure, link_parameters, pseudo_inertia};
 
-/// Standard deviation over size of a parameter where none is known.
-const RELATIVE: f64 = 0.01;
-/// Standard deviation over size of a parameter that the data does not determine.
-const UNDETERMINED: f64 = 10.0;
-/// No standard deviation is smaller than this share of the parameter's size, so that exact data has finite weights.
-const LEAST_DEVIATION: f64 = 1e-9;
+/// Ratio of standard deviation to size of a parameter where none is known.
+const UNKNOWN_STD_RATIO: f64 = 0.01;
+/// Ratio of standard deviation to size of an undetermined parameter.
+const UNDETERMINED_STD_RATIO: f64 = 10.0;
+/// Minimum ratio of standard deviation to size of a parameter, so that exact data has finite weights.
+const MIN_STD_RATIO: f64 = 1e-9;
 /// Added to every correlation's diagonal, so that directions without noise can be solved for.
 const RIDGE: f64 = 1e-12;
 
@@ -25,7 +25,7 @@ pub struct Map {
     pub rotors: Vec<usize>,
     /// rows x (10 n + rotors).
     pub k: DMatrix<f64>,
-    /// For every row a variable that stands in it with coefficient 1 and in no other row.
+    /// For every row a variable with coefficient 1 in it and 0 in all others.
     pub own: Vec<usize>,
 }
 
@@ -98,7 +98,7 @@ pub struct Metric {
 }
 
 impl Metric {
-    /// Of what is known; a row that is not known at all is given a deviation by its size in `usual` bodies, whatever the prior is.
+    /// Metric of the known uncertainty. A row without a standard deviation gets one by its size for `usual` bodies, independent of the prior.
     pub fn of(map: &Map, uncertainty: Uncertainty, usual: &Prior) -> Metric {
         let (deviations_of, weights) = match uncertainty {
             Uncertainty::Covariance(_, deviations) => (deviations, Weights::Covariance),
@@ -108,9 +108,9 @@ impl Metric {
             Uncertainty::Deviations(deviations) => (deviations, Weights::Relative),
         };
         let size = map.sizes(usual);
-        let unknown = if weights == Weights::Relative { RELATIVE } else { UNDETERMINED };
+        let unknown = if weights == Weights::Relative { UNKNOWN_STD_RATIO } else { UNDETERMINED_STD_RATIO };
         let deviation = |(&row, size): (&usize, &f64)| match deviations_of[row] {
-            Some(deviation) => deviation.max(LEAST_DEVIATION * size),
+            Some(deviation) => deviation.max(MIN_STD_RATIO * size),
             None => unknown * size,
         };
         let rows = map.rows.len();
@@ -130,7 +130,7 @@ impl Metric {
     }
 }
 
-/// The way from a point of the cone to parameters: `J_i = (1 - floor) L_i B_i L_i' + floor J0_i` with `J0_i = L_i L_i'` the prior's.
+/// Map from a point of the cone to parameters: `J_i = (1 - floor) L_i B_i L_i' + floor J0_i` with `J0_i = L_i L_i'` the prior's.
 pub struct Space {
     prior: DVector<f64>,
     roots: Vec<Matrix4<f64>>,
@@ -138,7 +138,7 @@ pub struct Space {
 }
 
 impl Space {
-    /// `None` where a body of the prior is none.
+    /// `None` where a body of the prior is inconsistent.
     pub fn new(map: &Map, prior: &Prior, floor: f64) -> Option<Space> {
         let root = |link| pseudo_inertia(link).cholesky().map(|factor| factor.l());
         let roots = prior.links.iter().map(root).collect::<Option<_>>()?;

@@ -6,8 +6,8 @@ use super::SignalError;
 use super::spectral::Spectral;
 use std::f64::consts::PI;
 
-/// Decay to which the padding lets the filter's slowest mode settle, as a number of its time constants (`exp(-20) = 2e-9`).
-const SETTLED: f64 = 20.0;
+/// Padding in time constants of the filter's slowest mode (`exp(-20) = 2e-9`).
+const SETTLING_TIME_CONSTANTS: f64 = 20.0;
 
 /// `y = b0 (x + 2 x_1 + x_2) - a1 y_1 - a2 y_2`, unit gain at 0 Hz.
 #[derive(Clone, Copy, Debug)]
@@ -46,7 +46,7 @@ impl Butterworth {
         Ok(Butterworth { sections, order, cutoff, rate })
     }
 
-    /// `[b0, a1, a2]` of its second-order sections, `y = b0 (x + 2 x_1 + x_2) - a1 y_1 - a2 y_2`, for who runs them forward alone.
+    /// `[b0, a1, a2]` of its second-order sections, `y = b0 (x + 2 x_1 + x_2) - a1 y_1 - a2 y_2`, for a forward-only filter.
     pub fn coefficients(&self) -> impl Iterator<Item = [f64; 3]> + '_ {
         self.sections.iter().map(|section| [section.b0, section.a1, section.a2])
     }
@@ -57,13 +57,13 @@ impl Butterworth {
         1.0 / (1.0 + ratio.abs().powi(2 * self.order as i32))
     }
 
-    /// Time after which the filter has forgotten a step at the edge of a record \[s\]; the padding of [`Butterworth::zero_phase`].
+    /// Settling time of the filter \[s\]: the padding of [`Butterworth::zero_phase`].
     pub fn settling(&self) -> f64 {
-        SETTLED / (2.0 * PI * self.cutoff * (PI / (2 * self.order) as f64).sin())
+        SETTLING_TIME_CONSTANTS / (2.0 * PI * self.cutoff * (PI / (2 * self.order) as f64).sin())
     }
 
     /// Filters a record forward and backward. Both ends are continued by their odd reflection for [`Butterworth::settling`] (at
-    /// most the record's own length), so that neither a value nor a slope at an end starts a transient.
+    /// most the record's own length), so that neither a value nor a slope at an end causes a transient.
     pub fn zero_phase(&self, x: &[f64]) -> Vec<f64> {
         let n = x.len();
         if n < 2 {
@@ -83,12 +83,12 @@ impl Butterworth {
         y
     }
 
-    /// Filters one period of a periodic signal exactly as if it went on for ever: the gain is applied to its spectrum.
+    /// Filters one period of an infinite periodic signal exactly: the gain is applied to its spectrum.
     pub fn zero_phase_periodic(&self, spectral: &mut Spectral, x: &[f64]) -> Vec<f64> {
         spectral.filter(x, |f| self.zero_phase_gain(f))
     }
 
-    /// One run through the cascade in place, started as if the first value had lasted for ever.
+    /// Forward filter in place, initialised in steady state at the first value.
     fn forward(&self, y: &mut [f64]) {
         for s in &self.sections {
             let start = y[0];
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_orders_and_cutoffs_are_refused_with_their_values() {
+    fn invalid_orders_and_cutoffs_are_errors() {
         assert_eq!(Butterworth::new(3, 1.0, 10.0).unwrap_err(), SignalError::Order { order: 3 });
         assert_eq!(Butterworth::new(4, 5.0, 10.0).unwrap_err(), SignalError::Cutoff { cutoff: 5.0, nyquist: 5.0 });
         assert!(Butterworth::new(4, f64::NAN, 10.0).is_err());

@@ -1,4 +1,4 @@
-//! Central differences, for records that do not repeat.
+//! Central differences for aperiodic records.
 //!
 //! The paper differentiates filtered positions by central differences. The stencil here is the nine-point one (error of
 //! order `dt^8`): with the three-point one a 2 Hz motion sampled at 100 Hz loses 0.3 % of its velocity.
@@ -12,8 +12,8 @@ const SECOND: [&[f64]; 4] =
 
 /// First and second derivative of a signal sampled every `dt` \[s\].
 ///
-/// A periodic signal wraps round. Otherwise the stencil narrows towards the ends, and an end itself takes the value beside
-/// it; both lie in the part of a record that is cut off after filtering. Needs at least 3 samples (9 when periodic).
+/// A periodic signal wraps around. Otherwise the stencil narrows towards the ends, and an end takes the value of its
+/// neighbour; both are in the part of a record that is cut off after filtering. Needs at least 3 samples (9 when periodic).
 pub fn derivatives(x: &[f64], dt: f64, periodic: bool) -> [Vec<f64>; 2] {
     let n = x.len();
     assert!(n >= if periodic { 9 } else { 3 }, "{n} samples are too few for a central difference");
@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn a_periodic_signal_wraps_round() {
+    fn a_periodic_signal_wraps_around() {
         let n = 200;
         let w = 2.0 * std::f64::consts::PI / n as f64;
         let x: Vec<f64> = (0..n).map(|k| (3.0 * w * k as f64).sin()).collect();

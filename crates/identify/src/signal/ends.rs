@@ -1,9 +1,9 @@
-//! The ends of a record that does not repeat.
+//! Treatment of the ends of an aperiodic record.
 //!
-//! A zero-phase filter must guess how a record goes on past its ends. The odd reflection continues value and slope but turns the
-//! curvature round, and that error is largest in the second derivative. A polynomial with the record's own value, slope and curvature at
-//! both ends takes all three out first: Butterworth filters pass it unchanged, its derivatives are known, and the remainder
-//! starts and ends flat.
+//! A zero-phase filter must extrapolate a record past its ends. The odd reflection continues value and slope but inverts the
+//! curvature, which causes errors in the second derivative. A polynomial with the record's value, slope and curvature at both ends is
+//! subtracted first. Butterworth filters pass it unchanged, its derivatives are known, and the remainder has zero value, slope and curvature at
+//! its ends.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
@@ -19,13 +19,13 @@ impl Quintic {
     /// polynomials through the first and last `window` \[s\]. The whole record when that is shorter; at least 8 samples are needed.
     pub fn through_ends(x: &[f64], dt: f64, window: f64) -> Quintic {
         let n = x.len();
-        assert!(n >= 8, "{n} samples have no ends");
+        assert!(n >= 8, "{n} samples, expected at least 8");
         let count = ((window / dt).round() as usize + 1).clamp(8, n);
         let span = (n - 1) as f64 * dt;
         let start = end_point(x[..count].iter().copied(), dt);
         let [value, slope, curvature] = end_point(x[n - count..].iter().rev().copied(), dt);
         let [c0, c1, c2] = [start[0], start[1], 0.5 * start[2]];
-        // What the last three coefficients have to add at the end (slope reversed: that end was walked backwards).
+        // Contribution of the last three coefficients at the end (slope negated: that end was fitted backwards).
         let missing = Vector3::new(
             value - (c0 + c1 * span + c2 * span * span),
             (-slope - c1 - 2.0 * c2 * span) * span,
@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_remainder_is_flat_at_both_ends() {
+    fn the_polynomial_has_the_record_s_derivatives_at_both_ends() {
         let dt = 0.002;
         let f = |t: f64| 0.7 * (2.3 * t + 0.4).sin() + 0.2 * (5.0 * t).cos();
         let x: Vec<f64> = (0..4001).map(|k| f(k as f64 * dt)).collect();
@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quintic_is_its_own() {
+    fn a_polynomial_is_reproduced() {
         let f = |t: f64| 1.0 - 2.0 * t + 0.5 * t * t + 0.3 * t * t * t - 0.1 * t.powi(4);
         let x: Vec<f64> = (0..101).map(|k| f(k as f64 * 0.01)).collect();
         let quintic = Quintic::through_ends(&x, 0.01, 0.5);

@@ -1,4 +1,4 @@
-//! Signal processing without phase: filters, derivatives, even time grids.
+//! Zero-phase signal processing: filters, derivatives, even time grids.
 
 pub mod butterworth;
 pub mod difference;
@@ -9,21 +9,21 @@ pub mod spectral;
 /// Why a signal could not be processed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SignalError {
-    /// A Butterworth low-pass needs an even order, so that it is a product of second-order sections.
+    /// The order of a Butterworth low-pass must be even, a product of second-order sections.
     #[error("filter order {order}: expected an even number from 2 to 40")]
     Order {
-        /// The order asked for.
+        /// The requested order.
         order: usize,
     },
     /// The cut-off must lie between 0 and half the sampling rate.
     #[error("cut-off {cutoff} Hz: expected more than 0 and less than {nyquist} Hz, half the sampling rate")]
     Cutoff {
-        /// The cut-off asked for \[Hz\].
+        /// The requested cut-off \[Hz\].
         cutoff: f64,
         /// Half the sampling rate \[Hz\].
         nyquist: f64,
     },
-    /// Too few samples to work with.
+    /// Too few samples.
     #[error("{samples} samples: expected at least {needed}")]
     TooShort {
         /// Samples there are.
@@ -41,7 +41,7 @@ pub enum SignalError {
         /// The value found.
         value: f64,
     },
-    /// Signals that belong together have different lengths.
+    /// Related signals have different lengths.
     #[error("{what}: {found} rows, expected {expected}")]
     Shape {
         /// The signal.
@@ -59,7 +59,7 @@ pub enum SignalError {
     },
 }
 
-/// Samples to keep one of: `n_d = 2 pi 0.8 f_m / omega_fp` with `omega_fp = 2 pi f_fp` (paper eq. 16), at least 1.
+/// Decimation factor: `n_d = 2 pi 0.8 f_m / omega_fp` with `omega_fp = 2 pi f_fp` (paper eq. 16), at least 1.
 ///
 /// `rate` is the measurement frequency `f_m` and `passband` the `f_fp` of the rule, twice the highest frequency of interest or
 /// more \[Hz\].

@@ -1,10 +1,10 @@
-//! Brings uneven, missing and repeated samples onto an even time grid, and says what it did.
+//! Resampling of uneven, missing and repeated samples to an even time grid, with statistics.
 
 use super::SignalError;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-/// What a record's time stamps were like.
+/// Statistics of a record's time stamps.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub struct Sampling {
@@ -12,7 +12,7 @@ pub struct Sampling {
     pub rows: usize,
     /// Rows left out because their time stamp did not advance.
     pub repeated_stamps: usize,
-    /// Rows left out because every value repeats the row before: the arm had not sent a new state.
+    /// Rows left out because every value repeats the previous row: the arm had not sent a new state.
     pub repeated_rows: usize,
     /// Samples of the even grid that fall into a gap of more than one and a half steps; they are interpolated.
     pub missing: usize,
@@ -31,16 +31,16 @@ pub struct Even {
     pub start: f64,
     /// Values, N x columns.
     pub values: DMatrix<f64>,
-    /// Whether a sample fell into a gap and had to be interpolated across it.
+    /// Whether a sample was interpolated across a gap.
     pub filled: Vec<bool>,
-    /// What was done.
+    /// Statistics of the resampling.
     pub sampling: Sampling,
 }
 
-/// A row that repeats its predecessor within this many steps counts as a repeat; later, the arm may simply stand still.
+/// Steps within which equal rows count as repeats; after more steps the arm may be at rest.
 const STALE_STEPS: f64 = 12.0;
 
-/// Resamples `values` (rows at times `t` \[s\]) with step `dt` \[s\]; `None` takes the median time between rows that brought news.
+/// Resamples `values` (rows at times `t` \[s\]) with step `dt` \[s\]; `None` for the median time between distinct rows.
 ///
 /// Between rows the values follow the cubic through the four rows around them, across gaps the straight line. Errors: non-finite values, mismatched lengths, fewer than 16 usable rows.
 pub fn resample(t: &[f64], values: &DMatrix<f64>, dt: Option<f64>) -> Result<Even, SignalError> {
@@ -151,7 +151,7 @@ fn median_step(t: &[f64], rows: &[usize]) -> Result<f64, SignalError> {
     Ok(*steps.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// Time stamps are printed with few digits: a step of 0.000999999 s means 1 ms.
+/// Rounds a step to whole microseconds where it is near: time stamps have few digits.
 fn tidy_step(dt: f64) -> f64 {
     let rounded = (dt * 1e6).round() / 1e6;
     if rounded > 0.0 && (dt - rounded).abs() < 2e-3 * dt { rounded } else { dt }
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn an_even_record_comes_back_as_it_is() {
+    fn an_even_record_is_unchanged() {
         let t: Vec<f64> = (0..500).map(|k| 3.0 + k as f64 * 1e-3).collect();
         let values = DMatrix::from_fn(500, 2, |k, c| signal(t[k])[c]);
         let even = resample(&t, &values, None).unwrap();
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn jitter_gaps_and_repeats_are_undone_and_counted() {
+    fn jitter_gaps_and_repeats_are_corrected_and_counted() {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let (mut t, mut rows) = (Vec::new(), Vec::new());
         for k in 0..4000 {
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_that_is_not_a_number_is_named() {
+    fn the_error_of_a_non_finite_value_contains_its_position() {
         let t: Vec<f64> = (0..20).map(|k| k as f64).collect();
         let mut values = DMatrix::zeros(20, 2);
         values[(4, 1)] = f64::NAN;

@@ -21,7 +21,7 @@ impl fmt::Debug for Spectral {
 }
 
 impl Spectral {
-    /// For periods of `samples` samples, `dt` apart \[s\].
+    /// Transform of periods of `samples` samples, `dt` apart \[s\].
     pub fn new(samples: usize, dt: f64) -> Spectral {
         let mut planner = RealFftPlanner::new();
         Spectral { forward: planner.plan_fft_forward(samples), inverse: planner.plan_fft_inverse(samples), samples, dt }
@@ -59,7 +59,7 @@ impl Spectral {
         x
     }
 
-    /// Multiplies every frequency \[Hz\] by a real gain: a filter without phase.
+    /// Zero-phase filter: multiplies the spectrum by a real gain of the frequency \[Hz\].
     pub fn filter(&mut self, x: &[f64], gain: impl Fn(f64) -> f64) -> Vec<f64> {
         let mut spectrum = self.transform(x);
         for (m, value) in spectrum.iter_mut().enumerate() {
@@ -75,7 +75,7 @@ impl Spectral {
         let omega = |m: usize| 2.0 * PI * self.frequency(m);
         let mut first: Vec<_> =
             spectrum.iter().enumerate().map(|(m, value)| value * Complex::new(0.0, omega(m))).collect();
-        // The component at half the rate has no sign, hence no first derivative.
+        // The first derivative of the component at half the rate is zero at the samples.
         if self.samples.is_multiple_of(2) {
             first[self.samples / 2] = Complex::new(0.0, 0.0);
         }
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn a_brick_wall_keeps_what_lies_below_it() {
+    fn an_ideal_low_pass_keeps_lower_frequencies() {
         let samples = 500;
         let low = |k: usize| (2.0 * PI * 3.0 * k as f64 / 500.0).sin();
         let x: Vec<f64> = (0..samples).map(|k| low(k) + (2.0 * PI * 40.0 * k as f64 / 500.0).cos()).collect();

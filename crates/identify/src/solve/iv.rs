@@ -1,17 +1,16 @@
-//! Instrumental variables: unbiased although the positions, and so the regressor, are noisy.
+//! Instrumental variables: unbiased with noisy positions and hence a noisy regressor.
 //!
-//! Least squares correlates the torques with a regressor that carries the positions' noise; its square does not average out, and pulls
-//! parameters towards zero. Instruments `Z` are like the regressor but do not share its noise. The inverse-dynamics method of Janot,
-//! Vandanjon and Gautier (2014) takes them from a simulated, noise-free motion. Recorded data seldom says how the arm is controlled, but
-//! periodic motions repeat: the regressor of the odd periods is an instrument for that of the even ones, and the other way round. Where
-//! the desired motion was recorded it serves instead, noise-free as the simulated one.
+//! In least squares the square of the regressor's noise does not average out and biases parameters towards zero. Instruments `Z` are
+//! correlated with the regressor but not with its noise. Janot, Vandanjon and Gautier (2014) use a simulated, noise-free motion. Here the
+//! regressor of the odd periods of a periodic motion is the instrument for that of the even ones, and vice versa. A recorded desired motion is
+//! used instead where given.
 
 use super::linear::{Fit, Inverse, Weights, equilibrated, scale_rows};
 use super::stack::Stack;
 use crate::EstimateError;
 use nalgebra::DMatrix;
 
-/// A regressor and an instrument for it, both like `Stack::w`.
+/// A regressor and its instrument, both shaped as `Stack::w`.
 pub struct Pair {
     /// `W`, n m x p.
     pub regressor: DMatrix<f64>,
@@ -22,7 +21,7 @@ pub struct Pair {
 /// `beta = (sum Z' S W)^-1 (sum Z' S tau)` over the pairs, `S` the weights.
 ///
 /// # Errors
-/// No singular value decomposition, which finite data does not cause.
+/// No singular value decomposition; does not occur with finite data.
 pub fn solve(stack: &Stack, pairs: &[Pair], weights: &Weights) -> Result<Fit, EstimateError> {
     let (rows, p) = stack.w.shape();
     // Equilibrated by one scale per column, so that the rank does not depend on the parameters' units.

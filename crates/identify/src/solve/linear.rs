@@ -1,4 +1,4 @@
-//! What the estimators share: weights, and linear equations solved in the directions that the data determines.
+//! Common parts of the estimators: weights, and least squares in the determined directions.
 
 use super::stack::Stack;
 use crate::EstimateError;
@@ -6,25 +6,25 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 use plumbline_core::svd;
 use plumbline_model::ZERO_COLUMN;
 
-/// Directions whose singular value, in equilibrated columns, is below this share of the largest are left undetermined.
+/// Ratio of a singular value (of equilibrated columns) to the largest below which its direction is undetermined.
 const RANK_TOLERANCE: f64 = 1e-7;
-/// The same for a product of two regressors; rounding leaves no smaller ones.
+/// The same ratio for a product of two regressors, limited by rounding.
 const NORMAL_TOLERANCE: f64 = 1e-12;
-/// A joint's noise is taken as at least this share of its torque, so that exact data has finite weights.
-const LEAST_NOISE: f64 = 1e-7;
-/// The largest torque is taken as at least this, so that the weights of torques that are all zero are finite, and their squares, too \[Nm\].
-const LEAST_TORQUE: f64 = 1e-60;
+/// Minimum ratio of a joint's noise to its torque, so that exact data has finite weights.
+const MIN_NOISE_RATIO: f64 = 1e-7;
+/// Minimum of the largest torque \[Nm\], so that the squared weights of zero torques are finite.
+const MIN_TORQUE: f64 = 1e-60;
 
-/// Parameters as a linear map of the torques.
+/// Linear estimate of the parameters.
 #[derive(Clone, Debug)]
 pub struct Fit {
     /// The parameters, p.
     pub beta: DVector<f64>,
-    /// `d beta / d tau`, p x rows: how noise of the torques reaches the parameters.
+    /// `d beta / d tau`, p x rows: the map from torque noise to parameter errors.
     pub projection: DMatrix<f64>,
     /// Number of determined directions.
     pub rank: usize,
-    /// Share of each parameter in the directions left undetermined.
+    /// Share of each parameter in undetermined directions.
     pub null_share: Vec<f64>,
 }
 
@@ -38,24 +38,24 @@ pub struct Weights {
 }
 
 impl Weights {
-    /// Every equation alike.
+    /// Equal weights.
     pub fn none(joints: usize) -> Weights {
         Weights { whitening: DMatrix::identity(joints, joints), rows: None }
     }
 
-    /// By the standard deviation of each joint, n.
+    /// Weights by the standard deviation of each joint, n.
     pub fn per_joint(sigma: &[f64]) -> Weights {
         let inverse = DVector::from_iterator(sigma.len(), sigma.iter().map(|sigma| 1.0 / sigma));
         Weights { whitening: DMatrix::from_diagonal(&inverse), rows: None }
     }
 
-    /// By the covariance between the joints, n x n, positive definite.
+    /// Weights by the covariance between the joints, n x n, positive definite.
     pub fn full(covariance: &DMatrix<f64>) -> Option<Weights> {
         let whitening = Cholesky::new(covariance.clone())?.l().try_inverse()?;
         Some(Weights { whitening, rows: None })
     }
 
-    /// With a factor for every row of the stacked equations, 0 or more.
+    /// Adds a factor for every row of the stacked equations, 0 or more.
     pub fn with_rows(mut self, factors: &[f64]) -> Weights {
         self.rows = Some(factors.iter().map(|factor| factor.sqrt()).collect());
         self
@@ -80,7 +80,7 @@ impl Weights {
         out
     }
 
-    /// `b` times the whitening: turns a map from whitened torques into one from torques (`b` is p x n m).
+    /// `b` times the whitening: converts a map from whitened torques into one from torques (`b` is p x n m).
     pub fn carry_back(&self, b: &DMatrix<f64>) -> DMatrix<f64> {
         let n = self.whitening.nrows();
         let m = b.ncols() / n;
@@ -118,8 +118,8 @@ pub fn least_squares(stack: &Stack, weights: &Weights) -> Result<Fit, EstimateEr
     Ok(Fit { beta: &projection * &stack.tau, projection, rank: inverse.rank, null_share: inverse.null_share })
 }
 
-/// Divides every column by its norm, so that the rank does not depend on the parameters' units; gives the factors, 0 for a column that
-/// is nothing but rounding.
+/// Divides every column by its norm, so that the rank does not depend on the parameters' units. Returns the factors, 0 for a numerically
+/// zero column.
 pub fn equilibrated(mut w: DMatrix<f64>) -> (DMatrix<f64>, Vec<f64>) {
     let norms: Vec<f64> = w.column_iter().map(|column| column.norm()).collect();
     let largest = norms.iter().copied().fold(0.0, f64::max);
@@ -138,25 +138,25 @@ pub fn scale_rows(b: &mut DMatrix<f64>, scales: &[f64]) {
     }
 }
 
-/// Pseudo-inverse of a square matrix in the directions that it determines.
+/// Pseudo-inverse of a square matrix in its determined directions.
 pub struct Inverse {
     /// The pseudo-inverse, p x p.
     pub matrix: DMatrix<f64>,
     /// Orthonormal basis of the determined directions, p x rank.
     pub range: DMatrix<f64>,
-    /// Number of them.
+    /// Number of determined directions.
     pub rank: usize,
-    /// Share of each coordinate in the other directions.
+    /// Share of each coordinate in undetermined directions.
     pub null_share: Vec<f64>,
 }
 
 impl Inverse {
-    /// Of the triangle of equilibrated equations, p x p; their `rows` are only named in the error.
+    /// Pseudo-inverse of the triangle of equilibrated equations, p x p; `rows` appears in the error only.
     pub fn of(r: DMatrix<f64>, rows: usize) -> Result<Inverse, EstimateError> {
         Inverse::within(r, rows, RANK_TOLERANCE)
     }
 
-    /// Of a product of two sets of equilibrated equations, whose singular values are their squares.
+    /// Pseudo-inverse of a product of two sets of equilibrated equations, with squared singular values.
     pub fn of_normal(m: DMatrix<f64>, rows: usize) -> Result<Inverse, EstimateError> {
         Inverse::within(m, rows, NORMAL_TOLERANCE)
     }
@@ -189,26 +189,26 @@ impl Inverse {
     }
 }
 
-/// Factor that makes up for the degrees of freedom which a fit of this rank took of the residual's squares.
+/// Factor that corrects the mean squared residual for the degrees of freedom of a fit of this rank.
 pub fn freedom(rows: usize, rank: usize) -> f64 {
     rows as f64 / rows.saturating_sub(rank).max(1) as f64
 }
 
-/// Least standard deviation of each joint that weights are taken from, n \[Nm\].
-pub fn least_noise(stack: &Stack) -> Vec<f64> {
+/// Minimum standard deviation of each joint for weights, n \[Nm\].
+pub fn min_noise(stack: &Stack) -> Vec<f64> {
     let m = stack.per_joint();
     let rms = |j: usize| (stack.tau.rows(j * m, m).norm_squared() / m as f64).sqrt();
-    let largest = (0..stack.joints).map(rms).fold(LEAST_TORQUE, f64::max);
-    (0..stack.joints).map(|j| LEAST_NOISE * rms(j).max(LEAST_NOISE * largest)).collect()
+    let largest = (0..stack.joints).map(rms).fold(MIN_TORQUE, f64::max);
+    (0..stack.joints).map(|j| MIN_NOISE_RATIO * rms(j).max(MIN_NOISE_RATIO * largest)).collect()
 }
 
-/// Covariance of the residual between the joints for the degrees of freedom that are left, n x n \[Nm2\].
+/// Covariance of the residual between the joints, corrected for degrees of freedom, n x n \[Nm2\].
 pub fn residual_covariance(stack: &Stack, fit: &Fit) -> DMatrix<f64> {
     let (n, m) = (stack.joints, stack.per_joint());
     let residual = stack.residual(&fit.beta);
     let per_joint = DMatrix::from_column_slice(m, n, residual.as_slice());
     let mut covariance = per_joint.tr_mul(&per_joint) * (freedom(n * m, fit.rank) / m as f64);
-    for (j, least) in least_noise(stack).iter().enumerate() {
+    for (j, least) in min_noise(stack).iter().enumerate() {
         covariance[(j, j)] = covariance[(j, j)].max(least * least);
     }
     covariance
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn weighted_least_squares_is_the_textbooks() {
+    fn weighted_least_squares_agrees_with_the_textbook_formula() {
         let stack = stack();
         let inverse_noise = covariance().try_inverse().unwrap().kronecker(&DMatrix::identity(20, 20));
         let fit = least_squares(&stack, &Weights::full(&covariance()).unwrap()).unwrap();
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn factors_of_rows_weigh_them() {
+    fn row_factors_are_weights() {
         let stack = stack();
         let factors: Vec<f64> = (0..60).map(|k| 0.2 + (k % 7) as f64).collect();
         let noise = DMatrix::from_diagonal(&DVector::from_column_slice(&factors));
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_excited_is_named_by_its_share() {
+    fn an_unexcited_parameter_has_null_share_one() {
         let mut stack = stack();
         stack.w.column_mut(1).fill(0.0);
         let fit = least_squares(&stack, &Weights::none(3)).unwrap();

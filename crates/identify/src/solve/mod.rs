@@ -1,14 +1,14 @@
-//! Estimators: from filtered equations to parameters, each in a file of its own, all with the same outcome.
+//! Estimators of the parameters from filtered equations, one per file, with a common result type.
 //!
 //! | estimator | minimises | for |
 //! |---|---|---|
-//! | [`ols`] | the squares of all errors alike | comparison |
-//! | [`wls`] | the squares weighed by each joint's noise, or by the covariance between joints | the usual choice |
-//! | [`huber`] | squares near zero, sizes beyond | torques with outliers: collisions, hands |
-//! | [`tls`] | errors in torques and positions together | noisy positions, noise known |
-//! | [`iv`] | the correlation of errors with instruments | noisy positions, noise unknown |
+//! | [`ols`] | squared errors, equally weighted | comparison |
+//! | [`wls`] | squared errors weighted by each joint's noise, or by the covariance between joints | default |
+//! | [`huber`] | squared errors below a threshold, absolute errors above | torques with outliers: contacts |
+//! | [`tls`] | errors in torques and positions | noisy positions, known noise |
+//! | [`iv`] | correlation of errors with instruments | noisy positions, unknown noise |
 //!
-//! Standard deviations hold for coloured noise ([`super::covariance`]).
+//! Standard deviations are valid for coloured noise ([`super::covariance`]).
 
 pub mod huber;
 pub mod iv;
@@ -33,10 +33,10 @@ use serde::{Deserialize, Serialize};
 use stack::Stack;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
-/// A parameter is undetermined when more than this share of it lies in undetermined directions.
+/// Share of a parameter in undetermined directions above which it is undetermined.
 const UNDETERMINED_SHARE: f64 = 1e-3;
 
-/// Which estimator.
+/// Estimator.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Estimator {
@@ -77,92 +77,92 @@ impl Estimator {
         Estimator::ALL.into_iter().find(|estimator| estimator.id() == id)
     }
 
-    /// Whether it wants every period's deviation from the mean (`Settings::keep_periods`).
+    /// Whether it needs every period's deviation from the mean (`Settings::keep_periods`).
     pub fn needs_periods(self) -> bool {
         matches!(self, Estimator::Tls | Estimator::Iv)
     }
 }
 
-/// How parameters are identified.
+/// Options of an identification.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Options {
     /// The estimator.
     pub estimator: Estimator,
-    /// Whether parameters that do not show in the data are taken out, [`essential`].
+    /// Whether insignificant parameters are eliminated, [`essential`].
     pub essential: bool,
 }
 
-/// How an iteration ended.
+/// Outcome of an iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// Solved at once, or the weights settled.
+    /// Solved directly, or the weights converged.
     Settled,
-    /// The weights still moved when the rounds were over: the parameters are those of the last round.
-    Unsettled,
+    /// The weights did not converge; the parameters are those of the last round.
+    Unconverged,
 }
 
-/// A parameter that the data can't determine.
+/// Parameter that the data does not determine.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Undetermined {
     /// Name of its column.
     pub name: String,
-    /// Share of it that lies in undetermined directions: 1 when the data says nothing about it, less when only some combination
-    /// with others is unknown.
+    /// Share in undetermined directions: 1 when the data contains no information on it, less when only a combination
+    /// with others is undetermined.
     pub share: f64,
 }
 
-/// Identified parameters and how well they are known.
+/// Identified parameters with their uncertainty.
 #[derive(Clone, Debug)]
 pub struct Identification {
-    /// Where they come from.
+    /// Estimator used.
     pub estimator: Estimator,
-    /// How that ended.
+    /// Outcome of its iteration.
     pub outcome: Outcome,
-    /// Rounds of weights; 1 where nothing is iterated.
+    /// Rounds of weights; 1 without iteration.
     pub rounds: usize,
-    /// What the parameters are.
+    /// Columns of the parameters.
     pub columns: Vec<Column>,
-    /// Their values. Undetermined ones have the values of the smallest solution (in equilibrated columns), dropped ones are zero.
+    /// Parameter values. Undetermined ones are those of the minimum-norm solution (in equilibrated columns), eliminated ones are zero.
     pub beta: Vec<f64>,
-    /// Their standard deviations; `None` for undetermined and for dropped ones.
+    /// Standard deviations; `None` for undetermined and eliminated ones.
     pub std: Vec<Option<f64>>,
     /// Covariance of the parameters in the determined directions.
     pub covariance: DMatrix<f64>,
-    /// Degrees of freedom of each standard deviation: an interval of given confidence is the quantile of Student's distribution with so
-    /// many, times the standard deviation.
+    /// Degrees of freedom of each standard deviation: a confidence interval is the quantile of Student's t distribution
+    /// times the standard deviation.
     pub freedom: Vec<f64>,
-    /// Parameters that this data can't determine.
+    /// Parameters that this data does not determine.
     pub undetermined: Vec<Undetermined>,
-    /// Parameters taken out because they do not show in this data, in the order in which they went.
+    /// Eliminated insignificant parameters, in the order of elimination.
     pub dropped: Vec<Dropped>,
     /// Number of determined directions.
     pub rank: usize,
     /// Condition numbers of the stacked, filtered and decimated regressor, weighted by `sigma`.
     pub conditions: Conditions,
-    /// Standard deviation of the filtered torque that weighed each joint, n \[Nm\]; for an estimator without weights, what would have.
+    /// Standard deviation of the filtered torque of each joint, n \[Nm\], used as weight where the estimator has weights.
     pub sigma: Vec<f64>,
-    /// Factor of each equation where an estimator weighs them one by one, 0 to 1.
+    /// Weight of each equation of a robust estimator, 0 to 1.
     pub row_weights: Option<Vec<f64>>,
     /// Equations after decimation.
     pub rows: usize,
-    /// Residual and noise of each experiment, by name.
+    /// RMS residual and noise floor of each experiment, by name.
     pub runs: Vec<(String, Rms)>,
-    /// The same of all experiments as one.
+    /// Pooled RMS of all experiments.
     pub rms: Rms,
 }
 
 impl Identification {
-    /// Standard deviation over size of every parameter; `None` for undetermined and for dropped ones.
+    /// Standard deviation divided by the absolute value of every parameter; `None` for undetermined and eliminated ones.
     pub fn relative_std(&self) -> Vec<Option<f64>> {
         self.std.iter().zip(&self.beta).map(|(std, beta)| std.map(|std| std / beta.abs())).collect()
     }
 
-    /// Half the width of each parameter's 95 % confidence interval; `None` for undetermined and for dropped ones.
+    /// Half the width of each parameter's 95 % confidence interval; `None` for undetermined and eliminated ones.
     pub fn interval_95(&self) -> Vec<Option<f64>> {
         self.std.iter().zip(&self.freedom).map(|(std, &freedom)| std.map(|std| student_975(freedom) * std)).collect()
     }
 
-    /// Values with their standard deviations, as `TorqueModel::new` takes them.
+    /// Values with their standard deviations, as input of `TorqueModel::new`.
     pub fn values(&self) -> Vec<(f64, Option<f64>)> {
         self.beta.iter().copied().zip(self.std.iter().copied()).collect()
     }
@@ -178,8 +178,8 @@ pub fn identify(structure: &Structure, experiments: &[Experiment]) -> Result<Ide
 
 /// Identifies the parameters of a structure by weighted least squares with given standard deviations of the joints' errors, n \[Nm\].
 ///
-/// A model that was extended in one joint keeps the weights of the plain one this way: weights of its own would pull the parameters that
-/// joints share towards the joint that now fits well.
+/// A model extended in one joint keeps the weights of the plain model this way. New weights would bias parameters shared by several joints
+/// towards the joint with the smaller residual.
 ///
 /// # Errors
 /// As [`identify_with`].
@@ -197,7 +197,7 @@ pub fn identify_weighted(
     finish(structure, experiments, Estimator::Wls, &stack, solved, &every, Vec::new())
 }
 
-/// Identifies the parameters of a structure with an estimator of choice.
+/// Identifies the parameters of a structure with a given estimator.
 ///
 /// # Errors
 /// Experiments of another arm; fewer equations than parameters; for instrumental variables, an experiment that has neither two
@@ -219,20 +219,20 @@ pub fn identify_with(
     finish(structure, experiments, options.estimator, &stack, solved, &kept, dropped)
 }
 
-/// What every estimator comes up with.
+/// Result of every estimator.
 #[derive(Clone, Debug)]
 pub struct Solved {
-    /// Parameters as a map of the torques.
+    /// Linear estimate of the parameters.
     pub fit: Fit,
-    /// Their covariance.
+    /// Covariance of the parameters.
     pub spread: Spread,
-    /// Standard deviation that weighed each joint \[Nm\].
+    /// Standard deviation used as weight of each joint \[Nm\].
     pub sigma: Vec<f64>,
-    /// Factor of each equation.
+    /// Weight of each equation.
     pub row_weights: Option<Vec<f64>>,
     /// Rounds of weights.
     pub rounds: usize,
-    /// How they ended.
+    /// Outcome of the iteration.
     pub outcome: Outcome,
 }
 
@@ -243,7 +243,7 @@ impl Solved {
     }
 }
 
-/// One estimator on one set of experiments, with what it has to know of their noise.
+/// One estimator with the noise data of its experiments.
 struct Solver<'a> {
     structure: &'a Structure,
     experiments: &'a [Experiment],
@@ -266,7 +266,7 @@ impl<'a> Solver<'a> {
         Ok(Solver { structure, experiments, estimator, draws, pairs })
     }
 
-    /// Solves for some of the columns; `stack` holds those alone.
+    /// Solves for some of the columns; `stack` has only those.
     fn solve(&self, stack: &Stack, kept: &[usize]) -> Result<Solved, EstimateError> {
         let experiments = self.experiments;
         if self.estimator == Estimator::Ols {
@@ -278,7 +278,7 @@ impl<'a> Solver<'a> {
         if self.estimator == Estimator::Huber {
             let robust = huber::solve(stack)?;
             let spread = noise::of_influences(stack, experiments, &robust.fit, &robust.influence, &robust.weights);
-            let (row_weights, outcome) = (Some(robust.weights), outcome(robust.settled));
+            let (row_weights, outcome) = (Some(robust.weights), outcome(robust.converged));
             return Ok(Solved {
                 fit: robust.fit,
                 spread,
@@ -288,11 +288,11 @@ impl<'a> Solver<'a> {
                 outcome,
             });
         }
-        // The others need the joints' noise, which weighted least squares finds.
+        // The others need the joints' noise, which weighted least squares estimates.
         let weighed = wls::solve(stack, self.estimator == Estimator::WlsFull)?;
         let sigma = deviations(&weighed.sigma);
         let weights = Weights::per_joint(&sigma);
-        let outcome = outcome(weighed.settled);
+        let outcome = outcome(weighed.converged);
         let rounds = weighed.rounds;
         let (fit, spread) = if let Some(draws) = &self.draws {
             let errors = draws.columns(kept).errors(stack, experiments, &weighed);
@@ -312,11 +312,11 @@ impl<'a> Solver<'a> {
     }
 }
 
-/// From so many degrees of freedom on, two terms of the expansion about the normal distribution are exact to 3e-6; the iteration for the
-/// distribution itself does not end for large ones.
+/// Degrees of freedom above which a two-term expansion about the normal distribution is used, exact to 3e-6. The iteration for Student's
+/// distribution does not converge for large values.
 const ALMOST_NORMAL_FREEDOM: f64 = 1000.0;
 
-/// 97.5 % point of Student's t distribution with so many degrees of freedom, which need not be a whole number.
+/// 97.5 % quantile of Student's t distribution with `freedom` degrees of freedom, not necessarily an integer.
 pub fn student_975(freedom: f64) -> f64 {
     if freedom > ALMOST_NORMAL_FREEDOM {
         let z = Normal::standard().inverse_cdf(0.975);
@@ -325,11 +325,11 @@ pub fn student_975(freedom: f64) -> f64 {
     StudentsT::new(0.0, 1.0, freedom).map_or(f64::NAN, |distribution| distribution.inverse_cdf(0.975))
 }
 
-fn outcome(settled: bool) -> Outcome {
-    if settled { Outcome::Settled } else { Outcome::Unsettled }
+fn outcome(converged: bool) -> Outcome {
+    if converged { Outcome::Settled } else { Outcome::Unconverged }
 }
 
-/// Everything about the solution, in the order of the structure's columns; those not in `kept` are zero.
+/// The identification in the order of the structure's columns; parameters not in `kept` are zero.
 fn finish(
     structure: &Structure,
     experiments: &[Experiment],
@@ -387,7 +387,7 @@ mod tests {
     use super::{Estimator, student_975};
 
     #[test]
-    fn points_of_students_distribution_are_the_tables() {
+    fn student_quantiles_agree_with_the_tables() {
         for (freedom, table) in [(5.0, 2.5706), (9.0, 2.2622), (30.0, 2.0423), (1e9, 1.95996), (f64::INFINITY, 1.95996)]
         {
             assert!((student_975(freedom) / table - 1.0).abs() < 1e-4, "{freedom}: {}", student_975(freedom));
@@ -395,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn points_of_students_distribution_fall_steadily_with_the_freedom() {
+    fn student_quantiles_decrease_with_the_degrees_of_freedom() {
         let mut last = f64::INFINITY;
         for step in 0..400 {
             let freedom = 10f64.powf(-0.3 + 0.02 * f64::from(step));

@@ -1,4 +1,4 @@
-//! What an estimator has to know about the noise of its experiments, and what that noise does to its parameters.
+//! Noise of the experiments, and its effect on the parameters.
 
 use super::iv::Pair;
 use super::linear::{Fit, Weights, deviations};
@@ -16,14 +16,14 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-/// Noises of the positions that are drawn where no periods show them.
+/// Random draws of the position noise where there are no repeated periods.
 const DRAWS: usize = 8;
-/// Torque noise is taken as at least this share of the residual's variance.
-const LEAST_SHARE: f64 = 0.01;
-/// Equations that decide the model by themselves count as this at most.
-const MOST_LEVERAGE: f64 = 0.95;
+/// Minimum ratio of torque noise to the residual's variance.
+const MIN_TORQUE_NOISE_RATIO: f64 = 0.01;
+/// Maximum leverage of an equation.
+const MAX_LEVERAGE: f64 = 0.95;
 
-/// Covariance of the parameters from the noise of the torques: the scatter between periods, else the residual.
+/// Covariance of the parameters from the noise of the torques: from the scatter between periods, else from the residual.
 pub fn of_torques(stack: &Stack, experiments: &[Experiment], fit: &Fit) -> Spread {
     let residual = stack.residual(&fit.beta);
     let each = experiments.iter().enumerate().map(|(index, experiment)| match &experiment.noise {
@@ -33,8 +33,8 @@ pub fn of_torques(stack: &Stack, experiments: &[Experiment], fit: &Fit) -> Sprea
     each.fold(Spread::zero(fit.beta.len()), |sum, one| sum.plus(&one))
 }
 
-/// Covariance of a robust estimate's parameters from its `influences`, the residuals times their `weights`. Where periods repeat, their
-/// scatter gives the noise's colour and the influences its size: a touch in one period has a large scatter and little influence.
+/// Covariance of a robust estimate's parameters from its `influences`, the residuals times their `weights`. With repeated periods,
+/// the scatter gives the spectrum of the noise and the influences its size: a contact in one period has a large scatter and little influence.
 pub fn of_influences(
     stack: &Stack,
     experiments: &[Experiment],
@@ -45,7 +45,7 @@ pub fn of_influences(
     let weighed = DMatrix::from_row_slice(1, weights.len(), weights);
     let each = experiments.iter().enumerate().map(|(index, experiment)| {
         let Some(noise) = &experiment.noise else { return from_residual(stack, fit, influences, index) };
-        let (sizes, weights) = (freed(stack, fit, influences, index), part(stack, &weighed, index));
+        let (sizes, weights) = (leverage_corrected(stack, fit, influences, index), part(stack, &weighed, index));
         let mut map = part(stack, &fit.projection, index);
         let m = stack.spans[index];
         for (j, variance) in variances(noise).iter().enumerate() {
@@ -62,7 +62,7 @@ pub fn of_influences(
 }
 
 /// Covariance of the parameters from the noise of torques and positions together: every period's torques are compared with the model
-/// at that period's positions. Where the periods are not at hand, the residual has both in it.
+/// at that period's positions. Without repeated periods, the residual contains both.
 pub fn of_all(structure: &Structure, stack: &Stack, experiments: &[Experiment], kept: &[usize], fit: &Fit) -> Spread {
     let mut beta = vec![0.0; structure.columns().len()];
     kept.iter().zip(fit.beta.iter()).for_each(|(&c, &value)| beta[c] = value);
@@ -80,18 +80,18 @@ pub fn of_all(structure: &Structure, stack: &Stack, experiments: &[Experiment], 
 }
 
 fn from_residual(stack: &Stack, fit: &Fit, residual: &DVector<f64>, index: usize) -> Spread {
-    let own = freed(stack, fit, residual, index);
+    let own = leverage_corrected(stack, fit, residual, index);
     newey_west(&part(stack, &fit.projection, index), own.as_slice(), stack.spans[index])
 }
 
-/// One experiment's residuals with what the fit took of them given back.
-fn freed(stack: &Stack, fit: &Fit, residual: &DVector<f64>, index: usize) -> DMatrix<f64> {
-    // A fit goes nearer to the equations that decide it: of each residual so much is missing as its torque moves the model there.
-    let freed = DMatrix::from_fn(1, residual.len(), |_, row| {
+/// One experiment's residuals, corrected for leverage.
+fn leverage_corrected(stack: &Stack, fit: &Fit, residual: &DVector<f64>, index: usize) -> DMatrix<f64> {
+    // The variance of a residual is reduced by its leverage, the derivative of the modelled torque with respect to the measured one.
+    let leverage_corrected = DMatrix::from_fn(1, residual.len(), |_, row| {
         let leverage = (stack.w.row(row) * fit.projection.column(row))[(0, 0)];
-        residual[row] / (1.0 - leverage.clamp(0.0, MOST_LEVERAGE)).sqrt()
+        residual[row] / (1.0 - leverage.clamp(0.0, MAX_LEVERAGE)).sqrt()
     });
-    part(stack, &freed, index)
+    part(stack, &leverage_corrected, index)
 }
 
 /// Columns of one experiment, joint by joint, of a matrix with a column for every equation.
@@ -102,8 +102,8 @@ fn part(stack: &Stack, b: &DMatrix<f64>, index: usize) -> DMatrix<f64> {
     b.select_columns(&columns)
 }
 
-/// Deviation of each period's torques from what the model makes of its positions' deviation, P N x n. The model is taken at the noise of
-/// the mean, where the estimate was made, and scaled back.
+/// Deviation of each period's torques from the model's response to the deviation of its positions, P N x n. The response is evaluated at
+/// deviations of the size of the mean's noise, as in the estimate, and scaled back.
 fn combined(structure: &Structure, experiment: &Experiment, repeats: &Repeats, beta: &[f64]) -> DMatrix<f64> {
     let samples = experiment.motion.samples();
     let at_mean = torques(structure, beta, &experiment.motion);
@@ -116,7 +116,7 @@ fn combined(structure: &Structure, experiment: &Experiment, repeats: &Repeats, b
     both
 }
 
-/// For each period the mean motion plus noise as large as the mean's, and the factor from that noise to the period's own.
+/// For each period the mean motion plus noise of the mean's size, and the ratio of the period's noise to it.
 fn moved_by_period<'a>(experiment: &'a Experiment, repeats: &'a Repeats) -> impl Iterator<Item = (Motion, f64)> + 'a {
     let samples = experiment.motion.samples();
     let periods = repeats.q.nrows() / samples;
@@ -128,7 +128,7 @@ fn moved_by_period<'a>(experiment: &'a Experiment, repeats: &'a Repeats) -> impl
 pub struct Draws(Vec<Vec<DMatrix<f64>>>);
 
 impl Draws {
-    /// From the periods where they are at hand, else from white noise of the size that the positions show.
+    /// Draws from the repeated periods, else from white noise of the positions' standard deviation.
     pub fn of(structure: &Structure, experiments: &[Experiment]) -> Draws {
         let each = experiments.iter().map(|experiment| {
             let at_mean = structure.regressor(&experiment.motion);
@@ -141,7 +141,7 @@ impl Draws {
         Draws(each.collect())
     }
 
-    /// For some of the columns alone.
+    /// Restriction to some of the columns.
     pub fn columns(&self, kept: &[usize]) -> Draws {
         Draws(self.0.iter().map(|draws| draws.iter().map(|draw| draw.select_columns(kept)).collect()).collect())
     }
@@ -163,7 +163,7 @@ impl Draws {
                 None => {
                     let beta = &weighed.fit.beta;
                     let all = (count * stack.joints) as f64;
-                    (all - beta.dot(&(&of_regressor * beta))).max(LEAST_SHARE * all)
+                    (all - beta.dot(&(&of_regressor * beta))).max(MIN_TORQUE_NOISE_RATIO * all)
                 }
             };
             let mut block = errors.view_mut((0, 0), (p, p));
@@ -182,7 +182,7 @@ fn variances(noise: &NoiseOfMean) -> Vec<f64> {
     (0..n).map(|j| of(j) / noise.samples as f64).collect()
 }
 
-/// The measured motion with more noise of its own kind.
+/// Measured motion with additional white noise of the positions' standard deviation.
 fn white(experiment: &Experiment) -> impl Iterator<Item = Motion> + '_ {
     let std = experiment.noise_of_positions();
     let (samples, n) = experiment.grid();
@@ -193,10 +193,10 @@ fn white(experiment: &Experiment) -> impl Iterator<Item = Motion> + '_ {
 }
 
 /// Regressors and their instruments: the desired motion where it was recorded, else the mean of the odd periods for that of the even
-/// ones and the other way round.
+/// ones and vice versa.
 ///
 /// # Errors
-/// An experiment that has neither.
+/// An experiment with neither.
 pub fn instruments(structure: &Structure, experiments: &[Experiment]) -> Result<Vec<Pair>, EstimateError> {
     let (mut first, mut second) = (Vec::new(), Vec::new());
     for experiment in experiments {
@@ -211,7 +211,7 @@ pub fn instruments(structure: &Structure, experiments: &[Experiment]) -> Result<
     let along = |motions: &[Motion]| regressor(structure, experiments, &motions.iter().collect::<Vec<_>>());
     let (one, other) = (along(&first)?, along(&second)?);
     let mut pairs = vec![Pair { regressor: one.clone(), instrument: other.clone() }];
-    // Halves are alike: each is the other's instrument. A desired motion is nobody's regressor.
+    // The halves are symmetric: each is the other's instrument. A desired motion is an instrument only.
     if experiments.iter().all(|experiment| experiment.desired.is_none()) {
         pairs.push(Pair { regressor: other, instrument: one });
     }
@@ -232,7 +232,7 @@ fn halves(experiment: &Experiment, repeats: &Repeats) -> [Motion; 2] {
 }
 
 impl Pair {
-    /// For some of the columns alone.
+    /// Restriction to some of the columns.
     pub fn columns(&self, kept: &[usize]) -> Pair {
         Pair { regressor: self.regressor.select_columns(kept), instrument: self.instrument.select_columns(kept) }
     }

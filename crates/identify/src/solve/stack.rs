@@ -1,4 +1,4 @@
-//! `tau = W beta` of all experiments, filtered and decimated: what every estimator starts from.
+//! Stacked equations `tau = W beta` of all experiments, filtered and decimated.
 
 use crate::EstimateError;
 use crate::experiment::Experiment;
@@ -22,7 +22,7 @@ pub struct Stack {
 }
 
 impl Stack {
-    /// Every column is computed at the raw rate and filtered as the torque, then decimated.
+    /// Stacks experiments. Every column is computed at the raw rate, filtered as the torque, then decimated.
     ///
     /// # Errors
     /// Experiments of another arm, fewer equations than parameters.
@@ -54,7 +54,7 @@ impl Stack {
         &self.tau - &self.w * beta
     }
 
-    /// The same equations for some of the columns alone; the parameters of the others are zero.
+    /// The equations restricted to some of the columns; the parameters of the others are zero.
     pub fn columns(&self, kept: &[usize]) -> Stack {
         Stack { w: self.w.select_columns(kept), tau: self.tau.clone(), joints: self.joints, spans: self.spans.clone() }
     }
@@ -69,7 +69,7 @@ impl Stack {
     }
 }
 
-/// The stacked regressor along other motions than the measured ones, one per experiment, filtered and decimated as they are.
+/// Stacked regressor along given motions, one per experiment, filtered and decimated as the experiments.
 ///
 /// # Errors
 /// Experiments of another arm, fewer equations than parameters.

@@ -1,4 +1,4 @@
-//! Total least squares: torques and regressor are noisy, and the covariance of both is known up to one factor.
+//! Total least squares: noisy torques and regressor, with a joint covariance known up to one factor.
 
 use super::linear::{Fit, Inverse, Weights, equilibrated, scale_rows};
 use super::stack::Stack;
@@ -6,15 +6,15 @@ use crate::EstimateError;
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
 
-/// The solution of `(W - dW) beta = tau - dtau` with the smallest `[dW dtau]` in the metric of its covariance `C` (generalized total least
+/// Solution of `(W - dW) beta = tau - dtau` with the smallest `[dW dtau]` in the metric of its covariance `C` (generalized total least
 /// squares, Van Huffel and Vandewalle 1991).
 ///
 /// `errors` is `sum over rows of [dW dtau]' [dW dtau]` as expected of the whitened rows, (p+1) x (p+1), in the parameters' units. Only
-/// the proportions count: the factor is found. With `R` the triangle of `[W tau]` and `C = S' S`, the solution is the right singular
+/// the ratios matter: the factor is estimated. With `R` the triangle of `[W tau]` and `C = S' S`, the solution is the right singular
 /// vector of `S R^-1` with the largest singular value. Columns without noise have zeros in `C`.
 ///
-/// Assumed: the noise of the positions is small enough that the regressor's noise is linear in it, and has the proportions to the
-/// torques' that `errors` says. If `errors` has no noise in `W`, this is weighted least squares.
+/// Assumption: the regressor's noise is linear in the noise of the positions, with the ratio to the torques' noise given by `errors`.
+/// Without noise of `W` in `errors` this is weighted least squares.
 pub fn solve(stack: &Stack, errors: &DMatrix<f64>, weights: &Weights) -> Result<Fit, EstimateError> {
     let (rows, p) = stack.w.shape();
     assert_eq!(errors.shape(), (p + 1, p + 1), "one row and column per parameter, one for the torque");
@@ -23,22 +23,22 @@ pub fn solve(stack: &Stack, errors: &DMatrix<f64>, weights: &Weights) -> Result<
     let tau_scale = 1.0 / tau.norm().max(f64::MIN_POSITIVE);
     let failed = EstimateError::Decomposition { rows, columns: p };
 
-    // Only the determined directions take part.
+    // Restriction to the determined directions.
     let range = Inverse::of(w.clone().qr().r(), rows)?;
-    let seen = &w * &range.range;
+    let reduced = &w * &range.range;
     let r = range.rank;
     let mut all = DMatrix::zeros(rows, r + 1);
-    all.columns_mut(0, r).copy_from(&seen);
+    all.columns_mut(0, r).copy_from(&reduced);
     all.column_mut(r).copy_from(&(tau.column(0) * tau_scale));
-    let mut to_seen = DMatrix::zeros(p + 1, r + 1);
-    to_seen.view_mut((0, 0), (p, r)).copy_from(&range.range);
-    to_seen[(p, r)] = 1.0;
+    let mut to_reduced = DMatrix::zeros(p + 1, r + 1);
+    to_reduced.view_mut((0, 0), (p, r)).copy_from(&range.range);
+    to_reduced[(p, r)] = 1.0;
     let mut scaled = errors.clone();
     for (c, scale) in scales.iter().chain([&tau_scale]).enumerate() {
         scaled.row_mut(c).scale_mut(*scale);
         scaled.column_mut(c).scale_mut(*scale);
     }
-    let scaled = to_seen.tr_mul(&(scaled * &to_seen));
+    let scaled = to_reduced.tr_mul(&(scaled * &to_reduced));
 
     let triangle = all.qr().r();
     let whitened = triangle
@@ -57,9 +57,9 @@ pub fn solve(stack: &Stack, errors: &DMatrix<f64>, weights: &Weights) -> Result<
     let gamma = DVector::from_fn(r, |i, _| -direction[i] / (direction[r] * tau_scale));
 
     // The same solution as corrected least squares, (W'W - factor C)^-1 W' tau: its map from the torques gives the covariance.
-    let corrected = seen.tr_mul(&seen) - scaled.view((0, 0), (r, r)) * factor;
+    let corrected = reduced.tr_mul(&reduced) - scaled.view((0, 0), (r, r)) * factor;
     let inverse = corrected.try_inverse().ok_or(failed)?;
-    let mut projection = &range.range * (inverse * seen.transpose());
+    let mut projection = &range.range * (inverse * reduced.transpose());
     scale_rows(&mut projection, &scales);
     let mut beta = &range.range * gamma;
     beta.iter_mut().zip(&scales).for_each(|(beta, scale)| *beta *= scale);

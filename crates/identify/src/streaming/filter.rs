@@ -4,7 +4,7 @@ use crate::signal::SignalError;
 use crate::signal::butterworth::Butterworth;
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch, f64x4};
 
-/// The same Butterworth low-pass on many signals of eight lanes each. It starts as if the first sample had lasted for ever.
+/// The same Butterworth low-pass on many signals of eight lanes each. Initialised in steady state at the first sample.
 #[derive(Clone, Debug)]
 pub struct Bank {
     level: Level,
@@ -30,7 +30,7 @@ impl Bank {
         Ok(Bank { level: Level::new(), sections, signals: active.len(), parts, states, started: false })
     }
 
-    /// Forgets all samples: the next one is the first.
+    /// Resets the filter: the next sample is the first.
     pub fn restart(&mut self) {
         self.started = false;
     }
@@ -82,7 +82,7 @@ mod tests {
     use std::f64::consts::PI;
 
     #[test]
-    fn every_lane_has_the_gain_of_the_low_pass_and_starts_at_rest() {
+    fn every_lane_has_the_gain_of_the_low_pass_and_starts_in_steady_state() {
         let (order, cutoff, rate) = (4, 5.0, 1000.0);
         let mut bank = Bank::new(order, cutoff, rate, &[[true; 8]; 2]).unwrap();
         let reference = Butterworth::new(order, cutoff, rate).unwrap();

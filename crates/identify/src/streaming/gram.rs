@@ -18,11 +18,11 @@ pub struct Gram {
     level: Level,
     columns: usize,
     joints: Vec<JointGram>,
-    /// Rows of each joint that wait in its `rows`.
-    waiting: usize,
+    /// Buffered rows of each joint.
+    buffered: usize,
     /// Rows of each joint so far.
     count: usize,
-    /// Weight that one more row leaves to each of those before it.
+    /// Forgetting factor.
     forgetting: f64,
     /// Sum of the rows' weights.
     weight: f64,
@@ -55,7 +55,7 @@ impl Gram {
             JointGram { active, width, rows: vec![0.0; BLOCK * width], products: vec![0.0; width * width] }
         };
         let joints = active.into_iter().map(joint).collect();
-        Gram { level: Level::new(), columns, joints, waiting: 0, count: 0, forgetting, weight: 0.0 }
+        Gram { level: Level::new(), columns, joints, buffered: 0, count: 0, forgetting, weight: 0.0 }
     }
 
     /// Number of joints, n.
@@ -82,23 +82,23 @@ impl Gram {
     pub fn add(&mut self, y: &[[f64; MAX_JOINTS]], tau: &[f64; MAX_JOINTS]) {
         assert_eq!(y.len(), self.columns, "one element per column");
         for (j, (joint, tau)) in self.joints.iter_mut().zip(tau).enumerate() {
-            let row = &mut joint.rows[self.waiting * joint.width..][..joint.width];
+            let row = &mut joint.rows[self.buffered * joint.width..][..joint.width];
             for (entry, &c) in row.iter_mut().zip(&joint.active) {
                 *entry = y[c][j];
             }
             row[joint.active.len()] = *tau;
         }
-        self.waiting += 1;
+        self.buffered += 1;
         self.count += 1;
         self.weight = self.forgetting * self.weight + 1.0;
-        if self.waiting == BLOCK {
-            self.settle();
+        if self.buffered == BLOCK {
+            self.flush();
         }
     }
 
-    /// Adds the products of the rows that wait.
-    fn settle(&mut self) {
-        let (rows, forgetting, level) = (self.waiting, self.forgetting, self.level);
+    /// Adds the products of the buffered rows.
+    fn flush(&mut self) {
+        let (rows, forgetting, level) = (self.buffered, self.forgetting, self.level);
         if rows == 0 {
             return;
         }
@@ -115,12 +115,12 @@ impl Gram {
             let (width, block) = (*width, &block[..rows * *width]);
             dispatch!(level, simd => add_products(simd, width, block, products));
         }
-        self.waiting = 0;
+        self.buffered = 0;
     }
 
     /// `M = sum_j W_j' W_j / sigma_j^2` (p x p) and `b = sum_j W_j' tau_j / sigma_j^2` (p).
     pub fn normal_equations(&mut self, sigma: &[f64]) -> (DMatrix<f64>, DVector<f64>) {
-        self.settle();
+        self.flush();
         assert_eq!(sigma.len(), self.joints.len(), "one standard deviation per joint");
         let (mut m, mut b) = (DMatrix::zeros(self.columns, self.columns), DVector::zeros(self.columns));
         for (joint, sigma) in self.joints.iter().zip(sigma) {
@@ -132,7 +132,7 @@ impl Gram {
 
     /// `W_j' W_j` of one joint (p x p).
     pub fn of_joint(&mut self, j: usize) -> DMatrix<f64> {
-        self.settle();
+        self.flush();
         let (mut m, mut b) = (DMatrix::zeros(self.columns, self.columns), DVector::zeros(self.columns));
         self.joints[j].add_to(1.0, &mut m, &mut b);
         m
@@ -140,13 +140,13 @@ impl Gram {
 
     /// `tau_j' tau_j` of every joint.
     pub fn torque_squares(&mut self) -> Vec<f64> {
-        self.settle();
+        self.flush();
         self.joints.iter().map(|joint| joint.product(joint.active.len(), joint.active.len())).collect()
     }
 
     /// `|tau_j - W_j beta|^2` of every joint. It is a difference of large numbers: what is below some 1e-13 of `tau_j' tau_j` is rounding.
     pub fn residual_squares(&mut self, beta: &DVector<f64>) -> Vec<f64> {
-        self.settle();
+        self.flush();
         assert_eq!(beta.len(), self.columns, "one parameter per column");
         self.joints
             .iter()

@@ -1,11 +1,13 @@
-//! Identification at line rate: samples come one by one, parameters can be asked for at any time, memory stays what it was.
+//! Recursive least-squares identification: one sample at a time, parameters at any time, constant memory.
+//!
+//! The live watch does not use this module yet; it is needed for live identification. Only tests and `benches/speed.rs` call it.
 //!
 //! Positions and torques go through one causal low-pass, positions are differentiated, the regressor is computed, and torques and
 //! every column go through a second, narrower low-pass; every `decimation`-th row enters the normal equations of its joint
-//! ([`gram::Gram`]). Least squares on those rows is what [`Streaming::estimate`] gives: the recursive form changes no number but by rounding.
+//! ([`gram::Gram`]). [`Streaming::estimate`] gives the least-squares solution of those rows, equal to the batch solution but for rounding.
 //!
-//! The causal low-passes delay both sides of the equation alike. What the first one does to the motion and what it does to the torque
-//! agree as far as its delay is the same at all frequencies of the motion: keep it several times wider than the motion.
+//! The causal low-passes delay both sides of the equation alike. The first low-pass affects motion and torque
+//! equally as far as its delay is constant over the motion's frequencies: its cut-off must be several times the motion's bandwidth.
 
 pub mod filter;
 pub mod gram;
@@ -21,18 +23,18 @@ use plumbline_model::term::Sample;
 use plumbline_model::{SampleRegressor, Structure};
 use solve::{Solution, solve};
 
-/// Rounds of weights from residuals.
+/// Number of rounds of weights from residuals.
 const ROUNDS: usize = 3;
-/// A joint's noise is taken as at least this share of its torque: the residual is a difference of squares, exact to 1e-13 of them.
-const LEAST_NOISE: f64 = 1e-6;
-/// A parameter is undetermined when more than this share of it lies in undetermined directions.
+/// Minimum ratio of a joint's noise to its torque: the residual is a difference of squares, exact to 1e-13 of them.
+const MIN_NOISE_RATIO: f64 = 1e-6;
+/// Share of a parameter in undetermined directions above which it is undetermined.
 const UNDETERMINED_SHARE: f64 = 1e-3;
-/// Lags at which the residual's correlation is followed.
+/// Number of lags of the residual's correlation.
 const LAGS: usize = 8;
-/// Residuals after which their own correlation is believed.
-const ENOUGH: usize = 200;
+/// Minimum number of residuals for their correlation.
+const MIN_RESIDUALS: usize = 200;
 
-/// How samples are filtered and forgotten.
+/// Settings of filters and forgetting.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     /// Cut-off of the low-pass on positions and torques before the positions are differentiated \[Hz\].
@@ -43,9 +45,9 @@ pub struct Settings {
     pub torque_cutoff: f64,
     /// Order of that low-pass, even.
     pub torque_order: usize,
-    /// Samples to keep one of; absent: paper eq. 16 for twice the torque cut-off.
+    /// Decimation factor; absent: paper eq. 16 for twice the torque cut-off.
     pub decimation: Option<usize>,
-    /// Weight that each kept row leaves to those before it: 1 forgets nothing, `1 - 1 / m` remembers about `m` rows.
+    /// Forgetting factor per kept row: 1 for no forgetting, `1 - 1 / m` for a memory of about `m` rows.
     pub forgetting: f64,
 }
 
@@ -62,10 +64,10 @@ impl Default for Settings {
     }
 }
 
-/// Why samples can't be turned into parameters one by one.
+/// Error of the recursive estimator.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StreamingError {
-    /// The low-passes can't be made.
+    /// Invalid low-pass settings.
     #[error(transparent)]
     Signal(#[from] SignalError),
     /// A term whose columns depend on more than one sample.
@@ -74,7 +76,7 @@ pub enum StreamingError {
         /// Its identity.
         id: &'static str,
     },
-    /// The forgetting factor is no share.
+    /// Invalid forgetting factor.
     #[error("forgetting factor {value}: expected more than 0 and at most 1")]
     Forgetting {
         /// The value given.
@@ -88,7 +90,7 @@ pub enum StreamingError {
         /// Parameters.
         columns: usize,
     },
-    /// The normal equations have no solution, which finite samples do not cause.
+    /// The normal equations have no solution; does not occur with finite samples.
     #[error("the normal equations of {columns} parameters have no eigenvalues (are all samples finite?)")]
     Decomposition {
         /// Parameters.
@@ -96,7 +98,7 @@ pub enum StreamingError {
     },
 }
 
-/// A sample was not finite and was left out; the low-passes go on from rest.
+/// A sample was not finite and was ignored; the low-passes are restarted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("joint {joint}: the sample is not a finite number")]
 pub struct NotFinite {
@@ -104,18 +106,18 @@ pub struct NotFinite {
     pub joint: usize,
 }
 
-/// Parameters and what is known about them.
+/// Estimated parameters with their uncertainty.
 #[derive(Clone, Debug)]
 pub struct Estimate {
-    /// Parameters in the order of the structure's columns. Undetermined ones have the values of the smallest solution.
+    /// Parameters in the order of the structure's columns. Undetermined ones are those of the minimum-norm solution.
     pub beta: Vec<f64>,
-    /// Their standard deviations; `None` for undetermined ones.
+    /// Standard deviations of the parameters; `None` for undetermined ones.
     pub std: Vec<Option<f64>>,
-    /// Their covariance in the determined directions.
+    /// Covariance of the parameters in the determined directions.
     pub covariance: DMatrix<f64>,
     /// Standard deviation of each joint's filtered torque, n \[Nm\]: from the residual, and the weight of the joint.
     pub sigma: Vec<f64>,
-    /// What the correlation between kept rows makes of each joint's variance, n: 1 when there is none.
+    /// Factor of each joint's variance by the correlation between kept rows, n: 1 without correlation.
     pub correlation: Vec<f64>,
     /// Equations, all joints together.
     pub rows: usize,
@@ -142,10 +144,10 @@ pub struct Streaming {
     gram: Gram,
     /// Samples since the low-passes started.
     tick: u64,
-    /// Samples after which they have forgotten their start.
+    /// Samples until the low-passes have settled.
     settled: u64,
     step: u64,
-    /// What white noise becomes: sum of the correlations of kept rows.
+    /// Sum of the correlations of kept rows for white noise.
     white: f64,
     residuals: Residuals,
 }
@@ -174,7 +176,7 @@ impl Streaming {
         let p = regressor.len();
         let narrow = Butterworth::new(settings.torque_order, settings.torque_cutoff, rate)?;
         let wide = Butterworth::new(settings.position_order, settings.position_cutoff, rate)?;
-        // Only what has entries goes through the low-pass; the torque has all of them.
+        // Only nonzero lanes are filtered; the torque has all lanes.
         let active = active(structure);
         let mut lanes = vec![[false; MAX_JOINTS]; p + 1];
         active.iter().enumerate().for_each(|(j, columns)| columns.iter().for_each(|&c| lanes[c][j] = true));
@@ -246,7 +248,7 @@ impl Streaming {
         Ok(())
     }
 
-    /// Says that the next sample does not follow the last one: the low-passes start again. What was learnt stays.
+    /// Restarts the low-passes, for a gap before the next sample. The normal equations are kept.
     pub fn interrupt(&mut self) {
         self.tick = 0;
         self.first.restart();
@@ -281,7 +283,8 @@ impl Streaming {
             let effective = n as f64 * weight;
             let freedom = effective / (effective - solution.rank as f64).max(1.0);
             for j in 0..n {
-                let least = LEAST_NOISE * (squares[j] / weight).max(LEAST_NOISE * LEAST_NOISE * largest).sqrt();
+                let least =
+                    MIN_NOISE_RATIO * (squares[j] / weight).max(MIN_NOISE_RATIO * MIN_NOISE_RATIO * largest).sqrt();
                 sigma[j] = (residuals[j] / weight * freedom).sqrt().max(least);
             }
             solution = self.solve(&sigma)?;
@@ -335,7 +338,7 @@ impl Residuals {
     /// `1 + 2 sum of the correlations`, tapered so that it is never negative (Bartlett); 0 while there are too few residuals.
     fn correlation(&self, j: usize) -> f64 {
         let variance = self.squares[0][j];
-        if self.count < ENOUGH || variance <= 0.0 {
+        if self.count < MIN_RESIDUALS || variance <= 0.0 {
             return 0.0;
         }
         let lags = self.squares.iter().enumerate().skip(1);
@@ -354,9 +357,9 @@ fn active(structure: &Structure) -> Vec<Vec<usize>> {
     (0..structure.chain().len()).map(|j| (0..columns).filter(|&c| has(j, c)).collect()).collect()
 }
 
-/// What the correlation between every `step`-th sample of white noise behind the low-pass adds to the variance of a sum of them.
+/// Factor of the variance of a sum of every `step`-th sample of low-passed white noise, by their correlation.
 fn white_correlation(filter: &Butterworth, rate: f64, step: usize) -> f64 {
-    // Its power is the zero-phase gain of the two-way filter. Trapezoidal over one period of the spectrum.
+    // Its power is the zero-phase gain of the forward-backward filter. Trapezoidal rule over one period of the spectrum.
     const POINTS: usize = 20_000;
     let power = (0..POINTS).map(|k| filter.zero_phase_gain(0.5 * rate * k as f64 / POINTS as f64)).sum::<f64>();
     (POINTS as f64 / (step as f64 * power)).max(1.0)

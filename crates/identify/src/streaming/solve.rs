@@ -1,10 +1,10 @@
-//! Normal equations solved, with what they can't tell.
+//! Solution of normal equations in the determined directions.
 
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
 use plumbline_model::ZERO_COLUMN;
 
-/// Largest condition number of the equilibrated normal matrix that Cholesky's factors are trusted with. It is the square of the regressor's:
+/// Maximum condition number of the equilibrated normal matrix for a Cholesky factorisation. It is the square of the regressor's:
 /// five of its digits are lost at this limit, ten of them remain.
 pub const CHOLESKY_LIMIT: f64 = 1e10;
 /// Directions whose eigenvalue is below this share of the largest are left undetermined: rounding of the products reaches 1e-15 of

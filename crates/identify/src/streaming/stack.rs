@@ -10,7 +10,7 @@ use plumbline_model::{SampleRegressor, Structure};
 
 /// How the equations were solved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Way {
+pub enum Solver {
     /// By their normal equations, and a second time for the residual of the first.
     Normal,
     /// By orthogonal triangularisation of the whole regressor: the normal equations would have lost too many digits.
@@ -26,7 +26,7 @@ pub struct LeastSquares {
     /// the equations do not determine every parameter.
     pub covariance: Option<DMatrix<f64>>,
     /// How they were found.
-    pub way: Way,
+    pub solver: Solver,
 }
 
 /// `beta = (W' Sigma^-1 W)^-1 W' Sigma^-1 tau` (paper eq. 10) for torques `tau` (N x n \[Nm\]) along a motion, `sigma` the standard deviation of
@@ -78,7 +78,7 @@ pub fn least_squares(
         }
     }
     beta += &first.inverse * gradient;
-    Ok(LeastSquares { beta, covariance: Some(first.inverse), way: Way::Normal })
+    Ok(LeastSquares { beta, covariance: Some(first.inverse), solver: Solver::Normal })
 }
 
 /// One sample of a motion with its torques.
@@ -117,5 +117,5 @@ fn orthogonal(structure: &Structure, motion: &Motion, tau: &DMatrix<f64>, sigma:
         let even = v_t.transpose() * inverse * v_t;
         DMatrix::from_fn(p, p, |i, k| scale[i] * even[(i, k)] * scale[k])
     });
-    Some(LeastSquares { beta, covariance, way: Way::Orthogonal })
+    Some(LeastSquares { beta, covariance, solver: Solver::Orthogonal })
 }

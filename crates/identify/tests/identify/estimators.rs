@@ -1,4 +1,4 @@
-//! The estimators against each other and against simulated truth, each where it is made for.
+//! The estimators against each other and against simulated truth, each on its intended data.
 
 use nalgebra::DVector;
 use plumbline_identify::solve::{Estimator, Identification, Options, Outcome, identify_with};
@@ -33,13 +33,13 @@ fn error(found: &Identification, unit: &[f64]) -> f64 {
     mean_square(&each.map(|((beta, truth), unit)| (beta - truth) / unit).collect::<Vec<_>>()).sqrt()
 }
 
-/// What the parameters' standard deviations are at best.
+/// Cramer-Rao bound of the parameters' standard deviations.
 fn bound(periods: usize) -> Vec<f64> {
     SCENE.bound(periods).diagonal().iter().map(|variance| variance.sqrt()).collect()
 }
 
 #[test]
-fn the_scene_draws_what_the_arms_sensors_draw() {
+fn the_scene_draws_the_noise_of_the_arm_s_sensors() {
     use plumbline_excite::{PeriodicMotion, parse_plan};
     // The second of two periods, as in the scene: sensor for sensor the same numbers as the arm's own, once its generator stands there.
     let plan = parse_plan("wall.toml", plumbline_testkit::scene::WALL_PLAN).unwrap();
@@ -62,7 +62,7 @@ fn the_scene_draws_what_the_arms_sensors_draw() {
 }
 
 #[test]
-fn the_bound_is_the_same_in_time_and_frequency() {
+fn the_bound_agrees_in_time_and_frequency_domain() {
     let (time, frequency) = (SCENE.bound(3), SCENE.bound_coloured(3, 0.0));
     for c in 0..time.nrows() {
         assert!((frequency[(c, c)] / time[(c, c)] - 1.0).abs() < 1e-8, "{c}");
@@ -72,7 +72,7 @@ fn the_bound_is_the_same_in_time_and_frequency() {
 }
 
 #[test]
-fn with_good_data_all_estimators_agree_and_know_their_errors() {
+fn with_good_data_all_estimators_agree_with_correct_standard_deviations() {
     let experiment = [prepare(&SCENE.record(10, 1))];
     let unit = bound(10);
     for estimator in Estimator::ALL {
@@ -81,17 +81,17 @@ fn with_good_data_all_estimators_agree_and_know_their_errors() {
         println!("{}: error {error:.3} of the bound, mean z2 {z:.3}, rounds {}", estimator.id(), found.rounds);
         assert_eq!((found.estimator, found.outcome, found.rank), (estimator, Outcome::Settled, 59));
         assert!((0.5..1.7).contains(&z), "{}: mean squared z-score {z}", estimator.id());
-        // Equal weights cost something: the wrist's sensors are better than the shoulder's.
+        // Equal weights are less precise: the wrist's sensors have less noise than the shoulder's.
         let most = if estimator == Estimator::Ols { 2.5 } else { 1.3 };
         assert!(error < most, "{}: {error} times the bound", estimator.id());
     }
 }
 
 #[test]
-fn outliers_hurt_least_squares_and_not_huber() {
+fn outliers_bias_least_squares_and_not_huber() {
     let extra = Extra { outliers: 0.0, ..Extra::default() };
     let mut run = SCENE.record_with(4, 2, extra);
-    // Somebody leans on the arm twice: 0.4 s of 8 Nm in every period's mean.
+    // Two contacts of 8 Nm for 0.4 s.
     for (first, joint) in [(3000, 1), (17000, 3)] {
         for k in first..first + 400 {
             run.tau[(k, joint)] += 8.0;
@@ -101,27 +101,27 @@ fn outliers_hurt_least_squares_and_not_huber() {
     let unit = bound(4);
     let (wls, huber) = (with(Estimator::Wls, &experiment), with(Estimator::Huber, &experiment));
     let (of_wls, of_huber) = (error(&wls, &unit), error(&huber, &unit));
-    println!("touched: wls {of_wls:.2}, huber {of_huber:.2} of the bound, z2 {:.2}", mean_square(&z(&huber)));
+    println!("contacts: wls {of_wls:.2}, huber {of_huber:.2} of the bound, z2 {:.2}", mean_square(&z(&huber)));
     assert!(of_wls > 3.0 * of_huber, "{of_wls} {of_huber}");
     assert!(of_huber < 2.0, "{of_huber}");
     let weights = huber.row_weights.as_ref().unwrap();
     let low = weights.iter().filter(|weight| **weight < 0.3).count();
-    assert!((1..60).contains(&low), "{low} of {} equations count for little", weights.len());
+    assert!((1..60).contains(&low), "{low} of {} equations have small weights", weights.len());
 }
 
 #[test]
-fn noisy_positions_bias_least_squares_and_neither_instruments_nor_total_least_squares() {
+fn noisy_positions_bias_least_squares_but_not_iv_and_tls() {
     // Encoders of 1 mrad noise, and filters so wide that the accelerations' noise reaches the regressor.
     let extra = Extra { position: 1e-3, ..Extra::default() };
     let settings =
         Settings { position_cutoff: Some(15.0), torque_cutoff: 15.0, keep_periods: true, ..Settings::default() };
     let experiment = [Experiment::prepare(&SCENE.record_with(10, 30, extra), &settings).unwrap()];
     let found = [Estimator::Ols, Estimator::Wls, Estimator::Iv, Estimator::Tls].map(|one| with(one, &experiment));
-    let honest: Vec<f64> = found[2].std.iter().map(|std| std.unwrap()).collect();
-    let errors = found.each_ref().map(|found| error(found, &honest));
+    let iv_std: Vec<f64> = found[2].std.iter().map(|std| std.unwrap()).collect();
+    let errors = found.each_ref().map(|found| error(found, &iv_std));
     let z2 = found.each_ref().map(|found| mean_square(&z(found)));
     println!("ols, wls, iv, tls: errors {errors:.2?} in IV's standard deviations, mean z2 {z2:.2?}");
-    // Least squares is off by many times what it thinks; the others are as good as they say.
+    // The errors of least squares are many times their standard deviations; those of the others agree with them.
     assert!(z2[0] > 500.0 && z2[1] > 100.0, "{z2:?}");
     assert!(z2[2] < 2.5 && z2[3] < 2.5, "{z2:?}");
     for unbiased in [2, 3] {
@@ -130,7 +130,7 @@ fn noisy_positions_bias_least_squares_and_neither_instruments_nor_total_least_sq
 }
 
 #[test]
-fn the_desired_motion_is_an_instrument_where_nothing_repeats() {
+fn the_desired_motion_is_an_instrument_of_an_aperiodic_run() {
     let run = SCENE.record(1, 5);
     let error =
         identify_with(&SCENE.structure, &[prepare(&run)], &Options { estimator: Estimator::Iv, essential: false })
@@ -143,8 +143,8 @@ fn the_desired_motion_is_an_instrument_where_nothing_repeats() {
 }
 
 #[test]
-fn shared_noise_weighs_with_the_full_covariance() {
-    // A torque noise that joints 2 and 4 share, as from a swaying base: the difference is known better than each.
+fn the_full_covariance_improves_estimates_under_correlated_noise() {
+    // Correlated torque noise of joints 2 and 4, as from a swaying base.
     let mut run = SCENE.record(6, 6);
     let common = SCENE.record_with(6, 7, Extra { coloured: 1.0, ..Extra::default() });
     for k in 0..run.t.len() {
@@ -168,7 +168,7 @@ fn shared_noise_weighs_with_the_full_covariance() {
 }
 
 #[test]
-fn essential_parameters_are_those_that_show() {
+fn essential_parameters_are_the_significant_ones() {
     let experiment = [prepare(&SCENE.record(2, 8))];
     let options = Options { estimator: Estimator::Wls, essential: true };
     let found = identify_with(&SCENE.structure, &experiment, &options).unwrap();
@@ -178,10 +178,10 @@ fn essential_parameters_are_those_that_show() {
     for dropped in &found.dropped {
         let c = found.columns.iter().position(|column| column.name == dropped.name).unwrap();
         assert_eq!((found.beta[c], found.std[c]), (0.0, None));
-        // What went was small: nobody can tell it from zero.
+        // Eliminated parameters are not significantly different from zero.
         assert!(SCENE.beta[c].abs() < 5.0 * whole.std[c].unwrap(), "{}", dropped.name);
     }
-    // What is left is known better, and explains the torques as well.
+    // The remaining ones have smaller standard deviations and equal residuals.
     let gain: Vec<f64> =
         found.std.iter().zip(&whole.std).filter_map(|(reduced, std)| Some((*reduced)? / std.unwrap())).collect();
     println!("std over that of the whole model {:.3}", mean_square(&gain).sqrt());
@@ -195,7 +195,7 @@ fn essential_parameters_are_those_that_show() {
 }
 
 #[test]
-fn least_squares_is_the_normal_equations() {
+fn least_squares_agrees_with_the_normal_equations() {
     // The second route: Gram matrix and Cholesky of the same filtered equations.
     let experiment = prepare(&SCENE.record(2, 9));
     let w = experiment.band(&SCENE.structure.regressor(&experiment.motion));
@@ -209,7 +209,7 @@ fn least_squares_is_the_normal_equations() {
 }
 
 #[test]
-fn aperiodic_runs_with_coloured_noise_have_honest_intervals() {
+fn aperiodic_runs_with_coloured_noise_have_correct_intervals() {
     // One long motion without repeats: three different stretches of noise on forty seconds each, treated as no period.
     let mut all = Vec::new();
     let mut within = (0, 0);

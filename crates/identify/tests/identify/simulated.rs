@@ -63,7 +63,7 @@ impl Truth {
         tau
     }
 
-    /// What the estimator must find, in the order of the structure's columns.
+    /// True parameters in the order of the structure's columns.
     fn beta(&self, structure: &Structure) -> Vec<f64> {
         let delta = DVector::from_iterator(10 * N, self.links.iter().flatten().copied());
         let base = structure.reduction().base_of(&delta);
@@ -144,7 +144,7 @@ fn mean_square(values: &[f64]) -> f64 {
 }
 
 #[test]
-fn without_noise_every_parameter_comes_back() {
+fn without_noise_every_parameter_is_exact() {
     let truth = Truth::random(11);
     let structure = structure(None);
     let experiment = prepare(&simulate(&truth, &motion(2, 10.0, 5), 1, Mounting::WALL, Noise::None, 0));
@@ -160,7 +160,7 @@ fn without_noise_every_parameter_comes_back() {
 }
 
 #[test]
-fn with_noise_errors_are_what_the_standard_deviations_say() {
+fn with_noise_errors_agree_with_the_standard_deviations() {
     let truth = Truth::random(12);
     let structure = structure(None);
     let beta = truth.beta(&structure);
@@ -175,7 +175,7 @@ fn with_noise_errors_are_what_the_standard_deviations_say() {
                 assert!(z.abs() < 4.0, "{}: {z} standard deviations", column.name);
             }
             z.extend(these);
-            // Nothing is left over but the noise, less what the fit takes of the mean's.
+            // The residual is the noise, less the degrees of freedom of the fit.
             let noise_floor = found.rms.noise_floor.as_ref().unwrap();
             for j in 0..N {
                 assert!((noise_floor[j] / floor - 1.0).abs() < 0.1, "{noise_floor:?}");
@@ -210,7 +210,7 @@ fn without_repeats_the_residual_gives_the_standard_deviations() {
 }
 
 #[test]
-fn central_differences_do_as_well_as_the_spectrum() {
+fn central_differences_agree_with_spectral_derivatives() {
     let truth = Truth::random(14);
     let structure = structure(None);
     let run = simulate(&truth, &motion(5, 10.0, 5), 4, Mounting::WALL, Noise::White(0.05), 7);
@@ -225,7 +225,7 @@ fn central_differences_do_as_well_as_the_spectrum() {
 }
 
 #[test]
-fn a_filter_on_the_torque_alone_is_a_bias() {
+fn a_filter_on_the_torque_alone_biases_the_estimate() {
     let truth = Truth::random(15);
     let structure = structure(None);
     let beta = truth.beta(&structure);
@@ -247,7 +247,7 @@ fn a_filter_on_the_torque_alone_is_a_bias() {
 }
 
 #[test]
-fn the_set_from_the_wall_holds_upright_and_not_the_other_way() {
+fn parameters_from_the_wall_are_valid_upright_but_not_vice_versa() {
     let truth = Truth::random(16);
     let noise = Noise::White(0.05);
     let run = |seed, mounting| simulate(&truth, &motion(seed, 10.0, 5), 4, mounting, noise, 300 + seed);
@@ -273,7 +273,7 @@ fn the_set_from_the_wall_holds_upright_and_not_the_other_way() {
 }
 
 #[test]
-fn what_a_mounting_hides_is_named_and_the_rest_stays_right() {
+fn parameters_hidden_by_the_mounting_are_undetermined_and_the_others_exact() {
     let truth = Truth::random(17);
     let structure = structure(None);
     let beta = truth.beta(&structure);
@@ -292,7 +292,7 @@ fn what_a_mounting_hides_is_named_and_the_rest_stays_right() {
 }
 
 #[test]
-fn joints_that_never_move_leave_finite_numbers() {
+fn joints_that_never_move_give_finite_parameters() {
     let truth = Truth::random(18);
     let structure = structure(None);
     let mut fourier = motion(10, 10.0, 5);
@@ -306,7 +306,7 @@ fn joints_that_never_move_leave_finite_numbers() {
 }
 
 #[test]
-fn an_uneven_record_with_gaps_and_repeats_that_does_not_repeat_is_identified() {
+fn an_uneven_aperiodic_record_with_gaps_and_repeats_is_identified() {
     let truth = Truth::random(19);
     let structure = structure(None);
     let beta = truth.beta(&structure);

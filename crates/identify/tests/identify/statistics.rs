@@ -1,4 +1,4 @@
-//! The statistics of docs/results/identification.md in short: intervals hold the truth as often as they say, errors are near the best possible.
+//! The statistics of docs/results/identification.md in short: coverage of the intervals, and errors relative to the bound.
 //! `cargo bench --bench statistics` is the long form.
 
 use plumbline_identify::solve::identify;
@@ -17,20 +17,20 @@ fn campaign(scene: &Scene, runs: usize, settings: &Settings) -> Campaign {
 }
 
 #[test]
-fn intervals_hold_the_truth_and_errors_are_near_the_bound() {
+fn intervals_have_their_coverage_and_errors_are_near_the_bound() {
     let scene = Scene::panda_on_the_wall();
     let usual = campaign(&scene, RUNS, &Settings::default());
     println!("{}", usual.line());
     // 944 correlated intervals: their share scatters by about 1.5 % round 95 %.
     assert!((0.915..0.98).contains(&usual.coverage()), "{}", usual.coverage());
     assert!(usual.over_bound() < 1.1, "{}", usual.over_bound());
-    // No parameter is off by itself: its mean error over the runs is what chance makes of it.
+    // No parameter is biased: its mean error over the runs is within its standard deviation.
     for (c, name) in usual.names.iter().enumerate() {
         let bias = usual.bias[c] / usual.bound[c] * (RUNS as f64).sqrt();
         assert!(bias.abs() < 4.0, "{name}: mean error {bias:.2} of its standard deviations");
     }
 
-    // The paper's signal processing takes the reversals of friction out of the motion, and so is biased.
+    // The paper's signal processing removes the reversals of friction from the motion and is therefore biased.
     let paper = campaign(&scene, 4, &Method::Paper.settings());
     println!("paper: {}", paper.line());
     assert!(paper.over_bound() > 1.5 * usual.over_bound(), "{} {}", paper.over_bound(), usual.over_bound());

@@ -1,11 +1,11 @@
-//! The recursive estimator: the rows of a second, plain implementation solved by singular values; simulated truth; constant memory.
+//! The recursive estimator against a second implementation solved by singular values, simulated truth, and a check for allocations.
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc, violation_count};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::JointVec;
 use plumbline_identify::signal::butterworth::Butterworth;
 use plumbline_identify::streaming::gram::Gram;
-use plumbline_identify::streaming::stack::{Way, least_squares};
+use plumbline_identify::streaming::stack::{Solver, least_squares};
 use plumbline_identify::streaming::{NotFinite, Settings, Streaming, StreamingError};
 use plumbline_model::term::{Motion, Sample};
 use plumbline_model::{Evaluator, Mounting, Reduction, Structure, TorqueModel};
@@ -73,7 +73,7 @@ impl Source {
     }
 }
 
-/// One causal run of a low-pass over a record, section by section, started as if the first value had lasted for ever.
+/// One causal run of a low-pass over a record, section by section, initialised in steady state at the first value.
 fn forward(filter: &Butterworth, x: &[f64]) -> Vec<f64> {
     let mut y = x.to_vec();
     for [b0, a1, a2] in filter.coefficients() {
@@ -88,7 +88,7 @@ fn forward(filter: &Butterworth, x: &[f64]) -> Vec<f64> {
     y
 }
 
-/// The rows that the estimator must have seen, by whole records: n m rows, joint by joint.
+/// The rows of the estimator, computed from whole records: n m rows, joint by joint.
 fn rows(
     structure: &Structure,
     q: &DMatrix<f64>,
@@ -151,7 +151,7 @@ fn by_singular_values(w: &DMatrix<f64>, tau: &DVector<f64>, sigma: &[f64]) -> DV
 }
 
 #[test]
-fn recursive_is_batch_on_the_same_rows() {
+fn the_recursive_estimate_agrees_with_the_batch_solution() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     for robot in ["panda", "scara", "ur10"] {
         let structure = structure(robot);
@@ -170,7 +170,7 @@ fn recursive_is_batch_on_the_same_rows() {
         let estimate = streaming.estimate().unwrap();
         let (w, right) = rows(&structure, &q, &tau, &settings);
         assert_eq!(estimate.rows, right.len(), "{robot}");
-        // The weights first: they are the residuals' own.
+        // The weights are those of the residuals.
         let expected = by_singular_values(&w, &right, &estimate.sigma);
         let residual = &right - &w * &expected;
         let m = right.len() / n;
@@ -205,7 +205,7 @@ fn recursive_is_batch_on_the_same_rows() {
 }
 
 #[test]
-fn truth_is_recovered_within_its_standard_deviations() {
+fn errors_agree_with_the_standard_deviations() {
     let structure = structure("panda");
     let truth = model(&structure, &mut ChaCha8Rng::seed_from_u64(2));
     let (mut beyond, mut all, mut squares) = (0, 0, 0.0);
@@ -228,13 +228,13 @@ fn truth_is_recovered_within_its_standard_deviations() {
             squares += error * error;
         }
     }
-    // Honest standard deviations: errors of their size, neither far larger nor far smaller.
+    // The standard deviations agree with the errors.
     let size = (squares / all as f64).sqrt();
     assert!(beyond == 0 && (0.6..1.5).contains(&size), "{beyond} of {all} beyond 4 standard deviations, size {size}");
 }
 
 #[test]
-fn what_is_forgotten_makes_room_for_what_changed() {
+fn forgetting_follows_a_change_of_the_parameters() {
     let structure = structure("paper-2dof");
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let (first, second) = (model(&structure, &mut rng), model(&structure, &mut rng));
@@ -258,15 +258,15 @@ fn what_is_forgotten_makes_room_for_what_changed() {
 }
 
 #[test]
-fn samples_are_taken_without_allocation_and_bad_ones_left_out() {
+fn push_does_not_allocate_and_ignores_non_finite_samples() {
     let structure = structure("panda");
     let mut source = Source::new(&model(&structure, &mut ChaCha8Rng::seed_from_u64(4)), 0.1, 1);
     let mut streaming = Streaming::new(&structure, &Mounting::WALL.gravity(), RATE, &Settings::default()).unwrap();
     let samples: Vec<_> = (0..20_000).map(|k| source.measured(k)).collect();
     samples.iter().for_each(|(q, tau)| streaming.push(q, tau).unwrap());
-    // From here on its residuals are followed too.
+    // From here on the correlation of the residuals is computed too.
     streaming.estimate().unwrap();
-    // The guard itself works.
+    // The allocation check itself works.
     assert_no_alloc(|| drop(std::hint::black_box(Box::new(1.0))));
     let counted = violation_count();
     assert!(counted > 0);
@@ -278,13 +278,13 @@ fn samples_are_taken_without_allocation_and_bad_ones_left_out() {
     bad[4] = f64::NAN;
     assert_eq!(streaming.push(&samples[0].0, &bad), Err(NotFinite { joint: 5 }));
     assert_eq!((streaming.rows(), streaming.estimate().unwrap().beta), before);
-    // It starts again: the low-passes have to settle before another row enters.
+    // After the restart the low-passes must settle before another row is added.
     samples[..500].iter().for_each(|(q, tau)| streaming.push(q, tau).unwrap());
     assert_eq!(streaming.rows(), before.0);
 }
 
 #[test]
-fn what_cannot_be_estimated_is_refused_with_its_values() {
+fn invalid_settings_and_missing_rows_are_errors() {
     let structure = structure("panda");
     let gravity = Mounting::WALL.gravity();
     let settings = |forgetting, torque_cutoff| Settings { forgetting, torque_cutoff, ..Settings::default() };
@@ -294,7 +294,7 @@ fn what_cannot_be_estimated_is_refused_with_its_values() {
     let mut streaming = Streaming::new(&structure, &gravity, RATE, &Settings::default()).unwrap();
     let columns = structure.columns().len();
     assert_eq!(streaming.estimate().unwrap_err(), StreamingError::TooFewRows { rows: 0, columns });
-    // At rest there are rows, but friction and inertia can't be told.
+    // At rest friction and inertia are undetermined.
     for _ in 0..20_000 {
         streaming.push(&[0.3; 8], &[1.0; 8]).unwrap();
     }
@@ -304,7 +304,7 @@ fn what_cannot_be_estimated_is_refused_with_its_values() {
 
 /// The joint blocks against dense products, with rows that no block divides evenly.
 #[test]
-fn gram_is_the_product_of_its_rows() {
+fn the_joint_blocks_agree_with_dense_products() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     for forgetting in [1.0, 0.97] {
         let (p, count) = (13, 77);
@@ -344,9 +344,9 @@ fn gram_is_the_product_of_its_rows() {
     }
 }
 
-/// Both ways of the whole motion against singular values.
+/// Both solvers of a whole motion against singular values.
 #[test]
-fn a_whole_motion_is_solved_to_the_last_digits_that_matter() {
+fn a_whole_motion_is_solved_to_rounding() {
     let mut rng = ChaCha8Rng::seed_from_u64(6);
     for (robot, spread) in [("panda", 1.0), ("gantry", 1.0), ("panda", 1e-6)] {
         let structure = structure(robot);
@@ -376,17 +376,17 @@ fn a_whole_motion_is_solved_to_the_last_digits_that_matter() {
         }
         let sigma: Vec<f64> = (0..n).map(|j| 0.05 * (1 + j) as f64).collect();
         let solved = least_squares(&structure, &motion, &tau, &sigma).unwrap();
-        assert_eq!(solved.way, if spread < 1.0 { Way::Orthogonal } else { Way::Normal }, "{robot}");
+        assert_eq!(solved.solver, if spread < 1.0 { Solver::Orthogonal } else { Solver::Normal }, "{robot}");
         let (w, right) = (structure.regressor(&motion), DVector::from_column_slice(tau.as_slice()));
         let expected = by_singular_values(&w, &right, &sigma);
-        if solved.way == Way::Normal {
+        if solved.solver == Solver::Normal {
             let covariance = solved.covariance.unwrap();
             for (c, column) in structure.columns().iter().enumerate() {
                 let error = (solved.beta[c] - expected[c]).abs() / covariance[(c, c)].sqrt();
                 assert!(error < 1e-9, "{robot}, {}: {error:e} standard deviations", column.name);
             }
         } else {
-            // Parameters that are hardly told apart may differ; the torque that is left may not.
+            // Nearly confounded parameters may differ; the residual must not.
             let left = |beta: &DVector<f64>| {
                 let residual = &right - &w * beta;
                 (0..n)
