@@ -116,18 +116,18 @@ def judge(text, code, samples, beside, problems):
         problems.append(f"the daemon's exit code is {code}:\n{text[-2000:]}")
     sessions = re.findall(
         r"session `(.*?)`: (\d+) periods (.*?) (\d+) cycles \+ (\d+) skipped \(longest run (\d+)\), (\d+) by this machine's clock; "
-        r"(\d+) late, (\d+) records lost, (\w+) allocations; wake p50 ([\d.]+) p99 ([\d.]+) p99.9 ([\d.]+) max ([\d.]+) us; "
-        r"work p50 ([\d.]+) p99 ([\d.]+) p99.9 ([\d.]+) max ([\d.]+) us", text)
+        r"(\d+) late, (\d+) dropped records, (\w+) allocations; wake-up p50 ([\d.]+) p99 ([\d.]+) p99.9 ([\d.]+) max ([\d.]+) us; "
+        r"execution p50 ([\d.]+) p99 ([\d.]+) p99.9 ([\d.]+) max ([\d.]+) us", text)
     if not sessions:
         problems.append("the daemon accounted for no session")
     for name, period, sign, cycles, skipped, longest, clock, late, lost, allocations, *times in sessions:
         print(f"session {name}: {period} periods = {cycles} cycles + {skipped} skipped (longest run {longest}), {clock} by the clock, "
-              f"{late} late, {lost} records lost, {allocations} allocations")
-        print(f"    work p50 {times[4]} p99 {times[5]} p99.9 {times[6]} max {times[7]} us")
+              f"{late} late, {lost} dropped records, {allocations} allocations")
+        print(f"    execution p50 {times[4]} p99 {times[5]} p99.9 {times[6]} max {times[7]} us")
         if sign != "=" or int(period) != int(cycles) + int(skipped) or period != clock:
             problems.append(f"session {name}: not every period is accounted for")
         if lost != "0" or allocations != "0":
-            problems.append(f"session {name}: {lost} records lost, {allocations} allocations")
+            problems.append(f"session {name}: {lost} dropped records, {allocations} allocations")
     if sessions and beside:
         longest_session = max(sessions, key=lambda s: int(s[1]))
         ours = [float(x) for x in longest_session[10:14]]

@@ -293,7 +293,7 @@ fn a_loss_in_mid_motion_stops_the_arm_and_the_recording_says_why() {
         command
     })
     .expect_code(0);
-    assert!(told.out.contains("its mounting was in doubt"), "{}", told.said());
+    assert!(told.out.contains("because the mounting check failed"), "{}", told.said());
     assert!(told.out.contains("the inclinometer is lost: "), "{}", told.said());
 }
 

@@ -305,7 +305,7 @@ fn the_last_resort_is_a_signal_and_a_daemon_that_stands_still_is_said_so() {
     std::fs::remove_file(scene.lock().with_extension("stop")).unwrap();
     let begin = now_ns();
     let done = scene.place.command("stop").expect_code(0);
-    assert!(done.out.contains("by signal SIGUSR2, for its socket failed"), "{}", done.said());
+    assert!(done.out.contains("by signal SIGUSR2; its socket failed"), "{}", done.said());
     scene.record("the brake", begin, |record| matches!(record.phase, Phase::Stop | Phase::Stopped));
     signal(scene.pid(), "STOP");
     let refused = scene.place.command("stop").expect_code(1);

@@ -69,7 +69,7 @@ took=$(within 10000 refused)
 check "the device dies: refused" "after $took ms: $(why)" refused
 device 2,0
 took=$(within 20000 good)
-check "another one in its place: brought up and served" "after $took ms, lost $(field losses) times, $(field lost-s) s in all" good
+check "another one in its place: brought up and served" "after $took ms, lost $(field losses) times, $(field lost_s) s in all" good
 check "every loss is in the daemon's status and journal" "$(field losses) losses" test "$(field losses)" -ge 5 -a "$(journal | grep -c 'the inclinometer is lost')" -ge 5
 check "with it an operator's start moves the arm" "$(operator command start 2>&1)" within 20000 is progress driving >/dev/null
 took=$(within 20000 is phase excite)
