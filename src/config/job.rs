@@ -16,7 +16,7 @@ use plumbline_core::BadInput;
 use plumbline_excite::{Criterion, Margins};
 use plumbline_identify::{Derivative, Method, solve};
 use plumbline_model::Mounting;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// A whole job.
@@ -136,7 +136,7 @@ impl Backend {
 }
 
 /// Pace of the simulated arm.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Pace {
     /// As fast as possible, without losing a sample.

@@ -1,16 +1,12 @@
 //! The orders of a session: decides from events what the loop is ordered next, without acting.
 
-use crate::recording::about::{RecordedOrder, Series};
+use crate::recording::about::{APPROACH, RETURN, RecordedOrder, Series};
 use crate::setup::programme::{Motion, Role, Stage};
 use plumbline_core::{JointVec, MAX_JOINTS, Phase};
 use plumbline_excite::{ExciteError, Fourier, PeriodicMotion};
 use plumbline_rt::{Event, Order, OrderKind};
 use std::collections::VecDeque;
 
-/// Orders that bring the arm to a motion's start carry the motion's number plus this.
-pub const APPROACH: u32 = 1 << 16;
-/// Number of the order that brings the arm back.
-pub const RETURN: u32 = 1 << 17;
 /// Rest before a motion starts \[ms\].
 const SETTLE: u64 = 500;
 

@@ -5,7 +5,7 @@ use super::replay::ReplayResult;
 use super::timing::Timing;
 use crate::recording::Recording;
 use crate::recording::about::{ReasonKind, RecordedOrder};
-use crate::recording::messages::{event_text, limit_name};
+use crate::recording::messages::{event_text_with, limit_name};
 use plumbline_core::{PERIOD_S, Phase, Record};
 use plumbline_rt::{Event, Limit, StopReason, TimedEvent, Violation};
 use serde::Serialize;
@@ -103,8 +103,20 @@ pub struct TimelineEntry {
     pub phase: String,
     /// Description.
     pub text: String,
-    /// `plain`, `warn` or `bad`.
-    pub weight: &'static str,
+    /// How much it matters.
+    pub weight: Weight,
+}
+
+/// How much an entry of the timeline matters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Weight {
+    /// As planned.
+    Plain,
+    /// An operator or the daemon acted.
+    Warn,
+    /// A limit, a fault or a lost connection.
+    Bad,
 }
 
 /// Peak value of one joint.
@@ -227,17 +239,10 @@ fn during(recording: &Recording) -> Option<String> {
     if moving.phase == Phase::Hold {
         return Some("a rest".to_string());
     }
-    let names = &recording.about.motions;
-    let own = names.iter().find(|(number, _)| *number == moving.motion).map(|(_, name)| name.clone());
-    // The number of an approach is that of its motion plus 2^16.
-    let to = names.iter().find(|(number, _)| moving.motion.checked_sub(1 << 16) == Some(*number));
-    let name = own.or(to.map(|(_, name)| format!("the way to {name}")));
-    Some(match (moving.phase, name) {
-        (Phase::Return, _) => "the way back".to_string(),
-        (phase, Some(name)) => {
-            format!("{name} ({:.3} s into its {})", moving.tick as f64 * PERIOD_S, phase_name(phase))
-        }
-        (phase, None) => format!("motion {} ({})", moving.motion, phase_name(phase)),
+    let name = recording.about.order_name(moving.motion, false);
+    Some(match moving.phase {
+        Phase::Return => "the way back".to_string(),
+        phase => format!("{name} ({:.3} s into its {})", moving.tick as f64 * PERIOD_S, phase_name(phase)),
     })
 }
 
@@ -288,17 +293,6 @@ fn timeline(recording: &Recording, time: &TimeBase) -> Vec<TimelineEntry> {
         let record = recording.records.get(place).or(recording.records.last());
         record.map_or(String::new(), |record| phase_name(record.phase).to_string())
     };
-    let named = |mut text: String| {
-        for (number, name) in &recording.about.motions {
-            for (from, to) in [
-                (format!("motion {number} has"), format!("{name} has")),
-                (format!("motion {} has", number.saturating_add(1 << 16)), format!("the way to {name} has")),
-            ] {
-                text = text.replace(&from, &to);
-            }
-        }
-        text.replace(&format!("motion {} has", 1 << 17), "the way back has")
-    };
     let mut lines: Vec<TimelineEntry> = Vec::new();
     if let Some(first) = recording.records.first() {
         let text = "the recording begins".to_string();
@@ -308,24 +302,23 @@ fn timeline(recording: &Recording, time: &TimeBase) -> Vec<TimelineEntry> {
             cycle: first.cycle,
             phase,
             text,
-            weight: "plain",
+            weight: Weight::Plain,
         });
     }
     for told in &recording.events {
         let weight = match told.event {
-            Event::Stopping { reason: StopReason::Requested | StopReason::Quit, .. } => "warn",
-            Event::Stopping { .. } | Event::Distrusted { .. } => "bad",
-            Event::Stopped | Event::Resumed => "warn",
+            Event::Stopping { reason: StopReason::Requested | StopReason::Quit, .. } => Weight::Warn,
+            Event::Stopping { .. } | Event::Distrusted { .. } => Weight::Bad,
+            Event::Stopped | Event::Resumed => Weight::Warn,
             Event::Discarded { .. } => continue,
-            _ => "plain",
+            _ => Weight::Plain,
         };
         let resting = matches!(told.event, Event::Started { .. } | Event::Ended { .. })
             && matches!(
                 recording.about.orders.get(told.orders.saturating_sub(1) as usize),
                 Some(RecordedOrder::Dwell { .. })
             );
-        let text = named(event_text(&told.event));
-        let text = if resting { text.replace("the way to ", "the rest before ") } else { text };
+        let text = event_text_with(&told.event, &|number| recording.about.order_name(number, resting));
         lines.push(TimelineEntry {
             before: time.before_end(told.seq),
             cycle: told.cycle,
@@ -343,7 +336,7 @@ fn timeline(recording: &Recording, time: &TimeBase) -> Vec<TimelineEntry> {
             cycle,
             phase: phase_at(cycle),
             text,
-            weight: "warn",
+            weight: Weight::Warn,
         });
     }
     lines.sort_by(|a, b| b.before.total_cmp(&a.before));
@@ -352,7 +345,7 @@ fn timeline(recording: &Recording, time: &TimeBase) -> Vec<TimelineEntry> {
         // The backend's description, if there is one.
         let text = if recording.about.reason.text.contains(end.as_str()) { &recording.about.reason.text } else { end };
         let text = format!("the loop ended: {text}");
-        lines.push(TimelineEntry { before: 0.0, cycle, phase: phase_at(cycle), text, weight: "bad" });
+        lines.push(TimelineEntry { before: 0.0, cycle, phase: phase_at(cycle), text, weight: Weight::Bad });
     }
     if lines.len() > MAX_LINES {
         let surplus = lines.len() - MAX_LINES;

@@ -28,7 +28,7 @@ pub fn page(facts: &Facts, recording: &Recording) -> io::Result<String> {
         next => facts.next.iter().map(|step| safe(with_code(step))).collect::<Vec<_>>(),
         timeline => facts.timeline.iter().map(|line| context! {
             before => format!("{:.3}", -line.before), cycle => line.cycle, phase => &line.phase, text => &line.text,
-            weight => line.weight,
+            weight => Value::from(minijinja::value::Serde(line.weight)),
         }).collect::<Vec<_>>(),
         gaps => &facts.gaps,
         replay => facts.replay.as_ref().map(|replay| context! {

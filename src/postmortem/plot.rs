@@ -2,7 +2,7 @@
 //!
 //! As in the report, colours are fixed placeholders that the page's style sheet maps to a light and a dark theme.
 
-use super::facts::{Facts, TimeBase, phase_name, tracking_error};
+use super::facts::{Facts, TimeBase, Weight, phase_name, tracking_error};
 use crate::recording::Recording;
 use plotters::prelude::*;
 use plumbline_core::{Phase, Record};
@@ -151,7 +151,7 @@ pub(super) fn strip(facts: &Facts, recording: &Recording) -> String {
         }
     }
     part(-time.before_end(start.state.seq), to, start.phase);
-    for line in facts.timeline.iter().filter(|line| line.weight == "bad") {
+    for line in facts.timeline.iter().filter(|line| line.weight == Weight::Bad) {
         let at = x(-line.before);
         text +=
             &format!(r#"<path class="mark" d="M{at:.1} 14 V62"/><circle class="mark" cx="{at:.1}" cy="14" r="5"/>"#);

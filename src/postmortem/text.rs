@@ -1,6 +1,6 @@
 //! Facts of a recording as text for a terminal.
 
-use super::facts::{Facts, JointPeak};
+use super::facts::{Facts, JointPeak, Weight};
 use super::replay::ReplayResult;
 use super::timing::Timing;
 use plumbline_core::{LoopStatistics, PERIOD_S};
@@ -35,7 +35,7 @@ fn put(out: &mut String, facts: &Facts) -> std::fmt::Result {
     }
     writeln!(out, "\nEvents (seconds before the end, cycle, phase)")?;
     for line in &facts.timeline {
-        let mark = if line.weight == "bad" { '!' } else { ' ' };
+        let mark = if line.weight == Weight::Bad { '!' } else { ' ' };
         writeln!(out, "{mark} {:>8.3}  {:>8}  {:<10}  {}", -line.before, line.cycle, line.phase, line.text)?;
     }
     worst(out, "\nLargest tracking error", "rad", &facts.tracking)?;

@@ -6,6 +6,11 @@ use plumbline_rt::{CycleSettings, GuardSettings, MoveFactors};
 use serde::{Deserialize, Serialize};
 use std::any::Any;
 
+/// Orders that bring the arm to a motion's start carry the motion's number plus this.
+pub const APPROACH: u32 = 1 << 16;
+/// Number of the order that brings the arm back.
+pub const RETURN: u32 = 1 << 17;
+
 /// Version of the recording format.
 pub const FORMAT: u32 = 1;
 
@@ -285,6 +290,23 @@ pub enum RecordedOrder {
         /// Number of the motion.
         motion: u32,
     },
+}
+
+impl About {
+    /// What an order does, from the number that it carries: the name of a motion, the way to it (the rest before it where `resting`), or the
+    /// way back.
+    pub fn order_name(&self, number: u32, resting: bool) -> String {
+        let named =
+            |wanted: u32| self.motions.iter().find(|(motion, _)| *motion == wanted).map(|(_, name)| name.as_str());
+        let to = number.checked_sub(APPROACH).and_then(named);
+        match (named(number), to) {
+            (Some(name), _) => name.to_string(),
+            (None, Some(name)) if resting => format!("the rest before {name}"),
+            (None, Some(name)) => format!("the way to {name}"),
+            (None, None) if number == RETURN => "the way back".to_string(),
+            (None, None) => format!("motion {number}"),
+        }
+    }
 }
 
 impl RecordedOrder {

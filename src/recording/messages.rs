@@ -193,11 +193,16 @@ pub fn limit_name(limit: Limit) -> &'static str {
     LIMITS.iter().find(|(one, _)| *one == limit).map_or("another", |(_, name)| name)
 }
 
-/// Description of an event.
+/// Description of an event, with motions by their numbers.
 pub fn event_text(event: &Event) -> String {
+    event_text_with(event, &|motion| format!("motion {motion}"))
+}
+
+/// Description of an event; `name` gives a motion's name for the number that its order carries.
+pub fn event_text_with(event: &Event, name: &dyn Fn(u32) -> String) -> String {
     match event {
-        Event::Started { motion } => format!("motion {motion} has started"),
-        Event::Ended { motion } => format!("motion {motion} has ended"),
+        Event::Started { motion } => format!("{} has started", name(*motion)),
+        Event::Ended { motion } => format!("{} has ended", name(*motion)),
         Event::Stopping { reason, .. } => format!("the arm is being stopped: {reason}"),
         Event::Stopped => "the arm is at rest after a stop; an operator has to resume".to_string(),
         Event::Resumed => "an operator has allowed motion again".to_string(),

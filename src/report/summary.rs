@@ -218,7 +218,7 @@ pub(super) fn control_loop(of: &LoopReport) -> String {
             parts.extend(times.in_us().map(three));
         }
     }
-    let pace = if of.is_fast() { "simulated time, as fast as possible" } else { &of.pace };
+    let pace = if of.is_fast() { "simulated time, as fast as possible" } else { "wall-clock" };
     format!("loop ({pace}): {}", parts.join(", "))
 }
 

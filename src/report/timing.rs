@@ -1,5 +1,6 @@
 //! Statistics of the real-time loop and the sample stream in `report.json`.
 
+use crate::config::job::Pace;
 use plumbline_ipc::{Session, Status, StreamCounters};
 use serde::{Deserialize, Serialize};
 
@@ -7,7 +8,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LoopReport {
     /// `fast`, which is simulated time as fast as possible, or `wall-clock`.
-    pub pace: String,
+    pub pace: Pace,
     /// Cycles run, those of the connection included that had not ended when the report was written.
     pub cycles: u64,
     /// Cycles that came late; `None` where simulated time doesn't follow the clock.
@@ -24,7 +25,7 @@ impl LoopReport {
     /// The loop as the daemon describes it.
     pub fn new(status: &Status, wall_clock: bool) -> LoopReport {
         LoopReport {
-            pace: if wall_clock { "wall-clock" } else { "fast" }.to_string(),
+            pace: if wall_clock { Pace::WallClock } else { Pace::Fast },
             cycles: status.cycles,
             late: wall_clock.then_some(status.late),
             lost: status.lost,
@@ -35,7 +36,7 @@ impl LoopReport {
 
     /// Whether simulated time went as fast as possible.
     pub fn is_fast(&self) -> bool {
-        self.pace == "fast"
+        self.pace == Pace::Fast
     }
 
     /// Allocations inside cycles; `None` if one session was not counted.

@@ -1,5 +1,6 @@
 //! The job at wall-clock pace: every millisecond is accounted for, and clients follow the served torque while the arm moves.
 
+use plumbline::config::job::Pace;
 use plumbline_testkit::job::*;
 use plumbline_testkit::peers;
 use std::path::Path;
@@ -79,8 +80,8 @@ fn every_millisecond_is_accounted_for_and_clients_follow() {
     assert_eq!(report.base.count, 59);
     let cycle = report.control_loop.unwrap();
     assert_eq!(
-        (cycle.pace.as_str(), cycle.dropped_records, cycle.allocations()),
-        ("wall-clock", 0, Some(0)),
+        (cycle.pace, cycle.dropped_records, cycle.allocations()),
+        (Pace::WallClock, 0, Some(0)),
         "{}",
         done.said()
     );

@@ -1,5 +1,6 @@
 //! The report: the promised schema, everything inside one HTML file, text from files escaped.
 
+use plumbline::config::job::Pace;
 use plumbline::report::figures::{PlanFigure, TorqueFigure};
 use plumbline::report::*;
 use plumbline::store::ModelFile;
@@ -70,7 +71,7 @@ fn report() -> Report {
         estimator: None,
         gravity: None,
         control_loop: Some(LoopReport {
-            pace: "wall-clock".into(),
+            pace: Pace::WallClock,
             cycles: 131_072,
             late: Some(3),
             sessions: ["wall", "upright"].map(session).to_vec(),
@@ -232,7 +233,7 @@ fn a_session_in_simulated_time_has_no_late_cycles() {
     let statistics = &mut fast.statistics;
     (statistics.late, statistics.wake_up, fast.allocations) = (None, Distribution::default(), None);
     let of = report.control_loop.as_mut().unwrap();
-    (of.pace, of.late, of.sessions) = ("fast".into(), None, vec![fast]);
+    (of.pace, of.late, of.sessions) = (Pace::Fast, None, vec![fast]);
     let said = report.summary().join("\n");
     assert!(said.contains("as fast as possible") && said.contains("allocations not watched"), "{said}");
     let page = report.to_html(&Figures::default()).unwrap();
