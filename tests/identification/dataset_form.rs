@@ -133,7 +133,7 @@ fn writing_replaces_a_dataset_and_nothing_else() {
     fs::create_dir(&other).unwrap();
     fs::write(other.join("chapter1.tex"), "years of work").unwrap();
     let refused = fewer.write(&other).unwrap_err().to_string();
-    assert!(refused.contains("thesis") && refused.contains("no dataset"), "{refused}");
+    assert!(refused.contains("thesis") && refused.contains("not a dataset"), "{refused}");
     assert!(other.join("chapter1.tex").exists());
 }
 

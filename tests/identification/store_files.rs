@@ -129,7 +129,7 @@ fn an_edited_or_truncated_model_is_refused() {
         assert_ne!(*edited, text);
         let said = parse(edited).unwrap_err();
         assert!(
-            said.starts_with("model.toml: key `content`: got \"sha256:") && said.contains("edited or cut off"),
+            said.starts_with("model.toml: key `content`: got \"sha256:") && said.contains("edited or truncated"),
             "{said}"
         );
         // Whoever means it takes the seal off.
