@@ -113,7 +113,7 @@ fn a_robot_description_in_a_model_file_is_covered_by_its_hash() {
         assert!(!out.exists());
     };
     refused(&text.replace("d = 0.316", "d = 0.416"), &["edited.toml"]);
-    refused(&text.replace("dq = 2.175", "dq = 2.0"), &["edited.toml", "key `content`", "edited or cut off"]);
+    refused(&text.replace("dq = 2.175", "dq = 2.0"), &["edited.toml", "key `content`", "edited or truncated"]);
     let unsealed: String =
         text.lines().filter(|line| !line.starts_with("content = ")).map(|line| format!("{line}\n")).collect();
     refused(

@@ -3,8 +3,9 @@
 use super::ExciteError;
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS};
+use plumbline_model::term::Entry;
+use plumbline_model::term::effect::{InBodies, family};
 use plumbline_model::term::friction::SHARPNESS;
-use plumbline_model::term::{friction, payload, rigid_body, rotor_inertia, torque_offset};
 use plumbline_model::{Chain, LINK_COLUMNS, LinkParameters, TorqueModel, rnea};
 
 /// Nominal model: rigid body, friction, offsets and rotors of an arm.
@@ -32,31 +33,28 @@ impl Nominal {
         let mut nominal =
             Nominal { links: vec![LinkParameters::default(); structure.chain().len()], ..Nominal::default() };
         for (term, parameters) in model.terms() {
-            let id = term.id();
-            if id == rigid_body::ID {
-                for (&slot, parameter) in structure.reduction().independent().iter().zip(parameters) {
-                    nominal.links[slot / LINK_COLUMNS][slot % LINK_COLUMNS] = parameter.value;
-                }
-                continue;
-            }
-            if term.spec().is_some() {
-                if let (payload::ID, Some(last)) = (id, nominal.links.last_mut()) {
+            if let Some(spec) = term.spec() {
+                if let (true, Some(last)) = (in_last_link(spec.family), nominal.links.last_mut()) {
                     for (c, parameter) in parameters.iter().enumerate() {
                         last[term.original(c)] += parameter.value;
                     }
                 }
                 continue;
             }
-            for parameter in parameters {
-                let name = parameter.column.name.as_str();
-                let slots = match id {
-                    friction::ID if name.starts_with("fv") => &mut nominal.fv,
-                    friction::ID if name.starts_with("fc") => &mut nominal.fc,
-                    torque_offset::ID => &mut nominal.offset,
-                    rotor_inertia::ID => &mut nominal.rotor,
-                    _ => return Err(ExciteError::Column { term: id.to_string(), name: name.to_string() }),
+            let entries = term.entries().unwrap_or_default();
+            for (index, parameter) in parameters.iter().enumerate() {
+                let slot = match entries.get(index).copied() {
+                    Some(Entry::Link { slot }) => &mut nominal.links[slot / LINK_COLUMNS][slot % LINK_COLUMNS],
+                    Some(Entry::Velocity { joint }) => &mut nominal.fv[joint],
+                    Some(Entry::SmoothSign { joint }) => &mut nominal.fc[joint],
+                    Some(Entry::Constant { joint }) => &mut nominal.offset[joint],
+                    Some(Entry::Acceleration { joint }) => &mut nominal.rotor[joint],
+                    None => {
+                        let (term, name) = (term.id().to_string(), parameter.column.name.clone());
+                        return Err(ExciteError::Column { term, name });
+                    }
                 };
-                slots[parameter.column.joint - 1] = parameter.value;
+                *slot = parameter.value;
             }
         }
         Ok(nominal)
@@ -66,7 +64,7 @@ impl Nominal {
     pub fn left_out(model: &TorqueModel) -> Vec<&'static str> {
         let mut ids: Vec<&str> = Vec::new();
         for id in model.structure().terms().iter().filter_map(|term| term.spec()).map(|spec| spec.family) {
-            if id != payload::ID && !ids.contains(&id) {
+            if !in_last_link(id) && !ids.contains(&id) {
                 ids.push(id);
             }
         }
@@ -93,6 +91,11 @@ impl Nominal {
         }
         tau
     }
+}
+
+/// Whether an effect is a body on the last link.
+fn in_last_link(id: &str) -> bool {
+    family(id).is_some_and(|family| matches!(family.in_bodies, InBodies::LastLink))
 }
 
 #[cfg(test)]

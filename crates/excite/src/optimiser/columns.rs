@@ -6,7 +6,7 @@
 use super::super::ExciteError;
 use super::adjoint::LinkRow;
 use plumbline_core::MAX_JOINTS;
-use plumbline_model::term::{friction, rigid_body, rotor_inertia, torque_offset};
+use plumbline_model::term::Entry;
 use plumbline_model::{LINK_COLUMNS, Structure};
 
 /// Column that is nonzero in one joint's row only.
@@ -69,29 +69,29 @@ impl Columns {
         let mut rows = vec![RowColumns::default(); n];
         let mut rigid = 0;
         for (term, range) in structure.terms().iter().zip(structure.ranges()) {
-            if term.id() == rigid_body::ID {
-                rigid = range.len();
-                for (global, &slot) in range.zip(structure.reduction().independent()) {
-                    let (link, parameter) = (slot / LINK_COLUMNS, slot % LINK_COLUMNS);
-                    for row in &mut rows[..=link] {
-                        row.rigid.push((link, parameter));
-                        row.global.push(global);
+            let entries = term.entries().unwrap_or_default();
+            for (index, global) in range.enumerate() {
+                let (joint, own) = match entries.get(index).copied() {
+                    Some(Entry::Link { slot }) => {
+                        let (link, parameter) = (slot / LINK_COLUMNS, slot % LINK_COLUMNS);
+                        for row in &mut rows[..=link] {
+                            row.rigid.push((link, parameter));
+                            row.global.push(global);
+                        }
+                        rigid += 1;
+                        continue;
                     }
-                }
-                continue;
-            }
-            for global in range {
-                let column = &structure.columns()[global];
-                let own = match (term.id(), column.name.as_str()) {
-                    (friction::ID, name) if name.starts_with("fv") => JointColumn::Viscous,
-                    (friction::ID, name) if name.starts_with("fc") => JointColumn::Coulomb,
-                    (torque_offset::ID, _) => JointColumn::Offset,
-                    (rotor_inertia::ID, _) => JointColumn::Rotor,
-                    (id, name) => return Err(ExciteError::Column { term: id.to_string(), name: name.to_string() }),
+                    Some(Entry::Velocity { joint }) => (joint, JointColumn::Viscous),
+                    Some(Entry::SmoothSign { joint }) => (joint, JointColumn::Coulomb),
+                    Some(Entry::Constant { joint }) => (joint, JointColumn::Offset),
+                    Some(Entry::Acceleration { joint }) => (joint, JointColumn::Rotor),
+                    None => {
+                        let (term, name) = (term.id().to_string(), structure.columns()[global].name.clone());
+                        return Err(ExciteError::Column { term, name });
+                    }
                 };
-                let row = &mut rows[column.joint - 1];
-                row.own.push(own);
-                row.global.push(global);
+                rows[joint].own.push(own);
+                rows[joint].global.push(global);
             }
         }
         Ok(Columns { rows, count: structure.columns().len(), rigid })

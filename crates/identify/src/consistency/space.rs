@@ -5,7 +5,7 @@ use super::prior::{Prior, sizes, stacked};
 use super::solve::Problem;
 use super::{Uncertainty, Weights};
 use nalgebra::{DMatrix, DVector, Matrix4};
-use plumbline_model::term::rotor_inertia;
+use plumbline_model::term::Entry;
 use plumbline_model::{Structure, link_parameters, pseudo_inertia};
 
 /// Ratio of standard deviation to size of a parameter where none is known.
@@ -40,9 +40,9 @@ impl Map {
         let mut own = reduction.independent().to_vec();
         let mut rotors: Vec<(usize, Vec<(usize, f64)>)> = Vec::new();
         for (term, range) in structure.terms().iter().zip(structure.ranges()) {
-            if term.id() == rotor_inertia::ID {
-                for c in range {
-                    rotors.push((columns[c].joint - 1, vec![(rows.len(), 1.0)]));
+            for (entry, c) in term.entries().unwrap_or_default().into_iter().zip(range) {
+                if let Entry::Acceleration { joint } = entry {
+                    rotors.push((joint, vec![(rows.len(), 1.0)]));
                     rows.push(c);
                 }
             }
