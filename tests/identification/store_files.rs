@@ -143,7 +143,7 @@ fn an_edited_or_truncated_model_is_refused() {
         }
     }
     let provenance = text.find("[provenance]").unwrap();
-    assert!(parse(&text[..provenance]).unwrap_err().contains("cut off"));
+    assert!(parse(&text[..provenance]).unwrap_err().contains("truncated"));
 }
 
 #[test]
