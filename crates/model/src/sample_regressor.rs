@@ -1,15 +1,18 @@
 //! The regressor of a whole structure at one sample.
 
 use crate::fast::links::LinkColumns;
-use crate::fast::sign::smooth_signs;
+use crate::fast::sign::smooth_sign;
+use crate::fast::vector_level;
 use crate::structure::Structure;
 use crate::term::{Entry, Sample};
+use fearless_simd::{Level, dispatch};
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS};
 
 /// `Y` at one sample after the other, for structures whose terms depend on that sample alone. Allocates nothing after its creation.
 #[derive(Clone, Debug)]
 pub struct SampleRegressor {
+    level: Level,
     joints: usize,
     links: LinkColumns,
     /// What the columns after the links' are.
@@ -35,6 +38,7 @@ impl SampleRegressor {
         }
         let links = LinkColumns::new(structure.chain(), &slots, gravity);
         Ok(SampleRegressor {
+            level: vector_level(),
             joints: structure.chain().len(),
             has_sign: others.iter().any(|entry| matches!(entry, Entry::SmoothSign { .. })),
             columns: vec![[0.0; MAX_JOINTS]; slots.len() + others.len()],
@@ -64,7 +68,8 @@ impl SampleRegressor {
         self.links.fill(sample, links);
         let mut sign = JointVec::default();
         if self.has_sign {
-            smooth_signs(&sample.dq, &mut sign);
+            let level = self.level;
+            dispatch!(level, simd => smooth_sign(simd, &sample.dq, &mut sign));
         }
         for (column, entry) in others.iter_mut().zip(&self.others) {
             match *entry {

@@ -28,7 +28,7 @@ impl Lanes {
 
 /// The instructions for short recursions that mix vectors with scalars: AVX2 where there is AVX-512, whose wide registers switch off
 /// the scalars' second unit.
-fn vector_level() -> Level {
+pub(crate) fn vector_level() -> Level {
     let level = Level::new();
     #[cfg(target_arch = "x86_64")]
     if let Some(avx2) = level.as_avx2() {

@@ -10,7 +10,7 @@ pub const SHARPNESS: f64 = 100.0;
 
 /// `tanh(100 dq)` (paper eq. 2).
 #[inline(always)]
-fn smooth_sign<S: Simd>(simd: S, dq: &JointVec, sign: &mut JointVec) {
+pub(crate) fn smooth_sign<S: Simd>(simd: S, dq: &JointVec, sign: &mut JointVec) {
     tanh(simd, f64x8::from_slice(simd, dq) * SHARPNESS).store_slice(sign);
 }
 
