@@ -108,6 +108,9 @@ pub struct Settings {
     pub log: Option<PathBuf>,
 }
 
+/// The arm behind the emulator, built in: the program also runs where the repository is not.
+const ARM: &str = include_str!("../../../../config/arms/sim-panda.toml");
+
 impl Settings {
     /// A robot of `protocol`'s kind with the built-in simulated Panda behind it, upright, in its ready pose, without faults.
     pub fn new(address: impl Into<IpAddr>, protocol: Protocol) -> Settings {
@@ -117,7 +120,7 @@ impl Settings {
             protocol,
             robot: RobotKind::of(protocol),
             limits: None,
-            arm: crate::sim::arm("sim-panda"),
+            arm: Truth::parse("sim-panda", ARM).expect("a shipped file"),
             mounting: Mounting::UPRIGHT,
             compensates: [0.0, 0.0, -G],
             start: READY,
