@@ -1,7 +1,7 @@
 //! Effects: terms that diagnosis can add to a model.
 //!
 //! A kind of effect is one file beside this one that declares a [`Family`] and builds its [`Term`], and one line of
-//! [`FAMILIES`](super::catalogue::FAMILIES).
+//! [`FAMILIES`].
 
 pub use super::catalogue::{FAMILIES, family};
 pub use super::family::{
