@@ -207,7 +207,7 @@ impl Daemon {
         self.state.stops.braking = false;
         let (statistics, end) = ended?;
         tracing::info!("{}", account(&statistics));
-        let words = statistics.link.as_ref().and_then(|link| link.fault.clone()).unwrap_or_else(|| end.to_string());
+        let words = session::end_words(&statistics, &end);
         self.state.history.sessions.push(statistics);
         match end {
             End::Quit => Ok(SessionEnd::Completed),

@@ -108,9 +108,9 @@ impl Models {
 
     /// Whether a model's torques go with what the arm has measured in the last second.
     fn plausible(&mut self, model: &TorqueModel, gravity: &Vector3<f64>, limits: &Limits) -> Result<(), Implausible> {
-        let recent = self.recent.0.make_contiguous();
-        let served = self.served.as_ref().filter(|served| self.rejected != Some(served.id));
-        plausible(model, served.map(|served| &served.model), gravity, recent, limits)
+        self.recent.0.make_contiguous();
+        let (recent, _) = self.recent.0.as_slices();
+        plausible(model, self.trusted().map(|served| &served.model), gravity, recent, limits)
     }
 
     /// Serves a model; its identity. What was proposed before is about another model.

@@ -1,6 +1,6 @@
 //! The state of the daemon. Answers to requests are in `requests`, the status message in `status`.
 
-use super::gravity::{Decision, GravityMonitor, ServiceChange, Verdict};
+use super::gravity::{GravityMonitor, HealthChange, ServiceChange, Verdict};
 use super::job_setup::JobSetup;
 use super::models::{Accepted, Models};
 use super::recorder::Recorder;
@@ -213,7 +213,6 @@ impl DaemonState {
 
     /// Reads the inclinometer; call it often. While no model is `serving`, the gravity served need not change slowly.
     pub fn poll_gravity(&mut self, now: u64, serving: bool) {
-        use super::gravity::HealthChange;
         match self.gravity.poll(now, serving) {
             None => {}
             Some(change @ HealthChange::Lost(_)) => self.gravity_event(change.to_string()),
@@ -226,11 +225,11 @@ impl DaemonState {
 
     /// Whether the served model may be handed to a loop in `mounting` now, with its verdict; `None` where there is no such model.
     pub fn model_for_loop(&mut self, mounting: &Mounting) -> Option<(&Accepted, Verdict)> {
-        let Decision { model, verdict, remark } = self.gravity.decide(self.models.for_loop(mounting)?);
-        if let Some(remark) = remark {
+        let decision = self.gravity.decide(self.models.for_loop(mounting)?);
+        if let Some(remark) = &decision.remark {
             tracing::warn!("{remark}");
         }
-        match self.gravity.apply(&Decision { model, verdict: verdict.clone(), remark: None }) {
+        match self.gravity.apply(&decision) {
             None => {}
             Some(ServiceChange::Waits(words)) => tracing::info!("{words}"),
             Some(ServiceChange::Refused(words)) => self.gravity_event(words),
@@ -238,7 +237,7 @@ impl DaemonState {
                 tracing::info!("model {model:016x} is served again: nothing speaks against it any more");
             }
         }
-        self.models.served().map(|served| (served, verdict))
+        self.models.served().map(|served| (served, decision.verdict))
     }
 
     /// Logs an event of the mounting, and keeps it for status and flight recorder.
@@ -295,11 +294,13 @@ impl DaemonState {
             (
                 FollowerEvent::Died { .. } | FollowerEvent::Left { .. } | FollowerEvent::Silent { .. },
                 Progress::Driving,
-            ) if stop => LossResponse::Stop,
-            (
-                FollowerEvent::Died { .. } | FollowerEvent::Left { .. } | FollowerEvent::Silent { .. },
-                Progress::Driving,
-            ) => LossResponse::Continue,
+            ) => {
+                if stop {
+                    LossResponse::Stop
+                } else {
+                    LossResponse::Continue
+                }
+            }
             (FollowerEvent::Died { .. }, Progress::AwaitingModel) => LossResponse::Wait,
             // Nothing moves, so nothing is decided. An estimator that computes is silent, too.
             _ => LossResponse::None,

@@ -127,8 +127,7 @@ impl Session {
             }
             LoopEnd::Ended(ref outcome) => {
                 let statistics = self.statistics(outcome);
-                let words = statistics.link.as_ref().and_then(|link| link.fault.clone());
-                let words = words.unwrap_or_else(|| outcome.end.to_string());
+                let words = end_words(&statistics, &outcome.end);
                 let recovers = daemon.state.may_recover(&outcome.end);
                 self.tape.close(&left, &words, self.next_step(&outcome.end), recovers);
                 Ok((statistics, outcome.end))
@@ -398,4 +397,10 @@ impl Session {
             }),
         }
     }
+}
+
+/// The end of a session: the arm's own explanation of its fault, where there is one.
+pub fn end_words(statistics: &SessionStatistics, end: &End) -> String {
+    let fault = statistics.link.as_ref().and_then(|link| link.fault.clone());
+    fault.unwrap_or_else(|| end.to_string())
 }
