@@ -4,7 +4,7 @@ use crate::config::job::{BackendKind, Job};
 use crate::failure::Failure;
 use plumbline_core::{ArmConnector, Clock};
 use plumbline_model::Robot;
-use plumbline_rt::os;
+use plumbline_rt::os::Monotonic;
 use plumbline_sim::{SimConnector, Truth};
 
 /// Simulated arms that the program carries.
@@ -42,19 +42,6 @@ fn simulated(job: &Job, robot: &Robot) -> Result<SimConnector, Failure> {
     })
 }
 
-/// `CLOCK_MONOTONIC`.
-struct Monotonic;
-
 fn monotonic() -> Box<dyn Clock> {
     Box::new(Monotonic)
-}
-
-impl Clock for Monotonic {
-    fn now_ns(&self) -> u64 {
-        os::now_ns()
-    }
-
-    fn sleep_until(&self, deadline_ns: u64) {
-        os::sleep_until(deadline_ns);
-    }
 }

@@ -2,16 +2,14 @@
 //! return, the end. Sealed, the loop's thread dies at its first stray system call, and the program with it.
 
 use plumbline::store::ModelFile;
-use plumbline_core::{
-    ArmLimits, Backend, Clock, Command, Fault, FeedForward, JointVec, MAX_JOINTS, Setpoint, State, Torque,
-};
+use plumbline_core::{ArmLimits, Backend, Command, Fault, FeedForward, JointVec, MAX_JOINTS, Setpoint, State, Torque};
 use plumbline_franka::RobotKind;
 use plumbline_franka::wire::Protocol;
 use plumbline_model::term::Sample;
 use plumbline_model::{Evaluator, Mounting, Robot};
 use plumbline_rt::Rights;
 use plumbline_rt::cycle::{End, Outcome};
-use plumbline_rt::os::{now_ns, sleep_until};
+use plumbline_rt::os::{Monotonic, sleep_until};
 use plumbline_rt::recorder::{Drain, ring};
 use plumbline_rt::{CycleSettings, Event, GuardSettings, Handles, cycle};
 use plumbline_sim::{Gate, Pace};
@@ -177,18 +175,6 @@ impl<B: Backend> Backend for SealedArm<B> {
 
     fn deadline_ns(&self) -> Option<u64> {
         self.arm.deadline_ns()
-    }
-}
-
-struct Monotonic;
-
-impl Clock for Monotonic {
-    fn now_ns(&self) -> u64 {
-        now_ns()
-    }
-
-    fn sleep_until(&self, deadline_ns: u64) {
-        sleep_until(deadline_ns);
     }
 }
 

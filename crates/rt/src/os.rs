@@ -3,6 +3,7 @@
 
 #![allow(unsafe_code)]
 
+use plumbline_core::Clock;
 use rustix::thread::ClockId;
 use rustix::time::{Timespec, clock_gettime};
 use std::io;
@@ -25,6 +26,20 @@ pub fn sleep_until(deadline_ns: u64) {
         tv_nsec: (deadline_ns % SECOND_NS).try_into().unwrap_or(0),
     };
     while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &request) == Err(rustix::io::Errno::INTR) {}
+}
+
+/// `CLOCK_MONOTONIC`, for an arm without hardware.
+#[derive(Clone, Copy, Debug)]
+pub struct Monotonic;
+
+impl Clock for Monotonic {
+    fn now_ns(&self) -> u64 {
+        now_ns()
+    }
+
+    fn sleep_until(&self, ns: u64) {
+        sleep_until(ns);
+    }
 }
 
 /// Scheduling policy of the calling thread, as the kernel has it.
