@@ -17,15 +17,15 @@ const HOMES: &[(&str, &str)] = &[
     (".singular_values()", "crates/core/src/decomposition.rs"),
 ];
 
-/// Files outside `plumbline-rt` that run in the loop: the lint wall stands at their head, or at the head of the module that they belong to.
+/// Files outside `plumbline-rt` that run in the loop: the lint wall stands at their head, or at the head of the module whose folder they are in.
 const REAL_TIME: &[&str] = &[
-    "crates/franka/src/arm.rs",
-    "crates/franka/src/limiter.rs",
-    "crates/franka/src/motion.rs",
-    "crates/franka/src/reference.rs",
-    "crates/franka/src/torque.rs",
-    "crates/franka/src/transport.rs",
-    "crates/franka/src/udp.rs",
+    "crates/franka/src/cycle/arm.rs",
+    "crates/franka/src/cycle/limiter.rs",
+    "crates/franka/src/cycle/motion.rs",
+    "crates/franka/src/cycle/reference.rs",
+    "crates/franka/src/cycle/torque.rs",
+    "crates/franka/src/cycle/transport.rs",
+    "crates/franka/src/cycle/udp.rs",
     "crates/model/src/lib.rs",
     "crates/rt/src/lib.rs",
     "crates/sim/src/aba.rs",
@@ -113,7 +113,12 @@ fn the_lint_wall_stands_around_the_loop() {
     let code = product_code();
     for file in REAL_TIME {
         let (_, text) = code.iter().find(|(name, _)| name == file).unwrap_or_else(|| panic!("{file} is gone"));
-        assert!(WALL.iter().all(|stone| text.contains(stone)), "{file} is outside the wall");
+        let (folder, name) = file.rsplit_once('/').unwrap();
+        let declared = format!("mod {};", name.trim_end_matches(".rs"));
+        let module = code.iter().find(|(name, _)| *name == format!("{folder}/mod.rs"));
+        let module = module.map(|(_, text)| text).filter(|text| text.contains(&declared));
+        let holds = |text: &String| WALL.iter().all(|stone| text.contains(stone));
+        assert!(holds(text) || module.is_some_and(holds), "{file} is outside the wall");
     }
 }
 

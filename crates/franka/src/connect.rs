@@ -1,13 +1,12 @@
 //! From settings to an arm that is ready to be driven, and back to that state after a reflex.
 
-use super::arm::FrankaArm;
+use super::cycle::{FrankaArm, Transport};
 use super::error::{ConnectError, next_step};
 use super::gravity::{Estimate, Gravity, compensated};
 use super::limits::{self, RobotLimits, widen};
 use super::session::Session;
 use super::settings::{Interface, Purpose, RobotKind, Settings};
 use super::telemetry::Telemetry;
-use super::transport::Transport;
 use super::wire::{ErrorBit, Errors, Protocol, RecoveryStatus, Request, Response, RobotMode, RobotState};
 use plumbline_core::JointVec;
 use std::sync::Arc;

@@ -7,10 +7,10 @@
 //! |---|---|
 //! | [`wire`] | the protocol as bytes |
 //! | `settings`, `limits` | what a session is opened with; what the arm holds commands against |
-//! | `session`, `tcp`, `udp`, `hints`, `error` | connecting, and what to do when that fails |
+//! | `session`, `tcp`, `hints`, `error` | connecting, and what to do when that fails |
 //! | `gravity` | the gravity that the arm compensates, and the direction that its sensors show |
-//! | `arm`, `transport`, `motion` | the arm in the loop: the state machine of a session; its connections; the commands of a motion |
-//! | `reference`, `limiter`, `torque` | what the arm goes by, in double precision; commands inside its limits; the impedance law |
+//! | `cycle/arm`, `cycle/transport`, `cycle/udp`, `cycle/motion` | the arm in the loop: the state machine of a session; its connections; the commands of a motion |
+//! | `cycle/reference`, `cycle/limiter`, `cycle/torque` | what the arm goes by, in double precision; commands inside its limits; the impedance law |
 //! | `connector` | the arm as a backend of the daemon |
 //! | `telemetry`, `explain` | counters that any thread may read; explanations of faults |
 //!
@@ -38,31 +38,25 @@
 
 #![forbid(unsafe_code)]
 
-mod arm;
 mod codes;
 mod connect;
 mod connector;
+mod cycle;
 mod error;
 mod explain;
 mod gravity;
 mod hints;
-mod limiter;
 mod limits;
-mod motion;
-mod reference;
 mod session;
 mod settings;
 mod tcp;
 mod telemetry;
-mod torque;
-mod transport;
-mod udp;
 pub mod wire;
 
-pub use arm::FrankaArm;
 pub use codes::*;
 pub use connect::{Connection, Info, connect, read_limits, recover, recover_communication};
 pub use connector::FrankaConnector;
+pub use cycle::FrankaArm;
 pub use error::{ConnectError, next_step};
 pub use explain::explain;
 pub use gravity::{Gravity, Source};

@@ -1,10 +1,10 @@
 //! Opening a session: sockets, version, first state, one answer per request. Everything that may block or allocate.
 
+use super::cycle::{Received, StateLink};
 use super::error::ConnectError;
 use super::hints;
 use super::settings::{RobotKind, Settings};
 use super::tcp::CommandLink;
-use super::udp::{Received, StateLink};
 use super::wire::{
     COMMAND_PORT, CommandKind, Connect, ConnectStatus, Connected, Protocol, Request, Response, RobotModelStatus,
     RobotState, SetterStatus,

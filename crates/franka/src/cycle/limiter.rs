@@ -1,18 +1,7 @@
 //! Holds commanded positions below the arm's limits, and leads back to the motion without a jump after missed commands.
 
-// The walls of the real-time loop: clippy.toml.
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::unreachable,
-    clippy::todo,
-    clippy::unimplemented
-)]
-
-use super::limits::RobotLimits;
 use super::reference::{Point, TICK};
+use crate::limits::RobotLimits;
 
 /// Pole of the return to the motion, per cycle: a small distance vanishes within some 150 ms.
 const POLE: f64 = 0.95;

@@ -1,22 +1,11 @@
 //! The commands of one motion: what was sent, what the next one is, and the arm's reference.
 
-// The walls of the real-time loop: clippy.toml.
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::unreachable,
-    clippy::todo,
-    clippy::unimplemented
-)]
-
 use super::limiter::{Aim, Limited, Limiter};
-use super::limits::RobotLimits;
 use super::reference::{Commands, Followed, Point};
-use super::settings::{Controller, Interface, Settings};
 use super::torque::TorqueLaw;
-use super::wire::{Errors, Move, MoveController, MoveGenerator, Protocol, RobotCommand, RobotState};
+use crate::limits::RobotLimits;
+use crate::settings::{Controller, Interface, Settings};
+use crate::wire::{Errors, Move, MoveController, MoveGenerator, Protocol, RobotCommand, RobotState};
 
 /// Largest difference between a state's `q_d` and the command that it shows \[rad\]: in double precision, and with the rounding of single precision
 /// below 4 rad.

@@ -1,16 +1,5 @@
 //! The arm's reference between two commands: position, velocity and acceleration by its own differences, once per millisecond.
 
-// The walls of the real-time loop: clippy.toml.
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::unreachable,
-    clippy::todo,
-    clippy::unimplemented
-)]
-
 /// The arm's cycle \[s\].
 pub(super) const TICK: f64 = plumbline_core::PERIOD_S;
 

@@ -1,5 +1,5 @@
-use super::super::limits::{fr3, panda};
 use super::*;
+use crate::limits::{fr3, panda};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

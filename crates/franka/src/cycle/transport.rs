@@ -1,22 +1,11 @@
 //! The connections of an open session: states in, commands and calls out, answers in. Counts what it receives, and keeps what the arm reports of the
 //! last call of Move.
 
-// The walls of the real-time loop: clippy.toml.
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::unreachable,
-    clippy::todo,
-    clippy::unimplemented
-)]
-
-use super::codes::REFUSED_UNSENT;
-use super::tcp::{CommandLink, ConnectionLost};
-use super::telemetry::{Arrivals, Recent, Telemetry};
 use super::udp::{Received, StateLink};
-use super::wire::{
+use crate::codes::REFUSED_UNSENT;
+use crate::tcp::{CommandLink, ConnectionLost};
+use crate::telemetry::{Arrivals, Recent, Telemetry};
+use crate::wire::{
     ControllerMode, MotionGeneratorMode, Move, MoveStatus, Protocol, Request, RobotCommand, RobotMode, RobotState,
 };
 use plumbline_core::{Fault, PERIOD_NS};
@@ -35,7 +24,7 @@ const MAX_LATE_MS: u64 = 1000;
 
 /// One call of Move, as the arm reports it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct MoveCall {
+pub(crate) struct MoveCall {
     id: u32,
     generator: MotionGeneratorMode,
     controller: ControllerMode,
@@ -64,7 +53,7 @@ impl MoveCall {
 
 /// The connections of an open session.
 #[derive(Debug)]
-pub(super) struct Transport {
+pub(crate) struct Transport {
     commands: CommandLink,
     states: StateLink,
     pub telemetry: Arc<Telemetry>,

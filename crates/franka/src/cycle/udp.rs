@@ -1,17 +1,6 @@
 //! States in, commands out.
 
-// The walls of the real-time loop: clippy.toml.
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::unreachable,
-    clippy::todo,
-    clippy::unimplemented
-)]
-
-use super::wire::{MAX_COMMAND, MAX_STATE, Protocol, RobotCommand, RobotState};
+use crate::wire::{MAX_COMMAND, MAX_STATE, Protocol, RobotCommand, RobotState};
 use plumbline_rt::os::{datagram_age_ns, now_ns};
 use rustix::net::{RecvFlags, SendFlags};
 use std::net::{IpAddr, SocketAddr, UdpSocket};
@@ -22,7 +11,7 @@ pub(super) const RECEIVE_TIMEOUT: Duration = Duration::from_millis(10);
 
 /// The socket of a session.
 #[derive(Debug)]
-pub(super) struct StateLink {
+pub(crate) struct StateLink {
     socket: UdpSocket,
     arm: IpAddr,
     /// Where the last state came from, which is where commands go.
@@ -39,7 +28,7 @@ pub(super) struct StateLink {
 #[derive(Clone, Copy, Debug, PartialEq)]
 // It stays on the stack: a box would allocate in the loop.
 #[allow(clippy::large_enum_variant)]
-pub(super) enum Received {
+pub(crate) enum Received {
     /// A state, and when the kernel took it in, on `CLOCK_MONOTONIC` \[ns\].
     State(RobotState, Option<u64>),
     /// A datagram of the arm that is no state.

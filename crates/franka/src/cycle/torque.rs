@@ -1,20 +1,9 @@
 //! The impedance law of the torque interface, inside the torque limits and their rate.
 
-// The walls of the real-time loop: clippy.toml.
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::unreachable,
-    clippy::todo,
-    clippy::unimplemented
-)]
-
-use super::limits::RobotLimits;
 use super::reference::TICK;
-use super::settings::TorqueControl;
-use super::wire::RobotState;
+use crate::limits::RobotLimits;
+use crate::settings::TorqueControl;
+use crate::wire::RobotState;
 
 /// Law, limits, and the torque sent last.
 ///
@@ -107,8 +96,8 @@ impl TorqueLaw {
 
 #[cfg(test)]
 mod tests {
-    use super::super::limits::panda;
     use super::*;
+    use crate::limits::panda;
 
     fn law(feed_forward: bool) -> TorqueLaw {
         let control = TorqueControl { feed_forward, ..TorqueControl::default() };

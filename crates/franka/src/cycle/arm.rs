@@ -11,29 +11,18 @@
 //! | ended | `stop` | reads the arm's final answer; asks the arm to stop where it has not reported the end | stopped |
 //! | stopped | `read` | the newest state | stopped |
 
-// The walls of the real-time loop: clippy.toml.
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::unreachable,
-    clippy::todo,
-    clippy::unimplemented
-)]
-
-use super::codes::{
+use super::limiter::{Limited, Objection};
+use super::motion::{Answer, Motion, request};
+use super::reference::{Followed, Point};
+use super::torque::Tracking;
+use super::transport::Transport;
+use crate::codes::{
     REFLEX_MODE, REFUSED_BEFORE_START, REFUSED_JUMP, REFUSED_MOVE, REFUSED_NO_START, REFUSED_NOT_FINITE,
     REFUSED_POSITION, REFUSED_REACH, REFUSED_STOPPED,
 };
-use super::limiter::{Limited, Objection};
-use super::limits::{RobotLimits, narrow, widen};
-use super::motion::{Answer, Motion, request};
-use super::reference::{Followed, Point};
-use super::settings::{Interface, Purpose, Settings};
-use super::torque::Tracking;
-use super::transport::Transport;
-use super::wire::{ControllerMode, ErrorBit, Errors, MotionGeneratorMode, MoveStatus, RobotMode};
+use crate::limits::{RobotLimits, narrow, widen};
+use crate::settings::{Interface, Purpose, Settings};
+use crate::wire::{ControllerMode, ErrorBit, Errors, MotionGeneratorMode, MoveStatus, RobotMode};
 use plumbline_core::{Backend, Command, Fault, PERIOD_S, State};
 use plumbline_rt::os::now_ns;
 use std::time::Duration;
@@ -66,7 +55,7 @@ enum Phase {
     Stopped,
 }
 
-/// A Franka arm with an open session. Made by [`super::connect()`]; dropping it ends its motion.
+/// A Franka arm with an open session. Made by [`crate::connect()`]; dropping it ends its motion.
 #[derive(Debug)]
 pub struct FrankaArm {
     transport: Transport,
@@ -79,7 +68,7 @@ pub struct FrankaArm {
 }
 
 impl FrankaArm {
-    pub(super) fn new(settings: &Settings, transport: Transport, limits: RobotLimits) -> FrankaArm {
+    pub(crate) fn new(settings: &Settings, transport: Transport, limits: RobotLimits) -> FrankaArm {
         let state = transport.state;
         FrankaArm {
             limits,
