@@ -47,9 +47,10 @@ pub fn program() -> PathBuf {
     built.unwrap_or_else(|| panic!("no `plumbline` in the folders above {}", test.display()))
 }
 
-/// The program, run from the project's folder.
+/// The program, run from the project's folder. A test run under `nohup` would hand an ignored SIGHUP on to it.
 pub fn plumbline() -> Command {
-    let mut command = Command::new(program());
+    let mut command = Command::new("env");
+    command.arg("--default-signal=HUP").arg(program());
     command.current_dir(crate::ROOT).env_remove("PLUMBLINE_LOG").stdin(Stdio::null());
     command
 }
