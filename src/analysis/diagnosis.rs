@@ -4,14 +4,14 @@ use crate::analysis::pipeline::{self, Identified};
 use crate::dataset::Run;
 use crate::failure::Failure;
 use crate::process::progress;
-use plumbline_diagnose::changing::{Changing, LEAST_PERIODS, changing, cleaned};
+use plumbline_diagnose::changing::{Changing, changing, cleaned};
 use plumbline_diagnose::errors::Of;
 use plumbline_diagnose::figures::Curves;
 use plumbline_diagnose::{Diagnosis, Input, Trial, diagnose};
 use plumbline_identify::solve::{self, ols, stack::Stack};
 use plumbline_identify::{Experiment, Settings};
-use plumbline_model::term::effect::OperatingPoint;
-use plumbline_model::{Robot, Structure};
+use plumbline_model::term::Motion;
+use plumbline_model::{Robot, Structure, TorqueModel};
 
 /// What is diagnosed and how.
 pub struct Question<'a> {
@@ -48,8 +48,8 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     pipeline::check_channels(question.identify)?;
     let bar = progress::bar("diagnosing");
     bar.at(0.02, "preparing");
-    let (identify, variation) = prepared(question)?;
-    let unseen = pipeline::experiments(question.unseen, question.settings)?;
+    let (identify, variation, unseen) = prepared(question)?;
+    let notes: Vec<String> = identify.iter().chain(&unseen).filter_map(pipeline::settled).collect();
     let (identify, unseen) = (trials(&identify, question.identify), trials(&unseen, question.unseen));
     // One run accepts or refuses findings, the others measure them; a single one measures.
     let (veto, judge) = unseen.split_at(usize::from(unseen.len() > 1));
@@ -67,6 +67,7 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     let after = pipeline::identified(question.robot, question.identify, structure, identification)?;
     let mut block = outcome.diagnosis;
     block.band = question.of.band(question.settings.torque_cutoff);
+    block.notes.extend(notes);
     variation.add_to(&mut block, question.diagnosis.least_floor, question.diagnosis.threshold);
     Ok(Diagnosed { after, block, figures: outcome.curves })
 }
@@ -76,34 +77,38 @@ pub fn trials<'a>(experiments: &'a [Experiment], runs: &[&Run]) -> Vec<Trial<'a>
     experiments.iter().zip(runs).map(|(experiment, run)| Trial { experiment, session: run.session }).collect()
 }
 
-/// The runs to identify from without events that happened once, with the noise of the rest; and what differs between their periods.
-fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing), Failure> {
+/// The runs to identify from without events that happened once, with the noise of the rest; what differs between their periods; and the unseen runs.
+fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Experiment>), Failure> {
     let settings = Settings { keep_periods: true, ..question.settings.clone() };
     let mut experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
-    let enough = |experiment: &Experiment| {
-        experiment.repeats.as_ref().is_some_and(|repeats| repeats.periods.len() >= LEAST_PERIODS)
-    };
+    let mut unseen = pipeline::experiments(question.unseen, &settings)?;
+    let repeat = |experiment: &Experiment| experiment.repeats.is_some();
     let mut found = Changing::default();
-    if experiments.iter().any(enough) {
-        let operating_point = known(question.structure, &experiments)?;
+    if experiments.iter().chain(&unseen).any(repeat) {
+        let plain = plain(question.structure, &experiments)?;
+        let predict = |motion: &Motion| plain.predict(motion);
+        experiments.iter_mut().chain(&mut unseen).for_each(|experiment| experiment.follow_own_motion(predict));
+        let operating_point = question.structure.operating_point(&plain.beta());
         found = changing(&operating_point, &trials(&experiments, question.identify));
-    }
-    if !found.leave_out.is_empty() {
-        let leave_out = settings.leave_out.iter().chain(&found.leave_out).cloned().collect();
-        let settings = Settings { leave_out, ..settings };
-        experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
+        if !found.leave_out.is_empty() {
+            let leave_out = settings.leave_out.iter().chain(&found.leave_out).cloned().collect();
+            let settings = Settings { leave_out, ..settings };
+            experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
+            experiments.iter_mut().for_each(|experiment| experiment.follow_own_motion(predict));
+        }
     }
     cleaned(&mut experiments, &found);
     if !question.options.estimator.needs_periods() {
-        experiments.iter_mut().for_each(|experiment| experiment.repeats = None);
+        experiments.iter_mut().chain(&mut unseen).for_each(|experiment| experiment.repeats = None);
     }
-    Ok((experiments, found))
+    Ok((experiments, found, unseen))
 }
 
-/// The rigid bodies and the friction as a plain identification finds them.
-fn known(structure: &Structure, experiments: &[Experiment]) -> Result<OperatingPoint, Failure> {
-    // Weights matter little for what the gravity columns and the shape of friction are.
+/// The rigid bodies and the friction as a plain identification finds them. Weights matter little for the gravity columns, the shape of friction and
+/// small deviations of the motion.
+fn plain(structure: &Structure, experiments: &[Experiment]) -> Result<TorqueModel, Failure> {
     let stack = Stack::of(structure, experiments).map_err(Failure::job)?;
     let plain = ols::solve(&stack).map_err(Failure::job)?;
-    Ok(structure.operating_point(plain.beta.as_slice()))
+    let values: Vec<(f64, Option<f64>)> = plain.beta.iter().map(|value| (*value, None)).collect();
+    TorqueModel::new("", structure.clone(), Vec::new(), &values).map_err(Failure::job)
 }

@@ -136,6 +136,7 @@ pub fn identify(
     check_channels(runs)?;
     let structure = structure(robot, runs, terms)?;
     let experiments = for_estimator(runs, settings, options)?;
+    experiments.iter().filter_map(settled).for_each(|note| tracing::info!("{note}"));
     let identification = identify_with(&structure, &experiments, options).map_err(|error| match error {
         EstimateError::NoInstruments { run } => {
             let expected = "at least two periods, or columns q_d1..q_dn, for `--estimator iv`";
@@ -161,6 +162,14 @@ pub fn identified(
     }
     let model = TorqueModel::new(&robot.name, structure, mountings, &identification.values()).map_err(Failure::job)?;
     Ok(Identified { model, identification })
+}
+
+/// What is left out at the start of a periodic run.
+pub fn settled(experiment: &Experiment) -> Option<String> {
+    (experiment.settling > 0.0).then(|| {
+        let Experiment { name, settling, .. } = experiment;
+        format!("run {name}, 0.00 to {settling:.2} s: the motion did not repeat yet, left out")
+    })
 }
 
 /// With the desired motion, where the run has columns `q_d1` to `q_dn`.

@@ -45,6 +45,11 @@ impl Differentiator {
         Ok(Differentiator { filter, cutoff, derivative, periodic, dt, gravity })
     }
 
+    /// The same for a record that does not repeat.
+    pub fn aperiodic(&self) -> Differentiator {
+        Differentiator { periodic: false, ..self.clone() }
+    }
+
     /// Samples that are cut off each end.
     pub fn edge(&self) -> usize {
         if self.periodic { 0 } else { (EDGE_PERIODS / (self.dt * self.cutoff.min(MAX_END_CUTOFF_HZ))).ceil() as usize }
@@ -83,12 +88,12 @@ impl Differentiator {
                 let [dq, ddq] = difference::derivatives(&q, self.dt, true);
                 [q, dq, ddq]
             }
-            _ => self.aperiodic(q.to_vec()),
+            _ => self.between_ends(q.to_vec()),
         }
     }
 
     /// Positions, velocities and accelerations of an aperiodic record.
-    fn aperiodic(&self, mut q: Vec<f64>) -> [Vec<f64>; 3] {
+    fn between_ends(&self, mut q: Vec<f64>) -> [Vec<f64>; 3] {
         let ends = Quintic::through_ends(&q, self.dt, END_WINDOW_PERIODS / self.cutoff.min(MAX_END_CUTOFF_HZ));
         q.iter_mut().enumerate().for_each(|(k, q)| *q -= ends.at(k as f64 * self.dt)[0]);
         let mut q = self.filter.zero_phase(&q);

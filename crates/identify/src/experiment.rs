@@ -2,9 +2,10 @@
 
 use super::EstimateError;
 use super::differentiate::Differentiator;
-use super::periods::{NoiseOfMean, Scatter, average};
+use super::periods::{NoiseOfMean, Scatter, average, centre};
 use super::run::Run;
 use super::settings::Settings;
+use super::settling::settling;
 use super::signal::butterworth::Butterworth;
 use super::signal::resample::{Sampling, resample};
 use super::signal::spectral::Spectral;
@@ -49,6 +50,8 @@ pub struct Experiment {
     pub desired: Option<Motion>,
     /// Statistics of the time stamps.
     pub sampling: Sampling,
+    /// Time at the start of the first period that is excluded, because the motion did not repeat yet \[s\].
+    pub settling: f64,
     /// Samples of the grid at which the whole arm is at rest, or that the settings exclude.
     resting: Vec<bool>,
     /// Samples of the grid that enter the regression.
@@ -76,6 +79,8 @@ pub struct Repeats {
     pub q: DMatrix<f64>,
     /// Deviations of the torques, P N x n \[Nm\].
     pub tau: DMatrix<f64>,
+    /// Whether a row counts, P N.
+    pub counted: Vec<bool>,
 }
 
 /// Samples of a run after resampling and averaging.
@@ -90,6 +95,8 @@ struct Even {
     periods: Vec<usize>,
     scatter: Option<Scatter>,
     deviations: DMatrix<f64>,
+    counted: Vec<bool>,
+    settling: f64,
 }
 
 impl Experiment {
@@ -115,10 +122,17 @@ impl Experiment {
         }
         let mut even = resample(&run.t, &values, None).map_err(signal)?;
         let Some(period) = run.period else {
-            let (values, sampling) = (even.values, even.sampling);
-            let deviations = DMatrix::zeros(0, 2 * n);
-            let periods = Vec::new();
-            let even = Even { values, sampling, first: 0, periodic: false, periods, scatter: None, deviations };
+            let even = Even {
+                values: even.values,
+                sampling: even.sampling,
+                first: 0,
+                periodic: false,
+                periods: Vec::new(),
+                scatter: None,
+                deviations: DMatrix::zeros(0, 2 * n),
+                counted: Vec::new(),
+                settling: 0.0,
+            };
             return Experiment::build(run, settings, even).map_err(signal);
         };
 
@@ -142,6 +156,8 @@ impl Experiment {
         let mut left_out = vec![false; rest.nrows()];
         settings.left_out(&run.name).for_each(|one| one.mark(&mut left_out, first, dt));
         let mut filled = even.filled[first..found * samples].to_vec();
+        let settling = settling(&rest.columns(0, n).into_owned(), &left_out, samples, dt);
+        left_out[..settling].fill(true);
         let mut periods: Vec<usize> = (skipped..found).collect();
         // Periods that are excluded as a whole are removed; of the others the excluded samples.
         for (k, gone) in left_out.chunks(samples).enumerate().rev() {
@@ -165,12 +181,14 @@ impl Experiment {
             periodic: true,
             scatter: averaged.scatter,
             deviations: averaged.deviations,
+            counted: averaged.counted,
+            settling: settling as f64 * dt,
         };
         Experiment::build(run, settings, even).map_err(signal)
     }
 
     fn build(run: &Run, settings: &Settings, even: Even) -> Result<Experiment, SignalError> {
-        let Even { values, sampling, first, periodic, periods, scatter, deviations } = even;
+        let Even { values, sampling, first, periodic, periods, scatter, deviations, counted, settling } = even;
         let (n, samples, dt) = (run.joints(), values.nrows(), sampling.dt);
         let rate = 1.0 / dt;
         let filter = Butterworth::new(settings.order, settings.torque_cutoff, rate)?;
@@ -217,11 +235,13 @@ impl Experiment {
                 periods,
                 q: deviations.columns(0, n).into_owned(),
                 tau: of_tau(),
+                counted,
             }),
             position_noise: scatter.as_ref().map(|scatter| scatter.std[..n].to_vec()),
             scatter: scatter.map(|scatter| scatter.select(n..2 * n)),
             desired: None,
             sampling,
+            settling,
             resting: vec![false; count],
             kept: (0..count).step_by(step).collect(),
             filter,
@@ -253,6 +273,33 @@ impl Experiment {
     /// Per sample of the grid, N: whether the whole arm is at rest or the settings exclude it.
     pub fn resting(&self) -> &[bool] {
         &self.resting
+    }
+
+    /// Subtracts from the periods' torque deviations what the deviations of their motion explain by a model: an arm never moves twice alike, and
+    /// every period is compared with the model along its own motion. What is left is noise, encoders' noise included, and what the model lacks.
+    /// [`Scatter::power`] and [`Experiment::noise`] are then those of that remainder. Nothing where the periods are not kept.
+    pub fn follow_own_motion(&mut self, predict: impl Fn(&Motion) -> DMatrix<f64>) {
+        let Some(repeats) = &mut self.repeats else { return };
+        let mean = self.comparison_motion.as_ref().unwrap_or(&self.motion);
+        let (samples, dt, periods) = (mean.samples(), mean.dt, repeats.periods.len());
+        // The periods follow each other, and the last does not adjoin the first.
+        let mut own = self.comparison_differentiator.aperiodic().motion(&repeats.q, 0);
+        for p in 0..periods {
+            for (own, mean) in [(&mut own.q, &mean.q), (&mut own.dq, &mean.dq), (&mut own.ddq, &mean.ddq)] {
+                let mut part = own.rows_mut(p * samples, samples);
+                part += mean;
+            }
+        }
+        let (own, mean) = (predict(&own), predict(mean));
+        for p in 0..periods {
+            let mut part = repeats.tau.rows_mut(p * samples, samples);
+            part -= own.rows(p * samples, samples) - &mean;
+        }
+        centre(&mut repeats.tau, &repeats.counted, samples);
+        if let Some(scatter) = &mut self.scatter {
+            scatter.power = Scatter::of(&repeats.tau, &repeats.counted, samples, dt).power;
+        }
+        self.noise = Some(NoiseOfMean::of(&repeats.tau, samples, dt, |f| self.filter.zero_phase_gain(f)));
     }
 
     /// Adds the desired motion, N x n \[rad\], at the time stamps of the run \[s\].

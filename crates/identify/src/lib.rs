@@ -53,6 +53,7 @@ mod periods;
 mod plausibility;
 mod run;
 mod settings;
+mod settling;
 pub mod signal;
 pub mod solve;
 pub mod streaming;

@@ -13,6 +13,8 @@ pub struct Averaged {
     pub scatter: Option<Scatter>,
     /// Every period minus the mean, one below the other, P N x columns; no rows for a single period.
     pub deviations: DMatrix<f64>,
+    /// Whether a row is in the mean, P N; the deviations of the others are zero.
+    pub counted: Vec<bool>,
 }
 
 /// Deviations of the periods from their mean, as a spectrum.
@@ -20,7 +22,7 @@ pub struct Averaged {
 pub struct Scatter {
     /// Number of periods, P.
     pub periods: usize,
-    /// Standard deviation of one raw sample, per column: the noise floor.
+    /// Standard deviation of one raw sample as recorded, per column: the noise floor.
     pub std: Vec<f64>,
     /// Power of one period's noise, bins x columns, `sum_p |DFT(deviation_p)|^2 / (N (P - 1))`, for 0 Hz to half the rate.
     /// Excluded samples are subtracted from `N P`.
@@ -53,26 +55,27 @@ pub fn average(values: &DMatrix<f64>, filled: &[bool], samples: usize, dt: f64) 
         }
     }
     if periods < 2 {
-        return Averaged { mean, scatter: None, deviations: DMatrix::zeros(0, columns) };
+        return Averaged { mean, scatter: None, deviations: DMatrix::zeros(0, columns), counted };
     }
     let deviations = DMatrix::from_fn(periods * samples, columns, |row, c| {
         if counted[row] { values[(row, c)] - mean[(row % samples, c)] } else { 0.0 }
     });
-    let spectral = Spectral::new(samples, dt);
-    let mut power = DMatrix::zeros(spectral.bins(), columns);
-    let mut std = vec![0.0; columns];
-    // Degrees of freedom: counted samples less one for each mean, `N (P - 1)` without gaps.
-    let freedom = counted.iter().filter(|counted| **counted).count().saturating_sub(samples);
-    let scale = 1.0 / freedom.max(1) as f64;
-    for (c, column) in deviations.column_iter().enumerate() {
-        std[c] = (scale * column.norm_squared()).sqrt();
-        for deviation in column.as_slice().chunks(samples) {
-            for (m, value) in spectral.transform(deviation).iter().enumerate() {
-                power[(m, c)] += scale * value.norm_sqr();
-            }
+    let scatter = Some(Scatter::of(&deviations, &counted, samples, dt));
+    Averaged { mean, scatter, deviations, counted }
+}
+
+/// Subtracts from every sample of a period the mean over the counted periods, and sets the other rows to zero. `deviations`, P N x columns.
+pub fn centre(deviations: &mut DMatrix<f64>, counted: &[bool], samples: usize) {
+    let periods = counted.len() / samples;
+    for mut column in deviations.column_iter_mut() {
+        for k in 0..samples {
+            let rows = || (0..periods).map(|p| p * samples + k);
+            let used = rows().filter(|&row| counted[row]);
+            let (sum, count) = used.fold((0.0, 0.0), |(sum, count), row| (sum + column[row], count + 1.0));
+            let mean = sum / f64::max(count, 1.0);
+            rows().for_each(|row| column[row] = if counted[row] { column[row] - mean } else { 0.0 });
         }
     }
-    Averaged { mean, scatter: Some(Scatter { periods, std, power, samples, dt }), deviations }
 }
 
 /// Spectrum of the noise of the mean of P periods after a filter, with correlations between columns.
@@ -119,6 +122,26 @@ impl NoiseOfMean {
 }
 
 impl Scatter {
+    /// Of deviations from the mean as in [`Averaged`], `dt` apart \[s\].
+    pub fn of(deviations: &DMatrix<f64>, counted: &[bool], samples: usize, dt: f64) -> Scatter {
+        let columns = deviations.ncols();
+        let spectral = Spectral::new(samples, dt);
+        let mut power = DMatrix::zeros(spectral.bins(), columns);
+        let mut std = vec![0.0; columns];
+        // Degrees of freedom: counted samples less one for each mean, `N (P - 1)` without gaps.
+        let freedom = counted.iter().filter(|counted| **counted).count().saturating_sub(samples);
+        let scale = 1.0 / freedom.max(1) as f64;
+        for (c, column) in deviations.column_iter().enumerate() {
+            std[c] = (scale * column.norm_squared()).sqrt();
+            for deviation in column.as_slice().chunks(samples) {
+                for (m, value) in spectral.transform(deviation).iter().enumerate() {
+                    power[(m, c)] += scale * value.norm_sqr();
+                }
+            }
+        }
+        Scatter { periods: counted.len() / samples, std, power, samples, dt }
+    }
+
     /// Autocovariance of the mean's noise after a filter of the given zero-phase gain (of the frequency in Hz), at lags of
     /// 0 to N - 1 samples. It is circular: the end of a period adjoins the start of the next.
     pub fn autocovariance_of_mean(&self, column: usize, gain: impl Fn(f64) -> f64) -> Vec<f64> {

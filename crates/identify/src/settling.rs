@@ -1,0 +1,121 @@
+//! Start of a periodic run: samples before the motion repeats.
+//!
+//! An arm that starts from standstill needs a second or so until its controller follows the motion as in every later period. The mean
+//! period must not contain that: the torque of a mean of different motions is not the torque of the mean motion.
+
+use nalgebra::DMatrix;
+
+/// Length of a window \[s\].
+const WINDOW_S: f64 = 0.1;
+/// Least samples in it.
+const MIN_WINDOW_SAMPLES: usize = 8;
+/// Ratio to the usual mean square of a window above which the first period deviates.
+const MIN_ENERGY_RATIO: f64 = 9.0;
+/// Windows below that ratio after which the motion has settled.
+const SETTLED_WINDOWS: usize = 3;
+
+/// Samples at the start of the first period in which its positions differ from those of the other periods by more than periods differ
+/// usually. `q`, P N x n \[rad\], `dt` apart \[s\]; samples with `left_out` set are ignored. 0 for a single period.
+pub fn settling(q: &DMatrix<f64>, left_out: &[bool], samples: usize, dt: f64) -> usize {
+    let periods = q.nrows() / samples;
+    if periods < 2 {
+        return 0;
+    }
+    let window = ((WINDOW_S / dt).round() as usize).max(MIN_WINDOW_SAMPLES);
+    q.column_iter().map(|column| settling_of(column.as_slice(), left_out, samples, window)).max().unwrap_or(0)
+}
+
+/// [`settling`] of one joint.
+fn settling_of(q: &[f64], left_out: &[bool], samples: usize, window: usize) -> usize {
+    let energies: Vec<Vec<f64>> = (0..q.len() / samples).map(|p| energies(q, left_out, samples, window, p)).collect();
+    let (first, others) = (&energies[0], &energies[1..]);
+    let mut sorted = first.clone();
+    sorted.sort_by(f64::total_cmp);
+    // A motion that never settles is another motion: its median is as large as its start.
+    let usual = sorted[sorted.len() / 2];
+    let differs = |k: usize| {
+        let beside = others.iter().map(|own| own[k]).sum::<f64>() / others.len() as f64;
+        first[k] > MIN_ENERGY_RATIO * usual.max(beside)
+    };
+    let (mut end, mut quiet) = (0, 0);
+    for k in 0..first.len() {
+        if differs(k) {
+            (end, quiet) = (k + 1, 0);
+        } else {
+            quiet += 1;
+        }
+        if quiet == SETTLED_WINDOWS {
+            break;
+        }
+    }
+    // One window more, in which the rest of it vanishes.
+    if end > 0 { ((end + 1) * window).min(samples) } else { 0 }
+}
+
+/// Mean square, per window, of a period's difference from the mean of the other periods after the first; with two periods zero for the second.
+fn energies(q: &[f64], left_out: &[bool], samples: usize, window: usize, period: usize) -> Vec<f64> {
+    let others: Vec<usize> = (1..q.len() / samples).filter(|&other| other != period).collect();
+    let difference = |k: usize| {
+        let row = period * samples + k;
+        let used = others.iter().map(|other| other * samples + k).filter(|&row| !left_out[row]);
+        let (sum, count) = used.fold((0.0, 0.0), |(sum, count), row| (sum + q[row], count + 1.0));
+        // The mean of few periods has noise of its own.
+        if count > 0.0 && !left_out[row] { (q[row] - sum / count) / f64::sqrt(1.0 + 1.0 / count) } else { 0.0 }
+    };
+    let differences: Vec<f64> = (0..samples).map(difference).collect();
+    let mean_square = |part: &[f64]| part.iter().map(|value| value * value).sum::<f64>() / part.len() as f64;
+    differences.chunks(window).map(mean_square).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    const DT: f64 = 1e-3;
+    const SAMPLES: usize = 5000;
+
+    /// A sine with encoder noise of 20 urad, and slow noise of the controller of 50 urad; `start` is added to the first period.
+    fn positions(seed: u64, periods: usize, start: impl Fn(f64) -> f64) -> DMatrix<f64> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut slow = 0.0;
+        DMatrix::from_fn(periods * SAMPLES, 1, |k, _| {
+            let (white, drive): (f64, f64) = (StandardNormal.sample(&mut rng), StandardNormal.sample(&mut rng));
+            let pole = 0.99_f64;
+            slow = pole * slow + 5e-5 * (1.0 - pole * pole).sqrt() * drive;
+            let t = k as f64 * DT;
+            (t * 2.0 * std::f64::consts::PI / 5.0).sin() + 2e-5 * white + slow + start(t)
+        })
+    }
+
+    #[test]
+    fn a_start_from_standstill_is_found_up_to_where_it_has_decayed() {
+        for periods in [2, 3, 10] {
+            for seed in 0..10 {
+                // 5 mrad that decay with 0.2 s: below the noise after 0.9 s.
+                let q = positions(seed, periods, |t| 5e-3 * (-t / 0.2).exp());
+                let found = settling(&q, &vec![false; q.nrows()], SAMPLES, DT) as f64 * DT;
+                assert!((0.6..=1.6).contains(&found), "{periods} periods, seed {seed}: {found} s");
+            }
+        }
+    }
+
+    #[test]
+    fn a_motion_that_repeats_loses_next_to_nothing() {
+        for periods in [1, 2, 3, 10] {
+            for seed in 0..20 {
+                let q = positions(100 + seed, periods, |_| 0.0);
+                let found = settling(&q, &vec![false; q.nrows()], SAMPLES, DT) as f64 * DT;
+                assert!(found <= 0.7, "{periods} periods, seed {seed}: {found} s");
+            }
+        }
+    }
+
+    #[test]
+    fn another_motion_is_no_start() {
+        let q = positions(3, 4, |t| if t < 5.0 { 1e-3 * (3.0 * t).sin() } else { 0.0 });
+        assert!(settling(&q, &vec![false; q.nrows()], SAMPLES, DT) < SAMPLES / 2);
+    }
+}
