@@ -105,7 +105,7 @@ impl<L: Law> Term for AllRows<L> {
     }
 
     fn fix(&self, _chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {
-        if !self.family.served {
+        if !self.family.is_served() {
             return Box::new(Nothing);
         }
         let mut own = [0.0; MAX_COLUMNS];

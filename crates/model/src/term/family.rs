@@ -1,12 +1,13 @@
 //! What a kind of effect declares about itself. Every reader of the catalogue (search, plots, report, export) goes by these declarations.
 
-use super::Term;
-use super::load::OperatingPoint;
-use super::quantity::{self, Quantity, Results};
+pub(super) use super::Term;
+pub(super) use super::load::OperatingPoint;
+use super::quantity;
+pub(super) use super::quantity::{Quantity, Results};
 use crate::chain::Chain;
 use serde::{Deserialize, Serialize};
 use std::fmt;
-use std::sync::Arc;
+pub(super) use std::sync::Arc;
 
 /// A kind of effect.
 pub struct Family {
@@ -20,17 +21,12 @@ pub struct Family {
     pub forms: &'static [Form],
     /// Where it shows.
     pub stratum: Stratum,
-    /// Whether the loop serves it. What depends on the time of an event explains a recording, and its [`FixedTerm`](super::FixedTerm) adds
-    /// nothing.
-    pub served: bool,
     /// Sizes met on real arms.
     pub typical: &'static str,
     /// Effects and parameters with similar columns, and the experiment that decides.
     pub confounded: &'static [Confounded],
     /// Where it is described.
     pub reference: &'static str,
-    /// What a description of rigid bodies (URDF, MJCF) has of it.
-    pub in_bodies: InBodies,
     /// What only few families have.
     pub rare: Rare,
 }
@@ -62,6 +58,8 @@ pub struct Rare {
     pub in_every_arm: bool,
     /// Whether it may come or change after an identification, so that a comparison with a stored model searches for it.
     pub may_change: bool,
+    /// What a description of rigid bodies (URDF, MJCF) has of it.
+    pub in_bodies: InBodies,
     /// The effect that one of its forms may be a part of.
     pub part_of: Option<PartOf>,
     /// The parameter of a stored model that a column of this effect changes, by the column's name.
@@ -76,6 +74,7 @@ impl Rare {
         whole_arm: None,
         in_every_arm: false,
         may_change: false,
+        in_bodies: InBodies::Nothing,
         part_of: None,
         changed_parameter: |name| name,
         quantities: quantity::own,
@@ -234,6 +233,25 @@ pub struct Confounded {
     pub decided_by: &'static str,
 }
 
+pub(super) const fn confounded(with: &'static str, decided_by: &'static str) -> Confounded {
+    Confounded { with, decided_by }
+}
+
+// Experiments that decide between several pairs of effects.
+pub(super) const FULL_TURN: &str = "move the joint through a full turn, or as far as it goes";
+pub(super) const MOST_OF_RANGE: &str = "move the joint through more than 60 % of its range";
+pub(super) const SLOW_CONSTANT_SPEEDS: &str = "move the joint at constant speeds of 0.02 to 0.3 rad/s, both ways";
+pub(super) const CONSTANT_SPEEDS: &str = "move the joint at constant speeds up to its rated one";
+pub(super) const HIGHER_HARMONICS: &str = "add harmonics of a higher frequency: a delay grows with it";
+pub(super) const BOTH_DIRECTIONS_EQUALLY: &str =
+    "a motion that is as long in either direction; a drift of friction turns with it";
+pub(super) const SECOND_MOUNTING: &str = "identify in a second mounting: the load turns, the zero stays";
+pub(super) const OTHER_LOAD: &str = "pass the same poses under another load, or in another mounting";
+pub(super) const SLOW_BOTH_DIRECTIONS: &str = "pass the same poses slowly in both directions";
+pub(super) const STANDSTILL: &str = "hold the joint still for some seconds in several poses";
+pub(super) const LONGER_RECORDING: &str = "a longer recording: a vibration goes on, a touch ends";
+pub(super) const ONE_REVERSES: &str = "reverse one joint while the other holds still";
+
 /// The horizontal axis of an effect's plot: a variable of the joint that the effect comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlotOver {
@@ -337,6 +355,11 @@ impl fmt::Display for Spec {
 }
 
 impl Family {
+    /// Whether the loop serves it. An effect of the time of an event explains a recording; its [`FixedTerm`](super::FixedTerm) adds nothing.
+    pub fn is_served(&self) -> bool {
+        self.stratum != Stratum::Changing
+    }
+
     /// Its form of that name.
     pub fn form(&self, name: &str) -> Option<&'static Form> {
         self.forms.iter().find(|form| form.name == name)

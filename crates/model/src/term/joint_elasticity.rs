@@ -1,17 +1,13 @@
 //! A gear that twists under its load.
 
-use super::all_rows::{AllRows, Clock, Law, Past};
+use super::all_rows::*;
 use super::carried::CarriedFriction;
-use super::family::{
-    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_MEMORY, Rare, Scale, Setting, Site, Stratum, joint,
-};
-use super::load::OperatingPoint;
+use super::family::*;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
 use super::swing::{Gear, QUALITY, SWINGING, Swing};
-use super::{Column, Expected, Sample, Term};
+use super::{Column, Expected, Sample};
 use plumbline_core::JointVec;
-use std::sync::Arc;
 
 /// Identity.
 pub const ID: &str = "joint-elasticity";
@@ -54,17 +50,12 @@ pub static FAMILY: Family = Family {
         },
     ],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "5e-5 to 2e-4 rad/Nm",
     confounded: &[
-        Confounded {
-            with: "encoder-offset",
-            decided_by: "identify in a second mounting: the load turns, the zero stays",
-        },
-        Confounded { with: "lx and ly of the same link", decided_by: "log the position on both sides of the gear" },
+        confounded("encoder-offset", SECOND_MOUNTING),
+        confounded("lx and ly of the same link", "log the position on both sides of the gear"),
     ],
     reference: "Albu-Schaeffer, Ott, Hirzinger, Int. J. Robotics Research 26 (2007)",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

@@ -6,51 +6,52 @@
 mod all_rows;
 pub mod asymmetric_coulomb;
 pub mod asymmetric_viscous;
-pub mod backlash;
+mod backlash;
 pub mod base_motion;
 mod carried;
 mod catalogue;
 pub mod contact;
-pub mod delay;
+mod delay;
 pub mod effect;
-pub mod encoder_eccentricity;
-pub mod encoder_offset;
+mod encoder_eccentricity;
+mod encoder_offset;
 mod family;
 pub mod friction;
-pub mod friction_change;
+mod friction_change;
 pub mod friction_drift;
 pub mod joint_elasticity;
 pub mod load;
-pub mod load_dependent_friction;
+mod load_dependent_friction;
 #[cfg(feature = "made-up-effect")]
 mod made_up;
 pub mod mounting;
-pub mod nonlinear_viscous;
+mod nonlinear_viscous;
 pub mod offset_drift;
 mod one_row;
-pub mod payload;
-pub mod position_dependent_friction;
+mod payload;
+mod per_joint;
+mod position_dependent_friction;
 mod position_error;
 pub mod position_ripple;
-pub mod presliding;
+mod presliding;
 mod quantity;
-pub mod rigid_body;
-pub mod rotor_inertia;
+pub(crate) mod rigid_body;
+mod rotor_inertia;
 pub mod spring;
-pub mod stribeck;
-pub mod subset;
+mod stribeck;
+pub(crate) mod subset;
 mod swing;
-pub mod torque_crosstalk;
-pub mod torque_gain;
+mod torque_crosstalk;
+mod torque_gain;
 pub mod torque_offset;
-pub mod transmission_coupling;
+mod transmission_coupling;
 
 pub use super::motion::{Motion, Sample};
 pub use super::parameter::Column;
 pub use catalogue::{KNOWN, by_id};
 
 use super::base::Reduction;
-use super::chain::{Chain, JointKind};
+use super::chain::Chain;
 use super::fast::closed::ClosedForm;
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
@@ -170,25 +171,4 @@ pub trait FixedTerm: Send {
     fn join(&self, _closed: &mut ClosedForm) -> bool {
         false
     }
-}
-
-/// One column per joint whose expression is its own name.
-fn per_joint(chain: &Chain, name: &str, symbol: &str, unit: impl Fn(JointKind) -> &'static str) -> Vec<Column> {
-    let column = |(j, joint): (usize, &super::chain::Joint)| Column {
-        name: format!("{name}{}", j + 1),
-        symbol: format!("{symbol}{}", j + 1),
-        joint: j + 1,
-        unit: unit(joint.kind),
-        expression: format!("{name}{}", j + 1),
-    };
-    chain.joints().iter().enumerate().map(column).collect()
-}
-
-/// `values` in the front of a vector with room for every joint.
-fn padded(values: &[f64]) -> JointVec {
-    let mut padded = JointVec::default();
-    for (slot, value) in padded.iter_mut().zip(values) {
-        *slot = *value;
-    }
-    padded
 }

@@ -1,22 +1,18 @@
 //! A base that stands tilted.
 
-use super::all_rows::{AllRows, Clock, Law};
-use super::family::{Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_OTHER_STATE, Rare, Site, Stratum};
-use super::load::{LoadUnder, OperatingPoint};
+use super::Sample;
+use super::all_rows::*;
+use super::family::*;
+use super::load::LoadUnder;
 use super::one_row::column;
-use super::quantity::{self, Quantity, Results};
-use super::{Sample, Term};
+use super::quantity;
 use crate::gravity::Mounting;
 use nalgebra::Vector3;
 use plumbline_core::JointVec;
-use std::sync::Arc;
-
-/// Identity.
-pub const ID: &str = "mounting";
 
 /// A small tilt of the base, as two angles. A model of the VBS kind lacks two parameters that a tilt shows, and so feels only a part.
 pub static FAMILY: Family = Family {
-    id: ID,
+    id: "mounting",
     physics: "The base is mounted at another angle than the one that the model was told.",
     place: Place::Arm,
     forms: &[Form {
@@ -28,18 +24,13 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Nothing,
     }],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "0.5 degrees, which are 0.1 to 0.2 Nm per joint near the base",
     confounded: &[
-        Confounded {
-            with: "lx1 and ly1",
-            decided_by: "turn joint 1 by more than 90 degrees; identify in a second mounting",
-        },
-        Confounded { with: "spring", decided_by: "turn joint 1 as far as it goes" },
-        Confounded { with: "torque-offset", decided_by: "turn joint 1 by more than 90 degrees" },
+        confounded("lx1 and ly1", "turn joint 1 by more than 90 degrees; identify in a second mounting"),
+        confounded("spring", "turn joint 1 as far as it goes"),
+        confounded("torque-offset", "turn joint 1 by more than 90 degrees"),
     ],
     reference: "the paper's equation 3, whose direction of gravity it turns",
-    in_bodies: InBodies::Nothing,
     rare: Rare { may_change: true, quantities: angles, ..Rare::NONE },
 };
 

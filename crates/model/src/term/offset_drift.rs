@@ -1,12 +1,7 @@
 //! A torque sensor's zero that creeps.
 
-use super::Term;
-use super::family::{
-    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_TIME, Rare, Scale, Setting, Site, Stratum, joint,
-};
-use super::load::OperatingPoint;
-use super::one_row::{At, OneRow, Settings, column, unit};
-use std::sync::Arc;
+use super::family::*;
+use super::one_row::*;
 
 /// Identity.
 pub const ID: &str = "offset-drift";
@@ -46,17 +41,12 @@ pub static FAMILY: Family = Family {
         },
     ],
     stratum: Stratum::Changing,
-    served: false,
     typical: "0.05 to 0.5 Nm over a session",
     confounded: &[
-        Confounded {
-            with: "friction-drift",
-            decided_by: "a motion that is as long in either direction; a drift of friction turns with it",
-        },
-        Confounded { with: "contact", decided_by: "a second recording: a touch does not come back, a drift does" },
+        confounded("friction-drift", BOTH_DIRECTIONS_EQUALLY),
+        confounded("contact", "a second recording: a touch does not come back, a drift does"),
     ],
     reference: "Bittencourt, Gunnarsson, Trans. ASME J. Dynamic Systems 134 (2012), for the time constants",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

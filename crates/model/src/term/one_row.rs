@@ -179,7 +179,7 @@ impl<L: Law> Term for OneRow<L> {
     }
 
     fn fix(&self, _chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {
-        if !self.family.served {
+        if !self.family.is_served() {
             return Box::new(Nothing);
         }
         let (row, cause) = self.joints();

@@ -1,23 +1,18 @@
 //! A tool or load on the last link that the model was not told of.
 
-use super::all_rows::{AllRows, Clock, Law};
-use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum};
-use super::load::OperatingPoint;
-use super::quantity::{self, Quantity, Results};
-use super::{Column, Sample, Term};
+use super::all_rows::*;
+use super::family::*;
+use super::quantity;
+use super::{Column, Sample};
 use crate::fast::links::LinkColumns;
 use crate::inertia::Body;
 use crate::regressor::LINK_COLUMNS;
 use nalgebra::DVector;
 use plumbline_core::JointVec;
-use std::sync::Arc;
-
-/// Identity.
-pub const ID: &str = "payload";
 
 /// A rigid body fixed to the last link, beside the link's own.
 pub static FAMILY: Family = Family {
-    id: ID,
+    id: "payload",
     physics: "A rigid body is fixed to the last link that was not there when the model was identified.",
     place: Place::Arm,
     forms: &[Form {
@@ -29,22 +24,14 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Nothing,
     }],
     stratum: Stratum::Reference,
-    served: true,
     typical: "0.1 to 3 kg",
     confounded: &[
-        Confounded {
-            with: "the last link's own parameters",
-            decided_by: "a recording without the load, or a model from before",
-        },
-        Confounded { with: "torque-gain", decided_by: "weigh the load: a gain common to all joints scales all masses" },
-        Confounded {
-            with: "the link before the last",
-            decided_by: "turn the wrist: a centre of mass on the last axis looks like theirs",
-        },
+        confounded("the last link's own parameters", "a recording without the load, or a model from before"),
+        confounded("torque-gain", "weigh the load: a gain common to all joints scales all masses"),
+        confounded("the link before the last", "turn the wrist: a centre of mass on the last axis looks like theirs"),
     ],
     reference: "Khalil, Gautier, Lemoine, ICRA 2007; Swevers et al., IEEE Control Systems Magazine 27 (2007)",
-    in_bodies: InBodies::LastLink,
-    rare: Rare { may_change: true, quantities: body_or_parameters, ..Rare::NONE },
+    rare: Rare { may_change: true, in_bodies: InBodies::LastLink, quantities: body_or_parameters, ..Rare::NONE },
 };
 
 const PARAMETERS: [(&str, &str); LINK_COLUMNS] = [

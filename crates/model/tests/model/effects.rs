@@ -138,7 +138,7 @@ fn what_is_served_is_the_regressor_times_the_parameters() {
                     "an empty column: {spec:?}, {robot}"
                 );
                 let served = full.predict(&motion) - model.predict(&motion);
-                if !family.served {
+                if !family.is_served() {
                     assert_eq!(served.amax(), 0.0, "{spec:?}");
                     continue;
                 }
@@ -243,11 +243,6 @@ fn the_catalogue_is_whole_and_says_what_people_have_to_know() {
         let id = family.id;
         assert!(family.physics.ends_with('.') && family.physics.matches(". ").count() == 0, "one sentence: {id}");
         assert!(!family.typical.is_empty() && !family.reference.is_empty() && !family.confounded.is_empty(), "{id}");
-        assert_eq!(
-            family.served,
-            family.stratum != Stratum::Changing,
-            "what changes over a recording can't be served: {id}"
-        );
         for Confounded { with, decided_by } in family.confounded {
             // Another family, or parameters of the model, which begin with a letter of theirs.
             let known = IDS.split_whitespace().any(|other| other == *with && other != id);
@@ -289,7 +284,7 @@ fn declarations_of_a_family_agree() {
                 "{id}"
             );
         }
-        let last_link = family.in_bodies == InBodies::LastLink;
+        let last_link = family.rare.in_bodies == InBodies::LastLink;
         for spec in specs(family, 7, &mut rng) {
             let term = spec.build(&operating_point(&model)).unwrap();
             let form = family.form(spec.form).unwrap();
