@@ -35,7 +35,7 @@ mod position_error;
 pub mod position_ripple;
 mod presliding;
 mod quantity;
-pub(crate) mod rigid_body;
+pub mod rigid_body;
 mod rotor_inertia;
 pub mod spring;
 mod stribeck;
