@@ -2,17 +2,6 @@
 //!
 //! It shares no formula with `model::rnea` or `model::regressor`: the simulated arm is the second route to their numbers.
 
-// The walls of the real-time loop: clippy.toml.
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::unreachable,
-    clippy::todo,
-    clippy::unimplemented
-)]
-
 use super::spatial::{Force, Mechanism, Motion};
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS};

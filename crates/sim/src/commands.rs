@@ -4,17 +4,6 @@
 //! straight from one second difference of the commands to the next, so the arm's inertial feed-forward has no steps. At the end of a
 //! millisecond the spline passes the command before the one accepted at its beginning: one millisecond behind the newest.
 
-// The walls of the real-time loop: clippy.toml.
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::unreachable,
-    clippy::todo,
-    clippy::unimplemented
-)]
-
 use plumbline_core::{JointVec, MAX_JOINTS, Setpoint};
 
 /// Time between commands \[s\].

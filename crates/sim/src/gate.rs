@@ -69,6 +69,7 @@ impl Gate {
     }
 
     /// Waits until one more state may be delivered, and counts it.
+    #[expect(clippy::disallowed_methods, reason = "simulated time pauses; no arm waits")]
     #[cfg_attr(feature = "rtsan", rtsan_standalone::no_sanitize_realtime)]
     pub(super) fn pass(&self) -> Result<(), Ended> {
         let mut tries = 0;
@@ -92,6 +93,8 @@ impl Gate {
 
 #[cfg(test)]
 mod tests {
+    #![expect(clippy::disallowed_methods, reason = "threads of tests")]
+
     use super::*;
     use std::sync::Arc;
 

@@ -2,23 +2,13 @@
 //! through its sensors. There are no modes, no limits and no losses here: those are the business of the program around it.
 
 use super::commands::{Commands, TICK_S};
+use super::effect::Reading;
 use super::plant::{Exact, Plant};
 use super::sensors::{Faults, Sensors};
 use super::truth::Truth;
 use super::{SimError, check};
 use plumbline_core::JointVec;
 use plumbline_model::{Chain, Mounting};
-
-/// What the sensors say at the end of a millisecond.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Sensed {
-    /// Position \[rad\].
-    pub q: JointVec,
-    /// Velocity \[rad/s\].
-    pub dq: JointVec,
-    /// Torque, gravity included \[Nm\].
-    pub tau: JointVec,
-}
 
 /// Actuators, bodies and sensors of a simulated arm. The same truth, seed and calls give the same readings bit by bit.
 pub struct Hardware {
@@ -61,7 +51,7 @@ impl Hardware {
 
     /// One millisecond in which the inner joint impedance controller tracks `q` \[rad\] as the newest of the positions that it has
     /// been given. After torques it takes over first.
-    pub fn track(&mut self, q: &JointVec) -> Sensed {
+    pub fn track(&mut self, q: &JointVec) -> Reading {
         if !self.tracks {
             self.take_over();
         }
@@ -82,7 +72,7 @@ impl Hardware {
     }
 
     /// One millisecond in which the actuators hold `tau` \[Nm\]. That is all the torque there is: whoever wants gravity compensated adds it.
-    pub fn hold(&mut self, tau: &JointVec) -> Sensed {
+    pub fn hold(&mut self, tau: &JointVec) -> Reading {
         self.plant.hold(tau);
         self.tracks = false;
         self.advance()
@@ -93,7 +83,7 @@ impl Hardware {
         &self.exact
     }
 
-    fn advance(&mut self) -> Sensed {
+    fn advance(&mut self) -> Reading {
         self.plant.advance(&self.commands);
         self.time += TICK_S;
         let (mut reading, exact) = self.plant.sense();
@@ -102,7 +92,7 @@ impl Hardware {
         let mut time = self.time;
         self.faults.spoil(&mut reading, &mut time);
         self.exact = exact;
-        Sensed { q: reading.q, dq: reading.dq, tau: reading.tau }
+        reading
     }
 }
 

@@ -36,6 +36,16 @@
 //! ```
 
 #![forbid(unsafe_code)]
+// The walls of the real-time loop: clippy.toml.
+#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unreachable,
+    clippy::todo,
+    clippy::unimplemented
+)]
 
 mod aba;
 mod commands;
@@ -50,8 +60,9 @@ mod spatial;
 mod truth;
 
 pub use connector::SimConnector;
+pub use effect::Reading;
 pub use gate::Gate;
-pub use hardware::{Hardware, Sensed};
+pub use hardware::Hardware;
 pub use plant::Exact;
 pub use response::Response;
 pub use truth::{JointTruth, Truth};

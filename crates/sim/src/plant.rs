@@ -7,17 +7,6 @@
 //! with the arm's own nominal rigid model; or it holds commanded torques. `tau` is what the torque sensors measure, and what the identified model has to explain:
 //! rigid body, friction and effects.
 
-// The walls of the real-time loop: clippy.toml.
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::unreachable,
-    clippy::todo,
-    clippy::unimplemented
-)]
-
 use super::aba::{aba, inverse};
 use super::commands::{Commands, TICK_S};
 use super::effect::{At, Effect, Friction, Reading};

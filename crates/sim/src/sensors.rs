@@ -1,16 +1,5 @@
 //! Noise, quantisation and loss: what is between the arm and the one who reads it.
 
-// The walls of the real-time loop: clippy.toml.
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::unreachable,
-    clippy::todo,
-    clippy::unimplemented
-)]
-
 use super::commands::TICK_S;
 use super::effect::Reading;
 use super::truth::{JointTruth, Truth};

@@ -6,11 +6,7 @@
 //! after that time, as a part in the way of a periodic motion does.
 //! Source: Haddadin, De Luca and Albu-Schaeffer, Robot collisions: a survey, T-RO 2017.
 
-use super::{At, Effect, External, Place, Spec};
-use crate::truth::Truth;
-use nalgebra::Vector3;
-use plumbline_core::BadInput;
-use serde::Deserialize;
+use super::*;
 use std::f64::consts::PI;
 
 /// A force that comes and goes. `from` is when it first begins.

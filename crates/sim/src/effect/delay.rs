@@ -5,10 +5,7 @@
 //! Between the milliseconds the torque runs along the cubic through its four neighbours (Lagrange), so any fraction of a millisecond is
 //! a delay. Before the beginning the torque was as at the beginning.
 
-use super::{At, Effect, Place, Reading, Spec};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec, MAX_JOINTS};
-use serde::Deserialize;
+use super::*;
 
 /// Longest delay \[s\].
 const MAX_DELAY_S: f64 = 0.1;

@@ -11,10 +11,7 @@
 //! | `product` | `tanh(q_first / width) dq_second` |
 //! | `beat` | `sin(4 pi x) sin(pi x)^2`, `x = t / every - floor(t / every)`: a matter of time alone, the same in every period |
 
-use super::{At, Effect, Place, Spec};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec};
-use serde::Deserialize;
+use super::*;
 use std::f64::consts::PI;
 
 /// Which invention. Joints count from 1.
@@ -94,9 +91,7 @@ pub enum Config {
     },
 }
 
-struct Foreign(Config);
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         let (joint, size) = self.what();
         place.joint(joint)?;
@@ -131,10 +126,6 @@ impl Spec for Config {
             }
             Config::Beat { every, .. } => place.range("every", every, 0.1, 1e6),
         }
-    }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(Foreign(*self))
     }
 }
 
@@ -171,9 +162,9 @@ impl Config {
     }
 }
 
-impl Effect for Foreign {
+impl Effect for Config {
     fn repeats(&self, period: f64) -> bool {
-        match self.0 {
+        match *self {
             Config::Beat { every, .. } => {
                 let times = period / every;
                 times >= 0.5 && (times - times.round()).abs() < 1e-9 * times
@@ -183,7 +174,7 @@ impl Effect for Foreign {
     }
 
     fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
-        let (joint, size) = self.0.what();
-        tau[joint - 1] -= size * self.0.shape(at);
+        let (joint, size) = self.what();
+        tau[joint - 1] -= size * self.shape(at);
     }
 }

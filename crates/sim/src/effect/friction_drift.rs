@@ -5,12 +5,8 @@
 //! The joint's declared friction law changes; effects that add to it, or replace its Coulomb part, stay as they are.
 //! Source: Simoni, Beschi, Legnani and Visioli, Friction modeling with temperature effects for industrial robot manipulators, IROS 2015.
 
-use super::friction::sign;
 use super::trend::check_time;
-use super::{At, Effect, Place, Spec, Trend};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec, MAX_JOINTS};
-use serde::Deserialize;
+use super::*;
 
 /// Scales the friction of one joint, or of all.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]

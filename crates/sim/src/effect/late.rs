@@ -1,6 +1,5 @@
 //! An effect that begins later: before its moment the arm is as if it had none.
 
-use super::friction::sign;
 use super::{At, Effect, External, Reading};
 use crate::spatial::Inertia;
 use crate::truth::Truth;

@@ -53,6 +53,7 @@ mod trend;
 mod twist;
 
 pub(super) use friction::Friction;
+use friction::sign;
 pub(crate) use place::Place;
 pub use spec::EffectSpec;
 pub use trend::Trend;
@@ -60,7 +61,8 @@ pub use trend::Trend;
 use super::spatial::Inertia;
 use super::truth::Truth;
 use nalgebra::Vector3;
-use plumbline_core::{BadInput, JointVec, Setpoint};
+use plumbline_core::{BadInput, JointVec, MAX_JOINTS, Setpoint};
+use serde::Deserialize;
 
 /// The arm at one instant, as effects see it.
 #[derive(Clone, Copy, Debug, Default)]
@@ -81,14 +83,14 @@ pub(super) struct At {
     pub held: Option<JointVec>,
 }
 
-/// Sensor readings before noise.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Reading {
+/// Readings of the arm's sensors.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Reading {
     /// Position \[rad\].
     pub q: JointVec,
     /// Velocity \[rad/s\].
     pub dq: JointVec,
-    /// Torque of the actuators \[Nm\].
+    /// Torque of the actuators, gravity included \[Nm\].
     pub tau: JointVec,
 }
 
@@ -168,4 +170,20 @@ trait Spec {
 
     /// The effect of an arm that passed `check`; it begins at `from` \[s\].
     fn build(&self, truth: &Truth, from: f64) -> Box<dyn Effect>;
+}
+
+/// A configuration that is the effect: one without memory, which depends neither on the arm nor on the time since it began.
+trait Stateless: Effect + Copy + 'static {
+    /// As [`Spec::check`].
+    fn check(&self, place: &Place) -> Result<(), BadInput>;
+}
+
+impl<T: Stateless> Spec for T {
+    fn check(&self, place: &Place) -> Result<(), BadInput> {
+        Stateless::check(self, place)
+    }
+
+    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
+        Box::new(*self)
+    }
 }

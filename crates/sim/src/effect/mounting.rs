@@ -4,12 +4,9 @@
 //!
 //! or the one of the angles `rho` and `phi`, whatever was declared (paper eq. 3). The arm's own controller goes on with the declared one.
 
-use super::{Effect, Place, Spec};
-use crate::truth::Truth;
+use super::*;
 use nalgebra::{Rotation3, Vector3};
-use plumbline_core::BadInput;
 use plumbline_model::Mounting;
-use serde::Deserialize;
 
 /// Either `tilt`, or `rho` and `phi`.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]

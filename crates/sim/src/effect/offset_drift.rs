@@ -5,10 +5,7 @@
 //! Source: the thermal zero shift that every data sheet of a strain-gauge sensor states.
 
 use super::trend::check_time;
-use super::{At, Effect, Place, Reading, Spec, Trend};
-use crate::truth::Truth;
-use plumbline_core::BadInput;
-use serde::Deserialize;
+use super::*;
 
 /// Acts on what is reported, not on the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]

@@ -17,10 +17,7 @@
 //!
 //! Each `z_i` depends on where the joint went and not on how fast, so it is worked out exactly from the displacement within a step.
 
-use super::{At, Effect, Place, Spec};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec};
-use serde::Deserialize;
+use super::*;
 
 /// Most elements of a Maxwell-slip law.
 const MAX_ELEMENTS: usize = 8;

@@ -5,10 +5,7 @@
 //! Source: Taghirad and Belanger, Torque ripple and misalignment torque compensation for the built-in torque sensor of harmonic drive
 //! systems, 1998.
 
-use super::{At, Effect, Place, Reading, Spec};
-use crate::truth::Truth;
-use plumbline_core::BadInput;
-use serde::Deserialize;
+use super::*;
 
 /// Acts on what is reported, as the effects listed before it left it.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -22,22 +19,16 @@ pub struct Config {
     pub share: f64,
 }
 
-struct TorqueCrosstalk(Config);
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
         place.other("other", self.other, self.joint)?;
         place.range("share", self.share, -1.0, 1.0)
     }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(TorqueCrosstalk(*self))
-    }
 }
 
-impl Effect for TorqueCrosstalk {
+impl Effect for Config {
     fn sense(&mut self, _at: &At, _x: &[f64], reading: &mut Reading) {
-        reading.tau[self.0.joint - 1] += self.0.share * reading.tau[self.0.other - 1];
+        reading.tau[self.joint - 1] += self.share * reading.tau[self.other - 1];
     }
 }
