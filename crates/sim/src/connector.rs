@@ -35,9 +35,7 @@ impl ArmConnector for SimConnector {
                 (Pace::Fast(Arc::clone(&gate)), Some(gate as Arc<dyn TimeGate>))
             }
         };
-        let effects = self.truth.build_effects();
-        let gravity = options.gravity.into();
-        let arm = SimArm::with_effects(&self.chain, &self.truth, gravity, self.start, self.seed, pace, effects)?;
+        let arm = SimArm::under(&self.chain, &self.truth, options.gravity.into(), self.start, self.seed, pace)?;
         let arm = arm.with_patience(match options.purpose {
             Purpose::Drive => self.max_missed.max(MAX_MISSED_COMMANDS),
             Purpose::Monitor => MONITOR_MISSED_COMMANDS,

@@ -100,23 +100,12 @@ impl Hardware {
 mod tests {
     use super::super::{Gate, Pace, SimArm};
     use super::*;
+    use crate::two_joints::{chain, truth};
     use plumbline_core::{Backend, Command, Setpoint};
-    use plumbline_model::{Joint, JointKind, Placement, rnea};
+    use plumbline_model::rnea;
     use std::sync::Arc;
 
     const START: JointVec = [0.3, -0.4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-
-    fn chain() -> Chain {
-        let joint = |alpha| Joint { kind: JointKind::Revolute, a: 0.1, alpha, d: 0.2, theta: 0.0 };
-        Chain::modified(vec![joint(0.0), joint(-1.4)], Placement::identity())
-    }
-
-    fn truth(joint: &str, effects: &str) -> Truth {
-        let link = "{ mass = 1.0, com = [0.1, 0, 0.05], inertia = [0.02, 0, 0, 0.03, 0, 0.03] }";
-        let joint = format!("{{ stiffness = 2000, damping = 50, {joint} }}");
-        let text = format!("robot = 'two'\nlink = [{link}, {link}]\njoint = [{joint}, {joint}]\neffect = [{effects}]");
-        Truth::parse("test", &text).unwrap_or_else(|error| panic!("{error}"))
-    }
 
     fn hardware(truth: &Truth) -> Hardware {
         Hardware::new(&chain(), truth, Mounting::WALL, &START, 7).expect("truth fits the chain")
@@ -131,8 +120,11 @@ mod tests {
     /// The same arm by the long way, bit for bit, noise and all.
     #[test]
     fn tracks_as_the_backend_does() {
-        let truth =
-            truth("fv = 0.1, fc = 0.3, torque-noise = 0.1, position-noise = 1e-4", "{ id = 'delay', delay = 0.002 }");
+        let truth = truth(
+            "",
+            "fv = 0.1, fc = 0.3, torque-noise = 0.1, position-noise = 1e-4",
+            "{ id = 'delay', delay = 0.002 }",
+        );
         let mut hardware = hardware(&truth);
         let pace = Pace::Fast(Arc::new(Gate::unlimited()));
         let mut arm = SimArm::new(&chain(), &truth, Mounting::WALL, START, 7, pace).expect("truth fits the chain");
@@ -153,7 +145,7 @@ mod tests {
     #[test]
     fn held_torques_make_the_motion_that_needs_them() {
         for effects in ["", "{ id = 'joint-elasticity', joint = 2, stiffness = 1e4 }"] {
-            let truth = truth("", effects);
+            let truth = truth("", "", effects);
             let mut hardware = hardware(&truth);
             let mut tau = gravity(&truth, &START);
             tau[0] += 0.8;
@@ -174,7 +166,7 @@ mod tests {
 
     #[test]
     fn gravity_alone_holds_the_arm_and_an_elastic_joint_shows_its_twist() {
-        let truth = truth("", "{ id = 'joint-elasticity', joint = 1, stiffness = 1e3 }");
+        let truth = truth("", "", "{ id = 'joint-elasticity', joint = 1, stiffness = 1e3 }");
         let mut hardware = hardware(&truth);
         let tau = gravity(&truth, &START);
         let mut sensed = hardware.hold(&tau);
@@ -188,7 +180,7 @@ mod tests {
     /// From torques to positions and back while the arm moves: neither position nor torque jumps.
     #[test]
     fn takes_over_without_a_jump() {
-        let truth = truth("", "");
+        let truth = truth("", "", "");
         let mut hardware = hardware(&truth);
         let mut pushed = gravity(&truth, &START);
         pushed[1] += 0.5;

@@ -199,19 +199,19 @@ impl SimArm {
         seed: u64,
         pace: Pace,
     ) -> Result<SimArm, SimError> {
-        SimArm::with_effects(chain, truth, mounting.gravity(), start, seed, pace, truth.build_effects())
+        SimArm::under(chain, truth, mounting.gravity(), start, seed, pace)
     }
 
-    fn with_effects(
+    /// As [`SimArm::new`], under gravity in the base frame \[m/s2\].
+    fn under(
         chain: &Chain,
         truth: &Truth,
         gravity: Vector3<f64>,
         start: JointVec,
         seed: u64,
         pace: Pace,
-        effects: Vec<Box<dyn Effect>>,
     ) -> Result<SimArm, SimError> {
-        let n = chain.len();
+        let (n, effects) = (chain.len(), truth.build_effects());
         check(chain, truth, &gravity, &start, &effects)?;
         Ok(SimArm {
             joints: n,
@@ -376,3 +376,7 @@ impl Backend for SimArm {
         self.origin_ns.map(|origin| origin + self.seq * 1_000_000)
     }
 }
+
+/// Arms of tests.
+#[cfg(test)]
+mod two_joints;

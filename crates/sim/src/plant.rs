@@ -177,7 +177,7 @@ impl Plant {
         let ddq = self.acceleration(&at, &tau, &mut dx);
         let mut reading = Reading { q, dq, tau };
         for placed in &mut self.effects {
-            placed.effect.sense(&at, &self.y[placed.states.clone()], &mut reading);
+            placed.effect.sense(&at, &mut reading);
         }
         (reading, Exact { q: at.q, dq: at.dq, ddq, tau })
     }

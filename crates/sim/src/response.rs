@@ -102,23 +102,16 @@ impl Response {
 mod tests {
     use super::super::{Gate, Pace, SimArm};
     use super::*;
+    use crate::two_joints::{self, chain};
     use plumbline_core::{Backend, Command, Setpoint};
-    use plumbline_model::{Joint, JointKind, Placement};
+    use plumbline_model::Placement;
     use std::f64::consts::TAU;
     use std::sync::Arc;
 
     const PERIOD: u64 = 700;
 
-    fn chain() -> Chain {
-        let joint = |alpha| Joint { kind: JointKind::Revolute, a: 0.1, alpha, d: 0.2, theta: 0.0 };
-        Chain::modified(vec![joint(0.0), joint(-1.4)], Placement::identity())
-    }
-
     fn truth(effects: &str, noise: f64) -> Truth {
-        let link = "{ mass = 1.0, com = [0.1, 0, 0.05], inertia = [0.02, 0, 0, 0.03, 0, 0.03] }";
-        let joint = format!("{{ fv = 0.1, fc = 0.3, stiffness = 2000, damping = 50, torque-noise = {noise} }}");
-        let text = format!("robot = 'two'\nlink = [{link}, {link}]\njoint = [{joint}, {joint}]\neffect = [{effects}]");
-        Truth::parse("test", &text).unwrap_or_else(|error| panic!("{error}"))
+        two_joints::truth("", &format!("fv = 0.1, fc = 0.3, torque-noise = {noise}"), effects)
     }
 
     /// A motion that starts at rest.

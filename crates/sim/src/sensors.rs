@@ -137,18 +137,12 @@ impl Losses {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn truth(keys: &str, joint: &str) -> Truth {
-        let link = "{ mass = 1.0, com = [0, 0, 0], inertia = [0.1, 0, 0, 0.1, 0, 0.1] }";
-        let joint = format!("{{ stiffness = 100, damping = 10{joint} }}");
-        let text = format!("robot = 'two'\n{keys}\nlink = [{link}, {link}]\njoint = [{joint}, {joint}]");
-        Truth::parse("test", &text).unwrap_or_else(|error| panic!("{error}"))
-    }
+    use crate::two_joints::truth;
 
     /// An AR(1) process: its standard deviation as written, correlated by exp(-2 pi f t) over time t.
     #[test]
     fn coloured_noise_has_its_size_and_corner() {
-        let truth = truth("torque-noise-corner = 2.0", ", torque-noise-coloured = 0.05");
+        let truth = truth("torque-noise-corner = 2.0", "torque-noise-coloured = 0.05", "");
         let mut sensors = Sensors::new(&truth, 3);
         let noise: Vec<[f64; 2]> = (0..400_000)
             .map(|_| {
@@ -178,9 +172,9 @@ mod tests {
     /// Coloured noise, outliers and repeats are drawn beside the white noise, which stays the same.
     #[test]
     fn faults_come_as_often_as_written() {
-        let white = ", torque-noise = 0.1, velocity-noise = 0.01";
-        let plain = truth("", white);
-        let faulty = truth("outlier-probability = 0.01\noutlier-size = 5.0\nrepeat-probability = 0.06", white);
+        let white = "torque-noise = 0.1, velocity-noise = 0.01";
+        let plain = truth("", white, "");
+        let faulty = truth("outlier-probability = 0.01\noutlier-size = 5.0\nrepeat-probability = 0.06", white, "");
         let [mut a, mut b] = [&plain, &faulty].map(|truth| (Sensors::new(truth, 9), Faults::new(truth, 9)));
         let (mut outliers, mut repeats, mut last) = ([0, 0], 0, None);
         for k in 0..100_000 {
@@ -229,7 +223,7 @@ mod tests {
     #[test]
     fn a_dead_torque_sensor_reads_zero() {
         let mut faults =
-            Faults::new(&truth("dead-torque-sensors = [2]\noutlier-probability = 0.5\noutlier-size = 5.0", ""), 9);
+            Faults::new(&truth("dead-torque-sensors = [2]\noutlier-probability = 0.5\noutlier-size = 5.0", "", ""), 9);
         for _ in 0..100 {
             let mut reading = Reading { tau: [3.0; MAX_JOINTS], ..Reading::default() };
             faults.spoil(&mut reading, &mut 0.0);

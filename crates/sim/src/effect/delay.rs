@@ -56,7 +56,7 @@ impl Spec for Config {
 }
 
 impl Effect for Delay {
-    fn sense(&mut self, at: &At, _x: &[f64], reading: &mut Reading) {
+    fn sense(&mut self, at: &At, reading: &mut Reading) {
         let now = match self.now {
             None => {
                 self.past.fill(reading.tau);

@@ -78,9 +78,9 @@ impl Effect for Late {
         }
     }
 
-    fn sense(&mut self, at: &At, x: &[f64], reading: &mut Reading) {
+    fn sense(&mut self, at: &At, reading: &mut Reading) {
         if at.t >= self.from {
-            self.effect.sense(at, x, reading);
+            self.effect.sense(at, reading);
         }
     }
 }

@@ -154,7 +154,7 @@ pub(super) trait Effect: Send {
     fn encoder(&self, _at: &At, _x: &[f64], _dx: &mut [f64], _q: &mut JointVec, _dq: &mut JointVec) {}
 
     /// Changes the readings of each millisecond.
-    fn sense(&mut self, _at: &At, _x: &[f64], _reading: &mut Reading) {}
+    fn sense(&mut self, _at: &At, _reading: &mut Reading) {}
 }
 
 /// How an effect is written in a truth file.

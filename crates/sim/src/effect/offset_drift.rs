@@ -44,7 +44,7 @@ impl Effect for OffsetDrift {
         false
     }
 
-    fn sense(&mut self, at: &At, _x: &[f64], reading: &mut Reading) {
+    fn sense(&mut self, at: &At, reading: &mut Reading) {
         let course = self.config.trend.at(at.t - self.from, self.config.time);
         reading.tau[self.config.joint - 1] += self.config.drift * course;
     }

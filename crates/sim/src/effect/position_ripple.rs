@@ -64,7 +64,7 @@ impl Effect for Config {
         }
     }
 
-    fn sense(&mut self, at: &At, _x: &[f64], reading: &mut Reading) {
+    fn sense(&mut self, at: &At, reading: &mut Reading) {
         if self.on == On::Sensor {
             let j = self.joint - 1;
             reading.tau[j] += self.at(at.q[j]);

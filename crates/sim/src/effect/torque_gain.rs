@@ -24,7 +24,7 @@ impl Stateless for Config {
 }
 
 impl Effect for Config {
-    fn sense(&mut self, _at: &At, _x: &[f64], reading: &mut Reading) {
+    fn sense(&mut self, _at: &At, reading: &mut Reading) {
         reading.tau[self.joint - 1] *= self.gain;
     }
 }

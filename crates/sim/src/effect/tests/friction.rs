@@ -8,7 +8,7 @@ use crate::truth::Truth;
 fn takes(effects: &str, law: impl Fn(&Exact, f64) -> JointVec) {
     let truth = truth(&format!("effect = [{effects}]"));
     let mut size = 0.0f64;
-    for (state, exact) in run(&truth, vec![], 900) {
+    for (state, exact) in run(&truth, 900) {
         assert_eq!(state.tau[..N], exact.tau[..N], "the sensor says what the actuators do");
         let left = left(&truth, &truth.link_parameters(), Mounting::UPRIGHT, &exact);
         let expected = law(&exact, state.time);
@@ -61,7 +61,7 @@ fn friction_grows_with_the_true_load() {
     let (m, z) = (0.7, 0.2);
     links[2].iter_mut().zip([m * z * z, 0.0, 0.0, m * z * z, 0.0, 0.0, 0.0, 0.0, m * z, m]).for_each(|(a, b)| *a += b);
     let mut most = 0.0f64;
-    for (_, exact) in run(&truth, vec![], 900) {
+    for (_, exact) in run(&truth, 900) {
         let mut load = [0.0; MAX_JOINTS];
         let gravity = Mounting::UPRIGHT.gravity();
         rnea(&chain(), &links, &gravity, &exact.q, &exact.dq, &exact.ddq, &mut load);

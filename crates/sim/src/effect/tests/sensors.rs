@@ -4,8 +4,8 @@ use super::*;
 
 /// Runs the arm with effects that only report something else: its true motion is that of the plain arm, bit by bit.
 fn reported(effects: &str, ticks: usize) -> Vec<(State, Exact)> {
-    let states = run(&truth(&format!("effect = [{effects}]")), vec![], ticks);
-    for (with, without) in states.iter().zip(run(&truth(""), vec![], ticks)) {
+    let states = run(&truth(&format!("effect = [{effects}]")), ticks);
+    for (with, without) in states.iter().zip(run(&truth(""), ticks)) {
         assert_eq!(with.1, without.1);
     }
     states
@@ -85,7 +85,7 @@ fn torque_comes_late() {
 fn encoders_have_zeros_and_axes_of_their_own() {
     let effects = "effect = [{ id = 'encoder-offset', joint = 3, offset = -0.004 },
         { id = 'encoder-eccentricity', joint = 1, amplitude = 0.003, phase = 0.7, order = 2 }]";
-    let states = run(&truth(effects), vec![], 900);
+    let states = run(&truth(effects), 900);
     for (k, (state, exact)) in states.iter().enumerate() {
         assert_close(state.q[2], exact.q[2] - 0.004, 1e-15);
         assert_close(state.q[0], exact.q[0] + 0.003 * (2.0 * exact.q[0] + 0.7).sin(), 1e-15);

@@ -5,7 +5,7 @@ use super::*;
 /// The deflection that the encoder of `joint` reports, and what the law says of the measured torque; their rates as well.
 fn deflections(effects: &str, joint: usize, law: impl Fn(f64) -> f64) -> Vec<(f64, f64)> {
     let truth = truth(&format!("effect = [{effects}]"));
-    let states = run(&truth, vec![], 900);
+    let states = run(&truth, 900);
     for (_, exact) in &states {
         // What the sensor measures is still what moves the links: nothing is lost in between.
         let left = left(&truth, &truth.link_parameters(), Mounting::UPRIGHT, exact);
@@ -31,10 +31,10 @@ fn an_elastic_joint_twists_by_torque_over_stiffness() {
 /// The stiffer, the less it is there; in the limit it is the rigid arm.
 #[test]
 fn a_stiff_joint_is_a_rigid_one() {
-    let rigid = run(&truth(""), vec![], 500);
+    let rigid = run(&truth(""), 500);
     let apart = |stiffness: f64| {
         let effect = format!("effect = [{{ id = 'joint-elasticity', joint = 2, stiffness = {stiffness} }}]");
-        let states = run(&truth(&effect), vec![], 500);
+        let states = run(&truth(&effect), 500);
         let pairs = states.iter().zip(&rigid).skip(100);
         pairs.map(|(a, b)| (a.1.q[1] - b.1.q[1]).abs()).fold(0.0, f64::max)
     };
@@ -66,8 +66,8 @@ fn a_gap_lies_on_the_flank_of_the_load() {
 fn what_gives_way_comes_last() {
     let elasticity = "{ id = 'joint-elasticity', joint = 2, stiffness = 8000 }";
     let offset = "{ id = 'encoder-offset', joint = 2, offset = 0.003 }";
-    let one = run(&truth(&format!("effect = [{elasticity}, {offset}]")), vec![], 400);
-    let other = run(&truth(&format!("effect = [{offset}, {elasticity}]")), vec![], 400);
+    let one = run(&truth(&format!("effect = [{elasticity}, {offset}]")), 400);
+    let other = run(&truth(&format!("effect = [{offset}, {elasticity}]")), 400);
     assert_eq!(one, other);
     for (state, exact) in &one[300..] {
         assert_close(state.q[1] - exact.q[1], 0.003 + exact.tau[1] / 8000.0, 2e-5);

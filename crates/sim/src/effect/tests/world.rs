@@ -24,14 +24,14 @@ fn a_tilted_base_is_a_declared_mounting() {
 fn an_effect_that_says_the_declared_mounting_changes_nothing() {
     let upright = Mounting::UPRIGHT;
     let effect = format!("effect = [{{ id = 'mounting', rho = {:?}, phi = {:?} }}]", upright.rho, upright.phi);
-    assert_eq!(run(&truth(&effect), vec![], 300), run(&truth(""), vec![], 300));
+    assert_eq!(run(&truth(&effect), 300), run(&truth(""), 300));
 }
 
 #[test]
 fn a_tilt_leaves_torque_of_the_other_gravity() {
     let truth = truth("effect = [{ id = 'mounting', rho = 3.0, phi = 0.5 }]");
     let mut differs = 0.0f64;
-    for (_, exact) in run(&truth, vec![], 300) {
+    for (_, exact) in run(&truth, 300) {
         let truly = left(&truth, &truth.link_parameters(), Mounting { rho: 3.0, phi: 0.5 }, &exact);
         (0..N).for_each(|j| assert_close(truly[j], 0.0, 1e-9));
         differs = differs.max(left(&truth, &truth.link_parameters(), Mounting::UPRIGHT, &exact)[1].abs());
@@ -45,7 +45,7 @@ fn a_shaking_base_is_felt_as_gravity() {
     let effect =
         "{ id = 'base-motion', frequency = 7.3, amplitude = 0.5, direction = [3, 0, 4], phase = 0.2, from = 0.1 }";
     let truth = truth(&format!("effect = [{effect}]"));
-    for (state, exact) in run(&truth, vec![], 400) {
+    for (state, exact) in run(&truth, 400) {
         let t = state.time - 0.1;
         let a = if t < 0.0 { 0.0 } else { 0.5 * (std::f64::consts::TAU * 7.3 * t + 0.2).sin() };
         let gravity = Mounting::UPRIGHT.gravity() - a * Vector3::new(0.6, 0.0, 0.8);
@@ -80,7 +80,7 @@ fn a_contact_comes_and_goes_and_comes_again() {
     }
     // It moves the arm by its Jacobian's torque; that is `a_wrench_takes_the_torque_of_its_jacobian`. Nothing before and after.
     let truth = truth(&format!("effect = [{{ {effect} }}]"));
-    for (state, exact) in run(&truth, vec![], 700) {
+    for (state, exact) in run(&truth, 700) {
         let left = left(&truth, &truth.link_parameters(), Mounting::UPRIGHT, &exact);
         let size = left[0].abs() + left[1].abs();
         assert_eq!(size > 1e-9, state.time > 0.2 && state.time < 0.5, "{size} Nm at {} s", state.time);
