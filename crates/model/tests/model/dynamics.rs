@@ -133,24 +133,24 @@ fn standard_rows_give_the_standard_product() {
             };
             let ((st, ct), (sa, ca)) = (theta.sin_cos(), row.alpha.sin_cos());
             // The table's textbook matrix, Rz Tz Tx Rx multiplied out.
-            product *= Matrix4::new(
+            product *= Matrix4::from_row_slice(&[
                 ct,
                 -st * ca,
                 st * sa,
-                row.a * ct, //
+                row.a * ct,
                 st,
                 ct * ca,
                 -ct * sa,
-                row.a * st, //
+                row.a * st,
                 0.0,
                 sa,
                 ca,
-                d, //
+                d,
                 0.0,
                 0.0,
                 0.0,
                 1.0,
-            );
+            ]);
         }
         let end = Chain::standard(&rows, Placement::identity()).end_effector_placement(&q);
         assert!((product.fixed_view::<3, 3>(0, 0) - end.rotation).amax() < 1e-12);

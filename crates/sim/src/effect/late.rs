@@ -1,6 +1,6 @@
 //! An effect that begins later: before its moment the arm is as if it had none.
 
-use super::{At, Effect, External, Reading};
+use super::{At, Effect, External, Reading, sign};
 use crate::spatial::Inertia;
 use crate::truth::Truth;
 use nalgebra::Vector3;
