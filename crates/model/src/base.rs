@@ -34,7 +34,7 @@ pub struct Reduction {
     regroup: DMatrix<f64>,
 }
 
-/// A column is dependent when less than this share of its norm is left after projection on the columns before it.
+/// Ratio of a column's norm after and before projection on the earlier columns, below which the column is dependent.
 const INDEPENDENCE: f64 = 1e-8;
 /// Random states used; each gives n rows.
 const STATES: usize = 120;
@@ -57,7 +57,7 @@ impl Reduction {
         if here.len() == generalized.len() { generalized } else { here }
     }
 
-    /// The set of one kind. An arm whose torques hold the same parameters in every mounting has no VBS of its own: the GBS it is.
+    /// The set of one kind; the GBS for an arm whose torques contain the same parameters in every mounting.
     pub fn of_kind(chain: &Chain, kind: BaseKind) -> Reduction {
         match kind {
             BaseKind::Gbs => Reduction::any_mounting(chain),
@@ -75,7 +75,7 @@ impl Reduction {
         self.independent.len()
     }
 
-    /// Whether no parameter can be identified at all.
+    /// Whether no parameter can be identified.
     pub fn is_empty(&self) -> bool {
         self.independent.is_empty()
     }
@@ -96,8 +96,8 @@ impl Reduction {
     }
 }
 
-/// Slots in the order in which they are kept. The usual regrouping (Gautier, Khalil) moves `Lyy, lz, m` of a revolute link
-/// and the whole inertia of a prismatic one towards the base, so those come last.
+/// Slots in the order in which they are selected. The usual regrouping (Gautier, Khalil) moves `Lyy, lz, m` of a revolute link
+/// and the whole inertia of a prismatic one towards the base, so those are last.
 fn order(chain: &Chain) -> Vec<usize> {
     let kept = |kind| match kind {
         JointKind::Revolute => [0, 1, 2, 4, 5, 6, 7].as_slice(),
@@ -139,7 +139,7 @@ fn reduce(chain: &Chain, gravity: Option<Vector3<f64>>) -> Reduction {
             dependent.push(slot);
         }
     }
-    // Sorted by link, the reader's order; the map does not depend on the order in which columns were found.
+    // Sorted by link; the map does not depend on the order of selection.
     independent.sort_unstable();
     let kept = DMatrix::from_columns(&independent.iter().map(|&slot| w.column(slot)).collect::<Vec<_>>());
     let qr = kept.qr();
@@ -157,7 +157,7 @@ fn reduce(chain: &Chain, gravity: Option<Vector3<f64>>) -> Reduction {
     Reduction { kind: BaseKind::Vbs, independent, regroup }
 }
 
-/// Makes zeros and ones exact. Any other coefficient is a sum of products of the arm's lengths and keeps all its digits.
+/// Rounds zeros and ones. Any other coefficient is a sum of products of the arm's lengths and is not rounded.
 fn tidy(value: f64) -> f64 {
     if (value - value.round()).abs() < 1e-9 { value.round() } else { value }
 }

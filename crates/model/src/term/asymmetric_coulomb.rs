@@ -1,9 +1,9 @@
-//! Coulomb friction that is larger in one direction.
+//! Coulomb friction that depends on the direction.
 
 use super::family::*;
 use super::one_row::*;
 
-/// The part of Coulomb friction that does not change its sign with the velocity.
+/// The part of Coulomb friction whose sign does not change with the velocity.
 pub static FAMILY: Family = Family {
     id: "asymmetric-coulomb",
     physics: "Teeth and bearings under a preload rub harder in one direction than in the other.",

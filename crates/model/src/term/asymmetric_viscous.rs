@@ -1,4 +1,4 @@
-//! Viscous friction that is larger in one direction.
+//! Viscous friction that depends on the direction.
 
 use super::family::*;
 use super::one_row::*;
@@ -6,7 +6,7 @@ use super::one_row::*;
 /// Identity.
 pub const ID: &str = "asymmetric-viscous";
 
-/// The part of viscous friction that does not change its sign with the velocity.
+/// The part of viscous friction whose sign does not change with the velocity.
 pub static FAMILY: Family = Family {
     id: ID,
     physics: "Lubricant resists more in one direction of motion than in the other.",

@@ -8,7 +8,7 @@ use super::swing::{Gear, QUALITY, SWINGING, Swing};
 use super::{Column, Expected, Sample};
 use plumbline_core::JointVec;
 
-/// The gap of one joint's gear, which the link falls through when its load changes sign.
+/// The play of one joint's gear, which the link crosses when its load changes sign.
 pub static FAMILY: Family = Family {
     id: "backlash",
     physics: "Between a gear's teeth is a gap, and the link falls from one side to the other when its load changes sign.",

@@ -1,4 +1,4 @@
-//! A base that shakes.
+//! Vibration of the base.
 
 use super::Sample;
 use super::all_rows::*;
@@ -13,7 +13,7 @@ use std::f64::consts::TAU;
 /// Identity.
 pub const ID: &str = "base-motion";
 
-/// One line of the base's vibration, in amplitude and phase along the three axes of the base.
+/// One frequency of the base's vibration, with amplitude and phase along the three axes of the base.
 pub static FAMILY: Family = Family {
     id: ID,
     physics: "The table or vehicle under the base shakes, and the links feel that as gravity that changes with time.",

@@ -1,4 +1,4 @@
-//! The registry: every term that a model file can name, and every kind of effect. A new effect is one line of [`FAMILIES`].
+//! The registry of terms and effects. A new effect is one line of [`FAMILIES`].
 
 use super::family::Family;
 use super::*;

@@ -1,4 +1,4 @@
-//! Something that touches the arm.
+//! Contact of the arm with its environment.
 
 use super::Sample;
 use super::all_rows::*;
@@ -11,12 +11,12 @@ use plumbline_core::{JointVec, MAX_JOINTS};
 /// Identity.
 pub const ID: &str = "contact";
 
-/// A day: no recording is longer.
+/// Longest recording: a day.
 const MAX_RECORDING_S: f64 = 86_400.0;
 
-/// A wrench at one link for a while.
+/// A wrench at one link for a limited time.
 ///
-/// Forces and moments are those that the arm exerts on what it touches, in the axes of the base and about the origin of the
+/// Forces and moments are those that the arm exerts on the environment, in the axes of the base and about the origin of the
 /// link's frame.
 pub static FAMILY: Family = Family {
     id: ID,

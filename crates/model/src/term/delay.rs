@@ -1,4 +1,4 @@
-//! Torques that come later than positions.
+//! Delay of torques against positions.
 
 use super::Sample;
 use super::all_rows::*;
@@ -10,8 +10,8 @@ use plumbline_core::JointVec;
 
 /// One delay of all torques against all positions.
 ///
-/// First order in the delay. Friction is late as well: where it turns, its slope is a pulse as wide as the turning takes. The slope is a
-/// difference of the torques before.
+/// First order in the delay. Friction is delayed, too: at a reversal its slope is a pulse as wide as the reversal. The slope is a backward
+/// difference of the torques.
 pub static FAMILY: Family = Family {
     id: "delay",
     physics: "The torque is measured, filtered or sent later than the position that stands beside it in the recording.",

@@ -1,4 +1,4 @@
-//! An encoder that is not on the joint's axis.
+//! Eccentricity of an encoder.
 
 use super::Sample;
 use super::all_rows::*;
@@ -7,7 +7,7 @@ use super::one_row::{column, unit};
 use super::position_error::PositionError;
 use plumbline_core::JointVec;
 
-/// An error of one joint's position, the true minus the measured one, that comes back every turn.
+/// An error of one joint's position, true minus measured, with the period of a turn.
 pub static FAMILY: Family = Family {
     id: "encoder-eccentricity",
     physics: "An encoder's ring sits beside the joint's axis, so that the angle is read wrong by a wave per turn.",

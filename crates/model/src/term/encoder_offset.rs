@@ -1,4 +1,4 @@
-//! An encoder whose zero is not where the model's is.
+//! Offset of an encoder's zero.
 
 use super::Sample;
 use super::all_rows::*;

@@ -1,4 +1,4 @@
-//! Friction that is another one than when the model was identified.
+//! Change of friction since an identification.
 
 use super::family::*;
 use super::one_row::*;

@@ -1,4 +1,4 @@
-//! Friction that falls while an arm gets warm.
+//! Drift of friction with temperature.
 
 use super::family::*;
 use super::offset_drift::{WARMING, warmed};

@@ -1,4 +1,4 @@
-//! A gear that twists under its load.
+//! Elasticity of a gear.
 
 use super::all_rows::*;
 use super::carried::CarriedFriction;
@@ -12,10 +12,10 @@ use plumbline_core::JointVec;
 /// Identity.
 pub const ID: &str = "joint-elasticity";
 
-/// Name of the form for friction that acts behind the gear, on the link's side, and so goes through it.
+/// Name of the form with friction on the link's side of the gear, which the gear transmits.
 const LINK_FRICTION: &str = "link-friction";
 
-/// The twist of one joint's gear, as long as the motion is slow against its resonance.
+/// Twist of one joint's gear, for motions that are slow against its resonance.
 ///
 /// Without memory the link is at `q_i - c_i tau_rb_i`, first order in the compliance; `e'` and `e''` are differences of the torques before, so
 /// that a regressor needs a motion on a grid that is fine against it (20 samples per period of its highest harmonic).

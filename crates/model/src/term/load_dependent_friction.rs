@@ -1,4 +1,4 @@
-//! Friction that grows with the torque that a gear carries.
+//! Friction in proportion to the load of a gear.
 
 use super::family::*;
 use super::one_row::*;

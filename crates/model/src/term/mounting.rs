@@ -1,4 +1,4 @@
-//! A base that stands tilted.
+//! Tilt of the base.
 
 use super::Sample;
 use super::all_rows::*;
@@ -10,7 +10,7 @@ use crate::gravity::Mounting;
 use nalgebra::Vector3;
 use plumbline_core::JointVec;
 
-/// A small tilt of the base, as two angles. A model of the VBS kind lacks two parameters that a tilt shows, and so feels only a part.
+/// A small tilt of the base, as two angles. A VBS lacks two parameters that a tilt excites, so that its columns are incomplete.
 pub static FAMILY: Family = Family {
     id: "mounting",
     physics: "The base is mounted at another angle than the one that the model was told.",
@@ -48,14 +48,14 @@ fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<
     let load = Arc::clone(&operating_point.load);
     let columns = ["tilt_a", "tilt_b"].map(|stem| column(stem, site, "", "rad")).to_vec();
     AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
-        // Without gravity there is nothing to tilt.
+        // Without gravity a tilt has no effect.
         let turned = |axis: Vector3<f64>| load.under(&axis.cross(gravity));
         let tilts = if gravity.norm() > 0.0 { axes(gravity).map(turned).to_vec() } else { Vec::new() };
         Tilt(tilts)
     })
 }
 
-/// The rigid bodies under what each tilt adds to gravity.
+/// The rigid bodies under the change of gravity by each tilt.
 struct Tilt(Vec<LoadUnder>);
 
 impl Law for Tilt {
@@ -66,7 +66,7 @@ impl Law for Tilt {
     }
 }
 
-/// Torque that gravity alone takes in the pose of a sample: the part of `tau_rb` that is linear in gravity.
+/// Gravity torque in the pose of a sample: the part of `tau_rb` that is linear in gravity.
 pub(super) fn at_rest(load: &mut LoadUnder, sample: &Sample) -> JointVec {
     load.torque(&Sample { q: sample.q, ..Sample::default() })
 }

@@ -1,9 +1,9 @@
-//! Friction that is no straight line over the speed.
+//! Viscous friction that is not proportional to speed.
 
 use super::family::*;
 use super::one_row::*;
 
-/// What viscous friction has on top of `fv dq`.
+/// Viscous friction in addition to `fv dq`.
 pub static FAMILY: Family = Family {
     id: "nonlinear-viscous",
     physics: "Grease gets thinner when it is sheared faster, and churning costs more: friction bends over the speed.",

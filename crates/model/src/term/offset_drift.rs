@@ -1,4 +1,4 @@
-//! A torque sensor's zero that creeps.
+//! Drift of a torque sensor's zero.
 
 use super::family::*;
 use super::one_row::*;
@@ -6,7 +6,7 @@ use super::one_row::*;
 /// Identity.
 pub const ID: &str = "offset-drift";
 
-/// How long a part of an arm takes to get warm.
+/// Time constant of the warming.
 pub(super) const WARMING: Setting = Setting {
     name: "T",
     unit: "s",
@@ -50,7 +50,7 @@ pub static FAMILY: Family = Family {
     rare: Rare::NONE,
 };
 
-/// Share of the way to the warm state, `1 - exp(-t / T)`.
+/// Ratio of the warming, `1 - exp(-t / T)`.
 pub(super) fn warmed(time: f64, constant: f64) -> f64 {
     -(-time / constant).exp_m1()
 }

@@ -1,4 +1,4 @@
-//! A tool or load on the last link that the model was not told of.
+//! An undeclared tool or load on the last link.
 
 use super::all_rows::*;
 use super::family::*;
@@ -10,7 +10,7 @@ use crate::regressor::LINK_COLUMNS;
 use nalgebra::DVector;
 use plumbline_core::JointVec;
 
-/// A rigid body fixed to the last link, beside the link's own.
+/// A rigid body fixed to the last link.
 pub static FAMILY: Family = Family {
     id: "payload",
     physics: "A rigid body is fixed to the last link that was not there when the model was identified.",
@@ -85,12 +85,12 @@ const NUMBERS: [(&str, &str); LINK_COLUMNS] = [
 
 /// Step of the differences, in standard deviations of the parameter.
 const STEP_RATIO: f64 = 1e-3;
-/// Largest share of a number's sensitivity in undetermined directions, for a number with a standard deviation.
+/// Largest squared share of a number's sensitivity in undetermined directions for which it has a standard deviation.
 const UNDETERMINED_RATIO: f64 = 1e-3;
-/// Smallest mass that has a centre, in its standard deviations.
+/// Smallest mass for which a centre of mass is reported, in its standard deviations.
 const MASS_DEVIATIONS: f64 = 2.0;
 
-/// The body; the parameters where its mass may be zero, so that it has no centre of mass.
+/// The body, or the parameters where its mass may be zero.
 fn body_or_parameters(results: &Results) -> Vec<Quantity> {
     body(results).unwrap_or_else(|| quantity::own(results))
 }

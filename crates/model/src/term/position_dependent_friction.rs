@@ -1,4 +1,4 @@
-//! Friction that changes with the joint's angle.
+//! Friction that depends on the joint's angle.
 
 use super::family::*;
 use super::one_row::*;

@@ -1,4 +1,4 @@
-//! Torque that ripples over the joint's angle.
+//! Torque ripple over the joint's angle.
 
 use super::family::*;
 use super::one_row::*;
@@ -49,7 +49,7 @@ fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<
     OneRow::new(&FAMILY, "", site, settings, columns, law).smooth().term()
 }
 
-/// An order in a column's name: `n12.5`. Orders that share the first three decimals are one ripple.
+/// An order in a column's name: `n12.5`, rounded to three decimals.
 pub(super) fn order(n: f64) -> String {
     format!("n{}", (n * 1e3).round() / 1e3)
 }

@@ -1,4 +1,4 @@
-//! Presliding: friction that bends like a spring before it slides, so that it follows the displacement since the last reversal.
+//! Presliding: elastic friction before sliding, a function of the displacement since the last reversal.
 
 use super::family::*;
 use super::{Column, FixedTerm, Motion, Sample};
@@ -6,7 +6,7 @@ use crate::chain::Chain;
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
 
-/// What formats without memory have of it.
+/// The part in formats without memory.
 const SLIDING: &str = "is held as the Coulomb friction that it is in sliding; its memory, which tells where a joint that turns back was, is \
                        left out";
 
@@ -81,7 +81,7 @@ impl Term for Presliding {
         let q = motion.q.column(self.joint);
         let mut z = 0.0;
         if motion.periodic {
-            // Where the period before has left it.
+            // The state at the end of the period before.
             for k in 1..samples {
                 z = Presliding::step(z, q[k] - q[k - 1], self.delta);
             }

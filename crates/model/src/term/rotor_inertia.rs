@@ -1,4 +1,4 @@
-//! Inertia of the motors' rotors, seen through the gears.
+//! Rotor inertia of the motors, at the joint's side of the gears.
 
 use super::Entry;
 use super::family::*;
@@ -34,9 +34,9 @@ pub static FAMILY: Family = Family {
 
 /// `tau_j = ia_j ddq_j`, the rotor's inertia times the gear ratio squared, in the joint's own row. Columns `ia1 .. ian`.
 ///
-/// Torques measured on the motor's side of the gear hold it; joint torque sensors on the link's side do not. The rigid body
-/// absorbs some of them (joints 1 and 2 of most arms): [`crate::structure::Structure::identifiable`] takes those out.
-/// Gyroscopic effects of the rotor on other joints are left out, as usual.
+/// Torques measured on the motor's side of the gear contain it; those of sensors on the link's side do not. The rigid body
+/// absorbs some of them (joints 1 and 2 of most arms): [`crate::structure::Structure::identifiable`] removes those.
+/// Gyroscopic effects of the rotor on other joints are neglected, as usual.
 pub fn term(chain: &Chain) -> Arc<dyn Term> {
     PerJoint::new(ID, FAMILY.physics)
         .with(chain, ["ia", "Ia"], ["kg m2", "kg"], |joint| Entry::Acceleration { joint })

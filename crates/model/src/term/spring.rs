@@ -6,7 +6,7 @@ use super::one_row::*;
 const Q0: Setting = Setting {
     name: "q0",
     unit: "rad",
-    what: "position at which the spring gets tight",
+    what: "position at which the spring begins to pull",
     low: -3.0,
     high: 3.0,
     steps: 25,

@@ -1,9 +1,9 @@
-//! Friction that falls with speed before it rises.
+//! Stribeck friction: friction that falls with speed at low speed.
 
 use super::family::*;
 use super::one_row::*;
 
-/// What Coulomb friction has on top at low speed.
+/// Friction in addition to Coulomb friction at low speed.
 pub static FAMILY: Family = Family {
     id: "stribeck",
     physics: "At low speed the film of lubricant is too thin to keep the surfaces apart, so that friction is higher.",

@@ -1,4 +1,4 @@
-//! A torque sensor that feels another joint's torque.
+//! Cross-talk of a torque sensor from another joint's torque.
 
 use super::family::*;
 use super::one_row::*;

@@ -1,4 +1,4 @@
-//! A torque sensor that reads too much or too little.
+//! Gain error of a torque sensor.
 
 use super::family::*;
 use super::one_row::*;

@@ -1,4 +1,4 @@
-//! A constant torque in every joint's measurement.
+//! Offset of a torque sensor.
 
 use super::Entry;
 use super::family::*;
