@@ -1,9 +1,9 @@
-//! Back-pressure for an arm that runs as fast as it can: simulated time stands still rather than a sample is lost.
+//! Back-pressure for an arm at full speed: simulated time pauses, and no sample is lost.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-/// Tries before the waiting thread yields, and before it sleeps.
+/// Polls before the waiting thread yields, and before it sleeps.
 const SPINS: u32 = 200;
 const YIELDS: u32 = 400;
 const POLL_INTERVAL: Duration = Duration::from_micros(50);
@@ -46,24 +46,24 @@ impl Gate {
         self.consumed.fetch_add(records, Ordering::Release);
     }
 
-    /// Simulated time goes on.
+    /// Continues simulated time.
     pub fn open(&self) {
         self.shut.store(false, Ordering::Release);
     }
 
-    /// Simulated time stands still before the next state.
+    /// Pauses simulated time before the next state.
     pub fn shut(&self) {
         self.shut.store(true, Ordering::Release);
     }
 
-    /// Ends all waiting for good: the arm answers `Fault::Disconnected` from now on.
+    /// Ends all waiting: the arm returns `Fault::Disconnected` from now on.
     pub fn end(&self) {
         self.ended.store(true, Ordering::Release);
     }
 
     /// States delivered and not yet consumed as records.
     pub fn under_way(&self) -> u64 {
-        // `consumed` first: it never overtakes what was produced before it was read.
+        // `consumed` first, so that it cannot exceed `produced`.
         let consumed = self.consumed.load(Ordering::Acquire);
         self.produced.load(Ordering::Acquire).saturating_sub(consumed)
     }

@@ -1,5 +1,5 @@
-//! The simulated arm as a robot's own firmware has it: driven for one millisecond at a time, by positions or by torques, and read
-//! through its sensors. There are no modes, no limits and no losses here: those are the business of the program around it.
+//! The simulated arm as hardware for a robot program around it: driven for one millisecond at a time, by positions or by torques, and read
+//! through its sensors. It has no modes, limits or losses.
 
 use super::commands::{Commands, TICK_S};
 use super::effect::Reading;
@@ -17,7 +17,7 @@ pub struct Hardware {
     commands: Commands,
     sensors: Sensors,
     faults: Faults,
-    /// Whether the inner controller tracks positions, instead of the actuators holding torques.
+    /// Whether the inner controller tracks positions; otherwise the actuators hold torques.
     tracks: bool,
     time: f64,
     exact: Exact,
@@ -27,7 +27,7 @@ impl Hardware {
     /// An arm with the kinematics of `chain`, held at rest at `start` \[rad\]; `seed` decides its noise.
     ///
     /// # Errors
-    /// [`SimError`] when truth and chain do not fit, or a number is none.
+    /// [`SimError`] when truth and chain do not fit, or a number is not finite.
     pub fn new(
         chain: &Chain,
         truth: &Truth,
@@ -49,8 +49,7 @@ impl Hardware {
         })
     }
 
-    /// One millisecond in which the inner joint impedance controller tracks `q` \[rad\] as the newest of the positions that it has
-    /// been given. After torques it takes over first.
+    /// One millisecond in which the inner joint impedance controller tracks `q` \[rad\], the newest command. After torques it takes over first.
     pub fn track(&mut self, q: &JointVec) -> Reading {
         if !self.tracks {
             self.take_over();
@@ -59,8 +58,8 @@ impl Hardware {
         self.advance()
     }
 
-    /// The inner controller takes over from torques, without a jump: it goes on from where the arm is and as fast as it moves. Returns
-    /// the position \[rad\] and velocity \[rad/s\] that count as commanded last.
+    /// The inner controller takes over from torques without a jump, at the arm's present position and velocity. Returns the position
+    /// \[rad\] and velocity \[rad/s\] that count as commanded last.
     pub fn take_over(&mut self) -> (JointVec, JointVec) {
         let Exact { q, dq, .. } = self.exact;
         if !self.tracks {
@@ -71,7 +70,7 @@ impl Hardware {
         (*self.commands.newest(), dq)
     }
 
-    /// One millisecond in which the actuators hold `tau` \[Nm\]. That is all the torque there is: whoever wants gravity compensated adds it.
+    /// One millisecond in which the actuators hold `tau` \[Nm\]. Gravity is not compensated.
     pub fn hold(&mut self, tau: &JointVec) -> Reading {
         self.plant.hold(tau);
         self.tracks = false;
@@ -87,10 +86,10 @@ impl Hardware {
         self.plant.advance(&self.commands);
         self.time += TICK_S;
         let (mut reading, exact) = self.plant.sense();
-        self.sensors.distort(&mut reading);
-        // A reading that repeats the one before shows its time, too; here the robot around this stamps its states itself.
+        self.sensors.add_noise(&mut reading);
+        // The time stamp of a repeated reading is unused: the robot program stamps its states.
         let mut time = self.time;
-        self.faults.spoil(&mut reading, &mut time);
+        self.faults.apply(&mut reading, &mut time);
         self.exact = exact;
         reading
     }
@@ -128,7 +127,7 @@ mod tests {
         let mut hardware = hardware(&truth);
         let pace = Pace::Fast(Arc::new(Gate::unlimited()));
         let mut arm = SimArm::new(&chain(), &truth, Mounting::WALL, START, 7, pace).expect("truth fits the chain");
-        // The backend's first state is one in which nobody has commanded.
+        // The backend's first state precedes the first command.
         let mut sensed = hardware.track(&START);
         for tick in 0..500 {
             let state = arm.read().expect("the arm goes on");

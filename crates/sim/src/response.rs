@@ -1,7 +1,7 @@
-//! What an arm reports along a periodic motion, without a loop around it: for studies that need thousands of runs.
+//! States of an arm along a periodic motion, without a loop: for studies of thousands of runs.
 //!
-//! The arm is simulated without noise for as long as it takes to know what it does, and noise is drawn afterwards for every
-//! period. Where nothing about the arm changes with time that is one period; its cost is then the same for ten periods as for one.
+//! The arm is simulated without noise, for one period where nothing changes with time; noise is drawn afterwards for every period.
+//! Ten periods then cost as much as one.
 
 use super::commands::{Commands, TICK_S};
 use super::effect::Reading;
@@ -12,15 +12,15 @@ use super::{SimError, check};
 use plumbline_core::{JointVec, Reference, State};
 use plumbline_model::{Chain, Mounting};
 
-/// How long the arm follows the motion before the first period, for its transients to die away \[ms\].
+/// Lead before the first period, in which transients decay \[ms\].
 pub const LEAD_TICKS: u64 = 1000;
 
-/// Noise-free readings along a motion, and the sensors that will look at them.
+/// Noise-free readings along a motion.
 pub struct Response {
     truth: Truth,
     period_ticks: usize,
     periods: usize,
-    /// Of one period where the arm repeats, of all of them else.
+    /// Of one period where the arm repeats, else of all periods.
     readings: Vec<(Reading, JointVec)>,
 }
 
@@ -31,7 +31,7 @@ impl Response {
     /// has taken up the reference's sample k.
     ///
     /// # Errors
-    /// [`SimError`] when truth and chain do not fit, or a number is none.
+    /// [`SimError`] when truth and chain do not fit, or a number is not finite.
     pub fn simulate(
         chain: &Chain,
         truth: &Truth,
@@ -51,14 +51,14 @@ impl Response {
         let (gravity, effects) = (mounting.gravity(), truth.build_effects());
         check(chain, truth, &gravity, &start.q, &effects)?;
         let mut plant = Plant::new(chain, truth, gravity, &start.q, effects);
-        plant.push_off(&start.dq, &commands);
+        plant.start_moving(&start.dq, &commands);
         let simulated = if truth.repeats(period_ticks as f64 * TICK_S) { 1 } else { periods };
         let samples = simulated * period_ticks as usize;
         let mut readings = Vec::with_capacity(samples);
         for tick in 0..LEAD_TICKS + samples as u64 {
             commands.push(&at(first + tick).q);
             plant.advance(&commands);
-            // Effects of the sensors may remember, so they look at the lead too.
+            // Effects of the sensors may have a memory, so the lead is read, too.
             let (reading, _) = plant.sense();
             if tick >= LEAD_TICKS {
                 readings.push((reading, *commands.newest()));
@@ -77,7 +77,7 @@ impl Response {
         self.periods
     }
 
-    /// Hands out every state that arrives, in order, with its period and its sample in the period. `seed` decides noise, faults and losses.
+    /// Calls `take` for every state that arrives, with period and sample in the period. `seed` decides noise, faults and losses.
     pub fn measure(&self, seed: u64, mut take: impl FnMut(usize, usize, &State)) {
         let mut sensors = Sensors::new(&self.truth, seed);
         let mut faults = Faults::new(&self.truth, seed);
@@ -87,8 +87,8 @@ impl Response {
             for (tick, (reading, q_d)) in (0..self.period_ticks).zip(&mut clean) {
                 let seq = LEAD_TICKS + (period * self.period_ticks + tick) as u64 + 1;
                 let (mut reading, mut time) = (*reading, seq as f64 * TICK_S);
-                sensors.distort(&mut reading);
-                faults.spoil(&mut reading, &mut time);
+                sensors.add_noise(&mut reading);
+                faults.apply(&mut reading, &mut time);
                 if !losses.next() {
                     let Reading { q, dq, tau } = reading;
                     take(period, tick, &State { seq, time, q, dq, tau, q_d: *q_d });

@@ -1,4 +1,4 @@
-//! Noise, quantisation and loss: what is between the arm and the one who reads it.
+//! Noise, quantisation, faults and loss between the arm and its states.
 
 use super::commands::TICK_S;
 use super::effect::Reading;
@@ -33,7 +33,7 @@ impl Sensors {
         Sensors { joints: truth.joints.clone(), rng: stream(seed, 0), coloured }
     }
 
-    pub fn distort(&mut self, reading: &mut Reading) {
+    pub fn add_noise(&mut self, reading: &mut Reading) {
         let Coloured { decay, x, rng } = &mut self.coloured;
         for (j, joint) in self.joints.iter().enumerate().filter(|(_, joint)| joint.torque_noise_coloured > 0.0) {
             let fresh = joint.torque_noise_coloured * rng.sample::<f64, _>(StandardNormal);
@@ -49,7 +49,7 @@ impl Sensors {
     }
 }
 
-/// Random numbers of their own for every purpose: what one draws does not change what another finds.
+/// An independent random stream per purpose.
 fn stream(seed: u64, purpose: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(purpose);
@@ -60,7 +60,7 @@ fn step(value: f64, quantum: f64) -> f64 {
     if quantum > 0.0 { (value / quantum).round() * quantum } else { value }
 }
 
-/// Readings that are wrong: torque sensors that are dead, outliers of the torque, and states that say again what the one before said.
+/// Sensor faults: dead torque sensors, outliers of the torque, and repeated states.
 pub(super) struct Faults {
     joints: usize,
     outlier_probability: f64,
@@ -86,7 +86,7 @@ impl Faults {
     }
 
     /// `time` is the state's time stamp \[s\].
-    pub fn spoil(&mut self, reading: &mut Reading, time: &mut f64) {
+    pub fn apply(&mut self, reading: &mut Reading, time: &mut f64) {
         if self.outlier_probability > 0.0 {
             for tau in &mut reading.tau[..self.joints] {
                 if self.rng.random::<f64>() < self.outlier_probability {
@@ -147,7 +147,7 @@ mod tests {
         let noise: Vec<[f64; 2]> = (0..400_000)
             .map(|_| {
                 let mut reading = Reading::default();
-                sensors.distort(&mut reading);
+                sensors.add_noise(&mut reading);
                 assert_eq!((reading.q, reading.dq), ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]));
                 [reading.tau[0], reading.tau[1]]
             })
@@ -180,8 +180,8 @@ mod tests {
         for k in 0..100_000 {
             let draw = |(sensors, faults): &mut (Sensors, Faults)| {
                 let (mut reading, mut time) = (Reading::default(), k as f64);
-                sensors.distort(&mut reading);
-                faults.spoil(&mut reading, &mut time);
+                sensors.add_noise(&mut reading);
+                faults.apply(&mut reading, &mut time);
                 (reading.tau, reading.dq, time)
             };
             let (clean, spoilt) = (draw(&mut a), draw(&mut b));
@@ -199,7 +199,7 @@ mod tests {
             outliers[1] += usize::from(off < 0.0);
         }
         assert!((5_500..6_500).contains(&repeats), "{repeats} repeats");
-        // Those in repeated states are not seen.
+        // Outliers in repeated states are not counted.
         assert!(outliers.iter().all(|count| (400..550).contains(count)), "{outliers:?} outliers up and down");
     }
 
@@ -226,7 +226,7 @@ mod tests {
             Faults::new(&truth("dead-torque-sensors = [2]\noutlier-probability = 0.5\noutlier-size = 5.0", "", ""), 9);
         for _ in 0..100 {
             let mut reading = Reading { tau: [3.0; MAX_JOINTS], ..Reading::default() };
-            faults.spoil(&mut reading, &mut 0.0);
+            faults.apply(&mut reading, &mut 0.0);
             assert!(reading.tau[0] != 0.0 && reading.tau[1] == 0.0, "{:?}", reading.tau);
         }
     }

@@ -173,7 +173,7 @@ fn an_arm_with_patience_joins_the_motion_where_it_has_got_to() {
     let truth = silent_panda();
     let whole = follow(&mut sim(&truth, 0, fast()), 3000);
     for gap in [15, 46, 90] {
-        let mut arm = sim(&truth, 0, fast()).with_patience(1000);
+        let mut arm = sim(&truth, 0, fast()).with_max_missed(1000);
         follow(&mut arm, 2000);
         for missing in 0..gap {
             arm.read().unwrap_or_else(|fault| panic!("after {missing} missing commands: {fault}"));

@@ -6,7 +6,7 @@ use super::one_row::*;
 /// The part of Coulomb friction whose sign does not change with the velocity.
 pub static FAMILY: Family = Family {
     id: "asymmetric-coulomb",
-    physics: "Teeth and bearings under a preload rub harder in one direction than in the other.",
+    physics: "Preloaded teeth and bearings have more Coulomb friction in one direction than in the other.",
     place: Place::Joint,
     forms: &[Form {
         name: "",

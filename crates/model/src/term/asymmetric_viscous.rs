@@ -9,7 +9,7 @@ pub const ID: &str = "asymmetric-viscous";
 /// The part of viscous friction whose sign does not change with the velocity.
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "Lubricant resists more in one direction of motion than in the other.",
+    physics: "A lubricant resists more in one direction of motion than in the other.",
     place: Place::Joint,
     forms: &[Form {
         name: "",

@@ -11,7 +11,7 @@ use plumbline_core::JointVec;
 /// The play of one joint's gear, which the link crosses when its load changes sign.
 pub static FAMILY: Family = Family {
     id: "backlash",
-    physics: "Between a gear's teeth is a gap, and the link falls from one side to the other when its load changes sign.",
+    physics: "The gear has play, and the link moves from one flank to the other when its load changes sign.",
     place: Place::Joint,
     forms: &[
         Form {

@@ -16,7 +16,7 @@ pub const ID: &str = "base-motion";
 /// One frequency of the base's vibration, with amplitude and phase along the three axes of the base.
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "The table or vehicle under the base shakes, and the links feel that as gravity that changes with time.",
+    physics: "The table or vehicle under the base vibrates, which acts on the links as a gravity that changes with time.",
     place: Place::Arm,
     forms: &[Form {
         name: "",

@@ -20,7 +20,7 @@ const MAX_RECORDING_S: f64 = 86_400.0;
 /// link's frame.
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "The arm pushed against something, or something hung on it, for a part of the recording.",
+    physics: "The arm touched its environment, or a load hung on it, during a part of the recording.",
     place: Place::Joint,
     forms: &[Form {
         name: "",

@@ -14,7 +14,7 @@ use plumbline_core::JointVec;
 /// difference of the torques.
 pub static FAMILY: Family = Family {
     id: "delay",
-    physics: "The torque is measured, filtered or sent later than the position that stands beside it in the recording.",
+    physics: "The torque is measured, filtered or sent later than the position of the same sample.",
     place: Place::Arm,
     forms: &[Form {
         name: "",

@@ -10,7 +10,7 @@ use plumbline_core::JointVec;
 /// An error of one joint's position, true minus measured, with the period of a turn.
 pub static FAMILY: Family = Family {
     id: "encoder-eccentricity",
-    physics: "An encoder's ring sits beside the joint's axis, so that the angle is read wrong by a wave per turn.",
+    physics: "An encoder's disc is off the joint's axis, so that the measured angle has an error with the period of a turn.",
     place: Place::Joint,
     forms: &[Form {
         name: "",

@@ -10,7 +10,7 @@ use plumbline_core::JointVec;
 /// A constant error of one joint's position: its true position minus the measured one.
 pub static FAMILY: Family = Family {
     id: "encoder-offset",
-    physics: "A joint's encoder was set to zero in another pose than the one that the robot's geometry is written for.",
+    physics: "The zero of a joint's encoder differs from the zero of the robot's kinematics.",
     place: Place::Joint,
     forms: &[Form {
         name: "",

@@ -10,7 +10,7 @@ pub const ID: &str = "friction-drift";
 /// A drift of one joint's friction.
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "Grease gets thinner while the joint warms up, so that friction changes over the session.",
+    physics: "Grease becomes thinner as the joint warms up, so that friction changes during the session.",
     place: Place::Joint,
     forms: &[
         Form {

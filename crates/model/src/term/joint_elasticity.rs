@@ -21,7 +21,7 @@ const LINK_FRICTION: &str = "link-friction";
 /// that a regressor needs a motion on a grid that is fine against it (20 samples per period of its highest harmonic).
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "The encoder sits on the motor's side, and the gear (or the torque sensor) behind it twists under the joint's load.",
+    physics: "The encoder is on the motor's side, and the gear or torque sensor behind it twists under the joint's load.",
     place: Place::Joint,
     forms: &[
         Form {

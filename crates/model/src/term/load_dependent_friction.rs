@@ -6,7 +6,7 @@ use super::one_row::*;
 /// Friction in proportion to the rigid-body torque of the same joint.
 pub static FAMILY: Family = Family {
     id: "load-dependent-friction",
-    physics: "Teeth that transmit more torque are pressed together harder, and so rub harder.",
+    physics: "Gears and bearings have more friction under a higher load.",
     place: Place::Joint,
     forms: &[
         Form {

@@ -13,7 +13,7 @@ use plumbline_core::JointVec;
 /// A small tilt of the base, as two angles. A VBS lacks two parameters that a tilt excites, so that its columns are incomplete.
 pub static FAMILY: Family = Family {
     id: "mounting",
-    physics: "The base is mounted at another angle than the one that the model was told.",
+    physics: "The base is mounted at another angle than declared.",
     place: Place::Arm,
     forms: &[Form {
         name: "",

@@ -6,7 +6,7 @@ use super::one_row::*;
 /// Viscous friction in addition to `fv dq`.
 pub static FAMILY: Family = Family {
     id: "nonlinear-viscous",
-    physics: "Grease gets thinner when it is sheared faster, and churning costs more: friction bends over the speed.",
+    physics: "Grease becomes thinner at a higher shear rate, and churning grows with speed: viscous friction is not proportional to speed.",
     place: Place::Joint,
     forms: &[
         Form {

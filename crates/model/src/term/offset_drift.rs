@@ -20,7 +20,7 @@ pub(super) const WARMING: Setting = Setting {
 /// A drift of one joint's offset.
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "The torque sensor's zero creeps while it gets warm.",
+    physics: "The torque sensor's zero drifts as it warms up.",
     place: Place::Joint,
     forms: &[
         Form {

@@ -13,7 +13,7 @@ use plumbline_core::JointVec;
 /// A rigid body fixed to the last link.
 pub static FAMILY: Family = Family {
     id: "payload",
-    physics: "A rigid body is fixed to the last link that was not there when the model was identified.",
+    physics: "A rigid body is fixed to the last link that was not there at the identification.",
     place: Place::Arm,
     forms: &[Form {
         name: "",

@@ -7,7 +7,7 @@ use super::position_ripple::order;
 /// One wave of friction over the joint's angle.
 pub static FAMILY: Family = Family {
     id: "position-dependent-friction",
-    physics: "A shaft, bearing or seal that is not quite round rubs harder in some poses of the joint than in others.",
+    physics: "A shaft, bearing or seal that is not round has more friction at some angles of the joint than at others.",
     place: Place::Joint,
     forms: &[Form {
         name: "",

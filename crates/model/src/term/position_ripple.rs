@@ -6,7 +6,7 @@ use super::one_row::*;
 /// One wave of torque over the joint's angle.
 pub static FAMILY: Family = Family {
     id: "position-ripple",
-    physics: "Teeth, magnets and the sensor's own ring make torque ripple with the angle: cogging, gear meshing, sensor ripple.",
+    physics: "Gear meshing, cogging and the torque sensor itself cause a torque ripple over the joint's angle.",
     place: Place::Joint,
     forms: &[Form {
         name: "",

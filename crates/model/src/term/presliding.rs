@@ -13,7 +13,7 @@ const SLIDING: &str = "is held as the Coulomb friction that it is in sliding; it
 /// Presliding in one joint.
 pub static FAMILY: Family = Family {
     id: "presliding",
-    physics: "After a reversal the contacts of gears, bearings and seals bend before they slide.",
+    physics: "After a reversal the contacts of gears, bearings and seals deform elastically before they slide.",
     place: Place::Joint,
     forms: &[Form {
         name: "",

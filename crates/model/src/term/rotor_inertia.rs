@@ -12,7 +12,7 @@ pub const ID: &str = "rotor-inertia";
 /// The rotor of one joint.
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "The motor has to accelerate its own rotor, whose inertia the gear multiplies by the square of its ratio.",
+    physics: "The motor accelerates its own rotor, whose inertia acts at the joint times the square of the gear ratio.",
     place: Place::Joint,
     forms: &[Form {
         name: "",

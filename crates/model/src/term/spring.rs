@@ -16,7 +16,7 @@ const Q0: Setting = Setting {
 /// A spring on one joint.
 pub static FAMILY: Family = Family {
     id: "spring",
-    physics: "Cables, hoses or a balancer are twisted or stretched when the joint moves, and pull back.",
+    physics: "Cables, hoses or a balancer act as a spring on the joint.",
     place: Place::Joint,
     forms: &[
         Form {

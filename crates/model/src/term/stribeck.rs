@@ -6,7 +6,7 @@ use super::one_row::*;
 /// Friction in addition to Coulomb friction at low speed.
 pub static FAMILY: Family = Family {
     id: "stribeck",
-    physics: "At low speed the film of lubricant is too thin to keep the surfaces apart, so that friction is higher.",
+    physics: "At low speed the lubricant film is too thin to separate the surfaces, so that friction is higher.",
     place: Place::Joint,
     forms: &[
         Form {

@@ -6,7 +6,7 @@ use super::one_row::*;
 /// A share of another joint's rigid-body torque.
 pub static FAMILY: Family = Family {
     id: "torque-crosstalk",
-    physics: "A torque sensor bends under loads across its axis and takes part of them for torque.",
+    physics: "A torque sensor also deforms under loads across its axis and measures a part of them as torque.",
     place: Place::Pair,
     forms: &[Form {
         name: "",

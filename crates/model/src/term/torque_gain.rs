@@ -6,7 +6,7 @@ use super::one_row::*;
 /// A share of a joint's own rigid-body torque.
 pub static FAMILY: Family = Family {
     id: "torque-gain",
-    physics: "A joint's torque sensor (or its motor's torque constant) is off by a share of what it reads.",
+    physics: "The sensitivity of a joint's torque sensor, or its motor's torque constant, is wrong by a constant factor.",
     place: Place::Joint,
     forms: &[Form {
         name: "",

@@ -12,7 +12,7 @@ pub const ID: &str = "torque-offset";
 /// An offset in one joint.
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "The torque sensor (or current sensor) reads a constant when the torque is zero.",
+    physics: "The torque (or current) sensor reads a constant at zero torque.",
     place: Place::Joint,
     forms: &[Form {
         name: "",

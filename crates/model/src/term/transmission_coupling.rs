@@ -8,7 +8,7 @@ use crate::chain::JointKind::{Prismatic, Revolute};
 /// Friction or inertia of one joint's drive in another joint's torque.
 pub static FAMILY: Family = Family {
     id: "transmission-coupling",
-    physics: "A differential, a tendon, or a seal between links makes one joint's motion rub or turn parts of another's drive.",
+    physics: "A differential, a tendon, or a seal between links makes the motion of one joint load the drive of another.",
     place: Place::Pair,
     forms: &[
         Form {

@@ -1,8 +1,8 @@
-//! Asymmetric Coulomb friction: the teeth or seals of a joint rub harder one way than the other.
+//! Asymmetric Coulomb friction: larger in one direction than in the other.
 //!
 //!   tau_f = (fc + asymmetry) s(dq) for dq > 0, (fc - asymmetry) s(dq) for dq < 0,   s(dq) = tanh(100 dq),
 //!
-//! that is `asymmetry |s(dq)|` besides `fc s(dq)`. It vanishes at rest, which tells it from a torque offset.
+//! that is `asymmetry |s(dq)|` besides `fc s(dq)`. It vanishes at rest, unlike a torque offset.
 //! Source: Bona and Indri, Friction compensation in robotics: an overview, CDC 2005.
 
 use super::*;
@@ -20,7 +20,7 @@ pub struct Config {
 impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
-        // Friction that drives is none.
+        // Friction must not drive the joint.
         let fc = place.truth.joints[self.joint - 1].fc;
         place.range("asymmetry", self.asymmetry, -fc, fc)
     }

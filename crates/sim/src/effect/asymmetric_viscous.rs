@@ -1,4 +1,4 @@
-//! Asymmetric viscous friction: a joint's viscous friction is larger one way than the other.
+//! Asymmetric viscous friction: larger in one direction than in the other.
 //!
 //!   tau_f = (fv + asymmetry) dq for dq > 0, (fv - asymmetry) dq for dq < 0,
 //!

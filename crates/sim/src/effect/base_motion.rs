@@ -1,4 +1,4 @@
-//! Base motion: a table or a floor that shakes, whatever the arm does. The base frame accelerates by
+//! Base motion: vibration of the base, independent of the arm. The base frame accelerates by
 //!
 //!   a(t) = amplitude sin(2 pi frequency (t - from) + phase) direction,
 //!

@@ -1,4 +1,4 @@
-//! Delay: the torque that is reported is older than the position beside it.
+//! Delay: the reported torque is older than the reported position.
 //!
 //!   tau_measured(t) = tau(t - delay), of all joints, or of one.
 //!
@@ -14,7 +14,7 @@ const MAX_SAMPLES: usize = 128;
 /// Time between two readings \[s\].
 const SAMPLE_S: f64 = 1e-3;
 
-/// Acts on what is reported, as the effects listed before it left it.
+/// Acts on the reading, after the effects listed before it.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
@@ -30,7 +30,7 @@ struct Delay {
     newest: usize,
     weights: [f64; 4],
     past: Box<[JointVec; MAX_SAMPLES]>,
-    /// Where the newest reading stands; `None` before the first.
+    /// Index of the newest reading; `None` before the first.
     now: Option<usize>,
 }
 

@@ -1,4 +1,4 @@
-//! Encoder offset: a joint whose zero was set wrong.
+//! Encoder offset: a wrong zero of a joint.
 //!
 //!   q_measured = q + offset
 //!

@@ -1,5 +1,4 @@
-//! Foreign: a test's invention. No arm has these, and no catalogue holds them: they are here to see what a diagnosis says about an effect that
-//! it does not know.
+//! Effects that the model's catalogue lacks, to test what a diagnosis reports of unknown effects.
 //!
 //! Each takes a torque `size f` \[Nm\] of `joint`; q and dq are those of the joints named in the table, g(x) = exp(-x^2).
 //!
@@ -7,20 +6,20 @@
 //! |---|---|
 //! | `windowed-sine` | `sin(order q_first) g((q_second - middle) / width)` |
 //! | `bump` | `g((q_first - middle) / width) g((dq_second - speed) / spread)` |
-//! | `region` | `(1 + tanh((q_first - middle) / width)) / 2`: a step of torque where another joint is past a place |
+//! | `region` | `(1 + tanh((q_first - middle) / width)) / 2`: a step of torque over another joint's position |
 //! | `product` | `tanh(q_first / width) dq_second` |
-//! | `beat` | `sin(4 pi x) sin(pi x)^2`, `x = t / every - floor(t / every)`: a matter of time alone, the same in every period |
+//! | `beat` | `sin(4 pi x) sin(pi x)^2`, `x = t / every - floor(t / every)`: a function of time, the same in every period |
 
 use super::*;
 use std::f64::consts::PI;
 
-/// Which invention. Joints count from 1.
+/// Form of the effect. Joints count from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(tag = "form", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Config {
-    /// A ripple that is only there while another joint is near a place.
+    /// A ripple near one position of another joint.
     WindowedSine {
-        /// Joint that feels it.
+        /// Joint of the torque.
         joint: usize,
         /// Height \[Nm\].
         size: f64,
@@ -35,9 +34,9 @@ pub enum Config {
         /// Width of the window \[rad\].
         width: f64,
     },
-    /// A bump in the plane of one joint's position and another's velocity.
+    /// A local torque in the plane of one joint's position and another's velocity.
     Bump {
-        /// Joint that feels it.
+        /// Joint of the torque.
         joint: usize,
         /// Height \[Nm\].
         size: f64,
@@ -54,9 +53,9 @@ pub enum Config {
         /// Width in velocity \[rad/s\].
         spread: f64,
     },
-    /// A step of torque where a joint is past a place.
+    /// A step of torque over a joint's position.
     Region {
-        /// Joint that feels it.
+        /// Joint of the torque.
         joint: usize,
         /// Height \[Nm\].
         size: f64,
@@ -67,9 +66,9 @@ pub enum Config {
         /// Width of the step \[rad\].
         width: f64,
     },
-    /// A drag on one joint that another joint's position turns around.
+    /// Viscous friction whose sign depends on another joint's position.
     Product {
-        /// Joint that feels it.
+        /// Joint of the torque.
         joint: usize,
         /// Drag \[Nms/rad\].
         size: f64,
@@ -80,9 +79,9 @@ pub enum Config {
         /// Joint of the velocity.
         second: usize,
     },
-    /// A disturbance by the clock.
+    /// A function of time.
     Beat {
-        /// Joint that feels it.
+        /// Joint of the torque.
         joint: usize,
         /// Height \[Nm\].
         size: f64,
@@ -130,7 +129,7 @@ impl Stateless for Config {
 }
 
 impl Config {
-    /// Joint that feels it, counted from 1, and size.
+    /// Joint of the torque, counted from 1, and size.
     fn what(&self) -> (usize, f64) {
         match *self {
             Config::WindowedSine { joint, size, .. }

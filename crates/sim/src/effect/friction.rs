@@ -1,4 +1,4 @@
-//! The friction every joint has: `fv dq + fc tanh(100 dq)`, the law the paper identifies.
+//! Friction of every joint: `fv dq + fc tanh(100 dq)`, the law the paper identifies.
 
 use super::{At, Effect};
 use crate::truth::Truth;
@@ -7,7 +7,7 @@ use plumbline_core::{JointVec, MAX_JOINTS};
 /// Steepness of the Coulomb term's step \[s/rad\] (paper, section II-A).
 const SHARPNESS_S_PER_RAD: f64 = 100.0;
 
-/// The smooth sign of a velocity \[rad/s\], as all friction of the simulated arm has it.
+/// Smooth sign of a velocity \[rad/s\].
 pub(super) fn sign(dq: f64) -> f64 {
     (SHARPNESS_S_PER_RAD * dq).tanh()
 }
@@ -18,7 +18,7 @@ pub(crate) struct Friction {
 }
 
 impl Friction {
-    /// `replaced(joint)` says that another effect stands for that joint's Coulomb friction.
+    /// `replaced(joint)`: whether another effect replaces that joint's Coulomb friction.
     pub fn new(truth: &Truth, replaced: impl Fn(usize) -> bool) -> Friction {
         let mut friction = Friction { fv: [0.0; MAX_JOINTS], fc: [0.0; MAX_JOINTS] };
         for (j, joint) in truth.joints.iter().enumerate() {

@@ -16,7 +16,7 @@ use super::*;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Form {
-    /// A step with a soft edge, and with it more than Coulomb and viscous friction can follow.
+    /// A smooth step, which Coulomb and viscous friction do not describe.
     Sigmoid,
     /// The third power.
     Cubic,
@@ -36,7 +36,7 @@ pub struct Config {
     pub size: f64,
     /// Width of the sigmoid; other forms have none \[rad/s\].
     pub velocity: Option<f64>,
-    /// How far the sigmoid's middle lies below zero velocity \[rad/s\].
+    /// Distance of the sigmoid's middle below zero velocity \[rad/s\].
     #[serde(default)]
     pub shift: f64,
 }

@@ -1,4 +1,4 @@
-//! Offset drift: the zero of a torque sensor wanders as it warms up.
+//! Offset drift: the zero of a torque sensor drifts as it warms up.
 //!
 //!   tau_measured = tau + drift g(t),   g(t) = 1 - exp(-(t - from) / time), or (t - from) / time.
 //!
@@ -7,7 +7,7 @@
 use super::trend::check_time;
 use super::*;
 
-/// Acts on what is reported, not on the arm.
+/// Acts on the reading, not on the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {

@@ -2,7 +2,7 @@
 //!
 //!   tau_f = (fc + sine sin(order q) + cosine cos(order q)) s(dq),   s(dq) = tanh(100 dq),
 //!
-//! of which the first part is there anyhow. Source: Popovic and Goldenberg, Modeling of friction using spectral analysis, IEEE Transactions
+//! whose first part every joint has. Source: Popovic and Goldenberg, Modeling of friction using spectral analysis, IEEE Transactions
 //! on Robotics and Automation 1998.
 
 use super::*;
@@ -13,7 +13,7 @@ use super::*;
 pub struct Config {
     /// Joint, counted from 1.
     pub joint: usize,
-    /// Waves in a turn.
+    /// Waves per turn.
     #[serde(default = "one")]
     pub order: f64,
     /// Amplitude of the sine \[Nm\].
@@ -28,7 +28,7 @@ impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
         place.range("order", self.order, 0.1, 200.0)?;
-        // Friction that drives is none.
+        // Friction must not drive the joint.
         let (fc, amplitude) = (place.truth.joints[self.joint - 1].fc, self.sine.hypot(self.cosine));
         if amplitude <= fc {
             return Ok(());

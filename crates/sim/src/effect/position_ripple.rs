@@ -1,4 +1,4 @@
-//! Position ripple: torque that waves with the joint's position, `order` times a turn.
+//! Position ripple: a torque wave over the joint's position, `order` waves per turn.
 //!
 //!   tau_measured = tau + sine sin(order q) + cosine cos(order q)
 //!
@@ -10,14 +10,14 @@
 
 use super::*;
 
-/// What ripples.
+/// Place of the ripple.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum On {
-    /// What is reported.
+    /// The measured torque.
     #[default]
     Sensor,
-    /// The torque that the links get.
+    /// The torque of the links.
     Joint,
 }
 
@@ -27,7 +27,7 @@ pub enum On {
 pub struct Config {
     /// Joint, counted from 1.
     pub joint: usize,
-    /// Waves in a turn.
+    /// Waves per turn.
     pub order: f64,
     /// Amplitude of the sine \[Nm\].
     #[serde(default)]
@@ -35,7 +35,7 @@ pub struct Config {
     /// Amplitude of the cosine \[Nm\].
     #[serde(default)]
     pub cosine: f64,
-    /// What ripples; the sensor where absent.
+    /// Place of the ripple; default the sensor.
     #[serde(default)]
     pub on: On,
 }

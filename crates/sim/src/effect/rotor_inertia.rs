@@ -1,13 +1,13 @@
-//! Rotor inertia: the motor's rotor, seen through its gear, where torque is measured on the motor's side.
+//! Rotor inertia at the joint's side of the gear, for torques that are measured on the motor's side.
 //!
 //!   tau_j = ... + inertia ddq_j,   inertia = N^2 J of a rotor of J kg m2 behind a gear of ratio N.
 //!
-//! The rotor's own gyroscopic effects are left out, as everywhere. Source: Khalil and Dombre, Modeling, identification and control of
+//! Gyroscopic effects of the rotor are neglected. Source: Khalil and Dombre, Modeling, identification and control of
 //! robots, 2002.
 
 use super::*;
 
-/// Adds to the inertia of one joint alone.
+/// Adds to the inertia of one joint.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {

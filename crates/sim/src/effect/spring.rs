@@ -1,12 +1,12 @@
-//! Spring: a dress pack that twists, a balancer, a stop of rubber.
+//! Spring: a dress pack, a balancer, a rubber stop.
 //!
 //!   tau = stiffness x + cubic x^3,   x = q - rest, or only its positive part (`side = "above"`), or only its negative part ("below").
 //!
-//! Source: FloBaRoID (Bethge, Malzahn, Tsagarakis and Caldwell, 2017) simulates cables so; the cubic part stands for a spring that stiffens.
+//! Source: FloBaRoID (Bethge, Malzahn, Tsagarakis and Caldwell, 2017) simulates cables in this way; the cubic part is a stiffening spring.
 
 use super::*;
 
-/// Where the spring pulls.
+/// Side on which the spring acts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Side {
@@ -31,10 +31,10 @@ pub struct Config {
     /// Coefficient of the third power \[Nm/rad3\].
     #[serde(default)]
     pub cubic: f64,
-    /// Position at which it does not pull \[rad\].
+    /// Position of zero force \[rad\].
     #[serde(default)]
     pub rest: f64,
-    /// Where it pulls.
+    /// Side on which it acts.
     #[serde(default)]
     pub side: Side,
 }

@@ -2,7 +2,7 @@
 //!
 //!   tau_f = fc s(dq) + excess exp(-(dq / velocity)^2) s(dq),   s(dq) = tanh(100 dq),
 //!
-//! where `excess = fs - fc` is static over Coulomb friction and the first term is there anyhow. With a `velocity` as low as the width of
+//! where `excess = fs - fc` is static over Coulomb friction and every joint has the first term. With a `velocity` as low as the width of
 //! `s` (0.01 rad/s) the bump does not reach its full height.
 //! Source: Armstrong-Helouvry, Dupont and Canudas de Wit, A survey of models, analysis tools and compensation methods for the control
 //! of machines with friction, Automatica 1994; Bittencourt and Gunnarsson, Static friction in a robot joint, 2012.

@@ -1,5 +1,4 @@
-//! Every hook of an effect does to the arm what its physics says. The torque an effect leaves is found by the estimator's own
-//! Newton-Euler recursion, which shares nothing with the simulation.
+//! Every hook of an effect against its physics. The torque of an effect is computed with the model's Newton-Euler recursion, which shares no code with the simulation.
 
 mod catalogue;
 mod friction;
@@ -58,7 +57,7 @@ fn desired(tick: u64) -> Setpoint {
     setpoint
 }
 
-/// Moves an arm for `ticks` milliseconds, mounted upright as far as it knows.
+/// Moves an arm for `ticks` milliseconds, declared upright.
 fn run(truth: &Truth, ticks: usize) -> Vec<(State, Exact)> {
     let pace = Pace::Fast(Arc::new(Gate::unlimited()));
     let mut arm = SimArm::new(&chain(), truth, Mounting::UPRIGHT, START, 0, pace).unwrap();

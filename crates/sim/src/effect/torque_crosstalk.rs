@@ -1,4 +1,4 @@
-//! Torque cross-talk: the bridge of one joint's sensor feels what another joint carries.
+//! Torque cross-talk: one joint's sensor measures a part of another joint's torque.
 //!
 //!   tau_measured_j = tau_j + share tau_other
 //!
@@ -7,15 +7,15 @@
 
 use super::*;
 
-/// Acts on what is reported, as the effects listed before it left it.
+/// Acts on the reading, after the effects listed before it.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
-    /// Joint whose sensor feels it, counted from 1.
+    /// Joint of the sensor, counted from 1.
     pub joint: usize,
-    /// Joint whose torque it feels, counted from 1.
+    /// Joint of the torque, counted from 1.
     pub other: usize,
-    /// How much of it.
+    /// Ratio of that torque.
     pub share: f64,
 }
 

@@ -6,7 +6,7 @@
 
 use super::*;
 
-/// Acts on what is reported, and on the effects listed before it that do so too.
+/// Acts on the reading, after the effects listed before it.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {

@@ -6,7 +6,7 @@
 
 use super::*;
 
-/// Acts on what is reported, not on the arm.
+/// Acts on the reading, not on the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {

@@ -1,4 +1,4 @@
-//! Transmission coupling: a part that rubs as two joints turn, as in the wrists of many arms.
+//! Transmission coupling: friction that depends on two joints, as in the wrists of many arms.
 //!
 //! With a `ratio`, a shaft or seal turns with `u = dq_j + ratio dq_other`, and its friction takes torque of both joints by the principle of
 //! virtual work:
@@ -19,7 +19,7 @@ pub struct Config {
     pub joint: usize,
     /// The other joint, counted from 1.
     pub other: usize,
-    /// Turns of the other joint in the part's motion, per turn of this one; absent: the other joint's alone, felt here alone.
+    /// Turns of the other joint per turn of this one in the part's motion; absent: friction of the other joint's drive, on this joint.
     pub ratio: Option<f64>,
     /// Coulomb friction \[Nm\].
     #[serde(default)]

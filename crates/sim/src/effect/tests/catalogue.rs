@@ -1,4 +1,4 @@
-//! The catalogue as a whole: all ids are there, every effect is felt, from its moment on, the same each time; and what a file may not say.
+//! The catalogue: every id, the onset of every effect, repeatability, and errors of truth files.
 
 use super::super::spec::Kind;
 use super::*;
@@ -76,7 +76,7 @@ fn most(a: &[(State, Exact)], b: &[(State, Exact)]) -> f64 {
     apart.fold(0.0, |most, apart| if apart > most || apart.is_nan() { apart } else { most })
 }
 
-/// Before its moment an effect is not there, after it it is; and the arm does the same each time.
+/// No effect before its onset, an effect after it, the same in every run.
 #[test]
 fn every_effect_begins_at_its_moment() {
     let plain = run(&truth(""), 700);

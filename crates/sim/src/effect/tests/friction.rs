@@ -1,4 +1,4 @@
-//! Friction and other torques inside the arm: what the actuators give beyond the rigid bodies is what the law says, along the true motion.
+//! Friction and other torques inside the arm: actuator torque less rigid bodies against the law, along the true motion.
 
 use super::*;
 use crate::truth::Truth;
@@ -51,7 +51,7 @@ fn friction_bends_with_speed() {
     });
 }
 
-/// The load is what reaches the links, an undeclared body included; the estimator's recursion says how much that is.
+/// The load is the torque of the links, an undeclared body included, by the model's recursion.
 #[test]
 fn friction_grows_with_the_true_load() {
     let effects = "{ id = 'payload', mass = 0.7, com = [0, 0, 0.2] },
@@ -164,7 +164,7 @@ fn loop_of(effect: &str, amplitude: f64) -> Vec<(f64, f64)> {
         let t = std::f64::consts::TAU * k as f64 / steps as f64;
         let mut at = At { n: N, ..At::default() };
         (at.q[0], at.dq[0]) = (amplitude * t.sin(), amplitude * t.cos());
-        effect.settle(&at);
+        effect.begin_step(&at);
         let (mut tau, mut dx) = ([0.0; MAX_JOINTS], vec![0.0; x.len()]);
         effect.torque(&at, &x, &mut dx, &mut tau);
         x.iter_mut().zip(&dx).for_each(|(x, dx)| *x += dx * std::f64::consts::TAU / steps as f64);
@@ -225,7 +225,7 @@ fn both_forms_break_away_alike() {
             for _ in 0..50_000 {
                 at.q[0] += dq * 1e-6 / dq.abs();
                 at.dq[0] = dq;
-                effect.settle(&at);
+                effect.begin_step(&at);
                 taken = [0.0; MAX_JOINTS];
                 let mut dx = vec![0.0; x.len()];
                 effect.torque(&at, &x, &mut dx, &mut taken);

@@ -1,4 +1,4 @@
-//! Effects of the sensors: they bend what is reported and leave the arm alone.
+//! Effects of the sensors, which change readings and not the arm.
 
 use super::*;
 
@@ -52,7 +52,7 @@ fn a_sensor_ripples_with_the_position() {
     }
 }
 
-/// A whole number of milliseconds is exact; a fraction is what Neville's scheme over six neighbours says.
+/// A whole number of milliseconds is exact; a fraction equals Neville's scheme over six neighbours.
 #[test]
 fn torque_comes_late() {
     let states = reported("{ id = 'delay', delay = 0.003 }", 300);

@@ -1,8 +1,8 @@
-//! Transmissions that give way: the encoder on the motor's side sees the twist of the torque that goes through.
+//! Deflections of transmissions: the encoder on the motor's side measures the twist.
 
 use super::*;
 
-/// The deflection that the encoder of `joint` reports, and what the law says of the measured torque; their rates as well.
+/// Measured deflection of `joint`, and the law's value at the measured torque. Checks the velocities, too.
 fn deflections(effects: &str, joint: usize, law: impl Fn(f64) -> f64) -> Vec<(f64, f64)> {
     let truth = truth(&format!("effect = [{effects}]"));
     let states = run(&truth, 900);

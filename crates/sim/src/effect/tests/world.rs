@@ -1,4 +1,4 @@
-//! The world around the arm: where its base stands, what shakes it, who touches it.
+//! Mounting, base motion and contact.
 
 use super::*;
 
@@ -9,7 +9,7 @@ fn a_tilted_base_is_a_declared_mounting() {
         truth(&format!("effect = [{{ id = 'mounting', {effect} }}]")).build_effects()[0].gravity(0.0, &mut gravity);
         gravity
     };
-    // Bit by bit, the gravity of an arm that was told so.
+    // Bitwise the gravity of an arm with this declared mounting.
     let truly = Mounting { rho: 1.4, phi: 0.3 };
     assert_eq!(gravity("rho = 1.4, phi = 0.3", Mounting::UPRIGHT), truly.gravity());
     assert_eq!(gravity("tilt = [0, 0, 0]", truly), truly.gravity());
@@ -19,7 +19,7 @@ fn a_tilted_base_is_a_declared_mounting() {
     assert!((wall - Mounting::WALL.gravity()).norm() < 1e-12, "{wall}");
 }
 
-/// An arm that is told where it stands does the same, bit by bit, as one that stands there by an effect.
+/// An arm with the declared mounting as an effect moves bitwise as without the effect.
 #[test]
 fn an_effect_that_says_the_declared_mounting_changes_nothing() {
     let upright = Mounting::UPRIGHT;
