@@ -1,7 +1,7 @@
 //! Real-time rights: requested by the loop's thread, and granted by the machine.
 //!
-//! A call that succeeds is not yet a right: a container may swallow it, a later limit may take it back. So every grant is read back from the
-//! kernel before it is believed: the policy by `sched_getscheduler`, the locked pages by `VmLck` of `/proc/self/status`, the CPUs by
+//! A call can succeed without effect, in a container for example. Therefore every grant is read back from the kernel: the policy by
+//! `sched_getscheduler`, the locked pages by `VmLck` of `/proc/self/status`, the CPUs by
 //! `sched_getaffinity`, the kernel's kind by `/sys/kernel/realtime`.
 
 // Rights are requested and read back before the first cycle: the lint walls of the loop do not apply here.
@@ -21,7 +21,7 @@ const CAP_IPC_LOCK: u64 = 1 << 14;
 pub struct Rights {
     /// `SCHED_FIFO` priority, 1 to 99; `None` leaves the thread at normal priority.
     pub priority: Option<u8>,
-    /// CPU to pin the thread to, counted from 0; `None` leaves it to the scheduler.
+    /// CPU to pin the thread to, counted from 0; `None` for any.
     pub cpu: Option<usize>,
     /// Whether to lock the process's memory into RAM.
     pub lock_memory: bool,
@@ -37,11 +37,11 @@ impl Default for Rights {
 }
 
 impl Rights {
-    /// Asks for nothing: tests and simulated time.
+    /// No request: tests and simulated time.
     pub const NONE: Rights = Rights { priority: None, cpu: None, lock_memory: false, preempt_rt: false };
 }
 
-/// What became of one request.
+/// Result of one request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Grant {
     /// It was not requested.
@@ -87,7 +87,7 @@ impl Granted {
 pub fn become_realtime(rights: &Rights) -> Granted {
     let memory = if rights.lock_memory { lock_memory() } else { Grant::NotAsked };
     touch_stack();
-    // The first question for the time finds the kernel's clock page, by calls of its own that have no place in a cycle.
+    // The first call finds the kernel's clock page by system calls, which a cycle must not make.
     now_ns();
     Granted {
         fifo: rights.priority.map_or(Grant::NotAsked, fifo),

@@ -63,7 +63,7 @@ impl Tally {
         Ok(gap)
     }
 
-    /// Cycles that began late, where the arm has deadlines.
+    /// Cycles that began after their deadline, where the arm has deadlines.
     pub fn late(&self) -> u64 {
         if self.first_due_ns.is_some() { self.late } else { 0 }
     }

@@ -95,7 +95,7 @@ fn an_allocation_in_a_model_is_seen() {
     assert_eq!(run.outcome.allocations, Some(102));
 }
 
-/// A controlled stop ends at rest, stays there, and kept every limit on the way.
+/// A controlled stop ends at rest, remains there, and keeps every limit.
 fn assert_stopped(run: &Run, reason: StopReason) {
     run.assert_sound();
     run.assert_inside(&panda_limits(), 7);
@@ -298,7 +298,7 @@ fn a_full_sink_is_counted_and_costs_the_motion_nothing() {
 
 #[test]
 fn a_full_way_out_makes_orders_wait_but_never_blocks() {
-    // The way out holds queue + 16 boxes; nobody frees any for 400 reads.
+    // The ring of retired boxes holds queue + 16; none is freed for 400 reads.
     let short = || Shape(3, |_| Setpoint { q: READY, ..Setpoint::default() });
     let mut job = Job::new(1_000).outside(400, |h| assert!(h.free_retired() >= 64));
     for motion in 1..=64 {
@@ -315,7 +315,7 @@ fn a_full_way_out_makes_orders_wait_but_never_blocks() {
 
 #[test]
 fn a_full_way_out_makes_models_wait_but_never_blocks() {
-    // A model every other read, and nobody frees any until read 600.
+    // A model every other read; none is freed until read 600.
     let mut job = Job::new(1_000);
     for read in (0..600).step_by(2) {
         job = job.outside(read, move |h| drop(h.models.serve(Box::new(Model(read + 1, |_: &Setpoint| [1.0; 8])))));

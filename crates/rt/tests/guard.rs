@@ -1,4 +1,4 @@
-//! Every limit of the guard, crossed on purpose: the command is not sent, and the arm comes to rest inside the limits.
+//! Each limit of the guard is crossed: the command is not sent, and the arm comes to rest inside the limits.
 
 use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record, Reference, Setpoint, SpeedEnvelope, Validity, Workspace};
 use plumbline_rt::cycle::End;
@@ -121,7 +121,7 @@ fn a_stop_stays_under_an_envelope_that_falls_faster_than_it_brakes() {
         assert_guarded(&run, Limit::VelocityAhead, 1);
         let share = nearest(&run);
         assert!(share > 0.5 && share <= 1.0, "{share} of what is allowed");
-        // A stop that begins when it must for the position's sake is too late for this.
+        // A stop for the position limit begins too late for the envelope.
         let run = job().run();
         assert_guarded(&run, Limit::StoppingPosition, 1);
         assert!(nearest(&run) > 1.5, "{} of what is allowed", nearest(&run));
@@ -303,7 +303,7 @@ fn what_the_arm_measures_can_stop_it_in_every_phase() {
                 .trick(read, trick())
                 .run();
             assert_guarded(&run, limit, joint);
-            // No fault of the model's: it goes on serving.
+            // The model is not the cause and continues to serve.
             assert_eq!(run.records.last().map(|record| (record.model, record.validity)), Some((5, Validity::Valid)));
             assert_eq!(run.records[read as usize - 1].phase, phase);
             assert_eq!(run.records[read as usize].phase, Phase::Stop);
@@ -346,8 +346,7 @@ fn a_motion_is_never_aimed_past_a_limit() {
     }
 }
 
-/// Random waves, many of them beyond some limit, with lost states and stops at random: whatever happens, nothing that was sent
-/// crossed a limit, and the arm rests in the end.
+/// Random waves, many beyond a limit, with random lost states and stops: no sent command crosses a limit, and the arm ends at rest.
 #[test]
 fn nothing_crosses_a_limit_whatever_is_asked() {
     let mut rng = ChaCha8Rng::seed_from_u64(20);

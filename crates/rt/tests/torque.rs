@@ -100,7 +100,7 @@ fn a_hand_over_in_mid_motion_takes_its_time_and_ends_at_the_new_models_torque() 
         .run();
     run.assert_sound();
     assert_eq!(run.outcome.stops, 0);
-    // Before the first command there was no torque to come from.
+    // Before the first command there was no torque.
     assert_eq!(validities(&run), [(1, Valid), (2, HandOver), (2, Valid)]);
     assert_no_jump(&run.records, 0.5 * STEP);
     let hand_over = run.records.iter().filter(|record| record.validity == HandOver).count();
@@ -200,11 +200,11 @@ fn during_the_brake_the_torque_does_not_jump_either() {
             assert_eq!((run.outcome.last_stop, run.outcome.end), (Some(StopReason::Requested), End::Quit));
             assert_eq!(run.records[1_205].phase, Phase::Stop);
             assert_no_jump(&run.records, STEP);
-            // A torque within the limits is followed at the rate that is allowed, and no reason to leave the model.
+            // A torque within the limits is followed at the allowed rate, and the model remains.
             let leaves = wrong != -60.0;
             let instead = u64::from(with_reserve);
             assert_eq!(run.events.contains(&Event::Distrusted { model: 2, instead }), leaves, "{:?}", run.events);
-            // In that very cycle: not only when the torque that is sent has got to the limit, too.
+            // In that cycle, before the sent torque reaches the limit.
             assert_eq!(run.records[1_205].model, if leaves { instead } else { 2 });
         }
     }
@@ -321,7 +321,7 @@ fn the_guard_refuses_a_torque_that_jumps_in_motion_and_in_the_brake() {
         let expected = if allowed { Ok(()) } else { Err(Limit::TorqueRate) };
         assert_eq!(limit(made().check(1e-3, &command(tau), &asked(tau), &state)), expected, "{tau}");
         assert_eq!(limit(made().check_brake(1e-3, &command(tau), &asked(tau), Some(&state))), expected, "{tau}");
-        // What the arm adds is held to the same rate by itself.
+        // The arm's own torque is limited to the same rate.
         let vendor = Command { tau_ff: Torque::default(), ..command(tau) };
         assert_eq!(limit(made().check(1e-3, &vendor, &asked(0.0), &state)), expected, "{tau}");
     }

@@ -1,4 +1,4 @@
-// loom's atomics work inside its own model alone.
+// loom's atomics work only inside its model.
 #![cfg(not(loom))]
 
 use super::super::sync::act_before_access;
@@ -185,7 +185,7 @@ fn an_order_of_a_new_permission_runs_at_whatever_moment_of_a_cycle_both_are_give
     assert!(access > 4, "only {access} accesses");
 }
 
-/// A model, or a reference that rests at zero; how many there are shows who still has one.
+/// A model, or a reference that rests at zero; the count shows how many exist.
 struct Box0(#[allow(dead_code)] Arc<()>);
 
 impl plumbline_core::FeedForward for Box0 {
@@ -212,7 +212,7 @@ impl Reference for Box0 {
     }
 }
 
-/// Fills the way out of the loop until `room` places are left.
+/// Fills the ring of retired boxes until `room` places are left.
 fn fill(cycle: &mut Cycle<Perfect, RingSink>, room: usize) {
     while cycle.inlets.retired.slots() > room {
         assert!(cycle.inlets.retired.push(Retired::Model(Box::new(Box0(Arc::default())))).is_ok());

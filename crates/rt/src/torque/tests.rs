@@ -20,7 +20,7 @@ impl FeedForward for Follows {
     }
 }
 
-/// A source, and the ring that models leave by, with room for `room`.
+/// A source, and the ring of retired models with room for `room`.
 fn source(room: usize) -> (TorqueSource, Producer<Retired>, rtrb::Consumer<Retired>) {
     let (retired, done) = rtrb::RingBuffer::new(room);
     (TorqueSource::new(2, &DTAU), retired, done)
@@ -62,7 +62,7 @@ fn a_hand_over_uses_half_of_the_rate_and_the_model_all_of_it_afterwards() {
     assert!(sent.iter().zip(expected).all(|(sent, expected)| (sent.0 - expected).abs() < 1e-12), "{sent:?}");
     let validities: Vec<Validity> = sent.into_iter().map(|(_, validity)| validity).collect();
     assert_eq!(validities, [Validity::HandOver, Validity::HandOver, Validity::Valid, Validity::Valid]);
-    // More than a hand-over may use, and the guard's matter where it is more than the limit.
+    // More than a hand-over may use; the guard checks the limit.
     assert_eq!(send(&mut source, 5.3, false), (5.8, Validity::Valid));
     assert_eq!(send(&mut source, 4.0, false), (4.5, Validity::Valid));
     // While the arm brakes the limit holds in any case.
@@ -102,7 +102,7 @@ fn a_source_that_goes_on_from_a_record_answers_as_the_one_before_it() {
     before.serve(Box::new(Follows(7, 0.0)), &mut retired);
     send(&mut before, 1.0, false);
     before.serve(of(), &mut retired);
-    // In the midst of the hand-over, and after it.
+    // During the hand-over, and after it.
     for (cycles, under_way) in [(1, true), (4, false)] {
         let sent = (0..cycles).map(|_| send(&mut before, 1.0, false)).last().unwrap();
         assert_eq!(sent.1 == Validity::HandOver, under_way);
@@ -117,7 +117,7 @@ fn a_source_that_goes_on_from_a_record_answers_as_the_one_before_it() {
         assert_eq!(found, expected);
         assert_eq!(found.asked.before.map(|before| before.tau_ff.0[0]), Some(1.5));
     }
-    // A model was withdrawn, and its torque is on its way to zero; or there has never been one.
+    // A model was withdrawn and its torque returns to zero, or there was never one.
     for validity in [Validity::Withdrawn, Validity::None] {
         let (mut after, ..) = source(1);
         let torques = Torques { tau_ff: Torque([1.0; MAX_JOINTS]), ..Torques::default() };
