@@ -35,7 +35,7 @@ pub struct Reduction {
 }
 
 /// Ratio of a column's norm after and before projection on the earlier columns, below which the column is dependent.
-const INDEPENDENCE: f64 = 1e-8;
+pub(super) const INDEPENDENCE: f64 = 1e-8;
 /// Random states used; each gives n rows.
 const STATES: usize = 120;
 
@@ -123,15 +123,9 @@ fn reduce(chain: &Chain, gravity: Option<Vector3<f64>>) -> Reduction {
     let mut independent = Vec::new();
     let mut dependent = Vec::new();
     for slot in order(chain) {
-        let column: DVector<f64> = w.column(slot).into_owned();
+        let column = w.column(slot).into_owned();
         let norm = column.norm();
-        let mut rest = column.clone();
-        for _ in 0..2 {
-            for q in &basis {
-                let along = q.dot(&rest);
-                rest.axpy(-along, q, 1.0);
-            }
-        }
+        let rest = project_out(&basis, column);
         if norm > INDEPENDENCE * scale && rest.norm() > INDEPENDENCE * norm {
             basis.push(rest.normalize());
             independent.push(slot);
@@ -155,6 +149,15 @@ fn reduce(chain: &Chain, gravity: Option<Vector3<f64>>) -> Reduction {
         }
     }
     Reduction { kind: BaseKind::Vbs, independent, regroup }
+}
+
+/// What an orthonormal basis leaves of a vector. The second pass removes the rounding of the first.
+pub(super) fn project_out(basis: &[DVector<f64>], mut vector: DVector<f64>) -> DVector<f64> {
+    for q in basis.iter().chain(basis) {
+        let along = q.dot(&vector);
+        vector.axpy(-along, q, 1.0);
+    }
+    vector
 }
 
 /// Rounds zeros and ones. Any other coefficient is a sum of products of the arm's lengths and is not rounded.

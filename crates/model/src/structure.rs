@@ -1,6 +1,6 @@
 //! The structure of a torque model: its terms, and the columns of its regressor.
 
-use super::base::{BaseKind, Reduction};
+use super::base::{BaseKind, INDEPENDENCE, Reduction, project_out};
 use super::chain::Chain;
 use super::expression::six_digits;
 use super::gravity::Mounting;
@@ -94,8 +94,6 @@ pub struct Absorbed {
     pub into: Vec<(String, f64)>,
 }
 
-/// Ratio of a column's norm after and before projection on the earlier columns, below which the column is absorbed.
-const INDEPENDENCE: f64 = 1e-8;
 /// Samples of a probing motion.
 const PROBES: usize = 120;
 
@@ -158,15 +156,8 @@ impl Structure {
         let mut basis: Vec<DVector<f64>> = Vec::new();
         let mut kept = Vec::new();
         for c in 0..self.columns.len() {
-            let mut rest: DVector<f64> = w.column(c).into_owned();
-            let norm = rest.norm();
-            // The second pass removes the rounding of the first.
-            for _ in 0..2 {
-                for q in &basis {
-                    let along = q.dot(&rest);
-                    rest.axpy(-along, q, 1.0);
-                }
-            }
+            let norm = w.column(c).norm();
+            let rest = project_out(&basis, w.column(c).into_owned());
             if c < rigid || rest.norm() > INDEPENDENCE * norm {
                 basis.push(rest.normalize());
                 kept.push(c);

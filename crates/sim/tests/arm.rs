@@ -169,7 +169,7 @@ fn twenty_missing_commands_are_a_reflex() {
 }
 
 #[test]
-fn an_arm_with_patience_joins_the_motion_where_it_has_got_to() {
+fn an_arm_that_tolerates_gaps_continues_a_motion_after_one() {
     let truth = silent_panda();
     let whole = follow(&mut sim(&truth, 0, fast()), 3000);
     for gap in [15, 46, 90] {

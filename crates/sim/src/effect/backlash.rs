@@ -45,7 +45,3 @@ impl Deflection for Gap {
         (self.half * flank, self.half / self.load * (1.0 - flank * flank))
     }
 }
-
-fn half() -> f64 {
-    0.5
-}

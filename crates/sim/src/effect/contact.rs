@@ -97,7 +97,3 @@ impl Effect for Contact {
         })
     }
 }
-
-fn tenth() -> f64 {
-    0.1
-}

@@ -42,7 +42,3 @@ impl Effect for Config {
         dq[j] += self.amplitude * order * cos * at.dq[j];
     }
 }
-
-fn one() -> f64 {
-    1.0
-}

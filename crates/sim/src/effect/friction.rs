@@ -29,10 +29,17 @@ impl Friction {
     }
 }
 
+impl Friction {
+    /// Friction of one joint, counted from 0, at a velocity \[Nm\].
+    pub fn at(&self, joint: usize, dq: f64) -> f64 {
+        self.fv[joint] * dq + self.fc[joint] * sign(dq)
+    }
+}
+
 impl Effect for Friction {
     fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
         for (j, tau) in tau[..at.n].iter_mut().enumerate() {
-            *tau -= self.fv[j] * at.dq[j] + self.fc[j] * sign(at.dq[j]);
+            *tau -= self.at(j, at.dq[j]);
         }
     }
 }

@@ -187,3 +187,17 @@ impl<T: Stateless> Spec for T {
         Box::new(*self)
     }
 }
+
+// Defaults of configurations.
+
+fn one() -> f64 {
+    1.0
+}
+
+fn half() -> f64 {
+    0.5
+}
+
+fn tenth() -> f64 {
+    0.1
+}

@@ -44,7 +44,3 @@ impl Effect for Config {
         tau[j] -= (self.sine * sin + self.cosine * cos) * sign(at.dq[j]);
     }
 }
-
-fn one() -> f64 {
-    1.0
-}

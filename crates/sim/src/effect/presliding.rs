@@ -179,11 +179,3 @@ impl Effect for MaxwellSlip {
         tau[self.joint] -= self.elements.iter().map(force).sum::<f64>();
     }
 }
-
-fn one() -> f64 {
-    1.0
-}
-
-fn tenth() -> f64 {
-    0.1
-}

@@ -104,7 +104,6 @@ fn the_integration_has_converged_with_every_effect() {
         let shipped = run(&truth, 400);
         truth.substeps *= 8;
         let apart = most(&run(&truth, 400)[100..], &shipped[100..]);
-        println!("{apart:.2e} {text}");
         assert!(apart < 0.02, "{text}: {apart}");
     }
 }
