@@ -464,7 +464,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_workspace_the_arm_may_go_anywhere() {
+    fn without_a_workspace_the_box_contains_every_pose() {
         let robot = Robot::load("paper-2dof", None).unwrap();
         assert_eq!(robot.workspace.base_radius, 0.0);
         for q1 in [-2.0, 0.0, 1.0] {

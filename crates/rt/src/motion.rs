@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_begins_where_the_arm_has_gone_on_to_missed() {
+    fn a_stop_begins_at_the_extrapolated_setpoint() {
         let sent = Setpoint {
             q: [0.1, -0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
             dq: [0.5, -0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],

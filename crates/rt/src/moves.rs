@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn motions_go_from_rest_to_the_very_target_inside_their_share_of_the_limits() {
+    fn motions_end_exactly_at_the_target_inside_their_share_of_the_limits() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         for case in 0..400 {
             let joints = 1 + case % MAX_JOINTS;
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn the_joints_of_a_motion_arrive_together_after_a_stop_of_each_by_itself_too() {
+    fn joints_arrive_together_also_after_an_unsynchronised_stop() {
         let mut planner = Planner::new(3, LIMITS, MoveFactors::default());
         let mut moving = Setpoint::default();
         (moving.dq[0], moving.dq[1]) = (1.0, 0.1);
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_goes_as_far_as_the_guard_expects_it_to() {
+    fn a_stop_travels_the_distance_that_the_guard_computes() {
         // Two routes to the braking distance: the closed form that the guard uses, and the samples of the planned stop.
         let mut rng = ChaCha8Rng::seed_from_u64(4);
         let mut planner = Planner::new(MAX_JOINTS, LIMITS, MoveFactors::default());
@@ -321,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_none_are_refused_before_ruckig_sees_them() {
+    fn numbers_that_are_not_finite_never_reach_ruckig() {
         let mut planner = Planner::new(3, LIMITS, MoveFactors::default());
         let mut bad = Setpoint::default();
         bad.dq[2] = f64::NAN;

@@ -217,7 +217,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_not_asked_is_not_done() {
+    fn rights_that_are_not_requested_are_not_changed() {
         let granted = std::thread::spawn(|| become_realtime(&Rights::NONE)).join().unwrap();
         let Granted { fifo, memory, cpu, kernel } = &granted;
         assert!([fifo, memory, cpu, kernel].into_iter().all(|grant| *grant == Grant::NotAsked), "{granted:?}");
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn refusals_say_what_was_asked() {
+    fn refusals_name_the_request() {
         let rights = Rights { priority: Some(200), cpu: Some(100_000), ..Rights::NONE };
         let granted = std::thread::spawn(move || become_realtime(&rights)).join().unwrap();
         let refusals: Vec<&str> = granted.refusals().collect();
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn a_call_that_succeeds_is_not_believed_before_it_is_read_back() {
+    fn a_grant_needs_a_call_that_succeeds_and_the_kernels_confirmation() {
         let held = |fifo, priority, reset_on_fork| Ok(Scheduling { fifo, priority, reset_on_fork });
         assert!(fifo_by_kernel(80, held(true, 80, true)).refusal().is_none());
         for other in [held(false, 0, false), held(true, 79, true), held(true, 80, false), held(false, 80, true)] {

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn late_is_half_a_period_and_percentiles_are_those_of_the_values() {
+    fn a_late_cycle_is_half_a_period_late_and_percentiles_are_exact() {
         let mut tally = Tally::new();
         let mut now = 0;
         for seq in 0..1001 {

@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn brakes_to_rest_and_objects_to_what_no_arm_can_follow() {
+    fn brakes_to_rest_and_refuses_jumps() {
         let mut commands = Commands::at_rest(2, &[0.0; MAX_JOINTS]);
         for k in 1..=4 {
             let q = 4e-4 * f64::from(k);

@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn stands_still_while_shut_and_ends_for_good() {
+    fn pauses_while_shut_and_ends_finally() {
         let gate = Arc::new(Gate::new(10));
         gate.shut();
         let arm = std::thread::spawn({

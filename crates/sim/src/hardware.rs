@@ -142,7 +142,7 @@ mod tests {
 
     /// Held torques are all the torque there is: the estimator's Newton-Euler gives them back from the motion that they make.
     #[test]
-    fn held_torques_make_the_motion_that_needs_them() {
+    fn held_torques_cause_the_motion_of_inverse_dynamics() {
         for effects in ["", "{ id = 'joint-elasticity', joint = 2, stiffness = 1e4 }"] {
             let truth = truth("", "", effects);
             let mut hardware = hardware(&truth);

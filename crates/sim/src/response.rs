@@ -135,7 +135,7 @@ mod tests {
 
     /// The same by the long way: a loop that reads and writes, from rest, and looks at a later period.
     #[test]
-    fn is_what_the_arm_does_in_a_loop() {
+    fn equals_the_arm_in_a_loop() {
         let truth = truth("{ id = 'presliding', joint = 2, delta = 0.002 }, { id = 'delay', delay = 0.0013 }", 0.0);
         let pace = Pace::Fast(Arc::new(Gate::unlimited()));
         let mut arm =
@@ -186,7 +186,7 @@ mod tests {
 
     /// What changes with time is simulated for as long as it takes.
     #[test]
-    fn follows_what_does_not_repeat() {
+    fn effects_that_do_not_repeat_are_simulated_for_all_periods() {
         let cases = [
             ("{ id = 'offset-drift', joint = 1, drift = 0.5, time = 5 }", false),
             ("{ id = 'friction-drift', share = 0.5, time = 5 }", false),
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn says_what_does_not_fit() {
+    fn arms_that_do_not_fit_are_refused() {
         let short = Chain::modified(chain().joints()[..1].to_vec(), Placement::identity());
         let error = Response::simulate(&short, &truth("", 0.0), Mounting::WALL, &Wave, PERIOD, 1).err();
         assert_eq!(error, Some(SimError::Joints { truth: 2, chain: 1 }));

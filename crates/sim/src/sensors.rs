@@ -171,7 +171,7 @@ mod tests {
 
     /// Coloured noise, outliers and repeats are drawn beside the white noise, which stays the same.
     #[test]
-    fn faults_come_as_often_as_written() {
+    fn sensor_faults_have_the_configured_frequency() {
         let white = "torque-noise = 0.1, velocity-noise = 0.01";
         let plain = truth("", white, "");
         let faulty = truth("outlier-probability = 0.01\noutlier-size = 5.0\nrepeat-probability = 0.06", white, "");
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_that_is_none_is_refused() {
+    fn an_invalid_sensor_fault_is_refused() {
         for (key, value) in [
             ("outlier-probability", "0.7"),
             ("repeat-probability", "-0.1"),

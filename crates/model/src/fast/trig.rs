@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_number_stays_none_and_the_ends_are_one() {
+    fn nan_stays_nan_and_infinity_is_one() {
         for level in levels() {
             let [sin, cos, tanh] =
                 at(level, [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -0.0, 1e300, -1e300, 0.0, 21.0]);

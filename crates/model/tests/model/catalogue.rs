@@ -15,7 +15,7 @@ const IDS: &str = "torque-offset torque-gain asymmetric-coulomb asymmetric-visco
     encoder-offset encoder-eccentricity backlash friction-change";
 
 #[test]
-fn the_catalogue_is_whole_and_says_what_people_have_to_know() {
+fn the_catalogue_is_complete() {
     let ids: Vec<&str> = FAMILIES.iter().map(|family| family.id).collect();
     assert_eq!(ids.iter().collect::<BTreeSet<_>>().len(), ids.len());
     assert_eq!(ids.iter().copied().collect::<BTreeSet<_>>(), IDS.split_whitespace().collect());

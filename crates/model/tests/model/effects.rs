@@ -13,7 +13,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 #[test]
-fn what_is_served_is_the_regressor_times_the_parameters() {
+fn the_served_torque_is_the_regressor_times_the_parameters() {
     let mut rng = ChaCha8Rng::seed_from_u64(21);
     for robot in ["panda", "paper-2dof", "scara"] {
         let model = rigid_model(robot, &mut rng);
@@ -52,7 +52,7 @@ fn what_is_served_is_the_regressor_times_the_parameters() {
 }
 
 #[test]
-fn a_model_with_any_effect_comes_back_from_its_names() {
+fn a_model_with_any_effect_is_rebuilt_from_its_names() {
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     for robot in ["panda", "scara"] {
         let model = rigid_model(robot, &mut rng);

@@ -108,7 +108,7 @@ fn the_evaluator_is_the_sum_of_its_terms() {
 }
 
 #[test]
-fn angles_of_many_turns_and_no_angles_at_all() {
+fn angles_of_many_turns_and_nan() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let panda = arms::chain("panda");
     let links = links(&draw(&mut rng, 70, 1.0));

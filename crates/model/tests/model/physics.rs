@@ -158,7 +158,7 @@ fn a_position_error_shifts_the_motion() {
 /// What a swinging link adds to its joint's torque is what the rigid body and the friction on its side add where the link truly is, and that is where the
 /// gear gives way to this torque.
 #[test]
-fn a_link_swings_on_its_gear() {
+fn a_link_oscillates_on_its_gear() {
     let mut rng = ChaCha8Rng::seed_from_u64(12);
     let mut inertia = 0.0;
     // The last joint's inertia is a parameter of its own, and the only one that has to be positive here.
@@ -262,7 +262,7 @@ fn a_tilt_turns_gravity() {
 }
 
 #[test]
-fn a_shaking_base_is_a_gravity_that_changes() {
+fn base_motion_is_a_gravity_that_changes() {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let model = rigid_model("panda", &mut rng);
     let motion = smooth_motion(&mut rng, 7, false, 50);

@@ -65,7 +65,7 @@ fn torque_neither_allocates_nor_moves_unused_joints() {
 }
 
 #[test]
-fn rotor_inertias_that_the_rigid_body_holds_are_taken_out() {
+fn rotor_inertias_that_the_rigid_body_absorbs_are_removed() {
     let panda = chain("panda");
     for kind in [BaseKind::Gbs, BaseKind::Vbs] {
         let structure = Structure::of(panda.clone(), Reduction::of_kind(&panda, kind), &TERMS).unwrap();
@@ -83,7 +83,7 @@ fn rotor_inertias_that_the_rigid_body_holds_are_taken_out() {
 /// The regressor of an identifiable structure has full column rank on motions that the structure did not choose. They are in
 /// two mountings: in one alone, a slide's weight, rotor and offset (`m ddq - m g_z + ia ddq + offset`) can't be told apart.
 #[test]
-fn what_is_left_is_independent() {
+fn identifiable_columns_are_independent() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     for robot in ["panda", "ur10e", "tx40", "kuka-lwr4p", "paper-2dof", "scara", "stanford", "gantry"] {
         let chain = chain(robot);
@@ -130,7 +130,7 @@ fn a_vertical_model_is_refused_on_a_wall_by_name() {
 
 /// On a wall the two missing parameters spoil joint 1 and no other.
 #[test]
-fn a_vertical_model_fails_on_a_wall_in_joint_1_alone() {
+fn a_vertical_model_fails_on_a_wall_in_joint_1_only() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let panda = chain("panda");
     let delta = DVector::from_vec(draw(&mut rng, 70, 1.0));
@@ -150,7 +150,7 @@ fn a_vertical_model_fails_on_a_wall_in_joint_1_alone() {
 }
 
 #[test]
-fn a_model_comes_back_from_its_names() {
+fn a_model_is_rebuilt_from_its_names() {
     let mut rng = ChaCha8Rng::seed_from_u64(6);
     let rebuild =
         |kind, named: &[NamedTerm]| TorqueModel::from_named("panda", chain("panda"), kind, vec![Mounting::WALL], named);

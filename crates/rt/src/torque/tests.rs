@@ -34,7 +34,7 @@ fn send(source: &mut TorqueSource, ddq: f64, braking: bool) -> (f64, Validity) {
 }
 
 #[test]
-fn the_model_before_takes_the_place_of_a_broken_one() {
+fn the_model_before_replaces_a_rejected_one() {
     let mut models = Succession::default();
     assert_eq!((models.id(), models.fall_back()), (0, None::<&str>));
     assert_eq!(models.serve(1, "1"), [None; 3]);
@@ -52,7 +52,7 @@ fn the_model_before_takes_the_place_of_a_broken_one() {
 }
 
 #[test]
-fn a_hand_over_uses_half_of_the_rate_and_the_model_all_of_it_afterwards() {
+fn a_hand_over_uses_half_of_the_rate_limit_and_the_model_all_of_it() {
     let (mut source, mut retired, _done) = source(8);
     source.serve(Box::new(Follows(1, 0.0)), &mut retired);
     assert_eq!(send(&mut source, 5.0, false), (5.0, Validity::Valid), "nothing was sent before");
@@ -71,7 +71,7 @@ fn a_hand_over_uses_half_of_the_rate_and_the_model_all_of_it_afterwards() {
 }
 
 #[test]
-fn a_model_is_taken_over_where_all_that_it_replaces_can_leave() {
+fn a_model_is_taken_over_when_the_retired_ring_has_room() {
     for (room, enough) in [(3, false), (4, true)] {
         let (mut source, mut retired, mut done) = source(8);
         (0..8 - room).for_each(|_| assert!(retired.push(Retired::Model(Box::new(Follows(9, 0.0)))).is_ok()));
@@ -96,7 +96,7 @@ fn a_model_is_taken_over_where_all_that_it_replaces_can_leave() {
 }
 
 #[test]
-fn a_source_that_goes_on_from_a_record_answers_as_the_one_before_it() {
+fn a_torque_source_restored_from_a_record_continues_as_the_original() {
     let (mut before, mut retired, _done) = source(8);
     let of = || Box::new(Follows(1, 0.5)) as Box<dyn FeedForward>;
     before.serve(Box::new(Follows(7, 0.0)), &mut retired);

@@ -87,7 +87,7 @@ fn assert_close(found: f64, expected: f64, tolerance: f64) {
 }
 
 #[test]
-fn a_rotor_takes_torque_of_its_own_joint_alone() {
+fn a_rotor_changes_the_torque_of_its_joint_only() {
     let truth = truth("effect = [{ id = 'rotor-inertia', joint = 2, inertia = 0.2 }]");
     for (_, exact) in run(&truth, 500) {
         let left = left(&truth, &truth.link_parameters(), Mounting::UPRIGHT, &exact);
@@ -98,7 +98,7 @@ fn a_rotor_takes_torque_of_its_own_joint_alone() {
 }
 
 #[test]
-fn a_payload_is_there_from_its_moment_on() {
+fn a_payload_acts_from_its_onset_on() {
     let text = "effect = [{ id = 'payload', mass = 0.7, com = [0.1, 0.0, 0.2], inertia = [0.002, 0, 0, 0.002, 0, 0.001], from = 0.3 }]";
     let truth = truth(text);
     let empty = truth.link_parameters();
@@ -117,7 +117,7 @@ fn a_payload_is_there_from_its_moment_on() {
 }
 
 #[test]
-fn a_wrench_takes_the_torque_of_its_jacobian() {
+fn a_wrench_gives_the_torque_of_its_jacobian() {
     let contact = "id = 'contact', point = [0.05, -0.1, 0.3], force = [5, -3, 8], moment = [0.4, 0.2, -0.6], edge = 0.002, to = 1.0";
     let truth = truth(&format!("effect = [{{ {contact} }}]"));
     let push = truth.build_effects()[0].wrench(&At { t: 0.5, ..At::default() }).unwrap();

@@ -78,7 +78,7 @@ fn most(a: &[(State, Exact)], b: &[(State, Exact)]) -> f64 {
 
 /// No effect before its onset, an effect after it, the same in every run.
 #[test]
-fn every_effect_begins_at_its_moment() {
+fn every_effect_begins_at_its_onset() {
     let plain = run(&truth(""), 700);
     for text in EXAMPLES {
         let late = with(&format!("{text}, from = 0.25"));

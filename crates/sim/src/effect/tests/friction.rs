@@ -29,13 +29,13 @@ fn s(dq: f64) -> f64 {
 }
 
 #[test]
-fn two_directions_rub_differently() {
+fn asymmetric_friction_follows_its_law() {
     takes("{ id = 'asymmetric-coulomb', joint = 1, asymmetry = 0.2 }", |at, _| on(1, 0.2 * s(at.dq[0]).abs()));
     takes("{ id = 'asymmetric-viscous', joint = 2, asymmetry = -0.1 }", |at, _| on(2, -0.1 * at.dq[1].abs()));
 }
 
 #[test]
-fn friction_bends_with_speed() {
+fn friction_over_speed_follows_its_law() {
     takes("{ id = 'stribeck', joint = 2, excess = 0.2, velocity = 0.05 }", |at, _| {
         on(2, 0.2 * (-(at.dq[1] * at.dq[1]) / 0.0025).exp() * s(at.dq[1]))
     });
@@ -92,7 +92,7 @@ fn friction_drifts_as_the_arm_warms_up() {
 }
 
 #[test]
-fn friction_and_cogging_wave_with_the_position() {
+fn friction_and_ripple_over_position_follow_their_laws() {
     takes("{ id = 'position-dependent-friction', joint = 1, order = 3, sine = 0.2, cosine = -0.1 }", |at, _| {
         on(1, (0.2 * (3.0 * at.q[0]).sin() - 0.1 * (3.0 * at.q[0]).cos()) * s(at.dq[0]))
     });
@@ -116,7 +116,7 @@ fn springs_pull_towards_their_rest() {
 }
 
 #[test]
-fn coupled_joints_rub_at_each_other() {
+fn coupled_joints_share_friction() {
     takes("{ id = 'transmission-coupling', joint = 2, other = 1, fc = 0.2, fv = 0.1 }", |at, _| {
         on(2, 0.2 * s(at.dq[0]) + 0.1 * at.dq[0])
     });
@@ -131,7 +131,7 @@ fn coupled_joints_rub_at_each_other() {
 }
 
 #[test]
-fn a_test_s_inventions_are_what_they_say() {
+fn foreign_effects_are_as_documented() {
     let g = |x: f64| (-x * x).exp();
     let start = "id = 'foreign', joint = 1, size = 0.3";
     let form = |rest: &str| format!("{{ {start}, {rest} }}");
@@ -183,7 +183,7 @@ fn area(points: &[(f64, f64)]) -> f64 {
 
 /// An element of fc share_i that slides after delta_i takes 4 fc share_i (A - delta_i) in a cycle of amplitude A, and nothing where it does not slide.
 #[test]
-fn maxwell_slip_takes_the_energy_of_its_elements() {
+fn maxwell_slip_dissipates_the_energy_of_its_elements() {
     let elements =
         "elements = [{ share = 0.5, delta = 0.001 }, { share = 0.3, delta = 0.01 }, { share = 0.2, delta = 0.1 }]";
     let effect = format!("{{ id = 'presliding', joint = 1, {elements} }}");
@@ -204,7 +204,7 @@ fn maxwell_slip_takes_the_energy_of_its_elements() {
 
 /// Dahl's law integrated around a cycle of amplitude A takes 4 fc (A - delta tanh(A / delta)).
 #[test]
-fn a_bristle_takes_the_energy_of_its_loop() {
+fn a_bristle_dissipates_the_energy_of_its_loop() {
     for amplitude in [0.001, 0.004, 0.02] {
         let points = loop_of("{ id = 'presliding', joint = 1, delta = 0.004 }", amplitude);
         let energy = 4.0 * 0.5 * (amplitude - 0.004 * (amplitude / 0.004f64).tanh());

@@ -44,7 +44,7 @@ fn a_stiff_joint_is_a_rigid_one() {
 
 /// The gap lies on the flank of the torque's sign; joint 1 carries no gravity, so its torque changes sign often.
 #[test]
-fn a_gap_lies_on_the_flank_of_the_load() {
+fn play_lies_on_the_flank_of_the_load() {
     let law = |tau: f64| 0.001 * (tau / 0.3).tanh();
     let points = deflections("{ id = 'backlash', joint = 1, gap = 0.002, load = 0.3 }", 0, law);
     let on_flank = points.iter().filter(|(_, expected)| expected.abs() > 0.95e-3);
@@ -63,7 +63,7 @@ fn a_gap_lies_on_the_flank_of_the_load() {
 
 /// An encoder's own error in front does not change what the transmission does, wherever it is written.
 #[test]
-fn what_gives_way_comes_last() {
+fn deflections_act_last() {
     let elasticity = "{ id = 'joint-elasticity', joint = 2, stiffness = 8000 }";
     let offset = "{ id = 'encoder-offset', joint = 2, offset = 0.003 }";
     let one = run(&truth(&format!("effect = [{elasticity}, {offset}]")), 400);

@@ -21,14 +21,14 @@ fn a_tilted_base_is_a_declared_mounting() {
 
 /// An arm with the declared mounting as an effect moves bitwise as without the effect.
 #[test]
-fn an_effect_that_says_the_declared_mounting_changes_nothing() {
+fn an_effect_with_the_declared_mounting_changes_nothing() {
     let upright = Mounting::UPRIGHT;
     let effect = format!("effect = [{{ id = 'mounting', rho = {:?}, phi = {:?} }}]", upright.rho, upright.phi);
     assert_eq!(run(&truth(&effect), 300), run(&truth(""), 300));
 }
 
 #[test]
-fn a_tilt_leaves_torque_of_the_other_gravity() {
+fn a_tilt_gives_the_torque_of_the_true_gravity() {
     let truth = truth("effect = [{ id = 'mounting', rho = 3.0, phi = 0.5 }]");
     let mut differs = 0.0f64;
     for (_, exact) in run(&truth, 300) {
@@ -41,7 +41,7 @@ fn a_tilt_leaves_torque_of_the_other_gravity() {
 
 /// In a base that accelerates by a(t), everything weighs as if gravity were a_g - a(t).
 #[test]
-fn a_shaking_base_is_felt_as_gravity() {
+fn base_motion_acts_as_gravity() {
     let effect =
         "{ id = 'base-motion', frequency = 7.3, amplitude = 0.5, direction = [3, 0, 4], phase = 0.2, from = 0.1 }";
     let truth = truth(&format!("effect = [{effect}]"));
@@ -59,7 +59,7 @@ fn a_shaking_base_is_felt_as_gravity() {
 }
 
 #[test]
-fn a_contact_comes_and_goes_and_comes_again() {
+fn a_contact_rises_falls_and_repeats() {
     let effect = "id = 'contact', link = 2, point = [0.1, 0, 0], force = [0, 0, -8], moment = [1, 0, 0], from = 0.2, to = 0.5, edge = 0.1";
     let force = |rest: &str, t: f64| {
         let truth = truth(&format!("effect = [{{ {effect}{rest} }}]"));
@@ -78,7 +78,7 @@ fn a_contact_comes_and_goes_and_comes_again() {
             assert_close(force(", every = 2.0", t.min(1.0) + 2.0 * k), -8.0 * share, 1e-9);
         }
     }
-    // It moves the arm by its Jacobian's torque; that is `a_wrench_takes_the_torque_of_its_jacobian`. Nothing before and after.
+    // It moves the arm by its Jacobian's torque; that is `a_wrench_gives_the_torque_of_its_jacobian`. Nothing before and after.
     let truth = truth(&format!("effect = [{{ {effect} }}]"));
     for (state, exact) in run(&truth, 700) {
         let left = left(&truth, &truth.link_parameters(), Mounting::UPRIGHT, &exact);
