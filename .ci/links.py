@@ -71,6 +71,8 @@ def faults_of(page):
             goal = (page.parent / file).resolve() if file else page
             if not goal.exists():
                 yield f"{name}:{number}: no file {target}"
+            elif ROOT / "docs" in page.parents and ROOT / "docs" not in goal.parents:
+                yield f"{name}:{number}: {target} is outside the book (name it in backticks)"
             elif anchor and goal.suffix == ".md" and anchor not in anchors(goal):
                 yield f"{name}:{number}: no heading {target}"
         for code in CODE.findall(line):

@@ -49,7 +49,7 @@ fn block(family: &Family) -> String {
     labelled(
         &mut text,
         "served",
-        match family.served {
+        match family.is_served() {
             true => "yes, as part of a model",
             false => "no: it explains a recording and does not come again",
         },

@@ -213,7 +213,7 @@ pub fn run(name: &str, seal: Seal) -> Result<Outcome, Interrupted> {
         }
         "sim-wall-clock" => {
             let arm = sim(&arm("sim-panda-effect"), 3, Pace::WallClock(Box::new(Monotonic)));
-            whole(SealedArm::new(arm.with_patience(1000), name, seal), None, limits, name)
+            whole(SealedArm::new(arm.with_max_missed(1000), name, seal), None, limits, name)
         }
         _ => {
             let (protocol, robot) =

@@ -5,6 +5,7 @@
 use plumbline::config::job::Job;
 use plumbline_ipc::{FeedForwardMessage, SampleMessage};
 use plumbline_model::Robot;
+use plumbline_model::term::effect::{self, FAMILIES, Stratum};
 use plumbline_testkit::job::{Done, plumbline};
 use plumbline_testkit::page;
 use std::mem::{offset_of, size_of};
@@ -34,23 +35,39 @@ fn the_command_line_page_matches_help() {
     }
     for arguments in shown {
         let block = format!("output: plumbline {arguments}");
-        let content = format!("```text\n{}\n```\n", printed(arguments));
-        if std::env::var_os("PLUMBLINE_WRITE_DOCS").is_some() {
-            page::write_block(COMMAND_LINE, &block, &content);
-        } else {
-            assert_eq!(page::block(&text, &block), Some(content.as_str()), "{COMMAND_LINE}, block `{block}`");
-        }
+        check(COMMAND_LINE, &block, &format!("```text\n{}\n```\n", printed(arguments)));
+    }
+}
+
+/// Asserts that a block of a page has this content, or writes it.
+fn check(name: &str, block: &str, content: &str) {
+    if std::env::var_os("PLUMBLINE_WRITE_DOCS").is_some() {
+        page::write_block(name, block, content);
+    } else {
+        assert_eq!(page::block(&page::read(name), block), Some(content), "{name}, block `{block}`");
     }
 }
 
 #[test]
-fn every_effect_of_the_catalogue_is_listed() {
-    let text = page::read(EFFECTS);
-    let rows = page::block(&text, "effects").unwrap().lines().skip(2);
-    let listed: Vec<String> = rows.filter_map(|row| Some(row.split('|').nth(1)?.trim().replace('`', ""))).collect();
-    let catalogue = printed("effects");
-    let known: Vec<&str> = catalogue.lines().filter(|line| !line.is_empty() && !line.starts_with(' ')).collect();
-    assert_eq!(listed, known, "{EFFECTS}");
+fn the_table_of_effects_is_the_catalogue() {
+    let mut table =
+        "| effect | what | in | found in | served | typical size |\n|---|---|---|---|---|---|\n".to_string();
+    for family in FAMILIES {
+        let place = match family.place {
+            effect::Place::Arm => "arm",
+            effect::Place::Joint => "joint",
+            effect::Place::Pair => "two joints",
+        };
+        let stratum = match family.stratum {
+            Stratum::Repeatable => "mean period",
+            Stratum::Changing => "period to period",
+            Stratum::Reference => "earlier model",
+        };
+        let served = if family.is_served() { "yes" } else { "no" };
+        let (id, physics, typical) = (family.id, family.physics.trim_end_matches('.'), family.typical);
+        table.push_str(&format!("| `{id}` | {physics} | {place} | {stratum} | {served} | {typical} |\n"));
+    }
+    check(EFFECTS, "effects", &table);
 }
 
 /// Bytes of the field that `field` borrows.

@@ -95,7 +95,7 @@ impl Nominal {
 
 /// Whether an effect is a body on the last link.
 fn in_last_link(id: &str) -> bool {
-    family(id).is_some_and(|family| matches!(family.in_bodies, InBodies::LastLink))
+    family(id).is_some_and(|family| matches!(family.rare.in_bodies, InBodies::LastLink))
 }
 
 #[cfg(test)]

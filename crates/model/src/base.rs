@@ -34,8 +34,8 @@ pub struct Reduction {
     regroup: DMatrix<f64>,
 }
 
-/// A column is dependent when less than this share of its norm is left after projection on the columns before it.
-const INDEPENDENCE: f64 = 1e-8;
+/// Ratio of a column's norm after and before projection on the earlier columns, below which the column is dependent.
+pub(super) const INDEPENDENCE: f64 = 1e-8;
 /// Random states used; each gives n rows.
 const STATES: usize = 120;
 
@@ -57,7 +57,7 @@ impl Reduction {
         if here.len() == generalized.len() { generalized } else { here }
     }
 
-    /// The set of one kind. An arm whose torques hold the same parameters in every mounting has no VBS of its own: the GBS it is.
+    /// The set of one kind; the GBS for an arm whose torques contain the same parameters in every mounting.
     pub fn of_kind(chain: &Chain, kind: BaseKind) -> Reduction {
         match kind {
             BaseKind::Gbs => Reduction::any_mounting(chain),
@@ -75,7 +75,7 @@ impl Reduction {
         self.independent.len()
     }
 
-    /// Whether no parameter can be identified at all.
+    /// Whether no parameter can be identified.
     pub fn is_empty(&self) -> bool {
         self.independent.is_empty()
     }
@@ -96,8 +96,8 @@ impl Reduction {
     }
 }
 
-/// Slots in the order in which they are kept. The usual regrouping (Gautier, Khalil) moves `Lyy, lz, m` of a revolute link
-/// and the whole inertia of a prismatic one towards the base, so those come last.
+/// Slots in the order in which they are selected. The usual regrouping (Gautier, Khalil) moves `Lyy, lz, m` of a revolute link
+/// and the whole inertia of a prismatic one towards the base, so those are last.
 fn order(chain: &Chain) -> Vec<usize> {
     let kept = |kind| match kind {
         JointKind::Revolute => [0, 1, 2, 4, 5, 6, 7].as_slice(),
@@ -123,15 +123,9 @@ fn reduce(chain: &Chain, gravity: Option<Vector3<f64>>) -> Reduction {
     let mut independent = Vec::new();
     let mut dependent = Vec::new();
     for slot in order(chain) {
-        let column: DVector<f64> = w.column(slot).into_owned();
+        let column = w.column(slot).into_owned();
         let norm = column.norm();
-        let mut rest = column.clone();
-        for _ in 0..2 {
-            for q in &basis {
-                let along = q.dot(&rest);
-                rest.axpy(-along, q, 1.0);
-            }
-        }
+        let rest = project_out(&basis, column);
         if norm > INDEPENDENCE * scale && rest.norm() > INDEPENDENCE * norm {
             basis.push(rest.normalize());
             independent.push(slot);
@@ -139,7 +133,7 @@ fn reduce(chain: &Chain, gravity: Option<Vector3<f64>>) -> Reduction {
             dependent.push(slot);
         }
     }
-    // Sorted by link, the reader's order; the map does not depend on the order in which columns were found.
+    // Sorted by link; the map does not depend on the order of selection.
     independent.sort_unstable();
     let kept = DMatrix::from_columns(&independent.iter().map(|&slot| w.column(slot)).collect::<Vec<_>>());
     let qr = kept.qr();
@@ -157,7 +151,16 @@ fn reduce(chain: &Chain, gravity: Option<Vector3<f64>>) -> Reduction {
     Reduction { kind: BaseKind::Vbs, independent, regroup }
 }
 
-/// Makes zeros and ones exact. Any other coefficient is a sum of products of the arm's lengths and keeps all its digits.
+/// What an orthonormal basis leaves of a vector. The second pass removes the rounding of the first.
+pub(super) fn project_out(basis: &[DVector<f64>], mut vector: DVector<f64>) -> DVector<f64> {
+    for q in basis.iter().chain(basis) {
+        let along = q.dot(&vector);
+        vector.axpy(-along, q, 1.0);
+    }
+    vector
+}
+
+/// Rounds zeros and ones. Any other coefficient is a sum of products of the arm's lengths and is not rounded.
 fn tidy(value: f64) -> f64 {
     if (value - value.round()).abs() < 1e-9 { value.round() } else { value }
 }

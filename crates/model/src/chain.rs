@@ -6,13 +6,16 @@
 
 use nalgebra::{Matrix3, Vector3};
 use plumbline_core::MAX_JOINTS;
+use serde::Deserialize;
 
 /// Kind of a joint.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum JointKind {
-    /// Turns about its z axis; its position is an angle \[rad\].
+    /// Rotates about its z axis; its position is an angle \[rad\].
+    #[default]
     Revolute,
-    /// Slides along its z axis; its position is a length \[m\].
+    /// Translates along its z axis; its position is a length \[m\].
     Prismatic,
 }
 

@@ -1,6 +1,6 @@
 //! Condition numbers of a stacked regressor, in every definition in use.
 //!
-//! The paper reports a "normalized condition number" without defining it, so all of them stand side by side.
+//! The paper reports a "normalized condition number" without defining it.
 
 use super::structure::Structure;
 use super::term::Entry;
@@ -27,12 +27,12 @@ pub struct Conditions {
     pub weighted_rigid: f64,
 }
 
-/// A column whose norm is below this share of the largest column's is no excitation but rounding.
+/// Ratio of a column's norm to the largest one, below which the column is rounding.
 pub const ZERO_COLUMN: f64 = 1e-10;
 
 /// All condition numbers of `w`, whose rows are joint by joint (n equal blocks).
 ///
-/// `friction[c]` tells the friction columns, `sigma` is the standard deviation of each joint's torque noise, n \[Nm\].
+/// `friction[c]` marks the friction columns, `sigma` is the standard deviation of each joint's torque noise, n \[Nm\].
 pub fn conditions(w: &DMatrix<f64>, friction: &[bool], sigma: &[f64]) -> Conditions {
     assert_eq!(w.ncols(), friction.len(), "one flag per column");
     assert_eq!(w.nrows() % sigma.len(), 0, "equal blocks of rows");
@@ -74,7 +74,7 @@ pub fn dependent_columns(w: &DMatrix<f64>, most: f64) -> (f64, Vec<usize>) {
     (if smallest > 0.0 { largest / smallest } else { f64::INFINITY }, dependent)
 }
 
-/// Which columns of a structure are friction, for [`conditions`].
+/// Marks the friction columns of a structure, for [`conditions`].
 pub fn friction_columns(structure: &Structure) -> Vec<bool> {
     let terms = structure.terms().iter().zip(structure.ranges());
     let friction = |entry: Option<&Entry>| matches!(entry, Some(Entry::Velocity { .. } | Entry::SmoothSign { .. }));
@@ -100,7 +100,7 @@ fn equilibrated(w: &DMatrix<f64>) -> DMatrix<f64> {
     let largest = w.column_iter().map(|column| column.norm()).fold(0.0, f64::max);
     for mut column in w.column_iter_mut() {
         let norm = column.norm();
-        // What is left of a column that nothing excites (`sin(pi)` is 1e-16) must not be blown up to a direction.
+        // An unexcited column contains rounding (`sin(pi)` is 1e-16), which must not become a direction.
         if norm > ZERO_COLUMN * largest {
             column /= norm;
         } else {

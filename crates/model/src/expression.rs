@@ -1,4 +1,4 @@
-//! Names of the inertial parameters, and what standard parameters a base parameter is made of, in the paper's convention
+//! Names of the inertial parameters, and the standard parameters that a base parameter combines, in the paper's convention
 //! (Tables I and II): `LzzR1 = Lzz1 + Lyy2`, `lyR1 = ly1 + lz2`.
 
 use super::base::Reduction;
@@ -8,7 +8,7 @@ use super::regressor::LINK_COLUMNS;
 /// Standard parameters of a link in their order (paper eq. 5).
 const STEMS: [&str; LINK_COLUMNS] = ["Lxx", "Lxy", "Lxz", "Lyy", "Lyz", "Lzz", "lx", "ly", "lz", "m"];
 
-/// Two coefficients this close (relative) are one: both are sums of products of the arm's lengths.
+/// Relative difference below which two coefficients are equal: both are sums of products of the arm's lengths.
 const SAME: f64 = 1e-9;
 
 /// Name of a standard parameter, `Lxx2`; `slot = 10 * link + position`.
@@ -42,7 +42,7 @@ pub fn base_columns(reduction: &Reduction) -> Vec<Column> {
     reduction.independent().iter().enumerate().map(column).collect()
 }
 
-/// What base parameter `row` is made of: its own parameter first, the others by link, those with one coefficient together,
+/// Standard parameters of base parameter `row`: its own first, the others by link, those with one coefficient together,
 /// coefficients in m and m2 to six digits: `Lxx2 - Lyy2 + Lyy3 + 0.632 lz3 + 0.099856 m3 + 0.106662 (m4 + m5 + m6 + m7)`.
 pub fn expression(reduction: &Reduction, row: usize) -> String {
     let own = reduction.independent()[row];

@@ -5,8 +5,8 @@ use nalgebra::Vector3;
 /// Standard gravity as the paper uses it \[m/s2\].
 pub const G: f64 = 9.81;
 
-/// Within this angle of axis 1 gravity counts as parallel to it, 1 degree \[rad\]: what is left of gravity across the axis
-/// (g sin 1 deg = 0.17 m/s2) is too little to identify the two parameters that only it excites.
+/// Largest angle between gravity and axis 1 that counts as parallel, 1 degree \[rad\]. The component across the axis
+/// (g sin 1 deg = 0.17 m/s2) is then too small to identify the two parameters that it excites.
 pub const VERTICAL_TOLERANCE: f64 = std::f64::consts::PI / 180.0;
 
 /// How the base is mounted, as the direction of the gravitational acceleration in the base frame (paper eq. 3).

@@ -61,7 +61,7 @@ impl Body {
         [i[(0, 0)], i[(0, 1)], i[(0, 2)], i[(1, 1)], i[(1, 2)], i[(2, 2)], l.x, l.y, l.z, self.mass]
     }
 
-    /// The same body seen from the frame in which its own frame lies at `placement`.
+    /// The same body in the parent frame, in which its own frame is at `placement`.
     pub fn seen_from(&self, placement: &Placement) -> Body {
         let r = placement.rotation;
         Body { mass: self.mass, com: r * self.com + placement.origin, inertia: r * self.inertia * r.transpose() }

@@ -1,9 +1,9 @@
-//! What a regressor is computed for: a whole motion, or one point of it.
+//! Inputs of a regressor: a whole motion, or one sample.
 
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
 
-/// A motion on an even time grid, with everything a regressor may depend on.
+/// A motion on an even time grid, with all inputs of a regressor.
 #[derive(Clone, Debug)]
 pub struct Motion {
     /// Time between samples \[s\].
@@ -43,7 +43,7 @@ impl Motion {
     }
 }
 
-/// One desired or measured point, the real-time side of a [`Motion`].
+/// One sample of a [`Motion`], desired or measured.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Sample {
     /// Position \[rad\].

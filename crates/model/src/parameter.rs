@@ -5,20 +5,20 @@
 pub struct Column {
     /// Unique in the model, in ASCII: `Lxx2`, `fv3`, `offset1`.
     pub name: String,
-    /// Symbol for people: `LxxR2`, `fv3`.
+    /// Symbol in texts: `LxxR2`, `fv3`.
     pub symbol: String,
     /// Joint or link it belongs to, counted from 1.
     pub joint: usize,
     /// Unit of the parameter.
     pub unit: &'static str,
-    /// What standard parameters it is made of, in the paper's convention: `Lzz1 + Lyy2`.
+    /// Standard parameters that it combines, in the paper's convention: `Lzz1 + Lyy2`.
     pub expression: String,
 }
 
 /// One parameter of a model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameter {
-    /// What it is.
+    /// The column that it multiplies.
     pub column: Column,
     /// Its value, in the column's unit.
     pub value: f64,

@@ -9,7 +9,7 @@ pub const LINK_COLUMNS: usize = 10;
 
 /// Writes `Y` (n x 10 n) with `tau = Y delta`, `delta` the stacked standard parameters of all links (paper eq. 5 without friction).
 ///
-/// `gravity` is the gravitational acceleration in the base frame \[m/s2\]. Rows past `chain.len()` are left alone.
+/// `gravity` is the gravitational acceleration in the base frame \[m/s2\]. Rows past `chain.len()` are not written.
 /// It shares the outward recursion's formulas with no one: `rnea` is the second route to the same number.
 pub fn regressor(chain: &Chain, gravity: &Vector3<f64>, q: &[f64], dq: &[f64], ddq: &[f64], y: &mut DMatrix<f64>) {
     let height = y.nrows();

@@ -1,4 +1,4 @@
-//! Robot descriptions: kinematics and limits of an arm. The usual ones are built in; a file of the same form describes another.
+//! Robot descriptions: kinematics and limits of an arm, built in or from a file of the same form.
 
 use crate::chain::{Chain, Joint, JointKind, Placement, StandardDh};
 use crate::shape::{Capsule, Shape};
@@ -19,12 +19,12 @@ const BUILT_IN: [(&str, &str); 7] = [
     ("paper-2dof", include_str!("../../../config/robots/paper-2dof.toml")),
 ];
 
-/// A twist this close to a multiple of a right angle without being one is a number with too few digits \[rad\].
+/// Largest deviation from a right angle that counts as a right angle with too few digits \[rad\].
 const RIGHT_ANGLE_SLIP: f64 = 1e-3;
-/// A twist this close is exact: the kinematics take it as such \[rad\].
+/// Largest deviation from a right angle that the kinematics treat as a right angle \[rad\].
 const RIGHT_ANGLE_EXACT: f64 = 1e-15;
 
-/// Which Denavit-Hartenberg convention the rows follow.
+/// Denavit-Hartenberg convention of the rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Convention {
@@ -40,28 +40,17 @@ pub enum Convention {
 pub enum TorqueSensing {
     /// Sensors between gear and link.
     Link,
-    /// Motor currents: the torque holds the rotor's inertia and all of the gear's friction.
+    /// Motor currents: the torque includes the rotor's inertia and the gear's friction.
     Motor,
-}
-
-/// Kind of a joint as written in a file.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Kind {
-    /// Turns; the default.
-    #[default]
-    Revolute,
-    /// Slides: wherever `rad` stands it is m, and N for Nm.
-    Prismatic,
 }
 
 /// One joint: its row of the DH table and its limits.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct JointRow {
-    /// `revolute` (default) or `prismatic`.
+    /// `revolute` (default) or `prismatic`: units in rad are then m, Nm is N.
     #[serde(default)]
-    pub kind: Kind,
+    pub kind: JointKind,
     /// Length along x \[m\].
     pub a: f64,
     /// Twist about x \[rad\], right angles with all digits (1.5707963267948966).
@@ -92,11 +81,11 @@ pub struct JointRow {
     pub dq_braking: Option<f64>,
 }
 
-/// Which links are not compared.
+/// Pairs of links whose distance is not checked.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case", default)]
 pub struct SelfCollision {
-    /// Pairs of link numbers, 0 being the base; neighbours are never compared.
+    /// Pairs of link numbers, 0 being the base; neighbouring links are always exempt.
     pub exempt: Vec<[usize; 2]>,
 }
 
@@ -110,7 +99,7 @@ pub struct Flange {
     pub rpy: [f64; 3],
 }
 
-/// Where the end effector may be, in the base frame (paper eq. 14).
+/// Workspace of the end effector in the base frame (paper eq. 14).
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct WorkspaceTable {
@@ -118,7 +107,7 @@ pub struct WorkspaceTable {
     pub box_min: [f64; 3],
     /// Upper corner of the box \[m\].
     pub box_max: [f64; 3],
-    /// Radius of the sphere around the base that the end effector stays out of \[m\], default 0.
+    /// Radius of the forbidden sphere around the base \[m\], default 0.
     #[serde(default)]
     pub base_radius: f64,
 }
@@ -142,12 +131,12 @@ pub struct RobotFile {
     /// The flange, default the last DH frame.
     #[serde(default)]
     pub flange: Flange,
-    /// Where the end effector may be; without it a box that the arm can't leave and no sphere.
+    /// Workspace of the end effector; default a box around the arm's whole reach and no sphere.
     pub workspace: Option<WorkspaceTable>,
-    /// Bodies of the links; without them nothing keeps the links off each other.
+    /// Volumes of the links; without them self-collision is not checked.
     #[serde(default)]
     pub capsule: Vec<Capsule>,
-    /// What is not compared.
+    /// Exemptions from the self-collision check.
     #[serde(default)]
     pub self_collision: SelfCollision,
 }
@@ -165,7 +154,7 @@ pub struct Robot {
     pub chain: Chain,
     /// Limits of the joints.
     pub limits: Limits,
-    /// Where the end effector may be.
+    /// Workspace of the end effector.
     pub workspace: Workspace,
     /// Bodies of the links; empty when the description has none.
     pub shape: Shape,
@@ -173,7 +162,7 @@ pub struct Robot {
     pub envelope: Option<SpeedEnvelope>,
     /// Where torques are measured.
     pub torque_sensing: TorqueSensing,
-    /// Text of the description, where it is not that of a built-in robot.
+    /// Text of the description, unless the robot is built in.
     pub description: Option<String>,
 }
 
@@ -218,7 +207,7 @@ impl Robot {
 }
 
 impl RobotFile {
-    /// Checks everything and puts it into the shape that the rest of the program uses, without the text.
+    /// Checks the description and converts it, without the text.
     pub fn check(&self, file: &str) -> Result<Robot, BadInput> {
         let n = self.joint.len();
         if !(1..=MAX_JOINTS).contains(&n) {
@@ -264,17 +253,13 @@ impl RobotFile {
         let [roll, pitch, yaw] = self.flange.rpy;
         let rotation = *Rotation3::from_euler_angles(roll, pitch, yaw).matrix();
         let flange = Placement { rotation, origin: Vector3::from(self.flange.xyz) };
-        let kind = |row: &JointRow| match row.kind {
-            Kind::Revolute => JointKind::Revolute,
-            Kind::Prismatic => JointKind::Prismatic,
-        };
         match self.convention {
             Convention::ModifiedDh => {
-                let joint = |r: &JointRow| Joint { kind: kind(r), a: r.a, alpha: r.alpha, d: r.d, theta: r.theta };
+                let joint = |r: &JointRow| Joint { kind: r.kind, a: r.a, alpha: r.alpha, d: r.d, theta: r.theta };
                 Chain::modified(self.joint.iter().map(joint).collect(), flange)
             }
             Convention::StandardDh => {
-                let row = |r: &JointRow| StandardDh { kind: kind(r), a: r.a, alpha: r.alpha, d: r.d, theta: r.theta };
+                let row = |r: &JointRow| StandardDh { kind: r.kind, a: r.a, alpha: r.alpha, d: r.d, theta: r.theta };
                 Chain::standard(&self.joint.iter().map(row).collect::<Vec<_>>(), flange)
             }
         }
@@ -357,11 +342,11 @@ impl RobotFile {
         Ok(Workspace { box_min: table.box_min, box_max: table.box_max, base_radius: table.base_radius })
     }
 
-    /// No point of the arm is farther than this from the base, its bodies included \[m\].
+    /// Upper bound of the distance of any point of the arm from the base, its volumes included \[m\].
     fn reach(&self) -> f64 {
         let slide = |row: &JointRow| match row.kind {
-            Kind::Revolute => row.d.abs(),
-            Kind::Prismatic => (row.d + row.q_min).abs().max((row.d + row.q_max).abs()),
+            JointKind::Revolute => row.d.abs(),
+            JointKind::Prismatic => (row.d + row.q_min).abs().max((row.d + row.q_max).abs()),
         };
         let frames = self.joint.iter().map(|row| row.a.abs() + slide(row)).sum::<f64>();
         let bodies = self.capsule.iter().flat_map(|c| [c.from, c.to].map(|end| Vector3::from(end).norm() + c.radius));
@@ -479,7 +464,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_workspace_the_arm_may_go_anywhere() {
+    fn without_a_workspace_the_box_contains_every_pose() {
         let robot = Robot::load("paper-2dof", None).unwrap();
         assert_eq!(robot.workspace.base_radius, 0.0);
         for q1 in [-2.0, 0.0, 1.0] {

@@ -9,13 +9,13 @@ use fearless_simd::{Level, dispatch};
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS};
 
-/// `Y` at one sample after the other, for structures whose terms depend on that sample alone. Allocates nothing after its creation.
+/// `Y` sample by sample, for structures without terms that depend on earlier samples. Allocates at creation only.
 #[derive(Clone, Debug)]
 pub struct SampleRegressor {
     level: Level,
     joints: usize,
     links: LinkColumns,
-    /// What the columns after the links' are.
+    /// The columns after those of the links.
     others: Vec<Entry>,
     has_sign: bool,
     columns: Vec<[f64; MAX_JOINTS]>,
@@ -30,7 +30,7 @@ impl SampleRegressor {
             for entry in term.entries().ok_or(term.id())? {
                 match entry {
                     Entry::Link { slot } if others.is_empty() => slots.push(slot),
-                    // The links stand first in every structure.
+                    // The links' columns are the first of every structure.
                     Entry::Link { .. } => return Err(term.id()),
                     other => others.push(other),
                 }
@@ -77,7 +77,7 @@ impl SampleRegressor {
                 Entry::SmoothSign { joint } => column[joint] = sign[joint],
                 Entry::Acceleration { joint } => column[joint] = sample.ddq[joint],
                 Entry::Constant { joint } => column[joint] = 1.0,
-                // None comes after the links'.
+                // Those of the links are in `links`.
                 Entry::Link { .. } => {}
             }
         }

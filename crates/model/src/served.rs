@@ -1,4 +1,4 @@
-//! What the loop asks of a model, in the loop's own terms.
+//! The torque model and the kinematics behind the loop's traits.
 
 use crate::chain::Chain;
 use crate::term::Sample;
@@ -6,7 +6,7 @@ use crate::torque::{Evaluator, TorqueModel};
 use nalgebra::Vector3;
 use plumbline_core::{FeedForward, JointVec, Kinematics, Setpoint, Torque};
 
-/// An identified model, ready for the gravity that acts and for the one that the arm's own controller compensates.
+/// An identified model, evaluated under the true gravity and under the gravity that the arm's controller compensates.
 pub struct ServedModel {
     id: u64,
     evaluator: Evaluator,
@@ -36,7 +36,7 @@ impl FeedForward for ServedModel {
     }
 }
 
-/// In the place of a model that may not be served any more: identity 0 and no torque, as before the first model.
+/// Replaces a withdrawn model: identity 0 and no torque, as before the first model.
 pub struct NoModel;
 
 impl FeedForward for NoModel {
@@ -53,7 +53,7 @@ impl FeedForward for NoModel {
     }
 }
 
-/// Where the end effector is, for the guard.
+/// Forward kinematics for the guard.
 pub struct Reach(pub Chain);
 
 impl Kinematics for Reach {

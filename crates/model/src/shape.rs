@@ -1,4 +1,4 @@
-//! The bodies of an arm's links as capsules, and the distances between them.
+//! Volumes of an arm's links as capsules, and the distances between them.
 
 use crate::chain::{Chain, Placement};
 use nalgebra::Vector3;
@@ -21,20 +21,19 @@ pub struct Capsule {
     pub radius: f64,
 }
 
-/// All bodies of an arm, and which of them are held apart.
+/// Capsules of an arm, and the pairs whose distance is checked.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Shape {
     capsules: Vec<Capsule>,
     pairs: Vec<(usize, usize)>,
 }
 
-/// Where links are held in the box, too, those from this one on are, with their whole surface. The base and the two links of the shoulder stand where the arm
-/// is mounted, and reach no farther than link 3 begins.
+/// First link that the box of the workspace applies to, where it applies to links. The base and the two links of the shoulder are at
+/// the mounting place and reach no farther than the beginning of link 3.
 pub const FIRST_BOXED: usize = 3;
 
 impl Shape {
-    /// Capsules of any number of links. Links next to each other are never compared, nor are those of `exempt` (link numbers in
-    /// either order), which the joints' own ranges keep apart.
+    /// Capsules of any number of links. Neighbouring links and the pairs of `exempt` (link numbers in either order) are not checked.
     pub fn new(capsules: Vec<Capsule>, exempt: &[[usize; 2]]) -> Shape {
         let mut pairs = Vec::new();
         for (i, one) in capsules.iter().enumerate() {
@@ -53,7 +52,7 @@ impl Shape {
         &self.capsules
     }
 
-    /// Indices of the capsules that are held apart.
+    /// Pairs of indices of capsules whose distance is checked.
     pub fn pairs(&self) -> &[(usize, usize)] {
         &self.pairs
     }
@@ -72,13 +71,13 @@ impl Shape {
         self.capsules.iter().map(place).collect()
     }
 
-    /// Whether no body is described.
+    /// Whether there is no capsule.
     pub fn is_empty(&self) -> bool {
         self.capsules.is_empty()
     }
 }
 
-/// Where two segments come nearest.
+/// Nearest points of two segments.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Nearest {
     /// Share of the way along the first segment, 0 to 1.
@@ -130,7 +129,7 @@ mod tests {
         Capsule { link, from: [0.0; 3], to: [0.0, 0.0, 0.1], radius: 0.05 }
     }
 
-    /// No two points of a fine raster on both segments are nearer, and the two points are what is said of them.
+    /// No two points of a fine raster on both segments are nearer, and the stated points have the stated distance.
     #[test]
     fn no_points_are_nearer_than_the_nearest() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);

@@ -1,6 +1,6 @@
-//! The structure of a torque model: which terms it has, and so which columns its regressor has.
+//! The structure of a torque model: its terms, and the columns of its regressor.
 
-use super::base::{BaseKind, Reduction};
+use super::base::{BaseKind, INDEPENDENCE, Reduction, project_out};
 use super::chain::Chain;
 use super::expression::six_digits;
 use super::gravity::Mounting;
@@ -13,16 +13,16 @@ use rand_chacha::ChaCha8Rng;
 use std::fmt;
 use std::sync::Arc;
 
-/// Why a model can't be put together.
+/// Why a model can't be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ModelError {
-    /// A term that this program does not have.
+    /// An unknown term.
     #[error("there is no term `{id}` (known: {})", known_terms())]
     UnknownTerm {
-        /// The identity asked for.
+        /// Requested identity.
         id: String,
     },
-    /// Two columns of one name.
+    /// Two columns with one name.
     #[error("the model has two columns `{name}`")]
     DuplicateColumn {
         /// Their name.
@@ -33,7 +33,7 @@ pub enum ModelError {
     UnknownColumn {
         /// The term.
         term: String,
-        /// The column asked for.
+        /// Requested column.
         name: String,
     },
     /// A base parameter of the arm is missing.
@@ -42,7 +42,7 @@ pub enum ModelError {
         /// Its name.
         name: String,
     },
-    /// What a model file says of an effect does not fit it.
+    /// Form, site or settings that the effect does not have.
     #[error("term `{term}` has {what}")]
     Effect {
         /// The term.
@@ -61,7 +61,7 @@ pub enum ModelError {
         /// Columns of the structure.
         expected: usize,
     },
-    /// A value that is no number.
+    /// A value that is not finite.
     #[error("`{name}` is {value}")]
     NotFinite {
         /// Name of the column.
@@ -69,12 +69,12 @@ pub enum ModelError {
         /// The value given.
         value: f64,
     },
-    /// A reduction of the other kind.
+    /// The arm's reduction is of the other kind.
     #[error("this arm has no {expected:?} that differs from its {found:?}")]
     Kind {
-        /// The kind asked for.
+        /// Requested kind.
         expected: BaseKind,
-        /// The kind that the arm has.
+        /// Kind of the arm's reduction.
         found: BaseKind,
     },
 }
@@ -85,7 +85,7 @@ fn known_terms() -> String {
     term::KNOWN.into_iter().chain(effects).collect::<Vec<_>>().join(", ")
 }
 
-/// A column that is a linear combination of those before it, and so is no parameter of its own.
+/// A column that is a linear combination of earlier columns, and therefore not identifiable.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Absorbed {
     /// The column.
@@ -94,12 +94,10 @@ pub struct Absorbed {
     pub into: Vec<(String, f64)>,
 }
 
-/// A column is absorbed when less than this share of its norm is left after projection on the columns before it.
-const INDEPENDENCE: f64 = 1e-8;
 /// Samples of a probing motion.
 const PROBES: usize = 120;
 
-/// Chain, base reduction and terms: everything about a model but its numbers. Cheap to clone.
+/// Chain, base reduction and terms: a model without parameter values. Cheap to clone.
 #[derive(Clone)]
 pub struct Structure {
     chain: Chain,
@@ -145,9 +143,9 @@ impl Structure {
 
     /// Without the columns, rigid body apart, that are linear combinations of the columns before them on every motion.
     ///
-    /// For example the rotor inertias of joints 1 and 2 of most arms, which are part of `Lzz1` and `Lzz2`. What was taken out is
-    /// in [`Structure::absorbed`], and the expressions of the columns that absorbed it say so. Data from one mounting, or from a
-    /// poor motion, can determine less than that: the estimator finds out.
+    /// For example the rotor inertias of joints 1 and 2 of most arms, which are part of `Lzz1` and `Lzz2`. [`Structure::absorbed`]
+    /// lists the removed columns; the expressions of the columns that absorb them name them. Data from one mounting or from a poor
+    /// motion may determine fewer parameters.
     #[expect(clippy::expect_used, reason = "runs when a model is made, before the loop")]
     pub fn identifiable(mut self) -> Structure {
         let rigid = self.reduction.len();
@@ -158,15 +156,8 @@ impl Structure {
         let mut basis: Vec<DVector<f64>> = Vec::new();
         let mut kept = Vec::new();
         for c in 0..self.columns.len() {
-            let mut rest: DVector<f64> = w.column(c).into_owned();
-            let norm = rest.norm();
-            // Twice is enough: the second pass removes what rounding left of the first.
-            for _ in 0..2 {
-                for q in &basis {
-                    let along = q.dot(&rest);
-                    rest.axpy(-along, q, 1.0);
-                }
-            }
+            let norm = w.column(c).norm();
+            let rest = project_out(&basis, w.column(c).into_owned());
             if c < rigid || rest.norm() > INDEPENDENCE * norm {
                 basis.push(rest.normalize());
                 kept.push(c);
@@ -203,8 +194,7 @@ impl Structure {
         self
     }
 
-    /// With more terms behind the others, none of whose columns is taken out: whoever adds an effect has asked whether the data can tell
-    /// it from the rest.
+    /// With more terms after the others. None of their columns is removed: the caller has tested that the data can identify them.
     ///
     /// # Errors
     /// Two columns of one name.
@@ -219,7 +209,7 @@ impl Structure {
         Ok(self)
     }
 
-    /// What effects are built upon, with these parameters; those of the rigid body are the first of them.
+    /// The operating point of the effects at these parameters, the rigid body's first.
     pub fn operating_point(&self, beta: &[f64]) -> OperatingPoint {
         let load = Load::new(&self.chain, &self.reduction, &beta[..self.reduction.len()]);
         let of = |name: String| {
@@ -233,7 +223,7 @@ impl Structure {
         OperatingPoint { chain: self.chain.clone(), load: Arc::new(load), friction }
     }
 
-    /// Without the columns, rigid body apart, for which `keep` does not hold: their parameters are zero.
+    /// Without the columns that `keep` rejects, except those of the rigid body. Their parameters are zero.
     pub fn restricted(mut self, keep: impl Fn(&Column) -> bool) -> Structure {
         let rigid: Vec<String> =
             self.columns[..self.reduction.len()].iter().map(|column| column.name.clone()).collect();
@@ -295,7 +285,7 @@ impl Structure {
         y
     }
 
-    /// Stacked regressor of random smooth motions, in mountings that excite everything this kind of set can know.
+    /// Stacked regressor of random smooth motions, in mountings that excite every parameter of this kind of set.
     fn probe(&self) -> DMatrix<f64> {
         let mountings: &[Mounting] = match self.kind() {
             BaseKind::Gbs => &[Mounting::WALL, Mounting { rho: 2.2, phi: 0.7 }],

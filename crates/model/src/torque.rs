@@ -1,4 +1,4 @@
-//! A torque model: a structure with numbers, and its evaluation at 1 kHz.
+//! A torque model: a structure with parameter values, and its evaluation at 1 kHz.
 
 use super::base::{BaseKind, Reduction};
 use super::chain::Chain;
@@ -14,34 +14,34 @@ use plumbline_core::{JointVec, Torque};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// A parameter as a model file holds it: name of the column, value, standard deviation where known.
+/// A parameter of a model file: name of the column, value, standard deviation where known.
 pub type NamedValue = (String, f64, Option<f64>);
 
-/// A term as a model file holds it.
+/// A term of a model file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NamedTerm {
     /// Its identity.
     pub id: String,
-    /// What tells an effect from others of its kind; nothing of it for a term of the whole arm.
+    /// Form, site and settings of an effect; default for a term of the whole arm.
     pub effect: NamedEffect,
     /// Its parameters, in any order.
     pub parameters: Vec<NamedValue>,
 }
 
-/// [`Spec`] as a model file holds it.
+/// [`Spec`] of a model file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NamedEffect {
     /// Form, where its family has several.
     pub form: String,
     /// Joint that it acts on, counted from 1.
     pub joint: Option<usize>,
-    /// Joint that it comes from, counted from 1.
+    /// Joint that causes it, counted from 1.
     pub cause: Option<usize>,
     /// Nonlinear parameters by name, in any order.
     pub settings: Vec<(String, f64)>,
 }
 
-/// A VBS model was asked for torques in a mounting that it does not know.
+/// A VBS model is invalid in the requested mounting.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
     "the {kind} model of {robot} is valid only with gravity along axis 1 (upright or hanging), not in the mounting {mounting}: \
@@ -52,11 +52,11 @@ pub struct MountingRefused {
     pub robot: String,
     /// Its kind, VBS.
     pub kind: BaseKind,
-    /// Where it was identified.
+    /// Mountings of the identification.
     pub identified: String,
-    /// The mounting asked for.
+    /// Requested mounting.
     pub mounting: Mounting,
-    /// Symbols of the parameters that the mounting needs and the model lacks.
+    /// Symbols of the parameters that the model lacks for the mounting.
     pub missing: Vec<String>,
 }
 
@@ -72,7 +72,7 @@ pub struct TorqueModel {
 impl TorqueModel {
     /// A model from one value per column of `structure`, with its standard deviation where known.
     ///
-    /// `mountings` are those it was identified in.
+    /// `mountings` are those of the identification.
     pub fn new(
         robot: impl Into<String>,
         structure: Structure,
@@ -95,10 +95,10 @@ impl TorqueModel {
         Ok(TorqueModel { robot: robot.into(), structure, mountings, parameters })
     }
 
-    /// A model from names, as a model file holds it: per term its identity and its parameters.
+    /// A model from the contents of a model file: identity and parameters of each term.
     ///
-    /// The rigid body has to be complete; any other term may lack columns (they are zero) but can't have foreign ones. Effects stand
-    /// upon the rigid body and the friction of this very model.
+    /// The rigid body has to be complete. Missing columns of other terms are zero; unknown columns are errors. The operating point of
+    /// effects is this model's rigid body and friction.
     pub fn from_named(
         robot: impl Into<String>,
         chain: Chain,
@@ -184,15 +184,15 @@ impl TorqueModel {
         self.parameters.iter().map(|parameter| parameter.value).collect()
     }
 
-    /// Whether the model knows everything that a mounting needs: a GBS always, a VBS only with gravity along axis 1.
+    /// Whether the model has every parameter for a mounting: a GBS always, a VBS only with gravity along axis 1.
     pub fn holds_in(&self, mounting: &Mounting) -> bool {
         self.kind() == BaseKind::Gbs || mounting.is_along_axis_1(VERTICAL_TOLERANCE)
     }
 
-    /// [`TorqueModel::holds_in`] with what is missing where it does not. Finding that takes milliseconds.
+    /// As [`TorqueModel::holds_in`]. Takes milliseconds where the model is not valid.
     ///
     /// # Errors
-    /// The parameters that the mounting needs and the model lacks.
+    /// The parameters that the model lacks for the mounting.
     pub fn valid_in(&self, mounting: &Mounting) -> Result<(), MountingRefused> {
         if self.holds_in(mounting) {
             return Ok(());
@@ -210,7 +210,7 @@ impl TorqueModel {
         })
     }
 
-    /// The model with its numbers put in place for one gravity vector in the base frame \[m/s2\]. Does not ask
+    /// The model with precomputed parameters for one gravity vector in the base frame \[m/s2\]. Does not check
     /// [`TorqueModel::valid_in`].
     pub fn evaluator(&self, gravity: &Vector3<f64>) -> Evaluator {
         let beta = self.beta();
@@ -228,7 +228,7 @@ impl TorqueModel {
         evaluator.every(motion.dt);
         let mut tau = DMatrix::zeros(motion.samples(), n);
         if motion.periodic && evaluator.may_remember() {
-            // What the period before has left behind.
+            // The state at the end of the period before.
             for k in 0..motion.samples() {
                 evaluator.torque(&motion.sample(k));
             }
@@ -246,7 +246,7 @@ impl TorqueModel {
 /// A model ready for the loop: its torque neither allocates nor panics.
 pub struct Evaluator {
     closed: ClosedForm,
-    /// What has no closed form.
+    /// Terms without a closed form.
     terms: Vec<Box<dyn FixedTerm>>,
 }
 
@@ -256,7 +256,7 @@ impl Evaluator {
         !self.terms.is_empty()
     }
 
-    /// Samples come every `dt` from now on \[s\]; before the first call, every millisecond.
+    /// Sets the sample period \[s\]; 1 ms before the first call.
     pub fn every(&mut self, dt: f64) {
         self.terms.iter_mut().for_each(|term| term.every(dt));
     }
@@ -270,8 +270,7 @@ impl Evaluator {
         Torque(tau)
     }
 
-    /// Torque of the rigid body at rest at `q`, with the offsets of the sensors. Terms without a closed form add nothing to it, and those
-    /// with a memory are not asked \[Nm\].
+    /// Torque of the terms with a closed form at rest at `q`: rigid body and sensor offsets \[Nm\]. Terms with a memory are not evaluated.
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn rest(&mut self, q: &JointVec) -> Torque {
         Torque(self.closed.torque(&Sample { q: *q, ..Sample::default() }))
@@ -279,7 +278,7 @@ impl Evaluator {
 }
 
 impl NamedTerm {
-    /// What it says of an effect.
+    /// The effect that it describes.
     fn spec(&self) -> Result<Spec, ModelError> {
         let unknown = || ModelError::UnknownTerm { id: self.id.clone() };
         let family = effect::family(&self.id).ok_or_else(unknown)?;
@@ -303,7 +302,7 @@ impl NamedTerm {
     }
 }
 
-/// Every parameter is a column of the term, and none is there twice.
+/// Checks that every parameter is a column of the term, and that none occurs twice.
 fn check_names(named: &NamedTerm, columns: &[Column]) -> Result<(), ModelError> {
     for (index, (name, _, _)) in named.parameters.iter().enumerate() {
         if !columns.iter().any(|column| column.name == *name) {

@@ -1,6 +1,6 @@
 //! State of a loop between two cycles, from which another loop continues: the start of a replay.
 //!
-//! Everything that the next command depends on is the motion under way and the last three commands: the planner's motions are planned again
+//! The next command depends on the motion under way and the last three commands: the planner's motions are planned again
 //! from the setpoint that they began at, and the guard differences three positions. So a checkpoint can be had from any four cycles in a row.
 
 use super::torque::Succession;

@@ -10,7 +10,7 @@ use plumbline_core::Phase;
 pub struct Controls {
     stop: AtomicBool,
     quit: AtomicBool,
-    /// The loop has come to rest after a stop and waits for permission.
+    /// The loop rests after a stop and waits for permission.
     waiting: AtomicBool,
     /// Counts the permissions given; an order runs only under the permission it was given in.
     permission: AtomicU32,

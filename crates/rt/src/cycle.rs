@@ -1,14 +1,14 @@
 //! The loop: read, reference, feed-forward, guard, write, record.
 //!
-//! It runs on a thread of its own and is paced by the arm's blocking `read`. One pass per state: at most one order and one model are taken
-//! in, one command leaves, one record is made. Any failure of the arm ends the motion; any failure of a command ends in a controlled
-//! stop, and the loop then holds until an operator resumes it.
+//! It runs on its own thread and is paced by the arm's blocking `read`. One pass per state takes at most one order and one model, sends one
+//! command and makes one record. A failure of the arm ends the loop; a failure of a command causes a controlled stop, and the loop then
+//! holds until an operator resumes it.
 //!
-//! - The feed-forward torque is the served model's at the desired setpoint, every cycle, at rest too. Models change between two cycles; the
-//!   torque gets from one model's to another's within the torque rate. A model whose torque breaks a limit is not evaluated again: the
-//!   one before it serves, or the torque goes back to zero ([`torque`](super::torque)).
-//! - A lost state is a cycle of the arm without an answer. Motions keep the arm's time: the next sample is the one that is due by
-//!   the arm's counter, and the guard differences over the time that really passed.
+//! - The feed-forward torque is that of the served model at the desired setpoint, in every cycle, also at rest. Models change between two
+//!   cycles; the torque changes within the torque-rate limit. A model whose torque breaks a limit is not evaluated again: the model before
+//!   it serves, or the torque returns to zero ([`torque`](super::torque)).
+//! - A lost state is a cycle of the arm without a command. Motions follow the arm's counter: the next sample is the one that is due, and the
+//!   guard differences over the time that has passed.
 
 use super::checkpoint::Checkpoint;
 use super::guard::{Guard, Violation};
@@ -42,7 +42,7 @@ pub enum End {
     /// No controlled stop could be planned; the arm was stopped by its own means.
     #[error("no controlled stop from the last setpoint")]
     NoBrake,
-    /// The machine did not grant the rights requested, and the settings require them: nothing was read or sent.
+    /// The machine did not grant rights that the settings require: nothing was read or sent.
     #[error("not real-time, and the configuration refuses to run so")]
     NotRealTime,
     /// The arm's cycle counter did not go forward.
@@ -60,7 +60,7 @@ pub enum End {
 pub struct Outcome {
     /// How it ended.
     pub end: End,
-    /// Controlled stops on the way.
+    /// Number of controlled stops.
     pub stops: u32,
     /// Reason of the last of them.
     pub last_stop: Option<StopReason>,
@@ -83,7 +83,7 @@ impl From<NotForward> for End {
     }
 }
 
-/// The loop and everything it needs, allocated before it starts.
+/// The loop and its memory, allocated before it starts.
 pub struct Cycle<B: Backend, S: Sink> {
     backend: B,
     sink: S,
@@ -91,21 +91,21 @@ pub struct Cycle<B: Backend, S: Sink> {
     tracking: JointVec,
     max_lost: u64,
     heartbeat_timeout: Option<u64>,
-    /// The outside's last heartbeats, and the cycles of the arm since it.
+    /// Count of heartbeats, and cycles of the arm since the last.
     last_heartbeat: (u64, u64),
     rights: Rights,
     must_be_realtime: bool,
     inlets: Inlets,
-    /// Orders given under an older permission than this don't run.
+    /// Orders with an older permission than this are discarded.
     permission: u32,
     motion: Motion,
     torque: TorqueSource,
     guard: Guard,
-    /// A reference that found the ring full; it goes before anything new comes in.
+    /// A reference that waits for room in the ring; no order or model is taken before it has been pushed.
     leaving: Option<Box<dyn Reference>>,
     tally: Tally,
     work_ns: u64,
-    /// When the present cycle's state had been read.
+    /// Time at which the present cycle's state was read \[ns\].
     stamp_ns: u64,
     /// Orders taken out of the queue so far.
     orders: u32,
@@ -115,7 +115,7 @@ pub struct Cycle<B: Backend, S: Sink> {
     last_stop: Option<StopReason>,
 }
 
-/// A command with the torque that it comes from.
+/// A command with its torque.
 type Next = (Command, Answer);
 
 /// Builds the loop and the outside end of its rings.
@@ -158,7 +158,7 @@ pub fn new<B: Backend, S: Sink>(
 }
 
 impl<B: Backend, S: Sink> Cycle<B, S> {
-    /// Runs until something ends it; call it on the thread that is to be real-time.
+    /// Runs until the loop ends; call it on the real-time thread.
     pub fn run(&mut self) -> Outcome {
         let granted = become_realtime(&self.rights);
         // Published before the first cycle, so that the supervisor can report a degraded loop while it runs.
@@ -183,7 +183,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         }
     }
 
-    /// Passes until one of them ends the loop.
+    /// Runs passes until one ends the loop.
     #[cfg_attr(feature = "rtsan", rtsan_standalone::nonblocking)]
     fn cycles(&mut self) -> End {
         loop {
@@ -194,10 +194,10 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         }
     }
 
-    /// Goes on from where another loop was; call it before [`run`](Cycle::run). The counts begin anew, the numbers of the cycles don't.
+    /// Continues from the state of another loop; call it before [`run`](Cycle::run). Counts restart, cycle numbers continue.
     ///
     /// # Errors
-    /// [`NoMotion`] when the motion under way can't be planned again.
+    /// [`NoMotion`] when the interrupted motion can't be planned again.
     pub fn restore(&mut self, checkpoint: Checkpoint) -> Result<(), NoMotion> {
         let Checkpoint { doing, last, models } = checkpoint;
         let [.., newest] = &last;
@@ -277,7 +277,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
             self.tally.due(deadline_ns);
         }
         if first {
-            // The arm's own desired position, unless it does not go with where the arm is.
+            // The arm's own desired position, unless it is too far from the measured one.
             let agrees = |j: usize| (state.q_d[j] - state.q[j]).abs() <= self.tracking[j];
             self.motion.start(if (0..self.joints.min(MAX_JOINTS)).all(agrees) { state.q_d } else { state.q });
             self.guard.start(self.motion.sample().q);
@@ -305,8 +305,8 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
             self.retire(Some(reference));
         }
         self.torque.hand_out(&mut self.inlets.retired);
-        // The stop is looked at before the permission: one that was given after a permission would else meet an arm that still waits for it,
-        // count as carried out, and the arm would continue.
+        // The stop is read before the permission. Otherwise a stop that follows a permission could meet an arm that still waits for that
+        // permission: it would count as carried out, and the arm would continue.
         let stop = self.inlets.controls.take_stop();
         let permission = self.inlets.controls.permission();
         if self.motion.is_stopped() && permission != self.permission {
@@ -342,7 +342,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         }
     }
 
-    /// Takes a model over between two cycles; what it replaces leaves over the ring, so nothing is freed here.
+    /// Takes over a model between two cycles. The replaced model is pushed to the ring, so nothing is freed here.
     fn take_model(&mut self) {
         if self.leaving.is_some() || !self.torque.has_room(&self.inlets.retired) {
             return;
@@ -392,7 +392,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         }
     }
 
-    /// Controlled stop from the setpoint sent last; nothing to do while one is under way.
+    /// Controlled stop from the setpoint sent last; no effect during a stop.
     fn brake(&mut self, reason: StopReason, gap: u64) -> Result<(), End> {
         if self.motion.is_stopping() {
             return Ok(());
@@ -455,7 +455,7 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         self.leaving.is_none() && self.inlets.retired.slots() > 1
     }
 
-    /// Hands a box out to be freed elsewhere; a full ring makes it wait, and nothing new comes in before it has left.
+    /// Pushes a box to the ring, to be freed outside. With a full ring the box waits in `leaving`.
     fn retire(&mut self, reference: Option<Box<dyn Reference>>) {
         let Some(reference) = reference else { return };
         if let Err(rtrb::PushError::Full(Retired::Reference(reference))) =

@@ -1,5 +1,5 @@
-//! The 1 kHz loop: it reads the arm's state, evaluates motion and model, checks the command against every limit and writes it. [`cycle`] is
-//! where to begin reading.
+//! The 1 kHz loop: it reads the arm's state, evaluates motion and model, checks the command against every limit and writes it. Begin reading
+//! at [`cycle`].
 //!
 //! Nothing that runs inside a cycle allocates, locks, logs, panics, or makes a system call beyond its clock and its backend.
 //!

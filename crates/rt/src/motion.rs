@@ -1,11 +1,11 @@
-//! The present motion. Every mode is a source of setpoints, so the loop itself has no modes.
+//! The present motion. Every mode is a source of setpoints, so the loop has no modes.
 
 use super::checkpoint;
 use super::moves::{NoMotion, Planner, seconds};
 use super::order::{Order, OrderKind, StopReason};
 use plumbline_core::{JointVec, MAX_JOINTS, MAX_MISSED_COMMANDS, Phase, Record, Reference, Setpoint};
 
-/// A reference may start this far from where the arm rests \[rad\]; more would be a step that no arm can follow.
+/// Largest distance of a reference's start from the arm's rest position; more would be a step \[rad\].
 const START_TOLERANCE: f64 = 1e-6;
 
 enum Doing {
@@ -27,13 +27,13 @@ impl Doing {
 
 /// The end of a motion, noticed in the first cycle after its last sample.
 pub(super) enum Finished {
-    /// An order has run to its end; its reference, if it had one, is done with.
+    /// An order has ended; its reference, if any, is no longer used.
     Order { motion: u32, reference: Option<Box<dyn Reference>> },
     /// The brake has brought the arm to rest.
     Brake,
 }
 
-/// The present motion and the place in it.
+/// The present motion and its sample number.
 pub(super) struct Motion {
     joints: usize,
     planner: Planner,
@@ -57,7 +57,7 @@ impl Motion {
         self.doing = Doing::Hold;
     }
 
-    /// Goes on after `last`, in the middle of `doing`.
+    /// Continues `doing` after `last`.
     pub fn restore(&mut self, doing: checkpoint::Doing, last: &Record) -> Result<(), NoMotion> {
         (self.number, self.tick, self.last) = (last.motion, last.tick, last.command.desired);
         self.doing = match doing {
@@ -121,10 +121,10 @@ impl Motion {
         Ok(())
     }
 
-    /// Brakes from the setpoint sent last, `gap` cycles of the arm ago; the reference under way is done with.
+    /// Brakes from the setpoint sent last, `gap` cycles of the arm ago. Returns the reference under way, which is no longer used.
     ///
-    /// Where states were lost the arm has extrapolated at constant acceleration, as the FCI does: the stop begins where that has brought
-    /// it, or the first sample would be a jump. Where no stop can begin there, it begins at what was sent, as if it had begun then.
+    /// For lost states the arm has extrapolated at constant acceleration, as the FCI does. The stop begins at the extrapolated setpoint;
+    /// otherwise its first sample would be a jump. Where no stop can begin there, it begins at the setpoint sent last, at that time.
     pub fn brake(&mut self, gap: u64) -> Result<Option<Box<dyn Reference>>, NoMotion> {
         let missed = gap.saturating_sub(1).min(u64::from(MAX_MISSED_COMMANDS));
         let planned = match self.planner.stop(&extrapolate(&self.last, seconds(missed))) {
@@ -162,13 +162,13 @@ impl Motion {
         self.only_own_joints(sample)
     }
 
-    /// Notes what was sent.
+    /// Stores the sent setpoint.
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn sent(&mut self, desired: &Setpoint) {
         self.last = *desired;
     }
 
-    /// How records of this cycle are marked.
+    /// Phase in the records of this cycle.
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn phase(&self) -> Phase {
         match &self.doing {
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_begins_where_the_arm_has_gone_on_to_missed() {
+    fn a_stop_begins_at_the_extrapolated_setpoint() {
         let sent = Setpoint {
             q: [0.1, -0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
             dq: [0.5, -0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],

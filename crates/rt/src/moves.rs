@@ -1,7 +1,6 @@
 //! Point-to-point motions and the controlled stop, both time-optimal under velocity, acceleration and jerk limits (ruckig).
 //!
-//! Planning happens inside a cycle: it takes microseconds and allocates nothing as long as the input is sound, so the input is
-//! checked here first.
+//! Planning takes place inside a cycle: it takes microseconds and does not allocate for valid input, which is therefore checked first.
 
 use plumbline_core::{JointVec, Limits, MAX_JOINTS, PERIOD_S, Setpoint};
 use rsruckig::brake::stop_distance_third_order;
@@ -10,7 +9,7 @@ use rsruckig::prelude::{
 };
 use rsruckig::util::integrate;
 
-/// Which part of the joint limits the loop's own motions use.
+/// Shares of the joint limits that the loop's own motions use.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MoveFactors {
     /// Share of the velocity limit in a point-to-point motion.
@@ -19,13 +18,13 @@ pub struct MoveFactors {
     pub acceleration: f64,
     /// Share of the jerk limit in a point-to-point motion.
     pub jerk: f64,
-    /// Share of the acceleration and jerk limits that the controlled stop uses. What is left over is the guard's margin.
+    /// Share of the acceleration and jerk limits that the controlled stop uses; the rest is the guard's margin.
     pub brake: f64,
 }
 
 impl Default for MoveFactors {
-    /// Gentle motions and a firm stop. The jerk is kept so low because it moves the whole inertia: a torque rate of 1000 Nm/s is all
-    /// that a Panda allows, and 1500 rad/s3 on its first joint would take twice that.
+    /// Slow motions and a fast stop. Jerk times inertia is a torque rate: a Panda allows 1000 Nm/s, and 1500 rad/s3 on its first joint
+    /// would need twice that.
     fn default() -> MoveFactors {
         MoveFactors { velocity: 0.2, acceleration: 0.1, jerk: 0.01, brake: 0.95 }
     }
@@ -36,7 +35,7 @@ impl Default for MoveFactors {
 #[error("ruckig found no motion")]
 pub struct NoMotion;
 
-/// Plans one motion at a time and gives its samples. Joints past the arm's own take no part and stay at zero.
+/// Plans one motion at a time and gives its samples. Unused joints remain at zero.
 pub struct Planner {
     joints: usize,
     limits: Limits,
@@ -55,7 +54,7 @@ impl Planner {
         let mut input = InputParameter::new(None);
         for j in 0..MAX_JOINTS {
             input.enabled[j] = j < joints;
-            // Harmless values for the joints that take no part; the others are set with every plan.
+            // Valid values for unused joints; the others are set with every plan.
             (input.max_velocity[j], input.max_acceleration[j], input.max_jerk[j]) = (1.0, 1.0, 1.0);
         }
         Planner {
@@ -85,8 +84,8 @@ impl Planner {
         Ok(())
     }
 
-    /// Plans the stop from the moving setpoint `from`: every joint comes to rest by itself as fast as its own acceleration and jerk
-    /// limits allow, so that none travels further than it must.
+    /// Plans the stop from the moving setpoint `from`: each joint independently, as fast as its acceleration and jerk limits
+    /// allow, so that it travels the shortest distance.
     pub fn stop(&mut self, from: &Setpoint) -> Result<(), NoMotion> {
         let brake = self.factors.brake;
         self.input.control_interface = ControlInterface::Velocity;
@@ -121,7 +120,7 @@ impl Planner {
             self.input.max_velocity[j] = velocity * self.limits.dq[j];
             self.input.max_acceleration[j] = acceleration * self.limits.ddq[j];
             self.input.max_jerk[j] = jerk * self.limits.jerk[j];
-            // Ruckig formats text, which allocates, and may even panic on numbers that are none.
+            // For non-finite numbers ruckig formats an error, which allocates, and may panic.
             let numbers = [from.q[j], from.dq[j], from.ddq[j], self.input.target_position[j]];
             if !numbers.iter().all(|x| x.is_finite()) {
                 return Err(NoMotion);
@@ -139,7 +138,7 @@ impl Planner {
         Ok(())
     }
 
-    /// The planned motion `time` \[s\] after its start. Not by ruckig, whose indices the compiler can't show to be in range.
+    /// The planned motion `time` \[s\] after its start. Replaces ruckig's evaluation, for which the compiler can't prove that indices are in range.
     #[cfg_attr(no_panic, no_panic::no_panic)]
     fn evaluate(&self, time: f64) -> Setpoint {
         let mut out = Setpoint::default();
@@ -211,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn motions_go_from_rest_to_the_very_target_inside_their_share_of_the_limits() {
+    fn motions_end_exactly_at_the_target_inside_their_share_of_the_limits() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         for case in 0..400 {
             let joints = 1 + case % MAX_JOINTS;
@@ -236,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn the_joints_of_a_motion_arrive_together_after_a_stop_of_each_by_itself_too() {
+    fn joints_arrive_together_also_after_an_unsynchronised_stop() {
         let mut planner = Planner::new(3, LIMITS, MoveFactors::default());
         let mut moving = Setpoint::default();
         (moving.dq[0], moving.dq[1]) = (1.0, 0.1);
@@ -249,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_goes_as_far_as_the_guard_expects_it_to() {
+    fn a_stop_travels_the_distance_that_the_guard_computes() {
         // Two routes to the braking distance: the closed form that the guard uses, and the samples of the planned stop.
         let mut rng = ChaCha8Rng::seed_from_u64(4);
         let mut planner = Planner::new(MAX_JOINTS, LIMITS, MoveFactors::default());
@@ -322,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_none_are_refused_before_ruckig_sees_them() {
+    fn numbers_that_are_not_finite_never_reach_ruckig() {
         let mut planner = Planner::new(3, LIMITS, MoveFactors::default());
         let mut bad = Setpoint::default();
         bad.dq[2] = f64::NAN;

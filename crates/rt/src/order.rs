@@ -16,11 +16,11 @@ use std::sync::{Arc, OnceLock};
 pub struct Order {
     /// The caller's number for the motion; records and events carry it. Not 0.
     pub motion: u32,
-    /// What to do.
+    /// Kind of motion.
     pub kind: OrderKind,
 }
 
-/// Kinds of motion.
+/// Kind of motion.
 pub enum OrderKind {
     /// Point to point with the ruckig limits of the settings.
     MoveTo {
@@ -99,14 +99,14 @@ pub enum Event {
         /// Its number.
         motion: u32,
     },
-    /// The arm is being braked; the motion under way, if any, will not end.
+    /// The arm is braking; a motion under way is aborted.
     Stopping {
         /// Number of the motion, 0 before the first.
         motion: u32,
         /// Why.
         reason: StopReason,
     },
-    /// The brake has brought the arm to rest; nothing moves before [`Controls::resume`].
+    /// The arm rests after a stop; nothing moves before [`Controls::resume`].
     Stopped,
     /// An operator has allowed motion again.
     Resumed,
@@ -138,8 +138,8 @@ pub struct TimedEvent {
     pub seq: u64,
     /// `CLOCK_MONOTONIC` when that cycle's state had been read \[ns\].
     pub stamp_ns: u64,
-    /// Orders taken out of the queue so far, that of this event included. The queue is first in, first out, so this says which order
-    /// an event is about, also where several carry one number.
+    /// Orders taken out of the queue so far, that of this event included. It identifies the order of the event, also where several have
+    /// one number.
     pub orders: u32,
     /// What happened.
     pub event: Event,
@@ -164,7 +164,7 @@ impl Orders {
     }
 }
 
-/// The way of models into the loop, outside end.
+/// The queue of models, outside end.
 pub struct Models {
     ring: Producer<Box<dyn FeedForward>>,
 }
@@ -182,7 +182,7 @@ pub struct Handles {
     pub orders: Orders,
     /// Models into the loop.
     pub models: Models,
-    /// Boxes that the loop no longer uses. Drain it: a full ring keeps new orders and models waiting.
+    /// Boxes that the loop no longer uses. Drain it: with a full ring new orders and models wait.
     pub retired: Consumer<Retired>,
     /// What happened, and when.
     pub events: Consumer<TimedEvent>,

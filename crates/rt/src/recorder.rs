@@ -44,7 +44,7 @@ impl Drain {
         self.consumer.slots()
     }
 
-    /// Whether the loop's end was dropped: nothing more will come.
+    /// Whether the loop's end was dropped: no more records follow.
     pub fn is_over(&self) -> bool {
         self.consumer.is_abandoned() && self.consumer.is_empty()
     }
@@ -62,7 +62,7 @@ impl Flight {
         Flight { records: Vec::with_capacity(depth.max(1)), next: 0 }
     }
 
-    /// Keeps a record in place of the oldest.
+    /// Replaces the oldest record.
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn keep(&mut self, record: &Record) {
         if self.records.len() < self.records.capacity() {

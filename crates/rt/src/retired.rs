@@ -1,4 +1,4 @@
-//! Memory on its way out of the loop.
+//! Boxes that the loop no longer uses.
 
 use plumbline_core::{FeedForward, Reference};
 

@@ -1,7 +1,7 @@
 //! Real-time rights: requested by the loop's thread, and granted by the machine.
 //!
-//! A call that succeeds is not yet a right: a container may swallow it, a later limit may take it back. So every grant is read back from the
-//! kernel before it is believed: the policy by `sched_getscheduler`, the locked pages by `VmLck` of `/proc/self/status`, the CPUs by
+//! A call can succeed without effect, in a container for example. Therefore every grant is read back from the kernel: the policy by
+//! `sched_getscheduler`, the locked pages by `VmLck` of `/proc/self/status`, the CPUs by
 //! `sched_getaffinity`, the kernel's kind by `/sys/kernel/realtime`.
 
 // Rights are requested and read back before the first cycle: the lint walls of the loop do not apply here.
@@ -21,7 +21,7 @@ const CAP_IPC_LOCK: u64 = 1 << 14;
 pub struct Rights {
     /// `SCHED_FIFO` priority, 1 to 99; `None` leaves the thread at normal priority.
     pub priority: Option<u8>,
-    /// CPU to pin the thread to, counted from 0; `None` leaves it to the scheduler.
+    /// CPU to pin the thread to, counted from 0; `None` for any.
     pub cpu: Option<usize>,
     /// Whether to lock the process's memory into RAM.
     pub lock_memory: bool,
@@ -37,11 +37,11 @@ impl Default for Rights {
 }
 
 impl Rights {
-    /// Asks for nothing: tests and simulated time.
+    /// No request: tests and simulated time.
     pub const NONE: Rights = Rights { priority: None, cpu: None, lock_memory: false, preempt_rt: false };
 }
 
-/// What became of one request.
+/// Result of one request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Grant {
     /// It was not requested.
@@ -87,7 +87,7 @@ impl Granted {
 pub fn become_realtime(rights: &Rights) -> Granted {
     let memory = if rights.lock_memory { lock_memory() } else { Grant::NotAsked };
     touch_stack();
-    // The first question for the time finds the kernel's clock page, by calls of its own that have no place in a cycle.
+    // The first call finds the kernel's clock page by system calls, which a cycle must not make.
     now_ns();
     Granted {
         fifo: rights.priority.map_or(Grant::NotAsked, fifo),
@@ -217,7 +217,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_not_asked_is_not_done() {
+    fn rights_that_are_not_requested_are_not_changed() {
         let granted = std::thread::spawn(|| become_realtime(&Rights::NONE)).join().unwrap();
         let Granted { fifo, memory, cpu, kernel } = &granted;
         assert!([fifo, memory, cpu, kernel].into_iter().all(|grant| *grant == Grant::NotAsked), "{granted:?}");
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn refusals_say_what_was_asked() {
+    fn refusals_name_the_request() {
         let rights = Rights { priority: Some(200), cpu: Some(100_000), ..Rights::NONE };
         let granted = std::thread::spawn(move || become_realtime(&rights)).join().unwrap();
         let refusals: Vec<&str> = granted.refusals().collect();
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn a_call_that_succeeds_is_not_believed_before_it_is_read_back() {
+    fn a_grant_needs_a_call_that_succeeds_and_the_kernels_confirmation() {
         let held = |fifo, priority, reset_on_fork| Ok(Scheduling { fifo, priority, reset_on_fork });
         assert!(fifo_by_kernel(80, held(true, 80, true)).refusal().is_none());
         for other in [held(false, 0, false), held(true, 79, true), held(true, 80, false), held(false, 80, true)] {

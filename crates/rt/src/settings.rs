@@ -46,13 +46,13 @@ impl CycleSettings {
 /// Settings that no loop can be built from.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SetupError {
-    /// More joints than fixed-size messages hold, or none.
+    /// No joints, or more than fixed-size messages hold.
     #[error("the arm has {joints} joints, expected 1 to {MAX_JOINTS}")]
     Joints {
         /// Joints of the arm.
         joints: usize,
     },
-    /// A limit is not a positive number, or the position limits are the wrong way round.
+    /// A limit is not a positive number, or the lower position limit is not below the upper one.
     #[error("limit {name} of joint {} is {value}, expected a finite number{expected}", .joint + 1)]
     Limit {
         /// Which limit.

@@ -63,7 +63,7 @@ impl Tally {
         Ok(gap)
     }
 
-    /// Cycles that began late, where the arm has deadlines.
+    /// Cycles that began after their deadline, where the arm has deadlines.
     pub fn late(&self) -> u64 {
         if self.first_due_ns.is_some() { self.late } else { 0 }
     }
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn late_is_half_a_period_and_percentiles_are_those_of_the_values() {
+    fn a_late_cycle_is_half_a_period_late_and_percentiles_are_exact() {
         let mut tally = Tally::new();
         let mut now = 0;
         for seq in 0..1001 {

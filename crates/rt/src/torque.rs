@@ -1,9 +1,9 @@
 //! The feed-forward torque: the serving model, and the transition from one model's torque to another's.
 //!
-//! - A hand-over moves the torque to the new model's at a share of the torque-rate limit, joint by joint, from what was sent last (bumpless
-//!   transfer). It holds for the first model, for a change of gravity, for a withdrawal and for a fall-back alike.
-//! - A model whose torque breaks a limit is replaced by the one that served before it; without one the torque goes back to zero, in the same way.
-//! - While the arm brakes the torque follows the model within the whole rate limit: a stop within the jerk limit may need more.
+//! - A hand-over changes the torque to that of the new model at a share of the torque-rate limit, joint by joint, from the torque sent last
+//!   (bumpless transfer): for the first model, a change of gravity, a withdrawal and a fall-back.
+//! - A model whose torque breaks a limit is replaced by the model before it; without one the torque returns to zero in the same way.
+//! - While the arm brakes the torque follows the model within the whole rate limit, since a stop may need it.
 
 use super::retired::Retired;
 use plumbline_core::{FeedForward, JointVec, MAX_JOINTS, PERIOD_S, Setpoint, Torque, Validity};
@@ -11,7 +11,7 @@ use rtrb::{Producer, PushError};
 
 /// Share of the torque-rate limit that a hand-over uses.
 const HAND_OVER_SHARE: f64 = 0.5;
-/// Room in the ring of what is done with that a new model needs: the two that it may replace, itself where it has no torque, and a reference.
+/// Room that a new model needs in the ring of retired boxes: two replaced models, the new one where it has no torque, and a reference.
 const ROOM: usize = 4;
 
 /// The two torques of a command.
@@ -45,7 +45,7 @@ pub struct ModelTorques {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Answer {
     pub asked: ModelTorques,
-    /// What is sent.
+    /// The sent torque.
     pub served: Torques,
     pub validity: Validity,
 }
@@ -79,8 +79,8 @@ impl<T> Succession<T> {
         [self.serving, self.reserve]
     }
 
-    /// Puts `model` in service; what is done with. One of the same identity takes the place of the serving one alone, one of identity 0 that of
-    /// both: none serves then.
+    /// Puts `model` in service; returns the retired models. A model of the same identity replaces the serving one, one of identity 0 replaces
+    /// both: then none serves.
     pub fn serve(&mut self, id: u64, model: T) -> [Option<T>; 3] {
         let only = |of: Option<(u64, T)>| of.map(|(_, model)| model);
         if id == 0 {
@@ -153,7 +153,7 @@ impl TorqueSource {
         self.models.id()
     }
 
-    /// What the serving model needs at `desired`, zero without one.
+    /// Torque of the serving model at `desired`, zero without one.
     fn ask(&mut self, desired: &Setpoint) -> Torques {
         let Some((_, model)) = &mut self.models.serving else { return Torques::default() };
         let mut asked = Torques { tau_ff: model.torque(desired), tau_vendor: model.vendor_torque(&desired.q) };
@@ -176,7 +176,7 @@ impl TorqueSource {
         Answer { asked: ModelTorques { now, before: self.before }, served, validity }
     }
 
-    /// `now`, or as near to it as the rate allows where the torque is on its way.
+    /// `now`, limited by the rate during a hand-over or a stop.
     #[cfg_attr(no_panic, no_panic::no_panic)]
     fn transfer(&self, now: &Torques, braking: bool) -> Torques {
         let Some(last) = self.sent.as_ref().filter(|_| self.hand_over || braking) else { return *now };
@@ -193,7 +193,7 @@ impl TorqueSource {
         })
     }
 
-    /// Notes what was sent.
+    /// Stores the sent torque.
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn sent(&mut self, answer: &Answer) {
         self.before = self.models.serving.is_some().then_some(answer.asked.now);
@@ -201,7 +201,7 @@ impl TorqueSource {
         self.hand_over = answer.served != answer.asked.now;
     }
 
-    /// Whether a model can be taken over: everything that it replaces has a way out.
+    /// Whether a model can be taken over: the ring has room for everything that it replaces.
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn has_room(&self, retired: &Producer<Retired>) -> bool {
         self.spent.iter().all(Option::is_none) && retired.slots() >= ROOM

@@ -89,13 +89,13 @@ fn a_model_is_exact_after_its_hand_over_and_an_old_one_is_freed_outside() {
 }
 
 #[test]
-fn an_allocation_in_a_model_is_seen() {
+fn an_allocation_in_a_model_is_counted() {
     let run = Job::new(50).model(Model(1, |d: &Setpoint| std::hint::black_box(d.q.to_vec()).try_into().unwrap())).run();
     // One allocation and one release in each of 51 cycles.
     assert_eq!(run.outcome.allocations, Some(102));
 }
 
-/// A controlled stop ends at rest, stays there, and kept every limit on the way.
+/// A controlled stop ends at rest, remains there, and keeps every limit.
 fn assert_stopped(run: &Run, reason: StopReason) {
     run.assert_sound();
     run.assert_inside(&panda_limits(), 7);
@@ -202,14 +202,14 @@ fn too_many_lost_states_stop_the_motion() {
 }
 
 #[test]
-fn a_reference_that_starts_elsewhere_never_begins() {
+fn a_reference_that_starts_elsewhere_is_refused() {
     let run = Job::new(200).order(follow(1, started_at(AWAY))).run();
     assert_stopped(&run, StopReason::NotAtStart { motion: 1, joint: 0, distance: 0.4 });
     assert!(run.records.iter().all(|r| r.command.desired.q == READY));
 }
 
 #[test]
-fn a_reference_that_starts_two_micrometres_per_metre_away_never_begins() {
+fn a_reference_that_starts_two_microradians_away_is_refused() {
     // The guard would take it: 2e-6 rad in a millisecond are 2000 rad/s3 and less than any limit.
     let mut near = READY;
     near[3] += 2e-6;
@@ -285,7 +285,7 @@ fn a_counter_that_does_not_go_forward_ends_the_loop() {
 }
 
 #[test]
-fn a_full_sink_is_counted_and_costs_the_motion_nothing() {
+fn records_dropped_at_a_full_sink_are_counted_and_the_motion_continues() {
     let mut job = Job::new(2_000).order(follow(1, Wave::gentle()));
     job.sink = 500;
     let run = job.run();
@@ -297,8 +297,8 @@ fn a_full_sink_is_counted_and_costs_the_motion_nothing() {
 }
 
 #[test]
-fn a_full_way_out_makes_orders_wait_but_never_blocks() {
-    // The way out holds queue + 16 boxes; nobody frees any for 400 reads.
+fn a_full_retired_ring_makes_orders_wait_and_never_blocks() {
+    // The ring of retired boxes holds queue + 16; none is freed for 400 reads.
     let short = || Shape(3, |_| Setpoint { q: READY, ..Setpoint::default() });
     let mut job = Job::new(1_000).outside(400, |h| assert!(h.free_retired() >= 64));
     for motion in 1..=64 {
@@ -314,8 +314,8 @@ fn a_full_way_out_makes_orders_wait_but_never_blocks() {
 }
 
 #[test]
-fn a_full_way_out_makes_models_wait_but_never_blocks() {
-    // A model every other read, and nobody frees any until read 600.
+fn a_full_retired_ring_makes_models_wait_and_never_blocks() {
+    // A model every other read; none is freed until read 600.
     let mut job = Job::new(1_000);
     for read in (0..600).step_by(2) {
         job = job.outside(read, move |h| drop(h.models.serve(Box::new(Model(read + 1, |_: &Setpoint| [1.0; 8])))));
@@ -358,7 +358,7 @@ fn joints_that_the_arm_does_not_have_stay_at_zero() {
 }
 
 #[test]
-fn it_starts_from_what_the_arm_holds_as_desired_unless_that_is_elsewhere() {
+fn it_starts_at_the_arms_desired_position_unless_that_is_too_far_away() {
     let mut near = READY;
     near[1] += 0.01;
     let run = Job::on(FakeArm::new(7, READY).with_desired(near), 20).run();
@@ -430,7 +430,7 @@ fn at_wall_clock_pace_every_deadline_is_met_or_counted() {
 }
 
 #[test]
-fn settings_that_make_no_sense_build_no_loop() {
+fn invalid_settings_are_refused() {
     let try_with = |change: fn(&mut CycleSettings)| {
         let mut settings = plumbline_testkit::fake_arm::drive::settings();
         change(&mut settings);

@@ -1,4 +1,4 @@
-//! Every limit of the guard, crossed on purpose: the command is not sent, and the arm comes to rest inside the limits.
+//! Each limit of the guard is crossed: the command is not sent, and the arm comes to rest inside the limits.
 
 use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record, Reference, Setpoint, SpeedEnvelope, Validity, Workspace};
 use plumbline_rt::cycle::End;
@@ -121,7 +121,7 @@ fn a_stop_stays_under_an_envelope_that_falls_faster_than_it_brakes() {
         assert_guarded(&run, Limit::VelocityAhead, 1);
         let share = nearest(&run);
         assert!(share > 0.5 && share <= 1.0, "{share} of what is allowed");
-        // A stop that begins when it must for the position's sake is too late for this.
+        // A stop for the position limit begins too late for the envelope.
         let run = job().run();
         assert_guarded(&run, Limit::StoppingPosition, 1);
         assert!(nearest(&run) > 1.5, "{} of what is allowed", nearest(&run));
@@ -168,7 +168,7 @@ fn an_acceleration_that_the_stated_one_hides_is_refused() {
 }
 
 #[test]
-fn a_jump_never_leaves() {
+fn a_jump_is_never_sent() {
     for (what, size) in [(Limit::Velocity, 0.05), (Limit::Position, 4.0)] {
         let jump = Shape(1_501, move |tick| {
             let mut out = Wave::gentle().at(tick);
@@ -206,7 +206,7 @@ fn derivatives_that_contradict_the_positions_are_refused() {
 }
 
 #[test]
-fn numbers_that_are_none_never_leave() {
+fn numbers_that_are_not_finite_are_never_sent() {
     let spoils: [fn(&mut Setpoint); 3] = [|s| s.q[4] = f64::NAN, |s| s.dq[4] = f64::INFINITY, |s| s.ddq[4] = f64::NAN];
     for spoil in spoils {
         let broken = Shape(1_501, move |tick| {
@@ -227,7 +227,7 @@ fn numbers_that_are_none_never_leave() {
 }
 
 #[test]
-fn a_model_that_breaks_a_torque_limit_is_not_asked_again() {
+fn a_model_that_breaks_a_torque_limit_is_not_evaluated_again() {
     let limits = [
         (Limit::Torque, (|d: &Setpoint| 500.0 * (d.q[0] - READY[0])) as fn(&Setpoint) -> f64),
         (Limit::TorqueRate, |d| 7.0 * d.ddq[0] * if d.dq[0] > 0.1 { 1.0 } else { -1.0 }),
@@ -286,7 +286,7 @@ fn the_end_effector_stays_in_its_box_and_off_the_base() {
 }
 
 #[test]
-fn what_the_arm_measures_can_stop_it_in_every_phase() {
+fn measured_limits_stop_the_arm_in_every_phase() {
     let away: JointVec = [0.4, -0.3, -0.5, -1.9, 0.6, 1.2, 0.1, 0.0];
     let tricks: [(Limit, usize, Scripted); 3] = [
         (Limit::Tracking, 3, || Trick::Push(3, -0.11)),
@@ -303,7 +303,7 @@ fn what_the_arm_measures_can_stop_it_in_every_phase() {
                 .trick(read, trick())
                 .run();
             assert_guarded(&run, limit, joint);
-            // No fault of the model's: it goes on serving.
+            // The model is not the cause and continues to serve.
             assert_eq!(run.records.last().map(|record| (record.model, record.validity)), Some((5, Validity::Valid)));
             assert_eq!(run.records[read as usize - 1].phase, phase);
             assert_eq!(run.records[read as usize].phase, Phase::Stop);
@@ -333,7 +333,7 @@ fn a_second_violation_stops_the_arm_by_its_own_means() {
 }
 
 #[test]
-fn a_motion_is_never_aimed_past_a_limit() {
+fn a_motion_to_a_target_outside_the_limits_is_refused() {
     for (q, limit) in [(-0.01, Limit::Position), (f64::NAN, Limit::Position)] {
         let mut target = READY;
         target[3] = q;
@@ -346,10 +346,9 @@ fn a_motion_is_never_aimed_past_a_limit() {
     }
 }
 
-/// Random waves, many of them beyond some limit, with lost states and stops at random: whatever happens, nothing that was sent
-/// crossed a limit, and the arm rests in the end.
+/// Random waves, many beyond a limit, with random lost states and stops: no sent command crosses a limit, and the arm ends at rest.
 #[test]
-fn nothing_crosses_a_limit_whatever_is_asked() {
+fn random_motions_never_cross_a_limit() {
     let mut rng = ChaCha8Rng::seed_from_u64(20);
     let mut stopped = 0;
     for case in 0..150 {

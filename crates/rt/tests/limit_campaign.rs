@@ -18,7 +18,7 @@ const AWAY: JointVec = [0.4, -0.3, -0.5, -1.9, 0.6, 1.2, 0.1, 0.0];
 /// Cycles of a run.
 const LENGTH: u64 = 8_000;
 
-/// When the limit is crossed: the phase, and the read at which the arm is in the midst of it.
+/// Phase in which the limit is crossed, and a read within it.
 const PHASES: [(Phase, u64); 6] = [
     (Phase::Hold, 60),
     (Phase::Approach, 700),
@@ -83,7 +83,7 @@ fn guarded() -> Limits {
     }
 }
 
-/// Joint 7 goes on from the wave's sample at `from` under an acceleration that ramps up, up to a speed, and never comes back.
+/// Joint 7 continues from the wave's sample at `from` with an acceleration that ramps up, to a speed that it keeps.
 fn pushed(from: u64, ddq: f64, top: f64) -> impl Fn(u64) -> Setpoint + Send {
     let wave = || Wave { q0: AWAY, ticks: 2_000, ..Wave::gentle() };
     move |tick| {
@@ -104,7 +104,7 @@ fn pushed(from: u64, ddq: f64, top: f64) -> impl Fn(u64) -> Setpoint + Send {
     }
 }
 
-/// The run, or nothing where the limit can't be crossed this way in this phase.
+/// The run; `None` where the limit can't be crossed in this phase.
 fn run(how: How, phase: Phase, at: u64) -> Option<Run> {
     let moves = phase == Phase::Excite;
     let wave = || Wave { q0: AWAY, ticks: 2_000, ..Wave::gentle() };
@@ -155,7 +155,7 @@ fn run(how: How, phase: Phase, at: u64) -> Option<Run> {
     })
 }
 
-/// How a cell came out: what stopped the arm, and the largest share of the arm's limits that was used.
+/// Result of a cell: the cause of the stop, and the largest used share of the arm's limits.
 struct Cell {
     words: &'static str,
     shares: [f64; 4],

@@ -91,7 +91,7 @@ fn validities(run: &Run) -> Vec<(u64, Validity)> {
 }
 
 #[test]
-fn a_hand_over_in_mid_motion_takes_its_time_and_ends_at_the_new_models_torque() {
+fn a_hand_over_during_a_motion_is_rate_limited_and_ends_at_the_new_models_torque() {
     use Validity::{HandOver, Valid};
     let run = Job::new(3_000)
         .order(follow(1, Wave { ticks: 2_501, ..Wave::gentle() }))
@@ -100,7 +100,7 @@ fn a_hand_over_in_mid_motion_takes_its_time_and_ends_at_the_new_models_torque() 
         .run();
     run.assert_sound();
     assert_eq!(run.outcome.stops, 0);
-    // Before the first command there was no torque to come from.
+    // Before the first command there was no torque.
     assert_eq!(validities(&run), [(1, Valid), (2, HandOver), (2, Valid)]);
     assert_no_jump(&run.records, 0.5 * STEP);
     let hand_over = run.records.iter().filter(|record| record.validity == HandOver).count();
@@ -115,7 +115,7 @@ fn a_hand_over_in_mid_motion_takes_its_time_and_ends_at_the_new_models_torque() 
 }
 
 #[test]
-fn the_first_model_and_the_last_come_and_go_without_a_jump() {
+fn the_first_model_and_the_withdrawal_cause_no_jump() {
     use Validity::{HandOver, None, Valid, Withdrawn};
     let zero = |_: &Setpoint| JointVec::default();
     let run = Job::new(3_000)
@@ -160,7 +160,7 @@ fn broken_at(at: u64, wrong: f64, with_reserve: bool, stop_at: Option<u64>) -> R
 }
 
 #[test]
-fn a_model_that_breaks_a_limit_is_replaced_by_the_one_before_it_or_led_to_zero() {
+fn a_model_that_breaks_a_limit_is_replaced_by_the_one_before_it_or_by_zero() {
     use Validity::{HandOver, Valid, Withdrawn};
     for (wrong, limit) in [(f64::NAN, Limit::TorqueNotFinite), (90.0, Limit::Torque), (14.0, Limit::TorqueRate)] {
         for with_reserve in [true, false] {
@@ -200,18 +200,18 @@ fn during_the_brake_the_torque_does_not_jump_either() {
             assert_eq!((run.outcome.last_stop, run.outcome.end), (Some(StopReason::Requested), End::Quit));
             assert_eq!(run.records[1_205].phase, Phase::Stop);
             assert_no_jump(&run.records, STEP);
-            // A torque within the limits is followed at the rate that is allowed, and no reason to leave the model.
+            // A torque within the limits is followed at the allowed rate, and the model remains.
             let leaves = wrong != -60.0;
             let instead = u64::from(with_reserve);
             assert_eq!(run.events.contains(&Event::Distrusted { model: 2, instead }), leaves, "{:?}", run.events);
-            // In that very cycle: not only when the torque that is sent has got to the limit, too.
+            // In that cycle, before the sent torque reaches the limit.
             assert_eq!(run.records[1_205].model, if leaves { instead } else { 2 });
         }
     }
 }
 
 #[test]
-fn where_the_reserve_breaks_the_same_limit_the_torque_goes_back_to_zero() {
+fn the_torque_returns_to_zero_when_the_fallback_breaks_the_limit_too() {
     let broken = Arc::new(AtomicBool::new(false));
     let [first, second, breaks] = [(); 3].map(|()| Arc::clone(&broken));
     let run = Job::new(3_000)
@@ -253,7 +253,7 @@ fn a_stop_whose_own_torque_is_too_fast_is_driven_to_its_end_with_a_slower_one() 
 }
 
 #[test]
-fn a_model_that_jumps_to_and_fro_is_found_during_its_hand_over() {
+fn a_model_with_alternating_torque_is_rejected_during_its_hand_over() {
     let mut up = false;
     let zigzag = move |_: &Setpoint| {
         up = !up;
@@ -270,7 +270,7 @@ fn a_model_that_jumps_to_and_fro_is_found_during_its_hand_over() {
 }
 
 #[test]
-fn what_the_arm_adds_by_itself_is_held_to_the_same_bounds() {
+fn the_arms_own_torque_has_the_same_limits() {
     type Wrong = fn(f64) -> f64;
     let cases: [(Limit, Wrong); 4] = [
         (Limit::TorqueNotFinite, |_| f64::NAN),
@@ -321,7 +321,7 @@ fn the_guard_refuses_a_torque_that_jumps_in_motion_and_in_the_brake() {
         let expected = if allowed { Ok(()) } else { Err(Limit::TorqueRate) };
         assert_eq!(limit(made().check(1e-3, &command(tau), &asked(tau), &state)), expected, "{tau}");
         assert_eq!(limit(made().check_brake(1e-3, &command(tau), &asked(tau), Some(&state))), expected, "{tau}");
-        // What the arm adds is held to the same rate by itself.
+        // The arm's own torque is limited to the same rate.
         let vendor = Command { tau_ff: Torque::default(), ..command(tau) };
         assert_eq!(limit(made().check(1e-3, &vendor, &asked(0.0), &state)), expected, "{tau}");
     }

@@ -1,17 +1,6 @@
 //! Forward dynamics by the articulated-body algorithm (Featherstone 2008, section 7.3).
 //!
-//! It shares no formula with `model::rnea` or `model::regressor`: the simulated arm is the second route to their numbers.
-
-// The walls of the real-time loop: clippy.toml.
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::unreachable,
-    clippy::todo,
-    clippy::unimplemented
-)]
+//! Independent of `model::rnea` and `model::regressor`, whose results it checks.
 
 use super::spatial::{Force, Mechanism, Motion};
 use nalgebra::Vector3;
@@ -32,9 +21,9 @@ pub(super) fn aba(
     let mut placement = [Placement::identity(); MAX_JOINTS];
     let mut bias_motion = [still; MAX_JOINTS];
     let mut bias_force = [Force::ZERO; MAX_JOINTS];
-    let mut felt = arm.links;
+    let mut articulated = arm.links;
 
-    // Outward: velocities, and the forces that they alone need.
+    // Outward: velocities and velocity-product forces.
     let mut velocity = still;
     for i in 0..arm.n {
         let kind = arm.frames[i].kind;
@@ -47,13 +36,13 @@ pub(super) fn aba(
         bias_force[i] += Force { n: -external[i].n, f: -external[i].f };
     }
 
-    // Inward: the inertia and bias force that each link shows its parent when its own joint is free.
+    // Inward: articulated inertia and bias force of each link with a free joint, added to its parent.
     let mut along = [Force::ZERO; MAX_JOINTS];
     let mut inertia_along = [0.0; MAX_JOINTS];
-    let mut left = [0.0; MAX_JOINTS];
+    let mut unbalanced = [0.0; MAX_JOINTS];
     for i in (0..arm.n).rev() {
-        let whole = &felt[i];
-        (along[i], inertia_along[i], left[i]) = match arm.frames[i].kind {
+        let whole = &articulated[i];
+        (along[i], inertia_along[i], unbalanced[i]) = match arm.frames[i].kind {
             JointKind::Revolute => {
                 let u = Force { n: whole.i.column(2).into(), f: whole.h.row(2).transpose() };
                 (u, u.n.z + arm.armature[i], tau[i] - bias_force[i].n.z)
@@ -64,13 +53,13 @@ pub(super) fn aba(
             }
         };
         if i > 0 {
-            let mut shown = felt[i];
-            shown.without(&along[i], inertia_along[i]);
-            let share = left[i] / inertia_along[i];
-            let mut force = shown.times(&bias_motion[i]);
+            let mut projected = articulated[i];
+            projected.without(&along[i], inertia_along[i]);
+            let share = unbalanced[i] / inertia_along[i];
+            let mut force = projected.times(&bias_motion[i]);
             force += bias_force[i];
             force += Force { n: along[i].n * share, f: along[i].f * share };
-            felt[i - 1] += shown.to_parent(&placement[i]);
+            articulated[i - 1] += projected.to_parent(&placement[i]);
             bias_force[i - 1] += force.to_parent(&placement[i]);
         }
     }
@@ -82,8 +71,8 @@ pub(super) fn aba(
         acceleration = acceleration.to_child(&placement[i]);
         acceleration.w += bias_motion[i].w;
         acceleration.v += bias_motion[i].v;
-        let taken = along[i].n.dot(&acceleration.w) + along[i].f.dot(&acceleration.v);
-        ddq[i] = (left[i] - taken) / inertia_along[i];
+        let bound = along[i].n.dot(&acceleration.w) + along[i].f.dot(&acceleration.v);
+        ddq[i] = (unbalanced[i] - bound) / inertia_along[i];
         acceleration.add_axis(arm.frames[i].kind, ddq[i]);
     }
     ddq

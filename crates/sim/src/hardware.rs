@@ -1,24 +1,14 @@
-//! The simulated arm as a robot's own firmware has it: driven for one millisecond at a time, by positions or by torques, and read
-//! through its sensors. There are no modes, no limits and no losses here: those are the business of the program around it.
+//! The simulated arm as hardware for a robot program around it: driven for one millisecond at a time, by positions or by torques, and read
+//! through its sensors. It has no modes, limits or losses.
 
 use super::commands::{Commands, TICK_S};
+use super::effect::Reading;
 use super::plant::{Exact, Plant};
 use super::sensors::{Faults, Sensors};
 use super::truth::Truth;
 use super::{SimError, check};
 use plumbline_core::JointVec;
 use plumbline_model::{Chain, Mounting};
-
-/// What the sensors say at the end of a millisecond.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Sensed {
-    /// Position \[rad\].
-    pub q: JointVec,
-    /// Velocity \[rad/s\].
-    pub dq: JointVec,
-    /// Torque, gravity included \[Nm\].
-    pub tau: JointVec,
-}
 
 /// Actuators, bodies and sensors of a simulated arm. The same truth, seed and calls give the same readings bit by bit.
 pub struct Hardware {
@@ -27,7 +17,7 @@ pub struct Hardware {
     commands: Commands,
     sensors: Sensors,
     faults: Faults,
-    /// Whether the inner controller tracks positions, instead of the actuators holding torques.
+    /// Whether the inner controller tracks positions; otherwise the actuators hold torques.
     tracks: bool,
     time: f64,
     exact: Exact,
@@ -37,7 +27,7 @@ impl Hardware {
     /// An arm with the kinematics of `chain`, held at rest at `start` \[rad\]; `seed` decides its noise.
     ///
     /// # Errors
-    /// [`SimError`] when truth and chain do not fit, or a number is none.
+    /// [`SimError`] when truth and chain do not fit, or a number is not finite.
     pub fn new(
         chain: &Chain,
         truth: &Truth,
@@ -59,9 +49,8 @@ impl Hardware {
         })
     }
 
-    /// One millisecond in which the inner joint impedance controller tracks `q` \[rad\] as the newest of the positions that it has
-    /// been given. After torques it takes over first.
-    pub fn track(&mut self, q: &JointVec) -> Sensed {
+    /// One millisecond in which the inner joint impedance controller tracks `q` \[rad\], the newest command. After torques it takes over first.
+    pub fn track(&mut self, q: &JointVec) -> Reading {
         if !self.tracks {
             self.take_over();
         }
@@ -69,8 +58,8 @@ impl Hardware {
         self.advance()
     }
 
-    /// The inner controller takes over from torques, without a jump: it goes on from where the arm is and as fast as it moves. Returns
-    /// the position \[rad\] and velocity \[rad/s\] that count as commanded last.
+    /// The inner controller takes over from torques without a jump, at the arm's present position and velocity. Returns the position
+    /// \[rad\] and velocity \[rad/s\] that count as commanded last.
     pub fn take_over(&mut self) -> (JointVec, JointVec) {
         let Exact { q, dq, .. } = self.exact;
         if !self.tracks {
@@ -81,8 +70,8 @@ impl Hardware {
         (*self.commands.newest(), dq)
     }
 
-    /// One millisecond in which the actuators hold `tau` \[Nm\]. That is all the torque there is: whoever wants gravity compensated adds it.
-    pub fn hold(&mut self, tau: &JointVec) -> Sensed {
+    /// One millisecond in which the actuators hold `tau` \[Nm\]. Gravity is not compensated.
+    pub fn hold(&mut self, tau: &JointVec) -> Reading {
         self.plant.hold(tau);
         self.tracks = false;
         self.advance()
@@ -93,16 +82,16 @@ impl Hardware {
         &self.exact
     }
 
-    fn advance(&mut self) -> Sensed {
+    fn advance(&mut self) -> Reading {
         self.plant.advance(&self.commands);
         self.time += TICK_S;
         let (mut reading, exact) = self.plant.sense();
-        self.sensors.distort(&mut reading);
-        // A reading that repeats the one before shows its time, too; here the robot around this stamps its states itself.
+        self.sensors.add_noise(&mut reading);
+        // The time stamp of a repeated reading is unused: the robot program stamps its states.
         let mut time = self.time;
-        self.faults.spoil(&mut reading, &mut time);
+        self.faults.apply(&mut reading, &mut time);
         self.exact = exact;
-        Sensed { q: reading.q, dq: reading.dq, tau: reading.tau }
+        reading
     }
 }
 
@@ -110,23 +99,12 @@ impl Hardware {
 mod tests {
     use super::super::{Gate, Pace, SimArm};
     use super::*;
+    use crate::two_joints::{chain, truth};
     use plumbline_core::{Backend, Command, Setpoint};
-    use plumbline_model::{Joint, JointKind, Placement, rnea};
+    use plumbline_model::rnea;
     use std::sync::Arc;
 
     const START: JointVec = [0.3, -0.4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-
-    fn chain() -> Chain {
-        let joint = |alpha| Joint { kind: JointKind::Revolute, a: 0.1, alpha, d: 0.2, theta: 0.0 };
-        Chain::modified(vec![joint(0.0), joint(-1.4)], Placement::identity())
-    }
-
-    fn truth(joint: &str, effects: &str) -> Truth {
-        let link = "{ mass = 1.0, com = [0.1, 0, 0.05], inertia = [0.02, 0, 0, 0.03, 0, 0.03] }";
-        let joint = format!("{{ stiffness = 2000, damping = 50, {joint} }}");
-        let text = format!("robot = 'two'\nlink = [{link}, {link}]\njoint = [{joint}, {joint}]\neffect = [{effects}]");
-        Truth::parse("test", &text).unwrap_or_else(|error| panic!("{error}"))
-    }
 
     fn hardware(truth: &Truth) -> Hardware {
         Hardware::new(&chain(), truth, Mounting::WALL, &START, 7).expect("truth fits the chain")
@@ -141,12 +119,15 @@ mod tests {
     /// The same arm by the long way, bit for bit, noise and all.
     #[test]
     fn tracks_as_the_backend_does() {
-        let truth =
-            truth("fv = 0.1, fc = 0.3, torque-noise = 0.1, position-noise = 1e-4", "{ id = 'delay', delay = 0.002 }");
+        let truth = truth(
+            "",
+            "fv = 0.1, fc = 0.3, torque-noise = 0.1, position-noise = 1e-4",
+            "{ id = 'delay', delay = 0.002 }",
+        );
         let mut hardware = hardware(&truth);
         let pace = Pace::Fast(Arc::new(Gate::unlimited()));
         let mut arm = SimArm::new(&chain(), &truth, Mounting::WALL, START, 7, pace).expect("truth fits the chain");
-        // The backend's first state is one in which nobody has commanded.
+        // The backend's first state precedes the first command.
         let mut sensed = hardware.track(&START);
         for tick in 0..500 {
             let state = arm.read().expect("the arm goes on");
@@ -161,9 +142,9 @@ mod tests {
 
     /// Held torques are all the torque there is: the estimator's Newton-Euler gives them back from the motion that they make.
     #[test]
-    fn held_torques_make_the_motion_that_needs_them() {
+    fn held_torques_cause_the_motion_of_inverse_dynamics() {
         for effects in ["", "{ id = 'joint-elasticity', joint = 2, stiffness = 1e4 }"] {
-            let truth = truth("", effects);
+            let truth = truth("", "", effects);
             let mut hardware = hardware(&truth);
             let mut tau = gravity(&truth, &START);
             tau[0] += 0.8;
@@ -184,7 +165,7 @@ mod tests {
 
     #[test]
     fn gravity_alone_holds_the_arm_and_an_elastic_joint_shows_its_twist() {
-        let truth = truth("", "{ id = 'joint-elasticity', joint = 1, stiffness = 1e3 }");
+        let truth = truth("", "", "{ id = 'joint-elasticity', joint = 1, stiffness = 1e3 }");
         let mut hardware = hardware(&truth);
         let tau = gravity(&truth, &START);
         let mut sensed = hardware.hold(&tau);
@@ -198,7 +179,7 @@ mod tests {
     /// From torques to positions and back while the arm moves: neither position nor torque jumps.
     #[test]
     fn takes_over_without_a_jump() {
-        let truth = truth("", "");
+        let truth = truth("", "", "");
         let mut hardware = hardware(&truth);
         let mut pushed = gravity(&truth, &START);
         pushed[1] += 0.5;

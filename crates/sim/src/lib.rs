@@ -4,18 +4,17 @@
 //! | file | what |
 //! |---|---|
 //! | `truth` | the arm's masses, friction, controller, sensors and effects, from a file |
-//! | `spatial`, `aba` | its own rigid-body mechanics |
-//! | `effect` | what the estimator does not know |
-//! | `commands`, `plant` | the controller's smooth target; the integration of everything |
+//! | `spatial`, `aba` | rigid-body dynamics, independent of the model's |
+//! | `effect` | effects that a rigid-body model lacks |
+//! | `commands`, `plant` | the controller's smooth target; the integration |
 //! | `sensors`, `gate` | noise, faults and loss; back-pressure at full speed |
-//! | `response` | a periodic motion at once, without a loop |
+//! | `response` | a periodic motion without a loop |
 //! | `connector` | the arm as a backend of the daemon |
-//! | `hardware` | the arm alone, for a program that is the robot around it |
+//! | `hardware` | the arm alone, for an emulator of a robot |
 //!
-//! It takes positions: `desired.q` of a command, nothing else. A motion begins with the first command, which must be where the arm stands.
-//! Where a command is missing the arm goes on at constant acceleration; 20 in a row are a reflex, and only `stop` ends that.
-//! An arm [with patience](SimArm::with_patience) forgives more, and joins the motion where it finds it.
-//! After a stop the arm brakes, keeps reporting, and takes no command any more.
+//! It uses `desired.q` of a command only. A motion begins with the first command, which must be at the arm's position.
+//! A missing command is extrapolated with constant acceleration. 20 in a row cause a reflex, which only `stop` ends;
+//! [`SimArm::with_max_missed`] changes that number. After a stop the arm brakes, keeps reporting, and refuses commands.
 //!
 //! The same truth, seed and commands give the same states bit by bit.
 //!
@@ -36,6 +35,16 @@
 //! ```
 
 #![forbid(unsafe_code)]
+// The walls of the real-time loop: clippy.toml.
+#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unreachable,
+    clippy::todo,
+    clippy::unimplemented
+)]
 
 mod aba;
 mod commands;
@@ -50,13 +59,14 @@ mod spatial;
 mod truth;
 
 pub use connector::SimConnector;
+pub use effect::Reading;
 pub use gate::Gate;
-pub use hardware::{Hardware, Sensed};
+pub use hardware::Hardware;
 pub use plant::Exact;
 pub use response::Response;
 pub use truth::{JointTruth, Truth};
 
-use commands::{Commands, Objection, TICK_S};
+use commands::{Commands, Refusal, TICK_S};
 use effect::Effect;
 use nalgebra::Vector3;
 use plant::{MAX_STATES, Plant};
@@ -71,7 +81,7 @@ pub const REFUSED_NOT_FINITE: u32 = 1;
 pub const REFUSED_JUMP: u32 = 2;
 /// `Fault::Refused`: the arm was stopped, or its reflex stopped it.
 pub const REFUSED_STOPPED: u32 = 3;
-/// `Fault::Reflex`: 20 commands in a row did not come (`communication_constraints_violation` of the FCI).
+/// `Fault::Reflex`: 20 commands in a row were missing (`communication_constraints_violation` of the FCI).
 pub const REFLEX_COMMUNICATION: u32 = 25;
 
 /// Number of simulated ticks after which the simulation speed is checked.
@@ -79,11 +89,10 @@ const MIN_CHASED_TICKS: u64 = 20;
 /// Longest time to catch up after a late read; then simulated time pauses \[ns\].
 const MAX_CHASE_NS: u64 = 1_000_000_000;
 
-/// How a simulated arm keeps time.
+/// Pace of a simulated arm.
 pub enum Pace {
-    /// One state per millisecond of this clock, on absolute deadlines. The arm goes on without whoever comes late: he gets the newest state
-    /// that is due, the ones before it are lost, and nothing is caught up in a burst. On a machine that needs longer than a millisecond for
-    /// a millisecond of the arm's life no state is ever the newest: the arm's time then stands still instead.
+    /// One state per millisecond of this clock, on absolute deadlines. A late read returns the newest due state; earlier states are lost.
+    /// If the host cannot simulate in real time, simulated time pauses.
     WallClock(Box<dyn Clock>),
     /// As fast as the gate lets states through.
     Fast(Arc<Gate>),
@@ -100,7 +109,7 @@ pub enum SimError {
         /// Joints of the robot.
         chain: usize,
     },
-    /// The start pose or the mounting is not a number.
+    /// The start pose or the mounting is not finite.
     #[error("the simulated arm cannot start at {value} in {what}")]
     NotFinite {
         /// `joint 3`, `gravity`.
@@ -108,7 +117,7 @@ pub enum SimError {
         /// The value given.
         value: f64,
     },
-    /// More effects than the arm has room for.
+    /// Too many continuous states of effects.
     #[error("the effects have {states} continuous states, the simulated arm has room for {MAX_STATES}")]
     TooManyStates {
         /// States of all effects together.
@@ -119,7 +128,7 @@ pub enum SimError {
     Truth(#[from] BadInput),
 }
 
-/// Whether an arm can be built of these parts.
+/// Checks the parts of an arm.
 fn check(
     chain: &Chain,
     truth: &Truth,
@@ -149,7 +158,7 @@ enum Mode {
     /// No command yet.
     Idle,
     Moving,
-    /// Braked by its own reflex; it says so until it is stopped.
+    /// Braked by its own reflex; reported until it is stopped.
     Reflex,
     Stopped,
 }
@@ -166,7 +175,7 @@ pub struct SimArm {
     mode: Mode,
     pending: Option<JointVec>,
     missing: u32,
-    patience: u32,
+    max_missed: u32,
     seq: u64,
     exact: Exact,
     /// Deadline of state 0 on the wall clock; known from the first read on \[ns\].
@@ -179,7 +188,7 @@ impl SimArm {
     /// `seed` decides its noise and losses.
     ///
     /// # Errors
-    /// [`SimError`] when truth and chain do not fit, or a number is none.
+    /// [`SimError`] when truth and chain do not fit, or a number is not finite.
     pub fn new(
         chain: &Chain,
         truth: &Truth,
@@ -188,19 +197,19 @@ impl SimArm {
         seed: u64,
         pace: Pace,
     ) -> Result<SimArm, SimError> {
-        SimArm::with_effects(chain, truth, mounting.gravity(), start, seed, pace, truth.build_effects())
+        SimArm::under(chain, truth, mounting.gravity(), start, seed, pace)
     }
 
-    fn with_effects(
+    /// As [`SimArm::new`], under gravity in the base frame \[m/s2\].
+    fn under(
         chain: &Chain,
         truth: &Truth,
         gravity: Vector3<f64>,
         start: JointVec,
         seed: u64,
         pace: Pace,
-        effects: Vec<Box<dyn Effect>>,
     ) -> Result<SimArm, SimError> {
-        let n = chain.len();
+        let (n, effects) = (chain.len(), truth.build_effects());
         check(chain, truth, &gravity, &start, &effects)?;
         Ok(SimArm {
             joints: n,
@@ -213,34 +222,34 @@ impl SimArm {
             mode: Mode::Idle,
             pending: None,
             missing: 0,
-            patience: MAX_MISSED_COMMANDS,
+            max_missed: MAX_MISSED_COMMANDS,
             seq: 0,
             exact: Exact::default(),
             origin_ns: None,
         })
     }
 
-    /// An arm that ends a motion only after so many missing commands in a row. More than 20 are for machines that stall more than a robot
-    /// allows: such an arm takes the next command wherever the motion has got to meanwhile, at 10 rad/s at most. No real arm does.
-    pub fn with_patience(self, missing: u32) -> SimArm {
-        SimArm { patience: missing.max(1), ..self }
+    /// An arm that ends a motion after so many missing commands in a row. Above 20, for hosts that stall, it accepts the next command at any
+    /// place of the motion, with a mean velocity of at most 10 rad/s. No real arm does.
+    pub fn with_max_missed(self, missing: u32) -> SimArm {
+        SimArm { max_missed: missing.max(1), ..self }
     }
 
-    /// Whether it has missed commands and forgives that.
-    fn forgives(&self) -> bool {
-        self.patience > MAX_MISSED_COMMANDS && self.missing > 0 && self.mode == Mode::Moving
+    /// Whether it has missed commands and tolerates that.
+    fn tolerates_gap(&self) -> bool {
+        self.max_missed > MAX_MISSED_COMMANDS && self.missing > 0 && self.mode == Mode::Moving
     }
 
-    /// The arm's exact motion at the state read last, for comparisons; no real arm has this.
+    /// The arm's exact motion at the state read last, for comparisons.
     pub fn exact(&self) -> &Exact {
         &self.exact
     }
 
-    /// One millisecond of the arm's life.
+    /// One simulated millisecond.
     fn tick(&mut self) -> State {
         match (self.mode, self.pending.take()) {
             (Mode::Moving, Some(q)) => {
-                match self.forgives() {
+                match self.tolerates_gap() {
                     true => self.commands.join(&q, self.missing + 1),
                     false => self.commands.push(&q),
                 }
@@ -248,7 +257,7 @@ impl SimArm {
             }
             (Mode::Moving, None) => {
                 self.missing += 1;
-                if self.missing < self.patience {
+                if self.missing < self.max_missed {
                     self.commands.extrapolate();
                 } else {
                     self.mode = Mode::Reflex;
@@ -261,21 +270,20 @@ impl SimArm {
         self.seq += 1;
         let (mut reading, exact) = self.plant.sense();
         let mut time = self.seq as f64 * TICK_S;
-        self.sensors.distort(&mut reading);
-        self.faults.spoil(&mut reading, &mut time);
+        self.sensors.add_noise(&mut reading);
+        self.faults.apply(&mut reading, &mut time);
         self.exact = exact;
         State { seq: self.seq, time, q: reading.q, dq: reading.dq, tau: reading.tau, q_d: *self.commands.newest() }
     }
 
-    /// Whether the state after the present one is due, too: the present one was not read in time.
+    /// Whether the next state is due already, so that the present one was not read in time.
     fn is_overdue(&self) -> bool {
         self.origin_ns.is_some_and(|origin| self.now_ns() >= origin.saturating_add((self.seq + 1) * 1_000_000))
     }
 
     /// Simulates states that were not read in time and states that are lost; returns the one that is due now.
     ///
-    /// A machine may be held up while it does so, and again: what it makes up for in the end is no reason to let the arm's time stand still. One
-    /// that needs longer than a millisecond for each of them is.
+    /// A host that stalls while it catches up may do so. Simulated time pauses where each simulated millisecond takes longer than one.
     fn catch_up(&mut self, mut state: State) -> State {
         let (first, begin) = (self.seq, self.now_ns());
         let (mut before, mut shortest) = (begin, u64::MAX);
@@ -294,7 +302,7 @@ impl SimArm {
         state
     }
 
-    /// The clock that this arm keeps; stands still where it keeps none.
+    /// Time of the arm's clock, 0 without one.
     fn now_ns(&self) -> u64 {
         match &self.pace {
             Pace::WallClock(clock) => clock.now_ns(),
@@ -302,7 +310,7 @@ impl SimArm {
         }
     }
 
-    /// Waits for the moment of the present state.
+    /// Waits until the present state is due.
     fn keep_pace(&mut self) {
         if let Pace::WallClock(clock) = &self.pace {
             let now = clock.now_ns();
@@ -326,7 +334,7 @@ impl Backend for SimArm {
         self.keep_pace();
         match self.mode {
             Mode::Reflex => {
-                // No state goes out, so no record comes back for it.
+                // Without a state there is no record.
                 if let Pace::Fast(gate) = &self.pace {
                     gate.consumed(1);
                 }
@@ -341,13 +349,13 @@ impl Backend for SimArm {
             return Err(Fault::Refused { code: REFUSED_STOPPED });
         }
         let q = &command.desired.q;
-        let objection = match self.forgives() {
-            true => self.commands.objection_after(q, self.missing + 1),
-            false => self.commands.objection(q),
+        let refusal = match self.tolerates_gap() {
+            true => self.commands.refusal_after_gap(q, self.missing + 1),
+            false => self.commands.refusal(q),
         };
-        match objection {
-            Some(Objection::NotFinite) => Err(Fault::Refused { code: REFUSED_NOT_FINITE }),
-            Some(Objection::Jump) => Err(Fault::Refused { code: REFUSED_JUMP }),
+        match refusal {
+            Some(Refusal::NotFinite) => Err(Fault::Refused { code: REFUSED_NOT_FINITE }),
+            Some(Refusal::Jump) => Err(Fault::Refused { code: REFUSED_JUMP }),
             None => {
                 self.mode = Mode::Moving;
                 self.pending = Some(*q);
@@ -365,3 +373,7 @@ impl Backend for SimArm {
         self.origin_ns.map(|origin| origin + self.seq * 1_000_000)
     }
 }
+
+/// Arms of tests.
+#[cfg(test)]
+mod two_joints;

@@ -4,19 +4,8 @@
 //!
 //!   tau = K (q_d - q) + D (dq_d - dq) + M(q_d) ddq_d + C(q_d, dq_d) dq_d + g(q_d),
 //!
-//! with the arm's own nominal rigid model; or it holds commanded torques. `tau` is what the torque sensors measure, and what the identified model has to explain:
+//! with the arm's own nominal rigid model; or it holds commanded torques. `tau` is the measured torque, which the identified model explains:
 //! rigid body, friction and effects.
-
-// The walls of the real-time loop: clippy.toml.
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::unreachable,
-    clippy::todo,
-    clippy::unimplemented
-)]
 
 use super::aba::{aba, inverse};
 use super::commands::{Commands, TICK_S};
@@ -28,20 +17,20 @@ use plumbline_core::{JointVec, MAX_JOINTS, Setpoint};
 use plumbline_model::{Chain, Placement};
 use std::ops::Range;
 
-/// An effect and where its states lie in the plant's state.
+/// An effect and the range of its states in the plant's state.
 struct Placed {
     effect: Box<dyn Effect>,
     states: Range<usize>,
 }
 
 impl Placed {
-    /// Where its states lie among those of all effects.
+    /// Range of its states among those of all effects.
     fn own(&self, joints: usize) -> Range<usize> {
         self.states.start - 2 * joints..self.states.end - 2 * joints
     }
 }
 
-/// Everything about the arm at an instant that only a simulation knows.
+/// Exact motion and torque of the arm at an instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Exact {
     /// Joint position \[rad\].
@@ -57,7 +46,7 @@ pub struct Exact {
 pub(super) struct Plant {
     nominal: Mechanism,
     actual: Mechanism,
-    /// As the arm was told; effects may bend it.
+    /// Declared gravity, which effects may change \[m/s2\].
     gravity: Vector3<f64>,
     stiffness: JointVec,
     damping: JointVec,
@@ -68,13 +57,13 @@ pub(super) struct Plant {
     y: Vec<f64>,
     stage: Vec<f64>,
     slopes: [Vec<f64>; 4],
-    /// The target at the end of the last millisecond: the next begins there.
+    /// The target at the end of the last millisecond, where the next begins.
     end: Target,
     /// Torques that the actuators hold instead of the controller's \[Nm\].
     held: Option<JointVec>,
 }
 
-/// The controller's side of an instant: what it tracks, and the feed-forward that takes.
+/// The controller's target at an instant, and the feed-forward torque for it.
 #[derive(Clone, Copy, Debug, Default)]
 struct Target {
     desired: Setpoint,
@@ -126,14 +115,14 @@ impl Plant {
         plant
     }
 
-    /// Lets the arm move with `dq` instead of being at rest, before its first millisecond; `commands` move likewise.
-    pub fn push_off(&mut self, dq: &JointVec, commands: &Commands) {
+    /// Sets the velocity `dq` before the first millisecond; `commands` move with it.
+    pub fn start_moving(&mut self, dq: &JointVec, commands: &Commands) {
         let n = self.actual.n;
         self.y[n..2 * n].copy_from_slice(&dq[..n]);
         self.end = self.target(commands.at(1.0));
     }
 
-    /// The controller tracks `commands` from here on, whatever it did before.
+    /// The controller tracks `commands` from now on.
     pub fn take_over(&mut self, commands: &Commands) {
         self.held = None;
         self.end = self.target(commands.at(1.0));
@@ -146,10 +135,9 @@ impl Plant {
 
     /// One millisecond along `commands`. Allocates nothing.
     pub fn advance(&mut self, commands: &Commands) {
-        self.take_up(self.time());
+        self.update_bodies(self.time());
         let h = TICK_S / f64::from(self.substeps);
-        // The feed-forward of three instants; between them it is the parabola through these. The controller is what it is, so this costs no
-        // truth: the torque it answers with is the torque that moves the arm.
+        // Feed-forward at three instants, and the parabola between them. The controller is defined by this: its torque moves the arm.
         let loads = [self.end.load, self.target(commands.at(0.5)).load, self.target(commands.at(1.0)).load];
         let mut from = self.end;
         for k in 0..self.substeps {
@@ -162,7 +150,7 @@ impl Plant {
             };
             let (middle, to) = (target(0.5), target(1.0));
             let start = self.at(t, &self.y, &from);
-            self.effects.iter_mut().for_each(|placed| placed.effect.settle(&start));
+            self.effects.iter_mut().for_each(|placed| placed.effect.begin_step(&start));
             self.slope(0, None, t, &from);
             self.slope(1, Some((0, 0.5 * h)), t + 0.5 * h, &middle);
             self.slope(2, Some((1, 0.5 * h)), t + 0.5 * h, &middle);
@@ -177,7 +165,7 @@ impl Plant {
         self.ticks += 1;
     }
 
-    /// What the sensors say now, before noise, and what is true. Once per millisecond: effects may remember.
+    /// Readings without noise, and the exact values. Call once per millisecond: effects may have a memory.
     pub fn sense(&mut self) -> (Reading, Exact) {
         let t = self.time();
         self.stage.copy_from_slice(&self.y);
@@ -188,7 +176,7 @@ impl Plant {
         let ddq = self.acceleration(&at, &tau, &mut dx);
         let mut reading = Reading { q, dq, tau };
         for placed in &mut self.effects {
-            placed.effect.sense(&at, &self.y[placed.states.clone()], &mut reading);
+            placed.effect.sense(&at, &mut reading);
         }
         (reading, Exact { q: at.q, dq: at.dq, ddq, tau })
     }
@@ -198,8 +186,8 @@ impl Plant {
         self.ticks as f64 * TICK_S
     }
 
-    /// Bodies that the links carry, and rotors that turn with the joints, from now on.
-    fn take_up(&mut self, t: f64) {
+    /// Adds the effects' bodies and rotor inertias.
+    fn update_bodies(&mut self, t: f64) {
         self.actual.links = self.nominal.links;
         self.actual.armature = self.nominal.armature;
         for placed in &self.effects {
@@ -238,7 +226,7 @@ impl Plant {
         slope[2 * n..].copy_from_slice(&dx[..own]);
     }
 
-    /// What the encoders see of the state in `stage`; may write derivatives of the effects' states.
+    /// Encoder readings of the state in `stage`; may write derivatives of the effects' states.
     fn encoders(&self, at: &At, dx: &mut [f64; MAX_STATES]) -> (JointVec, JointVec) {
         let (mut q, mut dq) = (at.q, at.dq);
         for placed in &self.effects {
@@ -279,7 +267,7 @@ impl Plant {
         aba(&self.actual, &gravity, &external, &at.q, &at.dq, &link_torque)
     }
 
-    /// The arm at time `t` in state `y`, as effects see it.
+    /// Inputs of the effects at time `t` in state `y`.
     fn at(&self, t: f64, y: &[f64], target: &Target) -> At {
         let n = self.actual.n;
         let mut at = At { t, n, desired: target.desired, load: target.load, held: self.held, ..At::default() };

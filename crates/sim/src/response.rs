@@ -1,7 +1,7 @@
-//! What an arm reports along a periodic motion, without a loop around it: for studies that need thousands of runs.
+//! States of an arm along a periodic motion, without a loop: for studies of thousands of runs.
 //!
-//! The arm is simulated without noise for as long as it takes to know what it does, and noise is drawn afterwards for every
-//! period. Where nothing about the arm changes with time that is one period; its cost is then the same for ten periods as for one.
+//! The arm is simulated without noise, for one period where nothing changes with time; noise is drawn afterwards for every period.
+//! Ten periods then cost as much as one.
 
 use super::commands::{Commands, TICK_S};
 use super::effect::Reading;
@@ -12,15 +12,15 @@ use super::{SimError, check};
 use plumbline_core::{JointVec, Reference, State};
 use plumbline_model::{Chain, Mounting};
 
-/// How long the arm follows the motion before the first period, for its transients to die away \[ms\].
+/// Lead before the first period, in which transients decay \[ms\].
 pub const LEAD_TICKS: u64 = 1000;
 
-/// Noise-free readings along a motion, and the sensors that will look at them.
+/// Noise-free readings along a motion.
 pub struct Response {
     truth: Truth,
     period_ticks: usize,
     periods: usize,
-    /// Of one period where the arm repeats, of all of them else.
+    /// Of one period where the arm repeats, else of all periods.
     readings: Vec<(Reading, JointVec)>,
 }
 
@@ -31,7 +31,7 @@ impl Response {
     /// has taken up the reference's sample k.
     ///
     /// # Errors
-    /// [`SimError`] when truth and chain do not fit, or a number is none.
+    /// [`SimError`] when truth and chain do not fit, or a number is not finite.
     pub fn simulate(
         chain: &Chain,
         truth: &Truth,
@@ -51,14 +51,14 @@ impl Response {
         let (gravity, effects) = (mounting.gravity(), truth.build_effects());
         check(chain, truth, &gravity, &start.q, &effects)?;
         let mut plant = Plant::new(chain, truth, gravity, &start.q, effects);
-        plant.push_off(&start.dq, &commands);
+        plant.start_moving(&start.dq, &commands);
         let simulated = if truth.repeats(period_ticks as f64 * TICK_S) { 1 } else { periods };
         let samples = simulated * period_ticks as usize;
         let mut readings = Vec::with_capacity(samples);
         for tick in 0..LEAD_TICKS + samples as u64 {
             commands.push(&at(first + tick).q);
             plant.advance(&commands);
-            // Effects of the sensors may remember, so they look at the lead too.
+            // Effects of the sensors may have a memory, so the lead is read, too.
             let (reading, _) = plant.sense();
             if tick >= LEAD_TICKS {
                 readings.push((reading, *commands.newest()));
@@ -77,7 +77,7 @@ impl Response {
         self.periods
     }
 
-    /// Hands out every state that arrives, in order, with its period and its sample in the period. `seed` decides noise, faults and losses.
+    /// Calls `take` for every state that arrives, with period and sample in the period. `seed` decides noise, faults and losses.
     pub fn measure(&self, seed: u64, mut take: impl FnMut(usize, usize, &State)) {
         let mut sensors = Sensors::new(&self.truth, seed);
         let mut faults = Faults::new(&self.truth, seed);
@@ -87,8 +87,8 @@ impl Response {
             for (tick, (reading, q_d)) in (0..self.period_ticks).zip(&mut clean) {
                 let seq = LEAD_TICKS + (period * self.period_ticks + tick) as u64 + 1;
                 let (mut reading, mut time) = (*reading, seq as f64 * TICK_S);
-                sensors.distort(&mut reading);
-                faults.spoil(&mut reading, &mut time);
+                sensors.add_noise(&mut reading);
+                faults.apply(&mut reading, &mut time);
                 if !losses.next() {
                     let Reading { q, dq, tau } = reading;
                     take(period, tick, &State { seq, time, q, dq, tau, q_d: *q_d });
@@ -102,23 +102,16 @@ impl Response {
 mod tests {
     use super::super::{Gate, Pace, SimArm};
     use super::*;
+    use crate::two_joints::{self, chain};
     use plumbline_core::{Backend, Command, Setpoint};
-    use plumbline_model::{Joint, JointKind, Placement};
+    use plumbline_model::Placement;
     use std::f64::consts::TAU;
     use std::sync::Arc;
 
     const PERIOD: u64 = 700;
 
-    fn chain() -> Chain {
-        let joint = |alpha| Joint { kind: JointKind::Revolute, a: 0.1, alpha, d: 0.2, theta: 0.0 };
-        Chain::modified(vec![joint(0.0), joint(-1.4)], Placement::identity())
-    }
-
     fn truth(effects: &str, noise: f64) -> Truth {
-        let link = "{ mass = 1.0, com = [0.1, 0, 0.05], inertia = [0.02, 0, 0, 0.03, 0, 0.03] }";
-        let joint = format!("{{ fv = 0.1, fc = 0.3, stiffness = 2000, damping = 50, torque-noise = {noise} }}");
-        let text = format!("robot = 'two'\nlink = [{link}, {link}]\njoint = [{joint}, {joint}]\neffect = [{effects}]");
-        Truth::parse("test", &text).unwrap_or_else(|error| panic!("{error}"))
+        two_joints::truth("", &format!("fv = 0.1, fc = 0.3, torque-noise = {noise}"), effects)
     }
 
     /// A motion that starts at rest.
@@ -142,7 +135,7 @@ mod tests {
 
     /// The same by the long way: a loop that reads and writes, from rest, and looks at a later period.
     #[test]
-    fn is_what_the_arm_does_in_a_loop() {
+    fn equals_the_arm_in_a_loop() {
         let truth = truth("{ id = 'presliding', joint = 2, delta = 0.002 }, { id = 'delay', delay = 0.0013 }", 0.0);
         let pace = Pace::Fast(Arc::new(Gate::unlimited()));
         let mut arm =
@@ -193,7 +186,7 @@ mod tests {
 
     /// What changes with time is simulated for as long as it takes.
     #[test]
-    fn follows_what_does_not_repeat() {
+    fn effects_that_do_not_repeat_are_simulated_for_all_periods() {
         let cases = [
             ("{ id = 'offset-drift', joint = 1, drift = 0.5, time = 5 }", false),
             ("{ id = 'friction-drift', share = 0.5, time = 5 }", false),
@@ -220,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn says_what_does_not_fit() {
+    fn arms_that_do_not_fit_are_refused() {
         let short = Chain::modified(chain().joints()[..1].to_vec(), Placement::identity());
         let error = Response::simulate(&short, &truth("", 0.0), Mounting::WALL, &Wave, PERIOD, 1).err();
         assert_eq!(error, Some(SimError::Joints { truth: 2, chain: 1 }));

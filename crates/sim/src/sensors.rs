@@ -1,15 +1,4 @@
-//! Noise, quantisation and loss: what is between the arm and the one who reads it.
-
-// The walls of the real-time loop: clippy.toml.
-#![deny(clippy::disallowed_methods, clippy::disallowed_macros)]
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::unreachable,
-    clippy::todo,
-    clippy::unimplemented
-)]
+//! Noise, quantisation, faults and loss between the arm and its states.
 
 use super::commands::TICK_S;
 use super::effect::Reading;
@@ -44,7 +33,7 @@ impl Sensors {
         Sensors { joints: truth.joints.clone(), rng: stream(seed, 0), coloured }
     }
 
-    pub fn distort(&mut self, reading: &mut Reading) {
+    pub fn add_noise(&mut self, reading: &mut Reading) {
         let Coloured { decay, x, rng } = &mut self.coloured;
         for (j, joint) in self.joints.iter().enumerate().filter(|(_, joint)| joint.torque_noise_coloured > 0.0) {
             let fresh = joint.torque_noise_coloured * rng.sample::<f64, _>(StandardNormal);
@@ -60,7 +49,7 @@ impl Sensors {
     }
 }
 
-/// Random numbers of their own for every purpose: what one draws does not change what another finds.
+/// An independent random stream per purpose.
 fn stream(seed: u64, purpose: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(purpose);
@@ -71,7 +60,7 @@ fn step(value: f64, quantum: f64) -> f64 {
     if quantum > 0.0 { (value / quantum).round() * quantum } else { value }
 }
 
-/// Readings that are wrong: torque sensors that are dead, outliers of the torque, and states that say again what the one before said.
+/// Sensor faults: dead torque sensors, outliers of the torque, and repeated states.
 pub(super) struct Faults {
     joints: usize,
     outlier_probability: f64,
@@ -97,7 +86,7 @@ impl Faults {
     }
 
     /// `time` is the state's time stamp \[s\].
-    pub fn spoil(&mut self, reading: &mut Reading, time: &mut f64) {
+    pub fn apply(&mut self, reading: &mut Reading, time: &mut f64) {
         if self.outlier_probability > 0.0 {
             for tau in &mut reading.tau[..self.joints] {
                 if self.rng.random::<f64>() < self.outlier_probability {
@@ -148,23 +137,17 @@ impl Losses {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn truth(keys: &str, joint: &str) -> Truth {
-        let link = "{ mass = 1.0, com = [0, 0, 0], inertia = [0.1, 0, 0, 0.1, 0, 0.1] }";
-        let joint = format!("{{ stiffness = 100, damping = 10{joint} }}");
-        let text = format!("robot = 'two'\n{keys}\nlink = [{link}, {link}]\njoint = [{joint}, {joint}]");
-        Truth::parse("test", &text).unwrap_or_else(|error| panic!("{error}"))
-    }
+    use crate::two_joints::truth;
 
     /// An AR(1) process: its standard deviation as written, correlated by exp(-2 pi f t) over time t.
     #[test]
     fn coloured_noise_has_its_size_and_corner() {
-        let truth = truth("torque-noise-corner = 2.0", ", torque-noise-coloured = 0.05");
+        let truth = truth("torque-noise-corner = 2.0", "torque-noise-coloured = 0.05", "");
         let mut sensors = Sensors::new(&truth, 3);
         let noise: Vec<[f64; 2]> = (0..400_000)
             .map(|_| {
                 let mut reading = Reading::default();
-                sensors.distort(&mut reading);
+                sensors.add_noise(&mut reading);
                 assert_eq!((reading.q, reading.dq), ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]));
                 [reading.tau[0], reading.tau[1]]
             })
@@ -188,17 +171,17 @@ mod tests {
 
     /// Coloured noise, outliers and repeats are drawn beside the white noise, which stays the same.
     #[test]
-    fn faults_come_as_often_as_written() {
-        let white = ", torque-noise = 0.1, velocity-noise = 0.01";
-        let plain = truth("", white);
-        let faulty = truth("outlier-probability = 0.01\noutlier-size = 5.0\nrepeat-probability = 0.06", white);
+    fn sensor_faults_have_the_configured_frequency() {
+        let white = "torque-noise = 0.1, velocity-noise = 0.01";
+        let plain = truth("", white, "");
+        let faulty = truth("outlier-probability = 0.01\noutlier-size = 5.0\nrepeat-probability = 0.06", white, "");
         let [mut a, mut b] = [&plain, &faulty].map(|truth| (Sensors::new(truth, 9), Faults::new(truth, 9)));
         let (mut outliers, mut repeats, mut last) = ([0, 0], 0, None);
         for k in 0..100_000 {
             let draw = |(sensors, faults): &mut (Sensors, Faults)| {
                 let (mut reading, mut time) = (Reading::default(), k as f64);
-                sensors.distort(&mut reading);
-                faults.spoil(&mut reading, &mut time);
+                sensors.add_noise(&mut reading);
+                faults.apply(&mut reading, &mut time);
                 (reading.tau, reading.dq, time)
             };
             let (clean, spoilt) = (draw(&mut a), draw(&mut b));
@@ -216,12 +199,12 @@ mod tests {
             outliers[1] += usize::from(off < 0.0);
         }
         assert!((5_500..6_500).contains(&repeats), "{repeats} repeats");
-        // Those in repeated states are not seen.
+        // Outliers in repeated states are not counted.
         assert!(outliers.iter().all(|count| (400..550).contains(count)), "{outliers:?} outliers up and down");
     }
 
     #[test]
-    fn a_fault_that_is_none_is_refused() {
+    fn an_invalid_sensor_fault_is_refused() {
         for (key, value) in [
             ("outlier-probability", "0.7"),
             ("repeat-probability", "-0.1"),
@@ -240,10 +223,10 @@ mod tests {
     #[test]
     fn a_dead_torque_sensor_reads_zero() {
         let mut faults =
-            Faults::new(&truth("dead-torque-sensors = [2]\noutlier-probability = 0.5\noutlier-size = 5.0", ""), 9);
+            Faults::new(&truth("dead-torque-sensors = [2]\noutlier-probability = 0.5\noutlier-size = 5.0", "", ""), 9);
         for _ in 0..100 {
             let mut reading = Reading { tau: [3.0; MAX_JOINTS], ..Reading::default() };
-            faults.spoil(&mut reading, &mut 0.0);
+            faults.apply(&mut reading, &mut 0.0);
             assert!(reading.tau[0] != 0.0 && reading.tau[1] == 0.0, "{:?}", reading.tau);
         }
     }

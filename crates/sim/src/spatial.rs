@@ -37,7 +37,7 @@ impl std::ops::AddAssign for Force {
 }
 
 impl Motion {
-    /// The same motion seen at the child frame's origin and in its axes.
+    /// The same motion at the child frame's origin and in its axes.
     pub fn to_child(self, child: &Placement) -> Motion {
         Motion { w: child.rotation.tr_mul(&self.w), v: child.rotation.tr_mul(&(self.v + self.w.cross(&child.origin))) }
     }
@@ -96,7 +96,7 @@ impl Inertia {
         Inertia { i: i_parent, h: h_parent, m }
     }
 
-    /// `self - u u' / d`: what is felt of the body when its joint is free.
+    /// `self - u u' / d`: inertia of the body with a free joint.
     pub fn without(&mut self, u: &Force, d: f64) {
         let (n, f) = (u.n / d, u.f / d);
         self.i -= u.n * n.transpose();
@@ -127,7 +127,7 @@ impl std::ops::AddAssign for Inertia {
     }
 }
 
-/// A joint with everything that does not move worked out: `T(q) = T(0) Rz(q)`, or `T(0) Tz(q)`.
+/// A joint with precomputed constants: `T(q) = T(0) Rz(q)`, or `T(0) Tz(q)`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Frame {
     pub kind: JointKind,
@@ -160,7 +160,7 @@ pub(super) struct Mechanism {
     pub n: usize,
     pub frames: [Frame; MAX_JOINTS],
     pub links: [Inertia; MAX_JOINTS],
-    /// Inertia that turns with the joint alone, seen at the joint \[kg m2\].
+    /// Rotor inertia at the joint \[kg m2\].
     pub armature: JointVec,
 }
 

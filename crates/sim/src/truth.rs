@@ -1,4 +1,4 @@
-//! What a simulated arm truly is: its masses, friction, controller, sensors and effects, from a TOML file.
+//! The true parameters of a simulated arm: masses, friction, controller, sensors and effects, from a TOML file.
 
 use super::effect::{Effect, EffectSpec};
 use super::spatial::Inertia;
@@ -7,7 +7,7 @@ use plumbline_core::{BadInput, MAX_JOINTS, from_toml, symmetric_eigen};
 use plumbline_model::LinkParameters;
 use serde::Deserialize;
 
-/// The truth of a simulated arm. Nothing in the estimator ever sees it.
+/// The true parameters of a simulated arm. The estimator has no access to them.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Truth {
@@ -22,7 +22,7 @@ pub struct Truth {
     /// Integration steps per millisecond.
     #[serde(default = "four")]
     pub substeps: u32,
-    /// Chance that a burst of lost states begins at a state.
+    /// Probability that a burst of lost states begins at a state.
     #[serde(default)]
     pub drop_probability: f64,
     /// States lost in one burst.
@@ -31,13 +31,13 @@ pub struct Truth {
     /// Corner frequency of the coloured part of the torque sensors' noise \[Hz\].
     #[serde(default = "one_hertz")]
     pub torque_noise_corner: f64,
-    /// Chance that a joint's torque is an outlier in a state.
+    /// Probability that a joint's torque is an outlier in a state.
     #[serde(default)]
     pub outlier_probability: f64,
     /// Size of an outlier, up or down \[Nm\].
     #[serde(default)]
     pub outlier_size: f64,
-    /// Chance that a state repeats the readings and the time stamp of the one before.
+    /// Probability that a state repeats the readings and the time stamp of the state before.
     #[serde(default)]
     pub repeat_probability: f64,
     /// Joints whose torque sensor is dead and reads 0 Nm, counted from 1.
@@ -98,8 +98,8 @@ impl Truth {
     /// Parses and checks the text of a truth file; `file` is only named in the error.
     ///
     /// # Errors
-    /// Anything that is not TOML of this shape, and anything no arm can be: a mass that is not positive, an inertia that no distribution
-    /// of mass has, negative friction or noise, an effect on a joint that is not there.
+    /// Other TOML than of this form, and impossible values: a mass that is not positive, an inertia that no distribution of mass has,
+    /// negative friction or noise, an effect on a joint that does not exist.
     pub fn parse(file: &str, text: &str) -> Result<Truth, BadInput> {
         let truth: Truth = from_toml(file, text)?;
         truth.check(file)?;
@@ -186,8 +186,8 @@ impl Truth {
         self.links.len()
     }
 
-    /// Standard parameters of the links as the arm is built, without effects, for the comparison with what was identified
-    /// (paper eq. 5, inertia about the link frame's origin).
+    /// Standard parameters of the links without effects, for comparison with identified ones (paper eq. 5, inertia about the link
+    /// frame's origin).
     pub fn link_parameters(&self) -> Vec<LinkParameters> {
         let parameters = |link: &LinkTruth| {
             let l = link.about_origin();
@@ -198,20 +198,19 @@ impl Truth {
         self.links.iter().map(parameters).collect()
     }
 
-    /// Whether the arm, once its transients have died away, does the same in every period of a motion that repeats after `period` \[s\], noise
-    /// and losses aside.
+    /// Whether the steady-state motion of the arm has the period of its reference, `period` \[s\], without noise and losses.
     pub fn repeats(&self, period: f64) -> bool {
         self.build_effects().iter().all(|effect| effect.repeats(period))
     }
 
-    /// The effects in the order in which they act: as written, but what gives way under the controller's answer comes last.
+    /// The effects in the order in which they act: as written, deflections of transmissions last.
     pub(super) fn build_effects(&self) -> Vec<Box<dyn Effect>> {
         let mut effects: Vec<_> = self.effects.iter().map(|effect| effect.build(self)).collect();
         effects.sort_by_key(|effect| (0..self.joints()).any(|joint| effect.twists(joint)));
         effects
     }
 
-    /// Whether an effect stands for the Coulomb friction of `joint`, counted from 0.
+    /// Whether an effect replaces the Coulomb friction of `joint`, counted from 0.
     pub(super) fn replaces_coulomb(&self, joint: usize) -> bool {
         self.effects.iter().any(|effect| effect.replaces_coulomb(joint))
     }
@@ -233,7 +232,7 @@ pub(super) fn symmetric(part: &[f64; 6]) -> Matrix3<f64> {
     Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
 }
 
-/// Whether a body must have extent, or may be a point.
+/// Whether a body must have an inertia, or may be a point mass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Inside {
     Needed,

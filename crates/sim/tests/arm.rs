@@ -169,11 +169,11 @@ fn twenty_missing_commands_are_a_reflex() {
 }
 
 #[test]
-fn an_arm_with_patience_joins_the_motion_where_it_has_got_to() {
+fn an_arm_that_tolerates_gaps_continues_a_motion_after_one() {
     let truth = silent_panda();
     let whole = follow(&mut sim(&truth, 0, fast()), 3000);
     for gap in [15, 46, 90] {
-        let mut arm = sim(&truth, 0, fast()).with_patience(1000);
+        let mut arm = sim(&truth, 0, fast()).with_max_missed(1000);
         follow(&mut arm, 2000);
         for missing in 0..gap {
             arm.read().unwrap_or_else(|fault| panic!("after {missing} missing commands: {fault}"));
@@ -197,7 +197,7 @@ fn an_arm_with_patience_joins_the_motion_where_it_has_got_to() {
 }
 
 #[test]
-fn refuses_what_a_robot_refuses_and_goes_on() {
+fn refuses_what_a_robot_refuses_and_continues() {
     let mut arm = sim(&silent_panda(), 0, fast());
     let state = arm.read().unwrap();
     let at = |j: usize, value: f64| {
@@ -245,7 +245,7 @@ fn a_slow_consumer_loses_no_state() {
 }
 
 #[test]
-fn the_wall_clock_has_absolute_deadlines_and_goes_on_without_a_late_reader() {
+fn wall_clock_deadlines_are_absolute_and_a_late_reader_loses_states() {
     let zero = Instant::now();
     let mut arm = sim(&silent_panda(), 0, Pace::WallClock(Box::new(TestClock(zero))));
     assert_eq!(arm.deadline_ns(), None);
@@ -286,7 +286,7 @@ impl Clock for SlowMachine {
 }
 
 #[test]
-fn on_a_machine_that_is_too_slow_for_it_the_arms_time_stands_still() {
+fn simulated_time_pauses_on_a_host_that_is_too_slow() {
     let mut arm = sim(&silent_panda(), 0, Pace::WallClock(Box::new(SlowMachine(AtomicU64::new(0)))));
     let mut last = arm.read().unwrap().seq;
     for _ in 0..50 {
@@ -318,7 +318,7 @@ impl Clock for HeldUp {
 }
 
 #[test]
-fn a_machine_that_is_held_up_while_it_catches_up_loses_none_of_the_arms_time() {
+fn a_host_that_stalls_while_it_catches_up_keeps_simulated_time() {
     let clock = HeldUp { now: AtomicU64::new(0), looks: AtomicU64::new(0) };
     let mut arm = sim(&silent_panda(), 0, Pace::WallClock(Box::new(clock)));
     let first = arm.read().unwrap().seq;
@@ -329,7 +329,7 @@ fn a_machine_that_is_held_up_while_it_catches_up_loses_none_of_the_arms_time() {
 }
 
 #[test]
-fn says_what_does_not_fit() {
+fn arms_that_do_not_fit_are_refused() {
     let truth = silent_panda();
     let short = Chain::modified(panda().joints()[..6].to_vec(), Placement::identity());
     let new = |chain: &Chain, start| SimArm::new(chain, &truth, Mounting::WALL, start, 0, fast()).err();

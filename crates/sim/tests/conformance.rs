@@ -16,7 +16,7 @@ fn simulated_arm_at_full_speed() {
 fn simulated_arm_on_the_wall_clock() {
     // A machine that is busy with other tests stalls for longer than a robot waits.
     let clock = || Pace::WallClock(Box::new(TestClock(Instant::now())));
-    conformance(|| sim(&arm("sim-panda"), 2, clock()).with_patience(1000));
+    conformance(|| sim(&arm("sim-panda"), 2, clock()).with_max_missed(1000));
 }
 
 #[test]

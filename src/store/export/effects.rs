@@ -9,7 +9,7 @@ use plumbline_model::{LINK_COLUMNS, LinkParameters, TorqueModel, is_consistent};
 
 /// Notes on effects of a model that URDF and MJCF lack, or have a part of.
 pub(super) fn notes_of_bodies(model: &TorqueModel) -> Vec<String> {
-    notes(model, |family, _| match family.in_bodies {
+    notes(model, |family, _| match family.rare.in_bodies {
         InBodies::LastLink => None,
         InBodies::CoulombFriction { note } => Some(note.to_string()),
         InBodies::Nothing => Some(format!("is left out: {}", family.physics)),
@@ -48,7 +48,7 @@ fn notes(model: &TorqueModel, what: impl Fn(&Family, &Spec) -> Option<String>) -
 
 /// What descriptions of rigid bodies have of an effect.
 fn in_bodies(spec: &Spec) -> Result<InBodies, EffectError> {
-    Ok(spec.family()?.in_bodies)
+    Ok(spec.family()?.rare.in_bodies)
 }
 
 /// Coulomb friction of a joint that effects are in sliding: what a format without memory has of them \[Nm\].

@@ -16,7 +16,7 @@ pub fn extended(reference: &TorqueModel, changes: &[Change]) -> Result<TorqueMod
     let mut rest: Vec<&Change> = Vec::new();
     for change in changes {
         let family = change.spec.family()?;
-        if family.in_bodies == InBodies::LastLink {
+        if family.rare.in_bodies == InBodies::LastLink {
             carry(reference, change, &mut parameters);
         } else if !joined(change, family, &mut parameters) {
             rest.push(change);

@@ -108,7 +108,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
     use std::f64::consts::{FRAC_PI_2, PI};
 
-    /// The other test of this identity (`tests/identification/model_fast.rs`) sees the level of its CPU alone.
+    /// The other test of this identity (`crates/model/tests/model/fast.rs`) runs at the level of its CPU only.
     #[test]
     fn every_level_computes_the_torque_of_the_plain_recursion() {
         let mut rng = ChaCha8Rng::seed_from_u64(2);

@@ -71,7 +71,7 @@ impl Frames {
             let rotation = joint.placement(0.0).rotation;
             let (sin, cos) = (-rotation[(1, 2)], rotation[(2, 2)]);
             // A lever along the joint's own axis alone vanishes when the frame moves along that axis. The last frame has no one to
-            // carry it to, and the first one's parent stands still.
+            // carry it to, and the parent of the first is at rest.
             let vanishes = joint.a == 0.0 && carried == 0.0;
             let moved = may_move && (i == 0 || i + 1 == joints.len() || vanishes);
             let d = if moved { 0.0 } else { joint.d };

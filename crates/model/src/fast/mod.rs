@@ -1,5 +1,5 @@
 //! The model's arithmetic at the speed of the machine: the same numbers as the plain routes ([`super::rnea()`], [`super::regressor()`]) but
-//! for rounding, with what is zero left out and several lanes at a time.
+//! for rounding, without zero terms and several lanes at a time.
 //!
 //! Vector instructions are chosen when the program starts (AVX2, SSE or NEON); there is one source for all of them.
 

@@ -48,7 +48,7 @@ impl Carrier {
         cos.store_slice(&mut motion.cos.0);
 
         let fma = |a: f64, b: f64, c: f64| fused(simd, a, b, c);
-        // The base stands still, so that frame 1 turns about its own axis alone.
+        // The base is at rest, so frame 1 turns about its own axis only.
         let mut w = [0.0, 0.0, sample.dq[0]];
         let mut dw = [0.0, 0.0, sample.ddq[0]];
         let (s, c) = (motion.sin.0[0], motion.cos.0[0]);

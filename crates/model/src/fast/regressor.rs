@@ -181,7 +181,7 @@ fn turn<S: Simd>(twist: Twist, [x, y, z]: [f64x4<S>; 3], s: f64, c: f64) -> [f64
     }
 }
 
-// A function and no closure: code of the vector level has to be inlined, and a closure can't be told to be.
+// A function, since code of the vector level has to be inlined and a closure has no inline attribute.
 #[inline(always)]
 fn about_z<S: Simd>(x: f64x4<S>, y: f64x4<S>, z: f64x4<S>, s: f64, c: f64) -> [f64x4<S>; 3] {
     [x.mul_add(c, y * s), y.mul_sub(c, x * s), z]
@@ -222,7 +222,7 @@ fn store<S: Simd>(to: &mut [Lanes; 3], first: usize, x: f64x4<S>, y: f64x4<S>, z
     z.store_slice(&mut to[2].0[first..first + 4]);
 }
 
-/// One link, seen by four joints.
+/// One link and four joints.
 struct Link<'a, S: Simd> {
     work: &'a Wrenches,
     i: usize,

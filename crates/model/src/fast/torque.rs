@@ -1,4 +1,4 @@
-//! Inverse dynamics for the loop: the recursion of [`super::super::rnea::rnea`] with all that is zero left out.
+//! Inverse dynamics for the loop: the recursion of [`super::super::rnea::rnea`] without zero terms.
 
 use super::frames::{Frames, twist, untwist};
 use super::motion::{Carrier, Motion};

@@ -7,7 +7,7 @@ use fearless_simd::{Bytes, Select, Simd, SimdBase, SimdFloat, SimdMask, f64x8, u
 
 /// Largest angle whose reduction by multiples of pi/2 is exact enough here; larger ones take the standard library's way \[rad\].
 const LARGEST: f64 = 1e4;
-/// Adding it rounds to an integer, which then stands in the low bits: 1.5 * 2^52.
+/// Adding it rounds to an integer in the low bits: 1.5 * 2^52.
 const ROUNDER: f64 = 6_755_399_441_055_744.0;
 /// pi/2 in parts of 33 bits, so that their products with integers below 2^20 are exact (fdlibm, `e_rem_pio2.c`).
 const HALF_PI: [f64; 3] = [1.570_796_326_734_125_6, 6.077_100_506_303_966e-11, 2.022_266_248_795_950_6e-21];
@@ -112,7 +112,7 @@ pub fn tanh<S: Simd>(simd: S, x: f64x8<S>) -> f64x8<S> {
     (t / (t + 2.0)).copysign(x)
 }
 
-/// `1 / n! + r / (n + 1)!`. A function and no closure: code of the vector level has to be inlined, and a closure can't be told to be.
+/// `1 / n! + r / (n + 1)!`. A function, since code of the vector level has to be inlined and a closure has no inline attribute.
 #[inline(always)]
 fn pair<S: Simd>(simd: S, r: f64x8<S>, n: usize) -> f64x8<S> {
     r.mul_add(INVERSE_FACTORIAL[n + 1], f64x8::splat(simd, INVERSE_FACTORIAL[n]))
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_number_stays_none_and_the_ends_are_one() {
+    fn nan_stays_nan_and_infinity_is_one() {
         for level in levels() {
             let [sin, cos, tanh] =
                 at(level, [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -0.0, 1e300, -1e300, 0.0, 21.0]);

@@ -8,43 +8,43 @@ use nalgebra::{DMatrix, Vector3};
 use plumbline_core::{JointVec, MAX_JOINTS};
 use std::sync::Arc;
 
-/// Columns that a law can have.
+/// Largest number of columns.
 const MAX_COLUMNS: usize = 10;
-/// Samples that a law remembers for its derivatives.
+/// Earlier samples that derivatives use.
 const MEMORY_SAMPLES: usize = 3;
 /// Time between the samples of the loop \[s\].
 const CYCLE_S: f64 = 1e-3;
 
-/// Where a sample is in time.
+/// Time of a sample.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Clock {
-    /// Since the start of the recording \[s\]; 0 in the loop, where no law that looks at it is served.
+    /// Since the start of the recording \[s\]; 0 in the loop, which serves no law of time.
     pub time: f64,
-    /// To the sample before \[s\].
+    /// Since the sample before \[s\].
     pub dt: f64,
-    /// Whether the columns are to be the means since then, not what they are now.
+    /// Whether the columns are means since the sample before, instead of present values.
     pub means: bool,
 }
 
-/// Columns of an effect, sample after sample. Neither allocates nor panics: a [`FixedRows`] holds its law by value, so that the compiler sees
-/// which one it calls.
+/// Columns of an effect, sample by sample. Neither allocates nor panics: a [`FixedRows`] holds its law by value, so that the compiler
+/// can prove it.
 pub(super) trait Law: Send + 'static {
-    /// Whether it goes on by itself between two samples, and knows its means.
+    /// Whether it integrates between two samples and has means.
     const INTEGRATES: bool = false;
 
-    /// What its only parameter can be.
+    /// Possible values of its only parameter.
     const EXPECTS: Expected = Expected::Any;
 
-    /// Samples that it remembers, where one comes every `dt` \[s\].
+    /// Number of earlier samples that affect it, at the sample period `dt` \[s\].
     fn memory(&self, _dt: f64) -> usize {
         MEMORY_SAMPLES
     }
 
-    /// Writes the columns at a sample, the torques of all joints in each; they are zero on entry, and as many as the term has.
+    /// Writes the columns at a sample: the torques of all joints in each of the term's columns. Entries are zero on entry.
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]);
 }
 
-/// A law under a gravity vector in the base frame \[m/s2\], with nothing remembered.
+/// Makes a law for a gravity vector in the base frame \[m/s2\], in its initial state.
 type Start<L> = dyn Fn(&Vector3<f64>) -> L + Send + Sync;
 
 /// An effect in all rows, `tau = sum of beta_c law_c(sample)`.
@@ -105,7 +105,7 @@ impl<L: Law> Term for AllRows<L> {
     }
 
     fn fix(&self, _chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {
-        if !self.family.served {
+        if !self.family.is_served() {
             return Box::new(Nothing);
         }
         let mut own = [0.0; MAX_COLUMNS];
@@ -119,7 +119,7 @@ impl<L: Law> AllRows<L> {
     fn write(&self, motion: &Motion, y: &mut DMatrix<f64>, first: usize, means: bool) {
         let (n, samples, width) = (motion.joints(), motion.samples(), self.columns.len());
         let mut law = (self.start)(&motion.gravity);
-        // The whole period tells how a law that integrates begins; a rough look makes do with what has not died away.
+        // A law that integrates begins with the state of the whole period before; its coarse form with the part that has not decayed.
         let memory = if L::INTEGRATES && !means { samples } else { law.memory(motion.dt) };
         let mut now = [JointVec::default(); MAX_COLUMNS];
         let mut at = |k: usize, columns: &mut [JointVec]| {
@@ -128,7 +128,7 @@ impl<L: Law> AllRows<L> {
             law.at(&motion.sample(k), &clock, columns);
         };
         if motion.periodic {
-            // What the period before has left behind.
+            // The state at the end of the period before.
             (samples.saturating_sub(memory)..samples).for_each(|k| at(k, &mut now[..width]));
         }
         for k in 0..samples {
@@ -167,17 +167,17 @@ impl<L: Law> FixedTerm for FixedRows<L> {
     }
 }
 
-/// A signal's last samples, for derivatives that need no sample to come.
+/// A signal's last samples, for causal derivatives.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Past {
-    /// The youngest first.
+    /// Newest first.
     values: [f64; MEMORY_SAMPLES],
     seen: usize,
 }
 
 impl Past {
     /// First and second derivative at the sample `now`, by backward differences of second order (Fornberg, Mathematics of
-    /// Computation 51 (1988)); zero, or of first order, as long as too little has been seen.
+    /// Computation 51 (1988)); zero or of first order for the first samples.
     pub fn derivatives(&mut self, now: f64, dt: f64) -> [f64; 2] {
         let derivatives = self.with(now, dt);
         let [a, b, _] = self.values;
@@ -186,7 +186,7 @@ impl Past {
         derivatives
     }
 
-    /// What they would be with the sample `now`.
+    /// The derivatives for the sample `now`, which is not stored.
     pub fn with(&self, now: f64, dt: f64) -> [f64; 2] {
         let [a, b, c] = self.values;
         let [first, second] = match self.seen {
@@ -198,7 +198,7 @@ impl Past {
         [first / dt, second / (dt * dt)]
     }
 
-    /// How fast they grow with the sample `now`.
+    /// Slopes of the derivatives over the sample `now`.
     pub fn slopes(&self, dt: f64) -> [f64; 2] {
         let [first, second] = match self.seen {
             0 => [0.0, 0.0],

@@ -1,18 +1,12 @@
-//! Coulomb friction that is larger in one direction.
+//! Coulomb friction that depends on the direction.
 
-use super::Term;
-use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum, joint};
-use super::load::OperatingPoint;
-use super::one_row::{OneRow, column, smooth_sign, unit};
-use std::sync::Arc;
+use super::family::*;
+use super::one_row::*;
 
-/// Identity.
-pub const ID: &str = "asymmetric-coulomb";
-
-/// The part of Coulomb friction that does not change its sign with the velocity.
+/// The part of Coulomb friction whose sign does not change with the velocity.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "Teeth and bearings under a preload rub harder in one direction than in the other.",
+    id: "asymmetric-coulomb",
+    physics: "Preloaded teeth and bearings have more Coulomb friction in one direction than in the other.",
     place: Place::Joint,
     forms: &[Form {
         name: "",
@@ -23,14 +17,9 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Velocity,
     }],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "5 to 30 % of the Coulomb friction",
-    confounded: &[
-        Confounded { with: "torque-offset", decided_by: "hold the joint still for some seconds in several poses" },
-        Confounded { with: "spring", decided_by: "move the joint through more than 60 % of its range" },
-    ],
+    confounded: &[confounded("torque-offset", STANDSTILL), confounded("spring", MOST_OF_RANGE)],
     reference: "Elhami, Brookfield, Automatica 33 (1997)",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

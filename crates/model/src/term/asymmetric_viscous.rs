@@ -1,18 +1,15 @@
-//! Viscous friction that is larger in one direction.
+//! Viscous friction that depends on the direction.
 
-use super::Term;
-use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum, joint};
-use super::load::OperatingPoint;
-use super::one_row::{OneRow, column, unit};
-use std::sync::Arc;
+use super::family::*;
+use super::one_row::*;
 
 /// Identity.
 pub const ID: &str = "asymmetric-viscous";
 
-/// The part of viscous friction that does not change its sign with the velocity.
+/// The part of viscous friction whose sign does not change with the velocity.
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "Lubricant resists more in one direction of motion than in the other.",
+    physics: "A lubricant resists more in one direction of motion than in the other.",
     place: Place::Joint,
     forms: &[Form {
         name: "",
@@ -23,20 +20,12 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Velocity,
     }],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "5 to 20 % of the viscous friction",
     confounded: &[
-        Confounded {
-            with: "asymmetric-coulomb",
-            decided_by: "move the joint at speeds that differ five times and more",
-        },
-        Confounded {
-            with: "Lxy and Lzz of outer links",
-            decided_by: "move that joint alone, fast, in several poses of the others",
-        },
+        confounded("asymmetric-coulomb", "move the joint at speeds that differ five times and more"),
+        confounded("Lxy and Lzz of outer links", "move that joint alone, fast, in several poses of the others"),
     ],
     reference: "Elhami, Brookfield, Automatica 33 (1997)",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

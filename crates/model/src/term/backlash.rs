@@ -1,24 +1,17 @@
 //! Play in a gear.
 
-use super::all_rows::{AllRows, Clock, Law, Past};
-use super::family::{
-    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_MEMORY, Rare, Scale, Setting, Site, Stratum, joint,
-};
-use super::load::OperatingPoint;
+use super::all_rows::*;
+use super::family::*;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
 use super::swing::{Gear, QUALITY, SWINGING, Swing};
-use super::{Column, Expected, Sample, Term};
+use super::{Column, Expected, Sample};
 use plumbline_core::JointVec;
-use std::sync::Arc;
 
-/// Identity.
-pub const ID: &str = "backlash";
-
-/// The gap of one joint's gear, which the link falls through when its load changes sign.
+/// The play of one joint's gear, which the link crosses when its load changes sign.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "Between a gear's teeth is a gap, and the link falls from one side to the other when its load changes sign.",
+    id: "backlash",
+    physics: "The gear has play, and the link moves from one flank to the other when its load changes sign.",
     place: Place::Joint,
     forms: &[
         Form {
@@ -39,14 +32,12 @@ pub static FAMILY: Family = Family {
         },
     ],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "half a gap of 0.1 to 1.5 mrad",
     confounded: &[
-        Confounded { with: "contact", decided_by: "repeat the motion: the teeth change flanks in every period" },
-        Confounded { with: "joint-elasticity", decided_by: "pass through poses without load in several runs" },
+        confounded("contact", "repeat the motion: the teeth change flanks in every period"),
+        confounded("joint-elasticity", "pass through poses without load in several runs"),
     ],
     reference: "Nordin, Gutman, Automatica 38 (2002)",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

@@ -1,25 +1,22 @@
-//! A base that shakes.
+//! Vibration of the base.
 
-use super::all_rows::{AllRows, Clock, Law};
-use super::family::{
-    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_TIME, Rare, Scale, Setting, Site, Stratum,
-};
-use super::load::{LoadUnder, OperatingPoint};
+use super::Sample;
+use super::all_rows::*;
+use super::family::*;
+use super::load::LoadUnder;
 use super::mounting::at_rest;
 use super::one_row::column;
-use super::{Sample, Term};
 use nalgebra::Vector3;
 use plumbline_core::JointVec;
 use std::f64::consts::TAU;
-use std::sync::Arc;
 
 /// Identity.
 pub const ID: &str = "base-motion";
 
-/// One line of the base's vibration, in amplitude and phase along the three axes of the base.
+/// One frequency of the base's vibration, with amplitude and phase along the three axes of the base.
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "The table or vehicle under the base shakes, and the links feel that as gravity that changes with time.",
+    physics: "The table or vehicle under the base vibrates, which acts on the links as a gravity that changes with time.",
     place: Place::Arm,
     forms: &[Form {
         name: "",
@@ -38,11 +35,9 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Nothing,
     }],
     stratum: Stratum::Changing,
-    served: false,
     typical: "0.02 to 0.2 m/s2 at 3 to 15 Hz",
-    confounded: &[Confounded { with: "contact", decided_by: "a longer recording: a vibration goes on, a touch ends" }],
+    confounded: &[confounded("contact", LONGER_RECORDING)],
     reference: "Wernholt, Gunnarsson, IFAC SYSID 2006, on resonances below the arm",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

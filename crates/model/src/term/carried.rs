@@ -1,4 +1,4 @@
-//! The friction that goes the same way as the rigid bodies' torque: through a gear, into a sensor.
+//! Friction that acts together with the rigid-body torque: on a gear, on a sensor.
 
 use super::Sample;
 use super::friction::SHARPNESS;
@@ -6,14 +6,14 @@ use super::load::OperatingPoint;
 use super::one_row::smooth_sign;
 use plumbline_core::{JointVec, MAX_JOINTS};
 
-/// `fv_j dq_j + fc_j tanh(100 dq_j)` of every joint with the numbers of the operating point; 0 where it has none.
+/// `fv_j dq_j + fc_j tanh(100 dq_j)` of every joint with the coefficients of the operating point; 0 where it has none.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct CarriedFriction {
     parameters: [[f64; 2]; MAX_JOINTS],
 }
 
 impl CarriedFriction {
-    /// That of a model.
+    /// Friction of an operating point.
     pub fn of(operating_point: &OperatingPoint) -> CarriedFriction {
         let mut parameters = [[0.0; 2]; MAX_JOINTS];
         parameters.iter_mut().zip(&operating_point.friction).for_each(|(own, known)| *own = *known);
@@ -39,7 +39,7 @@ impl CarriedFriction {
         self.with_slope(dq, joint).0
     }
 
-    /// The same, and how fast it grows with the velocity \[Nms/rad\].
+    /// The same, and its slope over the velocity \[Nms/rad\].
     pub fn with_slope(&self, dq: f64, joint: usize) -> (f64, f64) {
         let sign = smooth_sign(dq);
         let both = |[fv, fc]: &[f64; 2]| (fv * dq + fc * sign, fv + fc * SHARPNESS * (1.0 - sign * sign));

@@ -1,4 +1,4 @@
-//! The registry: every term that a model file can name, and every kind of effect. A new effect is one line of [`FAMILIES`].
+//! The registry of terms and effects. A new effect is one line of [`FAMILIES`].
 
 use super::family::Family;
 use super::*;
@@ -8,9 +8,9 @@ type WholeArm = (&'static str, fn(&Chain, &Reduction) -> Arc<dyn Term>);
 
 const WHOLE_ARM: [WholeArm; 4] = [
     (rigid_body::ID, |_, reduction| Arc::new(rigid_body::RigidBody::new(reduction))),
-    (friction::ID, |chain, _| Arc::new(friction::Friction::new(chain))),
-    (torque_offset::ID, |chain, _| Arc::new(torque_offset::TorqueOffset::new(chain))),
-    (rotor_inertia::ID, |chain, _| Arc::new(rotor_inertia::RotorInertia::new(chain))),
+    (friction::ID, |chain, _| friction::term(chain)),
+    (torque_offset::ID, |chain, _| torque_offset::term(chain)),
+    (rotor_inertia::ID, |chain, _| rotor_inertia::term(chain)),
 ];
 
 /// Identity of every term of the whole arm.

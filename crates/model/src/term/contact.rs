@@ -1,30 +1,26 @@
-//! Something that touches the arm.
+//! Contact of the arm with its environment.
 
-use super::all_rows::{AllRows, Clock, Law};
-use super::family::{
-    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_TIME, Rare, Scale, Setting, Site, Stratum, joint,
-};
-use super::load::OperatingPoint;
+use super::Sample;
+use super::all_rows::*;
+use super::family::*;
 use super::one_row::column;
-use super::{Sample, Term};
 use crate::chain::{Chain, JointKind, Placement};
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS};
-use std::sync::Arc;
 
 /// Identity.
 pub const ID: &str = "contact";
 
-/// A day: no recording is longer.
+/// Longest recording: a day.
 const MAX_RECORDING_S: f64 = 86_400.0;
 
-/// A wrench at one link for a while.
+/// A wrench at one link for a limited time.
 ///
-/// Forces and moments are those that the arm exerts on what it touches, in the axes of the base and about the origin of the
+/// Forces and moments are those that the arm exerts on the environment, in the axes of the base and about the origin of the
 /// link's frame.
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "The arm pushed against something, or something hung on it, for a part of the recording.",
+    physics: "The arm touched its environment, or a load hung on it, during a part of the recording.",
     place: Place::Joint,
     forms: &[Form {
         name: "",
@@ -54,17 +50,12 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Time,
     }],
     stratum: Stratum::Changing,
-    served: false,
     typical: "1 to 30 N",
     confounded: &[
-        Confounded {
-            with: "payload",
-            decided_by: "a second recording: a payload stays and turns with gravity, a touch does not",
-        },
-        Confounded { with: "base-motion", decided_by: "a longer recording: a vibration goes on, a touch ends" },
+        confounded("payload", "a second recording: a payload stays and turns with gravity, a touch does not"),
+        confounded("base-motion", LONGER_RECORDING),
     ],
     reference: "Haddadin, De Luca, Albu-Schaeffer, IEEE Trans. Robotics 33 (2017)",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

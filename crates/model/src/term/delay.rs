@@ -1,24 +1,20 @@
-//! Torques that come later than positions.
+//! Delay of torques against positions.
 
-use super::all_rows::{AllRows, Clock, Law, PastOfJoints};
+use super::Sample;
+use super::all_rows::*;
 use super::carried::CarriedFriction;
-use super::family::{Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_MEMORY, Rare, Site, Stratum};
-use super::load::{LoadUnder, OperatingPoint};
+use super::family::*;
+use super::load::LoadUnder;
 use super::one_row::column;
-use super::{Sample, Term};
 use plumbline_core::JointVec;
-use std::sync::Arc;
-
-/// Identity.
-pub const ID: &str = "delay";
 
 /// One delay of all torques against all positions.
 ///
-/// First order in the delay. Friction is late as well: where it turns, its slope is a pulse as wide as the turning takes. The slope is a
-/// difference of the torques before.
+/// First order in the delay. Friction is delayed, too: at a reversal its slope is a pulse as wide as the reversal. The slope is a backward
+/// difference of the torques.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "The torque is measured, filtered or sent later than the position that stands beside it in the recording.",
+    id: "delay",
+    physics: "The torque is measured, filtered or sent later than the position of the same sample.",
     place: Place::Arm,
     forms: &[Form {
         name: "",
@@ -29,17 +25,9 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Nothing,
     }],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "1 to 5 ms; negative where the positions are late",
-    confounded: &[
-        Confounded { with: "presliding", decided_by: "add harmonics of a higher frequency: a delay grows with it" },
-        Confounded {
-            with: "fv of every joint",
-            decided_by: "add harmonics of a higher frequency: a delay grows with it",
-        },
-    ],
+    confounded: &[confounded("presliding", HIGHER_HARMONICS), confounded("fv of every joint", HIGHER_HARMONICS)],
     reference: "Swevers et al., IEEE Trans. Robotics and Automation 13 (1997), on phases of filtered data",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

@@ -1,7 +1,6 @@
 //! Effects: terms that diagnosis can add to a model.
 //!
-//! A kind of effect is one file beside this one that declares a [`Family`] and builds its [`Term`], and one line of
-//! [`FAMILIES`].
+//! A kind of effect is one file that declares a [`Family`] and builds its [`Term`], and one line of [`FAMILIES`].
 
 pub use super::catalogue::{FAMILIES, family};
 pub use super::family::{
@@ -22,7 +21,7 @@ pub enum EffectError {
     /// No such family.
     #[error("there is no effect `{id}`")]
     Family {
-        /// The identity asked for.
+        /// Requested identity.
         id: String,
     },
     /// No such form.
@@ -30,17 +29,17 @@ pub enum EffectError {
     Form {
         /// The family.
         family: &'static str,
-        /// The form asked for.
+        /// Requested form.
         form: String,
         /// Its forms.
         known: String,
     },
-    /// Another kind of site, or a joint that is not there.
+    /// A site of another kind, or a joint that the arm does not have.
     #[error("effect {family} can't be at {site}")]
     Site {
         /// The family.
         family: &'static str,
-        /// The site asked for.
+        /// Requested site.
         site: Site,
     },
     /// A nonlinear parameter that is out of range.
@@ -57,7 +56,7 @@ pub enum EffectError {
         /// Largest value.
         high: f64,
     },
-    /// Not as many nonlinear parameters as the form has.
+    /// Another number of nonlinear parameters than the form has.
     #[error("effect {family} has {expected} settings, {found} were given")]
     Count {
         /// The family.
@@ -78,10 +77,10 @@ impl Spec {
         family(self.family).ok_or_else(|| EffectError::Family { id: self.family.to_string() })
     }
 
-    /// Puts the term together.
+    /// Builds the term.
     ///
     /// # Errors
-    /// A family, form, site or setting that does not exist or is out of range.
+    /// An unknown family, form or site, or a setting out of range.
     pub fn build(&self, operating_point: &OperatingPoint) -> Result<Arc<dyn Term>, EffectError> {
         let family = self.family()?;
         let form = family.form(self.form).ok_or_else(|| EffectError::Form {

@@ -1,23 +1,16 @@
-//! An encoder that is not on the joint's axis.
+//! Eccentricity of an encoder.
 
-use super::all_rows::{AllRows, Clock, Law};
-use super::family::{
-    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_OTHER_STATE, Rare, Site, Stratum, joint,
-};
-use super::load::OperatingPoint;
+use super::Sample;
+use super::all_rows::*;
+use super::family::*;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
-use super::{Sample, Term};
 use plumbline_core::JointVec;
-use std::sync::Arc;
 
-/// Identity.
-pub const ID: &str = "encoder-eccentricity";
-
-/// An error of one joint's position, the true minus the measured one, that comes back every turn.
+/// An error of one joint's position, true minus measured, with the period of a turn.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "An encoder's ring sits beside the joint's axis, so that the angle is read wrong by a wave per turn.",
+    id: "encoder-eccentricity",
+    physics: "An encoder's disc is off the joint's axis, so that the measured angle has an error with the period of a turn.",
     place: Place::Joint,
     forms: &[Form {
         name: "",
@@ -28,17 +21,12 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Position,
     }],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "0.1 to 2 mrad",
     confounded: &[
-        Confounded { with: "encoder-offset", decided_by: "move the joint through a full turn, or as far as it goes" },
-        Confounded {
-            with: "lx and ly of the same link",
-            decided_by: "move the joint through a full turn; identify in a second mounting",
-        },
+        confounded("encoder-offset", FULL_TURN),
+        confounded("lx and ly of the same link", "move the joint through a full turn; identify in a second mounting"),
     ],
     reference: "Hollerbach, Khalil, Gautier, Handbook of Robotics (2016), chapter 6",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

@@ -1,23 +1,16 @@
-//! An encoder whose zero is not where the model's is.
+//! Offset of an encoder's zero.
 
-use super::all_rows::{AllRows, Clock, Law};
-use super::family::{
-    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_OTHER_STATE, Rare, Site, Stratum, joint,
-};
-use super::load::OperatingPoint;
+use super::Sample;
+use super::all_rows::*;
+use super::family::*;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
-use super::{Sample, Term};
 use plumbline_core::JointVec;
-use std::sync::Arc;
-
-/// Identity.
-pub const ID: &str = "encoder-offset";
 
 /// A constant error of one joint's position: its true position minus the measured one.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "A joint's encoder was set to zero in another pose than the one that the robot's geometry is written for.",
+    id: "encoder-offset",
+    physics: "The zero of a joint's encoder differs from the zero of the robot's kinematics.",
     place: Place::Joint,
     forms: &[Form {
         name: "",
@@ -28,20 +21,15 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Position,
     }],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "1 to 10 mrad",
     confounded: &[
-        Confounded {
-            with: "lx and ly of the same link",
-            decided_by: "they hold most of it; a calibration with a tracker or a calibrated pose tells the two apart",
-        },
-        Confounded {
-            with: "joint-elasticity",
-            decided_by: "identify in a second mounting: the load turns, the zero stays",
-        },
+        confounded(
+            "lx and ly of the same link",
+            "they hold most of it; a calibration with a tracker or a calibrated pose tells the two apart",
+        ),
+        confounded("joint-elasticity", SECOND_MOUNTING),
     ],
     reference: "Khalil, Dombre, Modeling, Identification and Control of Robots (2002), chapter 11",
-    in_bodies: InBodies::Nothing,
     rare: Rare { may_change: true, ..Rare::NONE },
 };
 

@@ -1,49 +1,45 @@
-//! What a kind of effect declares about itself. Every reader of the catalogue (search, plots, report, export) goes by these declarations.
+//! Declarations of a kind of effect. Search, plots, report and export use only these.
 
-use super::Term;
-use super::load::OperatingPoint;
-use super::quantity::{self, Quantity, Results};
+pub(super) use super::Term;
+pub(super) use super::load::OperatingPoint;
+use super::quantity;
+pub(super) use super::quantity::{Quantity, Results};
 use crate::chain::Chain;
 use serde::{Deserialize, Serialize};
 use std::fmt;
-use std::sync::Arc;
+pub(super) use std::sync::Arc;
 
 /// A kind of effect.
 pub struct Family {
     /// Stable identity in files and commands.
     pub id: &'static str,
-    /// What happens, in one sentence.
+    /// Its physics, in one sentence.
     pub physics: &'static str,
     /// Kind of its site.
     pub place: Place,
-    /// The ways to write it down; a model has one of them.
+    /// Alternative laws; a model has one of them.
     pub forms: &'static [Form],
-    /// Where it shows.
+    /// Part of the data that shows it.
     pub stratum: Stratum,
-    /// Whether the loop serves it. What depends on the time of an event explains a recording, and its [`FixedTerm`](super::FixedTerm) adds
-    /// nothing.
-    pub served: bool,
-    /// Sizes met on real arms.
+    /// Sizes on real arms.
     pub typical: &'static str,
     /// Effects and parameters with similar columns, and the experiment that decides.
     pub confounded: &'static [Confounded],
-    /// Where it is described.
+    /// Literature.
     pub reference: &'static str,
-    /// What a description of rigid bodies (URDF, MJCF) has of it.
-    pub in_bodies: InBodies,
-    /// What only few families have.
+    /// Properties of few families.
     pub rare: Rare,
 }
 
-/// One way to write an effect down.
+/// A law of an effect.
 pub struct Form {
     /// Name in files; empty where the family has one form.
     pub name: &'static str,
-    /// The columns and what they depend on: `tau_j = k (q_j - q0)`.
+    /// Its equation: `tau_j = k (q_j - q0)`.
     pub equation: &'static str,
     /// Its nonlinear parameters.
     pub settings: &'static [Setting],
-    /// Builds its term. The site is of the family's place and in the arm, the settings are as many as listed and in their ranges.
+    /// Builds its term for a valid site and settings inside their ranges.
     pub build: fn(&OperatingPoint, Site, &[f64]) -> Arc<dyn Term>,
     /// The exported C function's part of it.
     pub in_c: InC,
@@ -54,35 +50,38 @@ pub struct Form {
 /// Builds a term with a column for every joint of the arm.
 pub type WholeArm = fn(&Chain) -> Arc<dyn Term>;
 
-/// What only few families have.
+/// Properties of few families.
 pub struct Rare {
-    /// The term of the whole arm with a column of this effect for every joint. Its columns belong to that term in models and files.
+    /// The term with a column of this effect for every joint. In models and files the effect's columns belong to that term.
     pub whole_arm: Option<WholeArm>,
-    /// Whether every arm has it. Where the noise is unknown, the search starts from a model with it in every joint.
+    /// Whether every arm has it. With unknown noise the search starts from a model with it in every joint.
     pub in_every_arm: bool,
-    /// Whether it may come or change after an identification, so that a comparison with a stored model searches for it.
+    /// Whether it may change after an identification; a comparison with a stored model then searches for it.
     pub may_change: bool,
-    /// The effect that one of its forms may be a part of.
+    /// Its part in a description of rigid bodies (URDF, MJCF).
+    pub in_bodies: InBodies,
+    /// The effect that one of its forms can be a part of.
     pub part_of: Option<PartOf>,
     /// The parameter of a stored model that a column of this effect changes, by the column's name.
     pub changed_parameter: fn(&str) -> &str,
-    /// The quantities that are reported for its parameters.
+    /// Reported quantities.
     pub quantities: fn(&Results) -> Vec<Quantity>,
 }
 
 impl Rare {
-    /// None of it.
+    /// No such property.
     pub const NONE: Rare = Rare {
         whole_arm: None,
         in_every_arm: false,
         may_change: false,
+        in_bodies: InBodies::Nothing,
         part_of: None,
         changed_parameter: |name| name,
         quantities: quantity::own,
     };
 }
 
-/// A form that is part of another effect where its first coefficient is that effect's share of the cause's Coulomb friction.
+/// A form that is part of another effect when its first coefficient is that effect's share of the cause's Coulomb friction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PartOf {
     /// Name of the form.
@@ -91,24 +90,24 @@ pub struct PartOf {
     pub family: &'static str,
 }
 
-/// Where in the arm an effect sits. Joints count from 0.
+/// Location of an effect in the arm. Joints count from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Site {
     /// The arm as a whole.
     Arm,
     /// One joint.
     Joint(usize),
-    /// What one joint does to the torque of another.
+    /// An influence of one joint on the torque of another.
     Pair {
-        /// The joint whose torque it is.
+        /// The joint whose torque changes.
         row: usize,
-        /// The joint that it comes from.
+        /// The joint that causes it.
         cause: usize,
     },
 }
 
 impl Site {
-    /// Joints that it names: none, one, or the row and its cause.
+    /// Its joints: none, one, or row and cause.
     pub fn joints(self) -> Vec<usize> {
         match self {
             Site::Arm => Vec::new(),
@@ -117,7 +116,7 @@ impl Site {
         }
     }
 
-    /// End of a column's name, joints from 1: `4`, `5_6`, nothing for the whole arm.
+    /// Suffix of a column's name, joints from 1: `4`, `5_6`, empty for the whole arm.
     pub fn suffix(self) -> String {
         self.joints().iter().map(|joint| (joint + 1).to_string()).collect::<Vec<_>>().join("_")
     }
@@ -133,7 +132,7 @@ impl fmt::Display for Site {
     }
 }
 
-/// What kind of [`Site`] a family needs.
+/// Kind of [`Site`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
     /// [`Site::Arm`].
@@ -156,31 +155,31 @@ impl Place {
     }
 }
 
-/// How the values of a nonlinear parameter are spread.
+/// Spacing of the values of a nonlinear parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
-    /// Evenly.
+    /// Even.
     Linear,
-    /// Evenly in the logarithm.
+    /// Even in the logarithm.
     Logarithmic,
 }
 
-/// A nonlinear parameter of an effect: its columns depend on it, and it is searched for.
+/// A nonlinear parameter of an effect: the columns depend on it, and a search finds it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setting {
     /// Name in files: `delta`.
     pub name: &'static str,
     /// Unit.
     pub unit: &'static str,
-    /// What it is.
+    /// Meaning.
     pub what: &'static str,
-    /// Least value that makes sense.
+    /// Least value.
     pub low: f64,
-    /// Largest value that makes sense.
+    /// Largest value.
     pub high: f64,
-    /// Values that a search starts from; 0 where it starts from the parameter that another form of the family has found.
+    /// Number of start values of a search; 0 where it starts from the parameter of another form of the family.
     pub steps: usize,
-    /// How they are spread.
+    /// Spacing of the start values.
     pub scale: Scale,
 }
 
@@ -201,27 +200,27 @@ impl Setting {
         }
     }
 
-    /// The values that a search starts from.
+    /// Start values of a search.
     pub fn grid(&self) -> Vec<f64> {
         (0..self.steps).map(|step| self.at(step as f64 * self.spacing())).collect()
     }
 
-    /// Distance between two of them, as a share of the range: a search looks as far to either side.
+    /// Distance between two start values as a ratio of the range: a search covers as much on either side.
     pub fn spacing(&self) -> f64 {
         if self.steps == 0 { 0.5 } else { 1.0 / (self.steps.max(2) - 1) as f64 }
     }
 }
 
-/// Where in the data an effect shows.
+/// Part of the data that shows an effect.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stratum {
-    /// In what every period repeats.
+    /// The mean period.
     #[default]
     Repeatable,
-    /// In what differs from period to period.
+    /// Differences between periods.
     Changing,
-    /// Between sessions, or against a model identified before: within one session the base parameters absorb it.
+    /// Differences between sessions, or from an earlier model: within one session the base parameters absorb it.
     Reference,
 }
 
@@ -230,11 +229,30 @@ pub enum Stratum {
 pub struct Confounded {
     /// Identity of the other family, or a base parameter.
     pub with: &'static str,
-    /// The experiment that tells the two apart.
+    /// The experiment that distinguishes the two.
     pub decided_by: &'static str,
 }
 
-/// The horizontal axis of an effect's plot: a variable of the joint that the effect comes from.
+pub(super) const fn confounded(with: &'static str, decided_by: &'static str) -> Confounded {
+    Confounded { with, decided_by }
+}
+
+// Experiments that decide between several pairs of effects.
+pub(super) const FULL_TURN: &str = "move the joint through a full turn, or as far as it goes";
+pub(super) const MOST_OF_RANGE: &str = "move the joint through more than 60 % of its range";
+pub(super) const SLOW_CONSTANT_SPEEDS: &str = "move the joint at constant speeds of 0.02 to 0.3 rad/s, both ways";
+pub(super) const CONSTANT_SPEEDS: &str = "move the joint at constant speeds up to its rated one";
+pub(super) const HIGHER_HARMONICS: &str = "add harmonics of a higher frequency: a delay grows with it";
+pub(super) const BOTH_DIRECTIONS_EQUALLY: &str =
+    "a motion that is as long in either direction; a drift of friction turns with it";
+pub(super) const SECOND_MOUNTING: &str = "identify in a second mounting: the load turns, the zero stays";
+pub(super) const OTHER_LOAD: &str = "pass the same poses under another load, or in another mounting";
+pub(super) const SLOW_BOTH_DIRECTIONS: &str = "pass the same poses slowly in both directions";
+pub(super) const STANDSTILL: &str = "hold the joint still for some seconds in several poses";
+pub(super) const LONGER_RECORDING: &str = "a longer recording: a vibration goes on, a touch ends";
+pub(super) const ONE_REVERSES: &str = "reverse one joint while the other holds still";
+
+/// Horizontal axis of an effect's plot: a variable of the joint that causes the effect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlotOver {
     /// Position.
@@ -247,7 +265,7 @@ pub enum PlotOver {
     Load,
     /// Time since the start of the recording, or of the period.
     Time,
-    /// No plot: an effect in all joints' rows has no residual of its own.
+    /// No plot: an effect in all joints' rows has no single residual.
     Nothing,
 }
 
@@ -260,21 +278,21 @@ pub enum InC {
     Part {
         /// The expressions.
         columns: Expressions,
-        /// What the file has of the effect, and what it lacks.
+        /// The exported and the missing part of the effect.
         note: &'static str,
     },
     /// The [`Entry`](super::Entry) of every column of its whole-arm term.
     Entries,
     /// Standard parameters of a body on the last link, which the Newton-Euler recursion computes.
     LastLink,
-    /// No C: the effect is named in the file with this reason.
+    /// No C: the file names the effect and this reason.
     Refused(&'static str),
 }
 
 /// C expressions of an effect's columns, by the names of its inputs and its settings.
 pub type Expressions = fn(&Inputs, &[f64]) -> Vec<String>;
 
-/// C expressions that an effect may use; `cause` is the joint that the effect comes from, the row's own where the site is no pair.
+/// C expressions that an effect may use; `cause` is the joint that causes it, the row's own unless the site is a pair.
 #[derive(Clone, Debug, Default)]
 pub struct Inputs {
     /// Position of the row's joint.
@@ -293,35 +311,35 @@ pub struct Inputs {
     pub load: String,
 }
 
-/// The law needs samples before this one.
+/// The law needs earlier samples.
 pub(super) const REFUSED_MEMORY: InC = InC::Refused("its law needs earlier samples");
 /// The law needs the rigid-body torque at another position or under another gravity.
 pub(super) const REFUSED_OTHER_STATE: InC = InC::Refused("its law needs the rigid-body torque in another state");
 /// The law needs the time since the start of a recording.
 pub(super) const REFUSED_TIME: InC = InC::Refused("its law needs the time of a recording");
 
-/// What a description of rigid bodies with joint friction (URDF, MJCF) has of an effect.
+/// The part of an effect in a description of rigid bodies with joint friction (URDF, MJCF).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InBodies {
     /// All of it: its columns are standard parameters of a body on the last link.
     LastLink,
     /// The sum of its parameters as Coulomb friction of its joint.
     CoulombFriction {
-        /// What the file has of the effect, and what it lacks.
+        /// The exported and the missing part of the effect.
         note: &'static str,
     },
-    /// Nothing: the effect is named in the file.
+    /// Nothing: the file names the effect.
     Nothing,
 }
 
-/// One effect in all detail but its linear parameters.
+/// One effect without its linear parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spec {
     /// Identity of the family.
     pub family: &'static str,
     /// Name of the form.
     pub form: &'static str,
-    /// Where it sits.
+    /// Location.
     pub site: Site,
     /// Nonlinear parameters, in the form's order.
     pub settings: Vec<f64>,
@@ -337,6 +355,11 @@ impl fmt::Display for Spec {
 }
 
 impl Family {
+    /// Whether the loop serves it. An effect of the time of an event explains a recording; its [`FixedTerm`](super::FixedTerm) adds nothing.
+    pub fn is_served(&self) -> bool {
+        self.stratum != Stratum::Changing
+    }
+
     /// Its form of that name.
     pub fn form(&self, name: &str) -> Option<&'static Form> {
         self.forms.iter().find(|form| form.name == name)
@@ -344,14 +367,13 @@ impl Family {
 }
 
 impl Form {
-    /// Whether it starts where another form of the family ends, with that one's only parameter as the first of its settings and that one's settings
-    /// behind.
+    /// Whether a search starts from another form of the family: its only parameter is the first setting, its settings follow.
     pub fn grown(&self) -> bool {
         self.settings.first().is_some_and(|setting| setting.steps == 0)
     }
 }
 
-/// The joint of a site that is one; families whose place is [`Place::Joint`] get no other.
+/// The joint of a site, the row of a pair.
 pub(super) fn joint(site: Site) -> usize {
     match site {
         Site::Joint(joint) => joint,

@@ -1,19 +1,13 @@
-//! Friction that is another one than when the model was identified.
+//! Change of friction since an identification.
 
-use super::Term;
-use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum, joint};
-use super::load::OperatingPoint;
-use super::one_row::{OneRow, column, smooth_sign, unit};
-use super::quantity::{self, Quantity, Results};
+use super::family::*;
+use super::one_row::*;
+use super::quantity;
 use crate::torque::Parameter;
-use std::sync::Arc;
-
-/// Identity.
-pub const ID: &str = "friction-change";
 
 /// A change of one joint's viscous and Coulomb friction.
 pub static FAMILY: Family = Family {
-    id: ID,
+    id: "friction-change",
     physics: "A joint's friction has changed since the model was identified: new grease, wear, another temperature.",
     place: Place::Joint,
     forms: &[Form {
@@ -25,14 +19,12 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Velocity,
     }],
     stratum: Stratum::Reference,
-    served: true,
     typical: "20 to 50 % between a cold and a warm gear",
     confounded: &[
-        Confounded { with: "friction-drift", decided_by: "repeat the motion for half an hour: a drift goes on" },
-        Confounded { with: "load-dependent-friction", decided_by: "pass the same poses with and without a load" },
+        confounded("friction-drift", "repeat the motion for half an hour: a drift goes on"),
+        confounded("load-dependent-friction", "pass the same poses with and without a load"),
     ],
     reference: "Bittencourt, Gunnarsson, ASME J. Dynamic Systems, Measurement and Control 134 (2012)",
-    in_bodies: InBodies::Nothing,
     rare: Rare { may_change: true, changed_parameter, quantities: parameters_and_factors, ..Rare::NONE },
 };
 

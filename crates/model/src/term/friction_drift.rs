@@ -1,11 +1,8 @@
-//! Friction that falls while an arm gets warm.
+//! Drift of friction with temperature.
 
-use super::Term;
-use super::family::{Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_TIME, Rare, Site, Stratum, joint};
-use super::load::OperatingPoint;
+use super::family::*;
 use super::offset_drift::{WARMING, warmed};
-use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
-use std::sync::Arc;
+use super::one_row::*;
 
 /// Identity.
 pub const ID: &str = "friction-drift";
@@ -13,7 +10,7 @@ pub const ID: &str = "friction-drift";
 /// A drift of one joint's friction.
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "Grease gets thinner while the joint warms up, so that friction changes over the session.",
+    physics: "Grease becomes thinner as the joint warms up, so that friction changes during the session.",
     place: Place::Joint,
     forms: &[
         Form {
@@ -34,14 +31,9 @@ pub static FAMILY: Family = Family {
         },
     ],
     stratum: Stratum::Changing,
-    served: false,
     typical: "-20 to -50 % of the friction over 10 to 30 min",
-    confounded: &[Confounded {
-        with: "offset-drift",
-        decided_by: "a motion that is as long in either direction; a drift of friction turns with it",
-    }],
+    confounded: &[confounded("offset-drift", BOTH_DIRECTIONS_EQUALLY)],
     reference: "Simoni, Beschi, Legnani, Visioli, IROS 2015; Bittencourt, Gunnarsson, Trans. ASME J. Dynamic Systems 134 (2012)",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

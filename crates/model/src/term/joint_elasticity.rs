@@ -1,31 +1,27 @@
-//! A gear that twists under its load.
+//! Elasticity of a gear.
 
-use super::all_rows::{AllRows, Clock, Law, Past};
+use super::all_rows::*;
 use super::carried::CarriedFriction;
-use super::family::{
-    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_MEMORY, Rare, Scale, Setting, Site, Stratum, joint,
-};
-use super::load::OperatingPoint;
+use super::family::*;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
 use super::swing::{Gear, QUALITY, SWINGING, Swing};
-use super::{Column, Expected, Sample, Term};
+use super::{Column, Expected, Sample};
 use plumbline_core::JointVec;
-use std::sync::Arc;
 
 /// Identity.
 pub const ID: &str = "joint-elasticity";
 
-/// Name of the form for friction that acts behind the gear, on the link's side, and so goes through it.
+/// Name of the form with friction on the link's side of the gear, which the gear transmits.
 const LINK_FRICTION: &str = "link-friction";
 
-/// The twist of one joint's gear, as long as the motion is slow against its resonance.
+/// Twist of one joint's gear, for motions that are slow against its resonance.
 ///
 /// Without memory the link is at `q_i - c_i tau_rb_i`, first order in the compliance; `e'` and `e''` are differences of the torques before, so
 /// that a regressor needs a motion on a grid that is fine against it (20 samples per period of its highest harmonic).
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "The encoder sits on the motor's side, and the gear (or the torque sensor) behind it twists under the joint's load.",
+    physics: "The encoder is on the motor's side, and the gear or torque sensor behind it twists under the joint's load.",
     place: Place::Joint,
     forms: &[
         Form {
@@ -54,17 +50,12 @@ pub static FAMILY: Family = Family {
         },
     ],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "5e-5 to 2e-4 rad/Nm",
     confounded: &[
-        Confounded {
-            with: "encoder-offset",
-            decided_by: "identify in a second mounting: the load turns, the zero stays",
-        },
-        Confounded { with: "lx and ly of the same link", decided_by: "log the position on both sides of the gear" },
+        confounded("encoder-offset", SECOND_MOUNTING),
+        confounded("lx and ly of the same link", "log the position on both sides of the gear"),
     ],
     reference: "Albu-Schaeffer, Ott, Hirzinger, Int. J. Robotics Research 26 (2007)",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

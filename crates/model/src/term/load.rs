@@ -1,4 +1,4 @@
-//! The rigid-body torque that gears, bearings and sensors carry: what many effects are proportional to.
+//! The rigid-body torque as a load of gears, bearings and sensors, which many effects depend on.
 
 use super::{Motion, Sample};
 use crate::base::Reduction;
@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
 use std::sync::Arc;
 
-/// Rigid bodies with their numbers, `tau_rb = Y_b beta`.
+/// Rigid bodies with their parameters, `tau_rb = Y_b beta`.
 #[derive(Clone, Debug)]
 pub struct Load {
     chain: Chain,
@@ -33,7 +33,7 @@ impl Load {
         &self.chain
     }
 
-    /// Ready for one gravity vector in the base frame \[m/s2\].
+    /// Precomputed for one gravity vector in the base frame \[m/s2\].
     pub fn under(&self, gravity: &Vector3<f64>) -> LoadUnder {
         let mut closed = ClosedForm::default();
         let plain = (!closed.add_links(&self.chain, &self.links, gravity)).then(|| (self.clone(), *gravity));
@@ -58,9 +58,9 @@ impl Load {
 pub struct OperatingPoint {
     /// The arm.
     pub chain: Chain,
-    /// Its rigid bodies, as far as they are known.
+    /// Its rigid bodies.
     pub load: Arc<Load>,
-    /// `[fv, fc]` of each joint, as far as they are known: \[Nms/rad\], \[Nm\]. Empty where the model has no friction.
+    /// `[fv, fc]` of each joint: \[Nms/rad\], \[Nm\]. Empty where the model has no friction.
     pub friction: Vec<[f64; 2]>,
 }
 
@@ -68,7 +68,7 @@ pub struct OperatingPoint {
 #[derive(Clone, Debug)]
 pub struct LoadUnder {
     closed: ClosedForm,
-    /// Where there is no closed form (prismatic joints).
+    /// For arms without a closed form (prismatic joints).
     plain: Option<(Load, Vector3<f64>)>,
 }
 

@@ -1,18 +1,12 @@
-//! Friction that grows with the torque that a gear carries.
+//! Friction in proportion to the load of a gear.
 
-use super::Term;
-use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum, joint};
-use super::load::OperatingPoint;
-use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
-use std::sync::Arc;
-
-/// Identity.
-pub const ID: &str = "load-dependent-friction";
+use super::family::*;
+use super::one_row::*;
 
 /// Friction in proportion to the rigid-body torque of the same joint.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "Teeth that transmit more torque are pressed together harder, and so rub harder.",
+    id: "load-dependent-friction",
+    physics: "Gears and bearings have more friction under a higher load.",
     place: Place::Joint,
     forms: &[
         Form {
@@ -33,17 +27,12 @@ pub static FAMILY: Family = Family {
         },
     ],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "0.5 to 5 % of the load",
     confounded: &[
-        Confounded {
-            with: "position-dependent-friction",
-            decided_by: "pass the same poses under another load, or in another mounting",
-        },
-        Confounded { with: "torque-gain", decided_by: "pass the same poses slowly in both directions" },
+        confounded("position-dependent-friction", OTHER_LOAD),
+        confounded("torque-gain", SLOW_BOTH_DIRECTIONS),
     ],
     reference: "Hamon, Gautier, Garrec, IROS 2010; Bittencourt, Axelsson, IEEE/ASME Trans. Mechatronics 19 (2014)",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

@@ -1,18 +1,12 @@
 //! Made up, for one test: a torque that no arm has. `tests/made_up_effect.rs` finds it in the program, as any effect that is added by the
 //! recipe in CONTRIBUTING.md. Only the feature `made-up-effect` has it.
 
-use super::Term;
-use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum, joint};
-use super::load::OperatingPoint;
-use super::one_row::{OneRow, column, unit};
-use std::sync::Arc;
-
-/// Identity.
-pub const ID: &str = "made-up";
+use super::family::*;
+use super::one_row::*;
 
 /// A torque in proportion to position times velocity.
 pub static FAMILY: Family = Family {
-    id: ID,
+    id: "made-up",
     physics: "Made up for a test: a torque in proportion to position times velocity.",
     place: Place::Joint,
     forms: &[Form {
@@ -24,11 +18,9 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Position,
     }],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "none on any arm",
-    confounded: &[Confounded { with: "asymmetric-viscous", decided_by: "none is needed: no arm has it" }],
+    confounded: &[confounded("asymmetric-viscous", "none is needed: no arm has it")],
     reference: "tests/made_up_effect.rs",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

@@ -1,56 +1,57 @@
 //! Terms: the parts a torque model is a sum of.
 //!
-//! A term contributes named columns to the regressor and says in one sentence what it is physically. An effect that diagnosis
-//! finds is added by pushing one more term; a new kind of effect is one new file here.
+//! A term has named columns of the regressor and one sentence on its physics. Each effect that diagnosis finds is one more term.
+//! A new kind of effect is one new file here.
 
 mod all_rows;
 pub mod asymmetric_coulomb;
 pub mod asymmetric_viscous;
-pub mod backlash;
+mod backlash;
 pub mod base_motion;
 mod carried;
 mod catalogue;
 pub mod contact;
-pub mod delay;
+mod delay;
 pub mod effect;
-pub mod encoder_eccentricity;
-pub mod encoder_offset;
+mod encoder_eccentricity;
+mod encoder_offset;
 mod family;
 pub mod friction;
-pub mod friction_change;
+mod friction_change;
 pub mod friction_drift;
 pub mod joint_elasticity;
 pub mod load;
-pub mod load_dependent_friction;
+mod load_dependent_friction;
 #[cfg(feature = "made-up-effect")]
 mod made_up;
 pub mod mounting;
-pub mod nonlinear_viscous;
+mod nonlinear_viscous;
 pub mod offset_drift;
 mod one_row;
-pub mod payload;
-pub mod position_dependent_friction;
+mod payload;
+mod per_joint;
+mod position_dependent_friction;
 mod position_error;
 pub mod position_ripple;
-pub mod presliding;
+mod presliding;
 mod quantity;
 pub mod rigid_body;
-pub mod rotor_inertia;
+mod rotor_inertia;
 pub mod spring;
-pub mod stribeck;
-pub mod subset;
+mod stribeck;
+pub(crate) mod subset;
 mod swing;
-pub mod torque_crosstalk;
-pub mod torque_gain;
+mod torque_crosstalk;
+mod torque_gain;
 pub mod torque_offset;
-pub mod transmission_coupling;
+mod transmission_coupling;
 
 pub use super::motion::{Motion, Sample};
 pub use super::parameter::Column;
 pub use catalogue::{KNOWN, by_id};
 
 use super::base::Reduction;
-use super::chain::{Chain, JointKind};
+use super::chain::Chain;
 use super::fast::closed::ClosedForm;
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
@@ -61,7 +62,7 @@ pub trait Term: Send + Sync {
     /// Stable identity, as in the model file: `rigid-body`, `friction`, `torque-offset`.
     fn id(&self) -> &'static str;
 
-    /// What it is physically, in one sentence.
+    /// Its physics, in one sentence.
     fn physics(&self) -> &'static str;
 
     /// Its columns, in order.
@@ -77,38 +78,37 @@ pub trait Term: Send + Sync {
         false
     }
 
-    /// Whether it integrates in time with steps of its own, and so may be looked at roughly, at few samples.
+    /// Whether it integrates in time with its own steps, so that a coarse evaluation at few samples is possible.
     fn integrates(&self) -> bool {
         false
     }
 
-    /// As [`Term::fill`], where it integrates the means of its columns between each sample and the one before.
+    /// As [`Term::fill`]; a term that integrates writes the mean of each column since the sample before.
     fn fill_means(&self, chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
         self.fill(chain, motion, y, first);
     }
 
-    /// What its only parameter can be.
+    /// Possible values of its only parameter.
     fn expects(&self) -> Expected {
         Expected::Any
     }
 
-    /// Whether the parameter of this column can't be below zero by its physics. A search may pass values below zero; a model that is delivered
-    /// has none.
+    /// Whether physics requires the parameter of this column to be 0 or more. A search may pass negative values; a delivered model has none.
     fn not_negative(&self, _column: usize) -> bool {
         self.expects() == Expected::NotNegative
     }
 
-    /// What its columns are at one sample, in their order; `None` when they depend on more than that sample.
+    /// Its columns as functions of one sample, in order; `None` for other columns than those of [`Entry`].
     fn entries(&self) -> Option<Vec<Entry>> {
         None
     }
 
-    /// What tells it from other effects of its family, for a model file; `None` for a term of the whole arm.
+    /// Family, form, site and settings, for a model file; `None` for a term of the whole arm.
     fn spec(&self) -> Option<effect::Spec> {
         None
     }
 
-    /// Which column of the whole term this column is, where some were left out.
+    /// Index of this column in the complete term, where some columns were left out.
     fn original(&self, column: usize) -> usize {
         column
     }
@@ -117,23 +117,23 @@ pub trait Term: Send + Sync {
     fn fix(&self, chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm>;
 }
 
-/// What the only parameter of a term can be.
+/// Possible values of the only parameter of a term.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Expected {
     /// Any number.
     Any,
-    /// None below zero.
+    /// 0 or more.
     NotNegative,
-    /// About the first of its settings, which its column was computed for.
+    /// Near the first setting, at which the column was computed.
     FirstSetting,
 }
 
-/// A column that depends on one sample alone. Joints are counted from 0; all but a link's column have that joint's row alone.
+/// A column that depends on one sample. Joints are counted from 0. Every column but a link's is nonzero in its joint's row only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Entry {
-    /// A standard parameter of a rigid link, `10 * link + position` in `[Lxx Lxy Lxz Lyy Lyz Lzz lx ly lz m]`.
+    /// A standard parameter of a rigid link.
     Link {
-        /// That place.
+        /// `10 * link + position` in `[Lxx Lxy Lxz Lyy Lyz Lzz lx ly lz m]`.
         slot: usize,
     },
     /// `dq_j`.
@@ -163,32 +163,11 @@ pub trait FixedTerm: Send {
     /// Adds the term's torque at `sample` to `tau` \[Nm\].
     fn torque(&mut self, sample: &Sample, tau: &mut JointVec);
 
-    /// Samples come every `dt` from now on \[s\]; before the first call, every millisecond.
+    /// Sets the sample period \[s\]; 1 ms before the first call.
     fn every(&mut self, _dt: f64) {}
 
-    /// Adds itself to the part of the model that is computed in one pass, and is not called any more. False when it has no such form.
+    /// Adds the term to the closed form, which then replaces it; false when the term has no closed form.
     fn join(&self, _closed: &mut ClosedForm) -> bool {
         false
     }
-}
-
-/// One column per joint whose expression is its own name.
-fn per_joint(chain: &Chain, name: &str, symbol: &str, unit: impl Fn(JointKind) -> &'static str) -> Vec<Column> {
-    let column = |(j, joint): (usize, &super::chain::Joint)| Column {
-        name: format!("{name}{}", j + 1),
-        symbol: format!("{symbol}{}", j + 1),
-        joint: j + 1,
-        unit: unit(joint.kind),
-        expression: format!("{name}{}", j + 1),
-    };
-    chain.joints().iter().enumerate().map(column).collect()
-}
-
-/// `values` in the front of a vector with room for every joint.
-fn padded(values: &[f64]) -> JointVec {
-    let mut padded = JointVec::default();
-    for (slot, value) in padded.iter_mut().zip(values) {
-        *slot = *value;
-    }
-    padded
 }

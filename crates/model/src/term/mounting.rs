@@ -1,23 +1,19 @@
-//! A base that stands tilted.
+//! Tilt of the base.
 
-use super::all_rows::{AllRows, Clock, Law};
-use super::family::{Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_OTHER_STATE, Rare, Site, Stratum};
-use super::load::{LoadUnder, OperatingPoint};
+use super::Sample;
+use super::all_rows::*;
+use super::family::*;
+use super::load::LoadUnder;
 use super::one_row::column;
-use super::quantity::{self, Quantity, Results};
-use super::{Sample, Term};
+use super::quantity;
 use crate::gravity::Mounting;
 use nalgebra::Vector3;
 use plumbline_core::JointVec;
-use std::sync::Arc;
 
-/// Identity.
-pub const ID: &str = "mounting";
-
-/// A small tilt of the base, as two angles. A model of the VBS kind lacks two parameters that a tilt shows, and so feels only a part.
+/// A small tilt of the base, as two angles. A VBS lacks two parameters that a tilt excites, so that its columns are incomplete.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "The base is mounted at another angle than the one that the model was told.",
+    id: "mounting",
+    physics: "The base is mounted at another angle than declared.",
     place: Place::Arm,
     forms: &[Form {
         name: "",
@@ -28,18 +24,13 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Nothing,
     }],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "0.5 degrees, which are 0.1 to 0.2 Nm per joint near the base",
     confounded: &[
-        Confounded {
-            with: "lx1 and ly1",
-            decided_by: "turn joint 1 by more than 90 degrees; identify in a second mounting",
-        },
-        Confounded { with: "spring", decided_by: "turn joint 1 as far as it goes" },
-        Confounded { with: "torque-offset", decided_by: "turn joint 1 by more than 90 degrees" },
+        confounded("lx1 and ly1", "turn joint 1 by more than 90 degrees; identify in a second mounting"),
+        confounded("spring", "turn joint 1 as far as it goes"),
+        confounded("torque-offset", "turn joint 1 by more than 90 degrees"),
     ],
     reference: "the paper's equation 3, whose direction of gravity it turns",
-    in_bodies: InBodies::Nothing,
     rare: Rare { may_change: true, quantities: angles, ..Rare::NONE },
 };
 
@@ -57,14 +48,14 @@ fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<
     let load = Arc::clone(&operating_point.load);
     let columns = ["tilt_a", "tilt_b"].map(|stem| column(stem, site, "", "rad")).to_vec();
     AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
-        // Without gravity there is nothing to tilt.
+        // Without gravity a tilt has no effect.
         let turned = |axis: Vector3<f64>| load.under(&axis.cross(gravity));
         let tilts = if gravity.norm() > 0.0 { axes(gravity).map(turned).to_vec() } else { Vec::new() };
         Tilt(tilts)
     })
 }
 
-/// The rigid bodies under what each tilt adds to gravity.
+/// The rigid bodies under the change of gravity by each tilt.
 struct Tilt(Vec<LoadUnder>);
 
 impl Law for Tilt {
@@ -75,7 +66,7 @@ impl Law for Tilt {
     }
 }
 
-/// Torque that gravity alone takes in the pose of a sample: the part of `tau_rb` that is linear in gravity.
+/// Gravity torque in the pose of a sample: the part of `tau_rb` that is linear in gravity.
 pub(super) fn at_rest(load: &mut LoadUnder, sample: &Sample) -> JointVec {
     load.torque(&Sample { q: sample.q, ..Sample::default() })
 }

@@ -1,20 +1,12 @@
-//! Friction that is no straight line over the speed.
+//! Viscous friction that is not proportional to speed.
 
-use super::Term;
-use super::family::{
-    Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
-};
-use super::load::OperatingPoint;
-use super::one_row::{At, OneRow, Settings, column, unit};
-use std::sync::Arc;
+use super::family::*;
+use super::one_row::*;
 
-/// Identity.
-pub const ID: &str = "nonlinear-viscous";
-
-/// What viscous friction has on top of `fv dq`.
+/// Viscous friction in addition to `fv dq`.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "Grease gets thinner when it is sheared faster, and churning costs more: friction bends over the speed.",
+    id: "nonlinear-viscous",
+    physics: "Grease becomes thinner at a higher shear rate, and churning grows with speed: viscous friction is not proportional to speed.",
     place: Place::Joint,
     forms: &[
         Form {
@@ -52,21 +44,13 @@ pub static FAMILY: Family = Family {
         },
     ],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "0.3 to 1.3 Nm over a Panda's joints in the sigmoid form, vt 0.12 to 0.4 rad/s",
     confounded: &[
-        Confounded {
-            with: "stribeck",
-            decided_by: "move the joint at constant speeds of 0.02 rad/s up to its rated one",
-        },
-        Confounded {
-            with: "presliding",
-            decided_by: "move the joint at constant speeds of 0.02 to 0.3 rad/s, both ways",
-        },
-        Confounded { with: "fv and fc", decided_by: "they hold most of it: move the joint up to its rated speed" },
+        confounded("stribeck", "move the joint at constant speeds of 0.02 rad/s up to its rated one"),
+        confounded("presliding", SLOW_CONSTANT_SPEEDS),
+        confounded("fv and fc", "they hold most of it: move the joint up to its rated speed"),
     ],
     reference: "Gaz et al., IEEE RA-L 4 (2019); Wolf, Iskandar, ICRA 2018",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

@@ -1,17 +1,12 @@
-//! A torque sensor's zero that creeps.
+//! Drift of a torque sensor's zero.
 
-use super::Term;
-use super::family::{
-    Confounded, Family, Form, InBodies, Place, PlotOver, REFUSED_TIME, Rare, Scale, Setting, Site, Stratum, joint,
-};
-use super::load::OperatingPoint;
-use super::one_row::{At, OneRow, Settings, column, unit};
-use std::sync::Arc;
+use super::family::*;
+use super::one_row::*;
 
 /// Identity.
 pub const ID: &str = "offset-drift";
 
-/// How long a part of an arm takes to get warm.
+/// Time constant of the warming.
 pub(super) const WARMING: Setting = Setting {
     name: "T",
     unit: "s",
@@ -25,7 +20,7 @@ pub(super) const WARMING: Setting = Setting {
 /// A drift of one joint's offset.
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "The torque sensor's zero creeps while it gets warm.",
+    physics: "The torque sensor's zero drifts as it warms up.",
     place: Place::Joint,
     forms: &[
         Form {
@@ -46,21 +41,16 @@ pub static FAMILY: Family = Family {
         },
     ],
     stratum: Stratum::Changing,
-    served: false,
     typical: "0.05 to 0.5 Nm over a session",
     confounded: &[
-        Confounded {
-            with: "friction-drift",
-            decided_by: "a motion that is as long in either direction; a drift of friction turns with it",
-        },
-        Confounded { with: "contact", decided_by: "a second recording: a touch does not come back, a drift does" },
+        confounded("friction-drift", BOTH_DIRECTIONS_EQUALLY),
+        confounded("contact", "a second recording: a touch does not come back, a drift does"),
     ],
     reference: "Bittencourt, Gunnarsson, Trans. ASME J. Dynamic Systems 134 (2012), for the time constants",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 
-/// Share of the way to the warm state, `1 - exp(-t / T)`.
+/// Ratio of the warming, `1 - exp(-t / T)`.
 pub(super) fn warmed(time: f64, constant: f64) -> f64 {
     -(-time / constant).exp_m1()
 }

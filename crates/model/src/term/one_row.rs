@@ -25,29 +25,29 @@ pub(super) struct Point {
     pub ddq: f64,
 }
 
-/// What a law may look at.
+/// Inputs of a law.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct At {
-    /// The joint in whose row the columns are.
+    /// The joint of the row.
     pub own: Point,
-    /// The joint that it comes from; the same one where the site is no pair.
+    /// The joint that causes the effect; the same joint unless the site is a pair.
     pub cause: Point,
-    /// Rigid-body torque of the joint that it comes from \[Nm\]; 0 unless the law was built with [`OneRow::loaded`].
+    /// Rigid-body torque of the cause \[Nm\]; 0 unless the law was built with [`OneRow::loaded`].
     pub load: f64,
-    /// Time since the start of the recording \[s\]; 0 in the loop, where no law that looks at it is served.
+    /// Time since the start of the recording \[s\]; 0 in the loop, which serves no law of time.
     pub time: f64,
 }
 
-/// Nonlinear parameters; zero past those that there are.
+/// Nonlinear parameters, padded with zeros.
 pub(super) type Settings = [f64; MAX_SETTINGS];
 
-/// The columns at a sample, by the settings; those past the term's own are ignored. Every law is a type of its own and no pointer, so that the
-/// compiler sees which law a [`FixedRow`] calls, and that it can't panic.
+/// Columns at a sample; values past the term's columns are ignored. Each law is a type instead of a function pointer, so that the compiler
+/// can prove that the law of a [`FixedRow`] does not panic.
 pub(super) trait Law: Fn(&At, &Settings) -> [f64; MAX_COLUMNS] + Copy + Send + Sync + 'static {}
 
 impl<L: Fn(&At, &Settings) -> [f64; MAX_COLUMNS] + Copy + Send + Sync + 'static> Law for L {}
 
-/// `tanh(100 dq)`, the sign of a velocity as friction has it (paper eq. 2).
+/// `tanh(100 dq)`, the smooth sign of a velocity (paper eq. 2).
 pub(super) fn smooth_sign(dq: f64) -> f64 {
     (SHARPNESS * dq).tanh()
 }
@@ -55,7 +55,7 @@ pub(super) fn smooth_sign(dq: f64) -> f64 {
 /// A column of an effect: `stem`, the joints of the site, `tail`. Its symbol and expression are its name.
 pub(super) fn column(stem: &str, site: Site, tail: &str, unit: &'static str) -> Column {
     let name = format!("{stem}{}{tail}", site.suffix());
-    // Joint 1 stands for the whole arm.
+    // Joint 1 represents the whole arm.
     let joint = site.joints().first().map_or(1, |joint| joint + 1);
     Column { symbol: name.clone(), expression: name.clone(), name, joint, unit }
 }
@@ -86,7 +86,7 @@ pub(super) struct OneRow<L> {
 }
 
 impl<L: Law> OneRow<L> {
-    /// A law of the motion alone.
+    /// A law of the motion.
     pub fn new(
         family: &'static Family,
         form: &'static str,
@@ -106,17 +106,17 @@ impl<L: Law> OneRow<L> {
         OneRow { family, spec, law, settings: own, columns, load: None, smooth: false, not_negative: false }
     }
 
-    /// One that looks at the rigid-body torque, too.
+    /// A law of the motion and the rigid-body torque.
     pub fn loaded(self, operating_point: &OperatingPoint) -> OneRow<L> {
         OneRow { load: Some(Arc::clone(&operating_point.load)), ..self }
     }
 
-    /// One without a step where a joint turns back.
+    /// A law without a step at reversals.
     pub fn smooth(self) -> OneRow<L> {
         OneRow { smooth: true, ..self }
     }
 
-    /// One whose parameters can't be below zero.
+    /// A law whose parameters are 0 or more.
     pub fn not_negative(self) -> OneRow<L> {
         OneRow { not_negative: true, ..self }
     }
@@ -179,7 +179,7 @@ impl<L: Law> Term for OneRow<L> {
     }
 
     fn fix(&self, _chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {
-        if !self.family.served {
+        if !self.family.is_served() {
             return Box::new(Nothing);
         }
         let (row, cause) = self.joints();
@@ -195,7 +195,7 @@ struct FixedRow<L> {
     cause: usize,
     law: L,
     settings: Settings,
-    /// Zero past the columns that there are.
+    /// Padded with zeros.
     beta: [f64; MAX_COLUMNS],
     load: Option<LoadUnder>,
 }
@@ -219,7 +219,7 @@ impl<L: Law> FixedTerm for FixedRow<L> {
     }
 }
 
-/// What is not served.
+/// An effect that is not served: no torque.
 pub(super) struct Nothing;
 
 impl FixedTerm for Nothing {

@@ -1,24 +1,19 @@
-//! A tool or load on the last link that the model was not told of.
+//! An undeclared tool or load on the last link.
 
-use super::all_rows::{AllRows, Clock, Law};
-use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum};
-use super::load::OperatingPoint;
-use super::quantity::{self, Quantity, Results};
-use super::{Column, Sample, Term};
+use super::all_rows::*;
+use super::family::*;
+use super::quantity;
+use super::{Column, Sample};
 use crate::fast::links::LinkColumns;
 use crate::inertia::Body;
 use crate::regressor::LINK_COLUMNS;
 use nalgebra::DVector;
 use plumbline_core::JointVec;
-use std::sync::Arc;
 
-/// Identity.
-pub const ID: &str = "payload";
-
-/// A rigid body fixed to the last link, beside the link's own.
+/// A rigid body fixed to the last link.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "A rigid body is fixed to the last link that was not there when the model was identified.",
+    id: "payload",
+    physics: "A rigid body is fixed to the last link that was not there at the identification.",
     place: Place::Arm,
     forms: &[Form {
         name: "",
@@ -29,22 +24,14 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Nothing,
     }],
     stratum: Stratum::Reference,
-    served: true,
     typical: "0.1 to 3 kg",
     confounded: &[
-        Confounded {
-            with: "the last link's own parameters",
-            decided_by: "a recording without the load, or a model from before",
-        },
-        Confounded { with: "torque-gain", decided_by: "weigh the load: a gain common to all joints scales all masses" },
-        Confounded {
-            with: "the link before the last",
-            decided_by: "turn the wrist: a centre of mass on the last axis looks like theirs",
-        },
+        confounded("the last link's own parameters", "a recording without the load, or a model from before"),
+        confounded("torque-gain", "weigh the load: a gain common to all joints scales all masses"),
+        confounded("the link before the last", "turn the wrist: a centre of mass on the last axis looks like theirs"),
     ],
     reference: "Khalil, Gautier, Lemoine, ICRA 2007; Swevers et al., IEEE Control Systems Magazine 27 (2007)",
-    in_bodies: InBodies::LastLink,
-    rare: Rare { may_change: true, quantities: body_or_parameters, ..Rare::NONE },
+    rare: Rare { may_change: true, in_bodies: InBodies::LastLink, quantities: body_or_parameters, ..Rare::NONE },
 };
 
 const PARAMETERS: [(&str, &str); LINK_COLUMNS] = [
@@ -98,12 +85,12 @@ const NUMBERS: [(&str, &str); LINK_COLUMNS] = [
 
 /// Step of the differences, in standard deviations of the parameter.
 const STEP_RATIO: f64 = 1e-3;
-/// Largest share of a number's sensitivity in undetermined directions, for a number with a standard deviation.
+/// Largest squared share of a number's sensitivity in undetermined directions for which it has a standard deviation.
 const UNDETERMINED_RATIO: f64 = 1e-3;
-/// Smallest mass that has a centre, in its standard deviations.
+/// Smallest mass for which a centre of mass is reported, in its standard deviations.
 const MASS_DEVIATIONS: f64 = 2.0;
 
-/// The body; the parameters where its mass may be zero, so that it has no centre of mass.
+/// The body, or the parameters where its mass may be zero.
 fn body_or_parameters(results: &Results) -> Vec<Quantity> {
     body(results).unwrap_or_else(|| quantity::own(results))
 }

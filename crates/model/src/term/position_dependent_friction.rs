@@ -1,21 +1,13 @@
-//! Friction that changes with the joint's angle.
+//! Friction that depends on the joint's angle.
 
-use super::Term;
-use super::family::{
-    Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
-};
-use super::load::OperatingPoint;
-use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
+use super::family::*;
+use super::one_row::*;
 use super::position_ripple::order;
-use std::sync::Arc;
-
-/// Identity.
-pub const ID: &str = "position-dependent-friction";
 
 /// One wave of friction over the joint's angle.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "A shaft, bearing or seal that is not quite round rubs harder in some poses of the joint than in others.",
+    id: "position-dependent-friction",
+    physics: "A shaft, bearing or seal that is not round has more friction at some angles of the joint than at others.",
     place: Place::Joint,
     forms: &[Form {
         name: "",
@@ -36,14 +28,9 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Position,
     }],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "5 to 50 % of the Coulomb friction",
-    confounded: &[Confounded {
-        with: "load-dependent-friction",
-        decided_by: "pass the same poses under another load, or in another mounting",
-    }],
+    confounded: &[confounded("load-dependent-friction", OTHER_LOAD)],
     reference: "Popovic, Goldenberg, IEEE Trans. Robotics and Automation 14 (1998); Armstrong-Helouvry et al., Automatica 30 (1994)",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

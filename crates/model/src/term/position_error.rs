@@ -1,4 +1,4 @@
-//! What an error of one joint's position does to the torques of all joints.
+//! Influence of an error of one joint's position on the torques of all joints.
 
 use super::Sample;
 use super::load::LoadUnder;
@@ -8,7 +8,7 @@ use plumbline_core::JointVec;
 /// torque over the angle, its rounding 2e-12.
 const STEP_RAD: f64 = 1e-4;
 
-/// Rigid bodies seen through a joint whose true position is not the measured one.
+/// Rigid bodies with one joint whose true position differs from the measured one.
 pub(super) struct PositionError {
     /// The joint.
     pub joint: usize,
@@ -44,7 +44,7 @@ impl PositionError {
         torque.get(self.joint).copied().unwrap_or_default()
     }
 
-    /// `M_ii`: what the joint's own torque, here `own`, grows by with its acceleration \[Nm s2/rad\]. Exact, as it is linear.
+    /// `M_ii`: slope of the joint's torque, here `own`, over its acceleration \[Nm s2/rad\]. Exact, since the torque is linear in it.
     pub fn inertia(&mut self, sample: &Sample, own: f64) -> f64 {
         let mut faster = *sample;
         if let Some(ddq) = faster.ddq.get_mut(self.joint) {

@@ -1,20 +1,12 @@
-//! Torque that ripples over the joint's angle.
+//! Torque ripple over the joint's angle.
 
-use super::Term;
-use super::family::{
-    Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
-};
-use super::load::OperatingPoint;
-use super::one_row::{At, OneRow, Settings, column, unit};
-use std::sync::Arc;
-
-/// Identity.
-pub const ID: &str = "position-ripple";
+use super::family::*;
+use super::one_row::*;
 
 /// One wave of torque over the joint's angle.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "Teeth, magnets and the sensor's own ring make torque ripple with the angle: cogging, gear meshing, sensor ripple.",
+    id: "position-ripple",
+    physics: "Gear meshing, cogging and the torque sensor itself cause a torque ripple over the joint's angle.",
     place: Place::Joint,
     forms: &[Form {
         name: "",
@@ -37,15 +29,13 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Position,
     }],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "0.05 to 0.5 Nm, 1 to 2 % of a sensor's range",
     confounded: &[
-        Confounded { with: "torque-offset", decided_by: "move the joint through a full turn, or as far as it goes" },
-        Confounded { with: "spring", decided_by: "move the joint through a full turn, or as far as it goes" },
-        Confounded { with: "lx and ly of the same link", decided_by: "order 1 only: identify in a second mounting" },
+        confounded("torque-offset", FULL_TURN),
+        confounded("spring", FULL_TURN),
+        confounded("lx and ly of the same link", "order 1 only: identify in a second mounting"),
     ],
     reference: "Taghirad, Belanger, Trans. ASME J. Dynamic Systems 120 (1998)",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 
@@ -59,7 +49,7 @@ fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<
     OneRow::new(&FAMILY, "", site, settings, columns, law).smooth().term()
 }
 
-/// An order in a column's name: `n12.5`. Orders that share the first three decimals are one ripple.
+/// An order in a column's name: `n12.5`, rounded to three decimals.
 pub(super) fn order(n: f64) -> String {
     format!("n{}", (n * 1e3).round() / 1e3)
 }

@@ -1,28 +1,19 @@
-//! Presliding: friction that bends like a spring before it slides, so that it follows the displacement since the last reversal.
+//! Presliding: elastic friction before sliding, a function of the displacement since the last reversal.
 
-use super::family::{
-    Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Spec, Stratum, joint,
-};
-use super::load::OperatingPoint;
-use super::{Column, FixedTerm, Motion, Sample, Term};
+use super::family::*;
+use super::{Column, FixedTerm, Motion, Sample};
 use crate::chain::Chain;
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
-use std::sync::Arc;
 
-/// Identity of [`Presliding`].
-pub const ID: &str = "presliding";
-
-/// What formats without memory have of it.
+/// The part in formats without memory.
 const SLIDING: &str = "is held as the Coulomb friction that it is in sliding; its memory, which tells where a joint that turns back was, is \
                        left out";
 
-const PHYSICS: &str = "After a reversal the contacts of gears, bearings and seals bend before they slide.";
-
 /// Presliding in one joint.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: PHYSICS,
+    id: "presliding",
+    physics: "After a reversal the contacts of gears, bearings and seals deform elastically before they slide.",
     place: Place::Joint,
     forms: &[Form {
         name: "",
@@ -41,22 +32,17 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Velocity,
     }],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "delta 1 to 50 mrad, fp the Coulomb friction",
     confounded: &[
-        Confounded {
-            with: "stribeck",
-            decided_by: "move the joint at constant speeds of 0.02 to 0.3 rad/s, both ways",
-        },
-        Confounded { with: "nonlinear-viscous", decided_by: "move the joint at constant speeds up to its rated one" },
-        Confounded { with: "delay", decided_by: "add harmonics of a higher frequency: a delay grows with it" },
+        confounded("stribeck", SLOW_CONSTANT_SPEEDS),
+        confounded("nonlinear-viscous", CONSTANT_SPEEDS),
+        confounded("delay", HIGHER_HARMONICS),
     ],
     reference: "Dahl, AIAA Journal 14 (1976); Canudas de Wit et al., IEEE Trans. Automatic Control 40 (1995)",
-    in_bodies: InBodies::CoulombFriction { note: SLIDING },
-    rare: Rare::NONE,
+    rare: Rare { in_bodies: InBodies::CoulombFriction { note: SLIDING }, ..Rare::NONE },
 };
 
-fn build(_ground: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+fn build(_operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     Arc::new(Presliding { joint: joint(site), delta: settings[0] })
 }
 
@@ -77,11 +63,11 @@ impl Presliding {
 
 impl Term for Presliding {
     fn id(&self) -> &'static str {
-        ID
+        FAMILY.id
     }
 
     fn physics(&self) -> &'static str {
-        PHYSICS
+        FAMILY.physics
     }
 
     fn columns(&self) -> Vec<Column> {
@@ -95,7 +81,7 @@ impl Term for Presliding {
         let q = motion.q.column(self.joint);
         let mut z = 0.0;
         if motion.periodic {
-            // Where the period before has left it.
+            // The state at the end of the period before.
             for k in 1..samples {
                 z = Presliding::step(z, q[k] - q[k - 1], self.delta);
             }
@@ -114,7 +100,7 @@ impl Term for Presliding {
     }
 
     fn spec(&self) -> Option<Spec> {
-        Some(Spec { family: ID, form: "", site: Site::Joint(self.joint), settings: vec![self.delta] })
+        Some(Spec { family: FAMILY.id, form: "", site: Site::Joint(self.joint), settings: vec![self.delta] })
     }
 
     fn fix(&self, _chain: &Chain, _gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {

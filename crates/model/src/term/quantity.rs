@@ -1,4 +1,4 @@
-//! The numbers that are reported for an effect: its parameters, and what follows from them.
+//! Quantities that are reported for an effect: its parameters, and derived ones.
 
 use crate::gravity::Mounting;
 use crate::parameter::Parameter;
@@ -24,18 +24,18 @@ impl Quantity {
     }
 }
 
-/// Parameters of an effect and what its reported quantities may depend on.
+/// Inputs of an effect's reported quantities.
 #[derive(Clone, Copy, Debug)]
 pub struct Results<'a> {
-    /// Its linear parameters. One without a standard deviation is not determined by the data.
+    /// Its linear parameters; a parameter that the data does not determine has no standard deviation.
     pub parameters: &'a [Parameter],
     /// Their covariance in the determined directions.
     pub covariance: &'a DMatrix<f64>,
-    /// Directions that the data does not determine, orthonormal, one row per parameter.
+    /// Undetermined directions, orthonormal columns, one row per parameter.
     pub undetermined: &'a DMatrix<f64>,
     /// Parameters of the model without the effect.
     pub stored: &'a [Parameter],
-    /// How the base is declared to be mounted.
+    /// Declared mounting.
     pub declared: Option<&'a Mounting>,
 }
 

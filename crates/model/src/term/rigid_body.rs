@@ -1,4 +1,4 @@
-//! The rigid links: inertia, centrifugal and Coriolis torques, gravity.
+//! Rigid links: inertia, centrifugal and Coriolis torques, gravity.
 
 use super::{Column, Entry, FixedTerm, Motion, Sample, Term};
 use crate::base::Reduction;
@@ -24,7 +24,7 @@ pub struct RigidBody {
 }
 
 impl RigidBody {
-    /// The base parameters that a reduction leaves.
+    /// The base parameters of a reduction.
     pub fn new(reduction: &Reduction) -> RigidBody {
         RigidBody { independent: reduction.independent().to_vec(), columns: expression::base_columns(reduction) }
     }
@@ -46,8 +46,8 @@ impl Term for RigidBody {
     fn fill(&self, chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
         let (n, samples, height) = (motion.joints(), motion.samples(), y.nrows());
         let mut links = LinkColumns::new(chain, &self.independent, &motion.gravity);
-        // A joint's rows of a column are one piece of memory, those of different joints and columns lie far apart: several samples at
-        // a time, so that each piece is visited once for all of them.
+        // A joint's rows of a column are contiguous, those of different joints and columns far apart: several samples at a time, so that
+        // each piece of memory is visited once per block.
         let mut block = vec![[[0.0; MAX_JOINTS]; BLOCK_SAMPLES]; self.independent.len()];
         let mut one = vec![[0.0; MAX_JOINTS]; self.independent.len()];
         let mut sample = Sample::default();
@@ -77,7 +77,7 @@ impl Term for RigidBody {
     }
 
     fn fix(&self, chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm> {
-        // Base parameters go straight into the slots of their names; a slot that is zero costs nothing.
+        // Base parameters take the slots of their names; the other slots are zero.
         let mut links = vec![LinkParameters::default(); chain.len()];
         for (&slot, &value) in self.independent.iter().zip(beta) {
             links[slot / LINK_COLUMNS][slot % LINK_COLUMNS] = value;

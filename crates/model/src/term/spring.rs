@@ -1,20 +1,12 @@
 //! Springs on a joint: cables, hoses, gravity compensators.
 
-use super::Term;
-use super::family::{
-    Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
-};
-use super::load::OperatingPoint;
-use super::one_row::{At, OneRow, Settings, column, unit};
-use std::sync::Arc;
-
-/// Identity.
-pub const ID: &str = "spring";
+use super::family::*;
+use super::one_row::*;
 
 const Q0: Setting = Setting {
     name: "q0",
     unit: "rad",
-    what: "position at which the spring gets tight",
+    what: "position at which the spring begins to pull",
     low: -3.0,
     high: 3.0,
     steps: 25,
@@ -23,8 +15,8 @@ const Q0: Setting = Setting {
 
 /// A spring on one joint.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "Cables, hoses or a balancer are twisted or stretched when the joint moves, and pull back.",
+    id: "spring",
+    physics: "Cables, hoses or a balancer act as a spring on the joint.",
     place: Place::Joint,
     forms: &[
         Form {
@@ -61,15 +53,13 @@ pub static FAMILY: Family = Family {
         },
     ],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "0.1 to 2 Nm/rad",
     confounded: &[
-        Confounded { with: "torque-offset", decided_by: "move the joint through more than 60 % of its range" },
-        Confounded { with: "position-ripple", decided_by: "move the joint through a full turn, or as far as it goes" },
-        Confounded { with: "lx and ly of the same link", decided_by: "identify in a second mounting" },
+        confounded("torque-offset", MOST_OF_RANGE),
+        confounded("position-ripple", FULL_TURN),
+        confounded("lx and ly of the same link", "identify in a second mounting"),
     ],
     reference: "Swevers et al., IEEE Trans. Robotics and Automation 13 (1997)",
-    in_bodies: InBodies::Nothing,
     rare: Rare { may_change: true, ..Rare::NONE },
 };
 

@@ -1,20 +1,12 @@
-//! Friction that falls with speed before it rises.
+//! Stribeck friction: friction that falls with speed at low speed.
 
-use super::Term;
-use super::family::{
-    Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
-};
-use super::load::OperatingPoint;
-use super::one_row::{At, Law, OneRow, Settings, column, smooth_sign, unit};
-use std::sync::Arc;
+use super::family::*;
+use super::one_row::*;
 
-/// Identity.
-pub const ID: &str = "stribeck";
-
-/// What Coulomb friction has on top at low speed.
+/// Friction in addition to Coulomb friction at low speed.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "At low speed the film of lubricant is too thin to keep the surfaces apart, so that friction is higher.",
+    id: "stribeck",
+    physics: "At low speed the lubricant film is too thin to separate the surfaces, so that friction is higher.",
     place: Place::Joint,
     forms: &[
         Form {
@@ -37,17 +29,9 @@ pub static FAMILY: Family = Family {
         },
     ],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "10 to 60 % of the Coulomb friction, vs 0.01 to 0.2 rad/s",
-    confounded: &[
-        Confounded {
-            with: "presliding",
-            decided_by: "move the joint at constant speeds of 0.02 to 0.3 rad/s, both ways",
-        },
-        Confounded { with: "nonlinear-viscous", decided_by: "move the joint at constant speeds up to its rated one" },
-    ],
+    confounded: &[confounded("presliding", SLOW_CONSTANT_SPEEDS), confounded("nonlinear-viscous", CONSTANT_SPEEDS)],
     reference: "Bittencourt, Gunnarsson, Trans. ASME J. Dynamic Systems 134 (2012)",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

@@ -1,4 +1,4 @@
-//! A term with some of its columns left out.
+//! A term without some of its columns.
 
 use super::family::{Site, Spec, joint};
 use super::{Column, Entry, Expected, FixedTerm, Motion, Term};
@@ -6,7 +6,7 @@ use crate::chain::Chain;
 use nalgebra::{DMatrix, Vector3};
 use std::sync::Arc;
 
-/// Another term without the columns that the rest of the model absorbs; what is left out is zero.
+/// Another term without some columns, whose parameters are zero.
 pub struct Subset {
     inner: Arc<dyn Term>,
     kept: Vec<usize>,

@@ -1,4 +1,4 @@
-//! A link that swings on a gear that gives way.
+//! A link that oscillates on an elastic gear or in its play.
 
 use super::all_rows::{AllRows, Clock, Law, Past};
 use super::carried::CarriedFriction;
@@ -9,11 +9,10 @@ use super::{Column, Expected, Sample, Term};
 use plumbline_core::JointVec;
 use std::sync::Arc;
 
-/// Name of the forms of an effect of a gear for a link that swings on it, by its own inertia.
+/// Name of the forms with the resonance of the link on the gear.
 pub(super) const SWINGING: &str = "swinging";
 
-/// How sharp the resonance of the link on its gear is, `1 / (2 zeta)`. A search begins where it is well damped: there its answer to a wrong
-/// compliance is still much like that to the right one.
+/// Quality factor of the resonance, `1 / (2 zeta)`. A search starts well damped, where the response depends least on the compliance.
 pub(super) const QUALITY: Setting = Setting {
     name: "quality",
     unit: "1",
@@ -27,26 +26,26 @@ pub(super) const QUALITY: Setting = Setting {
 /// Longest step of the integration \[s\]: a link of 1 kg m2 on a gap of 0.75 mrad per 0.05 Nm swings at 1.3 Hz, one of 0.05 kg m2 per 5 Nm
 /// at 60 Hz.
 const MAX_STEP_S: f64 = 1.1e-3;
-/// Steps between two samples at most.
+/// Most steps between two samples.
 const MAX_STEPS: u8 = 20;
-/// Tries to solve one step.
+/// Most iterations of one step.
 const MAX_ITERATIONS: u8 = 50;
-/// A step is solved to so much of a torque \[Nm\].
+/// Tolerance of the torque of one step \[Nm\].
 const TOLERANCE_NM: f64 = 1e-9;
-/// A link's swinging dies away in this time for each one of its quality \[s\], or is kept up by every period alike.
+/// Decay time of the oscillation per unit of quality factor \[s\].
 const DECAY_S: f64 = 0.8;
 
-/// How a gear gives way.
+/// Deflection of a gear.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Gear {
-    /// `theta = gap tanh(tau / width)`: half of the play \[rad\], torque at which 76 % of it are used up \[Nm\].
+    /// `theta = gap tanh(tau / width)`: half of the play \[rad\], torque at 76 % of it \[Nm\].
     Gap(f64, f64),
     /// `theta = c tau`: compliance \[rad/Nm\].
     Spring(f64),
 }
 
 impl Gear {
-    /// Twist under a torque, and how fast it grows with it.
+    /// Twist under a torque, and its slope.
     fn under(self, tau: f64) -> (f64, f64) {
         match self {
             Gear::Gap(gap, width) => {
@@ -57,7 +56,7 @@ impl Gear {
         }
     }
 
-    /// What the twist is proportional to.
+    /// Factor of the twist.
     fn size(self) -> f64 {
         match self {
             Gear::Gap(size, _) | Gear::Spring(size) => size,
@@ -71,9 +70,8 @@ impl Gear {
 ///   tau = tau_rb_i(q - theta) + f_i(dq_i - dtheta)
 ///       = tau_rb_i(q) - K_i theta - V_i dtheta - M_ii ddtheta + f_i(dq_i - dtheta),
 ///
-/// with the friction `f_i` behind the gear and a damping `d` in it. Without that the law would divide by nothing at the link's resonance on a motor
-/// that stands still: there the measured motion is next to nothing, and its noise would be all that is left. The one column is what the twist
-/// changes in all rows, per gap or compliance.
+/// with the friction `f_i` behind the gear and a damping `d` in it. Without damping the law has a pole at the link's resonance on a motor at
+/// rest, where the measured motion is mostly noise. The one column is the change of all rows by the twist, per gap or compliance.
 ///
 /// Backward differences of second order make each step one scalar equation in `tau`, whose left side rises with a slope of at least one.
 /// `K_i theta + V_i dtheta` are those of the sample before: next to `M_ii ddtheta` they are small, and slow.
@@ -85,7 +83,7 @@ pub(super) struct Swing {
     past: Past,
     /// Torque that twists the gear \[Nm\].
     tau: f64,
-    /// What it has grown by in the last step \[Nm\]: the next begins where that leads.
+    /// Its change in the last step \[Nm\], which predicts the next.
     rise: f64,
     /// `K_i theta + V_i dtheta` \[Nm\].
     slow: f64,
@@ -94,7 +92,7 @@ pub(super) struct Swing {
 }
 
 impl Swing {
-    /// The term of an effect with one column, at rest and without load to begin with.
+    /// The term of an effect with one column; initial state at rest without load.
     pub fn term(
         family: &'static Family,
         operating_point: &OperatingPoint,
@@ -122,11 +120,11 @@ impl Swing {
         })
     }
 
-    /// One step: `[theta, dtheta, ddtheta]` where the rigid body asks for `load` \[Nm\] at the velocity `dq`.
+    /// One step: `[theta, dtheta, ddtheta]` at the rigid-body torque `load` \[Nm\] and the velocity `dq`.
     fn step(&mut self, load: f64, dq: f64, inertia: f64, dt: f64) -> [f64; 3] {
         let damping = (inertia / self.gear.under(0.0).1).sqrt() / self.quality;
         let [first, second] = self.past.slopes(dt);
-        // What the left side has too much, how fast that grows with tau, and the twist.
+        // Left side minus right side, its slope over tau, and the twist.
         let at = |tau: f64| {
             let (theta, bend) = self.gear.under(tau);
             let [dtheta, ddtheta] = self.past.with(theta, dt);
@@ -144,13 +142,13 @@ impl Swing {
             if wrong.abs() < TOLERANCE_NM {
                 break;
             }
-            // The left side rises at least as fast as tau: the solution is no farther away than what is wrong.
+            // The slope is at least one, so the solution is no farther away than the error.
             if wrong > 0.0 {
                 (low, high) = (low.max(tau - wrong), tau)
             } else {
                 (low, high) = (tau, high.min(tau - wrong))
             }
-            // From a flank Newton's step may be far too long, and between the flanks too short again and again.
+            // On a flank Newton's step can be far too long, and between the flanks repeatedly too short.
             let newton = tau - wrong / slope;
             let good = low < newton && newton < high && (newton - tau).abs() < 0.5 * went;
             let next = if good { newton } else { 0.5 * (low + high) };
@@ -187,7 +185,7 @@ impl Law for Swing {
             let share = f64::from(step) / f64::from(steps);
             let between = |before: f64, now: f64| before + share * (now - before);
             let (load, dq) = (between(load_before, load), between(dq_before, dq));
-            // An inertia that was identified below nothing would let the torque run away.
+            // With a negative identified inertia the torque would diverge.
             theta = self.step(load, dq, inertia.max(0.0), clock.dt / f64::from(steps));
             mean.iter_mut().zip(theta).for_each(|(sum, value)| *sum += value / f64::from(steps));
             rubbed += rub(dq, theta[1]) / f64::from(steps);

@@ -1,18 +1,12 @@
-//! A torque sensor that feels another joint's torque.
+//! Cross-talk of a torque sensor from another joint's torque.
 
-use super::Term;
-use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum};
-use super::load::OperatingPoint;
-use super::one_row::{OneRow, column};
-use std::sync::Arc;
-
-/// Identity.
-pub const ID: &str = "torque-crosstalk";
+use super::family::*;
+use super::one_row::*;
 
 /// A share of another joint's rigid-body torque.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "A torque sensor bends under loads across its axis and takes part of them for torque.",
+    id: "torque-crosstalk",
+    physics: "A torque sensor also deforms under loads across its axis and measures a part of them as torque.",
     place: Place::Pair,
     forms: &[Form {
         name: "",
@@ -23,18 +17,13 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Load,
     }],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "0.5 to 3 % of the other joint's torque",
     confounded: &[
-        Confounded {
-            with: "torque-gain",
-            decided_by: "move through poses in which the torques of the two joints go their own ways",
-        },
-        Confounded { with: "transmission-coupling", decided_by: "reverse one joint while the other holds still" },
-        Confounded { with: "Lxy, Lxz and Lyz", decided_by: "pass the same poses slowly: products of inertia vanish" },
+        confounded("torque-gain", "move through poses in which the torques of the two joints go their own ways"),
+        confounded("transmission-coupling", ONE_REVERSES),
+        confounded("Lxy, Lxz and Lyz", "pass the same poses slowly: products of inertia vanish"),
     ],
     reference: "Taghirad, Belanger, IEEE Trans. Control Systems Technology 9 (2001)",
-    in_bodies: InBodies::Nothing,
     rare: Rare::NONE,
 };
 

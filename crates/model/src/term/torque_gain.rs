@@ -1,18 +1,12 @@
-//! A torque sensor that reads too much or too little.
+//! Gain error of a torque sensor.
 
-use super::Term;
-use super::family::{Confounded, Family, Form, InBodies, InC, Place, PlotOver, Rare, Site, Stratum};
-use super::load::OperatingPoint;
-use super::one_row::{OneRow, column};
-use std::sync::Arc;
-
-/// Identity.
-pub const ID: &str = "torque-gain";
+use super::family::*;
+use super::one_row::*;
 
 /// A share of a joint's own rigid-body torque.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "A joint's torque sensor (or its motor's torque constant) is off by a share of what it reads.",
+    id: "torque-gain",
+    physics: "The sensitivity of a joint's torque sensor, or its motor's torque constant, is wrong by a constant factor.",
     place: Place::Joint,
     forms: &[Form {
         name: "",
@@ -23,21 +17,16 @@ pub static FAMILY: Family = Family {
         plot_over: PlotOver::Load,
     }],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "0.5 to 3 %",
     confounded: &[
-        Confounded {
-            with: "payload",
-            decided_by: "a gain common to all joints is a scale of all masses: add a known mass",
-        },
-        Confounded { with: "load-dependent-friction", decided_by: "pass the same poses slowly in both directions" },
-        Confounded {
-            with: "the parameters of the last links",
-            decided_by: "none on the last joint: no other row sees its link alone; further in, load the outer joints harder",
-        },
+        confounded("payload", "a gain common to all joints is a scale of all masses: add a known mass"),
+        confounded("load-dependent-friction", SLOW_BOTH_DIRECTIONS),
+        confounded(
+            "the parameters of the last links",
+            "none on the last joint: no other row sees its link alone; further in, load the outer joints harder",
+        ),
     ],
     reference: "Gautier, Venture, IROS 2013; Ma, Hollerbach, ICRA 1996",
-    in_bodies: InBodies::Nothing,
     rare: Rare { may_change: true, ..Rare::NONE },
 };
 

@@ -1,23 +1,14 @@
 //! Joints whose gears or seals are coupled.
 
-use super::Term;
-use super::family::{
-    Confounded, Family, Form, InBodies, InC, PartOf, Place, PlotOver, Rare, Scale, Setting, Site, Stratum, joint,
-};
+use super::family::*;
 use super::friction::SHARPNESS;
-use super::load::OperatingPoint;
-use super::one_row::{At, OneRow, Settings, column, smooth_sign, unit};
-use super::torque_crosstalk;
+use super::one_row::*;
 use crate::chain::JointKind::{Prismatic, Revolute};
-use std::sync::Arc;
-
-/// Identity.
-pub const ID: &str = "transmission-coupling";
 
 /// Friction or inertia of one joint's drive in another joint's torque.
 pub static FAMILY: Family = Family {
-    id: ID,
-    physics: "A differential, a tendon, or a seal between links makes one joint's motion rub or turn parts of another's drive.",
+    id: "transmission-coupling",
+    physics: "A differential, a tendon, or a seal between links makes the motion of one joint load the drive of another.",
     place: Place::Pair,
     forms: &[
         Form {
@@ -57,18 +48,13 @@ pub static FAMILY: Family = Family {
         },
     ],
     stratum: Stratum::Repeatable,
-    served: true,
     typical: "0.05 to 0.3 Nm",
     confounded: &[
-        Confounded { with: "torque-crosstalk", decided_by: "reverse one joint while the other holds still" },
-        Confounded {
-            with: "Lxz and Lyz",
-            decided_by: "turn one of the two joints through a large angle between the runs",
-        },
+        confounded("torque-crosstalk", ONE_REVERSES),
+        confounded("Lxz and Lyz", "turn one of the two joints through a large angle between the runs"),
     ],
     reference: "Khalil, Dombre, Modeling, Identification and Control of Robots (2002), chapter 9",
-    in_bodies: InBodies::Nothing,
-    rare: Rare { part_of: Some(PartOf { form: "friction", family: torque_crosstalk::ID }), ..Rare::NONE },
+    rare: Rare { part_of: Some(PartOf { form: "friction", family: "torque-crosstalk" }), ..Rare::NONE },
 };
 
 fn friction(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {

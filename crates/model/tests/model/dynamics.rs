@@ -1,6 +1,6 @@
 //! Dynamics and kinematics as identities between two routes.
 
-use nalgebra::{DMatrix, DVector, Matrix4, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix4, RowVector4, Vector3};
 use plumbline_model::{Chain, G, Joint, JointKind, LINK_COLUMNS, Mounting, Placement, StandardDh, regressor};
 use plumbline_testkit::arms::{all, any_mounting, chain, draw, random_chain, torque};
 use rand::{Rng, SeedableRng};
@@ -133,24 +133,12 @@ fn standard_rows_give_the_standard_product() {
             };
             let ((st, ct), (sa, ca)) = (theta.sin_cos(), row.alpha.sin_cos());
             // The table's textbook matrix, Rz Tz Tx Rx multiplied out.
-            product *= Matrix4::new(
-                ct,
-                -st * ca,
-                st * sa,
-                row.a * ct, //
-                st,
-                ct * ca,
-                -ct * sa,
-                row.a * st, //
-                0.0,
-                sa,
-                ca,
-                d, //
-                0.0,
-                0.0,
-                0.0,
-                1.0,
-            );
+            product *= Matrix4::from_rows(&[
+                RowVector4::new(ct, -st * ca, st * sa, row.a * ct),
+                RowVector4::new(st, ct * ca, -ct * sa, row.a * st),
+                RowVector4::new(0.0, sa, ca, d),
+                RowVector4::new(0.0, 0.0, 0.0, 1.0),
+            ]);
         }
         let end = Chain::standard(&rows, Placement::identity()).end_effector_placement(&q);
         assert!((product.fixed_view::<3, 3>(0, 0) - end.rotation).amax() < 1e-12);

@@ -1,10 +1,13 @@
 //! Tests of the crate against independent computations and simulated arms.
 
 mod base;
+mod catalogue;
 mod dynamics;
 mod effects;
 mod fast;
 mod golden;
+mod models;
+mod physics;
 mod torque;
 
 #[global_allocator]

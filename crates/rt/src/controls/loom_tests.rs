@@ -25,7 +25,7 @@ fn a_stop_is_taken_exactly_once_and_never_lost() {
 }
 
 #[test]
-fn what_was_written_before_a_stop_or_a_quit_is_seen_with_it() {
+fn writes_before_a_stop_or_quit_are_visible_with_it() {
     always(|controls| {
         let reason = Arc::new(AtomicU32::new(0));
         let (outside, written) = (controls.clone(), reason.clone());
@@ -45,7 +45,7 @@ fn what_was_written_before_a_stop_or_a_quit_is_seen_with_it() {
 }
 
 #[test]
-fn one_rest_gives_one_permission_however_many_operators_ask() {
+fn one_rest_gives_one_permission_to_any_number_of_operators() {
     always(|controls| {
         let before = controls.permission();
         controls.wait_for_permission();
@@ -100,7 +100,7 @@ fn an_order_given_after_a_permission_carries_it_and_one_given_before_does_not() 
 }
 
 #[test]
-fn the_state_at_a_glance_is_never_one_that_the_loop_was_not_in() {
+fn the_published_state_is_always_one_of_the_loop() {
     always(|controls| {
         let outside = controls.clone();
         let looker = thread::spawn(move || (outside.phase(), outside.cycles(), outside.lost()));

@@ -1,4 +1,4 @@
-// loom's atomics work inside its own model alone.
+// loom's atomics work only inside its model.
 #![cfg(not(loom))]
 
 use super::super::sync::act_before_access;
@@ -93,7 +93,7 @@ fn a_stop_that_follows_a_permission_holds_at_whatever_moment_of_a_cycle_both_are
 }
 
 #[test]
-fn a_loop_that_has_to_be_real_time_and_is_not_stops_the_arm_before_the_first_cycle() {
+fn a_loop_without_required_rights_stops_the_arm_before_the_first_cycle() {
     // No machine has that processor.
     let nowhere = Rights { cpu: Some(100_000), ..Rights::NONE };
     for (must, rights, refused) in [
@@ -115,7 +115,7 @@ fn a_loop_that_has_to_be_real_time_and_is_not_stops_the_arm_before_the_first_cyc
 }
 
 #[test]
-fn a_state_that_was_answered_is_not_among_what_is_left() {
+fn an_answered_state_is_not_reported_as_unanswered() {
     let (mut cycle, handles) = resting(|_| ());
     assert!(cycle.cycle().is_ok());
     handles.controls.quit();
@@ -123,7 +123,7 @@ fn a_state_that_was_answered_is_not_among_what_is_left() {
 }
 
 #[test]
-fn where_an_arm_has_no_joint_it_agrees_with_whatever_is_said_of_it() {
+fn unused_joints_agree_with_any_value() {
     let (mut cycle, _handles) = resting(|_| ());
     let state = &mut cycle.backend.0;
     (state.q_d[0], state.q_d[5]) = (0.05, 5.0);
@@ -152,7 +152,7 @@ fn events_without_room_are_counted_and_each_has_the_cycle_that_it_is_of() {
 }
 
 #[test]
-fn a_loop_that_goes_on_from_the_rest_after_a_stop_waits_for_a_permission() {
+fn a_loop_restored_at_rest_after_a_stop_waits_for_permission() {
     use crate::checkpoint::Doing;
     for (doing, waits) in [(Doing::Stopped, true), (Doing::Hold, false), (Doing::Dwell { ticks: 5 }, false)] {
         let (mut cycle, handles) = resting(|_| ());
@@ -185,7 +185,7 @@ fn an_order_of_a_new_permission_runs_at_whatever_moment_of_a_cycle_both_are_give
     assert!(access > 4, "only {access} accesses");
 }
 
-/// A model, or a reference that rests at zero; how many there are shows who still has one.
+/// A model, or a reference that rests at zero; the count shows how many exist.
 struct Box0(#[allow(dead_code)] Arc<()>);
 
 impl plumbline_core::FeedForward for Box0 {
@@ -212,7 +212,7 @@ impl Reference for Box0 {
     }
 }
 
-/// Fills the way out of the loop until `room` places are left.
+/// Fills the ring of retired boxes until `room` places are left.
 fn fill(cycle: &mut Cycle<Perfect, RingSink>, room: usize) {
     while cycle.inlets.retired.slots() > room {
         assert!(cycle.inlets.retired.push(Retired::Model(Box::new(Box0(Arc::default())))).is_ok());
@@ -220,7 +220,7 @@ fn fill(cycle: &mut Cycle<Perfect, RingSink>, room: usize) {
 }
 
 #[test]
-fn a_reference_without_a_way_out_is_kept_and_nothing_new_comes_in() {
+fn a_reference_waits_for_room_in_the_retired_ring_and_blocks_new_orders() {
     let of = |motion: u32, kind: OrderKind| Order { motion, kind };
     let (mut cycle, mut handles) = resting(|_| ());
     let held = Arc::new(());

@@ -1,7 +1,7 @@
-//! Derivatives of what was sent, by backward divided differences at the times at which it was sent.
+//! Derivatives of the sent positions, by backward divided differences at their times.
 //!
-//! This is how a robot sees its commands. The history is the loop's own in `f64`: the positions that an arm reports back may be rounded to
-//! `f32`, whose third difference is noise of hundreds of rad/s3.
+//! A robot differentiates its commands in this way. The history is kept in `f64`: positions that an arm reports may be rounded to `f32`,
+//! whose third difference is noise of hundreds of rad/s3.
 
 use plumbline_core::JointVec;
 

@@ -1,8 +1,8 @@
-//! Checks every command before it leaves.
+//! Checks every command before it is sent.
 //!
-//! A command passes when it is finite, inside every limit by its stated values and by differences of what was sent before, and when
-//! the arm can still be braked inside the limits from it. What the arm measured is checked beside it. A command that fails is not sent: the
-//! loop brakes, and the brake's own samples pass only the checks that keep their meaning then ([`Guard::check_brake`]).
+//! A command passes when it is finite, inside every limit by its stated values and by differences of the sent positions, and when a stop
+//! from it remains inside the limits. The measured state is checked, too. A command that fails is not sent: the loop brakes, and samples of
+//! the stop pass the checks of [`Guard::check_brake`].
 
 mod history;
 
@@ -15,7 +15,7 @@ use plumbline_core::{
 use std::fmt;
 use std::ops::Range;
 
-/// What a command or a state can break.
+/// A limit of commands or states.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Limit {
     /// A number of the command is NaN or infinite.
@@ -26,7 +26,7 @@ pub enum Limit {
     MeasuredNotFinite,
     /// Commanded position.
     Position,
-    /// Position at which the arm would come to rest if it were braked from this command.
+    /// Position at rest after a stop from this command.
     StoppingPosition,
     /// Commanded velocity.
     Velocity,
@@ -63,7 +63,7 @@ pub struct Violation {
     pub joint: usize,
     /// Value found, in the limit's unit.
     pub value: f64,
-    /// What it was held against.
+    /// The limit's value.
     pub bound: f64,
 }
 
@@ -113,14 +113,14 @@ impl fmt::Display for Violation {
     }
 }
 
-/// What the guard holds commands and states against.
+/// Limits of the guard.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GuardSettings {
     /// Joint limits.
     pub limits: Limits,
     /// Speed limits that depend on position, on top of those of `limits`.
     pub envelope: Option<SpeedEnvelope>,
-    /// Where the end effector may be. The braking distance is not part of it: choose it with room to stop.
+    /// Workspace of the end effector. The braking distance is not part of it: choose it with room to stop.
     pub workspace: Option<Workspace>,
     /// Largest distance of the measured position from the position sent last \[rad\].
     pub tracking: JointVec,
@@ -133,7 +133,7 @@ const ROUNDING_RATIO: f64 = 1e-6;
 /// differences; only derivatives that need more jerk contradict the positions.
 const MAX_JERK_RATIO: f64 = 1.5;
 
-/// The guard: limits, and the history of what was sent.
+/// The guard: limits, and the history of sent commands.
 pub struct Guard {
     joints: usize,
     settings: GuardSettings,
@@ -171,7 +171,7 @@ impl Guard {
         self.last = None;
     }
 
-    /// Goes on after the last three cycles, oldest first.
+    /// Continues after the last three cycles, oldest first.
     pub fn restore(&mut self, last: &[Record; 3]) {
         let dt = |earlier: &Record, later: &Record| seconds(later.state.seq.saturating_sub(earlier.state.seq).max(1));
         self.history = History::at_rest(last[0].command.desired.q, PERIOD_S);
@@ -180,8 +180,8 @@ impl Guard {
         self.last = Some(torques(&last[2].command));
     }
 
-    /// Checks the command that is to be sent `dt` \[s\] after the last one, what the model answered for it, and the state that it answers. A
-    /// command that passes becomes part of the history.
+    /// Checks the command for `dt` \[s\] after the last one, its model torque, and the state that it answers. A command that passes becomes
+    /// part of the history.
     pub fn check(&mut self, dt: f64, command: &Command, asked: &ModelTorques, state: &State) -> Result<(), Violation> {
         self.limits(dt, command, asked, state)?;
         if let (Some(space), Some(kinematics)) = (&self.settings.workspace, &self.kinematics) {
@@ -208,7 +208,7 @@ impl Guard {
     }
 
     /// Checks a sample of the controlled stop, or of the rest after it: finite numbers, positions, torques and the rate of the torques that are
-    /// sent. The other limits have just been broken or are kept by the stop's own plan. `state` is `None` where it is what began the stop.
+    /// sent. The other limits were just broken, or are kept by the plan of the stop. `state` is `None` where it began the stop.
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn check_brake(
         &mut self,
@@ -252,7 +252,7 @@ impl Guard {
         Ok(())
     }
 
-    /// Whether a motion may be aimed at `target` \[rad\].
+    /// Checks the target of a motion \[rad\].
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn check_target(&self, target: &JointVec) -> Result<(), Violation> {
         self.own_joints().try_for_each(|j| self.position(j, target[j]))
@@ -311,7 +311,7 @@ impl Guard {
         let (q, dq, ddq) = (desired.q[j], desired.dq[j], desired.ddq[j]);
         let (ddq_brake, jerk_brake) = (self.brake * limits.ddq[j], self.brake * limits.jerk[j]);
         let ahead = dq + ddq * ddq.abs() / (2.0 * jerk_brake);
-        // Until the stop brakes with all it has, the joint continues with no more than that speed.
+        // Until the stop has its full deceleration, the joint continues with at most that speed.
         let way = ahead * (ddq_brake + ddq.abs()) / jerk_brake;
         within(Limit::VelocityAhead, j, ahead, self.speed(j, q + way, ahead))?;
         let (up, down) = stop_distances(dq, ddq, ddq_brake, jerk_brake);
@@ -345,7 +345,7 @@ fn torques(command: &Command) -> Torques {
     Torques { tau_ff: command.tau_ff, tau_vendor: command.tau_vendor }
 }
 
-/// Whether an end effector at `x` in the base frame \[m\] is where it may be.
+/// Checks that an end effector at `x` in the base frame \[m\] is inside the workspace.
 #[cfg_attr(no_panic, no_panic::no_panic)]
 fn inside(space: &Workspace, x: [f64; 3]) -> Result<(), Violation> {
     for (axis, &value) in x.iter().enumerate() {

@@ -68,7 +68,7 @@ fn parts(violation: Violation) -> (Limit, f64, f64) {
 }
 
 #[test]
-fn rounding_alone_is_forgiven() {
+fn rounding_is_no_violation() {
     // A microradian at an end of the range, one part in a million of every other limit.
     for (past, passes) in [(0.7e-6, true), (1.4e-6, false)] {
         for joint in [0, 1] {
@@ -124,7 +124,7 @@ fn stated_derivatives_may_need_one_and_a_half_times_the_jerk_limit() {
 }
 
 #[test]
-fn the_speed_ahead_is_what_taking_the_acceleration_back_leads_to() {
+fn the_speed_ahead_includes_the_decay_of_the_acceleration() {
     // 10 rad/s2 taken back with 3750 rad/s3.
     let ahead = |t: f64| speeding_up(t)[1] + 10.0 * 10.0 / (2.0 * 3750.0);
     for sign in [1.0, -1.0] {
@@ -152,7 +152,7 @@ fn the_speed_ahead_is_what_taking_the_acceleration_back_leads_to() {
 }
 
 #[test]
-fn a_guard_that_goes_on_from_records_answers_as_the_one_before_it() {
+fn a_guard_restored_from_records_decides_as_the_original() {
     let of = || Follows::new(|settings| settings.limits.ddq[0] = 100.0);
     let mut before = of();
     before.go(0.017, speeding_up);
@@ -180,7 +180,7 @@ fn a_guard_that_goes_on_from_records_answers_as_the_one_before_it() {
 }
 
 #[test]
-fn a_brake_with_a_number_that_is_none_is_not_sent() {
+fn a_stop_sample_that_is_not_finite_is_not_sent() {
     for spoiled in [[f64::NAN, 0.0, 0.0], [0.0, f64::INFINITY, 0.0], [0.0, 0.0, f64::NAN]] {
         let mut guard = Guard::new(2, settings(), 0.5, None);
         let checked = guard.check_brake(DT, &command(spoiled), &ModelTorques::default(), None);

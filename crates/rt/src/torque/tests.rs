@@ -20,7 +20,7 @@ impl FeedForward for Follows {
     }
 }
 
-/// A source, and the ring that models leave by, with room for `room`.
+/// A source, and the ring of retired models with room for `room`.
 fn source(room: usize) -> (TorqueSource, Producer<Retired>, rtrb::Consumer<Retired>) {
     let (retired, done) = rtrb::RingBuffer::new(room);
     (TorqueSource::new(2, &DTAU), retired, done)
@@ -34,7 +34,7 @@ fn send(source: &mut TorqueSource, ddq: f64, braking: bool) -> (f64, Validity) {
 }
 
 #[test]
-fn the_model_before_takes_the_place_of_a_broken_one() {
+fn the_model_before_replaces_a_rejected_one() {
     let mut models = Succession::default();
     assert_eq!((models.id(), models.fall_back()), (0, None::<&str>));
     assert_eq!(models.serve(1, "1"), [None; 3]);
@@ -52,7 +52,7 @@ fn the_model_before_takes_the_place_of_a_broken_one() {
 }
 
 #[test]
-fn a_hand_over_uses_half_of_the_rate_and_the_model_all_of_it_afterwards() {
+fn a_hand_over_uses_half_of_the_rate_limit_and_the_model_all_of_it() {
     let (mut source, mut retired, _done) = source(8);
     source.serve(Box::new(Follows(1, 0.0)), &mut retired);
     assert_eq!(send(&mut source, 5.0, false), (5.0, Validity::Valid), "nothing was sent before");
@@ -62,7 +62,7 @@ fn a_hand_over_uses_half_of_the_rate_and_the_model_all_of_it_afterwards() {
     assert!(sent.iter().zip(expected).all(|(sent, expected)| (sent.0 - expected).abs() < 1e-12), "{sent:?}");
     let validities: Vec<Validity> = sent.into_iter().map(|(_, validity)| validity).collect();
     assert_eq!(validities, [Validity::HandOver, Validity::HandOver, Validity::Valid, Validity::Valid]);
-    // More than a hand-over may use, and the guard's matter where it is more than the limit.
+    // More than a hand-over may use; the guard checks the limit.
     assert_eq!(send(&mut source, 5.3, false), (5.8, Validity::Valid));
     assert_eq!(send(&mut source, 4.0, false), (4.5, Validity::Valid));
     // While the arm brakes the limit holds in any case.
@@ -71,7 +71,7 @@ fn a_hand_over_uses_half_of_the_rate_and_the_model_all_of_it_afterwards() {
 }
 
 #[test]
-fn a_model_is_taken_over_where_all_that_it_replaces_can_leave() {
+fn a_model_is_taken_over_when_the_retired_ring_has_room() {
     for (room, enough) in [(3, false), (4, true)] {
         let (mut source, mut retired, mut done) = source(8);
         (0..8 - room).for_each(|_| assert!(retired.push(Retired::Model(Box::new(Follows(9, 0.0)))).is_ok()));
@@ -96,13 +96,13 @@ fn a_model_is_taken_over_where_all_that_it_replaces_can_leave() {
 }
 
 #[test]
-fn a_source_that_goes_on_from_a_record_answers_as_the_one_before_it() {
+fn a_torque_source_restored_from_a_record_continues_as_the_original() {
     let (mut before, mut retired, _done) = source(8);
     let of = || Box::new(Follows(1, 0.5)) as Box<dyn FeedForward>;
     before.serve(Box::new(Follows(7, 0.0)), &mut retired);
     send(&mut before, 1.0, false);
     before.serve(of(), &mut retired);
-    // In the midst of the hand-over, and after it.
+    // During the hand-over, and after it.
     for (cycles, under_way) in [(1, true), (4, false)] {
         let sent = (0..cycles).map(|_| send(&mut before, 1.0, false)).last().unwrap();
         assert_eq!(sent.1 == Validity::HandOver, under_way);
@@ -117,7 +117,7 @@ fn a_source_that_goes_on_from_a_record_answers_as_the_one_before_it() {
         assert_eq!(found, expected);
         assert_eq!(found.asked.before.map(|before| before.tau_ff.0[0]), Some(1.5));
     }
-    // A model was withdrawn, and its torque is on its way to zero; or there has never been one.
+    // A model was withdrawn and its torque returns to zero, or there was never one.
     for validity in [Validity::Withdrawn, Validity::None] {
         let (mut after, ..) = source(1);
         let torques = Torques { tau_ff: Torque([1.0; MAX_JOINTS]), ..Torques::default() };

@@ -1,15 +1,11 @@
-//! Asymmetric Coulomb friction: the teeth or seals of a joint rub harder one way than the other.
+//! Asymmetric Coulomb friction: larger in one direction than in the other.
 //!
 //!   tau_f = (fc + asymmetry) s(dq) for dq > 0, (fc - asymmetry) s(dq) for dq < 0,   s(dq) = tanh(100 dq),
 //!
-//! that is `asymmetry |s(dq)|` besides `fc s(dq)`. It vanishes at rest, which tells it from a torque offset.
+//! that is `asymmetry |s(dq)|` besides `fc s(dq)`. It vanishes at rest, unlike a torque offset.
 //! Source: Bona and Indri, Friction compensation in robotics: an overview, CDC 2005.
 
-use super::friction::sign;
-use super::{At, Effect, Place, Spec};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec};
-use serde::Deserialize;
+use super::*;
 
 /// Adds to the joint's friction.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -21,24 +17,18 @@ pub struct Config {
     pub asymmetry: f64,
 }
 
-struct AsymmetricCoulomb(Config);
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
-        // Friction that drives is none.
+        // Friction must not drive the joint.
         let fc = place.truth.joints[self.joint - 1].fc;
         place.range("asymmetry", self.asymmetry, -fc, fc)
     }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(AsymmetricCoulomb(*self))
-    }
 }
 
-impl Effect for AsymmetricCoulomb {
+impl Effect for Config {
     fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
-        let j = self.0.joint - 1;
-        tau[j] -= self.0.asymmetry * sign(at.dq[j]).abs();
+        let j = self.joint - 1;
+        tau[j] -= self.asymmetry * sign(at.dq[j]).abs();
     }
 }

@@ -1,14 +1,11 @@
-//! Asymmetric viscous friction: a joint's viscous friction is larger one way than the other.
+//! Asymmetric viscous friction: larger in one direction than in the other.
 //!
 //!   tau_f = (fv + asymmetry) dq for dq > 0, (fv - asymmetry) dq for dq < 0,
 //!
 //! that is `asymmetry |dq|` besides `fv dq`.
 //! Source: Bona and Indri, Friction compensation in robotics: an overview, CDC 2005.
 
-use super::{At, Effect, Place, Spec};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec};
-use serde::Deserialize;
+use super::*;
 
 /// Adds to the joint's friction.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -20,9 +17,7 @@ pub struct Config {
     pub asymmetry: f64,
 }
 
-struct AsymmetricViscous(Config);
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
         // More than `fv` would drive where Coulomb friction does not hold it, so that much needs Coulomb friction up to 2 rad/s.
@@ -30,15 +25,11 @@ impl Spec for Config {
         let most = joint.fv + joint.fc / 2.0;
         place.range("asymmetry", self.asymmetry, -most, most)
     }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(AsymmetricViscous(*self))
-    }
 }
 
-impl Effect for AsymmetricViscous {
+impl Effect for Config {
     fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
-        let j = self.0.joint - 1;
-        tau[j] -= self.0.asymmetry * at.dq[j].abs();
+        let j = self.joint - 1;
+        tau[j] -= self.asymmetry * at.dq[j].abs();
     }
 }

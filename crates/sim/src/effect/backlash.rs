@@ -1,16 +1,13 @@
-//! Backlash: a transmission with play lies on one flank or on the other, by the sign of the torque it carries. The encoder sits on the motor's side:
+//! Backlash: a transmission with play is on one flank or the other, by the sign of its torque. The encoder is on the motor's side:
 //!
 //!   q_measured = q + gap / 2 tanh(tau / load)
 //!
-//! with `tau` the torque through the transmission. `load` is the torque at which the play is 76 % used up: teeth, oil and bearings give way
-//! before a flank carries. That is the curve of torsion against torque from which makers of gears read the lost motion. The crossing
+//! with `tau` the torque through the transmission. `load` is the torque at which the play is 76 % used up: teeth, oil and bearings deform
+//! before a flank carries load. That is the curve of torsion against torque from which makers of gears read the lost motion. The crossing
 //! takes at least one integration step.
 
 use super::twist::{Deflection, Twist};
-use super::{Effect, Place, Spec};
-use crate::truth::Truth;
-use plumbline_core::BadInput;
-use serde::Deserialize;
+use super::*;
 
 /// Acts between motor and link.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -47,8 +44,4 @@ impl Deflection for Gap {
         let flank = (tau / self.load).tanh();
         (self.half * flank, self.half / self.load * (1.0 - flank * flank))
     }
-}
-
-fn half() -> f64 {
-    0.5
 }

@@ -1,15 +1,11 @@
-//! Base motion: a table or a floor that shakes, whatever the arm does. The base frame accelerates by
+//! Base motion: vibration of the base, independent of the arm. The base frame accelerates by
 //!
 //!   a(t) = amplitude sin(2 pi frequency (t - from) + phase) direction,
 //!
 //! without turning, so gravity in the base frame is `a_g - a(t)` (Featherstone, Rigid Body Dynamics Algorithms, 2008, section 5.3). It
 //! repeats with an excitation only where `frequency` is a multiple of one over the excitation's period.
 
-use super::{Effect, Place, Spec};
-use crate::truth::Truth;
-use nalgebra::Vector3;
-use plumbline_core::BadInput;
-use serde::Deserialize;
+use super::*;
 use std::f64::consts::TAU;
 
 /// A sinusoidal acceleration.

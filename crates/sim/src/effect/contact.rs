@@ -1,19 +1,15 @@
-//! Contact: an external wrench on a link for a while.
+//! Contact: an external wrench on a link for a limited time.
 //!
 //!   tau + J' w(t) moves the arm, w(t) = b(t) (force, moment) at `point` of `link`,
 //!
-//! where `b` goes from 0 to 1 within `edge` after `from`, and back within `edge` before `to`, along half a cosine. With `every` it comes again
-//! after that time, as a part in the way of a periodic motion does.
+//! where `b` rises from 0 to 1 within `edge` after `from`, and falls within `edge` before `to`, along half a cosine. With `every` the contact
+//! repeats, as that with an obstacle in the way of a periodic motion.
 //! Source: Haddadin, De Luca and Albu-Schaeffer, Robot collisions: a survey, T-RO 2017.
 
-use super::{At, Effect, External, Place, Spec};
-use crate::truth::Truth;
-use nalgebra::Vector3;
-use plumbline_core::BadInput;
-use serde::Deserialize;
+use super::*;
 use std::f64::consts::PI;
 
-/// A force that comes and goes. `from` is when it first begins.
+/// A force of limited duration, first from `from` on.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
@@ -28,12 +24,12 @@ pub struct Config {
     /// Moment on the arm, in the base frame \[Nm\].
     #[serde(default)]
     pub moment: [f64; 3],
-    /// When it first ends \[s\].
+    /// End of the first contact \[s\].
     pub to: f64,
-    /// How long it takes to grow and to fade \[s\].
+    /// Time of rise and fall \[s\].
     #[serde(default = "tenth")]
     pub edge: f64,
-    /// Time after which it comes again; never where absent \[s\].
+    /// Period of the contact; absent for a single one \[s\].
     pub every: Option<f64>,
 }
 
@@ -49,7 +45,7 @@ impl Spec for Config {
         place.finite("point", &self.point)?;
         place.finite("force", &self.force)?;
         place.finite("moment", &self.moment)?;
-        // Shorter than ten steps of the integration is a blow, which this is not.
+        // At least ten steps of the integration.
         place.range("edge", self.edge, 0.002, 1e3)?;
         let (length, least) = (self.to - place.from, 2.0 * self.edge);
         if !(self.to.is_finite() && length >= least) {
@@ -100,8 +96,4 @@ impl Effect for Contact {
             ..self.wrench
         })
     }
-}
-
-fn tenth() -> f64 {
-    0.1
 }

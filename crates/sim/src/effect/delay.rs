@@ -1,14 +1,11 @@
-//! Delay: the torque that is reported is older than the position beside it.
+//! Delay: the reported torque is older than the reported position.
 //!
 //!   tau_measured(t) = tau(t - delay), of all joints, or of one.
 //!
 //! Between the milliseconds the torque runs along the cubic through its four neighbours (Lagrange), so any fraction of a millisecond is
 //! a delay. Before the beginning the torque was as at the beginning.
 
-use super::{At, Effect, Place, Reading, Spec};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec, MAX_JOINTS};
-use serde::Deserialize;
+use super::*;
 
 /// Longest delay \[s\].
 const MAX_DELAY_S: f64 = 0.1;
@@ -17,7 +14,7 @@ const MAX_SAMPLES: usize = 128;
 /// Time between two readings \[s\].
 const SAMPLE_S: f64 = 1e-3;
 
-/// Acts on what is reported, as the effects listed before it left it.
+/// Acts on the reading, after the effects listed before it.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
@@ -33,7 +30,7 @@ struct Delay {
     newest: usize,
     weights: [f64; 4],
     past: Box<[JointVec; MAX_SAMPLES]>,
-    /// Where the newest reading stands; `None` before the first.
+    /// Index of the newest reading; `None` before the first.
     now: Option<usize>,
 }
 
@@ -59,7 +56,7 @@ impl Spec for Config {
 }
 
 impl Effect for Delay {
-    fn sense(&mut self, at: &At, _x: &[f64], reading: &mut Reading) {
+    fn sense(&mut self, at: &At, reading: &mut Reading) {
         let now = match self.now {
             None => {
                 self.past.fill(reading.tau);

@@ -5,10 +5,7 @@
 //! The arm's controller uses the same reading. The equation is the geometry of a circle that is read from beside its centre: with the disc `e`
 //! off the axis and the mark at radius `r`, the error is `e / r sin(q + phase)` for small `e / r`.
 
-use super::{At, Effect, Place, Spec};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec};
-use serde::Deserialize;
+use super::*;
 
 /// Acts on the encoder.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -26,9 +23,7 @@ pub struct Config {
     pub order: f64,
 }
 
-struct EncoderEccentricity(Config);
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
         place.range("order", self.order, 0.1, 1000.0)?;
@@ -37,21 +32,13 @@ impl Spec for Config {
         place.range("amplitude", self.amplitude, -most, most)?;
         place.range("phase", self.phase, -100.0, 100.0)
     }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(EncoderEccentricity(*self))
-    }
 }
 
-impl Effect for EncoderEccentricity {
+impl Effect for Config {
     fn encoder(&self, at: &At, _x: &[f64], _dx: &mut [f64], q: &mut JointVec, dq: &mut JointVec) {
-        let (j, order) = (self.0.joint - 1, self.0.order);
-        let (sin, cos) = (order * at.q[j] + self.0.phase).sin_cos();
-        q[j] += self.0.amplitude * sin;
-        dq[j] += self.0.amplitude * order * cos * at.dq[j];
+        let (j, order) = (self.joint - 1, self.order);
+        let (sin, cos) = (order * at.q[j] + self.phase).sin_cos();
+        q[j] += self.amplitude * sin;
+        dq[j] += self.amplitude * order * cos * at.dq[j];
     }
-}
-
-fn one() -> f64 {
-    1.0
 }

@@ -1,5 +1,4 @@
-//! Foreign: a test's invention. No arm has these, and no catalogue holds them: they are here to see what a diagnosis says about an effect that
-//! it does not know.
+//! Effects that the model's catalogue lacks, to test what a diagnosis reports of unknown effects.
 //!
 //! Each takes a torque `size f` \[Nm\] of `joint`; q and dq are those of the joints named in the table, g(x) = exp(-x^2).
 //!
@@ -7,23 +6,20 @@
 //! |---|---|
 //! | `windowed-sine` | `sin(order q_first) g((q_second - middle) / width)` |
 //! | `bump` | `g((q_first - middle) / width) g((dq_second - speed) / spread)` |
-//! | `region` | `(1 + tanh((q_first - middle) / width)) / 2`: a step of torque where another joint is past a place |
+//! | `region` | `(1 + tanh((q_first - middle) / width)) / 2`: a step of torque over another joint's position |
 //! | `product` | `tanh(q_first / width) dq_second` |
-//! | `beat` | `sin(4 pi x) sin(pi x)^2`, `x = t / every - floor(t / every)`: a matter of time alone, the same in every period |
+//! | `beat` | `sin(4 pi x) sin(pi x)^2`, `x = t / every - floor(t / every)`: a function of time, the same in every period |
 
-use super::{At, Effect, Place, Spec};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec};
-use serde::Deserialize;
+use super::*;
 use std::f64::consts::PI;
 
-/// Which invention. Joints count from 1.
+/// Form of the effect. Joints count from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(tag = "form", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Config {
-    /// A ripple that is only there while another joint is near a place.
+    /// A ripple near one position of another joint.
     WindowedSine {
-        /// Joint that feels it.
+        /// Joint of the torque.
         joint: usize,
         /// Height \[Nm\].
         size: f64,
@@ -38,9 +34,9 @@ pub enum Config {
         /// Width of the window \[rad\].
         width: f64,
     },
-    /// A bump in the plane of one joint's position and another's velocity.
+    /// A local torque in the plane of one joint's position and another's velocity.
     Bump {
-        /// Joint that feels it.
+        /// Joint of the torque.
         joint: usize,
         /// Height \[Nm\].
         size: f64,
@@ -57,9 +53,9 @@ pub enum Config {
         /// Width in velocity \[rad/s\].
         spread: f64,
     },
-    /// A step of torque where a joint is past a place.
+    /// A step of torque over a joint's position.
     Region {
-        /// Joint that feels it.
+        /// Joint of the torque.
         joint: usize,
         /// Height \[Nm\].
         size: f64,
@@ -70,9 +66,9 @@ pub enum Config {
         /// Width of the step \[rad\].
         width: f64,
     },
-    /// A drag on one joint that another joint's position turns around.
+    /// Viscous friction whose sign depends on another joint's position.
     Product {
-        /// Joint that feels it.
+        /// Joint of the torque.
         joint: usize,
         /// Drag \[Nms/rad\].
         size: f64,
@@ -83,9 +79,9 @@ pub enum Config {
         /// Joint of the velocity.
         second: usize,
     },
-    /// A disturbance by the clock.
+    /// A function of time.
     Beat {
-        /// Joint that feels it.
+        /// Joint of the torque.
         joint: usize,
         /// Height \[Nm\].
         size: f64,
@@ -94,9 +90,7 @@ pub enum Config {
     },
 }
 
-struct Foreign(Config);
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         let (joint, size) = self.what();
         place.joint(joint)?;
@@ -132,14 +126,10 @@ impl Spec for Config {
             Config::Beat { every, .. } => place.range("every", every, 0.1, 1e6),
         }
     }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(Foreign(*self))
-    }
 }
 
 impl Config {
-    /// Joint that feels it, counted from 1, and size.
+    /// Joint of the torque, counted from 1, and size.
     fn what(&self) -> (usize, f64) {
         match *self {
             Config::WindowedSine { joint, size, .. }
@@ -171,9 +161,9 @@ impl Config {
     }
 }
 
-impl Effect for Foreign {
+impl Effect for Config {
     fn repeats(&self, period: f64) -> bool {
-        match self.0 {
+        match *self {
             Config::Beat { every, .. } => {
                 let times = period / every;
                 times >= 0.5 && (times - times.round()).abs() < 1e-9 * times
@@ -183,7 +173,7 @@ impl Effect for Foreign {
     }
 
     fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
-        let (joint, size) = self.0.what();
-        tau[joint - 1] -= size * self.0.shape(at);
+        let (joint, size) = self.what();
+        tau[joint - 1] -= size * self.shape(at);
     }
 }

@@ -1,4 +1,4 @@
-//! The friction every joint has: `fv dq + fc tanh(100 dq)`, the law the paper identifies.
+//! Friction of every joint: `fv dq + fc tanh(100 dq)`, the law the paper identifies.
 
 use super::{At, Effect};
 use crate::truth::Truth;
@@ -7,7 +7,7 @@ use plumbline_core::{JointVec, MAX_JOINTS};
 /// Steepness of the Coulomb term's step \[s/rad\] (paper, section II-A).
 const SHARPNESS_S_PER_RAD: f64 = 100.0;
 
-/// The smooth sign of a velocity \[rad/s\], as all friction of the simulated arm has it.
+/// Smooth sign of a velocity \[rad/s\].
 pub(super) fn sign(dq: f64) -> f64 {
     (SHARPNESS_S_PER_RAD * dq).tanh()
 }
@@ -18,7 +18,7 @@ pub(crate) struct Friction {
 }
 
 impl Friction {
-    /// `replaced(joint)` says that another effect stands for that joint's Coulomb friction.
+    /// `replaced(joint)`: whether another effect replaces that joint's Coulomb friction.
     pub fn new(truth: &Truth, replaced: impl Fn(usize) -> bool) -> Friction {
         let mut friction = Friction { fv: [0.0; MAX_JOINTS], fc: [0.0; MAX_JOINTS] };
         for (j, joint) in truth.joints.iter().enumerate() {
@@ -29,10 +29,17 @@ impl Friction {
     }
 }
 
+impl Friction {
+    /// Friction of one joint, counted from 0, at a velocity \[Nm\].
+    pub fn at(&self, joint: usize, dq: f64) -> f64 {
+        self.fv[joint] * dq + self.fc[joint] * sign(dq)
+    }
+}
+
 impl Effect for Friction {
     fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
         for (j, tau) in tau[..at.n].iter_mut().enumerate() {
-            *tau -= self.fv[j] * at.dq[j] + self.fc[j] * sign(at.dq[j]);
+            *tau -= self.at(j, at.dq[j]);
         }
     }
 }

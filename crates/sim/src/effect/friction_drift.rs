@@ -5,12 +5,8 @@
 //! The joint's declared friction law changes; effects that add to it, or replace its Coulomb part, stay as they are.
 //! Source: Simoni, Beschi, Legnani and Visioli, Friction modeling with temperature effects for industrial robot manipulators, IROS 2015.
 
-use super::friction::sign;
 use super::trend::check_time;
-use super::{At, Effect, Place, Spec, Trend};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec, MAX_JOINTS};
-use serde::Deserialize;
+use super::*;
 
 /// Scales the friction of one joint, or of all.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -30,8 +26,7 @@ pub struct Config {
 struct FrictionDrift {
     config: Config,
     from: f64,
-    fv: JointVec,
-    fc: JointVec,
+    friction: Friction,
 }
 
 impl Spec for Config {
@@ -42,13 +37,7 @@ impl Spec for Config {
     }
 
     fn build(&self, truth: &Truth, from: f64) -> Box<dyn Effect> {
-        let mut effect = FrictionDrift { config: *self, from, fv: [0.0; MAX_JOINTS], fc: [0.0; MAX_JOINTS] };
-        let bent = |j: &usize| self.joint.is_none_or(|joint| joint == j + 1);
-        for (j, joint) in truth.joints.iter().enumerate().filter(|(j, _)| bent(j)) {
-            effect.fv[j] = joint.fv;
-            effect.fc[j] = if truth.replaces_coulomb(j) { 0.0 } else { joint.fc };
-        }
-        Box::new(effect)
+        Box::new(FrictionDrift { config: *self, from, friction: Friction::new(truth, |j| truth.replaces_coulomb(j)) })
     }
 }
 
@@ -61,8 +50,8 @@ impl Effect for FrictionDrift {
         let course = self.config.trend.at(at.t - self.from, self.config.time);
         // A linear drift ends where no friction is left.
         let share = (self.config.share * course).max(-1.0);
-        for (j, tau) in tau[..at.n].iter_mut().enumerate() {
-            *tau -= share * (self.fv[j] * at.dq[j] + self.fc[j] * sign(at.dq[j]));
+        for j in (0..at.n).filter(|j| self.config.joint.is_none_or(|joint| joint == j + 1)) {
+            tau[j] -= share * self.friction.at(j, at.dq[j]);
         }
     }
 }

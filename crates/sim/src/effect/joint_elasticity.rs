@@ -7,10 +7,7 @@
 //! 1987; Albu-Schaeffer, Ott and Hirzinger, A unified passivity-based control framework, IJRR 2007.
 
 use super::twist::{Deflection, Twist};
-use super::{Effect, Place, Spec};
-use crate::truth::Truth;
-use plumbline_core::BadInput;
-use serde::Deserialize;
+use super::*;
 
 /// Acts between motor and link.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]

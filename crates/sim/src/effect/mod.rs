@@ -1,19 +1,19 @@
 //! Effects: what a simulated arm has beyond a rigid body. The estimator has no access to them.
 //!
-//! An `Effect` changes the arm where its physics acts, through hooks that do nothing by default; one kind of effect is one file here
-//! and one line of the catalogue at the end of this one. Where each acts:
+//! An `Effect` changes the arm through hooks that do nothing by default. One kind of effect is one file here and one line of the
+//! catalogue in `spec`.
 //!
 //! | hook | effects |
 //! |---|---|
 //! | `torque` (with states) | every friction, spring, transmission coupling, ripple as a real torque, foreign |
-//! | `replaces_coulomb`, `settle` | presliding, which takes the place of `fc tanh(100 dq)` |
+//! | `replaces_coulomb`, `begin_step` | presliding, which replaces `fc tanh(100 dq)` |
 //! | `inertia`, `armature` | payload, rotor inertia |
 //! | `gravity` | wrong mounting, moving base |
 //! | `wrench` | contact |
-//! | `encoder` | encoder zero and eccentricity, elasticity, backlash: what the arm's controller sees too |
+//! | `encoder` | encoder zero and eccentricity, elasticity, backlash: inputs of the arm's controller, too |
 //! | `sense` | torque offset and its drift, gain, cross-talk, ripple of the sensor, delay |
 //!
-//! Every effect takes `from` \[s\]: before that moment of the arm's time it is not there.
+//! Every effect takes `from` \[s\], the time at which it begins.
 
 pub mod asymmetric_coulomb;
 pub mod asymmetric_viscous;
@@ -27,13 +27,13 @@ pub mod foreign;
 mod friction;
 pub mod friction_drift;
 pub mod joint_elasticity;
-mod late;
 pub mod load_dependent_friction;
 #[cfg(feature = "made-up-effect")]
 pub mod made_up;
 pub mod mounting;
 pub mod nonlinear_viscous;
 pub mod offset_drift;
+mod onset;
 pub mod payload;
 mod place;
 pub mod position_dependent_friction;
@@ -53,6 +53,7 @@ mod trend;
 mod twist;
 
 pub(super) use friction::Friction;
+use friction::sign;
 pub(crate) use place::Place;
 pub use spec::EffectSpec;
 pub use trend::Trend;
@@ -60,9 +61,10 @@ pub use trend::Trend;
 use super::spatial::Inertia;
 use super::truth::Truth;
 use nalgebra::Vector3;
-use plumbline_core::{BadInput, JointVec, Setpoint};
+use plumbline_core::{BadInput, JointVec, MAX_JOINTS, Setpoint};
+use serde::Deserialize;
 
-/// The arm at one instant, as effects see it.
+/// Inputs of effects at one instant.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct At {
     /// Time since the arm was switched on \[s\].
@@ -73,22 +75,22 @@ pub(super) struct At {
     pub q: JointVec,
     /// True joint velocity \[rad/s\].
     pub dq: JointVec,
-    /// What the inner controller tracks.
+    /// Target of the inner controller.
     pub desired: Setpoint,
     /// The controller's feed-forward: torque of the nominal rigid bodies along `desired` \[Nm\].
     pub load: JointVec,
-    /// Torques that the actuators hold instead of the controller's answer \[Nm\].
+    /// Torques that the actuators hold instead of the controller's \[Nm\].
     pub held: Option<JointVec>,
 }
 
-/// Sensor readings before noise.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Reading {
+/// Readings of the arm's sensors.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Reading {
     /// Position \[rad\].
     pub q: JointVec,
     /// Velocity \[rad/s\].
     pub dq: JointVec,
-    /// Torque of the actuators \[Nm\].
+    /// Torque of the actuators, gravity included \[Nm\].
     pub tau: JointVec,
 }
 
@@ -101,35 +103,35 @@ pub(super) struct External {
     pub moment: Vector3<f64>,
 }
 
-/// One deviation from the ideal arm. Hooks allocate nothing; joints and links count from 0.
+/// An effect on the arm. Hooks allocate nothing; joints and links count from 0.
 pub(super) trait Effect: Send {
     /// Number of the effect's own continuous states; `torque` or `encoder` gives their derivatives.
     fn states(&self) -> usize {
         0
     }
 
-    /// Whether the effect stands for `joint`'s Coulomb friction.
+    /// Whether the effect replaces `joint`'s Coulomb friction.
     fn replaces_coulomb(&self, _joint: usize) -> bool {
         false
     }
 
-    /// Whether the effect is a deflection of `joint`'s transmission under the torque that the controller answers to it. Such an effect
-    /// has to know what all others do to the encoder, so it comes last, and one a joint is all there can be.
+    /// Whether the effect is a deflection of `joint`'s transmission under the controller's torque. It depends on all other changes of the
+    /// encoder, so it acts last, at most one per joint.
     fn twists(&self, _joint: usize) -> bool {
         false
     }
 
-    /// Whether the effect does the same in every period of a motion that repeats after `period` \[s\].
+    /// Whether the effect has the period of a motion that repeats after `period` \[s\].
     fn repeats(&self, _period: f64) -> bool {
         true
     }
 
-    /// Inertia that moves with a link at time `t` besides the link itself.
+    /// Additional inertia of a link at time `t`.
     fn inertia(&self, _t: f64) -> Option<(usize, Inertia)> {
         None
     }
 
-    /// Inertia that turns with `joint` alone at time `t`, seen at the joint \[kg m2\].
+    /// Rotor inertia of `joint` at time `t` \[kg m2\].
     fn armature(&self, _t: f64, _joint: usize) -> f64 {
         0.0
     }
@@ -137,28 +139,28 @@ pub(super) trait Effect: Send {
     /// Changes the gravitational acceleration in the base frame \[m/s2\]; a base that accelerates by `a` adds `-a`.
     fn gravity(&self, _t: f64, _gravity: &mut Vector3<f64>) {}
 
-    /// The arm has come to `at`: called at the start of every integration step, for effects with a memory of where they were.
-    fn settle(&mut self, _at: &At) {}
+    /// Start of an integration step at `at`, for effects with a memory.
+    fn begin_step(&mut self, _at: &At) {}
 
-    /// Turns the torque that comes from the actuators' side into what the links get, and writes the derivatives of the states.
+    /// Converts the actuators' torque into the links' torque, and writes the derivatives of the states.
     fn torque(&self, _at: &At, _x: &[f64], _dx: &mut [f64], _tau: &mut JointVec) {}
 
-    /// A wrench from outside.
+    /// External wrench.
     fn wrench(&self, _at: &At) -> Option<External> {
         None
     }
 
-    /// Turns true joint position and velocity into what the encoders see; may write derivatives of the states.
+    /// Converts true joint position and velocity into encoder readings; may write derivatives of the states.
     fn encoder(&self, _at: &At, _x: &[f64], _dx: &mut [f64], _q: &mut JointVec, _dq: &mut JointVec) {}
 
     /// Changes the readings of each millisecond.
-    fn sense(&mut self, _at: &At, _x: &[f64], _reading: &mut Reading) {}
+    fn sense(&mut self, _at: &At, _reading: &mut Reading) {}
 }
 
-/// How an effect is written in a truth file.
+/// Configuration of an effect in a truth file.
 trait Spec {
     /// # Errors
-    /// A joint that is not there, or a number that no arm can have.
+    /// A joint that does not exist, or an impossible value.
     fn check(&self, place: &Place) -> Result<(), BadInput>;
 
     /// Whether the effect replaces the Coulomb friction of `joint`, counted from 0.
@@ -168,4 +170,34 @@ trait Spec {
 
     /// The effect of an arm that passed `check`; it begins at `from` \[s\].
     fn build(&self, truth: &Truth, from: f64) -> Box<dyn Effect>;
+}
+
+/// A configuration that is the effect: one without memory, which depends neither on the arm nor on the time since it began.
+trait Stateless: Effect + Copy + 'static {
+    /// As [`Spec::check`].
+    fn check(&self, place: &Place) -> Result<(), BadInput>;
+}
+
+impl<T: Stateless> Spec for T {
+    fn check(&self, place: &Place) -> Result<(), BadInput> {
+        Stateless::check(self, place)
+    }
+
+    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
+        Box::new(*self)
+    }
+}
+
+// Defaults of configurations.
+
+fn one() -> f64 {
+    1.0
+}
+
+fn half() -> f64 {
+    0.5
+}
+
+fn tenth() -> f64 {
+    0.1
 }

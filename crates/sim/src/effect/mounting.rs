@@ -1,15 +1,12 @@
-//! Mounting: the base stands otherwise than the arm was told. Gravity in the base frame is
+//! Mounting: another mounting than declared. Gravity in the base frame is
 //!
-//!   R' a_g, with R the rotation of the base by the vector `tilt` from where it is declared to stand,
+//!   R' a_g, with R the rotation of the base by the vector `tilt` from the declared mounting,
 //!
-//! or the one of the angles `rho` and `phi`, whatever was declared (paper eq. 3). The arm's own controller goes on with the declared one.
+//! or that of the angles `rho` and `phi` (paper eq. 3). The arm's controller uses the declared gravity.
 
-use super::{Effect, Place, Spec};
-use crate::truth::Truth;
+use super::*;
 use nalgebra::{Rotation3, Vector3};
-use plumbline_core::BadInput;
 use plumbline_model::Mounting;
-use serde::Deserialize;
 
 /// Either `tilt`, or `rho` and `phi`.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -23,16 +20,16 @@ pub struct Config {
     pub phi: Option<f64>,
 }
 
-enum Truly {
-    Turned(Rotation3<f64>),
-    Stands(Vector3<f64>),
+enum ActualGravity {
+    Rotated(Rotation3<f64>),
+    Fixed(Vector3<f64>),
 }
 
 impl Config {
-    fn truly(&self) -> Option<Truly> {
+    fn actual(&self) -> Option<ActualGravity> {
         match (self.tilt, self.rho, self.phi) {
-            (Some(tilt), None, None) => Some(Truly::Turned(Rotation3::new(Vector3::from(tilt)))),
-            (None, Some(rho), Some(phi)) => Some(Truly::Stands(Mounting { rho, phi }.gravity())),
+            (Some(tilt), None, None) => Some(ActualGravity::Rotated(Rotation3::new(Vector3::from(tilt)))),
+            (None, Some(rho), Some(phi)) => Some(ActualGravity::Fixed(Mounting { rho, phi }.gravity())),
             _ => None,
         }
     }
@@ -41,7 +38,7 @@ impl Config {
 impl Spec for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         let given = [self.tilt.map(|_| "tilt"), self.rho.map(|_| "rho"), self.phi.map(|_| "phi")];
-        if self.truly().is_none() {
+        if self.actual().is_none() {
             let keys: Vec<&str> = given.into_iter().flatten().collect();
             return Err(place.wrong("keys", keys.join(", "), "`tilt`, or `rho` and `phi`"));
         }
@@ -51,15 +48,15 @@ impl Spec for Config {
     }
 
     fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(self.truly().unwrap_or(Truly::Turned(Rotation3::identity())))
+        Box::new(self.actual().unwrap_or(ActualGravity::Rotated(Rotation3::identity())))
     }
 }
 
-impl Effect for Truly {
+impl Effect for ActualGravity {
     fn gravity(&self, _t: f64, gravity: &mut Vector3<f64>) {
         *gravity = match self {
-            Truly::Turned(rotation) => rotation.inverse_transform_vector(gravity),
-            Truly::Stands(truly) => *truly,
+            ActualGravity::Rotated(rotation) => rotation.inverse_transform_vector(gravity),
+            ActualGravity::Fixed(actual) => *actual,
         };
     }
 }

@@ -10,16 +10,13 @@
 //! robot with retrieval of feasible parameters, RA-L 2019 (`phi_1 = size`, `phi_2 = 1 / velocity`, `phi_3 = shift`); the powers are in Bona and
 //! Indri, Friction compensation in robotics: an overview, CDC 2005.
 
-use super::{At, Effect, Place, Spec};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec};
-use serde::Deserialize;
+use super::*;
 
 /// The shape of the friction over velocity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Form {
-    /// A step with a soft edge, and with it more than Coulomb and viscous friction can follow.
+    /// A smooth step, which Coulomb and viscous friction do not describe.
     Sigmoid,
     /// The third power.
     Cubic,
@@ -39,17 +36,12 @@ pub struct Config {
     pub size: f64,
     /// Width of the sigmoid; other forms have none \[rad/s\].
     pub velocity: Option<f64>,
-    /// How far the sigmoid's middle lies below zero velocity \[rad/s\].
+    /// Distance of the sigmoid's middle below zero velocity \[rad/s\].
     #[serde(default)]
     pub shift: f64,
 }
 
-struct NonlinearViscous {
-    config: Config,
-    velocity: f64,
-}
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
         place.range("size", self.size, 0.0, 100.0)?;
@@ -68,20 +60,16 @@ impl Spec for Config {
         }
         place.range("shift", self.shift, -1.0, 1.0)
     }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(NonlinearViscous { config: *self, velocity: self.velocity.unwrap_or(1.0) })
-    }
 }
 
-impl Effect for NonlinearViscous {
+impl Effect for Config {
     fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
-        let j = self.config.joint - 1;
-        let dq = at.dq[j];
-        let sigmoid = |v: f64| 1.0 / (1.0 + (-v / self.velocity).exp());
-        tau[j] -= self.config.size
-            * match self.config.form {
-                Form::Sigmoid => sigmoid(dq + self.config.shift) - sigmoid(self.config.shift),
+        let j = self.joint - 1;
+        let (dq, width) = (at.dq[j], self.velocity.unwrap_or(1.0));
+        let sigmoid = |v: f64| 1.0 / (1.0 + (-v / width).exp());
+        tau[j] -= self.size
+            * match self.form {
+                Form::Sigmoid => sigmoid(dq + self.shift) - sigmoid(self.shift),
                 Form::Cubic => dq * dq * dq,
                 Form::Quadratic => dq * dq.abs(),
             };

@@ -1,16 +1,13 @@
-//! Offset drift: the zero of a torque sensor wanders as it warms up.
+//! Offset drift: the zero of a torque sensor drifts as it warms up.
 //!
 //!   tau_measured = tau + drift g(t),   g(t) = 1 - exp(-(t - from) / time), or (t - from) / time.
 //!
 //! Source: the thermal zero shift that every data sheet of a strain-gauge sensor states.
 
 use super::trend::check_time;
-use super::{At, Effect, Place, Reading, Spec, Trend};
-use crate::truth::Truth;
-use plumbline_core::BadInput;
-use serde::Deserialize;
+use super::*;
 
-/// Acts on what is reported, not on the arm.
+/// Acts on the reading, not on the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
@@ -47,7 +44,7 @@ impl Effect for OffsetDrift {
         false
     }
 
-    fn sense(&mut self, at: &At, _x: &[f64], reading: &mut Reading) {
+    fn sense(&mut self, at: &At, reading: &mut Reading) {
         let course = self.config.trend.at(at.t - self.from, self.config.time);
         reading.tau[self.config.joint - 1] += self.config.drift * course;
     }

@@ -1,10 +1,7 @@
 //! Payload: an undeclared body on a link, picked up at `from`.
 
-use super::{Effect, Place, Spec};
-use crate::spatial::Inertia;
+use super::*;
 use crate::truth::{Inside, Truth, check_body, symmetric};
-use plumbline_core::BadInput;
-use serde::Deserialize;
 
 /// A rigid body fixed to a link.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]

@@ -1,5 +1,4 @@
-//! Where in a truth file an effect stands, and the checks that all effects share. Every refusal names file, place, value and what was
-//! expected.
+//! Place of an effect in a truth file, and the checks that all effects share. An error names file, place, value and what was expected.
 
 use crate::truth::Truth;
 use plumbline_core::BadInput;
@@ -16,7 +15,7 @@ pub(crate) struct Place<'a> {
 }
 
 impl Place<'_> {
-    /// What is wrong with `key`.
+    /// An error of `key`.
     pub fn wrong(&self, key: &str, value: impl ToString, expected: impl Into<String>) -> BadInput {
         BadInput::new(self.file, format!("{}, {key}", self.name), value, expected)
     }
@@ -34,7 +33,7 @@ impl Place<'_> {
         self.one_of_the_joints("joint", joint)
     }
 
-    /// A joint of the arm under another key than `joint`, and another one than `joint`.
+    /// A joint of the arm under `key`, other than `joint`.
     pub fn other(&self, key: &str, other: usize, joint: usize) -> Result<(), BadInput> {
         self.one_of_the_joints(key, other)?;
         if other == joint {

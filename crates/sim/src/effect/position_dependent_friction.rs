@@ -2,14 +2,10 @@
 //!
 //!   tau_f = (fc + sine sin(order q) + cosine cos(order q)) s(dq),   s(dq) = tanh(100 dq),
 //!
-//! of which the first part is there anyhow. Source: Popovic and Goldenberg, Modeling of friction using spectral analysis, IEEE Transactions
+//! whose first part every joint has. Source: Popovic and Goldenberg, Modeling of friction using spectral analysis, IEEE Transactions
 //! on Robotics and Automation 1998.
 
-use super::friction::sign;
-use super::{At, Effect, Place, Spec};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec};
-use serde::Deserialize;
+use super::*;
 
 /// Adds to the joint's friction.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -17,7 +13,7 @@ use serde::Deserialize;
 pub struct Config {
     /// Joint, counted from 1.
     pub joint: usize,
-    /// Waves in a turn.
+    /// Waves per turn.
     #[serde(default = "one")]
     pub order: f64,
     /// Amplitude of the sine \[Nm\].
@@ -28,33 +24,23 @@ pub struct Config {
     pub cosine: f64,
 }
 
-struct PositionDependentFriction(Config);
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
         place.range("order", self.order, 0.1, 200.0)?;
-        // Friction that drives is none.
+        // Friction must not drive the joint.
         let (fc, amplitude) = (place.truth.joints[self.joint - 1].fc, self.sine.hypot(self.cosine));
         if amplitude <= fc {
             return Ok(());
         }
         Err(place.wrong("sine and cosine", amplitude, format!("an amplitude of at most the joint's fc, {fc} Nm")))
     }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(PositionDependentFriction(*self))
-    }
 }
 
-impl Effect for PositionDependentFriction {
+impl Effect for Config {
     fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
-        let j = self.0.joint - 1;
-        let (sin, cos) = (self.0.order * at.q[j]).sin_cos();
-        tau[j] -= (self.0.sine * sin + self.0.cosine * cos) * sign(at.dq[j]);
+        let j = self.joint - 1;
+        let (sin, cos) = (self.order * at.q[j]).sin_cos();
+        tau[j] -= (self.sine * sin + self.cosine * cos) * sign(at.dq[j]);
     }
-}
-
-fn one() -> f64 {
-    1.0
 }

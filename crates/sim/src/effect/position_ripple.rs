@@ -1,4 +1,4 @@
-//! Position ripple: torque that waves with the joint's position, `order` times a turn.
+//! Position ripple: a torque wave over the joint's position, `order` waves per turn.
 //!
 //!   tau_measured = tau + sine sin(order q) + cosine cos(order q)
 //!
@@ -8,19 +8,16 @@
 //! Source: Taghirad and Belanger, Torque ripple and misalignment torque compensation for the built-in torque sensor of harmonic drive
 //! systems, 1998.
 
-use super::{At, Effect, Place, Reading, Spec};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec};
-use serde::Deserialize;
+use super::*;
 
-/// What ripples.
+/// Place of the ripple.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum On {
-    /// What is reported.
+    /// The measured torque.
     #[default]
     Sensor,
-    /// The torque that the links get.
+    /// The torque of the links.
     Joint,
 }
 
@@ -30,7 +27,7 @@ pub enum On {
 pub struct Config {
     /// Joint, counted from 1.
     pub joint: usize,
-    /// Waves in a turn.
+    /// Waves per turn.
     pub order: f64,
     /// Amplitude of the sine \[Nm\].
     #[serde(default)]
@@ -38,44 +35,38 @@ pub struct Config {
     /// Amplitude of the cosine \[Nm\].
     #[serde(default)]
     pub cosine: f64,
-    /// What ripples; the sensor where absent.
+    /// Place of the ripple; default the sensor.
     #[serde(default)]
     pub on: On,
 }
 
-struct PositionRipple(Config);
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
         place.range("order", self.order, 0.1, 2000.0)?;
         place.range("sine", self.sine, -100.0, 100.0)?;
         place.range("cosine", self.cosine, -100.0, 100.0)
     }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(PositionRipple(*self))
-    }
 }
 
-impl PositionRipple {
+impl Config {
     fn at(&self, q: f64) -> f64 {
-        let (sin, cos) = (self.0.order * q).sin_cos();
-        self.0.sine * sin + self.0.cosine * cos
+        let (sin, cos) = (self.order * q).sin_cos();
+        self.sine * sin + self.cosine * cos
     }
 }
 
-impl Effect for PositionRipple {
+impl Effect for Config {
     fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
-        if self.0.on == On::Joint {
-            let j = self.0.joint - 1;
+        if self.on == On::Joint {
+            let j = self.joint - 1;
             tau[j] -= self.at(at.q[j]);
         }
     }
 
-    fn sense(&mut self, at: &At, _x: &[f64], reading: &mut Reading) {
-        if self.0.on == On::Sensor {
-            let j = self.0.joint - 1;
+    fn sense(&mut self, at: &At, reading: &mut Reading) {
+        if self.on == On::Sensor {
+            let j = self.joint - 1;
             reading.tau[j] += self.at(at.q[j]);
         }
     }

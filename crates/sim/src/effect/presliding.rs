@@ -1,5 +1,5 @@
-//! Presliding friction: hysteresis as the friction's bristles bend before they slide. It takes the place of a joint's `fc tanh(100 dq)`, with the
-//! same `fc`; its viscous friction stays. Two forms. Both weaken with speed: `w = 1 + (breakaway - 1) exp(-(dq / stribeck-velocity)^2)`.
+//! Presliding friction: hysteresis of elastic contacts before sliding. It replaces a joint's `fc tanh(100 dq)` with the same `fc`; its
+//! viscous friction remains. Two forms. Both weaken with speed: `w = 1 + (breakaway - 1) exp(-(dq / stribeck-velocity)^2)`.
 //!
 //! With `delta`, the LuGre law (Canudas de Wit, Olsson, Astrom and Lischinsky, A new model for control of systems with friction, TAC 1995),
 //! written with the displacement `delta` of one bristle:
@@ -15,12 +15,9 @@
 //!
 //!   tau_f = fc sum_i share_i z_i / delta_i,   z_i follows q but stays within +-delta_i w.
 //!
-//! Each `z_i` depends on where the joint went and not on how fast, so it is worked out exactly from the displacement within a step.
+//! Each `z_i` depends on the path and not on the velocity, so it is computed exactly from the displacement within a step.
 
-use super::{At, Effect, Place, Spec};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec};
-use serde::Deserialize;
+use super::*;
 
 /// Most elements of a Maxwell-slip law.
 const MAX_ELEMENTS: usize = 8;
@@ -55,7 +52,7 @@ pub struct Element {
     pub delta: f64,
 }
 
-/// How friction falls with speed.
+/// Decrease of friction with speed.
 #[derive(Clone, Copy)]
 struct Weakening {
     breakaway: f64,
@@ -74,7 +71,7 @@ struct MaxwellSlip {
     joint: usize,
     /// `delta_i`, stiffness \[Nm/rad\], and `z_i` at `q`.
     elements: [(f64, f64, f64); MAX_ELEMENTS],
-    /// Where the joint was at the start of the step \[rad\]; `None` before the first.
+    /// Position at the start of the step \[rad\]; `None` before the first.
     q: Option<f64>,
     weakening: Weakening,
 }
@@ -86,7 +83,7 @@ impl Spec for Config {
         place.range("stribeck-velocity", self.stribeck_velocity, 1e-3, 10.0)?;
         let elements = match (self.delta, &self.elements) {
             (Some(delta), None) => {
-                // A bristle that slides within one step of the integration, at 2.5 rad/s, is too fast for it.
+                // A bristle must not slide within one step of the integration at 2.5 rad/s.
                 place.range("delta", delta, 1e-3 / f64::from(place.truth.substeps), 1.0)?;
                 return place.range("damping", self.damping.unwrap_or(0.0), 0.0, 100.0);
             }
@@ -169,7 +166,7 @@ impl Effect for MaxwellSlip {
         joint == self.joint
     }
 
-    fn settle(&mut self, at: &At) {
+    fn begin_step(&mut self, at: &At) {
         for i in 0..MAX_ELEMENTS {
             let (delta, _, z) = self.elements[i];
             self.elements[i].2 = self.moved(at, delta, z);
@@ -181,12 +178,4 @@ impl Effect for MaxwellSlip {
         let force = |&(delta, stiffness, z): &(f64, f64, f64)| stiffness * self.moved(at, delta, z);
         tau[self.joint] -= self.elements.iter().map(force).sum::<f64>();
     }
-}
-
-fn one() -> f64 {
-    1.0
-}
-
-fn tenth() -> f64 {
-    0.1
 }

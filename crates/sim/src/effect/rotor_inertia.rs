@@ -1,16 +1,13 @@
-//! Rotor inertia: the motor's rotor, seen through its gear, where torque is measured on the motor's side.
+//! Rotor inertia at the joint's side of the gear, for torques that are measured on the motor's side.
 //!
 //!   tau_j = ... + inertia ddq_j,   inertia = N^2 J of a rotor of J kg m2 behind a gear of ratio N.
 //!
-//! The rotor's own gyroscopic effects are left out, as everywhere. Source: Khalil and Dombre, Modeling, identification and control of
+//! Gyroscopic effects of the rotor are neglected. Source: Khalil and Dombre, Modeling, identification and control of
 //! robots, 2002.
 
-use super::{Effect, Place, Spec};
-use crate::truth::Truth;
-use plumbline_core::BadInput;
-use serde::Deserialize;
+use super::*;
 
-/// Adds to the inertia of one joint alone.
+/// Adds to the inertia of one joint.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
@@ -20,21 +17,15 @@ pub struct Config {
     pub inertia: f64,
 }
 
-struct RotorInertia(Config);
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
         place.range("inertia", self.inertia, 0.0, 100.0)
     }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(RotorInertia(*self))
-    }
 }
 
-impl Effect for RotorInertia {
+impl Effect for Config {
     fn armature(&self, _t: f64, joint: usize) -> f64 {
-        if joint + 1 == self.0.joint { self.0.inertia } else { 0.0 }
+        if joint + 1 == self.joint { self.inertia } else { 0.0 }
     }
 }

@@ -1,14 +1,14 @@
 //! The catalogue: every effect by its stable id, as a truth file writes it.
 
-use super::late::Late;
+use super::onset::Onset;
 use super::*;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 
-/// Writes down the catalogue once: the enum a file is read into, its ids, and the way to each effect's own file.
+/// The catalogue: an enum to deserialise, its ids, and the module of each effect.
 macro_rules! catalogue {
     ($($(#[doc = $doc:literal])* $(#[cfg($cfg:meta)])? $variant:ident, $id:literal, $module:ident;)*) => {
-        /// What an effect is.
+        /// Kind of an effect.
         #[derive(Clone, Debug, PartialEq, Deserialize)]
         #[serde(tag = "id")]
         pub enum Kind {
@@ -40,9 +40,9 @@ catalogue! {
     TorqueOffset, "torque-offset", torque_offset;
     /// A torque sensor's scale is off.
     TorqueGain, "torque-gain", torque_gain;
-    /// More Coulomb friction one way than the other.
+    /// Coulomb friction that depends on the direction.
     AsymmetricCoulomb, "asymmetric-coulomb", asymmetric_coulomb;
-    /// More viscous friction one way than the other.
+    /// Viscous friction that depends on the direction.
     AsymmetricViscous, "asymmetric-viscous", asymmetric_viscous;
     /// Friction that falls as the lubricant builds its film.
     Stribeck, "stribeck", stribeck;
@@ -52,31 +52,31 @@ catalogue! {
     LoadDependentFriction, "load-dependent-friction", load_dependent_friction;
     /// Friction that changes as the arm warms up.
     FrictionDrift, "friction-drift", friction_drift;
-    /// A torque sensor's zero that wanders.
+    /// Drift of a torque sensor's zero.
     OffsetDrift, "offset-drift", offset_drift;
-    /// Friction that bends like a bristle before it slides.
+    /// Elastic friction before sliding.
     Presliding, "presliding", presliding;
     /// A motor's rotor behind its gear.
     RotorInertia, "rotor-inertia", rotor_inertia;
     /// A transmission that twists under load.
     JointElasticity, "joint-elasticity", joint_elasticity;
-    /// Torque that waves with the position.
+    /// Torque ripple over the position.
     PositionRipple, "position-ripple", position_ripple;
-    /// Friction that waves with the position.
+    /// Friction that depends on the position.
     PositionDependentFriction, "position-dependent-friction", position_dependent_friction;
     /// A spring between two links.
     Spring, "spring", spring;
     /// An undeclared body.
     Payload, "payload", payload;
-    /// A base that stands otherwise than declared.
+    /// Wrong declared mounting.
     Mounting, "mounting", mounting;
-    /// A base that shakes.
+    /// Vibration of the base.
     BaseMotion, "base-motion", base_motion;
-    /// A torque sensor that feels another joint's torque.
+    /// Cross-talk of a torque sensor.
     TorqueCrosstalk, "torque-crosstalk", torque_crosstalk;
-    /// A part that rubs as two joints turn.
+    /// Friction that depends on two joints.
     TransmissionCoupling, "transmission-coupling", transmission_coupling;
-    /// Torque that is reported late.
+    /// Delay of the measured torque.
     Delay, "delay", delay;
     /// An external wrench on a link.
     Contact, "contact", contact;
@@ -98,7 +98,7 @@ catalogue! {
 pub struct EffectSpec {
     /// When it begins; 0 for an effect that is always there \[s\].
     pub from: f64,
-    /// What it is.
+    /// Kind and parameters.
     pub kind: Kind,
 }
 
@@ -110,21 +110,21 @@ impl From<Kind> for EffectSpec {
 
 impl EffectSpec {
     /// # Errors
-    /// What is wrong with the effect on the arm of `truth`; `name` is its place in `file`.
+    /// An invalid effect for the arm of `truth`; `name` is its place in `file`.
     pub(crate) fn check(&self, file: &str, name: &str, truth: &Truth) -> Result<(), BadInput> {
         let place = Place { file, name, truth, from: self.from };
         place.range("from", self.from, 0.0, 1e9)?;
         self.kind.spec().check(&place)
     }
 
-    /// Whether it stands for the Coulomb friction of `joint`, counted from 0.
+    /// Whether it replaces the Coulomb friction of `joint`, counted from 0.
     pub(crate) fn replaces_coulomb(&self, joint: usize) -> bool {
         self.kind.spec().replaces_coulomb(joint)
     }
 
     pub(crate) fn build(&self, truth: &Truth) -> Box<dyn Effect> {
         let effect = self.kind.spec().build(truth, self.from);
-        if self.from > 0.0 { Box::new(Late::new(effect, self.from, truth)) } else { effect }
+        if self.from > 0.0 { Box::new(Onset::new(effect, self.from, truth)) } else { effect }
     }
 }
 
@@ -138,7 +138,7 @@ impl<'de> Deserialize<'de> for EffectSpec {
             f64::deserialize(value).map_err(|_| D::Error::custom(format!("a time in s for key `from`, not {found}")))
         })?;
         let kind = Kind::deserialize(table).map_err(|error| {
-            // As much as serde knows: the key where it is missing or unknown, what was found where it has the wrong type.
+            // From serde's message: a missing or unknown key, or the value of a wrong type.
             let message = error.message();
             D::Error::custom(match message.split_once(", expected ") {
                 Some((found, wanted)) if !message.starts_with("unknown") => {

@@ -1,15 +1,12 @@
-//! Spring: a dress pack that twists, a balancer, a stop of rubber.
+//! Spring: a dress pack, a balancer, a rubber stop.
 //!
 //!   tau = stiffness x + cubic x^3,   x = q - rest, or only its positive part (`side = "above"`), or only its negative part ("below").
 //!
-//! Source: FloBaRoID (Bethge, Malzahn, Tsagarakis and Caldwell, 2017) simulates cables so; the cubic part stands for a spring that stiffens.
+//! Source: FloBaRoID (Bethge, Malzahn, Tsagarakis and Caldwell, 2017) simulates cables in this way; the cubic part is a stiffening spring.
 
-use super::{At, Effect, Place, Spec};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec};
-use serde::Deserialize;
+use super::*;
 
-/// Where the spring pulls.
+/// Side on which the spring acts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Side {
@@ -34,38 +31,32 @@ pub struct Config {
     /// Coefficient of the third power \[Nm/rad3\].
     #[serde(default)]
     pub cubic: f64,
-    /// Position at which it does not pull \[rad\].
+    /// Position of zero force \[rad\].
     #[serde(default)]
     pub rest: f64,
-    /// Where it pulls.
+    /// Side on which it acts.
     #[serde(default)]
     pub side: Side,
 }
 
-struct Spring(Config);
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
         place.range("stiffness", self.stiffness, -100.0, 1e4)?;
         place.range("cubic", self.cubic, -100.0, 1e4)?;
         place.range("rest", self.rest, -100.0, 100.0)
     }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(Spring(*self))
-    }
 }
 
-impl Effect for Spring {
+impl Effect for Config {
     fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
-        let j = self.0.joint - 1;
-        let x = at.q[j] - self.0.rest;
-        let x = match self.0.side {
+        let j = self.joint - 1;
+        let x = at.q[j] - self.rest;
+        let x = match self.side {
             Side::Both => x,
             Side::Above => x.max(0.0),
             Side::Below => x.min(0.0),
         };
-        tau[j] -= self.0.stiffness * x + self.0.cubic * x * x * x;
+        tau[j] -= self.stiffness * x + self.cubic * x * x * x;
     }
 }

@@ -2,16 +2,12 @@
 //!
 //!   tau_f = fc s(dq) + excess exp(-(dq / velocity)^2) s(dq),   s(dq) = tanh(100 dq),
 //!
-//! where `excess = fs - fc` is static over Coulomb friction and the first term is there anyhow. With a `velocity` as low as the width of
+//! where `excess = fs - fc` is static over Coulomb friction and every joint has the first term. With a `velocity` as low as the width of
 //! `s` (0.01 rad/s) the bump does not reach its full height.
 //! Source: Armstrong-Helouvry, Dupont and Canudas de Wit, A survey of models, analysis tools and compensation methods for the control
 //! of machines with friction, Automatica 1994; Bittencourt and Gunnarsson, Static friction in a robot joint, 2012.
 
-use super::friction::sign;
-use super::{At, Effect, Place, Spec};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec};
-use serde::Deserialize;
+use super::*;
 
 /// Adds to the joint's friction.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -25,23 +21,17 @@ pub struct Config {
     pub velocity: f64,
 }
 
-struct Stribeck(Config);
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
         place.range("excess", self.excess, 0.0, 100.0)?;
         place.range("velocity", self.velocity, 1e-3, 10.0)
     }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(Stribeck(*self))
-    }
 }
 
-impl Effect for Stribeck {
+impl Effect for Config {
     fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
-        let j = self.0.joint - 1;
-        tau[j] -= self.0.excess * (-(at.dq[j] / self.0.velocity).powi(2)).exp() * sign(at.dq[j]);
+        let j = self.joint - 1;
+        tau[j] -= self.excess * (-(at.dq[j] / self.velocity).powi(2)).exp() * sign(at.dq[j]);
     }
 }

@@ -1,5 +1,4 @@
-//! Every hook of an effect does to the arm what its physics says. The torque an effect leaves is found by the estimator's own
-//! Newton-Euler recursion, which shares nothing with the simulation.
+//! Every hook of an effect against its physics. The torque of an effect is computed with the model's Newton-Euler recursion, which shares no code with the simulation.
 
 mod catalogue;
 mod friction;
@@ -58,12 +57,10 @@ fn desired(tick: u64) -> Setpoint {
     setpoint
 }
 
-/// Moves an arm for `ticks` milliseconds, mounted upright as far as it knows.
-fn run(truth: &Truth, effects: Vec<Box<dyn Effect>>, ticks: usize) -> Vec<(State, Exact)> {
-    let mut all = truth.build_effects();
-    all.extend(effects);
+/// Moves an arm for `ticks` milliseconds, declared upright.
+fn run(truth: &Truth, ticks: usize) -> Vec<(State, Exact)> {
     let pace = Pace::Fast(Arc::new(Gate::unlimited()));
-    let mut arm = SimArm::with_effects(&chain(), truth, Mounting::UPRIGHT.gravity(), START, 0, pace, all).unwrap();
+    let mut arm = SimArm::new(&chain(), truth, Mounting::UPRIGHT, START, 0, pace).unwrap();
     let mut step = || {
         let state = arm.read().unwrap();
         let command = Command { seq: state.seq, desired: desired(state.seq), ..Command::default() };
@@ -89,37 +86,10 @@ fn assert_close(found: f64, expected: f64, tolerance: f64) {
     assert!((found - expected).abs() <= tolerance, "{found} instead of {expected}");
 }
 
-struct Tilted;
-impl Effect for Tilted {
-    fn gravity(&self, _t: f64, gravity: &mut Vector3<f64>) {
-        *gravity = Mounting::WALL.gravity();
-    }
-}
-
 #[test]
-fn gravity_is_what_the_effect_says() {
-    let truth = truth("");
-    let mut differs = 0.0f64;
-    for (_, exact) in run(&truth, vec![Box::new(Tilted)], 500) {
-        let wall = left(&truth, &truth.link_parameters(), Mounting::WALL, &exact);
-        let upright = left(&truth, &truth.link_parameters(), Mounting::UPRIGHT, &exact);
-        (0..N).for_each(|j| assert_close(wall[j], 0.0, 1e-9));
-        differs = differs.max(upright[1].abs());
-    }
-    assert!(differs > 1.0, "{differs} Nm");
-}
-
-struct Rotor;
-impl Effect for Rotor {
-    fn armature(&self, _t: f64, joint: usize) -> f64 {
-        if joint == 1 { 0.2 } else { 0.0 }
-    }
-}
-
-#[test]
-fn a_rotor_takes_torque_of_its_own_joint_alone() {
-    let truth = truth("");
-    for (_, exact) in run(&truth, vec![Box::new(Rotor)], 500) {
+fn a_rotor_changes_the_torque_of_its_joint_only() {
+    let truth = truth("effect = [{ id = 'rotor-inertia', joint = 2, inertia = 0.2 }]");
+    for (_, exact) in run(&truth, 500) {
         let left = left(&truth, &truth.link_parameters(), Mounting::UPRIGHT, &exact);
         assert_close(left[0], 0.0, 1e-9);
         assert_close(left[1], 0.2 * exact.ddq[1], 1e-9);
@@ -128,7 +98,7 @@ fn a_rotor_takes_torque_of_its_own_joint_alone() {
 }
 
 #[test]
-fn a_payload_is_there_from_its_moment_on() {
+fn a_payload_acts_from_its_onset_on() {
     let text = "effect = [{ id = 'payload', mass = 0.7, com = [0.1, 0.0, 0.2], inertia = [0.002, 0, 0, 0.002, 0, 0.001], from = 0.3 }]";
     let truth = truth(text);
     let empty = truth.link_parameters();
@@ -138,7 +108,7 @@ fn a_payload_is_there_from_its_moment_on() {
     let body =
         [0.002 + m * z * z, 0.0, -m * x * z, 0.002 + m * (x * x + z * z), 0.0, 0.001 + m * x * x, m * x, 0.0, m * z, m];
     loaded[2].iter_mut().zip(body).for_each(|(slot, part)| *slot += part);
-    for (state, exact) in run(&truth, vec![], 600) {
+    for (state, exact) in run(&truth, 600) {
         // The state at the moment itself is the last without it: the body is taken up by the millisecond that follows.
         let links = if state.seq <= 300 { &empty } else { &loaded };
         let left = left(&truth, links, Mounting::UPRIGHT, &exact);
@@ -146,19 +116,13 @@ fn a_payload_is_there_from_its_moment_on() {
     }
 }
 
-struct Push;
-impl Effect for Push {
-    fn wrench(&self, _at: &At) -> Option<External> {
-        let point = Vector3::new(0.05, -0.1, 0.3);
-        Some(External { link: 2, point, force: Vector3::new(5.0, -3.0, 8.0), moment: Vector3::new(0.4, 0.2, -0.6) })
-    }
-}
-
 #[test]
-fn a_wrench_takes_the_torque_of_its_jacobian() {
-    let truth = truth("");
-    let push = Push.wrench(&At::default()).unwrap();
-    for (_, exact) in run(&truth, vec![Box::new(Push)], 300) {
+fn a_wrench_gives_the_torque_of_its_jacobian() {
+    let contact = "id = 'contact', point = [0.05, -0.1, 0.3], force = [5, -3, 8], moment = [0.4, 0.2, -0.6], edge = 0.002, to = 1.0";
+    let truth = truth(&format!("effect = [{{ {contact} }}]"));
+    let push = truth.build_effects()[0].wrench(&At { t: 0.5, ..At::default() }).unwrap();
+    // From the end of the edge on.
+    for (_, exact) in run(&truth, 300).into_iter().skip(2) {
         let left = left(&truth, &truth.link_parameters(), Mounting::UPRIGHT, &exact);
         let mut frames = vec![];
         let mut frame = Placement::identity();
@@ -179,87 +143,11 @@ fn a_wrench_takes_the_torque_of_its_jacobian() {
     }
 }
 
-struct EncoderZero;
-impl Effect for EncoderZero {
-    fn encoder(&self, _at: &At, _x: &[f64], _dx: &mut [f64], q: &mut JointVec, _dq: &mut JointVec) {
-        q[1] += 0.005;
-    }
-}
-
-#[test]
-fn an_encoder_error_fools_the_controller_too() {
-    let truth = truth("");
-    let states = run(&truth, vec![Box::new(EncoderZero)], 600);
-    for (state, exact) in &states {
-        assert_close(state.q[1], exact.q[1] + 0.005, 1e-15);
-    }
-    let (state, exact) = states[599];
-    assert!((state.q[1] - state.q_d[1]).abs() < 2e-3, "the encoder says that the arm is where it should be");
-    assert!((exact.q[1] - state.q_d[1]).abs() > 3e-3, "it is not");
-}
-
-struct LateTorque(JointVec);
-impl Effect for LateTorque {
-    fn sense(&mut self, _at: &At, _x: &[f64], reading: &mut Reading) {
-        std::mem::swap(&mut self.0, &mut reading.tau);
-    }
-}
-
-#[test]
-fn a_channel_can_be_late_and_offset() {
-    let truth = truth("effect = [{ id = 'torque-offset', joint = 2, offset = -0.25 }]");
-    let states = run(&truth, vec![Box::new(LateTorque(START))], 300);
-    for pair in states.windows(2) {
-        let ((_, before), (state, _)) = (&pair[0], &pair[1]);
-        for (j, offset) in [0.0, -0.25, 0.0].into_iter().enumerate() {
-            assert_close(state.tau[j], before.tau[j] + offset, 1e-12);
-        }
-    }
-}
-
-/// A sprung and damped stage between motor and link; its states are twist and twist rate. Crude: its inertia feels the twist alone.
-struct FlexibleJoint;
-const ROTOR: f64 = 0.1;
-const SPRING: f64 = 8000.0;
-impl Effect for FlexibleJoint {
-    fn states(&self) -> usize {
-        2
-    }
-
-    fn torque(&self, _at: &At, x: &[f64], dx: &mut [f64], tau: &mut JointVec) {
-        let twist = SPRING * x[0] + 20.0 * x[1];
-        dx[0] = x[1];
-        dx[1] = (tau[1] - twist) / ROTOR;
-        tau[1] = twist;
-    }
-
-    fn sense(&mut self, _at: &At, x: &[f64], reading: &mut Reading) {
-        reading.tau[1] = SPRING * x[0] + 20.0 * x[1];
-    }
-}
-
-/// An effect with states of its own can stand between the motor and the link; a sensor behind it measures what the link gets.
-#[test]
-fn an_elastic_transmission_carries_what_the_link_needs() {
-    let truth = truth("");
-    let mut most = 0.0f64;
-    for (state, exact) in run(&truth, vec![Box::new(FlexibleJoint)], 500) {
-        let measured = Exact { tau: state.tau, ..exact };
-        let left = left(&truth, &truth.link_parameters(), Mounting::UPRIGHT, &measured);
-        // Friction acts on the motor's side of the spring, before it.
-        let friction = truth.joints[1].fv * exact.dq[1] + truth.joints[1].fc * (100.0 * exact.dq[1]).tanh();
-        assert_close(left[0], 0.0, 1e-9);
-        assert_close(left[1] + friction, 0.0, 1e-9);
-        most = most.max((exact.tau[1] - state.tau[1]).abs());
-    }
-    assert!(most > 0.3, "motor and link differ by {most} Nm");
-}
-
 /// Dahl's law in closed form: from full friction, a reversal at q0 gives `-fc + 2 fc exp(-|q - q0| / delta)`.
 #[test]
 fn presliding_friction_follows_the_displacement_since_the_reversal() {
     let truth = truth("effect = [{ id = 'presliding', joint = 1, delta = 0.002 }]");
-    let states = run(&truth, vec![], 1500);
+    let states = run(&truth, 1500);
     let fc = truth.joints[0].fc;
     let friction = |exact: &Exact| {
         let left = left(&truth, &truth.link_parameters(), Mounting::UPRIGHT, exact);

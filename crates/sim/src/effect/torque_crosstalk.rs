@@ -1,43 +1,34 @@
-//! Torque cross-talk: the bridge of one joint's sensor feels what another joint carries.
+//! Torque cross-talk: one joint's sensor measures a part of another joint's torque.
 //!
 //!   tau_measured_j = tau_j + share tau_other
 //!
 //! Source: Taghirad and Belanger, Torque ripple and misalignment torque compensation for the built-in torque sensor of harmonic drive
 //! systems, 1998.
 
-use super::{At, Effect, Place, Reading, Spec};
-use crate::truth::Truth;
-use plumbline_core::BadInput;
-use serde::Deserialize;
+use super::*;
 
-/// Acts on what is reported, as the effects listed before it left it.
+/// Acts on the reading, after the effects listed before it.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
-    /// Joint whose sensor feels it, counted from 1.
+    /// Joint of the sensor, counted from 1.
     pub joint: usize,
-    /// Joint whose torque it feels, counted from 1.
+    /// Joint of the torque, counted from 1.
     pub other: usize,
-    /// How much of it.
+    /// Ratio of that torque.
     pub share: f64,
 }
 
-struct TorqueCrosstalk(Config);
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
         place.other("other", self.other, self.joint)?;
         place.range("share", self.share, -1.0, 1.0)
     }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(TorqueCrosstalk(*self))
-    }
 }
 
-impl Effect for TorqueCrosstalk {
-    fn sense(&mut self, _at: &At, _x: &[f64], reading: &mut Reading) {
-        reading.tau[self.0.joint - 1] += self.0.share * reading.tau[self.0.other - 1];
+impl Effect for Config {
+    fn sense(&mut self, _at: &At, reading: &mut Reading) {
+        reading.tau[self.joint - 1] += self.share * reading.tau[self.other - 1];
     }
 }

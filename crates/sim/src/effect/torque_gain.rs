@@ -4,12 +4,9 @@
 //!
 //! Source: Ma and Hollerbach, Identifying mass parameters for gravity compensation and automatic torque sensor calibration, ICRA 1996.
 
-use super::{At, Effect, Place, Reading, Spec};
-use crate::truth::Truth;
-use plumbline_core::BadInput;
-use serde::Deserialize;
+use super::*;
 
-/// Acts on what is reported, and on the effects listed before it that do so too.
+/// Acts on the reading, after the effects listed before it.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
@@ -19,21 +16,15 @@ pub struct Config {
     pub gain: f64,
 }
 
-struct TorqueGain(Config);
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
         place.range("gain", self.gain, 0.1, 10.0)
     }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(TorqueGain(*self))
-    }
 }
 
-impl Effect for TorqueGain {
-    fn sense(&mut self, _at: &At, _x: &[f64], reading: &mut Reading) {
-        reading.tau[self.0.joint - 1] *= self.0.gain;
+impl Effect for Config {
+    fn sense(&mut self, _at: &At, reading: &mut Reading) {
+        reading.tau[self.joint - 1] *= self.gain;
     }
 }

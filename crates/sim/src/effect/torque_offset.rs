@@ -4,12 +4,9 @@
 //!
 //! Logs of two public Panda arms need such an offset more than any other single term (docs/results/real-arms.md).
 
-use super::{At, Effect, Place, Reading, Spec};
-use crate::truth::Truth;
-use plumbline_core::BadInput;
-use serde::Deserialize;
+use super::*;
 
-/// Acts on what is reported, not on the arm.
+/// Acts on the reading, not on the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
@@ -19,21 +16,15 @@ pub struct Config {
     pub offset: f64,
 }
 
-struct TorqueOffset(Config);
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
         place.range("offset", self.offset, -1e3, 1e3)
     }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(TorqueOffset(*self))
-    }
 }
 
-impl Effect for TorqueOffset {
-    fn sense(&mut self, _at: &At, _x: &[f64], reading: &mut Reading) {
-        reading.tau[self.0.joint - 1] += self.0.offset;
+impl Effect for Config {
+    fn sense(&mut self, _at: &At, reading: &mut Reading) {
+        reading.tau[self.joint - 1] += self.offset;
     }
 }

@@ -1,4 +1,4 @@
-//! Transmission coupling: a part that rubs as two joints turn, as in the wrists of many arms.
+//! Transmission coupling: friction that depends on two joints, as in the wrists of many arms.
 //!
 //! With a `ratio`, a shaft or seal turns with `u = dq_j + ratio dq_other`, and its friction takes torque of both joints by the principle of
 //! virtual work:
@@ -9,11 +9,7 @@
 //! Source: the coupled wrist of the Staubli TX40 in Gautier, Janot and Vandanjon, A new closed-loop output error method for parameter
 //! identification of robot dynamics, 2013.
 
-use super::friction::sign;
-use super::{At, Effect, Place, Spec};
-use crate::truth::Truth;
-use plumbline_core::{BadInput, JointVec};
-use serde::Deserialize;
+use super::*;
 
 /// Friction between two joints.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -23,7 +19,7 @@ pub struct Config {
     pub joint: usize,
     /// The other joint, counted from 1.
     pub other: usize,
-    /// Turns of the other joint in the part's motion, per turn of this one; absent: the other joint's alone, felt here alone.
+    /// Turns of the other joint per turn of this one in the part's motion; absent: friction of the other joint's drive, on this joint.
     pub ratio: Option<f64>,
     /// Coulomb friction \[Nm\].
     #[serde(default)]
@@ -33,9 +29,7 @@ pub struct Config {
     pub fv: f64,
 }
 
-struct TransmissionCoupling(Config);
-
-impl Spec for Config {
+impl Stateless for Config {
     fn check(&self, place: &Place) -> Result<(), BadInput> {
         place.joint(self.joint)?;
         place.other("other", self.other, self.joint)?;
@@ -43,17 +37,13 @@ impl Spec for Config {
         place.range("fc", self.fc, 0.0, 100.0)?;
         place.range("fv", self.fv, 0.0, 100.0)
     }
-
-    fn build(&self, _truth: &Truth, _from: f64) -> Box<dyn Effect> {
-        Box::new(TransmissionCoupling(*self))
-    }
 }
 
-impl Effect for TransmissionCoupling {
+impl Effect for Config {
     fn torque(&self, at: &At, _x: &[f64], _dx: &mut [f64], tau: &mut JointVec) {
-        let (j, k) = (self.0.joint - 1, self.0.other - 1);
-        let friction = |u: f64| self.0.fv * u + self.0.fc * sign(u);
-        match self.0.ratio {
+        let (j, k) = (self.joint - 1, self.other - 1);
+        let friction = |u: f64| self.fv * u + self.fc * sign(u);
+        match self.ratio {
             Some(ratio) => {
                 let f = friction(at.dq[j] + ratio * at.dq[k]);
                 tau[j] -= f;

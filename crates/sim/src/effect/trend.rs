@@ -1,4 +1,4 @@
-//! How something drifts: the courses that slow changes of friction and of sensor zeros take.
+//! Courses of drifts of friction and sensor zeros.
 
 use super::Place;
 use plumbline_core::BadInput;
@@ -16,7 +16,7 @@ pub enum Trend {
 }
 
 impl Trend {
-    /// Share of the change that has come after `t` \[s\]; `time` \[s\] is the time constant, or the time in which all of it comes.
+    /// Ratio of the change after `t` \[s\]; `time` \[s\] is the time constant, or the duration of the linear change.
     pub(super) fn at(self, t: f64, time: f64) -> f64 {
         let t = t.max(0.0);
         match self {
@@ -26,7 +26,7 @@ impl Trend {
     }
 }
 
-/// A time constant that a drift can have.
+/// Checks the time constant of a drift.
 pub(super) fn check_time(place: &Place, time: f64) -> Result<(), BadInput> {
     place.range("time", time, 0.1, 1e6)
 }

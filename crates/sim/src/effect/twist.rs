@@ -1,9 +1,8 @@
-//! A transmission that gives way between encoder and link. The encoder sits on the motor's side:
+//! Deflection of a transmission between encoder and link. The encoder is on the motor's side:
 //!
 //!   q_measured = q + theta,   lag d theta/dt + theta = deflection(tau),
 //!
-//! where `tau` is the torque that the motor answers with, and so the torque that goes through the transmission (the motor has no inertia of its own
-//! here: quasi-static). The controller's damping makes `tau` depend on `d theta/dt`,
+//! where `tau` is the motor's torque, which the transmission carries (quasi-static: the motor has no inertia). The controller's damping makes `tau` depend on `d theta/dt`,
 //!
 //!   tau = load + K (q_d - q - theta) + D (dq_d - dq - d theta/dt),
 //!
@@ -13,7 +12,7 @@ use super::{At, Effect};
 use crate::truth::Truth;
 use plumbline_core::JointVec;
 
-/// How far a transmission gives way.
+/// Deflection of a transmission.
 pub(super) trait Deflection: Send {
     /// Twist \[rad\] under a torque \[Nm\] and its derivative \[rad/Nm\], not negative.
     fn under(&self, tau: f64) -> (f64, f64);
@@ -24,7 +23,7 @@ pub(super) struct Twist<D> {
     joint: usize,
     stiffness: f64,
     damping: f64,
-    /// One step of the integration: as stiff a transmission as that can follow \[s\].
+    /// One step of the integration, the shortest stable lag \[s\].
     lag: f64,
     deflection: D,
 }
@@ -37,13 +36,13 @@ impl<D: Deflection> Twist<D> {
         Twist { joint, stiffness: controller.stiffness, damping: controller.damping, lag, deflection }
     }
 
-    /// `d theta/dt` of the twist `theta` where the controller would answer `tau` to a twist that stands still.
+    /// `d theta/dt` of the twist `theta`, where `tau` is the controller's torque at a constant twist.
     fn rate(&self, tau: f64, theta: f64) -> f64 {
         let wrong = |rate: f64| {
             let (deflection, slope) = self.deflection.under(tau - self.damping * rate);
             (self.lag * rate + theta - deflection, self.lag + self.damping * slope)
         };
-        // The solution lies between nothing and what the torque of a still twist asks for.
+        // The solution lies between zero and the rate at the torque of a constant twist.
         let far = -wrong(0.0).0 / self.lag;
         let (mut low, mut high) = (far.min(0.0), far.max(0.0));
         let mut rate = 0.0;
@@ -76,7 +75,7 @@ impl<D: Deflection> Effect for Twist<D> {
 
     fn encoder(&self, at: &At, x: &[f64], dx: &mut [f64], q: &mut JointVec, dq: &mut JointVec) {
         let j = self.joint;
-        // A held torque does not answer: the twist follows it with its lag alone.
+        // A held torque does not depend on the twist, which follows it with its lag.
         if let Some(held) = at.held {
             dx[0] = (self.deflection.under(held[j]).0 - x[0]) / self.lag;
             q[j] += x[0];

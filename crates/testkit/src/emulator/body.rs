@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 use plumbline_core::{JointVec, MAX_JOINTS};
 use plumbline_franka::wire::{Load, RobotState};
 use plumbline_model::{Chain, LinkParameters, Mounting, Placement, rnea};
-use plumbline_sim::{Hardware, Sensed, SimError, Truth};
+use plumbline_sim::{Hardware, Reading, SimError, Truth};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -53,8 +53,8 @@ pub struct Body {
     noise: ChaCha8Rng,
     /// What the client has set.
     pub tool: Tool,
-    sensed: Sensed,
-    before: Sensed,
+    sensed: Reading,
+    before: Reading,
     tau_d: Joints,
     external: Joints,
     pushed: u32,

@@ -1,4 +1,4 @@
-//! Friction and other torques inside the arm: what the actuators give beyond the rigid bodies is what the law says, along the true motion.
+//! Friction and other torques inside the arm: actuator torque less rigid bodies against the law, along the true motion.
 
 use super::*;
 use crate::truth::Truth;
@@ -8,7 +8,7 @@ use crate::truth::Truth;
 fn takes(effects: &str, law: impl Fn(&Exact, f64) -> JointVec) {
     let truth = truth(&format!("effect = [{effects}]"));
     let mut size = 0.0f64;
-    for (state, exact) in run(&truth, vec![], 900) {
+    for (state, exact) in run(&truth, 900) {
         assert_eq!(state.tau[..N], exact.tau[..N], "the sensor says what the actuators do");
         let left = left(&truth, &truth.link_parameters(), Mounting::UPRIGHT, &exact);
         let expected = law(&exact, state.time);
@@ -29,13 +29,13 @@ fn s(dq: f64) -> f64 {
 }
 
 #[test]
-fn two_directions_rub_differently() {
+fn asymmetric_friction_follows_its_law() {
     takes("{ id = 'asymmetric-coulomb', joint = 1, asymmetry = 0.2 }", |at, _| on(1, 0.2 * s(at.dq[0]).abs()));
     takes("{ id = 'asymmetric-viscous', joint = 2, asymmetry = -0.1 }", |at, _| on(2, -0.1 * at.dq[1].abs()));
 }
 
 #[test]
-fn friction_bends_with_speed() {
+fn friction_over_speed_follows_its_law() {
     takes("{ id = 'stribeck', joint = 2, excess = 0.2, velocity = 0.05 }", |at, _| {
         on(2, 0.2 * (-(at.dq[1] * at.dq[1]) / 0.0025).exp() * s(at.dq[1]))
     });
@@ -51,7 +51,7 @@ fn friction_bends_with_speed() {
     });
 }
 
-/// The load is what reaches the links, an undeclared body included; the estimator's recursion says how much that is.
+/// The load is the torque of the links, an undeclared body included, by the model's recursion.
 #[test]
 fn friction_grows_with_the_true_load() {
     let effects = "{ id = 'payload', mass = 0.7, com = [0, 0, 0.2] },
@@ -61,7 +61,7 @@ fn friction_grows_with_the_true_load() {
     let (m, z) = (0.7, 0.2);
     links[2].iter_mut().zip([m * z * z, 0.0, 0.0, m * z * z, 0.0, 0.0, 0.0, 0.0, m * z, m]).for_each(|(a, b)| *a += b);
     let mut most = 0.0f64;
-    for (_, exact) in run(&truth, vec![], 900) {
+    for (_, exact) in run(&truth, 900) {
         let mut load = [0.0; MAX_JOINTS];
         let gravity = Mounting::UPRIGHT.gravity();
         rnea(&chain(), &links, &gravity, &exact.q, &exact.dq, &exact.ddq, &mut load);
@@ -92,7 +92,7 @@ fn friction_drifts_as_the_arm_warms_up() {
 }
 
 #[test]
-fn friction_and_cogging_wave_with_the_position() {
+fn friction_and_ripple_over_position_follow_their_laws() {
     takes("{ id = 'position-dependent-friction', joint = 1, order = 3, sine = 0.2, cosine = -0.1 }", |at, _| {
         on(1, (0.2 * (3.0 * at.q[0]).sin() - 0.1 * (3.0 * at.q[0]).cos()) * s(at.dq[0]))
     });
@@ -116,7 +116,7 @@ fn springs_pull_towards_their_rest() {
 }
 
 #[test]
-fn coupled_joints_rub_at_each_other() {
+fn coupled_joints_share_friction() {
     takes("{ id = 'transmission-coupling', joint = 2, other = 1, fc = 0.2, fv = 0.1 }", |at, _| {
         on(2, 0.2 * s(at.dq[0]) + 0.1 * at.dq[0])
     });
@@ -131,7 +131,7 @@ fn coupled_joints_rub_at_each_other() {
 }
 
 #[test]
-fn a_test_s_inventions_are_what_they_say() {
+fn foreign_effects_are_as_documented() {
     let g = |x: f64| (-x * x).exp();
     let start = "id = 'foreign', joint = 1, size = 0.3";
     let form = |rest: &str| format!("{{ {start}, {rest} }}");
@@ -164,7 +164,7 @@ fn loop_of(effect: &str, amplitude: f64) -> Vec<(f64, f64)> {
         let t = std::f64::consts::TAU * k as f64 / steps as f64;
         let mut at = At { n: N, ..At::default() };
         (at.q[0], at.dq[0]) = (amplitude * t.sin(), amplitude * t.cos());
-        effect.settle(&at);
+        effect.begin_step(&at);
         let (mut tau, mut dx) = ([0.0; MAX_JOINTS], vec![0.0; x.len()]);
         effect.torque(&at, &x, &mut dx, &mut tau);
         x.iter_mut().zip(&dx).for_each(|(x, dx)| *x += dx * std::f64::consts::TAU / steps as f64);
@@ -183,7 +183,7 @@ fn area(points: &[(f64, f64)]) -> f64 {
 
 /// An element of fc share_i that slides after delta_i takes 4 fc share_i (A - delta_i) in a cycle of amplitude A, and nothing where it does not slide.
 #[test]
-fn maxwell_slip_takes_the_energy_of_its_elements() {
+fn maxwell_slip_dissipates_the_energy_of_its_elements() {
     let elements =
         "elements = [{ share = 0.5, delta = 0.001 }, { share = 0.3, delta = 0.01 }, { share = 0.2, delta = 0.1 }]";
     let effect = format!("{{ id = 'presliding', joint = 1, {elements} }}");
@@ -204,7 +204,7 @@ fn maxwell_slip_takes_the_energy_of_its_elements() {
 
 /// Dahl's law integrated around a cycle of amplitude A takes 4 fc (A - delta tanh(A / delta)).
 #[test]
-fn a_bristle_takes_the_energy_of_its_loop() {
+fn a_bristle_dissipates_the_energy_of_its_loop() {
     for amplitude in [0.001, 0.004, 0.02] {
         let points = loop_of("{ id = 'presliding', joint = 1, delta = 0.004 }", amplitude);
         let energy = 4.0 * 0.5 * (amplitude - 0.004 * (amplitude / 0.004f64).tanh());
@@ -225,7 +225,7 @@ fn both_forms_break_away_alike() {
             for _ in 0..50_000 {
                 at.q[0] += dq * 1e-6 / dq.abs();
                 at.dq[0] = dq;
-                effect.settle(&at);
+                effect.begin_step(&at);
                 taken = [0.0; MAX_JOINTS];
                 let mut dx = vec![0.0; x.len()];
                 effect.torque(&at, &x, &mut dx, &mut taken);

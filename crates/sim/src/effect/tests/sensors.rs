@@ -1,11 +1,11 @@
-//! Effects of the sensors: they bend what is reported and leave the arm alone.
+//! Effects of the sensors, which change readings and not the arm.
 
 use super::*;
 
 /// Runs the arm with effects that only report something else: its true motion is that of the plain arm, bit by bit.
 fn reported(effects: &str, ticks: usize) -> Vec<(State, Exact)> {
-    let states = run(&truth(&format!("effect = [{effects}]")), vec![], ticks);
-    for (with, without) in states.iter().zip(run(&truth(""), vec![], ticks)) {
+    let states = run(&truth(&format!("effect = [{effects}]")), ticks);
+    for (with, without) in states.iter().zip(run(&truth(""), ticks)) {
         assert_eq!(with.1, without.1);
     }
     states
@@ -25,7 +25,7 @@ fn gain_and_offset_act_in_their_order() {
 }
 
 #[test]
-fn an_offset_drifts_from_its_moment_on() {
+fn an_offset_drifts_from_its_onset_on() {
     let warm = "{ id = 'offset-drift', joint = 3, drift = 0.5, time = 0.3, from = 0.1 }";
     let steady = "{ id = 'offset-drift', joint = 1, drift = -0.2, time = 0.3, trend = 'linear' }";
     for (state, exact) in reported(&format!("{warm}, {steady}"), 900) {
@@ -36,7 +36,7 @@ fn an_offset_drifts_from_its_moment_on() {
 }
 
 #[test]
-fn crosstalk_takes_from_the_other_joint() {
+fn crosstalk_adds_a_share_of_the_other_joints_torque() {
     for (state, exact) in reported("{ id = 'torque-crosstalk', joint = 1, other = 2, share = -0.02 }", 200) {
         assert_close(state.tau[0], exact.tau[0] - 0.02 * exact.tau[1], 1e-12);
         assert_eq!(state.tau[1..], exact.tau[1..]);
@@ -44,7 +44,7 @@ fn crosstalk_takes_from_the_other_joint() {
 }
 
 #[test]
-fn a_sensor_ripples_with_the_position() {
+fn a_sensor_ripple_follows_its_law() {
     for (state, exact) in reported("{ id = 'position-ripple', joint = 1, order = 40, sine = 0.2, cosine = -0.1 }", 400)
     {
         let angle = 40.0 * exact.q[0];
@@ -52,9 +52,9 @@ fn a_sensor_ripples_with_the_position() {
     }
 }
 
-/// A whole number of milliseconds is exact; a fraction is what Neville's scheme over six neighbours says.
+/// A whole number of milliseconds is exact; a fraction equals Neville's scheme over six neighbours.
 #[test]
-fn torque_comes_late() {
+fn a_delayed_torque_is_an_earlier_one() {
     let states = reported("{ id = 'delay', delay = 0.003 }", 300);
     for k in 3..300 {
         (0..N).for_each(|j| assert_close(states[k].0.tau[j], states[k - 3].1.tau[j], 1e-12));
@@ -82,10 +82,10 @@ fn torque_comes_late() {
 }
 
 #[test]
-fn encoders_have_zeros_and_axes_of_their_own() {
+fn encoder_offset_and_eccentricity_change_position_and_velocity() {
     let effects = "effect = [{ id = 'encoder-offset', joint = 3, offset = -0.004 },
         { id = 'encoder-eccentricity', joint = 1, amplitude = 0.003, phase = 0.7, order = 2 }]";
-    let states = run(&truth(effects), vec![], 900);
+    let states = run(&truth(effects), 900);
     for (k, (state, exact)) in states.iter().enumerate() {
         assert_close(state.q[2], exact.q[2] - 0.004, 1e-15);
         assert_close(state.q[0], exact.q[0] + 0.003 * (2.0 * exact.q[0] + 0.7).sin(), 1e-15);

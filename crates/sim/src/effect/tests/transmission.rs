@@ -1,11 +1,11 @@
-//! Transmissions that give way: the encoder on the motor's side sees the twist of the torque that goes through.
+//! Deflections of transmissions: the encoder on the motor's side measures the twist.
 
 use super::*;
 
-/// The deflection that the encoder of `joint` reports, and what the law says of the measured torque; their rates as well.
+/// Measured deflection of `joint`, and the law's value at the measured torque. Checks the velocities, too.
 fn deflections(effects: &str, joint: usize, law: impl Fn(f64) -> f64) -> Vec<(f64, f64)> {
     let truth = truth(&format!("effect = [{effects}]"));
-    let states = run(&truth, vec![], 900);
+    let states = run(&truth, 900);
     for (_, exact) in &states {
         // What the sensor measures is still what moves the links: nothing is lost in between.
         let left = left(&truth, &truth.link_parameters(), Mounting::UPRIGHT, exact);
@@ -31,10 +31,10 @@ fn an_elastic_joint_twists_by_torque_over_stiffness() {
 /// The stiffer, the less it is there; in the limit it is the rigid arm.
 #[test]
 fn a_stiff_joint_is_a_rigid_one() {
-    let rigid = run(&truth(""), vec![], 500);
+    let rigid = run(&truth(""), 500);
     let apart = |stiffness: f64| {
         let effect = format!("effect = [{{ id = 'joint-elasticity', joint = 2, stiffness = {stiffness} }}]");
-        let states = run(&truth(&effect), vec![], 500);
+        let states = run(&truth(&effect), 500);
         let pairs = states.iter().zip(&rigid).skip(100);
         pairs.map(|(a, b)| (a.1.q[1] - b.1.q[1]).abs()).fold(0.0, f64::max)
     };
@@ -44,7 +44,7 @@ fn a_stiff_joint_is_a_rigid_one() {
 
 /// The gap lies on the flank of the torque's sign; joint 1 carries no gravity, so its torque changes sign often.
 #[test]
-fn a_gap_lies_on_the_flank_of_the_load() {
+fn play_lies_on_the_flank_of_the_load() {
     let law = |tau: f64| 0.001 * (tau / 0.3).tanh();
     let points = deflections("{ id = 'backlash', joint = 1, gap = 0.002, load = 0.3 }", 0, law);
     let on_flank = points.iter().filter(|(_, expected)| expected.abs() > 0.95e-3);
@@ -63,11 +63,11 @@ fn a_gap_lies_on_the_flank_of_the_load() {
 
 /// An encoder's own error in front does not change what the transmission does, wherever it is written.
 #[test]
-fn what_gives_way_comes_last() {
+fn deflections_act_last() {
     let elasticity = "{ id = 'joint-elasticity', joint = 2, stiffness = 8000 }";
     let offset = "{ id = 'encoder-offset', joint = 2, offset = 0.003 }";
-    let one = run(&truth(&format!("effect = [{elasticity}, {offset}]")), vec![], 400);
-    let other = run(&truth(&format!("effect = [{offset}, {elasticity}]")), vec![], 400);
+    let one = run(&truth(&format!("effect = [{elasticity}, {offset}]")), 400);
+    let other = run(&truth(&format!("effect = [{offset}, {elasticity}]")), 400);
     assert_eq!(one, other);
     for (state, exact) in &one[300..] {
         assert_close(state.q[1] - exact.q[1], 0.003 + exact.tau[1] / 8000.0, 2e-5);

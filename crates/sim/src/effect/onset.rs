@@ -1,31 +1,30 @@
-//! An effect that begins later: before its moment the arm is as if it had none.
+//! An effect that begins at a given time.
 
-use super::friction::sign;
-use super::{At, Effect, External, Reading};
+use super::{At, Effect, External, Reading, sign};
 use crate::spatial::Inertia;
 use crate::truth::Truth;
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS};
 
-/// Holds an effect back until `from` \[s\].
-pub(super) struct Late {
+/// Disables an effect until `from` \[s\].
+pub(super) struct Onset {
     from: f64,
     effect: Box<dyn Effect>,
-    /// Coulomb friction that the effect will replace, and that is there until then \[Nm\].
-    until_then: JointVec,
+    /// Coulomb friction that the effect replaces from then on \[Nm\].
+    replaced_fc: JointVec,
 }
 
-impl Late {
-    pub fn new(effect: Box<dyn Effect>, from: f64, truth: &Truth) -> Late {
-        let mut until_then = [0.0; MAX_JOINTS];
+impl Onset {
+    pub fn new(effect: Box<dyn Effect>, from: f64, truth: &Truth) -> Onset {
+        let mut replaced_fc = [0.0; MAX_JOINTS];
         for (j, joint) in truth.joints.iter().enumerate().filter(|(j, _)| effect.replaces_coulomb(*j)) {
-            until_then[j] = joint.fc;
+            replaced_fc[j] = joint.fc;
         }
-        Late { from, effect, until_then }
+        Onset { from, effect, replaced_fc }
     }
 }
 
-impl Effect for Late {
+impl Effect for Onset {
     fn states(&self) -> usize {
         self.effect.states()
     }
@@ -56,15 +55,15 @@ impl Effect for Late {
         }
     }
 
-    fn settle(&mut self, at: &At) {
-        self.effect.settle(at);
+    fn begin_step(&mut self, at: &At) {
+        self.effect.begin_step(at);
     }
 
     fn torque(&self, at: &At, x: &[f64], dx: &mut [f64], tau: &mut JointVec) {
         if at.t >= self.from {
             return self.effect.torque(at, x, dx, tau);
         }
-        for (j, fc) in self.until_then.iter().enumerate() {
+        for (j, fc) in self.replaced_fc.iter().enumerate() {
             tau[j] -= fc * sign(at.dq[j]);
         }
     }
@@ -79,9 +78,9 @@ impl Effect for Late {
         }
     }
 
-    fn sense(&mut self, at: &At, x: &[f64], reading: &mut Reading) {
+    fn sense(&mut self, at: &At, reading: &mut Reading) {
         if at.t >= self.from {
-            self.effect.sense(at, x, reading);
+            self.effect.sense(at, reading);
         }
     }
 }
