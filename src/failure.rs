@@ -3,7 +3,6 @@
 use plumbline_core::BadInput;
 use std::fmt;
 
-/// Failure of a command.
 #[derive(Debug)]
 pub enum Failure {
     /// Bad input from a file or the command line; exit code 2.

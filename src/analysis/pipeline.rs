@@ -13,11 +13,8 @@ use plumbline_identify::solve::{Identification, identify_with};
 use plumbline_model::term::{Motion, torque_offset};
 use plumbline_model::{Reduction, Robot, Structure, TorqueModel, TorqueSensing};
 
-/// A model with its identification.
 pub struct Identified {
-    /// The model.
     pub model: TorqueModel,
-    /// Result of the estimator.
     pub identification: Identification,
 }
 
@@ -25,7 +22,6 @@ pub struct Identified {
 pub struct Judged {
     /// Errors, raw and filtered.
     pub rms: Rms,
-    /// Measured and modelled torque.
     pub figure: TorqueFigure,
 }
 
@@ -43,7 +39,6 @@ pub fn plain_terms(robot: &Robot) -> Vec<&'static str> {
     usual_terms(robot).into_iter().filter(|id| *id != torque_offset::ID).collect()
 }
 
-/// Whether `--velocities` selects measured velocities.
 pub fn measured_velocities(option: &str) -> Result<bool, BadInput> {
     match option {
         "measured" => Ok(true),

@@ -40,7 +40,6 @@ pub struct Results {
 }
 
 impl Results {
-    /// Results of one job, to be written into `out`.
     pub fn new(job: &Job, robot: &Robot, programme: &Programme, out: &Path) -> Results {
         Results {
             job: job.clone(),
@@ -55,7 +54,6 @@ impl Results {
         }
     }
 
-    /// Number of joints.
     pub fn joints(&self) -> usize {
         self.robot.chain.len()
     }
@@ -70,7 +68,6 @@ impl Results {
         self.recorded.first().map(|recorded| recorded.run.data.mounting)
     }
 
-    /// Adds a recorded motion.
     pub fn take(&mut self, recorded: Recorded) {
         tracing::info!("{} was recorded: {} samples", recorded.run.data.name, recorded.run.samples());
         self.recorded.push(recorded);

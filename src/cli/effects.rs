@@ -18,7 +18,6 @@ const WIDTH: usize = 100;
 /// Column of the text after a label.
 const LABEL: usize = 14;
 
-/// Prints all effects, or one.
 pub fn run(options: Options) -> Result<(), Failure> {
     let text = match &options.id {
         None => FAMILIES.iter().map(|family| block(family)).collect::<Vec<_>>().join("\n"),
@@ -34,7 +33,6 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
 }
 
-/// One effect.
 fn block(family: &Family) -> String {
     let mut text = format!("{}\n", family.id);
     wrap(&mut text, 2, 2, family.physics);

@@ -35,7 +35,6 @@ pub struct Options {
     vertical: bool,
 }
 
-/// File formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
     Urdf,

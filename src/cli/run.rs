@@ -210,7 +210,6 @@ fn start(client: &mut Client, ending: &Ending) -> Result<(), Failure> {
     }
 }
 
-/// A process of this program.
 struct Process {
     name: &'static str,
     child: Child,

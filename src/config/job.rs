@@ -19,11 +19,9 @@ use plumbline_model::Mounting;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// A whole job.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Job {
-    /// Path of the job file as given.
     #[serde(skip)]
     pub file: PathBuf,
     /// A shipped robot (`panda`), or the path of a robot description.
@@ -31,12 +29,10 @@ pub struct Job {
     /// How the base is mounted during identification.
     #[serde(deserialize_with = "units::mounting")]
     pub mounting: Mounting,
-    /// The arm that is driven.
     pub backend: Backend,
     /// The motion that parameters are identified from.
     #[serde(default)]
     pub excitation: Excitation,
-    /// Validation motions.
     #[serde(default)]
     pub validation: Validation,
     /// Use of the arm's limits.
@@ -57,7 +53,6 @@ pub struct Job {
     /// Conditions of a controlled stop.
     #[serde(default)]
     pub safety: Safety,
-    /// An inclinometer on the base.
     #[serde(default)]
     pub inclinometer: Option<Inclinometer>,
     /// Check of the mounting before anything is served.
@@ -69,10 +64,8 @@ pub struct Job {
     /// Live watch of the served model.
     #[serde(default)]
     pub live: Live,
-    /// Flight recorder.
     #[serde(default)]
     pub recorder: Recorder,
-    /// Results.
     #[serde(default)]
     pub output: Output,
 }
@@ -81,7 +74,6 @@ pub struct Job {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Diagnosis {
-    /// Whether the diagnosis runs.
     pub enabled: bool,
     /// Highest analysed frequency \[Hz\].
     pub band: f64,
@@ -95,11 +87,9 @@ impl Default for Diagnosis {
     }
 }
 
-/// The arm that is driven.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Backend {
-    /// Which backend.
     pub kind: BackendKind,
     /// The simulated arm's truth: a built-in name (`sim-panda`) or the path of a file. Given where `kind` is `sim`, and nowhere else.
     #[serde(default)]
@@ -118,11 +108,9 @@ pub struct Backend {
     pub start: Option<Vec<f64>>,
 }
 
-/// Backends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BackendKind {
-    /// The simulated arm.
     Sim,
     /// A Franka arm, or its emulator, over the Franka Control Interface.
     Franka,
@@ -135,7 +123,6 @@ impl Backend {
     }
 }
 
-/// Pace of the simulated arm.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Pace {
@@ -205,11 +192,9 @@ pub struct Excitation {
     /// Motions to identify from: the first is searched for (or is `plan`), the others are random. What a diagnosis finds has to hold on
     /// motions that it was not found on, so it wants three or more.
     pub trajectories: usize,
-    /// Periods that are averaged.
     pub periods: usize,
     /// Periods driven before those, while transients die out.
     pub lead_in: usize,
-    /// Criterion of the search.
     pub criterion: Criterion,
     /// Random starting motions of the search.
     pub starts: usize,
@@ -217,7 +202,6 @@ pub struct Excitation {
     pub rounds: usize,
     /// Nominal model (a model file) whose torques are held to the limits, too; relative to the job's folder.
     pub model: Option<PathBuf>,
-    /// Seed of the search.
     pub seed: u64,
     /// Centre of the motion, where it starts and ends; chosen by the search where absent \[rad\].
     #[serde(deserialize_with = "units::optional_positions")]
@@ -247,14 +231,10 @@ impl Default for Excitation {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Validation {
-    /// Motions per mounting.
     pub trajectories: usize,
-    /// Mountings to validate in.
     #[serde(deserialize_with = "units::mountings")]
     pub mountings: Vec<Mounting>,
-    /// Periods of each motion.
     pub periods: usize,
-    /// Seed of the motions.
     pub seed: u64,
     /// Whether the usual vertical set is identified, too, in a mounting of the list with gravity along axis 1, to show where it fails.
     pub counter_experiment: bool,
@@ -281,11 +261,8 @@ pub struct Limits {
     /// Distance that planned motions keep from both ends of every joint \[rad\].
     #[serde(deserialize_with = "units::angle")]
     pub margin: f64,
-    /// Share of the speed limits.
     pub speed: f64,
-    /// Share of the acceleration limits.
     pub acceleration: f64,
-    /// Share of the jerk limits.
     pub jerk: f64,
     /// Share of the limits of torque and torque rate.
     pub torque: f64,
@@ -367,7 +344,6 @@ pub struct Realtime {
     pub priority: u8,
     /// Processor that the loop is pinned to.
     pub cpu: Option<usize>,
-    /// Whether memory is locked.
     pub lock_memory: bool,
     /// Whether the kernel should be a PREEMPT_RT one.
     pub preempt_rt: bool,
@@ -422,7 +398,6 @@ pub enum OnEstimatorLoss {
     /// Complete the motion; the samples are kept for the next estimator.
     #[default]
     Finish,
-    /// Controlled stop.
     Stop,
 }
 
@@ -464,7 +439,6 @@ pub enum Adopt {
     /// By an operator: `plumbline command adopt`, or `reject`.
     #[default]
     Ask,
-    /// At once by the daemon.
     Auto,
 }
 
@@ -489,7 +463,6 @@ impl Default for Recorder {
     }
 }
 
-/// Results.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Output {

@@ -186,12 +186,10 @@ impl<'de> Deserialize<'de> for Setting {
     }
 }
 
-/// `deserialize_with` for a mounting.
 pub fn mounting<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Mounting, D::Error> {
     Setting::deserialize(deserializer).map(|setting| setting.0)
 }
 
-/// `deserialize_with` for a list of mountings.
 pub fn mountings<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Mounting>, D::Error> {
     Ok(Vec::<Setting>::deserialize(deserializer)?.into_iter().map(|setting| setting.0).collect())
 }

@@ -29,20 +29,16 @@ pub fn check(robot: &Robot, mounting: &Mounting, file: &str, text: &str) -> Resu
 
 /// A request that was read, and its model checked.
 pub enum Checked {
-    /// Serve this model.
     Offered(Box<Accepted>),
     /// Serve this model in place of the present one, or hold it.
     Proposed(Box<Accepted>, Proposal),
-    /// A request without a model.
     Other(Request),
     /// No model that this daemon can serve.
     Refused(Response),
-    /// No request.
     Garbled(Response),
 }
 
 impl Checked {
-    /// Checks the model of a request, where it has one.
     pub fn of(robot: &Robot, mounting: &Mounting, request: Request) -> Checked {
         let refused = |bad: BadInput| Checked::Refused(Response::Refused { reason: bad.to_string() });
         match request {
@@ -57,11 +53,9 @@ impl Checked {
 
 /// A heavy request that was checked.
 pub struct Answerable {
-    /// Which request.
     pub ticket: Ticket,
     /// Its [`Request::order`]; `None` where it could not be read.
     pub order: Option<&'static str>,
-    /// What came of it.
     pub checked: Checked,
 }
 

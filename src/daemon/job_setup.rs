@@ -7,11 +7,9 @@ use std::sync::Arc;
 
 /// What the daemon is started with. Nothing of it changes.
 pub struct JobSetup {
-    /// The job.
     pub job: Job,
     /// The arm's description.
     pub robot: Robot,
-    /// The arm.
     pub arm: Arc<dyn ArmConnector>,
     /// Limits of the connected arm that the programme was checked under; `None` for a simulated arm.
     pub arm_limits: Option<ArmLimits>,
@@ -22,7 +20,6 @@ pub struct JobSetup {
 }
 
 impl JobSetup {
-    /// Whether the arm is commanded by torques.
     pub fn commands_torques(&self) -> bool {
         matches!(self.arm.command_mode(), CommandMode::Torque { .. })
     }

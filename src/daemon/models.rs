@@ -14,11 +14,8 @@ const MAX_RECENT: usize = 64;
 
 /// A model that passed every check of its text.
 pub struct Accepted {
-    /// Identity of its text.
     pub id: u64,
-    /// Its text.
     pub text: String,
-    /// The model.
     pub model: TorqueModel,
     /// Noise of the measured torque by its file, per joint \[Nm\]; empty where unknown.
     pub noise: Vec<f64>,
@@ -29,7 +26,6 @@ pub struct Accepted {
 pub struct Recent(VecDeque<Record>);
 
 impl Recent {
-    /// Takes in records of the loop.
     pub fn take(&mut self, records: &[Record]) {
         for record in records.iter().filter(|record| record.cycle.is_multiple_of(DECIMATION)) {
             if self.0.len() == MAX_RECENT {
@@ -39,16 +35,13 @@ impl Recent {
         }
     }
 
-    /// Another connection to the arm.
     pub fn clear(&mut self) {
         self.0.clear();
     }
 }
 
-/// The models of the daemon.
 #[derive(Default)]
 pub struct Models {
-    /// The model that is served.
     served: Option<Accepted>,
     /// The model that was served before: the loop falls back to it.
     reserve: Option<Accepted>,
@@ -81,7 +74,6 @@ impl Models {
         self.trusted().map_or(0, |served| served.id)
     }
 
-    /// The held model, for the status.
     pub fn offer(&self) -> Option<HeldModel> {
         self.held.as_ref().map(|(held, proposal)| HeldModel { model: held.id, proposal: proposal.clone() })
     }
@@ -130,7 +122,6 @@ impl Models {
         self.held.insert((model, proposal)).0.id
     }
 
-    /// Takes out the model that is held.
     pub fn take_held(&mut self) -> Option<(Accepted, Proposal)> {
         self.held.take()
     }

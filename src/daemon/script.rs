@@ -13,7 +13,6 @@ const SETTLE: u64 = 500;
 /// What the daemon does after an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Next {
-    /// Nothing.
     Continue,
     /// Hold until there is a model, then give the orders that are left.
     AwaitModel,
@@ -25,9 +24,7 @@ pub enum Next {
 
 /// An order, and the same as data.
 pub struct Planned {
-    /// For the loop.
     pub order: Order,
-    /// For the flight recorder.
     pub given: RecordedOrder,
 }
 
@@ -54,7 +51,6 @@ impl Planned {
     }
 }
 
-/// The orders of one stage.
 pub struct Script {
     /// Orders up to and with the motion after which the model is needed; all of them where none is.
     before: VecDeque<Planned>,
@@ -110,7 +106,6 @@ impl Script {
         self.before.is_empty() && !self.after.is_empty()
     }
 
-    /// Where the arm goes first.
     pub fn first_target(&self) -> Option<JointVec> {
         self.before.iter().chain(&self.after).find_map(|planned| match planned.order.kind {
             OrderKind::MoveTo { target, .. } => Some(target),
@@ -132,7 +127,6 @@ impl Script {
     }
 }
 
-/// The pose that a motion starts in.
 fn start_of(motion: &Motion) -> JointVec {
     let mut start = [0.0; MAX_JOINTS];
     for (slot, &q) in start.iter_mut().zip(&motion.plan.q0) {

@@ -30,7 +30,6 @@ struct Shared {
 
 #[derive(Default)]
 struct State {
-    /// Those of the running loop.
     controls: Option<Arc<Controls>>,
     order: Option<StopOrder>,
 }
@@ -60,7 +59,6 @@ impl StopRelay {
         StopRelay::listening(move |carry_out| listener.listen(carry_out), prepare)
     }
 
-    /// The same with any [`StopListener::listen`].
     fn listening(
         mut listen: impl FnMut(&mut dyn FnMut(StopOrder)) -> std::io::Result<()> + Send + 'static,
         prepare: impl FnOnce() + Send + 'static,

@@ -23,7 +23,6 @@ use std::path::Path;
 /// Recorded motions of one arm.
 #[derive(Clone, Debug)]
 pub struct Dataset {
-    /// Name.
     pub name: String,
     /// The robot description that fits the arm: a shipped name or a path.
     pub robot: String,
@@ -40,9 +39,7 @@ pub struct Dataset {
 pub struct Run {
     /// Measured data, named after the file in the dataset's folder; time never decreases.
     pub data: plumbline_identify::Run,
-    /// Role.
     pub role: Role,
-    /// A remark.
     pub note: String,
     /// Between sessions something about the arm may have changed; session 1 is the reference for the others.
     pub session: u32,
@@ -95,7 +92,6 @@ impl Dataset {
         hash::content_hash(self)
     }
 
-    /// Runs with the given role.
     pub fn with_role(&self, role: Role) -> impl Iterator<Item = &Run> {
         self.runs.iter().filter(move |run| run.role == role)
     }

@@ -85,7 +85,6 @@ pub fn run(options: Options) -> Result<(), Failure> {
 
 enum Outcome {
     Written,
-    /// The programme was stopped.
     Stopped {
         /// Reason given by the daemon.
         why: String,
@@ -289,7 +288,6 @@ fn client_of(id: &RobotId, epoch: u64) -> Result<Client, Failure> {
     Ok(client)
 }
 
-/// The daemon's status.
 fn status(id: &RobotId) -> Result<Status, Failure> {
     status_by(client(id)?)
 }

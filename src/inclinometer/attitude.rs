@@ -34,7 +34,6 @@ pub struct Installation {
     axes: Matrix3<f64>,
     /// Zero offset, subtracted from the measured slopes \[rad\].
     pub zero: [f64; 2],
-    /// Definition of the slopes.
     pub slopes: SlopeConvention,
     /// Largest slope that the sensor measures \[rad\].
     pub range: f64,
@@ -47,12 +46,7 @@ pub struct Installation {
 pub enum InstallationError {
     /// The axes are not unit vectors at right angles.
     #[error("the sensor's x and z axes ({x:?} and {z:?}) are not two unit vectors at right angles")]
-    Axes {
-        /// The x axis.
-        x: [f64; 3],
-        /// The z axis.
-        z: [f64; 3],
-    },
+    Axes { x: [f64; 3], z: [f64; 3] },
     /// The declared mounting is outside the sensor's measuring range.
     #[error(
         "in the declared mounting the sensor's slopes would be {:.1} and {:.1} deg, its range is {:.0} deg and its z axis must be \

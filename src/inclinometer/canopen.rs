@@ -90,7 +90,6 @@ impl Width {
     }
 }
 
-/// NMT commands to one node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NmtCommand {
     /// Enter operational: process data and SDO.
@@ -137,11 +136,8 @@ impl std::fmt::Display for NmtState {
 /// A value to write to an object, with its width.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Value {
-    /// unsigned8
     U8(u8),
-    /// unsigned16
     U16(u16),
-    /// unsigned32
     U32(u32),
 }
 
@@ -150,19 +146,13 @@ pub enum Value {
 pub enum Reply {
     /// Value of an object of up to 4 bytes, little-endian.
     Read {
-        /// Object.
         entry: Entry,
-        /// Value.
         value: u32,
     },
-    /// The object was written.
     Written {
-        /// Object.
         entry: Entry,
     },
-    /// The device aborted the transfer.
     Abort {
-        /// Object.
         entry: Entry,
         /// CiA 301's abort code.
         code: u32,
@@ -174,12 +164,10 @@ pub const ABORT_NO_OBJECT: u32 = 0x0602_0000;
 /// Abort code: subindex does not exist.
 pub const ABORT_NO_SUBINDEX: u32 = 0x0609_0011;
 
-/// A message of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Message {
     /// Boot-up: the device has lost its configuration.
     BootUp,
-    /// Heartbeat with the NMT state.
     Heartbeat(NmtState),
     /// Emergency; code 0 clears it.
     Emergency {
@@ -196,7 +184,6 @@ pub enum Message {
     Malformed,
 }
 
-/// An NMT command.
 pub fn nmt(node: u8, command: NmtCommand) -> Frame {
     let mut data = [0; 8];
     data[..2].copy_from_slice(&[command as u8, node]);

@@ -11,30 +11,19 @@ pub enum Fault {
     Starting,
     /// No response to an SDO request.
     #[error("node {node} does not answer a request for {entry}")]
-    Unanswered {
-        /// Node id.
-        node: u8,
-        /// Object.
-        entry: Entry,
-    },
+    Unanswered { node: u8, entry: Entry },
     /// The device aborted an SDO transfer.
     #[error("the inclinometer refuses access to {entry} (abort code {code:08X}h)")]
     Refused {
-        /// Object.
         entry: Entry,
         /// CiA 301's abort code.
         code: u32,
     },
-    /// The device is not an inclinometer.
     #[error("the node's device type is {found:08X}h, expected profile 410 (inclinometer)")]
-    NoInclinometer {
-        /// Device type found.
-        found: u32,
-    },
+    NoInclinometer { found: u32 },
     /// The serial number is not the configured one.
     #[error("the inclinometer's serial number is {found}, expected {expected}")]
     WrongSerial {
-        /// Serial number found.
         found: u32,
         /// Configured serial number.
         expected: u32,
@@ -59,14 +48,11 @@ pub enum Fault {
     /// An object reads back with another value than the written one.
     #[error("{entry} holds {found:08X}h, expected {expected:08X}h")]
     ReadbackMismatch {
-        /// Object.
         entry: Entry,
         /// Value read back.
         found: u32,
-        /// Value written.
         expected: u32,
     },
-    /// Heartbeat timeout.
     #[error("no heartbeat of the inclinometer for {elapsed_ms} ms")]
     NoHeartbeat {
         /// Time since the last heartbeat \[ms\].
@@ -83,22 +69,13 @@ pub enum Fault {
     Restarted,
     /// The device is no longer operational.
     #[error("the inclinometer is {state}, expected operational")]
-    State {
-        /// State found.
-        state: NmtState,
-    },
+    State { state: NmtState },
     /// The device has sent an emergency message.
     #[error("emergency {code:04X}h of the inclinometer, error register {register:02X}h")]
-    Emergency {
-        /// Error code.
-        code: u16,
-        /// Error register.
-        register: u8,
-    },
+    Emergency { code: u16, register: u8 },
     /// More heartbeats than one device sends.
     #[error("{count} heartbeats in {passed_ms} ms, expected {expected}: does another node have the same id?")]
     DuplicateNodeId {
-        /// Heartbeats received.
         count: u32,
         /// Time in which they were received \[ms\].
         passed_ms: u64,
@@ -107,13 +84,7 @@ pub enum Fault {
     },
     /// A frame with the device's identifier and an invalid length.
     #[error("frame of {length} bytes under the inclinometer's identifier {id:03X}h")]
-    Malformed {
-        /// Identifier.
-        id: u16,
-        /// Length.
-        length: usize,
-    },
-    /// The bus is not error-active.
+    Malformed { id: u16, length: usize },
     #[error("{}", bus_text(*.0))]
     Bus(BusState),
     /// A slope outside the measuring range.

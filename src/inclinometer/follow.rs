@@ -32,10 +32,8 @@ impl std::fmt::Display for OnSensorLoss {
     }
 }
 
-/// Settings of the [`Follower`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FollowSettings {
-    /// The declared mounting.
     pub declared: Mounting,
     /// Largest angle between the declared and the measured direction, beyond their uncertainty \[rad\].
     pub tolerance: f64,
@@ -47,14 +45,11 @@ pub struct FollowSettings {
     pub on_loss: OnSensorLoss,
 }
 
-/// Source of the served gravity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
-    /// The inclinometer.
     Measured,
     /// The last reading of the inclinometer.
     Held,
-    /// The configuration.
     Declared,
 }
 
@@ -80,9 +75,7 @@ pub enum Refusal {
         .angle.to_degrees(), .std.to_degrees(), .tolerance.to_degrees()
     )]
     Tilted {
-        /// The declared mounting.
         declared: Mounting,
-        /// The measured mounting.
         measured: Mounting,
         /// Angle between them \[rad\].
         angle: f64,
@@ -101,7 +94,6 @@ pub const CONFIDENCE_SIGMAS: f64 = 2.0;
 pub struct Decision {
     /// Gravity for the model \[m/s2\].
     pub gravity: Vector3<f64>,
-    /// Source of that gravity.
     pub source: Source,
     /// Reason why no torque is served.
     pub refusal: Option<Refusal>,
@@ -124,7 +116,6 @@ impl Follower {
         Follower { settings, served: settings.declared.gravity(), last: None, last_change: None }
     }
 
-    /// The last reading.
     pub fn last(&self) -> Option<&Reading> {
         self.last.as_ref()
     }

@@ -4,7 +4,6 @@
 //! `y += (1 - exp(-dt / T)) (x - y)`. The variance of `x - y` estimates the sensor noise at rest. A moving base makes `x - y` large. An
 //! inclinometer does not separate acceleration from tilt, so during motion the whole variance of `x - y` is the uncertainty.
 
-/// Settings of the [`SlopeFilter`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlopeFilterSettings {
     /// Time constant \[s\].
@@ -25,7 +24,6 @@ impl Default for SlopeFilterSettings {
 /// Time until the output is valid after the first frame or a jump, and until the base counts as at rest, in time constants.
 const SETTLING_TIME_CONSTANTS: f64 = 3.0;
 
-/// Low-pass filtered slopes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FilteredSlopes {
     /// Slopes \[rad\].
@@ -50,13 +48,11 @@ pub struct SlopeFilter {
 }
 
 impl SlopeFilter {
-    /// An empty filter.
     pub fn new(settings: SlopeFilterSettings) -> SlopeFilter {
         let (last, mean, variance) = (None, [0.0; 2], [0.0; 2]);
         SlopeFilter { settings, last, mean, variance, since: 0, still_since: 0, settled: false }
     }
 
-    /// Clears the filter.
     pub fn reset(&mut self) {
         *self = SlopeFilter::new(self.settings);
     }

@@ -40,12 +40,7 @@ const RECOVERY_TIME_NS: u64 = 1_000_000_000;
 pub enum ListenError {
     /// There is no such interface, or it is not a CAN interface.
     #[error("CAN interface `{interface}` can't be opened: {error}")]
-    Open {
-        /// Name of the interface.
-        interface: String,
-        /// Error of the system.
-        error: Error,
-    },
+    Open { interface: String, error: Error },
     /// The thread could not be started.
     #[error("the thread of the inclinometer can't be started: {0}")]
     Thread(Error),
@@ -254,7 +249,6 @@ impl ListenerThread {
         }
     }
 
-    /// Logs the sensor's events.
     fn log_events(&mut self) {
         while let Some(event) = self.sensor.event() {
             match event {

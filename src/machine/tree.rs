@@ -8,14 +8,12 @@ use std::path::{Path, PathBuf};
 pub struct Tree(PathBuf);
 
 impl Default for Tree {
-    /// The root of this computer.
     fn default() -> Tree {
         Tree::at("/")
     }
 }
 
 impl Tree {
-    /// The tree below another folder.
     pub fn at(root: impl Into<PathBuf>) -> Tree {
         Tree(root.into())
     }

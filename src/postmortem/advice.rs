@@ -10,7 +10,6 @@ const RESTART: &str =
 const STAND_CLEAR: &str = "Stay clear of the arm: the daemon recovers it and repeats the interrupted motion automatically \
      (`backend.franka.recovery`). `plumbline command stop` prevents that.";
 
-/// Steps in order.
 pub(super) fn next(facts: &Facts, about: &About) -> Vec<String> {
     if about.automatic_recovery {
         return vec![STAND_CLEAR.to_string()];

@@ -13,14 +13,10 @@ use serde::Serialize;
 /// Maximum length of the timeline and of the list of outliers.
 pub(super) const MAX_LINES: usize = 60;
 
-/// Facts of a recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Facts {
-    /// The file.
     pub file: String,
-    /// Robot and its id.
     pub robot: String,
-    /// Mounting as text.
     pub mounting: String,
     /// Version of the program that recorded it.
     pub plumbline: String,
@@ -30,54 +26,36 @@ pub struct Facts {
     pub job: String,
     /// Last served model, in hexadecimal.
     pub model: Option<String>,
-    /// Identifier of the reason.
     pub kind: ReasonKind,
-    /// Reason in one sentence.
     pub reason: String,
-    /// End of the loop, if it has ended.
     pub end: Option<String>,
     /// Motion and phase at the event.
     pub during: Option<String>,
-    /// The first limit that was exceeded.
     pub first_limit: Option<LimitViolation>,
-    /// The last controlled stop.
     pub stop: Option<Stop>,
     /// Events, oldest first.
     pub timeline: Vec<TimelineEntry>,
-    /// Tracking error, per joint.
     pub tracking: Vec<JointPeak>,
-    /// Measured torque, per joint.
     pub torque: Vec<JointPeak>,
-    /// Cycle times.
     pub timing: Timing,
-    /// Next steps for the operator.
     pub next: Vec<String>,
-    /// Gaps in the recording.
     pub gaps: Vec<String>,
-    /// Result of the replay, if one was requested.
     pub replay: Option<ReplayResult>,
 }
 
-/// A limit that was exceeded.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LimitViolation {
-    /// Name of the limit.
     pub limit: String,
     /// Joint, from 1 (axis of the base frame for the box).
     pub joint: usize,
-    /// Value found.
     pub value: f64,
-    /// The limit.
     pub bound: f64,
     /// Time \[s before the end\].
     pub before: f64,
-    /// The cycle.
     pub cycle: u64,
-    /// Description.
     pub text: String,
 }
 
-/// A controlled stop.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Stop {
     /// Start \[s before the end\].
@@ -92,18 +70,13 @@ pub struct Stop {
     pub travelled: (f64, usize),
 }
 
-/// An entry of the timeline.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TimelineEntry {
     /// Time \[s before the end\].
     pub before: f64,
-    /// The cycle.
     pub cycle: u64,
-    /// Phase of the arm.
     pub phase: String,
-    /// Description.
     pub text: String,
-    /// How much it matters.
     pub weight: Weight,
 }
 
@@ -111,7 +84,6 @@ pub struct TimelineEntry {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Weight {
-    /// As planned.
     Plain,
     /// An operator or the daemon acted.
     Warn,
@@ -119,7 +91,6 @@ pub enum Weight {
     Bad,
 }
 
-/// Peak value of one joint.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct JointPeak {
     /// Joint, from 1.
@@ -128,13 +99,10 @@ pub struct JointPeak {
     pub worst: f64,
     /// Time \[s before the end\].
     pub before: f64,
-    /// The limit.
     pub limit: f64,
-    /// Share of the limit.
     pub share: f64,
 }
 
-/// Name of a phase.
 pub fn phase_name(phase: Phase) -> &'static str {
     match phase {
         Phase::Hold => "hold",
@@ -165,7 +133,6 @@ impl TimeBase {
 }
 
 impl Facts {
-    /// Facts of the recording in `file`.
     pub fn of(file: &str, recording: &Recording, replay: Option<ReplayResult>) -> Facts {
         let about = &recording.about;
         let time = TimeBase::of(recording);
@@ -203,7 +170,6 @@ impl Facts {
         facts
     }
 
-    /// Summary in one sentence.
     pub fn headline(&self) -> String {
         let during = self.during.as_ref().map_or(String::new(), |during| format!(", during {during}"));
         let happened = match self.kind {
@@ -413,7 +379,6 @@ fn gaps(recording: &Recording) -> Vec<String> {
     gaps
 }
 
-/// Whether a limit is one of measured values.
 pub(super) fn is_measured(limit: &str) -> bool {
     [Limit::Tracking, Limit::MeasuredTorque, Limit::MeasuredNotFinite].iter().any(|one| limit_name(*one) == limit)
 }

@@ -20,11 +20,9 @@ const MAX_POINTS: usize = 700;
 
 type Points = Vec<(f64, f64)>;
 
-/// Curves in one frame.
 struct Frame<'f> {
     y_name: &'f str,
     lines: Vec<(Points, RGBColor, u32)>,
-    /// Horizontal lines.
     bounds: Vec<f64>,
     /// Times of vertical markers \[s\].
     marks: Vec<f64>,

@@ -27,13 +27,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub enum ReplayError {
     /// Too few cycles without a gap.
     #[error("only {cycles} cycles without a gap, and a replay needs {needed}")]
-    TooShort {
-        /// Cycles in the last piece.
-        cycles: usize,
-        /// Cycles needed.
-        needed: usize,
-    },
-    /// The loop dropped events.
+    TooShort { cycles: usize, needed: usize },
     #[error("{count} events were dropped by the loop, so its inputs are not known")]
     DroppedEvents {
         /// Number of dropped events.
@@ -41,42 +35,27 @@ pub enum ReplayError {
     },
     /// An input of the loop is not in the recording.
     #[error("{what} is not in the recording")]
-    Missing {
-        /// The missing input.
-        what: String,
-    },
+    Missing { what: String },
     /// An input in the recording is invalid.
     #[error("{what}: {why}")]
-    Unusable {
-        /// The input.
-        what: String,
-        /// Cause.
-        why: String,
-    },
+    Unusable { what: String, why: String },
 }
 
-/// Result of a replay.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ReplayResult {
-    /// First replayed cycle.
     pub first: u64,
-    /// Number of compared cycles.
     pub compared: u64,
     /// Whether the replay began at the start of the loop.
     pub from_the_start: bool,
     /// Number of cycles with another commanded motion, phase, validity or model.
     pub different: u64,
-    /// Description of the first of them.
     pub first_difference: Option<String>,
     /// Number of cycles with another torque.
     pub torque_different: u64,
-    /// The last of those cycles.
     pub last_torque_difference: Option<u64>,
-    /// Whether the events and their cycles are the same.
     pub same_events: bool,
     /// End of the replayed loop, if the recording contains the state that ended the loop.
     pub end: Option<String>,
-    /// Whether the end is the recorded one.
     pub same_end: Option<bool>,
 }
 
@@ -94,7 +73,6 @@ pub type BuildResult = Result<Box<dyn FeedForward>, String>;
 pub struct ReplayInputs<'p> {
     /// Kinematics for the guard's workspace check.
     pub kinematics: Option<Box<dyn Kinematics>>,
-    /// Builds a recorded model.
     pub model: &'p mut dyn FnMut(&RecordedModel) -> BuildResult,
 }
 

@@ -6,7 +6,6 @@ use super::timing::Timing;
 use plumbline_core::{LoopStatistics, PERIOD_S};
 use std::fmt::Write;
 
-/// Facts as plain text.
 pub fn text(facts: &Facts) -> String {
     let mut out = String::new();
     // Writing to a string can't fail.

@@ -6,7 +6,6 @@ use crate::recording::Recording;
 use plumbline_core::{Histogram, LoopStatistics, PERIOD_NS};
 use serde::Serialize;
 
-/// Cycle times and outliers.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Timing {
     /// Counts and times of the recorded cycles.
@@ -14,7 +13,6 @@ pub struct Timing {
     pub statistics: LoopStatistics,
     /// Lost states and late cycles, oldest first.
     pub outliers: Vec<Outlier>,
-    /// Outliers that are not listed.
     pub more: usize,
 }
 
@@ -32,14 +30,11 @@ impl Timing {
 pub struct Outlier {
     /// Time \[s before the end\].
     pub before: f64,
-    /// The cycle.
     pub cycle: u64,
-    /// Description.
     pub text: String,
 }
 
 impl Timing {
-    /// Counts and times of a recording.
     pub(super) fn of(recording: &Recording, time: &TimeBase) -> Timing {
         let records = &recording.records;
         let simulated = is_simulated(recording);

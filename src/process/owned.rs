@@ -10,7 +10,6 @@ use std::path::Path;
 
 /// Mode bits by which others than the owner can write.
 const WRITABLE: u32 = 0o022;
-/// The one of them for the owner's group.
 const GROUP_WRITABLE: u32 = 0o020;
 /// Names in such a folder can be taken away or replaced by their owners alone, as in `/tmp`.
 const STICKY: u32 = 0o1000;

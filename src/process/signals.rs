@@ -45,7 +45,6 @@ const PARENT_ENDED: usize = usize::MAX;
 pub enum Cause {
     /// A signal arrived, by its number.
     Signal(i32),
-    /// The process that started this one has ended.
     ParentEnded,
 }
 
@@ -73,7 +72,6 @@ impl fmt::Display for Cause {
     }
 }
 
-/// The latest reason to end.
 #[derive(Clone, Debug, Default)]
 pub struct Ending(Arc<AtomicUsize>);
 
@@ -118,7 +116,6 @@ impl Ending {
         }
     }
 
-    /// As if `cause` had arrived.
     #[cfg(test)]
     pub fn arrive(&self, cause: Cause) {
         let stored = match cause {
@@ -128,7 +125,6 @@ impl Ending {
         self.0.store(stored, Ordering::SeqCst);
     }
 
-    /// Whether the process is to end.
     pub fn arrived(&self) -> bool {
         self.cause().is_some()
     }

@@ -11,23 +11,18 @@ pub const APPROACH: u32 = 1 << 16;
 /// Number of the order that brings the arm back.
 pub const RETURN: u32 = 1 << 17;
 
-/// Version of the recording format.
 pub const FORMAT: u32 = 1;
 
 /// Metadata of a recording (`about.json`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct About {
-    /// [`FORMAT`].
     pub format: u32,
-    /// Version of the program.
     pub plumbline: String,
     /// Name of the robot's description.
     pub robot: String,
     /// Name under which the robot is served.
     pub id: String,
-    /// Number of joints.
     pub joints: usize,
-    /// Mounting as text.
     pub mounting: String,
     /// Polar angle of gravity \[rad\].
     pub rho: f64,
@@ -41,7 +36,6 @@ pub struct About {
     pub job_sha256: String,
     /// Time of writing, UTC.
     pub recorded: String,
-    /// Reason for the recording.
     pub reason: Reason,
     /// End of the loop; `None` while it runs.
     pub end: Option<String>,
@@ -60,13 +54,10 @@ pub struct About {
     /// Events dropped since the loop started, because the ring was full; with any, there is no replay.
     #[serde(alias = "untold")]
     pub dropped_events: u64,
-    /// Names of the motions.
     #[serde(default)]
     pub motions: Vec<(u32, String)>,
-    /// Remarks of the daemon.
     #[serde(default)]
     pub notes: Vec<Note>,
-    /// Settings of the loop.
     pub settings: Settings,
     /// Activity of the loop after the first cycle of the recording.
     pub under_way: Activity,
@@ -82,17 +73,12 @@ pub struct About {
     pub models: Vec<RecordedModel>,
 }
 
-/// Kind of a reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ReasonKind {
-    /// A recording was requested.
     OnDemand,
-    /// The guard stopped the arm.
     Guard,
-    /// A stop was requested.
     Requested,
-    /// States were lost.
     LostStates,
     /// The supervisor's heartbeat timed out.
     #[serde(alias = "unattended")]
@@ -105,11 +91,8 @@ pub enum ReasonKind {
     Silent,
     /// The arm stopped by itself.
     Reflex,
-    /// The arm refused a command.
     Refused,
-    /// The connection was lost.
     Disconnected,
-    /// The first command was unsafe.
     Unsafe,
     /// No controlled stop was possible.
     NoBrake,
@@ -117,15 +100,10 @@ pub enum ReasonKind {
     NotRealTime,
     /// The arm's counter did not go forward.
     Clock,
-    /// A thread panicked.
     Panic,
-    /// The mounting was in doubt.
     Mounting,
-    /// No model came in time.
     ModelTimeout,
-    /// The estimator was lost.
     EstimatorLost,
-    /// A signal ended the program.
     Signal,
     /// The program that started the daemon ended.
     ParentEnded,
@@ -142,7 +120,6 @@ impl std::fmt::Display for ReasonKind {
     }
 }
 
-/// Why a recording was written.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Reason {
     /// Kind, for advice and file names.
@@ -152,7 +129,6 @@ pub struct Reason {
 }
 
 impl Reason {
-    /// Both parts.
     pub fn new(kind: ReasonKind, text: impl Into<String>) -> Reason {
         Reason { kind, text: text.into() }
     }
@@ -163,7 +139,6 @@ pub fn panicked(message: &str) -> String {
     format!("the loop's thread panicked: {message}")
 }
 
-/// Message of a panic.
 pub fn panic_message(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<&str>().map(|text| text.to_string());
     text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
@@ -212,21 +187,17 @@ impl LogClock {
     }
 }
 
-/// Activity of the loop.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum Activity {
-    /// Holding.
     #[default]
     Hold,
-    /// Execution of an order.
     Order {
         /// Index in [`About::orders`].
         index: u32,
         /// Setpoint at its start, if known.
         from: Option<Point>,
     },
-    /// A controlled stop.
     Brake {
         /// Setpoint at its start, if known.
         from: Option<Point>,
@@ -235,7 +206,6 @@ pub enum Activity {
     Stopped,
 }
 
-/// A setpoint.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Point {
     /// Position \[rad\].
@@ -258,36 +228,26 @@ impl From<Point> for Setpoint {
     }
 }
 
-/// An order in serialisable form.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum RecordedOrder {
-    /// Point to point.
     Move {
-        /// Number of the motion.
         motion: u32,
         /// Target position \[rad\].
         target: JointVec,
-        /// Phase of its records, as in [`Phase::from_u32`].
         phase: u32,
     },
-    /// A periodic motion.
     Follow {
-        /// Number of the motion.
         motion: u32,
-        /// The motion.
         series: Series,
     },
-    /// A rest.
     Dwell {
-        /// Number of the motion.
         motion: u32,
         /// Length \[ms\].
         ticks: u64,
     },
     /// A reference without a serialisable form.
     Opaque {
-        /// Number of the motion.
         motion: u32,
     },
 }
@@ -324,7 +284,6 @@ impl RecordedOrder {
 pub struct Series {
     /// Period \[s\].
     pub period: f64,
-    /// Number of periods.
     pub periods: u32,
     /// Offsets \[rad\].
     pub q0: Vec<f64>,
@@ -357,7 +316,6 @@ pub struct Settings {
     tau: JointVec,
     dtau: JointVec,
     tracking: JointVec,
-    /// Offset and deceleration.
     envelope: Option<[JointVec; 2]>,
     /// Lower and upper corner, radius of the base.
     workspace: Option<([f64; 3], [f64; 3], f64)>,
@@ -389,7 +347,6 @@ impl From<&CycleSettings> for Settings {
 }
 
 impl Settings {
-    /// Limits of the guard.
     pub fn limits(&self) -> Limits {
         let Settings { q_min, q_max, dq, ddq, jerk, tau, dtau, .. } = *self;
         Limits { q_min, q_max, dq, ddq, jerk, tau, dtau }

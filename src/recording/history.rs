@@ -10,7 +10,6 @@ use std::collections::VecDeque;
 
 /// Capacity for events. The state that older events led to is kept in `base`.
 const MAX_EVENTS: usize = 4096;
-/// Capacity for remarks.
 const MAX_NOTES: usize = 256;
 
 /// The last cycles and events of one loop, and its inputs.
@@ -40,11 +39,8 @@ struct EventEntry {
 /// State of the loop that follows from its events.
 #[derive(Clone, Debug, Default)]
 pub struct LoopState {
-    /// Current activity.
     pub under_way: Activity,
-    /// Orders taken from the queue.
     pub orders: u32,
-    /// Models taken over.
     pub models: u32,
 }
 
@@ -83,9 +79,7 @@ impl LoopState {
 pub struct Window {
     /// Records, oldest first, possibly with gaps.
     pub records: Vec<Record>,
-    /// Events in those cycles.
     pub events: Vec<TimedEvent>,
-    /// Remarks.
     pub notes: Vec<Note>,
     /// State of the loop after the first of the cycles.
     pub before: LoopState,
@@ -166,7 +160,6 @@ impl History {
         self.models.push_back(model);
     }
 
-    /// The newest record.
     pub fn newest(&self) -> Option<&Record> {
         self.at(self.ring.len().checked_sub(1)?)
     }
@@ -176,7 +169,6 @@ impl History {
         self.ring.get((self.next + place) % self.ring.len().max(1))
     }
 
-    /// The record of a cycle.
     fn find(&self, cycle: u64) -> Option<&Record> {
         let (mut low, mut high) = (0, self.ring.len());
         while low < high {

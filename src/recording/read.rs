@@ -48,7 +48,6 @@ impl Recording {
     }
 }
 
-/// Content read so far.
 #[derive(Default)]
 struct PartialRecording {
     topics: HashMap<u16, String>,

@@ -4,7 +4,6 @@ use plumbline_identify::consistency::Nearest;
 use plumbline_model::TorqueModel;
 use serde::{Deserialize, Serialize};
 
-/// Parameters named in one sentence.
 const NAMED: usize = 3;
 /// Smallest reported change of a parameter, in standard deviations.
 const MOVED: f64 = 0.01;
@@ -25,7 +24,6 @@ pub struct Consistency {
 /// A parameter that the projection changes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Moved {
-    /// Its name.
     pub name: String,
     /// Value in the nearest consistent parameters.
     pub value: f64,
@@ -34,7 +32,6 @@ pub struct Moved {
 }
 
 impl Consistency {
-    /// Consistency of a model with its nearest bodies.
     pub fn of_model(model: &TorqueModel, found: &Nearest) -> Consistency {
         let names: Vec<&str> = model.structure().columns().iter().map(|column| column.name.as_str()).collect();
         Consistency::of(found, &names)
@@ -52,7 +49,6 @@ impl Consistency {
         Consistency { exact: found.exact, distance: found.distance, weights: found.weights.text().to_string(), moved }
     }
 
-    /// In one sentence.
     pub fn sentence(&self) -> String {
         if self.exact {
             return "physically consistent: yes, real bodies have exactly these parameters".into();

@@ -27,15 +27,11 @@ use std::path::Path;
 /// Content of `report.json`. Torques in Nm, one entry per joint.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
-    /// Robot.
     pub robot: String,
-    /// Mounting of the identification.
     pub mounting: MountingFacts,
-    /// The identified parameters.
     pub base: Base,
     /// Errors on the identification set.
     pub identify: Fit,
-    /// Errors on the validation set.
     pub validate: Vec<Validation>,
     /// Frequency band of `rms`, in `validate` and `identify`.
     #[serde(default)]
@@ -57,10 +53,8 @@ pub struct Report {
     /// Use of the joints' limits by the job's motions; empty for recorded data.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub motions: Vec<MotionUsage>,
-    /// How the parameters were estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub estimator: Option<EstimatorFacts>,
-    /// Physical consistency of the parameters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub consistency: Option<Consistency>,
     /// Readings of the inclinometer; absent without one.
@@ -119,14 +113,12 @@ pub struct Base {
 pub struct TermCount {
     /// `rigid-body`, `friction`, `torque-offset`, `rotor-inertia`.
     pub term: String,
-    /// Number of parameters.
     pub count: usize,
 }
 
 /// Shares of the joints' limits, less their margins, that a motion uses, one entry per joint.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MotionUsage {
-    /// Name of the motion.
     pub motion: String,
     /// Distance between the highest and the lowest position, of the range.
     pub range: Vec<f64>,
@@ -165,7 +157,6 @@ impl Base {
     }
 }
 
-/// One parameter.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ParameterFacts {
     /// Name in ASCII.
@@ -181,22 +172,17 @@ pub struct ParameterFacts {
     /// Standard deviation over size, where both are known and the value is not zero.
     #[serde(default)]
     pub relative_std: Option<f64>,
-    /// Unit.
     pub unit: String,
 }
 
 /// Errors of the vertical base set in another mounting, where it is refused by default.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CounterExperiment {
-    /// Mounting of its identification.
     pub identified_in: MountingFacts,
     /// `VBS`.
     pub kind: String,
-    /// Number of its parameters.
     pub count: usize,
-    /// Mounting of the errors.
     pub refused_in: MountingFacts,
-    /// Text of the refusal.
     pub refusal: String,
     /// RMS over the unseen motions there, per joint, mean of the motions \[Nm\].
     pub forced_rms: Vec<f64>,
@@ -220,7 +206,6 @@ pub struct Fit {
 /// Prediction of one unseen run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Validation {
-    /// Name of the run.
     pub run: String,
     /// RMS of measured minus predicted torque in the report's band, per joint \[Nm\].
     pub rms: Vec<f64>,
@@ -233,7 +218,6 @@ pub struct Validation {
     /// RMS of measured torque minus the feed-forward that was served while the arm moved \[Nm\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub served_rms: Option<Vec<f64>>,
-    /// Mounting of the run.
     pub mounting: MountingFacts,
 }
 
@@ -246,12 +230,10 @@ pub struct Identifiability {
     pub untrusted_runs: Vec<String>,
 }
 
-/// One condition number.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Condition {
     /// Definition: `raw`, `column-equilibrated`, `noise-weighted`.
     pub definition: String,
-    /// With all columns.
     #[serde(deserialize_with = "number_or_infinity")]
     pub with_friction: f64,
     /// Of the rigid-body columns alone.
@@ -264,14 +246,11 @@ fn number_or_infinity<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64,
     Ok(Option::deserialize(deserializer)?.unwrap_or(f64::INFINITY))
 }
 
-/// How the parameters were estimated.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EstimatorFacts {
     /// `ols`, `wls`, `wls-full`, `huber`, `tls` or `iv`.
     pub name: String,
-    /// Iterations of the weights.
     pub rounds: usize,
-    /// Whether the weights converged.
     pub settled: bool,
     /// Parameters restricted to zero because they are not significant.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -13,7 +13,6 @@ pub struct LoopReport {
     pub cycles: u64,
     /// Cycles that came late; `None` where simulated time doesn't follow the clock.
     pub late: Option<u64>,
-    /// Lost states.
     pub lost: u64,
     /// Records dropped because the ring to the bridge thread was full.
     pub dropped_records: u64,
@@ -66,7 +65,6 @@ impl LoopReport {
 pub struct IpcReport {
     /// Samples that the daemon published.
     pub sent: u64,
-    /// Counters of the estimator.
     #[serde(flatten)]
     pub counters: StreamCounters,
 }

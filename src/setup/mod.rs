@@ -32,7 +32,6 @@ pub struct JobOptions {
 }
 
 impl JobOptions {
-    /// The job, its robot, and the folder for the results.
     pub fn load(&self) -> Result<(Job, Robot, PathBuf), Failure> {
         if self.root_owned {
             owned::trusted(&self.config)?;

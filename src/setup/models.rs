@@ -47,7 +47,6 @@ pub fn of_robot(file: &str, text: &str, robot: &Robot, whose: &str) -> Result<Mo
     })
 }
 
-/// The robot of a model file.
 fn described(file: &str, name: &str, description: Option<&str>, folder: Option<&Path>) -> Result<Robot, BadInput> {
     let Some(text) = description else {
         return Robot::load(name, folder).map_err(|bad| {

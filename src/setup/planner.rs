@@ -44,9 +44,7 @@ pub fn held_to(job: &Job, robot: &Robot, arm: Option<&ArmLimits>) -> Result<(Lim
 
 /// What plans the motions of a job.
 pub struct Planner<'a> {
-    /// The job.
     pub job: &'a Job,
-    /// Its robot.
     pub robot: &'a Robot,
     room: Room,
     nominal: Option<Nominal>,

@@ -13,7 +13,6 @@ use std::path::Path;
 /// A model with its validation and provenance.
 #[derive(Clone, Debug)]
 pub struct ModelFile {
-    /// The model.
     pub model: TorqueModel,
     /// Noise floor of the measured torque, per joint \[Nm\]; empty where unknown.
     pub noise_floor: Vec<f64>,
@@ -21,7 +20,6 @@ pub struct ModelFile {
     pub validation: Vec<Validated>,
     /// Physically consistent bodies with these parameters, or the nearest ones; `None` if not computed.
     pub consistent: Option<Nearest>,
-    /// Provenance.
     pub provenance: Provenance,
 }
 
@@ -29,7 +27,6 @@ pub struct ModelFile {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Validated {
-    /// Name of the run.
     pub run: String,
     /// Polar angle of gravity in that run \[rad\].
     pub rho: f64,
@@ -39,7 +36,6 @@ pub struct Validated {
     pub rms: Vec<f64>,
 }
 
-/// Provenance of a model.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Provenance {
@@ -47,7 +43,6 @@ pub struct Provenance {
     pub dataset: Option<String>,
     /// Version of the program that identified it.
     pub plumbline: Option<String>,
-    /// Date of the identification.
     pub date: Option<String>,
     /// Source of parameters that were not identified by this program.
     pub source: Option<String>,
@@ -194,7 +189,6 @@ impl ModelFile {
         Ok(ModelFile { model, noise_floor, validation, consistent, provenance })
     }
 
-    /// As [`ModelFile::parse`], from a file.
     pub fn load(path: &Path, chain_of: impl FnOnce(&str) -> Result<Chain, BadInput>) -> Result<ModelFile, BadInput> {
         let file = path.display().to_string();
         let text = std::fs::read_to_string(path)
@@ -202,7 +196,6 @@ impl ModelFile {
         ModelFile::parse(&file, &text, chain_of)
     }
 
-    /// Writes the file atomically.
     pub fn save(&self, path: &Path) -> std::io::Result<()> {
         atomic::write_file(path, self.to_toml().as_bytes())
     }
@@ -226,7 +219,6 @@ fn content_hash(text: &str) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Checks the hash of the text, if there is one.
 fn check_content(file: &str, text: &str, head: &toml::Table) -> Result<(), BadInput> {
     let Some(written) = head.get("content") else { return Ok(()) };
     let found = format!("sha256:{}", content_hash(text));

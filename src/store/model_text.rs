@@ -82,7 +82,6 @@ fn effect(line: &mut dyn FnMut(std::fmt::Arguments), spec: &Spec) {
     }
 }
 
-/// A TOML basic string.
 pub(super) fn quoted(text: &str) -> String {
     toml::Value::String(text.to_string()).to_string()
 }

@@ -22,14 +22,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Every arm that there is.
 pub const ARMS: [&str; 4] = ["sim-fast", "sim-wall-clock", "franka-panda", "franka-fr3"];
 /// In the middle of a run \[reads\].
 const MIDDLE: u64 = 700;
 /// Long enough for a loaded machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// How a run is watched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Seal {
     /// By the allocator alone (and by RTSan, where it is built in).
@@ -45,13 +43,9 @@ pub enum Seal {
 /// A call that has no place in a cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stray {
-    /// Any call at all.
     Getpid,
-    /// A heap that grows.
     Mmap,
-    /// Output.
     Print,
-    /// A file.
     File,
 }
 
@@ -112,7 +106,6 @@ pub struct SealedArm<B> {
 }
 
 impl<B> SealedArm<B> {
-    /// Without a filter.
     pub fn open(arm: B) -> SealedArm<B> {
         let stopped = Arc::new(AtomicBool::new(false));
         SealedArm { arm, filter: None, stray: None, sealed: false, reads: 0, stopped }

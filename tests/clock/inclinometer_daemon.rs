@@ -107,7 +107,6 @@ fn serve(mut stream: &UnixStream, device: &Mutex<Device>, start: Instant, end: &
     }
 }
 
-/// The shipped job with an inclinometer.
 fn job(place: &Place, subcommand: &str, bus: &SimulatedBus, sets: &[&str]) -> std::process::Command {
     let mut command = plumbline();
     command.args([subcommand, "config/daemon-inclinometer.toml", "--out"]).arg(place.out());

@@ -56,7 +56,6 @@ enum Blow {
     Stop(u64),
 }
 
-/// What came of one blow.
 #[derive(Debug, Default)]
 struct Outcome {
     /// Whether the motion went on; otherwise it ended, by rule.

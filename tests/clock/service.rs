@@ -50,7 +50,6 @@ fn as_service(place: &Place, subcommand: &str, more: &[&str]) -> Running {
     as_watched(place, subcommand, WATCHDOG, more)
 }
 
-/// The same with another WatchdogSec=.
 fn as_watched(place: &Place, subcommand: &str, watchdog: Duration, more: &[&str]) -> Running {
     // How late a cycle may come is the machine's business, not this test's: no loss stops the arm.
     let mut sets = vec!["backend.pace=wall-clock", "realtime.lock-memory=false", "safety.max-lost=1000"];

@@ -139,7 +139,6 @@ impl Scene {
         );
     }
 
-    /// The programme is under way.
     fn drive(&mut self) {
         let begin = now_ns();
         assert_eq!(self.ask(&Request::Start {}), Some(Response::Accepted {}));

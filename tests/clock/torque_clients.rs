@@ -153,7 +153,6 @@ fn nonsense(k: u64) -> Vec<u8> {
     }
 }
 
-/// What is compared, and where [`account`] has it.
 const COMPARED: [(&str, usize); 7] = [
     ("execution p50 \\[us\\]", 16),
     ("execution p99", 18),

@@ -47,7 +47,6 @@ impl FeedForward for Links {
     }
 }
 
-/// What a start came to.
 struct Start {
     /// Largest way of any joint from where it stood \[rad\].
     way: f64,

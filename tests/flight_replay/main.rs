@@ -73,7 +73,6 @@ struct RecordedRun {
     models: Vec<u64>,
 }
 
-/// An action on the handles of the loop.
 type Action = fn(&mut Handles);
 
 /// Runs a job with orders and models from the start, faults of the arm, and actions during the run. `later` lists the orders and

@@ -164,7 +164,6 @@ fn replay_starts_after_a_gap_and_detects_altered_data() {
     assert!(matches!(replay_of(&altered), Err(ReplayError::Missing { .. })));
 }
 
-/// A sink that is always full.
 struct FullSink;
 
 impl Sink for FullSink {

@@ -27,7 +27,6 @@ fn override_refused(name: &str, set: &str, parts: &[&str]) {
     refused(&place, place.job("run", &[set]), parts);
 }
 
-/// Puts a file into the place.
 fn put(place: &Place, name: &str, text: &str) -> PathBuf {
     let path = place.path().join(name);
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();

@@ -194,7 +194,6 @@ fn a_franka_needs_an_address_and_has_defaults_for_the_rest() {
     }
 }
 
-/// The least job with an inclinometer.
 fn with_inclinometer(sets: &[&str]) -> Result<Job, String> {
     let text = "robot = \"panda\"\nmounting = \"upright\"\n[backend]\nkind = \"sim\"\narm = \"sim-panda\"\npace = \"wall-clock\"\n\
                 [validation]\nmountings = [\"upright\"]\n\

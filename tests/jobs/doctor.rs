@@ -7,7 +7,6 @@ use std::net::IpAddr;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// A machine in files.
 struct FakeMachine(TempDir);
 
 impl FakeMachine {

@@ -20,7 +20,6 @@ fn recordings(dir: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// The one recording of a place.
 #[track_caller]
 fn recording(place: &Place) -> PathBuf {
     let found = recordings(&place.out().join("flight"));

@@ -90,7 +90,6 @@ fn message_layouts_match_their_tables() {
     }
 }
 
-/// The ```toml blocks of a page.
 fn toml_blocks(page: &str) -> Vec<String> {
     let blocks = page.split("```toml\n").skip(1);
     blocks.map(|rest| rest.split("```").next().unwrap().to_string()).collect()

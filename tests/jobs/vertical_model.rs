@@ -19,7 +19,6 @@ struct Left {
 }
 
 impl Left {
-    /// `plumbline predict` with the vertical model.
     fn predict(&self, run: &str, more: &[&str]) -> Done {
         let mut command = plumbline();
         command.arg("predict").arg(self.model()).arg(self.place.out().join("dataset").join(run));

@@ -44,7 +44,6 @@ pub fn draw(rng: &mut ChaCha8Rng, n: usize, span: f64) -> Vec<f64> {
     (0..n).map(|_| rng.random_range(-span..span)).collect()
 }
 
-/// Any mounting.
 pub fn any_mounting(rng: &mut ChaCha8Rng) -> Mounting {
     Mounting { rho: rng.random_range(0.0..PI), phi: rng.random_range(-PI..PI) }
 }
@@ -54,7 +53,6 @@ pub fn links(delta: &[f64]) -> Vec<LinkParameters> {
     delta.chunks_exact(10).map(|link| link.try_into().unwrap()).collect()
 }
 
-/// RNEA as a function.
 pub fn torque(
     chain: &Chain,
     delta: &[f64],

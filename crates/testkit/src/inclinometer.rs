@@ -16,20 +16,16 @@ const STOPPED: u8 = 4;
 const OPERATIONAL: u8 = 5;
 const PRE_OPERATIONAL: u8 = 127;
 
-/// One object of the dictionary.
 struct Object {
     bytes: Vec<u8>,
     writable: bool,
 }
 
-/// Simulated faults of the device.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Faults {
     /// Unplugged: nothing is received or sent.
     pub unplugged: bool,
-    /// No heartbeat.
     pub no_heartbeat: bool,
-    /// No process data.
     pub no_slopes: bool,
     /// Process data a byte short.
     pub short_pdo: bool,
@@ -39,10 +35,8 @@ pub struct Faults {
     pub fixed_mapping: bool,
 }
 
-/// A frame: identifier and payload.
 pub type CanFrame = (u16, Vec<u8>);
 
-/// A simulated inclinometer.
 pub struct Device {
     node: u8,
     state: u8,
@@ -52,7 +46,6 @@ pub struct Device {
     ramp: Option<Ramp>,
     noise: f64,
     rng: ChaCha8Rng,
-    /// Active faults.
     pub faults: Faults,
     boot_at_ns: Option<u64>,
     next_beat: u64,
@@ -95,7 +88,6 @@ impl Device {
         self.objects.insert((index, sub), Object { bytes: bytes.to_vec(), writable });
     }
 
-    /// Removes an object.
     pub fn remove(&mut self, index: u16, sub: u8) {
         self.objects.remove(&(index, sub));
     }
@@ -105,7 +97,6 @@ impl Device {
         self.objects.get(&(index, sub)).map(|object| &object.bytes[..])
     }
 
-    /// Whether the device is operational.
     pub fn is_operational(&self) -> bool {
         self.state == OPERATIONAL
     }

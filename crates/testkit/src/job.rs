@@ -67,14 +67,12 @@ pub struct Place {
 /// earlier run has left them: the same search takes seconds each time. Whether they are those of its job is for the program to check.
 static PLANS: Mutex<BTreeMap<String, Files>> = Mutex::new(BTreeMap::new());
 
-/// Names and contents.
 type Files = Vec<(OsString, Vec<u8>)>;
 
 /// The overrides that plans may depend on.
 const PLANNED_BY: [&str; 6] = ["excitation.", "validation.", "limits.", "workspace.", "mounting=", "robot="];
 
 impl Place {
-    /// A unique place.
     pub fn new(test: &str) -> Place {
         let id = format!("test-{test}-{}", std::process::id());
         Place { id, dir: tempfile::tempdir().unwrap(), planned_for: Mutex::new(None) }
@@ -97,7 +95,6 @@ impl Place {
         self.dir.path()
     }
 
-    /// Folder of the results.
     pub fn out(&self) -> PathBuf {
         self.dir.path().join("out")
     }
@@ -133,7 +130,6 @@ impl Place {
         (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
     }
 
-    /// The report of the job.
     pub fn report(&self) -> Report {
         let text = std::fs::read_to_string(self.out().join("report.json")).unwrap();
         serde_json::from_str(&text).unwrap()
@@ -175,7 +171,6 @@ pub fn short<'a>(more: &[&'a str]) -> Vec<&'a str> {
     SHORT.iter().copied().chain(more.iter().copied()).collect()
 }
 
-/// A command that has ended.
 #[derive(Debug)]
 pub struct Done {
     pub code: Option<i32>,
@@ -227,7 +222,6 @@ impl Running {
         self.0.as_ref().unwrap().child.id()
     }
 
-    /// Whether it still runs.
     pub fn runs(&mut self) -> bool {
         self.0.as_mut().unwrap().child.try_wait().unwrap().is_none()
     }
@@ -287,7 +281,6 @@ impl Said {
     }
 }
 
-/// Sends a signal by name.
 pub fn signal(pid: u32, name: &str) {
     let status = Command::new("kill").arg(format!("-{name}")).arg(pid.to_string()).status().unwrap();
     assert!(status.success(), "kill -{name} {pid}");

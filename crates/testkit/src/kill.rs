@@ -12,9 +12,7 @@ use plumbline_ipc::{
     Status, StreamSettings,
 };
 
-/// Timeout of any step.
 pub const PATIENCE: Duration = Duration::from_secs(30);
-/// Timeout of a restart.
 pub const RESTART: Duration = Duration::from_secs(2);
 
 /// A child process, killed on drop. Its output is written to a file.

@@ -5,7 +5,6 @@ use plumbline_core::{BadInput, JointVec, MAX_JOINTS, MAX_MISSED_COMMANDS};
 use plumbline_excite::Margins;
 use plumbline_identify::{Settings, solve};
 
-/// Checks every range.
 pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     let file = job.file.display().to_string();
     let bad = |key: &str, value: &dyn ToString, expected: &str| {
@@ -222,7 +221,6 @@ impl Job {
         }
     }
 
-    /// The estimator that solves.
     pub fn solver(&self) -> solve::Options {
         solve::Options { estimator: self.estimator.solver, essential: self.estimator.essential }
     }

@@ -17,7 +17,6 @@ use std::time::Duration;
 pub struct Franka {
     /// Address of the robot's control unit in the shop-floor network.
     pub address: IpAddr,
-    /// Command interface.
     #[serde(default)]
     pub interface: Interface,
     /// Controller of the robot for commanded positions and velocities.
@@ -48,7 +47,6 @@ pub struct Franka {
     /// Load at the flange beside the end effector configured in Desk.
     #[serde(default)]
     pub load: Option<Load>,
-    /// Options of the UDP socket.
     #[serde(default)]
     pub socket: Socket,
     /// Timeout of a state \[s\].
@@ -59,7 +57,6 @@ pub struct Franka {
     pub connect_timeout: f64,
 }
 
-/// Recovery after a reflex.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Recovery {
@@ -150,7 +147,6 @@ impl Default for Collision {
     }
 }
 
-/// A load at the flange.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Load {
@@ -204,7 +200,6 @@ fn connect_timeout() -> f64 {
 }
 
 impl Franka {
-    /// Kind of Franka robot of a job.
     pub(super) fn robot(job: &super::Job) -> Result<RobotKind, BadInput> {
         match job.robot.as_str() {
             "panda" => Ok(RobotKind::Panda),

@@ -51,7 +51,6 @@ pub struct Inclinometer {
     /// Slope objects: 16 (6010h, 6020h) or 32 bits (6110h, 6120h).
     #[serde(default = "bits")]
     pub bits: u8,
-    /// Definition of the slopes.
     #[serde(default)]
     pub slopes: SlopeConvention,
     /// The sensor's x axis (longitudinal slope) in the base frame.
@@ -115,19 +114,13 @@ pub enum Axis {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum AxisName {
-    /// Along x.
     X,
-    /// Along y.
     Y,
-    /// Along z.
     Z,
-    /// Against x.
     #[serde(rename = "-x")]
     MinusX,
-    /// Against y.
     #[serde(rename = "-y")]
     MinusY,
-    /// Against z.
     #[serde(rename = "-z")]
     MinusZ,
 }

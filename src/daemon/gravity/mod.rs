@@ -36,11 +36,9 @@ const MAX_UNCOMPENSATED: f64 = 0.09;
 /// Whether a model may be served, and with which gravity.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Verdict {
-    /// It may.
     Serve(Vector3<f64>),
     /// Not yet: the arm has to rest first, so that its torques show the mounting.
     Wait,
-    /// It may not.
     Refuse(Refusal),
 }
 
@@ -88,12 +86,9 @@ impl Refusal {
     }
 }
 
-/// A decision about one model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decision {
-    /// Identity of the model.
     pub model: u64,
-    /// Whether it may be served.
     pub verdict: Verdict,
     /// Something else that the torques at rest have shown.
     pub remark: Option<Remark>,
@@ -104,11 +99,9 @@ pub struct Decision {
 pub enum ServiceChange {
     /// The model waits for a rest of the arm.
     Waits(String),
-    /// The model is refused.
     Refused(String),
     /// The model is served after it was not.
     ServedAgain {
-        /// Its identity.
         model: u64,
     },
 }
@@ -116,7 +109,6 @@ pub enum ServiceChange {
 /// What ends a motion, or is reported during it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BaseMoved {
-    /// The event.
     pub event: String,
     /// Why the arm stops, where it does.
     pub stop: Option<String>,
@@ -196,7 +188,6 @@ impl GravityMonitor {
         self.served = self.gravity();
     }
 
-    /// Takes in records of the loop.
     pub fn take(&mut self, records: &[Record]) -> Option<BaseMoved> {
         for record in records {
             self.rests.take(record);
@@ -209,7 +200,6 @@ impl GravityMonitor {
         self.inclinometer.as_mut()?.poll(now, serving)
     }
 
-    /// Keeps an event for the status.
     pub fn keep(&mut self, event: String) {
         if self.events.len() >= MAX_EVENTS {
             self.events.remove(0);

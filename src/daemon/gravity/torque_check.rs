@@ -7,7 +7,6 @@ use plumbline_identify::{DirectionError, Disagreement, GravitySource, ImpliedGra
 /// The check of one model by the torques at rest.
 #[derive(Clone)]
 pub struct TorqueCheck {
-    /// Identity of the model.
     pub model: u64,
     /// Poses completed before the model: the arm may have carried something else then.
     after: u64,
@@ -94,7 +93,6 @@ impl TorqueCheck {
         self.implied.as_ref().map(|found| found.as_ref().map(|found| found.side)).map_err(Disagreement::clone)
     }
 
-    /// Every side agrees.
     pub fn agreed(&mut self) {
         self.passed |= matches!(self.implied, Ok(Some(_)));
     }

@@ -8,7 +8,6 @@ use std::path::{Path, PathBuf};
 /// The form of the time in a name, with a 0 for every digit: `20261122T011721Z-`.
 const STAMP: &str = "00000000T000000Z-";
 
-/// Where recordings go.
 pub(super) struct Folder {
     pub dir: PathBuf,
     pub id: String,

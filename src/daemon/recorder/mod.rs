@@ -39,7 +39,6 @@ const LAST_WRITE_TIMEOUT: Duration = Duration::from_secs(8);
 /// Room behind the fault: no stop takes this long \[cycles\].
 const STOP: usize = 5000;
 
-/// Messages to the recorder's thread.
 enum Message {
     Open(Box<RecorderThread>),
     Event(TimedEvent),
@@ -53,7 +52,6 @@ enum Message {
     Close(Box<Close>),
 }
 
-/// The end of a loop.
 struct Close {
     /// `None` for an end without a fault.
     reason: Option<Reason>,
@@ -67,15 +65,12 @@ struct Close {
 
 /// What was left behind by the loop's thread.
 pub enum LoopEnd {
-    /// The loop ended by itself.
     Ended(Box<Outcome>),
     /// It panicked; its last cycles and the state that was not answered.
     Panicked {
-        /// Message of the panic.
         message: String,
         /// The last cycles, oldest first.
         flight: Vec<Record>,
-        /// The state that was not answered.
         unanswered: Option<Box<State>>,
     },
 }
@@ -86,11 +81,9 @@ pub struct Recorder {
     thread: Option<JoinHandle<()>>,
     span: f64,
     requests: Arc<Requests>,
-    /// What is the same in every recording.
     about: Sheet,
 }
 
-/// What is the same in every recording.
 struct Sheet {
     id: String,
     job: String,
@@ -293,7 +286,6 @@ pub struct LoopRecorder {
 }
 
 impl LoopRecorder {
-    /// Keeps records.
     pub fn keep(&mut self, records: &[Record]) {
         if self.inbox.is_none() {
             return;
@@ -306,7 +298,6 @@ impl LoopRecorder {
         }
     }
 
-    /// Keeps an event.
     pub fn event(&self, event: TimedEvent) {
         self.send(|| Message::Event(event));
     }
@@ -316,12 +307,10 @@ impl LoopRecorder {
         self.send(|| Message::StopReason(reason));
     }
 
-    /// The loop was given an order.
     pub fn ordered(&self, given: RecordedOrder) {
         self.send(|| Message::Order(given));
     }
 
-    /// The loop was given a model.
     pub fn handed(&self, model: RecordedModel, text: &str) {
         self.send(|| Message::Model(model, text.to_string()));
     }
@@ -354,7 +343,6 @@ impl LoopRecorder {
     }
 }
 
-/// Kind of an end that is a fault.
 fn kind_of_end(end: &End) -> Option<ReasonKind> {
     Some(match end {
         End::Quit => return None,

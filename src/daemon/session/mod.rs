@@ -45,7 +45,6 @@ pub struct Session {
     drain: Drain,
     /// Pauses simulated time; `None` where the arm keeps wall-clock time.
     gate: Option<Arc<dyn TimeGate>>,
-    /// The session of a physical arm.
     monitor: Option<Box<dyn ArmMonitor>>,
     thread: Option<JoinHandle<LoopEnd>>,
     tape: LoopRecorder,
@@ -55,7 +54,6 @@ pub struct Session {
     model: u64,
     /// The rights granted to the loop's thread were logged.
     rights_reported: bool,
-    /// When the next record is due.
     records_due: RecordSchedule,
     /// Gravity that the model was handed over with \[m/s2\].
     gravity: Vector3<f64>,

@@ -9,7 +9,6 @@ fn bitwise_equal(a: &[f64], b: &[f64]) -> bool {
     a.iter().map(|x| x.to_bits()).eq(b.iter().map(|x| x.to_bits()))
 }
 
-/// Difference of a replayed cycle from the recorded one.
 fn difference(was: &Record, is: &Record) -> Option<String> {
     let (a, b) = (&was.command.desired, &is.command.desired);
     if was.command.seq != is.command.seq {

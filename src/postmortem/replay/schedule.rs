@@ -9,7 +9,6 @@ use plumbline_core::{FeedForward, Record, Reference, Setpoint};
 use plumbline_excite::{Fourier, PeriodicMotion};
 use plumbline_rt::{Checkpoint, Doing, Event, Handles, Order, OrderKind, StopReason, Succession, TimedEvent};
 
-/// Start point of a replay.
 pub(super) struct StartPoint {
     /// First record to run again.
     pub at: usize,
@@ -72,7 +71,6 @@ fn loop_state(recording: &Recording, cycle: u64) -> LoopState {
     state
 }
 
-/// Setpoint at the start of an event.
 fn start_setpoint_of(records: &[Record], told: &TimedEvent) -> Option<Setpoint> {
     let find =
         |cycle: u64| records.binary_search_by_key(&cycle, |record| record.cycle).ok().map(|place| &records[place]);
@@ -104,7 +102,6 @@ fn recorded_order(recording: &Recording, index: u32) -> Result<&RecordedOrder, R
     recording.about.orders.get(index as usize).ok_or_else(missing)
 }
 
-/// A periodic motion from its series.
 fn reference(motion: u32, series: &Series) -> Result<Box<dyn Reference>, ReplayError> {
     let unusable = |why: String| ReplayError::Unusable { what: format!("motion {motion}"), why };
     let Series { period, periods, q0, a, b } = series;

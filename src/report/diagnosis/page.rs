@@ -16,7 +16,6 @@ pub(in crate::report) const TEMPLATES: [(&str, &str); 3] = [
     ("diagnosis-effects", include_str!("effects.html")),
 ];
 
-/// Candidates whose score is drawn.
 const DRAWN: usize = 10;
 
 /// Everything that the templates use of a diagnosis.
@@ -63,7 +62,6 @@ pub(in crate::report) fn context(of: &Diagnosis, figures: &Curves) -> Value {
     }
 }
 
-/// Class of the box.
 fn tone(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::NothingSignificant | Verdict::Diagnosed => "good",
@@ -77,7 +75,6 @@ fn arrow(line: String) -> String {
     line.replace("->", "\u{2192}")
 }
 
-/// A number or a dash.
 fn or_dash(value: Option<f64>) -> String {
     value.map_or("-".into(), digits)
 }

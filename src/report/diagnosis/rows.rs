@@ -23,7 +23,6 @@ pub(super) struct Pair {
     pub after: Option<f64>,
     /// 95 % intervals of both.
     pub intervals: [Option<[f64; 2]>; 2],
-    /// What they are held against.
     pub limit: Option<f64>,
 }
 
@@ -101,7 +100,6 @@ where
     area.present()
 }
 
-/// A bar with its text.
 #[derive(Clone, Debug)]
 pub(super) struct Bar {
     pub label: String,
@@ -109,7 +107,6 @@ pub(super) struct Bar {
     pub kind: Kind,
 }
 
-/// What a bar stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Chosen,

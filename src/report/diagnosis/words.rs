@@ -122,7 +122,6 @@ fn seen(of: &Diagnosis) -> String {
     )
 }
 
-/// An id as words.
 pub(super) fn plain(id: &str) -> String {
     id.replace('-', " ")
 }
@@ -142,7 +141,6 @@ pub(super) fn name(effect: &Effect) -> String {
     placed(&effect.id, &effect.joints) + &since
 }
 
-/// An effect in one sentence.
 fn finding(effect: &Effect, confirmation: Option<Confirmation>) -> String {
     let parameters: Vec<String> =
         effect.parameters.0.iter().map(|p| format!("{} {}", p.name, quantity(p, "+-"))).collect();
@@ -222,7 +220,6 @@ pub(super) fn unexplained(of: &Unexplained) -> String {
     text
 }
 
-/// What changed, in one sentence.
 fn changes(of: &Changes, confirmation: Option<Confirmation>) -> String {
     let effects: Vec<String> = of.effects.iter().map(|effect| finding(effect, confirmation)).collect();
     let effects = if effects.is_empty() { "nothing changed".to_string() } else { effects.join("; ") };

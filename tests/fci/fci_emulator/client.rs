@@ -109,7 +109,6 @@ impl Client {
         self.read()
     }
 
-    /// Where the robot is.
     pub fn address(&self) -> IpAddr {
         self.stream.peer_addr().expect("a connection").ip()
     }
@@ -118,7 +117,6 @@ impl Client {
         self.udp.send_to(bytes, self.robot.expect("a state was read")).expect("sent");
     }
 
-    /// Sends a command as it is.
     pub fn send(&self, command: &RobotCommand) {
         let mut buffer = [0; MAX_COMMAND];
         let length = command.encode(self.protocol, &mut buffer);
@@ -228,7 +226,6 @@ impl Client {
         (id, answer)
     }
 
-    /// Starts a motion that has to start.
     pub fn start(&mut self, controller: MoveController, generator: MoveGenerator) -> u32 {
         let (id, answer) = self.begin(Move::new(controller, generator));
         assert_eq!(answer, Answer::Move(MoveStatus::MotionStarted));

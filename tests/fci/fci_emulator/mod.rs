@@ -16,7 +16,6 @@ use std::net::{IpAddr, Ipv4Addr};
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::Duration;
 
-/// An address of its own for every emulator of this process.
 fn address() -> IpAddr {
     static NEXT: AtomicU8 = AtomicU8::new(1);
     // The port is fixed, so every process has a network of its own.
@@ -29,7 +28,6 @@ fn patient(protocol: Protocol) -> Settings {
     Settings { patience: Duration::from_secs(2), ..Settings::new(address(), protocol) }
 }
 
-/// An emulator, and a client that is connected to it.
 fn session(settings: Settings) -> (Emulator, Client) {
     let (address, protocol) = (settings.address, settings.protocol);
     let emulator = Emulator::start(settings).unwrap_or_else(|error| panic!("{error}"));

@@ -15,7 +15,6 @@ fn quintic(s: f64) -> f64 {
     s * s * s * (10.0 + s * (6.0 * s - 15.0))
 }
 
-/// Ticks of the motion in these tests.
 const TICKS: u32 = 400;
 
 fn away(tick: u32) -> [f64; 7] {

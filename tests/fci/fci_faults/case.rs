@@ -15,22 +15,18 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
-/// What goes wrong.
 #[derive(Clone, Copy, Debug)]
 pub enum Trouble {
     /// Faults of the emulator, as its command line has them.
     Faults(&'static [&'static str]),
-    /// Somebody presses the user stop.
     UserStop,
     /// Somebody runs into the arm. Before a connection: another program has left it in a reflex.
     Reflex,
     /// Somebody does something else to the arm.
     Hand(Hand),
-    /// Nothing.
     None,
 }
 
-/// When it goes wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum When {
     /// Before the daemon connects, until the arm moves.
@@ -46,37 +42,29 @@ pub enum When {
 }
 
 impl When {
-    /// Every moment.
     pub const ALL: [When; 5] = [When::Connect, When::Approach, When::Excite, When::Stop, When::Serve];
 }
 
-/// A case.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// What goes wrong.
     pub trouble: Trouble,
-    /// When.
     pub when: When,
     /// More of the job: `key=value`.
     pub sets: Vec<String>,
 }
 
-/// What became of a case.
 #[derive(Clone, Debug)]
 pub struct Ending {
     /// The daemon's exit code.
     pub code: Option<i32>,
-    /// Everything it said.
     pub said: String,
     /// The last status that it gave.
     pub status: Option<Box<Status>>,
-    /// Whether it drove everything.
     pub done: bool,
     /// What the emulator's log shows.
     pub arm: Judged,
     /// From the fault to the arm's rest, where it moved when the fault came \[ms\].
     pub rest_after: Option<u64>,
-    /// The mode that the arm was in at the end.
     pub mode: RobotMode,
 }
 
@@ -94,7 +82,6 @@ const NEXT_STEPS: [&str; 10] = [
     "Is another program connected",
 ];
 
-/// An address of its own for every case of this process.
 fn address() -> IpAddr {
     static NEXT: AtomicU8 = AtomicU8::new(1);
     Ipv4Addr::new(127, 0, 46, NEXT.fetch_add(1, Ordering::Relaxed)).into()
@@ -126,7 +113,6 @@ impl Case {
         Case { trouble, when, sets: Vec::new() }
     }
 
-    /// With more of the job.
     pub fn with(mut self, sets: &[&str]) -> Case {
         self.sets.extend(sets.iter().map(|set| set.to_string()));
         self
@@ -185,7 +171,6 @@ impl Case {
         command
     }
 
-    /// Plays it.
     pub fn run(&self) -> Ending {
         let address = address();
         let place = Place::new(&format!("faults-{address}"));

@@ -25,7 +25,6 @@ pub struct Judged {
     pub speed: f64,
 }
 
-/// One line of the log.
 struct Row {
     id: u64,
     mode: u8,

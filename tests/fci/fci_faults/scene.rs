@@ -13,7 +13,6 @@ const MOST: Duration = Duration::from_secs(60);
 /// Time for an answer of the daemon.
 const ANSWER: Duration = Duration::from_secs(2);
 
-/// A case while it runs.
 pub struct Scene<'a> {
     pub case: &'a Case,
     pub emulator: Emulator,

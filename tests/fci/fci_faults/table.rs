@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// A line of the table.
 struct Row {
     name: &'static str,
     trouble: Trouble,
@@ -115,7 +114,6 @@ fn cell(case: &Case, ending: &Ending, tries: u32) -> String {
     words
 }
 
-/// What the sessions counted.
 fn counts(ending: &Ending) -> String {
     let sessions = ending.status.iter().flat_map(|status| &status.sessions);
     let links = sessions.filter(|session| session.name != "hold").filter_map(|session| session.link.as_ref());

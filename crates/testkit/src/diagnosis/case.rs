@@ -69,11 +69,9 @@ pub enum What {
 }
 
 impl What {
-    /// All parts.
     pub const ALL: [What; 7] =
         [What::Single, What::None, What::Three, What::Foreign, What::Background, What::OneTrajectory, What::Upright];
 
-    /// Its name in the command.
     pub fn id(self) -> &'static str {
         match self {
             What::Single => "single",
@@ -87,12 +85,10 @@ impl What {
     }
 }
 
-/// What was put in.
 #[derive(Clone, Debug)]
 pub struct Injected {
     /// Its family; `foreign` for what has none.
     pub family: &'static str,
-    /// Where.
     pub site: Site,
     /// As the truth file says it.
     pub text: String,
@@ -100,7 +96,6 @@ pub struct Injected {
     pub variables: Vec<Variable>,
 }
 
-/// A case, complete.
 #[derive(Clone, Debug)]
 pub struct Case {
     pub what: What,
@@ -111,9 +106,7 @@ pub struct Case {
     /// Seed of the repeatable background, where there is one.
     pub background: Option<u64>,
     pub mounting: Mounting,
-    /// Trajectories to identify from.
     pub trajectories: usize,
-    /// Seed of the noise.
     pub noise: u64,
 }
 
@@ -173,7 +166,6 @@ fn sign(rng: &mut ChaCha8Rng) -> f64 {
     if rng.random() { 1.0 } else { -1.0 }
 }
 
-/// Evenly in the logarithm.
 fn between(rng: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
     low * (high / low).powf(rng.random::<f64>())
 }

@@ -37,11 +37,9 @@ pub struct Tool {
     pub ne_t_ee: Pose,
     /// Stiffness frame in the end effector.
     pub ee_t_k: Pose,
-    /// Load at the flange.
     pub load: Load,
 }
 
-/// The arm.
 pub struct Body {
     chain: Chain,
     links: Vec<LinkParameters>,
@@ -51,7 +49,6 @@ pub struct Body {
     compensated: Vector3<f64>,
     hardware: Hardware,
     noise: ChaCha8Rng,
-    /// What the client has set.
     pub tool: Tool,
     sensed: Sensed,
     before: Sensed,
@@ -95,7 +92,6 @@ impl Body {
         })
     }
 
-    /// One millisecond.
     pub fn advance(&mut self, desired: &Step, drive: Drive) {
         self.before = self.sensed;
         self.sensed = match drive {

@@ -66,22 +66,18 @@ pub const READY: Joints = [
     std::f64::consts::FRAC_PI_4,
 ];
 
-/// What an emulator is.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Address that it serves on, usually one of 127.0.0.0/8.
     pub address: IpAddr,
     /// Port of TCP and UDP; that of real robots unless a test sets another.
     pub port: u16,
-    /// Protocol version.
     pub protocol: Protocol,
     /// Which arm's limits and name.
     pub robot: RobotKind,
     /// Limits that it serves and checks; those of `robot` where absent.
     pub limits: Option<Limits>,
-    /// The simulated arm's truth.
     pub arm: Truth,
-    /// How it is mounted.
     pub mounting: Mounting,
     /// Gravity in the base frame that the firmware adds torque against \[m/s2\]: (0, 0, -9.81) in any mounting, as robots do.
     pub compensates: [f64; 3],
@@ -98,9 +94,7 @@ pub struct Settings {
     pub model_library: Option<Vec<u8>>,
     /// `O_ddP_O` of every state \[m/s2\]: (0, 0, -9.81) in any mounting, as robots report without a declared mounting.
     pub base_acceleration: [f64; 3],
-    /// Number of the first state.
     pub first_message_id: u64,
-    /// Faults from the start on.
     pub faults: Vec<Fault>,
     /// Whether events go to standard error.
     pub speaks: bool,
@@ -142,22 +136,9 @@ impl Settings {
 pub enum StartError {
     /// Its port is taken, or its address is none of this machine's.
     #[error("{address}, port {port}: {error}")]
-    Address {
-        /// The address.
-        address: IpAddr,
-        /// The port.
-        port: u16,
-        /// Error of the system.
-        error: std::io::Error,
-    },
-    /// The log can't be written.
+    Address { address: IpAddr, port: u16, error: std::io::Error },
     #[error("log {path}: {error}")]
-    Log {
-        /// The file.
-        path: PathBuf,
-        /// Error of the system.
-        error: std::io::Error,
-    },
+    Log { path: PathBuf, error: std::io::Error },
     /// A joint starts outside its range.
     #[error("joint {joint} can't start at {q} rad: its range is {least} to {most} rad")]
     Pose {
@@ -173,10 +154,8 @@ pub enum StartError {
     /// Truth and robot do not fit.
     #[error(transparent)]
     Arm(#[from] SimError),
-    /// The robot description is wrong.
     #[error(transparent)]
     Robot(#[from] BadInput),
-    /// No thread could be made.
     #[error("the emulator's thread: {0}")]
     Thread(std::io::Error),
 }
@@ -234,7 +213,6 @@ impl Emulator {
         Ok(Emulator { orders: Some(orders), shared, thread: Some(thread) })
     }
 
-    /// What an operator does.
     pub fn hand(&self, hand: Hand) {
         self.order(Order::Hand(hand));
     }
@@ -244,12 +222,10 @@ impl Emulator {
         self.order(Order::Fault(fault));
     }
 
-    /// Ends all faults.
     pub fn heal(&self) {
         self.order(Order::Heal);
     }
 
-    /// How it is now.
     pub fn snapshot(&self) -> Snapshot {
         self.shared.lock().map(|shared| *shared).unwrap_or_default()
     }

@@ -18,15 +18,11 @@ const RESTLESS: u32 = 500;
 pub struct Motion {
     /// Call that started it, which its end answers, too.
     pub id: u32,
-    /// The request.
     pub request: Move,
-    /// Whether a state has shown it.
     pub shown: bool,
-    /// Whether a command has come.
     pub begun: bool,
     /// The desired motion where the first position is the start of the motion, at rest, while the commands fit that, too.
     pub start: Option<Step>,
-    /// Commands missing in a row.
     pub missing: u32,
     /// Torques commanded last, where they are commanded \[Nm\].
     pub tau: Option<Joints>,
@@ -96,7 +92,6 @@ impl Motion {
         }
     }
 
-    /// What moves the arm.
     pub fn drive(&self) -> Drive {
         self.tau.map_or(Drive::Track, Drive::Torque)
     }
@@ -125,7 +120,6 @@ impl Motion {
         generator.iter().chain(&tau).all(|value| value.is_finite())
     }
 
-    /// Whether a command ends the motion.
     pub fn is_finished_by(&self, command: &RobotCommand) -> bool {
         match self.request.generator {
             MoveGenerator::None => command.torque_command_finished,

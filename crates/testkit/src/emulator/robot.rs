@@ -26,7 +26,6 @@ const SHOWN: u32 = 100;
 /// When the end of a motion is answered over TCP, relative to the first state that shows it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FinishOrder {
-    /// In the same millisecond.
     #[default]
     Together,
     /// The state comes so many ms before the answer.
@@ -38,17 +37,13 @@ pub enum FinishOrder {
 /// What an operator does to the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hand {
-    /// Presses the user stop.
     UserStop,
-    /// Releases the user stop.
     Release,
     /// Guides the arm by hand, as long as it is idle.
     Guide,
     /// Lets go of the guiding handle.
     LetGo,
-    /// Locks the brakes in Desk.
     Lock,
-    /// Unlocks them.
     Unlock,
     /// Runs into the arm: pushes against joint 4 for a tenth of a second.
     Push,
@@ -59,13 +54,11 @@ pub enum Hand {
 pub struct Served {
     /// Shared library for clients that load one; without it the answer is an error.
     pub model_library: Option<Vec<u8>>,
-    /// Robot description.
     pub urdf: String,
     /// `O_ddP_O` of every state \[m/s2\].
     pub base_acceleration: [f64; 3],
 }
 
-/// What it is doing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Phase {
     Idle,
@@ -78,7 +71,6 @@ pub enum Phase {
     Recovering { id: u32, left: u32 },
 }
 
-/// The robot.
 pub struct Robot {
     pub protocol: Protocol,
     pub limits: Limits,
@@ -392,7 +384,6 @@ impl Robot {
         }
     }
 
-    /// What the operator does.
     pub fn hand(&mut self, hand: Hand) {
         let next = match (hand, self.phase) {
             (Hand::UserStop, _) => {

@@ -25,14 +25,10 @@ const LOGGED_LATENESS_NS: u64 = 50 * MILLISECOND;
 /// Pause between two polls of the socket while the robot's time is paused \[ns\].
 const POLL_NS: u64 = 50_000;
 
-/// Orders to the running emulator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Order {
-    /// An action of the operator.
     Hand(Hand),
-    /// One more fault.
     Fault(Fault),
-    /// No more faults.
     Heal,
 }
 
@@ -56,9 +52,7 @@ pub struct Counts {
 /// The emulator as its handle sees it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Snapshot {
-    /// The state made last.
     pub state: RobotState,
-    /// What has been counted.
     pub counts: Counts,
     /// Whether a client's session is open.
     pub connected: bool,
@@ -80,7 +74,6 @@ enum Gone {
     Broken(String),
 }
 
-/// The server.
 pub struct Server {
     protocol: Protocol,
     listener: TcpListener,
@@ -98,7 +91,6 @@ pub struct Server {
     log: Log,
 }
 
-/// What a server is made of.
 pub struct Parts {
     pub protocol: Protocol,
     pub listener: TcpListener,
@@ -286,7 +278,6 @@ impl Server {
         flush(client).map_err(broken)
     }
 
-    /// Takes one request.
     fn take(&mut self, client: &mut Client, header: &Header, payload: &[u8]) -> Result<(), Gone> {
         let id = header.command_id;
         if client.states_to.is_none() {
@@ -348,7 +339,6 @@ impl Server {
         found
     }
 
-    /// Drains the socket.
     fn gather(&mut self) {
         let from_client = self.client.as_ref().and_then(|client| client.states_to);
         let mut buffer = [0; MAX_COMMAND + 1];

@@ -72,7 +72,6 @@ impl Reference for Wave {
     }
 }
 
-/// Any function of the tick.
 pub struct Shape<F>(pub u64, pub F);
 
 impl<F: Fn(u64) -> Setpoint + Send> Reference for Shape<F> {
@@ -173,7 +172,6 @@ impl Job {
         self
     }
 
-    /// At a read, the outside does something.
     pub fn outside(mut self, read: u64, act: impl FnMut(&mut Handles) + Send + 'static) -> Job {
         self.outside.push((read, Box::new(act)));
         self

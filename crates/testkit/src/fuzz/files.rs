@@ -45,7 +45,6 @@ pub struct Bench<'a> {
 }
 
 impl Files {
-    /// Those of the repository.
     pub fn shipped() -> Files {
         let root = Path::new(crate::ROOT);
         let all = |folder: &str| -> Vec<String> {

@@ -19,7 +19,6 @@ pub struct Period {
     pub seconds: f64,
     /// Positions that the sensors would report without noise, N x n.
     pub q: DMatrix<f64>,
-    /// Torques alike.
     pub tau: DMatrix<f64>,
 }
 
