@@ -24,11 +24,7 @@ pub(super) enum Torque {
     Optional,
 }
 
-/// Reads a CSV file, or a recording of the flight recorder where the name ends in `.mcap`.
 pub(super) fn read(path: &Path, torque: Torque) -> Result<Columns, BadInput> {
-    if path.extension().is_some_and(|extension| extension == "mcap") {
-        return super::flight::read(path);
-    }
     let file = path.display().to_string();
     let bytes = std::fs::read(path).map_err(|error| BadInput::new(&file, "file", error, "a readable CSV file"))?;
     parse(&file, &bytes, torque)

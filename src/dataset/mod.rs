@@ -106,7 +106,7 @@ impl Run {
     /// # Errors
     /// As [`Dataset::read`], for this file.
     pub fn read_csv(path: &Path, mounting: Mounting) -> Result<Run, BadInput> {
-        let csv::Columns { t, q, dq, tau, extra } = csv::read(path, csv::Torque::Optional)?;
+        let csv::Columns { t, q, dq, tau, extra } = flight::read_run(path, csv::Torque::Optional)?;
         let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
         let data = plumbline_identify::Run { name, t, q, dq, tau, mounting, period: None };
         Ok(Run { extra, ..Run::new(data, Role::Validate) })

@@ -1,17 +1,13 @@
 //! Facts of a recording. Times are seconds before its end, from the arm's sequence numbers.
 
-use super::advice;
 use super::replay::ReplayResult;
-use super::timing::Timing;
+use super::timing::{MAX_LINES, TimeBase, Timing};
 use crate::recording::Recording;
 use crate::recording::about::{ReasonKind, RecordedOrder};
 use crate::recording::messages::{event_text_with, limit_name};
 use plumbline_core::{PERIOD_S, Phase, Record};
-use plumbline_rt::{Event, Limit, StopReason, TimedEvent, Violation};
+use plumbline_rt::{Event, StopReason, TimedEvent, Violation};
 use serde::Serialize;
-
-/// Maximum length of the timeline and of the list of outliers.
-pub(super) const MAX_LINES: usize = 60;
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Facts {
@@ -114,33 +110,15 @@ pub fn phase_name(phase: Phase) -> &'static str {
     }
 }
 
-/// Conversion of sequence numbers to seconds before the end of the recording.
-pub(super) struct TimeBase {
-    last: u64,
-}
-
-impl TimeBase {
-    pub fn of(recording: &Recording) -> TimeBase {
-        let newest = recording.records.last().map_or(0, |record| record.state.seq);
-        let unanswered = recording.unanswered.as_ref().map_or(0, |record| record.state.seq);
-        let told = recording.events.iter().map(|told| told.seq).max().unwrap_or(0);
-        TimeBase { last: newest.max(unanswered).max(told) }
-    }
-
-    pub fn before_end(&self, seq: u64) -> f64 {
-        self.last.saturating_sub(seq) as f64 * PERIOD_S
-    }
-}
-
 impl Facts {
-    pub fn of(file: &str, recording: &Recording, replay: Option<ReplayResult>) -> Facts {
+    pub(super) fn without_advice(file: &str, recording: &Recording, replay: Option<ReplayResult>) -> Facts {
         let about = &recording.about;
         let time = TimeBase::of(recording);
         let first_limit = first_limit(recording, &time);
         let stop = stop(recording, &time);
         let timing = Timing::of(recording, &time);
         let short: String = about.job_sha256.chars().take(12).collect();
-        let mut facts = Facts {
+        Facts {
             file: file.to_string(),
             robot: if about.id == about.robot {
                 about.robot.clone()
@@ -165,9 +143,7 @@ impl Facts {
             stop,
             timing,
             replay,
-        };
-        facts.next = advice::next(&facts, about);
-        facts
+        }
     }
 
     pub fn headline(&self) -> String {
@@ -377,8 +353,4 @@ fn gaps(recording: &Recording) -> Vec<String> {
         gaps.push("The recording contains no cycle.".to_string());
     }
     gaps
-}
-
-pub(super) fn is_measured(limit: &str) -> bool {
-    [Limit::Tracking, Limit::MeasuredTorque, Limit::MeasuredNotFinite].iter().any(|one| limit_name(*one) == limit)
 }

@@ -2,7 +2,8 @@
 //!
 //! As in the report, colours are fixed placeholders that the page's style sheet maps to a light and a dark theme.
 
-use super::facts::{Facts, TimeBase, Weight, phase_name, tracking_error};
+use super::facts::{Facts, Weight, phase_name, tracking_error};
+use super::timing::TimeBase;
 use crate::recording::Recording;
 use plotters::prelude::*;
 use plumbline_core::{Phase, Record};

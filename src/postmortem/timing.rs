@@ -1,10 +1,30 @@
 //! Cycle times of the recorded loop.
 
-use super::facts::{MAX_LINES, TimeBase};
 use super::replay::is_simulated;
 use crate::recording::Recording;
-use plumbline_core::{Histogram, LoopStatistics, PERIOD_NS};
+use plumbline_core::{Histogram, LoopStatistics, PERIOD_NS, PERIOD_S};
 use serde::Serialize;
+
+/// Maximum length of the timeline and of the list of outliers.
+pub(super) const MAX_LINES: usize = 60;
+
+/// Conversion of sequence numbers to seconds before the end of the recording.
+pub(super) struct TimeBase {
+    last: u64,
+}
+
+impl TimeBase {
+    pub fn of(recording: &Recording) -> TimeBase {
+        let newest = recording.records.last().map_or(0, |record| record.state.seq);
+        let unanswered = recording.unanswered.as_ref().map_or(0, |record| record.state.seq);
+        let told = recording.events.iter().map(|told| told.seq).max().unwrap_or(0);
+        TimeBase { last: newest.max(unanswered).max(told) }
+    }
+
+    pub fn before_end(&self, seq: u64) -> f64 {
+        self.last.saturating_sub(seq) as f64 * PERIOD_S
+    }
+}
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Timing {

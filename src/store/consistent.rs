@@ -1,6 +1,6 @@
 //! The `[consistent]` block of `model.toml`: physically consistent bodies with the model's parameters, or the nearest ones.
 
-use super::model_text::quoted;
+use super::quoted;
 use plumbline_core::BadInput;
 use plumbline_identify::consistency::{Nearest, Weights, parameters_of};
 use plumbline_model::{LinkParameters, TorqueModel, is_consistent};

@@ -1,6 +1,6 @@
 //! `model.toml`: an identified model with its uncertainty, validation and provenance.
 
-use super::{consistent, model_text};
+use super::consistent;
 use crate::atomic;
 use plumbline_core::{BadInput, from_toml};
 use plumbline_identify::consistency::Nearest;
@@ -134,11 +134,6 @@ impl RawTerm {
 pub(super) const FORMAT: u32 = 1;
 
 impl ModelFile {
-    /// The file's text; `parse` restores the model bitwise.
-    pub fn to_toml(&self) -> String {
-        model_text::write(self)
-    }
-
     /// Parses a model; `file` is the name in errors. `chain_of` returns the kinematic chain of a robot's name.
     ///
     /// # Errors

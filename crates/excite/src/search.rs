@@ -6,7 +6,6 @@ use super::fourier::{Fourier, MAX_HARMONICS};
 use super::guard_check::check_with_guard;
 use super::limits::{Bounds, Check, Peak, Quantity, check, check_pose, verify};
 use super::nominal::Nominal;
-use super::optimiser::FINE_GRID_RATIO;
 use super::plan::{Constraints, Plan, PlanUsage};
 use super::usage::{TARGET_USAGE, check_usage, least_usage, usage};
 use plumbline_core::JointVec;
@@ -16,6 +15,9 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
+
+/// Ratio of samples of the evaluation grid to samples of the search grid.
+pub const FINE_GRID_RATIO: usize = 5;
 
 /// Search problem.
 pub struct Problem<'a> {

@@ -12,7 +12,6 @@ use std::sync::Once;
 use std::time::{Duration, SystemTime};
 
 use super::runtime_dir;
-use super::services::process;
 
 /// File mode of an incomplete segment.
 const INCOMPLETE_MODE: u32 = 0o200;
@@ -59,6 +58,11 @@ fn sweep(shared_memory: &Path, uid: u32, now: SystemTime) -> usize {
 fn ends(path: &Path) -> impl Iterator<Item = u32> {
     let name = path.file_name().and_then(|name| name.to_str()?.strip_suffix(".connection")).unwrap_or_default();
     name.rsplit('_').take(2).filter_map(|id| Some(process(id.parse().ok()?)))
+}
+
+/// Process that created a port or a node: bits 64 to 95 of its identity.
+pub(super) fn process(id: u128) -> u32 {
+    (id >> 64) as u32
 }
 
 fn runs(pid: u32) -> bool {

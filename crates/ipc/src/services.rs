@@ -330,18 +330,13 @@ fn joined<T>(robot: &RobotId, timeout: Duration, result: Result<T, IpcError>) ->
 pub(super) fn full(name: &str, service: &Commands) -> IpcError {
     let mut processes = BTreeMap::<u32, usize>::new();
     service.dynamic_config().list_clients(|details| {
-        *processes.entry(process(details.client_id.value())).or_default() += 1;
+        *processes.entry(incomplete_segments::process(details.client_id.value())).or_default() += 1;
         CallbackProgression::Continue
     });
     let each = processes.iter().map(|(process, slots)| format!("process {process} has {slots}"));
     let holders = each.collect::<Vec<_>>().join(", ");
     let port = format!("client: of {MAX_COMMAND_CLIENTS} slots ({RESERVED_OPERATORS} for operators) {holders}");
     IpcError::Full { service: name.to_string(), port }
-}
-
-/// Process that created a port or a node: bits 64 to 95 of its identity.
-pub(super) fn process(id: u128) -> u32 {
-    (id >> 64) as u32
 }
 
 /// Whether the process of a node still runs. A node that does not exist was cleaned up after its process ended.

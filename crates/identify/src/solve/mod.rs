@@ -15,26 +15,25 @@ pub mod iv;
 pub mod linear;
 pub mod noise;
 pub mod ols;
+pub(crate) mod solved;
 pub mod stack;
 pub mod tls;
 pub mod wls;
 
 use super::EstimateError;
-use super::covariance::Spread;
 use super::essential::{self, Dropped};
 use super::experiment::Experiment;
 use super::validate::{Rms, validate_parameters};
-use linear::{Fit, Weights, deviations, residual_covariance};
+use linear::{Weights, deviations, residual_covariance};
 use nalgebra::DMatrix;
 use plumbline_core::{parallel, threads};
 use plumbline_model::term::Column;
 use plumbline_model::{Conditions, Structure, conditions, friction_columns};
 use serde::{Deserialize, Serialize};
+pub use solved::Outcome;
+use solved::Solved;
 use stack::Stack;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
-
-/// Share of a parameter in undetermined directions above which it is undetermined.
-const UNDETERMINED_SHARE: f64 = 1e-3;
 
 /// Estimator.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -90,15 +89,6 @@ pub struct Options {
     pub estimator: Estimator,
     /// Whether insignificant parameters are eliminated, [`essential`].
     pub essential: bool,
-}
-
-/// Outcome of an iteration.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome {
-    /// Solved directly, or the weights converged.
-    Settled,
-    /// The weights did not converge; the parameters are those of the last round.
-    Unconverged,
 }
 
 /// Parameter that the data does not determine.
@@ -217,30 +207,6 @@ pub fn identify_with(
         (whole, every, Vec::new())
     };
     finish(structure, experiments, options.estimator, &stack, solved, &kept, dropped)
-}
-
-/// Result of every estimator.
-#[derive(Clone, Debug)]
-pub struct Solved {
-    /// Linear estimate of the parameters.
-    pub fit: Fit,
-    /// Covariance of the parameters.
-    pub spread: Spread,
-    /// Standard deviation used as weight of each joint \[Nm\].
-    pub sigma: Vec<f64>,
-    /// Weight of each equation.
-    pub row_weights: Option<Vec<f64>>,
-    /// Rounds of weights.
-    pub rounds: usize,
-    /// Outcome of the iteration.
-    pub outcome: Outcome,
-}
-
-impl Solved {
-    /// Whether parameter `c` is determined.
-    pub fn determined(&self, c: usize) -> bool {
-        self.fit.null_share[c] <= UNDETERMINED_SHARE
-    }
 }
 
 /// One estimator with the noise data of its experiments.
