@@ -152,8 +152,7 @@ fn a_daemon_that_was_stopped_and_goes_on_has_skipped_and_counted_what_it_slept_t
         std::thread::sleep(Duration::from_millis(200));
     }
     assert!(daemon.runs(), "the daemon ended by itself: {}", daemon.end().said());
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
+    let done = place.quit(daemon);
     let [periods, cycles, skipped, clock] = account(&done);
     assert_eq!((periods, clock), (cycles + skipped, periods), "{}", done.said());
     assert!(skipped >= 3 * 290, "{skipped} skipped in three stalls of 300 ms\n{}", done.said());

@@ -236,17 +236,3 @@ pub(super) fn digits(value: f64) -> String {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn parameters_of_effects_are_counted_apart_from_base_parameters() {
-        let term = |term: &str, count| TermCount { term: term.into(), count };
-        let terms = vec![term("rigid-body", 45), term("friction", 14)];
-        let base = Base { kind: "GBS".into(), count: 59, effects: 1, terms, ..Base::default() };
-        assert_eq!(counts(&base), "59 base parameters (GBS: 45 rigid body, 14 friction), and 1 of effects");
-        assert!(counts(&Base { effects: 0, ..base }).ends_with("14 friction)"));
-    }
-}

@@ -226,8 +226,7 @@ fn a_tilt_turns_the_models_gravity_between_two_cycles_at_a_bounded_rate() {
     bus.tilt([1.0, 0.0], 3.0);
     becomes(&place, "the model again", |gravity| gravity.refused.is_none());
     settles(&mut client, "its torque again", |message| message.model != 0);
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
 }
 
 /// A base at 2 deg whose sensor is unplugged, and plugged in again.
@@ -251,8 +250,7 @@ fn loss(test: &str, on_loss: &str, while_gone: impl Fn(&Place, &mut FeedForwardC
     settles(&mut client, "the measured 2 deg again", |message| {
         message.model != 0 && (tilt_of(message) - 2.0).abs() < 0.15
     });
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
+    let done = place.quit(daemon);
     assert!(done.err.contains("is lost") && done.err.contains("inclinometer is simulated"), "{}", done.said());
 }
 
@@ -280,8 +278,7 @@ fn a_loss_in_mid_motion_stops_the_arm_and_the_recording_says_why() {
     wait_for("the stop", || {
         place.status().filter(|now| now.progress == Progress::Stopped && now.phase == Phase::Stopped)
     });
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
+    let done = place.quit(daemon);
     assert!(done.err.contains("the arm is being stopped: ") && done.err.contains("inclinometer"), "{}", done.said());
     let dir = place.out().join("flight");
     let files: Vec<_> = std::fs::read_dir(&dir).unwrap().map(|entry| entry.unwrap().path()).collect();

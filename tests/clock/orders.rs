@@ -2,7 +2,7 @@
 
 use plumbline_core::Phase;
 use plumbline_franka::wire::Protocol;
-use plumbline_ipc::{Client, Progress, Proposal, Request, Response, RobotId};
+use plumbline_ipc::{Client, Proposal, Request, Response, RobotId};
 use plumbline_testkit::emulator;
 use plumbline_testkit::job::*;
 use std::net::{IpAddr, Ipv4Addr};
@@ -11,8 +11,6 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-const SETS: [&str; 4] =
-    ["backend.pace=wall-clock", "realtime.lock-memory=false", "safety.max-lost=1000", "excitation.periods=100"];
 /// Some user who is not root.
 const SOMEBODY: u32 = 4242;
 
@@ -27,10 +25,9 @@ fn is_root() -> bool {
 #[test]
 fn resume_while_braking_is_refused_and_works_at_rest() {
     let place = Place::new("resume");
-    let daemon = Running::start(place.job("daemon", &short(&SETS)));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&short(&LONG_ON_CLOCK));
     place.command("start").expect_code(0);
-    wait_for("motion", || place.status().filter(|now| now.progress == Progress::Driving && now.phase == Phase::Excite));
+    place.await_excitation();
     std::thread::sleep(Duration::from_millis(600));
     let robot = RobotId::parse("test", "robot", &place.id).unwrap();
     let mut client = Client::connect(&robot, PATIENCE).unwrap();
@@ -51,8 +48,7 @@ fn resume_while_braking_is_refused_and_works_at_rest() {
     wait_for("the hold", || place.status().filter(|now| now.phase == Phase::Hold));
     let again = place.command("resume").expect_code(1);
     assert!(again.err.contains("nothing waits"), "{}", again.said());
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
+    let done = place.quit(daemon);
     // Every order that was carried out is logged with its sender: this process, and the ones of the command line.
     let user = rustix::process::getuid().as_raw();
     for order in ["stop", "resume"] {
@@ -71,8 +67,7 @@ fn resume_while_braking_is_refused_and_works_at_rest() {
 #[test]
 fn an_order_with_a_model_is_logged_by_its_own_name() {
     let place = Place::new("orders-model");
-    let daemon = Running::start(place.job("daemon", &short(&SETS)));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&short(&LONG_ON_CLOCK));
     let robot = RobotId::parse("test", "robot", &place.id).unwrap();
     let mut client = Client::connect(&robot, PATIENCE).unwrap();
     let toml = std::fs::read_to_string("config/models/panda-paper-table3.toml").unwrap();
@@ -85,8 +80,7 @@ fn an_order_with_a_model_is_logged_by_its_own_name() {
             "{name} was answered with {answer:?}"
         );
     }
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
+    let done = place.quit(daemon);
     for name in ["offer-model", "propose-model"] {
         let line = format!("`{name}` from process {} (", std::process::id());
         assert_eq!(done.err.matches(&line).count(), 1, "{name}: {}", done.said());
@@ -96,13 +90,11 @@ fn an_order_with_a_model_is_logged_by_its_own_name() {
 #[test]
 fn a_held_lock_is_a_failed_job_and_no_bad_input() {
     let place = Place::new("held");
-    let daemon = Running::start(place.job("daemon", &short(&SETS)));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&short(&LONG_ON_CLOCK));
     // 2 would keep the service down after the lock has passed (RestartPreventExitStatus).
-    let second = Done::of(place.job("daemon", &short(&SETS))).expect_code(1);
+    let second = Done::of(place.job("daemon", &short(&LONG_ON_CLOCK))).expect_code(1);
     assert!(second.err.contains(&format!("process {}", daemon.pid())), "{}", second.said());
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
     for unit in ["systemd/plumbline.service", "systemd/plumbline-estimator.service"] {
         let unit = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(unit)).unwrap();
         assert!(unit.contains("Restart=on-failure\n") && unit.contains("RestartPreventExitStatus=2\n"), "{unit}");
@@ -190,8 +182,7 @@ fn a_plan_that_somebody_else_can_change_moves_no_arm_of_a_service() {
     // Root's own is taken.
     let daemon = Running::start(job_of_root(&kept, &[]));
     wait_for("the daemon", || kept.status());
-    kept.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    kept.quit(daemon);
 }
 
 #[test]
@@ -257,7 +248,7 @@ fn a_torque_from_before_a_suspend_is_stale() {
         return eprintln!("SKIPPED: this machine lets nobody make a time namespace");
     }
     let place = Place::new("suspend");
-    let daemon = Running::start(place.job("daemon", &short(&SETS)));
+    let daemon = Running::start(place.job("daemon", &short(&LONG_ON_CLOCK)));
     wait_for("the daemon", || place.status().filter(|now| now.cycles > 100));
     let torque = ["torque", "--robot", &place.id, "--count", "1"];
     let line = Done::of({
@@ -274,6 +265,5 @@ fn a_torque_from_before_a_suspend_is_stale() {
     let line = Done::of(command).expect_code(0).out;
     let age: f64 = line.split("age").nth(1).and_then(|rest| rest.split_whitespace().next()?.parse().ok()).expect(&line);
     assert!(age < 10_000.0, "{line}");
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
 }

@@ -91,8 +91,7 @@ fn a_systemd_that_has_died_does_not_hold_up_the_daemon() {
     let cycles = || place.status().map(|status| status.cycles);
     // A beat per 5 ms: in this time a few hundred, many more than a socket holds.
     wait_for("two seconds of cycles", || cycles().filter(|&cycles| cycles > 2_000));
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
 }
 
 #[test]
@@ -127,8 +126,7 @@ fn a_restarted_daemon_only_holds() {
         }
         wait_for("cycles", || (status()?.cycles > 100).then_some(()));
     }
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
 }
 
 #[test]
@@ -143,8 +141,7 @@ fn an_estimator_is_ready_before_there_is_a_daemon_and_survives_its_end() {
     if !daemon.runs() {
         panic!("the daemon has ended: {}", daemon.end().said());
     }
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
     assert!(estimator.runs());
     signal(estimator.pid(), "TERM");
     estimator.end();

@@ -102,8 +102,7 @@ fn hold<T>(test: &str, beside: impl FnOnce(&Place) -> T, during: impl FnOnce(&Pl
     std::thread::sleep(HELD.saturating_sub(begin.elapsed()));
     assert!(daemon.runs(), "the daemon ended by itself: {}", daemon.end().said());
     let last = wait_for("an answer", || place.status());
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
+    let done = place.quit(daemon);
     drop(others);
     (done, last)
 }

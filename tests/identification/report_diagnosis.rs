@@ -239,30 +239,6 @@ fn one_effect_is_in_the_first_line() {
 }
 
 #[test]
-fn several_effects_are_listed() {
-    let mut diagnosis = diagnosed();
-    let offset = Effect {
-        id: "torque-offset".into(),
-        joints: vec![1],
-        parameters: Parameters(vec![parameter("offset1", 0.31, 0.004, "Nm")]),
-        folds: Folds::default(),
-        confirmed: false,
-        ..presliding(1)
-    };
-    let coupling = Effect { id: "transmission-coupling".into(), joints: vec![6, 5], in_model: false, ..presliding(6) };
-    diagnosis.effects.extend([offset, coupling]);
-    diagnosis.confirmation = Some(Confirmation::OneTrajectory);
-    let lines = said(diagnosis);
-    assert_eq!(lines[0], "diagnosis: 3 effects found");
-    assert!(lines[1].starts_with("- presliding in joint 4 (delta 2.1"), "{}", lines[1]);
-    assert_eq!(lines[2], "- torque offset in joint 1 (offset1 0.310 +- 0.004 Nm), unconfirmed (one trajectory)");
-    assert!(
-        lines[3].starts_with("- transmission coupling in joints 6 and 5 (")
-            && lines[3].ends_with("; not added to the model")
-    );
-}
-
-#[test]
 fn non_numeric_values() {
     let mut diagnosis = diagnosed();
     diagnosis.verdict = Verdict::NothingSignificant;
@@ -327,36 +303,6 @@ fn what_stays_unexplained_is_said_with_what_it_depends_on() {
     assert_eq!(lines[2], "- joint 5 has a residual beyond its noise for which no dependence was found; line at 7.3 Hz");
     diagnosis.unexplained.clear();
     assert_eq!(said(diagnosis)[0], "diagnosis: unexplained");
-}
-
-#[test]
-fn partly_explained_names_both_sides() {
-    let mut diagnosis = diagnosed();
-    diagnosis.verdict = Verdict::Partly;
-    diagnosis.unexplained = vec![unexplained()];
-    diagnosis.after.validate_rms[1] = 0.19;
-    let lines = said(diagnosis);
-    assert_eq!(lines[0], "diagnosis: partly explained: 1 effect, 1 joint unexplained");
-    assert!(lines[1].starts_with("- presliding in joint 4") && lines[2].starts_with("- joint 2 has 0.110 Nm"));
-    assert_eq!(
-        lines[3],
-        "error on unseen runs, worst joint (4): 0.320 -> 0.150 Nm (noise floor 0.149); worst now (2): 0.190 (noise floor 0.151)"
-    );
-}
-
-#[test]
-fn a_withheld_effect_does_not_change_the_error() {
-    let mut diagnosis = diagnosed();
-    diagnosis.verdict = Verdict::Unexplained;
-    diagnosis.effects[0].in_model = false;
-    diagnosis.effects[0].folds = Folds { positive: 1, informative: 4 };
-    diagnosis.effects[0].confirmed = false;
-    let lines = said(diagnosis);
-    assert!(lines[0].ends_with("unconfirmed (held in 1 of 4 trajectories); not added to the model"), "{}", lines[0]);
-    assert_eq!(
-        lines[1],
-        "error on unseen runs, worst joint (4): 0.320 Nm (noise floor 0.149); no effect was added to the model"
-    );
 }
 
 #[test]

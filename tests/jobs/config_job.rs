@@ -63,19 +63,6 @@ fn quantities_are_read_in_their_units() {
 }
 
 #[test]
-fn a_gravity_direction_without_a_unit_is_refused_as_such() {
-    for rho in ["1.5708", "90", "\"90\""] {
-        let said = refusal(&LEAST.replace("\"wall\"", &format!("{{ rho = {rho}, phi = \"0 deg\" }}")), &[]);
-        assert!(said.starts_with("conf/job.toml: line 2, key `mounting.rho`: got `"), "{said}");
-        assert!(said.contains("an angle with its unit"), "{said}");
-    }
-    let said = refusal(&LEAST.replace("\"wall\"", "1.57"), &[]);
-    assert!(said.contains("key `mounting`: got `1.57`") && said.contains("needs a unit"), "{said}");
-    let said = refusal(LEAST, &["mounting={ rho = 1.57, phi = \"0 deg\" }"]);
-    assert!(said.starts_with("--set mounting=") && said.contains("needs a unit"), "{said}");
-}
-
-#[test]
 fn every_bad_value_is_named() {
     let cases = [
         (

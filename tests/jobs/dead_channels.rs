@@ -124,16 +124,14 @@ fn a_job_of_an_arm_with_dead_torque_sensors_ends() {
 fn an_arm_without_a_model_is_stopped() {
     let place = Place::new("no-model");
     let sets = short(&["safety.model-timeout=2 s"]);
-    let daemon = Running::start(place.job("daemon", &sets));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&sets);
     // No estimator.
     place.command("start").expect_code(0);
     wait_for("the wait for a model", || place.status().filter(|now| now.progress == Progress::AwaitingModel));
     let status = wait_for("the stop", || place.status().filter(|now| now.progress == Progress::Stopped));
     let why = status.stopped.unwrap();
     assert!(why.contains("no model within 2 s (safety.model-timeout)"), "{why}");
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
+    let done = place.quit(daemon);
     assert!(done.err.contains("the arm is being stopped: the estimator gave no model"), "{}", done.said());
 }
 

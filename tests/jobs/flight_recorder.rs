@@ -152,8 +152,7 @@ fn an_estimator_that_is_gone_a_recording_on_demand_and_an_end_that_is_none() {
 
     // A program that is asked to end leaves none.
     let place = Place::new("flight-quit");
-    let daemon = Running::start(place.job("daemon", &short(&[SPAN])));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&short(&[SPAN]));
     let refused = place.command("record").expect_code(1);
     assert!(refused.err.contains("nothing to record"), "{}", refused.said());
     place.command("start").expect_code(0);
@@ -197,8 +196,7 @@ fn a_kill_during_a_write_leaves_complete_files_and_old_ones_are_removed() {
     let dir = place.out().join("flight");
     for round in 0..4 {
         let sets = ["excitation.periods=500", "recorder.span=1 s", "recorder.keep-on-demand=2"];
-        let daemon = Running::start(place.job("daemon", &short(&sets)));
-        wait_for("the daemon", || place.status());
+        let daemon = place.daemon(&short(&sets));
         place.command("start").expect_code(0);
         wait_for("the motion", || (place.status()?.cycles > 2_000).then_some(()));
         for _ in 0..1 + round % 2 {
@@ -223,8 +221,7 @@ fn many_requests_remove_no_fault_recording_and_delay_no_shutdown() {
     let place = Place::new("flight-flood");
     let dir = place.out().join("flight");
     let sets = [SPAN, "safety.tracking-error=0.1 deg", "recorder.keep=1", "recorder.keep-on-demand=1"];
-    let daemon = Running::start(place.job("daemon", &short(&sets)));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&short(&sets));
     place.command("start").expect_code(0);
     let fault = wait_for("the recording of the stop", || recordings(&dir).first().cloned());
     let robot = RobotId::parse("test", "robot", &place.id).unwrap();
@@ -262,8 +259,7 @@ fn stops_of_an_arm_at_rest_leave_no_recordings() {
         place.command("stop").expect_code(0);
         wait_for("permission", || (place.command("resume").code == Some(0)).then_some(()));
     }
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
     assert!(recordings(&place.out().join("flight")).is_empty());
 }
 

@@ -80,8 +80,7 @@ fn whoever_follows_and_takes_leave_in_mid_motion_is_lost_too() {
     let _turn = JOBS.take();
     let place = Place::new("leave");
     let sets = ["backend.pace=wall-clock", "safety.max-lost=1000", "safety.on-estimator-loss=stop"];
-    let daemon = Running::start(place.job("daemon", &short(&sets)));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&short(&sets));
     let robot = RobotId::parse("test", "robot", &place.id).unwrap();
     let mut stream = SampleStream::connect(&robot, StreamSettings::default(), PATIENCE).unwrap();
     place.command("start").expect_code(0);
@@ -92,8 +91,7 @@ fn whoever_follows_and_takes_leave_in_mid_motion_is_lost_too() {
     // As an estimator whose disk is full does: it ends with an error, and says goodbye.
     drop(stream);
     wait_for("the stop", || place.status().filter(|now| now.progress == Progress::Stopped));
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
+    let done = place.quit(daemon);
     assert!(done.err.contains("by safety.on-estimator-loss, the arm stops"), "{}", done.said());
     nobody_lingers(&place);
 }
@@ -105,8 +103,7 @@ fn an_estimator_service_waits_after_unusable_data() {
     // One second, for a filter that needs eight.
     let sets =
         ["excitation.period=1 s", "excitation.periods=1", "excitation.lead-in=0", "estimator.torque-cutoff=0.1 Hz"];
-    let daemon = Running::start(place.job("daemon", &short(&sets)));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&short(&sets));
     let mut estimator = Running::start(place.job("estimator", &short(&sets)));
     place.command("start").expect_code(0);
     wait_for("the wait for a model", || place.status().filter(|now| now.progress == Progress::AwaitingModel));
@@ -115,8 +112,7 @@ fn an_estimator_service_waits_after_unusable_data() {
     signal(estimator.pid(), "TERM");
     let done = estimator.end();
     assert!(done.err.contains("no results: ") && done.err.contains("expected at least"), "{}", done.said());
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
     nobody_lingers(&place);
 }
 
@@ -152,30 +148,6 @@ fn an_interrupt_ends_everything() {
 }
 
 #[test]
-fn a_stop_is_in_force_until_resume() {
-    let _turn = JOBS.take();
-    let place = Place::new("stop-stands");
-    let daemon = Running::start(place.job("daemon", &short(&["backend.pace=wall-clock", "safety.max-lost=1000"])));
-    wait_for("the loop", || place.status().filter(|now| now.cycles > 100));
-    // While the arm only holds, too: a new connection would know nothing of the stop.
-    place.command("stop").expect_code(0);
-    let refused = place.command("start").expect_code(1);
-    assert!(refused.err.contains("plumbline command resume"), "{}", refused.said());
-    wait_for("the stop", || place.status().filter(|now| now.phase == Phase::Stopped));
-    place.command("start").expect_code(1);
-    place.command("resume").expect_code(0);
-    place.command("start").expect_code(0);
-    wait_for("motion", || place.status().filter(|now| now.progress == Progress::Driving && now.phase == Phase::Excite));
-    place.command("stop").expect_code(0);
-    wait_for("the stop", || place.status().filter(|now| now.progress == Progress::Stopped));
-    let refused = place.command("start").expect_code(1);
-    assert!(refused.err.contains("started before"), "{}", refused.said());
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
-    nobody_lingers(&place);
-}
-
-#[test]
 fn a_daemon_accepts_valid_requests_and_refuses_others() {
     let _turn = JOBS.take();
     let place = Place::new("orders");
@@ -198,8 +170,7 @@ fn a_daemon_accepts_valid_requests_and_refuses_others() {
     wait_for("motion", || (place.status()?.cycles > 0).then_some(()));
     let again = place.command("start").expect_code(1);
     assert!(again.err.contains("started before"), "{}", again.said());
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
     nobody_lingers(&place);
 
     let gone = place.command("status").expect_code(1);

@@ -114,6 +114,5 @@ fn who_is_asked_decides() {
     assert_eq!(now["model"], offered["model"]);
     assert!(now["offered"].is_null());
     assert_eq!(place.command("reject").code, Some(1), "nothing is held any more");
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
 }

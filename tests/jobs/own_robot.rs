@@ -153,8 +153,7 @@ fn the_daemon_takes_its_model() {
     let daemon = Running::start(job("0.316"));
     let status = wait_for("the daemon", || place.status());
     assert!(status.model != 0, "{status:?}");
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
     let done = Done::of(job("0.416")).expect_code(2);
     assert!(done.err.contains("another `own-arm`") && done.err.contains("which this daemon drives"), "{}", done.said());
 }

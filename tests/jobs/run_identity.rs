@@ -46,8 +46,7 @@ fn no_daemon_starts_during_the_planning_of_a_run() {
     // The lock goes with its process.
     let daemon = Running::start(other_daemon(&place));
     wait_for("the daemon", || place.status());
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
 }
 
 #[test]

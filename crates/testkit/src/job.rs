@@ -11,7 +11,8 @@ use std::time::{Duration, Instant};
 
 use nalgebra::DVector;
 use plumbline::report::Report;
-use plumbline_ipc::Status;
+use plumbline_core::Phase;
+use plumbline_ipc::{Progress, Status};
 use plumbline_model::{Reduction, Robot};
 use plumbline_sim::Truth;
 use tempfile::TempDir;
@@ -130,6 +131,28 @@ impl Place {
         (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
     }
 
+    /// A daemon with these overrides that answers.
+    #[track_caller]
+    pub fn daemon(&self, sets: &[&str]) -> Running {
+        let daemon = Running::start(self.job("daemon", sets));
+        wait_for("the daemon", || self.status());
+        daemon
+    }
+
+    /// Waits until the arm moves along the excitation.
+    #[track_caller]
+    pub fn await_excitation(&self) {
+        let moves = |now: &Status| now.progress == Progress::Driving && now.phase == Phase::Excite;
+        wait_for("motion", || self.status().filter(moves));
+    }
+
+    /// Ends the daemon by command.
+    #[track_caller]
+    pub fn quit(&self, daemon: Running) -> Done {
+        self.command("quit").expect_code(0);
+        daemon.end().expect_code(0)
+    }
+
     pub fn report(&self) -> Report {
         let text = std::fs::read_to_string(self.out().join("report.json")).unwrap();
         serde_json::from_str(&text).unwrap()
@@ -165,6 +188,10 @@ impl Drop for Place {
         PLANS.lock().unwrap().entry(key).or_insert_with(|| files.collect());
     }
 }
+
+/// A motion of many minutes at the pace of the clock; a test machine that stalls does not end it.
+pub const LONG_ON_CLOCK: [&str; 4] =
+    ["backend.pace=wall-clock", "realtime.lock-memory=false", "safety.max-lost=1000", "excitation.periods=100"];
 
 /// `SHORT` with more overrides behind it.
 pub fn short<'a>(more: &[&'a str]) -> Vec<&'a str> {

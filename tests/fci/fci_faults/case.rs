@@ -22,8 +22,6 @@ pub enum Trouble {
     UserStop,
     /// Somebody runs into the arm. Before a connection: another program has left it in a reflex.
     Reflex,
-    /// Somebody does something else to the arm.
-    Hand(Hand),
     None,
 }
 
@@ -129,7 +127,6 @@ impl Case {
             }),
             Trouble::UserStop => emulator.hand(Hand::UserStop),
             Trouble::Reflex => emulator.hand(Hand::Push),
-            Trouble::Hand(hand) => emulator.hand(hand),
             Trouble::None => {}
         }
     }
