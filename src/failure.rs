@@ -17,7 +17,6 @@ impl Failure {
         Failure::Job(what.to_string())
     }
 
-    /// The exit code of the process.
     pub fn code(&self) -> u8 {
         match self {
             Failure::Input(_) => 2,

@@ -24,7 +24,6 @@ static ALLOCATOR: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisable
 /// Two simulators at once are too much for a small machine.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
-/// An address of this process's own.
 fn address(number: u8) -> String {
     format!("127.77.{}.{number}", std::process::id() % 250)
 }

@@ -14,7 +14,6 @@ use std::process::{Command, ExitStatus};
 #[global_allocator]
 static WATCH: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
 
-/// Which run a program of its own makes.
 const RUN: &str = "PLUMBLINE_TEST_SEALED_RUN";
 const SIGSYS: i32 = 31;
 /// An emulated robot may stop by itself where this machine stalls; one run of so many must come through.

@@ -46,7 +46,6 @@ pub fn line(case: &Case, judged: &Judged) -> String {
     )
 }
 
-/// Whether the answer was as it should be.
 fn good(case: &Case, judged: &Judged) -> bool {
     match case.what {
         What::None => judged.found.is_empty() && judged.verdict == Verdict::NothingSignificant,

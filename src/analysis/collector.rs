@@ -5,7 +5,6 @@ use crate::setup::programme::{Motion, Programme, Role};
 use nalgebra::DMatrix;
 use plumbline_core::{JointVec, Phase, Record};
 
-/// A recorded motion of the programme.
 #[derive(Clone, Debug)]
 pub struct Recorded {
     pub number: u32,
@@ -26,11 +25,9 @@ pub struct Collector {
     gap: bool,
 }
 
-/// The motion that is being recorded.
 struct Present {
     motion: Motion,
     records: Vec<Record>,
-    /// Records of this motion are missing.
     broken: bool,
 }
 

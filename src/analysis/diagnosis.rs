@@ -17,9 +17,7 @@ pub struct Question<'a> {
     pub robot: &'a Robot,
     pub structure: &'a Structure,
     pub identify: &'a [&'a Run],
-    /// Runs that nothing is fitted to.
     pub unseen: &'a [&'a Run],
-    /// How runs are made ready.
     pub settings: &'a Settings,
     pub options: &'a solve::Options,
     pub diagnosis: &'a plumbline_diagnose::Settings,

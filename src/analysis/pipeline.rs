@@ -18,7 +18,6 @@ pub struct Identified {
     pub identification: Identification,
 }
 
-/// Errors of a model on one run.
 pub struct Judged {
     /// Errors, raw and filtered.
     pub rms: Rms,
@@ -120,7 +119,6 @@ pub fn for_estimator(runs: &[&Run], settings: &Settings, options: &solve::Option
     parallel(runs, threads(), prepare).into_iter().collect()
 }
 
-/// Identifies a model from runs of one arm.
 pub fn identify(
     robot: &Robot,
     runs: &[&Run],

@@ -88,7 +88,6 @@ impl Results {
         self.model.as_ref().zip(self.runs(Role::Identify).first().copied())
     }
 
-    /// Adds a note to the report.
     pub fn note(&mut self, note: String) {
         self.notes.push(note);
     }

@@ -31,7 +31,6 @@ pub struct Reference<'a> {
     /// Its noise floor, per joint; may be empty \[Nm\].
     pub noise_floor: &'a [f64],
     pub session: u32,
-    /// How runs are made ready.
     pub settings: &'a Settings,
     pub diagnosis: &'a plumbline_diagnose::Settings,
 }

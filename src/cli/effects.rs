@@ -67,7 +67,6 @@ fn equation_label(form: &Form) -> String {
     if form.name.is_empty() { "torque".into() } else { form.name.into() }
 }
 
-/// Whether the exported C function has it.
 fn in_c(of: InC) -> String {
     match of {
         InC::Columns(_) | InC::Entries => "yes".into(),

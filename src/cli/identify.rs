@@ -115,7 +115,6 @@ pub(super) struct Outcome<'a> {
     /// Validation runs with the model's errors.
     pub judged: Vec<(&'a Run, Judged)>,
     pub mounting: Mounting,
-    /// Hash of the dataset's content.
     pub hash: String,
     pub settings: &'a Settings,
 }

@@ -72,7 +72,6 @@ pub fn run(options: Options) -> Result<(), Failure> {
     summarise(&out)
 }
 
-/// Runs the programme to its end.
 fn drive(
     id: &RobotId,
     job: &JobOptions,

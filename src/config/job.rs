@@ -26,16 +26,13 @@ pub struct Job {
     pub file: PathBuf,
     /// A shipped robot (`panda`), or the path of a robot description.
     pub robot: String,
-    /// How the base is mounted during identification.
     #[serde(deserialize_with = "units::mounting")]
     pub mounting: Mounting,
     pub backend: Backend,
-    /// The motion that parameters are identified from.
     #[serde(default)]
     pub excitation: Excitation,
     #[serde(default)]
     pub validation: Validation,
-    /// Use of the arm's limits.
     #[serde(default)]
     pub limits: Limits,
     /// Workspace of the end effector; the robot's if absent.
@@ -44,24 +41,19 @@ pub struct Job {
     /// Signal processing before the least squares.
     #[serde(default)]
     pub estimator: Estimator,
-    /// Diagnosis of effects that the model lacks.
     #[serde(default)]
     pub diagnosis: Diagnosis,
     /// Real-time rights of the loop's thread.
     #[serde(default)]
     pub realtime: Realtime,
-    /// Conditions of a controlled stop.
     #[serde(default)]
     pub safety: Safety,
     #[serde(default)]
     pub inclinometer: Option<Inclinometer>,
-    /// Check of the mounting before anything is served.
     #[serde(default)]
     pub mounting_check: MountingCheck,
-    /// The served feed-forward torque.
     #[serde(default)]
     pub serve: Serve,
-    /// Live watch of the served model.
     #[serde(default)]
     pub live: Live,
     #[serde(default)]
@@ -70,7 +62,6 @@ pub struct Job {
     pub output: Output,
 }
 
-/// Diagnosis of effects that the model lacks.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Diagnosis {
@@ -100,7 +91,6 @@ pub struct Backend {
     /// Whether simulated time follows the clock.
     #[serde(default)]
     pub pace: Pace,
-    /// Seed of the simulated noise and losses.
     #[serde(default = "default_seed")]
     pub seed: u64,
     /// Pose that the arm returns to, and that a simulated one starts in; the middle of every joint's range where absent \[rad\].
@@ -129,7 +119,6 @@ pub enum Pace {
     /// As fast as possible, without losing a sample.
     #[default]
     Fast,
-    /// One cycle per millisecond of the clock.
     WallClock,
 }
 
@@ -196,7 +185,6 @@ pub struct Excitation {
     /// Periods driven before those, while transients die out.
     pub lead_in: usize,
     pub criterion: Criterion,
-    /// Random starting motions of the search.
     pub starts: usize,
     /// Rounds in which the best motions are perturbed and optimised again.
     pub rounds: usize,
@@ -342,12 +330,9 @@ pub struct Estimator {
 pub struct Realtime {
     /// SCHED_FIFO priority from 1 to 99, or 0 for ordinary scheduling.
     pub priority: u8,
-    /// Processor that the loop is pinned to.
     pub cpu: Option<usize>,
     pub lock_memory: bool,
-    /// Whether the kernel should be a PREEMPT_RT one.
     pub preempt_rt: bool,
-    /// Action if a right is refused.
     pub on_refusal: OnRefusal,
 }
 
@@ -368,7 +353,6 @@ impl Default for Realtime {
     }
 }
 
-/// Conditions of a controlled stop.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Safety {
@@ -432,7 +416,6 @@ impl Default for Live {
     }
 }
 
-/// Decision on a proposed model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Adopt {

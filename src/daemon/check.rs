@@ -33,7 +33,6 @@ pub enum Checked {
     /// Serve this model in place of the present one, or hold it.
     Proposed(Box<Accepted>, Proposal),
     Other(Request),
-    /// No model that this daemon can serve.
     Refused(Response),
     Garbled(Response),
 }
@@ -51,7 +50,6 @@ impl Checked {
     }
 }
 
-/// A heavy request that was checked.
 pub struct Answerable {
     pub ticket: Ticket,
     /// Its [`Request::order`]; `None` where it could not be read.

@@ -8,14 +8,12 @@ use std::sync::Arc;
 /// What the daemon is started with. Nothing of it changes.
 pub struct JobSetup {
     pub job: Job,
-    /// The arm's description.
     pub robot: Robot,
     pub arm: Arc<dyn ArmConnector>,
     /// Limits of the connected arm that the programme was checked under; `None` for a simulated arm.
     pub arm_limits: Option<ArmLimits>,
     /// Where the arm starts and returns to \[rad\].
     pub rest: JointVec,
-    /// Numbers and names of the motions.
     pub names: Vec<(u32, String)>,
 }
 

@@ -49,7 +49,6 @@ pub struct Models {
     held: Option<(Accepted, Proposal)>,
     /// The model whose torque broke a limit: it is not handed to another loop.
     rejected: Option<u64>,
-    /// The last second of the arm.
     pub recent: Recent,
 }
 

@@ -24,7 +24,6 @@ struct Numbered {
 
 #[derive(Clone, Debug, Default)]
 pub struct RestPoses {
-    /// Commanded position of the present rest.
     at: Option<JointVec>,
     count: u32,
     /// Its position after it had settled \[rad\].
@@ -87,7 +86,6 @@ impl RestPoses {
         self.poses.push(Numbered { number: self.completed, pose });
     }
 
-    /// How many were completed so far.
     pub fn completed(&self) -> u64 {
         self.completed
     }

@@ -10,7 +10,6 @@ use std::collections::VecDeque;
 /// Rest before a motion starts \[ms\].
 const SETTLE: u64 = 500;
 
-/// What the daemon does after an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Next {
     Continue,
@@ -54,9 +53,7 @@ impl Planned {
 pub struct Script {
     /// Orders up to and with the motion after which the model is needed; all of them where none is.
     before: VecDeque<Planned>,
-    /// Orders that need the model.
     after: VecDeque<Planned>,
-    /// Number of the motion in between.
     barrier: Option<u32>,
 }
 
@@ -113,7 +110,6 @@ impl Script {
         })
     }
 
-    /// What follows from an event of the loop.
     pub fn after(&mut self, event: &Event) -> Next {
         match *event {
             Event::Ended { motion: RETURN } => Next::Over,

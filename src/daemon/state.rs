@@ -15,18 +15,15 @@ use plumbline_model::Mounting;
 use plumbline_rt::cycle::End;
 use plumbline_rt::{Controls, Event, StopReason};
 
-/// Progress of the job's programme.
 #[derive(Default)]
 pub struct ProgrammeState {
     pub progress: Progress,
     pub start: bool,
     /// Until when a start waits for the model's check at rest \[ns\].
     pub start_due_ns: u64,
-    /// Orders that were driven to their end.
     pub ended: Vec<u32>,
     /// Samples published when everything had been driven.
     pub driven: Option<u64>,
-    /// Recoveries of the arm without an operator.
     pub recoveries: u32,
 }
 
@@ -46,15 +43,12 @@ pub struct StopState {
 pub struct EndState {
     /// Signals, and the end of the parent process.
     pub ending: Ending,
-    /// The reason to end that was logged last.
     announced: Option<Cause>,
-    /// A request to quit was accepted.
     pub quit: bool,
 }
 
 #[derive(Default)]
 pub struct LoopHistory {
-    /// Connections to the arm that have ended.
     pub sessions: Vec<SessionStatistics>,
     /// Rights that the machine does not grant the running loop, with what to change.
     pub degraded: Vec<String>,
@@ -66,7 +60,6 @@ pub struct DaemonState {
     /// Keeps the last seconds of the loop.
     pub recorder: Recorder,
     pub setup: JobSetup,
-    /// How the arm is mounted now.
     pub mounting: Mounting,
     pub models: Models,
     pub gravity: GravityMonitor,

@@ -14,14 +14,12 @@ const PAUSE: Duration = Duration::from_millis(1);
 pub struct StopRelay {
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
-    /// Turns of the thread at the last poll.
     last_turns: u64,
 }
 
 #[derive(Default)]
 struct Shared {
     ended: AtomicBool,
-    /// Polls of the socket by the thread.
     turns: AtomicU64,
     /// There is an order that the bridge thread has not taken yet.
     pending: AtomicBool,
@@ -142,7 +140,6 @@ mod tests {
 
     const ORDER: StopOrder = StopOrder { process: 7, user: 8 };
 
-    /// A line without a thread.
     fn silent() -> StopRelay {
         StopRelay { shared: Arc::default(), thread: None, last_turns: 0 }
     }

@@ -6,7 +6,6 @@ use nalgebra::DMatrix;
 /// A quantity in the columns `STEM1` to `STEMn`.
 #[derive(Debug)]
 pub struct JointColumns {
-    /// Name without the number of the joint.
     pub stem: &'static str,
     pub unit: &'static str,
     pub purpose: &'static str,
@@ -16,7 +15,6 @@ pub struct JointColumns {
 
 pub const DESIRED_POSITIONS: JointColumns =
     JointColumns { stem: "q_d", unit: "rad", purpose: "desired positions, used by `--estimator iv`", identifies: true };
-/// Torques that the daemon served during the motion.
 pub const SERVED_TORQUES: JointColumns = JointColumns {
     stem: "tau_ff",
     unit: "Nm",

@@ -16,7 +16,6 @@ pub(super) struct Columns {
     pub extra: Vec<(String, Vec<f64>)>,
 }
 
-/// Whether a file has to hold torques.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Torque {
     Required,
@@ -55,7 +54,6 @@ pub(super) fn parse(file: &str, bytes: &[u8], torque: Torque) -> Result<Columns,
     })
 }
 
-/// Column index of each quantity.
 struct Layout {
     t: usize,
     q: Vec<usize>,

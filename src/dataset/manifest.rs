@@ -12,7 +12,6 @@ use std::path::{Component, Path};
 pub enum Role {
     /// Parameters are fitted to it.
     Identify,
-    /// The fitted model is judged by it.
     Validate,
 }
 

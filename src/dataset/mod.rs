@@ -20,7 +20,6 @@ use plumbline_core::BadInput;
 use plumbline_model::Mounting;
 use std::path::Path;
 
-/// Recorded motions of one arm.
 #[derive(Clone, Debug)]
 pub struct Dataset {
     pub name: String,
@@ -98,7 +97,6 @@ impl Dataset {
 }
 
 impl Run {
-    /// Minimum number of samples of a run.
     pub const LEAST_SAMPLES: usize = 10;
 
     /// One motion from a CSV file alone, in a given mounting; torques (in Nm) may be absent, `tau` then has no columns.
@@ -132,7 +130,6 @@ impl Run {
         Hygiene::of(self)
     }
 
-    /// The further column of this name.
     pub fn extra(&self, name: &str) -> Option<&[f64]> {
         self.extra.iter().find(|(other, _)| other == name).map(|(_, values)| values.as_slice())
     }

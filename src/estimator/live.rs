@@ -25,7 +25,6 @@ const SAMPLE_PERIOD_S: f64 = 1e-3;
 const CALIBRATION_S: f64 = 20.0;
 /// Largest speed of a joint at rest \[rad/s\].
 const REST_SPEED: f64 = 0.01;
-/// Capacity of the log for stretches.
 const MAX_LOGGED_STRETCHES: usize = 10_000;
 
 /// A model for the daemon, with the reason.
@@ -61,7 +60,6 @@ enum Event {
         t: f64,
         since: f64,
     },
-    /// A change was found and a model proposed.
     Proposed {
         t: f64,
         model: String,

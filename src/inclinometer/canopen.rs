@@ -36,7 +36,6 @@ pub const RESOLUTION: Entry = Entry(0x6000, 0);
 /// Number of the device profile in the low half of [`DEVICE_TYPE`].
 pub const PROFILE: u16 = 410;
 
-/// Index and subindex of an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entry(pub u16, pub u8);
 
@@ -46,7 +45,6 @@ impl std::fmt::Display for Entry {
     }
 }
 
-/// Width of the slope objects that are used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Width {
     /// 6010h and 6020h, integer16.
@@ -98,12 +96,10 @@ pub enum NmtCommand {
     PreOperational = 0x80,
 }
 
-/// NMT state in a node's heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NmtState {
     /// Neither process data nor SDO.
     Stopped,
-    /// Process data are sent.
     Operational,
     /// SDO only.
     PreOperational,
@@ -141,7 +137,6 @@ pub enum Value {
     U32(u32),
 }
 
-/// Response to an SDO request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reply {
     /// Value of an object of up to 4 bytes, little-endian.
@@ -176,9 +171,7 @@ pub enum Message {
         /// The error register, 1001h.
         register: u8,
     },
-    /// Process data and their length.
     Pdo([u8; 8], usize),
-    /// Response to an SDO request.
     Reply(Reply),
     /// A frame with one of the node's identifiers and an invalid content.
     Malformed,
@@ -191,12 +184,10 @@ pub fn nmt(node: u8, command: NmtCommand) -> Frame {
     Frame::new(0, &data[..2]).unwrap_or(Frame::full(0, data))
 }
 
-/// A request to read an object.
 pub fn read(node: u8, entry: Entry) -> Frame {
     sdo(node, 0x40, entry, [0; 4])
 }
 
-/// A request to write an object.
 pub fn write(node: u8, entry: Entry, value: Value) -> Frame {
     match value {
         Value::U8(v) => sdo(node, 0x2f, entry, u32::from(v).to_le_bytes()),

@@ -9,7 +9,6 @@ pub enum Fault {
     /// The device is being brought up.
     #[error("the inclinometer is being brought up")]
     Starting,
-    /// No response to an SDO request.
     #[error("node {node} does not answer a request for {entry}")]
     Unanswered { node: u8, entry: Entry },
     /// The device aborted an SDO transfer.
@@ -21,13 +20,8 @@ pub enum Fault {
     },
     #[error("the node's device type is {found:08X}h, expected profile 410 (inclinometer)")]
     NoInclinometer { found: u32 },
-    /// The serial number is not the configured one.
     #[error("the inclinometer's serial number is {found}, expected {expected}")]
-    WrongSerial {
-        found: u32,
-        /// Configured serial number.
-        expected: u32,
-    },
+    WrongSerial { found: u32, expected: u32 },
     /// The resolution is not one of CiA 410.
     #[error("the inclinometer's resolution is {found}, expected 1, 10, 100 or 1000 (in 0.001 deg)")]
     Resolution {
@@ -47,18 +41,12 @@ pub enum Fault {
     },
     /// An object reads back with another value than the written one.
     #[error("{entry} holds {found:08X}h, expected {expected:08X}h")]
-    ReadbackMismatch {
-        entry: Entry,
-        /// Value read back.
-        found: u32,
-        expected: u32,
-    },
+    ReadbackMismatch { entry: Entry, found: u32, expected: u32 },
     #[error("no heartbeat of the inclinometer for {elapsed_ms} ms")]
     NoHeartbeat {
         /// Time since the last heartbeat \[ms\].
         elapsed_ms: u64,
     },
-    /// Process data timeout.
     #[error("no slopes from the inclinometer for {elapsed_ms} ms")]
     NoSlopes {
         /// Time since the last process data \[ms\].
@@ -67,10 +55,8 @@ pub enum Fault {
     /// The device has sent a boot-up message.
     #[error("the inclinometer has restarted")]
     Restarted,
-    /// The device is no longer operational.
     #[error("the inclinometer is {state}, expected operational")]
     State { state: NmtState },
-    /// The device has sent an emergency message.
     #[error("emergency {code:04X}h of the inclinometer, error register {register:02X}h")]
     Emergency { code: u16, register: u8 },
     /// More heartbeats than one device sends.
@@ -79,7 +65,6 @@ pub enum Fault {
         count: u32,
         /// Time in which they were received \[ms\].
         passed_ms: u64,
-        /// Heartbeats of one device in this time.
         expected: u64,
     },
     /// A frame with the device's identifier and an invalid length.
@@ -87,7 +72,6 @@ pub enum Fault {
     Malformed { id: u16, length: usize },
     #[error("{}", bus_text(*.0))]
     Bus(BusState),
-    /// A slope outside the measuring range.
     #[error("slopes of {:.2} and {:.2} deg, expected at most {:.0} deg", .slopes[0].to_degrees(), .slopes[1].to_degrees(), .range.to_degrees())]
     OutOfRange {
         /// Slopes \[rad\].
@@ -101,7 +85,6 @@ pub enum Fault {
         /// Size of the step \[rad\].
         by: f64,
     },
-    /// The listener thread has ended or hangs.
     #[error("no report from the inclinometer's thread for {elapsed_ms} ms")]
     ListenerTimeout {
         /// Time since the last report \[ms\].

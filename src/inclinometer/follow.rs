@@ -9,7 +9,6 @@ use nalgebra::{Unit, UnitQuaternion, Vector3};
 use plumbline_model::{Mounting, angle_between};
 use serde::Deserialize;
 
-/// What is served while there is no reading.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OnSensorLoss {
@@ -18,7 +17,6 @@ pub enum OnSensorLoss {
     Refuse,
     /// The model with the last measured direction; the declared one if there was none.
     Hold,
-    /// The model with the declared direction.
     Declared,
 }
 
@@ -41,14 +39,12 @@ pub struct FollowSettings {
     pub step: f64,
     /// Largest rate of change of the served gravity \[rad/s\].
     pub rate: f64,
-    /// What is served without a reading.
     pub on_loss: OnSensorLoss,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
     Measured,
-    /// The last reading of the inclinometer.
     Held,
     Declared,
 }
@@ -69,7 +65,6 @@ pub enum Refusal {
     /// No reading, with `on-loss = "refuse"`.
     #[error("{0}; inclinometer.on-loss = \"refuse\"")]
     Lost(Fault),
-    /// The measured direction disagrees with the declared mounting.
     #[error(
         "the inclinometer measures {measured}, {:.2} +- {:.2} deg off the declared {declared} (at most {:.2} deg are allowed)",
         .angle.to_degrees(), .std.to_degrees(), .tolerance.to_degrees()
@@ -111,7 +106,6 @@ pub struct Follower {
 }
 
 impl Follower {
-    /// A follower at the declared direction.
     pub fn new(settings: FollowSettings) -> Follower {
         Follower { settings, served: settings.declared.gravity(), last: None, last_change: None }
     }

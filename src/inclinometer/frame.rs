@@ -39,7 +39,6 @@ pub enum BusState {
     Passive,
     /// Bus-off: an error counter is above 255, and the controller is disconnected.
     Off,
-    /// The interface is down or missing.
     Down,
     /// The transmit queue is full (ENOBUFS), as it is when no node acknowledges.
     Blocked,

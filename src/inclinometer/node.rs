@@ -91,7 +91,6 @@ enum Stage {
     Up,
 }
 
-/// State machine of one device.
 #[derive(Clone, Debug)]
 pub struct Node {
     settings: NodeSettings,
@@ -432,7 +431,6 @@ impl Node {
         }
     }
 
-    /// Stores or checks a value that was read.
     fn check(&mut self, number: usize, entry: Entry, found: u32) -> Result<(), Fault> {
         let expect = |expected: u32| match found == expected {
             true => Ok(()),

@@ -90,7 +90,6 @@ impl Sensor {
         self.node.transmit()
     }
 
-    /// The next event for the log.
     pub fn event(&mut self) -> Option<SensorEvent> {
         self.events.pop_front()
     }

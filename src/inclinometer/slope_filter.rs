@@ -34,7 +34,6 @@ pub struct FilteredSlopes {
     pub still: bool,
 }
 
-/// A low-pass of both slopes.
 #[derive(Clone, Debug)]
 pub struct SlopeFilter {
     settings: SlopeFilterSettings,

@@ -35,13 +35,10 @@ const REPORT_TIMEOUT_NS: u64 = 500_000_000;
 /// Time without an error frame after which the controller counts as error-active again \[ns\].
 const RECOVERY_TIME_NS: u64 = 1_000_000_000;
 
-/// The interface can't be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum ListenError {
-    /// There is no such interface, or it is not a CAN interface.
     #[error("CAN interface `{interface}` can't be opened: {error}")]
     Open { interface: String, error: Error },
-    /// The thread could not be started.
     #[error("the thread of the inclinometer can't be started: {0}")]
     Thread(Error),
 }
@@ -69,7 +66,6 @@ impl LatestReport {
     }
 }
 
-/// Handle of the thread that reads the inclinometer.
 pub struct Listener {
     latest: LatestReport,
     last: Report,

@@ -20,7 +20,6 @@ use std::net::IpAddr;
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Requirements {
-    /// Rights of the loop's thread.
     pub rights: Rights,
     pub robot: Option<IpAddr>,
 }

@@ -23,7 +23,6 @@ impl Tree {
         Some(fs::read_to_string(self.0.join(path)).ok()?.trim().to_string())
     }
 
-    /// A file that holds one number.
     pub fn number(&self, path: impl AsRef<Path>) -> Option<i64> {
         self.read(path)?.parse().ok()
     }

@@ -14,18 +14,15 @@ pub struct Facts {
     pub file: String,
     pub robot: String,
     pub mounting: String,
-    /// Version of the program that recorded it.
     pub plumbline: String,
     /// When it was recorded, UTC.
     pub recorded: String,
-    /// Job file and the start of its hash.
     pub job: String,
     /// Last served model, in hexadecimal.
     pub model: Option<String>,
     pub kind: ReasonKind,
     pub reason: String,
     pub end: Option<String>,
-    /// Motion and phase at the event.
     pub during: Option<String>,
     pub first_limit: Option<LimitViolation>,
     pub stop: Option<Stop>,
@@ -58,7 +55,6 @@ pub struct Stop {
     pub before: f64,
     /// Duration, up to the end of the recording if the arm did not come to rest \[s\].
     pub seconds: f64,
-    /// Whether the arm came to rest.
     pub at_rest: bool,
     /// Highest speed at the start \[rad/s\] and its joint, from 1.
     pub speed: (f64, usize),
@@ -81,7 +77,6 @@ pub struct TimelineEntry {
 #[serde(rename_all = "kebab-case")]
 pub enum Weight {
     Plain,
-    /// An operator or the daemon acted.
     Warn,
     /// A limit, a fault or a lost connection.
     Bad,
@@ -174,7 +169,6 @@ impl Facts {
     }
 }
 
-/// Motion and phase at the event.
 fn during(recording: &Recording) -> Option<String> {
     let braking = |record: &&Record| matches!(record.phase, Phase::Stop | Phase::Stopped);
     let moving = recording.records.iter().rev().find(|record| !braking(record))?;

@@ -28,7 +28,6 @@ struct Frame<'f> {
     /// Times of vertical markers \[s\].
     marks: Vec<f64>,
     size: (u32, u32),
-    /// The y axis shows at min_y_range this much.
     min_y_range: Option<(f64, f64)>,
 }
 
@@ -115,7 +114,6 @@ fn colour(j: usize) -> RGBColor {
     RGBColor(FIRST_JOINT_COLOUR.0 + j as u8, 0, 0)
 }
 
-/// Start times of the controlled stops.
 fn stops(recording: &Recording) -> Vec<f64> {
     let time = TimeBase::of(recording);
     let stopping = |told: &&plumbline_rt::TimedEvent| matches!(told.event, plumbline_rt::Event::Stopping { .. });
@@ -166,7 +164,6 @@ pub(super) fn strip(facts: &Facts, recording: &Recording) -> String {
     text + "</svg>"
 }
 
-/// Desired and measured position of one joint.
 pub(super) fn position(recording: &Recording, j: usize) -> String {
     draw(Frame {
         y_name: "q / rad",

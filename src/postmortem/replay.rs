@@ -25,7 +25,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// Reason why a recording can't be replayed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ReplayError {
-    /// Too few cycles without a gap.
     #[error("only {cycles} cycles without a gap, and a replay needs {needed}")]
     TooShort { cycles: usize, needed: usize },
     #[error("{count} events were dropped by the loop, so its inputs are not known")]
@@ -36,7 +35,6 @@ pub enum ReplayError {
     /// An input of the loop is not in the recording.
     #[error("{what} is not in the recording")]
     Missing { what: String },
-    /// An input in the recording is invalid.
     #[error("{what}: {why}")]
     Unusable { what: String, why: String },
 }
@@ -50,7 +48,6 @@ pub struct ReplayResult {
     /// Number of cycles with another commanded motion, phase, validity or model.
     pub different: u64,
     pub first_difference: Option<String>,
-    /// Number of cycles with another torque.
     pub torque_different: u64,
     pub last_torque_difference: Option<u64>,
     pub same_events: bool,
@@ -69,7 +66,6 @@ impl ReplayResult {
 /// A model ready to serve, or the reason why there is none.
 pub type BuildResult = Result<Box<dyn FeedForward>, String>;
 
-/// Inputs of a replay beside the recording.
 pub struct ReplayInputs<'p> {
     /// Kinematics for the guard's workspace check.
     pub kinematics: Option<Box<dyn Kinematics>>,
@@ -181,7 +177,6 @@ impl Sink for RecordSink {
     }
 }
 
-/// Whether the recording's time is simulated.
 pub fn is_simulated(recording: &Recording) -> bool {
     matches!(recording.about.clock, LogClock::Arm { .. })
 }

@@ -28,7 +28,6 @@ impl TimeBase {
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Timing {
-    /// Counts and times of the recorded cycles.
     #[serde(flatten)]
     pub statistics: LoopStatistics,
     /// Lost states and late cycles, oldest first.

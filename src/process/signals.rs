@@ -40,7 +40,6 @@ const INTERRUPTS: [i32; 2] = [libc::SIGINT, libc::SIGTERM];
 /// Stored where no signal number can be: the parent process has ended.
 const PARENT_ENDED: usize = usize::MAX;
 
-/// Why a process is to end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
     /// A signal arrived, by its number.
@@ -49,7 +48,6 @@ pub enum Cause {
 }
 
 impl Cause {
-    /// Kind in the name of a recording.
     pub fn kind(self) -> ReasonKind {
         match self {
             Cause::Signal(_) => ReasonKind::Signal,
@@ -76,7 +74,6 @@ impl fmt::Display for Cause {
 pub struct Ending(Arc<AtomicUsize>);
 
 impl Ending {
-    /// Catches every ending signal from now on.
     pub fn watch() -> Result<Ending, Failure> {
         Ending::of(caught(ignores_hangup()))
     }

@@ -18,9 +18,7 @@ pub const FORMAT: u32 = 1;
 pub struct About {
     pub format: u32,
     pub plumbline: String,
-    /// Name of the robot's description.
     pub robot: String,
-    /// Name under which the robot is served.
     pub id: String,
     pub joints: usize,
     pub mounting: String,
@@ -28,9 +26,7 @@ pub struct About {
     pub rho: f64,
     /// Azimuth of gravity \[rad\].
     pub phi: f64,
-    /// Name of the connection to the arm.
     pub session: String,
-    /// Path of the job file as given.
     pub job: String,
     /// SHA-256 of that file's text.
     pub job_sha256: String,
@@ -65,7 +61,6 @@ pub struct About {
     pub orders_before: u32,
     /// Models of `models` taken over up to the first cycle of the recording.
     pub models_before: u32,
-    /// All orders since the loop started.
     #[serde(default)]
     pub orders: Vec<RecordedOrder>,
     /// Models handed over since the loop started, without old ones that no replay needs.
@@ -87,14 +82,11 @@ pub enum ReasonKind {
     NotAtStart,
     /// No point-to-point motion was found.
     NoPath,
-    /// No state came in time.
     Silent,
-    /// The arm stopped by itself.
     Reflex,
     Refused,
     Disconnected,
     Unsafe,
-    /// No controlled stop was possible.
     NoBrake,
     /// The machine did not grant real-time rights.
     NotRealTime,
@@ -105,9 +97,7 @@ pub enum ReasonKind {
     ModelTimeout,
     EstimatorLost,
     Signal,
-    /// The program that started the daemon ended.
     ParentEnded,
-    /// Of another version of the program.
     #[default]
     #[serde(other)]
     Unknown,
@@ -202,7 +192,6 @@ pub enum Activity {
         /// Setpoint at its start, if known.
         from: Option<Point>,
     },
-    /// At rest after a stop.
     Stopped,
 }
 
@@ -270,7 +259,6 @@ impl About {
 }
 
 impl RecordedOrder {
-    /// The phase of a point-to-point motion.
     pub fn phase(&self) -> Phase {
         match self {
             RecordedOrder::Move { phase, .. } => Phase::from_u32(*phase).unwrap_or_default(),

@@ -77,7 +77,6 @@ impl Encoder {
     }
 }
 
-/// Error in the encoding of a message.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CdrError {
     #[error("{left} bytes where {needed} more were expected")]

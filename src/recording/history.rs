@@ -19,18 +19,15 @@ pub struct History {
     events: VecDeque<EventEntry>,
     /// Events from this place on wait for the record of their cycle.
     matched: usize,
-    /// State after the events that were overwritten.
     base: LoopState,
     notes: VecDeque<Note>,
     orders: Vec<RecordedOrder>,
     models: VecDeque<RecordedModel>,
-    /// Number of removed old models.
     dropped_models: u32,
     joints: usize,
     tracking: JointVec,
 }
 
-/// An event with the setpoint at its start.
 struct EventEntry {
     told: TimedEvent,
     from: Option<Setpoint>,
@@ -83,7 +80,6 @@ pub struct Window {
     pub notes: Vec<Note>,
     /// State of the loop after the first of the cycles.
     pub before: LoopState,
-    /// All orders since the loop started.
     pub orders: Vec<RecordedOrder>,
     /// Models that a replay may need; `before` counts only these.
     pub models: Vec<RecordedModel>,
@@ -150,12 +146,10 @@ impl History {
         self.notes.push_back(note);
     }
 
-    /// Adds an order of the loop.
     pub fn push_order(&mut self, order: RecordedOrder) {
         self.orders.push(order);
     }
 
-    /// Adds a model of the loop.
     pub fn push_model(&mut self, model: RecordedModel) {
         self.models.push_back(model);
     }

@@ -23,7 +23,6 @@ use plumbline_rt::TimedEvent;
 
 #[derive(Clone, Debug)]
 pub struct Recording {
-    /// Metadata and inputs of the loop.
     pub about: About,
     /// Records, oldest first, possibly with gaps.
     pub records: Vec<Record>,

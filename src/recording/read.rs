@@ -57,7 +57,6 @@ struct PartialRecording {
     /// States and commands without the cycle's third message, by the low 32 bits of the cycle's number.
     pending: HashMap<u32, (Record, [bool; 3])>,
     events: Vec<TimedEvent>,
-    /// Records of the file so far.
     count: u64,
 }
 
@@ -153,7 +152,6 @@ fn first_record(bytes: &[u8]) -> Option<(u8, &[u8])> {
     Some((opcode, rest.get(..length)?))
 }
 
-/// Found and expected value.
 type Mismatch = (String, String);
 
 impl PartialRecording {

@@ -134,7 +134,6 @@ fn level(event: &Event) -> u8 {
     }
 }
 
-/// Metadata record that viewers show.
 fn summary(about: &About) -> BTreeMap<String, String> {
     let serving = about.models.last().map_or("none".to_string(), |model| format!("{:016x}", model.id));
     let rows = [

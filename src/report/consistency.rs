@@ -8,10 +8,8 @@ const NAMED: usize = 3;
 /// Smallest reported change of a parameter, in standard deviations.
 const MOVED: f64 = 0.01;
 
-/// Physical consistency of the identified parameters.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Consistency {
-    /// Whether the parameters are physically consistent.
     pub exact: bool,
     /// Mahalanobis distance of the nearest consistent parameters, in standard deviations.
     pub distance: f64,
@@ -21,11 +19,9 @@ pub struct Consistency {
     pub moved: Vec<Moved>,
 }
 
-/// A parameter that the projection changes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Moved {
     pub name: String,
-    /// Value in the nearest consistent parameters.
     pub value: f64,
     /// Change from the estimate, in standard deviations.
     pub deviations: f64,

@@ -41,7 +41,6 @@ pub struct PlanFigure {
     pub workspace: Option<Workspace>,
 }
 
-/// Maximum number of points of a curve.
 pub const MOST_POINTS: usize = 1500;
 
 /// Decimates a curve to the lowest and highest point of each interval, which keeps all peaks.

@@ -9,9 +9,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GravityReport {
     pub declared: MountingFacts,
-    /// The daemon's status at the end.
     pub status: Gravity,
-    /// The mounting that each run was evaluated with.
     pub runs: Vec<RunGravity>,
 }
 

@@ -30,7 +30,6 @@ pub struct Report {
     pub robot: String,
     pub mounting: MountingFacts,
     pub base: Base,
-    /// Errors on the identification set.
     pub identify: Fit,
     pub validate: Vec<Validation>,
     /// Frequency band of `rms`, in `validate` and `identify`.
@@ -47,7 +46,6 @@ pub struct Report {
     pub diagnosis: Option<Diagnosis>,
     /// Parameters and runs that this data does not determine.
     pub identifiability: Identifiability,
-    /// Condition numbers of the stacked regressor.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<Condition>,
     /// Use of the joints' limits by the job's motions; empty for recorded data.
@@ -69,12 +67,10 @@ pub struct Report {
     /// Provenance: dataset hash, version, date, configuration.
     #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
     pub provenance: serde_json::Map<String, serde_json::Value>,
-    /// Remarks on the validity of the results.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
 }
 
-/// A mounting by name and angles.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MountingFacts {
     /// Name, or both angles if it has no name.
@@ -91,14 +87,12 @@ impl From<Mounting> for MountingFacts {
     }
 }
 
-/// The identified parameter set.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Base {
     /// `GBS` or `VBS`.
     pub kind: String,
     /// Number of base parameters: those of rigid body, friction and the other terms of the whole arm. Effects are not among them.
     pub count: usize,
-    /// Number of parameters of identified effects.
     #[serde(default)]
     pub effects: usize,
     /// Base parameters by term, in the order of the model.
@@ -108,7 +102,6 @@ pub struct Base {
     pub parameters: Vec<ParameterFacts>,
 }
 
-/// Number of base parameters of a term.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TermCount {
     /// `rigid-body`, `friction`, `torque-offset`, `rotor-inertia`.
@@ -163,7 +156,6 @@ pub struct ParameterFacts {
     pub name: String,
     /// Symbol, with R where it is regrouped.
     pub symbol: String,
-    /// Linear combination of standard parameters.
     pub expression: String,
     /// Value, in `unit`.
     pub value: f64,
@@ -190,7 +182,6 @@ pub struct CounterExperiment {
     pub general_rms: Vec<f64>,
 }
 
-/// Fit of the model to its own data.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Fit {
     /// RMS of measured minus modelled torque in the report's band, per joint \[Nm\].
@@ -203,7 +194,6 @@ pub struct Fit {
     pub rms_filtered: Vec<f64>,
 }
 
-/// Prediction of one unseen run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Validation {
     pub run: String,
@@ -226,7 +216,6 @@ pub struct Validation {
 pub struct Identifiability {
     /// Parameters that this data can't determine.
     pub not_identifiable: Vec<String>,
-    /// Runs in which the model is not valid.
     pub untrusted_runs: Vec<String>,
 }
 

@@ -11,7 +11,6 @@ pub(super) struct Group<'r> {
     pub runs: Vec<&'r Validation>,
 }
 
-/// Validation runs by mounting.
 pub(super) fn groups(report: &Report) -> Vec<Group<'_>> {
     let mut groups: Vec<Group> = Vec::new();
     for run in &report.validate {
@@ -55,7 +54,6 @@ pub(super) fn band(report: &Report) -> String {
     band_of(&report.band)
 }
 
-/// Band of the errors as text.
 pub(super) fn band_of(band: &Band) -> String {
     match band {
         Band::Raw => String::new(),
@@ -222,7 +220,6 @@ pub(super) fn control_loop(of: &LoopReport) -> String {
     format!("loop ({pace}): {}", parts.join(", "))
 }
 
-/// About three significant digits.
 pub(super) fn digits(value: f64) -> String {
     if !value.is_finite() {
         return "-".to_string();

@@ -7,7 +7,6 @@ use plumbline_model::Robot;
 use plumbline_rt::os::Monotonic;
 use plumbline_sim::{SimConnector, Truth};
 
-/// Simulated arms that the program carries.
 const ARMS: [(&str, &str); 3] = [
     ("sim-panda", include_str!("../../config/arms/sim-panda.toml")),
     ("sim-panda-effect", include_str!("../../config/arms/sim-panda-effect.toml")),

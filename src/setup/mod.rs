@@ -15,7 +15,6 @@ use plumbline_ipc::{ArmLock, Lock, RobotId};
 use plumbline_model::{Mounting, Reduction, Robot, Structure};
 use std::path::PathBuf;
 
-/// A job file and what overrides it.
 #[derive(Args, Clone)]
 pub struct JobOptions {
     /// The job: a TOML file such as config/sim-panda-wall.toml

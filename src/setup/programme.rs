@@ -11,7 +11,6 @@ use plumbline_model::{Mounting, Robot, VERTICAL_TOLERANCE};
 use plumbline_rt::MoveFactors;
 use std::path::Path;
 
-/// What a motion is driven for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     Identify,
@@ -62,7 +61,6 @@ pub struct Programme {
     pub stages: Vec<Stage>,
 }
 
-/// A motion before it has a plan.
 struct Slot {
     name: String,
     role: Role,

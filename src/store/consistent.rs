@@ -9,7 +9,6 @@ use serde::Deserialize;
 /// Tolerance between bodies and their parameters, as a ratio of the largest parameter.
 const SAME: f64 = 1e-9;
 
-/// Serialised form of the block.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub(super) struct Raw {

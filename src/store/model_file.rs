@@ -10,20 +10,17 @@ use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A model with its validation and provenance.
 #[derive(Clone, Debug)]
 pub struct ModelFile {
     pub model: TorqueModel,
     /// Noise floor of the measured torque, per joint \[Nm\]; empty where unknown.
     pub noise_floor: Vec<f64>,
-    /// Errors on motions that were not fitted.
     pub validation: Vec<Validated>,
     /// Physically consistent bodies with these parameters, or the nearest ones; `None` if not computed.
     pub consistent: Option<Nearest>,
     pub provenance: Provenance,
 }
 
-/// Error of the model on one unseen run.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Validated {
@@ -41,7 +38,6 @@ pub struct Validated {
 pub struct Provenance {
     /// SHA-256 of the dataset's content.
     pub dataset: Option<String>,
-    /// Version of the program that identified it.
     pub plumbline: Option<String>,
     pub date: Option<String>,
     /// Source of parameters that were not identified by this program.
@@ -130,7 +126,6 @@ impl RawTerm {
     }
 }
 
-/// The format that this program writes and reads.
 pub(super) const FORMAT: u32 = 1;
 
 impl ModelFile {
@@ -196,7 +191,6 @@ impl ModelFile {
     }
 }
 
-/// Prefix of the line with the hash.
 const CONTENT: &str = "content = \"sha256:";
 
 /// `text` with the hash of everything else in it, as its second line.

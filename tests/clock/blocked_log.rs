@@ -11,7 +11,6 @@ use std::os::unix::net::UnixDatagram;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Set for the run in a namespace.
 const INSIDE: &str = "PLUMBLINE_TEST_JOURNAL";
 /// A `/run` of its own: the journal's socket has a fixed name there.
 const OWN_RUN: &str = "mount -t tmpfs tmpfs /run && mkdir -p /run/systemd/journal";

@@ -30,7 +30,6 @@ fn follow(place: &Place, count: usize) -> Vec<String> {
     values
 }
 
-/// Sequence number at the head of a line.
 fn sequence(line: &str) -> u64 {
     line.split_whitespace().next().and_then(|first| first.parse().ok()).unwrap_or_else(|| panic!("{line}"))
 }

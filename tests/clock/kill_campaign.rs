@@ -48,7 +48,6 @@ fn emulator_child() {
     }
 }
 
-/// What is done to a process.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Blow {
     Kill,
@@ -66,7 +65,6 @@ struct Outcome {
     rest: Option<f64>,
 }
 
-/// The outcomes of one kind of blow.
 #[derive(Default)]
 struct Row {
     name: String,

@@ -28,7 +28,6 @@ struct Figures {
     taken: f64,
     /// Until the first cycle in which the loop brakes, by its own stamp.
     braking: f64,
-    /// Until the command had ended.
     command: f64,
 }
 
@@ -87,7 +86,6 @@ impl Scene {
         runtime_dir::directory().unwrap().join(format!("{}.lock", self.place.id))
     }
 
-    /// When the daemon took the last stop.
     fn taken_ns(&self) -> u64 {
         let text = std::fs::read_to_string(self.lock()).unwrap();
         text.lines().find_map(|line| line.strip_prefix("stop-ns ")?.parse().ok()).unwrap()

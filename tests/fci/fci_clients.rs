@@ -12,7 +12,6 @@ use std::time::Duration;
 
 /// How long the emulator waits for a command: a test must not fail because the machine stalls.
 const PATIENCE: Duration = Duration::from_millis(5);
-/// A stall beyond twenty times that.
 const STALL: &str = "0.4";
 
 /// One exercise, as the program reports it.

@@ -52,7 +52,6 @@ struct Start {
     way: f64,
     /// Joint that went that way, from 1.
     joint: usize,
-    /// What ended it before its time.
     ended: Option<String>,
 }
 

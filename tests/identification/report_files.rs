@@ -102,7 +102,6 @@ fn ipc(sent: u64, received: u64) -> IpcReport {
     IpcReport { sent, counters: StreamCounters { received, ..StreamCounters::default() } }
 }
 
-/// A connection as the daemon describes it.
 fn session(name: &str) -> Session {
     let times = |p50_ns: u64| Distribution {
         count: 65_536,

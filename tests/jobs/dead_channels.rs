@@ -8,7 +8,6 @@ use plumbline_testkit::job::*;
 use plumbline_testkit::scene::Scene;
 use std::path::{Path, PathBuf};
 
-/// Every fourth millisecond of a recording.
 fn run(scene: &Scene, file: &str, role: Role, periodic: bool) -> Run {
     scene.dataset_run(file, role, (3, 7), 4, periodic)
 }
@@ -24,7 +23,6 @@ fn dataset(scene: &Scene, folder: PathBuf, periodic: bool, spoil: impl Fn(&mut R
     folder
 }
 
-/// A model file of the arm.
 fn model(scene: &Scene, path: &Path) {
     let chain = scene.structure.chain().clone();
     let structure =

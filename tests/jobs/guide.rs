@@ -20,7 +20,6 @@ const PAGES: [&str; 7] = [
     "docs/guide/service.md",
 ];
 
-/// Language and content of every fenced block.
 fn blocks(text: &str) -> Vec<(String, String)> {
     let mut found = Vec::new();
     let mut lines = text.lines();

@@ -35,7 +35,6 @@ fn identified(place: &Place) -> (PathBuf, PathBuf, PathBuf) {
     (folder, data, model)
 }
 
-/// Predicts and exports in every format.
 fn usable(place: &Place, model: &Path, run: &Path) {
     let out = place.path().join("written");
     let with = |arguments: &[&str]| {

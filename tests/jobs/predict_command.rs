@@ -13,7 +13,6 @@ use std::path::{Path, PathBuf};
 const MODEL: &str = "config/models/panda-paper-table3.toml";
 const JOINTS: usize = 7;
 
-/// One row of the written file.
 struct Row {
     t: f64,
     tau: [f64; JOINTS],

@@ -5,7 +5,6 @@ use plumbline_testkit::job::*;
 use std::path::PathBuf;
 use std::process::Command;
 
-/// The lock file of a place's robot.
 fn lock(of: &Place) -> PathBuf {
     runtime_dir::directory().unwrap().join(format!("{}.lock", of.id))
 }

@@ -159,7 +159,6 @@ impl Quantity {
         }
     }
 
-    /// Whether the limit is a lower bound.
     fn is_lower(self) -> bool {
         use Quantity::{BaseSphere, BoxMin, Clearance, LinkBoxMin, PositionMin, StopMin};
         matches!(self, PositionMin | StopMin | BoxMin(_) | BaseSphere | LinkBoxMin(_) | Clearance(..))

@@ -102,7 +102,6 @@ const MAX_SHRINK_STEPS: usize = 80;
 const COARSE_GRID_RATIO: f64 = 0.99;
 /// Maximum random motions drawn.
 const MAX_DRAWS: usize = 50;
-/// Number of bisection steps.
 const BISECTION_STEPS: usize = 30;
 
 /// Random motion for validation: it satisfies every limit at 1 kHz and moves every joint. `amplitude` (0 to 1) is the share of each joint's
@@ -320,7 +319,6 @@ fn room(problem: &Problem, fourier: &Fourier, j: usize, samples: usize) -> f64 {
     COARSE_GRID_RATIO * factor
 }
 
-/// Check of a motion on a coarse grid.
 fn coarse(problem: &Problem, fourier: &Fourier, samples: usize) -> Check {
     with_torque(problem, |torque| check(&problem.bounds, fourier, samples, torque))
 }

@@ -82,7 +82,6 @@ struct Entry {
     silent: bool,
 }
 
-/// The followers of one daemon.
 #[derive(Debug, Default)]
 pub(super) struct Followers {
     entries: Vec<Entry>,
@@ -152,12 +151,10 @@ impl Followers {
         self.entries.iter().any(|entry| now_ns.saturating_sub(entry.last_heartbeat_ns) >= limit_ns)
     }
 
-    /// Highest acknowledgement of any follower.
     pub(super) fn highest_acknowledged(&self) -> u64 {
         self.highest_acknowledged
     }
 
-    /// The connected followers.
     pub(super) fn list(&self, now_ns: u64) -> Vec<Follower> {
         let follower = |entry: &Entry| Follower {
             name: entry.name.clone(),

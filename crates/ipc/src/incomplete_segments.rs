@@ -13,13 +13,11 @@ use std::time::{Duration, SystemTime};
 
 use super::runtime_dir;
 
-/// File mode of an incomplete segment.
 const INCOMPLETE_MODE: u32 = 0o200;
 /// Minimum age before removal where a process at an end of the connection is dead.
 const DEAD_PEER_TIMEOUT: Duration = Duration::from_millis(100);
 /// Minimum age before removal where the processes run: ten times iceoryx2's `creation_timeout`.
 const LIVE_PEER_TIMEOUT: Duration = Duration::from_secs(5);
-/// Interval between two sweeps.
 const SWEEP_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Starts the sweeper thread, once in a process. To be called before the process raises its scheduling priority.

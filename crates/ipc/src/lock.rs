@@ -149,7 +149,6 @@ impl Lock {
     }
 }
 
-/// The lock file of `robot` in `directory`.
 pub(super) fn path_in(directory: &Path, robot: &RobotId) -> PathBuf {
     directory.join(format!("{robot}.lock"))
 }
@@ -176,7 +175,6 @@ pub(super) fn is_held_by(lock: &fs::Metadata, process: u32) -> io::Result<bool> 
     Ok(false)
 }
 
-/// Counter of executed stops in the lock file.
 #[derive(Debug)]
 pub(super) struct StopCounter {
     file: File,
@@ -184,7 +182,6 @@ pub(super) struct StopCounter {
 }
 
 impl StopCounter {
-    /// Counts one stop executed at `now_ns`.
     pub(super) fn count(&mut self, now_ns: u64) -> io::Result<()> {
         self.entry.stops += 1;
         self.entry.stop_ns = now_ns;

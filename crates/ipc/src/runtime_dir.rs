@@ -60,7 +60,6 @@ pub fn other_serving_user() -> Option<u32> {
     (owner != user()).then_some(owner)
 }
 
-/// The effective user of this process.
 pub(super) fn user() -> u32 {
     rustix::process::geteuid().as_raw()
 }

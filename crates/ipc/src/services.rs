@@ -18,17 +18,13 @@ use super::messages::{FeedForwardMessage, FollowRequest, ReplayHeader, SampleMes
 use super::robot::RobotId;
 use super::runtime_dir;
 
-/// Maximum records in one published batch.
 pub(super) const MAX_BATCH_RECORDS: usize = 32;
 /// Maximum records in one replay response (340 KiB).
 pub(super) const MAX_REPLAY_RECORDS: usize = 512;
 /// Capacity of a follower's buffer in batches.
 const STREAM_BUFFER_BATCHES: usize = 256;
-/// Maximum followers of the samples.
 const MAX_FOLLOWERS: usize = 4;
-/// Maximum clients of the feed-forward service.
 const MAX_FEED_FORWARD_CLIENTS: usize = 32;
-/// Maximum clients of the command service.
 pub(super) const MAX_COMMAND_CLIENTS: usize = 16;
 /// Clients of the command service that are reserved for operators.
 pub(super) const RESERVED_OPERATORS: usize = 4;
@@ -195,7 +191,6 @@ pub(super) fn serve_samples(node: &ServiceNode, robot: &RobotId) -> Result<Sampl
     })
 }
 
-/// Opens or creates the replay service.
 pub(super) fn serve_replay(node: &ServiceNode, robot: &RobotId) -> Result<Replay, IpcError> {
     let name = replay_name(robot);
     retry_until(&name, SERVER_TIMEOUT, || {
@@ -230,7 +225,6 @@ pub(super) fn serve_feed_forward(node: &ServiceNode, robot: &RobotId) -> Result<
     })
 }
 
-/// Opens or creates the command service.
 pub(super) fn serve_commands(node: &ServiceNode, robot: &RobotId) -> Result<Commands, IpcError> {
     let name = command_name(robot);
     retry_until(&name, SERVER_TIMEOUT, || {
@@ -255,13 +249,11 @@ pub(super) fn join_samples(node: &ServiceNode, robot: &RobotId, timeout: Duratio
     joined(robot, timeout, retry_until(&name, timeout, || Ok(samples(node, &name)?.open())))
 }
 
-/// Opens the replay service of a daemon.
 pub(super) fn join_replay(node: &ServiceNode, robot: &RobotId, timeout: Duration) -> Result<Replay, IpcError> {
     let name = replay_name(robot);
     joined(robot, timeout, retry_until(&name, timeout, || Ok(replay(node, &name)?.open())))
 }
 
-/// Opens the feed-forward of a daemon.
 pub(super) fn join_feed_forward(
     node: &ServiceNode,
     robot: &RobotId,
@@ -271,7 +263,6 @@ pub(super) fn join_feed_forward(
     joined(robot, timeout, retry_until(&name, timeout, || Ok(feed_forward(node, &name)?.open())))
 }
 
-/// Opens the command service of a daemon.
 pub(super) fn join_commands(node: &ServiceNode, robot: &RobotId, timeout: Duration) -> Result<Commands, IpcError> {
     let name = command_name(robot);
     joined(robot, timeout, retry_until(&name, timeout, || Ok(commands(node, &name)?.open())))
@@ -344,7 +335,6 @@ pub(super) fn runs(node: &ServiceNode, id: UniqueNodeId) -> bool {
     !matches!(Node::<ipc::Service>::state_of(node.config(), id), Ok(None | Some(NodeState::Dead(_))))
 }
 
-/// Error of a robot without a daemon.
 pub(super) fn no_daemon(robot: &RobotId, waited: Duration) -> IpcError {
     IpcError::NoDaemon { robot: robot.to_string(), waited_ms: waited.as_millis() as u64 }
 }

@@ -17,7 +17,6 @@ pub fn chain(name: &str) -> Chain {
     Robot::load(&file, Some(Path::new(crate::ROOT))).unwrap().chain
 }
 
-/// Every arm that the tests know by name.
 pub fn all() -> Vec<(&'static str, Chain)> {
     Robot::names().chain(["scara", "stanford", "gantry", "skew"]).map(|name| (name, chain(name))).collect()
 }
@@ -48,7 +47,6 @@ pub fn any_mounting(rng: &mut ChaCha8Rng) -> Mounting {
     Mounting { rho: rng.random_range(0.0..PI), phi: rng.random_range(-PI..PI) }
 }
 
-/// Standard parameters as one row per link.
 pub fn links(delta: &[f64]) -> Vec<LinkParameters> {
     delta.chunks_exact(10).map(|link| link.try_into().unwrap()).collect()
 }

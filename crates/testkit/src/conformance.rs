@@ -45,7 +45,6 @@ fn states_follow_each_other(mut arm: impl Backend) {
     assert_eq!(arm.joints(), joints, "joints() changed");
 }
 
-/// An arm holds a constant commanded position.
 fn holds_still(mut arm: impl Backend) {
     let start = first(&mut arm);
     let joints = arm.joints();

@@ -20,7 +20,6 @@ pub struct World {
     pub protocol: Protocol,
     pub speaks: u16,
     pub sends: bool,
-    /// Whether requests to move are answered and obeyed.
     pub moves: bool,
     pub state: RobotState,
     /// Number of the call of Move, while a motion runs.

@@ -31,7 +31,6 @@ pub struct Faults {
     pub short_pdo: bool,
     /// Heartbeats and process data twice: another node has the same id.
     pub duplicate_id: bool,
-    /// The PDO mapping can't be written.
     pub fixed_mapping: bool,
 }
 
@@ -51,7 +50,6 @@ pub struct Device {
     next_beat: u64,
     next_slopes: u64,
     out: VecDeque<CanFrame>,
-    /// SDO requests answered so far.
     pub answered: u64,
 }
 
@@ -92,7 +90,6 @@ impl Device {
         self.objects.remove(&(index, sub));
     }
 
-    /// An object's bytes.
     pub fn get(&self, index: u16, sub: u8) -> Option<&[u8]> {
         self.objects.get(&(index, sub)).map(|object| &object.bytes[..])
     }
@@ -119,7 +116,6 @@ impl Device {
         self.noise = noise;
     }
 
-    /// Restarts the device with its factory configuration.
     pub fn reset(&mut self, now: u64) {
         self.state = INITIALISING;
         self.objects = factory(self.node);
@@ -135,7 +131,6 @@ impl Device {
         self.out.push_back((0x080 + u16::from(self.node), vec![low, high, register, 0, 0, 0, 0, 0]));
     }
 
-    /// Sends any frame in the device's place.
     pub fn inject_frame(&mut self, id: u16, data: &[u8]) {
         self.out.push_back((id, data.to_vec()));
     }
@@ -249,7 +244,6 @@ impl Device {
         }
     }
 
-    /// Number of nodes with this id.
     fn senders(&self) -> usize {
         1 + usize::from(self.faults.duplicate_id)
     }
@@ -274,7 +268,6 @@ impl Device {
         u32::from_le_bytes(padded)
     }
 
-    /// The next frame for the bus.
     pub fn transmit(&mut self) -> Option<CanFrame> {
         self.out.pop_front()
     }

@@ -20,7 +20,6 @@ use tempfile::TempDir;
 /// Timeout, long enough for a loaded machine.
 pub const PATIENCE: Duration = Duration::from_secs(300);
 
-/// The shipped job that the tests vary.
 pub const WALL: &str = "config/sim-panda-wall.toml";
 
 /// The shipped job with an arm without undeclared effects, and one identification motion.
@@ -60,7 +59,6 @@ pub struct Place {
     /// Name of the robot in shared memory.
     pub id: String,
     dir: TempDir,
-    /// Key of the plans of the job.
     planned_for: Mutex<Option<String>>,
 }
 
@@ -91,7 +89,6 @@ impl Place {
         *self.planned_for.lock().unwrap() = Some(key);
     }
 
-    /// The folder around the results.
     pub fn path(&self) -> &Path {
         self.dir.path()
     }
@@ -131,7 +128,6 @@ impl Place {
         (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
     }
 
-    /// A daemon with these overrides that answers.
     #[track_caller]
     pub fn daemon(&self, sets: &[&str]) -> Running {
         let daemon = Running::start(self.job("daemon", sets));

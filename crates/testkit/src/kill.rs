@@ -122,7 +122,6 @@ pub fn within(limit: Duration, mut condition: impl FnMut() -> bool) -> Option<Du
     }
 }
 
-/// Violations found by the monitors.
 pub type Complaints = Arc<Mutex<Vec<String>>>;
 
 /// Two monitor threads: one reads every sample, one the newest torque.
@@ -132,7 +131,6 @@ pub struct Witnesses {
     pub complaints: Complaints,
     pub samples: Arc<AtomicU64>,
     pub torques: Arc<AtomicU64>,
-    /// Whether the newest torque is stale now.
     pub stale: Arc<AtomicBool>,
 }
 

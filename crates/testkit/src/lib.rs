@@ -56,7 +56,6 @@ pub mod turns;
 
 use std::path::{Path, PathBuf};
 
-/// The repository's folder.
 pub const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
 pub fn path(of: impl AsRef<Path>) -> PathBuf {

@@ -194,7 +194,6 @@ impl Job {
         }
     }
 
-    /// Margins of planned motions to those limits.
     pub fn margins(&self) -> Margins {
         let Limits { margin, speed, acceleration, jerk, torque, .. } = self.limits;
         Margins {

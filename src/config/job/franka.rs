@@ -25,7 +25,6 @@ pub struct Franka {
     /// Recovery after a reflex: by an operator or automatic.
     #[serde(default)]
     pub recovery: Recovery,
-    /// Maximum number of automatic recoveries in a job.
     #[serde(default = "default_max_recoveries")]
     pub max_recoveries: u32,
     /// Ratio of the robot's limits of velocity, acceleration and jerk for commands.
@@ -41,7 +40,6 @@ pub struct Franka {
     /// frame \[m/s2\]; the robot's own value (`O_ddP_O` of its state) where absent. One that disagrees with the robot's is refused.
     #[serde(default, deserialize_with = "compensates")]
     pub compensates: Option<Compensates>,
-    /// Thresholds of contact and collision detection.
     #[serde(default)]
     pub collision: Collision,
     /// Load at the flange beside the end effector configured in Desk.
@@ -68,12 +66,10 @@ pub enum Recovery {
     Automatic,
 }
 
-/// A declared compensation of gravity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Compensates {
     /// Along the base's negative z axis, whatever the mounting.
     Upright,
-    /// The gravity of the job's mounting.
     True,
     /// This one, in the base frame \[m/s2\].
     Along([f64; 3]),

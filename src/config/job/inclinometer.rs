@@ -81,7 +81,6 @@ pub struct Inclinometer {
     /// Largest rate of change of the model's gravity \[rad/s\].
     #[serde(default = "turn", deserialize_with = "units::angular_rate")]
     pub turn: f64,
-    /// What is served while there is no reading.
     #[serde(default)]
     pub on_loss: OnSensorLoss,
     /// What the arm does when the base moves during an excitation.
@@ -100,7 +99,6 @@ pub enum BaseMotion {
     Say,
 }
 
-/// A direction in the base frame.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(untagged, expecting = "\"x\", \"-x\", \"y\", \"-y\", \"z\", \"-z\" or a unit vector such as [0.0, 0.6, 0.8]")]
 pub enum Axis {
@@ -241,7 +239,6 @@ impl Inclinometer {
         }
     }
 
-    /// Whether the bus is simulated by a socket.
     pub fn is_simulated(&self) -> bool {
         self.interface.starts_with(SIMULATED_PREFIX)
     }
@@ -277,7 +274,6 @@ impl Inclinometer {
         })
     }
 
-    /// Settings of the follower of the measured direction.
     pub fn follow(&self, declared: Mounting, check: &MountingCheck) -> FollowSettings {
         FollowSettings { declared, tolerance: check.tolerance, step: self.step, rate: self.turn, on_loss: self.on_loss }
     }

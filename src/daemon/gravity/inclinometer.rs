@@ -9,11 +9,9 @@ use crate::inclinometer::socket::Listener;
 use nalgebra::Vector3;
 use plumbline_ipc::now_ns;
 
-/// The inclinometer and what follows from its readings.
 pub struct Inclinometer {
     listener: Listener,
     follower: Follower,
-    /// What is served without a reading.
     pub on_loss: OnSensorLoss,
     /// What a motion does when the base turns during it.
     pub on_motion: BaseMotion,

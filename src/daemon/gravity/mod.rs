@@ -42,16 +42,13 @@ pub enum Verdict {
     Refuse(Refusal),
 }
 
-/// Why a model is not served.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
-    /// It lacks parameters for the present mounting.
     #[error("{0}")]
     Parameters(String),
     /// The inclinometer is lost, or the base is not mounted as declared.
     #[error(transparent)]
     Inclinometer(#[from] follow::Refusal),
-    /// The sources of the mounting disagree.
     #[error(transparent)]
     Mounting(#[from] Disagreement),
 }
@@ -100,7 +97,6 @@ pub enum ServiceChange {
     /// The model waits for a rest of the arm.
     Waits(String),
     Refused(String),
-    /// The model is served after it was not.
     ServedAgain {
         model: u64,
     },
@@ -360,7 +356,6 @@ impl GravityMonitor {
         self.torques.insert(check).update(model, &self.rests)
     }
 
-    /// Compares every side with every other.
     fn cross_check(&mut self) -> Result<(), Disagreement> {
         let torques = self.torques.as_ref().map_or(Ok(None), TorqueCheck::side)?;
         let mut sides = vec![GravitySource::declared(&self.declared)];

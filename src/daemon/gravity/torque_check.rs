@@ -10,7 +10,6 @@ pub struct TorqueCheck {
     pub model: u64,
     /// Poses completed before the model: the arm may have carried something else then.
     after: u64,
-    /// Poses evaluated so far.
     seen: u64,
     /// What the torques imply, where they determine it; the error is a torque sensor with the wrong sign.
     implied: Result<Option<ImpliedGravity>, Disagreement>,
@@ -23,9 +22,7 @@ pub struct TorqueCheck {
 /// A remark for the operator that does not fail the check.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Remark {
-    /// Strength or misfit of what the torques imply.
     Implied(String),
-    /// The poses do not determine the direction.
     Undetermined(DirectionError),
 }
 

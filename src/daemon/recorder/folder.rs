@@ -11,9 +11,7 @@ const STAMP: &str = "00000000T000000Z-";
 pub(super) struct Folder {
     pub dir: PathBuf,
     pub id: String,
-    /// Recordings of faults and stops that are kept.
     pub keep: usize,
-    /// Recordings on demand that are kept beside them.
     pub keep_on_demand: usize,
 }
 

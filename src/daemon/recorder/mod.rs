@@ -30,7 +30,6 @@ use thread::{RecorderThread, work};
 
 /// Records between the bridge thread and the recorder's: four seconds.
 const RING: usize = 4096;
-/// Pause between two polls of the ring.
 const PAUSE: Duration = Duration::from_millis(5);
 /// Pause after a recording on demand \[ns\].
 const ON_DEMAND_PAUSE_NS: u64 = 2_000_000_000;
@@ -45,7 +44,6 @@ enum Message {
     Order(RecordedOrder),
     Model(RecordedModel, String),
     Note(String),
-    /// Reason of the next requested stop.
     StopReason(Reason),
     /// A recording on demand, with the newest record that was kept before this was sent.
     OnDemand(u64),
@@ -185,12 +183,10 @@ impl Recorder {
         LoopRecorder { inbox: opened.then(|| inbox.clone()), ring, waits, lost: 0 }
     }
 
-    /// Keeps a remark of the daemon's.
     pub fn note(&self, text: impl Into<String>) {
         self.send(Message::Note(text.into()));
     }
 
-    /// Reason of the next requested stop.
     pub fn set_reason(&self, reason: Reason) {
         self.send(Message::StopReason(reason));
     }

@@ -37,7 +37,6 @@ const PAUSE: Duration = Duration::from_micros(200);
 /// Records that simulated time may run ahead of an estimator that watches it: two seconds.
 const MAX_AHEAD_OF_WATCH: u64 = 2000;
 
-/// A running loop and this side of it.
 pub struct Session {
     name: String,
     mounting: Mounting,
@@ -63,7 +62,6 @@ pub struct Session {
     labels: GravityLabels,
     /// Events taken from the loop and not handled yet.
     events: VecDeque<TimedEvent>,
-    /// Simulated time is paused for the estimator.
     paused: bool,
     /// When the wait for a model ends, while the arm holds for one \[ns\].
     model_due_ns: Option<u64>,

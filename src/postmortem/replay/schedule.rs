@@ -14,11 +14,9 @@ pub(super) struct StartPoint {
     pub at: usize,
     /// State of the loop at the start point; `None` for the start of the loop.
     pub checkpoint: Option<Checkpoint>,
-    /// Events up to the start point.
     before: LoopState,
 }
 
-/// Number of records in a checkpoint.
 const CHECKPOINT_CYCLES: usize = 3;
 
 impl StartPoint {
@@ -159,7 +157,6 @@ fn build(
     model(handed).map_err(|why| ReplayError::Unusable { what: format!("model {:016x}", handed.id), why })
 }
 
-/// What the loop is handed in one cycle.
 enum Input {
     Stop,
     Resume,

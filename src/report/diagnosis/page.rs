@@ -18,7 +18,6 @@ pub(in crate::report) const TEMPLATES: [(&str, &str); 3] = [
 
 const DRAWN: usize = 10;
 
-/// Everything that the templates use of a diagnosis.
 pub(in crate::report) fn context(of: &Diagnosis, figures: &Curves) -> Value {
     let grown = words::grown(of);
     let errors = rows::pairs(&of.before, Some(&of.after).filter(|_| grown), &of.noise_floor);
@@ -87,7 +86,6 @@ fn percent(share: Option<f64>) -> String {
     share.filter(|share| share.is_finite()).map_or("-".into(), |share| format!("{:.0} %", 100.0 * share))
 }
 
-/// Rows of the tables of effects.
 fn effects(effects: &[Effect], confirmation: Option<Confirmation>) -> Vec<Value> {
     let row = |effect: &Effect| {
         let parameters: Vec<_> =

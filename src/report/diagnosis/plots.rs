@@ -52,7 +52,6 @@ fn finite(points: impl IntoIterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
     points.into_iter().filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
 }
 
-/// A long curve with fewer points.
 fn thinned(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
     let (x, y): (Vec<f64>, Vec<f64>) = points.into_iter().unzip();
     thin(&x, &y)

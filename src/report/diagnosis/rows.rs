@@ -9,7 +9,6 @@ use plotters::prelude::*;
 
 /// Height of a row in the units of the picture.
 const ROW: u32 = 36;
-/// Letters that fit in front of a bar.
 const LETTERS: usize = 36;
 /// From this ratio between the largest and the smallest on, an axis is logarithmic.
 const WIDE: f64 = 40.0;
@@ -110,12 +109,10 @@ pub(super) struct Bar {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Chosen,
-    /// Not to be told from the chosen one.
     Equivalent,
     Plain,
 }
 
-/// Text of at most so many letters.
 fn shortened(text: &str, most: usize) -> String {
     if text.chars().count() <= most {
         return text.to_string();

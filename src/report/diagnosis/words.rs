@@ -57,7 +57,6 @@ fn told(changes: &Changes, of: &Diagnosis) -> bool {
     !changes.effects.is_empty() && changes.effects.iter().all(among)
 }
 
-/// Names that fit into a headline.
 const NAMED: usize = 2;
 
 /// What was found, in a few words for the head of the page; what the verdict says by itself is not repeated.

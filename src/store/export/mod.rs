@@ -120,7 +120,6 @@ fn placements(chain: &Chain) -> impl Iterator<Item = (JointKind, Placement)> + '
     chain.joints().iter().map(|joint| (joint.kind, joint.placement(0.0)))
 }
 
-/// Text for a double-quoted XML attribute.
 fn attribute(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
 }

@@ -96,17 +96,10 @@ impl Client {
         heard
     }
 
-    /// Throws away what has arrived.
     pub fn drain(&mut self) {
         self.udp.set_nonblocking(true).expect("a UDP option");
         while self.udp.recv_from(&mut [0; MAX_STATE + 1]).is_ok() {}
         self.udp.set_nonblocking(false).expect("a UDP option");
-    }
-
-    /// Throws away what has arrived, and reads a fresh state.
-    pub fn refresh(&mut self) -> RobotState {
-        self.drain();
-        self.read()
     }
 
     pub fn address(&self) -> IpAddr {
@@ -136,7 +129,6 @@ impl Client {
         id
     }
 
-    /// Sends a request and returns its call.
     pub fn call(&mut self, request: Request) -> u32 {
         let id = self.expect(request.kind());
         let mut buffer = [0; MAX_REQUEST];
@@ -145,7 +137,6 @@ impl Client {
         id
     }
 
-    /// Sends bytes over TCP.
     pub fn say(&mut self, bytes: &[u8]) {
         self.stream.write_all(bytes).expect("a connection");
     }

@@ -64,30 +64,6 @@ fn push(client: &mut Client, mut jerk: impl FnMut(&Push) -> f64) -> u32 {
     id
 }
 
-#[test]
-fn a_jump_is_a_discontinuity_and_a_far_start_an_invalid_one() {
-    each_protocol(|protocol| {
-        let (_emulator, mut client) = session(patient(protocol));
-        let id = client.start_positions();
-        let mut q = client.state.q_d;
-        q[2] += 0.3;
-        client.step_to(q);
-        reflex(&mut client, id, &[ErrorBit::JointPositionMotionGeneratorStartPoseInvalid]);
-        recover(&mut client);
-        let id = client.start_positions();
-        let mut q = client.state.q_d;
-        client.step_to(q);
-        q[2] += 0.001;
-        client.step_to(q);
-        let expected = [
-            ErrorBit::JointMotionGeneratorVelocityDiscontinuity,
-            ErrorBit::JointMotionGeneratorAccelerationDiscontinuity,
-        ];
-        reflex(&mut client, id, &expected);
-        recover(&mut client);
-    });
-}
-
 /// A first command may start the motion a little off the desired position, but neither far off nor in motion.
 #[test]
 fn a_first_command_that_jumps_or_moves_is_a_discontinuity() {

@@ -31,7 +31,6 @@ pub enum When {
     Connect,
     /// On the way to the start of the motion.
     Approach,
-    /// In the middle of the excitation.
     Excite,
     /// While the arm brakes because an operator has ended the job in mid-motion.
     Stop,
@@ -53,10 +52,8 @@ pub struct Case {
 
 #[derive(Clone, Debug)]
 pub struct Ending {
-    /// The daemon's exit code.
     pub code: Option<i32>,
     pub said: String,
-    /// The last status that it gave.
     pub status: Option<Box<Status>>,
     pub done: bool,
     /// What the emulator's log shows.
@@ -106,7 +103,6 @@ fn leave_in_reflex(address: IpAddr) {
 }
 
 impl Case {
-    /// A case of the shipped emulator job.
     pub fn new(trouble: Trouble, when: When) -> Case {
         Case { trouble, when, sets: Vec::new() }
     }
@@ -116,7 +112,6 @@ impl Case {
         self
     }
 
-    /// Lets it go wrong.
     pub fn strike(&self, emulator: &Emulator) {
         match self.trouble {
             Trouble::Faults(texts) => texts.iter().for_each(|text| {
@@ -229,7 +224,6 @@ impl Ending {
         self.said.matches("going on by itself").count()
     }
 
-    /// The line that the daemon ended with.
     pub fn last_words(&self) -> &str {
         self.said.lines().rfind(|line| line.starts_with("plumbline: ")).unwrap_or("")
     }

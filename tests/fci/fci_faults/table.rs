@@ -83,7 +83,6 @@ fn told(words: &str) -> String {
     status.map_or(String::new(), |status| format!(", over TCP \"{status}\""))
 }
 
-/// A cell in a few words.
 fn cell(case: &Case, ending: &Ending, tries: u32) -> String {
     let rest = match (ending.rest_after, ending.code) {
         (Some(ms), Some(1)) => format!("; at rest after {:.2} s", ms as f64 * 1e-3),

@@ -57,7 +57,6 @@ const FINISH: [Stage; 3] = [
     Stage { p: 64.0, sign: 40.0, rho: 100.0, iterations: 200 },
     LAST,
 ];
-/// Stages of a hop.
 const HOP: [Stage; 3] = [
     Stage { p: 8.0, sign: 20.0, rho: 30.0, iterations: 60 },
     Stage { p: 24.0, sign: 30.0, rho: 100.0, iterations: 120 },

@@ -56,7 +56,6 @@ impl Point {
 /// Commands kept: more than the arm may miss.
 const MAX_KEPT: usize = 32;
 
-/// A command that was sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Sent {
     /// Number of the state that it answered.

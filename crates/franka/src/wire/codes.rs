@@ -158,7 +158,6 @@ impl MotionGeneratorMode {
 }
 
 impl ControllerMode {
-    /// The mode of a number in a state.
     pub(super) fn decode(code: u8) -> Result<ControllerMode, WireError> {
         let unknown = WireError::Value { what: "controller_mode", most: 3, found: u32::from(code) };
         ControllerMode::from_code(code).ok_or(unknown)
@@ -166,7 +165,6 @@ impl ControllerMode {
 }
 
 impl RobotMode {
-    /// The mode of a number in a state.
     pub(super) fn decode(code: u8) -> Result<RobotMode, WireError> {
         let unknown = WireError::Value { what: "robot_mode", most: 6, found: u32::from(code) };
         RobotMode::from_code(code).ok_or(unknown)

@@ -203,7 +203,6 @@ impl Errors {
         Ok(errors)
     }
 
-    /// Writes one byte per error.
     pub(super) fn to_flags(self, flags: &mut [u8]) {
         for (bit, flag) in ErrorBit::ALL.into_iter().zip(flags) {
             *flag = u8::from(self.contains(bit));

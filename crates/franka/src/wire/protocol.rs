@@ -194,7 +194,6 @@ impl CommandKind {
         found.ok_or(WireError::Command { found: number, version: protocol.number() })
     }
 
-    /// The number, or the error of a command that `protocol` does not have.
     pub(super) fn number_or_absent(self, protocol: Protocol) -> Result<u32, WireError> {
         self.number(protocol).ok_or(WireError::Absent { what: self.name(), version: protocol.number() })
     }

@@ -232,7 +232,6 @@ impl<'a> Solver<'a> {
         Ok(Solver { structure, experiments, estimator, draws, pairs })
     }
 
-    /// Solves for some of the columns; `stack` has only those.
     fn solve(&self, stack: &Stack, kept: &[usize]) -> Result<Solved, EstimateError> {
         let experiments = self.experiments;
         if self.estimator == Estimator::Ols {

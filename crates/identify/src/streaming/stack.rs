@@ -81,7 +81,6 @@ pub fn least_squares(
     Ok(LeastSquares { beta, covariance: Some(first.inverse), solver: Solver::Normal })
 }
 
-/// One sample of a motion with its torques.
 fn row(motion: &Motion, tau: &DMatrix<f64>, k: usize) -> (Sample, JointVec) {
     let (mut sample, mut torque) = (Sample::default(), [0.0; MAX_JOINTS]);
     for j in 0..motion.joints() {

@@ -13,9 +13,7 @@ use crate::runtime_dir::{self, RuntimeDirError};
 
 /// Acknowledgement timeout of a stop over the socket; the signal follows.
 const SOCKET_TIMEOUT: Duration = Duration::from_millis(300);
-/// Acknowledgement timeout of the signal.
 const SIGNAL_TIMEOUT: Duration = Duration::from_millis(1500);
-/// Polling interval of the count of stops.
 const POLL_INTERVAL: Duration = Duration::from_micros(200);
 
 /// Path on which a stop reached the daemon.

@@ -49,16 +49,13 @@ const OF_THREE: [(&str, &[usize]); 9] = [
     ("transmission-coupling", &[4, 5, 6, 7]),
 ];
 
-/// What a part of the study asks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum What {
     /// One effect of the catalogue, four trajectories.
     Single,
     /// None at all.
     None,
-    /// Three effects on different joints.
     Three,
-    /// One effect that is not in the catalogue.
     Foreign,
     /// One effect, and 0.05 Nm of something else that repeats in every joint.
     Background,
@@ -90,9 +87,7 @@ pub struct Injected {
     /// Its family; `foreign` for what has none.
     pub family: &'static str,
     pub site: Site,
-    /// As the truth file says it.
     pub text: String,
-    /// Variables that a foreign effect depends on.
     pub variables: Vec<Variable>,
 }
 
@@ -100,7 +95,6 @@ pub struct Injected {
 pub struct Case {
     pub what: What,
     pub number: usize,
-    /// The arm's truth file.
     pub truth: String,
     pub effects: Vec<Injected>,
     /// Seed of the repeatable background, where there is one.

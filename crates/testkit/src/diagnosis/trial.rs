@@ -29,14 +29,12 @@ pub struct Judged {
     /// floor there.
     pub ratio: f64,
     pub verdict: Verdict,
-    /// The effects in the delivered model.
     pub found: Vec<Spec>,
     /// Those found but not delivered, and the rivals of all.
     pub others: Vec<Spec>,
     /// For each injected effect, whether an effect of the model is it.
     pub right: Vec<bool>,
     pub listed: Vec<bool>,
-    /// Effects of the model that were not injected.
     pub extra: usize,
     /// RMS of the worst joint's residual over the floor of the judge run, before and after.
     pub held_out: [f64; 2],

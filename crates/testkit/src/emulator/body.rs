@@ -21,7 +21,6 @@ const PUSH: (usize, f64, u32) = (3, 40.0, 100);
 /// What a client gets that has set no load.
 const NO_LOAD: Load = Load { mass: 0.0, com: [0.0; 3], inertia: [0.0; 9] };
 
-/// What drives the actuators for a millisecond.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Drive {
     /// The inner controller follows the desired position.
@@ -33,7 +32,6 @@ pub enum Drive {
 /// Frames and load as the client has set them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tool {
-    /// End effector in the nominal one.
     pub ne_t_ee: Pose,
     /// Stiffness frame in the end effector.
     pub ee_t_k: Pose,

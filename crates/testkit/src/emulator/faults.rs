@@ -4,15 +4,12 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::str::FromStr;
 
-/// Which datagrams a fault of the network strikes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Of {
     /// Both, each by itself.
     #[default]
     Both,
-    /// States on their way to the client.
     States,
-    /// Commands on their way to the robot.
     Commands,
 }
 
@@ -170,7 +167,6 @@ impl Line {
         self.under_way.iter().map(|(due, _)| *due).min()
     }
 
-    /// Forgets everything under way.
     pub fn clear(&mut self) {
         self.under_way.clear();
     }

@@ -7,7 +7,6 @@ use plumbline_model::{Chain, Placement};
 /// A 4x4 pose, column-major.
 pub type Pose = [f64; 16];
 
-/// Base frame and the frames behind each joint.
 pub type Frames = [Placement; JOINTS + 1];
 
 /// How far a matrix may be from a rotation: clients send what they have computed.

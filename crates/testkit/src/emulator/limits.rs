@@ -36,7 +36,6 @@ pub enum RobotKind {
 }
 
 impl RobotKind {
-    /// The arm of a protocol version.
     pub const fn of(protocol: Protocol) -> RobotKind {
         match protocol {
             Protocol::V5 => RobotKind::Panda,
@@ -65,7 +64,6 @@ pub struct Envelope {
     pub deceleration: Joints,
 }
 
-/// Limits of an arm's joints.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Lowest position \[rad\].
@@ -74,7 +72,6 @@ pub struct Limits {
     pub q_max: Joints,
     /// Highest speed \[rad/s\].
     pub dq: Joints,
-    /// Where the speed limit depends on the position.
     pub envelope: Option<Envelope>,
     /// Highest acceleration \[rad/s2\].
     pub ddq: Joints,

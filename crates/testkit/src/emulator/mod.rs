@@ -83,7 +83,6 @@ pub struct Settings {
     pub compensates: [f64; 3],
     /// Position at the start \[rad\].
     pub start: Joints,
-    /// Decides noise and chance.
     pub seed: u64,
     /// Longest pause of the robot's time for a motion's next command. Zero is a robot. More than zero is for tests
     /// of other things than timing on machines that stall: the robot's clock then runs slower than the wall's.
@@ -98,7 +97,6 @@ pub struct Settings {
     pub faults: Vec<Fault>,
     /// Whether events go to standard error.
     pub speaks: bool,
-    /// CSV file of every cycle.
     pub log: Option<PathBuf>,
 }
 
@@ -131,7 +129,6 @@ impl Settings {
     }
 }
 
-/// Why an emulator did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
     /// Its port is taken, or its address is none of this machine's.
@@ -139,7 +136,6 @@ pub enum StartError {
     Address { address: IpAddr, port: u16, error: std::io::Error },
     #[error("log {path}: {error}")]
     Log { path: PathBuf, error: std::io::Error },
-    /// A joint starts outside its range.
     #[error("joint {joint} can't start at {q} rad: its range is {least} to {most} rad")]
     Pose {
         /// Counted from 1.
@@ -151,7 +147,6 @@ pub enum StartError {
         /// \[rad\]
         most: f64,
     },
-    /// Truth and robot do not fit.
     #[error(transparent)]
     Arm(#[from] SimError),
     #[error(transparent)]

@@ -4,7 +4,6 @@ use super::body::Drive;
 use super::limits::{Commanded, Joints, Step};
 use plumbline_franka::wire::{Move, MoveController, MoveGenerator, RobotCommand};
 
-/// Commands of the success rate.
 const WINDOW: u32 = 100;
 /// A joint that is measured slower than this does not move \[rad/s\].
 const STILL: f64 = 5e-3;
@@ -13,7 +12,6 @@ const SETTLED: u32 = 10;
 /// How long that is waited for \[ms\].
 const RESTLESS: u32 = 500;
 
-/// A motion between its start and its end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
     /// Call that started it, which its end answers, too.
@@ -34,9 +32,7 @@ pub struct Motion {
 /// The end of a motion, from its cause to the arm's rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ending {
-    /// Call of StopMove that ends it.
     pub stop: Option<u32>,
-    /// Whether the client has got the answer.
     pub answered: bool,
     /// States until the end shows \[ms\].
     pub left: u32,

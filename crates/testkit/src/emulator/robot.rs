@@ -34,14 +34,12 @@ pub enum FinishOrder {
     AnswerFirst(u32),
 }
 
-/// What an operator does to the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hand {
     UserStop,
     Release,
     /// Guides the arm by hand, as long as it is idle.
     Guide,
-    /// Lets go of the guiding handle.
     LetGo,
     Lock,
     Unlock,
@@ -49,7 +47,6 @@ pub enum Hand {
     Push,
 }
 
-/// What a robot answers with beside its motion.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Served {
     /// Shared library for clients that load one; without it the answer is an error.

@@ -32,14 +32,12 @@ pub enum Order {
     Heal,
 }
 
-/// What the emulator has done so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Counts {
     /// Milliseconds of the robot's time.
     pub cycles: u64,
     /// Times that the clock was moved because the machine was late.
     pub slips: u64,
-    /// Commands that came in time.
     pub taken: u64,
     /// Commands that were good but for another state: late, repeated or of the future.
     pub untimely: u64,
@@ -49,7 +47,6 @@ pub struct Counts {
     pub refused: u64,
 }
 
-/// The emulator as its handle sees it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Snapshot {
     pub state: RobotState,
@@ -246,7 +243,6 @@ impl Server {
         }
     }
 
-    /// Reads and answers what the client has sent.
     fn serve(&mut self, client: &mut Client) -> Result<(), Gone> {
         let broken = |error: std::io::Error| Gone::Broken(error.to_string());
         let mut closed = false;

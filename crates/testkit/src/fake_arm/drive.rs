@@ -101,7 +101,6 @@ impl<F: FnMut(&Setpoint) -> JointVec + Send> FeedForward for Model<F> {
     }
 }
 
-/// Kinematics of any function of the position.
 pub struct Tool<F>(pub F);
 
 impl<F: Fn(&JointVec) -> [f64; 3] + Send> Kinematics for Tool<F> {
@@ -137,7 +136,6 @@ pub struct Job {
 /// Something the outside does with the loop's handles.
 type Outside = Box<dyn FnMut(&mut Handles) + Send>;
 
-/// Everything a run left behind.
 pub struct Run {
     pub outcome: Outcome,
     pub records: Vec<Record>,

@@ -11,7 +11,6 @@ pub enum Trick {
     /// So many states before this one never arrive.
     Lose(u64),
     ReadFault(Fault),
-    /// The write that answers this read fails.
     WriteFault(Fault),
     /// The counter stands still.
     Repeat,

@@ -19,7 +19,6 @@ use rand_chacha::ChaCha8Rng;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// Kinds of files that are damaged.
 pub const TARGETS: [&str; 8] = ["job", "robot", "arm", "plan", "model", "dataset", "csv", "urdf"];
 
 /// A file of a few kilobytes that takes longer than this to read is a way to stop the program.

@@ -49,7 +49,6 @@ pub struct Rig {
     pub job: Job,
     pub robot: Robot,
     pub franka: Franka,
-    /// The program that was built beside this one.
     pub program: PathBuf,
 }
 

@@ -17,7 +17,6 @@ pub struct Campaign {
     pub runs: usize,
     /// Share of the runs whose 95 % interval holds the truth.
     pub covered: Vec<f64>,
-    /// Root mean square error.
     pub error: Vec<f64>,
     pub bias: Vec<f64>,
     /// Root mean square of the standard deviations that the runs claimed.

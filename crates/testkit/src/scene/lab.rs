@@ -11,7 +11,6 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-/// What one trajectory's period is like.
 #[derive(Clone)]
 pub struct Period {
     pub name: String,
