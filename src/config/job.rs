@@ -144,9 +144,7 @@ impl From<String> for Resource {
 
 impl Resource {
     /// Name for errors and text of the resource; `built_in` holds the names and texts that the program carries.
-    ///
-    /// # Errors
-    /// An unknown name, with those that are known, or a file that can't be read.
+    /// Errors: an unknown name, with those that are known, or a file that can't be read.
     pub fn read(&self, key: &str, built_in: &[(&str, &str)]) -> Result<(String, String), BadInput> {
         match self {
             Resource::File(path) => {
@@ -468,9 +466,7 @@ fn default_seed() -> u64 {
 impl Job {
     /// Reads a job from a file. Each of `sets` is a `key.path=value` of the command line's `--set` and wins over the file; a value that
     /// isn't TOML is taken as a string (`backend.pace=wall-clock`).
-    ///
-    /// # Errors
-    /// An unreadable file, an unknown key, a value of the wrong kind or out of range, a quantity without a unit; each names the line
+    /// Errors: an unreadable file, an unknown key, a value of the wrong kind or out of range, a quantity without a unit; each names the line
     /// and key, or the `--set` that brought it.
     pub fn load(path: &Path, sets: &[String]) -> Result<Job, BadInput> {
         let file = path.display().to_string();

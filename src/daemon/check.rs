@@ -14,9 +14,6 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 const INTERVAL_NS: u64 = 100_000_000;
 
 /// Checks a model's text: the right robot, a set that holds in this mounting.
-///
-/// # Errors
-/// What is wrong with the text, called `file`.
 pub fn check(robot: &Robot, mounting: &Mounting, file: &str, text: &str) -> Result<Accepted, BadInput> {
     let offered = models::of_robot(file, text, robot, "which this daemon drives")?;
     offered
@@ -74,9 +71,6 @@ pub struct Checker {
 
 impl Checker {
     /// Starts the thread, at ordinary priority. `epoch` is the daemon's.
-    ///
-    /// # Errors
-    /// The system has no thread left.
     pub fn start(robot: Robot, epoch: u64) -> std::io::Result<Checker> {
         let (jobs, to_check) = sync_channel::<Job>(1);
         let (done, checked) = sync_channel(1);

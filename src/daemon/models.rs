@@ -79,9 +79,7 @@ impl Models {
 
     /// Checks a model against what changes after its text was checked: the mounting, and what the arm has measured in the last second under
     /// `gravity` \[m/s2\].
-    ///
-    /// # Errors
-    /// The model does not hold in `mounting`, or its torques are not those of the arm.
+    /// Errors: the model does not hold in `mounting`, or its torques are not those of the arm.
     pub fn admit(
         &mut self,
         file: &str,
@@ -126,9 +124,7 @@ impl Models {
     }
 
     /// Checks the held model in `mounting` and takes it out; `None` where none is held.
-    ///
-    /// # Errors
-    /// It does not hold there, or its torques are not those of the arm. It stays held.
+    /// Errors: it does not hold there, or its torques are not those of the arm. It stays held.
     pub fn adopt(
         &mut self,
         mounting: &Mounting,

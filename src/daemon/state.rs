@@ -83,9 +83,6 @@ enum LossResponse {
 
 impl DaemonState {
     /// Opens the inclinometer, where there is one: call it before the priority of this thread goes up.
-    ///
-    /// # Errors
-    /// The inclinometer of the job can't be used.
     pub fn new(setup: JobSetup, recorder: Recorder, ending: Ending) -> Result<DaemonState, Failure> {
         Ok(DaemonState {
             recorder,

@@ -50,9 +50,6 @@ impl Shared {
 
 impl StopRelay {
     /// Starts the thread; `prepare` runs on it first.
-    ///
-    /// # Errors
-    /// The system has no thread left.
     pub fn start(mut listener: StopListener, prepare: impl FnOnce() + Send + 'static) -> std::io::Result<StopRelay> {
         StopRelay::listening(move |carry_out| listener.listen(carry_out), prepare)
     }

@@ -48,9 +48,7 @@ pub struct Run {
 
 impl Dataset {
     /// Reads the dataset in folder `dir`.
-    ///
-    /// # Errors
-    /// Any deviation from the format, with file, line, column, found and expected value: an unknown key, a missing column, a
+    /// Errors: any deviation from the format, with file, line, column, found and expected value: an unknown key, a missing column, a
     /// cell that is no finite number, time that runs backwards, fewer than [`Run::LEAST_SAMPLES`] samples, currents without gains, runs
     /// with different numbers of joints.
     pub fn read(dir: &Path) -> Result<Dataset, BadInput> {
@@ -60,9 +58,7 @@ impl Dataset {
     /// Writes the dataset atomically as folder `dir`.
     ///
     /// Torques are written in Nm; every number reads back as the same `f64`.
-    ///
-    /// # Errors
-    /// I/O errors with their path; also when `dir` is a folder with content that is no dataset, which is left alone.
+    /// Errors: I/O errors with their path; also when `dir` is a folder with content that is no dataset, which is left alone.
     pub fn write(&self, dir: &Path) -> std::io::Result<()> {
         write::write(self, dir)
     }
@@ -73,9 +69,6 @@ impl Dataset {
     }
 
     /// Checks that the data has as many joints as the robot it names.
-    ///
-    /// # Errors
-    /// [`BadInput`] that names the dataset, its columns and the robot's number of joints.
     pub fn expect_joints(&self, n: usize) -> Result<(), BadInput> {
         if self.joints() == n {
             return Ok(());
@@ -100,9 +93,6 @@ impl Run {
     pub const LEAST_SAMPLES: usize = 10;
 
     /// One motion from a CSV file alone, in a given mounting; torques (in Nm) may be absent, `tau` then has no columns.
-    ///
-    /// # Errors
-    /// As [`Dataset::read`], for this file.
     pub fn read_csv(path: &Path, mounting: Mounting) -> Result<Run, BadInput> {
         let csv::Columns { t, q, dq, tau, extra } = flight::read_run(path, csv::Torque::Optional)?;
         let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());

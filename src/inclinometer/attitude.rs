@@ -71,9 +71,7 @@ pub struct Attitude {
 
 impl Installation {
     /// Installation from the sensor's x and z axes in the base frame.
-    ///
-    /// # Errors
-    /// Axes that are no unit vectors (to 1 per mille) or not at right angles (to 1 mrad).
+    /// Errors: axes that are no unit vectors (to 1 per mille) or not at right angles (to 1 mrad).
     pub fn new(x: [f64; 3], z: [f64; 3]) -> Result<Installation, InstallationError> {
         let (right, up) = (Vector3::from(x), Vector3::from(z));
         let unit = |axis: &Vector3<f64>| (axis.norm() - 1.0).abs() < 1e-3;
@@ -103,9 +101,7 @@ impl Installation {
     }
 
     /// Sign of the sensor's z axis in a mounting: 1 up, -1 down.
-    ///
-    /// # Errors
-    /// A mounting in which the z axis is too close to the horizontal, or a slope is out of range.
+    /// Errors: a mounting in which the z axis is too close to the horizontal, or a slope is out of range.
     pub fn hemisphere(&self, declared: &Mounting) -> Result<f64, InstallationError> {
         let up = (self.axes.transpose() * -declared.gravity() / G).z;
         let slopes = self.expected(declared);

@@ -63,9 +63,6 @@ pub struct Sensor {
 
 impl Sensor {
     /// An inclinometer before its bring-up.
-    ///
-    /// # Errors
-    /// A declared mounting outside the sensor's range.
     pub fn new(settings: SensorSettings) -> Result<Sensor, InstallationError> {
         Ok(Sensor {
             settings,

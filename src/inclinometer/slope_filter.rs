@@ -57,9 +57,7 @@ impl SlopeFilter {
     }
 
     /// Filters the slopes \[rad\] of a frame that arrived at `now` \[ns\]. `Ok(None)` until the filter has settled.
-    ///
-    /// # Errors
-    /// A step from the previous frame above `jump` \[rad\]; the filter restarts from this frame.
+    /// Errors: a step from the previous frame above `jump` \[rad\]; the filter restarts from this frame.
     pub fn update(&mut self, now: u64, slopes: [f64; 2]) -> Result<Option<FilteredSlopes>, f64> {
         let Some((before, last)) = self.last.replace((now, slopes)) else {
             (self.mean, self.variance) = (slopes, [0.0; 2]);

@@ -76,9 +76,7 @@ pub struct Listener {
 impl Listener {
     /// Opens `interface` and starts the thread, which brings the device up. The thread inherits the caller's priority: call this before
     /// raising the priority.
-    ///
-    /// # Errors
-    /// An interface that does not exist or is not a CAN interface. An interface that is down is no error.
+    /// Errors: an interface that does not exist or is not a CAN interface. An interface that is down is no error.
     pub fn start(interface: &str, sensor: Sensor, settings: &SensorSettings) -> Result<Listener, ListenError> {
         let named = |error| ListenError::Open { interface: interface.to_string(), error };
         let socket = open(interface, settings.node.node).map_err(named)?;

@@ -73,9 +73,6 @@ pub struct ReplayInputs<'p> {
 }
 
 /// Replays the recording.
-///
-/// # Errors
-/// [`ReplayError`] if an input of the loop is not in the recording.
 pub fn replay(recording: &Recording, inputs: ReplayInputs) -> Result<ReplayResult, ReplayError> {
     let about = &recording.about;
     if about.dropped_events > 0 {

@@ -51,9 +51,7 @@ pub fn plans(out: &Path) -> Result<(), BadInput> {
 
 /// Text of a model file that only root and this process's user can have written or replaced. The process's own
 /// group counts as the user: where a user has a group to himself, as on Debian and its kin, new files are open to it.
-///
-/// # Errors
-/// A file that can't be read; one of another user, or that others can write to, by its owner and mode.
+/// Errors: a file that can't be read; one of another user, or that others can write to, by its owner and mode.
 pub fn read_model(path: &Path) -> Result<String, BadInput> {
     let mut text = String::new();
     open_own(path, "model")?

@@ -20,9 +20,7 @@ const END_OF_FILE: &str = "the file ends here";
 
 impl Recording {
     /// Reads a file. A truncated file is read up to the cut, and `cut` is set.
-    ///
-    /// # Errors
-    /// An unreadable file, another kind of file, or invalid content; with byte or record, found and expected value.
+    /// Errors: an unreadable file, another kind of file, or invalid content; with byte or record, found and expected value.
     pub fn read(path: &Path) -> Result<Recording, BadInput> {
         let file = path.display().to_string();
         let unreadable = |error: std::io::Error| BadInput::new(&file, "file", error, "a readable recording (MCAP)");

@@ -20,9 +20,6 @@ const ERROR: u8 = 40;
 
 impl Recording {
     /// Writes the recording atomically to `path` and returns the number of bytes.
-    ///
-    /// # Errors
-    /// Errors of the file system, with the path.
     pub fn write(&self, path: &Path) -> io::Result<usize> {
         let bytes = self.to_bytes()?;
         crate::atomic::write_file(path, &bytes)?;
@@ -30,9 +27,6 @@ impl Recording {
     }
 
     /// The file's bytes.
-    ///
-    /// # Errors
-    /// Values that JSON can't represent.
     pub fn to_bytes(&self) -> io::Result<Vec<u8>> {
         let options = WriteOptions::new()
             .compression(None)

@@ -248,9 +248,6 @@ pub struct EstimatorFacts {
 
 impl Report {
     /// The text of `report.json`.
-    ///
-    /// # Errors
-    /// None in practice: NaN and infinity are written as `null`.
     pub fn to_json(&self) -> serde_json::Result<String> {
         serde_json::to_string_pretty(self).map(|text| text + "\n")
     }

@@ -14,9 +14,6 @@ const ARMS: [(&str, &str); 3] = [
 ];
 
 /// The arm that a job drives. Connects to nothing.
-///
-/// # Errors
-/// The job's settings of the arm can't be used.
 pub fn connector(job: &Job, robot: &Robot) -> Result<Box<dyn ArmConnector>, Failure> {
     let backend = &job.backend;
     Ok(match (backend.kind, &backend.franka) {

@@ -250,9 +250,7 @@ pub fn outside(limits: &Limits, q: &[f64]) -> Option<(usize, [f64; 2])> {
 }
 
 /// Whether the connected `arm` can move from its position to the programme's first one.
-///
-/// # Errors
-/// A way that leaves the workspace or meets the arm itself, with what it breaks.
+/// Errors: a way that leaves the workspace or meets the arm itself, with what it breaks.
 pub fn free_way(job: &Job, robot: &Robot, arm: &ArmLimits, from: &JointVec, to: &JointVec) -> Result<(), Failure> {
     let planner = Planner::of(job, robot, Some(arm))?;
     let ways = Ways::new(&planner)?;

@@ -66,9 +66,7 @@ pub(super) fn write(line: &mut impl FnMut(std::fmt::Arguments), model: &TorqueMo
 
 impl Raw {
     /// The block of `model`.
-    ///
-    /// # Errors
-    /// Non-finite numbers, wrong counts, inconsistent bodies, and bodies that do not have the parameters.
+    /// Errors: Non-finite numbers, wrong counts, inconsistent bodies, and bodies that do not have the parameters.
     pub(super) fn check(&self, file: &str, model: &TorqueModel) -> Result<Nearest, BadInput> {
         let bad = |key: &str, value: String, expected: &str| {
             Err(BadInput::new(file, format!("[consistent], key `{key}`"), value, expected))

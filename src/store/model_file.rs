@@ -130,9 +130,7 @@ pub(super) const FORMAT: u32 = 1;
 
 impl ModelFile {
     /// Parses a model; `file` is the name in errors. `chain_of` returns the kinematic chain of a robot's name.
-    ///
-    /// # Errors
-    /// A text that is not what was written (a file that was edited or cut off, by the hash in its `content`; a file without one was
+    /// Errors: a text that is not what was written (a file that was edited or cut off, by the hash in its `content`; a file without one was
     /// written by hand and is taken), an unknown key, another format version, a parameter that is missing, foreign, doubled, not finite or in another unit, a number
     /// of values that doesn't fit the arm; whatever `chain_of` says about the robot.
     pub fn parse(

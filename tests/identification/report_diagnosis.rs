@@ -260,13 +260,6 @@ fn non_numeric_values() {
     assert!(said(diagnosis)[0].ends_with("how small an effect would have been seen is not known"));
 }
 
-#[test]
-fn a_report_without_a_diagnosis_has_no_such_section() {
-    let bare = Report { robot: "panda".into(), ..Report::default() };
-    assert!(!bare.summary().join("\n").contains("diagnosis"));
-    assert!(!bare.to_json().unwrap().contains("diagnosis"));
-}
-
 /// Curves as a diagnosis hands them over: presliding in joint 4, and something over q2 and dq4 in joint 2.
 fn figures() -> Curves {
     let mut rng = ChaCha8Rng::seed_from_u64(7);

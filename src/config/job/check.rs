@@ -172,9 +172,7 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
 
 impl Job {
     /// Limits of the guard: the robot's, or tighter ones of the job.
-    ///
-    /// # Errors
-    /// A list of another length than the robot has joints (`n`), or a limit that is wider than the robot's.
+    /// Errors: a list of another length than the robot has joints (`n`), or a limit that is wider than the robot's.
     pub fn guard_limits(&self, robot: &plumbline_core::Limits, n: usize) -> Result<plumbline_core::Limits, BadInput> {
         let LimitOverrides { q_min, q_max, dq, ddq, jerk, tau, dtau } = &self.limits.overrides;
         let mut limits = *robot;

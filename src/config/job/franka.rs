@@ -209,9 +209,6 @@ impl Franka {
     }
 
     /// The arm as a backend.
-    ///
-    /// # Errors
-    /// A job for a robot that is no Franka.
     pub fn connector(&self, job: &super::Job) -> Result<FrankaConnector, BadInput> {
         let max_recoveries = match self.recovery {
             Recovery::Operator => 0,
@@ -221,9 +218,6 @@ impl Franka {
     }
 
     /// Settings of a session with the arm.
-    ///
-    /// # Errors
-    /// A job for a robot that is no Franka.
     pub fn settings(&self, job: &super::Job, purpose: Purpose) -> Result<plumbline_franka::Settings, BadInput> {
         let robot = Franka::robot(job)?;
         let Collision { contact_torque, collision_torque, contact_force, collision_force } = self.collision;

@@ -252,9 +252,6 @@ impl Inclinometer {
     }
 
     /// Settings of the sensor for the declared mounting.
-    ///
-    /// # Errors
-    /// Axes that are not at right angles; [`Job::load`](super::Job::load) has already refused those.
     pub fn sensor(&self, file: &str, declared: Mounting) -> Result<SensorSettings, BadInput> {
         self.check(file, &declared)?;
         let installation = Installation::new(self.x.vector(), self.z.vector())

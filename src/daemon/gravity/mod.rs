@@ -334,9 +334,7 @@ impl GravityMonitor {
     }
 
     /// Whether every side agrees with `model`, which was offered. One that does not leaves no trace.
-    ///
-    /// # Errors
-    /// Which side is off, and by how much.
+    /// Errors: which side is off, and by how much.
     pub fn try_out(&mut self, model: &Accepted) -> Result<Option<Remark>, Disagreement> {
         let before = self.torques.clone();
         let remark = self.update_torques(model);

@@ -83,9 +83,7 @@ impl TorqueCheck {
     }
 
     /// The side of the mounting check that the torques take; none before a pose, or where the poses do not determine it.
-    ///
-    /// # Errors
-    /// A torque sensor with the wrong sign: no direction.
+    /// Errors: a torque sensor with the wrong sign: no direction.
     pub fn side(&self) -> Result<Option<GravitySource>, Disagreement> {
         self.implied.as_ref().map(|found| found.as_ref().map(|found| found.side)).map_err(Disagreement::clone)
     }

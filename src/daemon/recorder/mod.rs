@@ -91,9 +91,7 @@ struct Sheet {
 
 impl Recorder {
     /// Starts the recorder's thread, which inherits the ordinary scheduling of its caller: call it before the priority of this thread goes up.
-    ///
-    /// # Errors
-    /// A job or robot description that can't be read a second time.
+    /// Errors: a job or robot description that can't be read a second time.
     pub fn start(job: &Job, id: &RobotId, out: &Path) -> Result<Recorder, BadInput> {
         let (_, robot_text) = Robot::description(&job.robot, Some(job.dir()))?;
         let file = job.file.display().to_string();
@@ -192,9 +190,6 @@ impl Recorder {
     }
 
     /// Writes what is there up to `newest`, the cycle that was kept last, on request at `now_ns`.
-    ///
-    /// # Errors
-    /// Why nothing is written.
     pub fn on_demand(&self, newest: u64, now_ns: u64) -> Result<(), String> {
         if self.inbox.is_none() {
             return Err("the job's `recorder.span` is 0 s: nothing is recorded".into());

@@ -41,9 +41,7 @@ struct Jointed<'d> {
 
 impl Tree {
     /// Reads the tree of joints; `file` is only named in errors.
-    ///
-    /// # Errors
-    /// Anything that is not such a URDF, with the element that is not: no joints, several roots or branches, another number of movable
+    /// Errors: anything that is not such a URDF, with the element that is not: no joints, several roots or branches, another number of movable
     /// joints, an axis that lies elsewhere than the arm's.
     pub fn of(file: &str, document: &Document, chain: &Chain) -> Result<Tree, BadInput> {
         let robot = document.root_element();

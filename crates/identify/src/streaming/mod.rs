@@ -12,7 +12,6 @@
 pub mod filter;
 pub mod gram;
 pub mod solve;
-pub mod stack;
 
 use super::signal::{SignalError, butterworth::Butterworth, decimation};
 use filter::Bank;
