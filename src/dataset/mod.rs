@@ -83,10 +83,6 @@ impl Dataset {
     pub fn content_hash(&self) -> String {
         hash::content_hash(self)
     }
-
-    pub fn with_role(&self, role: Role) -> impl Iterator<Item = &Run> {
-        self.runs.iter().filter(move |run| run.role == role)
-    }
 }
 
 impl Run {

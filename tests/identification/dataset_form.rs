@@ -59,7 +59,6 @@ fn what_is_written_reads_back_bit_by_bit() {
     }
     assert_eq!(read.content_hash(), written.content_hash());
     assert_eq!(read.content_hash().len(), 64);
-    assert_eq!(read.with_role(Role::Validate).count(), 1);
     assert_eq!(read.runs[0].extra("tau_cmd1").unwrap().len(), 40);
 }
 

@@ -61,17 +61,6 @@ fn a_model_file_round_trips_bitwise() {
 }
 
 #[test]
-fn a_model_is_saved_atomically() {
-    let room = tempfile::tempdir().unwrap();
-    let path = room.path().join("out/model.toml");
-    let file = made_up(BaseKind::Gbs);
-    file.save(&path).unwrap();
-    assert_eq!(ModelFile::load(&path, chain_of).unwrap().to_toml(), file.to_toml());
-    let lost = ModelFile::load(&room.path().join("none.toml"), chain_of).unwrap_err().to_string();
-    assert!(lost.contains("none.toml: file: got "), "{lost}");
-}
-
-#[test]
 fn every_wrong_model_is_refused_by_name() {
     let text = made_up(BaseKind::Gbs).to_toml();
     let spoil = |from: &str, to: &str| {

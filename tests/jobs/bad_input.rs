@@ -217,20 +217,3 @@ fn a_broken_plan() {
         refused(&place, place.job("run", &[&set]), &parts);
     }
 }
-
-#[test]
-fn a_model_whose_parameters_are_all_but_zero_is_not_served() {
-    let text = std::fs::read_to_string("config/models/panda-paper-table3.toml").unwrap();
-    for nothing in ["0.0", "1e-310"] {
-        let place = Place::new("nothing");
-        let line = |line: &str| match line.split_once("value = ") {
-            Some((name, rest)) => format!("{name}value = {nothing}{}\n", &rest[rest.find(',').unwrap()..]),
-            None => format!("{line}\n"),
-        };
-        let model = put(&place, "nothing.toml", &text.lines().map(line).collect::<String>());
-        let mut daemon = place.job("daemon", &short(&[]));
-        daemon.arg("--model").arg(&model);
-        let done = Running::start(daemon).end().expect_code(2);
-        assert!(done.err.contains("nothing.toml: parameters") && done.err.contains("no inertia"), "{}", done.said());
-    }
-}

@@ -1,7 +1,7 @@
 //! Motions that a robot carries out, from the first state to the last answer.
 
 use super::client::{Answer, knock};
-use super::emulator::{FinishOrder, READY};
+use super::emulator::READY;
 use super::{address, each_protocol, patient, session};
 use plumbline_franka::wire::{
     ConnectStatus, ControllerMode, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol,
@@ -101,33 +101,6 @@ fn torques_run_beside_a_motion_generator() {
         }
         assert_eq!(client.await_answer(id), Answer::Move(MoveStatus::Success));
     });
-}
-
-#[test]
-fn the_end_comes_in_either_order() {
-    // Far enough apart that a stall of this machine does not swap them.
-    for order in [FinishOrder::StateFirst(300), FinishOrder::AnswerFirst(300)] {
-        let (_emulator, mut client) = session(Settings { finish: order, ..patient(Protocol::V10) });
-        let id = client.start_positions();
-        let last = RobotCommand { q_c: client.state.q_d, motion_generation_finished: true, ..RobotCommand::default() };
-        let (mut answered, mut shown) = (None, None);
-        while answered.is_none() || shown.is_none() {
-            client.write(last);
-            client.read();
-            if let (None, Some(answer)) = (answered, client.answer(id)) {
-                assert_eq!(answer, Answer::Move(MoveStatus::Success));
-                answered = Some(client.state.message_id);
-            }
-            if client.state.robot_mode == RobotMode::Idle {
-                shown = shown.or(Some(client.state.message_id));
-            }
-        }
-        let (answered, shown) = (answered.expect("an answer"), shown.expect("an idle arm"));
-        match order {
-            FinishOrder::StateFirst(_) => assert!(shown < answered, "{shown} {answered}"),
-            _ => assert!(answered < shown, "{answered} {shown}"),
-        }
-    }
 }
 
 #[test]

@@ -36,7 +36,7 @@ pub mod urdf;
 
 pub use faults::{Fault, Injector, Kind, Of, Start};
 pub use limits::RobotKind;
-pub use robot::{FinishOrder, Hand};
+pub use robot::Hand;
 pub use server::{Counts, Snapshot};
 
 use body::Body;
@@ -87,8 +87,6 @@ pub struct Settings {
     /// Longest pause of the robot's time for a motion's next command. Zero is a robot. More than zero is for tests
     /// of other things than timing on machines that stall: the robot's clock then runs slower than the wall's.
     pub patience: Duration,
-    /// Which of state and answer shows the end of a motion first.
-    pub finish: FinishOrder,
     /// Shared library that LoadModelLibrary answers with, versions 5 and 9.
     pub model_library: Option<Vec<u8>>,
     /// `O_ddP_O` of every state \[m/s2\]: (0, 0, -9.81) in any mounting, as robots report without a declared mounting.
@@ -118,7 +116,6 @@ impl Settings {
             start: READY,
             seed: 1,
             patience: Duration::ZERO,
-            finish: FinishOrder::Together,
             model_library: None,
             base_acceleration: [0.0, 0.0, -G],
             first_message_id: 1,
@@ -185,7 +182,7 @@ impl Emulator {
         let body =
             Body::new(chain, &settings.arm, settings.mounting, settings.compensates, &settings.start, settings.seed)?;
         let before = settings.first_message_id.saturating_sub(1);
-        let robot = Robot::new(settings.protocol, limits, body, &settings.start, served, settings.finish, before);
+        let robot = Robot::new(settings.protocol, limits, body, &settings.start, served, before);
         let address = |error| StartError::Address { address: settings.address, port: settings.port, error };
         let (listener, udp) = server::bind(settings.address, settings.port).map_err(address)?;
         let log = Log::new(settings.speaks, settings.log.as_deref());

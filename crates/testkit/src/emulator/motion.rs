@@ -33,9 +33,6 @@ pub struct Motion {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ending {
     pub stop: Option<u32>,
-    pub answered: bool,
-    /// States until the end shows \[ms\].
-    pub left: u32,
     /// How long nothing has moved \[ms\].
     pub still: u32,
     /// How long it has taken \[ms\].
@@ -45,7 +42,7 @@ pub struct Ending {
 impl Ending {
     /// An end that begins now; `stop` is the call of StopMove, where that is the cause.
     pub fn new(stop: Option<u32>) -> Ending {
-        Ending { stop, answered: false, left: 0, still: 0, since: 0 }
+        Ending { stop, still: 0, since: 0 }
     }
 
     /// Counts a millisecond, and whether the arm rests by now: for 10 ms, or because it never will.
