@@ -44,20 +44,13 @@ pub struct Installation {
 /// Invalid sensor axes, or a declared mounting outside the measuring range.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum InstallationError {
-    /// The axes are not unit vectors at right angles.
     #[error("the sensor's x and z axes ({x:?} and {z:?}) are not two unit vectors at right angles")]
     Axes { x: [f64; 3], z: [f64; 3] },
-    /// The declared mounting is outside the sensor's measuring range.
     #[error(
         "in the declared mounting the sensor's slopes would be {:.1} and {:.1} deg, its range is {:.0} deg and its z axis must be \
          within that of the vertical", .slopes[0].to_degrees(), .slopes[1].to_degrees(), .range.to_degrees()
     )]
-    OutOfRange {
-        /// Slopes in the declared mounting \[rad\].
-        slopes: [f64; 2],
-        /// Measuring range \[rad\].
-        range: f64,
-    },
+    OutOfRange { slopes: [f64; 2], range: f64 },
 }
 
 /// Measured direction of gravity with its covariance.

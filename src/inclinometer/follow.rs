@@ -69,16 +69,7 @@ pub enum Refusal {
         "the inclinometer measures {measured}, {:.2} +- {:.2} deg off the declared {declared} (at most {:.2} deg are allowed)",
         .angle.to_degrees(), .std.to_degrees(), .tolerance.to_degrees()
     )]
-    Tilted {
-        declared: Mounting,
-        measured: Mounting,
-        /// Angle between them \[rad\].
-        angle: f64,
-        /// Standard deviation of the measured direction \[rad\].
-        std: f64,
-        /// Largest accepted angle \[rad\].
-        tolerance: f64,
-    },
+    Tilted { declared: Mounting, measured: Mounting, angle: f64, std: f64, tolerance: f64 },
 }
 
 /// Standard deviations that are added to a tolerance.

@@ -28,11 +28,7 @@ pub enum ReplayError {
     #[error("only {cycles} cycles without a gap, and a replay needs {needed}")]
     TooShort { cycles: usize, needed: usize },
     #[error("{count} events were dropped by the loop, so its inputs are not known")]
-    DroppedEvents {
-        /// Number of dropped events.
-        count: u64,
-    },
-    /// An input of the loop is not in the recording.
+    DroppedEvents { count: u64 },
     #[error("{what} is not in the recording")]
     Missing { what: String },
     #[error("{what}: {why}")]

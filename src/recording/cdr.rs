@@ -83,7 +83,6 @@ pub enum CdrError {
     Short { needed: usize, left: usize },
     #[error("the encapsulation {found:02x?}, where [00, 01] (little-endian CDR) was expected")]
     Encapsulation { found: Vec<u8> },
-    /// A string that is not UTF-8, or not terminated.
     #[error("a string that is not NUL-terminated UTF-8")]
     Text,
 }

@@ -83,7 +83,6 @@ pub(super) fn schema(topic: &str) -> (&'static str, String) {
 pub enum MessageError {
     #[error(transparent)]
     Cdr(#[from] CdrError),
-    /// Unknown value.
     #[error("`{found}`, where {expected} was expected")]
     Word { found: String, expected: &'static str },
 }

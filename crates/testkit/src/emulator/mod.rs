@@ -127,6 +127,7 @@ impl Settings {
 }
 
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum StartError {
     /// Its port is taken, or its address is none of this machine's.
     #[error("{address}, port {port}: {error}")]
@@ -134,16 +135,7 @@ pub enum StartError {
     #[error("log {path}: {error}")]
     Log { path: PathBuf, error: std::io::Error },
     #[error("joint {joint} can't start at {q} rad: its range is {least} to {most} rad")]
-    Pose {
-        /// Counted from 1.
-        joint: usize,
-        /// \[rad\]
-        q: f64,
-        /// \[rad\]
-        least: f64,
-        /// \[rad\]
-        most: f64,
-    },
+    Pose { joint: usize, q: f64, least: f64, most: f64 },
     #[error(transparent)]
     Arm(#[from] SimError),
     #[error(transparent)]
