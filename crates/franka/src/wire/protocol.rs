@@ -97,92 +97,102 @@ pub fn images_of(version: u16) -> Option<&'static str> {
     })
 }
 
-/// A command over TCP.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum CommandKind {
+/// The commands: meaning, name in libfranka's headers, number in versions 3 to 5, 6 to 9, and 10 (`_` where there is none), length of the request
+/// without its header \[bytes\], and whether the arm answers with a [`super::SetterStatus`] and nothing else.
+macro_rules! commands {
+    (@number _) => { None };
+    (@number $number:literal) => { Some($number) };
+    ($(#[doc = $doc:literal] $kind:ident $name:literal [$v5:tt $v9:tt $v10:tt] $bytes:literal $setter:literal,)+) => {
+        /// A command over TCP.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum CommandKind {
+            $(#[doc = $doc] $kind,)+
+        }
+
+        impl CommandKind {
+            /// All commands, in the order of version 5.
+            pub const ALL: [CommandKind; 15] = [$(CommandKind::$kind,)+];
+
+            /// The number in a header; `None` when `protocol` does not have the command.
+            pub const fn number(self, protocol: Protocol) -> Option<u32> {
+                let (a, b, c) = match self {
+                    $(CommandKind::$kind => (commands!(@number $v5), commands!(@number $v9), commands!(@number $v10)),)+
+                };
+                match protocol {
+                    Protocol::V5 => a,
+                    Protocol::V9 => b,
+                    Protocol::V10 => c,
+                }
+            }
+
+            /// Length of the request without its header \[bytes\].
+            pub const fn request_bytes(self, protocol: Protocol) -> usize {
+                match self {
+                    // The one request whose length depends on the version.
+                    CommandKind::Move => protocol.move_bytes() - HEADER_BYTES,
+                    other => other.fixed_bytes(),
+                }
+            }
+
+            const fn fixed_bytes(self) -> usize {
+                match self {
+                    $(CommandKind::$kind => $bytes,)+
+                }
+            }
+
+            /// Whether the arm answers with a [`super::SetterStatus`] and nothing else.
+            pub const fn is_setter(self) -> bool {
+                match self {
+                    $(CommandKind::$kind => $setter,)+
+                }
+            }
+
+            /// The name in libfranka's headers.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(CommandKind::$kind => $name,)+
+                }
+            }
+        }
+    };
+}
+
+commands! {
     /// Opens a session; the same number and layout in every version.
-    Connect,
+    Connect "Connect" [0 0 0] 4 false,
     /// Starts a motion; answered when it starts and again when it ends.
-    Move,
+    Move "Move" [1 1 1] 0 false,
     /// Ends the running motion.
-    StopMove,
+    StopMove "StopMove" [2 2 2] 0 false,
     /// Reads a virtual wall; version 5 alone.
-    GetCartesianLimit,
+    GetCartesianLimit "GetCartesianLimit" [3 _ _] 4 false,
     /// Sets the thresholds of contact and collision.
-    SetCollisionBehavior,
+    SetCollisionBehavior "SetCollisionBehavior" [4 3 3] 416 true,
     /// Sets the stiffness of the joint impedance controller.
-    SetJointImpedance,
+    SetJointImpedance "SetJointImpedance" [5 4 4] 56 true,
     /// Sets the stiffness of the Cartesian impedance controller.
-    SetCartesianImpedance,
+    SetCartesianImpedance "SetCartesianImpedance" [6 5 5] 48 true,
     /// Sets which directions can be guided by hand.
-    SetGuidingMode,
+    SetGuidingMode "SetGuidingMode" [7 6 6] 7 true,
     /// Sets the stiffness frame in the end effector.
-    SetEeToK,
+    SetEeToK "SetEEToK" [8 7 7] 128 true,
     /// Sets the end effector in the nominal one.
-    SetNeToEe,
+    SetNeToEe "SetNEToEE" [9 8 8] 128 true,
     /// Sets the load.
-    SetLoad,
+    SetLoad "SetLoad" [10 9 9] 104 true,
     /// Sets cut-off frequencies of the arm's filters; version 5 alone.
-    SetFilters,
+    SetFilters "SetFilters" [11 _ _] 40 true,
     /// Recovers from a reflex.
-    AutomaticErrorRecovery,
+    AutomaticErrorRecovery "AutomaticErrorRecovery" [12 10 10] 0 false,
     /// Loads the arm's model as a shared library; until version 9.
-    LoadModelLibrary,
+    LoadModelLibrary "LoadModelLibrary" [13 11 _] 2 false,
     /// Reads the arm's model as URDF; from version 8 on.
-    GetRobotModel,
+    GetRobotModel "GetRobotModel" [_ 12 11] 0 false,
 }
 
 impl CommandKind {
-    /// All commands, in the order of version 5.
-    pub const ALL: [CommandKind; 15] = [
-        CommandKind::Connect,
-        CommandKind::Move,
-        CommandKind::StopMove,
-        CommandKind::GetCartesianLimit,
-        CommandKind::SetCollisionBehavior,
-        CommandKind::SetJointImpedance,
-        CommandKind::SetCartesianImpedance,
-        CommandKind::SetGuidingMode,
-        CommandKind::SetEeToK,
-        CommandKind::SetNeToEe,
-        CommandKind::SetLoad,
-        CommandKind::SetFilters,
-        CommandKind::AutomaticErrorRecovery,
-        CommandKind::LoadModelLibrary,
-        CommandKind::GetRobotModel,
-    ];
-
     /// Number of [`CommandKind::Connect`], which is read before the version is known.
     pub const CONNECT: u32 = 0;
-
-    /// The number in a header; `None` when `protocol` does not have the command.
-    pub const fn number(self, protocol: Protocol) -> Option<u32> {
-        // Versions 3 to 5, 6 to 9, and 10.
-        let (a, b, c) = match self {
-            CommandKind::Connect => {
-                (Some(CommandKind::CONNECT), Some(CommandKind::CONNECT), Some(CommandKind::CONNECT))
-            }
-            CommandKind::Move => (Some(1), Some(1), Some(1)),
-            CommandKind::StopMove => (Some(2), Some(2), Some(2)),
-            CommandKind::GetCartesianLimit => (Some(3), None, None),
-            CommandKind::SetCollisionBehavior => (Some(4), Some(3), Some(3)),
-            CommandKind::SetJointImpedance => (Some(5), Some(4), Some(4)),
-            CommandKind::SetCartesianImpedance => (Some(6), Some(5), Some(5)),
-            CommandKind::SetGuidingMode => (Some(7), Some(6), Some(6)),
-            CommandKind::SetEeToK => (Some(8), Some(7), Some(7)),
-            CommandKind::SetNeToEe => (Some(9), Some(8), Some(8)),
-            CommandKind::SetLoad => (Some(10), Some(9), Some(9)),
-            CommandKind::SetFilters => (Some(11), None, None),
-            CommandKind::AutomaticErrorRecovery => (Some(12), Some(10), Some(10)),
-            CommandKind::LoadModelLibrary => (Some(13), Some(11), None),
-            CommandKind::GetRobotModel => (None, Some(12), Some(11)),
-        };
-        match protocol {
-            Protocol::V5 => a,
-            Protocol::V9 => b,
-            Protocol::V10 => c,
-        }
-    }
 
     /// The command of a number in a header.
     ///
@@ -196,59 +206,6 @@ impl CommandKind {
 
     pub(super) fn number_or_absent(self, protocol: Protocol) -> Result<u32, WireError> {
         self.number(protocol).ok_or(WireError::Absent { what: self.name(), version: protocol.number() })
-    }
-
-    /// Length of the request without its header \[bytes\].
-    pub const fn request_bytes(self, protocol: Protocol) -> usize {
-        match self {
-            CommandKind::Connect | CommandKind::GetCartesianLimit => 4,
-            CommandKind::Move => protocol.move_bytes() - HEADER_BYTES,
-            CommandKind::StopMove | CommandKind::AutomaticErrorRecovery | CommandKind::GetRobotModel => 0,
-            CommandKind::SetCollisionBehavior => 416,
-            CommandKind::SetJointImpedance => 56,
-            CommandKind::SetCartesianImpedance => 48,
-            CommandKind::SetGuidingMode => 7,
-            CommandKind::SetEeToK | CommandKind::SetNeToEe => 128,
-            CommandKind::SetLoad => 104,
-            CommandKind::SetFilters => 40,
-            CommandKind::LoadModelLibrary => 2,
-        }
-    }
-
-    /// Whether the arm answers with a [`super::SetterStatus`] and nothing else.
-    pub const fn is_setter(self) -> bool {
-        matches!(
-            self,
-            CommandKind::SetCollisionBehavior
-                | CommandKind::SetJointImpedance
-                | CommandKind::SetCartesianImpedance
-                | CommandKind::SetGuidingMode
-                | CommandKind::SetEeToK
-                | CommandKind::SetNeToEe
-                | CommandKind::SetLoad
-                | CommandKind::SetFilters
-        )
-    }
-
-    /// The name in libfranka's headers.
-    pub const fn name(self) -> &'static str {
-        match self {
-            CommandKind::Connect => "Connect",
-            CommandKind::Move => "Move",
-            CommandKind::StopMove => "StopMove",
-            CommandKind::GetCartesianLimit => "GetCartesianLimit",
-            CommandKind::SetCollisionBehavior => "SetCollisionBehavior",
-            CommandKind::SetJointImpedance => "SetJointImpedance",
-            CommandKind::SetCartesianImpedance => "SetCartesianImpedance",
-            CommandKind::SetGuidingMode => "SetGuidingMode",
-            CommandKind::SetEeToK => "SetEEToK",
-            CommandKind::SetNeToEe => "SetNEToEE",
-            CommandKind::SetLoad => "SetLoad",
-            CommandKind::SetFilters => "SetFilters",
-            CommandKind::AutomaticErrorRecovery => "AutomaticErrorRecovery",
-            CommandKind::LoadModelLibrary => "LoadModelLibrary",
-            CommandKind::GetRobotModel => "GetRobotModel",
-        }
     }
 }
 
