@@ -27,11 +27,7 @@ const JOB: [&str; 10] = [
 
 #[test]
 fn an_added_effect_is_listed_found_reported_and_exported() {
-    let done = |arguments: &[&str]| {
-        let mut command = plumbline();
-        command.args(arguments);
-        Done::of(command).expect_code(0)
-    };
+    let done = |arguments: &[&str]| Done::of(plumbline().args(arguments)).expect_code(0);
     let listed = done(&["effects", "made-up"]).out;
     assert!(listed.contains("tau_j = madeup_j q_j dq_j") && listed.contains("export to C"), "{listed}");
     assert!(done(&["effects"]).out.contains(&listed), "the same as in the whole list");

@@ -20,9 +20,21 @@ const JOB: [&str; 9] = [
 
 /// Lines of `plumbline torque --follow`.
 fn follow(place: &Place, count: usize) -> Vec<String> {
-    let mut command = plumbline();
-    command.args(["torque", "--follow", "--rate", "50", "--robot", &place.id, "--count", &count.to_string()]);
-    let lines: Vec<String> = Done::of(command).expect_code(0).out.lines().map(str::to_string).collect();
+    let lines: Vec<String> = Done::of(plumbline().args([
+        "torque",
+        "--follow",
+        "--rate",
+        "50",
+        "--robot",
+        &place.id,
+        "--count",
+        &count.to_string(),
+    ]))
+    .expect_code(0)
+    .out
+    .lines()
+    .map(str::to_string)
+    .collect();
     assert_eq!(lines.len(), count);
     // The first line may come before the daemon has sent this client anything.
     let values: Vec<String> = lines.into_iter().filter(|line| line != "no value yet").collect();

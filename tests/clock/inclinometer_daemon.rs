@@ -283,12 +283,7 @@ fn a_loss_in_mid_motion_stops_the_arm_and_the_recording_says_why() {
     let dir = place.out().join("flight");
     let files: Vec<_> = std::fs::read_dir(&dir).unwrap().map(|entry| entry.unwrap().path()).collect();
     assert!(files.len() == 1 && files[0].to_string_lossy().ends_with("-mounting.mcap"), "{files:?}");
-    let told = Done::of({
-        let mut command = plumbline();
-        command.arg("postmortem").arg(&files[0]);
-        command
-    })
-    .expect_code(0);
+    let told = Done::of(plumbline().arg("postmortem").arg(&files[0])).expect_code(0);
     assert!(told.out.contains("because the mounting check failed"), "{}", told.said());
     assert!(told.out.contains("the inclinometer is lost: "), "{}", told.said());
 }
@@ -364,9 +359,7 @@ fn a_simulated_bus_goes_with_a_simulated_arm_alone() {
         text + "\n[inclinometer]\ninterface = \"simulated:/tmp/bus\"\nnode = 10\nx = \"x\"\nz = \"z\"\n",
     )
     .unwrap();
-    let mut command = plumbline();
-    command.arg("daemon").arg(&job).arg("--out").arg(place.out());
-    let done = Done::of(command).expect_code(2);
+    let done = Done::of(plumbline().arg("daemon").arg(&job).arg("--out").arg(place.out())).expect_code(2);
     for part in ["job.toml", "inclinometer.interface", "simulated:/tmp/bus", "a simulated arm alone"] {
         assert!(done.err.contains(part), "{}", done.said());
     }

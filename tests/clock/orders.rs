@@ -121,10 +121,7 @@ fn one_arm_has_one_daemon_whatever_folder_and_name_it_has() {
     let status = |place: &Place| {
         let mut command = plumbline();
         command.args(["command", "status", "--robot", &place.id]);
-        Done::of({
-            command.env("PLUMBLINE_RUNTIME_DIR", place.path().join("run"));
-            command
-        })
+        Done::of(command.env("PLUMBLINE_RUNTIME_DIR", place.path().join("run")))
     };
     let first = Running::start(daemon(&places[0]));
     wait_for("the first daemon", || (status(&places[0]).code == Some(0)).then_some(()));
@@ -216,10 +213,7 @@ fn an_upgrade_gives_no_file_to_root_that_the_daemon_has_refused() {
     let upgrade = || {
         let mut command = Command::new("unshare");
         command.args(["--mount", "sh", "-c", script]).arg(place.path());
-        Done::of({
-            command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd/deb/postinst")).stdin(Stdio::null());
-            command
-        })
+        Done::of(command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd/deb/postinst")).stdin(Stdio::null()))
     };
     upgrade().expect_code(0);
     for name in ["etc/plumbline/daemon.toml", "etc/plumbline/arm.toml"] {
@@ -251,18 +245,10 @@ fn a_torque_from_before_a_suspend_is_stale() {
     let daemon = Running::start(place.job("daemon", &short(&LONG_ON_CLOCK)));
     wait_for("the daemon", || place.status().filter(|now| now.cycles > 100));
     let torque = ["torque", "--robot", &place.id, "--count", "1"];
-    let line = Done::of({
-        let mut command = suspended();
-        command.arg(program()).args(torque);
-        command
-    })
-    .expect_code(0)
-    .out;
+    let line = Done::of(suspended().arg(program()).args(torque)).expect_code(0).out;
     let age: f64 = line.split("age").nth(1).and_then(|rest| rest.split_whitespace().next()?.parse().ok()).expect(&line);
     assert!(line.contains("STALE") && age >= 10_000.0, "{line}");
-    let mut command = plumbline();
-    command.args(torque);
-    let line = Done::of(command).expect_code(0).out;
+    let line = Done::of(plumbline().args(torque)).expect_code(0).out;
     let age: f64 = line.split("age").nth(1).and_then(|rest| rest.split_whitespace().next()?.parse().ok()).expect(&line);
     assert!(age < 10_000.0, "{line}");
     place.quit(daemon);

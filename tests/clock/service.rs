@@ -155,9 +155,7 @@ fn files_that_others_can_change_set_no_limits_of_a_service() {
     std::fs::copy(std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(WALL), &file).unwrap();
     std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o646)).unwrap();
     let daemon = |file: &std::path::Path| {
-        let mut command = plumbline();
-        command.args(["daemon", "--root-owned"]).arg(file).arg("--out").arg(place.out());
-        Done::of(command)
+        Done::of(plumbline().args(["daemon", "--root-owned"]).arg(file).arg("--out").arg(place.out()))
     };
     // Root is told of the mode, anybody else of the owner.
     let refused = daemon(&file).expect_code(2);

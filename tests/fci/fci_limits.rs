@@ -116,9 +116,8 @@ fn motions_are_planned_under_the_limits_of_the_connected_arm() {
 fn a_plan_past_the_connected_arms_limits_is_refused_before_anything_moves() {
     let scene = Scene::new("limits-plan", Some(narrow()), READY);
     let plan = scene.place.path().join("plan.toml");
-    let mut planned = plumbline();
-    planned.args(["plan", "--robot", "fr3", "--starts", "1", "--rounds", "0", "--out"]).arg(&plan);
-    Done::of(planned).expect_code(0);
+    Done::of(plumbline().args(["plan", "--robot", "fr3", "--starts", "1", "--rounds", "0", "--out"]).arg(&plan))
+        .expect_code(0);
     let set = format!("excitation.plan={}", plan.display());
     for verb in ["run", "daemon"] {
         let done = Done::of(scene.command(verb, &[&set])).expect_code(2);

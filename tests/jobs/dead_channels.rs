@@ -92,9 +92,8 @@ fn a_constant_channel_is_named() {
         }
     };
     let data = dataset(&scene, place.path().join("standing"), true, standing);
-    let mut program = plumbline();
-    program.arg("identify").arg(&data).arg("--out").arg(place.out()).args(["--terms", "friction"]);
-    Done::of(program).expect_code(0);
+    Done::of(plumbline().arg("identify").arg(&data).arg("--out").arg(place.out()).args(["--terms", "friction"]))
+        .expect_code(0);
 }
 
 /// The shipped arm with more keys in its file.

@@ -143,9 +143,7 @@ fn the_way_to_the_robot_is_the_narrowest_route() {
 }
 
 fn doctor(arguments: &[&str]) -> Done {
-    let mut command = plumbline();
-    command.args(["doctor", "--seconds", "1"]).args(arguments);
-    Done::of(command)
+    Done::of(plumbline().args(["doctor", "--seconds", "1"]).args(arguments))
 }
 
 #[test]

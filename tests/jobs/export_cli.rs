@@ -15,9 +15,7 @@ use std::path::{Path, PathBuf};
 const TABLE_3: &str = "config/models/panda-paper-table3.toml";
 
 fn export(model: &Path, arguments: &[&str]) -> Done {
-    let mut command = plumbline();
-    command.arg("export").arg(model).args(arguments);
-    Done::of(command)
+    Done::of(plumbline().arg("export").arg(model).args(arguments))
 }
 
 fn put(dir: &Path, name: &str, text: &str) -> PathBuf {

@@ -30,9 +30,7 @@ fn recording(place: &Place) -> PathBuf {
 /// What `plumbline postmortem --replay --json` says of it; the replay gave the same commands, or this fails.
 #[track_caller]
 fn facts(file: &Path) -> Value {
-    let mut command = plumbline();
-    command.arg("postmortem").arg(file).args(["--replay", "--json"]);
-    let done = Done::of(command).expect_code(0);
+    let done = Done::of(plumbline().arg("postmortem").arg(file).args(["--replay", "--json"])).expect_code(0);
     let page = std::fs::read_to_string(file.with_extension("html")).unwrap();
     assert!(page.contains("<svg") && !page.contains("src=") && !page.contains("href="));
     let facts: Value = serde_json::from_str(&done.out).unwrap();
@@ -98,12 +96,7 @@ fn a_guard_stop_during_a_motion() {
                       \x20   count[m.channel.topic] += 1\n\
                       \x20   last = m.ros_msg if m.channel.topic == '/joint_states' else None or (last if count else None)\n\
                       print(count['/joint_states'], count['/command'], count['/plumbline/cycle'], len(last.position), repr(last.position[6]))\n";
-        let done = Done::of({
-            let mut command = Command::new(python);
-            command.args(["-c", script]).arg(&file);
-            command
-        })
-        .expect_code(0);
+        let done = Done::of(Command::new(python).args(["-c", script]).arg(&file)).expect_code(0);
         let last = Recording::read(&file).unwrap().records[cycles - 1];
         assert_eq!(done.out.trim(), format!("{cycles} {cycles} {cycles} 7 {:?}", last.state.q[6]), "{}", done.said());
     }
@@ -275,9 +268,7 @@ fn files_that_are_no_recordings_are_refused() {
         if let Some(bytes) = bytes {
             std::fs::write(&path, bytes).unwrap();
         }
-        let mut command = plumbline();
-        command.arg("postmortem").arg(&path);
-        let done = Done::of(command).expect_code(2);
+        let done = Done::of(plumbline().arg("postmortem").arg(&path)).expect_code(2);
         for part in parts {
             assert!(done.err.contains(part), "no `{part}`: {}", done.said());
         }

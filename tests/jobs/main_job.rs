@@ -24,11 +24,7 @@ fn predict(place: &Place, run: &str) -> (Vec<Vec<f64>>, Vec<f64>) {
     let out = place.path().join("tau.csv");
     let mut command = plumbline();
     command.arg("predict").arg(place.out().join("model.toml")).arg(place.out().join("dataset").join(run));
-    let done = Done::of({
-        command.arg("--out").arg(&out);
-        command
-    })
-    .expect_code(0);
+    let done = Done::of(command.arg("--out").arg(&out)).expect_code(0);
     let line = done.out.lines().find(|line| line.contains("raw")).unwrap_or_else(|| panic!("{}", done.said()));
     let raw = line.split("raw ").nth(1).unwrap().split(" |").next().unwrap();
     (csv(&out), raw.split(' ').map(|value| value.parse().unwrap()).collect())
@@ -158,9 +154,8 @@ fn leaves_files_that_work(place: &Place, report: &Report) {
     // The dataset goes through the offline identification, and without offsets, at the job's cut-off, gives the very same numbers.
     let again = place.path().join("again");
     let identify = |more: &[&str]| -> Report {
-        let mut command = plumbline();
-        command.arg("identify").arg(place.out().join("dataset")).arg("--out").arg(&again).args(more);
-        Done::of(command).expect_code(0);
+        Done::of(plumbline().arg("identify").arg(place.out().join("dataset")).arg("--out").arg(&again).args(more))
+            .expect_code(0);
         serde_json::from_str(&std::fs::read_to_string(again.join("report.json")).unwrap()).unwrap()
     };
     let offline = identify(&["--terms", "friction", "--torque-cutoff", "5"]);

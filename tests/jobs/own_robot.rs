@@ -27,9 +27,8 @@ fn identified(place: &Place) -> (PathBuf, PathBuf, PathBuf) {
     std::fs::create_dir_all(&folder).unwrap();
     std::fs::write(folder.join("own.toml"), description("own-arm", "0.316")).unwrap();
     Dataset { name, robot, mounting: scene.mounting, source: toml::Table::new(), runs }.write(&data).unwrap();
-    let mut command = plumbline();
-    command.arg("identify").arg(&data).arg("--out").arg(place.out()).args(["--terms", "friction"]);
-    Done::of(command).expect_code(0);
+    Done::of(plumbline().arg("identify").arg(&data).arg("--out").arg(place.out()).args(["--terms", "friction"]))
+        .expect_code(0);
     let model = place.path().join("model.toml");
     std::fs::copy(place.out().join("model.toml"), &model).unwrap();
     (folder, data, model)
@@ -54,9 +53,7 @@ fn usable(place: &Place, model: &Path, run: &Path) {
 }
 
 fn compare(place: &Place, model: &Path, data: &Path) -> Done {
-    let mut command = plumbline();
-    command.arg("compare").arg(model).arg(data).arg("--out").arg(place.path().join("compared"));
-    Done::of(command)
+    Done::of(plumbline().arg("compare").arg(model).arg(data).arg("--out").arg(place.path().join("compared")))
 }
 
 #[test]
@@ -103,9 +100,8 @@ fn a_robot_description_in_a_model_file_is_covered_by_its_hash() {
     let refused = |text: &str, parts: &[&str]| {
         let edited = place.path().join("edited.toml");
         std::fs::write(&edited, text).unwrap();
-        let mut command = plumbline();
-        command.arg("export").arg(&edited).args(["--format", "c", "--out"]).arg(&out);
-        let done = Done::of(command).expect_code(2);
+        let done =
+            Done::of(plumbline().arg("export").arg(&edited).args(["--format", "c", "--out"]).arg(&out)).expect_code(2);
         for part in parts {
             assert!(done.err.contains(part), "no `{part}` in {}", done.said());
         }

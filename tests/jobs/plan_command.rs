@@ -56,9 +56,10 @@ fn a_plan_without_excitation_is_a_failed_job() {
     let robot = place.path().join("slow.toml");
     std::fs::write(&robot, slow.join("\n")).unwrap();
     let out = place.path().join("plan.toml");
-    let mut command = plumbline();
-    command.arg("plan").arg("--robot").arg(&robot).args(["--starts", "1", "--rounds", "0", "--out"]).arg(&out);
-    let done = Done::of(command).expect_code(1);
+    let done = Done::of(
+        plumbline().arg("plan").arg("--robot").arg(&robot).args(["--starts", "1", "--rounds", "0", "--out"]).arg(&out),
+    )
+    .expect_code(1);
     assert!(done.err.contains("the motion does not determine L"), "{}", done.said());
     assert!(done.err.contains("expected at most 10000"), "{}", done.said());
     assert!(!out.exists());

@@ -16,9 +16,7 @@ const MESSAGES: &str = "docs/reference/messages-and-export.md";
 
 /// What the program prints, without blanks at the ends of lines.
 fn printed(arguments: &str) -> String {
-    let mut command = plumbline();
-    command.args(arguments.split(' '));
-    let out = Done::of(command).expect_code(0).out;
+    let out = Done::of(plumbline().args(arguments.split(' '))).expect_code(0).out;
     out.trim_matches('\n').lines().map(|line| line.trim_end().to_string()).collect::<Vec<_>>().join("\n")
 }
 

@@ -20,10 +20,15 @@ struct Left {
 
 impl Left {
     fn predict(&self, run: &str, more: &[&str]) -> Done {
-        let mut command = plumbline();
-        command.arg("predict").arg(self.model()).arg(self.place.out().join("dataset").join(run));
-        command.arg("--out").arg(&self.tau).args(more);
-        Done::of(command)
+        Done::of(
+            plumbline()
+                .arg("predict")
+                .arg(self.model())
+                .arg(self.place.out().join("dataset").join(run))
+                .arg("--out")
+                .arg(&self.tau)
+                .args(more),
+        )
     }
 
     fn model(&self) -> PathBuf {
@@ -53,10 +58,13 @@ fn a_vertical_model_is_refused_in_other_mountings() {
     let ratio = left.ratio(left.predict("validate-upright-1.csv", &["--consistent"]));
     assert!(ratio.iter().all(|ratio| (0.9..1.2).contains(ratio)), "{ratio:?}");
     std::fs::remove_file(&left.tau).unwrap();
-    let mut command = plumbline();
-    command.args(["predict", "config/models/panda-paper-table3.toml", "--consistent", "--out"]).arg(&left.tau);
-    command.arg(left.place.out().join("dataset/validate-upright-1.csv"));
-    let done = Done::of(command).expect_code(2);
+    let done = Done::of(
+        plumbline()
+            .args(["predict", "config/models/panda-paper-table3.toml", "--consistent", "--out"])
+            .arg(&left.tau)
+            .arg(left.place.out().join("dataset/validate-upright-1.csv")),
+    )
+    .expect_code(2);
     assert!(done.err.contains("panda-paper-table3.toml") && done.err.contains("[consistent]"), "{}", done.said());
     assert!(!left.tau.exists());
 

@@ -1,5 +1,6 @@
 //! Fixtures for tests of the whole program: the binary, a separate job per test, true parameter values.
 
+use std::borrow::BorrowMut;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::io::Read;
@@ -202,8 +203,8 @@ pub struct Done {
 }
 
 impl Done {
-    pub fn of(mut command: Command) -> Done {
-        Done::from(command.output().unwrap())
+    pub fn of(mut command: impl BorrowMut<Command>) -> Done {
+        Done::from(command.borrow_mut().output().unwrap())
     }
 
     /// All output, for the message of a failed assertion.
@@ -235,8 +236,8 @@ struct Process {
 }
 
 impl Running {
-    pub fn start(mut command: Command) -> Running {
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    pub fn start(mut command: impl BorrowMut<Command>) -> Running {
+        let mut child = command.borrow_mut().stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let (out, err) = (Said::through(child.stdout.take().unwrap()), Said::through(child.stderr.take().unwrap()));
         Running(Some(Process { child, out, err }))
     }
