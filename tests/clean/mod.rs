@@ -211,12 +211,12 @@ pub fn run(name: &str, seal: Seal) -> Result<Outcome, Interrupted> {
         _ => {
             let (protocol, robot) =
                 if name == "franka-fr3" { (Protocol::V10, RobotKind::Fr3) } else { (Protocol::V5, RobotKind::Panda) };
-            let address = std::net::Ipv4Addr::new(127, 45, (std::process::id() % 250) as u8, protocol.number() as u8);
+            let address = emulator::address();
             let patience = Duration::from_millis(200);
             let emulated = emulator::Settings { patience, ..emulator::Settings::new(address, protocol) };
             let _emulator = emulator::Emulator::start(emulated).unwrap();
             let (arm, connection) =
-                plumbline_franka::connect(&plumbline_franka::Settings::new(address.into(), robot)).unwrap();
+                plumbline_franka::connect(&plumbline_franka::Settings::new(address, robot)).unwrap();
             let ArmLimits { limits, envelope, .. } = connection.info.limits.for_guard(1.0);
             let limits = GuardSettings { limits, envelope, workspace: None, tracking: [0.2; MAX_JOINTS] };
             whole(SealedArm::new(arm, name, seal), None, limits, name)

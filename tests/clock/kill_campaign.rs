@@ -6,7 +6,7 @@
 
 use plumbline_testkit::emulator;
 use std::fmt::Write as _;
-use std::net::{IpAddr, Ipv4Addr};
+use std::net::IpAddr;
 use std::process::Command;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -257,7 +257,7 @@ fn clients(rounds: u32, seed: u64, kill: bool) -> Row {
 /// The arm is the emulator's: it is there after the daemon's death, and says itself whether it moves.
 fn daemons(rounds: u32, seed: u64, kill: bool) -> Row {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let (robot, address) = behind_fci("kill-daemon", 3 + u8::from(kill));
+    let (robot, address) = behind_fci("kill-daemon");
     let settings =
         emulator::Settings { patience: Duration::from_millis(10), ..emulator::Settings::new(address, Protocol::V5) };
     let emulator = || emulator::Emulator::start(settings.clone()).unwrap();
@@ -363,8 +363,8 @@ fn anew(
 }
 
 /// A robot that the emulator stands for, and its address.
-fn behind_fci(name: &str, number: u8) -> (Robot, IpAddr) {
-    let address: IpAddr = Ipv4Addr::new(127, 45, (std::process::id() % 250) as u8, number).into();
+fn behind_fci(name: &str) -> (Robot, IpAddr) {
+    let address = emulator::address();
     let at = format!("backend.franka.address={address}");
     let mut sets = LONG.to_vec();
     sets.push(&at);
@@ -379,7 +379,7 @@ fn at_rest(arm: &emulator::Emulator) -> bool {
 
 fn emulators(rounds: u32, seed: u64, kill: bool) -> Row {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let (robot, address) = behind_fci("kill-robot", 1 + u8::from(kill));
+    let (robot, address) = behind_fci("kill-robot");
     let emulator = || {
         let mut command = Command::new(std::env::current_exe().unwrap());
         command.args(["kill_campaign::emulator_child", "--exact", "--nocapture"]).env(ADDRESS, address.to_string());

@@ -5,7 +5,6 @@ use plumbline_franka::wire::Protocol;
 use plumbline_ipc::{Client, Proposal, Request, Response, RobotId};
 use plumbline_testkit::emulator;
 use plumbline_testkit::job::*;
-use std::net::{IpAddr, Ipv4Addr};
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -103,7 +102,7 @@ fn a_held_lock_is_a_failed_job_and_no_bad_input() {
 
 #[test]
 fn one_arm_has_one_daemon_whatever_folder_and_name_it_has() {
-    let address: IpAddr = Ipv4Addr::new(127, 46, (std::process::id() % 250) as u8, 1).into();
+    let address = emulator::address();
     let _arm = emulator::Emulator::start(emulator::Settings::new(address, Protocol::V5)).unwrap();
     let at = format!("backend.franka.address={address}");
     let sets = short(&["excitation.trajectories=1", "validation.mountings=[\"wall\"]", &at]);

@@ -4,11 +4,10 @@ use plumbline::store::load_plan;
 use plumbline_excite::Plan;
 use plumbline_franka::wire::{Protocol, RobotMode};
 use plumbline_testkit::emulator::limits::{JOINTS, Limits};
-use plumbline_testkit::emulator::{Emulator, READY, RobotKind, Settings, Snapshot};
+use plumbline_testkit::emulator::{Emulator, READY, RobotKind, Settings, Snapshot, address};
 use plumbline_testkit::job::{Done, Place, Running, plumbline, wait_for};
-use std::net::{IpAddr, Ipv4Addr};
+use std::net::IpAddr;
 use std::process::Command;
-use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::Duration;
 
 /// An FR3 whose description has tighter limits than the robot file: less range and speed in every joint, and a speed that falls earlier.
@@ -37,9 +36,7 @@ struct Scene {
 
 impl Scene {
     fn new(name: &str, limits: Option<Limits>, start: [f64; JOINTS]) -> Scene {
-        static NEXT: AtomicU8 = AtomicU8::new(1);
-        let address =
-            Ipv4Addr::new(127, 48, (std::process::id() % 250) as u8, NEXT.fetch_add(1, Ordering::Relaxed)).into();
+        let address = address();
         // A loaded test machine stalls the daemon: the robot's time waits for its commands.
         let patience = Duration::from_millis(500);
         let settings = Settings { limits, start, patience, ..Settings::new(address, Protocol::V10) };

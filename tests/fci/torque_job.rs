@@ -3,18 +3,14 @@
 
 use plumbline_franka::wire::{Protocol, RobotMode};
 use plumbline_model::Mounting;
-use plumbline_testkit::emulator::{Emulator, Settings};
+use plumbline_testkit::emulator::{Emulator, Settings, address};
 use plumbline_testkit::job::{Done, Place, plumbline};
-use std::net::{IpAddr, Ipv4Addr};
 use std::process::Command;
-use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::Duration;
 
 /// A Panda on a wall, and `plumbline run` with torque commands for it.
 fn scene(name: &str) -> (Emulator, Place, Command) {
-    static NEXT: AtomicU8 = AtomicU8::new(1);
-    let address: IpAddr =
-        Ipv4Addr::new(127, 50, (std::process::id() % 250) as u8, NEXT.fetch_add(1, Ordering::Relaxed)).into();
+    let address = address();
     // A loaded test machine stalls the daemon: the robot's time waits for its commands.
     let patience = Duration::from_millis(500);
     let settings = Settings { mounting: Mounting::WALL, patience, ..Settings::new(address, Protocol::V5) };

@@ -10,21 +10,12 @@ use plumbline_franka::{
 use plumbline_model::{Chain, LinkParameters, Mounting, rnea};
 use plumbline_rt::cycle::End;
 use plumbline_testkit::conformance::conformance;
-use plumbline_testkit::emulator::{Emulator, Fault as Trouble, Settings as Emulated};
+use plumbline_testkit::emulator::{Emulator, Fault as Trouble, Settings as Emulated, address};
 use plumbline_testkit::franka_loop::{Run, drive, drive_serving, plan, quick_plan};
-use std::net::{IpAddr, Ipv4Addr};
-use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
 #[global_allocator]
 static ALLOCATOR: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
-
-fn address() -> IpAddr {
-    static NEXT: AtomicU8 = AtomicU8::new(1);
-    // The process number keeps programs apart that run at the same time.
-    let process = (std::process::id() % 250) as u8;
-    Ipv4Addr::new(127, 43, process, NEXT.fetch_add(1, Ordering::Relaxed)).into()
-}
 
 fn start(emulated: Emulated) -> (Emulator, Settings) {
     let robot = if emulated.protocol == Protocol::V5 { RobotKind::Panda } else { RobotKind::Fr3 };

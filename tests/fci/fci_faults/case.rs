@@ -8,11 +8,10 @@ use plumbline_franka::wire::{Protocol, RobotMode};
 use plumbline_ipc::Status;
 use plumbline_model::Mounting;
 use plumbline_testkit::emulator::limits::JOINTS;
-use plumbline_testkit::emulator::{Emulator, Fault, Hand, Settings};
+use plumbline_testkit::emulator::{Emulator, Fault, Hand, Settings, address};
 use plumbline_testkit::job::{Place, Running, plumbline};
-use std::net::{IpAddr, Ipv4Addr};
+use std::net::IpAddr;
 use std::process::Command;
-use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
 #[derive(Clone, Copy, Debug)]
@@ -76,11 +75,6 @@ const NEXT_STEPS: [&str; 10] = [
     "in Desk",
     "Is another program connected",
 ];
-
-fn address() -> IpAddr {
-    static NEXT: AtomicU8 = AtomicU8::new(1);
-    Ipv4Addr::new(127, 0, 46, NEXT.fetch_add(1, Ordering::Relaxed)).into()
-}
 
 /// Lets the emulator's thread go before everything else on this machine, where that is permitted: a robot is not late.
 fn prioritise(address: IpAddr) {

@@ -48,8 +48,9 @@ use plumbline_model::{G, Mounting, Robot as Description};
 use plumbline_sim::{SimError, Truth};
 use robot::{Robot, Served};
 use server::{Order, Parts, Server};
-use std::net::IpAddr;
+use std::net::{IpAddr, Ipv4Addr};
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU16, Ordering};
 use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -65,6 +66,13 @@ pub const READY: Joints = [
     std::f64::consts::FRAC_PI_2,
     std::f64::consts::FRAC_PI_4,
 ];
+
+/// An address of its own for every emulator; the port is fixed. The process number keeps programs apart that run at the same time.
+pub fn address() -> IpAddr {
+    static NEXT: AtomicU16 = AtomicU16::new(1);
+    let [high, low] = NEXT.fetch_add(1, Ordering::Relaxed).to_be_bytes();
+    Ipv4Addr::new(127, 64 | (high & 63), (std::process::id() % 251) as u8, low).into()
+}
 
 #[derive(Clone, Debug)]
 pub struct Settings {
