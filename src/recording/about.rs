@@ -186,35 +186,13 @@ pub enum Activity {
         /// Index in [`About::orders`].
         index: u32,
         /// Setpoint at its start, if known.
-        from: Option<Point>,
+        from: Option<Setpoint>,
     },
     Brake {
         /// Setpoint at its start, if known.
-        from: Option<Point>,
+        from: Option<Setpoint>,
     },
     Stopped,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Point {
-    /// Position \[rad\].
-    pub q: JointVec,
-    /// Velocity \[rad/s\].
-    pub dq: JointVec,
-    /// Acceleration \[rad/s2\].
-    pub ddq: JointVec,
-}
-
-impl From<Setpoint> for Point {
-    fn from(Setpoint { q, dq, ddq }: Setpoint) -> Point {
-        Point { q, dq, ddq }
-    }
-}
-
-impl From<Point> for Setpoint {
-    fn from(Point { q, dq, ddq }: Point) -> Setpoint {
-        Setpoint { q, dq, ddq }
-    }
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -296,13 +274,8 @@ pub struct RecordedModel {
 /// [`CycleSettings`] in serialisable form.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
-    q_min: JointVec,
-    q_max: JointVec,
-    dq: JointVec,
-    ddq: JointVec,
-    jerk: JointVec,
-    tau: JointVec,
-    dtau: JointVec,
+    #[serde(flatten)]
+    limits: Limits,
     tracking: JointVec,
     envelope: Option<[JointVec; 2]>,
     /// Lower and upper corner, radius of the base.
@@ -315,20 +288,13 @@ pub struct Settings {
 impl From<&CycleSettings> for Settings {
     fn from(settings: &CycleSettings) -> Settings {
         let GuardSettings { limits, envelope, workspace, tracking } = settings.guard;
-        let Limits { q_min, q_max, dq, ddq, jerk, tau, dtau } = limits;
-        let MoveFactors { velocity, acceleration, jerk: jerk_share, brake } = settings.moves;
+        let MoveFactors { velocity, acceleration, jerk, brake } = settings.moves;
         Settings {
-            q_min,
-            q_max,
-            dq,
-            ddq,
-            jerk,
-            tau,
-            dtau,
+            limits,
             tracking,
             envelope: envelope.map(|envelope| [envelope.offset, envelope.deceleration]),
             workspace: workspace.map(|space| (space.box_min, space.box_max, space.base_radius)),
-            moves: [velocity, acceleration, jerk_share, brake],
+            moves: [velocity, acceleration, jerk, brake],
             max_lost: settings.max_consecutive_lost,
         }
     }
@@ -336,8 +302,7 @@ impl From<&CycleSettings> for Settings {
 
 impl Settings {
     pub fn limits(&self) -> Limits {
-        let Settings { q_min, q_max, dq, ddq, jerk, tau, dtau, .. } = *self;
-        Limits { q_min, q_max, dq, ddq, jerk, tau, dtau }
+        self.limits
     }
 
     /// Tracking tolerance of the guard: distance of the measured position from the previous command \[rad\].
@@ -350,7 +315,7 @@ impl Settings {
         let [velocity, acceleration, jerk, brake] = self.moves;
         let space = |(box_min, box_max, base_radius)| Workspace { box_min, box_max, base_radius };
         let guard = GuardSettings {
-            limits: self.limits(),
+            limits: self.limits,
             envelope: self.envelope.map(|[offset, deceleration]| SpeedEnvelope { offset, deceleration }),
             workspace: self.workspace.map(space),
             tracking: self.tracking,

@@ -3,7 +3,7 @@
 //! The daemon stores the records and events from the loop's rings here. [`History::window`] returns the part to write to disk. Records
 //! that did not pass through the rings (full ring, stalled reader) are taken from the loop's own flight recorder.
 
-use super::about::{Activity, Note, Point, RecordedModel, RecordedOrder};
+use super::about::{Activity, Note, RecordedModel, RecordedOrder};
 use plumbline_core::{JointVec, Record, Setpoint, State};
 use plumbline_rt::{Event, TimedEvent, braked_from};
 use std::collections::VecDeque;
@@ -57,7 +57,6 @@ impl LoopState {
     /// Updates the state with an event; `from` is the setpoint at its start.
     pub fn apply(&mut self, told: &TimedEvent, from: Option<Setpoint>) {
         self.orders = told.orders;
-        let from = from.map(Point::from);
         match told.event {
             Event::Started { .. } => {
                 self.under_way = Activity::Order { index: told.orders.saturating_sub(1), from };

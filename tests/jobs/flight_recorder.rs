@@ -255,23 +255,3 @@ fn stops_of_an_arm_at_rest_leave_no_recordings() {
     place.quit(daemon);
     assert!(recordings(&place.out().join("flight")).is_empty());
 }
-
-#[test]
-fn files_that_are_no_recordings_are_refused() {
-    let place = Place::new("flight-bad");
-    for (name, bytes, parts) in [
-        ("none.mcap", None, &["none.mcap", "No such file"][..]),
-        ("empty.mcap", Some(&b""[..]), &["empty.mcap: byte 0", "empty"]),
-        ("text.mcap", Some(b"hello, world"), &["byte 0", "68 65 6c 6c 6f", "89 4d 43 41 50"]),
-    ] {
-        let path = place.path().join(name);
-        if let Some(bytes) = bytes {
-            std::fs::write(&path, bytes).unwrap();
-        }
-        let done = Done::of(plumbline().arg("postmortem").arg(&path)).expect_code(2);
-        for part in parts {
-            assert!(done.err.contains(part), "no `{part}`: {}", done.said());
-        }
-        assert!(done.out.is_empty() && !path.with_extension("html").exists(), "{}", done.said());
-    }
-}

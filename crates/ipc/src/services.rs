@@ -174,6 +174,24 @@ fn commands(node: &ServiceNode, name: &str) -> Result<CommandsBuilder, IpcError>
     Ok(node.service_builder(&service_name(name)?).request_response::<[u8], [u8]>())
 }
 
+/// A request-response service of one server; the builders of two services are two types.
+macro_rules! serve_one_server {
+    ($builder:expr, $clients:expr) => {
+        $builder
+            .enable_safe_overflow_for_requests(false)
+            .enable_safe_overflow_for_responses(false)
+            .enable_fire_and_forget_requests(true)
+            .max_active_requests_per_client(2)
+            .max_loaned_requests(1)
+            .max_response_buffer_size(1)
+            .max_borrowed_responses_per_pending_response(1)
+            .max_servers(1)
+            .max_clients($clients)
+            .max_nodes($clients + SPARE_NODES)
+            .open_or_create()
+    };
+}
+
 /// Opens or creates the sample stream. The daemon alone sets the sizes.
 pub(super) fn serve_samples(node: &ServiceNode, robot: &RobotId) -> Result<Samples, IpcError> {
     let name = samples_name(robot);
@@ -193,20 +211,7 @@ pub(super) fn serve_samples(node: &ServiceNode, robot: &RobotId) -> Result<Sampl
 
 pub(super) fn serve_replay(node: &ServiceNode, robot: &RobotId) -> Result<Replay, IpcError> {
     let name = replay_name(robot);
-    retry_until(&name, SERVER_TIMEOUT, || {
-        Ok(replay(node, &name)?
-            .enable_safe_overflow_for_requests(false)
-            .enable_safe_overflow_for_responses(false)
-            .enable_fire_and_forget_requests(true)
-            .max_active_requests_per_client(2)
-            .max_loaned_requests(1)
-            .max_response_buffer_size(1)
-            .max_borrowed_responses_per_pending_response(1)
-            .max_servers(1)
-            .max_clients(MAX_FOLLOWERS)
-            .max_nodes(MAX_FOLLOWERS + SPARE_NODES)
-            .open_or_create())
-    })
+    retry_until(&name, SERVER_TIMEOUT, || Ok(serve_one_server!(replay(node, &name)?, MAX_FOLLOWERS)))
 }
 
 /// Opens or creates the feed-forward service. Its buffer holds the latest value only.
@@ -227,45 +232,24 @@ pub(super) fn serve_feed_forward(node: &ServiceNode, robot: &RobotId) -> Result<
 
 pub(super) fn serve_commands(node: &ServiceNode, robot: &RobotId) -> Result<Commands, IpcError> {
     let name = command_name(robot);
-    retry_until(&name, SERVER_TIMEOUT, || {
-        Ok(commands(node, &name)?
-            .enable_safe_overflow_for_requests(false)
-            .enable_safe_overflow_for_responses(false)
-            .enable_fire_and_forget_requests(true)
-            .max_active_requests_per_client(2)
-            .max_loaned_requests(1)
-            .max_response_buffer_size(1)
-            .max_borrowed_responses_per_pending_response(1)
-            .max_servers(1)
-            .max_clients(MAX_COMMAND_CLIENTS)
-            .max_nodes(MAX_COMMAND_CLIENTS + SPARE_NODES)
-            .open_or_create())
-    })
+    retry_until(&name, SERVER_TIMEOUT, || Ok(serve_one_server!(commands(node, &name)?, MAX_COMMAND_CLIENTS)))
 }
 
-/// Opens the sample stream of a daemon.
-pub(super) fn join_samples(node: &ServiceNode, robot: &RobotId, timeout: Duration) -> Result<Samples, IpcError> {
-    let name = samples_name(robot);
-    joined(robot, timeout, retry_until(&name, timeout, || Ok(samples(node, &name)?.open())))
+/// Functions that open a service of a daemon.
+macro_rules! join {
+    ($($join:ident: $builder:ident, $name:ident -> $service:ty;)+) => {$(
+        pub(super) fn $join(node: &ServiceNode, robot: &RobotId, timeout: Duration) -> Result<$service, IpcError> {
+            let name = $name(robot);
+            joined(robot, timeout, retry_until(&name, timeout, || Ok($builder(node, &name)?.open())))
+        }
+    )+};
 }
 
-pub(super) fn join_replay(node: &ServiceNode, robot: &RobotId, timeout: Duration) -> Result<Replay, IpcError> {
-    let name = replay_name(robot);
-    joined(robot, timeout, retry_until(&name, timeout, || Ok(replay(node, &name)?.open())))
-}
-
-pub(super) fn join_feed_forward(
-    node: &ServiceNode,
-    robot: &RobotId,
-    timeout: Duration,
-) -> Result<FeedForward, IpcError> {
-    let name = feed_forward_name(robot);
-    joined(robot, timeout, retry_until(&name, timeout, || Ok(feed_forward(node, &name)?.open())))
-}
-
-pub(super) fn join_commands(node: &ServiceNode, robot: &RobotId, timeout: Duration) -> Result<Commands, IpcError> {
-    let name = command_name(robot);
-    joined(robot, timeout, retry_until(&name, timeout, || Ok(commands(node, &name)?.open())))
+join! {
+    join_samples: samples, samples_name -> Samples;
+    join_replay: replay, replay_name -> Replay;
+    join_feed_forward: feed_forward, feed_forward_name -> FeedForward;
+    join_commands: commands, command_name -> Commands;
 }
 
 /// Timeout of the daemon for opening a service: another process may still be cleaning up after a killed one.

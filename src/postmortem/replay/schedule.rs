@@ -77,8 +77,7 @@ fn start_setpoint_of(records: &[Record], told: &TimedEvent) -> Option<Setpoint> 
 
 fn activity(recording: &Recording, before: &LoopState) -> Result<Doing, ReplayError> {
     let known = |from: &Option<_>, what: &str| {
-        from.map(Setpoint::from)
-            .ok_or_else(|| ReplayError::Missing { what: format!("the setpoint at the start of {what}") })
+        from.ok_or_else(|| ReplayError::Missing { what: format!("the setpoint at the start of {what}") })
     };
     Ok(match &before.under_way {
         Activity::Hold => Doing::Hold,
