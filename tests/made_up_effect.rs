@@ -40,7 +40,7 @@ fn an_added_effect_is_listed_found_reported_and_exported() {
     let own = format!("backend.arm={}", arm.display());
     let ran = place.run(&JOB.into_iter().chain([own.as_str()]).collect::<Vec<_>>()).expect_code(0);
     let report = place.report();
-    let found = report.diagnosis.unwrap_or_else(|| panic!("no diagnosis: {}", ran.said()));
+    let found = report.diagnosis.unwrap_or_else(|| panic!("no diagnosis: {}", ran.output()));
     assert!(matches!(found.verdict, Verdict::Diagnosed | Verdict::Ambiguous), "{found:#?}");
     let effect = found.effects.iter().find(|effect| effect.id == "made-up").unwrap_or_else(|| panic!("{found:#?}"));
     assert!(effect.joints == [JOINT] && effect.in_model, "{effect:#?}");
@@ -54,9 +54,9 @@ fn an_added_effect_is_listed_found_reported_and_exported() {
 
     let (model, c) = (place.out().join("model.toml"), place.out().join("arm.c"));
     let exported = done(&["export", model.to_str().unwrap(), "--format", "c", "--out", c.to_str().unwrap()]);
-    assert!(!exported.out.contains("left out"), "{}", exported.said());
+    assert!(!exported.out.contains("left out"), "{}", exported.output());
     assert!(std::fs::read_to_string(&c).unwrap().contains("q[4]*dq[4]"), "its expression is in the C function");
     let urdf = place.out().join("arm.urdf");
     let exported = done(&["export", model.to_str().unwrap(), "--format", "urdf", "--out", urdf.to_str().unwrap()]);
-    assert!(exported.out.contains("effect `made-up` is left out"), "{}", exported.said());
+    assert!(exported.out.contains("effect `made-up` is left out"), "{}", exported.output());
 }

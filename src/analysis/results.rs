@@ -127,9 +127,9 @@ impl Results {
         report.validate = judged.iter().map(|(run, judged)| validation(run, judged)).collect();
         report.consistency = model.consistent.as_ref().map(|found| Consistency::of_model(&model.model, found));
         report.counter_experiment = counter.map(|(facts, _)| facts);
-        report.gravity = status.gravity.as_ref().and_then(|said| {
+        report.gravity = status.gravity.as_ref().and_then(|gravity| {
             let runs = self.recorded.iter().map(|own| (own.number, own.run.data.name.as_str(), own.run.data.mounting));
-            GravityReport::new(said, self.job.mounting, runs)
+            GravityReport::new(gravity, self.job.mounting, runs)
         });
         report.motions = self.motions.clone();
         report.control_loop = Some(LoopReport::new(status, !self.job.backend.is_fast()));

@@ -206,8 +206,8 @@ mod tests {
             (String::new(), "no column `t`"),
         ];
         for (text, expected) in cases {
-            let said = refusal(&text);
-            assert!(said.contains(expected), "`{said}` does not say `{expected}`");
+            let message = refusal(&text);
+            assert!(message.contains(expected), "`{message}` does not say `{expected}`");
         }
         let still = (0..12).map(|_| "1.0,2.0,3.0\n").collect::<String>();
         assert!(refusal(&format!("t,q1,tau1\n{still}")).contains("time that advances"));

@@ -184,26 +184,26 @@ fn during(recording: &Recording) -> Option<String> {
 
 fn first_limit(recording: &Recording, time: &TimeBase) -> Option<LimitViolation> {
     // Only the last stop counts, and only if no resume followed it.
-    let of_a_stop = |told: &&TimedEvent| matches!(told.event, Event::Stopping { .. } | Event::Resumed);
-    let told = recording.events.iter().rfind(of_a_stop)?;
-    let Event::Stopping { reason: StopReason::Guard(violation), .. } = told.event else { return None };
+    let of_a_stop = |timed: &&TimedEvent| matches!(timed.event, Event::Stopping { .. } | Event::Resumed);
+    let timed = recording.events.iter().rfind(of_a_stop)?;
+    let Event::Stopping { reason: StopReason::Guard(violation), .. } = timed.event else { return None };
     let Violation { limit, joint, value, bound } = violation;
     Some(LimitViolation {
         limit: limit_name(limit).to_string(),
         joint: joint + 1,
         value,
         bound,
-        before: time.before_end(told.seq),
-        cycle: told.cycle,
+        before: time.before_end(timed.seq),
+        cycle: timed.cycle,
         text: violation.to_string(),
     })
 }
 
 fn stop(recording: &Recording, time: &TimeBase) -> Option<Stop> {
-    let began = recording.events.iter().rfind(|told| matches!(told.event, Event::Stopping { .. }))?;
-    let rest = recording.events.iter().find(|told| told.event == Event::Stopped && told.cycle >= began.cycle);
+    let began = recording.events.iter().rfind(|timed| matches!(timed.event, Event::Stopping { .. }))?;
+    let rest = recording.events.iter().find(|timed| timed.event == Event::Stopped && timed.cycle >= began.cycle);
     let records = &recording.records;
-    let last = rest.map_or_else(|| records.last().map_or(began.seq, |last| last.state.seq), |told| told.seq);
+    let last = rest.map_or_else(|| records.last().map_or(began.seq, |last| last.state.seq), |timed| timed.seq);
     let within: Vec<&Record> =
         records.iter().filter(|r| r.cycle.saturating_add(1) >= began.cycle && r.state.seq <= last).collect();
     let joints = recording.about.joints;
@@ -241,24 +241,24 @@ fn timeline(recording: &Recording, time: &TimeBase) -> Vec<TimelineEntry> {
             weight: Weight::Plain,
         });
     }
-    for told in &recording.events {
-        let weight = match told.event {
+    for timed in &recording.events {
+        let weight = match timed.event {
             Event::Stopping { reason: StopReason::Requested | StopReason::Quit, .. } => Weight::Warn,
             Event::Stopping { .. } | Event::Distrusted { .. } => Weight::Bad,
             Event::Stopped | Event::Resumed => Weight::Warn,
             Event::Discarded { .. } => continue,
             _ => Weight::Plain,
         };
-        let resting = matches!(told.event, Event::Started { .. } | Event::Ended { .. })
+        let resting = matches!(timed.event, Event::Started { .. } | Event::Ended { .. })
             && matches!(
-                recording.about.orders.get(told.orders.saturating_sub(1) as usize),
+                recording.about.orders.get(timed.orders.saturating_sub(1) as usize),
                 Some(RecordedOrder::Dwell { .. })
             );
-        let text = event_text_with(&told.event, &|number| recording.about.order_name(number, resting));
+        let text = event_text_with(&timed.event, &|number| recording.about.order_name(number, resting));
         lines.push(TimelineEntry {
-            before: time.before_end(told.seq),
-            cycle: told.cycle,
-            phase: phase_at(told.cycle),
+            before: time.before_end(timed.seq),
+            cycle: timed.cycle,
+            phase: phase_at(timed.cycle),
             text,
             weight,
         });

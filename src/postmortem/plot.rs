@@ -116,8 +116,8 @@ fn colour(j: usize) -> RGBColor {
 
 fn stops(recording: &Recording) -> Vec<f64> {
     let time = TimeBase::of(recording);
-    let stopping = |told: &&plumbline_rt::TimedEvent| matches!(told.event, plumbline_rt::Event::Stopping { .. });
-    recording.events.iter().filter(stopping).map(|told| -time.before_end(told.seq)).collect()
+    let stopping = |timed: &&plumbline_rt::TimedEvent| matches!(timed.event, plumbline_rt::Event::Stopping { .. });
+    recording.events.iter().filter(stopping).map(|timed| -time.before_end(timed.seq)).collect()
 }
 
 /// Phases over time as a strip, with markers at faults.

@@ -105,11 +105,11 @@ pub fn replay(recording: &Recording, inputs: ReplayInputs) -> Result<ReplayResul
         .map_err(|panic| panicked(&panic_message(&*panic)));
     drop(again);
     let mut handles = lock(&shared).take().ok_or_else(|| ReplayError::Missing { what: "the loop's end".into() })?;
-    let told: Vec<TimedEvent> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
+    let timed: Vec<TimedEvent> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
     handles.free_retired();
     let records_again = std::mem::take(&mut *lock(&records_again));
     let mut result = compare(records, &records_again, from_the_start);
-    result.same_events = same_events(recording, &told, result.first);
+    result.same_events = same_events(recording, &timed, result.first);
     if unanswered.is_some() {
         let text = end.as_ref().map_or_else(String::clone, End::to_string);
         // A fault of the arm is not an output of the loop and is not compared.

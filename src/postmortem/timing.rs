@@ -17,8 +17,8 @@ impl TimeBase {
     pub fn of(recording: &Recording) -> TimeBase {
         let newest = recording.records.last().map_or(0, |record| record.state.seq);
         let unanswered = recording.unanswered.as_ref().map_or(0, |record| record.state.seq);
-        let told = recording.events.iter().map(|told| told.seq).max().unwrap_or(0);
-        TimeBase { last: newest.max(unanswered).max(told) }
+        let timed = recording.events.iter().map(|timed| timed.seq).max().unwrap_or(0);
+        TimeBase { last: newest.max(unanswered).max(timed) }
     }
 
     pub fn before_end(&self, seq: u64) -> f64 {

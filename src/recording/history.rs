@@ -29,7 +29,7 @@ pub struct History {
 }
 
 struct EventEntry {
-    told: TimedEvent,
+    timed: TimedEvent,
     from: Option<Setpoint>,
 }
 
@@ -55,11 +55,11 @@ pub fn start_setpoint(event: &Event, last: &Record, own: Option<&Record>) -> Set
 
 impl LoopState {
     /// Updates the state with an event; `from` is the setpoint at its start.
-    pub fn apply(&mut self, told: &TimedEvent, from: Option<Setpoint>) {
-        self.orders = told.orders;
-        match told.event {
+    pub fn apply(&mut self, timed: &TimedEvent, from: Option<Setpoint>) {
+        self.orders = timed.orders;
+        match timed.event {
             Event::Started { .. } => {
-                self.under_way = Activity::Order { index: told.orders.saturating_sub(1), from };
+                self.under_way = Activity::Order { index: timed.orders.saturating_sub(1), from };
             }
             Event::Ended { .. } | Event::Resumed => self.under_way = Activity::Hold,
             Event::Stopping { .. } => self.under_way = Activity::Brake { from },
@@ -119,21 +119,21 @@ impl History {
     }
 
     /// Adds an event, overwriting the oldest.
-    pub fn push_event(&mut self, told: TimedEvent) {
+    pub fn push_event(&mut self, timed: TimedEvent) {
         if self.ring.capacity() == 0 {
             return;
         }
         if self.events.len() == MAX_EVENTS
             && let Some(oldest) = self.events.pop_front()
         {
-            self.base.apply(&oldest.told, oldest.from);
+            self.base.apply(&oldest.timed, oldest.from);
             self.matched = self.matched.saturating_sub(1);
             // The model that served at that time is still needed.
             while self.base.models > self.dropped_models + 1 && self.models.pop_front().is_some() {
                 self.dropped_models += 1;
             }
         }
-        self.events.push_back(EventEntry { told, from: None });
+        self.events.push_back(EventEntry { timed, from: None });
         self.match_events();
     }
 
@@ -174,13 +174,13 @@ impl History {
     /// Stores the start setpoint of every event whose record has arrived.
     fn match_events(&mut self) {
         let Some(newest) = self.newest().map(|record| record.cycle) else { return };
-        while let Some(told) = self.events.get(self.matched).map(|waiting| waiting.told) {
-            let cycle = told.cycle;
+        while let Some(timed) = self.events.get(self.matched).map(|waiting| waiting.timed) {
+            let cycle = timed.cycle;
             if cycle > newest {
                 return;
             }
             let from = match cycle.checked_sub(1) {
-                Some(before) => self.find(before).map(|last| start_setpoint(&told.event, last, self.find(cycle))),
+                Some(before) => self.find(before).map(|last| start_setpoint(&timed.event, last, self.find(cycle))),
                 None => self.find(0).map(|record| start(&record.state, self.joints, &self.tracking)),
             };
             if let Some(waiting) = self.events.get_mut(self.matched) {
@@ -211,12 +211,12 @@ impl History {
         let begin = records.first().map_or(first, |record| record.cycle);
         let mut before = self.base.clone();
         let mut events = Vec::new();
-        for EventEntry { told, from } in &self.events {
-            if told.cycle <= begin {
-                before.apply(told, *from);
+        for EventEntry { timed, from } in &self.events {
+            if timed.cycle <= begin {
+                before.apply(timed, *from);
             }
-            if told.cycle >= begin {
-                events.push(*told);
+            if timed.cycle >= begin {
+                events.push(*timed);
             }
         }
         let since = records.first().map_or(0, |record| record.stamp_ns);
@@ -251,7 +251,7 @@ mod tests {
         record
     }
 
-    fn told(cycle: u64, orders: u32, event: Event) -> TimedEvent {
+    fn timed(cycle: u64, orders: u32, event: Event) -> TimedEvent {
         TimedEvent { cycle, seq: cycle + 1, stamp_ns: 0, orders, event }
     }
 
@@ -276,8 +276,8 @@ mod tests {
     fn activity_is_known_after_its_event_was_overwritten() {
         let mut history = History::new(4, 1, [0.1; 8]);
         history.push_records(&[record(0), record(1)]);
-        history.push_event(told(2, 1, Event::Started { motion: 5 }));
-        history.push_event(told(2, 1, Event::Serving { model: 9 }));
+        history.push_event(timed(2, 1, Event::Started { motion: 5 }));
+        history.push_event(timed(2, 1, Event::Serving { model: 9 }));
         for cycle in 2..50 {
             history.push_records(&[record(cycle)]);
         }
@@ -289,7 +289,7 @@ mod tests {
         let Activity::Order { index: 0, from: Some(from) } = under_way else { panic!("{under_way:?}") };
         assert_eq!(from.q[0], 1.0, "the setpoint of the cycle before it began");
         // An event may arrive before its record.
-        history.push_event(told(51, 1, Event::Stopping { motion: 5, reason: plumbline_rt::StopReason::Requested }));
+        history.push_event(timed(51, 1, Event::Stopping { motion: 5, reason: plumbline_rt::StopReason::Requested }));
         assert_eq!(history.window(0, &[]).before.models, 1);
         history.push_records(&[record(50), record(51)]);
         history.push_records(&[record(52), record(53), record(54)]);
@@ -306,7 +306,7 @@ mod tests {
             if cycle % 3 == 0 {
                 history.push_model(RecordedModel { id: cycle, gravity: [0.0; 3], vendor: None });
             }
-            history.push_event(told(cycle, cycle as u32 + 1, event));
+            history.push_event(timed(cycle, cycle as u32 + 1, event));
             history.push_records(&[record(cycle)]);
         }
         let window = history.window(3 * MAX_EVENTS as u64 - 1, &[]);

@@ -249,13 +249,13 @@ fn event_fields(event: &Event) -> EventFields {
     }
 }
 
-pub(super) fn event(told: &TimedEvent) -> Vec<u8> {
+pub(super) fn event(timed: &TimedEvent) -> Vec<u8> {
     let EventFields { kind, motion, model, reason, limit, joint, value, bound, lost, instead } =
-        event_fields(&told.event);
+        event_fields(&timed.event);
     let mut message = Encoder::default();
-    message.u64(told.cycle).u64(told.seq).u64(told.stamp_ns).u64(model).u64(lost);
-    message.u32(told.orders).u32(motion).u32(joint).f64(value).f64(bound);
-    message.string(kind).string(reason).string(limit).string(&event_text(&told.event)).u64(instead);
+    message.u64(timed.cycle).u64(timed.seq).u64(timed.stamp_ns).u64(model).u64(lost);
+    message.u32(timed.orders).u32(motion).u32(joint).f64(value).f64(bound);
+    message.string(kind).string(reason).string(limit).string(&event_text(&timed.event)).u64(instead);
     message.finish()
 }
 

@@ -305,5 +305,5 @@ fn consume(drain: &mut Drain, gate: Option<&Gate>, pose: &mut Option<JointVec>) 
 
 /// Whether this event is among those that have come since the last question; those before it are gone then.
 fn seen(handles: &mut Handles, wanted: Event) -> bool {
-    std::iter::from_fn(|| handles.events.pop().ok()).any(|told| told.event == wanted)
+    std::iter::from_fn(|| handles.events.pop().ok()).any(|timed| timed.event == wanted)
 }

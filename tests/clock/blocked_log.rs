@@ -161,8 +161,8 @@ fn a_journal_that_stalls_costs_lines_of_the_log_and_nothing_else() {
     let mut again = in_namespace(&format!("{OWN_RUN} && exec \"$0\" --exact {test} --nocapture"));
     again.arg(std::env::current_exe().unwrap()).env(INSIDE, "1").env("PLUMBLINE_RUNTIME_DIR", names.path());
     let run = again.output().unwrap();
-    let said = String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned();
-    assert!(run.status.success() && said.contains("1 passed"), "{said}");
+    let message = String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned();
+    assert!(run.status.success() && message.contains("1 passed"), "{message}");
 }
 
 fn beside_a_stalled_journal() {

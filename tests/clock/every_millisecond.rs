@@ -83,7 +83,7 @@ fn every_millisecond_is_accounted_for_and_clients_follow() {
         command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/clients/python/torque_follow.py"));
         command.args(["--robot", &place.id, "--wait", "20", "--count", "5"]);
         let done = Done::of(command).expect_code(0);
-        assert_eq!(done.out.lines().filter(|line| line.contains("tau")).count(), 5, "{}", done.said());
+        assert_eq!(done.out.lines().filter(|line| line.contains("tau")).count(), 5, "{}", done.output());
     }
 
     let done = run.end().expect_code(0);
@@ -94,7 +94,7 @@ fn every_millisecond_is_accounted_for_and_clients_follow() {
         (cycle.pace, cycle.dropped_records, cycle.allocations()),
         (Pace::WallClock, 0, Some(0)),
         "{}",
-        done.said()
+        done.output()
     );
     let longest = &cycle.longest().unwrap().statistics;
     let wake = longest.wake_up.in_us().expect("wake-ups of the loop");
@@ -114,6 +114,6 @@ fn every_millisecond_is_accounted_for_and_clients_follow() {
     assert!((in_sessions..in_sessions + 2_000).contains(&cycle.cycles), "{in_sessions} {}", cycle.cycles);
     let ipc = report.ipc.unwrap();
     assert_eq!((ipc.counters.received, ipc.counters.missed), (ipc.sent, 0), "{ipc:?}");
-    assert!(done.out.contains("loop (wall-clock): "), "{}", done.said());
+    assert!(done.out.contains("loop (wall-clock): "), "{}", done.output());
     assert!(anyone_with(&place.id).is_empty(), "a process lingers");
 }

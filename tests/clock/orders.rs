@@ -46,21 +46,21 @@ fn resume_while_braking_is_refused_and_works_at_rest() {
     // It has had an effect: the loop holds, and waits for nothing any more.
     wait_for("the hold", || place.status().filter(|now| now.phase == Phase::Hold));
     let again = place.command("resume").expect_code(1);
-    assert!(again.err.contains("nothing waits"), "{}", again.said());
+    assert!(again.err.contains("nothing waits"), "{}", again.output());
     let done = place.quit(daemon);
     // Every order that was carried out is logged with its sender: this process, and the ones of the command line.
     let user = rustix::process::getuid().as_raw();
     for order in ["stop", "resume"] {
         let line =
             done.err.lines().find(|line| line.contains(&format!("`{order}` from process {} (", std::process::id())));
-        let line = line.unwrap_or_else(|| panic!("no sender of `{order}`: {}", done.said()));
+        let line = line.unwrap_or_else(|| panic!("no sender of `{order}`: {}", done.output()));
         assert!(line.contains(&format!(") of user {user}")), "{line}");
     }
     for order in ["start", "quit"] {
         let line = done.err.lines().find(|line| line.contains(&format!("`{order}` from process ")));
-        assert!(line.is_some_and(|line| line.contains("(plumbline) of user")), "{}", done.said());
+        assert!(line.is_some_and(|line| line.contains("(plumbline) of user")), "{}", done.output());
     }
-    assert!(!done.err.contains("`status`"), "{}", done.said());
+    assert!(!done.err.contains("`status`"), "{}", done.output());
 }
 
 #[test]
@@ -82,7 +82,7 @@ fn an_order_with_a_model_is_logged_by_its_own_name() {
     let done = place.quit(daemon);
     for name in ["offer-model", "propose-model"] {
         let line = format!("`{name}` from process {} (", std::process::id());
-        assert_eq!(done.err.matches(&line).count(), 1, "{name}: {}", done.said());
+        assert_eq!(done.err.matches(&line).count(), 1, "{name}: {}", done.output());
     }
 }
 
@@ -92,7 +92,7 @@ fn a_held_lock_is_a_failed_job_and_no_bad_input() {
     let daemon = place.daemon(&short(&LONG_ON_CLOCK));
     // 2 would keep the service down after the lock has passed (RestartPreventExitStatus).
     let second = Done::of(place.job("daemon", &short(&LONG_ON_CLOCK))).expect_code(1);
-    assert!(second.err.contains(&format!("process {}", daemon.pid())), "{}", second.said());
+    assert!(second.err.contains(&format!("process {}", daemon.pid())), "{}", second.output());
     place.quit(daemon);
     for unit in ["systemd/plumbline.service", "systemd/plumbline-estimator.service"] {
         let unit = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(unit)).unwrap();
@@ -126,7 +126,7 @@ fn one_arm_has_one_daemon_whatever_folder_and_name_it_has() {
     wait_for("the first daemon", || (status(&places[0]).code == Some(0)).then_some(()));
     let second = Done::of(daemon(&places[1])).expect_code(1);
     let holder = format!("process {} of user {}", first.pid(), rustix::process::geteuid().as_raw());
-    assert!(second.err.contains(&holder) && second.err.contains(&address.to_string()), "{}", second.said());
+    assert!(second.err.contains(&holder) && second.err.contains(&address.to_string()), "{}", second.output());
     signal(first.pid(), "TERM");
     first.end();
 }
@@ -167,12 +167,16 @@ fn a_plan_that_somebody_else_can_change_moves_no_arm_of_a_service() {
         std::fs::write(plan, &text).unwrap();
         chown(plan, Some(SOMEBODY), None).unwrap();
         let refused = Done::of(job_of_root(place, &sets)).expect_code(2);
-        assert!(refused.err.contains(plan.to_str().unwrap()), "{}", refused.said());
-        assert!(refused.err.contains(&format!("belongs to user {SOMEBODY}")), "{}", refused.said());
+        assert!(refused.err.contains(plan.to_str().unwrap()), "{}", refused.output());
+        assert!(refused.err.contains(&format!("belongs to user {SOMEBODY}")), "{}", refused.output());
         chown(plan, Some(0), None).unwrap();
         std::fs::set_permissions(plan, PermissionsExt::from_mode(0o646)).unwrap();
         let refused = Done::of(job_of_root(place, &sets)).expect_code(2);
-        assert!(refused.err.contains(plan.to_str().unwrap()) && refused.err.contains("mode 646"), "{}", refused.said());
+        assert!(
+            refused.err.contains(plan.to_str().unwrap()) && refused.err.contains("mode 646"),
+            "{}",
+            refused.output()
+        );
         std::fs::set_permissions(plan, PermissionsExt::from_mode(0o644)).unwrap();
     }
     // Root's own is taken.

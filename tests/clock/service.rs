@@ -139,7 +139,7 @@ fn an_estimator_is_ready_before_there_is_a_daemon_and_survives_its_end() {
     systemd.await_word("STATUS=follows the samples");
     assert!(beats(&systemd.hear(2 * WATCHDOG)) >= 2);
     if !daemon.runs() {
-        panic!("the daemon has ended: {}", daemon.end().said());
+        panic!("the daemon has ended: {}", daemon.end().output());
     }
     place.quit(daemon);
     assert!(estimator.runs());
@@ -162,7 +162,7 @@ fn files_that_others_can_change_set_no_limits_of_a_service() {
     assert!(
         refused.err.contains(file.to_str().unwrap()) && refused.err.contains("belong to root"),
         "{}",
-        refused.said()
+        refused.output()
     );
-    assert!(refused.err.contains("(mode 646)") || refused.err.contains("belongs to user"), "{}", refused.said());
+    assert!(refused.err.contains("(mode 646)") || refused.err.contains("belongs to user"), "{}", refused.output());
 }

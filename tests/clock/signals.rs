@@ -80,10 +80,10 @@ fn every_ending_signal_brakes_first() {
         let daemon = daemon(&place);
         signal(daemon.pid(), &number.to_string());
         let done = daemon.end();
-        assert_eq!(done.code, Some(0), "{name}: {}", done.said());
+        assert_eq!(done.code, Some(0), "{name}: {}", done.output());
         let line = format!("signal {name} arrived");
         for words in [format!("{line}: the daemon brakes"), format!("the arm is being stopped: {line}")] {
-            assert!(done.err.contains(&words), "no `{words}`: {}", done.said());
+            assert!(done.err.contains(&words), "no `{words}`: {}", done.output());
         }
         assert_eq!(controlled_stop(&place, &name), ("signal".into(), line));
     }
@@ -99,7 +99,7 @@ fn a_second_signal_does_not_skip_the_stop() {
         let _ = Command::new("kill").arg(format!("-{name}")).arg(pid.to_string()).output();
     }
     let done = daemon.end();
-    assert_eq!(done.code, Some(0), "{}", done.said());
+    assert_eq!(done.code, Some(0), "{}", done.output());
     assert_eq!(controlled_stop(&place, "many signals").0, "signal");
 }
 
@@ -110,7 +110,7 @@ fn at_rest_a_signal_ends_the_daemon_without_a_recording() {
     wait_for("the daemon", || place.status().filter(|now| now.cycles > 100));
     signal(daemon.pid(), "HUP");
     let done = daemon.end().expect_code(0);
-    assert!(done.err.contains("signal SIGHUP arrived"), "{}", done.said());
+    assert!(done.err.contains("signal SIGHUP arrived"), "{}", done.output());
     assert!(recordings(&place).is_empty(), "{:?}", recordings(&place));
 }
 
@@ -147,7 +147,7 @@ fn the_daemon_of_a_killed_run_brakes_and_ends() {
     wait_for("the daemon's end", || (!std::path::Path::new(&format!("/proc/{daemon}")).exists()).then_some(()));
     let done = run.end();
     let words = "the process that started this daemon has ended";
-    assert!(done.err.contains(&format!("the arm is being stopped: {words}")), "{}", done.said());
+    assert!(done.err.contains(&format!("the arm is being stopped: {words}")), "{}", done.output());
     assert_eq!(controlled_stop(&place, "killed run"), ("parent-ended".into(), words.into()));
     wait_for("the end of every process", || anyone_with(&place.id).is_empty().then_some(()));
 }
@@ -167,9 +167,9 @@ fn a_terminal_that_closes_stops_the_arm_once() {
     assert!(
         done.err.contains("interrupted, signal SIGHUP arrived") || done.err.contains("ended during the job"),
         "{}",
-        done.said()
+        done.output()
     );
     assert_eq!(controlled_stop(&place, "closed terminal").0, "signal");
-    assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.said());
+    assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.output());
     wait_for("the end of every process", || anyone_with(&place.id).is_empty().then_some(()));
 }

@@ -88,8 +88,8 @@ impl Scene {
     /// Nothing was driven: the arm is where it was.
     fn assert_at_rest(&self, done: &Done) {
         let state = self.arm().state;
-        assert_eq!(state.robot_mode, RobotMode::Idle, "{}", done.said());
-        assert!((0..JOINTS).all(|j| (state.q_d[j] - READY[j]).abs() < 1e-6), "{:?}\n{}", state.q_d, done.said());
+        assert_eq!(state.robot_mode, RobotMode::Idle, "{}", done.output());
+        assert!((0..JOINTS).all(|j| (state.q_d[j] - READY[j]).abs() < 1e-6), "{:?}\n{}", state.q_d, done.output());
     }
 }
 
@@ -105,7 +105,7 @@ fn motions_are_planned_under_the_limits_of_the_connected_arm() {
             assert!(limits.dq[j] <= 0.99 * narrow.dq[j], "{name}: {limits:?}");
         }
     }
-    assert!(done.out.contains("2 motions, each uses per joint at least [%]: range "), "{}", done.said());
+    assert!(done.out.contains("2 motions, each uses per joint at least [%]: range "), "{}", done.output());
 }
 
 /// A plan for the robot file's limits, as an earlier version or another arm has left it.
@@ -118,14 +118,14 @@ fn a_plan_past_the_connected_arms_limits_is_refused_before_anything_moves() {
     let set = format!("excitation.plan={}", plan.display());
     for verb in ["run", "daemon"] {
         let done = Done::of(scene.command(verb, &[&set])).expect_code(2);
-        assert!(done.err.contains("plan.toml: motion: got joint "), "{}", done.said());
+        assert!(done.err.contains("plan.toml: motion: got joint "), "{}", done.output());
         assert!(
             done.err.contains("a motion inside every limit of the job and of the connected arm"),
             "{}",
-            done.said()
+            done.output()
         );
         let next = "Without `excitation.plan` in config/fr3.toml, `plumbline run config/fr3.toml` plans a motion";
-        assert!(done.err.contains(next), "{}", done.said());
+        assert!(done.err.contains(next), "{}", done.output());
         scene.assert_at_rest(&done);
     }
 }
@@ -145,8 +145,8 @@ fn an_arm_with_other_limits_than_at_the_daemons_start_is_not_driven() {
     scene.place.command("start").expect_code(0);
     let done = daemon.end().expect_code(1);
     let words = "the connected arm has other limits than when this daemon started";
-    assert!(done.err.contains(words) && done.err.contains("nothing has moved"), "{}", done.said());
-    assert!(done.err.contains("`plumbline run config/fr3.toml`"), "{}", done.said());
+    assert!(done.err.contains(words) && done.err.contains("nothing has moved"), "{}", done.output());
+    assert!(done.err.contains("`plumbline run config/fr3.toml`"), "{}", done.output());
     scene.assert_at_rest(&done);
 }
 
@@ -160,7 +160,7 @@ fn an_arm_that_stands_outside_the_jobs_limits_is_told_what_to_do() {
     let done = Done::of(scene.command("run", &[q_max, start])).expect_code(1);
     let words =
         "joint 6 stands at 1.5708 rad, outside the range of job and arm, 0.4398 to 1.5000 rad; nothing has moved";
-    assert!(done.err.contains(words) && done.err.contains("by hand (guiding mode)"), "{}", done.said());
-    assert!(!done.err.contains("while braking"), "{}", done.said());
+    assert!(done.err.contains(words) && done.err.contains("by hand (guiding mode)"), "{}", done.output());
+    assert!(!done.err.contains("while braking"), "{}", done.output());
     scene.assert_at_rest(&done);
 }

@@ -75,8 +75,8 @@ fn start(settings: &Settings, mounting: &Mounting) -> Start {
     assert!(handles.orders.give(Order { motion: 1, kind: OrderKind::Dwell { ticks: SECOND } }).is_ok());
     let looping = std::thread::spawn(move || cycle.run());
     while !looping.is_finished() {
-        while let Ok(told) = handles.events.pop() {
-            if matches!(told.event, Event::Ended { .. } | Event::Stopping { .. }) {
+        while let Ok(timed) = handles.events.pop() {
+            if matches!(timed.event, Event::Ended { .. } | Event::Stopping { .. }) {
                 handles.controls.quit();
             }
         }

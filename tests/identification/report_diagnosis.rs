@@ -131,7 +131,7 @@ fn report(diagnosis: Diagnosis) -> Report {
 }
 
 /// The lines of the summary that speak of the diagnosis.
-fn said(diagnosis: Diagnosis) -> Vec<String> {
+fn summary_of(diagnosis: Diagnosis) -> Vec<String> {
     let lines = report(diagnosis).summary();
     // Right after the line that names the robot, before everything else.
     assert!(lines[0].starts_with("panda, mounting wall: 59 base parameters"), "{}", lines[0]);
@@ -209,7 +209,7 @@ fn what_is_not_a_number_becomes_null_and_comes_back() {
     assert!(back.before.validate_rms[0].is_nan() && back.before.intervals[0].iter().all(|end| end.is_nan()));
     assert!(back.noise_floor[6].is_nan() && back.scores[2].score.is_nan());
     assert!(back.effects[0].parameters.0[0].value.is_nan() && back.effects[0].evidence.is_none());
-    let lines = said(back);
+    let lines = summary_of(back);
     assert!(lines[0].contains("(delta -, fp4 0.160 +- 0.012 Nm)"), "{}", lines[0]);
     assert!(lines.iter().any(|line| line.starts_with("RMS before [Nm]: -  0.151 [0.148 0.154]")), "{lines:#?}");
     assert!(!lines.join(" ").contains("NaN"));
@@ -217,7 +217,7 @@ fn what_is_not_a_number_becomes_null_and_comes_back() {
 
 #[test]
 fn one_effect_is_in_the_first_line() {
-    let lines = said(diagnosed());
+    let lines = summary_of(diagnosed());
     assert_eq!(
         lines[0],
         "diagnosis: presliding in joint 4 (delta 2.14 +- 0.10 mrad, fp4 0.160 +- 0.012 Nm), confirmed in 4 of 4 trajectories"
@@ -233,7 +233,7 @@ fn one_effect_is_in_the_first_line() {
     assert_eq!(lines.len(), 5);
     let mut filtered = diagnosed();
     filtered.band = Band::Filtered { cutoff: 4.0 };
-    let lines = said(filtered);
+    let lines = summary_of(filtered);
     assert!(lines[2].starts_with("noise floor [Nm] after a 4 Hz zero-phase low-pass: 0.150  0.151"), "{}", lines[2]);
     assert!(lines[1].starts_with("error on unseen runs after a 4 Hz zero-phase low-pass, worst joint (4): "));
 }
@@ -247,7 +247,7 @@ fn non_numeric_values() {
     diagnosis.after = diagnosis.before.clone();
     diagnosis.minimum_detectable.get_mut("rotor-inertia").unwrap().torque_rms[2] = 0.0412;
     diagnosis.minimum_detectable.get_mut("rotor-inertia").unwrap().torque_rms[0] = f64::NAN;
-    let lines = said(diagnosis.clone());
+    let lines = summary_of(diagnosis.clone());
     assert_eq!(
         lines[0],
         "diagnosis: nothing significant: any known effect of 0.0412 Nm RMS or more would have been seen, unless the base parameters \
@@ -257,7 +257,7 @@ fn non_numeric_values() {
     assert!(lines[2].starts_with("RMS [Nm]: 0.150 [") && lines.len() == 3, "{lines:#?}");
 
     diagnosis.minimum_detectable.clear();
-    assert!(said(diagnosis)[0].ends_with("how small an effect would have been seen is not known"));
+    assert!(summary_of(diagnosis)[0].ends_with("how small an effect would have been seen is not known"));
 }
 
 /// Curves as a diagnosis hands them over: presliding in joint 4, and something over q2 and dq4 in joint 2.

@@ -11,13 +11,13 @@ fn refused(place: &Place, command: Command, parts: &[&str]) {
     let before = place.files();
     let done = Running::start(command).end().expect_code(2);
     let errors: Vec<&str> = done.err.lines().filter(|line| line.starts_with("plumbline: ")).collect();
-    assert_eq!(errors.len(), 1, "one error, said once: {}", done.said());
+    assert_eq!(errors.len(), 1, "one error, said once: {}", done.output());
     for part in parts {
-        assert!(errors[0].contains(part), "no `{part}` in {}", done.said());
+        assert!(errors[0].contains(part), "no `{part}` in {}", done.output());
     }
-    assert!(errors[0].contains(": got ") && errors[0].contains(", expected "), "{}", done.said());
-    assert!(done.out.is_empty(), "{}", done.said());
-    assert_eq!(place.files(), before, "{}", done.said());
+    assert!(errors[0].contains(": got ") && errors[0].contains(", expected "), "{}", done.output());
+    assert!(done.out.is_empty(), "{}", done.output());
+    assert_eq!(place.files(), before, "{}", done.output());
 }
 
 /// `plumbline run` of the shipped job with one override.
@@ -121,7 +121,7 @@ fn a_cell_that_is_not_a_number() {
     put(&place, "data/dataset.toml", DATASET);
     put(&place, "data/run.csv", &csv("0.5"));
     let done = Done::of(on_files(&place, "identify", &[place.path().join("data")]));
-    assert!(!done.err.contains("line 12") && done.err.contains("24 samples"), "{}", done.said());
+    assert!(!done.err.contains("line 12") && done.err.contains("24 samples"), "{}", done.output());
 }
 
 #[test]
@@ -192,7 +192,7 @@ fn a_broken_model() {
     assert!(
         done.err.contains("model.toml") && done.err.contains("`panda`, which this daemon drives"),
         "{}",
-        done.said()
+        done.output()
     );
 }
 

@@ -79,7 +79,7 @@ fn a_constant_channel_is_named() {
                 program.arg(&data).arg("--out").arg(place.out()).args([option, value]);
                 let done = Done::of(program).expect_code(2);
                 for part in parts {
-                    assert!(done.err.contains(part), "{name}, {command}: no `{part}` in {}", done.said());
+                    assert!(done.err.contains(part), "{name}, {command}: no `{part}` in {}", done.output());
                 }
                 assert!(!place.out().exists());
             }
@@ -111,7 +111,7 @@ fn a_job_of_an_arm_with_dead_torque_sensors_ends() {
         let arm = arm(&place, &format!("dead-torque-sensors = {sensors}"));
         let done = place.run(&short(&[&arm])).expect_code(1);
         for part in ["identify-wall", &format!("column {column}"), "got 0 in all", "torque sensor of joint"] {
-            assert!(done.err.contains(part), "no `{part}` in {}", done.said());
+            assert!(done.err.contains(part), "no `{part}` in {}", done.output());
         }
         assert!(anyone_with(&place.id).is_empty());
     }
@@ -129,7 +129,7 @@ fn an_arm_without_a_model_is_stopped() {
     let why = status.stopped.unwrap();
     assert!(why.contains("no model within 2 s (safety.model-timeout)"), "{why}");
     let done = place.quit(daemon);
-    assert!(done.err.contains("the arm is being stopped: the estimator gave no model"), "{}", done.said());
+    assert!(done.err.contains("the arm is being stopped: the estimator gave no model"), "{}", done.output());
 }
 
 #[test]
@@ -141,7 +141,7 @@ fn a_run_ends_although_its_estimator_hangs() {
     signal(estimator, "STOP");
     let done = run.end().expect_code(1);
     for part in ["the arm was stopped", "no model within 1 s", "did not end by itself"] {
-        assert!(done.err.contains(part), "no `{part}` in {}", done.said());
+        assert!(done.err.contains(part), "no `{part}` in {}", done.output());
     }
     wait_for("the end of every process", || anyone_with(&place.id).is_empty().then_some(()));
 }

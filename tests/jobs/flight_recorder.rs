@@ -57,7 +57,7 @@ fn a_guard_stop_during_a_motion() {
     let place = Place::new("flight-guard");
     let done = place.run(&short(&[SPAN, "safety.tracking-error=0.1 deg"])).expect_code(1);
     let file = recording(&place);
-    assert!(done.err.contains(&format!("plumbline postmortem {}", file.display())), "{}", done.said());
+    assert!(done.err.contains(&format!("plumbline postmortem {}", file.display())), "{}", done.output());
     let facts = facts(&file);
     assert_eq!((facts["kind"].as_str(), facts["first_limit"]["limit"].as_str()), (Some("guard"), Some("tracking")));
     assert!(facts["during"].as_str().unwrap().contains("identify-wall"), "{facts}");
@@ -98,7 +98,7 @@ fn a_guard_stop_during_a_motion() {
                       print(count['/joint_states'], count['/command'], count['/plumbline/cycle'], len(last.position), repr(last.position[6]))\n";
         let done = Done::of(Command::new(python).args(["-c", script]).arg(&file)).expect_code(0);
         let last = Recording::read(&file).unwrap().records[cycles - 1];
-        assert_eq!(done.out.trim(), format!("{cycles} {cycles} {cycles} 7 {:?}", last.state.q[6]), "{}", done.said());
+        assert_eq!(done.out.trim(), format!("{cycles} {cycles} {cycles} 7 {:?}", last.state.q[6]), "{}", done.output());
     }
 }
 
@@ -147,7 +147,7 @@ fn an_estimator_that_is_gone_a_recording_on_demand_and_an_end_that_is_none() {
     let place = Place::new("flight-quit");
     let daemon = place.daemon(&short(&[SPAN]));
     let refused = place.command("record").expect_code(1);
-    assert!(refused.err.contains("nothing to record"), "{}", refused.said());
+    assert!(refused.err.contains("nothing to record"), "{}", refused.output());
     place.command("start").expect_code(0);
     wait_for("the motion", || (place.status()?.cycles > 2_000).then_some(()));
     // A loaded machine may end the daemon before its answer has been read.
@@ -163,9 +163,9 @@ fn a_full_disk_is_reported_and_keeps_old_results() {
     std::fs::write(&not_a_folder, "x").unwrap();
     let dir = format!("recorder.dir={}", not_a_folder.join("flight").display());
     let done = place.run(&short(&[SPAN, &dir, "safety.tracking-error=0.1 deg"])).expect_code(1);
-    assert!(done.err.contains("recording of the fault could not be written"), "{}", done.said());
-    assert!(done.err.contains(&not_a_folder.display().to_string()), "{}", done.said());
-    assert!(done.err.contains("the arm is at rest"), "{}", done.said());
+    assert!(done.err.contains("recording of the fault could not be written"), "{}", done.output());
+    assert!(done.err.contains(&not_a_folder.display().to_string()), "{}", done.output());
+    assert!(done.err.contains("the arm is at rest"), "{}", done.output());
 
     // A disk that is full: a file system of 64 KiB, where this may make one.
     let tiny = place.path().join("tiny");
@@ -179,7 +179,7 @@ fn a_full_disk_is_reported_and_keeps_old_results() {
     let left: Vec<_> = std::fs::read_dir(&tiny).unwrap().map(|entry| entry.unwrap().path()).collect();
     assert!(Command::new("umount").arg(&tiny).status().unwrap().success());
     let done = done.expect_code(1);
-    assert!(done.err.contains("could not be written") && done.err.contains("No space left"), "{}", done.said());
+    assert!(done.err.contains("could not be written") && done.err.contains("No space left"), "{}", done.output());
     assert!(left.is_empty(), "{left:?}");
 }
 

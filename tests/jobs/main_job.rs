@@ -25,7 +25,7 @@ fn predict(place: &Place, run: &str) -> (Vec<Vec<f64>>, Vec<f64>) {
     let mut command = plumbline();
     command.arg("predict").arg(place.out().join("model.toml")).arg(place.out().join("dataset").join(run));
     let done = Done::of(command.arg("--out").arg(&out)).expect_code(0);
-    let line = done.out.lines().find(|line| line.contains("raw")).unwrap_or_else(|| panic!("{}", done.said()));
+    let line = done.out.lines().find(|line| line.contains("raw")).unwrap_or_else(|| panic!("{}", done.output()));
     let raw = line.split("raw ").nth(1).unwrap().split(" |").next().unwrap();
     (csv(&out), raw.split(' ').map(|value| value.parse().unwrap()).collect())
 }
@@ -58,23 +58,24 @@ fn says_what_it_promises(done: &Done, place: &Place) {
         lines[0],
         "panda, mounting wall: 59 base parameters (GBS: 45 rigid body, 14 friction)",
         "{}",
-        done.said()
+        done.output()
     );
     for begin in
         ["condition number: raw ", "noise floor [Nm]: ", "RMS wall [Nm], 2 unseen runs: ", "RMS upright [Nm], 2 "]
     {
-        assert!(lines.iter().any(|line| line.starts_with(begin)), "no `{begin}` in {}", done.said());
+        assert!(lines.iter().any(|line| line.starts_with(begin)), "no `{begin}` in {}", done.output());
     }
     let cycles = lines
         .iter()
         .find(|line| line.starts_with("loop (simulated time, as fast as possible): "))
-        .unwrap_or_else(|| panic!("{}", done.said()));
+        .unwrap_or_else(|| panic!("{}", done.output()));
     assert!(cycles.contains(" cycles, 0 lost, 0 allocations"), "{cycles}");
-    let samples = lines.iter().find(|line| line.starts_with("samples: ")).unwrap_or_else(|| panic!("{}", done.said()));
+    let samples =
+        lines.iter().find(|line| line.starts_with("samples: ")).unwrap_or_else(|| panic!("{}", done.output()));
     assert!(samples.ends_with("none missing"), "{samples}");
     assert_eq!(lines.last().unwrap(), &format!("report: {}", place.out().join("report.html").display()));
     // Nobody watches: neither a progress bar nor colours.
-    assert!(!done.err.contains('\x1b') && !done.out.contains('\x1b'), "{}", done.said());
+    assert!(!done.err.contains('\x1b') && !done.out.contains('\x1b'), "{}", done.output());
 }
 
 fn finds_the_truth(report: &Report) {

@@ -83,7 +83,7 @@ fn the_model_of_an_own_robot_is_independent_of_its_file() {
         std::fs::write(&own, description(name, upper_arm)).unwrap();
         usable(&place, &model, &run);
         let done = compare(&place, &model, &data).expect_code(2);
-        assert!(done.err.contains(part) && done.err.contains("key `robot`"), "{}", done.said());
+        assert!(done.err.contains(part) && done.err.contains("key `robot`"), "{}", done.output());
     }
 
     // Gone.
@@ -103,7 +103,7 @@ fn a_robot_description_in_a_model_file_is_covered_by_its_hash() {
         let done =
             Done::of(plumbline().arg("export").arg(&edited).args(["--format", "c", "--out"]).arg(&out)).expect_code(2);
         for part in parts {
-            assert!(done.err.contains(part), "no `{part}` in {}", done.said());
+            assert!(done.err.contains(part), "no `{part}` in {}", done.output());
         }
         assert!(!out.exists());
     };
@@ -150,5 +150,9 @@ fn the_daemon_takes_its_model() {
     assert!(status.model != 0, "{status:?}");
     place.quit(daemon);
     let done = Done::of(job("0.416")).expect_code(2);
-    assert!(done.err.contains("another `own-arm`") && done.err.contains("which this daemon drives"), "{}", done.said());
+    assert!(
+        done.err.contains("another `own-arm`") && done.err.contains("which this daemon drives"),
+        "{}",
+        done.output()
+    );
 }

@@ -32,7 +32,7 @@ fn motions_for_identification_and_validation_differ_and_repeat_by_seed() {
         "--links-in-box",
     ];
     let done = Done::of(plan(&out, &more)).expect_code(0);
-    assert!(done.out.contains("with the 1 before it: condition raw"), "{}", done.said());
+    assert!(done.out.contains("with the 1 before it: condition raw"), "{}", done.output());
     assert!(!out.exists());
     let load = |name: &str| load_plan(&place.path().join(name)).unwrap();
     let plans: Vec<Plan> = ["plan-1.toml", "plan-2.toml", "plan-validate-1.toml"].map(load).into();
@@ -60,8 +60,8 @@ fn a_plan_without_excitation_is_a_failed_job() {
         plumbline().arg("plan").arg("--robot").arg(&robot).args(["--starts", "1", "--rounds", "0", "--out"]).arg(&out),
     )
     .expect_code(1);
-    assert!(done.err.contains("the motion does not determine L"), "{}", done.said());
-    assert!(done.err.contains("expected at most 10000"), "{}", done.said());
+    assert!(done.err.contains("the motion does not determine L"), "{}", done.output());
+    assert!(done.err.contains("expected at most 10000"), "{}", done.output());
     assert!(!out.exists());
 }
 
@@ -77,8 +77,8 @@ fn a_plan_with_a_frozen_joint_is_refused() {
     let set = format!("excitation.plan={}", out.display());
     let space = "workspace={ box-min = [-2.0, -2.0, -2.0], box-max = [2.0, 2.0, 2.0], base-radius = 0.0 }";
     let done = Done::of(place.job("run", &[&set, space])).expect_code(1);
-    assert!(done.err.contains("plan.toml: joint 4 is frozen"), "{}", done.said());
-    assert!(done.err.contains("Without `excitation.plan` in config/sim-panda-wall.toml"), "{}", done.said());
+    assert!(done.err.contains("plan.toml: joint 4 is frozen"), "{}", done.output());
+    assert!(done.err.contains("Without `excitation.plan` in config/sim-panda-wall.toml"), "{}", done.output());
 }
 
 #[test]
@@ -92,7 +92,7 @@ fn an_interrupted_search_keeps_the_best() {
     std::thread::sleep(Duration::from_secs(3));
     signal(running.pid(), "INT");
     let done = running.end().expect_code(0);
-    assert!(done.err.contains("interrupted; the best motion so far is kept"), "{}", done.said());
+    assert!(done.err.contains("interrupted; the best motion so far is kept"), "{}", done.output());
     assert!(load_plan(&out).unwrap().conditions.raw < 1000.0);
 }
 
@@ -108,7 +108,7 @@ fn a_time_limit_ends_a_search() {
     let place = Place::new("plan-clock");
     let out = place.path().join("plan.toml");
     let done = Done::of(plan(&out, &["--seconds", "1"])).expect_code(0);
-    assert!(done.out.contains("condition raw") && !done.err.contains("interrupted"), "{}", done.said());
+    assert!(done.out.contains("condition raw") && !done.err.contains("interrupted"), "{}", done.output());
 }
 
 #[test]
@@ -124,7 +124,7 @@ fn bad_options_are_named() {
         (["--model", model], ["none.toml", "file"]),
     ] {
         let done = Done::of(plan(&out, &more)).expect_code(2);
-        assert!(parts.iter().all(|part| done.err.contains(part)), "{}", done.said());
+        assert!(parts.iter().all(|part| done.err.contains(part)), "{}", done.output());
     }
     assert!(!out.exists());
 }
@@ -144,5 +144,5 @@ fn a_self_colliding_plan_is_refused() {
     // The box is set wide, so that only the bodies object.
     let space = "workspace={ box-min = [-2.0, -2.0, -2.0], box-max = [2.0, 2.0, 2.0], base-radius = 0.0 }";
     let done = Done::of(place.job("run", &[&set, space])).expect_code(2);
-    assert!(done.err.contains("plan.toml") && done.err.contains("distance of link"), "{}", done.said());
+    assert!(done.err.contains("plan.toml") && done.err.contains("distance of link"), "{}", done.output());
 }

@@ -208,13 +208,13 @@ impl Done {
     }
 
     /// All output, for the message of a failed assertion.
-    pub fn said(&self) -> String {
+    pub fn output(&self) -> String {
         format!("exit code {:?}\n--- stdout\n{}--- stderr\n{}", self.code, self.out, self.err)
     }
 
     #[track_caller]
     pub fn expect_code(self, code: i32) -> Done {
-        assert_eq!(self.code, Some(code), "{}", self.said());
+        assert_eq!(self.code, Some(code), "{}", self.output());
         self
     }
 }
@@ -231,14 +231,15 @@ pub struct Running(Option<Process>);
 
 struct Process {
     child: Child,
-    out: Said,
-    err: Said,
+    out: Capture,
+    err: Capture,
 }
 
 impl Running {
     pub fn start(mut command: impl BorrowMut<Command>) -> Running {
         let mut child = command.borrow_mut().stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-        let (out, err) = (Said::through(child.stdout.take().unwrap()), Said::through(child.stderr.take().unwrap()));
+        let (out, err) =
+            (Capture::through(child.stdout.take().unwrap()), Capture::through(child.stderr.take().unwrap()));
         Running(Some(Process { child, out, err }))
     }
 
@@ -276,13 +277,13 @@ impl Drop for Running {
 }
 
 /// Output of a process, read continuously, so that the process does not block on a full pipe.
-struct Said {
+struct Capture {
     bytes: Arc<Mutex<Vec<u8>>>,
     reader: JoinHandle<()>,
 }
 
-impl Said {
-    fn through(mut pipe: impl Read + Send + 'static) -> Said {
+impl Capture {
+    fn through(mut pipe: impl Read + Send + 'static) -> Capture {
         let bytes = Arc::new(Mutex::new(Vec::new()));
         let heard = Arc::clone(&bytes);
         let reader = std::thread::spawn(move || {
@@ -291,7 +292,7 @@ impl Said {
                 heard.lock().unwrap().extend_from_slice(&some[..length]);
             }
         });
-        Said { bytes, reader }
+        Capture { bytes, reader }
     }
 
     fn so_far(&self) -> String {

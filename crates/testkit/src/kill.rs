@@ -43,7 +43,7 @@ impl Process {
         self.child.try_wait().unwrap().map(|status| status.code().unwrap_or(-1))
     }
 
-    pub fn said(&self) -> String {
+    pub fn output(&self) -> String {
         std::fs::read_to_string(&self.log).unwrap_or_default()
     }
 
@@ -141,11 +141,11 @@ impl Witnesses {
         let complaints: Complaints = Arc::default();
         let (samples, torques) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
         let stale = Arc::new(AtomicBool::new(false));
-        let (robot, done, told, count) = (id.clone(), stop.clone(), complaints.clone(), samples.clone());
-        let follower = std::thread::spawn(move || follow_samples(&robot, &done, &told, &count));
-        let (robot, done, told, count, old) =
+        let (robot, done, found, count) = (id.clone(), stop.clone(), complaints.clone(), samples.clone());
+        let follower = std::thread::spawn(move || follow_samples(&robot, &done, &found, &count));
+        let (robot, done, found, count, old) =
             (id.clone(), stop.clone(), complaints.clone(), torques.clone(), stale.clone());
-        let reader = std::thread::spawn(move || follow_torque(&robot, &done, &told, &count, &old));
+        let reader = std::thread::spawn(move || follow_torque(&robot, &done, &found, &count, &old));
         Witnesses { stop, threads: vec![follower, reader], complaints, samples, torques, stale }
     }
 

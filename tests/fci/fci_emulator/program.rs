@@ -35,8 +35,11 @@ fn options_become_settings() {
     let upright = [0.0, 0.0, -9.81];
     let wall = parsed(&["--mounting=wall"]).expect("options");
     assert_eq!((wall.compensates, wall.base_acceleration), (upright, upright));
-    let told = parsed(&["--mounting=wall", "--compensates=true"]).expect("options");
-    assert_eq!((told.compensates, told.base_acceleration), ([told.mounting.gravity().into(); 2]).into());
+    let compensated = parsed(&["--mounting=wall", "--compensates=true"]).expect("options");
+    assert_eq!(
+        (compensated.compensates, compensated.base_acceleration),
+        ([compensated.mounting.gravity().into(); 2]).into()
+    );
     assert_eq!(rich.compensates, upright);
     assert_eq!((rich.faults[0].kind, rich.faults[1].kind), (Kind::Loss(0.1), Kind::TcpReset));
     assert_eq!(rich.patience, Duration::from_millis(20));

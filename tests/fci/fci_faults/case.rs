@@ -52,7 +52,7 @@ pub struct Case {
 #[derive(Clone, Debug)]
 pub struct Ending {
     pub code: Option<i32>,
-    pub said: String,
+    pub output: String,
     pub status: Option<Box<Status>>,
     pub done: bool,
     /// What the emulator's log shows.
@@ -193,7 +193,7 @@ impl Case {
         let arm = judge(&log);
         drop(place);
         let rest_after = struck_at.filter(|_| moved).zip(arm.last_moved).map(|(from, to)| to.saturating_sub(from));
-        Ending { code: ended.code, said: ended.err, status, done, arm, rest_after, mode }
+        Ending { code: ended.code, output: ended.err, status, done, arm, rest_after, mode }
     }
 }
 
@@ -202,7 +202,7 @@ impl Ending {
     pub fn words(&self) -> String {
         format!(
             "exit code {:?}, all driven: {}, mode {}, {:?}\n{}\nstatus: {:#?}",
-            self.code, self.done, self.mode, self.arm, self.said, self.status
+            self.code, self.done, self.mode, self.arm, self.output, self.status
         )
     }
 
@@ -210,16 +210,16 @@ impl Ending {
     pub fn stalled(&self) -> bool {
         ["communication_constraints_violation", "no state came", "states were lost"]
             .iter()
-            .any(|words| self.said.contains(words))
+            .any(|words| self.output.contains(words))
     }
 
     /// How often the daemon went on by itself.
     pub fn recoveries(&self) -> usize {
-        self.said.matches("going on by itself").count()
+        self.output.matches("going on by itself").count()
     }
 
     pub fn last_words(&self) -> &str {
-        self.said.lines().rfind(|line| line.starts_with("plumbline: ")).unwrap_or("")
+        self.output.lines().rfind(|line| line.starts_with("plumbline: ")).unwrap_or("")
     }
 
     /// What must be so in every case: inside the limits, at rest in the end, and a cause and a next step where it did not go on.

@@ -170,7 +170,7 @@ impl Commands {
     }
 
     fn agrees(&self, point: &Point, state: &Point) -> bool {
-        point.q.iter().zip(&state.q).all(|(own, said)| (own - said).abs() <= self.tolerance)
+        point.q.iter().zip(&state.q).all(|(own, reported)| (own - reported).abs() <= self.tolerance)
     }
 }
 

@@ -140,7 +140,7 @@ pub struct Run {
     pub outcome: Outcome,
     pub records: Vec<Record>,
     pub events: Vec<Event>,
-    pub told: Vec<TimedEvent>,
+    pub timed: Vec<TimedEvent>,
     pub seen: Arc<Seen>,
 }
 
@@ -197,10 +197,10 @@ impl Job {
         let mut handles = shared.lock().unwrap().take().unwrap();
         let mut records = Vec::new();
         drain.take_into(&mut records, usize::MAX);
-        let told: Vec<TimedEvent> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
-        let events = told.iter().map(|told| told.event).collect();
+        let timed: Vec<TimedEvent> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
+        let events = timed.iter().map(|timed| timed.event).collect();
         handles.free_retired();
-        Run { outcome, records, events, told, seen }
+        Run { outcome, records, events, timed, seen }
     }
 }
 

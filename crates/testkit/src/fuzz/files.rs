@@ -109,8 +109,8 @@ pub fn case(bench: &Bench, seed: u64, number: u64, tally: &mut Tally) -> Result<
     }
     match outcome {
         Ok(()) => tally.read[target] += 1,
-        Err(said) if said.trim().is_empty() || !said.contains("fuzz") => {
-            return Err(format!("{place}: no file is named in `{said}`"));
+        Err(message) if message.trim().is_empty() || !message.contains("fuzz") => {
+            return Err(format!("{place}: no file is named in `{message}`"));
         }
         Err(_) => tally.refused[target] += 1,
     }
