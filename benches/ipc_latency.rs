@@ -36,7 +36,6 @@ fn spread() -> Spread {
     Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("constant bounds")
 }
 
-/// What all threads share.
 struct Shared {
     stop: AtomicBool,
     /// When the bridge took record number `k`, at `k % TIMES` \[ns\].

@@ -11,7 +11,6 @@ use plumbline::store::ModelFile;
 use plumbline_core::{JointVec, MAX_JOINTS};
 use plumbline_identify::streaming::gram::Gram;
 use plumbline_identify::streaming::solve::solve;
-use plumbline_identify::streaming::stack::least_squares;
 use plumbline_identify::streaming::{Settings, Streaming};
 use plumbline_model::term::{Motion, Sample};
 use plumbline_model::{
@@ -160,7 +159,7 @@ fn main() {
     stream(&model, &gravity);
 }
 
-/// 10,000 samples: rows and normal equations, their solution, the same with a second pass, and what each is worth.
+/// 10,000 samples: rows and normal equations, their solution, and its error.
 fn stack(table: &Table, rng: &mut ChaCha8Rng, model: &TorqueModel, gravity: &Vector3<f64>) {
     let structure = model.structure();
     let points = samples(rng, ROWS);
@@ -201,9 +200,6 @@ fn stack(table: &Table, rng: &mut ChaCha8Rng, model: &TorqueModel, gravity: &Vec
     table.row("solve them", solved, "solve-10000");
     let both: f64 = ["stack-10000", "solve-10000"].iter().filter_map(|what| table.0.get(*what)).map(|of| of[0].1).sum();
     println!("{:<58} {:>7.2} ms   (peer {:.2} ms)", "    together", (gathered + solved) * 1e-6, both * 1e-6);
-    let mut twice = None;
-    let refined = mean_cpu(50, || twice = least_squares(structure, &motion, &tau, &sigma).ok());
-    table.row("stack and solve with a second pass (least_squares)", refined, "");
     let dense = mean_cpu(20, || {
         black_box(structure.regressor(&motion));
     });
@@ -222,12 +218,9 @@ fn stack(table: &Table, rng: &mut ChaCha8Rng, model: &TorqueModel, gravity: &Vec
         let error = |c: usize| (beta[c] - exact[c] / norms[c]).abs() / first.inverse[(c, c)].sqrt();
         (0..norms.len()).map(error).fold(0.0, f64::max)
     };
-    let twice = twice.expect("solved");
     println!(
-        "    against QR and singular values: {:.1e} standard deviations, with the second pass {:.1e} ({:?}); condition of W {:.0}",
+        "    against QR and singular values: {:.1e} standard deviations; condition of W {:.0}",
         worst(&first.beta),
-        worst(&twice.beta),
-        twice.solver,
         first.condition.sqrt()
     );
 }

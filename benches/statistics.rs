@@ -11,7 +11,6 @@ use plumbline_testkit::scene::campaign::Campaign;
 use plumbline_testkit::scene::{Extra, Scene};
 use std::time::Instant;
 
-/// Periods of a run.
 const PERIODS: usize = 10;
 
 fn main() {

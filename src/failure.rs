@@ -3,7 +3,6 @@
 use plumbline_core::BadInput;
 use std::fmt;
 
-/// Failure of a command.
 #[derive(Debug)]
 pub enum Failure {
     /// Bad input from a file or the command line; exit code 2.
@@ -18,7 +17,6 @@ impl Failure {
         Failure::Job(what.to_string())
     }
 
-    /// The exit code of the process.
     pub fn code(&self) -> u8 {
         match self {
             Failure::Input(_) => 2,

@@ -24,7 +24,6 @@ static ALLOCATOR: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisable
 /// Two simulators at once are too much for a small machine.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
-/// An address of this process's own.
 fn address(number: u8) -> String {
     format!("127.77.{}.{number}", std::process::id() % 250)
 }
@@ -47,11 +46,12 @@ impl Server {
         let mut server = Server(child, address.parse().unwrap());
         let deadline = Instant::now() + Duration::from_secs(90);
         while TcpStream::connect_timeout(&SocketAddr::new(server.1, 1337), Duration::from_secs(1)).is_err() {
-            let said = || std::fs::read_to_string(Path::new(env!("CARGO_TARGET_TMPDIR")).join(log)).unwrap_or_default();
+            let output =
+                || std::fs::read_to_string(Path::new(env!("CARGO_TARGET_TMPDIR")).join(log)).unwrap_or_default();
             if let Some(status) = server.0.try_wait().unwrap() {
-                panic!("the server ended with {status}: {}", said());
+                panic!("the server ended with {status}: {}", output());
             }
-            assert!(Instant::now() < deadline, "the server does not listen: {}", said());
+            assert!(Instant::now() < deadline, "the server does not listen: {}", output());
             std::thread::sleep(Duration::from_millis(200));
         }
         // It takes that connection for a client: let it notice that it was none.
@@ -172,19 +172,19 @@ fn a_job_on_franka_sim_keeps_the_limits_that_it_serves() {
         }
         let done = job.output().unwrap();
         drop(server);
-        let said = String::from_utf8_lossy(&done.stderr).to_string() + &String::from_utf8_lossy(&done.stdout);
-        assert!(!said.contains("guard: ") && !said.contains("while braking"), "{said}");
-        let plan =
-            plumbline::store::load_plan(&out.join("plans/identify-upright.toml")).unwrap_or_else(|_| panic!("{said}"));
+        let message = String::from_utf8_lossy(&done.stderr).to_string() + &String::from_utf8_lossy(&done.stdout);
+        assert!(!message.contains("guard: ") && !message.contains("while braking"), "{message}");
+        let plan = plumbline::store::load_plan(&out.join("plans/identify-upright.toml"))
+            .unwrap_or_else(|_| panic!("{message}"));
         // Joint 6 ends at 0.5409 rad there, at 0.4398 rad in the robot file.
-        assert_eq!(plan.constraints.q_min[5], 0.54092, "{said}");
+        assert_eq!(plan.constraints.q_min[5], 0.54092, "{message}");
         // The motion was driven to its end. What follows ends the job by name: this server measures no torque, its `tau_J` is 0 throughout.
-        if said.contains("identify-upright has ended") {
-            assert!(said.contains("expected a torque that varies"), "{said}");
+        if message.contains("identify-upright has ended") {
+            assert!(message.contains("expected a torque that varies"), "{message}");
             return;
         }
-        assert!(STALLS.iter().any(|stall| said.contains(stall)), "{said}");
-        eprintln!("attempt {attempt} met a stall: {}", said.lines().last().unwrap_or(""));
+        assert!(STALLS.iter().any(|stall| message.contains(stall)), "{message}");
+        eprintln!("attempt {attempt} met a stall: {}", message.lines().last().unwrap_or(""));
     }
     panic!("every attempt met a stall");
 }

@@ -27,11 +27,7 @@ const JOB: [&str; 10] = [
 
 #[test]
 fn an_added_effect_is_listed_found_reported_and_exported() {
-    let done = |arguments: &[&str]| {
-        let mut command = plumbline();
-        command.args(arguments);
-        Done::of(command).expect_code(0)
-    };
+    let done = |arguments: &[&str]| Done::of(plumbline().args(arguments)).expect_code(0);
     let listed = done(&["effects", "made-up"]).out;
     assert!(listed.contains("tau_j = madeup_j q_j dq_j") && listed.contains("export to C"), "{listed}");
     assert!(done(&["effects"]).out.contains(&listed), "the same as in the whole list");
@@ -44,7 +40,7 @@ fn an_added_effect_is_listed_found_reported_and_exported() {
     let own = format!("backend.arm={}", arm.display());
     let ran = place.run(&JOB.into_iter().chain([own.as_str()]).collect::<Vec<_>>()).expect_code(0);
     let report = place.report();
-    let found = report.diagnosis.unwrap_or_else(|| panic!("no diagnosis: {}", ran.said()));
+    let found = report.diagnosis.unwrap_or_else(|| panic!("no diagnosis: {}", ran.output()));
     assert!(matches!(found.verdict, Verdict::Diagnosed | Verdict::Ambiguous), "{found:#?}");
     let effect = found.effects.iter().find(|effect| effect.id == "made-up").unwrap_or_else(|| panic!("{found:#?}"));
     assert!(effect.joints == [JOINT] && effect.in_model, "{effect:#?}");
@@ -58,9 +54,9 @@ fn an_added_effect_is_listed_found_reported_and_exported() {
 
     let (model, c) = (place.out().join("model.toml"), place.out().join("arm.c"));
     let exported = done(&["export", model.to_str().unwrap(), "--format", "c", "--out", c.to_str().unwrap()]);
-    assert!(!exported.out.contains("left out"), "{}", exported.said());
+    assert!(!exported.out.contains("left out"), "{}", exported.output());
     assert!(std::fs::read_to_string(&c).unwrap().contains("q[4]*dq[4]"), "its expression is in the C function");
     let urdf = place.out().join("arm.urdf");
     let exported = done(&["export", model.to_str().unwrap(), "--format", "urdf", "--out", urdf.to_str().unwrap()]);
-    assert!(exported.out.contains("effect `made-up` is left out"), "{}", exported.said());
+    assert!(exported.out.contains("effect `made-up` is left out"), "{}", exported.output());
 }

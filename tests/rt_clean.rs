@@ -14,7 +14,6 @@ use std::process::{Command, ExitStatus};
 #[global_allocator]
 static WATCH: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
 
-/// Which run a program of its own makes.
 const RUN: &str = "PLUMBLINE_TEST_SEALED_RUN";
 const SIGSYS: i32 = 31;
 /// An emulated robot may stop by itself where this machine stalls; one run of so many must come through.
@@ -61,9 +60,9 @@ fn whole_runs_on_every_arm_make_no_stray_system_call() {
     for arm in ARMS {
         // However it ends, no run may be killed by the filter; and one of them is a whole one.
         let whole = (0..TRIES).any(|_| {
-            let (status, said) = alone(arm, "calls");
-            assert!(status.success() && said.contains("sealed run"), "{arm}: {status}\n{said}");
-            said.contains("sealed run complete")
+            let (status, message) = alone(arm, "calls");
+            assert!(status.success() && message.contains("sealed run"), "{arm}: {status}\n{message}");
+            message.contains("sealed run complete")
         });
         assert!(whole, "{arm}: no whole run in {TRIES}");
     }
@@ -75,8 +74,8 @@ fn the_filter_would_notice() {
     let _turn = RUNS.take();
     // One call of getpid, a growing heap, a line of output, a file: each of them in one cycle of the middle of a run.
     for stray in ["getpid", "mmap", "print", "file"] {
-        let (status, said) = alone(ARMS[0], &format!("stray-{stray}"));
-        assert_eq!(status.signal(), Some(SIGSYS), "{stray}: {status}\n{said}");
+        let (status, message) = alone(ARMS[0], &format!("stray-{stray}"));
+        assert_eq!(status.signal(), Some(SIGSYS), "{stray}: {status}\n{message}");
     }
 }
 
@@ -85,9 +84,9 @@ fn the_filter_would_notice() {
 fn rtsan_would_notice() {
     let _turn = RUNS.take();
     for stray in ["mmap", "print"] {
-        let (status, said) = alone(ARMS[0], &format!("loose-{stray}"));
-        let objected = said.contains("RealtimeSanitizer") && !status.success();
-        assert_eq!(objected, cfg!(feature = "rtsan"), "{stray}: {status}\n{said}");
-        assert!(objected || status.success(), "{stray}: {status}\n{said}");
+        let (status, message) = alone(ARMS[0], &format!("loose-{stray}"));
+        let objected = message.contains("RealtimeSanitizer") && !status.success();
+        assert_eq!(objected, cfg!(feature = "rtsan"), "{stray}: {status}\n{message}");
+        assert!(objected || status.success(), "{stray}: {status}\n{message}");
     }
 }

@@ -122,7 +122,7 @@ fn what_is_missed_for_longer_than_a_robot_waits_is_its_reflex() {
 /// The line in which the daemon accounts for a session: periods, cycles, skipped, and the periods by the machine's clock.
 fn account(done: &Done) -> [u64; 4] {
     let line =
-        done.err.lines().find(|line| line.contains("session `hold`")).unwrap_or_else(|| panic!("{}", done.said()));
+        done.err.lines().find(|line| line.contains("session `hold`")).unwrap_or_else(|| panic!("{}", done.output()));
     let numbers = |text: &str| -> Vec<u64> {
         text.split(|c: char| !c.is_ascii_digit()).filter_map(|word| word.parse().ok()).collect()
     };
@@ -151,12 +151,11 @@ fn a_daemon_that_was_stopped_and_goes_on_has_skipped_and_counted_what_it_slept_t
         signal(daemon.pid(), "CONT");
         std::thread::sleep(Duration::from_millis(200));
     }
-    assert!(daemon.runs(), "the daemon ended by itself: {}", daemon.end().said());
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
+    assert!(daemon.runs(), "the daemon ended by itself: {}", daemon.end().output());
+    let done = place.quit(daemon);
     let [periods, cycles, skipped, clock] = account(&done);
-    assert_eq!((periods, clock), (cycles + skipped, periods), "{}", done.said());
-    assert!(skipped >= 3 * 290, "{skipped} skipped in three stalls of 300 ms\n{}", done.said());
+    assert_eq!((periods, clock), (cycles + skipped, periods), "{}", done.output());
+    assert!(skipped >= 3 * 290, "{skipped} skipped in three stalls of 300 ms\n{}", done.output());
 }
 
 #[test]

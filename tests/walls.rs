@@ -34,7 +34,6 @@ const WALL: [&str; 4] = ["#![deny(", "clippy::disallowed_methods", "clippy::unwr
 
 /// Crates without input, output, clock or randomness of their own.
 const PURE: &[&str] = &["crates/excite/", "crates/identify/", "crates/diagnose/", "crates/model/"];
-/// Reads descriptions of robots.
 const ROBOT_FILES: &str = "crates/model/src/robot.rs";
 const IMPURE: &[&str] =
     &["std::fs", "std::io", "std::net", "std::time", "std::env", "std::process", "println!", "tracing"];

@@ -10,7 +10,6 @@ use std::fmt;
 /// Edges of what re-identification leaves of an effect over the noise floor.
 const BINS: [(f64, f64); 4] = [(0.0, 0.5), (0.5, 0.75), (0.75, 1.0), (1.0, f64::INFINITY)];
 
-/// All cases of a part.
 pub struct Tally<'a> {
     pub what: What,
     pub seed: u64,
@@ -22,7 +21,6 @@ fn short(spec: &Spec) -> String {
     format!("{}{form} @{}", spec.family, spec.site.suffix())
 }
 
-/// One case in one line.
 pub fn line(case: &Case, judged: &Judged) -> String {
     let list = |specs: &[Spec]| specs.iter().map(short).collect::<Vec<_>>().join(", ");
     let truth = |text: &str| text.replace("id = ", "").trim_end().replace('\n', " ");
@@ -48,7 +46,6 @@ pub fn line(case: &Case, judged: &Judged) -> String {
     )
 }
 
-/// Whether the answer was as it should be.
 fn good(case: &Case, judged: &Judged) -> bool {
     match case.what {
         What::None => judged.found.is_empty() && judged.verdict == Verdict::NothingSignificant,

@@ -2,7 +2,6 @@
 
 use plumbline_testkit::inclinometer::{Device, Faults};
 
-/// Text of `help`.
 pub const HELP: &str = "tilt LONG LATERAL [SECONDS]   tilt the base to these slopes [deg]
 noise DEG                     noise of a slope from now on
 unplug | no-heartbeat | no-slopes | short | twin    a fault, until `well`
@@ -12,24 +11,18 @@ emergency CODE                an emergency by its hexadecimal code; 0 clears it
 error-passive | bus-off | error-active              an error frame, as a controller's driver sends it
 quit";
 
-/// A command.
 #[derive(Clone, Copy, Debug)]
 pub enum Command {
     /// Slopes \[deg\] and the duration of the motion \[s\].
     Tilt([f64; 2], f64),
     /// Standard deviation of the noise \[deg\].
     Noise(f64),
-    /// Sets a fault.
     Fault(fn(&mut Faults)),
-    /// Clears the faults.
     Well,
-    /// Restarts the device.
     Reset,
-    /// Sends an emergency code.
     Emergency(u16),
     /// Class and data of an error frame.
     Bus((u32, [u8; 8])),
-    /// Ends the program.
     Quit,
 }
 
@@ -38,7 +31,6 @@ const CONTROLLER: u32 = 0x04;
 const BUS_OFF: u32 = 0x40;
 
 impl Command {
-    /// Parses a line.
     pub fn parse(line: &str) -> Option<Command> {
         let words: Vec<&str> = line.split_whitespace().collect();
         let number = |at: usize| words.get(at)?.parse::<f64>().ok().filter(|value| value.is_finite());
@@ -62,7 +54,6 @@ impl Command {
         })
     }
 
-    /// Applies the command to the device.
     pub fn apply(self, device: &mut Device, now: u64) {
         match self {
             Command::Tilt(slopes, seconds) => device.tilt(now, slopes, seconds),

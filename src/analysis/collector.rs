@@ -5,12 +5,9 @@ use crate::setup::programme::{Motion, Programme, Role};
 use nalgebra::DMatrix;
 use plumbline_core::{JointVec, Phase, Record};
 
-/// A recorded motion of the programme.
 #[derive(Clone, Debug)]
 pub struct Recorded {
-    /// Its number in the programme.
     pub number: u32,
-    /// Role in the programme.
     pub role: Role,
     /// The samples after the lead-in; the served torque is in the further columns `tau_ff1` to `tau_ffn`.
     pub run: Run,
@@ -28,11 +25,9 @@ pub struct Collector {
     gap: bool,
 }
 
-/// The motion that is being recorded.
 struct Present {
     motion: Motion,
     records: Vec<Record>,
-    /// Records of this motion are missing.
     broken: bool,
 }
 
@@ -45,7 +40,6 @@ impl Present {
 }
 
 impl Collector {
-    /// A collector for an arm of `joints` joints.
     pub fn new(programme: &Programme, joints: usize) -> Collector {
         // Motions of the live watch are not collected: they have no bounded length.
         let recorded = programme.motions().filter(|motion| motion.role != Role::Live);

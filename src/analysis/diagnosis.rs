@@ -13,33 +13,22 @@ use plumbline_identify::{Experiment, Settings};
 use plumbline_model::term::Motion;
 use plumbline_model::{Robot, Structure, TorqueModel};
 
-/// What is diagnosed and how.
 pub struct Question<'a> {
-    /// The arm.
     pub robot: &'a Robot,
-    /// The plain model.
     pub structure: &'a Structure,
-    /// Runs to identify from.
     pub identify: &'a [&'a Run],
-    /// Runs that nothing is fitted to.
     pub unseen: &'a [&'a Run],
-    /// How runs are made ready.
     pub settings: &'a Settings,
-    /// How parameters are identified.
     pub options: &'a solve::Options,
-    /// How the diagnosis is done.
     pub diagnosis: &'a plumbline_diagnose::Settings,
     /// What the errors before and after are taken of.
     pub of: Of,
 }
 
-/// A diagnosis and what follows from it.
 pub struct Diagnosed {
     /// The model with the effects that hold; the plain one where none does.
     pub after: Identified,
-    /// What the report says.
     pub block: Diagnosis,
-    /// What it draws.
     pub figures: Curves,
 }
 
@@ -72,7 +61,6 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     Ok(Diagnosed { after, block, figures: outcome.curves })
 }
 
-/// Experiments with the sessions of their runs.
 pub fn trials<'a>(experiments: &'a [Experiment], runs: &[&Run]) -> Vec<Trial<'a>> {
     experiments.iter().zip(runs).map(|(experiment, run)| Trial { experiment, session: run.session }).collect()
 }

@@ -15,7 +15,6 @@ use plumbline_model::{Conditions, Robot};
 /// Two gravity directions closer than this are one mounting \[rad\].
 pub const SAME_MOUNTING: f64 = 1e-3;
 
-/// Condition numbers for the report.
 pub fn conditions_facts(conditions: &Conditions) -> Vec<Condition> {
     let fact = |definition: &str, with_friction, without_friction| Condition {
         definition: definition.to_string(),
@@ -29,7 +28,6 @@ pub fn conditions_facts(conditions: &Conditions) -> Vec<Condition> {
     ]
 }
 
-/// Condition numbers in one line.
 pub fn conditions_text(conditions: &Conditions) -> String {
     let one = |fact: Condition| {
         format!("{} {:.1} (rigid body alone {:.1})", fact.definition, fact.with_friction, fact.without_friction)

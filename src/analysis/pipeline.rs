@@ -13,19 +13,14 @@ use plumbline_identify::solve::{Identification, identify_with};
 use plumbline_model::term::{Motion, torque_offset};
 use plumbline_model::{Reduction, Robot, Structure, TorqueModel, TorqueSensing};
 
-/// A model with its identification.
 pub struct Identified {
-    /// The model.
     pub model: TorqueModel,
-    /// Result of the estimator.
     pub identification: Identification,
 }
 
-/// Errors of a model on one run.
 pub struct Judged {
     /// Errors, raw and filtered.
     pub rms: Rms,
-    /// Measured and modelled torque.
     pub figure: TorqueFigure,
 }
 
@@ -43,7 +38,6 @@ pub fn plain_terms(robot: &Robot) -> Vec<&'static str> {
     usual_terms(robot).into_iter().filter(|id| *id != torque_offset::ID).collect()
 }
 
-/// Whether `--velocities` selects measured velocities.
 pub fn measured_velocities(option: &str) -> Result<bool, BadInput> {
     match option {
         "measured" => Ok(true),
@@ -125,7 +119,6 @@ pub fn for_estimator(runs: &[&Run], settings: &Settings, options: &solve::Option
     parallel(runs, threads(), prepare).into_iter().collect()
 }
 
-/// Identifies a model from runs of one arm.
 pub fn identify(
     robot: &Robot,
     runs: &[&Run],

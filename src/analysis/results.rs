@@ -40,7 +40,6 @@ pub struct Results {
 }
 
 impl Results {
-    /// Results of one job, to be written into `out`.
     pub fn new(job: &Job, robot: &Robot, programme: &Programme, out: &Path) -> Results {
         Results {
             job: job.clone(),
@@ -55,7 +54,6 @@ impl Results {
         }
     }
 
-    /// Number of joints.
     pub fn joints(&self) -> usize {
         self.robot.chain.len()
     }
@@ -70,7 +68,6 @@ impl Results {
         self.recorded.first().map(|recorded| recorded.run.data.mounting)
     }
 
-    /// Adds a recorded motion.
     pub fn take(&mut self, recorded: Recorded) {
         tracing::info!("{} was recorded: {} samples", recorded.run.data.name, recorded.run.samples());
         self.recorded.push(recorded);
@@ -91,7 +88,6 @@ impl Results {
         self.model.as_ref().zip(self.runs(Role::Identify).first().copied())
     }
 
-    /// Adds a note to the report.
     pub fn note(&mut self, note: String) {
         self.notes.push(note);
     }
@@ -131,9 +127,9 @@ impl Results {
         report.validate = judged.iter().map(|(run, judged)| validation(run, judged)).collect();
         report.consistency = model.consistent.as_ref().map(|found| Consistency::of_model(&model.model, found));
         report.counter_experiment = counter.map(|(facts, _)| facts);
-        report.gravity = status.gravity.as_ref().and_then(|said| {
+        report.gravity = status.gravity.as_ref().and_then(|gravity| {
             let runs = self.recorded.iter().map(|own| (own.number, own.run.data.name.as_str(), own.run.data.mounting));
-            GravityReport::new(said, self.job.mounting, runs)
+            GravityReport::new(gravity, self.job.mounting, runs)
         });
         report.motions = self.motions.clone();
         report.control_loop = Some(LoopReport::new(status, !self.job.backend.is_fast()));

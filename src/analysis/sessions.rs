@@ -26,17 +26,12 @@ pub fn take_later(dataset: &mut Dataset) -> Vec<(u32, Vec<Run>)> {
 
 /// What a later session is compared with, and how.
 pub struct Reference<'a> {
-    /// The arm.
     pub robot: &'a Robot,
-    /// The model of the first session.
     pub model: &'a TorqueModel,
     /// Its noise floor, per joint; may be empty \[Nm\].
     pub noise_floor: &'a [f64],
-    /// Number of the first session.
     pub session: u32,
-    /// How runs are made ready.
     pub settings: &'a Settings,
-    /// How the search is done.
     pub diagnosis: &'a plumbline_diagnose::Settings,
 }
 

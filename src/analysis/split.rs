@@ -12,7 +12,6 @@ pub const HOLD_OUT: f64 = 0.4;
 pub struct Split {
     pub identify: Vec<Run>,
     pub validate: Vec<Run>,
-    /// Remarks on the division.
     pub notes: Vec<String>,
 }
 

@@ -196,7 +196,6 @@ fn identifiability(model: &TorqueModel, refused: &[&Run], doubt: &reference::Dou
     facts
 }
 
-/// Name and date of the model.
 fn since(options: &Options, file: &ModelFile) -> String {
     let name = options.model.file_name().map_or("the model".into(), |name| name.to_string_lossy().into_owned());
     let date = file.provenance.date.as_ref().map_or(String::new(), |date| format!(" of {date}"));

@@ -18,7 +18,6 @@ const WIDTH: usize = 100;
 /// Column of the text after a label.
 const LABEL: usize = 14;
 
-/// Prints all effects, or one.
 pub fn run(options: Options) -> Result<(), Failure> {
     let text = match &options.id {
         None => FAMILIES.iter().map(|family| block(family)).collect::<Vec<_>>().join("\n"),
@@ -34,7 +33,6 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
 }
 
-/// One effect.
 fn block(family: &Family) -> String {
     let mut text = format!("{}\n", family.id);
     wrap(&mut text, 2, 2, family.physics);
@@ -69,7 +67,6 @@ fn equation_label(form: &Form) -> String {
     if form.name.is_empty() { "torque".into() } else { form.name.into() }
 }
 
-/// Whether the exported C function has it.
 fn in_c(of: InC) -> String {
     match of {
         InC::Columns(_) | InC::Entries => "yes".into(),

@@ -35,7 +35,6 @@ pub struct Options {
     vertical: bool,
 }
 
-/// File formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
     Urdf,
@@ -88,7 +87,6 @@ pub fn run(options: Options) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Refuses invalid combinations of options.
 fn check(options: &Options) -> Result<(), BadInput> {
     let refuse = |option: &str, format: &str, expected: &str| {
         Err(BadInput::new("command line", option, format!("--format {format}"), expected))

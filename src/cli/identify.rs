@@ -109,19 +109,13 @@ pub fn run(options: Options) -> Result<(), Failure> {
 
 /// A validated model from files: the result of `identify` and `diagnose`.
 pub(super) struct Outcome<'a> {
-    /// The arm.
     pub robot: &'a Robot,
-    /// The model.
     pub identified: Identified,
-    /// Identification runs.
     pub runs: Vec<&'a Run>,
     /// Validation runs with the model's errors.
     pub judged: Vec<(&'a Run, Judged)>,
-    /// Mounting of the dataset.
     pub mounting: Mounting,
-    /// Hash of the dataset's content.
     pub hash: String,
-    /// Signal processing.
     pub settings: &'a Settings,
 }
 

@@ -88,12 +88,10 @@ impl From<Goal> for Criterion {
     }
 }
 
-/// Rounds of a search with a time limit.
 const UNLIMITED_ROUNDS: usize = 100_000;
 /// Offset of the seeds of validation motions from those of the search.
 const VALIDATION_SEED_OFFSET: u64 = 1_000_003;
 
-/// Optimises motions and writes them.
 pub fn run(options: Options) -> Result<(), Failure> {
     let robot = Robot::load(&options.robot, None)?;
     let mounting = parse_mounting("--mounting", &options.mounting)?;
@@ -179,7 +177,6 @@ impl Options {
         self.out.with_file_name(format!("{stem}{kind}-{k}.{extension}"))
     }
 
-    /// Writes a plan and prints its condition numbers.
     fn write(&self, plan: &Plan, path: &Path, set: &[Fourier], task: &Task) -> Result<(), Failure> {
         save_plan(plan, path).map_err(Failure::job)?;
         say!("{}: condition {}", path.display(), crate::analysis::conditions_text(&plan.conditions));

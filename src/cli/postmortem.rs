@@ -50,7 +50,6 @@ pub fn run(options: Options) -> Result<(), Failure> {
     if identical { Ok(()) } else { Err(Failure::job("the commands of the replay differ from the recording")) }
 }
 
-/// Replays the recording.
 fn replayed_recording(file: &str, recording: &Recording) -> Result<ReplayResult, Failure> {
     let place = |name: &str| format!("{file}, attachment `{name}`");
     let needed = |name: &str| {

@@ -72,7 +72,6 @@ pub fn run(options: Options) -> Result<(), Failure> {
     summarise(&out)
 }
 
-/// Runs the programme to its end.
 fn drive(
     id: &RobotId,
     job: &JobOptions,
@@ -210,7 +209,6 @@ fn start(client: &mut Client, ending: &Ending) -> Result<(), Failure> {
     }
 }
 
-/// A process of this program.
 struct Process {
     name: &'static str,
     child: Child,

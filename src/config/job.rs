@@ -19,27 +19,20 @@ use plumbline_model::Mounting;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// A whole job.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Job {
-    /// Path of the job file as given.
     #[serde(skip)]
     pub file: PathBuf,
     /// A shipped robot (`panda`), or the path of a robot description.
     pub robot: String,
-    /// How the base is mounted during identification.
     #[serde(deserialize_with = "units::mounting")]
     pub mounting: Mounting,
-    /// The arm that is driven.
     pub backend: Backend,
-    /// The motion that parameters are identified from.
     #[serde(default)]
     pub excitation: Excitation,
-    /// Validation motions.
     #[serde(default)]
     pub validation: Validation,
-    /// Use of the arm's limits.
     #[serde(default)]
     pub limits: Limits,
     /// Workspace of the end effector; the robot's if absent.
@@ -48,40 +41,30 @@ pub struct Job {
     /// Signal processing before the least squares.
     #[serde(default)]
     pub estimator: Estimator,
-    /// Diagnosis of effects that the model lacks.
     #[serde(default)]
     pub diagnosis: Diagnosis,
     /// Real-time rights of the loop's thread.
     #[serde(default)]
     pub realtime: Realtime,
-    /// Conditions of a controlled stop.
     #[serde(default)]
     pub safety: Safety,
-    /// An inclinometer on the base.
     #[serde(default)]
     pub inclinometer: Option<Inclinometer>,
-    /// Check of the mounting before anything is served.
     #[serde(default)]
     pub mounting_check: MountingCheck,
-    /// The served feed-forward torque.
     #[serde(default)]
     pub serve: Serve,
-    /// Live watch of the served model.
     #[serde(default)]
     pub live: Live,
-    /// Flight recorder.
     #[serde(default)]
     pub recorder: Recorder,
-    /// Results.
     #[serde(default)]
     pub output: Output,
 }
 
-/// Diagnosis of effects that the model lacks.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Diagnosis {
-    /// Whether the diagnosis runs.
     pub enabled: bool,
     /// Highest analysed frequency \[Hz\].
     pub band: f64,
@@ -95,11 +78,9 @@ impl Default for Diagnosis {
     }
 }
 
-/// The arm that is driven.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Backend {
-    /// Which backend.
     pub kind: BackendKind,
     /// The simulated arm's truth: a built-in name (`sim-panda`) or the path of a file. Given where `kind` is `sim`, and nowhere else.
     #[serde(default)]
@@ -110,7 +91,6 @@ pub struct Backend {
     /// Whether simulated time follows the clock.
     #[serde(default)]
     pub pace: Pace,
-    /// Seed of the simulated noise and losses.
     #[serde(default = "default_seed")]
     pub seed: u64,
     /// Pose that the arm returns to, and that a simulated one starts in; the middle of every joint's range where absent \[rad\].
@@ -118,11 +98,9 @@ pub struct Backend {
     pub start: Option<Vec<f64>>,
 }
 
-/// Backends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BackendKind {
-    /// The simulated arm.
     Sim,
     /// A Franka arm, or its emulator, over the Franka Control Interface.
     Franka,
@@ -135,14 +113,12 @@ impl Backend {
     }
 }
 
-/// Pace of the simulated arm.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Pace {
     /// As fast as possible, without losing a sample.
     #[default]
     Fast,
-    /// One cycle per millisecond of the clock.
     WallClock,
 }
 
@@ -168,9 +144,7 @@ impl From<String> for Resource {
 
 impl Resource {
     /// Name for errors and text of the resource; `built_in` holds the names and texts that the program carries.
-    ///
-    /// # Errors
-    /// An unknown name, with those that are known, or a file that can't be read.
+    /// Errors: an unknown name, with those that are known, or a file that can't be read.
     pub fn read(&self, key: &str, built_in: &[(&str, &str)]) -> Result<(String, String), BadInput> {
         match self {
             Resource::File(path) => {
@@ -205,19 +179,15 @@ pub struct Excitation {
     /// Motions to identify from: the first is searched for (or is `plan`), the others are random. What a diagnosis finds has to hold on
     /// motions that it was not found on, so it wants three or more.
     pub trajectories: usize,
-    /// Periods that are averaged.
     pub periods: usize,
     /// Periods driven before those, while transients die out.
     pub lead_in: usize,
-    /// Criterion of the search.
     pub criterion: Criterion,
-    /// Random starting motions of the search.
     pub starts: usize,
     /// Rounds in which the best motions are perturbed and optimised again.
     pub rounds: usize,
     /// Nominal model (a model file) whose torques are held to the limits, too; relative to the job's folder.
     pub model: Option<PathBuf>,
-    /// Seed of the search.
     pub seed: u64,
     /// Centre of the motion, where it starts and ends; chosen by the search where absent \[rad\].
     #[serde(deserialize_with = "units::optional_positions")]
@@ -247,14 +217,10 @@ impl Default for Excitation {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Validation {
-    /// Motions per mounting.
     pub trajectories: usize,
-    /// Mountings to validate in.
     #[serde(deserialize_with = "units::mountings")]
     pub mountings: Vec<Mounting>,
-    /// Periods of each motion.
     pub periods: usize,
-    /// Seed of the motions.
     pub seed: u64,
     /// Whether the usual vertical set is identified, too, in a mounting of the list with gravity along axis 1, to show where it fails.
     pub counter_experiment: bool,
@@ -281,11 +247,8 @@ pub struct Limits {
     /// Distance that planned motions keep from both ends of every joint \[rad\].
     #[serde(deserialize_with = "units::angle")]
     pub margin: f64,
-    /// Share of the speed limits.
     pub speed: f64,
-    /// Share of the acceleration limits.
     pub acceleration: f64,
-    /// Share of the jerk limits.
     pub jerk: f64,
     /// Share of the limits of torque and torque rate.
     pub torque: f64,
@@ -365,13 +328,9 @@ pub struct Estimator {
 pub struct Realtime {
     /// SCHED_FIFO priority from 1 to 99, or 0 for ordinary scheduling.
     pub priority: u8,
-    /// Processor that the loop is pinned to.
     pub cpu: Option<usize>,
-    /// Whether memory is locked.
     pub lock_memory: bool,
-    /// Whether the kernel should be a PREEMPT_RT one.
     pub preempt_rt: bool,
-    /// Action if a right is refused.
     pub on_refusal: OnRefusal,
 }
 
@@ -392,7 +351,6 @@ impl Default for Realtime {
     }
 }
 
-/// Conditions of a controlled stop.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Safety {
@@ -422,7 +380,6 @@ pub enum OnEstimatorLoss {
     /// Complete the motion; the samples are kept for the next estimator.
     #[default]
     Finish,
-    /// Controlled stop.
     Stop,
 }
 
@@ -457,14 +414,12 @@ impl Default for Live {
     }
 }
 
-/// Decision on a proposed model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Adopt {
     /// By an operator: `plumbline command adopt`, or `reject`.
     #[default]
     Ask,
-    /// At once by the daemon.
     Auto,
 }
 
@@ -489,7 +444,6 @@ impl Default for Recorder {
     }
 }
 
-/// Results.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Output {
@@ -512,9 +466,7 @@ fn default_seed() -> u64 {
 impl Job {
     /// Reads a job from a file. Each of `sets` is a `key.path=value` of the command line's `--set` and wins over the file; a value that
     /// isn't TOML is taken as a string (`backend.pace=wall-clock`).
-    ///
-    /// # Errors
-    /// An unreadable file, an unknown key, a value of the wrong kind or out of range, a quantity without a unit; each names the line
+    /// Errors: an unreadable file, an unknown key, a value of the wrong kind or out of range, a quantity without a unit; each names the line
     /// and key, or the `--set` that brought it.
     pub fn load(path: &Path, sets: &[String]) -> Result<Job, BadInput> {
         let file = path.display().to_string();

@@ -186,12 +186,10 @@ impl<'de> Deserialize<'de> for Setting {
     }
 }
 
-/// `deserialize_with` for a mounting.
 pub fn mounting<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Mounting, D::Error> {
     Setting::deserialize(deserializer).map(|setting| setting.0)
 }
 
-/// `deserialize_with` for a list of mountings.
 pub fn mountings<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Mounting>, D::Error> {
     Ok(Vec::<Setting>::deserialize(deserializer)?.into_iter().map(|setting| setting.0).collect())
 }
@@ -221,8 +219,8 @@ mod tests {
         let tilted = parse_mounting("--mounting", "60 deg, -20 deg").unwrap();
         assert_eq!((tilted.rho, tilted.phi), (60_f64.to_radians(), (-20_f64).to_radians()));
         for bad in ["60,20", "floor", "200 deg,0 deg", "60 deg", "NaN deg,0 deg"] {
-            let said = parse_mounting("--mounting", bad).unwrap_err().to_string();
-            assert!(said.starts_with("--mounting: value: got `") && said.contains("with units"), "{said}");
+            let message = parse_mounting("--mounting", bad).unwrap_err().to_string();
+            assert!(message.starts_with("--mounting: value: got `") && message.contains("with units"), "{message}");
         }
     }
 }

@@ -14,9 +14,6 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 const INTERVAL_NS: u64 = 100_000_000;
 
 /// Checks a model's text: the right robot, a set that holds in this mounting.
-///
-/// # Errors
-/// What is wrong with the text, called `file`.
 pub fn check(robot: &Robot, mounting: &Mounting, file: &str, text: &str) -> Result<Accepted, BadInput> {
     let offered = models::of_robot(file, text, robot, "which this daemon drives")?;
     offered
@@ -29,20 +26,15 @@ pub fn check(robot: &Robot, mounting: &Mounting, file: &str, text: &str) -> Resu
 
 /// A request that was read, and its model checked.
 pub enum Checked {
-    /// Serve this model.
     Offered(Box<Accepted>),
     /// Serve this model in place of the present one, or hold it.
     Proposed(Box<Accepted>, Proposal),
-    /// A request without a model.
     Other(Request),
-    /// No model that this daemon can serve.
     Refused(Response),
-    /// No request.
     Garbled(Response),
 }
 
 impl Checked {
-    /// Checks the model of a request, where it has one.
     pub fn of(robot: &Robot, mounting: &Mounting, request: Request) -> Checked {
         let refused = |bad: BadInput| Checked::Refused(Response::Refused { reason: bad.to_string() });
         match request {
@@ -55,13 +47,10 @@ impl Checked {
     }
 }
 
-/// A heavy request that was checked.
 pub struct Answerable {
-    /// Which request.
     pub ticket: Ticket,
     /// Its [`Request::order`]; `None` where it could not be read.
     pub order: Option<&'static str>,
-    /// What came of it.
     pub checked: Checked,
 }
 
@@ -82,9 +71,6 @@ pub struct Checker {
 
 impl Checker {
     /// Starts the thread, at ordinary priority. `epoch` is the daemon's.
-    ///
-    /// # Errors
-    /// The system has no thread left.
     pub fn start(robot: Robot, epoch: u64) -> std::io::Result<Checker> {
         let (jobs, to_check) = sync_channel::<Job>(1);
         let (done, checked) = sync_channel(1);

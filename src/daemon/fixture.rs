@@ -26,7 +26,6 @@ pub fn new_state() -> (DaemonState, tempfile::TempDir) {
     state_of(JOB)
 }
 
-/// The same for another job.
 pub fn state_of(job: &str) -> (DaemonState, tempfile::TempDir) {
     let place = tempfile::tempdir().unwrap();
     let file = place.path().join("job.toml");
@@ -55,7 +54,6 @@ pub fn refusal(answer: Response) -> String {
     reason
 }
 
-/// The arm rests as it does in `mounting`.
 pub fn rest(state: &mut DaemonState, mounting: &Mounting) {
     let model = check(&state.setup.robot, &state.mounting, "test", MODEL).unwrap().model;
     for k in 0..8 {

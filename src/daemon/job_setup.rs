@@ -7,22 +7,17 @@ use std::sync::Arc;
 
 /// What the daemon is started with. Nothing of it changes.
 pub struct JobSetup {
-    /// The job.
     pub job: Job,
-    /// The arm's description.
     pub robot: Robot,
-    /// The arm.
     pub arm: Arc<dyn ArmConnector>,
     /// Limits of the connected arm that the programme was checked under; `None` for a simulated arm.
     pub arm_limits: Option<ArmLimits>,
     /// Where the arm starts and returns to \[rad\].
     pub rest: JointVec,
-    /// Numbers and names of the motions.
     pub names: Vec<(u32, String)>,
 }
 
 impl JobSetup {
-    /// Whether the arm is commanded by torques.
     pub fn commands_torques(&self) -> bool {
         matches!(self.arm.command_mode(), CommandMode::Torque { .. })
     }

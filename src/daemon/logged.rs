@@ -3,7 +3,6 @@
 use std::io::Write;
 use std::sync::{Arc, Mutex};
 
-/// Collects the lines of a subscriber.
 #[derive(Clone, Default)]
 pub struct Lines(Arc<Mutex<Vec<u8>>>);
 
@@ -19,13 +18,11 @@ impl Write for Lines {
 }
 
 impl Lines {
-    /// A subscriber that logs into these lines.
     pub fn subscriber(&self) -> impl tracing::Subscriber + Send + Sync + 'static {
         let lines = self.clone();
         tracing_subscriber::fmt().with_ansi(false).without_time().with_writer(move || lines.clone()).finish()
     }
 
-    /// What was logged so far.
     pub fn text(&self) -> String {
         String::from_utf8(self.0.lock().unwrap().clone()).unwrap()
     }

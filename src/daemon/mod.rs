@@ -68,18 +68,15 @@ pub struct Options {
 /// The longest that connecting to a robot, or its recovery, takes before it fails by itself; the watchdog waits for it.
 const CONNECTION: Duration = Duration::from_secs(90);
 
-/// What the bridge thread owns.
 pub struct Daemon {
     stops: StopRelay,
     server: Server,
     checker: Checker,
     state: DaemonState,
     service: Service,
-    /// When requests are answered next.
     share: RequestShare,
 }
 
-/// How a session ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum SessionEnd {
     /// Its script was driven, or the end was requested.
@@ -170,7 +167,6 @@ impl Daemon {
         Ok(())
     }
 
-    /// Drives every stage of the programme.
     fn drive(&mut self, programme: &Programme) -> Result<(), Failure> {
         for stage in &programme.stages {
             self.state.programme.progress = Progress::Driving;

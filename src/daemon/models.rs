@@ -14,11 +14,8 @@ const MAX_RECENT: usize = 64;
 
 /// A model that passed every check of its text.
 pub struct Accepted {
-    /// Identity of its text.
     pub id: u64,
-    /// Its text.
     pub text: String,
-    /// The model.
     pub model: TorqueModel,
     /// Noise of the measured torque by its file, per joint \[Nm\]; empty where unknown.
     pub noise: Vec<f64>,
@@ -29,7 +26,6 @@ pub struct Accepted {
 pub struct Recent(VecDeque<Record>);
 
 impl Recent {
-    /// Takes in records of the loop.
     pub fn take(&mut self, records: &[Record]) {
         for record in records.iter().filter(|record| record.cycle.is_multiple_of(DECIMATION)) {
             if self.0.len() == MAX_RECENT {
@@ -39,16 +35,13 @@ impl Recent {
         }
     }
 
-    /// Another connection to the arm.
     pub fn clear(&mut self) {
         self.0.clear();
     }
 }
 
-/// The models of the daemon.
 #[derive(Default)]
 pub struct Models {
-    /// The model that is served.
     served: Option<Accepted>,
     /// The model that was served before: the loop falls back to it.
     reserve: Option<Accepted>,
@@ -56,7 +49,6 @@ pub struct Models {
     held: Option<(Accepted, Proposal)>,
     /// The model whose torque broke a limit: it is not handed to another loop.
     rejected: Option<u64>,
-    /// The last second of the arm.
     pub recent: Recent,
 }
 
@@ -81,16 +73,13 @@ impl Models {
         self.trusted().map_or(0, |served| served.id)
     }
 
-    /// The held model, for the status.
     pub fn offer(&self) -> Option<HeldModel> {
         self.held.as_ref().map(|(held, proposal)| HeldModel { model: held.id, proposal: proposal.clone() })
     }
 
     /// Checks a model against what changes after its text was checked: the mounting, and what the arm has measured in the last second under
     /// `gravity` \[m/s2\].
-    ///
-    /// # Errors
-    /// The model does not hold in `mounting`, or its torques are not those of the arm.
+    /// Errors: the model does not hold in `mounting`, or its torques are not those of the arm.
     pub fn admit(
         &mut self,
         file: &str,
@@ -130,15 +119,12 @@ impl Models {
         self.held.insert((model, proposal)).0.id
     }
 
-    /// Takes out the model that is held.
     pub fn take_held(&mut self) -> Option<(Accepted, Proposal)> {
         self.held.take()
     }
 
     /// Checks the held model in `mounting` and takes it out; `None` where none is held.
-    ///
-    /// # Errors
-    /// It does not hold there, or its torques are not those of the arm. It stays held.
+    /// Errors: it does not hold there, or its torques are not those of the arm. It stays held.
     pub fn adopt(
         &mut self,
         mounting: &Mounting,

@@ -63,7 +63,6 @@ impl DaemonState {
         }
     }
 
-    /// Answers a request whose model was checked.
     pub fn conclude(&mut self, checked: Checked, served: &Served, controls: Option<&Controls>) -> Response {
         match checked {
             Checked::Offered(model) => match self.accept("offered model", *model) {
@@ -138,7 +137,6 @@ impl DaemonState {
         Ok(self.accept(&file, checked)?)
     }
 
-    /// Serves an offered model.
     fn accept(&mut self, file: &str, checked: Accepted) -> Result<u64, BadInput> {
         self.admit(file, &checked)?;
         let remark = self.gravity.try_out(&checked).map_err(|off| {

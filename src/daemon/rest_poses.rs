@@ -5,7 +5,6 @@ use plumbline_identify::Pose;
 
 /// Records at the beginning of a rest in which the arm settles.
 const SETTLE_RECORDS: u32 = 100;
-/// Records of a first mean.
 const FIRST_MEAN_RECORDS: u32 = 200;
 /// Records after which a long rest is averaged anew.
 const MEAN_RECORDS: u32 = 1000;
@@ -23,10 +22,8 @@ struct Numbered {
     pose: Pose,
 }
 
-/// Collects poses at rest.
 #[derive(Clone, Debug, Default)]
 pub struct RestPoses {
-    /// Commanded position of the present rest.
     at: Option<JointVec>,
     count: u32,
     /// Its position after it had settled \[rad\].
@@ -34,12 +31,10 @@ pub struct RestPoses {
     q: JointVec,
     tau: JointVec,
     poses: Vec<Numbered>,
-    /// Poses completed so far.
     completed: u64,
 }
 
 impl RestPoses {
-    /// Takes in a record; whether it has completed a pose.
     pub fn take(&mut self, record: &Record) -> bool {
         let desired = &record.command.desired;
         let resting = matches!(record.phase, Phase::Hold | Phase::Stopped) && desired.dq.iter().all(|&dq| dq == 0.0);
@@ -91,7 +86,6 @@ impl RestPoses {
         self.poses.push(Numbered { number: self.completed, pose });
     }
 
-    /// How many were completed so far.
     pub fn completed(&self) -> u64 {
         self.completed
     }

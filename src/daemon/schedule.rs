@@ -43,7 +43,6 @@ pub struct RequestShare {
 }
 
 impl RequestShare {
-    /// Whether requests are answered at `now_ns`.
     pub fn is_due(&self, now_ns: u64) -> bool {
         now_ns >= self.next_ns
     }

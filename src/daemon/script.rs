@@ -10,10 +10,8 @@ use std::collections::VecDeque;
 /// Rest before a motion starts \[ms\].
 const SETTLE: u64 = 500;
 
-/// What the daemon does after an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Next {
-    /// Nothing.
     Continue,
     /// Hold until there is a model, then give the orders that are left.
     AwaitModel,
@@ -25,9 +23,7 @@ pub enum Next {
 
 /// An order, and the same as data.
 pub struct Planned {
-    /// For the loop.
     pub order: Order,
-    /// For the flight recorder.
     pub given: RecordedOrder,
 }
 
@@ -54,13 +50,10 @@ impl Planned {
     }
 }
 
-/// The orders of one stage.
 pub struct Script {
     /// Orders up to and with the motion after which the model is needed; all of them where none is.
     before: VecDeque<Planned>,
-    /// Orders that need the model.
     after: VecDeque<Planned>,
-    /// Number of the motion in between.
     barrier: Option<u32>,
 }
 
@@ -110,7 +103,6 @@ impl Script {
         self.before.is_empty() && !self.after.is_empty()
     }
 
-    /// Where the arm goes first.
     pub fn first_target(&self) -> Option<JointVec> {
         self.before.iter().chain(&self.after).find_map(|planned| match planned.order.kind {
             OrderKind::MoveTo { target, .. } => Some(target),
@@ -118,7 +110,6 @@ impl Script {
         })
     }
 
-    /// What follows from an event of the loop.
     pub fn after(&mut self, event: &Event) -> Next {
         match *event {
             Event::Ended { motion: RETURN } => Next::Over,
@@ -132,7 +123,6 @@ impl Script {
     }
 }
 
-/// The pose that a motion starts in.
 fn start_of(motion: &Motion) -> JointVec {
     let mut start = [0.0; MAX_JOINTS];
     for (slot, &q) in start.iter_mut().zip(&motion.plan.q0) {

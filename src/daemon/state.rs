@@ -15,24 +15,18 @@ use plumbline_model::Mounting;
 use plumbline_rt::cycle::End;
 use plumbline_rt::{Controls, Event, StopReason};
 
-/// Progress of the job's programme.
 #[derive(Default)]
 pub struct ProgrammeState {
-    /// Stage of the programme.
     pub progress: Progress,
-    /// A start was requested.
     pub start: bool,
     /// Until when a start waits for the model's check at rest \[ns\].
     pub start_due_ns: u64,
-    /// Orders that were driven to their end.
     pub ended: Vec<u32>,
     /// Samples published when everything had been driven.
     pub driven: Option<u64>,
-    /// Recoveries of the arm without an operator.
     pub recoveries: u32,
 }
 
-/// Stops of the arm.
 #[derive(Default)]
 pub struct StopState {
     /// Nothing moves before an operator allows it, in this connection to the arm or another.
@@ -45,25 +39,19 @@ pub struct StopState {
     pub stopped: Option<String>,
 }
 
-/// The end of the daemon.
 #[derive(Default)]
 pub struct EndState {
     /// Signals, and the end of the parent process.
     pub ending: Ending,
-    /// The reason to end that was logged last.
     announced: Option<Cause>,
-    /// A request to quit was accepted.
     pub quit: bool,
 }
 
-/// The loops of the daemon so far.
 #[derive(Default)]
 pub struct LoopHistory {
-    /// Connections to the arm that have ended.
     pub sessions: Vec<SessionStatistics>,
     /// Rights that the machine does not grant the running loop, with what to change.
     pub degraded: Vec<String>,
-    /// The last cycle.
     pub last: Record,
 }
 
@@ -71,21 +59,13 @@ pub struct LoopHistory {
 pub struct DaemonState {
     /// Keeps the last seconds of the loop.
     pub recorder: Recorder,
-    /// What the daemon is started with.
     pub setup: JobSetup,
-    /// How the arm is mounted now.
     pub mounting: Mounting,
-    /// Models served and offered.
     pub models: Models,
-    /// Gravity by every source.
     pub gravity: GravityMonitor,
-    /// How far the programme is.
     pub programme: ProgrammeState,
-    /// Stops of the arm.
     pub stops: StopState,
-    /// The end of the daemon.
     pub end: EndState,
-    /// The loops so far.
     pub history: LoopHistory,
 }
 
@@ -98,15 +78,11 @@ enum LossResponse {
     Continue,
     /// The arm waits for a model, and the samples are kept.
     Wait,
-    /// The arm stops.
     Stop,
 }
 
 impl DaemonState {
     /// Opens the inclinometer, where there is one: call it before the priority of this thread goes up.
-    ///
-    /// # Errors
-    /// The inclinometer of the job can't be used.
     pub fn new(setup: JobSetup, recorder: Recorder, ending: Ending) -> Result<DaemonState, Failure> {
         Ok(DaemonState {
             recorder,
@@ -121,7 +97,6 @@ impl DaemonState {
         })
     }
 
-    /// Whether the daemon is to end.
     pub fn must_quit(&self) -> bool {
         self.end.quit || self.end.ending.arrived()
     }
@@ -197,7 +172,6 @@ impl DaemonState {
         self.stop(controls);
     }
 
-    /// Takes in records of the loop.
     pub fn take_records(&mut self, records: &[Record], controls: &Controls) {
         if let Some(moved) = self.gravity.take(records) {
             self.gravity_event(moved.event);
@@ -307,7 +281,6 @@ impl DaemonState {
         }
     }
 
-    /// Takes in an event of the loop.
     pub fn take_event(&mut self, event: &Event) {
         if let Event::Stopping { reason, .. } = event {
             let cause = self.stops.cause.take();
@@ -328,7 +301,6 @@ impl DaemonState {
         }
     }
 
-    /// Logs an event of the loop.
     fn log(&self, event: &Event) {
         match event {
             Event::Started { motion } => {
@@ -363,7 +335,6 @@ impl DaemonState {
         }
     }
 
-    /// Name of a motion of the programme.
     pub fn name_of(&self, motion: u32) -> Option<&str> {
         self.setup.names.iter().find(|(number, _)| *number == motion).map(|(_, name)| name.as_str())
     }

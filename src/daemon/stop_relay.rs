@@ -14,14 +14,12 @@ const PAUSE: Duration = Duration::from_millis(1);
 pub struct StopRelay {
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
-    /// Turns of the thread at the last poll.
     last_turns: u64,
 }
 
 #[derive(Default)]
 struct Shared {
     ended: AtomicBool,
-    /// Polls of the socket by the thread.
     turns: AtomicU64,
     /// There is an order that the bridge thread has not taken yet.
     pending: AtomicBool,
@@ -30,7 +28,6 @@ struct Shared {
 
 #[derive(Default)]
 struct State {
-    /// Those of the running loop.
     controls: Option<Arc<Controls>>,
     order: Option<StopOrder>,
 }
@@ -53,14 +50,10 @@ impl Shared {
 
 impl StopRelay {
     /// Starts the thread; `prepare` runs on it first.
-    ///
-    /// # Errors
-    /// The system has no thread left.
     pub fn start(mut listener: StopListener, prepare: impl FnOnce() + Send + 'static) -> std::io::Result<StopRelay> {
         StopRelay::listening(move |carry_out| listener.listen(carry_out), prepare)
     }
 
-    /// The same with any [`StopListener::listen`].
     fn listening(
         mut listen: impl FnMut(&mut dyn FnMut(StopOrder)) -> std::io::Result<()> + Send + 'static,
         prepare: impl FnOnce() + Send + 'static,
@@ -144,7 +137,6 @@ mod tests {
 
     const ORDER: StopOrder = StopOrder { process: 7, user: 8 };
 
-    /// A line without a thread.
     fn silent() -> StopRelay {
         StopRelay { shared: Arc::default(), thread: None, last_turns: 0 }
     }

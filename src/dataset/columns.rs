@@ -6,20 +6,15 @@ use nalgebra::DMatrix;
 /// A quantity in the columns `STEM1` to `STEMn`.
 #[derive(Debug)]
 pub struct JointColumns {
-    /// Name without the number of the joint.
     pub stem: &'static str,
-    /// Unit.
     pub unit: &'static str,
-    /// What the program does with it.
     pub purpose: &'static str,
     /// Whether an identification can depend on it; then it is part of [`super::Dataset::content_hash`].
     pub identifies: bool,
 }
 
-/// Desired positions.
 pub const DESIRED_POSITIONS: JointColumns =
     JointColumns { stem: "q_d", unit: "rad", purpose: "desired positions, used by `--estimator iv`", identifies: true };
-/// Torques that the daemon served during the motion.
 pub const SERVED_TORQUES: JointColumns = JointColumns {
     stem: "tau_ff",
     unit: "Nm",
@@ -27,7 +22,6 @@ pub const SERVED_TORQUES: JointColumns = JointColumns {
     identifies: false,
 };
 
-/// All of them.
 pub const ALL: [&JointColumns; 2] = [&DESIRED_POSITIONS, &SERVED_TORQUES];
 
 impl JointColumns {

@@ -16,7 +16,6 @@ pub(super) struct Columns {
     pub extra: Vec<(String, Vec<f64>)>,
 }
 
-/// Whether a file has to hold torques.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Torque {
     Required,
@@ -24,11 +23,7 @@ pub(super) enum Torque {
     Optional,
 }
 
-/// Reads a CSV file, or a recording of the flight recorder where the name ends in `.mcap`.
 pub(super) fn read(path: &Path, torque: Torque) -> Result<Columns, BadInput> {
-    if path.extension().is_some_and(|extension| extension == "mcap") {
-        return super::flight::read(path);
-    }
     let file = path.display().to_string();
     let bytes = std::fs::read(path).map_err(|error| BadInput::new(&file, "file", error, "a readable CSV file"))?;
     parse(&file, &bytes, torque)
@@ -59,7 +54,6 @@ pub(super) fn parse(file: &str, bytes: &[u8], torque: Torque) -> Result<Columns,
     })
 }
 
-/// Column index of each quantity.
 struct Layout {
     t: usize,
     q: Vec<usize>,
@@ -212,8 +206,8 @@ mod tests {
             (String::new(), "no column `t`"),
         ];
         for (text, expected) in cases {
-            let said = refusal(&text);
-            assert!(said.contains(expected), "`{said}` does not say `{expected}`");
+            let message = refusal(&text);
+            assert!(message.contains(expected), "`{message}` does not say `{expected}`");
         }
         let still = (0..12).map(|_| "1.0,2.0,3.0\n").collect::<String>();
         assert!(refusal(&format!("t,q1,tau1\n{still}")).contains("time that advances"));

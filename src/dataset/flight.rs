@@ -1,13 +1,19 @@
 //! A recording of the flight recorder as a run: measured values with the arm's time.
 
 use super::Run;
-use super::csv::Columns;
+use super::csv::{self, Columns, Torque};
 use crate::recording::Recording;
 use nalgebra::DMatrix;
 use plumbline_core::{BadInput, JointVec, PERIOD_S, Record};
 use std::path::Path;
 
-pub(super) fn read(path: &Path) -> Result<Columns, BadInput> {
+/// Reads a recording of the flight recorder where the name ends in `.mcap`, else a CSV file.
+pub(super) fn read_run(path: &Path, torque: Torque) -> Result<Columns, BadInput> {
+    let is_recording = path.extension().is_some_and(|extension| extension == "mcap");
+    if is_recording { read(path) } else { csv::read(path, torque) }
+}
+
+fn read(path: &Path) -> Result<Columns, BadInput> {
     let file = path.display().to_string();
     let recording = Recording::read(path)?;
     if let Some(cut) = &recording.cut {

@@ -6,7 +6,6 @@ use nalgebra::DVectorView;
 /// Repeats, gaps and resolution of one run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hygiene {
-    /// Number of samples.
     pub samples: usize,
     /// Median time between samples that differ in time \[s\].
     pub dt: f64,

@@ -7,13 +7,11 @@ use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Component, Path};
 
-/// Role of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
     /// Parameters are fitted to it.
     Identify,
-    /// The fitted model is judged by it.
     Validate,
 }
 
@@ -139,7 +137,7 @@ fn read_run(dir: &Path, file: &str, index: usize, entry: &RunEntry, shared: Moun
     if !Path::new(&entry.file).components().all(|part| matches!(part, Component::Normal(_))) || entry.file.is_empty() {
         return Err(BadInput::new(file, key("file"), format!("`{}`", entry.file), "a file in the dataset's folder"));
     }
-    let columns = csv::read(&dir.join(&entry.file), csv::Torque::Required)?;
+    let columns = super::flight::read_run(&dir.join(&entry.file), csv::Torque::Required)?;
     if let Some(period) = entry.period {
         let length = columns.t[columns.t.len() - 1] - columns.t[0];
         if !(period > 0.0 && period <= length * 1.001 + 0.01) {

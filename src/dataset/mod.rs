@@ -20,10 +20,8 @@ use plumbline_core::BadInput;
 use plumbline_model::Mounting;
 use std::path::Path;
 
-/// Recorded motions of one arm.
 #[derive(Clone, Debug)]
 pub struct Dataset {
-    /// Name.
     pub name: String,
     /// The robot description that fits the arm: a shipped name or a path.
     pub robot: String,
@@ -40,9 +38,7 @@ pub struct Dataset {
 pub struct Run {
     /// Measured data, named after the file in the dataset's folder; time never decreases.
     pub data: plumbline_identify::Run,
-    /// Role.
     pub role: Role,
-    /// A remark.
     pub note: String,
     /// Between sessions something about the arm may have changed; session 1 is the reference for the others.
     pub session: u32,
@@ -52,9 +48,7 @@ pub struct Run {
 
 impl Dataset {
     /// Reads the dataset in folder `dir`.
-    ///
-    /// # Errors
-    /// Any deviation from the format, with file, line, column, found and expected value: an unknown key, a missing column, a
+    /// Errors: any deviation from the format, with file, line, column, found and expected value: an unknown key, a missing column, a
     /// cell that is no finite number, time that runs backwards, fewer than [`Run::LEAST_SAMPLES`] samples, currents without gains, runs
     /// with different numbers of joints.
     pub fn read(dir: &Path) -> Result<Dataset, BadInput> {
@@ -64,9 +58,7 @@ impl Dataset {
     /// Writes the dataset atomically as folder `dir`.
     ///
     /// Torques are written in Nm; every number reads back as the same `f64`.
-    ///
-    /// # Errors
-    /// I/O errors with their path; also when `dir` is a folder with content that is no dataset, which is left alone.
+    /// Errors: I/O errors with their path; also when `dir` is a folder with content that is no dataset, which is left alone.
     pub fn write(&self, dir: &Path) -> std::io::Result<()> {
         write::write(self, dir)
     }
@@ -77,9 +69,6 @@ impl Dataset {
     }
 
     /// Checks that the data has as many joints as the robot it names.
-    ///
-    /// # Errors
-    /// [`BadInput`] that names the dataset, its columns and the robot's number of joints.
     pub fn expect_joints(&self, n: usize) -> Result<(), BadInput> {
         if self.joints() == n {
             return Ok(());
@@ -94,23 +83,14 @@ impl Dataset {
     pub fn content_hash(&self) -> String {
         hash::content_hash(self)
     }
-
-    /// Runs with the given role.
-    pub fn with_role(&self, role: Role) -> impl Iterator<Item = &Run> {
-        self.runs.iter().filter(move |run| run.role == role)
-    }
 }
 
 impl Run {
-    /// Minimum number of samples of a run.
     pub const LEAST_SAMPLES: usize = 10;
 
     /// One motion from a CSV file alone, in a given mounting; torques (in Nm) may be absent, `tau` then has no columns.
-    ///
-    /// # Errors
-    /// As [`Dataset::read`], for this file.
     pub fn read_csv(path: &Path, mounting: Mounting) -> Result<Run, BadInput> {
-        let csv::Columns { t, q, dq, tau, extra } = csv::read(path, csv::Torque::Optional)?;
+        let csv::Columns { t, q, dq, tau, extra } = flight::read_run(path, csv::Torque::Optional)?;
         let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
         let data = plumbline_identify::Run { name, t, q, dq, tau, mounting, period: None };
         Ok(Run { extra, ..Run::new(data, Role::Validate) })
@@ -136,7 +116,6 @@ impl Run {
         Hygiene::of(self)
     }
 
-    /// The further column of this name.
     pub fn extra(&self, name: &str) -> Option<&[f64]> {
         self.extra.iter().find(|(other, _)| other == name).map(|(_, values)| values.as_slice())
     }

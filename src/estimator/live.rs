@@ -25,14 +25,11 @@ const SAMPLE_PERIOD_S: f64 = 1e-3;
 const CALIBRATION_S: f64 = 20.0;
 /// Largest speed of a joint at rest \[rad/s\].
 const REST_SPEED: f64 = 0.01;
-/// Capacity of the log for stretches.
 const MAX_LOGGED_STRETCHES: usize = 10_000;
 
 /// A model for the daemon, with the reason.
 pub struct OfferedModel {
-    /// Text of the model file.
     pub toml: String,
-    /// Description for the operator.
     pub proposal: Proposal,
 }
 
@@ -51,17 +48,39 @@ struct Log {
 #[serde(tag = "event", rename_all = "kebab-case")]
 enum Event {
     /// The error exceeds the alarm threshold.
-    Lost { t: f64, since: f64, joint: usize, rms: f64, usual: f64 },
+    Lost {
+        t: f64,
+        since: f64,
+        joint: usize,
+        rms: f64,
+        usual: f64,
+    },
     /// The error is below the threshold again.
-    Holds { t: f64, since: f64 },
-    /// A change was found and a model proposed.
-    Proposed { t: f64, model: String, what: String, effects: Vec<Effect>, before: Vec<f64>, after: Vec<f64> },
+    Holds {
+        t: f64,
+        since: f64,
+    },
+    Proposed {
+        t: f64,
+        model: String,
+        what: String,
+        effects: Vec<Effect>,
+        before: Vec<f64>,
+        after: Vec<f64>,
+    },
     /// No change was found that lowers the error.
-    Unexplained { t: f64, tried: usize, rms: Vec<f64> },
-    /// The loop serves another model.
-    Served { t: f64, model: String },
-    /// The proposal was dropped.
-    Rejected { t: f64 },
+    Unexplained {
+        t: f64,
+        tried: usize,
+        rms: Vec<f64>,
+    },
+    Served {
+        t: f64,
+        model: String,
+    },
+    Rejected {
+        t: f64,
+    },
 }
 
 /// Errors over a stretch, per joint \[Nm\]: of the model along the measured motion after the low-pass, and of the torque that was
@@ -75,17 +94,14 @@ struct Stretch {
     served_rms: Vec<f64>,
 }
 
-/// A search under way.
 struct Search {
     /// Start of the search, and start of the alarm \[s\].
     t: f64,
     since: f64,
-    /// The served model.
     model: u64,
     found: JoinHandle<Found>,
 }
 
-/// State of the live watch.
 pub struct Live {
     adopt: Adopt,
     window: f64,
@@ -102,7 +118,6 @@ pub struct Live {
     serving: u64,
     /// Samples of one motion without a gap.
     buffer: VecDeque<Record>,
-    /// Samples since the last stretch.
     samples_since_stretch: usize,
     /// Earliest time of the next search \[s\].
     not_before: f64,

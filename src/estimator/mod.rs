@@ -85,9 +85,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
 
 enum Outcome {
     Written,
-    /// The programme was stopped.
     Stopped {
-        /// Reason given by the daemon.
         why: String,
     },
     /// The recording or its model is unusable. This is not bad input (exit code 2), after which a service would
@@ -103,7 +101,6 @@ fn no_results(why: &str) -> String {
     format!("the arm was stopped, so there are no complete results: {why}")
 }
 
-/// Waits for the next start of the daemon.
 fn await_next_daemon(stream: &mut SampleStream, service: &mut Service, status: &str) -> Result<(), Failure> {
     service.status(status);
     while !matches!(stream.next(POLL_INTERVAL).map_err(Failure::job)?, Delivery::Restarted { .. }) {
@@ -289,12 +286,10 @@ fn client_of(id: &RobotId, epoch: u64) -> Result<Client, Failure> {
     Ok(client)
 }
 
-/// The daemon's status.
 fn status(id: &RobotId) -> Result<Status, Failure> {
     status_by(client(id)?)
 }
 
-/// The status of one start of the daemon.
 fn status_of(id: &RobotId, epoch: u64) -> Result<Status, Failure> {
     status_by(client_of(id, epoch)?)
 }

@@ -34,7 +34,6 @@ pub struct Installation {
     axes: Matrix3<f64>,
     /// Zero offset, subtracted from the measured slopes \[rad\].
     pub zero: [f64; 2],
-    /// Definition of the slopes.
     pub slopes: SlopeConvention,
     /// Largest slope that the sensor measures \[rad\].
     pub range: f64,
@@ -45,25 +44,13 @@ pub struct Installation {
 /// Invalid sensor axes, or a declared mounting outside the measuring range.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum InstallationError {
-    /// The axes are not unit vectors at right angles.
     #[error("the sensor's x and z axes ({x:?} and {z:?}) are not two unit vectors at right angles")]
-    Axes {
-        /// The x axis.
-        x: [f64; 3],
-        /// The z axis.
-        z: [f64; 3],
-    },
-    /// The declared mounting is outside the sensor's measuring range.
+    Axes { x: [f64; 3], z: [f64; 3] },
     #[error(
         "in the declared mounting the sensor's slopes would be {:.1} and {:.1} deg, its range is {:.0} deg and its z axis must be \
          within that of the vertical", .slopes[0].to_degrees(), .slopes[1].to_degrees(), .range.to_degrees()
     )]
-    OutOfRange {
-        /// Slopes in the declared mounting \[rad\].
-        slopes: [f64; 2],
-        /// Measuring range \[rad\].
-        range: f64,
-    },
+    OutOfRange { slopes: [f64; 2], range: f64 },
 }
 
 /// Measured direction of gravity with its covariance.
@@ -77,9 +64,7 @@ pub struct Attitude {
 
 impl Installation {
     /// Installation from the sensor's x and z axes in the base frame.
-    ///
-    /// # Errors
-    /// Axes that are no unit vectors (to 1 per mille) or not at right angles (to 1 mrad).
+    /// Errors: axes that are no unit vectors (to 1 per mille) or not at right angles (to 1 mrad).
     pub fn new(x: [f64; 3], z: [f64; 3]) -> Result<Installation, InstallationError> {
         let (right, up) = (Vector3::from(x), Vector3::from(z));
         let unit = |axis: &Vector3<f64>| (axis.norm() - 1.0).abs() < 1e-3;
@@ -109,9 +94,7 @@ impl Installation {
     }
 
     /// Sign of the sensor's z axis in a mounting: 1 up, -1 down.
-    ///
-    /// # Errors
-    /// A mounting in which the z axis is too close to the horizontal, or a slope is out of range.
+    /// Errors: a mounting in which the z axis is too close to the horizontal, or a slope is out of range.
     pub fn hemisphere(&self, declared: &Mounting) -> Result<f64, InstallationError> {
         let up = (self.axes.transpose() * -declared.gravity() / G).z;
         let slopes = self.expected(declared);

@@ -36,7 +36,6 @@ pub const RESOLUTION: Entry = Entry(0x6000, 0);
 /// Number of the device profile in the low half of [`DEVICE_TYPE`].
 pub const PROFILE: u16 = 410;
 
-/// Index and subindex of an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entry(pub u16, pub u8);
 
@@ -46,7 +45,6 @@ impl std::fmt::Display for Entry {
     }
 }
 
-/// Width of the slope objects that are used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Width {
     /// 6010h and 6020h, integer16.
@@ -90,7 +88,6 @@ impl Width {
     }
 }
 
-/// NMT commands to one node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NmtCommand {
     /// Enter operational: process data and SDO.
@@ -99,12 +96,10 @@ pub enum NmtCommand {
     PreOperational = 0x80,
 }
 
-/// NMT state in a node's heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NmtState {
     /// Neither process data nor SDO.
     Stopped,
-    /// Process data are sent.
     Operational,
     /// SDO only.
     PreOperational,
@@ -137,32 +132,22 @@ impl std::fmt::Display for NmtState {
 /// A value to write to an object, with its width.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Value {
-    /// unsigned8
     U8(u8),
-    /// unsigned16
     U16(u16),
-    /// unsigned32
     U32(u32),
 }
 
-/// Response to an SDO request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reply {
     /// Value of an object of up to 4 bytes, little-endian.
     Read {
-        /// Object.
         entry: Entry,
-        /// Value.
         value: u32,
     },
-    /// The object was written.
     Written {
-        /// Object.
         entry: Entry,
     },
-    /// The device aborted the transfer.
     Abort {
-        /// Object.
         entry: Entry,
         /// CiA 301's abort code.
         code: u32,
@@ -174,12 +159,10 @@ pub const ABORT_NO_OBJECT: u32 = 0x0602_0000;
 /// Abort code: subindex does not exist.
 pub const ABORT_NO_SUBINDEX: u32 = 0x0609_0011;
 
-/// A message of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Message {
     /// Boot-up: the device has lost its configuration.
     BootUp,
-    /// Heartbeat with the NMT state.
     Heartbeat(NmtState),
     /// Emergency; code 0 clears it.
     Emergency {
@@ -188,15 +171,12 @@ pub enum Message {
         /// The error register, 1001h.
         register: u8,
     },
-    /// Process data and their length.
     Pdo([u8; 8], usize),
-    /// Response to an SDO request.
     Reply(Reply),
     /// A frame with one of the node's identifiers and an invalid content.
     Malformed,
 }
 
-/// An NMT command.
 pub fn nmt(node: u8, command: NmtCommand) -> Frame {
     let mut data = [0; 8];
     data[..2].copy_from_slice(&[command as u8, node]);
@@ -204,12 +184,10 @@ pub fn nmt(node: u8, command: NmtCommand) -> Frame {
     Frame::new(0, &data[..2]).unwrap_or(Frame::full(0, data))
 }
 
-/// A request to read an object.
 pub fn read(node: u8, entry: Entry) -> Frame {
     sdo(node, 0x40, entry, [0; 4])
 }
 
-/// A request to write an object.
 pub fn write(node: u8, entry: Entry, value: Value) -> Frame {
     match value {
         Value::U8(v) => sdo(node, 0x2f, entry, u32::from(v).to_le_bytes()),

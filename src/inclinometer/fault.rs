@@ -6,136 +6,53 @@ use super::frame::BusState;
 /// Reason why there is no reading.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Fault {
-    /// The device is being brought up.
     #[error("the inclinometer is being brought up")]
     Starting,
-    /// No response to an SDO request.
     #[error("node {node} does not answer a request for {entry}")]
-    Unanswered {
-        /// Node id.
-        node: u8,
-        /// Object.
-        entry: Entry,
-    },
+    Unanswered { node: u8, entry: Entry },
     /// The device aborted an SDO transfer.
     #[error("the inclinometer refuses access to {entry} (abort code {code:08X}h)")]
-    Refused {
-        /// Object.
-        entry: Entry,
-        /// CiA 301's abort code.
-        code: u32,
-    },
-    /// The device is not an inclinometer.
+    Refused { entry: Entry, code: u32 },
     #[error("the node's device type is {found:08X}h, expected profile 410 (inclinometer)")]
-    NoInclinometer {
-        /// Device type found.
-        found: u32,
-    },
-    /// The serial number is not the configured one.
+    NoInclinometer { found: u32 },
     #[error("the inclinometer's serial number is {found}, expected {expected}")]
-    WrongSerial {
-        /// Serial number found.
-        found: u32,
-        /// Configured serial number.
-        expected: u32,
-    },
-    /// The resolution is not one of CiA 410.
+    WrongSerial { found: u32, expected: u32 },
     #[error("the inclinometer's resolution is {found}, expected 1, 10, 100 or 1000 (in 0.001 deg)")]
-    Resolution {
-        /// Resolution found \[0.001 deg\].
-        found: u32,
-    },
+    Resolution { found: u32 },
     /// The slope objects can't represent the whole range: larger slopes would be clipped or wrap around.
     #[error(
         "the inclinometer's slopes of 16 bits end at {:.3} deg, the range is {:.1} deg: set `bits = 32`, or a `range` of at most \
          {:.1} deg", max_slope(*.resolution).to_degrees(), .range.to_degrees(), (10.0 * max_slope(*.resolution).to_degrees()).floor() / 10.0
     )]
-    RangeTooWide {
-        /// Resolution found \[0.001 deg\].
-        resolution: u32,
-        /// Configured range \[rad\].
-        range: f64,
-    },
+    RangeTooWide { resolution: u32, range: f64 },
     /// An object reads back with another value than the written one.
     #[error("{entry} holds {found:08X}h, expected {expected:08X}h")]
-    ReadbackMismatch {
-        /// Object.
-        entry: Entry,
-        /// Value read back.
-        found: u32,
-        /// Value written.
-        expected: u32,
-    },
-    /// Heartbeat timeout.
+    ReadbackMismatch { entry: Entry, found: u32, expected: u32 },
     #[error("no heartbeat of the inclinometer for {elapsed_ms} ms")]
-    NoHeartbeat {
-        /// Time since the last heartbeat \[ms\].
-        elapsed_ms: u64,
-    },
-    /// Process data timeout.
+    NoHeartbeat { elapsed_ms: u64 },
     #[error("no slopes from the inclinometer for {elapsed_ms} ms")]
-    NoSlopes {
-        /// Time since the last process data \[ms\].
-        elapsed_ms: u64,
-    },
+    NoSlopes { elapsed_ms: u64 },
     /// The device has sent a boot-up message.
     #[error("the inclinometer has restarted")]
     Restarted,
-    /// The device is no longer operational.
     #[error("the inclinometer is {state}, expected operational")]
-    State {
-        /// State found.
-        state: NmtState,
-    },
-    /// The device has sent an emergency message.
+    State { state: NmtState },
     #[error("emergency {code:04X}h of the inclinometer, error register {register:02X}h")]
-    Emergency {
-        /// Error code.
-        code: u16,
-        /// Error register.
-        register: u8,
-    },
+    Emergency { code: u16, register: u8 },
     /// More heartbeats than one device sends.
     #[error("{count} heartbeats in {passed_ms} ms, expected {expected}: does another node have the same id?")]
-    DuplicateNodeId {
-        /// Heartbeats received.
-        count: u32,
-        /// Time in which they were received \[ms\].
-        passed_ms: u64,
-        /// Heartbeats of one device in this time.
-        expected: u64,
-    },
-    /// A frame with the device's identifier and an invalid length.
+    DuplicateNodeId { count: u32, passed_ms: u64, expected: u64 },
     #[error("frame of {length} bytes under the inclinometer's identifier {id:03X}h")]
-    Malformed {
-        /// Identifier.
-        id: u16,
-        /// Length.
-        length: usize,
-    },
-    /// The bus is not error-active.
+    Malformed { id: u16, length: usize },
     #[error("{}", bus_text(*.0))]
     Bus(BusState),
-    /// A slope outside the measuring range.
     #[error("slopes of {:.2} and {:.2} deg, expected at most {:.0} deg", .slopes[0].to_degrees(), .slopes[1].to_degrees(), .range.to_degrees())]
-    OutOfRange {
-        /// Slopes \[rad\].
-        slopes: [f64; 2],
-        /// Measuring range \[rad\].
-        range: f64,
-    },
+    OutOfRange { slopes: [f64; 2], range: f64 },
     /// A slope has changed by more than `jump` between two frames.
     #[error("a slope has jumped by {:.2} deg from one frame to the next", .by.to_degrees())]
-    Jump {
-        /// Size of the step \[rad\].
-        by: f64,
-    },
-    /// The listener thread has ended or hangs.
+    Jump { by: f64 },
     #[error("no report from the inclinometer's thread for {elapsed_ms} ms")]
-    ListenerTimeout {
-        /// Time since the last report \[ms\].
-        elapsed_ms: u64,
-    },
+    ListenerTimeout { elapsed_ms: u64 },
 }
 
 /// Largest slope in 16 bits with a unit of `resolution` \[0.001 deg\]; in rad.

@@ -9,7 +9,6 @@ use nalgebra::{Unit, UnitQuaternion, Vector3};
 use plumbline_model::{Mounting, angle_between};
 use serde::Deserialize;
 
-/// What is served while there is no reading.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OnSensorLoss {
@@ -18,7 +17,6 @@ pub enum OnSensorLoss {
     Refuse,
     /// The model with the last measured direction; the declared one if there was none.
     Hold,
-    /// The model with the declared direction.
     Declared,
 }
 
@@ -32,10 +30,8 @@ impl std::fmt::Display for OnSensorLoss {
     }
 }
 
-/// Settings of the [`Follower`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FollowSettings {
-    /// The declared mounting.
     pub declared: Mounting,
     /// Largest angle between the declared and the measured direction, beyond their uncertainty \[rad\].
     pub tolerance: f64,
@@ -43,18 +39,13 @@ pub struct FollowSettings {
     pub step: f64,
     /// Largest rate of change of the served gravity \[rad/s\].
     pub rate: f64,
-    /// What is served without a reading.
     pub on_loss: OnSensorLoss,
 }
 
-/// Source of the served gravity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
-    /// The inclinometer.
     Measured,
-    /// The last reading of the inclinometer.
     Held,
-    /// The configuration.
     Declared,
 }
 
@@ -74,23 +65,11 @@ pub enum Refusal {
     /// No reading, with `on-loss = "refuse"`.
     #[error("{0}; inclinometer.on-loss = \"refuse\"")]
     Lost(Fault),
-    /// The measured direction disagrees with the declared mounting.
     #[error(
         "the inclinometer measures {measured}, {:.2} +- {:.2} deg off the declared {declared} (at most {:.2} deg are allowed)",
         .angle.to_degrees(), .std.to_degrees(), .tolerance.to_degrees()
     )]
-    Tilted {
-        /// The declared mounting.
-        declared: Mounting,
-        /// The measured mounting.
-        measured: Mounting,
-        /// Angle between them \[rad\].
-        angle: f64,
-        /// Standard deviation of the measured direction \[rad\].
-        std: f64,
-        /// Largest accepted angle \[rad\].
-        tolerance: f64,
-    },
+    Tilted { declared: Mounting, measured: Mounting, angle: f64, std: f64, tolerance: f64 },
 }
 
 /// Standard deviations that are added to a tolerance.
@@ -101,7 +80,6 @@ pub const CONFIDENCE_SIGMAS: f64 = 2.0;
 pub struct Decision {
     /// Gravity for the model \[m/s2\].
     pub gravity: Vector3<f64>,
-    /// Source of that gravity.
     pub source: Source,
     /// Reason why no torque is served.
     pub refusal: Option<Refusal>,
@@ -119,12 +97,10 @@ pub struct Follower {
 }
 
 impl Follower {
-    /// A follower at the declared direction.
     pub fn new(settings: FollowSettings) -> Follower {
         Follower { settings, served: settings.declared.gravity(), last: None, last_change: None }
     }
 
-    /// The last reading.
     pub fn last(&self) -> Option<&Reading> {
         self.last.as_ref()
     }

@@ -21,7 +21,6 @@ impl Frame {
         Frame { id: id & 0x7ff, len: 8, data }
     }
 
-    /// CAN identifier.
     pub fn id(&self) -> u16 {
         self.id
     }
@@ -32,7 +31,6 @@ impl Frame {
     }
 }
 
-/// State of the CAN bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BusState {
     /// Error-active: normal operation.
@@ -41,18 +39,14 @@ pub enum BusState {
     Passive,
     /// Bus-off: an error counter is above 255, and the controller is disconnected.
     Off,
-    /// The interface is down or missing.
     Down,
     /// The transmit queue is full (ENOBUFS), as it is when no node acknowledges.
     Blocked,
 }
 
-/// Input from the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BusEvent {
-    /// A frame.
     Frame(Frame),
-    /// The bus state has changed.
     Bus(BusState),
     /// The receive queue was empty: later frames were sent after this time. Needed to detect a second sender.
     Idle,

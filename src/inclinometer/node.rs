@@ -28,10 +28,8 @@ const TIMEOUT_PERIODS: u64 = 3;
 const TIMEOUT_MARGIN_NS: u64 = 20 * NS_PER_MS;
 /// Heartbeat periods over which heartbeats are counted to detect a second sender.
 const HEARTBEAT_COUNT_PERIODS: u64 = 10;
-/// Capacity of the transmit queue.
 const MAX_QUEUED_FRAMES: usize = 4;
 
-/// Configuration of a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NodeSettings {
     /// Node id, 1 to 127.
@@ -40,13 +38,11 @@ pub struct NodeSettings {
     pub heartbeat: u16,
     /// Time between two process data \[ms\].
     pub period: u16,
-    /// Slope objects.
     pub width: Width,
     /// Required serial number; any if absent.
     pub serial: Option<u32>,
 }
 
-/// Identity of a device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Identity {
     /// Vendor, 1018h:1.
@@ -59,10 +55,8 @@ pub struct Identity {
     pub resolution: u32,
 }
 
-/// Event of a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum NodeEvent {
-    /// The device is operational.
     Up(Identity),
     /// Two slopes, in units of the device's resolution.
     Slopes([i32; 2]),
@@ -72,14 +66,12 @@ pub enum NodeEvent {
     Malformed(Fault),
 }
 
-/// One request of the bring-up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Request {
     Read(Entry),
     Write(Entry, Value),
 }
 
-/// One step of the bring-up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Step {
     request: Request,
@@ -99,7 +91,6 @@ enum Stage {
     Up,
 }
 
-/// State machine of one device.
 #[derive(Clone, Debug)]
 pub struct Node {
     settings: NodeSettings,
@@ -149,12 +140,10 @@ impl Node {
         self.stage == Stage::Up
     }
 
-    /// The next frame to send.
     pub fn transmit(&mut self) -> Option<Frame> {
         self.outgoing.pop_front()
     }
 
-    /// The next event.
     pub fn event(&mut self) -> Option<NodeEvent> {
         self.events.pop_front()
     }
@@ -442,7 +431,6 @@ impl Node {
         }
     }
 
-    /// Stores or checks a value that was read.
     fn check(&mut self, number: usize, entry: Entry, found: u32) -> Result<(), Fault> {
         let expect = |expected: u32| match found == expected {
             true => Ok(()),

@@ -8,20 +8,16 @@ use super::slope_filter::{FilteredSlopes, SlopeFilter, SlopeFilterSettings};
 use plumbline_model::Mounting;
 use std::collections::VecDeque;
 
-/// Settings of an inclinometer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorSettings {
-    /// The device on its bus.
     pub node: NodeSettings,
     /// Orientation on the base, and accuracy.
     pub installation: Installation,
-    /// Low-pass of the slopes.
     pub filter: SlopeFilterSettings,
     /// The declared mounting, which determines the sign of the sensor's z axis.
     pub declared: Mounting,
 }
 
-/// Filtered reading of the sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
     /// Arrival time of the last frame \[ns\].
@@ -34,25 +30,18 @@ pub struct Reading {
     pub still: bool,
 }
 
-/// State of the inclinometer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Health {
-    /// A valid reading.
     Good(Reading),
-    /// No reading.
     Bad(Fault),
 }
 
-/// An event for the log.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SensorEvent {
-    /// The device is operational.
     Up(Identity),
-    /// A new fault.
     Fault(Fault),
     /// The first reading, or the first one after a fault.
     Recovered,
-    /// A malformed frame was ignored.
     Malformed(Fault),
 }
 
@@ -74,9 +63,6 @@ pub struct Sensor {
 
 impl Sensor {
     /// An inclinometer before its bring-up.
-    ///
-    /// # Errors
-    /// A declared mounting outside the sensor's range.
     pub fn new(settings: SensorSettings) -> Result<Sensor, InstallationError> {
         Ok(Sensor {
             settings,
@@ -89,22 +75,18 @@ impl Sensor {
         })
     }
 
-    /// The settings.
     pub fn settings(&self) -> &SensorSettings {
         &self.settings
     }
 
-    /// Current state.
     pub fn health(&self) -> Health {
         self.health
     }
 
-    /// The next frame to send.
     pub fn transmit(&mut self) -> Option<Frame> {
         self.node.transmit()
     }
 
-    /// The next event for the log.
     pub fn event(&mut self) -> Option<SensorEvent> {
         self.events.pop_front()
     }

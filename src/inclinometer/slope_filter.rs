@@ -4,7 +4,6 @@
 //! `y += (1 - exp(-dt / T)) (x - y)`. The variance of `x - y` estimates the sensor noise at rest. A moving base makes `x - y` large. An
 //! inclinometer does not separate acceleration from tilt, so during motion the whole variance of `x - y` is the uncertainty.
 
-/// Settings of the [`SlopeFilter`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlopeFilterSettings {
     /// Time constant \[s\].
@@ -25,7 +24,6 @@ impl Default for SlopeFilterSettings {
 /// Time until the output is valid after the first frame or a jump, and until the base counts as at rest, in time constants.
 const SETTLING_TIME_CONSTANTS: f64 = 3.0;
 
-/// Low-pass filtered slopes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FilteredSlopes {
     /// Slopes \[rad\].
@@ -36,7 +34,6 @@ pub struct FilteredSlopes {
     pub still: bool,
 }
 
-/// A low-pass of both slopes.
 #[derive(Clone, Debug)]
 pub struct SlopeFilter {
     settings: SlopeFilterSettings,
@@ -50,21 +47,17 @@ pub struct SlopeFilter {
 }
 
 impl SlopeFilter {
-    /// An empty filter.
     pub fn new(settings: SlopeFilterSettings) -> SlopeFilter {
         let (last, mean, variance) = (None, [0.0; 2], [0.0; 2]);
         SlopeFilter { settings, last, mean, variance, since: 0, still_since: 0, settled: false }
     }
 
-    /// Clears the filter.
     pub fn reset(&mut self) {
         *self = SlopeFilter::new(self.settings);
     }
 
     /// Filters the slopes \[rad\] of a frame that arrived at `now` \[ns\]. `Ok(None)` until the filter has settled.
-    ///
-    /// # Errors
-    /// A step from the previous frame above `jump` \[rad\]; the filter restarts from this frame.
+    /// Errors: a step from the previous frame above `jump` \[rad\]; the filter restarts from this frame.
     pub fn update(&mut self, now: u64, slopes: [f64; 2]) -> Result<Option<FilteredSlopes>, f64> {
         let Some((before, last)) = self.last.replace((now, slopes)) else {
             (self.mean, self.variance) = (slopes, [0.0; 2]);

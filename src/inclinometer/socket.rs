@@ -35,18 +35,10 @@ const REPORT_TIMEOUT_NS: u64 = 500_000_000;
 /// Time without an error frame after which the controller counts as error-active again \[ns\].
 const RECOVERY_TIME_NS: u64 = 1_000_000_000;
 
-/// The interface can't be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum ListenError {
-    /// There is no such interface, or it is not a CAN interface.
     #[error("CAN interface `{interface}` can't be opened: {error}")]
-    Open {
-        /// Name of the interface.
-        interface: String,
-        /// Error of the system.
-        error: Error,
-    },
-    /// The thread could not be started.
+    Open { interface: String, error: Error },
     #[error("the thread of the inclinometer can't be started: {0}")]
     Thread(Error),
 }
@@ -74,7 +66,6 @@ impl LatestReport {
     }
 }
 
-/// Handle of the thread that reads the inclinometer.
 pub struct Listener {
     latest: LatestReport,
     last: Report,
@@ -85,9 +76,7 @@ pub struct Listener {
 impl Listener {
     /// Opens `interface` and starts the thread, which brings the device up. The thread inherits the caller's priority: call this before
     /// raising the priority.
-    ///
-    /// # Errors
-    /// An interface that does not exist or is not a CAN interface. An interface that is down is no error.
+    /// Errors: an interface that does not exist or is not a CAN interface. An interface that is down is no error.
     pub fn start(interface: &str, sensor: Sensor, settings: &SensorSettings) -> Result<Listener, ListenError> {
         let named = |error| ListenError::Open { interface: interface.to_string(), error };
         let socket = open(interface, settings.node.node).map_err(named)?;
@@ -254,7 +243,6 @@ impl ListenerThread {
         }
     }
 
-    /// Logs the sensor's events.
     fn log_events(&mut self) {
         while let Some(event) = self.sensor.event() {
             match event {

@@ -18,22 +18,16 @@ use plumbline_rt::{Grant, Granted, Rights, become_realtime};
 use serde::Serialize;
 use std::net::IpAddr;
 
-/// Requirements on the computer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Requirements {
-    /// Rights of the loop's thread.
     pub rights: Rights,
-    /// Address of a robot on the network.
     pub robot: Option<IpAddr>,
 }
 
-/// Rating of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
-    /// Suitable.
     Fit,
-    /// Unknown or not applicable.
     Unknown,
     /// Occasionally causes late wake-ups: a change is recommended.
     Advice,
@@ -41,16 +35,11 @@ pub enum Verdict {
     Unfit,
 }
 
-/// One checked property.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {
-    /// Its name.
     pub name: &'static str,
-    /// Rating.
     pub verdict: Verdict,
-    /// State found.
     pub found: String,
-    /// Recommended change, if any.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub change: Option<String>,
 }

@@ -8,14 +8,12 @@ use std::path::{Path, PathBuf};
 pub struct Tree(PathBuf);
 
 impl Default for Tree {
-    /// The root of this computer.
     fn default() -> Tree {
         Tree::at("/")
     }
 }
 
 impl Tree {
-    /// The tree below another folder.
     pub fn at(root: impl Into<PathBuf>) -> Tree {
         Tree(root.into())
     }
@@ -25,7 +23,6 @@ impl Tree {
         Some(fs::read_to_string(self.0.join(path)).ok()?.trim().to_string())
     }
 
-    /// A file that holds one number.
     pub fn number(&self, path: impl AsRef<Path>) -> Option<i64> {
         self.read(path)?.parse().ok()
     }

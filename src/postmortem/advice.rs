@@ -1,7 +1,11 @@
 //! Next steps for the operator: those of the backend first, then those of the kind of fault.
 
-use super::facts::{Facts, is_measured};
+use super::facts::Facts;
+use super::replay::ReplayResult;
+use crate::recording::Recording;
 use crate::recording::about::{About, ReasonKind};
+use crate::recording::messages::limit_name;
+use plumbline_rt::Limit;
 
 const RESUME: &str = "When it is safe to move: `plumbline command resume`. The interrupted motion is not continued: start the job again.";
 const RESTART: &str =
@@ -10,8 +14,20 @@ const RESTART: &str =
 const STAND_CLEAR: &str = "Stay clear of the arm: the daemon recovers it and repeats the interrupted motion automatically \
      (`backend.franka.recovery`). `plumbline command stop` prevents that.";
 
-/// Steps in order.
-pub(super) fn next(facts: &Facts, about: &About) -> Vec<String> {
+impl Facts {
+    /// Facts of the recording in `file`, with the next steps.
+    pub fn of(file: &str, recording: &Recording, replay: Option<ReplayResult>) -> Facts {
+        let mut facts = Facts::without_advice(file, recording, replay);
+        facts.next = next(&facts, &recording.about);
+        facts
+    }
+}
+
+fn is_measured(limit: &str) -> bool {
+    [Limit::Tracking, Limit::MeasuredTorque, Limit::MeasuredNotFinite].iter().any(|one| limit_name(*one) == limit)
+}
+
+fn next(facts: &Facts, about: &About) -> Vec<String> {
     if about.automatic_recovery {
         return vec![STAND_CLEAR.to_string()];
     }

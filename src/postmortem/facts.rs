@@ -1,90 +1,60 @@
 //! Facts of a recording. Times are seconds before its end, from the arm's sequence numbers.
 
-use super::advice;
 use super::replay::ReplayResult;
-use super::timing::Timing;
+use super::timing::{MAX_LINES, TimeBase, Timing};
 use crate::recording::Recording;
 use crate::recording::about::{ReasonKind, RecordedOrder};
 use crate::recording::messages::{event_text_with, limit_name};
 use plumbline_core::{PERIOD_S, Phase, Record};
-use plumbline_rt::{Event, Limit, StopReason, TimedEvent, Violation};
+use plumbline_rt::{Event, StopReason, TimedEvent, Violation};
 use serde::Serialize;
 
-/// Maximum length of the timeline and of the list of outliers.
-pub(super) const MAX_LINES: usize = 60;
-
-/// Facts of a recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Facts {
-    /// The file.
     pub file: String,
-    /// Robot and its id.
     pub robot: String,
-    /// Mounting as text.
     pub mounting: String,
-    /// Version of the program that recorded it.
     pub plumbline: String,
     /// When it was recorded, UTC.
     pub recorded: String,
-    /// Job file and the start of its hash.
     pub job: String,
     /// Last served model, in hexadecimal.
     pub model: Option<String>,
-    /// Identifier of the reason.
     pub kind: ReasonKind,
-    /// Reason in one sentence.
     pub reason: String,
-    /// End of the loop, if it has ended.
     pub end: Option<String>,
-    /// Motion and phase at the event.
     pub during: Option<String>,
-    /// The first limit that was exceeded.
     pub first_limit: Option<LimitViolation>,
-    /// The last controlled stop.
     pub stop: Option<Stop>,
     /// Events, oldest first.
     pub timeline: Vec<TimelineEntry>,
-    /// Tracking error, per joint.
     pub tracking: Vec<JointPeak>,
-    /// Measured torque, per joint.
     pub torque: Vec<JointPeak>,
-    /// Cycle times.
     pub timing: Timing,
-    /// Next steps for the operator.
     pub next: Vec<String>,
-    /// Gaps in the recording.
     pub gaps: Vec<String>,
-    /// Result of the replay, if one was requested.
     pub replay: Option<ReplayResult>,
 }
 
-/// A limit that was exceeded.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LimitViolation {
-    /// Name of the limit.
     pub limit: String,
     /// Joint, from 1 (axis of the base frame for the box).
     pub joint: usize,
-    /// Value found.
     pub value: f64,
-    /// The limit.
     pub bound: f64,
     /// Time \[s before the end\].
     pub before: f64,
-    /// The cycle.
     pub cycle: u64,
-    /// Description.
     pub text: String,
 }
 
-/// A controlled stop.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Stop {
     /// Start \[s before the end\].
     pub before: f64,
     /// Duration, up to the end of the recording if the arm did not come to rest \[s\].
     pub seconds: f64,
-    /// Whether the arm came to rest.
     pub at_rest: bool,
     /// Highest speed at the start \[rad/s\] and its joint, from 1.
     pub speed: (f64, usize),
@@ -92,18 +62,13 @@ pub struct Stop {
     pub travelled: (f64, usize),
 }
 
-/// An entry of the timeline.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TimelineEntry {
     /// Time \[s before the end\].
     pub before: f64,
-    /// The cycle.
     pub cycle: u64,
-    /// Phase of the arm.
     pub phase: String,
-    /// Description.
     pub text: String,
-    /// How much it matters.
     pub weight: Weight,
 }
 
@@ -111,15 +76,12 @@ pub struct TimelineEntry {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Weight {
-    /// As planned.
     Plain,
-    /// An operator or the daemon acted.
     Warn,
     /// A limit, a fault or a lost connection.
     Bad,
 }
 
-/// Peak value of one joint.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct JointPeak {
     /// Joint, from 1.
@@ -128,13 +90,10 @@ pub struct JointPeak {
     pub worst: f64,
     /// Time \[s before the end\].
     pub before: f64,
-    /// The limit.
     pub limit: f64,
-    /// Share of the limit.
     pub share: f64,
 }
 
-/// Name of a phase.
 pub fn phase_name(phase: Phase) -> &'static str {
     match phase {
         Phase::Hold => "hold",
@@ -146,34 +105,15 @@ pub fn phase_name(phase: Phase) -> &'static str {
     }
 }
 
-/// Conversion of sequence numbers to seconds before the end of the recording.
-pub(super) struct TimeBase {
-    last: u64,
-}
-
-impl TimeBase {
-    pub fn of(recording: &Recording) -> TimeBase {
-        let newest = recording.records.last().map_or(0, |record| record.state.seq);
-        let unanswered = recording.unanswered.as_ref().map_or(0, |record| record.state.seq);
-        let told = recording.events.iter().map(|told| told.seq).max().unwrap_or(0);
-        TimeBase { last: newest.max(unanswered).max(told) }
-    }
-
-    pub fn before_end(&self, seq: u64) -> f64 {
-        self.last.saturating_sub(seq) as f64 * PERIOD_S
-    }
-}
-
 impl Facts {
-    /// Facts of the recording in `file`.
-    pub fn of(file: &str, recording: &Recording, replay: Option<ReplayResult>) -> Facts {
+    pub(super) fn without_advice(file: &str, recording: &Recording, replay: Option<ReplayResult>) -> Facts {
         let about = &recording.about;
         let time = TimeBase::of(recording);
         let first_limit = first_limit(recording, &time);
         let stop = stop(recording, &time);
         let timing = Timing::of(recording, &time);
         let short: String = about.job_sha256.chars().take(12).collect();
-        let mut facts = Facts {
+        Facts {
             file: file.to_string(),
             robot: if about.id == about.robot {
                 about.robot.clone()
@@ -198,12 +138,9 @@ impl Facts {
             stop,
             timing,
             replay,
-        };
-        facts.next = advice::next(&facts, about);
-        facts
+        }
     }
 
-    /// Summary in one sentence.
     pub fn headline(&self) -> String {
         let during = self.during.as_ref().map_or(String::new(), |during| format!(", during {during}"));
         let happened = match self.kind {
@@ -232,7 +169,6 @@ impl Facts {
     }
 }
 
-/// Motion and phase at the event.
 fn during(recording: &Recording) -> Option<String> {
     let braking = |record: &&Record| matches!(record.phase, Phase::Stop | Phase::Stopped);
     let moving = recording.records.iter().rev().find(|record| !braking(record))?;
@@ -248,26 +184,26 @@ fn during(recording: &Recording) -> Option<String> {
 
 fn first_limit(recording: &Recording, time: &TimeBase) -> Option<LimitViolation> {
     // Only the last stop counts, and only if no resume followed it.
-    let of_a_stop = |told: &&TimedEvent| matches!(told.event, Event::Stopping { .. } | Event::Resumed);
-    let told = recording.events.iter().rfind(of_a_stop)?;
-    let Event::Stopping { reason: StopReason::Guard(violation), .. } = told.event else { return None };
+    let of_a_stop = |timed: &&TimedEvent| matches!(timed.event, Event::Stopping { .. } | Event::Resumed);
+    let timed = recording.events.iter().rfind(of_a_stop)?;
+    let Event::Stopping { reason: StopReason::Guard(violation), .. } = timed.event else { return None };
     let Violation { limit, joint, value, bound } = violation;
     Some(LimitViolation {
         limit: limit_name(limit).to_string(),
         joint: joint + 1,
         value,
         bound,
-        before: time.before_end(told.seq),
-        cycle: told.cycle,
+        before: time.before_end(timed.seq),
+        cycle: timed.cycle,
         text: violation.to_string(),
     })
 }
 
 fn stop(recording: &Recording, time: &TimeBase) -> Option<Stop> {
-    let began = recording.events.iter().rfind(|told| matches!(told.event, Event::Stopping { .. }))?;
-    let rest = recording.events.iter().find(|told| told.event == Event::Stopped && told.cycle >= began.cycle);
+    let began = recording.events.iter().rfind(|timed| matches!(timed.event, Event::Stopping { .. }))?;
+    let rest = recording.events.iter().find(|timed| timed.event == Event::Stopped && timed.cycle >= began.cycle);
     let records = &recording.records;
-    let last = rest.map_or_else(|| records.last().map_or(began.seq, |last| last.state.seq), |told| told.seq);
+    let last = rest.map_or_else(|| records.last().map_or(began.seq, |last| last.state.seq), |timed| timed.seq);
     let within: Vec<&Record> =
         records.iter().filter(|r| r.cycle.saturating_add(1) >= began.cycle && r.state.seq <= last).collect();
     let joints = recording.about.joints;
@@ -305,24 +241,24 @@ fn timeline(recording: &Recording, time: &TimeBase) -> Vec<TimelineEntry> {
             weight: Weight::Plain,
         });
     }
-    for told in &recording.events {
-        let weight = match told.event {
+    for timed in &recording.events {
+        let weight = match timed.event {
             Event::Stopping { reason: StopReason::Requested | StopReason::Quit, .. } => Weight::Warn,
             Event::Stopping { .. } | Event::Distrusted { .. } => Weight::Bad,
             Event::Stopped | Event::Resumed => Weight::Warn,
             Event::Discarded { .. } => continue,
             _ => Weight::Plain,
         };
-        let resting = matches!(told.event, Event::Started { .. } | Event::Ended { .. })
+        let resting = matches!(timed.event, Event::Started { .. } | Event::Ended { .. })
             && matches!(
-                recording.about.orders.get(told.orders.saturating_sub(1) as usize),
+                recording.about.orders.get(timed.orders.saturating_sub(1) as usize),
                 Some(RecordedOrder::Dwell { .. })
             );
-        let text = event_text_with(&told.event, &|number| recording.about.order_name(number, resting));
+        let text = event_text_with(&timed.event, &|number| recording.about.order_name(number, resting));
         lines.push(TimelineEntry {
-            before: time.before_end(told.seq),
-            cycle: told.cycle,
-            phase: phase_at(told.cycle),
+            before: time.before_end(timed.seq),
+            cycle: timed.cycle,
+            phase: phase_at(timed.cycle),
             text,
             weight,
         });
@@ -411,9 +347,4 @@ fn gaps(recording: &Recording) -> Vec<String> {
         gaps.push("The recording contains no cycle.".to_string());
     }
     gaps
-}
-
-/// Whether a limit is one of measured values.
-pub(super) fn is_measured(limit: &str) -> bool {
-    [Limit::Tracking, Limit::MeasuredTorque, Limit::MeasuredNotFinite].iter().any(|one| limit_name(*one) == limit)
 }

@@ -8,8 +8,6 @@
 //! | `text` | facts as text for a terminal |
 //! | `page`, `plot` | facts as one HTML file |
 //! | `replay` | executes the loop on the recorded inputs and compares every command |
-//!
-//! `facts` uses `advice` and `timing`, which read the unfinished facts: each is a part of the same analysis.
 
 mod advice;
 pub mod facts;

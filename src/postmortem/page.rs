@@ -11,9 +11,6 @@ use std::io;
 const TEMPLATE: &str = include_str!("page.html");
 
 /// The page's text.
-///
-/// # Errors
-/// Only if the template itself is wrong.
 pub fn page(facts: &Facts, recording: &Recording) -> io::Result<String> {
     let mut environment = Environment::new();
     environment.set_auto_escape_callback(|_| AutoEscape::Html);

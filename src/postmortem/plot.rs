@@ -2,7 +2,8 @@
 //!
 //! As in the report, colours are fixed placeholders that the page's style sheet maps to a light and a dark theme.
 
-use super::facts::{Facts, TimeBase, Weight, phase_name, tracking_error};
+use super::facts::{Facts, Weight, phase_name, tracking_error};
+use super::timing::TimeBase;
 use crate::recording::Recording;
 use plotters::prelude::*;
 use plumbline_core::{Phase, Record};
@@ -20,16 +21,13 @@ const MAX_POINTS: usize = 700;
 
 type Points = Vec<(f64, f64)>;
 
-/// Curves in one frame.
 struct Frame<'f> {
     y_name: &'f str,
     lines: Vec<(Points, RGBColor, u32)>,
-    /// Horizontal lines.
     bounds: Vec<f64>,
     /// Times of vertical markers \[s\].
     marks: Vec<f64>,
     size: (u32, u32),
-    /// The y axis shows at min_y_range this much.
     min_y_range: Option<(f64, f64)>,
 }
 
@@ -116,11 +114,10 @@ fn colour(j: usize) -> RGBColor {
     RGBColor(FIRST_JOINT_COLOUR.0 + j as u8, 0, 0)
 }
 
-/// Start times of the controlled stops.
 fn stops(recording: &Recording) -> Vec<f64> {
     let time = TimeBase::of(recording);
-    let stopping = |told: &&plumbline_rt::TimedEvent| matches!(told.event, plumbline_rt::Event::Stopping { .. });
-    recording.events.iter().filter(stopping).map(|told| -time.before_end(told.seq)).collect()
+    let stopping = |timed: &&plumbline_rt::TimedEvent| matches!(timed.event, plumbline_rt::Event::Stopping { .. });
+    recording.events.iter().filter(stopping).map(|timed| -time.before_end(timed.seq)).collect()
 }
 
 /// Phases over time as a strip, with markers at faults.
@@ -167,7 +164,6 @@ pub(super) fn strip(facts: &Facts, recording: &Recording) -> String {
     text + "</svg>"
 }
 
-/// Desired and measured position of one joint.
 pub(super) fn position(recording: &Recording, j: usize) -> String {
     draw(Frame {
         y_name: "q / rad",

@@ -25,58 +25,30 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// Reason why a recording can't be replayed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ReplayError {
-    /// Too few cycles without a gap.
     #[error("only {cycles} cycles without a gap, and a replay needs {needed}")]
-    TooShort {
-        /// Cycles in the last piece.
-        cycles: usize,
-        /// Cycles needed.
-        needed: usize,
-    },
-    /// The loop dropped events.
+    TooShort { cycles: usize, needed: usize },
     #[error("{count} events were dropped by the loop, so its inputs are not known")]
-    DroppedEvents {
-        /// Number of dropped events.
-        count: u64,
-    },
-    /// An input of the loop is not in the recording.
+    DroppedEvents { count: u64 },
     #[error("{what} is not in the recording")]
-    Missing {
-        /// The missing input.
-        what: String,
-    },
-    /// An input in the recording is invalid.
+    Missing { what: String },
     #[error("{what}: {why}")]
-    Unusable {
-        /// The input.
-        what: String,
-        /// Cause.
-        why: String,
-    },
+    Unusable { what: String, why: String },
 }
 
-/// Result of a replay.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ReplayResult {
-    /// First replayed cycle.
     pub first: u64,
-    /// Number of compared cycles.
     pub compared: u64,
     /// Whether the replay began at the start of the loop.
     pub from_the_start: bool,
     /// Number of cycles with another commanded motion, phase, validity or model.
     pub different: u64,
-    /// Description of the first of them.
     pub first_difference: Option<String>,
-    /// Number of cycles with another torque.
     pub torque_different: u64,
-    /// The last of those cycles.
     pub last_torque_difference: Option<u64>,
-    /// Whether the events and their cycles are the same.
     pub same_events: bool,
     /// End of the replayed loop, if the recording contains the state that ended the loop.
     pub end: Option<String>,
-    /// Whether the end is the recorded one.
     pub same_end: Option<bool>,
 }
 
@@ -90,18 +62,13 @@ impl ReplayResult {
 /// A model ready to serve, or the reason why there is none.
 pub type BuildResult = Result<Box<dyn FeedForward>, String>;
 
-/// Inputs of a replay beside the recording.
 pub struct ReplayInputs<'p> {
     /// Kinematics for the guard's workspace check.
     pub kinematics: Option<Box<dyn Kinematics>>,
-    /// Builds a recorded model.
     pub model: &'p mut dyn FnMut(&RecordedModel) -> BuildResult,
 }
 
 /// Replays the recording.
-///
-/// # Errors
-/// [`ReplayError`] if an input of the loop is not in the recording.
 pub fn replay(recording: &Recording, inputs: ReplayInputs) -> Result<ReplayResult, ReplayError> {
     let about = &recording.about;
     if about.dropped_events > 0 {
@@ -138,11 +105,11 @@ pub fn replay(recording: &Recording, inputs: ReplayInputs) -> Result<ReplayResul
         .map_err(|panic| panicked(&panic_message(&*panic)));
     drop(again);
     let mut handles = lock(&shared).take().ok_or_else(|| ReplayError::Missing { what: "the loop's end".into() })?;
-    let told: Vec<TimedEvent> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
+    let timed: Vec<TimedEvent> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
     handles.free_retired();
     let records_again = std::mem::take(&mut *lock(&records_again));
     let mut result = compare(records, &records_again, from_the_start);
-    result.same_events = same_events(recording, &told, result.first);
+    result.same_events = same_events(recording, &timed, result.first);
     if unanswered.is_some() {
         let text = end.as_ref().map_or_else(String::clone, End::to_string);
         // A fault of the arm is not an output of the loop and is not compared.
@@ -203,7 +170,6 @@ impl Sink for RecordSink {
     }
 }
 
-/// Whether the recording's time is simulated.
 pub fn is_simulated(recording: &Recording) -> bool {
     matches!(recording.about.clock, LogClock::Arm { .. })
 }

@@ -6,7 +6,6 @@ use super::timing::Timing;
 use plumbline_core::{LoopStatistics, PERIOD_S};
 use std::fmt::Write;
 
-/// Facts as plain text.
 pub fn text(facts: &Facts) -> String {
     let mut out = String::new();
     // Writing to a string can't fail.
@@ -81,7 +80,6 @@ fn timing(out: &mut String, timing: &Timing) -> std::fmt::Result {
     Ok(())
 }
 
-/// The outcome of a replay in one sentence.
 pub(super) fn replay_words(replay: &ReplayResult) -> String {
     let ReplayResult { first, compared, different, torque_different, .. } = replay;
     let from = if replay.from_the_start { "from the loop's start" } else { "from the middle" };
@@ -115,7 +113,6 @@ pub(super) fn replay_words(replay: &ReplayResult) -> String {
     words
 }
 
-/// Provenance of the recording in one line.
 pub(super) fn provenance(facts: &Facts) -> String {
     let model = facts.model.as_ref().map_or("no model served".to_string(), |model| format!("model {model}"));
     format!(

@@ -1,20 +1,37 @@
 //! Cycle times of the recorded loop.
 
-use super::facts::{MAX_LINES, TimeBase};
 use super::replay::is_simulated;
 use crate::recording::Recording;
-use plumbline_core::{Histogram, LoopStatistics, PERIOD_NS};
+use plumbline_core::{Histogram, LoopStatistics, PERIOD_NS, PERIOD_S};
 use serde::Serialize;
 
-/// Cycle times and outliers.
+/// Maximum length of the timeline and of the list of outliers.
+pub(super) const MAX_LINES: usize = 60;
+
+/// Conversion of sequence numbers to seconds before the end of the recording.
+pub(super) struct TimeBase {
+    last: u64,
+}
+
+impl TimeBase {
+    pub fn of(recording: &Recording) -> TimeBase {
+        let newest = recording.records.last().map_or(0, |record| record.state.seq);
+        let unanswered = recording.unanswered.as_ref().map_or(0, |record| record.state.seq);
+        let timed = recording.events.iter().map(|timed| timed.seq).max().unwrap_or(0);
+        TimeBase { last: newest.max(unanswered).max(timed) }
+    }
+
+    pub fn before_end(&self, seq: u64) -> f64 {
+        self.last.saturating_sub(seq) as f64 * PERIOD_S
+    }
+}
+
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Timing {
-    /// Counts and times of the recorded cycles.
     #[serde(flatten)]
     pub statistics: LoopStatistics,
     /// Lost states and late cycles, oldest first.
     pub outliers: Vec<Outlier>,
-    /// Outliers that are not listed.
     pub more: usize,
 }
 
@@ -32,14 +49,11 @@ impl Timing {
 pub struct Outlier {
     /// Time \[s before the end\].
     pub before: f64,
-    /// The cycle.
     pub cycle: u64,
-    /// Description.
     pub text: String,
 }
 
 impl Timing {
-    /// Counts and times of a recording.
     pub(super) fn of(recording: &Recording, time: &TimeBase) -> Timing {
         let records = &recording.records;
         let simulated = is_simulated(recording);

@@ -20,9 +20,7 @@ use tracing_subscriber::layer::Context;
 use tracing_subscriber::prelude::*;
 use tracing_subscriber::{EnvFilter, Layer, fmt};
 
-/// Fields that are for programs begin like this.
 const FIELD: &str = "plumbline_";
-/// Lines that may wait for their reader.
 const LINES: usize = 4096;
 /// How long the last lines of a process may take.
 const FLUSH: Duration = Duration::from_secs(1);
@@ -112,7 +110,6 @@ fn flush() {
     LINES_OUT.get().map(|lines| lines.outbox.flush(FLUSH));
 }
 
-/// A line without fields.
 fn plain(journal: bool, priority: u8, words: &str) -> Vec<u8> {
     if !journal {
         return format!("{words}\n").into_bytes();
@@ -132,7 +129,6 @@ fn journal_socket() -> Option<UnixDatagram> {
     UnixDatagram::unbound().ok()
 }
 
-/// Takes a formatted line.
 struct ToOutbox;
 
 impl Write for ToOutbox {

@@ -14,7 +14,6 @@ const PAUSE: Duration = Duration::from_millis(1);
 pub struct Outbox<T> {
     /// With the number of items that were dropped right before it.
     queue: SyncSender<(u64, T)>,
-    /// Items that are not delivered yet.
     pending: Arc<AtomicUsize>,
     dropped: Arc<AtomicU64>,
 }

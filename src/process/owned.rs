@@ -10,7 +10,6 @@ use std::path::Path;
 
 /// Mode bits by which others than the owner can write.
 const WRITABLE: u32 = 0o022;
-/// The one of them for the owner's group.
 const GROUP_WRITABLE: u32 = 0o020;
 /// Names in such a folder can be taken away or replaced by their owners alone, as in `/tmp`.
 const STICKY: u32 = 0o1000;
@@ -52,9 +51,7 @@ pub fn plans(out: &Path) -> Result<(), BadInput> {
 
 /// Text of a model file that only root and this process's user can have written or replaced. The process's own
 /// group counts as the user: where a user has a group to himself, as on Debian and its kin, new files are open to it.
-///
-/// # Errors
-/// A file that can't be read; one of another user, or that others can write to, by its owner and mode.
+/// Errors: a file that can't be read; one of another user, or that others can write to, by its owner and mode.
 pub fn read_model(path: &Path) -> Result<String, BadInput> {
     let mut text = String::new();
     open_own(path, "model")?

@@ -2,10 +2,8 @@
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-/// Steps of the bar.
 const STEPS: u64 = 1000;
 
-/// A bar on standard error.
 pub struct Bar(ProgressBar);
 
 /// A bar with a title; nothing is drawn when standard error is not a terminal.
@@ -27,7 +25,6 @@ impl Bar {
         }
     }
 
-    /// Takes the bar away.
     pub fn done(self) {
         self.0.finish_and_clear();
     }

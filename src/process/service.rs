@@ -9,10 +9,8 @@ use std::time::{Duration, Instant};
 
 /// Notifications queued at a time; more are dropped.
 const MAX_MESSAGES: usize = 64;
-/// Timeout of the last notification of a process.
 const FAREWELL: Duration = Duration::from_secs(1);
 
-/// Progress of a process since the last call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
     /// None required: there is no connection to an arm, or simulated time is paused.
@@ -36,7 +34,6 @@ impl Pulse {
         Pulse { every: watchdog.map(|limit| limit / 4), fed: None, seen: None }
     }
 
-    /// Whether to feed the watchdog now.
     fn beats(&mut self, progress: Progress, now: Instant) -> bool {
         let Some(every) = self.every else { return false };
         if self.fed.is_some_and(|fed| now.saturating_duration_since(fed) < every) {
@@ -79,7 +76,6 @@ impl Service {
         self.notify(&[NotifyState::Status(status)]);
     }
 
-    /// The process is about to end by itself.
     pub fn stopping(&self) {
         self.notify(&[NotifyState::Stopping]);
     }

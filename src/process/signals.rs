@@ -40,17 +40,14 @@ const INTERRUPTS: [i32; 2] = [libc::SIGINT, libc::SIGTERM];
 /// Stored where no signal number can be: the parent process has ended.
 const PARENT_ENDED: usize = usize::MAX;
 
-/// Why a process is to end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
     /// A signal arrived, by its number.
     Signal(i32),
-    /// The process that started this one has ended.
     ParentEnded,
 }
 
 impl Cause {
-    /// Kind in the name of a recording.
     pub fn kind(self) -> ReasonKind {
         match self {
             Cause::Signal(_) => ReasonKind::Signal,
@@ -73,12 +70,10 @@ impl fmt::Display for Cause {
     }
 }
 
-/// The latest reason to end.
 #[derive(Clone, Debug, Default)]
 pub struct Ending(Arc<AtomicUsize>);
 
 impl Ending {
-    /// Catches every ending signal from now on.
     pub fn watch() -> Result<Ending, Failure> {
         Ending::of(caught(ignores_hangup()))
     }
@@ -118,7 +113,6 @@ impl Ending {
         }
     }
 
-    /// As if `cause` had arrived.
     #[cfg(test)]
     pub fn arrive(&self, cause: Cause) {
         let stored = match cause {
@@ -128,7 +122,6 @@ impl Ending {
         self.0.store(stored, Ordering::SeqCst);
     }
 
-    /// Whether the process is to end.
     pub fn arrived(&self) -> bool {
         self.cause().is_some()
     }

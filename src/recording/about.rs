@@ -11,37 +11,27 @@ pub const APPROACH: u32 = 1 << 16;
 /// Number of the order that brings the arm back.
 pub const RETURN: u32 = 1 << 17;
 
-/// Version of the recording format.
 pub const FORMAT: u32 = 1;
 
 /// Metadata of a recording (`about.json`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct About {
-    /// [`FORMAT`].
     pub format: u32,
-    /// Version of the program.
     pub plumbline: String,
-    /// Name of the robot's description.
     pub robot: String,
-    /// Name under which the robot is served.
     pub id: String,
-    /// Number of joints.
     pub joints: usize,
-    /// Mounting as text.
     pub mounting: String,
     /// Polar angle of gravity \[rad\].
     pub rho: f64,
     /// Azimuth of gravity \[rad\].
     pub phi: f64,
-    /// Name of the connection to the arm.
     pub session: String,
-    /// Path of the job file as given.
     pub job: String,
     /// SHA-256 of that file's text.
     pub job_sha256: String,
     /// Time of writing, UTC.
     pub recorded: String,
-    /// Reason for the recording.
     pub reason: Reason,
     /// End of the loop; `None` while it runs.
     pub end: Option<String>,
@@ -60,13 +50,10 @@ pub struct About {
     /// Events dropped since the loop started, because the ring was full; with any, there is no replay.
     #[serde(alias = "untold")]
     pub dropped_events: u64,
-    /// Names of the motions.
     #[serde(default)]
     pub motions: Vec<(u32, String)>,
-    /// Remarks of the daemon.
     #[serde(default)]
     pub notes: Vec<Note>,
-    /// Settings of the loop.
     pub settings: Settings,
     /// Activity of the loop after the first cycle of the recording.
     pub under_way: Activity,
@@ -74,7 +61,6 @@ pub struct About {
     pub orders_before: u32,
     /// Models of `models` taken over up to the first cycle of the recording.
     pub models_before: u32,
-    /// All orders since the loop started.
     #[serde(default)]
     pub orders: Vec<RecordedOrder>,
     /// Models handed over since the loop started, without old ones that no replay needs.
@@ -82,17 +68,12 @@ pub struct About {
     pub models: Vec<RecordedModel>,
 }
 
-/// Kind of a reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ReasonKind {
-    /// A recording was requested.
     OnDemand,
-    /// The guard stopped the arm.
     Guard,
-    /// A stop was requested.
     Requested,
-    /// States were lost.
     LostStates,
     /// The supervisor's heartbeat timed out.
     #[serde(alias = "unattended")]
@@ -101,35 +82,22 @@ pub enum ReasonKind {
     NotAtStart,
     /// No point-to-point motion was found.
     NoPath,
-    /// No state came in time.
     Silent,
-    /// The arm stopped by itself.
     Reflex,
-    /// The arm refused a command.
     Refused,
-    /// The connection was lost.
     Disconnected,
-    /// The first command was unsafe.
     Unsafe,
-    /// No controlled stop was possible.
     NoBrake,
     /// The machine did not grant real-time rights.
     NotRealTime,
     /// The arm's counter did not go forward.
     Clock,
-    /// A thread panicked.
     Panic,
-    /// The mounting was in doubt.
     Mounting,
-    /// No model came in time.
     ModelTimeout,
-    /// The estimator was lost.
     EstimatorLost,
-    /// A signal ended the program.
     Signal,
-    /// The program that started the daemon ended.
     ParentEnded,
-    /// Of another version of the program.
     #[default]
     #[serde(other)]
     Unknown,
@@ -142,7 +110,6 @@ impl std::fmt::Display for ReasonKind {
     }
 }
 
-/// Why a recording was written.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Reason {
     /// Kind, for advice and file names.
@@ -152,7 +119,6 @@ pub struct Reason {
 }
 
 impl Reason {
-    /// Both parts.
     pub fn new(kind: ReasonKind, text: impl Into<String>) -> Reason {
         Reason { kind, text: text.into() }
     }
@@ -163,7 +129,6 @@ pub fn panicked(message: &str) -> String {
     format!("the loop's thread panicked: {message}")
 }
 
-/// Message of a panic.
 pub fn panic_message(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<&str>().map(|text| text.to_string());
     text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
@@ -212,82 +177,44 @@ impl LogClock {
     }
 }
 
-/// Activity of the loop.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum Activity {
-    /// Holding.
     #[default]
     Hold,
-    /// Execution of an order.
     Order {
         /// Index in [`About::orders`].
         index: u32,
         /// Setpoint at its start, if known.
-        from: Option<Point>,
+        from: Option<Setpoint>,
     },
-    /// A controlled stop.
     Brake {
         /// Setpoint at its start, if known.
-        from: Option<Point>,
+        from: Option<Setpoint>,
     },
-    /// At rest after a stop.
     Stopped,
 }
 
-/// A setpoint.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Point {
-    /// Position \[rad\].
-    pub q: JointVec,
-    /// Velocity \[rad/s\].
-    pub dq: JointVec,
-    /// Acceleration \[rad/s2\].
-    pub ddq: JointVec,
-}
-
-impl From<Setpoint> for Point {
-    fn from(Setpoint { q, dq, ddq }: Setpoint) -> Point {
-        Point { q, dq, ddq }
-    }
-}
-
-impl From<Point> for Setpoint {
-    fn from(Point { q, dq, ddq }: Point) -> Setpoint {
-        Setpoint { q, dq, ddq }
-    }
-}
-
-/// An order in serialisable form.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum RecordedOrder {
-    /// Point to point.
     Move {
-        /// Number of the motion.
         motion: u32,
         /// Target position \[rad\].
         target: JointVec,
-        /// Phase of its records, as in [`Phase::from_u32`].
         phase: u32,
     },
-    /// A periodic motion.
     Follow {
-        /// Number of the motion.
         motion: u32,
-        /// The motion.
         series: Series,
     },
-    /// A rest.
     Dwell {
-        /// Number of the motion.
         motion: u32,
         /// Length \[ms\].
         ticks: u64,
     },
     /// A reference without a serialisable form.
     Opaque {
-        /// Number of the motion.
         motion: u32,
     },
 }
@@ -310,7 +237,6 @@ impl About {
 }
 
 impl RecordedOrder {
-    /// The phase of a point-to-point motion.
     pub fn phase(&self) -> Phase {
         match self {
             RecordedOrder::Move { phase, .. } => Phase::from_u32(*phase).unwrap_or_default(),
@@ -324,7 +250,6 @@ impl RecordedOrder {
 pub struct Series {
     /// Period \[s\].
     pub period: f64,
-    /// Number of periods.
     pub periods: u32,
     /// Offsets \[rad\].
     pub q0: Vec<f64>,
@@ -349,15 +274,9 @@ pub struct RecordedModel {
 /// [`CycleSettings`] in serialisable form.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
-    q_min: JointVec,
-    q_max: JointVec,
-    dq: JointVec,
-    ddq: JointVec,
-    jerk: JointVec,
-    tau: JointVec,
-    dtau: JointVec,
+    #[serde(flatten)]
+    limits: Limits,
     tracking: JointVec,
-    /// Offset and deceleration.
     envelope: Option<[JointVec; 2]>,
     /// Lower and upper corner, radius of the base.
     workspace: Option<([f64; 3], [f64; 3], f64)>,
@@ -369,30 +288,21 @@ pub struct Settings {
 impl From<&CycleSettings> for Settings {
     fn from(settings: &CycleSettings) -> Settings {
         let GuardSettings { limits, envelope, workspace, tracking } = settings.guard;
-        let Limits { q_min, q_max, dq, ddq, jerk, tau, dtau } = limits;
-        let MoveFactors { velocity, acceleration, jerk: jerk_share, brake } = settings.moves;
+        let MoveFactors { velocity, acceleration, jerk, brake } = settings.moves;
         Settings {
-            q_min,
-            q_max,
-            dq,
-            ddq,
-            jerk,
-            tau,
-            dtau,
+            limits,
             tracking,
             envelope: envelope.map(|envelope| [envelope.offset, envelope.deceleration]),
             workspace: workspace.map(|space| (space.box_min, space.box_max, space.base_radius)),
-            moves: [velocity, acceleration, jerk_share, brake],
+            moves: [velocity, acceleration, jerk, brake],
             max_lost: settings.max_consecutive_lost,
         }
     }
 }
 
 impl Settings {
-    /// Limits of the guard.
     pub fn limits(&self) -> Limits {
-        let Settings { q_min, q_max, dq, ddq, jerk, tau, dtau, .. } = *self;
-        Limits { q_min, q_max, dq, ddq, jerk, tau, dtau }
+        self.limits
     }
 
     /// Tracking tolerance of the guard: distance of the measured position from the previous command \[rad\].
@@ -405,7 +315,7 @@ impl Settings {
         let [velocity, acceleration, jerk, brake] = self.moves;
         let space = |(box_min, box_max, base_radius)| Workspace { box_min, box_max, base_radius };
         let guard = GuardSettings {
-            limits: self.limits(),
+            limits: self.limits,
             envelope: self.envelope.map(|[offset, deceleration]| SpeedEnvelope { offset, deceleration }),
             workspace: self.workspace.map(space),
             tracking: self.tracking,

@@ -6,7 +6,6 @@
 /// `CDR_LE` and no options.
 const HEADER: [u8; 4] = [0, 1, 0, 0];
 
-/// Encoder of one message.
 pub struct Encoder {
     bytes: Vec<u8>,
 }
@@ -26,23 +25,19 @@ impl Encoder {
         self
     }
 
-    /// `uint8`.
     pub fn u8(&mut self, value: u8) -> &mut Encoder {
         self.bytes.push(value);
         self
     }
 
-    /// `uint32`.
     pub fn u32(&mut self, value: u32) -> &mut Encoder {
         self.aligned(&value.to_le_bytes())
     }
 
-    /// `int32`.
     pub fn i32(&mut self, value: i32) -> &mut Encoder {
         self.aligned(&value.to_le_bytes())
     }
 
-    /// `uint64`.
     pub fn u64(&mut self, value: u64) -> &mut Encoder {
         self.aligned(&value.to_le_bytes())
     }
@@ -52,7 +47,6 @@ impl Encoder {
         self.aligned(&value.to_le_bytes())
     }
 
-    /// `string`.
     pub fn string(&mut self, text: &str) -> &mut Encoder {
         // A NUL would end the text early for readers in C.
         let text = text.replace('\0', " ");
@@ -62,7 +56,6 @@ impl Encoder {
         self
     }
 
-    /// `string[]`.
     pub fn strings(&mut self, texts: &[String]) -> &mut Encoder {
         self.u32(texts.len() as u32);
         texts.iter().for_each(|text| {
@@ -71,7 +64,6 @@ impl Encoder {
         self
     }
 
-    /// `float64[]`.
     pub fn f64s(&mut self, values: &[f64]) -> &mut Encoder {
         self.u32(values.len() as u32);
         values.iter().for_each(|&value| {
@@ -80,42 +72,27 @@ impl Encoder {
         self
     }
 
-    /// The encoded message.
     pub fn finish(self) -> Vec<u8> {
         self.bytes
     }
 }
 
-/// Error in the encoding of a message.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CdrError {
-    /// The message is too short.
     #[error("{left} bytes where {needed} more were expected")]
-    Short {
-        /// Bytes needed.
-        needed: usize,
-        /// Bytes left.
-        left: usize,
-    },
-    /// Another encoding.
+    Short { needed: usize, left: usize },
     #[error("the encapsulation {found:02x?}, where [00, 01] (little-endian CDR) was expected")]
-    Encapsulation {
-        /// Its first bytes.
-        found: Vec<u8>,
-    },
-    /// A string that is not UTF-8, or not terminated.
+    Encapsulation { found: Vec<u8> },
     #[error("a string that is not NUL-terminated UTF-8")]
     Text,
 }
 
-/// Decoder of one message.
 pub struct Decoder<'b> {
     body: &'b [u8],
     at: usize,
 }
 
 impl<'b> Decoder<'b> {
-    /// Decoder of a message's bytes.
     pub fn new(bytes: &'b [u8]) -> Result<Decoder<'b>, CdrError> {
         match bytes.split_at_checked(HEADER.len()) {
             Some((head, body)) if head.starts_with(&HEADER[..2]) => Ok(Decoder { body, at: 0 }),
@@ -137,22 +114,18 @@ impl<'b> Decoder<'b> {
         Ok(out)
     }
 
-    /// `uint8`.
     pub fn u8(&mut self) -> Result<u8, CdrError> {
         Ok(self.aligned::<1>()?[0])
     }
 
-    /// `uint32`.
     pub fn u32(&mut self) -> Result<u32, CdrError> {
         Ok(u32::from_le_bytes(self.aligned()?))
     }
 
-    /// `int32`.
     pub fn i32(&mut self) -> Result<i32, CdrError> {
         Ok(i32::from_le_bytes(self.aligned()?))
     }
 
-    /// `uint64`.
     pub fn u64(&mut self) -> Result<u64, CdrError> {
         Ok(u64::from_le_bytes(self.aligned()?))
     }
@@ -162,14 +135,12 @@ impl<'b> Decoder<'b> {
         Ok(f64::from_le_bytes(self.aligned()?))
     }
 
-    /// `string`.
     pub fn string(&mut self) -> Result<String, CdrError> {
         let length = self.u32()? as usize;
         let text = self.take(length)?.strip_suffix(&[0]).ok_or(CdrError::Text)?;
         std::str::from_utf8(text).map(str::to_string).map_err(|_| CdrError::Text)
     }
 
-    /// Skips a `string[]`.
     pub fn skip_strings(&mut self) -> Result<(), CdrError> {
         // Each string takes four bytes or more, so a wrong count ends at the end of the message.
         (0..self.u32()?).try_for_each(|_| self.string().map(drop))

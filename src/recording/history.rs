@@ -3,14 +3,13 @@
 //! The daemon stores the records and events from the loop's rings here. [`History::window`] returns the part to write to disk. Records
 //! that did not pass through the rings (full ring, stalled reader) are taken from the loop's own flight recorder.
 
-use super::about::{Activity, Note, Point, RecordedModel, RecordedOrder};
+use super::about::{Activity, Note, RecordedModel, RecordedOrder};
 use plumbline_core::{JointVec, Record, Setpoint, State};
 use plumbline_rt::{Event, TimedEvent, braked_from};
 use std::collections::VecDeque;
 
 /// Capacity for events. The state that older events led to is kept in `base`.
 const MAX_EVENTS: usize = 4096;
-/// Capacity for remarks.
 const MAX_NOTES: usize = 256;
 
 /// The last cycles and events of one loop, and its inputs.
@@ -20,31 +19,25 @@ pub struct History {
     events: VecDeque<EventEntry>,
     /// Events from this place on wait for the record of their cycle.
     matched: usize,
-    /// State after the events that were overwritten.
     base: LoopState,
     notes: VecDeque<Note>,
     orders: Vec<RecordedOrder>,
     models: VecDeque<RecordedModel>,
-    /// Number of removed old models.
     dropped_models: u32,
     joints: usize,
     tracking: JointVec,
 }
 
-/// An event with the setpoint at its start.
 struct EventEntry {
-    told: TimedEvent,
+    timed: TimedEvent,
     from: Option<Setpoint>,
 }
 
 /// State of the loop that follows from its events.
 #[derive(Clone, Debug, Default)]
 pub struct LoopState {
-    /// Current activity.
     pub under_way: Activity,
-    /// Orders taken from the queue.
     pub orders: u32,
-    /// Models taken over.
     pub models: u32,
 }
 
@@ -62,12 +55,11 @@ pub fn start_setpoint(event: &Event, last: &Record, own: Option<&Record>) -> Set
 
 impl LoopState {
     /// Updates the state with an event; `from` is the setpoint at its start.
-    pub fn apply(&mut self, told: &TimedEvent, from: Option<Setpoint>) {
-        self.orders = told.orders;
-        let from = from.map(Point::from);
-        match told.event {
+    pub fn apply(&mut self, timed: &TimedEvent, from: Option<Setpoint>) {
+        self.orders = timed.orders;
+        match timed.event {
             Event::Started { .. } => {
-                self.under_way = Activity::Order { index: told.orders.saturating_sub(1), from };
+                self.under_way = Activity::Order { index: timed.orders.saturating_sub(1), from };
             }
             Event::Ended { .. } | Event::Resumed => self.under_way = Activity::Hold,
             Event::Stopping { .. } => self.under_way = Activity::Brake { from },
@@ -83,13 +75,10 @@ impl LoopState {
 pub struct Window {
     /// Records, oldest first, possibly with gaps.
     pub records: Vec<Record>,
-    /// Events in those cycles.
     pub events: Vec<TimedEvent>,
-    /// Remarks.
     pub notes: Vec<Note>,
     /// State of the loop after the first of the cycles.
     pub before: LoopState,
-    /// All orders since the loop started.
     pub orders: Vec<RecordedOrder>,
     /// Models that a replay may need; `before` counts only these.
     pub models: Vec<RecordedModel>,
@@ -130,21 +119,21 @@ impl History {
     }
 
     /// Adds an event, overwriting the oldest.
-    pub fn push_event(&mut self, told: TimedEvent) {
+    pub fn push_event(&mut self, timed: TimedEvent) {
         if self.ring.capacity() == 0 {
             return;
         }
         if self.events.len() == MAX_EVENTS
             && let Some(oldest) = self.events.pop_front()
         {
-            self.base.apply(&oldest.told, oldest.from);
+            self.base.apply(&oldest.timed, oldest.from);
             self.matched = self.matched.saturating_sub(1);
             // The model that served at that time is still needed.
             while self.base.models > self.dropped_models + 1 && self.models.pop_front().is_some() {
                 self.dropped_models += 1;
             }
         }
-        self.events.push_back(EventEntry { told, from: None });
+        self.events.push_back(EventEntry { timed, from: None });
         self.match_events();
     }
 
@@ -156,17 +145,14 @@ impl History {
         self.notes.push_back(note);
     }
 
-    /// Adds an order of the loop.
     pub fn push_order(&mut self, order: RecordedOrder) {
         self.orders.push(order);
     }
 
-    /// Adds a model of the loop.
     pub fn push_model(&mut self, model: RecordedModel) {
         self.models.push_back(model);
     }
 
-    /// The newest record.
     pub fn newest(&self) -> Option<&Record> {
         self.at(self.ring.len().checked_sub(1)?)
     }
@@ -176,7 +162,6 @@ impl History {
         self.ring.get((self.next + place) % self.ring.len().max(1))
     }
 
-    /// The record of a cycle.
     fn find(&self, cycle: u64) -> Option<&Record> {
         let (mut low, mut high) = (0, self.ring.len());
         while low < high {
@@ -189,13 +174,13 @@ impl History {
     /// Stores the start setpoint of every event whose record has arrived.
     fn match_events(&mut self) {
         let Some(newest) = self.newest().map(|record| record.cycle) else { return };
-        while let Some(told) = self.events.get(self.matched).map(|waiting| waiting.told) {
-            let cycle = told.cycle;
+        while let Some(timed) = self.events.get(self.matched).map(|waiting| waiting.timed) {
+            let cycle = timed.cycle;
             if cycle > newest {
                 return;
             }
             let from = match cycle.checked_sub(1) {
-                Some(before) => self.find(before).map(|last| start_setpoint(&told.event, last, self.find(cycle))),
+                Some(before) => self.find(before).map(|last| start_setpoint(&timed.event, last, self.find(cycle))),
                 None => self.find(0).map(|record| start(&record.state, self.joints, &self.tracking)),
             };
             if let Some(waiting) = self.events.get_mut(self.matched) {
@@ -226,12 +211,12 @@ impl History {
         let begin = records.first().map_or(first, |record| record.cycle);
         let mut before = self.base.clone();
         let mut events = Vec::new();
-        for EventEntry { told, from } in &self.events {
-            if told.cycle <= begin {
-                before.apply(told, *from);
+        for EventEntry { timed, from } in &self.events {
+            if timed.cycle <= begin {
+                before.apply(timed, *from);
             }
-            if told.cycle >= begin {
-                events.push(*told);
+            if timed.cycle >= begin {
+                events.push(*timed);
             }
         }
         let since = records.first().map_or(0, |record| record.stamp_ns);
@@ -266,7 +251,7 @@ mod tests {
         record
     }
 
-    fn told(cycle: u64, orders: u32, event: Event) -> TimedEvent {
+    fn timed(cycle: u64, orders: u32, event: Event) -> TimedEvent {
         TimedEvent { cycle, seq: cycle + 1, stamp_ns: 0, orders, event }
     }
 
@@ -291,8 +276,8 @@ mod tests {
     fn activity_is_known_after_its_event_was_overwritten() {
         let mut history = History::new(4, 1, [0.1; 8]);
         history.push_records(&[record(0), record(1)]);
-        history.push_event(told(2, 1, Event::Started { motion: 5 }));
-        history.push_event(told(2, 1, Event::Serving { model: 9 }));
+        history.push_event(timed(2, 1, Event::Started { motion: 5 }));
+        history.push_event(timed(2, 1, Event::Serving { model: 9 }));
         for cycle in 2..50 {
             history.push_records(&[record(cycle)]);
         }
@@ -304,7 +289,7 @@ mod tests {
         let Activity::Order { index: 0, from: Some(from) } = under_way else { panic!("{under_way:?}") };
         assert_eq!(from.q[0], 1.0, "the setpoint of the cycle before it began");
         // An event may arrive before its record.
-        history.push_event(told(51, 1, Event::Stopping { motion: 5, reason: plumbline_rt::StopReason::Requested }));
+        history.push_event(timed(51, 1, Event::Stopping { motion: 5, reason: plumbline_rt::StopReason::Requested }));
         assert_eq!(history.window(0, &[]).before.models, 1);
         history.push_records(&[record(50), record(51)]);
         history.push_records(&[record(52), record(53), record(54)]);
@@ -321,7 +306,7 @@ mod tests {
             if cycle % 3 == 0 {
                 history.push_model(RecordedModel { id: cycle, gravity: [0.0; 3], vendor: None });
             }
-            history.push_event(told(cycle, cycle as u32 + 1, event));
+            history.push_event(timed(cycle, cycle as u32 + 1, event));
             history.push_records(&[record(cycle)]);
         }
         let window = history.window(3 * MAX_EVENTS as u64 - 1, &[]);

@@ -79,20 +79,12 @@ pub(super) fn schema(topic: &str) -> (&'static str, String) {
     }
 }
 
-/// Error in a message.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MessageError {
-    /// Encoding.
     #[error(transparent)]
     Cdr(#[from] CdrError),
-    /// Unknown value.
     #[error("`{found}`, where {expected} was expected")]
-    Word {
-        /// Value found.
-        found: String,
-        /// Expected values.
-        expected: &'static str,
-    },
+    Word { found: String, expected: &'static str },
 }
 
 fn unknown(found: impl ToString, expected: &'static str) -> MessageError {
@@ -103,7 +95,6 @@ fn stamp(message: &mut Encoder, log_ns: u64) {
     message.i32((log_ns / 1_000_000_000).min(i32::MAX as u64) as i32).u32((log_ns % 1_000_000_000) as u32);
 }
 
-/// The three messages of one cycle.
 pub(super) fn cycle(record: &Record, names: &[String], log_ns: u64) -> [(&'static str, Vec<u8>); 3] {
     let n = names.len().min(MAX_JOINTS);
     let joints = |position: &[f64], velocity: &[f64], effort: &[f64]| {
@@ -167,7 +158,6 @@ pub(super) fn read_cycle(topic: &str, bytes: &[u8], record: &mut Record) -> Resu
     Ok(())
 }
 
-/// Names of the limits in recordings.
 const LIMITS: [(Limit, &str); 17] = [
     (Limit::NotFinite, "not-finite"),
     (Limit::TorqueNotFinite, "torque-not-finite"),
@@ -188,7 +178,6 @@ const LIMITS: [(Limit, &str); 17] = [
     (Limit::MeasuredTorque, "measured-torque"),
 ];
 
-/// Name of a limit in recordings.
 pub fn limit_name(limit: Limit) -> &'static str {
     LIMITS.iter().find(|(one, _)| *one == limit).map_or("another", |(_, name)| name)
 }
@@ -217,7 +206,6 @@ pub fn event_text_with(event: &Event, name: &dyn Fn(u32) -> String) -> String {
     }
 }
 
-/// Fields of an event's message.
 #[derive(Default)]
 struct EventFields {
     kind: &'static str,
@@ -261,18 +249,16 @@ fn event_fields(event: &Event) -> EventFields {
     }
 }
 
-/// One event.
-pub(super) fn event(told: &TimedEvent) -> Vec<u8> {
+pub(super) fn event(timed: &TimedEvent) -> Vec<u8> {
     let EventFields { kind, motion, model, reason, limit, joint, value, bound, lost, instead } =
-        event_fields(&told.event);
+        event_fields(&timed.event);
     let mut message = Encoder::default();
-    message.u64(told.cycle).u64(told.seq).u64(told.stamp_ns).u64(model).u64(lost);
-    message.u32(told.orders).u32(motion).u32(joint).f64(value).f64(bound);
-    message.string(kind).string(reason).string(limit).string(&event_text(&told.event)).u64(instead);
+    message.u64(timed.cycle).u64(timed.seq).u64(timed.stamp_ns).u64(model).u64(lost);
+    message.u32(timed.orders).u32(motion).u32(joint).f64(value).f64(bound);
+    message.string(kind).string(reason).string(limit).string(&event_text(&timed.event)).u64(instead);
     message.finish()
 }
 
-/// The event of a message.
 pub(super) fn read_event(bytes: &[u8]) -> Result<TimedEvent, MessageError> {
     let mut message = Decoder::new(bytes)?;
     let (cycle, seq, stamp_ns) = (message.u64()?, message.u64()?, message.u64()?);

@@ -21,16 +21,13 @@ use about::About;
 use plumbline_core::Record;
 use plumbline_rt::TimedEvent;
 
-/// A recording in memory.
 #[derive(Clone, Debug)]
 pub struct Recording {
-    /// Metadata and inputs of the loop.
     pub about: About,
     /// Records, oldest first, possibly with gaps.
     pub records: Vec<Record>,
     /// The last cycle, if it ended without a command: only its state is valid.
     pub unanswered: Option<Record>,
-    /// Events in order.
     pub events: Vec<TimedEvent>,
     /// Texts by name: `robot.toml`, `job.toml`, `model-<identity>.toml`.
     pub texts: Vec<(String, String)>,
@@ -39,13 +36,11 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// The attached text `name`.
     pub fn text(&self, name: &str) -> Option<&str> {
         self.texts.iter().find(|(other, _)| other == name).map(|(_, text)| text.as_str())
     }
 }
 
-/// Name of the text of a model.
 pub fn model_name(id: u64) -> String {
     format!("model-{id:016x}.toml")
 }

@@ -20,9 +20,7 @@ const END_OF_FILE: &str = "the file ends here";
 
 impl Recording {
     /// Reads a file. A truncated file is read up to the cut, and `cut` is set.
-    ///
-    /// # Errors
-    /// An unreadable file, another kind of file, or invalid content; with byte or record, found and expected value.
+    /// Errors: an unreadable file, another kind of file, or invalid content; with byte or record, found and expected value.
     pub fn read(path: &Path) -> Result<Recording, BadInput> {
         let file = path.display().to_string();
         let unreadable = |error: std::io::Error| BadInput::new(&file, "file", error, "a readable recording (MCAP)");
@@ -48,7 +46,6 @@ impl Recording {
     }
 }
 
-/// Content read so far.
 #[derive(Default)]
 struct PartialRecording {
     topics: HashMap<u16, String>,
@@ -58,7 +55,6 @@ struct PartialRecording {
     /// States and commands without the cycle's third message, by the low 32 bits of the cycle's number.
     pending: HashMap<u32, (Record, [bool; 3])>,
     events: Vec<TimedEvent>,
-    /// Records of the file so far.
     count: u64,
 }
 
@@ -154,7 +150,6 @@ fn first_record(bytes: &[u8]) -> Option<(u8, &[u8])> {
     Some((opcode, rest.get(..length)?))
 }
 
-/// Found and expected value.
 type Mismatch = (String, String);
 
 impl PartialRecording {

@@ -20,9 +20,6 @@ const ERROR: u8 = 40;
 
 impl Recording {
     /// Writes the recording atomically to `path` and returns the number of bytes.
-    ///
-    /// # Errors
-    /// Errors of the file system, with the path.
     pub fn write(&self, path: &Path) -> io::Result<usize> {
         let bytes = self.to_bytes()?;
         crate::atomic::write_file(path, &bytes)?;
@@ -30,9 +27,6 @@ impl Recording {
     }
 
     /// The file's bytes.
-    ///
-    /// # Errors
-    /// Values that JSON can't represent.
     pub fn to_bytes(&self) -> io::Result<Vec<u8>> {
         let options = WriteOptions::new()
             .compression(None)
@@ -89,19 +83,19 @@ impl Recording {
             while let Some(note) = notes.next_if(|note| note.stamp_ns <= record.stamp_ns) {
                 put(LOG, 0, at(note.seq, note.stamp_ns), &messages::log(&note.text, WARN, "daemon", log_ns))?;
             }
-            while let Some(told) = events.next_if(|told| told.cycle <= record.cycle) {
-                let (log_ns, words) = (at(told.seq, told.stamp_ns), messages::event_text(&told.event));
-                put(EVENTS, told.cycle, log_ns, &messages::event(told))?;
-                put(LOG, told.cycle, log_ns, &messages::log(&words, level(&told.event), "loop", log_ns))?;
+            while let Some(timed) = events.next_if(|timed| timed.cycle <= record.cycle) {
+                let (log_ns, words) = (at(timed.seq, timed.stamp_ns), messages::event_text(&timed.event));
+                put(EVENTS, timed.cycle, log_ns, &messages::event(timed))?;
+                put(LOG, timed.cycle, log_ns, &messages::log(&words, level(&timed.event), "loop", log_ns))?;
             }
             for (topic, data) in messages::cycle(record, &names, log_ns) {
                 put(topic, record.cycle, log_ns, &data)?;
             }
         }
-        for told in events {
-            let (log_ns, words) = (at(told.seq, told.stamp_ns), messages::event_text(&told.event));
-            put(EVENTS, told.cycle, log_ns, &messages::event(told))?;
-            put(LOG, told.cycle, log_ns, &messages::log(&words, level(&told.event), "loop", log_ns))?;
+        for timed in events {
+            let (log_ns, words) = (at(timed.seq, timed.stamp_ns), messages::event_text(&timed.event));
+            put(EVENTS, timed.cycle, log_ns, &messages::event(timed))?;
+            put(LOG, timed.cycle, log_ns, &messages::log(&words, level(&timed.event), "loop", log_ns))?;
         }
         for note in notes {
             let log_ns = at(note.seq, note.stamp_ns);
@@ -134,7 +128,6 @@ fn level(event: &Event) -> u8 {
     }
 }
 
-/// Metadata record that viewers show.
 fn summary(about: &About) -> BTreeMap<String, String> {
     let serving = about.models.last().map_or("none".to_string(), |model| format!("{:016x}", model.id));
     let rows = [

@@ -4,15 +4,12 @@ use plumbline_identify::consistency::Nearest;
 use plumbline_model::TorqueModel;
 use serde::{Deserialize, Serialize};
 
-/// Parameters named in one sentence.
 const NAMED: usize = 3;
 /// Smallest reported change of a parameter, in standard deviations.
 const MOVED: f64 = 0.01;
 
-/// Physical consistency of the identified parameters.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Consistency {
-    /// Whether the parameters are physically consistent.
     pub exact: bool,
     /// Mahalanobis distance of the nearest consistent parameters, in standard deviations.
     pub distance: f64,
@@ -22,19 +19,15 @@ pub struct Consistency {
     pub moved: Vec<Moved>,
 }
 
-/// A parameter that the projection changes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Moved {
-    /// Its name.
     pub name: String,
-    /// Value in the nearest consistent parameters.
     pub value: f64,
     /// Change from the estimate, in standard deviations.
     pub deviations: f64,
 }
 
 impl Consistency {
-    /// Consistency of a model with its nearest bodies.
     pub fn of_model(model: &TorqueModel, found: &Nearest) -> Consistency {
         let names: Vec<&str> = model.structure().columns().iter().map(|column| column.name.as_str()).collect();
         Consistency::of(found, &names)
@@ -52,7 +45,6 @@ impl Consistency {
         Consistency { exact: found.exact, distance: found.distance, weights: found.weights.text().to_string(), moved }
     }
 
-    /// In one sentence.
     pub fn sentence(&self) -> String {
         if self.exact {
             return "physically consistent: yes, real bodies have exactly these parameters".into();

@@ -10,16 +10,13 @@ pub struct Figures {
     /// Torques per run, in the order of drawing. All joints of a run cost about 0.2 MB: hand over the identification and one run
     /// per mounting rather than everything.
     pub runs: Vec<TorqueFigure>,
-    /// The planned motion.
     pub plan: Option<PlanFigure>,
-    /// Curves of the diagnosis, if the report has one.
     pub diagnosis: Curves,
 }
 
 /// Measured and modelled torque along one run.
 #[derive(Clone, Debug, Default)]
 pub struct TorqueFigure {
-    /// Title.
     pub title: String,
     /// Time \[s\].
     pub t: Vec<f64>,
@@ -33,7 +30,6 @@ pub struct TorqueFigure {
     pub noise: Vec<f64>,
 }
 
-/// A planned motion.
 #[derive(Clone, Debug, Default)]
 pub struct PlanFigure {
     /// Time \[s\].
@@ -42,11 +38,9 @@ pub struct PlanFigure {
     pub q: Vec<Vec<f64>>,
     /// Position of the end effector in the base frame at `t` \[m\].
     pub end_effector: Vec<[f64; 3]>,
-    /// Workspace of the end effector.
     pub workspace: Option<Workspace>,
 }
 
-/// Maximum number of points of a curve.
 pub const MOST_POINTS: usize = 1500;
 
 /// Decimates a curve to the lowest and highest point of each interval, which keeps all peaks.

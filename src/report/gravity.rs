@@ -8,18 +8,13 @@ use serde::{Deserialize, Serialize};
 /// Readings of the inclinometer and their use by the daemon.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GravityReport {
-    /// The mounting by the job.
     pub declared: MountingFacts,
-    /// The daemon's status at the end.
     pub status: Gravity,
-    /// The mounting that each run was evaluated with.
     pub runs: Vec<RunGravity>,
 }
 
-/// The direction of gravity of one run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RunGravity {
-    /// Name of the run.
     pub run: String,
     /// The mounting that the run was evaluated with. A base that has not moved since the first run keeps the first run's.
     pub used: MountingFacts,

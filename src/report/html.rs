@@ -64,7 +64,6 @@ fn cells(values: &[f64]) -> Vec<String> {
     values.iter().copied().map(number).collect()
 }
 
-/// Name of a run without its file extension.
 fn name(file: &str) -> &str {
     file.strip_suffix(".csv").unwrap_or(file)
 }
@@ -188,7 +187,6 @@ fn headings(names: &[&str]) -> Vec<String> {
     }
 }
 
-/// Rows of the table of the fit.
 fn fit(report: &Report) -> Vec<Value> {
     let after = summary::band(report);
     let fit = &report.identify;

@@ -27,15 +27,10 @@ use std::path::Path;
 /// Content of `report.json`. Torques in Nm, one entry per joint.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
-    /// Robot.
     pub robot: String,
-    /// Mounting of the identification.
     pub mounting: MountingFacts,
-    /// The identified parameters.
     pub base: Base,
-    /// Errors on the identification set.
     pub identify: Fit,
-    /// Errors on the validation set.
     pub validate: Vec<Validation>,
     /// Frequency band of `rms`, in `validate` and `identify`.
     #[serde(default)]
@@ -51,16 +46,13 @@ pub struct Report {
     pub diagnosis: Option<Diagnosis>,
     /// Parameters and runs that this data does not determine.
     pub identifiability: Identifiability,
-    /// Condition numbers of the stacked regressor.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<Condition>,
     /// Use of the joints' limits by the job's motions; empty for recorded data.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub motions: Vec<MotionUsage>,
-    /// How the parameters were estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub estimator: Option<EstimatorFacts>,
-    /// Physical consistency of the parameters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub consistency: Option<Consistency>,
     /// Readings of the inclinometer; absent without one.
@@ -75,12 +67,10 @@ pub struct Report {
     /// Provenance: dataset hash, version, date, configuration.
     #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
     pub provenance: serde_json::Map<String, serde_json::Value>,
-    /// Remarks on the validity of the results.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
 }
 
-/// A mounting by name and angles.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MountingFacts {
     /// Name, or both angles if it has no name.
@@ -97,14 +87,12 @@ impl From<Mounting> for MountingFacts {
     }
 }
 
-/// The identified parameter set.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Base {
     /// `GBS` or `VBS`.
     pub kind: String,
     /// Number of base parameters: those of rigid body, friction and the other terms of the whole arm. Effects are not among them.
     pub count: usize,
-    /// Number of parameters of identified effects.
     #[serde(default)]
     pub effects: usize,
     /// Base parameters by term, in the order of the model.
@@ -114,19 +102,16 @@ pub struct Base {
     pub parameters: Vec<ParameterFacts>,
 }
 
-/// Number of base parameters of a term.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TermCount {
     /// `rigid-body`, `friction`, `torque-offset`, `rotor-inertia`.
     pub term: String,
-    /// Number of parameters.
     pub count: usize,
 }
 
 /// Shares of the joints' limits, less their margins, that a motion uses, one entry per joint.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MotionUsage {
-    /// Name of the motion.
     pub motion: String,
     /// Distance between the highest and the lowest position, of the range.
     pub range: Vec<f64>,
@@ -165,14 +150,12 @@ impl Base {
     }
 }
 
-/// One parameter.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ParameterFacts {
     /// Name in ASCII.
     pub name: String,
     /// Symbol, with R where it is regrouped.
     pub symbol: String,
-    /// Linear combination of standard parameters.
     pub expression: String,
     /// Value, in `unit`.
     pub value: f64,
@@ -181,22 +164,17 @@ pub struct ParameterFacts {
     /// Standard deviation over size, where both are known and the value is not zero.
     #[serde(default)]
     pub relative_std: Option<f64>,
-    /// Unit.
     pub unit: String,
 }
 
 /// Errors of the vertical base set in another mounting, where it is refused by default.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CounterExperiment {
-    /// Mounting of its identification.
     pub identified_in: MountingFacts,
     /// `VBS`.
     pub kind: String,
-    /// Number of its parameters.
     pub count: usize,
-    /// Mounting of the errors.
     pub refused_in: MountingFacts,
-    /// Text of the refusal.
     pub refusal: String,
     /// RMS over the unseen motions there, per joint, mean of the motions \[Nm\].
     pub forced_rms: Vec<f64>,
@@ -204,7 +182,6 @@ pub struct CounterExperiment {
     pub general_rms: Vec<f64>,
 }
 
-/// Fit of the model to its own data.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Fit {
     /// RMS of measured minus modelled torque in the report's band, per joint \[Nm\].
@@ -217,10 +194,8 @@ pub struct Fit {
     pub rms_filtered: Vec<f64>,
 }
 
-/// Prediction of one unseen run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Validation {
-    /// Name of the run.
     pub run: String,
     /// RMS of measured minus predicted torque in the report's band, per joint \[Nm\].
     pub rms: Vec<f64>,
@@ -233,7 +208,6 @@ pub struct Validation {
     /// RMS of measured torque minus the feed-forward that was served while the arm moved \[Nm\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub served_rms: Option<Vec<f64>>,
-    /// Mounting of the run.
     pub mounting: MountingFacts,
 }
 
@@ -242,16 +216,13 @@ pub struct Validation {
 pub struct Identifiability {
     /// Parameters that this data can't determine.
     pub not_identifiable: Vec<String>,
-    /// Runs in which the model is not valid.
     pub untrusted_runs: Vec<String>,
 }
 
-/// One condition number.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Condition {
     /// Definition: `raw`, `column-equilibrated`, `noise-weighted`.
     pub definition: String,
-    /// With all columns.
     #[serde(deserialize_with = "number_or_infinity")]
     pub with_friction: f64,
     /// Of the rigid-body columns alone.
@@ -264,14 +235,11 @@ fn number_or_infinity<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64,
     Ok(Option::deserialize(deserializer)?.unwrap_or(f64::INFINITY))
 }
 
-/// How the parameters were estimated.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EstimatorFacts {
     /// `ols`, `wls`, `wls-full`, `huber`, `tls` or `iv`.
     pub name: String,
-    /// Iterations of the weights.
     pub rounds: usize,
-    /// Whether the weights converged.
     pub settled: bool,
     /// Parameters restricted to zero because they are not significant.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -280,9 +248,6 @@ pub struct EstimatorFacts {
 
 impl Report {
     /// The text of `report.json`.
-    ///
-    /// # Errors
-    /// None in practice: NaN and infinity are written as `null`.
     pub fn to_json(&self) -> serde_json::Result<String> {
         serde_json::to_string_pretty(self).map(|text| text + "\n")
     }

@@ -10,21 +10,15 @@ use plotters::prelude::*;
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 pub(super) type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
 
-/// Measured torque.
 const MEASURED: RGBColor = RGBColor(1, 1, 1);
-/// Modelled torque.
 const MODELLED: RGBColor = RGBColor(2, 2, 2);
-/// Measured minus modelled.
 const RESIDUAL: RGBColor = RGBColor(3, 3, 3);
-/// Band of the noise.
 pub(super) const BAND: RGBColor = RGBColor(4, 4, 4);
 /// Edges of the noise band, over the curve that hides the band itself; bars of quantiles.
 pub(super) const EDGE: RGBColor = RGBColor(6, 6, 6);
 /// Raw measured torque, behind the filtered one.
 pub(super) const RAW: RGBColor = RGBColor(7, 7, 7);
-/// Without the effects of a diagnosis.
 pub(super) const BEFORE: RGBColor = RGBColor(8, 8, 8);
-/// With them.
 pub(super) const AFTER: RGBColor = RGBColor(9, 9, 9);
 /// Reference lines: noise floors, thresholds.
 pub(super) const LIMIT: RGBColor = RGBColor(10, 10, 10);
@@ -72,7 +66,6 @@ pub(super) fn tick(value: &f64) -> String {
 /// A curve: its points, colour and width.
 type Line = (Vec<(f64, f64)>, RGBColor, u32);
 
-/// One chart of curves over time.
 struct Curves<'l> {
     t: (f64, f64),
     y: (f64, f64),
@@ -142,7 +135,6 @@ pub(super) fn torque(figure: &TorqueFigure, j: usize) -> String {
     })
 }
 
-/// Joint positions of a plan over time.
 pub(super) fn positions(plan: &PlanFigure) -> String {
     let lines: Vec<Line> = plan.q.iter().enumerate().map(|(j, q)| (thin(&plan.t, q), joint_colour(j), 2)).collect();
     svg((1140, 440), |area| {

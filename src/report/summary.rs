@@ -11,7 +11,6 @@ pub(super) struct Group<'r> {
     pub runs: Vec<&'r Validation>,
 }
 
-/// Validation runs by mounting.
 pub(super) fn groups(report: &Report) -> Vec<Group<'_>> {
     let mut groups: Vec<Group> = Vec::new();
     for run in &report.validate {
@@ -55,7 +54,6 @@ pub(super) fn band(report: &Report) -> String {
     band_of(&report.band)
 }
 
-/// Band of the errors as text.
 pub(super) fn band_of(band: &Band) -> String {
     match band {
         Band::Raw => String::new(),
@@ -222,7 +220,6 @@ pub(super) fn control_loop(of: &LoopReport) -> String {
     format!("loop ({pace}): {}", parts.join(", "))
 }
 
-/// About three significant digits.
 pub(super) fn digits(value: f64) -> String {
     if !value.is_finite() {
         return "-".to_string();
@@ -234,19 +231,5 @@ pub(super) fn digits(value: f64) -> String {
             let decimals = (2 - size.log10().floor() as i32).clamp(0, 6) as usize;
             format!("{value:.decimals$}")
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn parameters_of_effects_are_counted_apart_from_base_parameters() {
-        let term = |term: &str, count| TermCount { term: term.into(), count };
-        let terms = vec![term("rigid-body", 45), term("friction", 14)];
-        let base = Base { kind: "GBS".into(), count: 59, effects: 1, terms, ..Base::default() };
-        assert_eq!(counts(&base), "59 base parameters (GBS: 45 rigid body, 14 friction), and 1 of effects");
-        assert!(counts(&Base { effects: 0, ..base }).ends_with("14 friction)"));
     }
 }

@@ -4,7 +4,6 @@ use crate::config::job::Pace;
 use plumbline_ipc::{Session, Status, StreamCounters};
 use serde::{Deserialize, Serialize};
 
-/// The real-time loop of a job.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LoopReport {
     /// `fast`, which is simulated time as fast as possible, or `wall-clock`.
@@ -13,7 +12,6 @@ pub struct LoopReport {
     pub cycles: u64,
     /// Cycles that came late; `None` where simulated time doesn't follow the clock.
     pub late: Option<u64>,
-    /// Lost states.
     pub lost: u64,
     /// Records dropped because the ring to the bridge thread was full.
     pub dropped_records: u64,
@@ -22,7 +20,6 @@ pub struct LoopReport {
 }
 
 impl LoopReport {
-    /// The loop as the daemon describes it.
     pub fn new(status: &Status, wall_clock: bool) -> LoopReport {
         LoopReport {
             pace: if wall_clock { Pace::WallClock } else { Pace::Fast },
@@ -34,7 +31,6 @@ impl LoopReport {
         }
     }
 
-    /// Whether simulated time went as fast as possible.
     pub fn is_fast(&self) -> bool {
         self.pace == Pace::Fast
     }
@@ -61,12 +57,9 @@ impl LoopReport {
     }
 }
 
-/// Counters of the sample stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IpcReport {
-    /// Samples that the daemon published.
     pub sent: u64,
-    /// Counters of the estimator.
     #[serde(flatten)]
     pub counters: StreamCounters,
 }

@@ -7,7 +7,6 @@ use plumbline_model::Robot;
 use plumbline_rt::os::Monotonic;
 use plumbline_sim::{SimConnector, Truth};
 
-/// Simulated arms that the program carries.
 const ARMS: [(&str, &str); 3] = [
     ("sim-panda", include_str!("../../config/arms/sim-panda.toml")),
     ("sim-panda-effect", include_str!("../../config/arms/sim-panda-effect.toml")),
@@ -15,9 +14,6 @@ const ARMS: [(&str, &str); 3] = [
 ];
 
 /// The arm that a job drives. Connects to nothing.
-///
-/// # Errors
-/// The job's settings of the arm can't be used.
 pub fn connector(job: &Job, robot: &Robot) -> Result<Box<dyn ArmConnector>, Failure> {
     let backend = &job.backend;
     Ok(match (backend.kind, &backend.franka) {

@@ -15,7 +15,6 @@ use plumbline_ipc::{ArmLock, Lock, RobotId};
 use plumbline_model::{Mounting, Reduction, Robot, Structure};
 use std::path::PathBuf;
 
-/// A job file and what overrides it.
 #[derive(Args, Clone)]
 pub struct JobOptions {
     /// The job: a TOML file such as config/sim-panda-wall.toml
@@ -32,7 +31,6 @@ pub struct JobOptions {
 }
 
 impl JobOptions {
-    /// The job, its robot, and the folder for the results.
     pub fn load(&self) -> Result<(Job, Robot, PathBuf), Failure> {
         if self.root_owned {
             owned::trusted(&self.config)?;

@@ -7,9 +7,7 @@ use plumbline_model::Robot;
 use std::path::Path;
 
 /// A model file with its robot: the description that the file holds, else the shipped robot of that name.
-///
-/// # Errors
-/// As [`ModelFile::parse`]; a robot that is neither in the file nor shipped.
+/// Errors: as [`ModelFile::parse`]; a robot that is neither in the file nor shipped.
 pub fn load(path: &Path) -> Result<(ModelFile, Robot), BadInput> {
     let file = path.display().to_string();
     let text =
@@ -25,9 +23,7 @@ pub fn load(path: &Path) -> Result<(ModelFile, Robot), BadInput> {
 }
 
 /// The model in a file's text, which must be of `robot`; `whose` describes it in errors: `which this daemon drives`.
-///
-/// # Errors
-/// As [`ModelFile::parse`]; a model of a robot of another name, or of other kinematics under the same name.
+/// Errors: as [`ModelFile::parse`]; a model of a robot of another name, or of other kinematics under the same name.
 pub fn of_robot(file: &str, text: &str, robot: &Robot, whose: &str) -> Result<ModelFile, BadInput> {
     ModelFile::parse_described(file, text, |name, description| {
         let expected = format!("`{}`, {whose}", robot.name);
@@ -47,7 +43,6 @@ pub fn of_robot(file: &str, text: &str, robot: &Robot, whose: &str) -> Result<Mo
     })
 }
 
-/// The robot of a model file.
 fn described(file: &str, name: &str, description: Option<&str>, folder: Option<&Path>) -> Result<Robot, BadInput> {
     let Some(text) = description else {
         return Robot::load(name, folder).map_err(|bad| {

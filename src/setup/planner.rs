@@ -17,7 +17,6 @@ use std::path::Path;
 /// Share of the room that a validation motion uses.
 const VALIDATION_AMPLITUDE: f64 = 0.7;
 
-/// The nominal model in a file.
 pub fn nominal(path: &Path, robot: &Robot) -> Result<Nominal, Failure> {
     let file = path.display().to_string();
     let text =
@@ -42,11 +41,8 @@ pub fn held_to(job: &Job, robot: &Robot, arm: Option<&ArmLimits>) -> Result<(Lim
     })
 }
 
-/// What plans the motions of a job.
 pub struct Planner<'a> {
-    /// The job.
     pub job: &'a Job,
-    /// Its robot.
     pub robot: &'a Robot,
     room: Room,
     nominal: Option<Nominal>,
@@ -99,7 +95,6 @@ impl<'a> Planner<'a> {
         }
     }
 
-    /// A random motion to validate the model on.
     pub fn random(&self, mounting: &Mounting, seed: u64) -> Result<Plan, Failure> {
         self.task(mounting, self.job.margins()).random(&self.search(seed)).map_err(|error| self.no_plan(error))
     }

@@ -11,12 +11,9 @@ use plumbline_model::{Mounting, Robot, VERTICAL_TOLERANCE};
 use plumbline_rt::MoveFactors;
 use std::path::Path;
 
-/// What a motion is driven for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
-    /// The parameters are identified from it.
     Identify,
-    /// The model is validated on it.
     Validate,
     /// The model is watched along it, and nothing else.
     Live,
@@ -24,24 +21,18 @@ pub enum Role {
     Counter,
 }
 
-/// One periodic motion.
 #[derive(Clone, Debug)]
 pub struct Motion {
     /// Number in orders and records, from 1.
     pub number: u32,
     /// Name for people and files: `identify-wall`, `validate-upright-3`.
     pub name: String,
-    /// What it is for.
     pub role: Role,
     /// How the arm is mounted meanwhile.
     pub mounting: Mounting,
-    /// The plan it came from.
     pub plan: Plan,
-    /// The motion itself.
     pub fourier: Fourier,
-    /// Periods that count.
     pub periods: usize,
-    /// Periods before those.
     pub lead_in: usize,
 }
 
@@ -57,10 +48,8 @@ impl Motion {
     }
 }
 
-/// Motions in one mounting.
 #[derive(Clone, Debug)]
 pub struct Stage {
-    /// The mounting.
     pub mounting: Mounting,
     /// The motions, in order.
     pub motions: Vec<Motion>,
@@ -69,11 +58,9 @@ pub struct Stage {
 /// All stages, in order.
 #[derive(Clone, Debug)]
 pub struct Programme {
-    /// The stages.
     pub stages: Vec<Stage>,
 }
 
-/// A motion before it has a plan.
 struct Slot {
     name: String,
     role: Role,
@@ -155,7 +142,6 @@ impl Programme {
         Ok(())
     }
 
-    /// Every motion of every stage.
     pub fn motions(&self) -> impl Iterator<Item = &Motion> {
         self.stages.iter().flat_map(|stage| &stage.motions)
     }
@@ -264,9 +250,7 @@ pub fn outside(limits: &Limits, q: &[f64]) -> Option<(usize, [f64; 2])> {
 }
 
 /// Whether the connected `arm` can move from its position to the programme's first one.
-///
-/// # Errors
-/// A way that leaves the workspace or meets the arm itself, with what it breaks.
+/// Errors: a way that leaves the workspace or meets the arm itself, with what it breaks.
 pub fn free_way(job: &Job, robot: &Robot, arm: &ArmLimits, from: &JointVec, to: &JointVec) -> Result<(), Failure> {
     let planner = Planner::of(job, robot, Some(arm))?;
     let ways = Ways::new(&planner)?;

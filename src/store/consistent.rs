@@ -1,6 +1,6 @@
 //! The `[consistent]` block of `model.toml`: physically consistent bodies with the model's parameters, or the nearest ones.
 
-use super::model_text::quoted;
+use super::quoted;
 use plumbline_core::BadInput;
 use plumbline_identify::consistency::{Nearest, Weights, parameters_of};
 use plumbline_model::{LinkParameters, TorqueModel, is_consistent};
@@ -9,7 +9,6 @@ use serde::Deserialize;
 /// Tolerance between bodies and their parameters, as a ratio of the largest parameter.
 const SAME: f64 = 1e-9;
 
-/// Serialised form of the block.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub(super) struct Raw {
@@ -67,9 +66,7 @@ pub(super) fn write(line: &mut impl FnMut(std::fmt::Arguments), model: &TorqueMo
 
 impl Raw {
     /// The block of `model`.
-    ///
-    /// # Errors
-    /// Non-finite numbers, wrong counts, inconsistent bodies, and bodies that do not have the parameters.
+    /// Errors: Non-finite numbers, wrong counts, inconsistent bodies, and bodies that do not have the parameters.
     pub(super) fn check(&self, file: &str, model: &TorqueModel) -> Result<Nearest, BadInput> {
         let bad = |key: &str, value: String, expected: &str| {
             Err(BadInput::new(file, format!("[consistent], key `{key}`"), value, expected))

@@ -1,6 +1,6 @@
 //! `model.toml`: an identified model with its uncertainty, validation and provenance.
 
-use super::{consistent, model_text};
+use super::consistent;
 use crate::atomic;
 use plumbline_core::{BadInput, from_toml};
 use plumbline_identify::consistency::Nearest;
@@ -10,26 +10,20 @@ use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A model with its validation and provenance.
 #[derive(Clone, Debug)]
 pub struct ModelFile {
-    /// The model.
     pub model: TorqueModel,
     /// Noise floor of the measured torque, per joint \[Nm\]; empty where unknown.
     pub noise_floor: Vec<f64>,
-    /// Errors on motions that were not fitted.
     pub validation: Vec<Validated>,
     /// Physically consistent bodies with these parameters, or the nearest ones; `None` if not computed.
     pub consistent: Option<Nearest>,
-    /// Provenance.
     pub provenance: Provenance,
 }
 
-/// Error of the model on one unseen run.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Validated {
-    /// Name of the run.
     pub run: String,
     /// Polar angle of gravity in that run \[rad\].
     pub rho: f64,
@@ -39,15 +33,12 @@ pub struct Validated {
     pub rms: Vec<f64>,
 }
 
-/// Provenance of a model.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Provenance {
     /// SHA-256 of the dataset's content.
     pub dataset: Option<String>,
-    /// Version of the program that identified it.
     pub plumbline: Option<String>,
-    /// Date of the identification.
     pub date: Option<String>,
     /// Source of parameters that were not identified by this program.
     pub source: Option<String>,
@@ -135,19 +126,11 @@ impl RawTerm {
     }
 }
 
-/// The format that this program writes and reads.
 pub(super) const FORMAT: u32 = 1;
 
 impl ModelFile {
-    /// The file's text; `parse` restores the model bitwise.
-    pub fn to_toml(&self) -> String {
-        model_text::write(self)
-    }
-
     /// Parses a model; `file` is the name in errors. `chain_of` returns the kinematic chain of a robot's name.
-    ///
-    /// # Errors
-    /// A text that is not what was written (a file that was edited or cut off, by the hash in its `content`; a file without one was
+    /// Errors: a text that is not what was written (a file that was edited or cut off, by the hash in its `content`; a file without one was
     /// written by hand and is taken), an unknown key, another format version, a parameter that is missing, foreign, doubled, not finite or in another unit, a number
     /// of values that doesn't fit the arm; whatever `chain_of` says about the robot.
     pub fn parse(
@@ -194,7 +177,6 @@ impl ModelFile {
         Ok(ModelFile { model, noise_floor, validation, consistent, provenance })
     }
 
-    /// As [`ModelFile::parse`], from a file.
     pub fn load(path: &Path, chain_of: impl FnOnce(&str) -> Result<Chain, BadInput>) -> Result<ModelFile, BadInput> {
         let file = path.display().to_string();
         let text = std::fs::read_to_string(path)
@@ -202,13 +184,11 @@ impl ModelFile {
         ModelFile::parse(&file, &text, chain_of)
     }
 
-    /// Writes the file atomically.
     pub fn save(&self, path: &Path) -> std::io::Result<()> {
         atomic::write_file(path, self.to_toml().as_bytes())
     }
 }
 
-/// Prefix of the line with the hash.
 const CONTENT: &str = "content = \"sha256:";
 
 /// `text` with the hash of everything else in it, as its second line.
@@ -226,7 +206,6 @@ fn content_hash(text: &str) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Checks the hash of the text, if there is one.
 fn check_content(file: &str, text: &str, head: &toml::Table) -> Result<(), BadInput> {
     let Some(written) = head.get("content") else { return Ok(()) };
     let found = format!("sha256:{}", content_hash(text));

@@ -1,11 +1,19 @@
 //! The text of `model.toml`: one line per parameter.
 
 use super::model_file::{FORMAT, ModelFile, Validated, sealed};
+use super::quoted;
 use plumbline_model::term::effect::Spec;
 use std::fmt::Write;
 
-/// The text of a model; numbers are the shortest text that parses to the same `f64`.
-pub(super) fn write(file: &ModelFile) -> String {
+impl ModelFile {
+    /// The file's text; [`ModelFile::parse`] restores the model bitwise.
+    pub fn to_toml(&self) -> String {
+        write(self)
+    }
+}
+
+/// Numbers are the shortest text that parses to the same `f64`.
+fn write(file: &ModelFile) -> String {
     let model = &file.model;
     let mut text = String::new();
     let mut line = |args: std::fmt::Arguments| {
@@ -80,9 +88,4 @@ fn effect(line: &mut dyn FnMut(std::fmt::Arguments), spec: &Spec) {
     if !settings.is_empty() {
         line(format_args!("settings = {{ {} }}", settings.join(", ")));
     }
-}
-
-/// A TOML basic string.
-pub(super) fn quoted(text: &str) -> String {
-    toml::Value::String(text.to_string()).to_string()
 }

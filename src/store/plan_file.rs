@@ -5,12 +5,10 @@ use plumbline_core::BadInput;
 use plumbline_excite::{Plan, parse_plan, plan_text};
 use std::path::Path;
 
-/// Writes a plan atomically.
 pub fn save_plan(plan: &Plan, path: &Path) -> std::io::Result<()> {
     atomic::write_file(path, plan_text(plan).map_err(std::io::Error::other)?.as_bytes())
 }
 
-/// Reads a plan file.
 pub fn load_plan(path: &Path) -> Result<Plan, BadInput> {
     let file = path.display().to_string();
     let text =

@@ -22,14 +22,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Every arm that there is.
 pub const ARMS: [&str; 4] = ["sim-fast", "sim-wall-clock", "franka-panda", "franka-fr3"];
 /// In the middle of a run \[reads\].
 const MIDDLE: u64 = 700;
 /// Long enough for a loaded machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// How a run is watched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Seal {
     /// By the allocator alone (and by RTSan, where it is built in).
@@ -45,13 +43,9 @@ pub enum Seal {
 /// A call that has no place in a cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stray {
-    /// Any call at all.
     Getpid,
-    /// A heap that grows.
     Mmap,
-    /// Output.
     Print,
-    /// A file.
     File,
 }
 
@@ -112,7 +106,6 @@ pub struct SealedArm<B> {
 }
 
 impl<B> SealedArm<B> {
-    /// Without a filter.
     pub fn open(arm: B) -> SealedArm<B> {
         let stopped = Arc::new(AtomicBool::new(false));
         SealedArm { arm, filter: None, stray: None, sealed: false, reads: 0, stopped }
@@ -218,12 +211,12 @@ pub fn run(name: &str, seal: Seal) -> Result<Outcome, Interrupted> {
         _ => {
             let (protocol, robot) =
                 if name == "franka-fr3" { (Protocol::V10, RobotKind::Fr3) } else { (Protocol::V5, RobotKind::Panda) };
-            let address = std::net::Ipv4Addr::new(127, 45, (std::process::id() % 250) as u8, protocol.number() as u8);
+            let address = emulator::address();
             let patience = Duration::from_millis(200);
             let emulated = emulator::Settings { patience, ..emulator::Settings::new(address, protocol) };
             let _emulator = emulator::Emulator::start(emulated).unwrap();
             let (arm, connection) =
-                plumbline_franka::connect(&plumbline_franka::Settings::new(address.into(), robot)).unwrap();
+                plumbline_franka::connect(&plumbline_franka::Settings::new(address, robot)).unwrap();
             let ArmLimits { limits, envelope, .. } = connection.info.limits.for_guard(1.0);
             let limits = GuardSettings { limits, envelope, workspace: None, tracking: [0.2; MAX_JOINTS] };
             whole(SealedArm::new(arm, name, seal), None, limits, name)
@@ -312,5 +305,5 @@ fn consume(drain: &mut Drain, gate: Option<&Gate>, pose: &mut Option<JointVec>) 
 
 /// Whether this event is among those that have come since the last question; those before it are gone then.
 fn seen(handles: &mut Handles, wanted: Event) -> bool {
-    std::iter::from_fn(|| handles.events.pop().ok()).any(|told| told.event == wanted)
+    std::iter::from_fn(|| handles.events.pop().ok()).any(|timed| timed.event == wanted)
 }

@@ -11,9 +11,6 @@ use std::os::unix::net::UnixDatagram;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-const SETS: [&str; 4] =
-    ["backend.pace=wall-clock", "realtime.lock-memory=false", "safety.max-lost=1000", "excitation.periods=100"];
-/// Set for the run in a namespace.
 const INSIDE: &str = "PLUMBLINE_TEST_JOURNAL";
 /// A `/run` of its own: the journal's socket has a fixed name there.
 const OWN_RUN: &str = "mount -t tmpfs tmpfs /run && mkdir -p /run/systemd/journal";
@@ -23,7 +20,7 @@ struct Daemon(Child);
 
 impl Daemon {
     fn start(place: &Place, error: impl Into<Stdio>, variables: &[(&str, String)]) -> Daemon {
-        let mut command = place.job("daemon", &short(&SETS));
+        let mut command = place.job("daemon", &short(&LONG_ON_CLOCK));
         command.stdout(Stdio::null()).stderr(error).envs(variables.iter().map(|(name, value)| (name, value)));
         Daemon(command.spawn().unwrap())
     }
@@ -31,9 +28,7 @@ impl Daemon {
     fn into_motion(self, place: &Place) -> Daemon {
         wait_for("the daemon", || place.status());
         place.command("start").expect_code(0);
-        wait_for("motion", || {
-            place.status().filter(|now| now.progress == Progress::Driving && now.phase == Phase::Excite)
-        });
+        place.await_excitation();
         self
     }
 
@@ -166,8 +161,8 @@ fn a_journal_that_stalls_costs_lines_of_the_log_and_nothing_else() {
     let mut again = in_namespace(&format!("{OWN_RUN} && exec \"$0\" --exact {test} --nocapture"));
     again.arg(std::env::current_exe().unwrap()).env(INSIDE, "1").env("PLUMBLINE_RUNTIME_DIR", names.path());
     let run = again.output().unwrap();
-    let said = String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned();
-    assert!(run.status.success() && said.contains("1 passed"), "{said}");
+    let message = String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned();
+    assert!(run.status.success() && message.contains("1 passed"), "{message}");
 }
 
 fn beside_a_stalled_journal() {

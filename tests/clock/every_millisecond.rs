@@ -20,9 +20,21 @@ const JOB: [&str; 9] = [
 
 /// Lines of `plumbline torque --follow`.
 fn follow(place: &Place, count: usize) -> Vec<String> {
-    let mut command = plumbline();
-    command.args(["torque", "--follow", "--rate", "50", "--robot", &place.id, "--count", &count.to_string()]);
-    let lines: Vec<String> = Done::of(command).expect_code(0).out.lines().map(str::to_string).collect();
+    let lines: Vec<String> = Done::of(plumbline().args([
+        "torque",
+        "--follow",
+        "--rate",
+        "50",
+        "--robot",
+        &place.id,
+        "--count",
+        &count.to_string(),
+    ]))
+    .expect_code(0)
+    .out
+    .lines()
+    .map(str::to_string)
+    .collect();
     assert_eq!(lines.len(), count);
     // The first line may come before the daemon has sent this client anything.
     let values: Vec<String> = lines.into_iter().filter(|line| line != "no value yet").collect();
@@ -30,7 +42,6 @@ fn follow(place: &Place, count: usize) -> Vec<String> {
     values
 }
 
-/// Sequence number at the head of a line.
 fn sequence(line: &str) -> u64 {
     line.split_whitespace().next().and_then(|first| first.parse().ok()).unwrap_or_else(|| panic!("{line}"))
 }
@@ -72,7 +83,7 @@ fn every_millisecond_is_accounted_for_and_clients_follow() {
         command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/clients/python/torque_follow.py"));
         command.args(["--robot", &place.id, "--wait", "20", "--count", "5"]);
         let done = Done::of(command).expect_code(0);
-        assert_eq!(done.out.lines().filter(|line| line.contains("tau")).count(), 5, "{}", done.said());
+        assert_eq!(done.out.lines().filter(|line| line.contains("tau")).count(), 5, "{}", done.output());
     }
 
     let done = run.end().expect_code(0);
@@ -83,7 +94,7 @@ fn every_millisecond_is_accounted_for_and_clients_follow() {
         (cycle.pace, cycle.dropped_records, cycle.allocations()),
         (Pace::WallClock, 0, Some(0)),
         "{}",
-        done.said()
+        done.output()
     );
     let longest = &cycle.longest().unwrap().statistics;
     let wake = longest.wake_up.in_us().expect("wake-ups of the loop");
@@ -103,6 +114,6 @@ fn every_millisecond_is_accounted_for_and_clients_follow() {
     assert!((in_sessions..in_sessions + 2_000).contains(&cycle.cycles), "{in_sessions} {}", cycle.cycles);
     let ipc = report.ipc.unwrap();
     assert_eq!((ipc.counters.received, ipc.counters.missed), (ipc.sent, 0), "{ipc:?}");
-    assert!(done.out.contains("loop (wall-clock): "), "{}", done.said());
+    assert!(done.out.contains("loop (wall-clock): "), "{}", done.output());
     assert!(anyone_with(&place.id).is_empty(), "a process lingers");
 }

@@ -107,7 +107,6 @@ fn serve(mut stream: &UnixStream, device: &Mutex<Device>, start: Instant, end: &
     }
 }
 
-/// The shipped job with an inclinometer.
 fn job(place: &Place, subcommand: &str, bus: &SimulatedBus, sets: &[&str]) -> std::process::Command {
     let mut command = plumbline();
     command.args([subcommand, "config/daemon-inclinometer.toml", "--out"]).arg(place.out());
@@ -208,27 +207,26 @@ fn a_tilt_turns_the_models_gravity_between_two_cycles_at_a_bounded_rate() {
             assert!((served - own).abs() < 1e-9, "joint {}, value {}: {served} Nm, {own} Nm", j + 1, message.sequence);
         }
     }
-    let said = becomes(&place, "4 deg", |gravity| (gravity.furthest.to_degrees() - 4.0).abs() < 0.3);
+    let status = becomes(&place, "4 deg", |gravity| (gravity.furthest.to_degrees() - 4.0).abs() < 0.3);
     assert!(
-        said.simulated
-            && said.hand_overs >= 10
-            && said.losses == 0
-            && !said.events.iter().any(|event| event.contains("is lost")),
-        "{said:?}"
+        status.simulated
+            && status.hand_overs >= 10
+            && status.losses == 0
+            && !status.events.iter().any(|event| event.contains("is lost")),
+        "{status:?}"
     );
 
     // Beyond the tolerance nothing is served; back within it, the model is.
     bus.tilt([10.0, 0.0], 3.0);
-    let said = becomes(&place, "the refusal", |gravity| gravity.refused.is_some());
+    let status = becomes(&place, "the refusal", |gravity| gravity.refused.is_some());
     // Which side is off can't be said while the torques at rest are as vague as the tilt is large.
-    let refused = said.refused.unwrap();
+    let refused = status.refused.unwrap();
     assert!(refused.contains("the inclinometer") && refused.contains("5.00 deg are allowed"), "{refused}");
     settles(&mut client, "no model", |message| message.model == 0 && message.tau_ff == [0.0; 8]);
     bus.tilt([1.0, 0.0], 3.0);
     becomes(&place, "the model again", |gravity| gravity.refused.is_none());
     settles(&mut client, "its torque again", |message| message.model != 0);
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
 }
 
 /// A base at 2 deg whose sensor is unplugged, and plugged in again.
@@ -241,20 +239,23 @@ fn loss(test: &str, on_loss: &str, while_gone: impl Fn(&Place, &mut FeedForwardC
     let mut client = values(&place);
     settles(&mut client, "the model at 2 deg", |message| message.model != 0 && (tilt_of(message) - 2.0).abs() < 0.15);
     bus.device(|device, _| device.faults.unplugged = true);
-    let said = becomes(&place, "the loss", |gravity| gravity.losses == 1);
+    let status = becomes(&place, "the loss", |gravity| gravity.losses == 1);
     let word = format!("by inclinometer.on-loss = \"{on_loss}\"");
-    assert!(said.events.iter().any(|event| event.contains("is lost") && event.contains(&word)), "{:?}", said.events);
-    assert_eq!(said.on_loss.as_deref(), Some(on_loss));
+    assert!(
+        status.events.iter().any(|event| event.contains("is lost") && event.contains(&word)),
+        "{:?}",
+        status.events
+    );
+    assert_eq!(status.on_loss.as_deref(), Some(on_loss));
     while_gone(&place, &mut client);
     bus.device(|device, _| device.faults.unplugged = false);
-    let said = becomes(&place, "its return", |gravity| gravity.source == "measured" && gravity.refused.is_none());
-    assert!(said.lost_s > 0.0 && said.events.iter().any(|event| event.contains("is back after")), "{said:?}");
+    let status = becomes(&place, "its return", |gravity| gravity.source == "measured" && gravity.refused.is_none());
+    assert!(status.lost_s > 0.0 && status.events.iter().any(|event| event.contains("is back after")), "{status:?}");
     settles(&mut client, "the measured 2 deg again", |message| {
         message.model != 0 && (tilt_of(message) - 2.0).abs() < 0.15
     });
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
-    assert!(done.err.contains("is lost") && done.err.contains("inclinometer is simulated"), "{}", done.said());
+    let done = place.quit(daemon);
+    assert!(done.err.contains("is lost") && done.err.contains("inclinometer is simulated"), "{}", done.output());
 }
 
 #[test]
@@ -264,7 +265,7 @@ fn a_loss_with_refuse_withdraws_the_model() {
         let refused = becomes(place, "the refusal", |gravity| gravity.refused.is_some()).refused.unwrap();
         assert!(refused.contains("inclinometer.on-loss = \"refuse\""), "{refused}");
         let start = place.command("start").expect_code(1);
-        assert!(start.err.contains("on-loss"), "{}", start.said());
+        assert!(start.err.contains("on-loss"), "{}", start.output());
     });
 }
 
@@ -281,20 +282,14 @@ fn a_loss_in_mid_motion_stops_the_arm_and_the_recording_says_why() {
     wait_for("the stop", || {
         place.status().filter(|now| now.progress == Progress::Stopped && now.phase == Phase::Stopped)
     });
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
-    assert!(done.err.contains("the arm is being stopped: ") && done.err.contains("inclinometer"), "{}", done.said());
+    let done = place.quit(daemon);
+    assert!(done.err.contains("the arm is being stopped: ") && done.err.contains("inclinometer"), "{}", done.output());
     let dir = place.out().join("flight");
     let files: Vec<_> = std::fs::read_dir(&dir).unwrap().map(|entry| entry.unwrap().path()).collect();
     assert!(files.len() == 1 && files[0].to_string_lossy().ends_with("-mounting.mcap"), "{files:?}");
-    let told = Done::of({
-        let mut command = plumbline();
-        command.arg("postmortem").arg(&files[0]);
-        command
-    })
-    .expect_code(0);
-    assert!(told.out.contains("because the mounting check failed"), "{}", told.said());
-    assert!(told.out.contains("the inclinometer is lost: "), "{}", told.said());
+    let analysis = Done::of(plumbline().arg("postmortem").arg(&files[0])).expect_code(0);
+    assert!(analysis.out.contains("because the mounting check failed"), "{}", analysis.output());
+    assert!(analysis.out.contains("the inclinometer is lost: "), "{}", analysis.output());
 }
 
 #[test]
@@ -331,7 +326,7 @@ fn a_runs_report_says_what_the_inclinometer_did() {
     let mut comes = |what: &str, is: fn(&Gravity) -> bool| {
         wait_for(what, || {
             if !running.as_mut().unwrap().runs() {
-                panic!("{what} did not come before the end: {}", running.take().unwrap().end().said());
+                panic!("{what} did not come before the end: {}", running.take().unwrap().end().output());
             }
             gravity(&place).filter(is)
         })
@@ -353,7 +348,7 @@ fn a_runs_report_says_what_the_inclinometer_did() {
     assert!(lost.contains("is lost") && back.contains("is back"), "{report:?}");
     let first = &report.runs[0];
     assert!(first.source() == "measured" && (first.tilt.to_degrees() - tilt).abs() < 0.1, "{first:?}");
-    assert!(done.out.contains("gravity: a SIMULATED inclinometer measured"), "{}", done.said());
+    assert!(done.out.contains("gravity: a SIMULATED inclinometer measured"), "{}", done.output());
     let html = std::fs::read_to_string(place.out().join("report.html")).unwrap();
     assert!(html.contains("Direction of gravity") && html.contains("a SIMULATED inclinometer"));
 }
@@ -368,10 +363,8 @@ fn a_simulated_bus_goes_with_a_simulated_arm_alone() {
         text + "\n[inclinometer]\ninterface = \"simulated:/tmp/bus\"\nnode = 10\nx = \"x\"\nz = \"z\"\n",
     )
     .unwrap();
-    let mut command = plumbline();
-    command.arg("daemon").arg(&job).arg("--out").arg(place.out());
-    let done = Done::of(command).expect_code(2);
+    let done = Done::of(plumbline().arg("daemon").arg(&job).arg("--out").arg(place.out())).expect_code(2);
     for part in ["job.toml", "inclinometer.interface", "simulated:/tmp/bus", "a simulated arm alone"] {
-        assert!(done.err.contains(part), "{}", done.said());
+        assert!(done.err.contains(part), "{}", done.output());
     }
 }

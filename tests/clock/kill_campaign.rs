@@ -6,7 +6,7 @@
 
 use plumbline_testkit::emulator;
 use std::fmt::Write as _;
-use std::net::{IpAddr, Ipv4Addr};
+use std::net::IpAddr;
 use std::process::Command;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -48,7 +48,6 @@ fn emulator_child() {
     }
 }
 
-/// What is done to a process.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Blow {
     Kill,
@@ -56,7 +55,6 @@ enum Blow {
     Stop(u64),
 }
 
-/// What came of one blow.
 #[derive(Debug, Default)]
 struct Outcome {
     /// Whether the motion went on; otherwise it ended, by rule.
@@ -67,7 +65,6 @@ struct Outcome {
     rest: Option<f64>,
 }
 
-/// The outcomes of one kind of blow.
 #[derive(Default)]
 struct Row {
     name: String,
@@ -222,26 +219,26 @@ fn clients(rounds: u32, seed: u64, kill: bool) -> Row {
             if !set_in_motion(&robot)? {
                 return Ok(None);
             }
-            within(PATIENCE, || client.said().lines().count() > 2).ok_or("the client says nothing")?;
+            within(PATIENCE, || client.output().lines().count() > 2).ok_or("the client says nothing")?;
             std::thread::sleep(Duration::from_millis(random.random_range(0..400)));
             let mut up = None;
             match blow(&mut random, kill) {
                 Blow::Kill => {
                     client.signal("KILL");
-                    let said = client.said();
-                    no_unmarked(&said)?;
+                    let message = client.output();
+                    no_unmarked(&message)?;
                     client = robot.torque_client();
-                    let took = within(PATIENCE, || client.said().contains("tau_ff")).ok_or("no successor reads")?;
+                    let took = within(PATIENCE, || client.output().contains("tau_ff")).ok_or("no successor reads")?;
                     up = Some(took.as_secs_f64() * 1e3);
                 }
                 Blow::Stop(ms) => {
                     client.signal("STOP");
                     std::thread::sleep(Duration::from_millis(ms));
-                    let before = client.said().lines().count();
+                    let before = client.output().lines().count();
                     client.signal("CONT");
-                    within(PATIENCE, || client.said().lines().count() > before + 3)
+                    within(PATIENCE, || client.output().lines().count() > before + 3)
                         .ok_or("the client does not go on")?;
-                    no_unmarked(&client.said())?;
+                    no_unmarked(&client.output())?;
                 }
             }
             let now = robot.status().ok_or("the daemon does not answer")?;
@@ -260,13 +257,13 @@ fn clients(rounds: u32, seed: u64, kill: bool) -> Row {
 /// The arm is the emulator's: it is there after the daemon's death, and says itself whether it moves.
 fn daemons(rounds: u32, seed: u64, kill: bool) -> Row {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let (robot, address) = behind_fci("kill-daemon", 3 + u8::from(kill));
+    let (robot, address) = behind_fci("kill-daemon");
     let settings =
         emulator::Settings { patience: Duration::from_millis(10), ..emulator::Settings::new(address, Protocol::V5) };
     let emulator = || emulator::Emulator::start(settings.clone()).unwrap();
     let mut row = Row { name: format!("daemon, {}", word(kill)), ..Row::default() };
     let (mut arm, mut daemon) = (Some(emulator()), robot.process("daemon"));
-    assert!(serves(&robot, &mut daemon), "no daemon: {}", daemon.said());
+    assert!(serves(&robot, &mut daemon), "no daemon: {}", daemon.output());
     let witnesses = Witnesses::watch(&robot.id);
     for round in 0..rounds {
         let outcome = (|| {
@@ -313,9 +310,9 @@ fn daemons(rounds: u32, seed: u64, kill: bool) -> Row {
             });
             // A robot whose commands did not come has stopped by itself: the daemon says so and ends.
             if let Some(code) = daemon.ended() {
-                let said = daemon.said();
-                if code != 1 || !said.contains("the loop ended") {
-                    return Err(format!("after {lasts:?} the daemon ended with {code}: {said}"));
+                let message = daemon.output();
+                if code != 1 || !message.contains("the loop ended") {
+                    return Err(format!("after {lasts:?} the daemon ended with {code}: {message}"));
                 }
                 within(Duration::from_secs(2), rests).ok_or("the arm moves although its daemon has ended")?;
                 anew(&robot, &mut arm, &mut daemon, &emulator);
@@ -366,8 +363,8 @@ fn anew(
 }
 
 /// A robot that the emulator stands for, and its address.
-fn behind_fci(name: &str, number: u8) -> (Robot, IpAddr) {
-    let address: IpAddr = Ipv4Addr::new(127, 45, (std::process::id() % 250) as u8, number).into();
+fn behind_fci(name: &str) -> (Robot, IpAddr) {
+    let address = emulator::address();
     let at = format!("backend.franka.address={address}");
     let mut sets = LONG.to_vec();
     sets.push(&at);
@@ -382,7 +379,7 @@ fn at_rest(arm: &emulator::Emulator) -> bool {
 
 fn emulators(rounds: u32, seed: u64, kill: bool) -> Row {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let (robot, address) = behind_fci("kill-robot", 1 + u8::from(kill));
+    let (robot, address) = behind_fci("kill-robot");
     let emulator = || {
         let mut command = Command::new(std::env::current_exe().unwrap());
         command.args(["kill_campaign::emulator_child", "--exact", "--nocapture"]).env(ADDRESS, address.to_string());
@@ -392,7 +389,7 @@ fn emulators(rounds: u32, seed: u64, kill: bool) -> Row {
     };
     let mut row = Row { name: format!("robot (emulator), {}", word(kill)), ..Row::default() };
     let (mut arm, mut daemon) = (Some(emulator()), robot.process("daemon"));
-    assert!(serves(&robot, &mut daemon), "no daemon: {}", daemon.said());
+    assert!(serves(&robot, &mut daemon), "no daemon: {}", daemon.output());
     let witnesses = Witnesses::watch(&robot.id);
     for round in 0..rounds {
         let outcome = (|| {
@@ -429,9 +426,9 @@ fn emulators(rounds: u32, seed: u64, kill: bool) -> Row {
             }
             // The daemon says what happened and ends; as a service it would be started again.
             within(PATIENCE, || daemon.ended().is_some()).ok_or("the daemon does not notice")?;
-            let said = daemon.said();
-            if daemon.ended() != Some(1) || !said.contains("the loop ended") {
-                return Err(format!("the daemon ended with {:?}: {said}", daemon.ended()));
+            let message = daemon.output();
+            if daemon.ended() != Some(1) || !message.contains("the loop ended") {
+                return Err(format!("the daemon ended with {:?}: {message}", daemon.ended()));
             }
             drop(arm.take());
             arm = Some(emulator());
@@ -471,8 +468,8 @@ fn acknowledged(robot: &Robot, pid: u32) -> u64 {
     robot.status().and_then(of).map_or(0, |follower| follower.acknowledged)
 }
 
-fn no_unmarked(said: &str) -> Result<(), String> {
-    match unmarked(said).first() {
+fn no_unmarked(message: &str) -> Result<(), String> {
+    match unmarked(message).first() {
         Some(line) => Err(format!("an old torque was printed without a mark: {line}")),
         None => Ok(()),
     }
@@ -480,8 +477,8 @@ fn no_unmarked(said: &str) -> Result<(), String> {
 
 /// What the witnesses have seen since the round before.
 fn complaints(row: &mut Row, round: u32, witnesses: &Witnesses) {
-    let told = std::mem::take(&mut *witnesses.complaints.lock().unwrap_or_else(PoisonError::into_inner));
-    row.broken.extend(told.into_iter().map(|words| format!("round {round}: {words}")));
+    let found = std::mem::take(&mut *witnesses.complaints.lock().unwrap_or_else(PoisonError::into_inner));
+    row.broken.extend(found.into_iter().map(|words| format!("round {round}: {words}")));
 }
 
 /// The load average over five minutes, as the kernel prints it.

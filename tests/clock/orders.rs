@@ -2,17 +2,14 @@
 
 use plumbline_core::Phase;
 use plumbline_franka::wire::Protocol;
-use plumbline_ipc::{Client, Progress, Proposal, Request, Response, RobotId};
+use plumbline_ipc::{Client, Proposal, Request, Response, RobotId};
 use plumbline_testkit::emulator;
 use plumbline_testkit::job::*;
-use std::net::{IpAddr, Ipv4Addr};
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-const SETS: [&str; 4] =
-    ["backend.pace=wall-clock", "realtime.lock-memory=false", "safety.max-lost=1000", "excitation.periods=100"];
 /// Some user who is not root.
 const SOMEBODY: u32 = 4242;
 
@@ -27,10 +24,9 @@ fn is_root() -> bool {
 #[test]
 fn resume_while_braking_is_refused_and_works_at_rest() {
     let place = Place::new("resume");
-    let daemon = Running::start(place.job("daemon", &short(&SETS)));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&short(&LONG_ON_CLOCK));
     place.command("start").expect_code(0);
-    wait_for("motion", || place.status().filter(|now| now.progress == Progress::Driving && now.phase == Phase::Excite));
+    place.await_excitation();
     std::thread::sleep(Duration::from_millis(600));
     let robot = RobotId::parse("test", "robot", &place.id).unwrap();
     let mut client = Client::connect(&robot, PATIENCE).unwrap();
@@ -50,29 +46,27 @@ fn resume_while_braking_is_refused_and_works_at_rest() {
     // It has had an effect: the loop holds, and waits for nothing any more.
     wait_for("the hold", || place.status().filter(|now| now.phase == Phase::Hold));
     let again = place.command("resume").expect_code(1);
-    assert!(again.err.contains("nothing waits"), "{}", again.said());
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
+    assert!(again.err.contains("nothing waits"), "{}", again.output());
+    let done = place.quit(daemon);
     // Every order that was carried out is logged with its sender: this process, and the ones of the command line.
     let user = rustix::process::getuid().as_raw();
     for order in ["stop", "resume"] {
         let line =
             done.err.lines().find(|line| line.contains(&format!("`{order}` from process {} (", std::process::id())));
-        let line = line.unwrap_or_else(|| panic!("no sender of `{order}`: {}", done.said()));
+        let line = line.unwrap_or_else(|| panic!("no sender of `{order}`: {}", done.output()));
         assert!(line.contains(&format!(") of user {user}")), "{line}");
     }
     for order in ["start", "quit"] {
         let line = done.err.lines().find(|line| line.contains(&format!("`{order}` from process ")));
-        assert!(line.is_some_and(|line| line.contains("(plumbline) of user")), "{}", done.said());
+        assert!(line.is_some_and(|line| line.contains("(plumbline) of user")), "{}", done.output());
     }
-    assert!(!done.err.contains("`status`"), "{}", done.said());
+    assert!(!done.err.contains("`status`"), "{}", done.output());
 }
 
 #[test]
 fn an_order_with_a_model_is_logged_by_its_own_name() {
     let place = Place::new("orders-model");
-    let daemon = Running::start(place.job("daemon", &short(&SETS)));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&short(&LONG_ON_CLOCK));
     let robot = RobotId::parse("test", "robot", &place.id).unwrap();
     let mut client = Client::connect(&robot, PATIENCE).unwrap();
     let toml = std::fs::read_to_string("config/models/panda-paper-table3.toml").unwrap();
@@ -85,24 +79,21 @@ fn an_order_with_a_model_is_logged_by_its_own_name() {
             "{name} was answered with {answer:?}"
         );
     }
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
+    let done = place.quit(daemon);
     for name in ["offer-model", "propose-model"] {
         let line = format!("`{name}` from process {} (", std::process::id());
-        assert_eq!(done.err.matches(&line).count(), 1, "{name}: {}", done.said());
+        assert_eq!(done.err.matches(&line).count(), 1, "{name}: {}", done.output());
     }
 }
 
 #[test]
 fn a_held_lock_is_a_failed_job_and_no_bad_input() {
     let place = Place::new("held");
-    let daemon = Running::start(place.job("daemon", &short(&SETS)));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&short(&LONG_ON_CLOCK));
     // 2 would keep the service down after the lock has passed (RestartPreventExitStatus).
-    let second = Done::of(place.job("daemon", &short(&SETS))).expect_code(1);
-    assert!(second.err.contains(&format!("process {}", daemon.pid())), "{}", second.said());
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    let second = Done::of(place.job("daemon", &short(&LONG_ON_CLOCK))).expect_code(1);
+    assert!(second.err.contains(&format!("process {}", daemon.pid())), "{}", second.output());
+    place.quit(daemon);
     for unit in ["systemd/plumbline.service", "systemd/plumbline-estimator.service"] {
         let unit = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(unit)).unwrap();
         assert!(unit.contains("Restart=on-failure\n") && unit.contains("RestartPreventExitStatus=2\n"), "{unit}");
@@ -111,7 +102,7 @@ fn a_held_lock_is_a_failed_job_and_no_bad_input() {
 
 #[test]
 fn one_arm_has_one_daemon_whatever_folder_and_name_it_has() {
-    let address: IpAddr = Ipv4Addr::new(127, 46, (std::process::id() % 250) as u8, 1).into();
+    let address = emulator::address();
     let _arm = emulator::Emulator::start(emulator::Settings::new(address, Protocol::V5)).unwrap();
     let at = format!("backend.franka.address={address}");
     let sets = short(&["excitation.trajectories=1", "validation.mountings=[\"wall\"]", &at]);
@@ -129,16 +120,13 @@ fn one_arm_has_one_daemon_whatever_folder_and_name_it_has() {
     let status = |place: &Place| {
         let mut command = plumbline();
         command.args(["command", "status", "--robot", &place.id]);
-        Done::of({
-            command.env("PLUMBLINE_RUNTIME_DIR", place.path().join("run"));
-            command
-        })
+        Done::of(command.env("PLUMBLINE_RUNTIME_DIR", place.path().join("run")))
     };
     let first = Running::start(daemon(&places[0]));
     wait_for("the first daemon", || (status(&places[0]).code == Some(0)).then_some(()));
     let second = Done::of(daemon(&places[1])).expect_code(1);
     let holder = format!("process {} of user {}", first.pid(), rustix::process::geteuid().as_raw());
-    assert!(second.err.contains(&holder) && second.err.contains(&address.to_string()), "{}", second.said());
+    assert!(second.err.contains(&holder) && second.err.contains(&address.to_string()), "{}", second.output());
     signal(first.pid(), "TERM");
     first.end();
 }
@@ -179,19 +167,22 @@ fn a_plan_that_somebody_else_can_change_moves_no_arm_of_a_service() {
         std::fs::write(plan, &text).unwrap();
         chown(plan, Some(SOMEBODY), None).unwrap();
         let refused = Done::of(job_of_root(place, &sets)).expect_code(2);
-        assert!(refused.err.contains(plan.to_str().unwrap()), "{}", refused.said());
-        assert!(refused.err.contains(&format!("belongs to user {SOMEBODY}")), "{}", refused.said());
+        assert!(refused.err.contains(plan.to_str().unwrap()), "{}", refused.output());
+        assert!(refused.err.contains(&format!("belongs to user {SOMEBODY}")), "{}", refused.output());
         chown(plan, Some(0), None).unwrap();
         std::fs::set_permissions(plan, PermissionsExt::from_mode(0o646)).unwrap();
         let refused = Done::of(job_of_root(place, &sets)).expect_code(2);
-        assert!(refused.err.contains(plan.to_str().unwrap()) && refused.err.contains("mode 646"), "{}", refused.said());
+        assert!(
+            refused.err.contains(plan.to_str().unwrap()) && refused.err.contains("mode 646"),
+            "{}",
+            refused.output()
+        );
         std::fs::set_permissions(plan, PermissionsExt::from_mode(0o644)).unwrap();
     }
     // Root's own is taken.
     let daemon = Running::start(job_of_root(&kept, &[]));
     wait_for("the daemon", || kept.status());
-    kept.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    kept.quit(daemon);
 }
 
 #[test]
@@ -225,10 +216,7 @@ fn an_upgrade_gives_no_file_to_root_that_the_daemon_has_refused() {
     let upgrade = || {
         let mut command = Command::new("unshare");
         command.args(["--mount", "sh", "-c", script]).arg(place.path());
-        Done::of({
-            command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd/deb/postinst")).stdin(Stdio::null());
-            command
-        })
+        Done::of(command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd/deb/postinst")).stdin(Stdio::null()))
     };
     upgrade().expect_code(0);
     for name in ["etc/plumbline/daemon.toml", "etc/plumbline/arm.toml"] {
@@ -257,23 +245,14 @@ fn a_torque_from_before_a_suspend_is_stale() {
         return eprintln!("SKIPPED: this machine lets nobody make a time namespace");
     }
     let place = Place::new("suspend");
-    let daemon = Running::start(place.job("daemon", &short(&SETS)));
+    let daemon = Running::start(place.job("daemon", &short(&LONG_ON_CLOCK)));
     wait_for("the daemon", || place.status().filter(|now| now.cycles > 100));
     let torque = ["torque", "--robot", &place.id, "--count", "1"];
-    let line = Done::of({
-        let mut command = suspended();
-        command.arg(program()).args(torque);
-        command
-    })
-    .expect_code(0)
-    .out;
+    let line = Done::of(suspended().arg(program()).args(torque)).expect_code(0).out;
     let age: f64 = line.split("age").nth(1).and_then(|rest| rest.split_whitespace().next()?.parse().ok()).expect(&line);
     assert!(line.contains("STALE") && age >= 10_000.0, "{line}");
-    let mut command = plumbline();
-    command.args(torque);
-    let line = Done::of(command).expect_code(0).out;
+    let line = Done::of(plumbline().args(torque)).expect_code(0).out;
     let age: f64 = line.split("age").nth(1).and_then(|rest| rest.split_whitespace().next()?.parse().ok()).expect(&line);
     assert!(age < 10_000.0, "{line}");
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
 }

@@ -66,7 +66,7 @@ fn only_loop_stop_listener_and_bridge_are_real_time_and_the_daemon_says_what_it_
     assert_eq!(locked > 0, !running.degraded.iter().any(|line| line.contains("no KiB locked")), "{locked} kB locked");
     let done = quit(&place, daemon);
     for line in &running.degraded {
-        assert!(done.err.contains(line.as_str()), "{line}\n{}", done.said());
+        assert!(done.err.contains(line.as_str()), "{line}\n{}", done.output());
     }
 }
 
@@ -83,7 +83,7 @@ fn a_refusal_is_run_with_and_said_or_refused_as_the_job_says() {
     let place = Place::new("refused");
     let done = Done::of(place.job("daemon", &[&HOLD[..], &[NO_CPU, "realtime.on-refusal=refuse"]].concat()));
     let done = done.expect_code(1);
-    assert!(done.err.contains("CPU 1000") && done.err.contains("realtime.on-refusal"), "{}", done.said());
+    assert!(done.err.contains("CPU 1000") && done.err.contains("realtime.on-refusal"), "{}", done.output());
 
     // Where nothing is asked, nothing is missing.
     let place = Place::new("unasked");
@@ -100,7 +100,7 @@ fn a_refusal_is_run_with_and_said_or_refused_as_the_job_says() {
 
     let place = Place::new("unknown-word");
     let done = Done::of(place.job("daemon", &["realtime.on-refusal=maybe"])).expect_code(2);
-    assert!(done.err.contains("on-refusal") && done.err.contains("degrade"), "{}", done.said());
+    assert!(done.err.contains("on-refusal") && done.err.contains("degrade"), "{}", done.output());
 }
 
 /// Ends the daemon by command; what it said.
@@ -108,8 +108,8 @@ fn a_refusal_is_run_with_and_said_or_refused_as_the_job_says() {
 fn quit(place: &Place, mut daemon: Running) -> Done {
     let done = place.command("quit");
     if !daemon.runs() && done.code != Some(0) {
-        panic!("the daemon had ended: {}", daemon.end().said());
+        panic!("the daemon had ended: {}", daemon.end().output());
     }
-    assert_eq!(done.code, Some(0), "{}", done.said());
+    assert_eq!(done.code, Some(0), "{}", done.output());
     daemon.end().expect_code(0)
 }

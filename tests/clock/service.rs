@@ -50,7 +50,6 @@ fn as_service(place: &Place, subcommand: &str, more: &[&str]) -> Running {
     as_watched(place, subcommand, WATCHDOG, more)
 }
 
-/// The same with another WatchdogSec=.
 fn as_watched(place: &Place, subcommand: &str, watchdog: Duration, more: &[&str]) -> Running {
     // How late a cycle may come is the machine's business, not this test's: no loss stops the arm.
     let mut sets = vec!["backend.pace=wall-clock", "realtime.lock-memory=false", "safety.max-lost=1000"];
@@ -92,8 +91,7 @@ fn a_systemd_that_has_died_does_not_hold_up_the_daemon() {
     let cycles = || place.status().map(|status| status.cycles);
     // A beat per 5 ms: in this time a few hundred, many more than a socket holds.
     wait_for("two seconds of cycles", || cycles().filter(|&cycles| cycles > 2_000));
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
 }
 
 #[test]
@@ -128,8 +126,7 @@ fn a_restarted_daemon_only_holds() {
         }
         wait_for("cycles", || (status()?.cycles > 100).then_some(()));
     }
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
 }
 
 #[test]
@@ -142,10 +139,9 @@ fn an_estimator_is_ready_before_there_is_a_daemon_and_survives_its_end() {
     systemd.await_word("STATUS=follows the samples");
     assert!(beats(&systemd.hear(2 * WATCHDOG)) >= 2);
     if !daemon.runs() {
-        panic!("the daemon has ended: {}", daemon.end().said());
+        panic!("the daemon has ended: {}", daemon.end().output());
     }
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
     assert!(estimator.runs());
     signal(estimator.pid(), "TERM");
     estimator.end();
@@ -159,16 +155,14 @@ fn files_that_others_can_change_set_no_limits_of_a_service() {
     std::fs::copy(std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(WALL), &file).unwrap();
     std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o646)).unwrap();
     let daemon = |file: &std::path::Path| {
-        let mut command = plumbline();
-        command.args(["daemon", "--root-owned"]).arg(file).arg("--out").arg(place.out());
-        Done::of(command)
+        Done::of(plumbline().args(["daemon", "--root-owned"]).arg(file).arg("--out").arg(place.out()))
     };
     // Root is told of the mode, anybody else of the owner.
     let refused = daemon(&file).expect_code(2);
     assert!(
         refused.err.contains(file.to_str().unwrap()) && refused.err.contains("belong to root"),
         "{}",
-        refused.said()
+        refused.output()
     );
-    assert!(refused.err.contains("(mode 646)") || refused.err.contains("belongs to user"), "{}", refused.said());
+    assert!(refused.err.contains("(mode 646)") || refused.err.contains("belongs to user"), "{}", refused.output());
 }

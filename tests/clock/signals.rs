@@ -9,10 +9,6 @@ use std::path::PathBuf;
 use std::process::Command;
 use std::time::Duration;
 
-/// An arm on the wall clock; a machine that stalls is not what is tried here.
-const SETS: [&str; 4] =
-    ["backend.pace=wall-clock", "realtime.lock-memory=false", "safety.max-lost=1000", "excitation.periods=100"];
-
 /// SIGHUP, SIGINT, SIGQUIT, SIGUSR1, SIGALRM, SIGTERM, SIGSTKFLT, SIGTSTP, SIGXCPU, SIGXFSZ, SIGVTALRM, SIGPROF, SIGIO, SIGPWR, and the first and the
 /// last real-time signal, with the names that the log has for them.
 fn ending() -> Vec<(i32, String)> {
@@ -50,10 +46,7 @@ fn fastest(record: &Record) -> f64 {
 
 /// The arm is well under way: somewhere in the excitation, at some speed.
 fn in_motion(place: &Place) {
-    wait_for("motion", || {
-        let now = place.status()?;
-        (now.progress == Progress::Driving && now.phase == Phase::Excite).then_some(())
-    });
+    place.await_excitation();
     std::thread::sleep(Duration::from_millis(600));
 }
 
@@ -74,8 +67,7 @@ fn controlled_stop(place: &Place, what: &str) -> (String, String) {
 }
 
 fn daemon(place: &Place) -> Running {
-    let daemon = Running::start(place.job("daemon", &short(&SETS)));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&short(&LONG_ON_CLOCK));
     place.command("start").expect_code(0);
     in_motion(place);
     daemon
@@ -88,10 +80,10 @@ fn every_ending_signal_brakes_first() {
         let daemon = daemon(&place);
         signal(daemon.pid(), &number.to_string());
         let done = daemon.end();
-        assert_eq!(done.code, Some(0), "{name}: {}", done.said());
+        assert_eq!(done.code, Some(0), "{name}: {}", done.output());
         let line = format!("signal {name} arrived");
         for words in [format!("{line}: the daemon brakes"), format!("the arm is being stopped: {line}")] {
-            assert!(done.err.contains(&words), "no `{words}`: {}", done.said());
+            assert!(done.err.contains(&words), "no `{words}`: {}", done.output());
         }
         assert_eq!(controlled_stop(&place, &name), ("signal".into(), line));
     }
@@ -107,18 +99,18 @@ fn a_second_signal_does_not_skip_the_stop() {
         let _ = Command::new("kill").arg(format!("-{name}")).arg(pid.to_string()).output();
     }
     let done = daemon.end();
-    assert_eq!(done.code, Some(0), "{}", done.said());
+    assert_eq!(done.code, Some(0), "{}", done.output());
     assert_eq!(controlled_stop(&place, "many signals").0, "signal");
 }
 
 #[test]
 fn at_rest_a_signal_ends_the_daemon_without_a_recording() {
     let place = Place::new("signals-rest");
-    let daemon = Running::start(place.job("daemon", &short(&SETS)));
+    let daemon = Running::start(place.job("daemon", &short(&LONG_ON_CLOCK)));
     wait_for("the daemon", || place.status().filter(|now| now.cycles > 100));
     signal(daemon.pid(), "HUP");
     let done = daemon.end().expect_code(0);
-    assert!(done.err.contains("signal SIGHUP arrived"), "{}", done.said());
+    assert!(done.err.contains("signal SIGHUP arrived"), "{}", done.output());
     assert!(recordings(&place).is_empty(), "{:?}", recordings(&place));
 }
 
@@ -126,7 +118,7 @@ fn at_rest_a_signal_ends_the_daemon_without_a_recording() {
 fn what_does_not_ask_for_the_end_leaves_the_arm_moving() {
     let place = Place::new("signals-ignored");
     // `nohup` has a hangup ignored, and executes the program in its own process.
-    let job = place.job("daemon", &short(&SETS));
+    let job = place.job("daemon", &short(&LONG_ON_CLOCK));
     let mut command = Command::new("nohup");
     command.current_dir(env!("CARGO_MANIFEST_DIR")).stdin(std::process::Stdio::null());
     command.arg(job.get_program()).args(job.get_args());
@@ -148,14 +140,14 @@ fn what_does_not_ask_for_the_end_leaves_the_arm_moving() {
 #[test]
 fn the_daemon_of_a_killed_run_brakes_and_ends() {
     let place = Place::new("signals-run");
-    let run = Running::start(place.job("run", &short(&SETS)));
+    let run = Running::start(place.job("run", &short(&LONG_ON_CLOCK)));
     let daemon = wait_for("the daemon", || children(run.pid(), "daemon").first().copied());
     in_motion(&place);
     signal(run.pid(), "KILL");
     wait_for("the daemon's end", || (!std::path::Path::new(&format!("/proc/{daemon}")).exists()).then_some(()));
     let done = run.end();
     let words = "the process that started this daemon has ended";
-    assert!(done.err.contains(&format!("the arm is being stopped: {words}")), "{}", done.said());
+    assert!(done.err.contains(&format!("the arm is being stopped: {words}")), "{}", done.output());
     assert_eq!(controlled_stop(&place, "killed run"), ("parent-ended".into(), words.into()));
     wait_for("the end of every process", || anyone_with(&place.id).is_empty().then_some(()));
 }
@@ -164,7 +156,7 @@ fn the_daemon_of_a_killed_run_brakes_and_ends() {
 fn a_terminal_that_closes_stops_the_arm_once() {
     // A hangup goes to all three processes of a run.
     let place = Place::new("signals-terminal");
-    let run = Running::start(place.job("run", &short(&SETS)));
+    let run = Running::start(place.job("run", &short(&LONG_ON_CLOCK)));
     let daemon = wait_for("the daemon", || children(run.pid(), "daemon").first().copied());
     let estimator = wait_for("the estimator", || children(run.pid(), "estimator").first().copied());
     in_motion(&place);
@@ -175,9 +167,9 @@ fn a_terminal_that_closes_stops_the_arm_once() {
     assert!(
         done.err.contains("interrupted, signal SIGHUP arrived") || done.err.contains("ended during the job"),
         "{}",
-        done.said()
+        done.output()
     );
     assert_eq!(controlled_stop(&place, "closed terminal").0, "signal");
-    assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.said());
+    assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.output());
     wait_for("the end of every process", || anyone_with(&place.id).is_empty().then_some(()));
 }

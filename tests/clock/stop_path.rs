@@ -28,7 +28,6 @@ struct Figures {
     taken: f64,
     /// Until the first cycle in which the loop brakes, by its own stamp.
     braking: f64,
-    /// Until the command had ended.
     command: f64,
 }
 
@@ -87,7 +86,6 @@ impl Scene {
         runtime_dir::directory().unwrap().join(format!("{}.lock", self.place.id))
     }
 
-    /// When the daemon took the last stop.
     fn taken_ns(&self) -> u64 {
         let text = std::fs::read_to_string(self.lock()).unwrap();
         text.lines().find_map(|line| line.strip_prefix("stop-ns ")?.parse().ok()).unwrap()
@@ -98,7 +96,7 @@ impl Scene {
         let begin = now_ns();
         let done = self.place.command("stop").expect_code(0);
         let command = now_ns();
-        assert!(done.out.contains("has received the stop"), "{}", done.said());
+        assert!(done.out.contains("has received the stop"), "{}", done.output());
         let taken = self.taken_ns();
         assert!(taken > begin, "the stop before this one is shown");
         let braking = self.record("the brake", begin, |record| matches!(record.phase, Phase::Stop | Phase::Stopped));
@@ -139,7 +137,6 @@ impl Scene {
         );
     }
 
-    /// The programme is under way.
     fn drive(&mut self) {
         let begin = now_ns();
         assert_eq!(self.ask(&Request::Start {}), Some(Response::Accepted {}));
@@ -229,7 +226,7 @@ fn clients_that_take_every_place_keep_no_stop_from_the_daemon() {
     // Whoever does not leave them takes them all.
     idle.extend((0..4).map(|_| Client::connect_operator(&robot, PATIENCE).unwrap()));
     let status = scene.place.command("status").expect_code(1);
-    assert!(status.err.contains(&format!("process {} has 16", std::process::id())), "{}", status.said());
+    assert!(status.err.contains(&format!("process {} has 16", std::process::id())), "{}", status.output());
     scene.drive();
     scene.stops("16 idle clients", more());
     drop(idle);
@@ -249,7 +246,7 @@ fn a_daemon_without_a_file_descriptor_is_stopped_and_says_what_it_lacks() {
     scene.stops("the daemon out of file descriptors", more());
     let done = scene.end(0);
     let lines = done.err.lines().filter(|line| line.contains("no file descriptor is left")).count();
-    assert!((1..=3).contains(&lines), "{lines} lines; once per cause:\n{}", done.said());
+    assert!((1..=3).contains(&lines), "{lines} lines; once per cause:\n{}", done.output());
 }
 
 /// Set for the run in a namespace of its own.
@@ -277,9 +274,9 @@ fn full_shared_memory_keeps_no_stop_from_the_daemon() {
     let mut again = in_namespace(&script);
     again.arg(std::env::current_exe().unwrap()).env(INSIDE, "1").env("PLUMBLINE_RUNTIME_DIR", names.path());
     let run = again.output().unwrap();
-    let said = String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned();
-    assert!(run.status.success() && said.contains("1 passed"), "{said}");
-    said.lines().filter(|line| line.contains("STOP |")).for_each(|line| eprintln!("{line}"));
+    let message = String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned();
+    assert!(run.status.success() && message.contains("1 passed"), "{message}");
+    message.lines().filter(|line| line.contains("STOP |")).for_each(|line| eprintln!("{line}"));
 }
 
 fn with_full_memory() {
@@ -289,7 +286,7 @@ fn with_full_memory() {
     while filler.write_all(&[1; 4096]).is_ok() {}
     // A new client ends with a reason instead of by a signal.
     let refused = scene.place.command("status").expect_code(1);
-    assert!(refused.err.contains("/dev/shm is full"), "{}", refused.said());
+    assert!(refused.err.contains("/dev/shm is full"), "{}", refused.output());
     scene.stops("/dev/shm full", more());
     assert!(scene.daemon.as_mut().unwrap().runs());
     drop(filler);
@@ -305,15 +302,19 @@ fn the_last_resort_is_a_signal_and_a_daemon_that_stands_still_is_said_so() {
     std::fs::remove_file(scene.lock().with_extension("stop")).unwrap();
     let begin = now_ns();
     let done = scene.place.command("stop").expect_code(0);
-    assert!(done.out.contains("by signal SIGUSR2; its socket failed"), "{}", done.said());
+    assert!(done.out.contains("by signal SIGUSR2; its socket failed"), "{}", done.output());
     scene.record("the brake", begin, |record| matches!(record.phase, Phase::Stop | Phase::Stopped));
     signal(scene.pid(), "STOP");
     let refused = scene.place.command("stop").expect_code(1);
-    assert!(refused.err.contains("NOT STOPPED") && refused.err.contains("the robot's own stop"), "{}", refused.said());
+    assert!(
+        refused.err.contains("NOT STOPPED") && refused.err.contains("the robot's own stop"),
+        "{}",
+        refused.output()
+    );
     signal(scene.pid(), "CONT");
     // The arm got no commands meanwhile and has stopped by itself, which ends the loop.
     let done = scene.end(1);
-    assert!(done.err.contains("a stop was requested by signal SIGUSR2"), "{}", done.said());
+    assert!(done.err.contains("a stop was requested by signal SIGUSR2"), "{}", done.output());
     let gone = Place::new("nobody").command("stop").expect_code(1);
-    assert!(gone.err.contains("no daemon serves robot"), "{}", gone.said());
+    assert!(gone.err.contains("no daemon serves robot"), "{}", gone.output());
 }

@@ -28,7 +28,7 @@ fn client(place: &Place, rate: &str) -> Running {
 /// What the daemon says of its session: the line, and the numbers in it in order.
 fn account(done: &Done) -> (String, Vec<f64>) {
     let line =
-        done.err.lines().find(|line| line.contains("session `hold`")).unwrap_or_else(|| panic!("{}", done.said()));
+        done.err.lines().find(|line| line.contains("session `hold`")).unwrap_or_else(|| panic!("{}", done.output()));
     let text = line.split("session `hold`:").nth(1).unwrap();
     let numbers = text.split(|c: char| !c.is_ascii_digit() && c != '.').filter_map(|word| word.parse().ok()).collect();
     (text.trim().to_string(), numbers)
@@ -100,10 +100,9 @@ fn hold<T>(test: &str, beside: impl FnOnce(&Place) -> T, during: impl FnOnce(&Pl
     let mut others = beside(&place);
     during(&place, &mut others);
     std::thread::sleep(HELD.saturating_sub(begin.elapsed()));
-    assert!(daemon.runs(), "the daemon ended by itself: {}", daemon.end().said());
+    assert!(daemon.runs(), "the daemon ended by itself: {}", daemon.end().output());
     let last = wait_for("an answer", || place.status());
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
+    let done = place.quit(daemon);
     drop(others);
     (done, last)
 }
@@ -124,7 +123,7 @@ fn sixteen_clients_of_which_some_are_slow_dead_or_hostile_cost_the_loop_nothing(
     let (crowded, last) = hold("crowd", Crowd::of, |place, crowd| crowd.misbehave(place));
     for (what, done) in [("alone", &alone), ("with sixteen clients and nonsense", &crowded)] {
         println!("{what}: {}", account(done).0);
-        assert!(checked(what, done)[0] >= 5_000.0, "{what}: {}", done.said());
+        assert!(checked(what, done)[0] >= 5_000.0, "{what}: {}", done.output());
     }
     assert!(last.served.garbled_requests > 0, "no nonsense arrived: {:?}", last.served);
     assert_eq!(last.stopped, None);
@@ -153,7 +152,6 @@ fn nonsense(k: u64) -> Vec<u8> {
     }
 }
 
-/// What is compared, and where [`account`] has it.
 const COMPARED: [(&str, usize); 7] = [
     ("execution p50 \\[us\\]", 16),
     ("execution p99", 18),

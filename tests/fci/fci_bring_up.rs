@@ -4,12 +4,10 @@
 use clap::Parser;
 use plumbline_franka::wire::Protocol;
 use plumbline_model::Mounting;
-use plumbline_testkit::emulator::{Emulator, Settings as Emulated};
+use plumbline_testkit::emulator::{Emulator, Settings as Emulated, address};
 use plumbline_testkit::job::program;
 use plumbline_testkit::rig::verdict::Verdict;
 use plumbline_testkit::rig::{Cli, Given, Rig, Step, communication, excitation, gravity};
-use std::net::Ipv4Addr;
-use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::Duration;
 
 /// A Panda on a wall, and the words that begin a step with it.
@@ -20,13 +18,12 @@ struct Scene {
 }
 
 fn scene() -> Scene {
-    static NEXT: AtomicU8 = AtomicU8::new(1);
-    let address = Ipv4Addr::new(127, 47, (std::process::id() % 250) as u8, NEXT.fetch_add(1, Ordering::Relaxed));
+    let address = address();
     // A test machine stalls now and then: this robot's time waits for it.
     let emulated = Emulated {
         mounting: Mounting::WALL,
         patience: Duration::from_millis(20),
-        ..Emulated::new(std::net::IpAddr::V4(address), Protocol::V5)
+        ..Emulated::new(address, Protocol::V5)
     };
     let folder = tempfile::tempdir().unwrap();
     let config = concat!(env!("CARGO_MANIFEST_DIR"), "/config/panda-emulator-wall.toml");

@@ -1,18 +1,16 @@
 //! Clients of other origin, libfranka 0.9 and 0.21 in Python, believe the emulator. More of them: `hil/fci-peers/run.sh`.
 
 use plumbline_franka::wire::Protocol;
-use plumbline_testkit::emulator::{Emulator, Fault, Hand, Settings};
+use plumbline_testkit::emulator::{Emulator, Fault, Hand, Settings, address};
 use plumbline_testkit::peers;
 use serde::Deserialize;
 use std::io::{BufRead, BufReader, Read};
-use std::net::{IpAddr, Ipv4Addr};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
 /// How long the emulator waits for a command: a test must not fail because the machine stalls.
 const PATIENCE: Duration = Duration::from_millis(5);
-/// A stall beyond twenty times that.
 const STALL: &str = "0.4";
 
 /// One exercise, as the program reports it.
@@ -27,11 +25,8 @@ fn peers_dir() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("hil/fci-peers")
 }
 
-fn settings(host: u8, protocol: Protocol, library: Option<Vec<u8>>) -> Settings {
-    // The port is fixed, so every process has a network of its own.
-    let [.., high, low] = std::process::id().to_be_bytes();
-    let address: IpAddr = Ipv4Addr::new(127, 128 | high >> 2, low, host).into();
-    Settings { patience: PATIENCE, model_library: library, ..Settings::new(address, protocol) }
+fn settings(protocol: Protocol, library: Option<Vec<u8>>) -> Settings {
+    Settings { patience: PATIENCE, model_library: library, ..Settings::new(address(), protocol) }
 }
 
 /// The model library for clients before version 8.
@@ -119,8 +114,8 @@ const EXERCISES: [&str; 20] = [
 #[test]
 fn libfranka_0_9_drives_a_panda() {
     let Some(python) = peers::interpreter_in("libfranka-0.9", &["panda-python==1.1.1"]) else { return };
-    let served = settings(1, Protocol::V5, Some(library()));
-    let done = drive(&python, "panda_python.py", served, settings(2, Protocol::V10, None));
+    let served = settings(Protocol::V5, Some(library()));
+    let done = drive(&python, "panda_python.py", served, settings(Protocol::V10, None));
     let (shared, own) = done.split_at(EXERCISES.len());
     assert_eq!(shared, EXERCISES);
     assert_eq!(own, ["its own motions"]);
@@ -130,6 +125,6 @@ fn libfranka_0_9_drives_a_panda() {
 fn libfranka_0_21_drives_an_fr3() {
     let requirements = ["pylibfranka==0.21.3", "franky-control==2.0.0"];
     let Some(python) = peers::interpreter_in("libfranka-0.21", &requirements) else { return };
-    let served = settings(3, Protocol::V10, None);
-    assert_eq!(drive(&python, "pylibfranka_client.py", served, settings(4, Protocol::V5, None)), EXERCISES);
+    let served = settings(Protocol::V10, None);
+    assert_eq!(drive(&python, "pylibfranka_client.py", served, settings(Protocol::V5, None)), EXERCISES);
 }

@@ -4,11 +4,10 @@ use plumbline::store::load_plan;
 use plumbline_excite::Plan;
 use plumbline_franka::wire::{Protocol, RobotMode};
 use plumbline_testkit::emulator::limits::{JOINTS, Limits};
-use plumbline_testkit::emulator::{Emulator, READY, RobotKind, Settings, Snapshot};
+use plumbline_testkit::emulator::{Emulator, READY, RobotKind, Settings, Snapshot, address};
 use plumbline_testkit::job::{Done, Place, Running, plumbline, wait_for};
-use std::net::{IpAddr, Ipv4Addr};
+use std::net::IpAddr;
 use std::process::Command;
-use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::Duration;
 
 /// An FR3 whose description has tighter limits than the robot file: less range and speed in every joint, and a speed that falls earlier.
@@ -37,9 +36,7 @@ struct Scene {
 
 impl Scene {
     fn new(name: &str, limits: Option<Limits>, start: [f64; JOINTS]) -> Scene {
-        static NEXT: AtomicU8 = AtomicU8::new(1);
-        let address =
-            Ipv4Addr::new(127, 48, (std::process::id() % 250) as u8, NEXT.fetch_add(1, Ordering::Relaxed)).into();
+        let address = address();
         // A loaded test machine stalls the daemon: the robot's time waits for its commands.
         let patience = Duration::from_millis(500);
         let settings = Settings { limits, start, patience, ..Settings::new(address, Protocol::V10) };
@@ -91,8 +88,8 @@ impl Scene {
     /// Nothing was driven: the arm is where it was.
     fn assert_at_rest(&self, done: &Done) {
         let state = self.arm().state;
-        assert_eq!(state.robot_mode, RobotMode::Idle, "{}", done.said());
-        assert!((0..JOINTS).all(|j| (state.q_d[j] - READY[j]).abs() < 1e-6), "{:?}\n{}", state.q_d, done.said());
+        assert_eq!(state.robot_mode, RobotMode::Idle, "{}", done.output());
+        assert!((0..JOINTS).all(|j| (state.q_d[j] - READY[j]).abs() < 1e-6), "{:?}\n{}", state.q_d, done.output());
     }
 }
 
@@ -108,7 +105,7 @@ fn motions_are_planned_under_the_limits_of_the_connected_arm() {
             assert!(limits.dq[j] <= 0.99 * narrow.dq[j], "{name}: {limits:?}");
         }
     }
-    assert!(done.out.contains("2 motions, each uses per joint at least [%]: range "), "{}", done.said());
+    assert!(done.out.contains("2 motions, each uses per joint at least [%]: range "), "{}", done.output());
 }
 
 /// A plan for the robot file's limits, as an earlier version or another arm has left it.
@@ -116,20 +113,19 @@ fn motions_are_planned_under_the_limits_of_the_connected_arm() {
 fn a_plan_past_the_connected_arms_limits_is_refused_before_anything_moves() {
     let scene = Scene::new("limits-plan", Some(narrow()), READY);
     let plan = scene.place.path().join("plan.toml");
-    let mut planned = plumbline();
-    planned.args(["plan", "--robot", "fr3", "--starts", "1", "--rounds", "0", "--out"]).arg(&plan);
-    Done::of(planned).expect_code(0);
+    Done::of(plumbline().args(["plan", "--robot", "fr3", "--starts", "1", "--rounds", "0", "--out"]).arg(&plan))
+        .expect_code(0);
     let set = format!("excitation.plan={}", plan.display());
     for verb in ["run", "daemon"] {
         let done = Done::of(scene.command(verb, &[&set])).expect_code(2);
-        assert!(done.err.contains("plan.toml: motion: got joint "), "{}", done.said());
+        assert!(done.err.contains("plan.toml: motion: got joint "), "{}", done.output());
         assert!(
             done.err.contains("a motion inside every limit of the job and of the connected arm"),
             "{}",
-            done.said()
+            done.output()
         );
         let next = "Without `excitation.plan` in config/fr3.toml, `plumbline run config/fr3.toml` plans a motion";
-        assert!(done.err.contains(next), "{}", done.said());
+        assert!(done.err.contains(next), "{}", done.output());
         scene.assert_at_rest(&done);
     }
 }
@@ -149,8 +145,8 @@ fn an_arm_with_other_limits_than_at_the_daemons_start_is_not_driven() {
     scene.place.command("start").expect_code(0);
     let done = daemon.end().expect_code(1);
     let words = "the connected arm has other limits than when this daemon started";
-    assert!(done.err.contains(words) && done.err.contains("nothing has moved"), "{}", done.said());
-    assert!(done.err.contains("`plumbline run config/fr3.toml`"), "{}", done.said());
+    assert!(done.err.contains(words) && done.err.contains("nothing has moved"), "{}", done.output());
+    assert!(done.err.contains("`plumbline run config/fr3.toml`"), "{}", done.output());
     scene.assert_at_rest(&done);
 }
 
@@ -164,7 +160,7 @@ fn an_arm_that_stands_outside_the_jobs_limits_is_told_what_to_do() {
     let done = Done::of(scene.command("run", &[q_max, start])).expect_code(1);
     let words =
         "joint 6 stands at 1.5708 rad, outside the range of job and arm, 0.4398 to 1.5000 rad; nothing has moved";
-    assert!(done.err.contains(words) && done.err.contains("by hand (guiding mode)"), "{}", done.said());
-    assert!(!done.err.contains("while braking"), "{}", done.said());
+    assert!(done.err.contains(words) && done.err.contains("by hand (guiding mode)"), "{}", done.output());
+    assert!(!done.err.contains("while braking"), "{}", done.output());
     scene.assert_at_rest(&done);
 }

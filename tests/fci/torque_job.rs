@@ -3,18 +3,14 @@
 
 use plumbline_franka::wire::{Protocol, RobotMode};
 use plumbline_model::Mounting;
-use plumbline_testkit::emulator::{Emulator, Settings};
+use plumbline_testkit::emulator::{Emulator, Settings, address};
 use plumbline_testkit::job::{Done, Place, plumbline};
-use std::net::{IpAddr, Ipv4Addr};
 use std::process::Command;
-use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::Duration;
 
 /// A Panda on a wall, and `plumbline run` with torque commands for it.
 fn scene(name: &str) -> (Emulator, Place, Command) {
-    static NEXT: AtomicU8 = AtomicU8::new(1);
-    let address: IpAddr =
-        Ipv4Addr::new(127, 50, (std::process::id() % 250) as u8, NEXT.fetch_add(1, Ordering::Relaxed)).into();
+    let address = address();
     // A loaded test machine stalls the daemon: the robot's time waits for its commands.
     let patience = Duration::from_millis(500);
     let settings = Settings { mounting: Mounting::WALL, patience, ..Settings::new(address, Protocol::V5) };
@@ -45,10 +41,14 @@ fn a_torque_controlled_job_on_a_wall_waits_for_the_models_check_and_is_driven_to
     let (emulator, place, mut command) = scene("torque-job");
     command.args(["--model", "config/models/panda-paper-table3.toml"]);
     let done = Done::of(command).expect_code(0);
-    let waits = done.err.find("the start waits").unwrap_or_else(|| panic!("{}", done.said()));
-    assert!(done.err.find("the arm is mounted wall").is_some_and(|drives| waits < drives), "{}", done.said());
-    assert_eq!(emulator.snapshot().state.robot_mode, RobotMode::Idle, "{}", done.said());
-    assert!(place.out().join("model.toml").is_file() && done.err.contains("everything was driven"), "{}", done.said());
+    let waits = done.err.find("the start waits").unwrap_or_else(|| panic!("{}", done.output()));
+    assert!(done.err.find("the arm is mounted wall").is_some_and(|drives| waits < drives), "{}", done.output());
+    assert_eq!(emulator.snapshot().state.robot_mode, RobotMode::Idle, "{}", done.output());
+    assert!(
+        place.out().join("model.toml").is_file() && done.err.contains("everything was driven"),
+        "{}",
+        done.output()
+    );
 }
 
 #[test]
@@ -56,7 +56,7 @@ fn a_torque_controlled_job_on_a_wall_without_a_model_is_refused() {
     let (emulator, _place, command) = scene("torque-none");
     let done = Done::of(command).expect_code(1);
     for words in ["would fall", "[0.00, 0.00, -9.81]", "no model", "or command positions"] {
-        assert!(done.err.contains(words), "{words}: {}", done.said());
+        assert!(done.err.contains(words), "{words}: {}", done.output());
     }
-    assert_eq!(emulator.snapshot().state.dq_d, [0.0; 7], "{}", done.said());
+    assert_eq!(emulator.snapshot().state.dq_d, [0.0; 7], "{}", done.output());
 }

@@ -11,9 +11,7 @@ use plumbline_rt::Rights;
 use plumbline_rt::cycle::End;
 use plumbline_rt::recorder::ring;
 use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, cycle};
-use plumbline_testkit::emulator::{Emulator, Settings as Emulated};
-use std::net::Ipv4Addr;
-use std::sync::atomic::{AtomicU8, Ordering};
+use plumbline_testkit::emulator::{Emulator, Settings as Emulated, address};
 use std::time::Duration;
 
 /// Largest way of a joint in the first second \[rad\].
@@ -47,13 +45,11 @@ impl FeedForward for Links {
     }
 }
 
-/// What a start came to.
 struct Start {
     /// Largest way of any joint from where it stood \[rad\].
     way: f64,
     /// Joint that went that way, from 1.
     joint: usize,
-    /// What ended it before its time.
     ended: Option<String>,
 }
 
@@ -79,8 +75,8 @@ fn start(settings: &Settings, mounting: &Mounting) -> Start {
     assert!(handles.orders.give(Order { motion: 1, kind: OrderKind::Dwell { ticks: SECOND } }).is_ok());
     let looping = std::thread::spawn(move || cycle.run());
     while !looping.is_finished() {
-        while let Ok(told) = handles.events.pop() {
-            if matches!(told.event, Event::Ended { .. } | Event::Stopping { .. }) {
+        while let Ok(timed) = handles.events.pop() {
+            if matches!(timed.event, Event::Ended { .. } | Event::Stopping { .. }) {
                 handles.controls.quit();
             }
         }
@@ -109,11 +105,10 @@ fn start(settings: &Settings, mounting: &Mounting) -> Start {
 
 /// An emulated Panda in `mounting` that compensates what an upright arm needs, and what reaches it.
 fn arm(mounting: Mounting) -> (Emulator, Settings) {
-    static NEXT: AtomicU8 = AtomicU8::new(1);
-    let address = Ipv4Addr::new(127, 49, (std::process::id() % 250) as u8, NEXT.fetch_add(1, Ordering::Relaxed));
+    let address = address();
     // The robot's time waits for this machine: what is measured is torque.
     let patience = Duration::from_millis(200);
-    let emulated = Emulated { mounting, patience, ..Emulated::new(std::net::IpAddr::V4(address), Protocol::V5) };
+    let emulated = Emulated { mounting, patience, ..Emulated::new(address, Protocol::V5) };
     let settings = Settings {
         interface: Interface::Torque,
         state_timeout: Duration::from_secs(1),

@@ -13,7 +13,6 @@ fn small_recording() -> Vec<u8> {
     recording(&of, 50, None).to_bytes().unwrap()
 }
 
-/// Reads a recording and, with `all`, also analyses and replays it.
 fn read_and_analyse(bytes: &[u8], all: bool) -> bool {
     let Ok(recording) = Recording::parse("fuzz", bytes) else { return false };
     if all {

@@ -73,7 +73,6 @@ struct RecordedRun {
     models: Vec<u64>,
 }
 
-/// An action on the handles of the loop.
 type Action = fn(&mut Handles);
 
 /// Runs a job with orders and models from the start, faults of the arm, and actions during the run. `later` lists the orders and
@@ -138,14 +137,14 @@ fn recording(of: &RecordedRun, first: u64, lose: Option<u64>) -> Recording {
     of.orders.iter().for_each(|order_data| history.push_order(order_data.clone()));
     of.models.iter().for_each(|&id| history.push_model(RecordedModel { id, gravity: [0.0, 0.0, -9.81], vendor: None }));
     // Events arrive before their records, as in the daemon.
-    let mut events = of.run.told.iter().peekable();
+    let mut events = of.run.timed.iter().peekable();
     for record in of.run.records.iter().filter(|record| Some(record.cycle) != lose) {
-        while let Some(told) = events.next_if(|told| told.cycle <= record.cycle + 3) {
-            history.push_event(*told);
+        while let Some(timed) = events.next_if(|timed| timed.cycle <= record.cycle + 3) {
+            history.push_event(*timed);
         }
         history.push_records(&[*record]);
     }
-    events.for_each(|told| history.push_event(*told));
+    events.for_each(|timed| history.push_event(*timed));
     let window = history.window(first, &[]);
     let last = *window.records.last().unwrap();
     let about = about(&window, of.run.outcome.end.to_string(), of.run.outcome.summary.dropped_events);
@@ -188,7 +187,7 @@ fn assert_replays_identically(of: &RecordedRun) {
     let mut firsts = vec![0, 1, 3, cycles - 5];
     firsts.extend((0..8).map(|_| rng.random_range(0..cycles - 4)));
     // Around every event.
-    firsts.extend(of.run.told.iter().flat_map(|told| [0, 1, 4].map(|back| (told.cycle + 1).saturating_sub(back))));
+    firsts.extend(of.run.timed.iter().flat_map(|timed| [0, 1, 4].map(|back| (timed.cycle + 1).saturating_sub(back))));
     for first in firsts.into_iter().filter(|first| *first + 4 < cycles) {
         let recording = recording(of, first, None);
         let replayed = replay_of(&recording).unwrap_or_else(|error| panic!("from {first}: {error}"));

@@ -38,12 +38,12 @@ fn first_limit_is_that_of_the_last_stop() {
     let later = (vec![move_to(9, READY)], Vec::new());
     let of = run_loop(arm, 9_000, whole_job(), vec![3], later, vec![(5_500, resume), (5_600, give)]);
     let stops: Vec<u64> =
-        of.run.told.iter().filter(|t| matches!(t.event, Event::Stopping { .. })).map(|t| t.cycle).collect();
-    assert_eq!(stops.len(), 2, "{:?}", of.run.told);
+        of.run.timed.iter().filter(|t| matches!(t.event, Event::Stopping { .. })).map(|t| t.cycle).collect();
+    assert_eq!(stops.len(), 2, "{:?}", of.run.timed);
     let facts = |last: u64| {
         let mut recording = recording(&of, 4_000, None);
         recording.records.retain(|record| record.cycle <= last);
-        recording.events.retain(|told| told.cycle <= last);
+        recording.events.retain(|timed| timed.cycle <= last);
         Facts::of("two", &recording, None)
     };
     let (first, second) = (facts(stops[0] + 300).first_limit, facts(u64::MAX).first_limit);
@@ -157,14 +157,13 @@ fn replay_starts_after_a_gap_and_detects_altered_data() {
     let replayed = replay_of(&altered).unwrap();
     assert!(replayed.is_identical() && replayed.first > 4_900, "{replayed:?}");
     altered.about.under_way = Default::default();
-    altered.events.retain(|told| !matches!(told.event, Event::Stopping { .. }));
+    altered.events.retain(|timed| !matches!(timed.event, Event::Stopping { .. }));
     assert!(!replay_of(&altered).is_ok_and(|replayed| replayed.is_identical()));
     let mut altered = recording(&of, 3_000, None);
     altered.about.models.clear();
     assert!(matches!(replay_of(&altered), Err(ReplayError::Missing { .. })));
 }
 
-/// A sink that is always full.
 struct FullSink;
 
 impl Sink for FullSink {
@@ -199,7 +198,7 @@ fn a_panic_in_the_loop_stops_the_arm_and_is_replayed() {
     let mut history = History::new(2_000, JOINTS, [0.1; MAX_JOINTS]);
     history.push_order(move_to(1, AWAY));
     history.push_model(RecordedModel { id: 7, gravity: [0.0, 0.0, -9.81], vendor: None });
-    std::iter::from_fn(|| handles.events.pop().ok()).for_each(|told| history.push_event(told));
+    std::iter::from_fn(|| handles.events.pop().ok()).for_each(|timed| history.push_event(timed));
     let window = history.window(0, &flight);
     let about = about(&window, panicked(&panic_message(&*panic)), 0);
     let unanswered = unanswered.map(|state| Record { cycle: 899, state, ..Record::default() });

@@ -2,7 +2,6 @@
 
 use plumbline_testkit::fuzz::files::{Bench, Files, TARGETS, Tally, case};
 
-/// Cases of this test.
 const CASES: u64 = 4_000;
 
 #[test]

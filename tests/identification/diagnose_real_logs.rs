@@ -10,7 +10,6 @@ use plumbline_testkit::logs;
 use std::path::Path;
 use std::process::Command;
 
-/// One row of the page.
 struct Row {
     dataset: &'static str,
     options: &'static str,

@@ -3,8 +3,8 @@
 use plumbline::store::ModelFile;
 use plumbline_core::{Limits, MAX_JOINTS};
 use plumbline_excite::{
-    Bounds, Criterion, ExciteError, Grid, Margins, Nominal, Objective, Problem, Progress, Quantity, Search,
-    SearchControl, Smoothing, optimise, random_plan, stacked_conditions, verify_with_guard,
+    Bounds, Criterion, Grid, Margins, Nominal, Objective, Problem, Progress, Quantity, Search, SearchControl,
+    Smoothing, optimise, random_plan, stacked_conditions, verify_with_guard,
 };
 use plumbline_model::{Mounting, Reduction, Robot, Structure};
 use rand::{Rng, SeedableRng};
@@ -186,12 +186,4 @@ fn a_second_motion_complements_the_first() {
     let both = stacked_conditions(&problem, &[first.clone(), second]).raw;
     let any = stacked_conditions(&problem, &[first.clone(), find(2, &[])]).raw;
     assert!(both < 0.9 * alone && both < any, "{alone} alone, {both} with its complement, {any} with any other");
-}
-
-#[test]
-fn too_few_harmonics_are_refused() {
-    let arm = Arm::panda();
-    let search = Search { harmonics: 2, ..short() };
-    let error = optimise(&arm.problem(None), &search, &[], &SearchControl::with_threads(1)).unwrap_err();
-    assert_eq!(error, ExciteError::Harmonics { harmonics: 2 });
 }

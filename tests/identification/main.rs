@@ -6,7 +6,6 @@ mod dataset_form;
 mod dataset_table3;
 mod diagnose_real_logs;
 mod estimate_direction;
-mod estimate_real_logs;
 mod excite_optimiser;
 mod export_c;
 mod export_peers;

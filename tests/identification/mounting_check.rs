@@ -72,18 +72,21 @@ fn the_words_say_who_and_by_how_much() {
     let poses = [at_rest(&model, &Mounting::WALL, READY)];
     let torques = implied_gravity(&model, &poses, &NOISE).unwrap().unwrap();
     let sides = [GravitySource::declared(&Mounting::WALL), sensor(&tilted(Mounting::WALL, 9.0), 0.3), torques.side];
-    let said = cross_check(&sides, TOLERANCE).unwrap_err().to_string();
+    let message = cross_check(&sides, TOLERANCE).unwrap_err().to_string();
     for part in [
         "the inclinometer is off by 9.00 deg",
         "5.00 deg",
         "the declared mounting and the inclinometer: 9.00 +- 0.30 deg",
     ] {
-        assert!(said.contains(part), "no `{part}` in {said}");
+        assert!(message.contains(part), "no `{part}` in {message}");
     }
     // Two that disagree: nobody can say who is wrong.
     let two = [GravitySource::declared(&Mounting::WALL), sensor(&Mounting::UPRIGHT, 0.3)];
-    let said = cross_check(&two, TOLERANCE).unwrap_err();
-    assert!(matches!(said, Disagreement::Unclear { .. }) && said.to_string().contains("90.00 +- 0.30 deg"), "{said}");
+    let message = cross_check(&two, TOLERANCE).unwrap_err();
+    assert!(
+        matches!(message, Disagreement::Unclear { .. }) && message.to_string().contains("90.00 +- 0.30 deg"),
+        "{message}"
+    );
     // Three of which no two agree: likewise.
     let three = [
         GravitySource::declared(&Mounting::WALL),
@@ -129,9 +132,9 @@ fn noise_and_friction_that_holds_the_arm_do_not_raise_a_false_alarm() {
 fn an_upside_down_base_and_a_wrong_sign_are_found_without_any_motion() {
     let model = panda();
     let hanging = implied_gravity(&model, &[at_rest(&model, &Mounting::CEILING, READY)], &NOISE).unwrap().unwrap();
-    let said =
+    let message =
         cross_check(&[GravitySource::declared(&Mounting::UPRIGHT), hanging.side], TOLERANCE).unwrap_err().to_string();
-    assert!(said.contains("180.00"), "{said}");
+    assert!(message.contains("180.00"), "{message}");
     let mut pose = at_rest(&model, &Mounting::UPRIGHT, READY);
     pose.tau[3] = -pose.tau[3];
     let wrong = implied_gravity(&model, &[pose], &NOISE).unwrap().unwrap_err();
@@ -149,7 +152,7 @@ fn a_payload_shows_as_strength_and_widens_the_uncertainty_instead_of_turning_gra
     }
     let found = implied_gravity(&model, &[loaded], &NOISE).unwrap().unwrap();
     assert!(
-        (found.strength - 1.4).abs() < 0.1 && found.remark().is_some_and(|said| said.contains("payload")),
+        (found.strength - 1.4).abs() < 0.1 && found.remark().is_some_and(|message| message.contains("payload")),
         "{found:?}"
     );
     assert_eq!(implied_gravity(&model, &[right], &NOISE).unwrap().unwrap().remark(), None);

@@ -17,7 +17,6 @@ fn model() -> (TorqueModel, Limits) {
     (file.model, robot.limits)
 }
 
-/// The same model with other numbers.
 fn with(model: &TorqueModel, change: impl Fn(usize, f64) -> f64) -> TorqueModel {
     let values: Vec<(f64, Option<f64>)> =
         model.beta().iter().enumerate().map(|(k, value)| (change(k, *value), None)).collect();

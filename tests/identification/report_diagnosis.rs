@@ -131,7 +131,7 @@ fn report(diagnosis: Diagnosis) -> Report {
 }
 
 /// The lines of the summary that speak of the diagnosis.
-fn said(diagnosis: Diagnosis) -> Vec<String> {
+fn summary_of(diagnosis: Diagnosis) -> Vec<String> {
     let lines = report(diagnosis).summary();
     // Right after the line that names the robot, before everything else.
     assert!(lines[0].starts_with("panda, mounting wall: 59 base parameters"), "{}", lines[0]);
@@ -209,7 +209,7 @@ fn what_is_not_a_number_becomes_null_and_comes_back() {
     assert!(back.before.validate_rms[0].is_nan() && back.before.intervals[0].iter().all(|end| end.is_nan()));
     assert!(back.noise_floor[6].is_nan() && back.scores[2].score.is_nan());
     assert!(back.effects[0].parameters.0[0].value.is_nan() && back.effects[0].evidence.is_none());
-    let lines = said(back);
+    let lines = summary_of(back);
     assert!(lines[0].contains("(delta -, fp4 0.160 +- 0.012 Nm)"), "{}", lines[0]);
     assert!(lines.iter().any(|line| line.starts_with("RMS before [Nm]: -  0.151 [0.148 0.154]")), "{lines:#?}");
     assert!(!lines.join(" ").contains("NaN"));
@@ -217,7 +217,7 @@ fn what_is_not_a_number_becomes_null_and_comes_back() {
 
 #[test]
 fn one_effect_is_in_the_first_line() {
-    let lines = said(diagnosed());
+    let lines = summary_of(diagnosed());
     assert_eq!(
         lines[0],
         "diagnosis: presliding in joint 4 (delta 2.14 +- 0.10 mrad, fp4 0.160 +- 0.012 Nm), confirmed in 4 of 4 trajectories"
@@ -233,33 +233,9 @@ fn one_effect_is_in_the_first_line() {
     assert_eq!(lines.len(), 5);
     let mut filtered = diagnosed();
     filtered.band = Band::Filtered { cutoff: 4.0 };
-    let lines = said(filtered);
+    let lines = summary_of(filtered);
     assert!(lines[2].starts_with("noise floor [Nm] after a 4 Hz zero-phase low-pass: 0.150  0.151"), "{}", lines[2]);
     assert!(lines[1].starts_with("error on unseen runs after a 4 Hz zero-phase low-pass, worst joint (4): "));
-}
-
-#[test]
-fn several_effects_are_listed() {
-    let mut diagnosis = diagnosed();
-    let offset = Effect {
-        id: "torque-offset".into(),
-        joints: vec![1],
-        parameters: Parameters(vec![parameter("offset1", 0.31, 0.004, "Nm")]),
-        folds: Folds::default(),
-        confirmed: false,
-        ..presliding(1)
-    };
-    let coupling = Effect { id: "transmission-coupling".into(), joints: vec![6, 5], in_model: false, ..presliding(6) };
-    diagnosis.effects.extend([offset, coupling]);
-    diagnosis.confirmation = Some(Confirmation::OneTrajectory);
-    let lines = said(diagnosis);
-    assert_eq!(lines[0], "diagnosis: 3 effects found");
-    assert!(lines[1].starts_with("- presliding in joint 4 (delta 2.1"), "{}", lines[1]);
-    assert_eq!(lines[2], "- torque offset in joint 1 (offset1 0.310 +- 0.004 Nm), unconfirmed (one trajectory)");
-    assert!(
-        lines[3].starts_with("- transmission coupling in joints 6 and 5 (")
-            && lines[3].ends_with("; not added to the model")
-    );
 }
 
 #[test]
@@ -271,7 +247,7 @@ fn non_numeric_values() {
     diagnosis.after = diagnosis.before.clone();
     diagnosis.minimum_detectable.get_mut("rotor-inertia").unwrap().torque_rms[2] = 0.0412;
     diagnosis.minimum_detectable.get_mut("rotor-inertia").unwrap().torque_rms[0] = f64::NAN;
-    let lines = said(diagnosis.clone());
+    let lines = summary_of(diagnosis.clone());
     assert_eq!(
         lines[0],
         "diagnosis: nothing significant: any known effect of 0.0412 Nm RMS or more would have been seen, unless the base parameters \
@@ -281,116 +257,7 @@ fn non_numeric_values() {
     assert!(lines[2].starts_with("RMS [Nm]: 0.150 [") && lines.len() == 3, "{lines:#?}");
 
     diagnosis.minimum_detectable.clear();
-    assert!(said(diagnosis)[0].ends_with("how small an effect would have been seen is not known"));
-}
-
-#[test]
-fn rivals_are_listed_with_the_deciding_experiment() {
-    let mut diagnosis = diagnosed();
-    diagnosis.verdict = Verdict::Ambiguous;
-    diagnosis.effects[0].alternatives = vec!["stribeck".into(), "delay".into()];
-    let lines = said(diagnosis.clone());
-    assert!(lines[0].starts_with("diagnosis: ambiguous: presliding in joint 4 ("), "{}", lines[0]);
-    assert!(lines[0].ends_with("trajectories; or stribeck, or delay"), "{}", lines[0]);
-    let rival = |id: &str, joints: &[usize], gap| Alternative {
-        id: id.into(),
-        joints: joints.to_vec(),
-        score_gap: gap,
-        deciding_experiment: "move joint 4 at constant speeds of 0.02 to 0.3 rad/s".into(),
-    };
-    diagnosis.effects[0].alternatives_detail = vec![rival("stribeck", &[4], Some(3.21)), rival("delay", &[], None)];
-    let line = said(diagnosis).remove(0);
-    assert!(
-        line.ends_with(
-            "; or stribeck in joint 4 (score 3.21 lower), or delay; to decide: move joint 4 at constant speeds of 0.02 to 0.3 rad/s"
-        ),
-        "{line}"
-    );
-}
-
-#[test]
-fn what_stays_unexplained_is_said_with_what_it_depends_on() {
-    let mut diagnosis = diagnosed();
-    diagnosis.verdict = Verdict::Unexplained;
-    diagnosis.effects.clear();
-    diagnosis.unexplained = vec![unexplained()];
-    let lines = said(diagnosis.clone());
-    assert_eq!(
-        lines[0],
-        "diagnosis: unexplained: joint 2 has 0.110 Nm beyond its noise (0.020) that depends on q2 and dq4 (R2 0.82); to decide: sweep joint 2 \
-         slowly while joint 4 rests"
-    );
-    let open = Unexplained { joint: 5, note: "line at 7.3 Hz".into(), ..Unexplained::default() };
-    diagnosis.unexplained.push(open);
-    let lines = said(diagnosis.clone());
-    assert_eq!(lines[0], "diagnosis: unexplained: 2 joints unexplained");
-    assert_eq!(lines[2], "- joint 5 has a residual beyond its noise for which no dependence was found; line at 7.3 Hz");
-    diagnosis.unexplained.clear();
-    assert_eq!(said(diagnosis)[0], "diagnosis: unexplained");
-}
-
-#[test]
-fn partly_explained_names_both_sides() {
-    let mut diagnosis = diagnosed();
-    diagnosis.verdict = Verdict::Partly;
-    diagnosis.unexplained = vec![unexplained()];
-    diagnosis.after.validate_rms[1] = 0.19;
-    let lines = said(diagnosis);
-    assert_eq!(lines[0], "diagnosis: partly explained: 1 effect, 1 joint unexplained");
-    assert!(lines[1].starts_with("- presliding in joint 4") && lines[2].starts_with("- joint 2 has 0.110 Nm"));
-    assert_eq!(
-        lines[3],
-        "error on unseen runs, worst joint (4): 0.320 -> 0.150 Nm (noise floor 0.149); worst now (2): 0.190 (noise floor 0.151)"
-    );
-}
-
-#[test]
-fn a_withheld_effect_does_not_change_the_error() {
-    let mut diagnosis = diagnosed();
-    diagnosis.verdict = Verdict::Unexplained;
-    diagnosis.effects[0].in_model = false;
-    diagnosis.effects[0].folds = Folds { positive: 1, informative: 4 };
-    diagnosis.effects[0].confirmed = false;
-    let lines = said(diagnosis);
-    assert!(lines[0].ends_with("unconfirmed (held in 1 of 4 trajectories); not added to the model"), "{}", lines[0]);
-    assert_eq!(
-        lines[1],
-        "error on unseen runs, worst joint (4): 0.320 Nm (noise floor 0.149); no effect was added to the model"
-    );
-}
-
-#[test]
-fn changes_name_the_reference() {
-    let payload = Effect {
-        id: "payload".into(),
-        joints: vec![7],
-        parameters: Parameters(vec![parameter("mass", 0.7312, 0.0041, "kg"), parameter("com_x", 0.0123, 0.0008, "m")]),
-        stratum: Stratum::Reference,
-        in_model: false,
-        ..presliding(7)
-    };
-    let changes = |effects| Changes { since: "wall.toml".into(), effects, ..Changes::default() };
-    let mut diagnosis =
-        Diagnosis { verdict: Verdict::Diagnosed, changes: vec![changes(vec![payload])], ..Diagnosis::default() };
-    assert_eq!(
-        said(diagnosis.clone()),
-        [
-            "diagnosis: since wall.toml: payload in joint 7 (mass 0.731 +- 0.004 kg, com_x 12.3 +- 0.8 mm), confirmed in 4 of 4 trajectories"
-        ]
-    );
-    diagnosis.changes[0].effects[0].since_session = Some(2);
-    assert!(said(diagnosis.clone())[0].starts_with("diagnosis: since wall.toml: payload in joint 7 since session 2 ("));
-    diagnosis.verdict = Verdict::NothingSignificant;
-    diagnosis.changes = vec![changes(Vec::new())];
-    let lines = said(diagnosis);
-    assert!(lines[0].starts_with("diagnosis: nothing significant") && lines[1] == "- since wall.toml: nothing changed");
-}
-
-#[test]
-fn a_report_without_a_diagnosis_has_no_such_section() {
-    let bare = Report { robot: "panda".into(), ..Report::default() };
-    assert!(!bare.summary().join("\n").contains("diagnosis"));
-    assert!(!bare.to_json().unwrap().contains("diagnosis"));
+    assert!(summary_of(diagnosis)[0].ends_with("how small an effect would have been seen is not known"));
 }
 
 /// Curves as a diagnosis hands them over: presliding in joint 4, and something over q2 and dq4 in joint 2.

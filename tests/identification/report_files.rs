@@ -102,7 +102,6 @@ fn ipc(sent: u64, received: u64) -> IpcReport {
     IpcReport { sent, counters: StreamCounters { received, ..StreamCounters::default() } }
 }
 
-/// A connection as the daemon describes it.
 fn session(name: &str) -> Session {
     let times = |p50_ns: u64| Distribution {
         count: 65_536,
@@ -234,10 +233,10 @@ fn a_session_in_simulated_time_has_no_late_cycles() {
     (statistics.late, statistics.wake_up, fast.allocations) = (None, Distribution::default(), None);
     let of = report.control_loop.as_mut().unwrap();
     (of.pace, of.late, of.sessions) = (Pace::Fast, None, vec![fast]);
-    let said = report.summary().join("\n");
-    assert!(said.contains("as fast as possible") && said.contains("allocations not watched"), "{said}");
+    let message = report.summary().join("\n");
+    assert!(message.contains("as fast as possible") && message.contains("allocations not watched"), "{message}");
     let page = report.to_html(&Figures::default()).unwrap();
-    assert!(!said.contains(" late") && !said.contains("wake-up") && !page.contains("wake-up, wall"), "{said}");
+    assert!(!message.contains(" late") && !message.contains("wake-up") && !page.contains("wake-up, wall"), "{message}");
 }
 
 #[test]
@@ -248,9 +247,10 @@ fn filtered_errors_are_labelled_and_not_compared_with_a_raw_floor() {
         run.rms = run.rms_filtered.clone();
         run.served_rms = None;
     }
-    let said = report.summary().join("\n");
-    let line =
-        |start: &str| said.lines().find(|line| line.starts_with(start)).unwrap_or_else(|| panic!("{start} in {said}"));
+    let message = report.summary().join("\n");
+    let line = |start: &str| {
+        message.lines().find(|line| line.starts_with(start)).unwrap_or_else(|| panic!("{start} in {message}"))
+    };
     let filtered = line("RMS wall [Nm] after a 4 Hz zero-phase low-pass, 5 unseen runs: 0.01");
     assert!(!filtered.contains("noise floor"), "{filtered}");
     assert!(line("RMS wall [Nm], raw samples: 0.1").contains("of the noise floor"));
@@ -271,15 +271,15 @@ fn the_counter_experiment_names_the_joints_that_fail() {
     let sentence = |report: &Report| {
         report.summary().into_iter().find(|line| line.starts_with("counter-experiment")).expect("it was done")
     };
-    let said = sentence(&report);
-    assert!(said.contains("57 parameters, identified upright) is refused in mounting wall"), "{said}");
+    let message = sentence(&report);
+    assert!(message.contains("57 parameters, identified upright) is refused in mounting wall"), "{message}");
     assert!(
-        said.contains("is 0.225 Nm in joint 1 (generalized set 0.150) and changes by at most 0.00 % in the others"),
-        "{said}"
+        message.contains("is 0.225 Nm in joint 1 (generalized set 0.150) and changes by at most 0.00 % in the others"),
+        "{message}"
     );
     report.counter_experiment.as_mut().unwrap().forced_rms[3] *= 0.5;
-    let said = sentence(&report);
-    assert!(said.contains("0.225 Nm in joint 1") && said.contains("0.075 Nm in joint 4"), "{said}");
+    let message = sentence(&report);
+    assert!(message.contains("0.225 Nm in joint 1") && message.contains("0.075 Nm in joint 4"), "{message}");
     report.counter_experiment.as_mut().unwrap().forced_rms = FLOOR.map(|floor| floor * 1.02).to_vec();
     assert!(sentence(&report).contains("changes by at most 2.00 % in any joint"), "{}", sentence(&report));
 }
@@ -295,16 +295,16 @@ fn the_parameters_of_effects_are_counted_apart() {
     let term = spec.build(&plain.structure().operating_point(&plain.beta())).unwrap();
     let structure = structure.with(vec![term]).unwrap();
     let with_effect = TorqueModel::new("panda", structure.clone(), vec![], &values(&structure)).unwrap();
-    let said = |model: &TorqueModel| {
+    let counts_of = |model: &TorqueModel| {
         let report = Report { base: Base::of(model), ..report() };
         let page = report.to_html(&Figures::default()).unwrap();
         (report.summary()[0].clone(), report.base.count, report.base.effects, page)
     };
-    let (line, count, effects, page) = said(&plain);
+    let (line, count, effects, page) = counts_of(&plain);
     let counts = "59 base parameters (GBS: 45 rigid body, 14 friction)";
     assert_eq!((line, count, effects), (format!("panda, mounting wall: {counts}"), 59, 0));
     assert!(page.contains(counts) && page.contains("GBS of panda<"), "{page}");
-    let (line, count, effects, page) = said(&with_effect);
+    let (line, count, effects, page) = counts_of(&with_effect);
     assert_eq!((line, count, effects), (format!("panda, mounting wall: {counts}, and 1 of effects"), 59, 1));
     assert!(page.contains(&format!("{counts}, and 1 of effects")) && page.contains("GBS of panda, and 1 of effects"));
 }
@@ -312,7 +312,7 @@ fn the_parameters_of_effects_are_counted_apart() {
 #[test]
 fn the_summary_says_what_the_job_promises() {
     let mut report = report();
-    let said = report.summary().join("\n");
+    let message = report.summary().join("\n");
     let lines = [
         "59 base parameters (GBS)",
         "raw 131 (rigid body alone 123)",
@@ -326,12 +326,12 @@ fn the_summary_says_what_the_job_promises() {
         "131072 sent, 131072 received, none missing",
     ];
     for expected in lines {
-        assert!(said.contains(expected), "no `{expected}` in\n{said}");
+        assert!(message.contains(expected), "no `{expected}` in\n{message}");
     }
     report.ipc = Some(ipc(10, 9));
     report.identifiability.untrusted_runs = vec!["wall.csv".into()];
-    let said = report.summary().join("\n");
-    assert!(said.contains("10 sent, 9 received, NOT EQUAL") && said.contains("not valid: wall.csv"), "{said}");
+    let message = report.summary().join("\n");
+    assert!(message.contains("10 sent, 9 received, NOT EQUAL") && message.contains("not valid: wall.csv"), "{message}");
 }
 
 #[test]

@@ -61,17 +61,6 @@ fn a_model_file_round_trips_bitwise() {
 }
 
 #[test]
-fn a_model_is_saved_atomically() {
-    let room = tempfile::tempdir().unwrap();
-    let path = room.path().join("out/model.toml");
-    let file = made_up(BaseKind::Gbs);
-    file.save(&path).unwrap();
-    assert_eq!(ModelFile::load(&path, chain_of).unwrap().to_toml(), file.to_toml());
-    let lost = ModelFile::load(&room.path().join("none.toml"), chain_of).unwrap_err().to_string();
-    assert!(lost.contains("none.toml: file: got "), "{lost}");
-}
-
-#[test]
 fn every_wrong_model_is_refused_by_name() {
     let text = made_up(BaseKind::Gbs).to_toml();
     let spoil = |from: &str, to: &str| {
@@ -104,9 +93,9 @@ fn every_wrong_model_is_refused_by_name() {
         (spoil("[provenance]", "[provenance]\nauthor = \"me\""), "key `provenance.author`"),
         (spoil("[provenance]", "provenance"), "line "),
     ];
-    for (said, expected) in cases {
-        assert!(said.starts_with("model.toml: ") || said.contains("pandu"), "{said}");
-        assert!(said.contains(expected), "`{said}` does not say `{expected}`");
+    for (message, expected) in cases {
+        assert!(message.starts_with("model.toml: ") || message.contains("pandu"), "{message}");
+        assert!(message.contains(expected), "`{message}` does not say `{expected}`");
     }
 }
 
@@ -127,10 +116,10 @@ fn an_edited_or_truncated_model_is_refused() {
     ];
     for edited in &edits {
         assert_ne!(*edited, text);
-        let said = parse(edited).unwrap_err();
+        let message = parse(edited).unwrap_err();
         assert!(
-            said.starts_with("model.toml: key `content`: got \"sha256:") && said.contains("edited or truncated"),
-            "{said}"
+            message.starts_with("model.toml: key `content`: got \"sha256:") && message.contains("edited or truncated"),
+            "{message}"
         );
         // Whoever means it takes the seal off.
         parse(&edited.replacen(&format!("{seal}\n"), "", 1)).unwrap();
@@ -215,7 +204,10 @@ fn every_wrong_plan_is_refused() {
     ];
     for (from, to, expected) in cases {
         assert!(text.contains(from), "no `{from}` in\n{text}");
-        let said = parse_plan("plan.toml", &text.replacen(from, to, 1)).unwrap_err().to_string();
-        assert!(said.starts_with("plan.toml: ") && said.contains(expected), "`{said}` does not say `{expected}`");
+        let message = parse_plan("plan.toml", &text.replacen(from, to, 1)).unwrap_err().to_string();
+        assert!(
+            message.starts_with("plan.toml: ") && message.contains(expected),
+            "`{message}` does not say `{expected}`"
+        );
     }
 }

@@ -19,7 +19,6 @@ use plumbline_testkit::inclinometer::Device;
 
 const NS_PER_MS: u64 = 1_000_000;
 const NODE: u8 = 10;
-/// NMT commands.
 const START: u8 = 1;
 const STOP: u8 = 2;
 

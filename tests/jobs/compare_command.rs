@@ -168,9 +168,9 @@ fn wrong_input_is_named() {
     let path = |name: &str| dir.join(name).display().to_string();
     let refused = |arguments: &[&str], words: &[&str]| {
         let output = program(arguments);
-        let said = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(2), "{said}");
-        assert!(words.iter().all(|word| said.contains(word)), "{said}");
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(words.iter().all(|word| message.contains(word)), "{message}");
     };
     let model = "config/models/panda-paper-table3.toml";
     refused(&["compare", model, &path("none"), "--out", &path("out")], &["dataset.toml"]);

@@ -8,7 +8,6 @@ use plumbline_testkit::job::*;
 use plumbline_testkit::scene::Scene;
 use std::path::{Path, PathBuf};
 
-/// Every fourth millisecond of a recording.
 fn run(scene: &Scene, file: &str, role: Role, periodic: bool) -> Run {
     scene.dataset_run(file, role, (3, 7), 4, periodic)
 }
@@ -24,7 +23,6 @@ fn dataset(scene: &Scene, folder: PathBuf, periodic: bool, spoil: impl Fn(&mut R
     folder
 }
 
-/// A model file of the arm.
 fn model(scene: &Scene, path: &Path) {
     let chain = scene.structure.chain().clone();
     let structure =
@@ -81,7 +79,7 @@ fn a_constant_channel_is_named() {
                 program.arg(&data).arg("--out").arg(place.out()).args([option, value]);
                 let done = Done::of(program).expect_code(2);
                 for part in parts {
-                    assert!(done.err.contains(part), "{name}, {command}: no `{part}` in {}", done.said());
+                    assert!(done.err.contains(part), "{name}, {command}: no `{part}` in {}", done.output());
                 }
                 assert!(!place.out().exists());
             }
@@ -94,9 +92,8 @@ fn a_constant_channel_is_named() {
         }
     };
     let data = dataset(&scene, place.path().join("standing"), true, standing);
-    let mut program = plumbline();
-    program.arg("identify").arg(&data).arg("--out").arg(place.out()).args(["--terms", "friction"]);
-    Done::of(program).expect_code(0);
+    Done::of(plumbline().arg("identify").arg(&data).arg("--out").arg(place.out()).args(["--terms", "friction"]))
+        .expect_code(0);
 }
 
 /// The shipped arm with more keys in its file.
@@ -114,7 +111,7 @@ fn a_job_of_an_arm_with_dead_torque_sensors_ends() {
         let arm = arm(&place, &format!("dead-torque-sensors = {sensors}"));
         let done = place.run(&short(&[&arm])).expect_code(1);
         for part in ["identify-wall", &format!("column {column}"), "got 0 in all", "torque sensor of joint"] {
-            assert!(done.err.contains(part), "no `{part}` in {}", done.said());
+            assert!(done.err.contains(part), "no `{part}` in {}", done.output());
         }
         assert!(anyone_with(&place.id).is_empty());
     }
@@ -124,17 +121,15 @@ fn a_job_of_an_arm_with_dead_torque_sensors_ends() {
 fn an_arm_without_a_model_is_stopped() {
     let place = Place::new("no-model");
     let sets = short(&["safety.model-timeout=2 s"]);
-    let daemon = Running::start(place.job("daemon", &sets));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&sets);
     // No estimator.
     place.command("start").expect_code(0);
     wait_for("the wait for a model", || place.status().filter(|now| now.progress == Progress::AwaitingModel));
     let status = wait_for("the stop", || place.status().filter(|now| now.progress == Progress::Stopped));
     let why = status.stopped.unwrap();
     assert!(why.contains("no model within 2 s (safety.model-timeout)"), "{why}");
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
-    assert!(done.err.contains("the arm is being stopped: the estimator gave no model"), "{}", done.said());
+    let done = place.quit(daemon);
+    assert!(done.err.contains("the arm is being stopped: the estimator gave no model"), "{}", done.output());
 }
 
 #[test]
@@ -146,7 +141,7 @@ fn a_run_ends_although_its_estimator_hangs() {
     signal(estimator, "STOP");
     let done = run.end().expect_code(1);
     for part in ["the arm was stopped", "no model within 1 s", "did not end by itself"] {
-        assert!(done.err.contains(part), "no `{part}` in {}", done.said());
+        assert!(done.err.contains(part), "no `{part}` in {}", done.output());
     }
     wait_for("the end of every process", || anyone_with(&place.id).is_empty().then_some(()));
 }

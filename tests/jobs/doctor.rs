@@ -7,7 +7,6 @@ use std::net::IpAddr;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// A machine in files.
 struct FakeMachine(TempDir);
 
 impl FakeMachine {
@@ -144,19 +143,17 @@ fn the_way_to_the_robot_is_the_narrowest_route() {
 }
 
 fn doctor(arguments: &[&str]) -> Done {
-    let mut command = plumbline();
-    command.args(["doctor", "--seconds", "1"]).args(arguments);
-    Done::of(command)
+    Done::of(plumbline().args(["doctor", "--seconds", "1"]).args(arguments))
 }
 
 #[test]
 fn the_exit_code_follows_the_verdict() {
     let config = Path::new("config/sim-panda-wall.toml").to_str().unwrap();
     let done = doctor(&[config, "--json"]);
-    let report: serde_json::Value = serde_json::from_str(&done.out).unwrap_or_else(|_| panic!("{}", done.said()));
+    let report: serde_json::Value = serde_json::from_str(&done.out).unwrap_or_else(|_| panic!("{}", done.output()));
     let findings = report["findings"].as_array().unwrap();
     let unfit = findings.iter().filter(|finding| finding["verdict"] == "unfit").count();
-    assert_eq!(done.code, Some(i32::from(unfit > 0)), "{}", done.said());
+    assert_eq!(done.code, Some(i32::from(unfit > 0)), "{}", done.output());
     assert_eq!(report["fit"], unfit == 0);
     let names: Vec<&str> = findings.iter().map(|finding| finding["name"].as_str().unwrap()).collect();
     for name in ["kernel", "priority", "locked-memory", "governor", "interrupts", "shared-memory", "wake-up"] {
@@ -165,8 +162,8 @@ fn the_exit_code_follows_the_verdict() {
 
     // What the job asks for is what is looked at.
     let done = doctor(&[config, "--set", "realtime.cpu=900"]).expect_code(1);
-    assert!(done.out.contains("CPU 900") && done.err.contains("unfit for 1 kHz: "), "{}", done.said());
+    assert!(done.out.contains("CPU 900") && done.err.contains("unfit for 1 kHz: "), "{}", done.output());
     let done = doctor(&[config, "--set", "realtime.cpu=none"]).expect_code(2);
-    assert!(done.err.contains("realtime.cpu"), "{}", done.said());
+    assert!(done.err.contains("realtime.cpu"), "{}", done.output());
     doctor(&["no-such-file.toml"]).expect_code(2);
 }

@@ -51,7 +51,7 @@ fn every_estimator_and_both_methods_run_from_the_command_line() {
     for name in ["ols", "wls-full", "huber", "tls", "iv"] {
         let (found, done) = report(&data, &place.out(), &["--estimator", name]);
         assert_eq!(found.estimator.unwrap().name, name);
-        assert!(done.out.contains(&format!("estimator: {name}")), "{}", done.said());
+        assert!(done.out.contains(&format!("estimator: {name}")), "{}", done.output());
         for (found, usual) in found.base.parameters.iter().zip(&usual.base.parameters) {
             let far = (found.value - usual.value).abs() / usual.std.unwrap();
             assert!(far < 6.0, "{name}, {}: {far} standard deviations from weighted least squares", found.name);
@@ -63,7 +63,7 @@ fn every_estimator_and_both_methods_run_from_the_command_line() {
     let (essential, done) = report(&data, &place.out(), &["--essential"]);
     let restricted = essential.estimator.unwrap().restricted;
     assert!(!restricted.is_empty());
-    assert!(done.out.contains("restricted to zero"), "{}", done.said());
+    assert!(done.out.contains("restricted to zero"), "{}", done.output());
     for parameter in &essential.base.parameters {
         let gone = restricted.contains(&parameter.name);
         assert_eq!(gone, (parameter.value, parameter.std) == (0.0, None), "{}", parameter.name);
@@ -84,7 +84,7 @@ fn iv_requires_instruments_and_uses_them() {
     let data = dataset(&scene, &place.path().join("once"), vec![alone.clone()]);
     let done = Done::of(identify(&data, &place.out(), &["--estimator", "iv"])).expect_code(2);
     for part in ["once.csv", "does not repeat", "q_d1..q_dn", "at least two periods"] {
-        assert!(done.err.contains(part), "no `{part}` in {}", done.said());
+        assert!(done.err.contains(part), "no `{part}` in {}", done.output());
     }
     let desired: DMatrix<f64> = {
         let samples = scene.motion.samples();
@@ -112,12 +112,12 @@ fn unknown_names() {
     ] {
         let done = Done::of(identify(&data, &place.out(), &[option, value])).expect_code(2);
         for part in [option, value, known] {
-            assert!(done.err.contains(part), "no `{part}` in {}", done.said());
+            assert!(done.err.contains(part), "no `{part}` in {}", done.output());
         }
         assert!(!place.out().exists());
     }
     for (set, part) in [("estimator.solver=lasso", "lasso"), ("estimator.method=wavelet", "wavelet")] {
         let done = Done::of(place.job("run", &[set])).expect_code(2);
-        assert!(done.err.contains(part) && done.err.contains("estimator."), "{}", done.said());
+        assert!(done.err.contains(part) && done.err.contains("estimator."), "{}", done.output());
     }
 }

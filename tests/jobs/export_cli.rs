@@ -15,9 +15,7 @@ use std::path::{Path, PathBuf};
 const TABLE_3: &str = "config/models/panda-paper-table3.toml";
 
 fn export(model: &Path, arguments: &[&str]) -> Done {
-    let mut command = plumbline();
-    command.arg("export").arg(model).args(arguments);
-    Done::of(command)
+    Done::of(plumbline().arg("export").arg(model).args(arguments))
 }
 
 fn put(dir: &Path, name: &str, text: &str) -> PathBuf {
@@ -42,9 +40,9 @@ fn the_papers_table_in_every_format() {
             assert!(text.contains(" - 0.0162*dq[1]"), "the C function has the friction as it is");
         } else {
             let note = "fv2 = -0.0162 is negative";
-            assert!(done.out.contains(note) && text.contains(note), "{}", done.said());
+            assert!(done.out.contains(note) && text.contains(note), "{}", done.output());
             for part in ["physically consistent: no", "Lzz1 by +", "no standard deviations"] {
-                assert!(done.out.contains(part), "{part}: {}", done.said());
+                assert!(done.out.contains(part), "{part}: {}", done.output());
             }
         }
     }
@@ -61,8 +59,8 @@ fn a_model_file_with_bodies_exports_those() {
     let out = room.path().join("arm.urdf");
     let arguments = ["--format", "urdf", "--out", out.to_str().unwrap()];
     let done = export(&path, &arguments).expect_code(0);
-    assert!(done.out.contains("physically consistent: yes"), "{}", done.said());
-    assert!(done.out.contains("torque offsets are left out"), "{}", done.said());
+    assert!(done.out.contains("physically consistent: yes"), "{}", done.output());
+    assert!(done.out.contains("torque offsets are left out"), "{}", done.output());
     let text = std::fs::read_to_string(&out).unwrap();
     for link in &found.links {
         assert!(text.contains(&format!("<mass value=\"{:?}\"/>", Body::of(link).mass)), "{text}");
@@ -107,7 +105,7 @@ fn a_vertical_model_states_its_mounting() {
         assert!(done.err.contains("vertical.toml") && done.err.contains("lxR1") && done.err.contains("--vertical"));
         assert!(!out.exists());
         let done = export(&path, &arguments).expect_code(0);
-        assert!(done.out.contains("VERTICAL ONLY"), "{}", done.said());
+        assert!(done.out.contains("VERTICAL ONLY"), "{}", done.output());
         assert!(std::fs::read_to_string(&out).unwrap().contains("VERTICAL ONLY"));
         std::fs::remove_file(&out).unwrap();
     }
@@ -207,9 +205,9 @@ fn effects_without_a_place_are_named_and_a_payload_is_part_of_the_last_link() {
         let mut notes: Vec<String> = lost.iter().map(|id| format!("effect `{id}` is left out")).collect();
         notes.push("effect `presliding` is held as the Coulomb friction that it is in sliding".into());
         for note in notes {
-            assert!(done.out.contains(&note) && text.contains(&note), "{note}: {}", done.said());
+            assert!(done.out.contains(&note) && text.contains(&note), "{note}: {}", done.output());
         }
-        assert!(!done.out.contains(&format!("`{held}`")), "{}", done.said());
+        assert!(!done.out.contains(&format!("`{held}`")), "{}", done.output());
         // Coulomb friction and presliding of joint 5 together.
         let fc = plain.parameters().iter().find(|own| own.column.name == "fc5").unwrap().value;
         assert!(text.contains(&friction.replace("FC", &format!("{:?}", fc + 0.4))), "{fc}: {text}");

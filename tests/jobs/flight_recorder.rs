@@ -20,7 +20,6 @@ fn recordings(dir: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// The one recording of a place.
 #[track_caller]
 fn recording(place: &Place) -> PathBuf {
     let found = recordings(&place.out().join("flight"));
@@ -31,9 +30,7 @@ fn recording(place: &Place) -> PathBuf {
 /// What `plumbline postmortem --replay --json` says of it; the replay gave the same commands, or this fails.
 #[track_caller]
 fn facts(file: &Path) -> Value {
-    let mut command = plumbline();
-    command.arg("postmortem").arg(file).args(["--replay", "--json"]);
-    let done = Done::of(command).expect_code(0);
+    let done = Done::of(plumbline().arg("postmortem").arg(file).args(["--replay", "--json"])).expect_code(0);
     let page = std::fs::read_to_string(file.with_extension("html")).unwrap();
     assert!(page.contains("<svg") && !page.contains("src=") && !page.contains("href="));
     let facts: Value = serde_json::from_str(&done.out).unwrap();
@@ -60,7 +57,7 @@ fn a_guard_stop_during_a_motion() {
     let place = Place::new("flight-guard");
     let done = place.run(&short(&[SPAN, "safety.tracking-error=0.1 deg"])).expect_code(1);
     let file = recording(&place);
-    assert!(done.err.contains(&format!("plumbline postmortem {}", file.display())), "{}", done.said());
+    assert!(done.err.contains(&format!("plumbline postmortem {}", file.display())), "{}", done.output());
     let facts = facts(&file);
     assert_eq!((facts["kind"].as_str(), facts["first_limit"]["limit"].as_str()), (Some("guard"), Some("tracking")));
     assert!(facts["during"].as_str().unwrap().contains("identify-wall"), "{facts}");
@@ -99,14 +96,9 @@ fn a_guard_stop_during_a_motion() {
                       \x20   count[m.channel.topic] += 1\n\
                       \x20   last = m.ros_msg if m.channel.topic == '/joint_states' else None or (last if count else None)\n\
                       print(count['/joint_states'], count['/command'], count['/plumbline/cycle'], len(last.position), repr(last.position[6]))\n";
-        let done = Done::of({
-            let mut command = Command::new(python);
-            command.args(["-c", script]).arg(&file);
-            command
-        })
-        .expect_code(0);
+        let done = Done::of(Command::new(python).args(["-c", script]).arg(&file)).expect_code(0);
         let last = Recording::read(&file).unwrap().records[cycles - 1];
-        assert_eq!(done.out.trim(), format!("{cycles} {cycles} {cycles} 7 {:?}", last.state.q[6]), "{}", done.said());
+        assert_eq!(done.out.trim(), format!("{cycles} {cycles} {cycles} 7 {:?}", last.state.q[6]), "{}", done.output());
     }
 }
 
@@ -153,10 +145,9 @@ fn an_estimator_that_is_gone_a_recording_on_demand_and_an_end_that_is_none() {
 
     // A program that is asked to end leaves none.
     let place = Place::new("flight-quit");
-    let daemon = Running::start(place.job("daemon", &short(&[SPAN])));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&short(&[SPAN]));
     let refused = place.command("record").expect_code(1);
-    assert!(refused.err.contains("nothing to record"), "{}", refused.said());
+    assert!(refused.err.contains("nothing to record"), "{}", refused.output());
     place.command("start").expect_code(0);
     wait_for("the motion", || (place.status()?.cycles > 2_000).then_some(()));
     // A loaded machine may end the daemon before its answer has been read.
@@ -172,9 +163,9 @@ fn a_full_disk_is_reported_and_keeps_old_results() {
     std::fs::write(&not_a_folder, "x").unwrap();
     let dir = format!("recorder.dir={}", not_a_folder.join("flight").display());
     let done = place.run(&short(&[SPAN, &dir, "safety.tracking-error=0.1 deg"])).expect_code(1);
-    assert!(done.err.contains("recording of the fault could not be written"), "{}", done.said());
-    assert!(done.err.contains(&not_a_folder.display().to_string()), "{}", done.said());
-    assert!(done.err.contains("the arm is at rest"), "{}", done.said());
+    assert!(done.err.contains("recording of the fault could not be written"), "{}", done.output());
+    assert!(done.err.contains(&not_a_folder.display().to_string()), "{}", done.output());
+    assert!(done.err.contains("the arm is at rest"), "{}", done.output());
 
     // A disk that is full: a file system of 64 KiB, where this may make one.
     let tiny = place.path().join("tiny");
@@ -188,7 +179,7 @@ fn a_full_disk_is_reported_and_keeps_old_results() {
     let left: Vec<_> = std::fs::read_dir(&tiny).unwrap().map(|entry| entry.unwrap().path()).collect();
     assert!(Command::new("umount").arg(&tiny).status().unwrap().success());
     let done = done.expect_code(1);
-    assert!(done.err.contains("could not be written") && done.err.contains("No space left"), "{}", done.said());
+    assert!(done.err.contains("could not be written") && done.err.contains("No space left"), "{}", done.output());
     assert!(left.is_empty(), "{left:?}");
 }
 
@@ -198,8 +189,7 @@ fn a_kill_during_a_write_leaves_complete_files_and_old_ones_are_removed() {
     let dir = place.out().join("flight");
     for round in 0..4 {
         let sets = ["excitation.periods=500", "recorder.span=1 s", "recorder.keep-on-demand=2"];
-        let daemon = Running::start(place.job("daemon", &short(&sets)));
-        wait_for("the daemon", || place.status());
+        let daemon = place.daemon(&short(&sets));
         place.command("start").expect_code(0);
         wait_for("the motion", || (place.status()?.cycles > 2_000).then_some(()));
         for _ in 0..1 + round % 2 {
@@ -224,8 +214,7 @@ fn many_requests_remove_no_fault_recording_and_delay_no_shutdown() {
     let place = Place::new("flight-flood");
     let dir = place.out().join("flight");
     let sets = [SPAN, "safety.tracking-error=0.1 deg", "recorder.keep=1", "recorder.keep-on-demand=1"];
-    let daemon = Running::start(place.job("daemon", &short(&sets)));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&short(&sets));
     place.command("start").expect_code(0);
     let fault = wait_for("the recording of the stop", || recordings(&dir).first().cloned());
     let robot = RobotId::parse("test", "robot", &place.id).unwrap();
@@ -263,29 +252,6 @@ fn stops_of_an_arm_at_rest_leave_no_recordings() {
         place.command("stop").expect_code(0);
         wait_for("permission", || (place.command("resume").code == Some(0)).then_some(()));
     }
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
     assert!(recordings(&place.out().join("flight")).is_empty());
-}
-
-#[test]
-fn files_that_are_no_recordings_are_refused() {
-    let place = Place::new("flight-bad");
-    for (name, bytes, parts) in [
-        ("none.mcap", None, &["none.mcap", "No such file"][..]),
-        ("empty.mcap", Some(&b""[..]), &["empty.mcap: byte 0", "empty"]),
-        ("text.mcap", Some(b"hello, world"), &["byte 0", "68 65 6c 6c 6f", "89 4d 43 41 50"]),
-    ] {
-        let path = place.path().join(name);
-        if let Some(bytes) = bytes {
-            std::fs::write(&path, bytes).unwrap();
-        }
-        let mut command = plumbline();
-        command.arg("postmortem").arg(&path);
-        let done = Done::of(command).expect_code(2);
-        for part in parts {
-            assert!(done.err.contains(part), "no `{part}`: {}", done.said());
-        }
-        assert!(done.out.is_empty() && !path.with_extension("html").exists(), "{}", done.said());
-    }
 }

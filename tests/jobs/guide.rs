@@ -20,7 +20,6 @@ const PAGES: [&str; 7] = [
     "docs/guide/service.md",
 ];
 
-/// Language and content of every fenced block.
 fn blocks(text: &str) -> Vec<(String, String)> {
     let mut found = Vec::new();
     let mut lines = text.lines();
@@ -72,8 +71,8 @@ fn run(name: &str) {
         .stdin(Stdio::null())
         .output()
         .unwrap();
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{name}: {}\n{said}", output.status);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{name}: {}\n{message}", output.status);
 }
 
 #[test]

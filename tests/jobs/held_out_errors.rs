@@ -138,10 +138,13 @@ fn the_errors_before_and_after_are_those_of_the_files() {
     let (dataset, samples) = record(&data);
     let run = |subcommand: &str, more: &[&str]| {
         let out = place.path().join(subcommand);
-        let mut command = plumbline();
-        command.arg(subcommand).arg(&data).arg("--out").arg(&out).args(more);
-        command.args(["--position-cutoff", "40", "--torque-cutoff", "5"]);
-        Done::of(command).expect_code(0);
+        Done::of(plumbline().arg(subcommand).arg(&data).arg("--out").arg(&out).args(more).args([
+            "--position-cutoff",
+            "40",
+            "--torque-cutoff",
+            "5",
+        ]))
+        .expect_code(0);
         out
     };
     let diagnosed = run("diagnose", &[]);

@@ -52,11 +52,11 @@ fn a_killed_estimator_is_replaced_and_nothing_is_lost() {
     assert!(ipc.counters.replayed > 0, "a successor has to ask for what it never saw: {ipc:?}");
     assert_eq!((report.base.count, report.control_loop.unwrap().lost), (59, 0));
     // Both say so: the daemon with its rule, the job with what it did about it.
-    assert!(done.err.contains(&format!("estimator (process {estimator}) died after")), "{}", done.said());
-    assert!(done.err.contains("by safety.on-estimator-loss, the arm "), "{}", done.said());
-    assert!(done.err.contains("and the samples are kept"), "{}", done.said());
-    assert!(done.err.contains("the estimator was killed"), "{}", done.said());
-    assert!(done.out.contains("none missing"), "{}", done.said());
+    assert!(done.err.contains(&format!("estimator (process {estimator}) died after")), "{}", done.output());
+    assert!(done.err.contains("by safety.on-estimator-loss, the arm "), "{}", done.output());
+    assert!(done.err.contains("and the samples are kept"), "{}", done.output());
+    assert!(done.err.contains("the estimator was killed"), "{}", done.output());
+    assert!(done.out.contains("none missing"), "{}", done.output());
     nobody_lingers(&place);
 }
 
@@ -67,11 +67,11 @@ fn a_killed_estimator_stops_the_arm_with_on_estimator_loss_stop() {
     let (run, _, estimator) = in_mid_run(&place, &["safety.on-estimator-loss=stop", ENDLESS]);
     signal(estimator, "KILL");
     let done = run.end().expect_code(1);
-    assert!(done.err.contains("by safety.on-estimator-loss, the arm stops"), "{}", done.said());
-    assert!(done.err.contains("the arm is being stopped"), "{}", done.said());
+    assert!(done.err.contains("by safety.on-estimator-loss, the arm stops"), "{}", done.output());
+    assert!(done.err.contains("the arm is being stopped"), "{}", done.output());
     let last = done.err.lines().rfind(|line| line.starts_with("plumbline: ")).unwrap();
-    assert!(last.contains("the arm was stopped"), "{}", done.said());
-    assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.said());
+    assert!(last.contains("the arm was stopped"), "{}", done.output());
+    assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.output());
     nobody_lingers(&place);
 }
 
@@ -80,8 +80,7 @@ fn whoever_follows_and_takes_leave_in_mid_motion_is_lost_too() {
     let _turn = JOBS.take();
     let place = Place::new("leave");
     let sets = ["backend.pace=wall-clock", "safety.max-lost=1000", "safety.on-estimator-loss=stop"];
-    let daemon = Running::start(place.job("daemon", &short(&sets)));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&short(&sets));
     let robot = RobotId::parse("test", "robot", &place.id).unwrap();
     let mut stream = SampleStream::connect(&robot, StreamSettings::default(), PATIENCE).unwrap();
     place.command("start").expect_code(0);
@@ -92,9 +91,8 @@ fn whoever_follows_and_takes_leave_in_mid_motion_is_lost_too() {
     // As an estimator whose disk is full does: it ends with an error, and says goodbye.
     drop(stream);
     wait_for("the stop", || place.status().filter(|now| now.progress == Progress::Stopped));
-    place.command("quit").expect_code(0);
-    let done = daemon.end().expect_code(0);
-    assert!(done.err.contains("by safety.on-estimator-loss, the arm stops"), "{}", done.said());
+    let done = place.quit(daemon);
+    assert!(done.err.contains("by safety.on-estimator-loss, the arm stops"), "{}", done.output());
     nobody_lingers(&place);
 }
 
@@ -105,18 +103,16 @@ fn an_estimator_service_waits_after_unusable_data() {
     // One second, for a filter that needs eight.
     let sets =
         ["excitation.period=1 s", "excitation.periods=1", "excitation.lead-in=0", "estimator.torque-cutoff=0.1 Hz"];
-    let daemon = Running::start(place.job("daemon", &short(&sets)));
-    wait_for("the daemon", || place.status());
+    let daemon = place.daemon(&short(&sets));
     let mut estimator = Running::start(place.job("estimator", &short(&sets)));
     place.command("start").expect_code(0);
     wait_for("the wait for a model", || place.status().filter(|now| now.progress == Progress::AwaitingModel));
     std::thread::sleep(Duration::from_secs(2));
-    assert!(estimator.runs(), "{}", estimator.end().said());
+    assert!(estimator.runs(), "{}", estimator.end().output());
     signal(estimator.pid(), "TERM");
     let done = estimator.end();
-    assert!(done.err.contains("no results: ") && done.err.contains("expected at least"), "{}", done.said());
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    assert!(done.err.contains("no results: ") && done.err.contains("expected at least"), "{}", done.output());
+    place.quit(daemon);
     nobody_lingers(&place);
 }
 
@@ -127,8 +123,12 @@ fn a_killed_daemon_ends_the_run_and_the_next_one_is_clean() {
     let (run, daemon, _) = in_mid_run(&place, &[ENDLESS]);
     signal(daemon, "KILL");
     let done = run.end().expect_code(1);
-    assert!(done.err.contains("the daemon ended during the job") && done.err.contains("signal: 9"), "{}", done.said());
-    assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.said());
+    assert!(
+        done.err.contains("the daemon ended during the job") && done.err.contains("signal: 9"),
+        "{}",
+        done.output()
+    );
+    assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.output());
     nobody_lingers(&place);
 
     place.run(&short(&[])).expect_code(0);
@@ -145,34 +145,10 @@ fn an_interrupt_ends_everything() {
         let (run, ..) = in_mid_run(&place, &[ENDLESS]);
         signal(run.pid(), name);
         let done = run.end().expect_code(1);
-        assert!(done.err.contains("interrupted"), "{}", done.said());
-        assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.said());
+        assert!(done.err.contains("interrupted"), "{}", done.output());
+        assert!(done.out.is_empty() && !place.out().join("report.json").exists(), "{}", done.output());
         nobody_lingers(&place);
     }
-}
-
-#[test]
-fn a_stop_is_in_force_until_resume() {
-    let _turn = JOBS.take();
-    let place = Place::new("stop-stands");
-    let daemon = Running::start(place.job("daemon", &short(&["backend.pace=wall-clock", "safety.max-lost=1000"])));
-    wait_for("the loop", || place.status().filter(|now| now.cycles > 100));
-    // While the arm only holds, too: a new connection would know nothing of the stop.
-    place.command("stop").expect_code(0);
-    let refused = place.command("start").expect_code(1);
-    assert!(refused.err.contains("plumbline command resume"), "{}", refused.said());
-    wait_for("the stop", || place.status().filter(|now| now.phase == Phase::Stopped));
-    place.command("start").expect_code(1);
-    place.command("resume").expect_code(0);
-    place.command("start").expect_code(0);
-    wait_for("motion", || place.status().filter(|now| now.progress == Progress::Driving && now.phase == Phase::Excite));
-    place.command("stop").expect_code(0);
-    wait_for("the stop", || place.status().filter(|now| now.progress == Progress::Stopped));
-    let refused = place.command("start").expect_code(1);
-    assert!(refused.err.contains("started before"), "{}", refused.said());
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
-    nobody_lingers(&place);
 }
 
 #[test]
@@ -190,18 +166,17 @@ fn a_daemon_accepts_valid_requests_and_refuses_others() {
         "{stopped:?}"
     );
     let refused = place.command("start").expect_code(1);
-    assert!(refused.err.contains("plumbline command resume"), "{}", refused.said());
+    assert!(refused.err.contains("plumbline command resume"), "{}", refused.output());
     place.command("resume").expect_code(0);
     let refused = place.command("resume").expect_code(1);
-    assert!(refused.err.contains("nothing waits"), "{}", refused.said());
+    assert!(refused.err.contains("nothing waits"), "{}", refused.output());
     assert_eq!(place.command("start").expect_code(0).out, "accepted\n");
     wait_for("motion", || (place.status()?.cycles > 0).then_some(()));
     let again = place.command("start").expect_code(1);
-    assert!(again.err.contains("started before"), "{}", again.said());
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    assert!(again.err.contains("started before"), "{}", again.output());
+    place.quit(daemon);
     nobody_lingers(&place);
 
     let gone = place.command("status").expect_code(1);
-    assert!(gone.err.contains(&place.id), "{}", gone.said());
+    assert!(gone.err.contains(&place.id), "{}", gone.output());
 }

@@ -75,7 +75,7 @@ fn the_payload_is_found_and_the_served_error_recovers() {
     let during = served(&log, PICKED_UP + 1.0, proposed);
     let after = served(&log, swapped, swapped + 10.0);
     assert!(during > 1.0 && before < 0.3 && after < 1.3 * before, "{before} {during} {after}");
-    assert!(done.out.contains("live: since") && done.out.contains("payload (mass 0.7"), "{}", done.said());
+    assert!(done.out.contains("live: since") && done.out.contains("payload (mass 0.7"), "{}", done.output());
     // The loop was not disturbed by any of it.
     let cycle = place.report().control_loop.unwrap();
     assert_eq!((cycle.lost, cycle.dropped_records, cycle.allocations()), (0, 0, Some(0)));
@@ -114,6 +114,5 @@ fn who_is_asked_decides() {
     assert_eq!(now["model"], offered["model"]);
     assert!(now["offered"].is_null());
     assert_eq!(place.command("reject").code, Some(1), "nothing is held any more");
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
 }

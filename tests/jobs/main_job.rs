@@ -24,12 +24,8 @@ fn predict(place: &Place, run: &str) -> (Vec<Vec<f64>>, Vec<f64>) {
     let out = place.path().join("tau.csv");
     let mut command = plumbline();
     command.arg("predict").arg(place.out().join("model.toml")).arg(place.out().join("dataset").join(run));
-    let done = Done::of({
-        command.arg("--out").arg(&out);
-        command
-    })
-    .expect_code(0);
-    let line = done.out.lines().find(|line| line.contains("raw")).unwrap_or_else(|| panic!("{}", done.said()));
+    let done = Done::of(command.arg("--out").arg(&out)).expect_code(0);
+    let line = done.out.lines().find(|line| line.contains("raw")).unwrap_or_else(|| panic!("{}", done.output()));
     let raw = line.split("raw ").nth(1).unwrap().split(" |").next().unwrap();
     (csv(&out), raw.split(' ').map(|value| value.parse().unwrap()).collect())
 }
@@ -62,23 +58,24 @@ fn says_what_it_promises(done: &Done, place: &Place) {
         lines[0],
         "panda, mounting wall: 59 base parameters (GBS: 45 rigid body, 14 friction)",
         "{}",
-        done.said()
+        done.output()
     );
     for begin in
         ["condition number: raw ", "noise floor [Nm]: ", "RMS wall [Nm], 2 unseen runs: ", "RMS upright [Nm], 2 "]
     {
-        assert!(lines.iter().any(|line| line.starts_with(begin)), "no `{begin}` in {}", done.said());
+        assert!(lines.iter().any(|line| line.starts_with(begin)), "no `{begin}` in {}", done.output());
     }
     let cycles = lines
         .iter()
         .find(|line| line.starts_with("loop (simulated time, as fast as possible): "))
-        .unwrap_or_else(|| panic!("{}", done.said()));
+        .unwrap_or_else(|| panic!("{}", done.output()));
     assert!(cycles.contains(" cycles, 0 lost, 0 allocations"), "{cycles}");
-    let samples = lines.iter().find(|line| line.starts_with("samples: ")).unwrap_or_else(|| panic!("{}", done.said()));
+    let samples =
+        lines.iter().find(|line| line.starts_with("samples: ")).unwrap_or_else(|| panic!("{}", done.output()));
     assert!(samples.ends_with("none missing"), "{samples}");
     assert_eq!(lines.last().unwrap(), &format!("report: {}", place.out().join("report.html").display()));
     // Nobody watches: neither a progress bar nor colours.
-    assert!(!done.err.contains('\x1b') && !done.out.contains('\x1b'), "{}", done.said());
+    assert!(!done.err.contains('\x1b') && !done.out.contains('\x1b'), "{}", done.output());
 }
 
 fn finds_the_truth(report: &Report) {
@@ -158,9 +155,8 @@ fn leaves_files_that_work(place: &Place, report: &Report) {
     // The dataset goes through the offline identification, and without offsets, at the job's cut-off, gives the very same numbers.
     let again = place.path().join("again");
     let identify = |more: &[&str]| -> Report {
-        let mut command = plumbline();
-        command.arg("identify").arg(place.out().join("dataset")).arg("--out").arg(&again).args(more);
-        Done::of(command).expect_code(0);
+        Done::of(plumbline().arg("identify").arg(place.out().join("dataset")).arg("--out").arg(&again).args(more))
+            .expect_code(0);
         serde_json::from_str(&std::fs::read_to_string(again.join("report.json")).unwrap()).unwrap()
     };
     let offline = identify(&["--terms", "friction", "--torque-cutoff", "5"]);

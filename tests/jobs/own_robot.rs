@@ -27,15 +27,13 @@ fn identified(place: &Place) -> (PathBuf, PathBuf, PathBuf) {
     std::fs::create_dir_all(&folder).unwrap();
     std::fs::write(folder.join("own.toml"), description("own-arm", "0.316")).unwrap();
     Dataset { name, robot, mounting: scene.mounting, source: toml::Table::new(), runs }.write(&data).unwrap();
-    let mut command = plumbline();
-    command.arg("identify").arg(&data).arg("--out").arg(place.out()).args(["--terms", "friction"]);
-    Done::of(command).expect_code(0);
+    Done::of(plumbline().arg("identify").arg(&data).arg("--out").arg(place.out()).args(["--terms", "friction"]))
+        .expect_code(0);
     let model = place.path().join("model.toml");
     std::fs::copy(place.out().join("model.toml"), &model).unwrap();
     (folder, data, model)
 }
 
-/// Predicts and exports in every format.
 fn usable(place: &Place, model: &Path, run: &Path) {
     let out = place.path().join("written");
     let with = |arguments: &[&str]| {
@@ -55,9 +53,7 @@ fn usable(place: &Place, model: &Path, run: &Path) {
 }
 
 fn compare(place: &Place, model: &Path, data: &Path) -> Done {
-    let mut command = plumbline();
-    command.arg("compare").arg(model).arg(data).arg("--out").arg(place.path().join("compared"));
-    Done::of(command)
+    Done::of(plumbline().arg("compare").arg(model).arg(data).arg("--out").arg(place.path().join("compared")))
 }
 
 #[test]
@@ -87,7 +83,7 @@ fn the_model_of_an_own_robot_is_independent_of_its_file() {
         std::fs::write(&own, description(name, upper_arm)).unwrap();
         usable(&place, &model, &run);
         let done = compare(&place, &model, &data).expect_code(2);
-        assert!(done.err.contains(part) && done.err.contains("key `robot`"), "{}", done.said());
+        assert!(done.err.contains(part) && done.err.contains("key `robot`"), "{}", done.output());
     }
 
     // Gone.
@@ -104,11 +100,10 @@ fn a_robot_description_in_a_model_file_is_covered_by_its_hash() {
     let refused = |text: &str, parts: &[&str]| {
         let edited = place.path().join("edited.toml");
         std::fs::write(&edited, text).unwrap();
-        let mut command = plumbline();
-        command.arg("export").arg(&edited).args(["--format", "c", "--out"]).arg(&out);
-        let done = Done::of(command).expect_code(2);
+        let done =
+            Done::of(plumbline().arg("export").arg(&edited).args(["--format", "c", "--out"]).arg(&out)).expect_code(2);
         for part in parts {
-            assert!(done.err.contains(part), "no `{part}` in {}", done.said());
+            assert!(done.err.contains(part), "no `{part}` in {}", done.output());
         }
         assert!(!out.exists());
     };
@@ -153,8 +148,11 @@ fn the_daemon_takes_its_model() {
     let daemon = Running::start(job("0.316"));
     let status = wait_for("the daemon", || place.status());
     assert!(status.model != 0, "{status:?}");
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
     let done = Done::of(job("0.416")).expect_code(2);
-    assert!(done.err.contains("another `own-arm`") && done.err.contains("which this daemon drives"), "{}", done.said());
+    assert!(
+        done.err.contains("another `own-arm`") && done.err.contains("which this daemon drives"),
+        "{}",
+        done.output()
+    );
 }

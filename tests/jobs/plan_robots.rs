@@ -21,7 +21,7 @@ fn every_shipped_robot_gets_a_feasible_plan() {
             .args(["plan", "--robot", &name, "--mounting", "wall", "--starts", "1", "--rounds", "0", "--out"])
             .arg(&out);
         let done = Done::of(command).expect_code(0);
-        assert!(done.out.contains("condition raw "), "{}", done.said());
+        assert!(done.out.contains("condition raw "), "{}", done.output());
 
         // Held to the limits once more, from the file alone.
         let (plan, robot) = (load_plan(&out).unwrap(), Robot::load(&name, None).unwrap());

@@ -176,8 +176,8 @@ fn refuse(subject: &Subject, place: &Path, call: &str, error: &str, says: &str) 
         Done::of(again).expect_code(0);
         let old = results(&subject.out);
         let done = Done::of(with_fault(after, call, &format!("error={error}"), nth));
-        assert!(done.code == Some(1) || done.code == Some(2), "{}: {call} {nth}: {}", subject.name, done.said());
-        assert!(done.err.contains(says) && done.err.contains(&subject.out.display().to_string()), "{}", done.said());
+        assert!(done.code == Some(1) || done.code == Some(2), "{}: {call} {nth}: {}", subject.name, done.output());
+        assert!(done.err.contains(says) && done.err.contains(&subject.out.display().to_string()), "{}", done.output());
         let left = results(&subject.out);
         for (path, bytes) in &old {
             let now = left.get(path).unwrap_or_else(|| panic!("{call} {nth}: {} is gone", path.display()));

@@ -13,7 +13,6 @@ use std::path::{Path, PathBuf};
 const MODEL: &str = "config/models/panda-paper-table3.toml";
 const JOINTS: usize = 7;
 
-/// One row of the written file.
 struct Row {
     t: f64,
     tau: [f64; JOINTS],
@@ -23,9 +22,7 @@ struct Row {
 /// Rows that `plumbline predict` writes for a motion, and the raw errors that the program prints.
 fn predict(place: &Place, run: &Path, more: &[&str]) -> (Vec<Row>, Option<Vec<f64>>) {
     let out = place.path().join("tau.csv");
-    let mut command = plumbline();
-    command.args(["predict", MODEL]).arg(run).arg("--out").arg(&out).args(more);
-    let done = Done::of(command).expect_code(0);
+    let done = Done::of(plumbline().args(["predict", MODEL]).arg(run).arg("--out").arg(&out).args(more)).expect_code(0);
     let printed = done.out.split("raw ").nth(1).map(|rest| {
         let values = rest.split(" |").next().unwrap();
         values.split(' ').map(|value| value.parse().unwrap()).collect()

@@ -53,9 +53,10 @@ fn the_guide_shows_what_the_main_job_prints() {
     let shown = block(&page, "## What you see");
     assert!(shown.len() > 10, "{shown:?}");
     let place = Place::new("readme");
-    let mut command = plumbline();
-    command.args(["run", WALL, "--out"]).arg(place.out()).args(["--set", &format!("serve.id={}", place.id)]);
-    let done = Done::of(command).expect_code(0);
+    let done = Done::of(
+        plumbline().args(["run", WALL, "--out"]).arg(place.out()).args(["--set", &format!("serve.id={}", place.id)]),
+    )
+    .expect_code(0);
     let out = place.out().display().to_string();
     let printed: Vec<String> = done.out.lines().map(|line| line.replace(&out, "results/sim-panda-wall")).collect();
     let same = shown.len() == printed.len() && shown.iter().zip(&printed).all(|(one, other)| says_the_same(one, other));

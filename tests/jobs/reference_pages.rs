@@ -17,9 +17,7 @@ const MESSAGES: &str = "docs/reference/messages-and-export.md";
 
 /// What the program prints, without blanks at the ends of lines.
 fn printed(arguments: &str) -> String {
-    let mut command = plumbline();
-    command.args(arguments.split(' '));
-    let out = Done::of(command).expect_code(0).out;
+    let out = Done::of(plumbline().args(arguments.split(' '))).expect_code(0).out;
     out.trim_matches('\n').lines().map(|line| line.trim_end().to_string()).collect::<Vec<_>>().join("\n")
 }
 
@@ -107,7 +105,6 @@ fn message_layouts_match_their_tables() {
     }
 }
 
-/// The ```toml blocks of a page.
 fn toml_blocks(page: &str) -> Vec<String> {
     let blocks = page.split("```toml\n").skip(1);
     blocks.map(|rest| rest.split("```").next().unwrap().to_string()).collect()

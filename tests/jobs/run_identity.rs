@@ -5,7 +5,6 @@ use plumbline_testkit::job::*;
 use std::path::PathBuf;
 use std::process::Command;
 
-/// The lock file of a place's robot.
 fn lock(of: &Place) -> PathBuf {
     runtime_dir::directory().unwrap().join(format!("{}.lock", of.id))
 }
@@ -36,18 +35,17 @@ fn no_daemon_starts_during_the_planning_of_a_run() {
     let place = Place::new("run-lock");
     let run = planning(&place, &["excitation.starts=16", "excitation.rounds=400"]);
     let refused = Done::of(other_daemon(&place));
-    assert_ne!(refused.code, Some(0), "{}", refused.said());
-    assert!(refused.err.contains(&format!("another daemon (process {})", run.pid())), "{}", refused.said());
+    assert_ne!(refused.code, Some(0), "{}", refused.output());
+    assert!(refused.err.contains(&format!("another daemon (process {})", run.pid())), "{}", refused.output());
     // There is nothing to stop yet, and the run is not hurt by an attempt.
     let stop = place.command("stop").expect_code(1);
-    assert!(stop.err.contains("serves no robot yet"), "{}", stop.said());
+    assert!(stop.err.contains("serves no robot yet"), "{}", stop.output());
     signal(run.pid(), "KILL");
     run.end();
     // The lock goes with its process.
     let daemon = Running::start(other_daemon(&place));
     wait_for("the daemon", || place.status());
-    place.command("quit").expect_code(0);
-    daemon.end().expect_code(0);
+    place.quit(daemon);
 }
 
 #[test]
@@ -58,7 +56,7 @@ fn a_run_s_daemon_has_the_run_s_lock() {
     wait_for("its lock", || (holder(&place)? == format!("process {daemon}")).then_some(()));
     wait_for("the loop", || place.status().filter(|now| now.cycles > 0));
     let refused = Done::of(other_daemon(&place));
-    assert!(refused.err.contains(&format!("another daemon (process {daemon})")), "{}", refused.said());
+    assert!(refused.err.contains(&format!("another daemon (process {daemon})")), "{}", refused.output());
     // The run has taken the lock, and its daemon holds it: the daemon is the one that a signal goes to.
     std::fs::remove_file(lock(&place).with_extension("stop")).unwrap();
     let stopped = place.command("stop").expect_code(0);
@@ -67,7 +65,7 @@ fn a_run_s_daemon_has_the_run_s_lock() {
         "{stopped:?}"
     );
     let done = run.end().expect_code(1);
-    assert!(done.err.contains("the arm was stopped"), "{}", done.said());
+    assert!(done.err.contains("the arm was stopped"), "{}", done.output());
     wait_for("the end of every process", || anyone_with(&place.id).is_empty().then_some(()));
 }
 
@@ -83,10 +81,10 @@ fn a_run_sends_no_request_to_another_daemon() {
     assert_eq!(before.process, other.pid());
     signal(run.pid(), "CONT");
     let done = run.end().expect_code(1);
-    assert!(done.err.contains("the daemon did not start") || done.err.contains("another daemon"), "{}", done.said());
+    assert!(done.err.contains("the daemon did not start") || done.err.contains("another daemon"), "{}", done.output());
     let after = wait_for("the other daemon", || place.status());
     assert_eq!((after.process, after.progress, after.cycles, after.motion), (other.pid(), Progress::Idle, 0, 0));
     place.command("quit").expect_code(0);
     let done = other.end().expect_code(0);
-    assert!(!done.err.contains("is mounted"), "{}", done.said());
+    assert!(!done.err.contains("is mounted"), "{}", done.output());
 }

@@ -34,8 +34,8 @@ fn diagnosed(test: &str, effect: &str) -> (Diagnosis, Report) {
     sets.push(&own);
     let done = place.run(&sets).expect_code(0);
     let report = place.report();
-    let diagnosis = report.diagnosis.clone().unwrap_or_else(|| panic!("no diagnosis: {}", done.said()));
-    assert!(done.out.lines().any(|line| line.starts_with("diagnosis: ")), "{}", done.said());
+    let diagnosis = report.diagnosis.clone().unwrap_or_else(|| panic!("no diagnosis: {}", done.output()));
+    assert!(done.out.lines().any(|line| line.starts_with("diagnosis: ")), "{}", done.output());
     (diagnosis, report)
 }
 

@@ -19,12 +19,16 @@ struct Left {
 }
 
 impl Left {
-    /// `plumbline predict` with the vertical model.
     fn predict(&self, run: &str, more: &[&str]) -> Done {
-        let mut command = plumbline();
-        command.arg("predict").arg(self.model()).arg(self.place.out().join("dataset").join(run));
-        command.arg("--out").arg(&self.tau).args(more);
-        Done::of(command)
+        Done::of(
+            plumbline()
+                .arg("predict")
+                .arg(self.model())
+                .arg(self.place.out().join("dataset").join(run))
+                .arg("--out")
+                .arg(&self.tau)
+                .args(more),
+        )
     }
 
     fn model(&self) -> PathBuf {
@@ -36,7 +40,7 @@ impl Left {
         let done = done.expect_code(0);
         let raw = done.out.split("raw ").nth(1).and_then(|rest| rest.split(" |").next());
         let rms: Vec<f64> =
-            raw.unwrap_or_else(|| panic!("{}", done.said())).split(' ').map(|v| v.parse().unwrap()).collect();
+            raw.unwrap_or_else(|| panic!("{}", done.output())).split(' ').map(|v| v.parse().unwrap()).collect();
         rms.iter().zip(torque_noise(&arm("sim-panda"))).map(|(rms, noise)| rms / noise).collect()
     }
 }
@@ -54,11 +58,14 @@ fn a_vertical_model_is_refused_in_other_mountings() {
     let ratio = left.ratio(left.predict("validate-upright-1.csv", &["--consistent"]));
     assert!(ratio.iter().all(|ratio| (0.9..1.2).contains(ratio)), "{ratio:?}");
     std::fs::remove_file(&left.tau).unwrap();
-    let mut command = plumbline();
-    command.args(["predict", "config/models/panda-paper-table3.toml", "--consistent", "--out"]).arg(&left.tau);
-    command.arg(left.place.out().join("dataset/validate-upright-1.csv"));
-    let done = Done::of(command).expect_code(2);
-    assert!(done.err.contains("panda-paper-table3.toml") && done.err.contains("[consistent]"), "{}", done.said());
+    let done = Done::of(
+        plumbline()
+            .args(["predict", "config/models/panda-paper-table3.toml", "--consistent", "--out"])
+            .arg(&left.tau)
+            .arg(left.place.out().join("dataset/validate-upright-1.csv")),
+    )
+    .expect_code(2);
+    assert!(done.err.contains("panda-paper-table3.toml") && done.err.contains("[consistent]"), "{}", done.output());
     assert!(!left.tau.exists());
 
     // On the wall it is refused, whether the dataset says so or the command line, and nothing is written.
@@ -66,9 +73,9 @@ fn a_vertical_model_is_refused_in_other_mountings() {
     for (run, more) in [("validate-wall-1.csv", &[][..]), ("validate-upright-1.csv", &["--mounting", "wall"])] {
         let done = left.predict(run, more).expect_code(2);
         for part in [model.as_str(), "VBS", "wall", "upright", "--force"] {
-            assert!(done.err.contains(part), "no `{part}` in {}", done.said());
+            assert!(done.err.contains(part), "no `{part}` in {}", done.output());
         }
-        assert!(done.out.is_empty() && !left.tau.exists(), "{}", done.said());
+        assert!(done.out.is_empty() && !left.tau.exists(), "{}", done.output());
     }
     // Under a ceiling gravity is along axis 1 again.
     left.predict("validate-upright-1.csv", &["--mounting", "ceiling"]).expect_code(0);
@@ -83,7 +90,7 @@ fn a_vertical_model_is_refused_in_other_mountings() {
     daemon.arg("--model").arg(left.model());
     let done = Running::start(daemon).end().expect_code(2);
     for part in [model.as_str(), "VBS", "wall"] {
-        assert!(done.err.contains(part), "no `{part}` in {}", done.said());
+        assert!(done.err.contains(part), "no `{part}` in {}", done.output());
     }
-    assert!(done.out.is_empty(), "{}", done.said());
+    assert!(done.out.is_empty(), "{}", done.output());
 }

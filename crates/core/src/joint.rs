@@ -34,7 +34,7 @@ pub struct State {
 
 /// Desired position, velocity and acceleration of one cycle.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Setpoint {
     /// Desired joint position \[rad\].
     pub q: JointVec,
@@ -145,7 +145,7 @@ pub struct Record {
 }
 
 /// Limits per joint. Every command is checked against them before it is sent.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Limits {
     /// Lowest position \[rad\].
     pub q_min: JointVec,

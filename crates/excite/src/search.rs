@@ -6,7 +6,6 @@ use super::fourier::{Fourier, MAX_HARMONICS};
 use super::guard_check::check_with_guard;
 use super::limits::{Bounds, Check, Peak, Quantity, check, check_pose, verify};
 use super::nominal::Nominal;
-use super::optimiser::FINE_GRID_RATIO;
 use super::plan::{Constraints, Plan, PlanUsage};
 use super::usage::{TARGET_USAGE, check_usage, least_usage, usage};
 use plumbline_core::JointVec;
@@ -16,6 +15,9 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
+
+/// Ratio of samples of the evaluation grid to samples of the search grid.
+pub const FINE_GRID_RATIO: usize = 5;
 
 /// Search problem.
 pub struct Problem<'a> {
@@ -100,7 +102,6 @@ const MAX_SHRINK_STEPS: usize = 80;
 const COARSE_GRID_RATIO: f64 = 0.99;
 /// Maximum random motions drawn.
 const MAX_DRAWS: usize = 50;
-/// Number of bisection steps.
 const BISECTION_STEPS: usize = 30;
 
 /// Random motion for validation: it satisfies every limit at 1 kHz and moves every joint. `amplitude` (0 to 1) is the share of each joint's
@@ -318,7 +319,6 @@ fn room(problem: &Problem, fourier: &Fourier, j: usize, samples: usize) -> f64 {
     COARSE_GRID_RATIO * factor
 }
 
-/// Check of a motion on a coarse grid.
 fn coarse(problem: &Problem, fourier: &Fourier, samples: usize) -> Check {
     with_torque(problem, |torque| check(&problem.bounds, fourier, samples, torque))
 }

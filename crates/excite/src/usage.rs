@@ -11,7 +11,6 @@ use super::limits::{Bounds, Peak};
 pub const MIN_USAGE: f64 = 0.1;
 /// Share of the limits below which a random motion is drawn again: at a quarter of the limit a run is worth a sixteenth.
 pub const TARGET_USAGE: f64 = 0.25;
-/// Samples of one period for the peaks.
 const SAMPLES: usize = 400;
 
 /// Shares of one joint's limits less margins that a motion uses.

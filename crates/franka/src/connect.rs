@@ -213,7 +213,6 @@ fn after_recovery(status: RecoveryStatus) -> &'static str {
     }
 }
 
-/// Whether a motion can start in this state.
 fn ready(state: &RobotState) -> Result<(), ConnectError> {
     match next_step(state.robot_mode) {
         None => Ok(()),

@@ -11,166 +11,75 @@ use std::time::Duration;
 
 /// Why there is no session. Each message ends with what to do.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum ConnectError {
     /// A setting can't be used.
     #[error("the settings of the Franka arm: {0}")]
     Setting(#[from] BadSetting),
-    /// No connection to the control unit.
     #[error("no connection to the arm at {address}: {cause}. {hint}")]
-    Unreachable {
-        /// Where the arm should be.
-        address: IpAddr,
-        /// Error of the system.
-        cause: io::Error,
-        /// What to check.
-        hint: String,
-    },
+    Unreachable { address: IpAddr, cause: io::Error, hint: String },
     /// A socket could not be made or set.
     #[error("a socket for the arm at {address}, {what}: {cause}")]
-    Socket {
-        /// Where the arm should be.
-        address: IpAddr,
-        /// What was attempted.
-        what: &'static str,
-        /// Error of the system.
-        cause: io::Error,
-    },
+    Socket { address: IpAddr, what: &'static str, cause: io::Error },
     /// The arm's protocol version is not one of this program.
     #[error("{}", version_words(*.robot, *.tried))]
-    Version {
-        /// The arm's version.
-        robot: u16,
-        /// What was offered last.
-        tried: u16,
-    },
-    /// The control unit did not answer in time.
+    Version { robot: u16, tried: u16 },
     #[error(
         "the arm did not answer {command} within {waited:?}. Is another program connected to it? It serves one at a time."
     )]
-    NoAnswer {
-        /// The command.
-        command: CommandKind,
-        /// How long was waited.
-        waited: Duration,
-    },
-    /// The control unit closed the connection.
+    NoAnswer { command: CommandKind, waited: Duration },
     #[error(
         "the arm closed the connection during {command}. In Desk, see that FCI is activated, that this program's user holds \
          control (single point of control), and that no other program is connected"
     )]
-    Closed {
-        /// The command.
-        command: CommandKind,
-    },
-    /// What came over TCP is no message of the protocol.
+    Closed { command: CommandKind },
     #[error(
         "what came instead of an answer to {command} is no message of the control interface: it begins with {}. Another program answers at this \
          address and port, or something on the way changes the data: see that the address is that of the control unit and that nothing forwards or \
          filters its TCP port 1337",
         first_bytes(.bytes)
     )]
-    NoMessage {
-        /// The command.
-        command: CommandKind,
-        /// The first bytes of what came.
-        bytes: [u8; HEADER_BYTES],
-    },
+    NoMessage { command: CommandKind, bytes: [u8; HEADER_BYTES] },
     /// No state came over UDP though the TCP connection is open.
     #[error(
         "the arm accepted the connection, but none of its states arrived at UDP port {port} whole within {waited:?}. {hint}"
     )]
-    NoStates {
-        /// The port that the states should come to.
-        port: u16,
-        /// How long was waited.
-        waited: Duration,
-        /// What to check.
-        hint: String,
-    },
+    NoStates { port: u16, waited: Duration, hint: String },
     /// The arm is in a mode that no motion can start from.
     #[error("the arm is not ready: its mode is `{mode}`{}. {next}", because(.reasons))]
-    Mode {
-        /// Its mode.
-        mode: RobotMode,
-        /// The errors that led to it.
-        reasons: Errors,
-        /// What the operator does next.
-        next: &'static str,
-    },
-    /// A setter was refused.
+    Mode { mode: RobotMode, reasons: Errors, next: &'static str },
     #[error("the arm refused {command}: {status}")]
-    Refused {
-        /// The command.
-        command: CommandKind,
-        /// Its answer.
-        status: SetterStatus,
-    },
-    /// The arm did not serve its description.
+    Refused { command: CommandKind, status: SetterStatus },
     #[error("the arm did not serve its description: {what}")]
-    NoDescription {
-        /// Why.
-        what: String,
-    },
-    /// The declared compensation of gravity is not the arm's.
+    NoDescription { what: String },
     #[error(
         "the settings say that the arm compensates gravity along {declared:?} m/s2, but its state says {shown:?} (`O_ddP_O`). The arm goes by its \
          own value: leave `backend.franka.compensates` out, or see in Desk what the arm was told of its mounting"
     )]
-    Compensation {
-        /// As declared \[m/s2\].
-        declared: [f64; 3],
-        /// `O_ddP_O` of the state \[m/s2\].
-        shown: [f64; 3],
-    },
-    /// Torques are to be commanded to an arm whose state shows no gravity.
+    Compensation { declared: [f64; 3], shown: [f64; 3] },
     #[error(
         "the arm's state shows no gravity (`O_ddP_O` is {shown:?} m/s2), so the torque that it adds by itself is not known. Declare it with \
          `backend.franka.compensates`, or command positions"
     )]
-    NoCompensation {
-        /// `O_ddP_O` of the state \[m/s2\].
-        shown: [f64; 3],
-    },
+    NoCompensation { shown: [f64; 3] },
     /// The description can't be used.
     #[error(transparent)]
     Urdf(#[from] UrdfError),
-    /// The arm is not the robot of the settings.
     #[error("the settings expect a {expected}, but the arm speaks {protocol}, which is {}", .protocol.images())]
-    Robot {
-        /// `Panda`, `FR3`.
-        expected: &'static str,
-        /// Its protocol version.
-        protocol: Protocol,
-    },
-    /// A message that can't be decoded.
+    Robot { expected: &'static str, protocol: Protocol },
     #[error("a message of the arm can't be read: {0}")]
     Wire(#[from] WireError),
-    /// Recovery failed.
     #[error("automatic error recovery: {status}. {next}")]
-    Recovery {
-        /// The arm's answer.
-        status: RecoveryStatus,
-        /// What the operator does next.
-        next: &'static str,
-    },
-    /// The reflex is not one to recover from without a person.
+    Recovery { status: RecoveryStatus, next: &'static str },
     #[error(
         "the arm is in a reflex because of {}: after anything but lost communication alone a person has to judge. Look at what \
          happened, clear the workspace, unlock the arm in Desk, then start again.",
         or_unknown(.reasons)
     )]
-    NotByItself {
-        /// The errors that led to it or hold.
-        reasons: Errors,
-    },
+    NotByItself { reasons: Errors },
     /// Recovery was granted, but the arm did not become idle.
     #[error("the arm says that it has recovered, but after {waited:?} its mode is still `{mode}`")]
-    StillNotIdle {
-        /// Its mode.
-        mode: RobotMode,
-        /// How long was waited.
-        waited: Duration,
-    },
+    StillNotIdle { mode: RobotMode, waited: Duration },
 }
 
 /// Bytes as numbers and as text: `48 69 (`Hi`)`.

@@ -113,7 +113,6 @@ impl Session {
     }
 }
 
-/// The next state within `timeout`.
 fn next_state(states: &mut StateLink, timeout: Duration) -> Option<RobotState> {
     let deadline = Instant::now() + timeout;
     loop {

@@ -187,7 +187,6 @@ impl Settings {
         Ok(())
     }
 
-    /// Limits of the robot where it does not serve its own.
     pub(super) fn table(&self, protocol: wire::Protocol) -> super::limits::RobotLimits {
         match (self.robot, protocol) {
             (RobotKind::Panda, _) => super::limits::panda(),

@@ -24,7 +24,6 @@ pub(super) struct CommandLink {
     skip: usize,
 }
 
-/// The connection is of no use any more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ConnectionLost {
     /// The arm or the network has closed it.

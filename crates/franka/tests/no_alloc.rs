@@ -94,7 +94,7 @@ fn run_franka(
     troubles: &[&str],
     silent: bool,
 ) -> (u32, u64, String) {
-    let address = std::net::Ipv4Addr::new(127, 44, (std::process::id() % 250) as u8, protocol.number() as u8);
+    let address = plumbline_testkit::emulator::address();
     let faults = troubles.iter().map(|text| text.parse().unwrap()).collect();
     // Two states lost in a row take twice that, and our own patience is 100 ms.
     let patience = std::time::Duration::from_millis(20);
@@ -105,7 +105,7 @@ fn run_franka(
     };
     let _emulator = plumbline_testkit::emulator::Emulator::start(emulated).unwrap();
     let robot = if protocol == Protocol::V5 { RobotKind::Panda } else { RobotKind::Fr3 };
-    let settings = Settings { interface, purpose, ..Settings::new(address.into(), robot) };
+    let settings = Settings { interface, purpose, ..Settings::new(address, robot) };
     let (mut arm, connection) = connect(&settings).unwrap();
     let before = violation_count();
     let mut cycles = 0;

@@ -3,28 +3,19 @@
 
 use nalgebra::Vector3;
 use plumbline_core::{Backend, Command, Fault, FeedForward, JointVec, Setpoint, State, Torque};
-use plumbline_franka::wire::{ErrorBit, MoveStatus, Protocol, RobotMode};
+use plumbline_franka::wire::{MoveStatus, Protocol, RobotMode};
 use plumbline_franka::{
-    ConnectError, Connection, FrankaArm, Interface, REFLEX_MODE, RobotKind, Settings, Source, connect, explain, recover,
+    ConnectError, Connection, FrankaArm, Interface, RobotKind, Settings, Source, connect, explain, recover,
 };
 use plumbline_model::{Chain, LinkParameters, Mounting, rnea};
 use plumbline_rt::cycle::End;
 use plumbline_testkit::conformance::conformance;
-use plumbline_testkit::emulator::{Emulator, Fault as Trouble, Hand, Settings as Emulated};
+use plumbline_testkit::emulator::{Emulator, Fault as Trouble, Settings as Emulated, address};
 use plumbline_testkit::franka_loop::{Run, drive, drive_serving, plan, quick_plan};
-use std::net::{IpAddr, Ipv4Addr};
-use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
 #[global_allocator]
 static ALLOCATOR: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
-
-fn address() -> IpAddr {
-    static NEXT: AtomicU8 = AtomicU8::new(1);
-    // The process number keeps programs apart that run at the same time.
-    let process = (std::process::id() % 250) as u8;
-    Ipv4Addr::new(127, 43, process, NEXT.fetch_add(1, Ordering::Relaxed)).into()
-}
 
 fn start(emulated: Emulated) -> (Emulator, Settings) {
     let robot = if emulated.protocol == Protocol::V5 { RobotKind::Panda } else { RobotKind::Fr3 };
@@ -222,105 +213,6 @@ fn a_bad_network_costs_a_way_back_and_no_discontinuity() {
             Protocol::V10 => assert!(statistics.lost > 500, "{statistics:?}"),
         }
     });
-}
-
-/// Holds until something ends it.
-fn until_a_fault(arm: &mut FrankaArm, ticks: u64, mut at: impl FnMut(u64)) -> Option<Fault> {
-    let start = arm.read().unwrap();
-    let mut last = start;
-    while last.seq < start.seq + ticks {
-        at(last.seq - start.seq);
-        match hold(arm, &start, &last) {
-            Ok(state) => last = state,
-            Err(fault) => return Some(fault),
-        }
-    }
-    None
-}
-
-#[test]
-fn a_user_stop_ends_the_motion_and_tells_the_operator_what_to_do() {
-    for protocol in Protocol::ALL {
-        let (emulator, settings) = start(patient(protocol));
-        let (mut arm, connection) = open(&settings);
-        let mut pressed = false;
-        let fault = until_a_fault(&mut arm, 3000, |tick| {
-            if tick > 200 && !std::mem::replace(&mut pressed, true) {
-                emulator.hand(Hand::UserStop);
-            }
-        });
-        let fault = fault.expect("the user stop ends it");
-        assert_eq!(fault, Fault::Reflex { code: REFLEX_MODE + u32::from(RobotMode::UserStopped.code()) }, "{protocol}");
-        arm.stop();
-        let words = explain(&fault, &connection.telemetry.snapshot());
-        assert!(words.what.contains("user stopped") && words.next.contains("user stop"), "{words}");
-        drop(arm);
-        std::thread::sleep(Duration::from_millis(50));
-        let error = connect(&settings).expect_err("not while the stop is pressed").to_string();
-        assert!(error.contains("user stop"), "{error}");
-        emulator.hand(Hand::Release);
-        std::thread::sleep(Duration::from_millis(100));
-        let (mut arm, _) = open(&settings);
-        assert_eq!(until_a_fault(&mut arm, 100, |_| {}), None, "{protocol}");
-    }
-}
-
-#[test]
-fn a_stall_is_a_violation_by_name_and_recovery_is_asked_for_not_taken() {
-    for protocol in Protocol::ALL {
-        // This robot does not wait.
-        let (emulator, settings) = start(Emulated::new(address(), protocol));
-        let (mut arm, connection) = open(&settings);
-        let mut stalled = false;
-        let fault = until_a_fault(&mut arm, 3000, |tick| {
-            if tick > 200 && !std::mem::replace(&mut stalled, true) {
-                // Longer than this machine stalls by itself.
-                std::thread::sleep(Duration::from_millis(250));
-            }
-        });
-        let fault = fault.expect("250 ms without a command");
-        assert_eq!(fault, Fault::Reflex { code: ErrorBit::CommunicationConstraintsViolation as u32 }, "{protocol}");
-        arm.stop();
-        let statistics = connection.telemetry.snapshot();
-        let words = explain(&fault, &statistics);
-        assert!(words.cause.as_ref().is_some_and(|cause| cause.contains("our own work took")), "{words}");
-        assert_eq!(statistics.status(), Some(MoveStatus::ReflexAborted), "{protocol}");
-        drop(arm);
-        std::thread::sleep(Duration::from_millis(300));
-        // The arm stands, its errors may have cleared; its mode has not.
-        assert_eq!(emulator.snapshot().state.robot_mode, RobotMode::Reflex, "{protocol}");
-        let error = connect(&settings).expect_err("not in a reflex").to_string();
-        assert!(error.contains("communication_constraints_violation") && error.contains("recovery"), "{error}");
-        recover(&settings).unwrap();
-        let (mut arm, _) = open(&settings);
-        // Through a stall of this machine the motion may end again; what counts is that it began.
-        arm.read().unwrap();
-    }
-}
-
-#[test]
-fn a_reset_and_a_silent_robot_end_the_motion_in_bounded_time() {
-    for (trouble, expected) in [("tcp-reset,at=motion+0.2", "connection"), ("silence,at=motion+0.2", "no state")] {
-        let faults = vec![trouble.parse::<Trouble>().unwrap()];
-        let (_emulator, settings) = start(Emulated { faults, ..patient(Protocol::V10) });
-        let (mut arm, connection) = open(&settings);
-        let fault = until_a_fault(&mut arm, 5000, |_| {}).expect(trouble);
-        let begin = Instant::now();
-        arm.stop();
-        arm.stop();
-        drop(arm);
-        assert!(begin.elapsed() < Duration::from_secs(1), "{trouble}: {:?}", begin.elapsed());
-        let words = explain(&fault, &connection.telemetry.snapshot());
-        assert!(words.what.contains(expected), "{trouble}: {fault:?} {words}");
-    }
-}
-
-#[test]
-fn versions_that_do_not_fit_are_named() {
-    let faults = vec!["wrong-version=7".parse::<Trouble>().unwrap()];
-    let (_emulator, settings) = start(Emulated { faults, ..patient(Protocol::V10) });
-    let error = connect(&settings).err().unwrap().to_string();
-    assert!(error.contains("version 7") && error.contains("5.5.0"), "{error}");
 }
 
 #[test]

@@ -37,18 +37,12 @@ pub struct Direction {
 
 /// Why the torques do not determine the direction.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum DirectionError {
-    /// No pose was given.
     #[error("there is no pose to read the direction of gravity from")]
     NoPose,
-    /// Gravity is not identifiable in these poses.
     #[error("in these poses the torques do not determine the direction of gravity: along [{:.2}, {:.2}, {:.2}] its standard deviation is {std:.1} m/s2", .along.x, .along.y, .along.z)]
-    NotIdentifiable {
-        /// Least determined direction in the base frame.
-        along: Vector3<f64>,
-        /// Standard deviation of gravity along it \[m/s2\].
-        std: f64,
-    },
+    NotIdentifiable { along: Vector3<f64>, std: f64 },
 }
 
 /// Maximum standard deviation of gravity along its least determined direction \[m/s2\].

@@ -6,7 +6,7 @@
 //! quantile of the chi-squared distribution. This is the textbook F-test with a covariance that is valid for coloured noise.
 
 use super::EstimateError;
-use super::solve::Solved;
+use super::solve::solved::Solved;
 use nalgebra::{Cholesky, DMatrix, DVector};
 use plumbline_model::term::Column;
 use statrs::distribution::{ChiSquared, ContinuousCDF};

@@ -72,67 +72,24 @@ pub use validate::{Modelled, Rms, compare, torques, validate, validate_parameter
 
 /// Error of preparing runs and identifying parameters.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum EstimateError {
     /// A run's samples could not be processed.
     #[error("run {run}: {source}")]
-    Signal {
-        /// Name of the run.
-        run: String,
-        /// What was wrong.
-        source: signal::SignalError,
-    },
-    /// Too few whole periods.
+    Signal { run: String, source: signal::SignalError },
     #[error("run {run}: {found} whole periods of {period} s after leaving out {skipped}: expected at least 1")]
-    Periods {
-        /// Name of the run.
-        run: String,
-        /// Whole periods found.
-        found: usize,
-        /// Periods left out at the start.
-        skipped: usize,
-        /// The period \[s\].
-        period: f64,
-    },
-    /// Too few samples per period.
+    Periods { run: String, found: usize, skipped: usize, period: f64 },
     #[error("run {run}: period {period} s at a step of {dt} s: expected at least 16 samples a period")]
-    Period {
-        /// Name of the run.
-        run: String,
-        /// The period \[s\].
-        period: f64,
-        /// Time between samples \[s\].
-        dt: f64,
-    },
+    Period { run: String, period: f64, dt: f64 },
     /// The run has another number of joints than the model.
     #[error("run {run} has {found} joints, the model {expected}")]
-    Joints {
-        /// Name of the run.
-        run: String,
-        /// Joints of the run.
-        found: usize,
-        /// Joints of the model.
-        expected: usize,
-    },
-    /// There are fewer equations than parameters.
+    Joints { run: String, found: usize, expected: usize },
     #[error("{rows} equations after decimation for {columns} parameters")]
-    TooFewRows {
-        /// Equations.
-        rows: usize,
-        /// Parameters.
-        columns: usize,
-    },
+    TooFewRows { rows: usize, columns: usize },
     /// Instrumental variables without an instrument.
     #[error("run {run} has neither two periods nor a desired motion (q_d1..q_dn): expected one of them as instrument")]
-    NoInstruments {
-        /// Name of the run.
-        run: String,
-    },
+    NoInstruments { run: String },
     /// A singular value decomposition did not converge; does not occur with finite data.
     #[error("the regressor of {rows} x {columns} has no singular value decomposition (are all samples finite?)")]
-    Decomposition {
-        /// Rows.
-        rows: usize,
-        /// Columns.
-        columns: usize,
-    },
+    Decomposition { rows: usize, columns: usize },
 }

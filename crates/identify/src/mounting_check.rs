@@ -71,35 +71,17 @@ impl std::fmt::Display for Pair {
 
 /// The sources disagree: no model may be served.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum Disagreement {
     /// One source is wrong and the others agree.
     #[error(
         "{} is off by {:.2} deg, at most {:.2} deg are allowed: {}", .side.name, .off.to_degrees(), .tolerance.to_degrees(), list(.pairs)
     )]
-    Off {
-        /// The wrong source.
-        side: GravitySource,
-        /// Its smallest angle to another source \[rad\].
-        off: f64,
-        /// Tolerance \[rad\].
-        tolerance: f64,
-        /// Every pair.
-        pairs: Vec<Pair>,
-    },
-    /// Sources disagree, and the wrong one is undetermined.
+    Off { side: GravitySource, off: f64, tolerance: f64, pairs: Vec<Pair> },
     #[error("sources of gravity disagree, at most {:.2} deg are allowed: {}", .tolerance.to_degrees(), list(.pairs))]
-    Unclear {
-        /// Tolerance \[rad\].
-        tolerance: f64,
-        /// Every pair.
-        pairs: Vec<Pair>,
-    },
-    /// A torque sensor has the wrong sign.
+    Unclear { tolerance: f64, pairs: Vec<Pair> },
     #[error("the torques at rest fit the model only if the torque of joint {} had the opposite sign", .joint + 1)]
-    WrongSign {
-        /// Joint, counted from 0.
-        joint: usize,
-    },
+    WrongSign { joint: usize },
 }
 
 fn list(pairs: &[Pair]) -> String {

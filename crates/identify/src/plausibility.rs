@@ -17,37 +17,17 @@ const ACCEPTED_ERROR_RATIO: f64 = 0.1;
 
 /// Why an offered model is not served.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum Implausible {
-    /// The inertia is not positive in any pose.
     #[error("it has no inertia: the joints' sum is at most {inertia:e} kg m2 in {POSES} poses")]
-    NoInertia {
-        /// Largest sum found \[kg m2\].
-        inertia: f64,
-    },
+    NoInertia { inertia: f64 },
     /// Its torque exceeds the arm's limit at a recent state.
     #[error("it asks joint {} for {tau:.2} Nm where the arm is, and the limit is {bound:.2} Nm", .joint + 1)]
-    Limit {
-        /// Joint, counted from 0.
-        joint: usize,
-        /// Its torque \[Nm\].
-        tau: f64,
-        /// The joint's limit \[Nm\].
-        bound: f64,
-    },
-    /// It does not explain the measured torque.
+    Limit { joint: usize, tau: f64, bound: f64 },
     #[error(
         "the torque measured in joint {} is {error:.2} Nm away from it, at most {allowed:.2} Nm are allowed{}", .joint + 1, beside(.served)
     )]
-    Measured {
-        /// Joint, counted from 0.
-        joint: usize,
-        /// RMS of measured minus modelled torque \[Nm\].
-        error: f64,
-        /// RMS of the served model, where one is served \[Nm\].
-        served: Option<f64>,
-        /// Maximum error \[Nm\].
-        allowed: f64,
-    },
+    Measured { joint: usize, error: f64, served: Option<f64>, allowed: f64 },
 }
 
 fn beside(served: &Option<f64>) -> String {

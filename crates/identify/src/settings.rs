@@ -112,7 +112,6 @@ impl ExcludedSpan {
 }
 
 impl Settings {
-    /// Excluded spans of a run.
     pub(super) fn left_out<'a>(&'a self, run: &'a str) -> impl Iterator<Item = &'a ExcludedSpan> {
         self.leave_out.iter().filter(move |one| one.run == run)
     }

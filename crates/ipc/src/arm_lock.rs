@@ -13,23 +13,13 @@ use std::os::fd::OwnedFd;
 
 /// Why the arm could not be locked.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum ArmLockError {
-    /// Another daemon drives the arm.
     #[error("another daemon ({holder}) drives the arm `{arm}`")]
-    Held {
-        /// The arm.
-        arm: String,
-        /// Process and user of the other daemon, where the kernel reports them.
-        holder: String,
-    },
+    Held { arm: String, holder: String },
     /// The socket could not be created.
     #[error("the lock of arm `{arm}`: {source}")]
-    Io {
-        /// The arm.
-        arm: String,
-        /// Error of the operating system.
-        source: io::Error,
-    },
+    Io { arm: String, source: io::Error },
 }
 
 /// Exclusive lock of one arm, released when dropped.

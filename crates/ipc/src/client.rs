@@ -14,7 +14,6 @@ use super::services::{self, ServiceNode, transport};
 
 /// Initial size of a request's memory; a model makes it grow \[bytes\].
 const INITIAL_REQUEST_BYTES: usize = 1024;
-/// Polling interval of a response.
 const POLL_INTERVAL: Duration = Duration::from_micros(500);
 
 /// Client of the daemon of one robot. Not `Send`.

@@ -2,65 +2,22 @@
 
 /// Error of interprocess communication.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum IpcError {
-    /// No daemon serves this robot.
     #[error("no daemon serves robot `{robot}` (waited {waited_ms} ms)")]
-    NoDaemon {
-        /// The robot asked for.
-        robot: String,
-        /// Timeout \[ms\].
-        waited_ms: u64,
-    },
+    NoDaemon { robot: String, waited_ms: u64 },
     /// The daemon runs but did not respond in time.
     #[error("the daemon of robot `{robot}` did not respond within {waited_ms} ms")]
-    NoAnswer {
-        /// The robot asked for.
-        robot: String,
-        /// Timeout \[ms\].
-        waited_ms: u64,
-    },
-    /// All slots of a service are in use.
+    NoAnswer { robot: String, waited_ms: u64 },
     #[error("service `{service}` has no free slot for another {port}")]
-    Full {
-        /// Name of the service.
-        service: String,
-        /// Kind of port, and the processes that hold the slots where known.
-        port: String,
-    },
-    /// The service was created by another version of plumbline.
+    Full { service: String, port: String },
     #[error("service `{service}` exists with other types or sizes than this version of plumbline uses: {reason}")]
-    Incompatible {
-        /// Name of the service.
-        service: String,
-        /// Error of iceoryx2.
-        reason: String,
-    },
+    Incompatible { service: String, reason: String },
     /// A request or a response exceeds its maximum length.
     #[error("{what} has {bytes} bytes, the limit is {limit}")]
-    TooLong {
-        /// Kind of message.
-        what: &'static str,
-        /// Its size.
-        bytes: usize,
-        /// The limit.
-        limit: usize,
-    },
-    /// A message that can't be parsed.
+    TooLong { what: &'static str, bytes: usize, limit: usize },
     #[error("{what} can't be read: {reason}")]
-    Malformed {
-        /// Expected kind of message.
-        what: &'static str,
-        /// Parse error.
-        reason: String,
-    },
-    /// iceoryx2 failed.
+    Malformed { what: &'static str, reason: String },
     #[error("shared memory failed: {doing} `{service}`: {reason}")]
-    Transport {
-        /// Attempted operation.
-        doing: &'static str,
-        /// Name of the service.
-        service: String,
-        /// Error of iceoryx2.
-        reason: String,
-    },
+    Transport { doing: &'static str, service: String, reason: String },
 }

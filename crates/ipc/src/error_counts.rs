@@ -3,7 +3,6 @@
 /// Maximum distinct causes; further ones are counted with the last.
 const MAX_CAUSES: usize = 16;
 
-/// Error count per cause.
 #[derive(Debug, Default)]
 pub(super) struct ErrorCounts {
     causes: Vec<(String, u64)>,

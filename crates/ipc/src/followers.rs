@@ -6,59 +6,21 @@ use super::command::Follower;
 
 /// Event of a follower, for the log.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum FollowerEvent {
-    /// First request of a follower.
     #[error("{name} (process {pid}) follows the samples from {from} on")]
-    Joined {
-        /// Name that it gave.
-        name: String,
-        /// Process of the follower.
-        pid: u32,
-        /// First record that it requested.
-        from: u64,
-    },
+    Joined { name: String, pid: u32, from: u64 },
     /// Heartbeat timeout of a follower whose process runs.
     #[error("{name} (process {pid}) has been silent for {silent_ms} ms; it had acknowledged {acknowledged} records")]
-    Silent {
-        /// Name that it gave.
-        name: String,
-        /// Process of the follower.
-        pid: u32,
-        /// Number of acknowledged records.
-        acknowledged: u64,
-        /// Time since its last heartbeat \[ms\].
-        silent_ms: u64,
-    },
+    Silent { name: String, pid: u32, acknowledged: u64, silent_ms: u64 },
     /// Heartbeat after a timeout.
     #[error("{name} (process {pid}) is back and has acknowledged {acknowledged} records")]
-    Back {
-        /// Name that it gave.
-        name: String,
-        /// Process of the follower.
-        pid: u32,
-        /// Number of acknowledged records.
-        acknowledged: u64,
-    },
-    /// A follower disconnected.
+    Back { name: String, pid: u32, acknowledged: u64 },
     #[error("{name} (process {pid}) left after {acknowledged} records")]
-    Left {
-        /// Name that it gave.
-        name: String,
-        /// Process of the follower.
-        pid: u32,
-        /// Number of acknowledged records.
-        acknowledged: u64,
-    },
+    Left { name: String, pid: u32, acknowledged: u64 },
     /// A follower's process ended without disconnecting.
     #[error("{name} (process {pid}) died after {acknowledged} records; they are kept for its successor")]
-    Died {
-        /// Name that it gave.
-        name: String,
-        /// Process of the follower.
-        pid: u32,
-        /// Number of acknowledged records.
-        acknowledged: u64,
-    },
+    Died { name: String, pid: u32, acknowledged: u64 },
 }
 
 /// Content of one request, with the identity of its port.
@@ -82,7 +44,6 @@ struct Entry {
     silent: bool,
 }
 
-/// The followers of one daemon.
 #[derive(Debug, Default)]
 pub(super) struct Followers {
     entries: Vec<Entry>,
@@ -152,12 +113,10 @@ impl Followers {
         self.entries.iter().any(|entry| now_ns.saturating_sub(entry.last_heartbeat_ns) >= limit_ns)
     }
 
-    /// Highest acknowledgement of any follower.
     pub(super) fn highest_acknowledged(&self) -> u64 {
         self.highest_acknowledged
     }
 
-    /// The connected followers.
     pub(super) fn list(&self, now_ns: u64) -> Vec<Follower> {
         let follower = |entry: &Entry| Follower {
             name: entry.name.clone(),

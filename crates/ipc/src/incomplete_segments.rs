@@ -12,15 +12,12 @@ use std::sync::Once;
 use std::time::{Duration, SystemTime};
 
 use super::runtime_dir;
-use super::services::process;
 
-/// File mode of an incomplete segment.
 const INCOMPLETE_MODE: u32 = 0o200;
 /// Minimum age before removal where a process at an end of the connection is dead.
 const DEAD_PEER_TIMEOUT: Duration = Duration::from_millis(100);
 /// Minimum age before removal where the processes run: ten times iceoryx2's `creation_timeout`.
 const LIVE_PEER_TIMEOUT: Duration = Duration::from_secs(5);
-/// Interval between two sweeps.
 const SWEEP_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Starts the sweeper thread, once in a process. To be called before the process raises its scheduling priority.
@@ -59,6 +56,11 @@ fn sweep(shared_memory: &Path, uid: u32, now: SystemTime) -> usize {
 fn ends(path: &Path) -> impl Iterator<Item = u32> {
     let name = path.file_name().and_then(|name| name.to_str()?.strip_suffix(".connection")).unwrap_or_default();
     name.rsplit('_').take(2).filter_map(|id| Some(process(id.parse().ok()?)))
+}
+
+/// Process that created a port or a node: bits 64 to 95 of its identity.
+pub(super) fn process(id: u128) -> u32 {
+    (id >> 64) as u32
 }
 
 fn runs(pid: u32) -> bool {

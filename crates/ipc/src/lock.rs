@@ -13,28 +13,14 @@ use super::runtime_dir::{self, RuntimeDirError};
 
 /// Why the lock could not be taken.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum LockError {
-    /// Another daemon serves this robot.
     #[error("another daemon ({holder}) serves robot `{robot}` (lock {})", path.display())]
-    Held {
-        /// The robot.
-        robot: String,
-        /// Process of the other daemon, from the lock file.
-        holder: String,
-        /// The lock file.
-        path: PathBuf,
-    },
-    /// No usable runtime directory.
+    Held { robot: String, holder: String, path: PathBuf },
     #[error(transparent)]
     Place(#[from] RuntimeDirError),
-    /// The lock file could not be used.
     #[error("lock file {}: {source}", path.display())]
-    Io {
-        /// The lock file.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
 }
 
 /// Content of the lock file; its length is constant for one process.
@@ -149,7 +135,6 @@ impl Lock {
     }
 }
 
-/// The lock file of `robot` in `directory`.
 pub(super) fn path_in(directory: &Path, robot: &RobotId) -> PathBuf {
     directory.join(format!("{robot}.lock"))
 }
@@ -176,7 +161,6 @@ pub(super) fn is_held_by(lock: &fs::Metadata, process: u32) -> io::Result<bool> 
     Ok(false)
 }
 
-/// Counter of executed stops in the lock file.
 #[derive(Debug)]
 pub(super) struct StopCounter {
     file: File,
@@ -184,7 +168,6 @@ pub(super) struct StopCounter {
 }
 
 impl StopCounter {
-    /// Counts one stop executed at `now_ns`.
     pub(super) fn count(&mut self, now_ns: u64) -> io::Result<()> {
         self.entry.stops += 1;
         self.entry.stop_ns = now_ns;

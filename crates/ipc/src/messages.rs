@@ -9,29 +9,16 @@ use plumbline_core::{Command, JointVec, MAX_JOINTS, Phase, Record, Setpoint, Sta
 
 /// Invalid value in a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum MessageError {
     /// Unknown code of [`Phase`].
     #[error("phase {code} of record {seq} does not exist")]
-    Phase {
-        /// The value found.
-        code: u32,
-        /// Number of the record or of the feed-forward.
-        seq: u64,
-    },
+    Phase { code: u32, seq: u64 },
     /// Unknown code of [`Validity`].
     #[error("validity {code} of record {seq} does not exist")]
-    Validity {
-        /// The value found.
-        code: u32,
-        /// Number of the record or of the feed-forward.
-        seq: u64,
-    },
-    /// More joints than the message has room for.
+    Validity { code: u32, seq: u64 },
     #[error("{joints} joints, the message has room for {MAX_JOINTS}")]
-    Joints {
-        /// The value found.
-        joints: u32,
-    },
+    Joints { joints: u32 },
 }
 
 /// One [`Record`] as it is published.

@@ -55,7 +55,6 @@ struct PendingRequest {
     active: Active,
 }
 
-/// Requests of the command service.
 pub(super) struct Requests {
     /// In the order of arrival.
     waiting: VecDeque<PendingRequest>,
@@ -120,7 +119,6 @@ impl Requests {
         Ok(())
     }
 
-    /// Whether no request is queued.
     pub(super) fn is_empty(&self) -> bool {
         self.waiting.is_empty()
     }

@@ -19,25 +19,14 @@ const GLOBAL_SEGMENT_SUFFIX: &str = ".global_mgmt";
 
 /// Why the runtime directory or shared memory can't be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum RuntimeDirError {
     /// Owned by another user, or writable by others.
     #[error("{} {what}; expected a directory of user {uid} that no other user can write to: remove it, or set {VARIABLE}", path.display())]
-    Foreign {
-        /// The directory, or the file in its place.
-        path: PathBuf,
-        /// Description of the defect.
-        what: String,
-        /// The user that this program runs as.
-        uid: u32,
-    },
+    Foreign { path: PathBuf, what: String, uid: u32 },
     /// It could not be created or inspected.
     #[error("{}: {reason}", path.display())]
-    Io {
-        /// The path.
-        path: PathBuf,
-        /// Error of the operating system.
-        reason: String,
-    },
+    Io { path: PathBuf, reason: String },
 }
 
 /// Runtime directory of this process's user, created if missing, and always checked.
@@ -60,7 +49,6 @@ pub fn other_serving_user() -> Option<u32> {
     (owner != user()).then_some(owner)
 }
 
-/// The effective user of this process.
 pub(super) fn user() -> u32 {
     rustix::process::geteuid().as_raw()
 }

@@ -18,17 +18,13 @@ use super::messages::{FeedForwardMessage, FollowRequest, ReplayHeader, SampleMes
 use super::robot::RobotId;
 use super::runtime_dir;
 
-/// Maximum records in one published batch.
 pub(super) const MAX_BATCH_RECORDS: usize = 32;
 /// Maximum records in one replay response (340 KiB).
 pub(super) const MAX_REPLAY_RECORDS: usize = 512;
 /// Capacity of a follower's buffer in batches.
 const STREAM_BUFFER_BATCHES: usize = 256;
-/// Maximum followers of the samples.
 const MAX_FOLLOWERS: usize = 4;
-/// Maximum clients of the feed-forward service.
 const MAX_FEED_FORWARD_CLIENTS: usize = 32;
-/// Maximum clients of the command service.
 pub(super) const MAX_COMMAND_CLIENTS: usize = 16;
 /// Clients of the command service that are reserved for operators.
 pub(super) const RESERVED_OPERATORS: usize = 4;
@@ -178,6 +174,24 @@ fn commands(node: &ServiceNode, name: &str) -> Result<CommandsBuilder, IpcError>
     Ok(node.service_builder(&service_name(name)?).request_response::<[u8], [u8]>())
 }
 
+/// A request-response service of one server; the builders of two services are two types.
+macro_rules! serve_one_server {
+    ($builder:expr, $clients:expr) => {
+        $builder
+            .enable_safe_overflow_for_requests(false)
+            .enable_safe_overflow_for_responses(false)
+            .enable_fire_and_forget_requests(true)
+            .max_active_requests_per_client(2)
+            .max_loaned_requests(1)
+            .max_response_buffer_size(1)
+            .max_borrowed_responses_per_pending_response(1)
+            .max_servers(1)
+            .max_clients($clients)
+            .max_nodes($clients + SPARE_NODES)
+            .open_or_create()
+    };
+}
+
 /// Opens or creates the sample stream. The daemon alone sets the sizes.
 pub(super) fn serve_samples(node: &ServiceNode, robot: &RobotId) -> Result<Samples, IpcError> {
     let name = samples_name(robot);
@@ -195,23 +209,9 @@ pub(super) fn serve_samples(node: &ServiceNode, robot: &RobotId) -> Result<Sampl
     })
 }
 
-/// Opens or creates the replay service.
 pub(super) fn serve_replay(node: &ServiceNode, robot: &RobotId) -> Result<Replay, IpcError> {
     let name = replay_name(robot);
-    retry_until(&name, SERVER_TIMEOUT, || {
-        Ok(replay(node, &name)?
-            .enable_safe_overflow_for_requests(false)
-            .enable_safe_overflow_for_responses(false)
-            .enable_fire_and_forget_requests(true)
-            .max_active_requests_per_client(2)
-            .max_loaned_requests(1)
-            .max_response_buffer_size(1)
-            .max_borrowed_responses_per_pending_response(1)
-            .max_servers(1)
-            .max_clients(MAX_FOLLOWERS)
-            .max_nodes(MAX_FOLLOWERS + SPARE_NODES)
-            .open_or_create())
-    })
+    retry_until(&name, SERVER_TIMEOUT, || Ok(serve_one_server!(replay(node, &name)?, MAX_FOLLOWERS)))
 }
 
 /// Opens or creates the feed-forward service. Its buffer holds the latest value only.
@@ -230,51 +230,26 @@ pub(super) fn serve_feed_forward(node: &ServiceNode, robot: &RobotId) -> Result<
     })
 }
 
-/// Opens or creates the command service.
 pub(super) fn serve_commands(node: &ServiceNode, robot: &RobotId) -> Result<Commands, IpcError> {
     let name = command_name(robot);
-    retry_until(&name, SERVER_TIMEOUT, || {
-        Ok(commands(node, &name)?
-            .enable_safe_overflow_for_requests(false)
-            .enable_safe_overflow_for_responses(false)
-            .enable_fire_and_forget_requests(true)
-            .max_active_requests_per_client(2)
-            .max_loaned_requests(1)
-            .max_response_buffer_size(1)
-            .max_borrowed_responses_per_pending_response(1)
-            .max_servers(1)
-            .max_clients(MAX_COMMAND_CLIENTS)
-            .max_nodes(MAX_COMMAND_CLIENTS + SPARE_NODES)
-            .open_or_create())
-    })
+    retry_until(&name, SERVER_TIMEOUT, || Ok(serve_one_server!(commands(node, &name)?, MAX_COMMAND_CLIENTS)))
 }
 
-/// Opens the sample stream of a daemon.
-pub(super) fn join_samples(node: &ServiceNode, robot: &RobotId, timeout: Duration) -> Result<Samples, IpcError> {
-    let name = samples_name(robot);
-    joined(robot, timeout, retry_until(&name, timeout, || Ok(samples(node, &name)?.open())))
+/// Functions that open a service of a daemon.
+macro_rules! join {
+    ($($join:ident: $builder:ident, $name:ident -> $service:ty;)+) => {$(
+        pub(super) fn $join(node: &ServiceNode, robot: &RobotId, timeout: Duration) -> Result<$service, IpcError> {
+            let name = $name(robot);
+            joined(robot, timeout, retry_until(&name, timeout, || Ok($builder(node, &name)?.open())))
+        }
+    )+};
 }
 
-/// Opens the replay service of a daemon.
-pub(super) fn join_replay(node: &ServiceNode, robot: &RobotId, timeout: Duration) -> Result<Replay, IpcError> {
-    let name = replay_name(robot);
-    joined(robot, timeout, retry_until(&name, timeout, || Ok(replay(node, &name)?.open())))
-}
-
-/// Opens the feed-forward of a daemon.
-pub(super) fn join_feed_forward(
-    node: &ServiceNode,
-    robot: &RobotId,
-    timeout: Duration,
-) -> Result<FeedForward, IpcError> {
-    let name = feed_forward_name(robot);
-    joined(robot, timeout, retry_until(&name, timeout, || Ok(feed_forward(node, &name)?.open())))
-}
-
-/// Opens the command service of a daemon.
-pub(super) fn join_commands(node: &ServiceNode, robot: &RobotId, timeout: Duration) -> Result<Commands, IpcError> {
-    let name = command_name(robot);
-    joined(robot, timeout, retry_until(&name, timeout, || Ok(commands(node, &name)?.open())))
+join! {
+    join_samples: samples, samples_name -> Samples;
+    join_replay: replay, replay_name -> Replay;
+    join_feed_forward: feed_forward, feed_forward_name -> FeedForward;
+    join_commands: commands, command_name -> Commands;
 }
 
 /// Timeout of the daemon for opening a service: another process may still be cleaning up after a killed one.
@@ -330,7 +305,7 @@ fn joined<T>(robot: &RobotId, timeout: Duration, result: Result<T, IpcError>) ->
 pub(super) fn full(name: &str, service: &Commands) -> IpcError {
     let mut processes = BTreeMap::<u32, usize>::new();
     service.dynamic_config().list_clients(|details| {
-        *processes.entry(process(details.client_id.value())).or_default() += 1;
+        *processes.entry(incomplete_segments::process(details.client_id.value())).or_default() += 1;
         CallbackProgression::Continue
     });
     let each = processes.iter().map(|(process, slots)| format!("process {process} has {slots}"));
@@ -339,17 +314,11 @@ pub(super) fn full(name: &str, service: &Commands) -> IpcError {
     IpcError::Full { service: name.to_string(), port }
 }
 
-/// Process that created a port or a node: bits 64 to 95 of its identity.
-pub(super) fn process(id: u128) -> u32 {
-    (id >> 64) as u32
-}
-
 /// Whether the process of a node still runs. A node that does not exist was cleaned up after its process ended.
 pub(super) fn runs(node: &ServiceNode, id: UniqueNodeId) -> bool {
     !matches!(Node::<ipc::Service>::state_of(node.config(), id), Ok(None | Some(NodeState::Dead(_))))
 }
 
-/// Error of a robot without a daemon.
 pub(super) fn no_daemon(robot: &RobotId, waited: Duration) -> IpcError {
     IpcError::NoDaemon { robot: robot.to_string(), waited_ms: waited.as_millis() as u64 }
 }

@@ -20,7 +20,6 @@ use super::robot::RobotId;
 use super::services::{self, MAX_REPLAY_RECORDS, ServiceNode, transport};
 use plumbline_core::Record;
 
-/// Polling interval of shared memory.
 const POLL_INTERVAL: Duration = Duration::from_micros(500);
 /// Maximum batches received in one step: bounds the size of a delivery.
 const BATCHES_PER_STEP: usize = 64;

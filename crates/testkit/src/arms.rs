@@ -17,7 +17,6 @@ pub fn chain(name: &str) -> Chain {
     Robot::load(&file, Some(Path::new(crate::ROOT))).unwrap().chain
 }
 
-/// Every arm that the tests know by name.
 pub fn all() -> Vec<(&'static str, Chain)> {
     Robot::names().chain(["scara", "stanford", "gantry", "skew"]).map(|name| (name, chain(name))).collect()
 }
@@ -44,17 +43,14 @@ pub fn draw(rng: &mut ChaCha8Rng, n: usize, span: f64) -> Vec<f64> {
     (0..n).map(|_| rng.random_range(-span..span)).collect()
 }
 
-/// Any mounting.
 pub fn any_mounting(rng: &mut ChaCha8Rng) -> Mounting {
     Mounting { rho: rng.random_range(0.0..PI), phi: rng.random_range(-PI..PI) }
 }
 
-/// Standard parameters as one row per link.
 pub fn links(delta: &[f64]) -> Vec<LinkParameters> {
     delta.chunks_exact(10).map(|link| link.try_into().unwrap()).collect()
 }
 
-/// RNEA as a function.
 pub fn torque(
     chain: &Chain,
     delta: &[f64],

@@ -22,7 +22,6 @@ pub fn robot(name: &str) -> Robot {
     Robot::load(&at, Some(root)).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// A random body with mass and inertia.
 pub fn random_body(rng: &mut ChaCha8Rng) -> LinkParameters {
     let second = Vector3::from_fn(|_, _| rng.random_range(0.002..0.05));
     let axes = Rotation3::from_euler_angles(
@@ -70,7 +69,6 @@ pub fn bodies(model: &TorqueModel) -> Nearest {
     nearest(structure, &beta, Uncertainty::Deviations(&deviations), &prior).unwrap()
 }
 
-/// A state and the torques there.
 #[derive(Serialize)]
 pub struct Case {
     pub gravity: [f64; 3],

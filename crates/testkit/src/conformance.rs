@@ -13,7 +13,6 @@ const TRACK: f64 = 5e-3;
 const DISTANCE: f64 = 0.03;
 const DURATION: u64 = 800;
 
-/// Runs every check.
 pub fn conformance<B: Backend>(make: impl Fn() -> B) {
     states_follow_each_other(make());
     holds_still(make());
@@ -46,7 +45,6 @@ fn states_follow_each_other(mut arm: impl Backend) {
     assert_eq!(arm.joints(), joints, "joints() changed");
 }
 
-/// An arm holds a constant commanded position.
 fn holds_still(mut arm: impl Backend) {
     let start = first(&mut arm);
     let joints = arm.joints();

@@ -18,11 +18,8 @@ const TICK: f64 = 1e-3;
 /// What the fake is made of, and what it has seen.
 pub struct World {
     pub protocol: Protocol,
-    /// Version that it reports.
     pub speaks: u16,
-    /// Whether states leave it.
     pub sends: bool,
-    /// Whether requests to move are answered and obeyed.
     pub moves: bool,
     pub state: RobotState,
     /// Number of the call of Move, while a motion runs.
@@ -33,7 +30,6 @@ pub struct World {
     pub extra: Vec<Vec<u8>>,
     /// Messages to send over TCP.
     pub answers: Vec<u8>,
-    /// The connection is to be closed.
     pub closes: bool,
     /// Every command that came, with the tick at which it was used.
     pub commands: Vec<(u64, RobotCommand)>,

@@ -9,7 +9,6 @@ use plumbline_rt::recorder::ring;
 use plumbline_rt::{CycleSettings, Event, GuardSettings, Order, OrderKind, StopReason, TimedEvent, cycle};
 use std::time::{Duration, Instant};
 
-/// What a run left behind.
 pub struct Run {
     pub outcome: Outcome,
     pub records: Vec<Record>,
@@ -19,7 +18,6 @@ pub struct Run {
 }
 
 impl Run {
-    /// Reason of its end.
     pub fn words(&self) -> String {
         match &self.outcome.end {
             End::Fault(fault) => explain(fault, &self.statistics).to_string(),

@@ -16,33 +16,26 @@ const STOPPED: u8 = 4;
 const OPERATIONAL: u8 = 5;
 const PRE_OPERATIONAL: u8 = 127;
 
-/// One object of the dictionary.
 struct Object {
     bytes: Vec<u8>,
     writable: bool,
 }
 
-/// Simulated faults of the device.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Faults {
     /// Unplugged: nothing is received or sent.
     pub unplugged: bool,
-    /// No heartbeat.
     pub no_heartbeat: bool,
-    /// No process data.
     pub no_slopes: bool,
     /// Process data a byte short.
     pub short_pdo: bool,
     /// Heartbeats and process data twice: another node has the same id.
     pub duplicate_id: bool,
-    /// The PDO mapping can't be written.
     pub fixed_mapping: bool,
 }
 
-/// A frame: identifier and payload.
 pub type CanFrame = (u16, Vec<u8>);
 
-/// A simulated inclinometer.
 pub struct Device {
     node: u8,
     state: u8,
@@ -52,13 +45,11 @@ pub struct Device {
     ramp: Option<Ramp>,
     noise: f64,
     rng: ChaCha8Rng,
-    /// Active faults.
     pub faults: Faults,
     boot_at_ns: Option<u64>,
     next_beat: u64,
     next_slopes: u64,
     out: VecDeque<CanFrame>,
-    /// SDO requests answered so far.
     pub answered: u64,
 }
 
@@ -95,17 +86,14 @@ impl Device {
         self.objects.insert((index, sub), Object { bytes: bytes.to_vec(), writable });
     }
 
-    /// Removes an object.
     pub fn remove(&mut self, index: u16, sub: u8) {
         self.objects.remove(&(index, sub));
     }
 
-    /// An object's bytes.
     pub fn get(&self, index: u16, sub: u8) -> Option<&[u8]> {
         self.objects.get(&(index, sub)).map(|object| &object.bytes[..])
     }
 
-    /// Whether the device is operational.
     pub fn is_operational(&self) -> bool {
         self.state == OPERATIONAL
     }
@@ -128,7 +116,6 @@ impl Device {
         self.noise = noise;
     }
 
-    /// Restarts the device with its factory configuration.
     pub fn reset(&mut self, now: u64) {
         self.state = INITIALISING;
         self.objects = factory(self.node);
@@ -144,7 +131,6 @@ impl Device {
         self.out.push_back((0x080 + u16::from(self.node), vec![low, high, register, 0, 0, 0, 0, 0]));
     }
 
-    /// Sends any frame in the device's place.
     pub fn inject_frame(&mut self, id: u16, data: &[u8]) {
         self.out.push_back((id, data.to_vec()));
     }
@@ -258,7 +244,6 @@ impl Device {
         }
     }
 
-    /// Number of nodes with this id.
     fn senders(&self) -> usize {
         1 + usize::from(self.faults.duplicate_id)
     }
@@ -283,7 +268,6 @@ impl Device {
         u32::from_le_bytes(padded)
     }
 
-    /// The next frame for the bus.
     pub fn transmit(&mut self) -> Option<CanFrame> {
         self.out.pop_front()
     }

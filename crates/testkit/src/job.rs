@@ -1,5 +1,6 @@
 //! Fixtures for tests of the whole program: the binary, a separate job per test, true parameter values.
 
+use std::borrow::BorrowMut;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::io::Read;
@@ -11,7 +12,8 @@ use std::time::{Duration, Instant};
 
 use nalgebra::DVector;
 use plumbline::report::Report;
-use plumbline_ipc::Status;
+use plumbline_core::Phase;
+use plumbline_ipc::{Progress, Status};
 use plumbline_model::{Reduction, Robot};
 use plumbline_sim::Truth;
 use tempfile::TempDir;
@@ -19,7 +21,6 @@ use tempfile::TempDir;
 /// Timeout, long enough for a loaded machine.
 pub const PATIENCE: Duration = Duration::from_secs(300);
 
-/// The shipped job that the tests vary.
 pub const WALL: &str = "config/sim-panda-wall.toml";
 
 /// The shipped job with an arm without undeclared effects, and one identification motion.
@@ -60,7 +61,6 @@ pub struct Place {
     /// Name of the robot in shared memory.
     pub id: String,
     dir: TempDir,
-    /// Key of the plans of the job.
     planned_for: Mutex<Option<String>>,
 }
 
@@ -68,14 +68,12 @@ pub struct Place {
 /// earlier run has left them: the same search takes seconds each time. Whether they are those of its job is for the program to check.
 static PLANS: Mutex<BTreeMap<String, Files>> = Mutex::new(BTreeMap::new());
 
-/// Names and contents.
 type Files = Vec<(OsString, Vec<u8>)>;
 
 /// The overrides that plans may depend on.
 const PLANNED_BY: [&str; 6] = ["excitation.", "validation.", "limits.", "workspace.", "mounting=", "robot="];
 
 impl Place {
-    /// A unique place.
     pub fn new(test: &str) -> Place {
         let id = format!("test-{test}-{}", std::process::id());
         Place { id, dir: tempfile::tempdir().unwrap(), planned_for: Mutex::new(None) }
@@ -93,12 +91,10 @@ impl Place {
         *self.planned_for.lock().unwrap() = Some(key);
     }
 
-    /// The folder around the results.
     pub fn path(&self) -> &Path {
         self.dir.path()
     }
 
-    /// Folder of the results.
     pub fn out(&self) -> PathBuf {
         self.dir.path().join("out")
     }
@@ -134,7 +130,27 @@ impl Place {
         (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
     }
 
-    /// The report of the job.
+    #[track_caller]
+    pub fn daemon(&self, sets: &[&str]) -> Running {
+        let daemon = Running::start(self.job("daemon", sets));
+        wait_for("the daemon", || self.status());
+        daemon
+    }
+
+    /// Waits until the arm moves along the excitation.
+    #[track_caller]
+    pub fn await_excitation(&self) {
+        let moves = |now: &Status| now.progress == Progress::Driving && now.phase == Phase::Excite;
+        wait_for("motion", || self.status().filter(moves));
+    }
+
+    /// Ends the daemon by command.
+    #[track_caller]
+    pub fn quit(&self, daemon: Running) -> Done {
+        self.command("quit").expect_code(0);
+        daemon.end().expect_code(0)
+    }
+
     pub fn report(&self) -> Report {
         let text = std::fs::read_to_string(self.out().join("report.json")).unwrap();
         serde_json::from_str(&text).unwrap()
@@ -171,12 +187,15 @@ impl Drop for Place {
     }
 }
 
+/// A motion of many minutes at the pace of the clock; a test machine that stalls does not end it.
+pub const LONG_ON_CLOCK: [&str; 4] =
+    ["backend.pace=wall-clock", "realtime.lock-memory=false", "safety.max-lost=1000", "excitation.periods=100"];
+
 /// `SHORT` with more overrides behind it.
 pub fn short<'a>(more: &[&'a str]) -> Vec<&'a str> {
     SHORT.iter().copied().chain(more.iter().copied()).collect()
 }
 
-/// A command that has ended.
 #[derive(Debug)]
 pub struct Done {
     pub code: Option<i32>,
@@ -185,18 +204,18 @@ pub struct Done {
 }
 
 impl Done {
-    pub fn of(mut command: Command) -> Done {
-        Done::from(command.output().unwrap())
+    pub fn of(mut command: impl BorrowMut<Command>) -> Done {
+        Done::from(command.borrow_mut().output().unwrap())
     }
 
     /// All output, for the message of a failed assertion.
-    pub fn said(&self) -> String {
+    pub fn output(&self) -> String {
         format!("exit code {:?}\n--- stdout\n{}--- stderr\n{}", self.code, self.out, self.err)
     }
 
     #[track_caller]
     pub fn expect_code(self, code: i32) -> Done {
-        assert_eq!(self.code, Some(code), "{}", self.said());
+        assert_eq!(self.code, Some(code), "{}", self.output());
         self
     }
 }
@@ -213,14 +232,15 @@ pub struct Running(Option<Process>);
 
 struct Process {
     child: Child,
-    out: Said,
-    err: Said,
+    out: Capture,
+    err: Capture,
 }
 
 impl Running {
-    pub fn start(mut command: Command) -> Running {
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-        let (out, err) = (Said::through(child.stdout.take().unwrap()), Said::through(child.stderr.take().unwrap()));
+    pub fn start(mut command: impl BorrowMut<Command>) -> Running {
+        let mut child = command.borrow_mut().stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let (out, err) =
+            (Capture::through(child.stdout.take().unwrap()), Capture::through(child.stderr.take().unwrap()));
         Running(Some(Process { child, out, err }))
     }
 
@@ -228,7 +248,6 @@ impl Running {
         self.0.as_ref().unwrap().child.id()
     }
 
-    /// Whether it still runs.
     pub fn runs(&mut self) -> bool {
         self.0.as_mut().unwrap().child.try_wait().unwrap().is_none()
     }
@@ -259,13 +278,13 @@ impl Drop for Running {
 }
 
 /// Output of a process, read continuously, so that the process does not block on a full pipe.
-struct Said {
+struct Capture {
     bytes: Arc<Mutex<Vec<u8>>>,
     reader: JoinHandle<()>,
 }
 
-impl Said {
-    fn through(mut pipe: impl Read + Send + 'static) -> Said {
+impl Capture {
+    fn through(mut pipe: impl Read + Send + 'static) -> Capture {
         let bytes = Arc::new(Mutex::new(Vec::new()));
         let heard = Arc::clone(&bytes);
         let reader = std::thread::spawn(move || {
@@ -274,7 +293,7 @@ impl Said {
                 heard.lock().unwrap().extend_from_slice(&some[..length]);
             }
         });
-        Said { bytes, reader }
+        Capture { bytes, reader }
     }
 
     fn so_far(&self) -> String {
@@ -288,7 +307,6 @@ impl Said {
     }
 }
 
-/// Sends a signal by name.
 pub fn signal(pid: u32, name: &str) {
     let status = Command::new("kill").arg(format!("-{name}")).arg(pid.to_string()).status().unwrap();
     assert!(status.success(), "kill -{name} {pid}");

@@ -12,9 +12,7 @@ use plumbline_ipc::{
     Status, StreamSettings,
 };
 
-/// Timeout of any step.
 pub const PATIENCE: Duration = Duration::from_secs(30);
-/// Timeout of a restart.
 pub const RESTART: Duration = Duration::from_secs(2);
 
 /// A child process, killed on drop. Its output is written to a file.
@@ -45,7 +43,7 @@ impl Process {
         self.child.try_wait().unwrap().map(|status| status.code().unwrap_or(-1))
     }
 
-    pub fn said(&self) -> String {
+    pub fn output(&self) -> String {
         std::fs::read_to_string(&self.log).unwrap_or_default()
     }
 
@@ -124,7 +122,6 @@ pub fn within(limit: Duration, mut condition: impl FnMut() -> bool) -> Option<Du
     }
 }
 
-/// Violations found by the monitors.
 pub type Complaints = Arc<Mutex<Vec<String>>>;
 
 /// Two monitor threads: one reads every sample, one the newest torque.
@@ -134,7 +131,6 @@ pub struct Witnesses {
     pub complaints: Complaints,
     pub samples: Arc<AtomicU64>,
     pub torques: Arc<AtomicU64>,
-    /// Whether the newest torque is stale now.
     pub stale: Arc<AtomicBool>,
 }
 
@@ -145,11 +141,11 @@ impl Witnesses {
         let complaints: Complaints = Arc::default();
         let (samples, torques) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
         let stale = Arc::new(AtomicBool::new(false));
-        let (robot, done, told, count) = (id.clone(), stop.clone(), complaints.clone(), samples.clone());
-        let follower = std::thread::spawn(move || follow_samples(&robot, &done, &told, &count));
-        let (robot, done, told, count, old) =
+        let (robot, done, found, count) = (id.clone(), stop.clone(), complaints.clone(), samples.clone());
+        let follower = std::thread::spawn(move || follow_samples(&robot, &done, &found, &count));
+        let (robot, done, found, count, old) =
             (id.clone(), stop.clone(), complaints.clone(), torques.clone(), stale.clone());
-        let reader = std::thread::spawn(move || follow_torque(&robot, &done, &told, &count, &old));
+        let reader = std::thread::spawn(move || follow_torque(&robot, &done, &found, &count, &old));
         Witnesses { stop, threads: vec![follower, reader], complaints, samples, torques, stale }
     }
 

@@ -56,10 +56,8 @@ pub mod turns;
 
 use std::path::{Path, PathBuf};
 
-/// The repository's folder.
 pub const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
-/// A file of the repository.
 pub fn path(of: impl AsRef<Path>) -> PathBuf {
     Path::new(ROOT).join(of)
 }

@@ -23,8 +23,8 @@ pub fn page_says(head: &str, figures: &[f64]) {
     let page = crate::page::read("docs/results/real-arms.md");
     let line = page.lines().find_map(|line| line.strip_prefix(head));
     let line = line.unwrap_or_else(|| panic!("docs/results/real-arms.md lacks a line that begins with\n{head}"));
-    let said: Vec<f64> = line.split('|').map_while(|cell| cell.trim().parse().ok()).collect();
-    let near = |(said, figure): (&f64, &f64)| (said - figure).abs() <= 0.002 + 0.005 * said;
-    let agrees = said.len() == figures.len() && said.iter().zip(figures).all(near);
-    assert!(agrees, "docs/results/real-arms.md has {said:?} after\n{head}");
+    let printed: Vec<f64> = line.split('|').map_while(|cell| cell.trim().parse().ok()).collect();
+    let near = |(printed, figure): (&f64, &f64)| (printed - figure).abs() <= 0.002 + 0.005 * printed;
+    let agrees = printed.len() == figures.len() && printed.iter().zip(figures).all(near);
+    assert!(agrees, "docs/results/real-arms.md has {printed:?} after\n{head}");
 }

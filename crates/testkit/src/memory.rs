@@ -11,7 +11,6 @@ use plumbline_ipc::{Delivery, RobotId, SampleStream, Server, ServerSettings, now
 /// Timeout, long enough for a loaded machine.
 pub const PATIENCE: Duration = Duration::from_secs(20);
 
-/// A unique robot id.
 pub fn robot(test: &str) -> RobotId {
     RobotId::parse("test", "robot", &format!("test-{test}-{}", std::process::id())).unwrap()
 }

@@ -17,13 +17,11 @@ pub fn write_block(name: &str, block: &str, content: &str) {
     std::fs::write(crate::path(name), text).unwrap_or_else(|error| panic!("{name}: {error}"));
 }
 
-/// `page` with the content of one block replaced.
 pub fn fill(page: &str, block: &str, content: &str) -> String {
     let [before, _, after] = split(page, block).unwrap_or_else(|| panic!("no block `<!-- {block} -->` .. `{END}`"));
     format!("{before}{content}{after}")
 }
 
-/// The content of one block.
 pub fn block<'p>(page: &'p str, block: &str) -> Option<&'p str> {
     split(page, block).map(|[_, content, _]| content)
 }

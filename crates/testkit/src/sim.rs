@@ -59,7 +59,6 @@ pub fn command(seq: u64, desired: Setpoint) -> Command {
     Command { seq, desired, ..Command::default() }
 }
 
-/// A monotonic clock for pacing in tests.
 pub struct TestClock(pub Instant);
 
 impl Clock for TestClock {

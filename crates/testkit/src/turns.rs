@@ -2,7 +2,6 @@
 
 use std::sync::{Condvar, Mutex, PoisonError};
 
-/// Free slots.
 pub struct Turns {
     free: Mutex<usize>,
     given_back: Condvar,
@@ -16,7 +15,6 @@ impl Turns {
         Turns { free: Mutex::new(at_a_time), given_back: Condvar::new() }
     }
 
-    /// Waits for a slot.
     pub fn take(&self) -> Turn<'_> {
         let free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
         let mut free = self.given_back.wait_while(free, |free| *free == 0).unwrap_or_else(PoisonError::into_inner);

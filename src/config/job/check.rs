@@ -5,7 +5,6 @@ use plumbline_core::{BadInput, JointVec, MAX_JOINTS, MAX_MISSED_COMMANDS};
 use plumbline_excite::Margins;
 use plumbline_identify::{Settings, solve};
 
-/// Checks every range.
 pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     let file = job.file.display().to_string();
     let bad = |key: &str, value: &dyn ToString, expected: &str| {
@@ -173,9 +172,7 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
 
 impl Job {
     /// Limits of the guard: the robot's, or tighter ones of the job.
-    ///
-    /// # Errors
-    /// A list of another length than the robot has joints (`n`), or a limit that is wider than the robot's.
+    /// Errors: a list of another length than the robot has joints (`n`), or a limit that is wider than the robot's.
     pub fn guard_limits(&self, robot: &plumbline_core::Limits, n: usize) -> Result<plumbline_core::Limits, BadInput> {
         let LimitOverrides { q_min, q_max, dq, ddq, jerk, tau, dtau } = &self.limits.overrides;
         let mut limits = *robot;
@@ -195,7 +192,6 @@ impl Job {
         }
     }
 
-    /// Margins of planned motions to those limits.
     pub fn margins(&self) -> Margins {
         let Limits { margin, speed, acceleration, jerk, torque, .. } = self.limits;
         Margins {
@@ -222,7 +218,6 @@ impl Job {
         }
     }
 
-    /// The estimator that solves.
     pub fn solver(&self) -> solve::Options {
         solve::Options { estimator: self.estimator.solver, essential: self.estimator.essential }
     }

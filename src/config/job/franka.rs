@@ -17,7 +17,6 @@ use std::time::Duration;
 pub struct Franka {
     /// Address of the robot's control unit in the shop-floor network.
     pub address: IpAddr,
-    /// Command interface.
     #[serde(default)]
     pub interface: Interface,
     /// Controller of the robot for commanded positions and velocities.
@@ -26,7 +25,6 @@ pub struct Franka {
     /// Recovery after a reflex: by an operator or automatic.
     #[serde(default)]
     pub recovery: Recovery,
-    /// Maximum number of automatic recoveries in a job.
     #[serde(default = "default_max_recoveries")]
     pub max_recoveries: u32,
     /// Ratio of the robot's limits of velocity, acceleration and jerk for commands.
@@ -42,13 +40,11 @@ pub struct Franka {
     /// frame \[m/s2\]; the robot's own value (`O_ddP_O` of its state) where absent. One that disagrees with the robot's is refused.
     #[serde(default, deserialize_with = "compensates")]
     pub compensates: Option<Compensates>,
-    /// Thresholds of contact and collision detection.
     #[serde(default)]
     pub collision: Collision,
     /// Load at the flange beside the end effector configured in Desk.
     #[serde(default)]
     pub load: Option<Load>,
-    /// Options of the UDP socket.
     #[serde(default)]
     pub socket: Socket,
     /// Timeout of a state \[s\].
@@ -59,7 +55,6 @@ pub struct Franka {
     pub connect_timeout: f64,
 }
 
-/// Recovery after a reflex.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Recovery {
@@ -71,12 +66,10 @@ pub enum Recovery {
     Automatic,
 }
 
-/// A declared compensation of gravity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Compensates {
     /// Along the base's negative z axis, whatever the mounting.
     Upright,
-    /// The gravity of the job's mounting.
     True,
     /// This one, in the base frame \[m/s2\].
     Along([f64; 3]),
@@ -150,7 +143,6 @@ impl Default for Collision {
     }
 }
 
-/// A load at the flange.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Load {
@@ -204,7 +196,6 @@ fn connect_timeout() -> f64 {
 }
 
 impl Franka {
-    /// Kind of Franka robot of a job.
     pub(super) fn robot(job: &super::Job) -> Result<RobotKind, BadInput> {
         match job.robot.as_str() {
             "panda" => Ok(RobotKind::Panda),
@@ -218,9 +209,6 @@ impl Franka {
     }
 
     /// The arm as a backend.
-    ///
-    /// # Errors
-    /// A job for a robot that is no Franka.
     pub fn connector(&self, job: &super::Job) -> Result<FrankaConnector, BadInput> {
         let max_recoveries = match self.recovery {
             Recovery::Operator => 0,
@@ -230,9 +218,6 @@ impl Franka {
     }
 
     /// Settings of a session with the arm.
-    ///
-    /// # Errors
-    /// A job for a robot that is no Franka.
     pub fn settings(&self, job: &super::Job, purpose: Purpose) -> Result<plumbline_franka::Settings, BadInput> {
         let robot = Franka::robot(job)?;
         let Collision { contact_torque, collision_torque, contact_force, collision_force } = self.collision;

@@ -51,7 +51,6 @@ pub struct Inclinometer {
     /// Slope objects: 16 (6010h, 6020h) or 32 bits (6110h, 6120h).
     #[serde(default = "bits")]
     pub bits: u8,
-    /// Definition of the slopes.
     #[serde(default)]
     pub slopes: SlopeConvention,
     /// The sensor's x axis (longitudinal slope) in the base frame.
@@ -82,7 +81,6 @@ pub struct Inclinometer {
     /// Largest rate of change of the model's gravity \[rad/s\].
     #[serde(default = "turn", deserialize_with = "units::angular_rate")]
     pub turn: f64,
-    /// What is served while there is no reading.
     #[serde(default)]
     pub on_loss: OnSensorLoss,
     /// What the arm does when the base moves during an excitation.
@@ -101,7 +99,6 @@ pub enum BaseMotion {
     Say,
 }
 
-/// A direction in the base frame.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(untagged, expecting = "\"x\", \"-x\", \"y\", \"-y\", \"z\", \"-z\" or a unit vector such as [0.0, 0.6, 0.8]")]
 pub enum Axis {
@@ -115,19 +112,13 @@ pub enum Axis {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum AxisName {
-    /// Along x.
     X,
-    /// Along y.
     Y,
-    /// Along z.
     Z,
-    /// Against x.
     #[serde(rename = "-x")]
     MinusX,
-    /// Against y.
     #[serde(rename = "-y")]
     MinusY,
-    /// Against z.
     #[serde(rename = "-z")]
     MinusZ,
 }
@@ -248,7 +239,6 @@ impl Inclinometer {
         }
     }
 
-    /// Whether the bus is simulated by a socket.
     pub fn is_simulated(&self) -> bool {
         self.interface.starts_with(SIMULATED_PREFIX)
     }
@@ -262,9 +252,6 @@ impl Inclinometer {
     }
 
     /// Settings of the sensor for the declared mounting.
-    ///
-    /// # Errors
-    /// Axes that are not at right angles; [`Job::load`](super::Job::load) has already refused those.
     pub fn sensor(&self, file: &str, declared: Mounting) -> Result<SensorSettings, BadInput> {
         self.check(file, &declared)?;
         let installation = Installation::new(self.x.vector(), self.z.vector())
@@ -284,7 +271,6 @@ impl Inclinometer {
         })
     }
 
-    /// Settings of the follower of the measured direction.
     pub fn follow(&self, declared: Mounting, check: &MountingCheck) -> FollowSettings {
         FollowSettings { declared, tolerance: check.tolerance, step: self.step, rate: self.turn, on_loss: self.on_loss }
     }

@@ -6,14 +6,12 @@ use plumbline_model::angle_between;
 /// Standard deviations of a reading beyond which a base has turned.
 const SIGNIFICANT: f64 = 4.0;
 
-/// The base during a motion.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct BaseMotion {
     /// Number of the motion; 0 between two.
     pub motion: u32,
     /// Measured when it began; the first reading after that where the inclinometer was lost then.
     pub reading: Option<Reading>,
-    /// The base has turned in this motion, and that was reported.
     pub reported: bool,
 }
 

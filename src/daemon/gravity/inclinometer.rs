@@ -9,11 +9,9 @@ use crate::inclinometer::socket::Listener;
 use nalgebra::Vector3;
 use plumbline_ipc::now_ns;
 
-/// The inclinometer and what follows from its readings.
 pub struct Inclinometer {
     listener: Listener,
     follower: Follower,
-    /// What is served without a reading.
     pub on_loss: OnSensorLoss,
     /// What a motion does when the base turns during it.
     pub on_motion: BaseMotion,
@@ -22,20 +20,16 @@ pub struct Inclinometer {
     health: Health,
     /// What follows from the readings up to now.
     pub decision: Decision,
-    /// Its device is simulated.
     pub simulated: bool,
-    /// How often it was lost.
     pub losses: u64,
     lost_since: Option<u64>,
     lost_before: u64,
 }
 
-/// A change of the inclinometer's health.
 #[derive(Clone, Debug, PartialEq)]
 pub enum HealthChange {
     /// It is lost; why, and what is served from now on.
     Lost(String),
-    /// It is back.
     Back {
         /// Duration of the loss \[s\].
         after: f64,
@@ -104,7 +98,6 @@ impl Inclinometer {
         }
     }
 
-    /// The present reading.
     pub fn reading(&self) -> Option<Reading> {
         match self.health {
             Health::Good(reading) => Some(reading),
@@ -123,7 +116,6 @@ impl Inclinometer {
         Some(last.attitude.gravity)
     }
 
-    /// Health, for the status.
     pub fn health(&self) -> String {
         match self.health {
             Health::Good(Reading { still: true, .. }) => "good, at rest".into(),

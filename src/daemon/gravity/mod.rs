@@ -36,24 +36,19 @@ const MAX_UNCOMPENSATED: f64 = 0.09;
 /// Whether a model may be served, and with which gravity.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Verdict {
-    /// It may.
     Serve(Vector3<f64>),
     /// Not yet: the arm has to rest first, so that its torques show the mounting.
     Wait,
-    /// It may not.
     Refuse(Refusal),
 }
 
-/// Why a model is not served.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
-    /// It lacks parameters for the present mounting.
     #[error("{0}")]
     Parameters(String),
     /// The inclinometer is lost, or the base is not mounted as declared.
     #[error(transparent)]
     Inclinometer(#[from] follow::Refusal),
-    /// The sources of the mounting disagree.
     #[error(transparent)]
     Mounting(#[from] Disagreement),
 }
@@ -88,12 +83,9 @@ impl Refusal {
     }
 }
 
-/// A decision about one model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decision {
-    /// Identity of the model.
     pub model: u64,
-    /// Whether it may be served.
     pub verdict: Verdict,
     /// Something else that the torques at rest have shown.
     pub remark: Option<Remark>,
@@ -104,11 +96,8 @@ pub struct Decision {
 pub enum ServiceChange {
     /// The model waits for a rest of the arm.
     Waits(String),
-    /// The model is refused.
     Refused(String),
-    /// The model is served after it was not.
     ServedAgain {
-        /// Its identity.
         model: u64,
     },
 }
@@ -116,7 +105,6 @@ pub enum ServiceChange {
 /// What ends a motion, or is reported during it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BaseMoved {
-    /// The event.
     pub event: String,
     /// Why the arm stops, where it does.
     pub stop: Option<String>,
@@ -196,7 +184,6 @@ impl GravityMonitor {
         self.served = self.gravity();
     }
 
-    /// Takes in records of the loop.
     pub fn take(&mut self, records: &[Record]) -> Option<BaseMoved> {
         for record in records {
             self.rests.take(record);
@@ -209,7 +196,6 @@ impl GravityMonitor {
         self.inclinometer.as_mut()?.poll(now, serving)
     }
 
-    /// Keeps an event for the status.
     pub fn keep(&mut self, event: String) {
         if self.events.len() >= MAX_EVENTS {
             self.events.remove(0);
@@ -348,9 +334,7 @@ impl GravityMonitor {
     }
 
     /// Whether every side agrees with `model`, which was offered. One that does not leaves no trace.
-    ///
-    /// # Errors
-    /// Which side is off, and by how much.
+    /// Errors: which side is off, and by how much.
     pub fn try_out(&mut self, model: &Accepted) -> Result<Option<Remark>, Disagreement> {
         let before = self.torques.clone();
         let remark = self.update_torques(model);
@@ -370,7 +354,6 @@ impl GravityMonitor {
         self.torques.insert(check).update(model, &self.rests)
     }
 
-    /// Compares every side with every other.
     fn cross_check(&mut self) -> Result<(), Disagreement> {
         let torques = self.torques.as_ref().map_or(Ok(None), TorqueCheck::side)?;
         let mut sides = vec![GravitySource::declared(&self.declared)];

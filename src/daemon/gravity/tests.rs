@@ -28,7 +28,6 @@ fn verdict(monitor: &mut GravityMonitor, model: &Accepted) -> Verdict {
     decision.verdict
 }
 
-/// The arm rests at `q` as it does in `mounting`.
 fn rest(monitor: &mut GravityMonitor, model: &Accepted, mounting: &Mounting, q: JointVec) {
     let tau = model.model.evaluator(&mounting.gravity()).torque(&Sample { q, ..Sample::default() }).0;
     let mut record = Record { phase: Phase::Hold, ..Record::default() };

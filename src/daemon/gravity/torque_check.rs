@@ -7,11 +7,9 @@ use plumbline_identify::{DirectionError, Disagreement, GravitySource, ImpliedGra
 /// The check of one model by the torques at rest.
 #[derive(Clone)]
 pub struct TorqueCheck {
-    /// Identity of the model.
     pub model: u64,
     /// Poses completed before the model: the arm may have carried something else then.
     after: u64,
-    /// Poses evaluated so far.
     seen: u64,
     /// What the torques imply, where they determine it; the error is a torque sensor with the wrong sign.
     implied: Result<Option<ImpliedGravity>, Disagreement>,
@@ -24,9 +22,7 @@ pub struct TorqueCheck {
 /// A remark for the operator that does not fail the check.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Remark {
-    /// Strength or misfit of what the torques imply.
     Implied(String),
-    /// The poses do not determine the direction.
     Undetermined(DirectionError),
 }
 
@@ -87,14 +83,11 @@ impl TorqueCheck {
     }
 
     /// The side of the mounting check that the torques take; none before a pose, or where the poses do not determine it.
-    ///
-    /// # Errors
-    /// A torque sensor with the wrong sign: no direction.
+    /// Errors: a torque sensor with the wrong sign: no direction.
     pub fn side(&self) -> Result<Option<GravitySource>, Disagreement> {
         self.implied.as_ref().map(|found| found.as_ref().map(|found| found.side)).map_err(Disagreement::clone)
     }
 
-    /// Every side agrees.
     pub fn agreed(&mut self) {
         self.passed |= matches!(self.implied, Ok(Some(_)));
     }

@@ -8,13 +8,10 @@ use std::path::{Path, PathBuf};
 /// The form of the time in a name, with a 0 for every digit: `20261122T011721Z-`.
 const STAMP: &str = "00000000T000000Z-";
 
-/// Where recordings go.
 pub(super) struct Folder {
     pub dir: PathBuf,
     pub id: String,
-    /// Recordings of faults and stops that are kept.
     pub keep: usize,
-    /// Recordings on demand that are kept beside them.
     pub keep_on_demand: usize,
 }
 

@@ -30,7 +30,6 @@ use thread::{RecorderThread, work};
 
 /// Records between the bridge thread and the recorder's: four seconds.
 const RING: usize = 4096;
-/// Pause between two polls of the ring.
 const PAUSE: Duration = Duration::from_millis(5);
 /// Pause after a recording on demand \[ns\].
 const ON_DEMAND_PAUSE_NS: u64 = 2_000_000_000;
@@ -39,21 +38,18 @@ const LAST_WRITE_TIMEOUT: Duration = Duration::from_secs(8);
 /// Room behind the fault: no stop takes this long \[cycles\].
 const STOP: usize = 5000;
 
-/// Messages to the recorder's thread.
 enum Message {
     Open(Box<RecorderThread>),
     Event(TimedEvent),
     Order(RecordedOrder),
     Model(RecordedModel, String),
     Note(String),
-    /// Reason of the next requested stop.
     StopReason(Reason),
     /// A recording on demand, with the newest record that was kept before this was sent.
     OnDemand(u64),
     Close(Box<Close>),
 }
 
-/// The end of a loop.
 struct Close {
     /// `None` for an end without a fault.
     reason: Option<Reason>,
@@ -67,15 +63,12 @@ struct Close {
 
 /// What was left behind by the loop's thread.
 pub enum LoopEnd {
-    /// The loop ended by itself.
     Ended(Box<Outcome>),
     /// It panicked; its last cycles and the state that was not answered.
     Panicked {
-        /// Message of the panic.
         message: String,
         /// The last cycles, oldest first.
         flight: Vec<Record>,
-        /// The state that was not answered.
         unanswered: Option<Box<State>>,
     },
 }
@@ -86,11 +79,9 @@ pub struct Recorder {
     thread: Option<JoinHandle<()>>,
     span: f64,
     requests: Arc<Requests>,
-    /// What is the same in every recording.
     about: Sheet,
 }
 
-/// What is the same in every recording.
 struct Sheet {
     id: String,
     job: String,
@@ -100,9 +91,7 @@ struct Sheet {
 
 impl Recorder {
     /// Starts the recorder's thread, which inherits the ordinary scheduling of its caller: call it before the priority of this thread goes up.
-    ///
-    /// # Errors
-    /// A job or robot description that can't be read a second time.
+    /// Errors: a job or robot description that can't be read a second time.
     pub fn start(job: &Job, id: &RobotId, out: &Path) -> Result<Recorder, BadInput> {
         let (_, robot_text) = Robot::description(&job.robot, Some(job.dir()))?;
         let file = job.file.display().to_string();
@@ -192,20 +181,15 @@ impl Recorder {
         LoopRecorder { inbox: opened.then(|| inbox.clone()), ring, waits, lost: 0 }
     }
 
-    /// Keeps a remark of the daemon's.
     pub fn note(&self, text: impl Into<String>) {
         self.send(Message::Note(text.into()));
     }
 
-    /// Reason of the next requested stop.
     pub fn set_reason(&self, reason: Reason) {
         self.send(Message::StopReason(reason));
     }
 
     /// Writes what is there up to `newest`, the cycle that was kept last, on request at `now_ns`.
-    ///
-    /// # Errors
-    /// Why nothing is written.
     pub fn on_demand(&self, newest: u64, now_ns: u64) -> Result<(), String> {
         if self.inbox.is_none() {
             return Err("the job's `recorder.span` is 0 s: nothing is recorded".into());
@@ -293,7 +277,6 @@ pub struct LoopRecorder {
 }
 
 impl LoopRecorder {
-    /// Keeps records.
     pub fn keep(&mut self, records: &[Record]) {
         if self.inbox.is_none() {
             return;
@@ -306,7 +289,6 @@ impl LoopRecorder {
         }
     }
 
-    /// Keeps an event.
     pub fn event(&self, event: TimedEvent) {
         self.send(|| Message::Event(event));
     }
@@ -316,12 +298,10 @@ impl LoopRecorder {
         self.send(|| Message::StopReason(reason));
     }
 
-    /// The loop was given an order.
     pub fn ordered(&self, given: RecordedOrder) {
         self.send(|| Message::Order(given));
     }
 
-    /// The loop was given a model.
     pub fn handed(&self, model: RecordedModel, text: &str) {
         self.send(|| Message::Model(model, text.to_string()));
     }
@@ -354,7 +334,6 @@ impl LoopRecorder {
     }
 }
 
-/// Kind of an end that is a fault.
 fn kind_of_end(end: &End) -> Option<ReasonKind> {
     Some(match end {
         End::Quit => return None,

@@ -23,7 +23,6 @@ pub(super) struct RecorderThread {
     pub history: History,
     pub about: About,
     pub texts: Vec<(String, String)>,
-    /// Cycles before the fault.
     pub before: u64,
     pub simulated: bool,
     pub controls: Arc<Controls>,
@@ -32,7 +31,6 @@ pub(super) struct RecorderThread {
     pub pending: Option<(Reason, u64)>,
 }
 
-/// The recorder's thread.
 pub(super) fn work(messages: &Receiver<Message>, folder: &Folder, requests: &Requests) {
     let mut open_loop: Option<Box<RecorderThread>> = None;
     loop {
@@ -65,7 +63,6 @@ impl RecorderThread {
         }
     }
 
-    /// Whether the loop has ended.
     fn handle(&mut self, message: Message, folder: &Folder) -> bool {
         match message {
             Message::Open(_) => {}
@@ -146,7 +143,6 @@ impl RecorderThread {
         }
     }
 
-    /// Whether the arm moved in any cycle from `cycle` on.
     fn moved(records: &[Record], cycle: u64) -> bool {
         let speeds = |record: &Record| record.command.desired.dq.iter().any(|&dq| dq != 0.0);
         records.iter().any(|record| record.cycle.saturating_add(1) >= cycle && speeds(record))

@@ -37,7 +37,6 @@ const PAUSE: Duration = Duration::from_micros(200);
 /// Records that simulated time may run ahead of an estimator that watches it: two seconds.
 const MAX_AHEAD_OF_WATCH: u64 = 2000;
 
-/// A running loop and this side of it.
 pub struct Session {
     name: String,
     mounting: Mounting,
@@ -45,7 +44,6 @@ pub struct Session {
     drain: Drain,
     /// Pauses simulated time; `None` where the arm keeps wall-clock time.
     gate: Option<Arc<dyn TimeGate>>,
-    /// The session of a physical arm.
     monitor: Option<Box<dyn ArmMonitor>>,
     thread: Option<JoinHandle<LoopEnd>>,
     tape: LoopRecorder,
@@ -55,7 +53,6 @@ pub struct Session {
     model: u64,
     /// The rights granted to the loop's thread were logged.
     rights_reported: bool,
-    /// When the next record is due.
     records_due: RecordSchedule,
     /// Gravity that the model was handed over with \[m/s2\].
     gravity: Vector3<f64>,
@@ -65,7 +62,6 @@ pub struct Session {
     labels: GravityLabels,
     /// Events taken from the loop and not handled yet.
     events: VecDeque<TimedEvent>,
-    /// Simulated time is paused for the estimator.
     paused: bool,
     /// When the wait for a model ends, while the arm holds for one \[ns\].
     model_due_ns: Option<u64>,

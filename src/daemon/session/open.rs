@@ -142,9 +142,7 @@ fn loop_settings(
 }
 
 /// Checks a physical arm before it is driven.
-///
-/// # Errors
-/// Other limits than the programme was checked under, a position outside the `limits`, or no free way to the first motion.
+/// Errors: other limits than the programme was checked under, a position outside the `limits`, or no free way to the first motion.
 fn check_hardware(
     setup: &JobSetup,
     purpose: Purpose,

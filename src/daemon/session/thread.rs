@@ -18,9 +18,7 @@ const PANIC_STOP_TIMEOUT: Duration = Duration::from_secs(5);
 pub const BELOW_LOOP: u8 = 10;
 
 /// Does the bridge thread's `work`.
-///
-/// # Errors
-/// The message of a panic in it; the loop's end has been requested then, which brakes an arm that moves.
+/// Errors: the message of a panic in it; the loop's end has been requested then, which brakes an arm that moves.
 pub fn catch_panic<T>(controls: &Controls, work: impl FnOnce() -> T) -> Result<T, String> {
     catch_unwind(AssertUnwindSafe(work)).map_err(|panic| {
         controls.quit();

@@ -111,15 +111,15 @@ fn a_stop_without_a_loop_ends_a_programme_that_was_begun_and_no_other() {
 fn the_log_names_motions_and_says_whether_the_programme_goes_on() {
     let (mut state, _place) = new_state();
     state.setup.names = vec![(1, "approach".into()), (2, "excitation".into())];
-    let said = logged(|| state.take_event(&Event::Started { motion: 2 }));
-    assert!(said.contains("excitation has started") && !said.contains("approach"), "{said}");
-    let said = logged(|| state.take_event(&Event::Ended { motion: 1 }));
-    assert!(said.contains("approach has ended") && !said.contains("excitation"), "{said}");
-    let said = logged(|| state.take_event(&Event::Stopped));
-    assert!(said.contains("plumbline command resume"), "{said}");
+    let message = logged(|| state.take_event(&Event::Started { motion: 2 }));
+    assert!(message.contains("excitation has started") && !message.contains("approach"), "{message}");
+    let message = logged(|| state.take_event(&Event::Ended { motion: 1 }));
+    assert!(message.contains("approach has ended") && !message.contains("excitation"), "{message}");
+    let message = logged(|| state.take_event(&Event::Stopped));
+    assert!(message.contains("plumbline command resume"), "{message}");
     state.programme.progress = Progress::Stopped;
-    let said = logged(|| state.take_event(&Event::Stopped));
-    assert!(said.contains("plumbline command start") && !said.contains("resume"), "{said}");
+    let message = logged(|| state.take_event(&Event::Stopped));
+    assert!(message.contains("plumbline command start") && !message.contains("resume"), "{message}");
 }
 
 #[test]
@@ -154,19 +154,19 @@ fn the_loss_of_the_estimator_stops_an_arm_that_moves_where_the_job_says_so() {
                     (state.setup.job.live.watch, state.setup.job.safety.on_estimator_loss, state.programme.progress) =
                         (watch, rule, progress);
                     let controls = Controls::default();
-                    let said = logged(|| state.news(news, Some(&controls)));
+                    let message = logged(|| state.news(news, Some(&controls)));
                     let stops = lost && rule == OnEstimatorLoss::Stop && progress == Progress::Driving;
                     assert_eq!(
                         (controls.stop_requested(), state.stops.barred),
                         (stops, stops),
                         "{news}, {rule:?}, {progress:?}"
                     );
-                    assert_eq!(said.contains("the arm stops"), stops, "{said}");
+                    assert_eq!(message.contains("the arm stops"), stops, "{message}");
                     let goes_on =
                         progress == Progress::Driving && !stops && !matches!(news, FollowerEvent::Joined { .. });
-                    assert_eq!(said.contains("the arm goes on"), goes_on, "{said}");
+                    assert_eq!(message.contains("the arm goes on"), goes_on, "{message}");
                     let waits = progress == Progress::AwaitingModel && matches!(news, FollowerEvent::Died { .. });
-                    assert_eq!(said.contains("the arm waits for a model"), waits, "{said}");
+                    assert_eq!(message.contains("the arm waits for a model"), waits, "{message}");
                 }
             }
         }

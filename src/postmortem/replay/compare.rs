@@ -9,7 +9,6 @@ fn bitwise_equal(a: &[f64], b: &[f64]) -> bool {
     a.iter().map(|x| x.to_bits()).eq(b.iter().map(|x| x.to_bits()))
 }
 
-/// Difference of a replayed cycle from the recorded one.
 fn difference(was: &Record, is: &Record) -> Option<String> {
     let (a, b) = (&was.command.desired, &is.command.desired);
     if was.command.seq != is.command.seq {
@@ -65,16 +64,16 @@ pub(super) fn compare(were: &[Record], are: &[Record], from_the_start: bool) -> 
 
 /// Whether the events from cycle `first` on are the recorded ones. Stops at the program's end and after a heartbeat timeout are replayed
 /// as requested stops, and discarded orders are not replayed.
-pub(super) fn same_events(recording: &Recording, told: &[TimedEvent], first: u64) -> bool {
-    let plain = |told: &TimedEvent| match told.event {
+pub(super) fn same_events(recording: &Recording, timed: &[TimedEvent], first: u64) -> bool {
+    let plain = |timed: &TimedEvent| match timed.event {
         Event::Discarded { .. } => None,
         Event::Stopping { motion, reason: StopReason::Quit | StopReason::HeartbeatLost { .. } } => {
-            Some((told.cycle, Event::Stopping { motion, reason: StopReason::Requested }))
+            Some((timed.cycle, Event::Stopping { motion, reason: StopReason::Requested }))
         }
-        event => Some((told.cycle, event)),
+        event => Some((timed.cycle, event)),
     };
-    let were: Vec<_> = recording.events.iter().filter(|told| told.cycle >= first).filter_map(plain).collect();
-    let are: Vec<_> = told.iter().filter_map(plain).collect();
+    let were: Vec<_> = recording.events.iter().filter(|timed| timed.cycle >= first).filter_map(plain).collect();
+    let are: Vec<_> = timed.iter().filter_map(plain).collect();
     // A NaN in a violation is equal to itself here.
     format!("{were:?}") == format!("{are:?}")
 }

@@ -9,17 +9,14 @@ use plumbline_core::{FeedForward, Record, Reference, Setpoint};
 use plumbline_excite::{Fourier, PeriodicMotion};
 use plumbline_rt::{Checkpoint, Doing, Event, Handles, Order, OrderKind, StopReason, Succession, TimedEvent};
 
-/// Start point of a replay.
 pub(super) struct StartPoint {
     /// First record to run again.
     pub at: usize,
     /// State of the loop at the start point; `None` for the start of the loop.
     pub checkpoint: Option<Checkpoint>,
-    /// Events up to the start point.
     before: LoopState,
 }
 
-/// Number of records in a checkpoint.
 const CHECKPOINT_CYCLES: usize = 3;
 
 impl StartPoint {
@@ -39,8 +36,8 @@ impl StartPoint {
         }
         let mut refused = too_short;
         // The state of the loop can become known after an event.
-        let after_events = recording.events.iter().filter_map(|told| {
-            let place = records.partition_point(|record| record.cycle <= told.cycle);
+        let after_events = recording.events.iter().filter_map(|timed| {
+            let place = records.partition_point(|record| record.cycle <= timed.cycle);
             (place > piece + CHECKPOINT_CYCLES && place < records.len()).then_some(place)
         });
         let mut places: Vec<usize> = std::iter::once(piece + CHECKPOINT_CYCLES).chain(after_events).collect();
@@ -66,23 +63,21 @@ fn loop_state(recording: &Recording, cycle: u64) -> LoopState {
     let begin = recording.records.first().map_or(0, |first| first.cycle);
     let mut state =
         LoopState { under_way: about.under_way.clone(), orders: about.orders_before, models: about.models_before };
-    for told in recording.events.iter().filter(|told| told.cycle > begin && told.cycle <= cycle) {
-        state.apply(told, start_setpoint_of(&recording.records, told));
+    for timed in recording.events.iter().filter(|timed| timed.cycle > begin && timed.cycle <= cycle) {
+        state.apply(timed, start_setpoint_of(&recording.records, timed));
     }
     state
 }
 
-/// Setpoint at the start of an event.
-fn start_setpoint_of(records: &[Record], told: &TimedEvent) -> Option<Setpoint> {
+fn start_setpoint_of(records: &[Record], timed: &TimedEvent) -> Option<Setpoint> {
     let find =
         |cycle: u64| records.binary_search_by_key(&cycle, |record| record.cycle).ok().map(|place| &records[place]);
-    Some(start_setpoint(&told.event, find(told.cycle.checked_sub(1)?)?, find(told.cycle)))
+    Some(start_setpoint(&timed.event, find(timed.cycle.checked_sub(1)?)?, find(timed.cycle)))
 }
 
 fn activity(recording: &Recording, before: &LoopState) -> Result<Doing, ReplayError> {
     let known = |from: &Option<_>, what: &str| {
-        from.map(Setpoint::from)
-            .ok_or_else(|| ReplayError::Missing { what: format!("the setpoint at the start of {what}") })
+        from.ok_or_else(|| ReplayError::Missing { what: format!("the setpoint at the start of {what}") })
     };
     Ok(match &before.under_way {
         Activity::Hold => Doing::Hold,
@@ -104,7 +99,6 @@ fn recorded_order(recording: &Recording, index: u32) -> Result<&RecordedOrder, R
     recording.about.orders.get(index as usize).ok_or_else(missing)
 }
 
-/// A periodic motion from its series.
 fn reference(motion: u32, series: &Series) -> Result<Box<dyn Reference>, ReplayError> {
     let unusable = |why: String| ReplayError::Unusable { what: format!("motion {motion}"), why };
     let Series { period, periods, q0, a, b } = series;
@@ -137,8 +131,8 @@ fn serving(
     while models.id() != 0 && models.id() != first {
         models.fall_back();
     }
-    for told in recording.events.iter().filter(|told| told.cycle > begin && told.cycle <= cycle) {
-        match told.event {
+    for timed in recording.events.iter().filter(|timed| timed.cycle > begin && timed.cycle <= cycle) {
+        match timed.event {
             Event::Serving { .. } => drop(left.next().map(|handed| models.serve(handed.id, handed))),
             Event::Distrusted { .. } => drop(models.fall_back()),
             _ => {}
@@ -162,7 +156,6 @@ fn build(
     model(handed).map_err(|why| ReplayError::Unusable { what: format!("model {:016x}", handed.id), why })
 }
 
-/// What the loop is handed in one cycle.
 enum Input {
     Stop,
     Resume,
@@ -185,19 +178,19 @@ impl InputSchedule {
         let first = recording.records.get(start.at).map_or(0, |record| record.cycle);
         let (mut orders, mut models) = (start.before.orders, start.before.models as usize);
         let mut inputs = Vec::new();
-        for told in recording.events.iter().filter(|told| told.cycle >= first) {
-            let mut hand = |hand| inputs.push((told.cycle, Some(hand)));
-            if told.orders > orders {
-                if told.orders > orders + 1 {
+        for timed in recording.events.iter().filter(|timed| timed.cycle >= first) {
+            let mut hand = |hand| inputs.push((timed.cycle, Some(hand)));
+            if timed.orders > orders {
+                if timed.orders > orders + 1 {
                     return Err(ReplayError::Missing { what: format!("the outcome of order {orders}") });
                 }
                 // A discarded order has no effect.
-                if !matches!(told.event, Event::Discarded { .. }) {
+                if !matches!(timed.event, Event::Discarded { .. }) {
                     hand(Input::Order(order(recorded_order(recording, orders)?)?));
                 }
-                orders = told.orders;
+                orders = timed.orders;
             }
-            match told.event {
+            match timed.event {
                 Event::Stopping {
                     reason: StopReason::Requested | StopReason::Quit | StopReason::HeartbeatLost { .. },
                     ..

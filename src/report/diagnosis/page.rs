@@ -16,10 +16,8 @@ pub(in crate::report) const TEMPLATES: [(&str, &str); 3] = [
     ("diagnosis-effects", include_str!("effects.html")),
 ];
 
-/// Candidates whose score is drawn.
 const DRAWN: usize = 10;
 
-/// Everything that the templates use of a diagnosis.
 pub(in crate::report) fn context(of: &Diagnosis, figures: &Curves) -> Value {
     let grown = words::grown(of);
     let errors = rows::pairs(&of.before, Some(&of.after).filter(|_| grown), &of.noise_floor);
@@ -63,7 +61,6 @@ pub(in crate::report) fn context(of: &Diagnosis, figures: &Curves) -> Value {
     }
 }
 
-/// Class of the box.
 fn tone(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::NothingSignificant | Verdict::Diagnosed => "good",
@@ -77,7 +74,6 @@ fn arrow(line: String) -> String {
     line.replace("->", "\u{2192}")
 }
 
-/// A number or a dash.
 fn or_dash(value: Option<f64>) -> String {
     value.map_or("-".into(), digits)
 }
@@ -90,7 +86,6 @@ fn percent(share: Option<f64>) -> String {
     share.filter(|share| share.is_finite()).map_or("-".into(), |share| format!("{:.0} %", 100.0 * share))
 }
 
-/// Rows of the tables of effects.
 fn effects(effects: &[Effect], confirmation: Option<Confirmation>) -> Vec<Value> {
     let row = |effect: &Effect| {
         let parameters: Vec<_> =

@@ -6,7 +6,6 @@ use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
 use plotters::prelude::*;
 use plumbline_diagnose::figures::{EffectFigure, MapFigure, PeriodFigure, SpectrumFigure};
 
-/// A chart on axes `X` and `Y`.
 type Framed<'a, 'd, X, Y> = ChartContext<
     'a,
     SVGBackend<'d>,
@@ -49,12 +48,10 @@ fn number(value: &f64) -> String {
     }
 }
 
-/// Points that can be drawn.
 fn finite(points: impl IntoIterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
     points.into_iter().filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
 }
 
-/// A long curve with fewer points.
 fn thinned(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
     let (x, y): (Vec<f64>, Vec<f64>) = points.into_iter().unzip();
     thin(&x, &y)

@@ -9,7 +9,6 @@ use plotters::prelude::*;
 
 /// Height of a row in the units of the picture.
 const ROW: u32 = 36;
-/// Letters that fit in front of a bar.
 const LETTERS: usize = 36;
 /// From this ratio between the largest and the smallest on, an axis is logarithmic.
 const WIDE: f64 = 40.0;
@@ -23,7 +22,6 @@ pub(super) struct Pair {
     pub after: Option<f64>,
     /// 95 % intervals of both.
     pub intervals: [Option<[f64; 2]>; 2],
-    /// What they are held against.
     pub limit: Option<f64>,
 }
 
@@ -101,7 +99,6 @@ where
     area.present()
 }
 
-/// A bar with its text.
 #[derive(Clone, Debug)]
 pub(super) struct Bar {
     pub label: String,
@@ -109,16 +106,13 @@ pub(super) struct Bar {
     pub kind: Kind,
 }
 
-/// What a bar stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Chosen,
-    /// Not to be told from the chosen one.
     Equivalent,
     Plain,
 }
 
-/// Text of at most so many letters.
 fn shortened(text: &str, most: usize) -> String {
     if text.chars().count() <= most {
         return text.to_string();

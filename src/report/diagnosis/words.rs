@@ -34,7 +34,7 @@ fn findings(of: &Diagnosis) -> Vec<String> {
         .chain(
             of.changes
                 .iter()
-                .filter(|changes| !told(changes, of))
+                .filter(|changes| !all_listed(changes, of))
                 .map(|changes| self::changes(changes, of.confirmation)),
         )
         .collect()
@@ -51,18 +51,17 @@ pub(super) fn left(effect: &Effect) -> Option<&'static str> {
 }
 
 /// Whether everything that changed stands among the effects already.
-fn told(changes: &Changes, of: &Diagnosis) -> bool {
+fn all_listed(changes: &Changes, of: &Diagnosis) -> bool {
     let among =
         |effect: &Effect| of.effects.iter().any(|other| (&other.id, &other.joints) == (&effect.id, &effect.joints));
     !changes.effects.is_empty() && changes.effects.iter().all(among)
 }
 
-/// Names that fit into a headline.
 const NAMED: usize = 2;
 
 /// What was found, in a few words for the head of the page; what the verdict says by itself is not repeated.
 pub(super) fn headline(of: &Diagnosis) -> String {
-    let changed = of.changes.iter().filter(|changes| !told(changes, of)).flat_map(|changes| &changes.effects);
+    let changed = of.changes.iter().filter(|changes| !all_listed(changes, of)).flat_map(|changes| &changes.effects);
     let mut names: Vec<String> = of.effects.iter().chain(changed).map(name).collect();
     names.extend(of.unexplained.iter().map(|open| format!("a residual in joint {}", open.joint)));
     match (of.verdict, names.len()) {
@@ -91,7 +90,7 @@ fn counted(of: &Diagnosis) -> String {
         1 => Some(format!("1 {one}")),
         _ => Some(format!("{count} {many}")),
     };
-    let apart = of.changes.iter().filter(|changes| !told(changes, of));
+    let apart = of.changes.iter().filter(|changes| !all_listed(changes, of));
     let changed: usize = apart.map(|changes| changes.effects.len()).sum();
     let parts = [
         count(of.effects.len(), "effect", "effects"),
@@ -122,7 +121,6 @@ fn seen(of: &Diagnosis) -> String {
     )
 }
 
-/// An id as words.
 pub(super) fn plain(id: &str) -> String {
     id.replace('-', " ")
 }
@@ -142,7 +140,6 @@ pub(super) fn name(effect: &Effect) -> String {
     placed(&effect.id, &effect.joints) + &since
 }
 
-/// An effect in one sentence.
 fn finding(effect: &Effect, confirmation: Option<Confirmation>) -> String {
     let parameters: Vec<String> =
         effect.parameters.0.iter().map(|p| format!("{} {}", p.name, quantity(p, "+-"))).collect();
@@ -222,7 +219,6 @@ pub(super) fn unexplained(of: &Unexplained) -> String {
     text
 }
 
-/// What changed, in one sentence.
 fn changes(of: &Changes, confirmation: Option<Confirmation>) -> String {
     let effects: Vec<String> = of.effects.iter().map(|effect| finding(effect, confirmation)).collect();
     let effects = if effects.is_empty() { "nothing changed".to_string() } else { effects.join("; ") };
@@ -352,20 +348,20 @@ pub(super) fn quantity(p: &Quantity, sign: &str) -> String {
 mod tests {
     use super::*;
 
-    fn said(value: f64, std: Option<f64>, unit: &str) -> String {
+    fn summary_of(value: f64, std: Option<f64>, unit: &str) -> String {
         quantity(&Quantity { name: "p".into(), value, std, unit: unit.into() }, "+-")
     }
 
     #[test]
     fn quantities_have_the_digits_that_their_deviation_allows() {
-        assert_eq!(said(0.002137, Some(0.000098), "rad"), "2.14 +- 0.10 mrad");
-        assert_eq!(said(0.1603, Some(0.0123), "Nm"), "0.160 +- 0.012 Nm");
-        assert_eq!(said(0.73104, Some(0.0041), "kg"), "0.731 +- 0.004 kg");
-        assert_eq!(said(-123.4, Some(56.0), "s"), "-123 +- 56 s");
-        assert_eq!(said(0.004, None, "s"), "4.00 ms");
-        assert_eq!(said(0.02, Some(0.0), "Nm"), "0.0200 Nm");
-        assert_eq!(said(1.0342, Some(0.0021), "1"), "1.0342 +- 0.0021");
-        assert_eq!(said(f64::NAN, Some(1.0), "Nm"), "-");
+        assert_eq!(summary_of(0.002137, Some(0.000098), "rad"), "2.14 +- 0.10 mrad");
+        assert_eq!(summary_of(0.1603, Some(0.0123), "Nm"), "0.160 +- 0.012 Nm");
+        assert_eq!(summary_of(0.73104, Some(0.0041), "kg"), "0.731 +- 0.004 kg");
+        assert_eq!(summary_of(-123.4, Some(56.0), "s"), "-123 +- 56 s");
+        assert_eq!(summary_of(0.004, None, "s"), "4.00 ms");
+        assert_eq!(summary_of(0.02, Some(0.0), "Nm"), "0.0200 Nm");
+        assert_eq!(summary_of(1.0342, Some(0.0021), "1"), "1.0342 +- 0.0021");
+        assert_eq!(summary_of(f64::NAN, Some(1.0), "Nm"), "-");
         assert_eq!((fixed(-0.0002), fixed(f64::NAN), fixed(0.1234)), ("0.000".into(), "-".into(), "0.123".into()));
     }
 

@@ -126,7 +126,6 @@ fn sign(program: &mut Program, joint: usize) -> Value {
     program.named(format!("s{joint}"), format!("tanh({SHARPNESS:?}*dq[{joint}])"))
 }
 
-/// Row and cause.
 fn joints(site: Site) -> (usize, usize) {
     match site {
         Site::Pair { row, cause } => (row, cause),

@@ -103,13 +103,11 @@ impl Program {
         self.named(name, expression)
     }
 
-    /// `a + b`.
     pub fn add(&mut self, a: &Value, b: &Value) -> Value {
         let one = Value::Known(1.0);
         self.sum(&[(a.clone(), one.clone()), (b.clone(), one)])
     }
 
-    /// `a b`.
     pub fn product(&mut self, a: &Value, b: &Value) -> Value {
         self.sum(&[(a.clone(), b.clone())])
     }
@@ -136,7 +134,6 @@ impl Program {
     }
 }
 
-/// Text of a value as an expression.
 pub fn expression(value: &Value) -> String {
     let (text, minus) = value.text();
     if minus { format!("-{text}") } else { text }

@@ -20,7 +20,6 @@ use plumbline_model::{BaseKind, Chain, JointKind, Placement, TorqueModel};
 /// Text of a file and what the reader of it has to know.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Exported {
-    /// The file.
     pub text: String,
     /// What the format can't hold, and where the numbers hold; the file has them in a comment, too.
     pub notes: Vec<String>,
@@ -29,11 +28,8 @@ pub struct Exported {
 /// A model with real bodies and the robot's limits.
 #[derive(Clone, Copy)]
 pub struct Arm<'a> {
-    /// The model.
     pub model: &'a TorqueModel,
-    /// Bodies and rotors for it.
     pub bodies: &'a Nearest,
-    /// Limits of the joints.
     pub limits: &'a Limits,
 }
 
@@ -124,7 +120,6 @@ fn placements(chain: &Chain) -> impl Iterator<Item = (JointKind, Placement)> + '
     chain.joints().iter().map(|joint| (joint.kind, joint.placement(0.0)))
 }
 
-/// Text for a double-quoted XML attribute.
 fn attribute(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
 }

@@ -15,7 +15,6 @@ const SAME_AXIS: f64 = 2e-3;
 /// The part of a URDF that moves with one joint.
 #[derive(Clone, Debug)]
 pub struct Segment {
-    /// Name of the link behind the joint.
     pub link: String,
     /// Frame of that link in the arm's frame of the same joint.
     pub placement: Placement,
@@ -26,7 +25,6 @@ pub struct Segment {
 /// A URDF whose movable joints are the arm's.
 #[derive(Clone, Debug)]
 pub struct Tree {
-    /// One per joint of the arm.
     pub segments: Vec<Segment>,
     /// Movable joints behind the arm's last one, such as a gripper's: their links belong to no segment.
     pub beyond: Vec<String>,
@@ -43,9 +41,7 @@ struct Jointed<'d> {
 
 impl Tree {
     /// Reads the tree of joints; `file` is only named in errors.
-    ///
-    /// # Errors
-    /// Anything that is not such a URDF, with the element that is not: no joints, several roots or branches, another number of movable
+    /// Errors: anything that is not such a URDF, with the element that is not: no joints, several roots or branches, another number of movable
     /// joints, an axis that lies elsewhere than the arm's.
     pub fn of(file: &str, document: &Document, chain: &Chain) -> Result<Tree, BadInput> {
         let robot = document.root_element();

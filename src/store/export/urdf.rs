@@ -50,7 +50,6 @@ pub fn write(arm: &Arm) -> Exported {
     Exported { text, notes }
 }
 
-/// What a URDF has no place for.
 pub(super) fn left_out(arm: &Arm) -> Vec<String> {
     let mut notes: Vec<String> = validity(arm.model).into_iter().collect();
     if arm.has(|entry| matches!(entry, Entry::SmoothSign { .. })) {
@@ -73,7 +72,6 @@ pub(super) fn left_out(arm: &Arm) -> Vec<String> {
     notes
 }
 
-/// The `<inertial>` of a body, its lines indented.
 pub(super) fn inertial(body: &Body, indent: &str) -> String {
     let i = &body.inertia;
     format!(

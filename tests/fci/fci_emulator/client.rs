@@ -96,20 +96,12 @@ impl Client {
         heard
     }
 
-    /// Throws away what has arrived.
     pub fn drain(&mut self) {
         self.udp.set_nonblocking(true).expect("a UDP option");
         while self.udp.recv_from(&mut [0; MAX_STATE + 1]).is_ok() {}
         self.udp.set_nonblocking(false).expect("a UDP option");
     }
 
-    /// Throws away what has arrived, and reads a fresh state.
-    pub fn refresh(&mut self) -> RobotState {
-        self.drain();
-        self.read()
-    }
-
-    /// Where the robot is.
     pub fn address(&self) -> IpAddr {
         self.stream.peer_addr().expect("a connection").ip()
     }
@@ -118,7 +110,6 @@ impl Client {
         self.udp.send_to(bytes, self.robot.expect("a state was read")).expect("sent");
     }
 
-    /// Sends a command as it is.
     pub fn send(&self, command: &RobotCommand) {
         let mut buffer = [0; MAX_COMMAND];
         let length = command.encode(self.protocol, &mut buffer);
@@ -138,7 +129,6 @@ impl Client {
         id
     }
 
-    /// Sends a request and returns its call.
     pub fn call(&mut self, request: Request) -> u32 {
         let id = self.expect(request.kind());
         let mut buffer = [0; MAX_REQUEST];
@@ -147,7 +137,6 @@ impl Client {
         id
     }
 
-    /// Sends bytes over TCP.
     pub fn say(&mut self, bytes: &[u8]) {
         self.stream.write_all(bytes).expect("a connection");
     }
@@ -228,7 +217,6 @@ impl Client {
         (id, answer)
     }
 
-    /// Starts a motion that has to start.
     pub fn start(&mut self, controller: MoveController, generator: MoveGenerator) -> u32 {
         let (id, answer) = self.begin(Move::new(controller, generator));
         assert_eq!(answer, Answer::Move(MoveStatus::MotionStarted));

@@ -1,8 +1,8 @@
 //! Every limit crossed, every name; and what follows a reflex.
 
 use super::client::{Answer, Client};
+use super::emulator::Settings;
 use super::emulator::limits::{Limits, RobotKind};
-use super::emulator::{READY, Settings};
 use super::{address, each_protocol, patient, session};
 use plumbline_franka::wire::{
     ErrorBit, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol, RecoveryStatus, Request,
@@ -64,30 +64,6 @@ fn push(client: &mut Client, mut jerk: impl FnMut(&Push) -> f64) -> u32 {
     id
 }
 
-#[test]
-fn a_jump_is_a_discontinuity_and_a_far_start_an_invalid_one() {
-    each_protocol(|protocol| {
-        let (_emulator, mut client) = session(patient(protocol));
-        let id = client.start_positions();
-        let mut q = client.state.q_d;
-        q[2] += 0.3;
-        client.step_to(q);
-        reflex(&mut client, id, &[ErrorBit::JointPositionMotionGeneratorStartPoseInvalid]);
-        recover(&mut client);
-        let id = client.start_positions();
-        let mut q = client.state.q_d;
-        client.step_to(q);
-        q[2] += 0.001;
-        client.step_to(q);
-        let expected = [
-            ErrorBit::JointMotionGeneratorVelocityDiscontinuity,
-            ErrorBit::JointMotionGeneratorAccelerationDiscontinuity,
-        ];
-        reflex(&mut client, id, &expected);
-        recover(&mut client);
-    });
-}
-
 /// A first command may start the motion a little off the desired position, but neither far off nor in motion.
 #[test]
 fn a_first_command_that_jumps_or_moves_is_a_discontinuity() {
@@ -120,51 +96,6 @@ fn a_first_command_that_jumps_or_moves_is_a_discontinuity() {
         client.step_to(before);
         reflex(&mut client, id, &expected);
     });
-}
-
-#[test]
-fn jerk_acceleration_velocity_and_position_have_each_their_name() {
-    each_protocol(|protocol| {
-        let own = limits(protocol);
-        let (_emulator, mut client) = session(patient(protocol));
-        // Past the jerk.
-        let id = push(&mut client, |_| 1.1 * own.jerk[0]);
-        reflex(&mut client, id, &[ErrorBit::JointMotionGeneratorAccelerationDiscontinuity]);
-        recover(&mut client);
-        // Within the jerk, past the acceleration.
-        let id = push(&mut client, |_| 0.5 * own.jerk[0]);
-        reflex(&mut client, id, &[ErrorBit::JointMotionGeneratorVelocityDiscontinuity]);
-        recover(&mut client);
-        // Within both, past the velocity.
-        let id = push(&mut client, |now| if now.ddq < 0.8 * own.ddq[0] { 0.5 * own.jerk[0] } else { 0.0 });
-        reflex(&mut client, id, &[ErrorBit::JointMotionGeneratorVelocityLimitsViolation]);
-        recover(&mut client);
-    });
-    // The Panda's range ends at full speed; at the FR3's no speed is left, so it is left by a jump alone.
-    for (protocol, expected) in [
-        (Protocol::V5, ErrorBit::JointMotionGeneratorPositionLimitsViolation),
-        (Protocol::V9, ErrorBit::JointPositionLimitsViolation),
-        (Protocol::V10, ErrorBit::JointPositionLimitsViolation),
-    ] {
-        let own = limits(protocol);
-        let mut start = READY;
-        start[0] = own.q_max[0] - 0.003;
-        let (_emulator, mut client) = session(Settings { start, ..patient(protocol) });
-        let mut ticks = 0;
-        let id = push(&mut client, |_| {
-            ticks += 1;
-            match (protocol, ticks) {
-                (Protocol::V5, 1..=20) => 50.0,
-                (Protocol::V5, 21..=40) => -50.0,
-                (Protocol::V9 | Protocol::V10, 5) => 2e7,
-                _ => 0.0,
-            }
-        });
-        assert_eq!(client.state.robot_mode, RobotMode::Reflex);
-        assert!(client.state.reflex_reason.contains(expected), "{}", client.state.reflex_reason);
-        assert!(protocol != Protocol::V5 || client.state.reflex_reason.len() == 1, "{}", client.state.reflex_reason);
-        assert_eq!(client.await_answer(id), Answer::Move(MoveStatus::ReflexAborted));
-    }
 }
 
 #[test]

@@ -4,16 +4,12 @@ use super::client::{Answer, Client};
 use super::emulator::{Hand, READY, Settings};
 use super::{address, each_protocol, patient, session};
 use plumbline_franka::wire::{
-    Architecture, CollisionBehavior, CommandKind, Deviation, ErrorBit, Filters, GuidingMode, Header, LibraryTarget,
-    Load, Move, MoveController, MoveGenerator, MoveStatus, Protocol, RecoveryStatus, Request, RobotCommand, RobotMode,
-    SetterStatus, System,
+    Architecture, CollisionBehavior, CommandKind, Deviation, ErrorBit, Header, LibraryTarget, Move, MoveController,
+    MoveGenerator, MoveStatus, Protocol, RecoveryStatus, Request, RobotCommand, RobotMode, SetterStatus, System,
 };
 use plumbline_model::Mounting;
 use std::io::Read;
 use std::time::Duration;
-
-const LOAD: Load =
-    Load { mass: 0.5, com: [0.01, 0.0, 0.05], inertia: [0.01, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.01] };
 
 fn thresholds(torque: f64, force: f64) -> CollisionBehavior {
     CollisionBehavior {
@@ -26,64 +22,6 @@ fn thresholds(torque: f64, force: f64) -> CollisionBehavior {
         lower_force_nominal: [force; 6],
         upper_force_nominal: [force; 6],
     }
-}
-
-#[test]
-fn setters_set_when_idle_and_refuse_what_makes_no_sense() {
-    each_protocol(|protocol| {
-        let (_emulator, mut client) = session(patient(protocol));
-        let mut raised = super::emulator::geometry::IDENTITY;
-        raised[14] = 0.1;
-        let filters = Filters {
-            joint_position: 100.0,
-            joint_velocity: 100.0,
-            cartesian_position: 100.0,
-            cartesian_velocity: 100.0,
-            controller: 1000.0,
-        };
-        let mut setters = vec![
-            Request::SetCollisionBehavior(thresholds(30.0, 40.0)),
-            Request::SetJointImpedance([3000.0; 7]),
-            Request::SetCartesianImpedance([2000.0, 2000.0, 2000.0, 100.0, 100.0, 100.0]),
-            Request::SetGuidingMode(GuidingMode { axes: [true; 6], nullspace: false }),
-            Request::SetEeToK(raised),
-            Request::SetNeToEe(raised),
-            Request::SetLoad(LOAD),
-        ];
-        if protocol == Protocol::V5 {
-            setters.push(Request::SetFilters(filters));
-            assert_eq!(client.ask(Request::GetCartesianLimit(0)), Answer::Other(CommandKind::GetCartesianLimit));
-        }
-        for setter in &setters {
-            assert_eq!(client.ask(*setter), Answer::Setter(SetterStatus::Success), "{setter:?}");
-        }
-        client.refresh();
-        assert!((client.state.m_load - 0.5).abs() < 1e-6 && (client.state.f_x_cload[2] - 0.05).abs() < 1e-6);
-        assert!((client.state.ee_t_k[14] - 0.1).abs() < 1e-6 && (client.state.ne_t_ee[14] - 0.1).abs() < 1e-6);
-        // The end effector points down: with its frame it has come down by as much.
-        assert!((client.state.o_t_ee[14] - 0.49).abs() < 0.01, "{:?}", client.state.o_t_ee);
-        for bad in [
-            Request::SetLoad(Load { mass: -1.0, ..LOAD }),
-            Request::SetLoad(Load { mass: 20.0, com: [5.0, 0.0, 0.0], ..LOAD }),
-            Request::SetJointImpedance([0.0; 7]),
-            Request::SetJointImpedance([f64::NAN; 7]),
-            Request::SetNeToEe([0.0; 16]),
-        ] {
-            assert_eq!(client.ask(bad), Answer::Setter(SetterStatus::InvalidArgument));
-        }
-        client.start_positions();
-        for setter in setters {
-            let id = client.call(setter);
-            let answer = loop {
-                client.write(RobotCommand { q_c: client.state.q_d, ..RobotCommand::default() });
-                client.read();
-                if let Some(answer) = client.answer(id) {
-                    break answer;
-                }
-            };
-            assert_eq!(answer, Answer::Setter(SetterStatus::NotPossible), "while a motion runs");
-        }
-    });
 }
 
 /// Thresholds below what the sensors' noise amounts to: the arm takes that for a collision.

@@ -11,25 +11,14 @@ mod program;
 
 use client::Client;
 use plumbline_franka::wire::Protocol;
-use plumbline_testkit::emulator::{self, Emulator, Settings};
-use std::net::{IpAddr, Ipv4Addr};
-use std::sync::atomic::{AtomicU8, Ordering};
+use plumbline_testkit::emulator::{self, Emulator, Settings, address};
 use std::time::Duration;
-
-/// An address of its own for every emulator of this process.
-fn address() -> IpAddr {
-    static NEXT: AtomicU8 = AtomicU8::new(1);
-    // The port is fixed, so every process has a network of its own.
-    let [.., high, low] = std::process::id().to_be_bytes();
-    Ipv4Addr::new(127, 64 | high >> 2, low, NEXT.fetch_add(1, Ordering::Relaxed)).into()
-}
 
 /// A robot whose time waits for the client: a machine that stalls must not decide these tests.
 fn patient(protocol: Protocol) -> Settings {
     Settings { patience: Duration::from_secs(2), ..Settings::new(address(), protocol) }
 }
 
-/// An emulator, and a client that is connected to it.
 fn session(settings: Settings) -> (Emulator, Client) {
     let (address, protocol) = (settings.address, settings.protocol);
     let emulator = Emulator::start(settings).unwrap_or_else(|error| panic!("{error}"));

@@ -1,7 +1,7 @@
 //! Motions that a robot carries out, from the first state to the last answer.
 
 use super::client::{Answer, knock};
-use super::emulator::{FinishOrder, READY};
+use super::emulator::READY;
 use super::{address, each_protocol, patient, session};
 use plumbline_franka::wire::{
     ConnectStatus, ControllerMode, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol,
@@ -15,7 +15,6 @@ fn quintic(s: f64) -> f64 {
     s * s * s * (10.0 + s * (6.0 * s - 15.0))
 }
 
-/// Ticks of the motion in these tests.
 const TICKS: u32 = 400;
 
 fn away(tick: u32) -> [f64; 7] {
@@ -49,33 +48,6 @@ fn states_come_each_millisecond_and_show_an_idle_arm() {
     });
 }
 
-#[test]
-fn a_position_motion_arrives_and_ends_as_commanded() {
-    each_protocol(|protocol| {
-        let (_emulator, mut client) = session(patient(protocol));
-        let id = client.start_positions();
-        assert_eq!(client.state.robot_mode, RobotMode::Move);
-        for tick in 0..=TICKS {
-            client.step_to(away(tick));
-            assert_eq!(client.state.robot_mode, RobotMode::Move, "{}", client.state.reflex_reason);
-            // The state shows the command that it answers, at the precision of the wire.
-            assert!((client.state.q_d[1] - away(tick)[1]).abs() < 3e-7);
-        }
-        assert_eq!(client.state.control_command_success_rate, 1.0);
-        let last = RobotCommand { q_c: away(TICKS), ..RobotCommand::default() };
-        assert_eq!(client.finish(id, last), Answer::Move(MoveStatus::Success));
-        let state = client.until(RobotMode::Idle);
-        for j in 0..7 {
-            assert!((state.q[j] - away(TICKS)[j]).abs() < 3e-3, "joint {}: {} {}", j + 1, state.q[j], away(TICKS)[j]);
-        }
-        assert!(state.reflex_reason.is_empty());
-        // And again, from where it is.
-        let id = client.start_positions();
-        let last = RobotCommand { q_c: client.state.q_d, ..RobotCommand::default() };
-        assert_eq!(client.finish(id, last), Answer::Move(MoveStatus::Success), "a motion of one command");
-    });
-}
-
 /// As libfranka's examples since 0.21 do, whose first position is the measured one.
 #[test]
 fn a_motion_may_begin_at_the_measured_position() {
@@ -105,80 +77,6 @@ fn a_motion_may_begin_at_the_measured_position() {
     });
 }
 
-#[test]
-fn a_velocity_motion_is_integrated() {
-    each_protocol(|protocol| {
-        let (_emulator, mut client) = session(patient(protocol));
-        let id = client.start(MoveController::JointImpedance, MoveGenerator::JointVelocity);
-        let start = client.state.q_d;
-        let mut sum = 0.0;
-        for tick in 1..=TICKS {
-            // The derivative of a quintic, up to 0.3 rad/s and back.
-            let s = f64::from(tick) / f64::from(TICKS);
-            let dq = 4.8 * (s * (1.0 - s)).powi(2);
-            sum += dq * 1e-3;
-            client.write(RobotCommand { dq_c: [0.0, 0.0, dq, 0.0, 0.0, -dq, 0.0], ..RobotCommand::default() });
-            client.read();
-            assert_eq!(client.state.robot_mode, RobotMode::Move, "{}", client.state.reflex_reason);
-        }
-        assert!(sum > 0.05 && (client.state.q_d[2] - start[2] - sum).abs() < 1e-6);
-        assert!((client.state.q[5] - start[5] + sum).abs() < 3e-3);
-        assert_eq!(client.finish(id, RobotCommand::default()), Answer::Move(MoveStatus::Success));
-    });
-}
-
-/// Zero torque holds the arm against gravity; a spring and a damper of the client pull it where they shall.
-#[test]
-fn torques_come_on_top_of_gravity() {
-    each_protocol(|protocol| {
-        let (_emulator, mut client) = session(patient(protocol));
-        let generator = MoveGenerator::torque_only(protocol);
-        let id = client.start(MoveController::External, generator);
-        let start = client.state.q;
-        for _ in 0..200 {
-            client.write(RobotCommand::default());
-            client.read();
-            assert_eq!(client.state.robot_mode, RobotMode::Move, "{}", client.state.reflex_reason);
-        }
-        for (j, start) in start.iter().enumerate() {
-            assert!((client.state.q[j] - start).abs() < 5e-3, "joint {} sinks to {}", j + 1, client.state.q[j]);
-        }
-        // The robot's own controller takes over without a jolt.
-        let before = client.state.tau_j;
-        assert_eq!(client.finish(id, RobotCommand::default()), Answer::Move(MoveStatus::Success));
-        for (j, before) in before.iter().enumerate() {
-            let jolt = client.state.tau_j[j] - before;
-            assert!(jolt.abs() < 1.5, "joint {}: {jolt} Nm", j + 1);
-        }
-        let id = client.start(MoveController::External, generator);
-        let (stiffness, damping) =
-            ([300.0, 300.0, 300.0, 300.0, 60.0, 60.0, 20.0], [30.0, 30.0, 30.0, 30.0, 6.0, 6.0, 2.0]);
-        let mut last = [0.0; 7];
-        for tick in 0..1000 {
-            let wanted = 0.1 * quintic(f64::from(tick) / 800.0);
-            for j in 0..7 {
-                let tau = stiffness[j] * (start[j] + wanted - client.state.q[j]) - damping[j] * client.state.dq[j];
-                last[j] += (tau - last[j]).clamp(-0.9, 0.9);
-            }
-            client.write(RobotCommand { tau_j_d: last, ..RobotCommand::default() });
-            client.read();
-            assert_eq!(client.state.robot_mode, RobotMode::Move, "{}", client.state.reflex_reason);
-            assert!((client.state.tau_j_d[3] - last[3]).abs() < 1e-5);
-        }
-        assert!((client.state.q[0] - start[0] - 0.1).abs() < 0.02, "{} {}", client.state.q[0], start[0]);
-        let shown = client.state.tau_j[3];
-        assert!(shown.abs() > 5.0, "the measured torque holds gravity: {shown} Nm");
-        // Down to nothing before the end, as a robot wants it.
-        while last.iter().any(|tau| *tau != 0.0) {
-            last = last.map(|tau| tau - tau.clamp(-0.9, 0.9));
-            client.write(RobotCommand { tau_j_d: last, ..RobotCommand::default() });
-            client.read();
-        }
-        assert_eq!(client.finish(id, RobotCommand::default()), Answer::Move(MoveStatus::Success));
-        assert_eq!(client.state.robot_mode, RobotMode::Idle);
-    });
-}
-
 /// Torques from the client beside positions from the client: both are judged, the torques move the arm, and the flag of the motion
 /// generator ends it.
 #[test]
@@ -203,33 +101,6 @@ fn torques_run_beside_a_motion_generator() {
         }
         assert_eq!(client.await_answer(id), Answer::Move(MoveStatus::Success));
     });
-}
-
-#[test]
-fn the_end_comes_in_either_order() {
-    // Far enough apart that a stall of this machine does not swap them.
-    for order in [FinishOrder::StateFirst(300), FinishOrder::AnswerFirst(300)] {
-        let (_emulator, mut client) = session(Settings { finish: order, ..patient(Protocol::V10) });
-        let id = client.start_positions();
-        let last = RobotCommand { q_c: client.state.q_d, motion_generation_finished: true, ..RobotCommand::default() };
-        let (mut answered, mut shown) = (None, None);
-        while answered.is_none() || shown.is_none() {
-            client.write(last);
-            client.read();
-            if let (None, Some(answer)) = (answered, client.answer(id)) {
-                assert_eq!(answer, Answer::Move(MoveStatus::Success));
-                answered = Some(client.state.message_id);
-            }
-            if client.state.robot_mode == RobotMode::Idle {
-                shown = shown.or(Some(client.state.message_id));
-            }
-        }
-        let (answered, shown) = (answered.expect("an answer"), shown.expect("an idle arm"));
-        match order {
-            FinishOrder::StateFirst(_) => assert!(shown < answered, "{shown} {answered}"),
-            _ => assert!(answered < shown, "{answered} {shown}"),
-        }
-    }
 }
 
 #[test]

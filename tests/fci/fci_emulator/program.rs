@@ -1,6 +1,6 @@
 //! The program around the emulator: its options, and its lines on standard input.
 
-use super::emulator::{Fault, FinishOrder, Kind, RobotKind, Settings, StartError};
+use super::emulator::{Fault, Kind, RobotKind, Settings, StartError};
 use super::{address, session};
 use clap::Parser;
 use plumbline_franka::wire::{Protocol, RobotMode};
@@ -18,10 +18,7 @@ fn options_become_settings() {
     let plain = parsed(&[]).expect("defaults");
     assert_eq!((plain.protocol, plain.robot, plain.port), (Protocol::V10, RobotKind::Fr3, 1337));
     assert_eq!(plain.address.to_string(), "127.0.0.7");
-    assert_eq!(
-        (plain.patience, plain.finish, plain.base_acceleration[2]),
-        (Duration::ZERO, FinishOrder::Together, -9.81)
-    );
+    assert_eq!((plain.patience, plain.base_acceleration[2]), (Duration::ZERO, -9.81));
     let rich = parsed(&[
         "--protocol=5",
         "--mounting=0.1,0.2",
@@ -29,7 +26,6 @@ fn options_become_settings() {
         "--base-acceleration=mounting",
         "--fault=loss=0.1,at=motion,for=2",
         "--fault=tcp-reset,at=5",
-        "--finish=answer-first=3",
         "--patience=20",
     ])
     .expect("options");
@@ -39,11 +35,14 @@ fn options_become_settings() {
     let upright = [0.0, 0.0, -9.81];
     let wall = parsed(&["--mounting=wall"]).expect("options");
     assert_eq!((wall.compensates, wall.base_acceleration), (upright, upright));
-    let told = parsed(&["--mounting=wall", "--compensates=true"]).expect("options");
-    assert_eq!((told.compensates, told.base_acceleration), ([told.mounting.gravity().into(); 2]).into());
+    let compensated = parsed(&["--mounting=wall", "--compensates=true"]).expect("options");
+    assert_eq!(
+        (compensated.compensates, compensated.base_acceleration),
+        ([compensated.mounting.gravity().into(); 2]).into()
+    );
     assert_eq!(rich.compensates, upright);
     assert_eq!((rich.faults[0].kind, rich.faults[1].kind), (Kind::Loss(0.1), Kind::TcpReset));
-    assert_eq!((rich.finish, rich.patience), (FinishOrder::AnswerFirst(3), Duration::from_millis(20)));
+    assert_eq!(rich.patience, Duration::from_millis(20));
     for wrong in [
         "--protocol=7",
         "--robot=ur10",
@@ -52,7 +51,6 @@ fn options_become_settings() {
         "--start=1,2",
         "--start=0,0,0,0,0,0,NaN",
         "--fault=thunder",
-        "--finish=late",
         "--arm=/nowhere.toml",
         "--model-library=/nowhere.so",
     ] {

@@ -8,36 +8,28 @@ use plumbline_franka::wire::{Protocol, RobotMode};
 use plumbline_ipc::Status;
 use plumbline_model::Mounting;
 use plumbline_testkit::emulator::limits::JOINTS;
-use plumbline_testkit::emulator::{Emulator, Fault, Hand, Settings};
+use plumbline_testkit::emulator::{Emulator, Fault, Hand, Settings, address};
 use plumbline_testkit::job::{Place, Running, plumbline};
-use std::net::{IpAddr, Ipv4Addr};
+use std::net::IpAddr;
 use std::process::Command;
-use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
-/// What goes wrong.
 #[derive(Clone, Copy, Debug)]
 pub enum Trouble {
     /// Faults of the emulator, as its command line has them.
     Faults(&'static [&'static str]),
-    /// Somebody presses the user stop.
     UserStop,
     /// Somebody runs into the arm. Before a connection: another program has left it in a reflex.
     Reflex,
-    /// Somebody does something else to the arm.
-    Hand(Hand),
-    /// Nothing.
     None,
 }
 
-/// When it goes wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum When {
     /// Before the daemon connects, until the arm moves.
     Connect,
     /// On the way to the start of the motion.
     Approach,
-    /// In the middle of the excitation.
     Excite,
     /// While the arm brakes because an operator has ended the job in mid-motion.
     Stop,
@@ -46,37 +38,27 @@ pub enum When {
 }
 
 impl When {
-    /// Every moment.
     pub const ALL: [When; 5] = [When::Connect, When::Approach, When::Excite, When::Stop, When::Serve];
 }
 
-/// A case.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// What goes wrong.
     pub trouble: Trouble,
-    /// When.
     pub when: When,
     /// More of the job: `key=value`.
     pub sets: Vec<String>,
 }
 
-/// What became of a case.
 #[derive(Clone, Debug)]
 pub struct Ending {
-    /// The daemon's exit code.
     pub code: Option<i32>,
-    /// Everything it said.
-    pub said: String,
-    /// The last status that it gave.
+    pub output: String,
     pub status: Option<Box<Status>>,
-    /// Whether it drove everything.
     pub done: bool,
     /// What the emulator's log shows.
     pub arm: Judged,
     /// From the fault to the arm's rest, where it moved when the fault came \[ms\].
     pub rest_after: Option<u64>,
-    /// The mode that the arm was in at the end.
     pub mode: RobotMode,
 }
 
@@ -93,12 +75,6 @@ const NEXT_STEPS: [&str; 10] = [
     "in Desk",
     "Is another program connected",
 ];
-
-/// An address of its own for every case of this process.
-fn address() -> IpAddr {
-    static NEXT: AtomicU8 = AtomicU8::new(1);
-    Ipv4Addr::new(127, 0, 46, NEXT.fetch_add(1, Ordering::Relaxed)).into()
-}
 
 /// Lets the emulator's thread go before everything else on this machine, where that is permitted: a robot is not late.
 fn prioritise(address: IpAddr) {
@@ -121,18 +97,15 @@ fn leave_in_reflex(address: IpAddr) {
 }
 
 impl Case {
-    /// A case of the shipped emulator job.
     pub fn new(trouble: Trouble, when: When) -> Case {
         Case { trouble, when, sets: Vec::new() }
     }
 
-    /// With more of the job.
     pub fn with(mut self, sets: &[&str]) -> Case {
         self.sets.extend(sets.iter().map(|set| set.to_string()));
         self
     }
 
-    /// Lets it go wrong.
     pub fn strike(&self, emulator: &Emulator) {
         match self.trouble {
             Trouble::Faults(texts) => texts.iter().for_each(|text| {
@@ -143,7 +116,6 @@ impl Case {
             }),
             Trouble::UserStop => emulator.hand(Hand::UserStop),
             Trouble::Reflex => emulator.hand(Hand::Push),
-            Trouble::Hand(hand) => emulator.hand(hand),
             Trouble::None => {}
         }
     }
@@ -185,7 +157,6 @@ impl Case {
         command
     }
 
-    /// Plays it.
     pub fn run(&self) -> Ending {
         let address = address();
         let place = Place::new(&format!("faults-{address}"));
@@ -222,7 +193,7 @@ impl Case {
         let arm = judge(&log);
         drop(place);
         let rest_after = struck_at.filter(|_| moved).zip(arm.last_moved).map(|(from, to)| to.saturating_sub(from));
-        Ending { code: ended.code, said: ended.err, status, done, arm, rest_after, mode }
+        Ending { code: ended.code, output: ended.err, status, done, arm, rest_after, mode }
     }
 }
 
@@ -231,7 +202,7 @@ impl Ending {
     pub fn words(&self) -> String {
         format!(
             "exit code {:?}, all driven: {}, mode {}, {:?}\n{}\nstatus: {:#?}",
-            self.code, self.done, self.mode, self.arm, self.said, self.status
+            self.code, self.done, self.mode, self.arm, self.output, self.status
         )
     }
 
@@ -239,17 +210,16 @@ impl Ending {
     pub fn stalled(&self) -> bool {
         ["communication_constraints_violation", "no state came", "states were lost"]
             .iter()
-            .any(|words| self.said.contains(words))
+            .any(|words| self.output.contains(words))
     }
 
     /// How often the daemon went on by itself.
     pub fn recoveries(&self) -> usize {
-        self.said.matches("going on by itself").count()
+        self.output.matches("going on by itself").count()
     }
 
-    /// The line that the daemon ended with.
     pub fn last_words(&self) -> &str {
-        self.said.lines().rfind(|line| line.starts_with("plumbline: ")).unwrap_or("")
+        self.output.lines().rfind(|line| line.starts_with("plumbline: ")).unwrap_or("")
     }
 
     /// What must be so in every case: inside the limits, at rest in the end, and a cause and a next step where it did not go on.

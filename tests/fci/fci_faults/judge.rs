@@ -7,12 +7,10 @@ use std::path::Path;
 
 /// Measured positions and velocities are noisy: this far beyond a limit is still inside \[rad\], \[rad/s\].
 const NOISE: (f64, f64) = (2e-3, 0.1);
-/// Desired values may be rounded.
 const ROUNDING: f64 = 1.0 + 1e-6;
 /// Measured speed of an arm that stands \[rad/s\].
 const STANDS: f64 = 0.05;
 
-/// What the log of a case shows.
 #[derive(Clone, Debug, Default)]
 pub struct Judged {
     /// Limits that were broken, in words; the first few.
@@ -25,7 +23,6 @@ pub struct Judged {
     pub speed: f64,
 }
 
-/// One line of the log.
 struct Row {
     id: u64,
     mode: u8,
@@ -49,7 +46,6 @@ fn row(line: &str) -> Option<Row> {
     Some(Row { id, mode, q_d: joints()?, dq_d: joints()?, q: joints()?, dq: joints()?, tau: joints()? })
 }
 
-/// Reads the log of a Panda.
 pub fn judge(log: &Path) -> Judged {
     let limits = Limits::of(RobotKind::Panda, Protocol::V5);
     let text = std::fs::read_to_string(log).unwrap_or_else(|error| panic!("{}: {error}", log.display()));

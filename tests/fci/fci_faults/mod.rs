@@ -77,13 +77,13 @@ fn where_the_job_allows_it_the_daemon_recovers_and_drives_the_motion_again() {
     let case = case.with(&["backend.franka.recovery=automatic"]);
     let ending = play(&case, |ending| ending.code == Some(0) && ending.done);
     assert!(
-        ending.recoveries() >= 1 && ending.said.contains("communication_constraints_violation"),
+        ending.recoveries() >= 1 && ending.output.contains("communication_constraints_violation"),
         "{}",
         ending.words()
     );
     // The motion that was interrupted is driven from its beginning.
-    assert!(ending.said.matches("identify-wall has started").count() >= 2, "{}", ending.words());
-    assert_eq!(ending.said.matches("identify-wall has ended").count(), 1, "{}", ending.words());
+    assert!(ending.output.matches("identify-wall has started").count() >= 2, "{}", ending.words());
+    assert_eq!(ending.output.matches("identify-wall has ended").count(), 1, "{}", ending.words());
 }
 
 #[test]
@@ -102,9 +102,9 @@ fn whoever_wanted_the_end_gets_it_though_the_job_may_recover() {
     let case = case.with(&["backend.franka.recovery=automatic"]);
     let ending = play(&case, |ending| stops(ending, &["communication_constraints_violation"]));
     assert_eq!(ending.recoveries(), 0, "{}", ending.words());
-    assert_eq!(ending.said.matches("identify-wall has started").count(), 1, "{}", ending.words());
+    assert_eq!(ending.output.matches("identify-wall has started").count(), 1, "{}", ending.words());
     // To watch, and to drive: not once more after that.
-    assert_eq!(ending.said.matches("connected to").count(), 2, "{}", ending.words());
+    assert_eq!(ending.output.matches("connected to").count(), 2, "{}", ending.words());
 }
 
 #[test]
@@ -125,15 +125,19 @@ fn a_user_stop_in_mid_motion_is_named_and_ends_the_job() {
 fn a_connection_that_breaks_while_a_model_is_served_is_made_again() {
     let case = Case::new(Trouble::Faults(&["tcp-reset"]), When::Serve);
     let ending = play(&case.clone().with(&["backend.franka.recovery=automatic"]), |ending| ending.code == Some(0));
-    assert!(ending.recoveries() == 1 && ending.said.matches("connected to").count() == 2, "{}", ending.words());
+    assert!(ending.recoveries() == 1 && ending.output.matches("connected to").count() == 2, "{}", ending.words());
     play(&case, |ending| stops(ending, &["closed the command connection", "Next: "]));
 }
 
 #[test]
 fn a_user_stop_while_a_model_is_served_is_said_and_nothing_ends() {
     let ending = play(&Case::new(Trouble::UserStop, When::Serve), |ending| ending.code == Some(0));
-    assert!(ending.said.contains("`user stopped`") && ending.said.contains("activation device"), "{}", ending.words());
-    assert!(ending.said.contains("the arm's mode is now `idle`"), "{}", ending.words());
+    assert!(
+        ending.output.contains("`user stopped`") && ending.output.contains("activation device"),
+        "{}",
+        ending.words()
+    );
+    assert!(ending.output.contains("the arm's mode is now `idle`"), "{}", ending.words());
 }
 
 #[test]

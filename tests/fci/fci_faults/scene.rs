@@ -10,10 +10,8 @@ use std::time::{Duration, Instant};
 
 /// Longest time that a case may take.
 const MOST: Duration = Duration::from_secs(60);
-/// Time for an answer of the daemon.
 const ANSWER: Duration = Duration::from_secs(2);
 
-/// A case while it runs.
 pub struct Scene<'a> {
     pub case: &'a Case,
     pub emulator: Emulator,
@@ -64,7 +62,6 @@ impl Scene<'_> {
         self.emulator.snapshot().state.dq_d.iter().fold(0.0, |most: f64, dq| most.max(dq.abs()))
     }
 
-    /// It goes wrong now.
     fn strike(&mut self) {
         let state = self.emulator.snapshot().state;
         self.struck_at = Some(state.message_id);

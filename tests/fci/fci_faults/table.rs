@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// A line of the table.
 struct Row {
     name: &'static str,
     trouble: Trouble,
@@ -78,27 +77,26 @@ fn named(words: &str) -> &'static str {
 }
 
 /// What a robot that sends no states says over its command connection.
-fn told(words: &str) -> String {
+fn tcp_status(words: &str) -> String {
     let silent = words.split_once("over its command connection it says that ");
     let status = silent.and_then(|(_, rest)| rest.split([':', '.']).next());
     status.map_or(String::new(), |status| format!(", over TCP \"{status}\""))
 }
 
-/// A cell in a few words.
 fn cell(case: &Case, ending: &Ending, tries: u32) -> String {
     let rest = match (ending.rest_after, ending.code) {
         (Some(ms), Some(1)) => format!("; at rest after {:.2} s", ms as f64 * 1e-3),
         _ => String::new(),
     };
     let mut words = match (ending.code, case.when) {
-        (Some(0), When::Serve) if ending.said.contains("no motion can start") => {
-            format!("goes on, names {}", named(&ending.said))
+        (Some(0), When::Serve) if ending.output.contains("no motion can start") => {
+            format!("goes on, names {}", named(&ending.output))
         }
         (Some(0), When::Serve) => "goes on".into(),
         (Some(0), When::Stop) => "stops as asked".into(),
         (Some(0), _) if ending.done => format!("driven to the end{}", counts(ending)),
         (Some(0), _) => "ends, not everything driven".into(),
-        (Some(1), _) => format!("exit 1: {}{}{rest}", named(ending.last_words()), told(ending.last_words())),
+        (Some(1), _) => format!("exit 1: {}{}{rest}", named(ending.last_words()), tcp_status(ending.last_words())),
         (other, _) => format!("exit {other:?}"),
     };
     match ending.recoveries() {
@@ -115,7 +113,6 @@ fn cell(case: &Case, ending: &Ending, tries: u32) -> String {
     words
 }
 
-/// What the sessions counted.
 fn counts(ending: &Ending) -> String {
     let sessions = ending.status.iter().flat_map(|status| &status.sessions);
     let links = sessions.filter(|session| session.name != "hold").filter_map(|session| session.link.as_ref());

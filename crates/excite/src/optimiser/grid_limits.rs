@@ -32,7 +32,6 @@ pub struct GridLimits {
 
 /// Tightening of a violated limit as a ratio of the excess.
 const OVERSHOOT_RATIO: f64 = 1.5;
-/// Minimum tightening as a ratio of the limit.
 const MIN_TIGHTENING_RATIO: f64 = 5e-4;
 
 impl GridLimits {

@@ -28,7 +28,7 @@ use super::ExciteError;
 use super::criterion::{check_excitation, sampled, stacked};
 use super::fourier::Fourier;
 use super::plan::Plan;
-use super::search::{self, Problem, Search, SearchControl};
+use super::search::{self, FINE_GRID_RATIO, Problem, Search, SearchControl};
 use super::usage::{check_usage, usage};
 use descent::Descent;
 use grid::Grid;
@@ -57,7 +57,6 @@ const FINISH: [Stage; 3] = [
     Stage { p: 64.0, sign: 40.0, rho: 100.0, iterations: 200 },
     LAST,
 ];
-/// Stages of a hop.
 const HOP: [Stage; 3] = [
     Stage { p: 8.0, sign: 20.0, rho: 30.0, iterations: 60 },
     Stage { p: 24.0, sign: 30.0, rho: 100.0, iterations: 120 },
@@ -82,9 +81,6 @@ const ELITES: usize = 4;
 const PERTURBATION_RATIOS: [f64; 4] = [0.05, 0.1, 0.2, 0.4];
 /// Perturbation of start poses at ratio 1 \[rad\].
 const POSE_PERTURBATION_RAD: f64 = 1.0;
-/// Ratio of samples of the evaluation grid to samples of the search grid.
-pub const FINE_GRID_RATIO: usize = 5;
-
 /// Motion found by a descent with its cost (a logarithm, lower is better).
 #[derive(Clone)]
 struct Found {

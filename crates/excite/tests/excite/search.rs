@@ -203,16 +203,3 @@ fn the_error_of_an_infeasible_start_pose_contains_the_violation() {
     let error = random_plan(&low.problem(None), &short(), 0.5).unwrap_err();
     assert_eq!(error, ExciteError::NoRoom { joint: 2, what: "acceleration" });
 }
-
-#[test]
-fn a_plan_is_restored_from_its_file() {
-    let arm = Arm::new();
-    let plan = random_plan(&arm.problem(None), &short(), 0.5).unwrap();
-    let text = toml::to_string(&plan).unwrap();
-    let back: Plan = plumbline_core::from_toml("plan.toml", &text).unwrap();
-    assert_eq!(plan, back);
-    assert_eq!(plan.fourier().unwrap(), back.fourier().unwrap());
-    let mut short = back;
-    short.a[2].pop();
-    assert!(matches!(short.fourier(), Err(ExciteError::Shape { .. })));
-}

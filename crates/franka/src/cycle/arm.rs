@@ -42,7 +42,6 @@ const STOP_STATE_TIMEOUT: Duration = Duration::from_millis(60);
 /// Longest wait for the arm's final answer once it rests \[ns\].
 const ANSWER_TIMEOUT_NS: u64 = 100 * MS;
 
-/// Phase of a session.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
     /// Nothing was commanded yet.

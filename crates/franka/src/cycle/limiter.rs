@@ -23,7 +23,6 @@ pub(super) enum Objection {
     Jump,
 }
 
-/// A command within the limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Limited {
     /// Where the arm is sent.
@@ -192,7 +191,6 @@ impl Limiter {
     }
 }
 
-/// What rounding may add to a limit.
 const ROUNDING: f64 = 1e-9;
 
 #[cfg(test)]

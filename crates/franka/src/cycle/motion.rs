@@ -12,7 +12,6 @@ use crate::wire::{Errors, Move, MoveController, MoveGenerator, Protocol, RobotCo
 const DOUBLE_TOLERANCE: f64 = 1e-9;
 const SINGLE_TOLERANCE: f64 = 3e-7;
 
-/// A motion, or the one that is to begin.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
     interface: Interface,
@@ -43,7 +42,6 @@ pub(super) struct Answer {
     pub aim: Option<Aim>,
 }
 
-/// The request for a motion by the settings.
 pub(super) fn request(settings: &Settings, protocol: Protocol) -> Move {
     let controller = match (settings.interface, settings.controller) {
         (Interface::Torque, _) => MoveController::External,

@@ -56,7 +56,6 @@ impl Point {
 /// Commands kept: more than the arm may miss.
 const MAX_KEPT: usize = 32;
 
-/// A command that was sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Sent {
     /// Number of the state that it answered.
@@ -171,7 +170,7 @@ impl Commands {
     }
 
     fn agrees(&self, point: &Point, state: &Point) -> bool {
-        point.q.iter().zip(&state.q).all(|(own, said)| (own - said).abs() <= self.tolerance)
+        point.q.iter().zip(&state.q).all(|(own, reported)| (own - reported).abs() <= self.tolerance)
     }
 }
 

@@ -9,7 +9,6 @@ use std::time::Duration;
 /// A receive that finds nothing returns after this, so that its caller can check the clock and the other socket.
 pub(super) const RECEIVE_TIMEOUT: Duration = Duration::from_millis(10);
 
-/// The socket of a session.
 #[derive(Debug)]
 pub(crate) struct StateLink {
     socket: UdpSocket,

@@ -5,42 +5,19 @@ use roxmltree::{Document, Node};
 
 /// Why a description holds no limits.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum UrdfError {
-    /// It is not XML.
     #[error("the robot description is not XML: {0}")]
     Xml(#[from] roxmltree::Error),
-    /// Its root is another element.
     #[error("the robot description begins with <{found}> instead of <robot>")]
-    Root {
-        /// The root element.
-        found: String,
-    },
-    /// A joint has no such element.
+    Root { found: String },
     #[error("the robot description has no <{element}> for joint {joint}")]
-    Missing {
-        /// `joint`, `limit`, `position_based_velocity_limits`.
-        element: &'static str,
-        /// Number of the joint, from 1.
-        joint: usize,
-    },
-    /// An attribute is missing or no finite number.
+    Missing { element: &'static str, joint: usize },
     #[error("in the robot description {attribute} of joint {joint} is `{found}`, expected a finite number")]
-    Number {
-        /// The attribute.
-        attribute: &'static str,
-        /// Number of the joint, from 1.
-        joint: usize,
-        /// Its text; empty when it is missing.
-        found: String,
-    },
+    Number { attribute: &'static str, joint: usize, found: String },
     /// Numbers that contradict each other.
     #[error("in the robot description joint {joint} has {what}")]
-    Senseless {
-        /// Number of the joint, from 1.
-        joint: usize,
-        /// What is wrong.
-        what: &'static str,
-    },
+    Senseless { joint: usize, what: &'static str },
 }
 
 /// The limits in the description that an FR3 serves: position, speed and torque from `<limit lower upper velocity effort>`, the speed

@@ -155,7 +155,6 @@ pub(super) struct Arrivals {
     pub wake_ns: Option<u64>,
 }
 
-/// Adds to a counter with a single writer.
 fn add(counter: &AtomicU64, more: u64) {
     if more > 0 {
         counter.store(counter.load(Relaxed).wrapping_add(more), Relaxed);
@@ -220,7 +219,6 @@ impl Telemetry {
         RobotMode::from_code(self.mode.load(Relaxed) as u8).unwrap_or_default()
     }
 
-    /// The arm is in this mode.
     pub(super) fn in_mode(&self, mode: RobotMode) {
         self.mode.store(u64::from(mode.code()), Relaxed);
     }

@@ -2,7 +2,6 @@
 
 use super::protocol::{CommandKind, HEADER_BYTES, Header, Protocol, WireError};
 
-/// Reads a payload from its front.
 pub(super) struct Reader<'a> {
     what: &'static str,
     whole: usize,
@@ -74,7 +73,6 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Writes a payload from its front.
 pub(super) struct Writer<'a> {
     whole: usize,
     rest: &'a mut [u8],

@@ -6,12 +6,12 @@ use super::protocol::{Protocol, WireError};
 
 /// An enumeration whose numbers on the wire count from 0 in the order written, and its names.
 macro_rules! codes {
-    ($($(#[$attribute:meta])+ $name:ident { $($(#[$note:meta])+ $variant:ident $text:literal,)+ })+) => {$(
+    ($($(#[$attribute:meta])+ $name:ident { $($(#[$note:meta])* $variant:ident $text:literal,)+ })+) => {$(
         $(#[$attribute])+
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         #[repr(u8)]
         pub enum $name {
-            $($(#[$note])+ $variant,)+
+            $(#[doc = $text] $(#[$note])* $variant,)+
         }
 
         impl $name {
@@ -46,7 +46,6 @@ codes! {
         /// No motion runs.
         #[default]
         Idle "idle",
-        /// Joint positions.
         JointPosition "joint position",
         /// Joint velocities; at version 5 also a motion of torques alone.
         JointVelocity "joint velocity",
@@ -61,9 +60,7 @@ codes! {
     /// The controller that a state shows.
     #[derive(Default)]
     ControllerMode {
-        /// Joint impedance.
         JointImpedance "joint impedance",
-        /// Cartesian impedance.
         CartesianImpedance "cartesian impedance",
         /// The torques that the client commands.
         External "external",
@@ -94,9 +91,7 @@ codes! {
 
     /// The controller that a request asks for.
     MoveController {
-        /// Joint impedance.
         JointImpedance "joint impedance",
-        /// Cartesian impedance.
         CartesianImpedance "cartesian impedance",
         /// The torques that the client commands.
         External "external",
@@ -104,7 +99,6 @@ codes! {
 
     /// The motion generator that a request asks for.
     MoveGenerator {
-        /// Joint positions.
         JointPosition "joint position",
         /// Joint velocities.
         JointVelocity "joint velocity",
@@ -130,9 +124,7 @@ codes! {
 
     /// System that a model library is asked for.
     System {
-        /// Linux.
         Linux "Linux",
-        /// Windows.
         Windows "Windows",
     }
 }
@@ -158,7 +150,6 @@ impl MotionGeneratorMode {
 }
 
 impl ControllerMode {
-    /// The mode of a number in a state.
     pub(super) fn decode(code: u8) -> Result<ControllerMode, WireError> {
         let unknown = WireError::Value { what: "controller_mode", most: 3, found: u32::from(code) };
         ControllerMode::from_code(code).ok_or(unknown)
@@ -166,7 +157,6 @@ impl ControllerMode {
 }
 
 impl RobotMode {
-    /// The mode of a number in a state.
     pub(super) fn decode(code: u8) -> Result<RobotMode, WireError> {
         let unknown = WireError::Value { what: "robot_mode", most: 6, found: u32::from(code) };
         RobotMode::from_code(code).ok_or(unknown)
@@ -207,12 +197,12 @@ macro_rules! statuses {
     (@code _) => { None };
     (@code $code:literal) => { Some($code) };
     ($($(#[doc = $doc:literal])+ $name:ident $command:literal {
-        $($(#[doc = $note:literal])+ $variant:ident $old:tt $new:tt $text:literal,)+
+        $($variant:ident $old:tt $new:tt $text:literal,)+
     })+) => {$(
         $(#[doc = $doc])+
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum $name {
-            $($(#[doc = $note])+ $variant,)+
+            $(#[doc = $text] $variant,)+
         }
 
         impl $name {
@@ -267,101 +257,65 @@ macro_rules! statuses {
 statuses! {
     /// Answer to Connect, the same in every version.
     ConnectStatus "Connect" {
-        /// The session is open.
         Success 0 0 "connected",
-        /// The arm speaks another version, which the response names.
         IncompatibleVersion 1 1 "the arm speaks another version of the protocol",
     }
 
     /// Answers to Move: one when the motion starts, one when it ends.
     MoveStatus "Move" {
-        /// The motion ended as commanded.
         Success 0 0 "the motion ended as commanded",
-        /// The motion has started.
         MotionStarted 1 1 "the motion has started",
-        /// Ended by StopMove or by another motion.
         Preempted 2 2 "the motion was preempted",
-        /// Ended by a safety function.
         PreemptedSafetyFunction _ 3 "the motion was preempted by a safety function",
-        /// Rejected because of a safety function.
         RejectedSafetyFunction _ 4 "the motion was rejected because a safety function is active",
-        /// Rejected: the arm is not idle.
         NotPossible 3 5 "the motion is not possible in the current mode of the arm",
-        /// Rejected: singular pose.
         StartAtSingularPose 4 6 "the motion can't start at a singular pose",
-        /// Rejected: an argument is out of range.
         InvalidArgument 5 7 "an argument of the motion is invalid",
-        /// Ended by a reflex.
         ReflexAborted 6 8 "the motion was aborted by a reflex",
-        /// Ended by the user stop.
         EmergencyAborted 7 9 "the motion was aborted by the user stop",
-        /// Ended by a bad command.
         InputErrorAborted 8 10 "the motion was aborted by an error in its input",
-        /// Ended for another reason.
         Aborted 9 11 "the motion was aborted",
     }
 
     /// Answer to StopMove.
     StopStatus "StopMove" {
-        /// The motion has ended.
         Success 0 0 "stopped",
-        /// There is nothing to stop.
         NotPossible 1 1 "stopping is not possible in the current mode of the arm",
-        /// Rejected because of a safety function.
         RejectedSafetyFunction _ 2 "stopping was rejected because a safety function is active",
-        /// The user stop came first.
         EmergencyAborted 2 3 "stopping was aborted by the user stop",
-        /// A reflex came first.
         ReflexAborted 3 4 "stopping was aborted by a reflex",
-        /// Ended for another reason.
         Aborted 4 5 "stopping was aborted",
     }
 
     /// Answer to AutomaticErrorRecovery.
     RecoveryStatus "AutomaticErrorRecovery" {
-        /// The arm is ready again.
         Success 0 0 "recovered",
-        /// There is nothing to recover from.
         NotPossible 1 1 "recovery is not possible in the current mode of the arm",
-        /// Rejected because of a safety function.
         RejectedSafetyFunction _ 2 "recovery was rejected because a safety function is active",
-        /// The arm has to be moved by hand.
         ManualRequired 2 3 "the arm has to be recovered by hand",
-        /// Ended by a reflex.
         ReflexAborted 3 4 "recovery was aborted by a reflex",
-        /// Ended by the user stop.
         EmergencyAborted 4 5 "recovery was aborted by the user stop",
-        /// Ended for another reason.
         Aborted 5 6 "recovery was aborted",
     }
 
     /// Answer to a command that sets something, and to GetCartesianLimit.
     SetterStatus "a setter" {
-        /// Done.
         Success 0 0 "set",
-        /// Rejected in the arm's mode.
         NotPossible 1 1 "the command is not possible in the current mode of the arm",
-        /// Rejected: an argument is out of range.
         InvalidArgument 2 2 "an argument of the command is invalid",
-        /// Rejected because of a safety function.
         RejectedSafetyFunction _ 3 "the command was rejected because a safety function is active",
     }
 
     /// Answer to LoadModelLibrary, until version 9.
     LoadModelStatus "LoadModelLibrary" {
-        /// The library follows.
         Success 0 0 "loaded",
-        /// There is no library for this system.
         Error 1 1 "the arm reports an error when loading the model library",
     }
 
     /// Answer to GetRobotModel, from version 8 on.
     RobotModelStatus "GetRobotModel" {
-        /// The description follows.
         Success _ 0 "read",
-        /// Rejected in the arm's mode.
         NotPossible _ 1 "the robot model can't be read in the current mode of the arm",
-        /// Rejected because of a safety function.
         RejectedSafetyFunction _ 2 "reading the robot model was rejected because a safety function is active",
     }
 }

@@ -120,11 +120,6 @@ impl ErrorBit {
         ErrorBit::ALL.get(usize::from(index)).copied()
     }
 
-    /// The error of libfranka's name.
-    pub fn from_name(name: &str) -> Option<ErrorBit> {
-        ErrorBit::ALL.into_iter().find(|bit| bit.name() == name)
-    }
-
     const fn mask(self) -> u64 {
         1 << self as u8
     }
@@ -203,7 +198,6 @@ impl Errors {
         Ok(errors)
     }
 
-    /// Writes one byte per error.
     pub(super) fn to_flags(self, flags: &mut [u8]) {
         for (bit, flag) in ErrorBit::ALL.into_iter().zip(flags) {
             *flag = u8::from(self.contains(bit));

@@ -74,7 +74,6 @@ pub(super) enum Part<T> {
     Code { get: fn(&T, Protocol) -> u8, set: fn(&mut T, Protocol, u8) -> Result<(), WireError> },
 }
 
-/// A field before it has a place.
 #[derive(Clone, Copy)]
 struct Field<T> {
     name: &'static str,
@@ -89,7 +88,6 @@ impl<T: Copy> Field<T> {
         Field { name, count, since: 0, part }
     }
 
-    /// A field that older versions do not have.
     const fn since(version: u16, field: Field<T>) -> Field<T> {
         Field { since: version, ..field }
     }
@@ -250,7 +248,6 @@ const fn fields<T: Copy>(list: &[Field<T>], protocol: Protocol) -> usize {
     count
 }
 
-/// The fields that `protocol` has, one behind the other.
 #[allow(clippy::indexing_slicing)]
 const fn place<T: Copy, const N: usize>(list: &[Field<T>], protocol: Protocol, real: Scalar) -> [Slot<T>; N] {
     let mut slots = [list[0].place(0, real); N];
@@ -266,7 +263,6 @@ const fn place<T: Copy, const N: usize>(list: &[Field<T>], protocol: Protocol, r
     slots
 }
 
-/// Length of a packet with these fields.
 #[allow(clippy::indexing_slicing)]
 const fn length<T>(slots: &[Slot<T>]) -> usize {
     slots[slots.len() - 1].end()
@@ -290,7 +286,6 @@ table!(COMMAND_5: RobotCommand of COMMAND at V5 in F64, command_bytes up to MAX_
 table!(COMMAND_9: RobotCommand of COMMAND at V9 in F64, command_bytes up to MAX_COMMAND);
 table!(COMMAND_10: RobotCommand of COMMAND at V10 in F64, command_bytes up to MAX_COMMAND);
 
-/// The fields of a state.
 pub(super) fn state(protocol: Protocol) -> &'static [Slot<RobotState>] {
     match protocol {
         Protocol::V5 => &STATE_5,
@@ -299,7 +294,6 @@ pub(super) fn state(protocol: Protocol) -> &'static [Slot<RobotState>] {
     }
 }
 
-/// The fields of a command.
 pub(super) fn command(protocol: Protocol) -> &'static [Slot<RobotCommand>] {
     match protocol {
         Protocol::V5 => &COMMAND_5,

@@ -97,92 +97,102 @@ pub fn images_of(version: u16) -> Option<&'static str> {
     })
 }
 
-/// A command over TCP.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum CommandKind {
+/// The commands: meaning, name in libfranka's headers, number in versions 3 to 5, 6 to 9, and 10 (`_` where there is none), length of the request
+/// without its header \[bytes\], and whether the arm answers with a [`super::SetterStatus`] and nothing else.
+macro_rules! commands {
+    (@number _) => { None };
+    (@number $number:literal) => { Some($number) };
+    ($(#[doc = $doc:literal] $kind:ident $name:literal [$v5:tt $v9:tt $v10:tt] $bytes:literal $setter:literal,)+) => {
+        /// A command over TCP.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum CommandKind {
+            $(#[doc = $doc] $kind,)+
+        }
+
+        impl CommandKind {
+            /// All commands, in the order of version 5.
+            pub const ALL: [CommandKind; 15] = [$(CommandKind::$kind,)+];
+
+            /// The number in a header; `None` when `protocol` does not have the command.
+            pub const fn number(self, protocol: Protocol) -> Option<u32> {
+                let (a, b, c) = match self {
+                    $(CommandKind::$kind => (commands!(@number $v5), commands!(@number $v9), commands!(@number $v10)),)+
+                };
+                match protocol {
+                    Protocol::V5 => a,
+                    Protocol::V9 => b,
+                    Protocol::V10 => c,
+                }
+            }
+
+            /// Length of the request without its header \[bytes\].
+            pub const fn request_bytes(self, protocol: Protocol) -> usize {
+                match self {
+                    // The one request whose length depends on the version.
+                    CommandKind::Move => protocol.move_bytes() - HEADER_BYTES,
+                    other => other.fixed_bytes(),
+                }
+            }
+
+            const fn fixed_bytes(self) -> usize {
+                match self {
+                    $(CommandKind::$kind => $bytes,)+
+                }
+            }
+
+            /// Whether the arm answers with a [`super::SetterStatus`] and nothing else.
+            pub const fn is_setter(self) -> bool {
+                match self {
+                    $(CommandKind::$kind => $setter,)+
+                }
+            }
+
+            /// The name in libfranka's headers.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(CommandKind::$kind => $name,)+
+                }
+            }
+        }
+    };
+}
+
+commands! {
     /// Opens a session; the same number and layout in every version.
-    Connect,
+    Connect "Connect" [0 0 0] 4 false,
     /// Starts a motion; answered when it starts and again when it ends.
-    Move,
+    Move "Move" [1 1 1] 0 false,
     /// Ends the running motion.
-    StopMove,
+    StopMove "StopMove" [2 2 2] 0 false,
     /// Reads a virtual wall; version 5 alone.
-    GetCartesianLimit,
+    GetCartesianLimit "GetCartesianLimit" [3 _ _] 4 false,
     /// Sets the thresholds of contact and collision.
-    SetCollisionBehavior,
+    SetCollisionBehavior "SetCollisionBehavior" [4 3 3] 416 true,
     /// Sets the stiffness of the joint impedance controller.
-    SetJointImpedance,
+    SetJointImpedance "SetJointImpedance" [5 4 4] 56 true,
     /// Sets the stiffness of the Cartesian impedance controller.
-    SetCartesianImpedance,
+    SetCartesianImpedance "SetCartesianImpedance" [6 5 5] 48 true,
     /// Sets which directions can be guided by hand.
-    SetGuidingMode,
+    SetGuidingMode "SetGuidingMode" [7 6 6] 7 true,
     /// Sets the stiffness frame in the end effector.
-    SetEeToK,
+    SetEeToK "SetEEToK" [8 7 7] 128 true,
     /// Sets the end effector in the nominal one.
-    SetNeToEe,
+    SetNeToEe "SetNEToEE" [9 8 8] 128 true,
     /// Sets the load.
-    SetLoad,
+    SetLoad "SetLoad" [10 9 9] 104 true,
     /// Sets cut-off frequencies of the arm's filters; version 5 alone.
-    SetFilters,
+    SetFilters "SetFilters" [11 _ _] 40 true,
     /// Recovers from a reflex.
-    AutomaticErrorRecovery,
+    AutomaticErrorRecovery "AutomaticErrorRecovery" [12 10 10] 0 false,
     /// Loads the arm's model as a shared library; until version 9.
-    LoadModelLibrary,
+    LoadModelLibrary "LoadModelLibrary" [13 11 _] 2 false,
     /// Reads the arm's model as URDF; from version 8 on.
-    GetRobotModel,
+    GetRobotModel "GetRobotModel" [_ 12 11] 0 false,
 }
 
 impl CommandKind {
-    /// All commands, in the order of version 5.
-    pub const ALL: [CommandKind; 15] = [
-        CommandKind::Connect,
-        CommandKind::Move,
-        CommandKind::StopMove,
-        CommandKind::GetCartesianLimit,
-        CommandKind::SetCollisionBehavior,
-        CommandKind::SetJointImpedance,
-        CommandKind::SetCartesianImpedance,
-        CommandKind::SetGuidingMode,
-        CommandKind::SetEeToK,
-        CommandKind::SetNeToEe,
-        CommandKind::SetLoad,
-        CommandKind::SetFilters,
-        CommandKind::AutomaticErrorRecovery,
-        CommandKind::LoadModelLibrary,
-        CommandKind::GetRobotModel,
-    ];
-
     /// Number of [`CommandKind::Connect`], which is read before the version is known.
     pub const CONNECT: u32 = 0;
-
-    /// The number in a header; `None` when `protocol` does not have the command.
-    pub const fn number(self, protocol: Protocol) -> Option<u32> {
-        // Versions 3 to 5, 6 to 9, and 10.
-        let (a, b, c) = match self {
-            CommandKind::Connect => {
-                (Some(CommandKind::CONNECT), Some(CommandKind::CONNECT), Some(CommandKind::CONNECT))
-            }
-            CommandKind::Move => (Some(1), Some(1), Some(1)),
-            CommandKind::StopMove => (Some(2), Some(2), Some(2)),
-            CommandKind::GetCartesianLimit => (Some(3), None, None),
-            CommandKind::SetCollisionBehavior => (Some(4), Some(3), Some(3)),
-            CommandKind::SetJointImpedance => (Some(5), Some(4), Some(4)),
-            CommandKind::SetCartesianImpedance => (Some(6), Some(5), Some(5)),
-            CommandKind::SetGuidingMode => (Some(7), Some(6), Some(6)),
-            CommandKind::SetEeToK => (Some(8), Some(7), Some(7)),
-            CommandKind::SetNeToEe => (Some(9), Some(8), Some(8)),
-            CommandKind::SetLoad => (Some(10), Some(9), Some(9)),
-            CommandKind::SetFilters => (Some(11), None, None),
-            CommandKind::AutomaticErrorRecovery => (Some(12), Some(10), Some(10)),
-            CommandKind::LoadModelLibrary => (Some(13), Some(11), None),
-            CommandKind::GetRobotModel => (None, Some(12), Some(11)),
-        };
-        match protocol {
-            Protocol::V5 => a,
-            Protocol::V9 => b,
-            Protocol::V10 => c,
-        }
-    }
 
     /// The command of a number in a header.
     ///
@@ -194,62 +204,8 @@ impl CommandKind {
         found.ok_or(WireError::Command { found: number, version: protocol.number() })
     }
 
-    /// The number, or the error of a command that `protocol` does not have.
     pub(super) fn number_or_absent(self, protocol: Protocol) -> Result<u32, WireError> {
         self.number(protocol).ok_or(WireError::Absent { what: self.name(), version: protocol.number() })
-    }
-
-    /// Length of the request without its header \[bytes\].
-    pub const fn request_bytes(self, protocol: Protocol) -> usize {
-        match self {
-            CommandKind::Connect | CommandKind::GetCartesianLimit => 4,
-            CommandKind::Move => protocol.move_bytes() - HEADER_BYTES,
-            CommandKind::StopMove | CommandKind::AutomaticErrorRecovery | CommandKind::GetRobotModel => 0,
-            CommandKind::SetCollisionBehavior => 416,
-            CommandKind::SetJointImpedance => 56,
-            CommandKind::SetCartesianImpedance => 48,
-            CommandKind::SetGuidingMode => 7,
-            CommandKind::SetEeToK | CommandKind::SetNeToEe => 128,
-            CommandKind::SetLoad => 104,
-            CommandKind::SetFilters => 40,
-            CommandKind::LoadModelLibrary => 2,
-        }
-    }
-
-    /// Whether the arm answers with a [`super::SetterStatus`] and nothing else.
-    pub const fn is_setter(self) -> bool {
-        matches!(
-            self,
-            CommandKind::SetCollisionBehavior
-                | CommandKind::SetJointImpedance
-                | CommandKind::SetCartesianImpedance
-                | CommandKind::SetGuidingMode
-                | CommandKind::SetEeToK
-                | CommandKind::SetNeToEe
-                | CommandKind::SetLoad
-                | CommandKind::SetFilters
-        )
-    }
-
-    /// The name in libfranka's headers.
-    pub const fn name(self) -> &'static str {
-        match self {
-            CommandKind::Connect => "Connect",
-            CommandKind::Move => "Move",
-            CommandKind::StopMove => "StopMove",
-            CommandKind::GetCartesianLimit => "GetCartesianLimit",
-            CommandKind::SetCollisionBehavior => "SetCollisionBehavior",
-            CommandKind::SetJointImpedance => "SetJointImpedance",
-            CommandKind::SetCartesianImpedance => "SetCartesianImpedance",
-            CommandKind::SetGuidingMode => "SetGuidingMode",
-            CommandKind::SetEeToK => "SetEEToK",
-            CommandKind::SetNeToEe => "SetNEToEE",
-            CommandKind::SetLoad => "SetLoad",
-            CommandKind::SetFilters => "SetFilters",
-            CommandKind::AutomaticErrorRecovery => "AutomaticErrorRecovery",
-            CommandKind::LoadModelLibrary => "LoadModelLibrary",
-            CommandKind::GetRobotModel => "GetRobotModel",
-        }
     }
 }
 
@@ -312,89 +268,32 @@ impl Header {
 
 /// What was expected and what was found. `Copy` and without text of its own, so that it can leave the real-time loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum WireError {
     /// A packet or payload of fixed length has another one.
     #[error("{what} has {found} bytes instead of {expected}")]
-    Length {
-        /// The message.
-        what: &'static str,
-        /// Its length in this version.
-        expected: usize,
-        /// The length that came.
-        found: usize,
-    },
+    Length { what: &'static str, expected: usize, found: usize },
     /// A message ends before its last field.
     #[error("{what} has {found} bytes, but needs at least {least}")]
-    Short {
-        /// The message.
-        what: &'static str,
-        /// The least length that holds every field.
-        least: usize,
-        /// The length that came.
-        found: usize,
-    },
+    Short { what: &'static str, least: usize, found: usize },
     /// The size field of a header is out of bounds.
     #[error("a header says {found} bytes, expected {least} to {most}")]
-    Size {
-        /// Length of a header alone.
-        least: u32,
-        /// The bound of the reader.
-        most: u32,
-        /// The size in the header.
-        found: u32,
-    },
+    Size { least: u32, most: u32, found: u32 },
     /// An enumeration holds a number that this version does not know.
     #[error("{what} is {found}, expected 0 to {most}")]
-    Value {
-        /// The field.
-        what: &'static str,
-        /// The greatest number that this version knows.
-        most: u32,
-        /// The number that came.
-        found: u32,
-    },
+    Value { what: &'static str, most: u32, found: u32 },
     /// A byte that is a flag holds neither 0 nor 1.
     #[error("{what}[{index}] is {found}, expected 0 or 1")]
-    Flag {
-        /// The field.
-        what: &'static str,
-        /// Place in the field, 0 where it is a single flag.
-        index: usize,
-        /// The byte that came.
-        found: u8,
-    },
-    /// The number of a command that this version does not have.
+    Flag { what: &'static str, index: usize, found: u8 },
     #[error("command number {found} does not exist in protocol version {version}")]
-    Command {
-        /// The number in the header.
-        found: u32,
-        /// The protocol version.
-        version: u16,
-    },
-    /// Something that this version has no bytes for.
+    Command { found: u32, version: u16 },
     #[error("{what} does not exist in protocol version {version}")]
-    Absent {
-        /// The command, status, mode or option.
-        what: &'static str,
-        /// The protocol version.
-        version: u16,
-    },
+    Absent { what: &'static str, version: u16 },
     /// A response that does not belong to the command that it names.
     #[error("{kind} does not answer with the status of a setter")]
-    NotASetter {
-        /// The command named.
-        kind: CommandKind,
-    },
-    /// A robot description that is not UTF-8.
+    NotASetter { kind: CommandKind },
     #[error("the robot description is not UTF-8 from byte {valid} on")]
-    NotText {
-        /// Bytes that are good.
-        valid: usize,
-    },
-    /// The buffer to write to is too small.
+    NotText { valid: usize },
     #[error("a buffer of {found} bytes is too small for the message")]
-    Buffer {
-        /// Length of the buffer.
-        found: usize,
-    },
+    Buffer { found: usize },
 }

@@ -187,7 +187,6 @@ impl<'a> Response<'a> {
     }
 }
 
-/// The name of an answer in errors.
 const fn answer_to(kind: CommandKind) -> &'static str {
     match kind {
         CommandKind::Connect => "the answer to Connect",

@@ -27,7 +27,6 @@ fn packets_of_another_length_are_refused() {
     }
 }
 
-/// A good state with one byte changed.
 fn state_with(protocol: Protocol, offset: usize, byte: u8) -> Result<RobotState, WireError> {
     let mut out = [0; MAX_STATE];
     let length = RobotState::default().encode(protocol, &mut out);

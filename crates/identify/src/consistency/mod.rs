@@ -76,25 +76,14 @@ pub struct Nearest {
 
 /// Why no consistent parameters were found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum ConsistencyError {
-    /// An inconsistent body of the prior.
     #[error(
         "link {link} of the prior is not physically consistent: its pseudo-inertia is not positive definite ({parameters:?})"
     )]
-    Prior {
-        /// Counted from 1.
-        link: usize,
-        /// Its standard parameters.
-        parameters: LinkParameters,
-    },
-    /// A rotor inertia of the prior that is not positive.
+    Prior { link: usize, parameters: LinkParameters },
     #[error("the rotor inertia of joint {joint} in the prior is {value}, not positive")]
-    Rotor {
-        /// Counted from 1.
-        joint: usize,
-        /// Its inertia.
-        value: f64,
-    },
+    Rotor { joint: usize, value: f64 },
     /// Values that are not finite, or no convergence.
     #[error("no consistent parameters were found: the parameters or their covariance are not usable numbers")]
     Failed,

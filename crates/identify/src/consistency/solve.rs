@@ -27,7 +27,6 @@ pub struct Problem {
 
 /// Newton decrement at which the exact problem is solved: the next step changes the point by less than rounding does.
 const DECREMENT: f64 = 1e-9;
-/// Maximum steps for the nearest point.
 const MAX_NEAREST_STEPS: usize = 60;
 /// Weight at which the barrier stays, as a bound on what is left to gain on `r' C^-1 r / 2`, relative to 1 + its value. It is not
 /// smaller, because for some estimates the infimum is not attained: ever heavier bodies come ever nearer. The last hundredth of a

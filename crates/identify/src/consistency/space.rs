@@ -66,12 +66,10 @@ impl Map {
         Map { rows, rotors: rotors.into_iter().map(|(joint, _)| joint).collect(), k, own }
     }
 
-    /// How large every row is in the prior.
     fn sizes(&self, prior: &Prior) -> DVector<f64> {
         self.k.abs() * self.variables(sizes(&prior.links), prior)
     }
 
-    /// The prior's variables.
     fn prior(&self, prior: &Prior) -> DVector<f64> {
         self.variables(stacked(&prior.links), prior)
     }

@@ -8,55 +8,23 @@ pub mod spectral;
 
 /// Why a signal could not be processed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum SignalError {
     /// The order of a Butterworth low-pass must be even, a product of second-order sections.
     #[error("filter order {order}: expected an even number from 2 to 40")]
-    Order {
-        /// The requested order.
-        order: usize,
-    },
+    Order { order: usize },
     /// The cut-off must lie between 0 and half the sampling rate.
     #[error("cut-off {cutoff} Hz: expected more than 0 and less than {nyquist} Hz, half the sampling rate")]
-    Cutoff {
-        /// The requested cut-off \[Hz\].
-        cutoff: f64,
-        /// Half the sampling rate \[Hz\].
-        nyquist: f64,
-    },
-    /// Too few samples.
+    Cutoff { cutoff: f64, nyquist: f64 },
     #[error("{samples} samples: expected at least {needed}")]
-    TooShort {
-        /// Samples there are.
-        samples: usize,
-        /// Samples needed.
-        needed: usize,
-    },
-    /// A sample is not a finite number.
+    TooShort { samples: usize, needed: usize },
     #[error("row {row}, column {column}: {value} is not a finite number")]
-    NotFinite {
-        /// Row, counted from 1.
-        row: usize,
-        /// Column, counted from 1 (0 is the time stamp).
-        column: usize,
-        /// The value found.
-        value: f64,
-    },
+    NotFinite { row: usize, column: usize, value: f64 },
     /// Related signals have different lengths.
     #[error("{what}: {found} rows, expected {expected}")]
-    Shape {
-        /// The signal.
-        what: &'static str,
-        /// Its rows.
-        found: usize,
-        /// Rows of the time stamps.
-        expected: usize,
-    },
-    /// The time step is not a positive number.
+    Shape { what: &'static str, found: usize, expected: usize },
     #[error("time step {dt} s: expected a positive number")]
-    Step {
-        /// The step found \[s\].
-        dt: f64,
-    },
+    Step { dt: f64 },
 }
 
 /// Decimation factor: `n_d = 2 pi 0.8 f_m / omega_fp` with `omega_fp = 2 pi f_fp` (paper eq. 16), at least 1.

@@ -8,7 +8,6 @@ use nalgebra::{DMatrix, DVector};
 
 /// Threshold in standard deviations: smaller residuals have weight 1 (95 % efficiency for normal noise; Huber 1964).
 const HUBER_THRESHOLD: f64 = 1.345;
-/// Maximum rounds of weights.
 const MAX_ROUNDS: usize = 50;
 /// Convergence: no parameter changes by more than this ratio of its minimum standard deviation.
 const CONVERGENCE_RATIO: f64 = 1e-3;

@@ -15,26 +15,25 @@ pub mod iv;
 pub mod linear;
 pub mod noise;
 pub mod ols;
+pub(crate) mod solved;
 pub mod stack;
 pub mod tls;
 pub mod wls;
 
 use super::EstimateError;
-use super::covariance::Spread;
 use super::essential::{self, Dropped};
 use super::experiment::Experiment;
 use super::validate::{Rms, validate_parameters};
-use linear::{Fit, Weights, deviations, residual_covariance};
+use linear::{Weights, deviations, residual_covariance};
 use nalgebra::DMatrix;
 use plumbline_core::{parallel, threads};
 use plumbline_model::term::Column;
 use plumbline_model::{Conditions, Structure, conditions, friction_columns};
 use serde::{Deserialize, Serialize};
+pub use solved::Outcome;
+use solved::Solved;
 use stack::Stack;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
-
-/// Share of a parameter in undetermined directions above which it is undetermined.
-const UNDETERMINED_SHARE: f64 = 1e-3;
 
 /// Estimator.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -90,15 +89,6 @@ pub struct Options {
     pub estimator: Estimator,
     /// Whether insignificant parameters are eliminated, [`essential`].
     pub essential: bool,
-}
-
-/// Outcome of an iteration.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome {
-    /// Solved directly, or the weights converged.
-    Settled,
-    /// The weights did not converge; the parameters are those of the last round.
-    Unconverged,
 }
 
 /// Parameter that the data does not determine.
@@ -219,30 +209,6 @@ pub fn identify_with(
     finish(structure, experiments, options.estimator, &stack, solved, &kept, dropped)
 }
 
-/// Result of every estimator.
-#[derive(Clone, Debug)]
-pub struct Solved {
-    /// Linear estimate of the parameters.
-    pub fit: Fit,
-    /// Covariance of the parameters.
-    pub spread: Spread,
-    /// Standard deviation used as weight of each joint \[Nm\].
-    pub sigma: Vec<f64>,
-    /// Weight of each equation.
-    pub row_weights: Option<Vec<f64>>,
-    /// Rounds of weights.
-    pub rounds: usize,
-    /// Outcome of the iteration.
-    pub outcome: Outcome,
-}
-
-impl Solved {
-    /// Whether parameter `c` is determined.
-    pub fn determined(&self, c: usize) -> bool {
-        self.fit.null_share[c] <= UNDETERMINED_SHARE
-    }
-}
-
 /// One estimator with the noise data of its experiments.
 struct Solver<'a> {
     structure: &'a Structure,
@@ -266,7 +232,6 @@ impl<'a> Solver<'a> {
         Ok(Solver { structure, experiments, estimator, draws, pairs })
     }
 
-    /// Solves for some of the columns; `stack` has only those.
     fn solve(&self, stack: &Stack, kept: &[usize]) -> Result<Solved, EstimateError> {
         let experiments = self.experiments;
         if self.estimator == Estimator::Ols {
@@ -391,17 +356,6 @@ mod tests {
         for (freedom, table) in [(5.0, 2.5706), (9.0, 2.2622), (30.0, 2.0423), (1e9, 1.95996), (f64::INFINITY, 1.95996)]
         {
             assert!((student_975(freedom) / table - 1.0).abs() < 1e-4, "{freedom}: {}", student_975(freedom));
-        }
-    }
-
-    #[test]
-    fn student_quantiles_decrease_with_the_degrees_of_freedom() {
-        let mut last = f64::INFINITY;
-        for step in 0..400 {
-            let freedom = 10f64.powf(-0.3 + 0.02 * f64::from(step));
-            let point = student_975(freedom);
-            assert!(point < last && point > 1.9599, "{freedom}: {point} after {last}");
-            last = point;
         }
     }
 

@@ -20,7 +20,6 @@ use rand_distr::StandardNormal;
 const DRAWS: usize = 8;
 /// Minimum ratio of torque noise to the residual's variance.
 const MIN_TORQUE_NOISE_RATIO: f64 = 0.01;
-/// Maximum leverage of an equation.
 const MAX_LEVERAGE: f64 = 0.95;
 
 /// Covariance of the parameters from the noise of the torques: from the scatter between periods, else from the residual.

@@ -5,7 +5,6 @@ use super::stack::Stack;
 use crate::EstimateError;
 use nalgebra::DMatrix;
 
-/// Maximum rounds of weights.
 const MAX_ROUNDS: usize = 30;
 /// Convergence: no parameter changes by more than this ratio of its standard deviation. Noise of the weights themselves
 /// causes larger changes.

@@ -169,7 +169,6 @@ impl Gram {
 }
 
 impl JointGram {
-    /// Product of entries `a <= b`.
     fn product(&self, a: usize, b: usize) -> f64 {
         self.products[a * self.width + b]
     }

@@ -12,7 +12,6 @@
 pub mod filter;
 pub mod gram;
 pub mod solve;
-pub mod stack;
 
 use super::signal::{SignalError, butterworth::Butterworth, decimation};
 use filter::Bank;
@@ -66,36 +65,19 @@ impl Default for Settings {
 
 /// Error of the recursive estimator.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum StreamingError {
     /// Invalid low-pass settings.
     #[error(transparent)]
     Signal(#[from] SignalError),
-    /// A term whose columns depend on more than one sample.
     #[error("term `{id}` depends on more than one sample: it can't be estimated one by one")]
-    Term {
-        /// Its identity.
-        id: &'static str,
-    },
-    /// Invalid forgetting factor.
+    Term { id: &'static str },
     #[error("forgetting factor {value}: expected more than 0 and at most 1")]
-    Forgetting {
-        /// The value given.
-        value: f64,
-    },
-    /// There are fewer equations than parameters.
+    Forgetting { value: f64 },
     #[error("{rows} equations so far for {columns} parameters")]
-    TooFewRows {
-        /// Equations.
-        rows: usize,
-        /// Parameters.
-        columns: usize,
-    },
-    /// The normal equations have no solution; does not occur with finite samples.
+    TooFewRows { rows: usize, columns: usize },
     #[error("the normal equations of {columns} parameters have no eigenvalues (are all samples finite?)")]
-    Decomposition {
-        /// Parameters.
-        columns: usize,
-    },
+    Decomposition { columns: usize },
 }
 
 /// A sample was not finite and was ignored; the low-passes are restarted.

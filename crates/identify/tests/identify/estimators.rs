@@ -1,6 +1,5 @@
 //! The estimators against each other and against simulated truth, each on its intended data.
 
-use nalgebra::DVector;
 use plumbline_identify::solve::{Estimator, Identification, Options, Outcome, identify_with};
 use plumbline_identify::{EstimateError, Experiment, Run, Settings};
 use plumbline_testkit::scene;
@@ -192,20 +191,6 @@ fn essential_parameters_are_the_significant_ones() {
     let relative = found.relative_std();
     let worst = |all: &[Option<f64>]| all.iter().flatten().copied().fold(0.0, f64::max);
     assert!(worst(&relative) < worst(&whole.relative_std()));
-}
-
-#[test]
-fn least_squares_agrees_with_the_normal_equations() {
-    // The second route: Gram matrix and Cholesky of the same filtered equations.
-    let experiment = prepare(&SCENE.record(2, 9));
-    let w = experiment.band(&SCENE.structure.regressor(&experiment.motion));
-    let tau = experiment.band(&experiment.stacked_tau());
-    let beta: DVector<f64> =
-        nalgebra::Cholesky::new(w.tr_mul(&w)).unwrap().solve(&w.tr_mul(&tau)).column(0).into_owned();
-    let found = with(Estimator::Ols, std::slice::from_ref(&experiment));
-    for ((found, std), route) in found.beta.iter().zip(&found.std).zip(beta.iter()) {
-        assert!((found - route).abs() < 1e-7 * std.unwrap(), "{found} {route}");
-    }
 }
 
 #[test]

@@ -5,7 +5,6 @@ use nalgebra::{DMatrix, DVector};
 use plumbline_core::JointVec;
 use plumbline_identify::signal::butterworth::Butterworth;
 use plumbline_identify::streaming::gram::Gram;
-use plumbline_identify::streaming::stack::{Solver, least_squares};
 use plumbline_identify::streaming::{NotFinite, Settings, Streaming, StreamingError};
 use plumbline_model::term::{Motion, Sample};
 use plumbline_model::{Evaluator, Mounting, Reduction, Structure, TorqueModel};
@@ -342,73 +341,4 @@ fn the_joint_blocks_agree_with_dense_products() {
         let expected = (0..count).map(|k| forgetting.powi(k)).sum::<f64>();
         assert!((gram.weight() - expected).abs() < 1e-9 && gram.count() == count as usize);
     }
-}
-
-/// Both solvers of a whole motion against singular values.
-#[test]
-fn a_whole_motion_is_solved_to_rounding() {
-    let mut rng = ChaCha8Rng::seed_from_u64(6);
-    for (robot, spread) in [("panda", 1.0), ("gantry", 1.0), ("panda", 1e-6)] {
-        let structure = structure(robot);
-        let (n, samples) = (structure.chain().len(), 600);
-        let mut source = Source::new(&model(&structure, &mut rng), 0.05, 9);
-        let (mut motion, mut tau) = (
-            Motion {
-                dt: 0.02,
-                q: DMatrix::zeros(samples, n),
-                dq: DMatrix::zeros(samples, n),
-                ddq: DMatrix::zeros(samples, n),
-                gravity: Mounting::WALL.gravity(),
-                periodic: false,
-                start: 0.0,
-            },
-            DMatrix::zeros(samples, n),
-        );
-        for k in 0..samples {
-            let (sample, (_, torque)) = (source.sample(10 * k), source.measured(10 * k));
-            for j in 0..n {
-                motion.q[(k, j)] = sample.q[j];
-                // Speeds that hardly differ from one: viscous friction, its sign and the offset become nearly the same column.
-                motion.dq[(k, j)] = if spread < 1.0 { 2.0 + spread * sample.dq[j] } else { sample.dq[j] };
-                motion.ddq[(k, j)] = sample.ddq[j];
-                tau[(k, j)] = torque[j];
-            }
-        }
-        let sigma: Vec<f64> = (0..n).map(|j| 0.05 * (1 + j) as f64).collect();
-        let solved = least_squares(&structure, &motion, &tau, &sigma).unwrap();
-        assert_eq!(solved.solver, if spread < 1.0 { Solver::Orthogonal } else { Solver::Normal }, "{robot}");
-        let (w, right) = (structure.regressor(&motion), DVector::from_column_slice(tau.as_slice()));
-        let expected = by_singular_values(&w, &right, &sigma);
-        if solved.solver == Solver::Normal {
-            let covariance = solved.covariance.unwrap();
-            for (c, column) in structure.columns().iter().enumerate() {
-                let error = (solved.beta[c] - expected[c]).abs() / covariance[(c, c)].sqrt();
-                assert!(error < 1e-9, "{robot}, {}: {error:e} standard deviations", column.name);
-            }
-        } else {
-            // Nearly confounded parameters may differ; the residual must not.
-            let left = |beta: &DVector<f64>| {
-                let residual = &right - &w * beta;
-                (0..n)
-                    .map(|j| residual.rows(j * samples, samples).norm_squared() / sigma[j].powi(2))
-                    .sum::<f64>()
-                    .sqrt()
-            };
-            let (found, least) = (left(&solved.beta), left(&expected));
-            assert!(found < least * (1.0 + 1e-7), "{found} is left, {least} would be possible");
-        }
-    }
-    let structure = structure("panda");
-    let zeros = || DMatrix::zeros(3, 7);
-    let still = Motion {
-        dt: 0.1,
-        q: zeros(),
-        dq: zeros(),
-        ddq: zeros(),
-        gravity: Mounting::WALL.gravity(),
-        periodic: false,
-        start: 0.0,
-    };
-    let error = least_squares(&structure, &still, &zeros(), &[1.0; 7]).unwrap_err();
-    assert_eq!(error, StreamingError::TooFewRows { rows: 21, columns: structure.columns().len() });
 }

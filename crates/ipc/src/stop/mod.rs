@@ -26,7 +26,6 @@ use super::now_ns;
 
 /// Timeout of one [`StopListener::listen`].
 pub const LISTEN_TIMEOUT: Duration = Duration::from_millis(50);
-/// Content of a stop datagram.
 const STOP_DATAGRAM: &[u8; 16] = b"plumbline stop 1";
 
 /// Sender of a stop.
@@ -120,7 +119,6 @@ impl Drop for StopListener {
     }
 }
 
-/// Path of the socket of a lock file.
 fn socket_beside(lock: &Path) -> PathBuf {
     lock.with_extension("stop")
 }

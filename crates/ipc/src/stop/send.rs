@@ -13,9 +13,7 @@ use crate::runtime_dir::{self, RuntimeDirError};
 
 /// Acknowledgement timeout of a stop over the socket; the signal follows.
 const SOCKET_TIMEOUT: Duration = Duration::from_millis(300);
-/// Acknowledgement timeout of the signal.
 const SIGNAL_TIMEOUT: Duration = Duration::from_millis(1500);
-/// Polling interval of the count of stops.
 const POLL_INTERVAL: Duration = Duration::from_micros(200);
 
 /// Path on which a stop reached the daemon.
@@ -43,33 +41,17 @@ pub struct StopReceipt {
 
 /// Why a stop was not acknowledged.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum StopError {
-    /// No usable runtime directory.
     #[error(transparent)]
     Place(#[from] RuntimeDirError),
-    /// No daemon serves this robot.
     #[error("no daemon serves robot `{robot}` ({reason})")]
-    NoDaemon {
-        /// The robot asked for.
-        robot: String,
-        /// Why no daemon was found.
-        reason: String,
-    },
-    /// The daemon did not acknowledge the stop.
+    NoDaemon { robot: String, reason: String },
     #[error(
         "NOT STOPPED: the daemon of robot `{robot}` (process {process}) acknowledged the stop neither over its socket ({by_socket}) nor by a signal \
          ({by_signal}); use the robot's own stop"
     )]
-    NotAcknowledged {
-        /// The robot.
-        robot: String,
-        /// The process that the lock file names.
-        process: u32,
-        /// Result over the socket.
-        by_socket: String,
-        /// Result of the signal.
-        by_signal: String,
-    },
+    NotAcknowledged { robot: String, process: u32, by_socket: String, by_signal: String },
 }
 
 /// Stops the arm of `robot` over the daemon's socket, else by a signal to the process that holds the robot's lock.

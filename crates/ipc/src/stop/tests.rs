@@ -16,7 +16,6 @@ fn serial() -> MutexGuard<'static, ()> {
     SERIAL.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A listener on its own thread.
 struct ListenerThread {
     received: Arc<AtomicU64>,
     process: Arc<AtomicU64>,

@@ -49,16 +49,13 @@ const OF_THREE: [(&str, &[usize]); 9] = [
     ("transmission-coupling", &[4, 5, 6, 7]),
 ];
 
-/// What a part of the study asks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum What {
     /// One effect of the catalogue, four trajectories.
     Single,
     /// None at all.
     None,
-    /// Three effects on different joints.
     Three,
-    /// One effect that is not in the catalogue.
     Foreign,
     /// One effect, and 0.05 Nm of something else that repeats in every joint.
     Background,
@@ -69,11 +66,9 @@ pub enum What {
 }
 
 impl What {
-    /// All parts.
     pub const ALL: [What; 7] =
         [What::Single, What::None, What::Three, What::Foreign, What::Background, What::OneTrajectory, What::Upright];
 
-    /// Its name in the command.
     pub fn id(self) -> &'static str {
         match self {
             What::Single => "single",
@@ -87,33 +82,25 @@ impl What {
     }
 }
 
-/// What was put in.
 #[derive(Clone, Debug)]
 pub struct Injected {
     /// Its family; `foreign` for what has none.
     pub family: &'static str,
-    /// Where.
     pub site: Site,
-    /// As the truth file says it.
     pub text: String,
-    /// Variables that a foreign effect depends on.
     pub variables: Vec<Variable>,
 }
 
-/// A case, complete.
 #[derive(Clone, Debug)]
 pub struct Case {
     pub what: What,
     pub number: usize,
-    /// The arm's truth file.
     pub truth: String,
     pub effects: Vec<Injected>,
     /// Seed of the repeatable background, where there is one.
     pub background: Option<u64>,
     pub mounting: Mounting,
-    /// Trajectories to identify from.
     pub trajectories: usize,
-    /// Seed of the noise.
     pub noise: u64,
 }
 
@@ -173,7 +160,6 @@ fn sign(rng: &mut ChaCha8Rng) -> f64 {
     if rng.random() { 1.0 } else { -1.0 }
 }
 
-/// Evenly in the logarithm.
 fn between(rng: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
     low * (high / low).powf(rng.random::<f64>())
 }

@@ -18,38 +18,31 @@ use rand_distr::StandardNormal;
 use std::f64::consts::TAU;
 use std::time::Instant;
 
-/// Periods of a run.
 const PERIODS: usize = 10;
 /// First-order noise besides the white noise of the arm's file \[Nm\].
 const COLOURED: f64 = 0.05;
 /// RMS of the repeatable background in each joint \[Nm\].
 const BACKGROUND: f64 = 0.05;
 
-/// What came of a case.
 pub struct Judged {
     /// For each injected effect: what re-identification leaves of all that was injected, in the joint where it shows most, over the noise
     /// floor there.
     pub ratio: f64,
     pub verdict: Verdict,
-    /// The effects in the delivered model.
     pub found: Vec<Spec>,
     /// Those found but not delivered, and the rivals of all.
     pub others: Vec<Spec>,
     /// For each injected effect, whether an effect of the model is it.
     pub right: Vec<bool>,
-    /// The same with rivals.
     pub listed: Vec<bool>,
-    /// Effects of the model that were not injected.
     pub extra: usize,
     /// RMS of the worst joint's residual over the floor of the judge run, before and after.
     pub held_out: [f64; 2],
     /// What the diagnosis says about the joint of a foreign effect, where it calls it unexplained.
     pub fallback: Option<Residual>,
-    /// Seconds of the diagnosis.
     pub seconds: f64,
 }
 
-/// What all cases share.
 pub struct Bench {
     pub chain: Chain,
     pub base: Truth,

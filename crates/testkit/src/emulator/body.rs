@@ -21,7 +21,6 @@ const PUSH: (usize, f64, u32) = (3, 40.0, 100);
 /// What a client gets that has set no load.
 const NO_LOAD: Load = Load { mass: 0.0, com: [0.0; 3], inertia: [0.0; 9] };
 
-/// What drives the actuators for a millisecond.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Drive {
     /// The inner controller follows the desired position.
@@ -33,15 +32,12 @@ pub enum Drive {
 /// Frames and load as the client has set them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tool {
-    /// End effector in the nominal one.
     pub ne_t_ee: Pose,
     /// Stiffness frame in the end effector.
     pub ee_t_k: Pose,
-    /// Load at the flange.
     pub load: Load,
 }
 
-/// The arm.
 pub struct Body {
     chain: Chain,
     links: Vec<LinkParameters>,
@@ -51,7 +47,6 @@ pub struct Body {
     compensated: Vector3<f64>,
     hardware: Hardware,
     noise: ChaCha8Rng,
-    /// What the client has set.
     pub tool: Tool,
     sensed: Reading,
     before: Reading,
@@ -95,7 +90,6 @@ impl Body {
         })
     }
 
-    /// One millisecond.
     pub fn advance(&mut self, desired: &Step, drive: Drive) {
         self.before = self.sensed;
         self.sensed = match drive {

@@ -5,14 +5,11 @@ use std::io::BufRead;
 
 const HELP: &str = "user-stop | release | guide | let-go | lock | unlock | push | fault FAULT | heal | status | quit";
 
-/// What a line comes to.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// It is done.
     Done,
     /// Help was requested, or the line is no order.
     Say(String),
-    /// The emulator shall end.
     Quit,
 }
 
@@ -30,7 +27,6 @@ pub fn obey(emulator: &Emulator) {
     }
 }
 
-/// Carries out one line.
 pub fn carry_out(emulator: &Emulator, line: &str) -> Outcome {
     let hand = |hand| {
         emulator.hand(hand);

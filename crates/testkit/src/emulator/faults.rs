@@ -4,19 +4,15 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::str::FromStr;
 
-/// Which datagrams a fault of the network strikes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Of {
     /// Both, each by itself.
     #[default]
     Both,
-    /// States on their way to the client.
     States,
-    /// Commands on their way to the robot.
     Commands,
 }
 
-/// What goes wrong.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Kind {
     /// Datagrams are lost, by this chance.
@@ -41,7 +37,6 @@ pub enum Kind {
     WrongVersion(u16),
 }
 
-/// When a fault begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Start {
     /// So long after the emulator's own start, or after the control line that brought it \[s\].
@@ -53,13 +48,10 @@ pub enum Start {
 /// A fault, when it begins and how long it lasts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fault {
-    /// What goes wrong.
     pub kind: Kind,
-    /// When it begins.
     pub start: Start,
     /// How long it lasts \[s\]; for good without it.
     pub lasts: Option<f64>,
-    /// Which datagrams it strikes.
     pub of: Of,
 }
 
@@ -70,7 +62,6 @@ impl Fault {
     }
 }
 
-/// A text that is no fault.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{text}` is not a fault ({why}); expected KIND[=VALUE][,at=SECONDS|motion[+SECONDS]][,for=SECONDS][,of=states|commands], KIND one of \
@@ -139,7 +130,6 @@ impl FromStr for Fault {
 #[derive(Clone, Copy, Debug)]
 struct Given {
     fault: Fault,
-    /// When it was given.
     since: u64,
     from: Option<u64>,
     struck: bool,
@@ -177,7 +167,6 @@ impl Line {
         self.under_way.iter().map(|(due, _)| *due).min()
     }
 
-    /// Forgets everything under way.
     pub fn clear(&mut self) {
         self.under_way.clear();
     }
@@ -198,7 +187,6 @@ impl Injector {
         injector
     }
 
-    /// Takes one more fault.
     pub fn give(&mut self, fault: Fault) {
         let from = match fault.start {
             Start::After(seconds) => Some(self.now + milliseconds(seconds)),
@@ -207,7 +195,6 @@ impl Injector {
         self.given.push(Given { fault, since: self.now, from, struck: false });
     }
 
-    /// Forgets all faults.
     pub fn heal(&mut self) {
         self.given.clear();
     }

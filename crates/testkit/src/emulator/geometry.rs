@@ -7,16 +7,13 @@ use plumbline_model::{Chain, Placement};
 /// A 4x4 pose, column-major.
 pub type Pose = [f64; 16];
 
-/// Base frame and the frames behind each joint.
 pub type Frames = [Placement; JOINTS + 1];
 
 /// How far a matrix may be from a rotation: clients send what they have computed.
 const ROTATION_SLACK: f64 = 1e-3;
 
-/// The pose that changes nothing.
 pub const IDENTITY: Pose = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
 
-/// A placement as the wire has it.
 pub fn pose(placement: &Placement) -> Pose {
     let mut pose = IDENTITY;
     for column in 0..3 {
@@ -28,7 +25,6 @@ pub fn pose(placement: &Placement) -> Pose {
     pose
 }
 
-/// The placement of a pose from the wire.
 pub fn placement(pose: &Pose) -> Placement {
     Placement {
         rotation: Matrix3::from_fn(|row, column| pose[4 * column + row]),
@@ -36,7 +32,6 @@ pub fn placement(pose: &Pose) -> Placement {
     }
 }
 
-/// Whether a pose is a rigid transformation.
 pub fn is_rigid(pose: &Pose) -> bool {
     let r = placement(pose).rotation;
     let bottom = [pose[3], pose[7], pose[11], pose[15]] == [0.0, 0.0, 0.0, 1.0];

@@ -6,7 +6,6 @@
 
 use plumbline_franka::wire::{ErrorBit, Errors, Protocol};
 
-/// Joints of a Franka arm.
 pub const JOINTS: usize = 7;
 /// Time between commands \[s\].
 pub const TICK: f64 = 1e-3;
@@ -26,10 +25,8 @@ const MEASURED_POSITION: f64 = 1e-3;
 /// The same for measured velocities, as share of the limit and absolutely \[rad/s\].
 const MEASURED_VELOCITY: (f64, f64) = (0.02, 0.1);
 
-/// One number per joint.
 pub type Joints = [f64; JOINTS];
 
-/// Which arm is emulated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RobotKind {
     /// Panda, also called FER.
@@ -39,7 +36,6 @@ pub enum RobotKind {
 }
 
 impl RobotKind {
-    /// The arm of a protocol version.
     pub const fn of(protocol: Protocol) -> RobotKind {
         match protocol {
             Protocol::V5 => RobotKind::Panda,
@@ -47,7 +43,6 @@ impl RobotKind {
         }
     }
 
-    /// Name of the robot description.
     pub const fn name(self) -> &'static str {
         match self {
             RobotKind::Panda => "panda",
@@ -69,7 +64,6 @@ pub struct Envelope {
     pub deceleration: Joints,
 }
 
-/// Limits of an arm's joints.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Lowest position \[rad\].
@@ -78,7 +72,6 @@ pub struct Limits {
     pub q_max: Joints,
     /// Highest speed \[rad/s\].
     pub dq: Joints,
-    /// Where the speed limit depends on the position.
     pub envelope: Option<Envelope>,
     /// Highest acceleration \[rad/s2\].
     pub ddq: Joints,
@@ -164,12 +157,9 @@ impl Limits {
     }
 }
 
-/// What is commanded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Commanded {
-    /// Positions.
     Position,
-    /// Velocities.
     Velocity,
 }
 
@@ -187,7 +177,6 @@ pub struct Step {
 }
 
 impl Step {
-    /// At rest at `q`.
     pub fn at_rest(q: &Joints) -> Step {
         Step { q: *q, ..Step::default() }
     }
@@ -221,7 +210,6 @@ impl Step {
         }))
     }
 
-    /// Whether nothing moves.
     pub fn still(&self) -> bool {
         self.dq == [0.0; JOINTS]
     }

@@ -6,7 +6,6 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
-/// Where events and cycles go.
 pub struct Log {
     start: u64,
     speaks: bool,

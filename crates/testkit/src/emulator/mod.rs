@@ -36,7 +36,7 @@ pub mod urdf;
 
 pub use faults::{Fault, Injector, Kind, Of, Start};
 pub use limits::RobotKind;
-pub use robot::{FinishOrder, Hand};
+pub use robot::Hand;
 pub use server::{Counts, Snapshot};
 
 use body::Body;
@@ -48,8 +48,9 @@ use plumbline_model::{G, Mounting, Robot as Description};
 use plumbline_sim::{SimError, Truth};
 use robot::{Robot, Served};
 use server::{Order, Parts, Server};
-use std::net::IpAddr;
+use std::net::{IpAddr, Ipv4Addr};
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU16, Ordering};
 use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -66,45 +67,42 @@ pub const READY: Joints = [
     std::f64::consts::FRAC_PI_4,
 ];
 
-/// What an emulator is.
+/// An address of its own for every emulator; the port is fixed. The process number keeps programs apart that run at the same time.
+pub fn address() -> IpAddr {
+    static NEXT: AtomicU16 = AtomicU16::new(1);
+    let [high, low] = NEXT.fetch_add(1, Ordering::Relaxed).to_be_bytes();
+    Ipv4Addr::new(127, 64 | (high & 63), (std::process::id() % 251) as u8, low).into()
+}
+
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Address that it serves on, usually one of 127.0.0.0/8.
     pub address: IpAddr,
     /// Port of TCP and UDP; that of real robots unless a test sets another.
     pub port: u16,
-    /// Protocol version.
     pub protocol: Protocol,
     /// Which arm's limits and name.
     pub robot: RobotKind,
     /// Limits that it serves and checks; those of `robot` where absent.
     pub limits: Option<Limits>,
-    /// The simulated arm's truth.
     pub arm: Truth,
-    /// How it is mounted.
     pub mounting: Mounting,
     /// Gravity in the base frame that the firmware adds torque against \[m/s2\]: (0, 0, -9.81) in any mounting, as robots do.
     pub compensates: [f64; 3],
     /// Position at the start \[rad\].
     pub start: Joints,
-    /// Decides noise and chance.
     pub seed: u64,
     /// Longest pause of the robot's time for a motion's next command. Zero is a robot. More than zero is for tests
     /// of other things than timing on machines that stall: the robot's clock then runs slower than the wall's.
     pub patience: Duration,
-    /// Which of state and answer shows the end of a motion first.
-    pub finish: FinishOrder,
     /// Shared library that LoadModelLibrary answers with, versions 5 and 9.
     pub model_library: Option<Vec<u8>>,
     /// `O_ddP_O` of every state \[m/s2\]: (0, 0, -9.81) in any mounting, as robots report without a declared mounting.
     pub base_acceleration: [f64; 3],
-    /// Number of the first state.
     pub first_message_id: u64,
-    /// Faults from the start on.
     pub faults: Vec<Fault>,
     /// Whether events go to standard error.
     pub speaks: bool,
-    /// CSV file of every cycle.
     pub log: Option<PathBuf>,
 }
 
@@ -126,7 +124,6 @@ impl Settings {
             start: READY,
             seed: 1,
             patience: Duration::ZERO,
-            finish: FinishOrder::Together,
             model_library: None,
             base_acceleration: [0.0, 0.0, -G],
             first_message_id: 1,
@@ -137,46 +134,20 @@ impl Settings {
     }
 }
 
-/// Why an emulator did not start.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "each message says what its variant and fields are")]
 pub enum StartError {
     /// Its port is taken, or its address is none of this machine's.
     #[error("{address}, port {port}: {error}")]
-    Address {
-        /// The address.
-        address: IpAddr,
-        /// The port.
-        port: u16,
-        /// Error of the system.
-        error: std::io::Error,
-    },
-    /// The log can't be written.
+    Address { address: IpAddr, port: u16, error: std::io::Error },
     #[error("log {path}: {error}")]
-    Log {
-        /// The file.
-        path: PathBuf,
-        /// Error of the system.
-        error: std::io::Error,
-    },
-    /// A joint starts outside its range.
+    Log { path: PathBuf, error: std::io::Error },
     #[error("joint {joint} can't start at {q} rad: its range is {least} to {most} rad")]
-    Pose {
-        /// Counted from 1.
-        joint: usize,
-        /// \[rad\]
-        q: f64,
-        /// \[rad\]
-        least: f64,
-        /// \[rad\]
-        most: f64,
-    },
-    /// Truth and robot do not fit.
+    Pose { joint: usize, q: f64, least: f64, most: f64 },
     #[error(transparent)]
     Arm(#[from] SimError),
-    /// The robot description is wrong.
     #[error(transparent)]
     Robot(#[from] BadInput),
-    /// No thread could be made.
     #[error("the emulator's thread: {0}")]
     Thread(std::io::Error),
 }
@@ -211,7 +182,7 @@ impl Emulator {
         let body =
             Body::new(chain, &settings.arm, settings.mounting, settings.compensates, &settings.start, settings.seed)?;
         let before = settings.first_message_id.saturating_sub(1);
-        let robot = Robot::new(settings.protocol, limits, body, &settings.start, served, settings.finish, before);
+        let robot = Robot::new(settings.protocol, limits, body, &settings.start, served, before);
         let address = |error| StartError::Address { address: settings.address, port: settings.port, error };
         let (listener, udp) = server::bind(settings.address, settings.port).map_err(address)?;
         let log = Log::new(settings.speaks, settings.log.as_deref());
@@ -234,7 +205,6 @@ impl Emulator {
         Ok(Emulator { orders: Some(orders), shared, thread: Some(thread) })
     }
 
-    /// What an operator does.
     pub fn hand(&self, hand: Hand) {
         self.order(Order::Hand(hand));
     }
@@ -244,12 +214,10 @@ impl Emulator {
         self.order(Order::Fault(fault));
     }
 
-    /// Ends all faults.
     pub fn heal(&self) {
         self.order(Order::Heal);
     }
 
-    /// How it is now.
     pub fn snapshot(&self) -> Snapshot {
         self.shared.lock().map(|shared| *shared).unwrap_or_default()
     }

@@ -4,7 +4,6 @@ use super::body::Drive;
 use super::limits::{Commanded, Joints, Step};
 use plumbline_franka::wire::{Move, MoveController, MoveGenerator, RobotCommand};
 
-/// Commands of the success rate.
 const WINDOW: u32 = 100;
 /// A joint that is measured slower than this does not move \[rad/s\].
 const STILL: f64 = 5e-3;
@@ -13,20 +12,15 @@ const SETTLED: u32 = 10;
 /// How long that is waited for \[ms\].
 const RESTLESS: u32 = 500;
 
-/// A motion between its start and its end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
     /// Call that started it, which its end answers, too.
     pub id: u32,
-    /// The request.
     pub request: Move,
-    /// Whether a state has shown it.
     pub shown: bool,
-    /// Whether a command has come.
     pub begun: bool,
     /// The desired motion where the first position is the start of the motion, at rest, while the commands fit that, too.
     pub start: Option<Step>,
-    /// Commands missing in a row.
     pub missing: u32,
     /// Torques commanded last, where they are commanded \[Nm\].
     pub tau: Option<Joints>,
@@ -38,12 +32,7 @@ pub struct Motion {
 /// The end of a motion, from its cause to the arm's rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ending {
-    /// Call of StopMove that ends it.
     pub stop: Option<u32>,
-    /// Whether the client has got the answer.
-    pub answered: bool,
-    /// States until the end shows \[ms\].
-    pub left: u32,
     /// How long nothing has moved \[ms\].
     pub still: u32,
     /// How long it has taken \[ms\].
@@ -53,7 +42,7 @@ pub struct Ending {
 impl Ending {
     /// An end that begins now; `stop` is the call of StopMove, where that is the cause.
     pub fn new(stop: Option<u32>) -> Ending {
-        Ending { stop, answered: false, left: 0, still: 0, since: 0 }
+        Ending { stop, still: 0, since: 0 }
     }
 
     /// Counts a millisecond, and whether the arm rests by now: for 10 ms, or because it never will.
@@ -96,7 +85,6 @@ impl Motion {
         }
     }
 
-    /// What moves the arm.
     pub fn drive(&self) -> Drive {
         self.tau.map_or(Drive::Track, Drive::Torque)
     }
@@ -125,7 +113,6 @@ impl Motion {
         generator.iter().chain(&tau).all(|value| value.is_finite())
     }
 
-    /// Whether a command ends the motion.
     pub fn is_finished_by(&self, command: &RobotCommand) -> bool {
         match self.request.generator {
             MoveGenerator::None => command.torque_command_finished,

@@ -1,6 +1,6 @@
 //! The command line, as settings.
 
-use crate::emulator::{Fault, FinishOrder, RobotKind, Settings};
+use crate::emulator::{Fault, RobotKind, Settings};
 use clap::Parser;
 use plumbline_franka::wire::Protocol;
 use plumbline_model::Mounting;
@@ -50,9 +50,6 @@ pub struct Options {
     /// Shared library that LoadModelLibrary answers with (versions 5 and 9); without it clients are told an error
     #[arg(long, value_name = "FILE")]
     model_library: Option<PathBuf>,
-    /// End of a motion: `together`, `state-first=MS` or `answer-first=MS`
-    #[arg(long, default_value = "together", value_parser = finish)]
-    finish: FinishOrder,
     /// Milliseconds that the robot's time stands still at most to wait for the next command: not what a robot does
     #[arg(long, default_value_t = 0)]
     patience: u64,
@@ -97,16 +94,6 @@ fn mounting(text: &str) -> Result<Mounting, String> {
     }
 }
 
-fn finish(text: &str) -> Result<FinishOrder, String> {
-    let wrong = || "together, state-first=MS or answer-first=MS".to_string();
-    match text.split_once('=') {
-        None if text == "together" => Ok(FinishOrder::Together),
-        Some(("state-first", ms)) => ms.parse().map(FinishOrder::StateFirst).map_err(|_| wrong()),
-        Some(("answer-first", ms)) => ms.parse().map(FinishOrder::AnswerFirst).map_err(|_| wrong()),
-        _ => Err(wrong()),
-    }
-}
-
 /// The settings that the options amount to; events are told.
 pub fn settings(options: Options) -> Result<Settings, Box<dyn Error>> {
     let mut settings = Settings::new(options.address, options.protocol);
@@ -130,7 +117,6 @@ pub fn settings(options: Options) -> Result<Settings, Box<dyn Error>> {
     if let Some(path) = options.model_library {
         settings.model_library = Some(std::fs::read(&path).map_err(|error| format!("{}: {error}", path.display()))?);
     }
-    settings.finish = options.finish;
     settings.patience = Duration::from_millis(options.patience);
     settings.seed = options.seed;
     settings.log = options.log;

@@ -22,7 +22,7 @@ impl Robot {
                     let motion = *motion;
                     self.end(motion, Some(id));
                 }
-                Phase::Ending(_, ending) if ending.stop.is_none() && !ending.answered => ending.stop = Some(id),
+                Phase::Ending(_, ending) if ending.stop.is_none() => ending.stop = Some(id),
                 // libfranka's Python examples ask for it behind a motion that has ended by itself.
                 Phase::Idle => self.reply(id, &Response::StopMove(StopStatus::Success)),
                 _ => self.reply(id, &Response::StopMove(StopStatus::NotPossible)),
@@ -125,18 +125,11 @@ impl Robot {
     }
 
     pub fn reply(&mut self, id: u32, response: &Response) {
-        self.reply_later(0, id, response);
-    }
-
-    pub fn reply_later(&mut self, behind: u64, id: u32, response: &Response) {
         let mut message = vec![0; response.bytes().max(MAX_FIXED_RESPONSE)];
         match response.encode(self.protocol, id, &mut message) {
             Ok(length) => {
                 message.truncate(length);
-                match behind {
-                    0 => self.outbox.push(message),
-                    _ => self.late.push((self.message_id + 1 + behind, message)),
-                }
+                self.outbox.push(message);
             }
             Err(error) => self.events.push(format!("an answer could not be written: {error}")),
         }

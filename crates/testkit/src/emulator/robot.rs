@@ -23,49 +23,28 @@ const BLEND: u32 = 200;
 /// How long errors show at least \[ms\].
 const SHOWN: u32 = 100;
 
-/// When the end of a motion is answered over TCP, relative to the first state that shows it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum FinishOrder {
-    /// In the same millisecond.
-    #[default]
-    Together,
-    /// The state comes so many ms before the answer.
-    StateFirst(u32),
-    /// The answer comes so many ms before the state.
-    AnswerFirst(u32),
-}
-
-/// What an operator does to the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hand {
-    /// Presses the user stop.
     UserStop,
-    /// Releases the user stop.
     Release,
     /// Guides the arm by hand, as long as it is idle.
     Guide,
-    /// Lets go of the guiding handle.
     LetGo,
-    /// Locks the brakes in Desk.
     Lock,
-    /// Unlocks them.
     Unlock,
     /// Runs into the arm: pushes against joint 4 for a tenth of a second.
     Push,
 }
 
-/// What a robot answers with beside its motion.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Served {
     /// Shared library for clients that load one; without it the answer is an error.
     pub model_library: Option<Vec<u8>>,
-    /// Robot description.
     pub urdf: String,
     /// `O_ddP_O` of every state \[m/s2\].
     pub base_acceleration: [f64; 3],
 }
 
-/// What it is doing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Phase {
     Idle,
@@ -78,13 +57,11 @@ pub enum Phase {
     Recovering { id: u32, left: u32 },
 }
 
-/// The robot.
 pub struct Robot {
     pub protocol: Protocol,
     pub limits: Limits,
     pub body: Body,
     pub served: Served,
-    finish: FinishOrder,
     pub collision: CollisionBehavior,
     pub desired: Step,
     /// What the inner controller still lags behind the start of a motion \[rad\], and for how long \[ms\].
@@ -95,7 +72,6 @@ pub struct Robot {
     collided: [bool; JOINTS],
     pub message_id: u64,
     pub outbox: Vec<Vec<u8>>,
-    pub late: Vec<(u64, Vec<u8>)>,
     pub events: Vec<String>,
 }
 
@@ -107,7 +83,6 @@ impl Robot {
         body: Body,
         start: &Joints,
         served: Served,
-        finish: FinishOrder,
         message_id: u64,
     ) -> Robot {
         let desired = Step::at_rest(start);
@@ -116,7 +91,6 @@ impl Robot {
             limits,
             body,
             served,
-            finish,
             collision: thresholds(),
             desired,
             blend: ([0.0; JOINTS], 0),
@@ -126,7 +100,6 @@ impl Robot {
             collided: [false; JOINTS],
             message_id,
             outbox: Vec::new(),
-            late: Vec::new(),
             events: Vec::new(),
         }
     }
@@ -166,8 +139,6 @@ impl Robot {
         self.watch();
         self.settle();
         self.message_id += 1;
-        let due = self.message_id;
-        self.outbox.extend(self.late.extract_if(.., |(id, _)| *id <= due).map(|(_, message)| message));
         self.state()
     }
 
@@ -314,24 +285,9 @@ impl Robot {
                 if !ending.rests(&self.desired, &dq) {
                     return;
                 }
-                let (motion, ending_now) = (*motion, *ending);
-                match self.finish {
-                    FinishOrder::AnswerFirst(ahead) if !ending_now.answered => {
-                        ending.answered = true;
-                        ending.left = ahead;
-                        self.answer_end(&motion, &ending_now, 0);
-                    }
-                    FinishOrder::AnswerFirst(_) if ending_now.left > 0 => ending.left -= 1,
-                    FinishOrder::AnswerFirst(_) => self.phase = Phase::Idle,
-                    FinishOrder::StateFirst(behind) => {
-                        self.phase = Phase::Idle;
-                        self.answer_end(&motion, &ending_now, u64::from(behind));
-                    }
-                    FinishOrder::Together => {
-                        self.phase = Phase::Idle;
-                        self.answer_end(&motion, &ending_now, 0);
-                    }
-                }
+                let (motion, ending) = (*motion, *ending);
+                self.phase = Phase::Idle;
+                self.answer_end(&motion, &ending);
             }
             Phase::Reflex { since } => {
                 *since += 1;
@@ -358,11 +314,11 @@ impl Robot {
         self.phase = Phase::Ending(motion, Ending::new(stop));
     }
 
-    fn answer_end(&mut self, motion: &Motion, ending: &Ending, behind: u64) {
+    fn answer_end(&mut self, motion: &Motion, ending: &Ending) {
         let status = if ending.stop.is_some() { MoveStatus::Preempted } else { MoveStatus::Success };
-        self.reply_later(behind, motion.id, &Response::Move(status));
+        self.reply(motion.id, &Response::Move(status));
         if let Some(stop) = ending.stop {
-            self.reply_later(behind, stop, &Response::StopMove(StopStatus::Success));
+            self.reply(stop, &Response::StopMove(StopStatus::Success));
         }
         self.events.push(format!("motion ended: {status}"));
     }
@@ -371,7 +327,7 @@ impl Robot {
     fn abort(&mut self, errors: Errors, status: MoveStatus, why: &str) {
         let (motion, stop) = match self.phase {
             Phase::Moving(motion) => (motion, None),
-            Phase::Ending(motion, ending) if !ending.answered => (motion, ending.stop),
+            Phase::Ending(motion, ending) => (motion, ending.stop),
             _ => return,
         };
         self.leave_torques(&motion);
@@ -392,7 +348,6 @@ impl Robot {
         }
     }
 
-    /// What the operator does.
     pub fn hand(&mut self, hand: Hand) {
         let next = match (hand, self.phase) {
             (Hand::UserStop, _) => {
@@ -430,7 +385,7 @@ impl Robot {
                 self.leave_torques(&motion);
                 self.reply(motion.id, &Response::Move(MoveStatus::EmergencyAborted));
             }
-            Phase::Ending(motion, ending) if !ending.answered => {
+            Phase::Ending(motion, ending) => {
                 self.reply(motion.id, &Response::Move(MoveStatus::EmergencyAborted));
                 if let Some(stop) = ending.stop {
                     self.reply(stop, &Response::StopMove(StopStatus::EmergencyAborted));
@@ -450,16 +405,10 @@ impl Robot {
             self.end(motion, None);
         }
         // No client receives the answers.
-        if let Phase::Ending(_, ending) = &mut self.phase {
-            ending.answered = true;
-        }
-        if let Phase::Ending(..) = self.phase
-            && !matches!(self.finish, FinishOrder::AnswerFirst(_))
-        {
+        if let Phase::Ending(..) = self.phase {
             self.phase = Phase::Idle;
         }
         self.outbox.clear();
-        self.late.clear();
     }
 
     fn state(&mut self) -> RobotState {

@@ -25,25 +25,19 @@ const LOGGED_LATENESS_NS: u64 = 50 * MILLISECOND;
 /// Pause between two polls of the socket while the robot's time is paused \[ns\].
 const POLL_NS: u64 = 50_000;
 
-/// Orders to the running emulator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Order {
-    /// An action of the operator.
     Hand(Hand),
-    /// One more fault.
     Fault(Fault),
-    /// No more faults.
     Heal,
 }
 
-/// What the emulator has done so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Counts {
     /// Milliseconds of the robot's time.
     pub cycles: u64,
     /// Times that the clock was moved because the machine was late.
     pub slips: u64,
-    /// Commands that came in time.
     pub taken: u64,
     /// Commands that were good but for another state: late, repeated or of the future.
     pub untimely: u64,
@@ -53,12 +47,9 @@ pub struct Counts {
     pub refused: u64,
 }
 
-/// The emulator as its handle sees it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Snapshot {
-    /// The state made last.
     pub state: RobotState,
-    /// What has been counted.
     pub counts: Counts,
     /// Whether a client's session is open.
     pub connected: bool,
@@ -80,7 +71,6 @@ enum Gone {
     Broken(String),
 }
 
-/// The server.
 pub struct Server {
     protocol: Protocol,
     listener: TcpListener,
@@ -98,7 +88,6 @@ pub struct Server {
     log: Log,
 }
 
-/// What a server is made of.
 pub struct Parts {
     pub protocol: Protocol,
     pub listener: TcpListener,
@@ -254,7 +243,6 @@ impl Server {
         }
     }
 
-    /// Reads and answers what the client has sent.
     fn serve(&mut self, client: &mut Client) -> Result<(), Gone> {
         let broken = |error: std::io::Error| Gone::Broken(error.to_string());
         let mut closed = false;
@@ -286,7 +274,6 @@ impl Server {
         flush(client).map_err(broken)
     }
 
-    /// Takes one request.
     fn take(&mut self, client: &mut Client, header: &Header, payload: &[u8]) -> Result<(), Gone> {
         let id = header.command_id;
         if client.states_to.is_none() {
@@ -348,7 +335,6 @@ impl Server {
         found
     }
 
-    /// Drains the socket.
     fn gather(&mut self) {
         let from_client = self.client.as_ref().and_then(|client| client.states_to);
         let mut buffer = [0; MAX_COMMAND + 1];

@@ -72,7 +72,6 @@ impl Reference for Wave {
     }
 }
 
-/// Any function of the tick.
 pub struct Shape<F>(pub u64, pub F);
 
 impl<F: Fn(u64) -> Setpoint + Send> Reference for Shape<F> {
@@ -102,7 +101,6 @@ impl<F: FnMut(&Setpoint) -> JointVec + Send> FeedForward for Model<F> {
     }
 }
 
-/// Kinematics of any function of the position.
 pub struct Tool<F>(pub F);
 
 impl<F: Fn(&JointVec) -> [f64; 3] + Send> Kinematics for Tool<F> {
@@ -138,12 +136,11 @@ pub struct Job {
 /// Something the outside does with the loop's handles.
 type Outside = Box<dyn FnMut(&mut Handles) + Send>;
 
-/// Everything a run left behind.
 pub struct Run {
     pub outcome: Outcome,
     pub records: Vec<Record>,
     pub events: Vec<Event>,
-    pub told: Vec<TimedEvent>,
+    pub timed: Vec<TimedEvent>,
     pub seen: Arc<Seen>,
 }
 
@@ -173,7 +170,6 @@ impl Job {
         self
     }
 
-    /// At a read, the outside does something.
     pub fn outside(mut self, read: u64, act: impl FnMut(&mut Handles) + Send + 'static) -> Job {
         self.outside.push((read, Box::new(act)));
         self
@@ -201,10 +197,10 @@ impl Job {
         let mut handles = shared.lock().unwrap().take().unwrap();
         let mut records = Vec::new();
         drain.take_into(&mut records, usize::MAX);
-        let told: Vec<TimedEvent> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
-        let events = told.iter().map(|told| told.event).collect();
+        let timed: Vec<TimedEvent> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
+        let events = timed.iter().map(|timed| timed.event).collect();
         handles.free_retired();
-        Run { outcome, records, events, told, seen }
+        Run { outcome, records, events, timed, seen }
     }
 }
 

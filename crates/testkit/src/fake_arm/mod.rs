@@ -10,9 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 pub enum Trick {
     /// So many states before this one never arrive.
     Lose(u64),
-    /// The read fails.
     ReadFault(Fault),
-    /// The write that answers this read fails.
     WriteFault(Fault),
     /// The counter stands still.
     Repeat,
@@ -52,13 +50,11 @@ pub struct FakeArm {
 }
 
 impl FakeArm {
-    /// Rests at `start`.
     pub fn new(joints: usize, start: JointVec) -> FakeArm {
         let state = State { seq: 1000, q: start, q_d: start, ..State::default() };
         FakeArm { joints, state, script: Vec::new(), write_fault: None, seen: Arc::default() }
     }
 
-    /// Schedules a trick.
     pub fn at(mut self, read: u64, trick: Trick) -> FakeArm {
         self.script.push((read, trick));
         self

@@ -3,7 +3,6 @@
 use clap::Args;
 use std::time::{Duration, Instant};
 
-/// Which cases, and for how long.
 #[derive(Args)]
 pub struct Cases {
     /// Seed of the cases.

@@ -2,7 +2,6 @@
 
 use plumbline_franka::wire::*;
 
-/// Words enough for the longest message.
 pub const WORDS: usize = 420;
 
 /// Draws from a list of words, over and over.

@@ -19,7 +19,6 @@ use rand_chacha::ChaCha8Rng;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// Kinds of files that are damaged.
 pub const TARGETS: [&str; 8] = ["job", "robot", "arm", "plan", "model", "dataset", "csv", "urdf"];
 
 /// A file of a few kilobytes that takes longer than this to read is a way to stop the program.
@@ -45,7 +44,6 @@ pub struct Bench<'a> {
 }
 
 impl Files {
-    /// Those of the repository.
     pub fn shipped() -> Files {
         let root = Path::new(crate::ROOT);
         let all = |folder: &str| -> Vec<String> {
@@ -111,8 +109,8 @@ pub fn case(bench: &Bench, seed: u64, number: u64, tally: &mut Tally) -> Result<
     }
     match outcome {
         Ok(()) => tally.read[target] += 1,
-        Err(said) if said.trim().is_empty() || !said.contains("fuzz") => {
-            return Err(format!("{place}: no file is named in `{said}`"));
+        Err(message) if message.trim().is_empty() || !message.contains("fuzz") => {
+            return Err(format!("{place}: no file is named in `{message}`"));
         }
         Err(_) => tally.refused[target] += 1,
     }

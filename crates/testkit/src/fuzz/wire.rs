@@ -9,7 +9,6 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::fuzz::draw::{Draws, WORDS};
 
-/// Kinds of packets that are damaged.
 pub const TARGETS: [&str; 4] = ["states", "commands", "requests", "responses"];
 
 /// How many packets of each kind were decoded, and how many refused.

@@ -15,7 +15,6 @@ use std::path::PathBuf;
 
 /// Sampling of the paper \[s\].
 const DT: f64 = 1e-3;
-/// Period and harmonics of the paper's trajectories.
 const PERIOD: f64 = 10.0;
 const HARMONICS: usize = 5;
 /// Encoder noise of the simulated Panda \[rad\].
@@ -63,7 +62,6 @@ pub fn table_1() -> Vec<Regrouping> {
 struct Arm {
     chain: Chain,
     links: Vec<LinkParameters>,
-    /// fv and fc per joint.
     friction: Vec<[f64; 2]>,
 }
 

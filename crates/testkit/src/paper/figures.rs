@@ -13,7 +13,6 @@ const LIMIT: RGBColor = RGBColor(214, 39, 40);
 
 type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
 
-/// File name and content of every figure.
 pub fn all() -> Vec<(&'static str, String)> {
     let two = experiment::two_dof();
     let mut all = vec![("paper-fig6-workspace.svg", svg((1000, 322), fig_6))];

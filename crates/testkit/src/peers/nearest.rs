@@ -14,7 +14,6 @@ use std::process::{Command, Stdio};
 
 const REQUIREMENTS: [&str; 2] = ["clarabel==0.11.*", "scipy"];
 
-/// One estimate.
 pub struct Problem {
     pub structure: Structure,
     pub beta: Vec<f64>,
@@ -22,7 +21,6 @@ pub struct Problem {
     pub prior: Prior,
 }
 
-/// What Clarabel says.
 #[derive(Debug, Deserialize)]
 pub struct Answer {
     pub distance: f64,

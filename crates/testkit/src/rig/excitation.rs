@@ -54,7 +54,6 @@ pub fn slow(rig: &Rig, given: &Given) -> Result<Verdict, Box<dyn Error>> {
     ))
 }
 
-/// The job as it stands.
 pub fn full(rig: &Rig, given: &Given) -> Result<Verdict, Box<dyn Error>> {
     let out = rig.job.output.dir.clone();
     println!("running the whole job; keep your hand on the stop button");

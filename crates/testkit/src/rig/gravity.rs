@@ -20,7 +20,6 @@ const ANGLE: f64 = 10.0;
 const DEVIATIONS: f64 = 3.0;
 /// What the strength of gravity may be off by.
 const STRENGTH: f64 = 0.15;
-/// The published model of the Panda.
 const PANDA: &str = include_str!("../../../../config/models/panda-paper-table3.toml");
 
 #[derive(Args, Clone)]

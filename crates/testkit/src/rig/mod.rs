@@ -32,7 +32,6 @@ pub enum Step {
     Full(Given),
 }
 
-/// What every step is given.
 #[derive(Args, Clone)]
 pub struct Given {
     /// The job, with `backend.kind = "franka"`
@@ -50,7 +49,6 @@ pub struct Rig {
     pub job: Job,
     pub robot: Robot,
     pub franka: Franka,
-    /// The program that was built beside this one.
     pub program: PathBuf,
 }
 
@@ -76,7 +74,6 @@ impl Given {
 }
 
 impl Step {
-    /// Takes the step to its verdict.
     pub fn take(self) -> Result<Verdict, Box<dyn Error>> {
         match self {
             Step::Communication(options) => communication::run(&options.given.load()?, &options),

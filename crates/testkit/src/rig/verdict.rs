@@ -4,7 +4,6 @@ use std::fmt;
 
 /// How a step ended, and why.
 pub enum Verdict {
-    /// Go on with the next step.
     Pass(String),
     /// Do not go on; each line is a reason and what to do.
     Fail(Vec<String>),

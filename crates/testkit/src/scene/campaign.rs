@@ -5,7 +5,6 @@ use nalgebra::DMatrix;
 use plumbline_identify::solve::Identification;
 use std::thread;
 
-/// What one run found.
 struct Found {
     beta: Vec<f64>,
     std: Vec<f64>,
@@ -18,13 +17,10 @@ pub struct Campaign {
     pub runs: usize,
     /// Share of the runs whose 95 % interval holds the truth.
     pub covered: Vec<f64>,
-    /// Root mean square error.
     pub error: Vec<f64>,
-    /// Mean error.
     pub bias: Vec<f64>,
     /// Root mean square of the standard deviations that the runs claimed.
     pub claimed: Vec<f64>,
-    /// Cramer-Rao bound.
     pub bound: Vec<f64>,
     /// Torque error that the parameters' errors cause on an unseen motion, root mean square over runs and samples, per joint \[Nm\].
     pub torque: Vec<f64>,

@@ -11,7 +11,6 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-/// What one trajectory's period is like.
 #[derive(Clone)]
 pub struct Period {
     pub name: String,
@@ -19,7 +18,6 @@ pub struct Period {
     pub seconds: f64,
     /// Positions that the sensors would report without noise, N x n.
     pub q: DMatrix<f64>,
-    /// Torques alike.
     pub tau: DMatrix<f64>,
 }
 

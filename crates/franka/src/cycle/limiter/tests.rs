@@ -23,7 +23,6 @@ fn assert_inside(limits: &RobotLimits, from: &Point, step: &Point, when: &str) {
     }
 }
 
-/// A step that leaves.
 fn step(limiter: &mut Limiter, from: &Point, desired: &[f64; 7], ticks: u64, own: bool) -> Limited {
     let limited = limiter.step(from, desired, ticks, own);
     limiter.sent(limited.aim);

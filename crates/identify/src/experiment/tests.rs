@@ -1,0 +1,123 @@
+use super::*;
+use crate::Derivative;
+
+fn run(period: Option<f64>, seconds: f64) -> Run {
+    let count = (seconds * 1000.0) as usize + 1;
+    let t: Vec<f64> = (0..count).map(|k| k as f64 * 1e-3).collect();
+    let q = DMatrix::from_fn(count, 2, |k, j| (PI * t[k] * (j + 1) as f64).sin());
+    let tau = q.map(|q| 3.0 * q);
+    Run { name: "test".into(), t, dq: None, q, tau, mounting: plumbline_model::Mounting::UPRIGHT, period }
+}
+
+#[test]
+fn derivatives_of_periodic_and_aperiodic_sines_are_exact() {
+    for (period, derivative) in
+        [(Some(2.0), Derivative::Spectral), (Some(2.0), Derivative::Central), (None, Derivative::Central)]
+    {
+        let settings = Settings { derivative, ..Settings::default() };
+        let experiment = Experiment::prepare(&run(period, 8.0), &settings).unwrap();
+        let (samples, edge) = if period.is_some() { (2000, 0) } else { (8001 - 100, 50) };
+        assert_eq!(experiment.motion.samples(), samples);
+        for k in 0..samples {
+            for j in 0..2 {
+                let w = PI * (j + 1) as f64;
+                let angle = w * (k + edge) as f64 * 1e-3;
+                let errors = [
+                    experiment.motion.q[(k, j)] - angle.sin(),
+                    experiment.motion.dq[(k, j)] - w * angle.cos(),
+                    experiment.motion.ddq[(k, j)] + w * w * angle.sin(),
+                ];
+                // Larger errors near the ends of an aperiodic run.
+                let inside = period.is_some() || (1500..samples - 1500).contains(&k);
+                let bounds = if inside { [1e-6, 1e-5, 1e-3] } else { [2e-4, 1e-2, 0.5] };
+                for (error, bound) in errors.iter().zip(bounds) {
+                    assert!(error.abs() < bound, "{derivative:?}, joint {j}, sample {k}: {errors:?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn band_filters_columns_and_torques_alike() {
+    let experiment = Experiment::prepare(&run(Some(2.0), 4.0), &Settings::default()).unwrap();
+    let tau = experiment.stacked_tau();
+    let column = &tau / 3.0;
+    assert!((experiment.band(&column) * 3.0 - experiment.band(&tau)).abs().max() < 1e-12);
+    assert_eq!(experiment.band(&tau).nrows(), 2 * experiment.kept().len());
+    assert_eq!(experiment.kept()[1], 80);
+    assert_eq!(experiment.scatter.as_ref().unwrap().periods, 2);
+    assert!(experiment.scatter.unwrap().std.iter().all(|&s| s < 1e-12));
+}
+
+/// Aperiodic run at rest for its first 3 s, then along a sine that starts at rest.
+fn at_rest_first() -> Run {
+    let mut run = run(None, 9.0);
+    let angle = |t: f64| PI * (t - 3.0).max(0.0);
+    let speed = |k: usize| if run.t[k] > 3.0 { PI * angle(run.t[k]).sin() } else { 0.0 };
+    run.dq = Some(DMatrix::from_fn(run.t.len(), 2, |k, _| speed(k)));
+    run.q = DMatrix::from_fn(run.t.len(), 2, |k, _| 1.0 - angle(run.t[k]).cos());
+    run
+}
+
+#[test]
+fn samples_at_rest_are_excluded_from_regression_and_errors() {
+    use super::super::validate::validate;
+    let run = at_rest_first();
+    let whole = Experiment::prepare(&run, &Settings::default()).unwrap();
+    let moving = Experiment::prepare(&run, &Settings { rest: Some(0.01), ..Settings::default() }).unwrap();
+    // 3 s of 9 s, less the edge; the sine itself passes its turning points in an instant.
+    let resting = moving.resting().iter().filter(|resting| **resting).count();
+    assert!((2850..3050).contains(&resting), "{resting}");
+    assert!(whole.resting().iter().all(|resting| !resting) && moving.kept().iter().all(|&k| !moving.resting()[k]));
+    assert!(moving.kept().len() < whole.kept().len() * 7 / 10);
+    // A model that is wrong by 1 Nm at rest and exact in motion has no error where rests are excluded.
+    let wrong_at_rest = |motion: &Motion| {
+        let tau = &moving.tau;
+        DMatrix::from_fn(tau.nrows(), tau.ncols(), |k, j| {
+            tau[(k, j)] + if motion.dq.row(k).amax() < 0.01 { 1.0 } else { 0.0 }
+        })
+    };
+    let error = |experiment: &Experiment| validate(experiment, wrong_at_rest).raw[0];
+    assert!(error(&moving) < 1e-12 && error(&whole) > 0.5, "{} {}", error(&moving), error(&whole));
+    // A periodic run keeps all of its samples.
+    let periodic = Run { period: Some(9.0), ..run };
+    let periodic = Experiment::prepare(&periodic, &Settings { rest: Some(0.01), ..Settings::default() }).unwrap();
+    assert!(periodic.resting().iter().all(|resting| !resting));
+}
+
+#[test]
+fn measured_velocities_replace_the_derived_ones_of_aperiodic_runs() {
+    let mut run = at_rest_first();
+    let settings = Settings { measured_velocities: true, trim: 0.5, ..Settings::default() };
+    let derived = Experiment::prepare(&run, &Settings { measured_velocities: false, ..settings.clone() }).unwrap();
+    let measured = Experiment::prepare(&run, &settings).unwrap();
+    assert_eq!(measured.motion.samples(), 9001 - 2 * 500, "half a second is cut off each end");
+    let difference = |other: &Experiment| (&other.motion.dq - &derived.motion.dq).rows(100, 7800).amax();
+    assert!(difference(&measured) < 0.05, "the true velocity is the derivative of the position");
+    // A different measured velocity is used, and the acceleration is its derivative.
+    run.dq.as_mut().unwrap().scale_mut(2.0);
+    let doubled = Experiment::prepare(&run, &settings).unwrap();
+    assert!((&doubled.motion.dq - &measured.motion.dq * 2.0).amax() < 1e-9);
+    assert!((&doubled.motion.ddq - &measured.motion.ddq * 2.0).amax() < 1e-7);
+    assert_eq!(doubled.motion.q, measured.motion.q);
+    // Perturbed positions do not change them.
+    let (rows, columns) = doubled.grid();
+    assert_eq!(doubled.moved(&DMatrix::from_element(rows, columns, 1e-3)).dq, doubled.motion.dq);
+    // Measured velocities of a periodic run are ignored; another length is an error.
+    let periodic = Experiment::prepare(&Run { period: Some(9.0), ..run.clone() }, &settings).unwrap();
+    assert!(periodic.motion.dq.amax() < 1.5 * PI);
+    run.dq = Some(DMatrix::zeros(7, 2));
+    assert!(matches!(Experiment::prepare(&run, &settings), Err(EstimateError::Signal { .. })));
+}
+
+#[test]
+fn too_few_and_too_short_periods_are_errors() {
+    let settings = Settings { skip_periods: 2, ..Settings::default() };
+    let error = Experiment::prepare(&run(Some(2.0), 4.5), &settings).unwrap_err();
+    assert_eq!(error, EstimateError::Periods { run: "test".into(), found: 2, skipped: 2, period: 2.0 });
+    assert!(matches!(
+        Experiment::prepare(&run(Some(0.001), 4.5), &Settings::default()),
+        Err(EstimateError::Period { .. })
+    ));
+}
