@@ -1,13 +1,16 @@
 //! A diagnosis from recorded runs: shared by `diagnose` and the estimator.
 
 use crate::analysis::pipeline::{self, Identified};
+use crate::analysis::split;
 use crate::dataset::Run;
 use crate::failure::Failure;
 use crate::process::progress;
 use plumbline_diagnose::changing::{Changing, changing, cleaned};
 use plumbline_diagnose::errors::Of;
 use plumbline_diagnose::figures::Curves;
-use plumbline_diagnose::{Diagnosis, Input, Trial, diagnose};
+use plumbline_diagnose::outcome::Changes;
+use plumbline_diagnose::reference::{self, Stored};
+use plumbline_diagnose::{Diagnosis, Effect, Input, Trial, Verdict, diagnose};
 use plumbline_identify::solve::{self, ols, stack::Stack};
 use plumbline_identify::{Experiment, Settings};
 use plumbline_model::term::Motion;
@@ -58,7 +61,39 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     block.band = question.of.band(question.settings.torque_cutoff);
     block.notes.extend(notes);
     variation.add_to(&mut block, question.diagnosis.least_floor, question.diagnosis.threshold);
+    question.name_disagreements(&after.model, &mut block)?;
     Ok(Diagnosed { after, block, figures: outcome.curves })
+}
+
+impl Question<'_> {
+    /// Searches each run that differs from the identified ones for what changed in it, as against a stored model.
+    fn name_disagreements(&self, model: &TorqueModel, block: &mut Diagnosis) -> Result<(), Failure> {
+        for run in self.unseen {
+            let name = &run.data.name;
+            if !block.disagreements.iter().any(|one| one.run == *name) || model.valid_in(&run.data.mounting).is_err() {
+                continue;
+            }
+            let (find, judge) = split::find_and_judge(&[run], &mut Vec::new());
+            let prepare = |runs: &[Run]| pipeline::experiments(&runs.iter().collect::<Vec<_>>(), self.settings);
+            let (find, judge) = (prepare(&find)?, prepare(&judge)?);
+            let trials: Vec<Trial> = find.iter().map(|experiment| Trial { experiment, session: 1 }).collect();
+            let changes = reference::changes(model, &trials, self.diagnosis, &|_| {});
+            let judge: Vec<(&Experiment, u32)> = judge.iter().map(|experiment| (experiment, 1)).collect();
+            let held = Stored { model, changes: &changes.effects }.held(&judge).map_err(Failure::job)?;
+            let effect = |&k: &usize| {
+                let effect = changes.effects[k].effect(model, Some(&run.data.mounting), false);
+                Effect { label: format!("{} in {name}", effect.place()), ..effect }
+            };
+            let effects: Vec<Effect> = held.iter().map(effect).collect();
+            let (since, session) = ("the runs identified from".into(), name.clone());
+            block.changes.push(Changes { since, session, effects: effects.clone(), ..Changes::default() });
+            if block.verdict == Verdict::Unexplained && block.unexplained.is_empty() && !effects.is_empty() {
+                block.verdict = Verdict::Partly;
+            }
+            block.effects.extend(effects);
+        }
+        Ok(())
+    }
 }
 
 pub fn trials<'a>(experiments: &'a [Experiment], runs: &[&Run]) -> Vec<Trial<'a>> {

@@ -4,6 +4,7 @@ use super::Settings;
 use super::curves;
 use super::delivery::Delivery;
 use super::detectable;
+use super::disagreement::disagreements;
 use super::errors::Of;
 use super::evidence::{Evidence, Trial};
 use super::fallback::{self, Residual};
@@ -11,8 +12,8 @@ use super::fit::{MIN_INDEPENDENCE_RATIO, Problem, group};
 use super::gates;
 use super::library::{Candidate, library, repeatable};
 use super::outcome::{
-    self, Action, BeforeAfter, Confirmation, Diagnosis, Effect, Fitted, JointFacts, Outcome, Parameters, Quantity,
-    Score, Verdict,
+    self, Action, BeforeAfter, Confirmation, Diagnosis, Disagreement, Effect, Fitted, JointFacts, Outcome, Parameters,
+    Quantity, Score, Verdict,
 };
 use super::parts::{self, Named};
 use super::select::{Scored, Search, Selected, Step};
@@ -113,8 +114,10 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let curves = curves::of(&search, &base, left, &residuals);
     let compared = delivery.compared(&after);
     let independences = detectable::independences(&search, &base);
+    let all_unseen: Vec<Trial> = [input.veto, input.judge].concat();
+    let disagreements = disagreements(structure.chain(), &evidence, input.identify, &all_unseen, &after, settings.band);
     let mut diagnosis = Diagnosis {
-        verdict: verdict(&effects, &residuals),
+        verdict: verdict(&effects, residuals.is_empty() && disagreements.is_empty()),
         confirmation: Some(confirmation(&evidence)),
         held_out_runs: input.judge.iter().map(|trial| trial.experiment.name.clone()).collect(),
         unexplained: residuals.iter().map(|one| one.unexplained(joints[one.joint].floor_of_mean)).collect(),
@@ -122,9 +125,10 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
         not_identifiable: detectable::not_identifiable(&independences),
         path: steps("the plain model", &joints, &selected.path),
         scores: scores(&selected, &effects),
-        notes: notes(&evidence, input, &effects),
+        notes: notes(&evidence, input, &effects, &disagreements),
         effects,
         joints,
+        disagreements,
         ..Diagnosis::default()
     };
     if let Some(compared) = compared {
@@ -140,7 +144,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
 }
 
 /// Remarks on what the findings were tested on, and on effects that are not delivered.
-fn notes(evidence: &Evidence, input: &Input, effects: &[Effect]) -> Vec<String> {
+fn notes(evidence: &Evidence, input: &Input, effects: &[Effect], disagreements: &[Disagreement]) -> Vec<String> {
     let mut notes = Vec::new();
     match confirmation(evidence) {
         Confirmation::OneTrajectory => {
@@ -158,6 +162,12 @@ fn notes(evidence: &Evidence, input: &Input, effects: &[Effect]) -> Vec<String> 
             notes.push(format!("{} was found and is not in the delivered model: {why}", effect.place()));
         }
     }
+    notes.extend(disagreements.iter().map(|one| {
+        let Disagreement { run, joint, rms, expected } = one;
+        format!(
+            "run {run} differs from the runs that the model was identified from: {rms:.3} Nm in joint {joint}, expected {expected:.3} Nm"
+        )
+    }));
     if !input.judge.is_empty() {
         let used = |trial: &Trial| {
             format!("{} was used to accept findings and is excluded from every error shown here", trial.experiment.name)
@@ -401,10 +411,10 @@ fn residuals(
     found
 }
 
-fn verdict(effects: &[Effect], residuals: &[Residual]) -> Verdict {
+fn verdict(effects: &[Effect], complete: bool) -> Verdict {
     let found = effects.iter().any(|effect| effect.in_model);
     let rivals = effects.iter().any(|effect| effect.in_model && !effect.alternatives.is_empty());
-    match (found, !residuals.is_empty()) {
+    match (found, !complete) {
         (false, false) => Verdict::NothingSignificant,
         (false, true) => Verdict::Unexplained,
         (true, true) => Verdict::Partly,

@@ -56,6 +56,7 @@ pub struct Evidence {
 }
 
 /// One run to be diagnosed.
+#[derive(Clone, Copy, Debug)]
 pub struct Trial<'a> {
     /// The run made ready.
     pub experiment: &'a Experiment,

@@ -37,6 +37,7 @@ mod curves;
 mod delivery;
 mod detectable;
 mod diagnosis;
+mod disagreement;
 pub mod errors;
 mod evidence;
 mod fallback;
@@ -63,7 +64,7 @@ pub use fold::Fold;
 pub use gates::{FoldTest, Relevance, folds, left_out, matters, relevance};
 pub use library::{Candidate, library};
 pub use moments::Columns;
-pub use outcome::{Confirmation, Diagnosis, Effect, Fitted, JointFacts, Outcome, Verdict};
+pub use outcome::{Confirmation, Diagnosis, Disagreement, Effect, Fitted, JointFacts, Outcome, Verdict};
 pub use select::{Rival, Scored, Search, Selected, Step};
 pub use state::{State, mean_square};
 

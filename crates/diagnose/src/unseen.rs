@@ -5,7 +5,7 @@ use super::evidence::{Evidence, Trial};
 use super::moments::Columns;
 use super::outcome::Fitted;
 use super::state::{State, mean_square};
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 use plumbline_model::Structure;
 use plumbline_model::term::effect::OperatingPoint;
 
@@ -47,6 +47,16 @@ impl<'a> Unseen<'a> {
     /// Residual of a joint, divided by the noise there.
     pub fn residual(&self, joint: usize, theta: &DVector<f64>) -> DVector<f64> {
         &self.columns.r[joint] - self.columns.m[joint].columns(0, theta.len()) * theta
+    }
+
+    /// Mean square of the torque that errors of the parameters with this covariance cause in a joint \[Nm2\].
+    pub fn variance(&self, joint: usize, covariance: &DMatrix<f64>) -> f64 {
+        let columns = self.columns.m[joint].columns(0, covariance.ncols());
+        let mut spread = columns * covariance;
+        spread.component_mul_assign(&columns);
+        let squares = spread.row_iter().zip(self.evidence.sigma(joint));
+        let sum: f64 = squares.map(|(row, sigma)| row.sum().max(0.0) * sigma * sigma).sum();
+        sum / self.evidence.samples()
     }
 
     /// Mean square of what a model lacks in a joint, over that of the noise; nothing where that is not known.

@@ -137,6 +137,9 @@ pub struct Diagnosis {
     pub noise_floor: Vec<f64>,
     /// Joints with a residual that no effect explains.
     pub unexplained: Vec<Unexplained>,
+    /// Unseen runs that the delivered model predicts worse than the runs it was identified from: something differs between them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub disagreements: Vec<Disagreement>,
     /// By effect id: the least that would have been seen, so that "nothing" is a number.
     pub minimum_detectable: BTreeMap<String, MinimumDetectable>,
     /// Effects that this data can't tell from the base parameters.
@@ -182,6 +185,19 @@ pub struct Unexplained {
     /// What else is known: spectral lines, where and when it occurs.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub note: String,
+}
+
+/// An unseen run that the delivered model predicts worse than the runs it was identified from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Disagreement {
+    /// Name of the run.
+    pub run: String,
+    /// The worst joint, from 1.
+    pub joint: usize,
+    /// RMS of the residual of its mean period there, in the band of the search \[Nm\].
+    pub rms: f64,
+    /// The RMS to expect from the noise, the residual of the identified runs and the errors of the parameters \[Nm\].
+    pub expected: f64,
 }
 
 /// The least of one kind of effect that would have been seen.
@@ -328,6 +344,13 @@ pub struct Changes {
     /// What the reader has to know: what can't be told apart.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub note: String,
+}
+
+impl Disagreement {
+    /// RMS over the expected one.
+    pub fn ratio(&self) -> f64 {
+        self.rms / self.expected.max(f64::MIN_POSITIVE)
+    }
 }
 
 impl JointFacts {

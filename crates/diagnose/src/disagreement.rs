@@ -1,0 +1,74 @@
+//! Unseen runs that a model predicts worse than its own runs: something differs between them.
+//!
+//! One model for all runs is an assumption. A tool that was picked up, a base that was tilted or a sensor that was zeroed between two runs breaks
+//! it, and the runs that were identified from cannot show that.
+
+use super::evidence::{Evidence, Trial};
+use super::outcome::{Disagreement, Fitted};
+use super::state::mean_square;
+use super::unseen::Unseen;
+use nalgebra::DVector;
+use plumbline_model::Chain;
+
+/// Smallest ratio of an unseen run's RMS to the expected one.
+const MIN_RMS_RATIO: f64 = 2.0;
+
+/// Runs in which a joint's residual exceeds twice the expected RMS, the worst joint of each run, in the order of `unseen`. Expected are the noise,
+/// what the model lacks in the runs it was identified from, and the errors of its parameters:
+///
+///   E = sqrt(noise^2 + lack^2 + mean_k(m_k' C m_k))
+///
+/// with `m_k` the row of sample k and `C` the covariance of the parameters. `identified` are the runs that `fitted` was identified from, in `evidence`.
+pub fn disagreements(
+    chain: &Chain,
+    evidence: &Evidence,
+    identified: &[Trial],
+    unseen: &[Trial],
+    fitted: &Fitted,
+    band: f64,
+) -> Vec<Disagreement> {
+    let beta = DVector::from_column_slice(&fitted.identification.beta);
+    let own = Unseen::of_model(evidence, fitted, identified);
+    let lack = |joint: usize| {
+        let square = mean_square(evidence, joint, &own.residual(joint, &beta));
+        (square - evidence.floor(joint).map_or(0.0, |floor| floor * floor)).max(0.0)
+    };
+    let lacks: Vec<f64> = (0..evidence.joints()).map(lack).collect();
+    let noise: Vec<f64> = (0..evidence.joints()).map(|joint| noise_of_period(evidence, identified, joint)).collect();
+    let mut found = Vec::new();
+    for trial in unseen {
+        let trials = std::slice::from_ref(trial);
+        let of_run = Evidence::of(chain, trials, band);
+        if of_run.folds().is_empty() {
+            continue;
+        }
+        let model = Unseen::of_model(&of_run, fitted, trials);
+        let periods = trial.experiment.scatter.as_ref().map_or(1, |scatter| scatter.periods) as f64;
+        let joint = |joint: usize| {
+            let square = mean_square(&of_run, joint, &model.residual(joint, &beta));
+            let parameters = model.variance(joint, &fitted.identification.covariance);
+            let expected = noise[joint] / periods + lacks[joint] + parameters;
+            Disagreement {
+                run: trial.experiment.name.clone(),
+                joint: joint + 1,
+                rms: square.sqrt(),
+                expected: expected.sqrt(),
+            }
+        };
+        let worst = (0..of_run.joints()).map(joint).max_by(|a, b| a.ratio().total_cmp(&b.ratio()));
+        found.extend(worst.filter(|worst| worst.ratio() > MIN_RMS_RATIO));
+    }
+    found
+}
+
+/// Mean square of the noise of one period in the band \[Nm2\]; 0 where it is not known.
+fn noise_of_period(evidence: &Evidence, trials: &[Trial], joint: usize) -> f64 {
+    if !evidence.repeats() {
+        return 0.0;
+    }
+    let square = |fold: &super::Fold| {
+        let periods = trials[fold.experiment].experiment.scatter.as_ref().map_or(1, |scatter| scatter.periods) as f64;
+        periods * evidence.sigma(joint)[fold.rows.clone()].iter().map(|sigma| sigma * sigma).sum::<f64>()
+    };
+    evidence.folds().iter().map(square).sum::<f64>() / evidence.samples()
+}
