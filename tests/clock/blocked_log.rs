@@ -8,7 +8,7 @@ use std::io::{ErrorKind, PipeReader, PipeWriter, Read, Write};
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::os::unix::net::UnixDatagram;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 const INSIDE: &str = "PLUMBLINE_TEST_JOURNAL";
@@ -138,14 +138,6 @@ fn a_closed_pipe_does_not_end_the_daemon() {
     drives_on(&place);
     signal(daemon.0.id(), "TERM");
     assert_eq!(daemon.end(), Some(0));
-}
-
-fn in_namespace(script: &str) -> Command {
-    let mut command = Command::new("unshare");
-    // Root needs no user namespace, in which the loop would have no real-time priority.
-    command.args(if rustix::process::geteuid().is_root() { &["--mount"][..] } else { &["--map-root-user", "--mount"] });
-    command.args(["sh", "-c", script]);
-    command
 }
 
 #[test]

@@ -11,7 +11,6 @@ use plumbline_ipc::{
 use plumbline_testkit::job::*;
 use std::io::Write as _;
 use std::path::PathBuf;
-use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -252,12 +251,6 @@ fn a_daemon_without_a_file_descriptor_is_stopped_and_says_what_it_lacks() {
 /// Set for the run in a namespace of its own.
 const INSIDE: &str = "PLUMBLINE_TEST_STOP";
 const OWN_MEMORY: &str = "mount -t tmpfs -o size=96m tmpfs /dev/shm";
-
-fn in_namespace(script: &str) -> Command {
-    let mut command = Command::new("unshare");
-    command.args(["--map-root-user", "--mount", "sh", "-c", script]);
-    command
-}
 
 #[test]
 fn full_shared_memory_keeps_no_stop_from_the_daemon() {

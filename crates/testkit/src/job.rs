@@ -312,6 +312,15 @@ pub fn signal(pid: u32, name: &str) {
     assert!(status.success(), "kill -{name} {pid}");
 }
 
+/// A shell with mounts of its own that executes `script`.
+pub fn in_namespace(script: &str) -> Command {
+    let mut command = Command::new("unshare");
+    // Root needs no user namespace, in which the loop would have no real-time priority.
+    command.args(if rustix::process::geteuid().is_root() { &["--mount"][..] } else { &["--map-root-user", "--mount"] });
+    command.args(["sh", "-c", script]);
+    command
+}
+
 /// Children of `parent` whose first argument is `subcommand`.
 pub fn children(parent: u32, subcommand: &str) -> Vec<u32> {
     let processes =
