@@ -92,10 +92,8 @@ def free(rng, arm, seconds, step, style):
 
 
 def start(rng, q, step, style):
-    """How the arm leaves standstill: at once (the reference already moves), or drawn in over some time."""
-    if style == "at-once":
-        return q
-    ramp = rng.uniform(0.3, 1.5)
+    """How the arm leaves standstill: the motion is drawn in at once (a fifth of a second) or over some time."""
+    ramp = rng.uniform(0.15, 0.3) if style == "at-once" else rng.uniform(0.5, 1.5)
     x = np.clip(np.arange(len(q)) * step / ramp, 0, 1)
     w = (10 * x**3 - 15 * x**4 + 6 * x**5)[:, None]
     return q[0] + w * (q - q[0])

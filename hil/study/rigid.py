@@ -5,57 +5,88 @@ from numba import njit
 
 
 @njit(cache=True)
-def cross(a, b):
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+def turn(r, x, y, z):
+    return (r[0, 0] * x + r[0, 1] * y + r[0, 2] * z, r[1, 0] * x + r[1, 1] * y + r[1, 2] * z, r[2, 0] * x + r[2, 1] * y + r[2, 2] * z)
 
 
 @njit(cache=True)
-def regressor(dh, gravity, base, q, v, a, out):
-    """Fills `out` [samples, joints, base columns] of the arm's torque along a motion."""
+def back(r, x, y, z):
+    return (r[0, 0] * x + r[1, 0] * y + r[2, 0] * z, r[0, 1] * x + r[1, 1] * y + r[2, 1] * z, r[0, 2] * x + r[1, 2] * y + r[2, 2] * z)
+
+
+@njit(cache=True)
+def cross(ax, ay, az, bx, by, bz):
+    return (ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
+
+
+@njit(cache=True)
+def regressor(dh, gravity, wanted, q, v, a, out):
+    """Fills `out` [samples, joints, columns] of the arm's torque along a motion; `wanted` [10 n] is a column's place in it, or -1."""
     n = len(dh)
-    y = np.zeros((n, 10 * n))
     r = np.zeros((n, 3, 3))
     p = np.zeros((n, 3))
-    wrench = np.zeros((6, 10))
+    f = np.zeros((10, 6))  # force and moment of one link about its origin, per unit of each parameter
+    pairs = np.array([[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]])
+    w, dw, s = np.zeros(3), np.zeros(3), np.zeros(3)
+    out[:] = 0.0
     for k in range(len(q)):
-        y[:] = 0.0
-        w, dw, acc = np.zeros(3), np.zeros(3), -gravity
+        w[:], dw[:] = 0.0, 0.0
+        s[:] = -gravity
         for i in range(n):
             sa, ca = np.sin(dh[i, 1]), np.cos(dh[i, 1])
             st, ct = np.sin(dh[i, 3] + q[k, i]), np.cos(dh[i, 3] + q[k, i])
-            r[i, 0] = np.array([ct, -st, 0.0])
-            r[i, 1] = np.array([st * ca, ct * ca, -sa])
-            r[i, 2] = np.array([st * sa, ct * sa, ca])
-            p[i] = np.array([dh[i, 0], -sa * dh[i, 2], ca * dh[i, 2]])
-            acc = r[i].T @ (acc + cross(dw, p[i]) + cross(w, cross(w, p[i])))
-            w, dw = r[i].T @ w, r[i].T @ dw
-            z = np.array([0.0, 0.0, 1.0])
-            dw = dw + a[k, i] * z + v[k, i] * cross(w, z)
-            w = w + v[k, i] * z
-            # wrench of link i about its own origin per unit of each parameter
-            wrench[:] = 0.0
-            s = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-            spin = np.array([[0.0, -dw[2], dw[1]], [dw[2], 0.0, -dw[0]], [-dw[1], dw[0], 0.0]]) + s @ s
-            for c in range(3):
-                for b in range(3):
-                    wrench[b, 6 + c] = spin[b, c]  # force = m acc + (spin) l
-            wrench[0:3, 9] = acc
-            wrench[3, 7], wrench[3, 8] = acc[2], -acc[1]  # moment = L dw + w x L w + l x acc
-            wrench[4, 6], wrench[4, 8] = -acc[2], acc[0]
-            wrench[5, 6], wrench[5, 7] = acc[1], -acc[0]
-            column = 0
-            for b in range(3):
-                for c in range(b, 3):
-                    unit = np.zeros((3, 3))
-                    unit[b, c] = unit[c, b] = 1.0
-                    wrench[3:6, column] = unit @ dw + cross(w, unit @ w)
-                    column += 1
+            r[i, 0, 0], r[i, 0, 1], r[i, 0, 2] = ct, -st, 0.0
+            r[i, 1, 0], r[i, 1, 1], r[i, 1, 2] = st * ca, ct * ca, -sa
+            r[i, 2, 0], r[i, 2, 1], r[i, 2, 2] = st * sa, ct * sa, ca
+            p[i, 0], p[i, 1], p[i, 2] = dh[i, 0], -sa * dh[i, 2], ca * dh[i, 2]
+            e = cross(dw[0], dw[1], dw[2], p[i, 0], p[i, 1], p[i, 2])
+            c = cross(w[0], w[1], w[2], p[i, 0], p[i, 1], p[i, 2])
+            c = cross(w[0], w[1], w[2], c[0], c[1], c[2])
+            s[0], s[1], s[2] = back(r[i], s[0] + e[0] + c[0], s[1] + e[1] + c[1], s[2] + e[2] + c[2])
+            w[0], w[1], w[2] = back(r[i], w[0], w[1], w[2])
+            dw[0], dw[1], dw[2] = back(r[i], dw[0], dw[1], dw[2])
+            dw[0] += v[k, i] * w[1]
+            dw[1] -= v[k, i] * w[0]
+            dw[2] += a[k, i]
+            w[2] += v[k, i]
+            f[:] = 0.0
+            for m in range(6):
+                b, c2 = pairs[m]
+                l0, l1, l2, u0, u1, u2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                for x, y in ((b, c2), (c2, b)):
+                    if b == c2 and x == b and l0 + l1 + l2 + u0 + u1 + u2 != 0.0:
+                        continue
+                    if x == 0:
+                        l0, u0 = dw[y], w[y]
+                    elif x == 1:
+                        l1, u1 = dw[y], w[y]
+                    else:
+                        l2, u2 = dw[y], w[y]
+                g = cross(w[0], w[1], w[2], u0, u1, u2)
+                f[m, 3], f[m, 4], f[m, 5] = l0 + g[0], l1 + g[1], l2 + g[2]
+            ww = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
+            for c3 in range(3):
+                for b3 in range(3):
+                    f[6 + c3, b3] = w[b3] * w[c3]
+                f[6 + c3, c3] -= ww
+            f[6, 1] += dw[2]
+            f[6, 2] -= dw[1]
+            f[7, 0] -= dw[2]
+            f[7, 2] += dw[0]
+            f[8, 0] += dw[1]
+            f[8, 1] -= dw[0]
+            f[9, 0], f[9, 1], f[9, 2] = s[0], s[1], s[2]
+            f[6, 4], f[6, 5] = -s[2], s[1]
+            f[7, 3], f[7, 5] = s[2], -s[0]
+            f[8, 3], f[8, 4] = -s[1], s[0]
             for m in range(10):
-                f, t = wrench[0:3, m].copy(), wrench[3:6, m].copy()
+                place = wanted[10 * i + m]
+                if place < 0:
+                    continue
+                x, y, z, tx, ty, tz = f[m]
                 for j in range(i, -1, -1):
-                    y[j, 10 * i + m] = t[2]
-                    f, t = r[j] @ f, r[j] @ t
-                    t = t + cross(p[j], f)
-        for m in range(len(base)):
-            for j in range(n):
-                out[k, j, m] = y[j, base[m]]
+                    out[k, j, place] = tz
+                    x, y, z = turn(r[j], x, y, z)
+                    tx, ty, tz = turn(r[j], tx, ty, tz)
+                    e = cross(p[j, 0], p[j, 1], p[j, 2], x, y, z)
+                    tx, ty, tz = tx + e[0], ty + e[1], tz + e[2]
