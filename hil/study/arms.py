@@ -80,7 +80,12 @@ def forward(arm, q):
 
 
 def shipped(name, kind):
-    data = tomllib.loads((ROBOTS / f"{name}.toml").read_text())
+    return load(ROBOTS / f"{name}.toml", kind)
+
+
+def load(path, kind):
+    data = tomllib.loads(path.read_text())
+    name = data["name"]
     joints = data["joint"]
     rows = np.array([[j["a"], j["alpha"], j["d"], j.get("theta", 0.0)] for j in joints])
     flange = np.array(data.get("flange", {}).get("xyz", [0.0, 0.0, 0.0]))

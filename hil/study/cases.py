@@ -52,6 +52,7 @@ class Run:
     seconds: float
     period: float | None
     session: int = 1
+    lead: float = 0.0  # s that are driven and not recorded
 
 
 @dataclass
@@ -77,7 +78,7 @@ class Case:
     conditions: dict = field(default_factory=dict)
 
 
-def draw(seed, clean, kinds=None, quick=False):
+def draw(seed, clean, kinds=None, quick=False, settled=False):
     rng = np.random.default_rng([seed, 77])
     kind = str(rng.choice(["7r", "6r", "2r", "random"], p=[0.5, 0.2, 0.08, 0.22]))
     count = 0 if clean else int(rng.choice([1, 2], p=[0.72, 0.28]))
@@ -112,14 +113,15 @@ def draw(seed, clean, kinds=None, quick=False):
         period = float(rng.choice([5.0, 6.0, 8.0, 10.0]))
         trajectories = 2 if quick else int(rng.integers(2, 5))
         periods = 2 if quick else int(np.clip(rng.integers(2, 11), 2, max(2, budget // (period * trajectories))))
+        lead = int(settled)
         for k in range(trajectories):
-            q = motions.start(rng, np.tile(motions.periodic(rng, arm, period, STEP, style), (periods, 1)), STEP, leave)
-            runs.append(Run(f"run_{k + 1}.csv", "identify", q, period * periods, period))
+            q = motions.start(rng, np.tile(motions.periodic(rng, arm, period, STEP, style), (periods + lead, 1)), STEP, leave)
+            runs.append(Run(f"run_{k + 1}.csv", "identify", q, len(q) * STEP, period, lead=period * lead))
         unseen = int(rng.integers(1, 3))
         twice = 2 if rng.random() < 0.5 else 1
         for k in range(unseen):
-            q = motions.start(rng, np.tile(motions.periodic(rng, arm, period, STEP, style), (twice, 1)), STEP, leave)
-            runs.append(Run(f"validate_{k + 1}.csv", "validate", q, period * twice, period if twice > 1 else None))
+            q = motions.start(rng, np.tile(motions.periodic(rng, arm, period, STEP, style), (twice + lead, 1)), STEP, leave)
+            runs.append(Run(f"validate_{k + 1}.csv", "validate", q, len(q) * STEP, period if twice > 1 else None, lead=period * lead))
     else:
         for k in range(int(rng.integers(2, 4))):
             q = motions.start(rng, motions.free(rng, arm, budget / 4, STEP, style), STEP, leave)
@@ -129,7 +131,7 @@ def draw(seed, clean, kinds=None, quick=False):
     if SESSIONS & set(chosen):
         # the same motions again, later, and a new unseen one
         for k, run in enumerate([r for r in runs if r.role == "identify"][:2]):
-            runs.append(Run(f"later_{k + 1}.csv", "identify", run.reference, run.seconds, run.period, 2))
+            runs.append(Run(f"later_{k + 1}.csv", "identify", run.reference, run.seconds, run.period, 2, run.lead))
         runs.append(Run("later_validate.csv", "validate", runs[-1].reference[: int(len(runs[-1].reference) * 0.8)], 0.0, None, 2))
         runs[-1].seconds = len(runs[-1].reference) * STEP
 
@@ -141,7 +143,7 @@ def draw(seed, clean, kinds=None, quick=False):
     case = Case(seed, clean, arm, mounting, rate, form, table, controls, inertia, runs, quantum, white, slow, 1 / (2 * np.pi * 0.3), step, lost,
                 bool(rng.random() < 0.4))
     case.conditions = {"arm": arm.name, "kind": kind, "mounting": where, "rate": rate, "form": form, "style": style, "start": leave,
-                       "repeating": repeating, "periods": periods if repeating else 1, "bits": bits, "slow_noise": float(slow[0] / white[0])}
+                       "repeating": repeating, "settled": settled, "periods": periods if repeating else 1, "bits": bits, "slow_noise": float(slow[0] / white[0])}
     case.rng = rng
     case.effects = [effect(rng, case, k) for k in chosen]
     if clean and rng.random() < 0.15:
@@ -439,7 +441,7 @@ class Plain:
         for k, (t, r) in enumerate(left):
             run = self.case.runs[k]
             part = np.ones(len(t), bool)
-            periods = run.seconds / run.period if run.period else 1.0
+            periods = (run.seconds - run.lead) / run.period if run.period else 1.0
             if e is not None and "when" in e:
                 when = active(e, k)
                 if when is None:
@@ -535,6 +537,7 @@ def measure(case, rng, seen):
             for k in rng.integers(0, len(t), 2):
                 keep[k : k + int(rng.integers(2, 12))] = False
             keep[0] = keep[-1] = True
+        keep &= t >= run.lead - 1e-9
         yield run, t[keep], q[keep], None if speeds is None else speeds[keep], tau[keep]
 
 
@@ -580,9 +583,9 @@ def write_csv(path, t, q, speeds, tau):
         file.write(text_of(np.ascontiguousarray(np.hstack(parts)), digits).tobytes())
 
 
-def make(seed, clean, folder, kinds=None, quick=False):
-    """Writes one case: a dataset folder with truth.json, and an unseen noise-free motion beside it."""
-    case = draw(seed, clean, kinds, quick)
+def make(seed, clean, folder, kinds=None, quick=False, settled=False):
+    """Writes one case: a dataset folder with truth.json. Without the first period of repeating runs where `settled`."""
+    case = draw(seed, clean, kinds, quick, settled)
     plain = calibrate(case)
     folder.mkdir(parents=True, exist_ok=True)
     seen = simulate(case, case.effects)

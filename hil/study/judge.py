@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """The second judge of the diagnosis: cases of MuJoCo, which share nothing with the project's own simulation.
 
-    judge.py make  FOLDER SEED...  [--clean] [--kinds A,B] [--quick]     datasets with truth.json
-    judge.py judge RESULTS --program PLUMBLINE --from SEED --count N [--clean] [--quick] [--keep FOLDER] [--jobs N]
+    judge.py make  FOLDER SEED...  [--clean] [--kinds A,B] [--quick] [--settled]     datasets with truth.json
+    judge.py judge RESULTS --program PLUMBLINE --from SEED --count N [--clean] [--quick] [--settled] [--keep FOLDER] [--jobs N]
     judge.py table RESULTS [--cases]
 
 Seeds below 1000 are for developing the generator, 1000 to 4999 for building the diagnosis. From 5000 on seeds belong to the judge:
@@ -128,13 +128,13 @@ def score(report, truth):
 def one(job):
     import cases
 
-    seed, clean, quick, program, keep = job
+    seed, clean, quick, settled, program, keep = job
     secret = seed >= JUDGES_SEEDS
     work = Path(tempfile.mkdtemp(prefix="study-"))
     row = {"seed": seed, "clean": clean}
     try:
         begin = time.monotonic()
-        truth = cases.make(seed, clean, work / "data", quick=quick)
+        truth = cases.make(seed, clean, work / "data", quick=quick, settled=settled)
         row |= {"made": round(time.monotonic() - begin, 1), "conditions": truth["conditions"], "seconds": truth["seconds"],
                 "rows": truth["rows"], "kinds": [(t["kind"], t["ratio"], t["joints"]) for t in truth["effects"]]}
         begin, used = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -168,7 +168,7 @@ def one(job):
 def judge(args):
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=Path(__file__).parent).stdout.strip()
     version = subprocess.run([args.program, "--version"], capture_output=True, text=True).stdout.strip()
-    jobs = [(s, args.clean, args.quick, args.program, args.keep) for s in range(args.first, args.first + args.count)]
+    jobs = [(s, args.clean, args.quick, args.settled, args.program, args.keep) for s in range(args.first, args.first + args.count)]
     done = 0
     Path(args.results).parent.mkdir(parents=True, exist_ok=True)
     with Pool(args.jobs) as pool, open(args.results, "a") as file:
@@ -206,10 +206,10 @@ def table(args):
     clean = [r for r in good if r["class"].startswith("clean")]
     print(f"alarms on clean arms: {share(sum(r['class'] == 'clean: alarm' for r in clean), len(clean))}")
     for what, key in (("friction form", "form"), ("rate", "rate"), ("arm", "kind"), ("repeating", "repeating"), ("periods", "periods"),
-                      ("start", "start"), ("motion", "style")):
+                      ("start", "start"), ("settled", "settled"), ("motion", "style")):
         groups = defaultdict(list)
         for r in good:
-            groups[str(r["conditions"][key])].append(r)
+            groups[str(r["conditions"].get(key))].append(r)
         print(f"by {what}:")
         for name, group in sorted(groups.items()):
             some = [r for r in group if r in detectable]
@@ -265,6 +265,7 @@ def main():
     for p in (make, verdict):
         p.add_argument("--clean", action="store_true")
         p.add_argument("--quick", action="store_true", help="30 s of motion, two periods: for CI")
+        p.add_argument("--settled", action="store_true", help="record repeating runs from their second period on")
     show = commands.add_parser("table")
     show.add_argument("results")
     show.add_argument("--cases", action="store_true", help="each case; not with seeds of the judge")
@@ -275,7 +276,7 @@ def main():
         if max(args.seeds) >= JUDGES_SEEDS:
             sys.exit(f"judge.py make: seeds from {JUDGES_SEEDS} on are the judge's; nobody looks at one of those cases")
         for seed in args.seeds:
-            truth = cases.make(seed, args.clean, Path(args.folder) / str(seed), args.kinds.split(",") if args.kinds else None, args.quick)
+            truth = cases.make(seed, args.clean, Path(args.folder) / str(seed), args.kinds.split(",") if args.kinds else None, args.quick, args.settled)
             print(seed, truth["conditions"], "unmodelled", truth["unmodelled"], [(e["kind"], e["joints"], e["ratio"]) for e in truth["effects"]])
     elif args.command == "judge":
         judge(args)

@@ -95,6 +95,7 @@ def drive(step, model, data, h, every, q, v, applied, bias, damping, gravity, ma
     steps = reference.shape[0]
     load = np.zeros(n)
     rub = np.zeros(n)
+    rub_slope = np.zeros(n)
     for k in range(-hold, steps):
         now = k * h
         at = k if k > 0 else 0
@@ -121,13 +122,18 @@ def drive(step, model, data, h, every, q, v, applied, bias, damping, gravity, ma
             force[touch_body, 5] = point[0] * force[touch_body, 1] - point[1] * force[touch_body, 0]
         for i in range(n):
             rub[i] = 0.0
+            rub_slope[i] = 0.0
         for i in range(n):
             for j in range(n):
                 if coupling[i, j] != 0.0:
                     w = v[motor[i]] + ratio[i, j] * v[motor[j]]
-                    x = coupling[i, j] * np.tanh(100 * w)
+                    x = np.tanh(100 * w)
+                    steep = coupling[i, j] * 100 * (1 - x * x)
+                    x *= coupling[i, j]
                     rub[i] += x
                     rub[j] += ratio[i, j] * x
+                    rub_slope[i] += steep * (1 + abs(ratio[i, j]))
+                    rub_slope[j] += steep * (ratio[i, j] ** 2 + abs(ratio[i, j]))
             if table[i, HOSE] != 0.0:
                 j = int(table[i, HOSE_JOINT])
                 x = table[i, HOSE] * np.sin(1.5 * (q[motor[i]] - 0.7 * q[motor[j]]))
@@ -147,6 +153,7 @@ def drive(step, model, data, h, every, q, v, applied, bias, damping, gravity, ma
             drag, slope = friction(p, speed, angle, 1 - p[HEAT] * heat[i], load[i], z[i], h)
             if p[HEAT] != 0.0:
                 heat[i] += h / p[HEAT_TAU] * (abs(drag * speed) / p[HEAT_POWER] - heat[i])
+            slope += rub_slope[i]
             drag += rub[i] + p[SPRING] * (angle - p[SPRING_Q0]) + p[RIPPLE] * np.sin(p[RIPPLE_N] * angle + p[RIPPLE_P])
             behind = command
             if soft >= 0:
