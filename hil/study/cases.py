@@ -627,9 +627,9 @@ def describe(case, e):
     parameters = {
         "offset": {"offset": sign * size}, "offset-run": {"offset": sign * size}, "offset-step": {"offset": sign * size},
         "gain": {"gain": sign * size}, "zero": {"zero": -sign * size}, "backlash": {"gap": size}, "delay": {"delay": round(size) / case.rate},
-        "payload-session": {"mass": size, "m": size}, "payload-step": {"mass": size, "m": size}, "load": {"fl": size},
-        "crosstalk": {"cross": sign * size}, "rotor": {"ia": size}, "spring": {"k": size},
-        "elastic": {"c": 1 / (case.inertia[j] * (2 * np.pi * 4.0) ** 2 / size)},
+        "payload-session": {"mass": size}, "payload-step": {"mass": size}, "load": {"fl": size},
+        "crosstalk": {"cross": sign * size}, "rotor": {"ia": size}, "spring": {"spring": size},
+        "elastic": {"compliance": 1 / (case.inertia[j] * (2 * np.pi * 4.0) ** 2 / size)},
     }.get(kind, {})
     return {
         "kind": kind, "families": sorted(families) if families else None, "joints": joints, "optional_joints": optional,

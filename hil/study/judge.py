@@ -3,6 +3,7 @@
 
     judge.py make  FOLDER SEED...  [--clean] [--kinds A,B] [--quick] [--settled]     datasets with truth.json
     judge.py judge RESULTS --program PLUMBLINE --from SEED --count N [--clean] [--quick] [--settled] [--keep FOLDER] [--jobs N]
+    judge.py again RESULTS KEPT                  scores the kept reports once more, after a change of the rules here
     judge.py table RESULTS [--cases]
 
 Seeds below 1000 are for developing the generator, 1000 to 4999 for building the diagnosis. From 5000 on seeds belong to the judge:
@@ -28,7 +29,9 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 JUDGES_SEEDS = 5000
+NONNEGATIVE = {"mass", "gap", "compliance", "ia", "fp"}
 HARM = 1.02  # of the plain model's held-out error
+OFF = (0.3, 3.0)  # a parameter outside these shares of the true one, by five deviations, is another effect: a payload of -2 kg is none
 UNSEEN = 2.0  # floors of an unseen run that "nothing-significant" must not stand beside
 LIMIT = 900  # s for one diagnosis
 
@@ -36,8 +39,12 @@ LIMIT = 900  # s for one diagnosis
 def named(report):
     """Effects that the report names, delivered or not: id, joints, parameters, standard deviations."""
     d = report["diagnosis"]
-    out = []
+    out, seen = [], set()
     for e in list(d["effects"]) + [e for c in d.get("changes", []) for e in c["effects"]]:
+        key = json.dumps([e["id"], e["joints"], e.get("parameters")])
+        if key in seen:  # a change between sessions stands in both lists
+            continue
+        seen.add(key)
         out.append({"id": e["id"], "joints": e["joints"], "parameters": e.get("parameters", {}), "std": e.get("std", {}),
                     "in_model": e.get("in_model"), "stratum": e.get("stratum"), "form": e.get("form", ""), "rms": e.get("torque_rms")})
     return out
@@ -46,6 +53,10 @@ def named(report):
 def matches(effect, truth):
     if truth["families"] is None or effect["id"] not in truth["families"]:
         return False
+    for stem, true in truth["parameters"].items():
+        got = value_of(effect, stem)
+        if got and not OFF[0] < got[0] / true < OFF[1] and abs(got[0] - true) > 5 * (got[1] or 0.0):
+            return False
     if not truth["joints"] and not truth["optional_joints"]:
         return True
     if truth["kind"] == "contact":  # the outer links are not told apart by every pose
@@ -120,7 +131,8 @@ def score(report, truth):
     return {
         "class": kind, "verdict": verdict, "false": [(e["id"], e["joints"], e["form"], e["in_model"], e["rms"]) for e in false],
         "named": [(e["id"], e["joints"]) for e in effects], "missed": [(t["kind"], t["joints"], t["ratio"]) for t in missed],
-        "unexplained": unexplained, "unseen": round(unseen, 2), "cover": cover, "base_cover": base, "harm": max(harm, default=1.0),
+        "unexplained": unexplained, "unseen": round(unseen, 2), "cover": cover, "base_cover": base, "harm": max(harm, default=1.0), "impossible": [f"{e['id']} {n}" for e in effects for n, v in e["parameters"].items()
+                                                      if v is not None and v < 0 and n.rstrip("0123456789") in NONNEGATIVE],
         "floors": floor, "confirmation": d.get("confirmation"),
     }
 
@@ -182,6 +194,15 @@ def judge(args):
                       f"false {row.get('false')}, unexplained {row.get('unexplained')}", flush=True)
 
 
+def again(args):
+    rows = [json.loads(line) for line in Path(args.results).read_text().splitlines()]
+    for row in rows:
+        kept = Path(args.kept) / f"{row['seed']}{'-clean' if row['clean'] else ''}"
+        if (kept / "report.json").exists():
+            row |= score(json.loads((kept / "report.json").read_text()), json.loads((kept / "truth.json").read_text()))
+    Path(args.results).write_text("".join(json.dumps(row, default=str) + "\n" for row in rows))
+
+
 def share(part, whole):
     return f"{part} of {whole}" + (f" ({100 * part / whole:.0f} %)" if whole else "")
 
@@ -227,6 +248,8 @@ def table(args):
     print("named on clean arms:", dict(by_cause), "; unexplained joints in", sum(bool(r["unexplained"]) for r in clean))
     print("verdicts on clean arms:", dict(Counter(r["verdict"] for r in clean)))
     print("named falsely beside effects:", dict(Counter(f[0] for r in good if not r["class"].startswith("clean") for f in r["false"])))
+    impossible = Counter(i for r in good for i in r["impossible"])
+    print("named with a negative size that cannot be:", dict(impossible))
     silent = [r for r in good if r["verdict"] == "nothing-significant" and r["unseen"] > UNSEEN]
     print(f"nothing-significant with an unseen run above {UNSEEN} floors: {share(len(silent), sum(r['verdict'] == 'nothing-significant' for r in good))}")
     for name, key, at in (("effects", "cover", 1), ("base parameters", "base_cover", 1)):
@@ -266,6 +289,9 @@ def main():
         p.add_argument("--clean", action="store_true")
         p.add_argument("--quick", action="store_true", help="30 s of motion, two periods: for CI")
         p.add_argument("--settled", action="store_true", help="record repeating runs from their second period on")
+    more = commands.add_parser("again")
+    more.add_argument("results")
+    more.add_argument("kept")
     show = commands.add_parser("table")
     show.add_argument("results")
     show.add_argument("--cases", action="store_true", help="each case; not with seeds of the judge")
@@ -280,6 +306,8 @@ def main():
             print(seed, truth["conditions"], "unmodelled", truth["unmodelled"], [(e["kind"], e["joints"], e["ratio"]) for e in truth["effects"]])
     elif args.command == "judge":
         judge(args)
+    elif args.command == "again":
+        again(args)
     else:
         table(args)
 
