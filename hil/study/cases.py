@@ -180,6 +180,8 @@ def effect(rng, case, kind):
     n, arm = case.arm.n, case.arm
     j = int(rng.integers(n))
     e = {"kind": kind, "joint": j, "target": float(np.exp(rng.uniform(np.log(0.7), np.log(12.0)))), "phase": float(rng.uniform(0, 6.28))}
+    if kind == "coupling":
+        j = n - 1
     level = float(arm.tau_max[j] * 0.01)
     sizes = {  # start, least, most
         "offset": (0.3 * level, 0, 5 * level), "gain": (0.02, 0, 0.08), "zero": (3e-3, 0, 0.02), "eccentric": (1e-3, 0, 5e-3),
@@ -233,7 +235,7 @@ def effect(rng, case, kind):
         e["order"] = float(rng.choice([1, 2, 3, 4, 6, 8, 12, 20, 40]))
     if kind == "coupling":
         e["joint"], e["cause"] = (n - 1, n - 2) if rng.random() < 0.8 else (n - 2, n - 1)
-        e["ratio"] = float(rng.choice([-1, 1]) * rng.uniform(0.4, 1.0))
+        e["turns"] = float(rng.choice([-1, 1]) * rng.uniform(0.4, 1.0))
     if kind in ("hose", "crosstalk"):
         e["cause"] = int((e["joint"] + rng.choice([-1, 1])) % n)
     if kind == "presliding":
@@ -297,7 +299,7 @@ def simulate(case, effects):
         elif kind == "power":
             table[:, COLUMN["power"]] = np.clip(1 - 0.25 * size, 0.35, 1)
         elif kind == "coupling":
-            coupling[j, e["cause"]], ratio[j, e["cause"]] = size, e["ratio"]
+            coupling[j, e["cause"]], ratio[j, e["cause"]] = size, e["turns"]
         elif kind == "hose":
             row[COLUMN["hose"]], row[COLUMN["hose_joint"]] = size, e["cause"]
         elif kind == "rotor":
