@@ -460,9 +460,9 @@ def calibrate(case):
     """Draws the friction near the plain model where the case says so, and gives every effect the size of its ratio."""
     plain = Plain(case)
     start = case.table.copy()
-    for strength in (1.0, 0.5, 0.25, 0.1, 0.0):
+    for strength in (1.0, 0.5, 0.25, 0.1, 0.0):  # 0.1: the plain law itself comes next
         base = plain.ratios(plain.unmodelled(simulate(case, [])))
-        if base.max() < 0.5:
+        if base.max() < 0.5 or strength == 0.0:
             break
         case.table = start.copy()
         if strength == 0.1:

@@ -16,6 +16,8 @@ from numba.extending import intrinsic
 
 import arms
 
+mujoco.set_mju_user_warning(lambda text: None)  # a simulation that diverges ends with an error here, not in a log file
+
 STEP = 0.0005  # s, of the simulation and the controller
 HOLD = 0.6  # s at rest before the recording begins
 
@@ -177,6 +179,9 @@ def drive(step, model, data, h, every, q, v, applied, bias, damping, gravity, ma
                 out[3, row, i] = command
                 out[4, row, i] = behind
         call_step(step, model, data)
+        if not abs(v[motor[0]]) + abs(v[motor[n - 1]]) < 200.0:
+            out[1, 0, 0] = np.nan
+            return
         if k >= 0 and k % every == 0:
             for i in range(n):
                 out[2, k // every, i] = v[motor[i]]
