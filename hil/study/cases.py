@@ -110,9 +110,9 @@ def draw(seed, clean, kinds=None, quick=False, settled=False):
     budget = 30.0 if quick else rng.uniform(50, 90)
     runs = []
     if repeating:
-        period = float(rng.choice([5.0, 6.0, 8.0, 10.0]))
+        period = 5.0 if quick else float(rng.choice([5.0, 6.0, 8.0, 10.0]))
         trajectories = 2 if quick else int(rng.integers(2, 5))
-        periods = 2 if quick else int(np.clip(rng.integers(2, 11), 2, max(2, budget // (period * trajectories))))
+        periods = 3 if quick else int(np.clip(rng.integers(2, 11), 2, max(2, budget // (period * trajectories))))
         lead = int(settled)
         for k in range(trajectories):
             q = motions.start(rng, np.tile(motions.periodic(rng, arm, period, STEP, style), (periods + lead, 1)), STEP, leave)

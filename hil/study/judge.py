@@ -11,6 +11,7 @@ nobody looks at one of those cases, and this program refuses it: it keeps no dat
 """
 
 import argparse
+import hashlib
 import json
 import os
 import re
@@ -180,12 +181,13 @@ def one(job):
 def judge(args):
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=Path(__file__).parent).stdout.strip()
     version = subprocess.run([args.program, "--version"], capture_output=True, text=True).stdout.strip()
+    program = hashlib.sha256(Path(args.program).read_bytes()).hexdigest()[:10]
     jobs = [(s, args.clean, args.quick, args.settled, args.program, args.keep) for s in range(args.first, args.first + args.count)]
     done = 0
     Path(args.results).parent.mkdir(parents=True, exist_ok=True)
     with Pool(args.jobs) as pool, open(args.results, "a") as file:
         for row in pool.imap_unordered(one, jobs):
-            row |= {"commit": args.commit or commit, "version": version}
+            row |= {"commit": args.commit or commit, "version": version, "program": program}
             file.write(json.dumps(row, default=str) + "\n")
             file.flush()
             done += 1
@@ -215,6 +217,7 @@ def table(args):
     good = [r for r in rows if r["class"] not in ("failed", "not simulated")]
     seeds = sorted(r["seed"] for r in rows)
     print(f"seeds {seeds[0]} to {seeds[-1]}, {len(rows)} cases, commit {', '.join(sorted({r['commit'] for r in rows}))}, "
+          f"program {', '.join(sorted({r.get('program', '-') for r in rows}))}, "
           f"{sum(r.get('seconds', 0) for r in rows) / max(len(rows), 1):.0f} s of motion each")
     print("classes:", dict(Counter(r["class"] for r in rows)))
     failed = Counter(r.get("message", "") for r in rows if r["class"] == "failed")
@@ -287,7 +290,7 @@ def main():
     verdict.add_argument("--commit", help="of the program, where it is not the checked-out one")
     for p in (make, verdict):
         p.add_argument("--clean", action="store_true")
-        p.add_argument("--quick", action="store_true", help="30 s of motion, two periods: for CI")
+        p.add_argument("--quick", action="store_true", help="three periods of 5 s, two motions: for CI")
         p.add_argument("--settled", action="store_true", help="record repeating runs from their second period on")
     more = commands.add_parser("again")
     more.add_argument("results")

@@ -2,7 +2,7 @@
 # Cases of another engine (MuJoCo) judge the diagnosis: how often is it right where the project made neither arm nor data?
 #
 #     hil/study/run.sh [CASES] [CLEAN] [FIRST_SEED]     (300, 200, 1000; clean arms have their seeds after those with effects)
-#     hil/study/run.sh ci                               (8 cases and 6 clean ones of 30 s)
+#     hil/study/run.sh ci                               (8 cases and 6 clean ones, 40 s of motion each)
 #
 # Results lie in target/study. Seeds from 5000 on are the judge's: totals only (judge.py). Program: $PLUMBLINE, or a release build.
 set -euo pipefail
