@@ -107,8 +107,9 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
     let mut unseen = pipeline::experiments(question.unseen, &settings)?;
     let repeat = |experiment: &Experiment| experiment.repeats.is_some();
     let mut found = Changing::default();
-    if experiments.iter().chain(&unseen).any(repeat) {
-        let plain = plain(question.structure, &experiments)?;
+    let repeating = experiments.iter().chain(&unseen).any(repeat);
+    let plain = repeating.then(|| plain(question.structure, &experiments)).transpose()?;
+    if let Some(plain) = &plain {
         let predict = |motion: &Motion| plain.predict(motion);
         experiments.iter_mut().chain(&mut unseen).for_each(|experiment| experiment.follow_own_motion(predict));
         let operating_point = question.structure.operating_point(&plain.beta());
@@ -121,6 +122,10 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
         }
     }
     cleaned(&mut experiments, &found);
+    if let Some(plain) = &plain {
+        let predict = |motion: &Motion| plain.predict(motion);
+        experiments.iter_mut().chain(&mut unseen).for_each(|experiment| experiment.add_resolution(predict));
+    }
     if !question.options.estimator.needs_periods() {
         experiments.iter_mut().chain(&mut unseen).for_each(|experiment| experiment.repeats = None);
     }

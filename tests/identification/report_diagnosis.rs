@@ -83,6 +83,7 @@ fn diagnosed() -> Diagnosis {
         held_out_runs: vec!["validate-1.csv".into(), "validate-2.csv".into()],
         noise_floor: FLOOR.to_vec(),
         unexplained: Vec::new(),
+        disagreements: Vec::new(),
         minimum_detectable: [("presliding".to_string(), least("Nm")), ("rotor-inertia".to_string(), least("kg m2"))]
             .into(),
         not_identifiable: vec![NotIdentifiable {

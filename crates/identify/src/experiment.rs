@@ -24,6 +24,8 @@ const COMPARISON_CUTOFF_HZ: f64 = 20.0;
 const APERIODIC_CUTOFF_HZ: f64 = 10.0;
 /// Maximum velocity noise that the position filter may pass \[rad/s\]. Friction reverses within 0.01 rad/s; more noise would blur its sign.
 const MAX_VELOCITY_NOISE: f64 = 1e-3;
+/// Positions that are nearer are the same \[rad\]: no encoder resolves that, and files round.
+const MIN_RESOLUTION: f64 = 1e-9;
 /// Maximum ratio of the position cut-off to half the sampling rate.
 const MAX_NYQUIST_RATIO: f64 = 0.8;
 
@@ -44,6 +46,8 @@ pub struct Experiment {
     pub noise: Option<NoiseOfMean>,
     /// Standard deviation of one raw position sample between the periods, n \[rad\]; `None` without repeats.
     pub position_noise: Option<Vec<f64>>,
+    /// Smallest step between two positions of the recording, n \[rad\]: the resolution of a coarse encoder.
+    pub resolution: Vec<f64>,
     /// Every period's deviation from the mean, where the settings keep it.
     pub repeats: Option<Repeats>,
     /// The desired motion on the same grid, filtered alike; where it was given.
@@ -237,6 +241,7 @@ impl Experiment {
                 tau: of_tau(),
                 counted,
             }),
+            resolution: run.q.column_iter().map(|column| resolution(column.as_slice())).collect(),
             position_noise: scatter.as_ref().map(|scatter| scatter.std[..n].to_vec()),
             scatter: scatter.map(|scatter| scatter.select(n..2 * n)),
             desired: None,
@@ -300,6 +305,35 @@ impl Experiment {
             scatter.power = Scatter::of(&repeats.tau, &repeats.counted, samples, dt).power;
         }
         self.noise = Some(NoiseOfMean::of(&repeats.tau, samples, dt, |f| self.filter.zero_phase_gain(f)));
+    }
+
+    /// Adds to [`Scatter::power`] what the resolution of the encoders does to the model's torque. A motion that repeats within one step of an encoder
+    /// is rounded alike in every period: no scatter between periods shows it, and no mean removes it. `predict` gives the torques along a motion.
+    ///
+    /// The motion behind the torques' low-pass, in which the steps are hardly left, is rounded once more: the torque of the difference has the
+    /// spectrum of the error. Position noise `sigma` between periods
+    /// dithers a step `delta`, which leaves `exp(-(2 pi sigma / delta)^2)` of the power (Widrow, Kollar, Quantization Noise, 2008).
+    pub fn add_resolution(&mut self, predict: impl Fn(&Motion) -> DMatrix<f64>) {
+        let (Some(scatter), Some(noise)) = (&self.scatter, &self.position_noise) else { return };
+        let mut spectral = Spectral::new(scatter.samples, scatter.dt);
+        let mut q = self.motion.q.clone();
+        for mut column in q.column_iter_mut() {
+            let smooth = self.filter.zero_phase_periodic(&mut spectral, column.as_slice());
+            column.copy_from_slice(&smooth);
+        }
+        let rounding = DMatrix::from_fn(q.nrows(), q.ncols(), |k, j| {
+            let step = self.resolution[j];
+            let kept = (-0.5 * (2.0 * PI * noise[j] / step).powi(2)).exp();
+            if step > 0.0 { kept * ((q[(k, j)] / step).round() * step - q[(k, j)]) } else { 0.0 }
+        });
+        let error = predict(&self.moved(&rounding)) - predict(&self.motion);
+        let mut power = scatter.power.clone();
+        for (j, column) in error.column_iter().enumerate() {
+            for (bin, value) in spectral.transform(column.as_slice()).iter().enumerate() {
+                power[(bin, j)] += scatter.periods as f64 * value.norm_sqr() / scatter.samples as f64;
+            }
+        }
+        self.scatter = Some(Scatter { power, ..scatter.clone() });
     }
 
     /// Adds the desired motion, N x n \[rad\], at the time stamps of the run \[s\].
@@ -413,6 +447,14 @@ impl Experiment {
     pub fn stacked_tau(&self) -> DMatrix<f64> {
         DMatrix::from_column_slice(self.tau.len(), 1, self.tau.as_slice())
     }
+}
+
+/// Smallest difference between two values that are not equal but for rounding; 0 where all are.
+fn resolution(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let steps = sorted.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > MIN_RESOLUTION);
+    steps.reduce(f64::min).unwrap_or(0.0)
 }
 
 /// Motion of positions and, where given, measured velocities, without `edge` samples at both ends. Measured velocities pass the filter
