@@ -84,6 +84,8 @@ def draw(seed, clean, kinds=None, quick=False, settled=False):
     count = 0 if clean else int(rng.choice([1, 2], p=[0.72, 0.28]))
     pool = [k for k in KINDS if k not in FAULTS]
     chosen = list(kinds) if kinds else [str(k) for k in rng.choice(pool, count, replace=False)]
+    if len(chosen) == 2 and KINDS[chosen[0]] and KINDS[chosen[0]] == KINDS[chosen[1]]:
+        chosen.pop()  # one effect of a family is enough to be found
     if "coupling" in chosen and kind in ("7r", "2r"):
         kind = "6r"
     arm = arms.draw(rng, kind)

@@ -26,6 +26,8 @@ from pathlib import Path
 
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(name, "1")
+os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(__file__).resolve().parents[2] / "target" / "study" / "compiled"))
+sys.dont_write_bytecode = True
 
 import numpy as np
 from scipy.linalg import qr
